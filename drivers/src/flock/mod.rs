@@ -1,0 +1,1 @@
+//! Ascension Flock of Birds over RS-232.

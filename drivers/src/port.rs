@@ -1,0 +1,1 @@
+//! The only file of this package that opens a port.

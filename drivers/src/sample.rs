@@ -1,0 +1,117 @@
+//! What every driver produces: one [`Sample`] per sensor and measurement.
+
+use std::ops::{Add, Sub};
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+/// A point in time: nanoseconds since the stage's epoch, on the host's monotonic clock.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
+#[serde(transparent)]
+pub struct Timestamp(i64);
+
+impl Timestamp {
+    /// The stage's epoch.
+    pub const ZERO: Self = Self(0);
+
+    /// Time `nanos` nanoseconds after the stage's epoch.
+    pub const fn from_nanos(nanos: i64) -> Self {
+        Self(nanos)
+    }
+
+    /// Time `seconds` after the stage's epoch, rounded to the nanosecond.
+    pub fn from_secs_f64(seconds: f64) -> Self {
+        Self((seconds * 1e9).round() as i64)
+    }
+
+    /// Nanoseconds since the stage's epoch.
+    pub const fn as_nanos(self) -> i64 {
+        self.0
+    }
+
+    /// Seconds since the stage's epoch.
+    pub fn as_secs_f64(self) -> f64 {
+        self.0 as f64 * 1e-9
+    }
+
+    /// Seconds from `earlier` to `self`; negative when `self` is the earlier one.
+    pub fn seconds_since(self, earlier: Self) -> f64 {
+        (self.0 - earlier.0) as f64 * 1e-9
+    }
+}
+
+impl Add<Duration> for Timestamp {
+    type Output = Self;
+    fn add(self, duration: Duration) -> Self {
+        Self(self.0 + duration.as_nanos() as i64)
+    }
+}
+
+impl Sub<Duration> for Timestamp {
+    type Output = Self;
+    fn sub(self, duration: Duration) -> Self {
+        Self(self.0 - duration.as_nanos() as i64)
+    }
+}
+
+/// How the first byte of a record reached the host: all that a clock model may know about its time.
+///
+/// The byte was on the host's side after `t_previous_read` and at or before `t_read`. Bursts of a
+/// USB adapter make the second bound loose, the first one stays true.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Arrival {
+    /// Stamp of the read that delivered the record's first byte (`t_arrival` of the design).
+    pub t_read: Timestamp,
+    /// Stamp of the read before that one, if there was one since the port was opened.
+    pub t_previous_read: Option<Timestamp>,
+    /// Bytes of the same read that came after the record's first byte (its own rest and later records).
+    pub bytes_after: u32,
+    /// Bytes that the device sent in the same measurement cycle in front of this record
+    /// (the records of lower addresses), whether or not they arrived intact.
+    pub cycle_bytes_before: u32,
+}
+
+/// The device's own idea of when a record was measured.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum DeviceTime {
+    /// No counter on the wire: the driver numbers measurement cycles by the order of addresses. Records
+    /// damaged on the wire are counted; cycles that left no trace in the bytes are not, so the number may fall behind.
+    Cycle(u64),
+    /// The unit's counter, unwrapped by the driver, in ticks of a nominal `tick_s` seconds.
+    Counter {
+        /// Unwrapped count.
+        ticks: u64,
+        /// Nominal duration of a tick, in seconds.
+        tick_s: f64,
+    },
+}
+
+/// One measurement of one sensor, in device axes and SI units.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sample {
+    /// The sensor's address on its device; 0 for a stand-alone Flock.
+    pub address: u16,
+    /// When and how the record reached the host.
+    pub arrival: Arrival,
+    /// The device's counter, or the driver's count of cycles.
+    pub t_device: DeviceTime,
+    /// What was measured.
+    pub measurement: Measurement,
+}
+
+/// What a sensor measured.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Measurement {
+    /// A magnetic tracker's pose: sensor in transmitter axes.
+    Pose {
+        /// Position of the sensor in the transmitter frame, m. Absent in orientation-only formats.
+        position_m: Option<[f64; 3]>,
+        /// Unit quaternion (w, x, y, z) that turns sensor coordinates into transmitter coordinates.
+        /// Absent in position-only formats.
+        orientation_wxyz: Option<[f64; 4]>,
+        /// Button byte as sent, where button mode is on.
+        button: Option<u8>,
+    },
+}

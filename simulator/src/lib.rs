@@ -1,0 +1,1 @@
+//! Virtual trackers: truth in, device bytes out.

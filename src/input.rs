@@ -1,0 +1,123 @@
+//! The input log: all that the pipeline ever sees, in one total order.
+//!
+//! A recording holds these entries, and a replay feeds them again: same entries, same outputs.
+
+use posed_drivers::{LineEvent, Timestamp};
+use serde::{Deserialize, Serialize};
+
+/// Index of a device in the stage file's `[[device]]` list.
+pub type DeviceIndex = u16;
+/// Index of a sensor in the stage file's `[[sensor]]` list.
+pub type SensorIndex = u16;
+
+/// One entry of the input log.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Entry {
+    /// Host time of the entry. Entries of several devices may be a few microseconds out of order; the
+    /// pipeline's own time is the latest one seen.
+    pub t: Timestamp,
+    /// What came in.
+    pub input: Input,
+}
+
+/// What can come in.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Input {
+    /// A read chunk of a device; `Entry::t` is its stamp.
+    Bytes {
+        /// Who sent it.
+        device: DeviceIndex,
+        /// The bytes as read.
+        #[serde(with = "serde_bytes_compat")]
+        bytes: Vec<u8>,
+    },
+    /// A device's line opened, closed, or lost bytes.
+    Line {
+        /// Whose line.
+        device: DeviceIndex,
+        /// What happened.
+        event: LineEvent,
+    },
+    /// A deadline of the pipeline (see `Pipeline::poll_timeout`) has passed.
+    Timer,
+    /// A model is swapped in, in full.
+    Model(Model),
+    /// Ground truth from a simulator, passed through to the `truth` topic.
+    Truth(Truth),
+}
+
+/// A model that can be swapped in between two frames.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Model {
+    /// Where the transmitter stands in the room.
+    Transmitter {
+        /// Position of the transmitter in the room, m.
+        position_m: [f64; 3],
+        /// Turns transmitter coordinates into room coordinates.
+        orientation_wxyz: [f64; 4],
+    },
+    /// How noisy the tracker is: standard deviations at the reference distance `r0_m`.
+    TrackerNoise {
+        /// The device it speaks of, by name.
+        device: String,
+        /// Reference distance from the transmitter, m.
+        r0_m: f64,
+        /// Standard deviation along the transmitter ray at `r0_m`, m (grows with r^4).
+        sigma_radial_m: f64,
+        /// Rotation standard deviation at `r0_m`, rad (grows with r^3).
+        sigma_rotation_rad: f64,
+    },
+}
+
+/// Ground truth of one capture instant.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Truth {
+    /// Capture time, exact.
+    pub t_valid: Timestamp,
+    /// One per simulated sensor.
+    pub sensors: Vec<TruthSensor>,
+}
+
+/// Ground truth of one sensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TruthSensor {
+    /// Stage-wide sensor.
+    pub sensor: SensorIndex,
+    /// Position in the room, m.
+    pub position_m: [f64; 3],
+    /// Sensor to room.
+    pub orientation_wxyz: [f64; 4],
+    /// What the simulator did to the record: `clean`, `inverted`, `stuck`, `jump`, `disturbed`.
+    pub class: String,
+}
+
+/// Byte strings as MessagePack `bin` rather than as arrays of numbers.
+mod serde_bytes_compat {
+    use serde::{Deserializer, Serializer, de};
+
+    pub(super) fn serialize<S: Serializer>(bytes: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_bytes(bytes)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<u8>, D::Error> {
+        struct Bytes;
+        impl<'de> de::Visitor<'de> for Bytes {
+            type Value = Vec<u8>;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a byte string")
+            }
+            fn visit_bytes<E: de::Error>(self, v: &[u8]) -> Result<Vec<u8>, E> {
+                Ok(v.to_vec())
+            }
+            fn visit_seq<A: de::SeqAccess<'de>>(self, mut seq: A) -> Result<Vec<u8>, A::Error> {
+                let mut bytes = Vec::new();
+                while let Some(byte) = seq.next_element()? {
+                    bytes.push(byte);
+                }
+                Ok(bytes)
+            }
+        }
+        deserializer.deserialize_bytes(Bytes)
+    }
+}

@@ -1,0 +1,11 @@
+//! `posed`: a live motion tracking daemon, as a library.
+//!
+//! ```text
+//! bytes -> drivers -> Sample -> clock -> Frame -> faults -> fusion -> Estimate -> clients
+//! ```
+//! The core is one plain struct that is pushed entries of the input log and says outputs; it has no clock,
+//! no thread and no randomness. The daemon around it owns ports, threads, sockets, files and time.
+
+pub mod input;
+pub mod output;
+pub mod stage;

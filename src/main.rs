@@ -1,0 +1,2 @@
+//! The `posed` binary.
+fn main() {}

@@ -1,0 +1,165 @@
+//! What the pipeline says: estimates and outcomes, before anyone turns them into messages.
+
+use posed_drivers::{State, Timestamp};
+use serde::{Deserialize, Serialize};
+
+use crate::input::{DeviceIndex, Model, SensorIndex, Truth};
+
+/// One output of `Pipeline::push`; borrowed, valid during the call.
+#[derive(Debug)]
+pub enum Output<'a> {
+    /// Write these bytes to a device's line.
+    Transmit {
+        /// Whose line.
+        device: DeviceIndex,
+        /// What to write.
+        bytes: &'a [u8],
+    },
+    /// Set a device's RTS line.
+    SetRts {
+        /// Whose line.
+        device: DeviceIndex,
+        /// `true` = asserted.
+        asserted: bool,
+    },
+    /// A frame has closed: poses of all sensors at one time.
+    Estimate(&'a Estimate),
+    /// Something happened that no client may miss.
+    Outcome(&'a Outcome),
+    /// A device's state changed.
+    Device {
+        /// Which device.
+        device: DeviceIndex,
+        /// Its new state.
+        state: &'a State,
+    },
+    /// One sentence for the operator about a device.
+    Warning {
+        /// Which device.
+        device: DeviceIndex,
+        /// The sentence.
+        text: &'a str,
+    },
+    /// Ground truth, passed through.
+    Truth(&'a Truth),
+}
+
+/// Poses of all sensors at one tick of the stage clock.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// Number of the frame, from 0.
+    pub frame: u64,
+    /// The tick: capture time that the values belong to.
+    pub t_valid: Timestamp,
+    /// Host time at which the frame closed (time of the entry that closed it).
+    pub t_closed: Timestamp,
+    /// Standard deviation of `t_valid` itself, s.
+    pub sigma_t_s: f64,
+    /// One per sensor of the stage file, in its order.
+    pub sensors: Vec<SensorEstimate>,
+}
+
+/// How far a sensor's pose can be trusted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SensorState {
+    /// Measured in this frame and inside its predicted gate.
+    Ok,
+    /// Measured, but outside the gate, or not yet confirmed: never to be used as good.
+    Suspect,
+    /// Nothing arrived for this frame.
+    #[default]
+    Missing,
+    /// Measured for an earlier frame, arrived after it had closed.
+    Late,
+    /// The device repeats its last words.
+    Stuck,
+    /// Mirrored through the transmitter and mirrored back.
+    Repaired,
+    /// Corrected outside the calibrated hull.
+    Extrapolated,
+}
+
+/// One sensor in one frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SensorEstimate {
+    /// How far to trust it.
+    pub state: SensorState,
+    /// Filtered pose in the room at the frame's time; absent before the first good measurement and
+    /// after coasting too long.
+    pub pose: Option<PoseEstimate>,
+    /// The raw record, in device axes, where one arrived.
+    pub measured: Option<Measured>,
+}
+
+/// A filtered pose with its uncertainty; room frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PoseEstimate {
+    /// Position, m.
+    pub position_m: [f64; 3],
+    /// Sensor to room, unit.
+    pub orientation_wxyz: [f64; 4],
+    /// Velocity, m/s.
+    pub velocity_m_s: [f64; 3],
+    /// Angular velocity in sensor axes, rad/s.
+    pub angular_velocity_rad_s: [f64; 3],
+    /// Covariance of (position in room, m; rotation error in sensor axes, rad): upper triangle of the
+    /// 6 x 6 matrix, row by row.
+    pub covariance: [f64; 21],
+    /// Root mean square of the expected 3-D position error, m.
+    pub sigma_m: f64,
+}
+
+/// A raw record in device axes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Measured {
+    /// Capture time of this record.
+    pub t_valid: Timestamp,
+    /// Position in device axes, m.
+    pub position_m: Option<[f64; 3]>,
+    /// Sensor to device axes.
+    pub orientation_wxyz: Option<[f64; 4]>,
+    /// Button byte.
+    pub button: Option<u8>,
+}
+
+/// Something that happened; clients get every one of these.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Outcome {
+    /// Time it speaks of.
+    pub t_valid: Timestamp,
+    /// Stream time at which it was decided.
+    pub t_decided: Timestamp,
+    /// What.
+    pub what: OutcomeKind,
+}
+
+/// What happened.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum OutcomeKind {
+    /// A sensor's fault label began (`true`) or ended (`false`).
+    Fault {
+        /// Which sensor.
+        sensor: SensorIndex,
+        /// `hemisphere`, `stuck`, `gate`, `missing`.
+        cause: FaultCause,
+        /// Began or ended.
+        active: bool,
+    },
+    /// A model was swapped in.
+    ModelSwapped(Model),
+}
+
+/// Why a sensor's pose is not simply good.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum FaultCause {
+    /// Position mirrored through the transmitter.
+    Hemisphere,
+    /// The same words again and again while others move.
+    Stuck,
+    /// Outside the predicted gate.
+    Gate,
+    /// No record.
+    Missing,
+}
