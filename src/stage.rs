@@ -32,6 +32,7 @@ pub struct Stage {
     pub recording: Recording,
     /// What `posed demo` and `posed simulate` put in the devices' place; checked by the simulator.
     #[serde(default)]
+    #[schemars(with = "Option<serde_json::Map<String, serde_json::Value>>")]
     pub simulation: Option<toml::Table>,
 }
 
