@@ -16,6 +16,7 @@
 //! A command whose answer itself is bad news (problems found, nothing answered) prints it and returns
 //! [`Error::Told`]. Answers go through [`print`] and [`print_json`], which know a closed pipe.
 
+mod check;
 mod completions;
 
 use std::io::{self, IsTerminal, Write};
@@ -40,6 +41,8 @@ struct Cli {
 /// Every command that works, in the order of a first day with the program.
 #[derive(Subcommand)]
 enum Command {
+    /// Says all that is wrong with a stage file, by line and key, and how to mend it.
+    Check(check::Args),
     /// Writes the completion script of a shell.
     Completions(completions::Args),
 }
@@ -47,6 +50,7 @@ enum Command {
 impl Command {
     fn run(self) -> Result<(), Error> {
         match self {
+            Self::Check(args) => check::run(args),
             Self::Completions(args) => completions::run(args),
         }
     }
