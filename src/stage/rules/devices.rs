@@ -170,7 +170,7 @@ fn line_budget(device: &Item<'_, '_>, sensors: &[&Item<'_, '_>], notes: &mut Not
     let bytes = sensors.len() * (data_bytes + usize::from(device.bool("button")) + group);
     let baud = device.integer("baud").map_or(115_200, |baud| baud.value);
     let cycle_hz = device.number("measurement_rate_hz").map_or(FLOCK_RATE_HZ, |rate| rate.value);
-    let cycles = device.integer("report_rate").map_or(1, |cycles| cycles.value.max(1));
+    let cycles = device.integer("report_every_cycles").map_or(1, |cycles| cycles.value.max(1));
     let report_hz = cycle_hz / cycles as f64;
     // Ten bits on the line for each byte.
     let possible_hz = baud as f64 / (10.0 * bytes as f64);

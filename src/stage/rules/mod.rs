@@ -107,7 +107,7 @@ fn unique(items: &[Item<'_, '_>], key: &str, what: &str, notes: &mut Notes<'_>) 
 }
 
 /// "did you mean ..?", or the list of what there is.
-fn suggest<'w>(word: &str, words: &[&'w str], none: &str) -> String {
+fn suggest(word: &str, words: &[&str], none: &str) -> String {
     match nearest(word, words.iter().copied()) {
         Some(near) => format!("did you mean `{near}`?"),
         None if words.is_empty() => none.to_owned(),
