@@ -43,10 +43,10 @@ pub struct Stage {
     /// The magnetic transmitter.
     #[serde(default)]
     pub transmitter: Transmitter,
-    /// Devices, in the order of `DeviceIndex`.
+    /// Devices; everything published keeps their order.
     #[serde(default, rename = "device")]
     pub devices: Vec<Device>,
-    /// Sensors, in the order of `SensorIndex`.
+    /// Sensors; everything published keeps their order.
     #[serde(default, rename = "sensor")]
     pub sensors: Vec<Sensor>,
     /// The body that wears the sensors; absent: nobody does.
@@ -94,6 +94,19 @@ impl Stage {
     }
 }
 
+/// What the fuzz target does with any bytes: a text is right exactly if it parses, and every problem has a line.
+#[doc(hidden)]
+pub fn fuzz(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    let report = check(text);
+    assert_eq!(report.ok, Stage::parse(text).is_ok());
+    assert_eq!(report.ok, report.problems.is_empty());
+    let lines = 1 + text.matches('\n').count();
+    for problem in report.problems.iter().chain(&report.warnings) {
+        assert!((1..=lines).contains(&problem.line), "{problem:?}");
+    }
+}
+
 fn default_frame_wait_ms() -> f64 {
     5.0
 }
@@ -129,6 +142,7 @@ pub struct Device {
     pub port: String,
     /// Line rate, bit/s.
     #[serde(default = "default_baud")]
+    #[schemars(range(min = 1))]
     pub baud: u32,
     /// Constant delay from measurement to the record's first byte, ms.
     #[serde(default)]
