@@ -18,6 +18,8 @@
 
 mod check;
 mod completions;
+mod decode;
+mod output;
 
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
@@ -43,6 +45,8 @@ struct Cli {
 enum Command {
     /// Says all that is wrong with a stage file, by line and key, and how to mend it.
     Check(check::Args),
+    /// Decodes a capture made elsewhere to CSV or JSON lines.
+    Decode(decode::Args),
     /// Writes the completion script of a shell.
     Completions(completions::Args),
 }
@@ -51,6 +55,7 @@ impl Command {
     fn run(self) -> Result<(), Error> {
         match self {
             Self::Check(args) => check::run(args),
+            Self::Decode(args) => decode::run(args),
             Self::Completions(args) => completions::run(args),
         }
     }
@@ -97,8 +102,7 @@ pub(crate) fn main() -> ExitCode {
         Err(error @ Error::Failed(_)) => (1, error),
         Err(error @ Error::Usage(_)) => (2, error),
     };
-    // Nothing is left to do where even stderr is gone.
-    let _ = writeln!(io::stderr(), "posed: {error}");
+    tell(&format!("posed: {error}"));
     ExitCode::from(code)
 }
 
@@ -130,6 +134,12 @@ pub(crate) fn print_json(answer: &impl serde::Serialize) -> Result<(), Error> {
     let mut line = serde_json::to_string(answer).map_err(Error::failed)?;
     line.push('\n');
     print(&line)
+}
+
+/// Says something to the person at the terminal that is no part of the answer, on stderr.
+pub(crate) fn tell(sentence: &str) {
+    // Nothing is lost with it where even stderr is gone.
+    let _ = writeln!(io::stderr(), "{sentence}");
 }
 
 /// The whole command line, for completions.
