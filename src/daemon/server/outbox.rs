@@ -52,7 +52,8 @@ struct Queues {
     /// Bytes of both queues.
     bytes: usize,
     dropped: u64,
-    close: Option<Close>,
+    /// Events or replies had to be refused: the connection ends.
+    overflowed: bool,
 }
 
 impl Outbox {
@@ -71,7 +72,7 @@ impl Outbox {
         let full = queues.lossless.len() >= self.limits.lossless_messages
             || queues.bytes + bytes > self.limits.queue_bytes && !queues.lossless.is_empty();
         if full {
-            queues.close.get_or_insert(Close::TOO_SLOW);
+            queues.overflowed = true;
         } else {
             queues.bytes += bytes;
             queues.lossless.push_back(message);
@@ -113,12 +114,6 @@ impl Outbox {
         dropped
     }
 
-    /// Ends the connection after what is queued losslessly.
-    pub(super) fn close(&self, close: Close) {
-        self.lock().close.get_or_insert(close);
-        self.filled.notify_one();
-    }
-
     /// Waits until there may be something to take.
     pub(super) async fn filled(&self) {
         self.filled.notified().await;
@@ -127,16 +122,10 @@ impl Outbox {
     /// Appends the next message to `out`, events and replies first. `Err` ends the connection.
     pub(super) fn pop(&self, out: &mut Vec<u8>) -> Result<bool, Close> {
         let mut queues = self.lock();
-        if queues.close == Some(Close::TOO_SLOW) {
+        if queues.overflowed {
             return Err(Close::TOO_SLOW);
         }
-        let next = match queues.lossless.pop_front() {
-            Some(message) => Some(message),
-            None => match queues.close.clone() {
-                Some(close) => return Err(close),
-                None => queues.data.pop_front(),
-            },
-        };
+        let next = queues.lossless.pop_front().or_else(|| queues.data.pop_front());
         let Some(message) = next else { return Ok(false) };
         queues.bytes -= message.bytes();
         let dropped = queues.dropped;
@@ -244,14 +233,5 @@ mod tests {
             outbox.push_lossless(data(Topic::Faults, seq, 10));
         }
         assert_eq!(outbox.pop(&mut Vec::new()), Err(Close::TOO_SLOW));
-    }
-
-    #[test]
-    fn closing_lets_the_replies_out_first() {
-        let outbox = Outbox::new(Encoding::Json, limits());
-        outbox.push_lossless(Outgoing::Whole(b"{}".to_vec()));
-        outbox.close(Close::SHUTDOWN);
-        assert_eq!(outbox.pop(&mut Vec::new()), Ok(true));
-        assert_eq!(outbox.pop(&mut Vec::new()), Err(Close::SHUTDOWN));
     }
 }
