@@ -61,9 +61,9 @@ export type DeviceStatus = {
   /** Its port. */
   port: string;
   /** Measured rate, Hz; null until known. */
-  rate_hz?: number | null;
+  rate_hz: number | null;
   /** Why, and what to check; null while streaming. */
-  reason?: string | null;
+  reason: string | null;
   /** Records accepted. */
   records: number;
   /** Records refused. */
@@ -80,7 +80,7 @@ export type ErrorReply = {
   /** For programs: `bad_message`, `bad_request`, `unknown_type`, `unknown_sensor`, `forbidden`, `busy`, ... */
   code: string;
   /** The request's; null where it could not be read. */
-  id?: RequestId | null;
+  id: RequestId | null;
   /** For people: what was wrong and what would be right, in one sentence. */
   message: string;
 };
@@ -168,8 +168,8 @@ export type Hello = {
   role: Role;
   /** The stage's sensors, in the order of the `sensors` message. */
   sensors: HelloSensor[];
-  /** Name of the body's skeleton; null on a stage without a body. */
-  skeleton?: string | null;
+  /** The body's skeleton; null on a stage without a body. */
+  skeleton: Skeleton | null;
   /** Name of the stage. */
   stage: string;
   /** Topics that this stage publishes. */
@@ -193,11 +193,11 @@ export type Job = {
   /** What it does, by the name of the request that started it. */
   kind: string;
   /** Outcome or reason of failure, in one sentence. */
-  message?: string | null;
+  message: string | null;
   /** 0 to 1. */
   progress: number;
   /** Expected time to its end, s; null where unknown. */
-  remaining_s?: number | null;
+  remaining_s: number | null;
   /** How it stands. */
   state: JobState;
 };
@@ -223,11 +223,11 @@ export type LinkState = "streaming" | "connecting" | "silent" | "failed";
 /** A raw record in device axes. */
 export type Measured = {
   /** Button byte; null where button mode is off. */
-  button?: number | null;
+  button: number | null;
   /** Sensor to device axes; null in position-only formats. */
-  orientation_wxyz?: [number, number, number, number] | null;
+  orientation_wxyz: [number, number, number, number] | null;
   /** Position in device axes, m; null in orientation-only formats. */
-  position_m?: [number, number, number] | null;
+  position_m: [number, number, number] | null;
   /** Capture time of this record, s. */
   t_s: number;
 };
@@ -254,7 +254,7 @@ export type Model = {
 /** Reply to a request that was carried out. */
 export type OkReply = {
   /** The request's. */
-  id?: RequestId | null;
+  id: RequestId | null;
   /** What was asked for, where the request asks for something. */
   result?: unknown;
 };
@@ -367,6 +367,9 @@ export type ServerMessage = Hello & {
   type: "field";
 };
 
+/** Which segments a body has. */
+export type Skeleton = "human" | "custom";
+
 /** Speed of a replay. */
 export type Speed = number | SpeedWord;
 
@@ -398,7 +401,7 @@ export type StatusMessage = {
   /** What is wrong now, beside the devices' own reasons: disk full, wall clock set, ... */
   problems: Problem[];
   /** The recording in progress; null without one. */
-  recording?: RecordingStatus | null;
+  recording: RecordingStatus | null;
   /** Sensors, in the stage file's order. */
   sensors: SensorStatus[];
   /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::{RequestId, Topic};
 use crate::input::Model;
 use crate::output::{FaultCause, SensorState};
-use crate::stage::Role;
+use crate::stage::{Role, Skeleton};
 
 /// Everything a client can receive.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -44,8 +44,8 @@ pub struct Hello {
     pub stage: String,
     /// The stage's epoch: UTC in RFC 3339 with nanoseconds.
     pub epoch_utc: String,
-    /// Name of the body's skeleton; null on a stage without a body.
-    pub skeleton: Option<String>,
+    /// The body's skeleton; null on a stage without a body.
+    pub skeleton: Option<Skeleton>,
     /// Topics that this stage publishes.
     pub topics: Vec<Topic>,
     /// The stage's sensors, in the order of the `sensors` message.

@@ -1,3 +1,6 @@
 //! Integration tests: one binary, one module per subject.
 
+mod cli;
+mod reference;
 mod server;
+mod stages;

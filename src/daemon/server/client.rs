@@ -82,7 +82,7 @@ pub(super) async fn serve(socket: WebSocket, id: ClientId, encoding: Encoding, r
         version: env!("CARGO_PKG_VERSION").into(),
         stage: shared.greeting.stage.clone(),
         epoch_utc: shared.greeting.epoch_utc.clone(),
-        skeleton: shared.greeting.skeleton.clone(),
+        skeleton: shared.greeting.skeleton,
         topics: shared.greeting.topics.clone(),
         sensors: shared.hello_sensors(),
         role,

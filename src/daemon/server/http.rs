@@ -39,6 +39,7 @@ async fn guard(State(shared): State<Arc<Shared>>, request: Request, next: Next) 
         Ok(()) => next.run(request).await,
         Err(refusal) => refuse(&shared, "host", refusal),
     };
+    let status = response.status();
     let headers = response.headers_mut();
     for (name, value) in [
         (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),
@@ -48,6 +49,10 @@ async fn guard(State(shared): State<Arc<Shared>>, request: Request, next: Next) 
         (header::CACHE_CONTROL, "no-store"),
     ] {
         headers.insert(name, HeaderValue::from_static(value));
+    }
+    if status != StatusCode::SWITCHING_PROTOCOLS {
+        // Connections that wait for a next request would hold places for nothing.
+        headers.insert(header::CONNECTION, HeaderValue::from_static("close"));
     }
     headers.insert("cross-origin-opener-policy", HeaderValue::from_static("same-origin"));
     headers.insert("cross-origin-resource-policy", HeaderValue::from_static("same-origin"));

@@ -79,13 +79,12 @@ pub(super) async fn accept(listener: &TcpListener, tls: Option<&TlsAcceptor>, sh
     }
 }
 
-/// One request per connection; a websocket goes on in a task of its own.
+/// One request per connection (every answer says `Connection: close`); a websocket goes on in a task of its own.
 async fn serve(stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, app: axum::Router, shared: &Shared) {
     let connection = hyper::server::conn::http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(shared.limits.greeting_timeout)
         .max_buf_size(HEAD_BYTES)
-        .keep_alive(false)
         .serve_connection(TokioIo::new(stream), TowerToHyperService::new(app))
         .with_upgrades();
     match timeout(shared.limits.greeting_timeout + ANSWER_TIMEOUT, connection).await {

@@ -33,7 +33,7 @@ use self::distributor::{Command, Distributor};
 use self::listen::Slots;
 use self::metrics::Metrics;
 use crate::protocol::{Counters, HelloSensor, Names, Topic};
-use crate::stage::Stage;
+use crate::stage::{Skeleton, Stage};
 
 pub use self::client::{PendingCall, Reply};
 pub use self::hub::Hub;
@@ -51,9 +51,7 @@ pub struct Config {
     pub folder: PathBuf,
     /// UTC of the stage's epoch, in nanoseconds since 1970.
     pub epoch_utc_ns: i64,
-    /// The body's skeleton, where the stage has one.
-    pub skeleton: Option<String>,
-    /// Topics that are published beside `status`, `sensors`, `faults`, `field` and `jobs`.
+    /// Topics that are published beside `status`, `sensors`, `faults`, `field`, `jobs`, and `truth` of a simulated stage.
     pub more_topics: Vec<Topic>,
     /// Numbers given out before; those of a recording when one is replayed.
     pub counters: Counters,
@@ -68,7 +66,6 @@ impl Config {
             listen: None,
             folder: folder.into(),
             epoch_utc_ns,
-            skeleton: None,
             more_topics: Vec::new(),
             counters: Counters::default(),
             limits: Limits::default(),
@@ -198,7 +195,7 @@ struct Shared {
 struct Greeting {
     stage: String,
     epoch_utc: String,
-    skeleton: Option<String>,
+    skeleton: Option<Skeleton>,
     topics: Vec<Topic>,
 }
 
@@ -236,6 +233,7 @@ impl Server {
         let (shutdown, shutdown_seen) = watch::channel(false);
         let mut topics = vec![Topic::Status, Topic::Sensors, Topic::Faults, Topic::Field, Topic::Jobs];
         topics.extend(config.more_topics);
+        topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
         topics.sort();
         topics.dedup();
         let shared = Arc::new(Shared {
@@ -249,7 +247,7 @@ impl Server {
             greeting: Greeting {
                 stage: stage.name.clone(),
                 epoch_utc: rfc3339(config.epoch_utc_ns),
-                skeleton: config.skeleton,
+                skeleton: stage.body.as_ref().map(|body| body.skeleton),
                 topics,
             },
             slots: Slots::new(limits.connections, limits.connections_per_address),

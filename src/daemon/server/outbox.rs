@@ -183,9 +183,7 @@ mod tests {
     }
 
     fn data(topic: Topic, seq: u64, bytes: usize) -> Outgoing {
-        let mut body = vec![b' '; bytes];
-        body[0] = b'{';
-        body[bytes - 1] = b'}';
+        let body = format!("{:<1$}", r#"{"x":0}"#, bytes).into_bytes();
         Outgoing::Shared { topic, seq, body: body.into() }
     }
 

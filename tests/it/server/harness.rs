@@ -46,7 +46,7 @@ pub(super) fn stage(extra: &str) -> Stage {
         {extra}
         "#
     );
-    toml::from_str(&text).unwrap()
+    Stage::parse(&text).unwrap()
 }
 
 pub(super) struct Running {
@@ -173,16 +173,6 @@ impl Client {
                 Some(Ok(Message::Binary(bytes))) => return rmp_serde::from_slice(&bytes).unwrap(),
                 Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
                 other => panic!("expected a message, got {other:?}"),
-            }
-        }
-    }
-
-    /// The next message of a type; the others are passed over.
-    pub(super) async fn next_of(&mut self, kind: &str) -> Value {
-        loop {
-            let message = self.next().await;
-            if message["type"] == kind {
-                return message;
             }
         }
     }
