@@ -9,4 +9,5 @@
 pub mod daemon;
 pub mod input;
 pub mod output;
+pub mod protocol;
 pub mod stage;

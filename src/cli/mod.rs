@@ -20,6 +20,7 @@ mod check;
 mod completions;
 mod decode;
 mod output;
+mod schema;
 
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
@@ -49,6 +50,8 @@ enum Command {
     Decode(decode::Args),
     /// Writes the completion script of a shell.
     Completions(completions::Args),
+    /// Prints the JSON Schema of all websocket messages.
+    Schema(schema::Args),
 }
 
 impl Command {
@@ -57,6 +60,7 @@ impl Command {
             Self::Check(args) => check::run(args),
             Self::Decode(args) => decode::run(args),
             Self::Completions(args) => completions::run(args),
+            Self::Schema(args) => schema::run(args),
         }
     }
 }

@@ -5,3 +5,5 @@
 
 pub mod clock;
 pub mod inbox;
+
+pub mod server;

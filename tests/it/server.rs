@@ -1,0 +1,6 @@
+//! The websocket server with real clients.
+
+mod access;
+mod feed;
+mod harness;
+mod limits;
