@@ -7,6 +7,7 @@
 //! no thread and no randomness. The daemon around it owns ports, threads, sockets, files and time.
 
 pub mod daemon;
+pub mod geometry;
 pub mod input;
 pub mod output;
 pub mod stage;
