@@ -15,11 +15,8 @@ pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
 /// Rotation by `|w|` rad about `w`.
 pub fn exp(w: &Vector3<f64>) -> UnitQuaternion<f64> {
     let angle = w.norm();
-    let half_sinc = if angle < SMALL_ANGLE_RAD {
-        0.5 - angle * angle / 48.0
-    } else {
-        (0.5 * angle).sin() / angle
-    };
+    let half_sinc =
+        if angle < SMALL_ANGLE_RAD { 0.5 - angle * angle / 48.0 } else { (0.5 * angle).sin() / angle };
     let v = w * half_sinc;
     UnitQuaternion::new_unchecked(Quaternion::from_parts((0.5 * angle).cos(), v))
 }
