@@ -8,7 +8,10 @@
 
 pub mod clock;
 pub mod daemon;
+pub mod faults;
+pub mod fusion;
 pub mod geometry;
 pub mod input;
+pub mod noise;
 pub mod output;
 pub mod stage;
