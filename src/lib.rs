@@ -6,8 +6,13 @@
 //! The core is one plain struct that is pushed entries of the input log and says outputs; it has no clock,
 //! no thread and no randomness. The daemon around it owns ports, threads, sockets, files and time.
 
+pub mod clock;
 pub mod daemon;
+pub mod faults;
+pub mod fusion;
+pub mod geometry;
 pub mod input;
+pub mod noise;
 pub mod output;
 pub mod protocol;
 pub mod stage;
