@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 pub use bvh::{Bvh, BvhError};
 pub use file::{Ending, File, FileError, Tracks, Up};
+pub(crate) use scripted::quaternion;
 pub use scripted::{Curl, Orbit, Screw, Still, Walk};
 
 /// How a body moves, as it stands in a stage file.
@@ -35,6 +36,54 @@ pub enum Motion {
     Walk(Walk),
     /// Poses from a CSV file or joints from a BVH file.
     File(File),
+}
+
+impl Motion {
+    /// Whether its numbers make sense; else which one does not.
+    ///
+    /// # Errors
+    /// A sentence that names the key.
+    pub fn check(&self) -> Result<(), String> {
+        let above_zero = |key: &str, value: f64| {
+            if value.is_finite() && value > 0.0 {
+                Ok(())
+            } else {
+                Err(format!("{key} = {value} should be above 0"))
+            }
+        };
+        let finite = |key: &str, values: &[f64]| {
+            let good = values.iter().all(|value| value.is_finite());
+            if good { Ok(()) } else { Err(format!("{key} should hold ordinary numbers")) }
+        };
+        match self {
+            Self::Still(still) => finite("position_m", &still.position_m),
+            Self::Orbit(orbit) => {
+                above_zero("period_s", orbit.period_s)?;
+                above_zero("turn_period_s", orbit.turn_period_s)?;
+                finite("center_m", &orbit.center_m)?;
+                finite("radius_m", &orbit.radius_m)
+            }
+            Self::Screw(screw) => {
+                above_zero("period_s", screw.period_s)?;
+                above_zero("axis", Vector3::from(screw.axis).norm())
+                    .map_err(|_| "axis has no direction".to_owned())?;
+                finite("point_m", &screw.point_m)
+            }
+            Self::Curl(curl) => {
+                above_zero("period_s", curl.period_s)?;
+                finite("shoulder_m", &curl.shoulder_m)?;
+                if curl.pause_s >= 0.0 { Ok(()) } else { Err("pause_s should not be below 0".to_owned()) }
+            }
+            Self::Walk(walk) => {
+                above_zero("step_m", walk.step_m)?;
+                finite("center_m", &walk.center_m)
+            }
+            Self::File(file) => {
+                above_zero("speed", file.speed)?;
+                above_zero("unit_m", file.unit_m.unwrap_or(1.0))
+            }
+        }
+    }
 }
 
 /// Linear and angular velocity, both in room axes.
