@@ -8,4 +8,6 @@ pub mod motion;
 mod random;
 pub mod scenario;
 pub mod stage;
+#[cfg(test)]
+mod testing;
 pub mod truth;
