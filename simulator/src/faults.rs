@@ -229,3 +229,6 @@ pub(crate) fn damage_schedule(
     schedule.sort_by_key(|&(t, ..)| t);
     schedule
 }
+
+#[cfg(test)]
+mod tests;
