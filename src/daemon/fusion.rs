@@ -1,0 +1,185 @@
+//! The fusion thread: the only owner of the pipeline.
+//!
+//! It takes one event at a time from its [`Inbox`], writes it to the recording, pushes it through the pipeline and hands
+//! the outputs on: bytes to ports, poses and events to the [`Hub`]. None of those can make it wait.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use posed_drivers::Timestamp;
+use tokio::sync::mpsc;
+
+use super::clock::StageClock;
+use super::health::Health;
+use super::inbox::{Event, Inbox};
+use super::ports::PortCommand;
+use super::recorder::{self, Recorder};
+use super::server::{Hub, Reply};
+use crate::input::{Entry, Input};
+use crate::output::Output;
+use crate::pipeline::Pipeline;
+use crate::protocol::{Payload, Publisher};
+
+/// The queue into the fusion thread.
+pub type FusionInbox = Inbox<Command>;
+
+/// Chunks that wait at most: at 1000 reads per second, four seconds of a stalled machine.
+pub(super) const INBOX_CAPACITY: usize = 4096;
+/// Distance of two `status` messages when nothing changes.
+const STATUS_INTERVAL: Duration = Duration::from_secs(1);
+/// Distance of two `status` messages when things change all the time.
+const STATUS_MIN_INTERVAL: Duration = Duration::from_millis(100);
+
+/// What the fusion thread can be asked between two entries.
+#[derive(Debug)]
+pub enum Command {
+    /// Begins a recording in this file.
+    StartRecording {
+        /// The file; must not exist.
+        path: PathBuf,
+        /// Who wants to know.
+        reply: Option<Reply>,
+    },
+    /// Ends the recording.
+    StopRecording {
+        /// Who wants to know.
+        reply: Option<Reply>,
+    },
+    /// Ends the thread.
+    Shutdown,
+}
+
+/// The thread's state.
+pub(super) struct Fusion {
+    pub(super) clock: StageClock,
+    pub(super) inbox: FusionInbox,
+    pub(super) pipeline: Pipeline,
+    pub(super) publisher: Publisher,
+    pub(super) hub: Hub,
+    pub(super) ports: Vec<mpsc::Sender<PortCommand>>,
+    pub(super) health: Health,
+    pub(super) recorder: Option<Recorder>,
+    /// What every recording of this run begins with.
+    pub(super) recording_header: recorder::Header,
+}
+
+impl Fusion {
+    /// Runs until [`Command::Shutdown`]; the recording is complete when it returns.
+    pub(super) fn run(mut self) {
+        let mut next_status = self.clock.now();
+        loop {
+            let wake = self.pipeline.poll_timeout().map_or(next_status, |timeout| timeout.min(next_status));
+            match self.inbox.pop_until(Some(self.clock.instant(wake))) {
+                Some(Event::Entry(entry)) => self.step(&entry),
+                Some(Event::Command(Command::Shutdown)) => break,
+                Some(Event::Command(command)) => self.command(command),
+                None => {}
+            }
+            let now = self.clock.now();
+            if self.pipeline.poll_timeout().is_some_and(|timeout| timeout <= now) {
+                self.step(&Entry { t: now, input: Input::Timer });
+            }
+            if now >= next_status || self.health.changed_since_status(now, STATUS_MIN_INTERVAL) {
+                next_status = now + STATUS_INTERVAL;
+                self.publish_status(now);
+            }
+        }
+        if let Some(recorder) = self.recorder.take() {
+            recorder.finish();
+        }
+    }
+
+    /// One entry through recording and pipeline.
+    fn step(&mut self, entry: &Entry) {
+        let Self { pipeline, publisher, hub, ports, health, recorder, clock, .. } = self;
+        if let Some(recorder) = recorder {
+            recorder.entry(entry);
+        }
+        pipeline.push(entry, &mut |output| {
+            match output {
+                Output::Transmit { device, bytes } => {
+                    if let Some(recorder) = recorder {
+                        recorder.transmitted(device, entry.t, bytes);
+                    }
+                    send(ports, device, PortCommand::Transmit(bytes.to_vec()));
+                }
+                Output::SetRts { device, asserted } => send(ports, device, PortCommand::SetRts(asserted)),
+                Output::Device { device, state } => health.device_changed(device, state),
+                Output::Warning { device, text } => health.warn(device, text),
+                Output::Estimate(estimate) => health.estimate(clock.now().seconds_since(entry.t), estimate),
+                Output::Outcome(_) | Output::Truth(_) => {}
+            }
+            let Some(payload) = Payload::of(&output) else { return };
+            // Clients first: the recording has time.
+            hub.publish(&output);
+            match recorder {
+                Some(recorder) => {
+                    let (topic, t, message) = publisher.publish(&payload);
+                    recorder.message(topic, t, message);
+                }
+                None => publisher.skip(&payload),
+            }
+        });
+    }
+
+    fn command(&mut self, command: Command) {
+        match command {
+            Command::StartRecording { path, reply } => {
+                let started = self.start_recording(path);
+                self.health.touch();
+                answer(reply, started);
+            }
+            Command::StopRecording { reply } => {
+                let stopped = match self.recorder.take() {
+                    Some(recorder) => {
+                        recorder.finish();
+                        Ok(())
+                    }
+                    None => Err("nothing is being recorded".to_owned()),
+                };
+                self.health.touch();
+                answer(reply, stopped);
+            }
+            Command::Shutdown => {}
+        }
+    }
+
+    pub(super) fn start_recording(&mut self, path: PathBuf) -> Result<(), String> {
+        if let Some(recorder) = &self.recorder {
+            return Err(format!("{} is being recorded already; stop that first", recorder.path().display()));
+        }
+        let start = recorder::Start {
+            t: self.clock.now(),
+            snapshot: self.pipeline.snapshot(),
+            publisher: self.publisher.state(),
+        };
+        let recorder = Recorder::start(&path, &self.recording_header, start).map_err(|error| error.to_string())?;
+        self.recorder = Some(recorder);
+        Ok(())
+    }
+
+    fn publish_status(&mut self, now: Timestamp) {
+        if let Some(reason) = self.recorder.as_ref().and_then(Recorder::failure) {
+            self.health.recording_failed(reason);
+            self.recorder = None;
+        }
+        let status = self.health.status(now, &self.pipeline.status(), self.recorder.as_ref(), &self.clock);
+        self.hub.publish_status(status);
+    }
+}
+
+/// Never waits: a port that takes no bytes is about to be reported as gone, and its session asks again.
+fn send(ports: &[mpsc::Sender<PortCommand>], device: u16, command: PortCommand) {
+    if let Some(port) = ports.get(usize::from(device)) {
+        let _ = port.try_send(command);
+    }
+}
+
+fn answer(reply: Option<Reply>, result: Result<(), String>) {
+    match (reply, result) {
+        (Some(reply), Ok(())) => reply.ok(None),
+        (Some(reply), Err(sentence)) => reply.error("failed", sentence),
+        (None, Ok(())) => {}
+        (None, Err(sentence)) => tracing::error!("{sentence}"),
+    }
+}
