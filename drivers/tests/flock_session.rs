@@ -403,9 +403,9 @@ fn a_session_can_be_put_away_at_any_moment() {
     for _ in 0..400 {
         bench.run(0.01);
         whole.run(0.01);
-        let text = serde_json::to_string(&bench.session).unwrap();
-        bench.session = serde_json::from_str(&text).unwrap();
-        assert_eq!(serde_json::to_string(&bench.session).unwrap(), text);
+        let bytes = rmp_serde::to_vec(&bench.session).unwrap();
+        bench.session = rmp_serde::from_slice(&bytes).unwrap();
+        assert_eq!(rmp_serde::to_vec(&bench.session).unwrap(), bytes);
     }
     assert!(!bench.samples.is_empty());
     assert_eq!(bench.samples, whole.samples);

@@ -468,12 +468,12 @@ impl FlockSession {
 
     fn stream_timeout(&mut self, now: Timestamp, mut streaming: Box<Streaming>) {
         if now >= streaming.silent_at {
+            let silence_ms = streaming.silence.as_millis();
             self.phase = Phase::Streaming(streaming);
             self.leave_stream();
             self.set_state(State::Silent {
                 reason: format!(
-                    "no record for {} ms; check the unit's power, FLY switch and cable",
-                    MIN_SILENCE.as_millis()
+                    "no record for {silence_ms} ms; check the unit's power, FLY switch and cable"
                 ),
             });
             return self.examine(now);
