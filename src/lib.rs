@@ -9,9 +9,11 @@
 pub mod clock;
 pub mod daemon;
 pub mod faults;
+pub mod frame;
 pub mod fusion;
 pub mod geometry;
 pub mod input;
 pub mod noise;
 pub mod output;
+pub mod pipeline;
 pub mod stage;

@@ -85,8 +85,8 @@ fn default_baud() -> u32 {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(tag = "driver", rename_all = "kebab-case")]
 pub enum Driver {
-    /// Ascension Flock of Birds. (Settings: `posed_drivers::flock::Settings`, to be joined here.)
-    FlockOfBirds {},
+    /// Ascension Flock of Birds.
+    FlockOfBirds(posed_drivers::flock::Settings),
 }
 
 /// One sensor.
