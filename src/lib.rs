@@ -9,10 +9,12 @@
 pub mod clock;
 pub mod daemon;
 pub mod faults;
+pub mod frame;
 pub mod fusion;
 pub mod geometry;
 pub mod input;
 pub mod noise;
 pub mod output;
 pub mod protocol;
+pub mod pipeline;
 pub mod stage;
