@@ -79,6 +79,8 @@ struct Configuring {
     quiet_until: Timestamp,
     question: Option<(Topic, Asker)>,
     running_limit: Option<Timestamp>,
+    /// Wanted birds that were on the bus; the others have been warned of, and are not waited for.
+    present: Vec<u8>,
     settle: bool,
 }
 
@@ -239,12 +241,15 @@ impl FlockSession {
         let as_left = self.has_streamed && findings.status.format() == Some(self.settings.format);
         let settle = plan.starts_birds || !as_left;
         self.findings = Some(findings.clone());
+        let sensors = findings.sensors();
+        let present = self.wanted.iter().copied().filter(|address| sensors.contains(address)).collect();
         let configuring = Configuring {
             findings,
             actions: plan.actions,
             quiet_until: now,
             question: None,
             running_limit: None,
+            present,
             settle,
         };
         self.work_off(now, Box::new(configuring));
@@ -290,11 +295,12 @@ impl FlockSession {
                 if let Some(bytes) = answer {
                     configuring.findings.units = examine::units(bytes);
                 }
-                let late: Vec<u8> = self.wanted.iter().copied().filter(|&a| !runs(&configuring.findings, a)).collect();
+                let Configuring { present, findings, .. } = &*configuring;
+                let late: Vec<u8> = present.iter().copied().filter(|&address| !runs(findings, address)).collect();
                 if !late.is_empty() && now < limit {
                     configuring.actions.push_front(Action::AwaitRunning);
                     configuring.quiet_until = now + Duration::from_millis(20);
-                } else if late.len() == self.wanted.len() {
+                } else if late.len() == configuring.present.len() {
                     let reason = "after auto-configuration no wanted bird runs; check that the unit on the line \
                                   has address 1 and that all addresses follow each other"
                         .into();
