@@ -19,6 +19,7 @@
 mod check;
 mod completions;
 mod decode;
+mod doctor;
 mod output;
 mod schema;
 
@@ -46,6 +47,8 @@ struct Cli {
 enum Command {
     /// Says all that is wrong with a stage file, by line and key, and how to mend it.
     Check(check::Args),
+    /// Lists the serial ports, asks what is there, and says what is wrong.
+    Doctor(doctor::Args),
     /// Decodes a capture made elsewhere to CSV or JSON lines.
     Decode(decode::Args),
     /// Writes the completion script of a shell.
@@ -58,6 +61,7 @@ impl Command {
     fn run(self) -> Result<(), Error> {
         match self {
             Self::Check(args) => check::run(args),
+            Self::Doctor(args) => doctor::run(args),
             Self::Decode(args) => decode::run(args),
             Self::Completions(args) => completions::run(args),
             Self::Schema(args) => schema::run(args),
