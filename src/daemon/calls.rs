@@ -10,6 +10,7 @@ use tokio::sync::{mpsc, watch};
 use super::clock::StageClock;
 use super::fusion::{Command, FusionInbox};
 use super::inbox::Event;
+use super::ports::ended;
 use super::server::{PendingCall, Reply};
 use crate::input::{Entry, Input, Model};
 use crate::protocol::Call;
@@ -36,7 +37,7 @@ impl Calls {
     pub(super) async fn run(self, mut pending: mpsc::Receiver<PendingCall>, mut down: watch::Receiver<bool>) {
         loop {
             tokio::select! {
-                _ = down.wait_for(|&down| down) => return,
+                () = ended(&mut down) => return,
                 call = pending.recv() => match call {
                     Some(PendingCall { call, reply }) => self.carry_out(call, reply),
                     None => return,

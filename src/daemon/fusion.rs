@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use posed_drivers::Timestamp;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 
 use super::clock::StageClock;
 use super::health::Health;
@@ -18,7 +18,7 @@ use super::server::{Hub, Reply};
 use crate::input::{Entry, Input};
 use crate::output::Output;
 use crate::pipeline::Pipeline;
-use crate::protocol::{Payload, Publisher};
+use crate::protocol::{Payload, Publisher, Status};
 
 /// The queue into the fusion thread.
 pub type FusionInbox = Inbox<Command>;
@@ -58,6 +58,7 @@ pub(super) struct Fusion {
     pub(super) hub: Hub,
     pub(super) ports: Vec<mpsc::Sender<PortCommand>>,
     pub(super) health: Health,
+    pub(super) status: watch::Sender<Status>,
     pub(super) recorder: Option<Recorder>,
     /// What every recording of this run begins with.
     pub(super) recording_header: recorder::Header,
@@ -164,6 +165,7 @@ impl Fusion {
             self.recorder = None;
         }
         let status = self.health.status(now, &self.pipeline.status(), self.recorder.as_ref(), &self.clock);
+        self.status.send_replace(status.clone());
         self.hub.publish_status(status);
     }
 }

@@ -40,7 +40,7 @@ impl Health {
     pub(super) fn new(stage: &Stage) -> Self {
         let device = |device: &crate::stage::Device| Device {
             name: device.name.clone(),
-            driver: device.driver.name().to_owned(),
+            driver: device.driver.word().to_owned(),
             port: device.port.to_string(),
             warnings: Vec::new(),
         };

@@ -35,7 +35,7 @@ use self::ports::PortTask;
 use self::server::{BindError, Server};
 use crate::pipeline::{Pipeline, PipelineError};
 use crate::protocol::{Fields, Publisher, Status, Topic};
-use crate::stage::{PortAddress, Stage};
+use crate::stage::Stage;
 
 /// Commands that wait for a port that writes slowly.
 const PORT_COMMANDS: usize = 256;
@@ -121,7 +121,6 @@ impl Daemon {
         let clock = StageClock::start();
         let mut config = server::Config::new(&folder, clock.epoch_utc_ns());
         config.listen = listen;
-        config.skeleton = stage.body.as_ref().map(|body| body.skeleton.name().to_owned());
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
         let (server, hub, pending) = Server::bind(&stage, config)?;
         let (address, url) = (server.address(), server.url());
@@ -161,9 +160,7 @@ impl Daemon {
 
         let mut tasks = JoinSet::new();
         let mut server_down = down.clone();
-        tasks.spawn(server.run(async move {
-            let _ = server_down.wait_for(|&down| down).await;
-        }));
+        tasks.spawn(server.run(async move { ports::ended(&mut server_down).await }));
         let calls = Calls::new(&stage, folder, clock, inbox.clone());
         tasks.spawn(calls.run(pending, down));
         Ok(Self { clock, address, url, inbox, status, shutdown, tasks, ports, fusion })

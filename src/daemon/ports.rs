@@ -51,7 +51,7 @@ impl PortTask {
         let mut told = None;
         loop {
             let opened = tokio::select! {
-                _ = self.shutdown.wait_for(|&down| down) => return,
+                () = ended(&mut self.shutdown) => return,
                 opened = tokio::time::timeout(OPEN_TIMEOUT, port::open(&path, baud)) => opened,
             };
             let reason = match opened {
@@ -64,11 +64,11 @@ impl PortTask {
             };
             // The log holds changes, not five attempts a second.
             if told.as_ref() != Some(&reason) {
-                self.line(LineEvent::Closed { reason: reason.clone() });
+                self.closed(reason.clone());
                 told = Some(reason);
             }
             tokio::select! {
-                _ = self.shutdown.wait_for(|&down| down) => return,
+                () = ended(&mut self.shutdown) => return,
                 () = tokio::time::sleep(RETRY) => {}
             }
         }
@@ -82,7 +82,7 @@ impl PortTask {
         let mut buffer = vec![0; READ_BYTES];
         loop {
             let done = tokio::select! {
-                _ = self.shutdown.wait_for(|&down| down) => return None,
+                () = ended(&mut self.shutdown) => return None,
                 read = port.read(&mut buffer) => match read {
                     Ok(n) => {
                         let t = self.clock.now();
@@ -104,8 +104,19 @@ impl PortTask {
         }
     }
 
+    /// Tells that the port is away.
+    pub(super) fn closed(&self, reason: String) {
+        self.line(LineEvent::Closed { reason });
+    }
+
     fn line(&self, event: LineEvent) {
         let input = Input::Line { device: self.device, event };
         self.inbox.push(Event::Entry(Entry { t: self.clock.now(), input }));
     }
+}
+
+/// Waits for the daemon's end.
+pub(super) async fn ended(shutdown: &mut watch::Receiver<bool>) {
+    // The sender outlives every task; without it, the daemon is gone too.
+    let _ = shutdown.wait_for(|&down| down).await;
 }
