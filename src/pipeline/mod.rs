@@ -252,7 +252,19 @@ impl Pipeline {
     }
 
     fn swap(&mut self, model: &Model, say: &mut impl FnMut(Output<'_>)) {
-        let accepted = match model {
+        let accepted = model.check().is_ok() && self.apply(model);
+        if !accepted {
+            self.models_refused += 1;
+            return;
+        }
+        // Nothing is measured by a swap; it speaks of the frame before it.
+        let t = self.estimate.t_valid;
+        say(Output::Outcome(&Outcome { t_valid: t, t_decided: t, what: OutcomeKind::ModelSwapped(model.clone()) }));
+    }
+
+    /// Takes a model whose numbers are right; false where it speaks of nothing that is here.
+    fn apply(&mut self, model: &Model) -> bool {
+        match model {
             Model::Transmitter { position_m, orientation_wxyz } => {
                 let pose = geometry::isometry(*position_m, *orientation_wxyz);
                 self.room_transmitter = pose.unwrap_or(self.room_transmitter);
@@ -264,25 +276,13 @@ impl Pipeline {
                     sigma_radial_m: *sigma_radial_m,
                     sigma_rotation_rad: *sigma_rotation_rad,
                 };
-                let owner = self.devices.iter().position(|owner| owner.name == *device);
-                let valid = [noise.r0_m, noise.sigma_radial_m, noise.sigma_rotation_rad]
-                    .iter()
-                    .all(|value| value.is_finite() && *value > 0.0);
-                for sensor in self.sensors.iter_mut().filter(|_| valid) {
-                    if owner == Some(usize::from(sensor.device())) {
-                        sensor.set_noise(noise);
-                    }
+                let Some(owner) = self.devices.iter().position(|owner| owner.name == *device) else { return false };
+                for sensor in self.sensors.iter_mut().filter(|sensor| usize::from(sensor.device()) == owner) {
+                    sensor.set_noise(noise);
                 }
-                valid && owner.is_some()
+                true
             }
-        };
-        if !accepted {
-            self.models_refused += 1;
-            return;
         }
-        // Nothing is measured by a swap; it speaks of the frame before it.
-        let t = self.estimate.t_valid;
-        say(Output::Outcome(&Outcome { t_valid: t, t_decided: t, what: OutcomeKind::ModelSwapped(model.clone()) }));
     }
 }
 

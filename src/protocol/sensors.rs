@@ -47,6 +47,12 @@ impl Fields {
         Self(always.iter().chain(fields).fold(0, |set, field| set | 1 << *field as u16))
     }
 
+    /// Everything there is: what a recording holds.
+    pub fn all() -> Self {
+        let more = [Field::Measured, Field::Covariance, Field::Velocity, Field::Quality];
+        Self(Self::default().0 | Self::of(&more).0)
+    }
+
     /// Whether `field` is in the set.
     pub fn has(self, field: Field) -> bool {
         self.0 & (1 << field as u16) != 0
