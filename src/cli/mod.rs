@@ -21,6 +21,7 @@ mod completions;
 mod decode;
 mod doctor;
 mod output;
+mod simulation;
 
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
