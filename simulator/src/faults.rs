@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::random::Random;
 
 /// One line of a fault script.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Fault {
     /// Bytes of records that never arrive.
@@ -112,7 +112,7 @@ fn two() -> f64 {
 }
 
 /// A number of damaged bytes, at seeded random times in a span and random places in the frames there.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Bytes {
     /// How many.

@@ -16,7 +16,7 @@ use crate::magnetic::{
 use crate::motion::{Body, FileError, Motion, Orbit, quaternion};
 
 /// What is simulated in the devices' place. Every key has a default; `Scenario::default()` is a clean, quiet stage.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Scenario {
     /// Same seed, same bytes.
@@ -72,7 +72,7 @@ impl Default for Scenario {
 }
 
 /// How a transmitter is driven.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum ExcitationSpec {
     /// Direct current pulses, as in a Flock.
@@ -94,7 +94,7 @@ impl Default for ExcitationSpec {
 }
 
 /// What an object or a floor is made of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Material {
     /// Soft magnetic steel.
@@ -108,7 +108,7 @@ pub enum Material {
 }
 
 /// A metal floor, horizontal in the room.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FloorSpec {
     /// Its height in the room, m.
@@ -120,7 +120,7 @@ pub struct FloorSpec {
 }
 
 /// Stray field of the mains at the sensors.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct HumSpec {
     /// 50 or 60 Hz.
@@ -130,7 +130,7 @@ pub struct HumSpec {
 }
 
 /// A metal object, as a sphere.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MetalSpec {
     /// Centre in the room, m.
@@ -142,7 +142,7 @@ pub struct MetalSpec {
 }
 
 /// A body in motion.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BodySpec {
     /// Unique name.
@@ -152,7 +152,7 @@ pub struct BodySpec {
 }
 
 /// What a sensor rides on.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SensorScenario {
     /// Name of the stage's sensor.
@@ -174,7 +174,7 @@ fn identity() -> [f64; 4] {
 }
 
 /// Behaviour of one device.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DeviceScenario {
     /// Name of the stage's device.

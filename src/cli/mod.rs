@@ -22,6 +22,7 @@ mod decode;
 mod doctor;
 mod output;
 mod schema;
+mod simulation;
 
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;

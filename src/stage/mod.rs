@@ -22,7 +22,7 @@ use posed_drivers::flock;
 use serde::{Deserialize, Serialize};
 
 pub use body::{Body, BodySegment, Calibration, JointKind, Mounting, SEGMENTS, Skeleton};
-pub use check::{Report, check, check_in};
+pub use check::{Report, check, check_in, check_table};
 pub use port::{PortAddress, PortAddressError};
 pub use problem::{LoadError, Problem, Problems};
 

@@ -10,7 +10,7 @@ use super::bvh::{Bvh, BvhError};
 use super::spline::{PoseSpline, Row};
 
 /// Which axis of a file points up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Up {
     /// The y axis, usual in BVH.
@@ -20,7 +20,7 @@ pub enum Up {
 }
 
 /// What happens after the last frame of a file.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Ending {
     /// The last pose is held.
@@ -31,7 +31,7 @@ pub enum Ending {
 }
 
 /// A file of motion, as it stands in a stage file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct File {
     /// `.csv`, `.csv.gz` (columns `t`, `sensor`, `x,y,z` in m, `qw,qx,qy,qz`) or `.bvh`; relative to the stage file.

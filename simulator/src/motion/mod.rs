@@ -21,7 +21,7 @@ pub(crate) use scripted::quaternion;
 pub use scripted::{Curl, Orbit, Screw, Still, Walk};
 
 /// How a body moves, as it stands in a stage file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum Motion {
     /// Does not move.

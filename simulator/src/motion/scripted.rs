@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, Unit, UnitQuaternion
 use serde::{Deserialize, Serialize};
 
 /// A body that does not move.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Still {
     /// Where it is, room, m.
@@ -31,7 +31,7 @@ impl Still {
 ///
 /// Axis i of its position is `center + radius * sin(harmonic * 2 pi t / period + phase_i)`, with x a
 /// quarter of a turn ahead: harmonics 1, 1, 2 are a circle that bobs twice a round.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Orbit {
     /// Middle of the curve, room, m.
@@ -84,7 +84,7 @@ impl Orbit {
 }
 
 /// A body that turns about an axis and advances along it, to and fro.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Screw {
     /// A point of the axis, room, m.
@@ -131,7 +131,7 @@ impl Screw {
 ///
 /// Segment frames: origin at the proximal joint, x forward, y up, z right while the arm hangs straight.
 /// Flexion turns the forearm about z, bending positive.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Curl {
     /// The shoulder, room, m.
@@ -211,7 +211,7 @@ impl Curl {
 /// Segments: `pelvis`, `torso`, `thigh_r`, `shank_r`, `thigh_l`, `shank_l`; x forward, y up, z right;
 /// origins at the middle of the hips (pelvis, torso), the hip, the knee. Harmonic joint angles: it looks
 /// like walking to a tracker, not to a physiotherapist.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Walk {
     /// Middle of the ellipse on the floor, room, m.
