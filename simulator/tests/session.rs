@@ -40,8 +40,8 @@ impl Pair {
         let scenario = Scenario { devices: vec![device], ..Scenario::default() };
         let settings = Settings { format, ..Settings::default() };
         let mut pair = Self {
-            stage: VirtualStage::new(&spec, &scenario, ".".as_ref()).unwrap(),
-            session: FlockSession::new(settings, 115_200, addresses).unwrap(),
+            stage: VirtualStage::new(&spec, &scenario, ".".as_ref()).expect("a scenario"),
+            session: FlockSession::new(settings, 115_200, addresses).expect("settings"),
             plugged: true,
             samples: Vec::new(),
             truth: Vec::new(),
@@ -56,7 +56,8 @@ impl Pair {
     fn run_until(&mut self, end: Timestamp) {
         loop {
             let timeout = self.session.poll_timeout();
-            let next = [timeout, self.stage.poll_timeout(), Some(end)].into_iter().flatten().min().unwrap();
+            let next =
+                [timeout, self.stage.poll_timeout(), Some(end)].into_iter().flatten().min().unwrap_or(end);
             self.stage.step(next);
             while let Some(event) = self.stage.poll_event() {
                 match event.output {
@@ -99,6 +100,7 @@ impl Pair {
     /// Samples that are further from every truth of their bird nearby in time than these limits.
     fn wrong(&self, limit_m: f64, limit_rad: f64) -> usize {
         let is_wrong = |(t, sample): &&(Timestamp, Sample)| {
+            #[allow(irrefutable_let_patterns, reason = "other devices measure other things")]
             let Measurement::Pose { position_m, orientation_wxyz, .. } = sample.measurement else {
                 return true;
             };
