@@ -32,6 +32,31 @@ fn the_demo_is_understood() {
 }
 
 #[test]
+fn nothing_in_the_demo_leaves_the_good_part_of_the_field() {
+    let scenario: Scenario = toml::from_str(include_str!("../../resources/demo-simulation.toml")).unwrap();
+    let mut host = crate::testing::Host::with(&stage(), &scenario);
+    host.stream_group(3, b']');
+    host.wait_ms(600.0);
+    host.truth.clear();
+    host.wait_ms(30_000.0);
+    assert!(host.truth.len() > 3000);
+    for cycle in &host.truth {
+        for row in &cycle.sensors {
+            assert_eq!(row.class, crate::truth::Class::Clean, "{row:?}");
+            let from_transmitter = row.pose.translation.vector - Vector3::new(0.0, 0.0, 1.0);
+            assert!(from_transmitter.amax() < 0.9, "outside the words of 36 inches: {row:?}");
+            assert!(from_transmitter.x > 0.2, "too near to the plane of the hemisphere: {row:?}");
+        }
+    }
+    let moved = |sensor: usize| {
+        let x = host.truth.iter().map(|cycle| cycle.sensors[sensor].pose.translation.vector);
+        x.clone().fold(Vector3::repeat(f64::NEG_INFINITY), |a, b| a.sup(&b))
+            - x.fold(Vector3::repeat(f64::INFINITY), |a, b| a.inf(&b))
+    };
+    assert!(moved(1).norm() > 0.2 && moved(2).norm() > 0.2, "two or more of them move");
+}
+
+#[test]
 fn an_empty_table_is_a_quiet_stage() {
     let scenario: Scenario = toml::from_str("").unwrap();
     assert_eq!(scenario, Scenario::default());
