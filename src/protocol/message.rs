@@ -216,6 +216,9 @@ pub struct Status {
     pub latency: Vec<StageLatency>,
     /// The recording in progress; null without one.
     pub recording: Option<RecordingStatus>,
+    /// The recording that is being replayed; null on a live stage.
+    #[serde(default)]
+    pub replay: Option<ReplayStatus>,
     /// What is wrong now, beside the devices' own reasons: disk full, wall clock set, ...
     pub problems: Vec<Problem>,
     /// Connected clients.
@@ -306,6 +309,23 @@ pub struct RecordingStatus {
     pub bytes: u64,
     /// When it began, s.
     pub started_s: f64,
+}
+
+/// A recording being replayed. After `replay.open` and `replay.seek` the times of all other topics start anew.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ReplayStatus {
+    /// Its file name.
+    pub name: String,
+    /// Stage time at which it begins, s.
+    pub begun_s: f64,
+    /// Stage time at which it ends, s.
+    pub end_s: f64,
+    /// Where it stands, s.
+    pub t_s: f64,
+    /// Multiple of real time; 0 is a pause, null as fast as it goes.
+    pub speed: Option<f64>,
+    /// Why it goes no further: its end, or damage; null while it can go on.
+    pub ended: Option<String>,
 }
 
 /// Something that is wrong now.

@@ -60,6 +60,11 @@ impl Counters {
         Stamp { topic, t_us, event_id }
     }
 
+    /// Lets the times of all topics start anew; event numbers go on.
+    pub fn rewind(&mut self) {
+        self.last_t_us = [None; Topic::COUNT];
+    }
+
     /// Number of the newest event, 0 before the first.
     pub fn last_event_id(&self) -> u64 {
         self.events

@@ -140,6 +140,16 @@ pub enum Speed {
     Word(SpeedWord),
 }
 
+impl Speed {
+    /// Multiple of real time; infinity is as fast as it goes.
+    pub fn times(self) -> f64 {
+        match self {
+            Self::Times(times) => times,
+            Self::Word(SpeedWord::Max) => f64::INFINITY,
+        }
+    }
+}
+
 /// A speed in words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]

@@ -107,8 +107,14 @@ impl Distributor {
     }
 
     /// Sends an item to all who want it. Returns the item it replaces, for its memory.
-    pub(super) fn publish(&mut self, item: Item) -> Option<Item> {
-        let payload = item.payload();
+    pub(super) fn publish(&mut self, mut item: Item) -> Option<Item> {
+        if let Item::Status(status) = &mut item {
+            status.clients = self.clients.len() as u32;
+        }
+        let Some(payload) = item.payload() else {
+            self.rewind();
+            return None;
+        };
         let stamp = self.counters.stamp(&payload);
         self.newest_us = self.newest_us.max(stamp.t_us);
         for shared in &mut self.views {
@@ -154,6 +160,23 @@ impl Distributor {
                     let error = ErrorReply { id: Some(id), code: code.into(), message };
                     self.clients[at].reply(&ServerMessage::Error(error));
                 }
+            }
+        }
+    }
+
+    /// Forgets what holds of a later time; sequence and event numbers go on.
+    fn rewind(&mut self) {
+        self.counters.rewind();
+        self.newest_us = i64::MIN;
+        self.current.clear();
+        let states = [Topic::Sensors, Topic::Truth];
+        for topic in states {
+            self.last[topic.index()] = None;
+        }
+        for client in &mut self.clients {
+            client.sent_us = [None; Topic::COUNT];
+            for subscription in client.subscriptions.iter_mut().flatten() {
+                subscription.due_us = f64::NEG_INFINITY;
             }
         }
     }
@@ -281,7 +304,8 @@ impl Distributor {
             && subscription.is_due(stamp.t_us)
         {
             let view = &self.views[subscription.view].view;
-            let body = written(&item.payload(), stamp, &self.names, view, &mut self.scratch);
+            let Some(payload) = item.payload() else { return };
+            let body = written(&payload, stamp, &self.names, view, &mut self.scratch);
             client.send(stamp, body, policy, &self.metrics);
         }
     }

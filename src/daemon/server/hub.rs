@@ -22,17 +22,26 @@ pub(super) enum Item {
     Outcome(Box<Outcome>),
     Status(Box<Status>),
     Jobs(Box<Jobs>),
+    /// Time goes back: a replay was told to.
+    Rewind,
 }
 
 impl Item {
-    pub(super) fn payload(&self) -> Payload<'_> {
-        match self {
+    /// What it publishes; a rewind publishes nothing.
+    pub(super) fn payload(&self) -> Option<Payload<'_>> {
+        Some(match self {
             Self::Estimate(estimate) => Payload::Estimate(estimate),
             Self::Truth(truth) => Payload::Truth(truth),
             Self::Outcome(outcome) => Payload::Outcome(outcome),
             Self::Status(status) => Payload::Status(status),
             Self::Jobs(jobs) => Payload::Jobs(jobs),
-        }
+            Self::Rewind => return None,
+        })
+    }
+
+    /// Whether it may be dropped when the server lags.
+    fn is_state(&self) -> bool {
+        !matches!(self, Self::Outcome(_) | Self::Rewind)
     }
 }
 
@@ -89,6 +98,11 @@ impl Hub {
         self.push(Item::Jobs(Box::new(jobs)));
     }
 
+    /// Lets time go back: what follows was captured before what came before. Only for a replay.
+    pub fn rewind(&self) {
+        self.push(Item::Rewind);
+    }
+
     /// Items that were dropped because the server itself was too slow.
     pub fn dropped(&self) -> u64 {
         self.lock().dropped
@@ -97,7 +111,7 @@ impl Hub {
     fn push(&self, item: Item) {
         let mut queue = self.lock();
         if queue.items.len() >= CAPACITY
-            && let Some(oldest) = queue.items.iter().position(|item| !matches!(item, Item::Outcome(_)))
+            && let Some(oldest) = queue.items.iter().position(Item::is_state)
             && let Some(item) = queue.items.remove(oldest)
         {
             queue.dropped += 1;
