@@ -73,6 +73,15 @@ pub enum Model {
 }
 
 impl Model {
+    /// Whether `newer` takes this model's place.
+    pub fn replaced_by(&self, newer: &Self) -> bool {
+        match (self, newer) {
+            (Self::Transmitter { .. }, Self::Transmitter { .. }) => true,
+            (Self::TrackerNoise { device, .. }, Self::TrackerNoise { device: of, .. }) => device == of,
+            _ => false,
+        }
+    }
+
     /// Whether the numbers make a model.
     ///
     /// # Errors

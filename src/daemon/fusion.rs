@@ -13,12 +13,13 @@ use super::clock::StageClock;
 use super::health::Health;
 use super::inbox::{Event, Inbox};
 use super::ports::PortCommand;
-use super::recorder::{self, Recorder};
+use super::recorder::Recorder;
 use super::server::{Hub, Reply};
-use crate::input::{Entry, Input};
-use crate::output::Output;
+use crate::input::{Entry, Input, Model};
+use crate::output::{OutcomeKind, Output};
 use crate::pipeline::Pipeline;
 use crate::protocol::{Payload, Publisher, Status};
+use crate::recording::{Header, Snapshot};
 
 /// The queue into the fusion thread.
 pub type FusionInbox = Inbox<Command>;
@@ -60,8 +61,12 @@ pub(super) struct Fusion {
     pub(super) health: Health,
     pub(super) status: watch::Sender<Status>,
     pub(super) recorder: Option<Recorder>,
+    /// Whether the pipeline has seen an entry.
+    pub(super) begun: bool,
+    /// Models swapped in so far, the newest of each kind last.
+    pub(super) models: Vec<Model>,
     /// What every recording of this run begins with.
-    pub(super) recording_header: recorder::Header,
+    pub(super) recording_header: Header,
 }
 
 impl Fusion {
@@ -85,14 +90,17 @@ impl Fusion {
                 self.publish_status(now);
             }
         }
-        if let Some(recorder) = self.recorder.take() {
-            recorder.finish();
+        if let Some(recorder) = self.recorder.take()
+            && let Err(reason) = recorder.finish()
+        {
+            tracing::error!("recording ended: {reason}");
         }
     }
 
     /// One entry through recording and pipeline.
     fn step(&mut self, entry: &Entry) {
-        let Self { pipeline, publisher, hub, ports, health, recorder, clock, .. } = self;
+        self.begun = true;
+        let Self { pipeline, publisher, hub, ports, health, recorder, clock, models, .. } = self;
         if let Some(recorder) = recorder {
             recorder.entry(entry);
         }
@@ -108,7 +116,13 @@ impl Fusion {
                 Output::Device { device, state } => health.device_changed(device, state),
                 Output::Warning { device, text } => health.warn(device, text),
                 Output::Estimate(estimate) => health.estimate(clock.now().seconds_since(entry.t), estimate),
-                Output::Outcome(_) | Output::Truth(_) => {}
+                Output::Outcome(outcome) => {
+                    if let OutcomeKind::ModelSwapped(model) = &outcome.what {
+                        models.retain(|old| !old.replaced_by(model));
+                        models.push(model.clone());
+                    }
+                }
+                Output::Truth(_) => {}
             }
             let Some(payload) = Payload::of(&output) else { return };
             // Clients first: the recording has time.
@@ -132,10 +146,7 @@ impl Fusion {
             }
             Command::StopRecording { reply } => {
                 let stopped = match self.recorder.take() {
-                    Some(recorder) => {
-                        recorder.finish();
-                        Ok(())
-                    }
+                    Some(recorder) => recorder.finish(),
                     None => Err("nothing is being recorded".to_owned()),
                 };
                 self.health.touch();
@@ -149,12 +160,16 @@ impl Fusion {
         if let Some(recorder) = &self.recorder {
             return Err(format!("{} is being recorded already; stop that first", recorder.path().display()));
         }
-        let start = recorder::Start {
-            t: self.clock.now(),
-            snapshot: self.pipeline.snapshot(),
-            publisher: self.publisher.state(),
+        let publisher = rmp_serde::to_vec(&self.publisher.state()).map_err(|error| error.to_string())?;
+        let header = Header {
+            begun: self.clock.now(),
+            models: self.models.clone(),
+            // A recording of the whole run needs none: it begins where every pipeline begins.
+            snapshot: self.begun.then(|| Snapshot { pipeline: self.pipeline.snapshot(), publisher }),
+            ..self.recording_header.clone()
         };
-        let recorder = Recorder::start(&path, &self.recording_header, start).map_err(|error| error.to_string())?;
+        let recorder = Recorder::start(&path, header)?;
+        self.health.recording_started();
         self.recorder = Some(recorder);
         Ok(())
     }
