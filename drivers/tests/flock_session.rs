@@ -211,7 +211,9 @@ impl Bench {
         loop {
             let unit_at = self.unit.next();
             let session_at = self.session.poll_timeout();
-            let Some(at) = [unit_at, session_at].into_iter().flatten().min().filter(|&at| at <= end) else { break };
+            let Some(at) = [unit_at, session_at].into_iter().flatten().min().filter(|&at| at <= end) else {
+                break;
+            };
             self.now = self.now.max(at);
             if unit_at == Some(at) {
                 let bytes = self.unit.give(self.now);
@@ -245,27 +247,30 @@ fn a_flock_of_two_is_set_up_and_streams() {
     assert_eq!(bench.warnings, Vec::<String>::new());
     let first = bench.first_sample_after(Timestamp::ZERO);
     println!("full set-up: first pose after {first:.3} s");
-    // 0.3 s of questions, 1.2 s quiet around auto-configuration, 0.2 s after RUN, 0.5 s to settle.
-    assert!((2.0..2.8).contains(&first), "{first}");
+    // 0.3 s of questions, 1.2 s quiet around auto-configuration, 0.5 s to settle from then on.
+    assert!((1.6..2.2).contains(&first), "{first}");
     assert_eq!(seconds(&bench, 1), seconds(&bench, 2));
     let counters = bench.session.counters();
     assert_eq!((counters.rejected, counters.bytes_skipped), (0, 0));
     assert_eq!(bench.session.sensors().len(), 2);
-    assert!(bench.session.records_settling() >= 100);
+    assert!(bench.session.records_settling() > 0);
     assert!((bench.session.rate_hz().unwrap() - 103.3).abs() < 0.01);
     assert!(bench.unit.commands_seen.contains(&Command::Change { parameter: 0x32, data: vec![2] }));
 }
 
 #[test]
 fn a_unit_alone_streams_and_answers_polls() {
-    for (mode, format) in [(Mode::Stream, Format::PositionMatrix), (Mode::Point, Format::PositionQuaternion)] {
+    for (mode, format) in [(Mode::Stream, Format::PositionMatrix), (Mode::Point, Format::PositionQuaternion)]
+    {
         let mut bench = Bench::new(Settings { mode, format, ..Settings::default() }, &[0], Unit::alone());
         bench.open(false);
         bench.run(3.0);
         assert_eq!(bench.session.state(), &State::Streaming);
         assert!(seconds(&bench, 0) > 100, "{mode:?}: {}", seconds(&bench, 0));
         assert_eq!(bench.session.counters().rejected, 0);
-        assert!(!bench.unit.commands_seen.iter().any(|c| matches!(c, Command::Change { parameter: 0x32, .. })));
+        assert!(
+            !bench.unit.commands_seen.iter().any(|c| matches!(c, Command::Change { parameter: 0x32, .. }))
+        );
     }
 }
 
@@ -282,7 +287,8 @@ fn poses_are_back_soon_after_the_cable() {
     let after = bench.first_sample_after(back);
     println!("cable back: first pose after {after:.3} s");
     assert!(after < 0.5, "{after}");
-    let configured = bench.unit.commands_seen.iter().filter(|c| matches!(c, Command::Change { parameter: 0x32, .. }));
+    let configured =
+        bench.unit.commands_seen.iter().filter(|c| matches!(c, Command::Change { parameter: 0x32, .. }));
     assert_eq!(configured.count(), 1);
 }
 
@@ -359,8 +365,17 @@ fn what_does_not_fit_is_said_in_words() {
 
 #[test]
 fn a_slow_line_is_told_and_its_rate_known() {
-    let mut bench = Bench::new(Settings { format: Format::PositionMatrix, ..Settings::default() }, &[1, 2], Unit::flock(2));
-    bench.session = FlockSession::new(Settings { format: Format::PositionMatrix, ..Settings::default() }, 19_200, &[1, 2]).unwrap();
+    let mut bench = Bench::new(
+        Settings { format: Format::PositionMatrix, ..Settings::default() },
+        &[1, 2],
+        Unit::flock(2),
+    );
+    bench.session = FlockSession::new(
+        Settings { format: Format::PositionMatrix, ..Settings::default() },
+        19_200,
+        &[1, 2],
+    )
+    .unwrap();
     bench.open(false);
     bench.run(3.0);
     assert!(bench.warnings.iter().any(|text| text.contains("19200")), "{:?}", bench.warnings);
@@ -388,9 +403,9 @@ fn a_session_can_be_put_away_at_any_moment() {
     for _ in 0..400 {
         bench.run(0.01);
         whole.run(0.01);
-        let text = serde_json::to_string(&bench.session).unwrap();
-        bench.session = serde_json::from_str(&text).unwrap();
-        assert_eq!(serde_json::to_string(&bench.session).unwrap(), text);
+        let bytes = rmp_serde::to_vec(&bench.session).unwrap();
+        bench.session = rmp_serde::from_slice(&bytes).unwrap();
+        assert_eq!(rmp_serde::to_vec(&bench.session).unwrap(), bytes);
     }
     assert!(!bench.samples.is_empty());
     assert_eq!(bench.samples, whole.samples);

@@ -15,9 +15,6 @@ use super::wire::{BirdStatus, Command, Range, Scale, Shape, UnitStatus};
 const AUTO_CONFIG_QUIET_MS: u64 = 600;
 /// Gap after a command that sets something.
 const SET_GAP_MS: u64 = 10;
-/// Quiet time after RUN.
-const RUN_QUIET_MS: u64 = 200;
-
 /// One thing to do.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum Action {
@@ -30,6 +27,8 @@ pub(super) enum Action {
     },
     /// Ask for the flock's status until all wanted birds run.
     AwaitRunning,
+    /// Let the birds run; they need some quiet time.
+    Run,
     /// Ask for the error code and tell it in words.
     ReadError,
     /// Ask for the measurement rate.
@@ -52,10 +51,7 @@ pub(super) struct Plan {
 /// Full scale and quaternion sense of the records to come.
 pub(super) fn scale(settings: &Settings, findings: &Findings) -> Scale {
     let found = if findings.extended_range() { Range::In144 } else { Range::In36 };
-    Scale {
-        range: settings.range_in.unwrap_or(found),
-        quaternion_sense: settings.quaternion_sense,
-    }
+    Scale { range: settings.range_in.unwrap_or(found), quaternion_sense: settings.quaternion_sense }
 }
 
 /// Makes the plan.
@@ -105,7 +101,7 @@ pub(super) fn plan(settings: &Settings, wanted: &[u8], findings: &Findings) -> R
     plan.actions.push_back(Action::ReadError);
     let asleep = findings.status.has(BirdStatus::ASLEEP) || !findings.status.has(BirdStatus::RUNNING);
     if asleep || plan.starts_birds {
-        send(&mut plan, Command::Run, None, RUN_QUIET_MS);
+        plan.actions.push_back(Action::Run);
         plan.starts_birds = true;
     }
     if settings.mode == Mode::Stream {
@@ -124,12 +120,16 @@ fn check_fit(
 ) -> Result<(), String> {
     let found = findings.units.iter().map(|unit| unit.address.to_string()).collect::<Vec<_>>().join(", ");
     if group && findings.stand_alone() {
-        return Err("the unit is switched to stand-alone (address 0); give its sensor address = 0, or set the \
+        return Err(
+            "the unit is switched to stand-alone (address 0); give its sensor address = 0, or set the \
                     unit's address switches 4 to 7"
-            .into());
+                .into(),
+        );
     }
     if !group && !findings.stand_alone() {
-        return Err(format!("the unit is part of a flock with addresses {found}; address 0 is a stand-alone unit"));
+        return Err(format!(
+            "the unit is part of a flock with addresses {found}; address 0 is a stand-alone unit"
+        ));
     }
     if group {
         let usable = |address: &&u8| !findings.sensors().contains(*address);
@@ -149,9 +149,11 @@ fn check_fit(
         }
     }
     if findings.extended_range() && settings.range_in.is_some_and(|range| range != Range::In144) {
-        return Err("the flock has an extended range controller, whose positions have a range of 144 inches; set \
+        return Err(
+            "the flock has an extended range controller, whose positions have a range of 144 inches; set \
                     range_in = 144 or leave it out"
-            .into());
+                .into(),
+        );
     }
     Ok(())
 }

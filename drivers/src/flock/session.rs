@@ -28,6 +28,8 @@ const RESET_PULSE: Duration = Duration::from_secs(1);
 const BOOT: Duration = Duration::from_secs(2);
 /// How long after birds were started their poses are not believed.
 const SETTLE: Duration = Duration::from_millis(500);
+/// Quiet time after RUN.
+const RUN_QUIET: Duration = Duration::from_millis(200);
 /// How long auto-configured birds may take to run.
 const RUNNING_LIMIT: Duration = Duration::from_secs(2);
 /// Pauses between attempts at a silent unit: the first, and the longest.
@@ -81,6 +83,8 @@ struct Configuring {
     running_limit: Option<Timestamp>,
     /// Wanted birds that were on the bus; the others have been warned of, and are not waited for.
     present: Vec<u8>,
+    /// When birds were started, as far as this set-up knows.
+    started_at: Option<Timestamp>,
     settle: bool,
 }
 
@@ -250,6 +254,7 @@ impl FlockSession {
             question: None,
             running_limit: None,
             present,
+            started_at: None,
             settle,
         };
         self.work_off(now, Box::new(configuring));
@@ -262,6 +267,12 @@ impl FlockSession {
                 Some(Action::Send { bytes, quiet_ms }) => {
                     self.transmit(bytes);
                     configuring.quiet_until = now + Duration::from_millis(quiet_ms);
+                    continue;
+                }
+                Some(Action::Run) => {
+                    self.transmit(Command::Run.to_bytes(None, Addressing::Normal));
+                    configuring.quiet_until = now + RUN_QUIET;
+                    configuring.started_at = Some(configuring.started_at.unwrap_or(now));
                     continue;
                 }
                 Some(Action::AwaitRunning) => Topic::Running,
@@ -288,7 +299,13 @@ impl FlockSession {
     }
 
     /// An answer came, or will not come (`None`).
-    fn on_answer(&mut self, now: Timestamp, topic: Topic, answer: Option<&[u8]>, mut configuring: Box<Configuring>) {
+    fn on_answer(
+        &mut self,
+        now: Timestamp,
+        topic: Topic,
+        answer: Option<&[u8]>,
+        mut configuring: Box<Configuring>,
+    ) {
         match (topic, answer) {
             (Topic::Running, answer) => {
                 let limit = *configuring.running_limit.get_or_insert(now + RUNNING_LIMIT);
@@ -296,18 +313,24 @@ impl FlockSession {
                     configuring.findings.units = examine::units(bytes);
                 }
                 let Configuring { present, findings, .. } = &*configuring;
-                let late: Vec<u8> = present.iter().copied().filter(|&address| !runs(findings, address)).collect();
+                let late: Vec<u8> =
+                    present.iter().copied().filter(|&address| !runs(findings, address)).collect();
                 if !late.is_empty() && now < limit {
                     configuring.actions.push_front(Action::AwaitRunning);
                     configuring.quiet_until = now + Duration::from_millis(20);
                 } else if late.len() == configuring.present.len() {
-                    let reason = "after auto-configuration no wanted bird runs; check that the unit on the line \
+                    let reason =
+                        "after auto-configuration no wanted bird runs; check that the unit on the line \
                                   has address 1 and that all addresses follow each other"
-                        .into();
+                            .into();
                     return self.pause_and_retry(now, State::Failed { reason });
                 } else if !late.is_empty() {
                     let list = late.iter().map(u8::to_string).collect::<Vec<_>>().join(", ");
-                    self.warn(format!("bird {list} does not run after auto-configuration; the others go on without it"));
+                    self.warn(format!(
+                        "bird {list} does not run after auto-configuration; the others go on without it"
+                    ));
+                } else {
+                    configuring.started_at = Some(now);
                 }
                 self.findings = Some(configuring.findings.clone());
             }
@@ -346,7 +369,13 @@ impl FlockSession {
         let group = self.wanted != [0];
         let shape = self.settings.shape(group);
         let birds: Vec<(u8, Shape)> = if group {
-            configuring.findings.units.iter().filter(|unit| unit.streams()).map(|unit| (unit.address, shape)).collect()
+            configuring
+                .findings
+                .units
+                .iter()
+                .filter(|unit| unit.streams())
+                .map(|unit| (unit.address, shape))
+                .collect()
         } else {
             vec![(0, shape)]
         };
@@ -383,7 +412,7 @@ impl FlockSession {
             splitter,
             silence,
             silent_at: now + silence,
-            settled_at: if configuring.settle { now + SETTLE } else { now },
+            settled_at: if configuring.settle { configuring.started_at.unwrap_or(now) + SETTLE } else { now },
             poll,
         }));
     }
@@ -399,7 +428,8 @@ impl FlockSession {
         let mut heard = false;
         let mut published = false;
         let settled = now >= streaming.settled_at;
-        input(&mut streaming.splitter, &mut |event| match event {
+        input(&mut streaming.splitter, &mut |event| {
+            match event {
             Event::Sample(sample) => {
                 heard = true;
                 if !settled {
@@ -415,6 +445,7 @@ impl FlockSession {
             Event::Returned(address) => {
                 outputs.push_back(Output::Warning(format!("bird {address} is back in the stream")));
             }
+        }
         });
         self.take_counters(&mut streaming);
         if heard {
@@ -437,12 +468,12 @@ impl FlockSession {
 
     fn stream_timeout(&mut self, now: Timestamp, mut streaming: Box<Streaming>) {
         if now >= streaming.silent_at {
+            let silence_ms = streaming.silence.as_millis();
             self.phase = Phase::Streaming(streaming);
             self.leave_stream();
             self.set_state(State::Silent {
                 reason: format!(
-                    "no record for {} ms; check the unit's power, FLY switch and cable",
-                    MIN_SILENCE.as_millis()
+                    "no record for {silence_ms} ms; check the unit's power, FLY switch and cable"
                 ),
             });
             return self.examine(now);
@@ -462,9 +493,10 @@ impl FlockSession {
 }
 
 fn runs(findings: &Findings, address: u8) -> bool {
-    findings.units.iter().any(|unit| {
-        unit.address == address && unit.status.has(UnitStatus::ACCESSIBLE | UnitStatus::RUNNING)
-    })
+    findings
+        .units
+        .iter()
+        .any(|unit| unit.address == address && unit.status.has(UnitStatus::ACCESSIBLE | UnitStatus::RUNNING))
 }
 
 impl Session for FlockSession {
@@ -583,10 +615,15 @@ impl Session for FlockSession {
                 None => configuring.quiet_until,
             }),
             Phase::Streaming(streaming) => {
-                let poll_at = streaming.poll.as_ref().map(|poll| {
-                    if poll.awaiting { poll.sent_at + POINT_LIMIT } else { poll.at }
-                });
-                [streaming.splitter.poll_timeout(), poll_at].into_iter().flatten().chain([streaming.silent_at]).min()
+                let poll_at = streaming
+                    .poll
+                    .as_ref()
+                    .map(|poll| if poll.awaiting { poll.sent_at + POINT_LIMIT } else { poll.at });
+                [streaming.splitter.poll_timeout(), poll_at]
+                    .into_iter()
+                    .flatten()
+                    .chain([streaming.silent_at])
+                    .min()
             }
         }
     }
