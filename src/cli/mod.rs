@@ -22,6 +22,7 @@ mod decode;
 mod doctor;
 mod output;
 mod schema;
+mod simulate;
 mod simulation;
 
 use std::io::{self, IsTerminal, Write};
@@ -48,6 +49,8 @@ struct Cli {
 enum Command {
     /// Says all that is wrong with a stage file, by line and key, and how to mend it.
     Check(check::Args),
+    /// Runs the virtual devices of a stage on pseudo-terminals, and prints their ports.
+    Simulate(simulate::Args),
     /// Lists the serial ports, asks what is there, and says what is wrong.
     Doctor(doctor::Args),
     /// Decodes a capture made elsewhere to CSV or JSON lines.
@@ -62,6 +65,7 @@ impl Command {
     fn run(self) -> Result<(), Error> {
         match self {
             Self::Check(args) => check::run(args),
+            Self::Simulate(args) => simulate::run(args),
             Self::Doctor(args) => doctor::run(args),
             Self::Decode(args) => decode::run(args),
             Self::Completions(args) => completions::run(args),

@@ -1,7 +1,10 @@
 //! The bridge between stage files and the simulator, which must not know each other.
 
+use std::path::Path;
+
 use posed::stage::{self, Problem, Stage};
 use posed_simulator::scenario::{DeviceSpec, Scenario, SensorSpec, StageSpec};
+use posed_simulator::stage::VirtualStage;
 use serde::Deserialize;
 
 use super::Error;
@@ -42,6 +45,11 @@ pub(crate) fn scenario(stage: &Stage) -> Result<Scenario, Error> {
             .map_err(|error| Error::Failed(format!("[simulation]: {}", error.message()))),
         None => Ok(Scenario::default()),
     }
+}
+
+/// The virtual devices of a stage; paths in its `[simulation]` table begin at `folder`.
+pub(crate) fn virtual_stage(stage: &Stage, folder: &Path) -> Result<VirtualStage, Error> {
+    VirtualStage::new(&spec(stage), &scenario(stage)?, folder).map_err(Error::failed)
 }
 
 /// What is wrong with the `[simulation]` table of a stage file that is otherwise right.

@@ -3,4 +3,5 @@
 mod cli;
 mod reference;
 mod server;
+mod simulated;
 mod stages;
