@@ -4,7 +4,6 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
 
 use posed::daemon::clock::StageClock;
 use posed::stage::Stage;
@@ -13,9 +12,9 @@ use posed_simulator::host::{Clock, DeviceInfo, Host, Watcher};
 use posed_simulator::stage::{Event, Output};
 use posed_simulator::truth::{TruthCycle, TruthWriter};
 use serde::Serialize;
-use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
 
+use super::end::End;
 use super::{Error, print, print_json, simulation};
 
 /// What to simulate.
@@ -99,7 +98,7 @@ async fn simulate(args: &Args, stage: &Stage, ports: &Path) -> Result<(), Error>
     let mut truth = truth;
     let ended = loop {
         tokio::select! {
-            ended = end.wait() => break ended,
+            () = end.wait() => break Ok(()),
             Some(cycle) = incoming.recv() => {
                 if let Some(truth) = &mut truth && let Err(error) = truth.write(&cycle) {
                     break Err(error);
@@ -127,46 +126,6 @@ fn announce(host: &Host, json: bool) -> Result<(), Error> {
         print(&format!("{name}: {driver} at {port}\n"))?;
     }
     print("Ctrl-C ends the simulation.\n")
-}
-
-/// What ends a simulation: a signal, or its time.
-struct End {
-    interrupt: tokio::signal::unix::Signal,
-    terminate: tokio::signal::unix::Signal,
-    timer: Option<tokio::time::Interval>,
-}
-
-impl End {
-    fn new(duration_s: Option<f64>) -> Result<Self, Error> {
-        let listen =
-            |kind| signal(kind).map_err(|error| Error::Failed(format!("cannot hear signals: {error}")));
-        let timer = duration_s.map(|seconds| {
-            let mut timer = tokio::time::interval(Duration::from_secs_f64(seconds));
-            timer.reset();
-            timer
-        });
-        Ok(Self {
-            interrupt: listen(SignalKind::interrupt())?,
-            terminate: listen(SignalKind::terminate())?,
-            timer,
-        })
-    }
-
-    /// May be cancelled and called again.
-    async fn wait(&mut self) -> Result<(), Error> {
-        let time_is_up = async {
-            match &mut self.timer {
-                Some(timer) => timer.tick().await,
-                None => std::future::pending().await,
-            }
-        };
-        tokio::select! {
-            _ = self.interrupt.recv() => {}
-            _ = self.terminate.recv() => {}
-            _ = time_is_up => {}
-        }
-        Ok(())
-    }
 }
 
 /// The file of the truth.

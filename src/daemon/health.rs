@@ -41,7 +41,7 @@ impl Health {
         let device = |device: &crate::stage::Device| Device {
             name: device.name.clone(),
             driver: device.driver.word().to_owned(),
-            port: device.port.to_string(),
+            port: device.port.clone(),
             warnings: Vec::new(),
         };
         Self {
@@ -156,6 +156,7 @@ impl Health {
                 bytes: recorder.bytes(),
                 started_s: recorder.started().as_secs_f64(),
             }),
+            replay: None,
             problems: self.problems(clock),
             // The server knows and fills it in.
             clients: 0,

@@ -8,6 +8,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
 use posed_drivers::Timestamp;
+use tokio::sync::watch;
 
 use super::calls;
 use super::clock::StageClock;
@@ -15,7 +16,7 @@ use super::health::Health;
 use super::server::{Hub, PendingCall};
 use crate::input::Entry;
 use crate::pipeline::Pipeline;
-use crate::protocol::{Call, ReplayStatus};
+use crate::protocol::{Call, ReplayStatus, Status};
 use crate::recording::{Info, Item, ReadError, Reader, machine};
 use crate::stage::Stage;
 
@@ -37,6 +38,7 @@ pub(super) struct Player {
     clock: StageClock,
     commands: Receiver<Command>,
     hub: Hub,
+    status: watch::Sender<Status>,
     folder: PathBuf,
     stage: Stage,
     health: Health,
@@ -66,6 +68,7 @@ impl Player {
         clock: StageClock,
         commands: Receiver<Command>,
         hub: Hub,
+        status: watch::Sender<Status>,
         path: &Path,
         folder: PathBuf,
         speed: f64,
@@ -73,12 +76,7 @@ impl Player {
         let playing = Playing::open(path, None, speed, clock.now())?;
         let stage = Stage::parse(&playing.reader.header().stage_toml).map_err(machine::MachineError::from)?;
         let health = Health::new(&stage);
-        Ok(Self { clock, commands, hub, folder, stage, health, playing })
-    }
-
-    /// The stage that the recording was made on.
-    pub(super) fn stage(&self) -> &Stage {
-        &self.stage
+        Ok(Self { clock, commands, hub, status, folder, stage, health, playing })
     }
 
     /// Runs until [`Command::Shutdown`].
@@ -192,6 +190,7 @@ impl Player {
             speed: speed.is_finite().then_some(*speed),
             ended: ended.clone(),
         });
+        self.status.send_replace(status.clone());
         self.hub.publish_status(status);
     }
 }
