@@ -87,6 +87,9 @@ mod tests {
         let stage = Stage::parse(DEMO).unwrap();
         let moving = scenario(&stage).unwrap().sensors.len();
         assert!(moving >= 2 && moving == stage.sensors.len());
+        // The simulator tests its own copy for distances and distortion.
+        let tested = include_str!("../../simulator/resources/demo-simulation.toml");
+        assert_eq!(scenario(&stage).unwrap(), toml::from_str(tested).unwrap());
     }
 
     #[test]
