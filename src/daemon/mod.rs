@@ -151,7 +151,7 @@ impl Daemon {
             ports: commands,
             health: Health::new(&stage),
             status: status_sender,
-            recorder: None,
+            recording: None,
             begun: false,
             models: Vec::new(),
             recording_header: crate::recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),

@@ -60,6 +60,11 @@ pub fn of_topic(topic: Topic) -> Option<String> {
     Some(schema.to_string())
 }
 
+/// [`of_topic`] for every topic that has messages, with its name.
+pub fn of_topics() -> Vec<(&'static str, String)> {
+    Topic::ALL.into_iter().filter_map(|topic| Some((topic.name(), of_topic(topic)?))).collect()
+}
+
 /// TypeScript types of the same messages.
 pub fn typescript() -> String {
     typescript::from_schema(&json_schema())
