@@ -58,9 +58,8 @@ pub struct Pose {
     pub orientation_wxyz: [f64; 4],
 }
 
-/// One device.
+/// One device. Unknown keys are refused by the driver's settings, which get all keys that are not listed here.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct Device {
     /// Unique name.
     pub name: String,

@@ -35,7 +35,8 @@ fn shape(format: Format, group: bool) -> Shape {
 fn truth(address: u8, cycle: usize) -> ([f64; 3], [f64; 4]) {
     let t = cycle as f64 * 0.01;
     let a = f64::from(address);
-    let p = [0.4 + 0.2 * (5.0 * t + a).sin(), 0.2 * (4.0 * t).cos() - 0.1 * a, -0.3 + 0.05 * (3.0 * t * a).sin()];
+    let p =
+        [0.4 + 0.2 * (5.0 * t + a).sin(), 0.2 * (4.0 * t).cos() - 0.1 * a, -0.3 + 0.05 * (3.0 * t * a).sin()];
     (p, rotation::from_angles([3.0 * (1.1 * t + a).sin(), 0.9 * (1.7 * t).sin(), 1.0 + a + 3.5 * t]))
 }
 
@@ -78,11 +79,23 @@ fn receive(stream: &[(f64, u8)], reads: Reads, birds: &[(u8, Shape)]) -> Outcome
         let mut end = i + 1;
         match reads {
             Reads::Bytes => {}
-            Reads::Records => while end < stream.len() && stream[end].0 - stream[end - 1].0 < 2e-4 { end += 1 },
-            Reads::Bursts => while end < stream.len() && (stream[end].0 / 0.016).floor() == (stream[i].0 / 0.016).floor() { end += 1 },
+            Reads::Records => {
+                while end < stream.len() && stream[end].0 - stream[end - 1].0 < 2e-4 {
+                    end += 1
+                }
+            }
+            Reads::Bursts => {
+                while end < stream.len() && (stream[end].0 / 0.016).floor() == (stream[i].0 / 0.016).floor() {
+                    end += 1
+                }
+            }
         }
         let now = Timestamp::from_secs_f64(stream[end - 1].0);
-        let mut emit = |event| if let Event::Sample(sample) = event { samples.push(sample) };
+        let mut emit = |event| {
+            if let Event::Sample(sample) = event {
+                samples.push(sample)
+            }
+        };
         if splitter.poll_timeout().is_some_and(|at| at <= now) {
             splitter.handle_timeout(now, &mut emit);
         }
@@ -91,7 +104,11 @@ fn receive(stream: &[(f64, u8)], reads: Reads, birds: &[(u8, Shape)]) -> Outcome
         i = end;
     }
     let now = Timestamp::from_secs_f64(stream.last().unwrap().0) + Duration::from_secs(1);
-    splitter.handle_timeout(now, &mut |event| if let Event::Sample(sample) = event { samples.push(sample) });
+    splitter.handle_timeout(now, &mut |event| {
+        if let Event::Sample(sample) = event {
+            samples.push(sample)
+        }
+    });
     splitter.finish();
     Outcome { samples, splitter }
 }
@@ -155,7 +172,10 @@ fn fifty_faults_give_no_wrong_pose_and_cost_two_frames_each_at_most() {
                     let (position_m, rotation_rad) = worst(&outcome.samples);
                     let what = format!("{format} {fault:?} {reads:?} seed {seed}");
                     // One count of position is 0.11 mm; the cycle numbers must be right for this to hold.
-                    assert!(position_m < 2.5e-4 && rotation_rad < 2e-3, "{what}: {position_m} m, {rotation_rad} rad");
+                    assert!(
+                        position_m < 2.5e-4 && rotation_rad < 2e-3,
+                        "{what}: {position_m} m, {rotation_rad} rad"
+                    );
                     let mut whole = vec![0; 1000];
                     for sample in &outcome.samples {
                         let DeviceTime::Cycle(cycle) = sample.t_device else { panic!() };
@@ -179,7 +199,10 @@ fn a_unit_alone_survives_the_same_faults() {
                 let outcome = receive(&damaged(&birds, fault, seed), reads, &birds);
                 let (position_m, rotation_rad) = worst(&outcome.samples);
                 let what = format!("{fault:?} {reads:?} seed {seed}");
-                assert!(position_m < 2.5e-4 && rotation_rad < 2e-3, "{what}: {position_m} m, {rotation_rad} rad");
+                assert!(
+                    position_m < 2.5e-4 && rotation_rad < 2e-3,
+                    "{what}: {position_m} m, {rotation_rad} rad"
+                );
                 assert!(outcome.samples.len() >= 900, "{what}: {}", outcome.samples.len());
             }
         }
@@ -196,10 +219,10 @@ fn example_9_of_the_sheet_a_lost_byte() {
     let birds = [(2, group), (3, group)];
     let stream: Vec<(f64, u8)> = bytes.iter().map(|&byte| (0.0, byte)).collect();
     let mut outcome = receive(&stream, Reads::Records, &birds);
-    assert_eq!(outcome.samples.iter().map(|s| (s.address, s.t_device)).collect::<Vec<_>>(), [
-        (2, DeviceTime::Cycle(0)),
-        (2, DeviceTime::Cycle(1)),
-    ]);
+    assert_eq!(
+        outcome.samples.iter().map(|s| (s.address, s.t_device)).collect::<Vec<_>>(),
+        [(2, DeviceTime::Cycle(0)), (2, DeviceTime::Cycle(1)),]
+    );
     let counters = outcome.splitter.take_counters();
     assert_eq!((counters.records, counters.rejected, counters.bytes_skipped), (2, 1, 12));
 }
@@ -216,7 +239,8 @@ fn a_dead_bird_does_not_stop_the_others_and_may_come_back() {
             if address == 2 && (20..40).contains(&cycle) {
                 continue;
             }
-            splitter.handle_bytes(now, &record_of(address, cycle, group), &mut |event| seen.push((cycle, event)));
+            splitter
+                .handle_bytes(now, &record_of(address, cycle, group), &mut |event| seen.push((cycle, event)));
             splitter.handle_timeout(now + Duration::from_millis(1), &mut |event| seen.push((cycle, event)));
         }
     }
@@ -224,7 +248,8 @@ fn a_dead_bird_does_not_stop_the_others_and_may_come_back() {
     let back: Vec<usize> = seen.iter().filter(|(_, e)| *e == Event::Returned(2)).map(|(c, _)| *c).collect();
     assert_eq!((left, back), (vec![22], vec![41]));
     for address in [1, 3] {
-        let count = seen.iter().filter(|(_, e)| matches!(e, Event::Sample(s) if s.address == address)).count();
+        let count =
+            seen.iter().filter(|(_, e)| matches!(e, Event::Sample(s) if s.address == address)).count();
         assert!(count >= 57, "bird {address}: {count} of 60");
     }
 }
@@ -234,10 +259,15 @@ fn dropped_bytes_keep_the_count_of_cycles() {
     let group = shape(Format::PositionQuaternion, true);
     let birds = [(1, group), (2, group)];
     let mut splitter = Splitter::new(&birds, Scale::default(), Tolerance::LIVE, BAUD);
-    let bytes: Vec<u8> =
-        (0..100).flat_map(|cycle| [record_of(1, cycle, group), record_of(2, cycle, group)].concat()).collect();
+    let bytes: Vec<u8> = (0..100)
+        .flat_map(|cycle| [record_of(1, cycle, group), record_of(2, cycle, group)].concat())
+        .collect();
     let mut samples = Vec::new();
-    let mut emit = |event| if let Event::Sample(sample) = event { samples.push(sample) };
+    let mut emit = |event| {
+        if let Event::Sample(sample) = event {
+            samples.push(sample)
+        }
+    };
     splitter.handle_bytes(Timestamp::ZERO, &bytes[..1000], &mut emit);
     splitter.handle_dropped(777);
     splitter.handle_bytes(Timestamp::ZERO, &bytes[1777..], &mut emit);

@@ -211,7 +211,9 @@ impl Bench {
         loop {
             let unit_at = self.unit.next();
             let session_at = self.session.poll_timeout();
-            let Some(at) = [unit_at, session_at].into_iter().flatten().min().filter(|&at| at <= end) else { break };
+            let Some(at) = [unit_at, session_at].into_iter().flatten().min().filter(|&at| at <= end) else {
+                break;
+            };
             self.now = self.now.max(at);
             if unit_at == Some(at) {
                 let bytes = self.unit.give(self.now);
@@ -258,14 +260,17 @@ fn a_flock_of_two_is_set_up_and_streams() {
 
 #[test]
 fn a_unit_alone_streams_and_answers_polls() {
-    for (mode, format) in [(Mode::Stream, Format::PositionMatrix), (Mode::Point, Format::PositionQuaternion)] {
+    for (mode, format) in [(Mode::Stream, Format::PositionMatrix), (Mode::Point, Format::PositionQuaternion)]
+    {
         let mut bench = Bench::new(Settings { mode, format, ..Settings::default() }, &[0], Unit::alone());
         bench.open(false);
         bench.run(3.0);
         assert_eq!(bench.session.state(), &State::Streaming);
         assert!(seconds(&bench, 0) > 100, "{mode:?}: {}", seconds(&bench, 0));
         assert_eq!(bench.session.counters().rejected, 0);
-        assert!(!bench.unit.commands_seen.iter().any(|c| matches!(c, Command::Change { parameter: 0x32, .. })));
+        assert!(
+            !bench.unit.commands_seen.iter().any(|c| matches!(c, Command::Change { parameter: 0x32, .. }))
+        );
     }
 }
 
@@ -282,7 +287,8 @@ fn poses_are_back_soon_after_the_cable() {
     let after = bench.first_sample_after(back);
     println!("cable back: first pose after {after:.3} s");
     assert!(after < 0.5, "{after}");
-    let configured = bench.unit.commands_seen.iter().filter(|c| matches!(c, Command::Change { parameter: 0x32, .. }));
+    let configured =
+        bench.unit.commands_seen.iter().filter(|c| matches!(c, Command::Change { parameter: 0x32, .. }));
     assert_eq!(configured.count(), 1);
 }
 
@@ -359,8 +365,17 @@ fn what_does_not_fit_is_said_in_words() {
 
 #[test]
 fn a_slow_line_is_told_and_its_rate_known() {
-    let mut bench = Bench::new(Settings { format: Format::PositionMatrix, ..Settings::default() }, &[1, 2], Unit::flock(2));
-    bench.session = FlockSession::new(Settings { format: Format::PositionMatrix, ..Settings::default() }, 19_200, &[1, 2]).unwrap();
+    let mut bench = Bench::new(
+        Settings { format: Format::PositionMatrix, ..Settings::default() },
+        &[1, 2],
+        Unit::flock(2),
+    );
+    bench.session = FlockSession::new(
+        Settings { format: Format::PositionMatrix, ..Settings::default() },
+        19_200,
+        &[1, 2],
+    )
+    .unwrap();
     bench.open(false);
     bench.run(3.0);
     assert!(bench.warnings.iter().any(|text| text.contains("19200")), "{:?}", bench.warnings);
