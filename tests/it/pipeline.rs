@@ -4,6 +4,7 @@ use posed::input::{Input, Model};
 use posed::output::{Estimate, SensorState};
 use posed::pipeline::Pipeline;
 use posed_drivers::State;
+use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::scenario::{DeviceScenario, Scenario};
 use posed_simulator::truth::TruthCycle;
 
@@ -153,4 +154,40 @@ fn the_same_entries_give_the_same_outputs_also_from_a_snapshot() {
     assert_eq!(restored.status(), rig.pipeline.status());
     assert!(Pipeline::restore(&stage(&[2, 2]), &snapshot).is_err());
     assert!(Pipeline::restore(&stage_file, b"nonsense").is_err());
+}
+
+fn faulty(faults: Vec<Fault>) -> Rig {
+    let device = DeviceScenario { faults, ..flock(0, 100.0) };
+    let mut rig = Rig::new(&stage(&[2]), &scenario(vec![device]));
+    rig.run_until(18.0);
+    rig
+}
+
+fn fifty() -> Bytes {
+    Bytes { count: 50, start_s: 6.0, end_s: 16.0 }
+}
+
+#[test]
+fn damaged_bytes_never_make_a_wrong_pose() {
+    for (name, fault) in [
+        ("lost", Fault::LostBytes(fifty())),
+        ("inserted", Fault::InsertedBytes(fifty())),
+        ("bit 7", Fault::Bit7Flips(fifty())),
+    ] {
+        let rig = faulty(vec![fault]);
+        print!("{name}: ");
+        let report = report(&rig, 5.0, 2e-4);
+        assert_eq!((report.wrong_5_sigma, report.wrong_20_mm), (0, 0), "{name}");
+        let lost: u64 = rig.pipeline.status().sensors.iter().map(|sensor| sensor.lost).sum();
+        let unpublished = 2 * report.frames - report.ok;
+        assert!(unpublished <= 100 && unpublished as u64 <= lost, "{name}: {unpublished} of {lost}");
+    }
+}
+
+#[test]
+fn flipped_data_bits_are_never_good_beyond_20_mm_or_5_degrees() {
+    let rig = faulty(vec![Fault::DataBitFlips(fifty())]);
+    let report = report(&rig, 5.0, 2e-4);
+    assert_eq!(report.wrong_20_mm, 0);
+    assert!(2 * report.frames - report.ok <= 100);
 }
