@@ -1,7 +1,7 @@
 //! The whole core on virtual Flocks: set-up, capture times, frames, filter, faults.
 
 use posed::input::{Input, Model};
-use posed::output::{Estimate, SensorState};
+use posed::output::{Estimate, FaultCause, OutcomeKind, SensorState};
 use posed::pipeline::Pipeline;
 use posed_drivers::State;
 use posed_simulator::faults::{Bytes, Fault};
@@ -186,8 +186,77 @@ fn damaged_bytes_never_make_a_wrong_pose() {
 
 #[test]
 fn flipped_data_bits_are_never_good_beyond_20_mm_or_5_degrees() {
-    let rig = faulty(vec![Fault::DataBitFlips(fifty())]);
+    // Over several scenes: where a bit falls is luck.
+    for seed in 1..=8 {
+        flips(seed);
+    }
+}
+
+fn flips(seed: u64) {
+    let device = DeviceScenario { faults: vec![Fault::DataBitFlips(fifty())], ..flock(0, 100.0) };
+    let mut rig = Rig::new(&stage(&[2]), &Scenario { seed, ..scenario(vec![device]) });
+    rig.run_until(18.0);
     let report = report(&rig, 5.0, 2e-4);
     assert_eq!(report.wrong_20_mm, 0);
     assert!(2 * report.frames - report.ok <= 100);
+}
+
+/// States of one sensor by name, from `from_s` to `to_s`, with how many frames had them.
+fn states(rig: &Rig, sensor: usize, from_s: f64, to_s: f64) -> String {
+    let mut counts = std::collections::BTreeMap::new();
+    for estimate in rig.estimates().filter(|e| (from_s..to_s).contains(&e.t_valid.as_secs_f64())) {
+        *counts.entry(format!("{:?}", estimate.sensors[sensor].state)).or_insert(0) += 1;
+    }
+    format!("{counts:?}")
+}
+
+#[test]
+fn a_hemisphere_flip_is_repaired_at_once() {
+    let rig = faulty(vec![Fault::HemisphereFlip { address: 2, at_s: 8.0, duration_s: 3.0 }]);
+    assert_eq!(states(&rig, 1, 8.05, 10.95), r#"{"Repaired": 290}"#);
+    assert_eq!(states(&rig, 0, 8.05, 10.95), r#"{"Ok": 290}"#);
+    let report = report(&rig, 5.0, 2e-4);
+    assert_eq!(report.wrong_20_mm, 0);
+    let outcomes: Vec<_> = rig
+        .said
+        .iter()
+        .filter_map(|said| match said {
+            Said::Outcome(outcome) if outcome.t_valid.as_secs_f64() > 5.0 => Some(&outcome.what),
+            _ => None,
+        })
+        .collect();
+    let hemisphere = |active| OutcomeKind::Fault { sensor: 1, cause: FaultCause::Hemisphere, active };
+    assert_eq!(outcomes, [&hemisphere(true), &hemisphere(false)]);
+}
+
+#[test]
+fn a_frozen_sensor_is_stuck_and_comes_back() {
+    let rig = faulty(vec![Fault::OutOfRange { address: 1, at_s: 8.0, duration_s: 3.0 }]);
+    println!("{} then {}", states(&rig, 0, 8.05, 10.95), states(&rig, 0, 11.1, 18.0));
+    let stuck = states(&rig, 0, 8.1, 10.95);
+    assert_eq!(stuck, r#"{"Stuck": 285}"#);
+    assert!(states(&rig, 0, 11.1, 17.9).starts_with(r#"{"Ok": 680"#), "{}", states(&rig, 0, 11.1, 17.9));
+    assert_eq!(report(&rig, 5.0, 2e-4).wrong_5_sigma, 0);
+}
+
+#[test]
+fn a_dead_bird_does_not_hold_up_the_others_and_a_lost_port_costs_what_it_must() {
+    let dead = Fault::BirdDies { address: 2, at_s: 7.0, duration_s: Some(2.0) };
+    let unplug = Fault::Unplug { at_s: 11.0, duration_s: Some(2.0), power: false };
+    let rig = faulty(vec![dead, unplug]);
+    println!("dead: {}", states(&rig, 1, 7.2, 8.9));
+    assert!(states(&rig, 1, 7.2, 8.9).starts_with(r#"{"Missing""#));
+    assert!(states(&rig, 0, 7.2, 8.9).starts_with(r#"{"Ok": 17"#), "{}", states(&rig, 0, 7.2, 8.9));
+    let longest_wait = rig
+        .estimates()
+        .filter(|e| (7.5..8.9).contains(&e.t_valid.as_secs_f64()))
+        .map(|e| e.t_closed.seconds_since(e.t_valid))
+        .fold(0.0, f64::max);
+    assert!(longest_wait < 0.01, "{longest_wait}");
+    // Half a second of missing frames, then silence, then poses again; every sample in between is counted.
+    assert_eq!(states(&rig, 0, 11.6, 12.9), "{}");
+    assert!(states(&rig, 0, 15.0, 17.9).starts_with(r#"{"Ok": 290"#), "{}", states(&rig, 0, 15.0, 17.9));
+    let sensors = rig.pipeline.status().sensors;
+    assert!(sensors[0].estimated && (200..500).contains(&sensors[0].lost), "{sensors:?}");
+    assert_eq!(report(&rig, 5.0, 2e-4).wrong_20_mm, 0);
 }
