@@ -1,6 +1,6 @@
 //! Captures of real units, and captures made here to know every byte.
 
-#![expect(clippy::unwrap_used, reason = "a test helper may panic")]
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests may panic and print")]
 
 use posed_drivers::flock::capture::{CaptureError, Decoded, Options, decode};
 use posed_drivers::flock::wire::{Format, Range, Scale, Shape, record, rotation};

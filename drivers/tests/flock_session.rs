@@ -247,13 +247,13 @@ fn a_flock_of_two_is_set_up_and_streams() {
     assert_eq!(bench.warnings, Vec::<String>::new());
     let first = bench.first_sample_after(Timestamp::ZERO);
     println!("full set-up: first pose after {first:.3} s");
-    // 0.3 s of questions, 1.2 s quiet around auto-configuration, 0.2 s after RUN, 0.5 s to settle.
-    assert!((2.0..2.8).contains(&first), "{first}");
+    // 0.3 s of questions, 1.2 s quiet around auto-configuration, 0.5 s to settle from then on.
+    assert!((1.6..2.2).contains(&first), "{first}");
     assert_eq!(seconds(&bench, 1), seconds(&bench, 2));
     let counters = bench.session.counters();
     assert_eq!((counters.rejected, counters.bytes_skipped), (0, 0));
     assert_eq!(bench.session.sensors().len(), 2);
-    assert!(bench.session.records_settling() >= 100);
+    assert!(bench.session.records_settling() > 0);
     assert!((bench.session.rate_hz().unwrap() - 103.3).abs() < 0.01);
     assert!(bench.unit.commands_seen.contains(&Command::Change { parameter: 0x32, data: vec![2] }));
 }
@@ -403,9 +403,9 @@ fn a_session_can_be_put_away_at_any_moment() {
     for _ in 0..400 {
         bench.run(0.01);
         whole.run(0.01);
-        let text = serde_json::to_string(&bench.session).unwrap();
-        bench.session = serde_json::from_str(&text).unwrap();
-        assert_eq!(serde_json::to_string(&bench.session).unwrap(), text);
+        let bytes = rmp_serde::to_vec(&bench.session).unwrap();
+        bench.session = rmp_serde::from_slice(&bytes).unwrap();
+        assert_eq!(rmp_serde::to_vec(&bench.session).unwrap(), bytes);
     }
     assert!(!bench.samples.is_empty());
     assert_eq!(bench.samples, whole.samples);

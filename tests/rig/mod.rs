@@ -21,6 +21,10 @@ pub(crate) fn stage(birds: &[u16]) -> Stage {
     let mut text = String::from("name = \"test\"\n");
     for (device, &birds) in birds.iter().enumerate() {
         text += &format!("[[device]]\nname = \"d{device}\"\ndriver = \"flock-of-birds\"\nport = \"none\"\n");
+        // Eight quaternions do not fit a cycle at 115200 baud, eight times three angles do.
+        if birds > 6 {
+            text += "format = \"position-angles\"\n";
+        }
         for bird in 0..birds {
             let address = if birds == 1 { 0 } else { bird + 1 };
             text += &format!(

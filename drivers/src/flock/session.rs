@@ -28,6 +28,8 @@ const RESET_PULSE: Duration = Duration::from_secs(1);
 const BOOT: Duration = Duration::from_secs(2);
 /// How long after birds were started their poses are not believed.
 const SETTLE: Duration = Duration::from_millis(500);
+/// Quiet time after RUN.
+const RUN_QUIET: Duration = Duration::from_millis(200);
 /// How long auto-configured birds may take to run.
 const RUNNING_LIMIT: Duration = Duration::from_secs(2);
 /// Pauses between attempts at a silent unit: the first, and the longest.
@@ -81,6 +83,8 @@ struct Configuring {
     running_limit: Option<Timestamp>,
     /// Wanted birds that were on the bus; the others have been warned of, and are not waited for.
     present: Vec<u8>,
+    /// When birds were started, as far as this set-up knows.
+    started_at: Option<Timestamp>,
     settle: bool,
 }
 
@@ -250,6 +254,7 @@ impl FlockSession {
             question: None,
             running_limit: None,
             present,
+            started_at: None,
             settle,
         };
         self.work_off(now, Box::new(configuring));
@@ -262,6 +267,12 @@ impl FlockSession {
                 Some(Action::Send { bytes, quiet_ms }) => {
                     self.transmit(bytes);
                     configuring.quiet_until = now + Duration::from_millis(quiet_ms);
+                    continue;
+                }
+                Some(Action::Run) => {
+                    self.transmit(Command::Run.to_bytes(None, Addressing::Normal));
+                    configuring.quiet_until = now + RUN_QUIET;
+                    configuring.started_at = Some(configuring.started_at.unwrap_or(now));
                     continue;
                 }
                 Some(Action::AwaitRunning) => Topic::Running,
@@ -318,6 +329,8 @@ impl FlockSession {
                     self.warn(format!(
                         "bird {list} does not run after auto-configuration; the others go on without it"
                     ));
+                } else {
+                    configuring.started_at = Some(now);
                 }
                 self.findings = Some(configuring.findings.clone());
             }
@@ -399,7 +412,7 @@ impl FlockSession {
             splitter,
             silence,
             silent_at: now + silence,
-            settled_at: if configuring.settle { now + SETTLE } else { now },
+            settled_at: if configuring.settle { configuring.started_at.unwrap_or(now) + SETTLE } else { now },
             poll,
         }));
     }
@@ -455,12 +468,12 @@ impl FlockSession {
 
     fn stream_timeout(&mut self, now: Timestamp, mut streaming: Box<Streaming>) {
         if now >= streaming.silent_at {
+            let silence_ms = streaming.silence.as_millis();
             self.phase = Phase::Streaming(streaming);
             self.leave_stream();
             self.set_state(State::Silent {
                 reason: format!(
-                    "no record for {} ms; check the unit's power, FLY switch and cable",
-                    MIN_SILENCE.as_millis()
+                    "no record for {silence_ms} ms; check the unit's power, FLY switch and cable"
                 ),
             });
             return self.examine(now);

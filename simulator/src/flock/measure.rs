@@ -1,12 +1,10 @@
 //! The measurement cycle: truth, physics, faults of the device, the class of each measurement.
 
-use std::time::Duration;
-
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use posed_drivers::Timestamp;
 
 use super::unit::Measured;
-use super::{FlockOutput, Ready, Sensor, VirtualFlock};
+use super::{FlockOutput, Ready, VirtualFlock};
 use crate::faults::{Fault, FaultHit};
 use crate::magnetic::Signal;
 use crate::truth::{Class, TruthCycle, TruthRow};
@@ -168,16 +166,5 @@ impl VirtualFlock {
 
     fn is_stalled(&self, t: Timestamp) -> bool {
         self.config.faults.iter().any(|fault| matches!(fault, Fault::Stall { .. }) && fault.is_active(t))
-    }
-
-    /// The truth of a sensor, for whoever stands beside the device.
-    pub fn truth_pose(&self, unit: usize, t: Timestamp) -> Option<Isometry3<f64>> {
-        let sensor: Option<&Sensor> = self.config.units.get(unit)?.sensor.as_ref();
-        sensor.map(|sensor| sensor.pose_in_room(t))
-    }
-
-    /// Length of a measurement cycle.
-    pub fn period(&self) -> Duration {
-        Duration::from_secs_f64((1.0 + self.config.drift_ppm * 1e-6) / self.rate_hz)
     }
 }

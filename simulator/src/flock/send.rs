@@ -7,6 +7,9 @@ use posed_drivers::flock::wire::{QuaternionSense, Scale, Shape};
 use super::{FlockOutput, VirtualFlock};
 use crate::line::{RecordByte, WireByte};
 
+/// Bytes of answers that a unit keeps while XOFF holds them back.
+const HELD_BACK_MAX: usize = 1024;
+
 impl VirtualFlock {
     /// Streams a frame, unless the last one is still on its way: then the whole frame is left out.
     pub(super) fn send_frame(&mut self, t: Timestamp) {
@@ -72,6 +75,7 @@ impl VirtualFlock {
     pub(super) fn send_answer(&mut self, t: Timestamp, bytes: Vec<u8>) {
         if self.xoff {
             self.held_back.extend(bytes);
+            self.held_back.truncate(HELD_BACK_MAX);
         } else {
             let records = vec![None; bytes.len()];
             self.send(t, &bytes, records);
