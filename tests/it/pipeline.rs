@@ -1,5 +1,7 @@
 //! The whole core on virtual Flocks: set-up, capture times, frames, filter, faults.
 
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests may panic and print")]
+
 use posed::input::{Input, Model};
 use posed::output::{Estimate, FaultCause, OutcomeKind, SensorState};
 use posed::pipeline::Pipeline;
