@@ -446,7 +446,7 @@ mod tests {
 
     fn frame(distributor: &mut Distributor, t_us: i64) {
         let t_valid = Timestamp::from_nanos(t_us * 1000);
-        distributor.publish(Item::Estimate(Box::new(Estimate { t_valid, ..Estimate::default() })));
+        distributor.publish(Item::Estimate(Estimate { t_valid, ..Estimate::default() }));
     }
 
     fn received(outbox: &Outbox) -> Vec<serde_json::Value> {
