@@ -25,7 +25,7 @@ pub(crate) struct Args {
     ports: Vec<(String, String)>,
 }
 
-fn port(text: &str) -> Result<(String, PortAddress), String> {
+fn port(text: &str) -> Result<(String, String), String> {
     let (device, port) = text.split_once('=').ok_or("write DEVICE=PORT, like flock=/dev/ttyUSB1")?;
     port.parse::<PortAddress>().map_err(|error| error.to_string())?;
     Ok((device.to_owned(), port.to_owned()))

@@ -16,7 +16,7 @@ pub mod inbox;
 mod playback;
 mod player;
 pub mod ports;
-mod recorder;
+pub mod recorder;
 pub mod server;
 
 use std::net::SocketAddr;
