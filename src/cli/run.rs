@@ -32,7 +32,8 @@ fn port(text: &str) -> Result<(String, String), String> {
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
-    let text = std::fs::read_to_string(&args.stage).map_err(|error| Error::file("read", &args.stage, &error))?;
+    let text =
+        std::fs::read_to_string(&args.stage).map_err(|error| Error::file("read", &args.stage, &error))?;
     let mut stage = Stage::load(&args.stage).map_err(Error::failed)?;
     for (name, port) in args.ports {
         match stage.devices.iter_mut().find(|device| device.name == name) {

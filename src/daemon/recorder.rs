@@ -99,6 +99,7 @@ impl Recorder {
         let (sender, receiver) = bounded(queue_items);
         let thread = {
             let shared = Arc::clone(&shared);
+            #[expect(clippy::disallowed_methods, reason = "the daemon owns the recorder's thread")]
             std::thread::Builder::new().name("recorder".to_owned()).spawn(move || {
                 if let Err(error) = run(writer, &mut sync, &receiver, &shared) {
                     tracing::error!("the recording has ended: {error}");

@@ -79,6 +79,7 @@ impl Header {
     }
 
     /// The attachments: name, media type, content.
+    #[expect(clippy::type_complexity, reason = "three columns, read in one place")]
     pub(super) fn attachments(&self) -> Result<Vec<(&'static str, &'static str, Vec<u8>)>, String> {
         let mut attachments = vec![(STAGE, "application/toml", self.stage_toml.clone().into_bytes())];
         if !self.models.is_empty() {
