@@ -18,6 +18,8 @@
 
 mod check;
 mod completions;
+mod export;
+mod info;
 
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
@@ -43,6 +45,10 @@ struct Cli {
 enum Command {
     /// Says all that is wrong with a stage file, by line and key, and how to mend it.
     Check(check::Args),
+    /// Says what is inside a recording, and completes one that breaks off.
+    Info(info::Args),
+    /// Writes a recording's poses or messages to a file that other programs open.
+    Export(export::Args),
     /// Writes the completion script of a shell.
     Completions(completions::Args),
 }
@@ -51,6 +57,8 @@ impl Command {
     fn run(self) -> Result<(), Error> {
         match self {
             Self::Check(args) => check::run(args),
+            Self::Info(args) => info::run(args),
+            Self::Export(args) => export::run(args),
             Self::Completions(args) => completions::run(args),
         }
     }

@@ -6,7 +6,7 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -45,6 +45,8 @@ pub enum RecorderState {
 /// A recording in progress; belongs to the fusion thread.
 #[derive(Debug)]
 pub struct Recorder {
+    path: PathBuf,
+    started: Timestamp,
     /// Gone once nothing more is taken.
     sender: Option<Sender<Job>>,
     shared: Arc<Shared>,
@@ -71,25 +73,36 @@ impl Recorder {
     ///
     /// # Errors
     /// The file exists, the folder is missing or may not be written to, the disk is full.
-    pub fn start(path: &Path, header: Header, schemas: &[(&str, String)]) -> Result<Self, WriteError> {
-        let file = OpenOptions::new().write(true).create_new(true).open(path)?;
-        let synced = file.try_clone()?;
+    pub fn start(path: &Path, header: Header, schemas: &[(&str, String)]) -> Result<Self, String> {
+        let refused = |error: WriteError| format!("cannot record to {}: {error}", path.display());
+        let open = || OpenOptions::new().write(true).create_new(true).open(path);
+        let file = open().map_err(|error| refused(error.into()))?;
+        let begun = file.try_clone().map_err(WriteError::from).and_then(|synced| {
+            let sync = move || synced.sync_data();
+            Self::start_with(path, BufWriter::new(file), sync, header, schemas, QUEUE_ITEMS)
+        });
         // So that its name survives a power cut too. Not every file system can do this.
         if let Some(folder) = path.parent() {
             let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
             let _ = File::open(folder).and_then(|folder| folder.sync_all());
         }
-        Self::start_with(BufWriter::new(file), move || synced.sync_data(), header, schemas, QUEUE_ITEMS)
+        begun.map_err(|error| {
+            // A file without its front part helps nobody.
+            let _ = std::fs::remove_file(path);
+            refused(error)
+        })
     }
 
     /// Begins a recording into `sink`; `sync` brings what was flushed to the disk.
     fn start_with(
+        path: &Path,
         sink: impl Write + Send + 'static,
         mut sync: impl FnMut() -> io::Result<()> + Send + 'static,
         header: Header,
         schemas: &[(&str, String)],
         queue_items: usize,
     ) -> Result<Self, WriteError> {
+        let started = header.begun;
         let mut writer = Writer::new(sink, header)?;
         schemas.iter().for_each(|(topic, schema)| writer.declare(topic, schema));
         sync()?;
@@ -106,7 +119,7 @@ impl Recorder {
                 }
             })?
         };
-        Ok(Self { sender: Some(sender), shared, bytes, thread })
+        Ok(Self { path: path.to_owned(), started, sender: Some(sender), shared, bytes, thread })
     }
 
     /// Appends an entry, before the messages that follow from it.
@@ -135,8 +148,31 @@ impl Recorder {
         self.shared.state().clone()
     }
 
+    /// Why it ended before its time, if it has.
+    pub fn failure(&self) -> Option<String> {
+        match self.state() {
+            RecorderState::Failed { reason } => Some(reason),
+            RecorderState::Recording | RecorderState::Stopped { .. } => None,
+        }
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The file's name.
+    pub fn name(&self) -> std::borrow::Cow<'_, str> {
+        self.path.file_name().unwrap_or(self.path.as_os_str()).to_string_lossy()
+    }
+
+    /// Stage time at which it began.
+    pub fn started(&self) -> Timestamp {
+        self.started
+    }
+
     /// Bytes written so far.
-    pub fn bytes_written(&self) -> u64 {
+    pub fn bytes(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed)
     }
 
@@ -152,15 +188,19 @@ impl Recorder {
         self.thread.is_finished()
     }
 
-    /// Waits until the file is closed, and says how it ended; stops it if nobody has.
-    pub fn wait(mut self) -> RecorderState {
+    /// Stops it if nobody has, and waits until the file is closed.
+    ///
+    /// # Errors
+    /// One sentence, where it could not be written to its end.
+    pub fn finish(mut self) -> Result<(), String> {
         self.stop("stopped");
         if self.thread.join().is_err() {
-            return RecorderState::Failed {
-                reason: "the recorder has crashed; please report this".to_owned(),
-            };
+            return Err("the recorder has crashed; please report this".to_owned());
         }
-        self.shared.state().clone()
+        match &*self.shared.state() {
+            RecorderState::Failed { reason } => Err(reason.clone()),
+            RecorderState::Recording | RecorderState::Stopped { .. } => Ok(()),
+        }
     }
 
     fn send(&mut self, job: Job) {
@@ -272,7 +312,9 @@ mod tests {
         }
         assert_eq!(recorder.state(), RecorderState::Recording);
         recorder.stop("asked to");
-        assert_eq!(recorder.wait(), RecorderState::Stopped { reason: "asked to".to_owned() });
+        assert_eq!(recorder.state(), RecorderState::Stopped { reason: "asked to".to_owned() });
+        assert_eq!((recorder.name().as_ref(), recorder.started()), ("a.mcap", header().begun));
+        recorder.finish().unwrap();
         let (items, ending, reason) = read(&path);
         assert_eq!((items.len(), ending, reason.as_deref()), (300, Some(Ending::Complete), Some("asked to")));
         assert_eq!(items[0], Item::Entry(chunk(0)));
@@ -283,10 +325,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.mcap");
         let mut recorder = Recorder::start(&path, header(), &[]).unwrap();
-        let front = recorder.bytes_written();
+        let front = recorder.bytes();
         recorder.entry(&chunk(1));
         // Until the flush comes by itself; nothing here depends on when.
-        while recorder.bytes_written() == front {
+        while recorder.bytes() == front {
             std::thread::yield_now();
         }
         let copy = folder.path().join("copy.mcap");
@@ -298,7 +340,7 @@ mod tests {
             }
         };
         assert_eq!(torn, (vec![Item::Entry(chunk(1))], Some(Ending::Torn), None));
-        recorder.wait();
+        recorder.finish().unwrap();
     }
 
     #[test]
@@ -307,12 +349,13 @@ mod tests {
         let path = folder.path().join("a.mcap");
         std::fs::write(&path, "precious").unwrap();
         let error = Recorder::start(&path, header(), &[]).unwrap_err();
-        assert!(error.to_string().contains("choose another name"), "{error}");
+        assert!(error.contains("a.mcap") && error.contains("choose another name"), "{error}");
         assert_eq!(std::fs::read(&path).unwrap(), b"precious");
-        assert!(Recorder::start(&folder.path().join("gone/a.mcap"), header(), &[]).is_err());
+        let error = Recorder::start(&folder.path().join("gone/a.mcap"), header(), &[]).unwrap_err();
+        assert!(error.contains("the folder does not exist"), "{error}");
         // Not even root may create a file here.
         let error = Recorder::start(Path::new("/proc/a.mcap"), header(), &[]).unwrap_err();
-        assert!(matches!(error, WriteError::Io(_) | WriteError::Refused(_)), "{error}");
+        assert!(error.contains("cannot record to /proc/a.mcap"), "{error}");
         let read_only = WriteError::from(io::Error::from(io::ErrorKind::ReadOnlyFilesystem));
         assert!(read_only.to_string().contains("no right to write"), "{read_only}");
     }
@@ -320,7 +363,8 @@ mod tests {
     #[test]
     fn given_a_full_disk_the_recording_fails_and_who_records_goes_on() {
         let sink = Full { left: 20_000, ..Full::default() };
-        let mut recorder = Recorder::start_with(sink, || Ok(()), header(), &[], 10_000).unwrap();
+        let mut recorder =
+            Recorder::start_with(Path::new("disk"), sink, || Ok(()), header(), &[], 10_000).unwrap();
         let mut n = 0;
         while !recorder.is_finished() {
             // Bytes that do not compress, so that the disk fills.
@@ -329,7 +373,7 @@ mod tests {
             std::thread::yield_now();
         }
         recorder.entry(&chunk(n));
-        let RecorderState::Failed { reason } = recorder.wait() else { panic!("it did not fail") };
+        let reason = recorder.finish().unwrap_err();
         assert!(reason.contains("disk"), "{reason}");
     }
 
@@ -339,14 +383,15 @@ mod tests {
         let path = folder.path().join("a.mcap");
         let (release, held) = bounded::<()>(0);
         let sink = Hanging { held, file: File::create(&path).unwrap(), free_bytes: 2000 };
-        let mut recorder = Recorder::start_with(sink, || Ok(()), header(), &[], 64).unwrap();
+        let mut recorder =
+            Recorder::start_with(Path::new("disk"), sink, || Ok(()), header(), &[], 64).unwrap();
         let mut n = 0;
         while recorder.state() == RecorderState::Recording {
             recorder.entry(&chunk(n));
             n += 1;
         }
         drop(release);
-        let RecorderState::Failed { reason } = recorder.wait() else { panic!("it did not fail") };
+        let reason = recorder.finish().unwrap_err();
         assert!(reason.contains("does not keep up"), "{reason}");
         let (items, ending, end_reason) = read(&path);
         assert_eq!((ending, end_reason), (Some(Ending::Complete), Some(reason)));

@@ -32,6 +32,9 @@ pub enum WriteError {
     /// A file of that name is there already.
     #[error("a file of that name is there already; choose another name")]
     Exists,
+    /// The folder is missing.
+    #[error("the folder does not exist; make it first")]
+    NoFolder,
     /// Anything else that the system said.
     #[error("the recording cannot be written: {0}")]
     Io(io::Error),
@@ -63,6 +66,7 @@ impl From<io::Error> for WriteError {
             Kind::StorageFull | Kind::QuotaExceeded | Kind::FileTooLarge => Self::DiskFull,
             Kind::PermissionDenied | Kind::ReadOnlyFilesystem => Self::Refused(error),
             Kind::AlreadyExists => Self::Exists,
+            Kind::NotFound => Self::NoFolder,
             _ => Self::Io(error),
         }
     }
