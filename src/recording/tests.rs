@@ -126,7 +126,7 @@ fn a_changed_byte_is_noticed_and_never_changes_an_item() {
 #[test]
 fn a_hole_in_the_log_is_named() {
     let mut writer = mcap::Writer::new(std::io::Cursor::new(Vec::new())).unwrap();
-    for (name, _, data) in header().attachments().unwrap() {
+    for super::header::Part { name, data, .. } in header().attachments().unwrap() {
         let (name, media_type) = (name.to_owned(), String::new());
         writer
             .attach(&mcap::Attachment { log_time: 0, create_time: 0, name, media_type, data: data.into() })

@@ -14,7 +14,7 @@ use mcap::{Attachment, Compression, McapError, WriteOptions};
 use posed_drivers::Timestamp;
 
 use super::MAX_RECORD_BYTES;
-use super::header::{Header, METADATA_END};
+use super::header::{Header, METADATA_END, Part};
 use crate::input::{DeviceIndex, Entry, Input};
 
 /// Uncompressed bytes after which a chunk is closed by itself.
@@ -120,7 +120,7 @@ impl<W: Write> Writer<W> {
         let sink = Counting { sink, bytes: Arc::clone(&bytes) };
         let mut mcap = options().create(NoSeek::new(sink))?;
         let time = header.log_time(header.begun);
-        for (name, media_type, data) in header.attachments().map_err(WriteError::Format)? {
+        for Part { name, media_type, data } in header.attachments().map_err(WriteError::Format)? {
             check_size(name, data.len())?;
             let (name, media_type) = (name.to_owned(), media_type.to_owned());
             mcap.attach(&Attachment {
