@@ -77,6 +77,8 @@ impl Recorder {
         let refused = |error: WriteError| format!("cannot record to {}: {error}", path.display());
         let open = || OpenOptions::new().write(true).create_new(true).open(path);
         let file = open().map_err(|error| refused(error.into()))?;
+        // For the repair, which must not take the name from a file in use. Without locks it has to trust people.
+        let _ = file.try_lock();
         let begun = file.try_clone().map_err(WriteError::from).and_then(|synced| {
             let sync = move || synced.sync_data();
             Self::start_with(path, BufWriter::new(file), sync, header, schemas, QUEUE_ITEMS)
@@ -292,7 +294,7 @@ fn run(
 mod tests {
     use super::*;
     use crate::recording::testing::{Full, chunk, header};
-    use crate::recording::{Ending, Item, Reader};
+    use crate::recording::{Ending, Item, Reader, RepairError};
 
     fn read(path: &Path) -> (Vec<Item>, Option<Ending>, Option<String>) {
         let mut reader = Reader::open(path).unwrap();
@@ -340,6 +342,7 @@ mod tests {
             }
         };
         assert_eq!(torn, (vec![Item::Entry(chunk(1))], Some(Ending::Torn), None));
+        assert!(matches!(crate::recording::repair(&path), Err(RepairError::InUse)), "it is being written");
         recorder.finish().unwrap();
     }
 
