@@ -9,9 +9,15 @@
 pub mod atomic_file;
 pub mod clock;
 pub mod daemon;
+pub mod faults;
+pub mod frame;
+pub mod fusion;
 pub mod geometry;
 pub mod input;
+pub mod noise;
 pub mod output;
+pub mod protocol;
+pub mod pipeline;
 pub mod recording;
 pub mod stage;
 pub mod table;

@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use posed::stage::{self, Problem, Report};
+use posed::stage::{self, Problem, Report, Stage};
 
-use super::{Error, print, print_json};
+use super::{Error, print, print_json, simulation};
 
 /// What to check.
 #[derive(clap::Args)]
@@ -34,7 +34,16 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 /// Checks the bytes of a stage file that stands in `folder`.
 fn report(bytes: &[u8], folder: &Path) -> Report {
     match std::str::from_utf8(bytes) {
-        Ok(text) => stage::check_in(text, folder),
+        Ok(text) => {
+            let mut report = stage::check_in(text, folder);
+            if report.ok
+                && let Ok(stage) = Stage::parse(text)
+            {
+                report.problems.extend(simulation::problems(text, &stage));
+                report.ok = report.problems.is_empty();
+            }
+            report
+        }
         Err(error) => {
             let line = 1 + bytes[..error.valid_up_to()].iter().filter(|byte| **byte == b'\n').count();
             let problem = Problem {

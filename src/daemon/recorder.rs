@@ -6,7 +6,7 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -45,8 +45,6 @@ pub enum RecorderState {
 /// A recording in progress; belongs to the fusion thread.
 #[derive(Debug)]
 pub struct Recorder {
-    path: PathBuf,
-    started: Timestamp,
     /// Gone once nothing more is taken.
     sender: Option<Sender<Job>>,
     shared: Arc<Shared>,
@@ -73,38 +71,33 @@ impl Recorder {
     ///
     /// # Errors
     /// The file exists, the folder is missing or may not be written to, the disk is full.
-    pub fn start(path: &Path, header: Header, schemas: &[(&str, String)]) -> Result<Self, String> {
-        let refused = |error: WriteError| format!("cannot record to {}: {error}", path.display());
-        let open = || OpenOptions::new().write(true).create_new(true).open(path);
-        let file = open().map_err(|error| refused(error.into()))?;
+    pub fn start(path: &Path, header: Header, schemas: &[(&str, String)]) -> Result<Self, WriteError> {
+        let file = OpenOptions::new().write(true).create_new(true).open(path)?;
         // For the repair, which must not take the name from a file in use. Without locks it has to trust people.
         let _ = file.try_lock();
         let begun = file.try_clone().map_err(WriteError::from).and_then(|synced| {
             let sync = move || synced.sync_data();
-            Self::start_with(path, BufWriter::new(file), sync, header, schemas, QUEUE_ITEMS)
+            Self::start_with(BufWriter::new(file), sync, header, schemas, QUEUE_ITEMS)
         });
         // So that its name survives a power cut too. Not every file system can do this.
         if let Some(folder) = path.parent() {
             let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
             let _ = File::open(folder).and_then(|folder| folder.sync_all());
         }
-        begun.map_err(|error| {
+        begun.inspect_err(|_| {
             // A file without its front part helps nobody.
             let _ = std::fs::remove_file(path);
-            refused(error)
         })
     }
 
     /// Begins a recording into `sink`; `sync` brings what was flushed to the disk.
     fn start_with(
-        path: &Path,
         sink: impl Write + Send + 'static,
         mut sync: impl FnMut() -> io::Result<()> + Send + 'static,
         header: Header,
         schemas: &[(&str, String)],
         queue_items: usize,
     ) -> Result<Self, WriteError> {
-        let started = header.begun;
         let mut writer = Writer::new(sink, header)?;
         schemas.iter().for_each(|(topic, schema)| writer.declare(topic, schema));
         sync()?;
@@ -121,7 +114,7 @@ impl Recorder {
                 }
             })?
         };
-        Ok(Self { path: path.to_owned(), started, sender: Some(sender), shared, bytes, thread })
+        Ok(Self { sender: Some(sender), shared, bytes, thread })
     }
 
     /// Appends an entry, before the messages that follow from it.
@@ -150,31 +143,8 @@ impl Recorder {
         self.shared.state().clone()
     }
 
-    /// Why it ended before its time, if it has.
-    pub fn failure(&self) -> Option<String> {
-        match self.state() {
-            RecorderState::Failed { reason } => Some(reason),
-            RecorderState::Recording | RecorderState::Stopped { .. } => None,
-        }
-    }
-
-    /// The file.
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// The file's name.
-    pub fn name(&self) -> std::borrow::Cow<'_, str> {
-        self.path.file_name().unwrap_or(self.path.as_os_str()).to_string_lossy()
-    }
-
-    /// Stage time at which it began.
-    pub fn started(&self) -> Timestamp {
-        self.started
-    }
-
     /// Bytes written so far.
-    pub fn bytes(&self) -> u64 {
+    pub fn bytes_written(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed)
     }
 
@@ -190,19 +160,15 @@ impl Recorder {
         self.thread.is_finished()
     }
 
-    /// Stops it if nobody has, and waits until the file is closed.
-    ///
-    /// # Errors
-    /// One sentence, where it could not be written to its end.
-    pub fn finish(mut self) -> Result<(), String> {
+    /// Stops it if nobody has, waits until the file is closed, and says how it ended.
+    pub fn wait(mut self) -> RecorderState {
         self.stop("stopped");
         if self.thread.join().is_err() {
-            return Err("the recorder has crashed; please report this".to_owned());
+            return RecorderState::Failed {
+                reason: "the recorder has crashed; please report this".to_owned(),
+            };
         }
-        match &*self.shared.state() {
-            RecorderState::Failed { reason } => Err(reason.clone()),
-            RecorderState::Recording | RecorderState::Stopped { .. } => Ok(()),
-        }
+        self.shared.state().clone()
     }
 
     fn send(&mut self, job: Job) {
@@ -314,9 +280,7 @@ mod tests {
         }
         assert_eq!(recorder.state(), RecorderState::Recording);
         recorder.stop("asked to");
-        assert_eq!(recorder.state(), RecorderState::Stopped { reason: "asked to".to_owned() });
-        assert_eq!((recorder.name().as_ref(), recorder.started()), ("a.mcap", header().begun));
-        recorder.finish().unwrap();
+        assert_eq!(recorder.wait(), RecorderState::Stopped { reason: "asked to".to_owned() });
         let (items, ending, reason) = read(&path);
         assert_eq!((items.len(), ending, reason.as_deref()), (300, Some(Ending::Complete), Some("asked to")));
         assert_eq!(items[0], Item::Entry(chunk(0)));
@@ -327,10 +291,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.mcap");
         let mut recorder = Recorder::start(&path, header(), &[]).unwrap();
-        let front = recorder.bytes();
+        let front = recorder.bytes_written();
         recorder.entry(&chunk(1));
         // Until the flush comes by itself; nothing here depends on when.
-        while recorder.bytes() == front {
+        while recorder.bytes_written() == front {
             std::thread::yield_now();
         }
         let copy = folder.path().join("copy.mcap");
@@ -343,7 +307,7 @@ mod tests {
         };
         assert_eq!(torn, (vec![Item::Entry(chunk(1))], Some(Ending::Torn), None));
         assert!(matches!(crate::recording::repair(&path), Err(RepairError::InUse)), "it is being written");
-        recorder.finish().unwrap();
+        recorder.wait();
     }
 
     #[test]
@@ -352,13 +316,12 @@ mod tests {
         let path = folder.path().join("a.mcap");
         std::fs::write(&path, "precious").unwrap();
         let error = Recorder::start(&path, header(), &[]).unwrap_err();
-        assert!(error.contains("a.mcap") && error.contains("choose another name"), "{error}");
+        assert!(error.to_string().contains("choose another name"), "{error}");
         assert_eq!(std::fs::read(&path).unwrap(), b"precious");
         let error = Recorder::start(&folder.path().join("gone/a.mcap"), header(), &[]).unwrap_err();
-        assert!(error.contains("the folder does not exist"), "{error}");
+        assert!(error.to_string().contains("the folder does not exist"), "{error}");
         // Not even root may create a file here.
-        let error = Recorder::start(Path::new("/proc/a.mcap"), header(), &[]).unwrap_err();
-        assert!(error.contains("cannot record to /proc/a.mcap"), "{error}");
+        assert!(Recorder::start(Path::new("/proc/a.mcap"), header(), &[]).is_err());
         let read_only = WriteError::from(io::Error::from(io::ErrorKind::ReadOnlyFilesystem));
         assert!(read_only.to_string().contains("no right to write"), "{read_only}");
     }
@@ -366,8 +329,7 @@ mod tests {
     #[test]
     fn given_a_full_disk_the_recording_fails_and_who_records_goes_on() {
         let sink = Full { left: 20_000, ..Full::default() };
-        let mut recorder =
-            Recorder::start_with(Path::new("disk"), sink, || Ok(()), header(), &[], 10_000).unwrap();
+        let mut recorder = Recorder::start_with(sink, || Ok(()), header(), &[], 10_000).unwrap();
         let mut n = 0;
         while !recorder.is_finished() {
             // Bytes that do not compress, so that the disk fills.
@@ -376,7 +338,7 @@ mod tests {
             std::thread::yield_now();
         }
         recorder.entry(&chunk(n));
-        let reason = recorder.finish().unwrap_err();
+        let RecorderState::Failed { reason } = recorder.wait() else { panic!("it did not fail") };
         assert!(reason.contains("disk"), "{reason}");
     }
 
@@ -386,15 +348,14 @@ mod tests {
         let path = folder.path().join("a.mcap");
         let (release, held) = bounded::<()>(0);
         let sink = Hanging { held, file: File::create(&path).unwrap(), free_bytes: 2000 };
-        let mut recorder =
-            Recorder::start_with(Path::new("disk"), sink, || Ok(()), header(), &[], 64).unwrap();
+        let mut recorder = Recorder::start_with(sink, || Ok(()), header(), &[], 64).unwrap();
         let mut n = 0;
         while recorder.state() == RecorderState::Recording {
             recorder.entry(&chunk(n));
             n += 1;
         }
         drop(release);
-        let reason = recorder.finish().unwrap_err();
+        let RecorderState::Failed { reason } = recorder.wait() else { panic!("it did not fail") };
         assert!(reason.contains("does not keep up"), "{reason}");
         let (items, ending, end_reason) = read(&path);
         assert_eq!((ending, end_reason), (Some(Ending::Complete), Some(reason)));

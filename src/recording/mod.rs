@@ -32,14 +32,16 @@ pub mod replay;
 pub mod writer;
 
 mod header;
+pub mod machine;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
 
-pub use compare::{Comparison, Difference, Golden, GoldenError};
+pub use compare::{Comparison, Difference, Golden, GoldenError, is_replayed};
 pub use header::{Header, Snapshot};
 pub use info::Info;
+pub use machine::{Machine, MachineError};
 pub use reader::{Ending, Item, Message, ReadError, Reader};
 pub use repair::{RepairError, Repaired, repair};
 pub use replay::{Mapping, Replayable, Verdict, VerifyError, verify};

@@ -36,6 +36,20 @@ pub fn check_in(text: &str, folder: &Path) -> Report {
     report(text, Some(folder)).1
 }
 
+/// Holds one table of a stage file against the JSON schema of its type, for tables whose types live elsewhere.
+///
+/// Gives its problems in the order of the lines; none if there is no such table, or the text is no TOML.
+pub fn check_table(text: &str, key: &str, schema: &serde_json::Value) -> Vec<Problem> {
+    let mut notes = Notes::new(text);
+    if let Ok(document) = DeTable::parse(text)
+        && let Some(value) = document.get_ref().get(key)
+        && let Some(table) = value.get_ref().as_table()
+    {
+        Shape::new(schema, &mut notes, false).document(value.span(), table);
+    }
+    notes.finish().0
+}
+
 pub(super) fn parse(text: &str, folder: Option<&Path>) -> Result<Stage, Problems> {
     match report(text, folder) {
         (Some(stage), _) => Ok(stage),
@@ -52,7 +66,7 @@ fn report(text: &str, folder: Option<&Path>) -> (Option<Stage>, Report) {
         let duplicate = syntax(text, error, &mut notes);
         broken |= !duplicate;
     }
-    Shape::new(&SCHEMA, &mut notes, broken).document(&document);
+    Shape::new(&SCHEMA, &mut notes, broken).document(document.span(), document.get_ref());
     if !broken {
         rules::check(&document, folder, &mut notes);
     }

@@ -30,10 +30,10 @@ impl<'a, 't> Shape<'a, 't> {
         Self { schema, notes, recovered }
     }
 
-    /// Checks a whole document.
-    pub(super) fn document(&mut self, table: &Spanned<DeTable<'_>>) {
+    /// Checks the table that the schema describes.
+    pub(super) fn document(&mut self, header: Range<usize>, table: &DeTable<'_>) {
         let schema = self.schema;
-        self.table(schema, "", table.span(), table.get_ref());
+        self.table(schema, "", header, table);
     }
 
     /// Follows `$ref`, and drops the `null` of an optional value.
@@ -60,7 +60,12 @@ impl<'a, 't> Shape<'a, 't> {
         fields.add(schema);
         if let Some(union) = Union::of(schema) {
             match self.alternative(&union, &header, table) {
-                Some(alternative) => fields.add(alternative),
+                Some(alternative) => {
+                    fields.add(alternative);
+                    if !alternative["$ref"].is_null() {
+                        fields.add(self.resolve(alternative));
+                    }
+                }
                 // Its keys cannot be told from strangers.
                 None => {
                     fields.open = true;
@@ -431,7 +436,7 @@ fn kind(schema: &Schema) -> Option<&str> {
     match &schema["type"] {
         Schema::String(kind) => Some(kind),
         Schema::Array(kinds) => kinds.iter().filter_map(Schema::as_str).find(|kind| *kind != "null"),
-        _ => None,
+        _ => Union::of(schema).map(|_| "object"),
     }
 }
 

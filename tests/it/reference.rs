@@ -4,30 +4,36 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use posed::stage::Stage;
+use posed_simulator::scenario::Scenario;
 use serde_json::Value;
 
-/// Tables of keys by the name of their place in the file, written from the JSON schema.
+/// Tables of keys by the name of their place in the file, written from JSON schemas.
 struct Reference {
     schema: Value,
     tables: BTreeMap<String, String>,
 }
 
 impl Reference {
-    fn new() -> Self {
-        let schema = schemars::schema_for!(Stage).to_value();
+    /// All tables of the object that a schema describes, which stands at `path` in the file.
+    fn tables(title: &str, path: &str, schema: Value) -> BTreeMap<String, String> {
         let mut reference = Self { schema: schema.clone(), tables: BTreeMap::new() };
-        reference.table("the file", "", &schema);
-        reference
+        reference.table(title, path, &schema);
+        reference.tables
     }
 
-    fn resolve<'a>(&'a self, schema: &'a Value) -> &'a Value {
+    /// Follows `$ref`, which may have other keys beside it, and drops the `null` of an optional value.
+    fn resolve(&self, schema: &Value) -> Value {
         let optional =
             schema["anyOf"].as_array().and_then(|list| list.iter().find(|one| one["type"] != "null"));
         let schema = optional.unwrap_or(schema);
-        match schema["$ref"].as_str().and_then(|path| path.strip_prefix("#/$defs/")) {
-            Some(name) => &self.schema["$defs"][name],
-            None => schema,
+        let Some(name) = schema["$ref"].as_str().and_then(|path| path.strip_prefix("#/$defs/")) else {
+            return schema.clone();
+        };
+        let mut merged = self.schema["$defs"][name].clone();
+        if let Some(own) = schema["properties"].as_object() {
+            merged["properties"].as_object_mut().unwrap().extend(own.clone());
         }
+        merged
     }
 
     /// Writes the table of one object, and those of the objects below it.
@@ -40,11 +46,11 @@ impl Reference {
                 continue;
             }
             let below = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
-            let inner = self.resolve(property).clone();
-            let items = self.resolve(&inner["items"]).clone();
-            let (value, has_keys) = if items["properties"].is_object() {
+            let inner = self.resolve(property);
+            let items = self.resolve(&inner["items"]);
+            let (value, has_keys) = if is_table(&items) {
                 (format!("`[[{below}]]` tables"), Some((format!("[[{below}]]"), items)))
-            } else if inner["properties"].is_object() {
+            } else if is_table(&inner) {
                 (format!("`[{below}]` table"), Some((format!("[{below}]"), inner)))
             } else {
                 (value_words(&inner), None)
@@ -52,6 +58,7 @@ impl Reference {
             let default = match &property["default"] {
                 _ if required.contains(&name.as_str()) => "required".to_owned(),
                 Value::Null | Value::Object(_) => String::new(),
+                Value::String(text) if text.is_empty() => "required".to_owned(),
                 Value::Array(list) if list.is_empty() => String::new(),
                 default => format!("`{default}`"),
             };
@@ -62,18 +69,60 @@ impl Reference {
                 self.table(&title, &below, &schema);
             }
         }
-        let alternatives = schema["oneOf"].as_array().into_iter().flatten();
-        let tags: Vec<String> =
-            alternatives.clone().map(|one| format!("`{}`", one["properties"]["driver"]["const"])).collect();
-        if !tags.is_empty() {
-            text.push_str(&format!("| `driver` | {} | required | The driver. |\n", tags.join(", ")));
-        }
-        for alternative in alternatives {
-            let tag = alternative["properties"]["driver"]["const"].as_str().unwrap();
-            self.table(&format!("{title} {tag}"), path, alternative);
+        let alternatives: Vec<Value> = schema["oneOf"].as_array().cloned().unwrap_or_default();
+        if alternatives.iter().any(|one| one["properties"]["driver"].is_object()) {
+            let words: Vec<String> = alternatives
+                .iter()
+                .map(|one| format!("`{}`", one["properties"]["driver"]["const"]))
+                .collect();
+            text.push_str(&format!("| `driver` | {} | required | The driver. |\n", words.join(", ")));
+            for one in &alternatives {
+                let word = one["properties"]["driver"]["const"].as_str().unwrap();
+                self.table(&format!("{title} {word}"), path, one);
+            }
+        } else if !alternatives.is_empty() {
+            text = self.kinds(&alternatives);
         }
         self.tables.insert(title.to_owned(), text + "\n");
     }
+
+    /// Writes the table of a choice: one row per `kind`, with its keys.
+    fn kinds(&self, alternatives: &[Value]) -> String {
+        let mut text = String::from("\n| `kind` | meaning | further keys |\n|---|---|---|\n");
+        for one in alternatives {
+            let about = one["description"].as_str().unwrap().replace('\n', " ");
+            let full = self.resolve(one);
+            let required: Vec<Value> = [one, &full]
+                .iter()
+                .flat_map(|schema| schema["required"].as_array().cloned().unwrap_or_default())
+                .collect();
+            let properties = full["properties"].as_object().unwrap();
+            let keys = properties.iter().filter(|(_, property)| !property["const"].is_string());
+            let keys: Vec<String> = keys
+                .map(|(name, property)| {
+                    let meaning = property["description"].as_str().unwrap().trim_end_matches('.');
+                    let default = match &property["default"] {
+                        _ if required.contains(&Value::from(name.as_str())) => ", required".to_owned(),
+                        Value::Null => String::new(),
+                        default => format!(", default `{default}`"),
+                    };
+                    format!("`{name}`: {meaning} ({}{default})", value_words(&self.resolve(property)))
+                })
+                .collect();
+            text.push_str(&format!(
+                "| `{}` | {about} | {} |\n",
+                one["properties"]["kind"]["const"],
+                keys.join("<br>")
+            ));
+        }
+        text
+    }
+}
+
+/// Whether a value is a table with keys of its own.
+fn is_table(schema: &Value) -> bool {
+    let is_choice = |list: &Vec<Value>| list.iter().any(|one| one["properties"]["kind"].is_object());
+    schema["properties"].is_object() || schema["oneOf"].as_array().is_some_and(is_choice)
 }
 
 /// What a value looks like, in a word or two.
@@ -98,8 +147,8 @@ fn value_words(schema: &Value) -> String {
         Some("boolean") => "`true`, `false`".to_owned(),
         Some("object") => "table".to_owned(),
         Some("array") => match schema["minItems"].as_u64() {
-            Some(count) => format!("[{count} numbers]"),
-            None => "[list of text]".to_owned(),
+            Some(count) => format!("\\[{count} numbers\\]"),
+            None => "list of texts".to_owned(),
         },
         Some(kind) => {
             let noun = if kind == "integer" { "whole number" } else { "number" };
@@ -118,7 +167,9 @@ fn value_words(schema: &Value) -> String {
 fn the_reference_of_every_key_agrees_with_the_types() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/README.md");
     let text = std::fs::read_to_string(&path).unwrap();
-    let mut tables = Reference::new().tables;
+    let mut tables = Reference::tables("the file", "", schemars::schema_for!(Stage).to_value());
+    let scenario = schemars::schema_for!(Scenario).to_value();
+    tables.extend(Reference::tables("[simulation]", "simulation", scenario));
     let mut parts = text.split("<!-- keys: ");
     let mut written = parts.next().unwrap().to_owned();
     for part in parts {
