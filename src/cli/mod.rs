@@ -30,6 +30,8 @@ mod schema;
 mod simulate;
 mod simulation;
 mod watch;
+mod export;
+mod info;
 
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
@@ -67,6 +69,10 @@ enum Command {
     Replay(replay::Args),
     /// Decodes a capture made elsewhere to CSV or JSON lines.
     Decode(decode::Args),
+    /// Says what is inside a recording, and completes one that breaks off.
+    Info(info::Args),
+    /// Writes a recording's poses or messages to a file that other programs open.
+    Export(export::Args),
     /// Writes the completion script of a shell.
     Completions(completions::Args),
     /// Prints the JSON Schema of all websocket messages.
@@ -83,6 +89,8 @@ impl Command {
             Self::Simulate(args) => simulate::run(args),
             Self::Doctor(args) => doctor::run(args),
             Self::Decode(args) => decode::run(args),
+            Self::Info(args) => info::run(args),
+            Self::Export(args) => export::run(args),
             Self::Completions(args) => completions::run(args),
             Self::Schema(args) => schema::run(args),
         }
