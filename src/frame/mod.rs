@@ -182,7 +182,8 @@ impl Assembler {
 
     /// The stage clock's device: the fastest that is alive.
     fn choose_reference(&mut self, now: Timestamp) {
-        let alive = |index: usize| self.devices[index].period_s().filter(|_| self.devices[index].is_alive(now));
+        let alive =
+            |index: usize| self.devices[index].period_s().filter(|_| self.devices[index].is_alive(now));
         let mut best = self.reference.and_then(|index| alive(index).map(|period| (index, period * FASTER)));
         for index in 0..self.devices.len() {
             if let Some(period) = alive(index)
@@ -245,7 +246,8 @@ impl Assembler {
     }
 
     fn next_grid_tick(&self, grid_s: f64, now: Timestamp) -> Option<(Tick, Timestamp)> {
-        let latest = self.devices.iter().filter(|device| device.is_running()).filter_map(Device::latest).max()?;
+        let latest =
+            self.devices.iter().filter(|device| device.is_running()).filter_map(Device::latest).max()?;
         let at = |n: f64| Timestamp::from_secs_f64(n * grid_s);
         let (mut t, mut left_out) = (at((latest.as_secs_f64() / grid_s).ceil()), 0);
         if let Some(last) = self.last_scheduled {
