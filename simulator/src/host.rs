@@ -4,6 +4,7 @@
 //! faults to a watcher. The behaviour of the devices is elsewhere: this file only moves bytes on time.
 
 use std::io;
+use std::os::fd::OwnedFd;
 use std::path::Path;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -231,13 +232,22 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Port for Stream<S> {
     }
 }
 
+/// A descriptor that the runtime watches.
+#[expect(
+    deprecated,
+    reason = "the new constructor is unsafe since a type may lie about its descriptor; OwnedFd does not"
+)]
+pub(crate) fn watched(fd: OwnedFd) -> io::Result<AsyncFd<OwnedFd>> {
+    AsyncFd::new(fd)
+}
+
 /// A timer that is finer than the runtime's millisecond.
-struct Timer(AsyncFd<std::os::fd::OwnedFd>);
+struct Timer(AsyncFd<OwnedFd>);
 
 impl Timer {
     fn new() -> io::Result<Self> {
         let flags = TimerfdFlags::NONBLOCK | TimerfdFlags::CLOEXEC;
-        Ok(Self(AsyncFd::new(rustix::time::timerfd_create(TimerfdClockId::Monotonic, flags)?)?))
+        Ok(Self(watched(rustix::time::timerfd_create(TimerfdClockId::Monotonic, flags)?)?))
     }
 
     /// Expires in `seconds`; at once when that is not above 0.

@@ -12,7 +12,7 @@ use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, ptsname, unlo
 use rustix::termios::{OptionalActions, QueueSelector, tcflush, tcgetattr, tcsetattr};
 use tokio::io::unix::AsyncFd;
 
-use crate::host::Port;
+use crate::host::{Port, watched};
 
 /// Both ends of a pseudo-terminal.
 struct Ends {
@@ -85,7 +85,7 @@ impl Port for Pty {
         rustix::io::ioctl_fionbio(&ours, true)?;
         let path = path.into_string().map_err(io::Error::other)?;
         place_link(Path::new(&path), &self.link)?;
-        self.ends = Some(Ends { ours: AsyncFd::new(ours)?, theirs });
+        self.ends = Some(Ends { ours: watched(ours)?, theirs });
         Ok(())
     }
 }

@@ -1,19 +1,14 @@
-//! The `[simulation]` table of a stage file, and how it becomes virtual devices.
+//! The `[simulation]` table of a stage file: its types and their check. `build` makes virtual devices of it.
 
-use std::path::Path;
-use std::time::Duration;
+mod build;
+#[cfg(test)]
+mod tests;
 
-use nalgebra::{Isometry3, Unit, Vector3};
 use posed_drivers::flock::wire::Addressing;
 use serde::{Deserialize, Serialize};
 
 use crate::faults::Fault;
-use crate::flock::{FlockConfig, Sensor, UnitConfig};
-use crate::line::LineConfig;
-use crate::magnetic::{
-    Environment, Excitation, Floor, Hum, Sphere, Tracker, conductor_response, iron_response,
-};
-use crate::motion::{Body, FileError, Motion, Orbit, quaternion};
+use crate::motion::{FileError, Motion};
 
 /// What is simulated in the devices' place. Every key has a default; `Scenario::default()` is a clean, quiet stage.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -273,7 +268,7 @@ pub enum ScenarioError {
     },
 }
 
-pub(crate) fn invalid(key: impl Into<String>, problem: impl Into<String>) -> ScenarioError {
+fn invalid(key: impl Into<String>, problem: impl Into<String>) -> ScenarioError {
     ScenarioError::Invalid { key: key.into(), problem: problem.into() }
 }
 
@@ -337,307 +332,17 @@ impl Scenario {
             }
             not_negative(&key("burst_ms"), device.burst_ms)?;
             not_negative(&key("boot_ms"), device.boot_ms)?;
-            if !(device.drift_ppm.abs() <= 1e4) {
+            if device.drift_ppm.abs() > 1e4 || device.drift_ppm.is_nan() {
                 return Err(invalid(key("drift_ppm"), "should be within 10000 parts per million"));
             }
             for fault in &device.faults {
                 let (start_s, end_s) = fault.span_s();
-                if !start_s.is_finite() || start_s < 0.0 || !(end_s >= start_s) {
+                if !start_s.is_finite() || start_s < 0.0 || end_s < start_s || end_s.is_nan() {
                     let problem = format!("{} should begin at 0 s or later and end after that", fault.name());
                     return Err(invalid(key("fault"), problem));
                 }
             }
         }
         Ok(())
-    }
-
-    /// Physics in transmitter axes.
-    fn tracker(&self, room_from_transmitter: &Isometry3<f64>, extended: bool) -> Tracker {
-        let transmitter_from_room = room_from_transmitter.inverse();
-        let excitation = match self.excitation {
-            ExcitationSpec::PulsedDc { sample_delay_ms } => {
-                Excitation::PulsedDc { sample_delay_s: sample_delay_ms * 1e-3 }
-            }
-            ExcitationSpec::Ac { frequency_hz } => Excitation::Ac { frequency_hz },
-        };
-        let response = |material, radius_m| match material {
-            Material::Iron => iron_response(200.0),
-            Material::Aluminium => conductor_response(excitation, 3.5e7, radius_m),
-            Material::Copper => conductor_response(excitation, 5.8e7, radius_m),
-            Material::Conductor => -1.0,
-        };
-        let spheres = self.metal.iter().map(|metal| Sphere {
-            center_m: (transmitter_from_room * nalgebra::Point3::from(metal.center_m)).coords,
-            radius_m: metal.radius_m,
-            response: response(metal.material, metal.radius_m),
-        });
-        let floor = self.floor.map(|floor| {
-            let height_m = room_from_transmitter.translation.z - floor.z_m;
-            let up = transmitter_from_room.rotation * Vector3::z();
-            Floor {
-                normal: Unit::new_normalize(up * height_m.signum()),
-                distance_m: height_m.abs(),
-                strength: if floor.material == Material::Iron { floor.strength } else { -floor.strength },
-            }
-        });
-        Tracker {
-            environment: Environment { spheres: spheres.collect(), floor },
-            sigma_signal: self.sigma_signal_per_m3,
-            hum: self.hum.map(|hum| Hum {
-                frequency_hz: hum.frequency_hz,
-                amplitude: transmitter_from_room.rotation * Vector3::from(hum.amplitude_per_m3),
-                phase_rad: 0.0,
-            }),
-            max_range_m: self.max_range_m.unwrap_or(if extended { 3.0 } else { 1.2 }),
-            min_range_m: self.min_range_m,
-        }
-    }
-
-    /// Reads the files of motion and finds the body of each sensor of the stage.
-    pub(crate) fn riders(&self, stage: &StageSpec, folder: &Path) -> Result<Vec<Sensor>, ScenarioError> {
-        let mut bodies = Vec::new();
-        for spec in &self.bodies {
-            let body = Body::new(spec.motion.clone(), folder)
-                .map_err(|source| ScenarioError::Motion { body: spec.name.clone(), source })?;
-            bodies.push((spec.name.as_str(), body));
-        }
-        let transmitter = transmitter_in_room(stage);
-        let rider = |(index, sensor): (usize, &SensorSpec)| {
-            let Some(given) = self.sensors.iter().find(|given| given.name == sensor.name) else {
-                let body = Body::new(Motion::Orbit(default_orbit(index, &transmitter)), folder)
-                    .map_err(|source| ScenarioError::Motion { body: sensor.name.clone(), source })?;
-                return Ok(Sensor { index, body, segment: 0, mount: Isometry3::identity() });
-            };
-            let body = bodies.iter().find(|(name, _)| *name == given.body).map(|(_, body)| body.clone());
-            let body =
-                body.ok_or_else(|| invalid("sensor.body", format!("there is no body `{}`", given.body)))?;
-            let segment = match &given.segment {
-                None => Some(0),
-                Some(name) => body.segments().iter().position(|segment| segment == name),
-            };
-            let segment = segment.ok_or_else(|| {
-                let key = format!("sensor.{}.segment", given.name);
-                invalid(key, format!("body `{}` has the segments {}", given.body, body.segments().join(", ")))
-            })?;
-            let mount = Isometry3::from_parts(given.offset_m.into(), quaternion(given.mount_quat_wxyz));
-            Ok(Sensor { index, body, segment, mount })
-        };
-        stage.sensors.iter().enumerate().map(rider).collect()
-    }
-
-    /// The flock and the line of the `index`-th device.
-    pub(crate) fn flock(
-        &self,
-        stage: &StageSpec,
-        index: usize,
-        riders: &[Sensor],
-    ) -> Result<(FlockConfig, LineConfig), ScenarioError> {
-        let device = &stage.devices[index];
-        let wrong = |problem: String| invalid(format!("device.{}", device.name), problem);
-        if device.driver != "flock-of-birds" {
-            return Err(wrong(format!(
-                "driver `{}` cannot be simulated yet, only flock-of-birds",
-                device.driver
-            )));
-        }
-        let given = self.devices.iter().find(|given| given.name == device.name).cloned().unwrap_or_default();
-        let mut birds: Vec<(u8, Sensor)> = Vec::new();
-        for (sensor, rider) in
-            stage.sensors.iter().zip(riders).filter(|(sensor, _)| sensor.device == device.name)
-        {
-            let address = u8::try_from(sensor.address).ok().filter(|&address| address <= 126);
-            let address = address.ok_or_else(|| wrong(format!("address {} is above 126", sensor.address)))?;
-            if birds.iter().any(|&(taken, _)| taken == address) {
-                return Err(wrong(format!("address {address} is taken twice")));
-            }
-            birds.push((address, rider.clone()));
-        }
-        let stand_alone = birds.iter().any(|&(address, _)| address == 0);
-        if stand_alone && birds.len() > 1 {
-            return Err(wrong("address 0 is a stand-alone unit and has no neighbours".to_owned()));
-        }
-        let highest = birds.iter().map(|&(address, _)| address).max().unwrap_or(1);
-        let addressing = given.addressing.unwrap_or(match highest {
-            0..=14 => Addressing::Normal,
-            15..=30 => Addressing::Expanded,
-            _ => Addressing::SuperExpanded,
-        });
-        if highest > addressing.max_address() {
-            return Err(wrong(format!("address {highest} does not fit {addressing:?} addressing")));
-        }
-        let has_first = birds.iter().any(|&(address, _)| address <= 1);
-        let extended_range = given.extended_range.unwrap_or(!has_first);
-        let addresses = if stand_alone { 0..=0 } else { 1..=highest };
-        let units = addresses.map(|address| UnitConfig {
-            sensor: birds.iter().find(|&&(bird, _)| bird == address).map(|(_, sensor)| sensor.clone()),
-            extended_controller: address == 1 && extended_range && !has_first,
-            transmitter: address <= 1,
-        });
-        let transmitter_in_room = transmitter_in_room(stage);
-        let duration = |ms: f64| Duration::from_secs_f64(ms.max(0.0) * 1e-3);
-        let flock = FlockConfig {
-            device: index,
-            baud: device.baud,
-            stand_alone,
-            units: units.collect(),
-            addressing,
-            revision: given.revision,
-            extended_range,
-            rate_hz: given.rate_hz,
-            drift_ppm: given.drift_ppm,
-            measurement_delay: duration(device.measurement_delay_ms),
-            boot: duration(given.boot_ms),
-            transmitter_in_room,
-            tracker: self.tracker(&transmitter_in_room, extended_range),
-            disturbed_above_m: self.disturbed_above_mm * 1e-3,
-            faults: given.faults.clone(),
-        };
-        let line = LineConfig {
-            baud: device.baud,
-            fifo_bytes: given.fifo_bytes.max(1),
-            burst: duration(given.burst_ms),
-        };
-        Ok((flock, line))
-    }
-
-    /// The faults of a device, by name.
-    pub(crate) fn faults(&self, device: &str) -> Vec<Fault> {
-        self.devices
-            .iter()
-            .find(|given| given.name == device)
-            .map_or_else(Vec::new, |given| given.faults.clone())
-    }
-}
-
-fn transmitter_in_room(stage: &StageSpec) -> Isometry3<f64> {
-    stage.transmitter_in_room.map_or_else(Isometry3::identity, |(position, orientation)| {
-        Isometry3::from_parts(position.into(), quaternion(orientation))
-    })
-}
-
-/// A curve of its own for each sensor that the scenario leaves out: half a metre before the transmitter.
-fn default_orbit(index: usize, transmitter: &Isometry3<f64>) -> Orbit {
-    let center = transmitter * nalgebra::Point3::new(0.5, 0.0, 0.0);
-    Orbit {
-        center_m: center.coords.into(),
-        radius_m: [0.12, 0.15, 0.1],
-        phase_deg: 77.0 * index as f64,
-        period_s: 5.0 + 0.7 * (index % 5) as f64,
-        ..Orbit::default()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn stage() -> StageSpec {
-        let sensor = |name: &str, address| SensorSpec { name: name.into(), device: "flock".into(), address };
-        StageSpec {
-            transmitter_in_room: Some(([0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0])),
-            devices: vec![DeviceSpec {
-                name: "flock".into(),
-                driver: "flock-of-birds".into(),
-                baud: 115_200,
-                measurement_delay_ms: 0.0,
-            }],
-            sensors: vec![sensor("upper_arm_r", 1), sensor("forearm_r", 2), sensor("wand", 3)],
-        }
-    }
-
-    #[test]
-    fn the_demo_is_understood() {
-        let scenario: Scenario = toml::from_str(include_str!("../resources/demo-simulation.toml")).unwrap();
-        scenario.check(&stage()).unwrap();
-        let riders = scenario.riders(&stage(), Path::new(".")).unwrap();
-        let (flock, _) = scenario.flock(&stage(), 0, &riders).unwrap();
-        assert_eq!(flock.units.len(), 3);
-        assert!(!flock.extended_range && !flock.stand_alone);
-    }
-
-    #[test]
-    fn an_empty_table_is_a_quiet_stage() {
-        let scenario: Scenario = toml::from_str("").unwrap();
-        assert_eq!(scenario, Scenario::default());
-        assert!(scenario.riders(&stage(), Path::new(".")).unwrap().len() == 3);
-    }
-
-    #[test]
-    fn every_fault_can_be_written() {
-        let text = "[[device]]\nname = 'flock'\nfault = [\
-            { kind = 'lost-bytes', count = 50, start_s = 5, end_s = 15 },\
-            { kind = 'inserted-bytes', count = 50, start_s = 5, end_s = 15 },\
-            { kind = 'bit7-flips', count = 50, start_s = 5, end_s = 15 },\
-            { kind = 'data-bit-flips', count = 50, start_s = 5, end_s = 15 },\
-            { kind = 'bursts', start_s = 5, end_s = 15, burst_ms = 16 },\
-            { kind = 'unplug', at_s = 5, duration_s = 2 },\
-            { kind = 'phase-cut', at_s = 5 },\
-            { kind = 'stall', at_s = 5 },\
-            { kind = 'power-cycle', at_s = 5 },\
-            { kind = 'bird-dies', address = 2, at_s = 5 },\
-            { kind = 'hemisphere-flip', address = 2, at_s = 5, duration_s = 0.5 },\
-            { kind = 'out-of-range', address = 2, at_s = 5, duration_s = 0.5 },\
-            { kind = 'bad-matrix', address = 2, at_s = 5, duration_s = 0.5 },\
-            { kind = 'error', address = 1, at_s = 5, code = 13, detail = 2 } ]\n";
-        let scenario: Scenario = toml::from_str(text).unwrap();
-        assert_eq!(scenario.devices[0].faults.len(), 14);
-        scenario.check(&stage()).unwrap();
-        let again: Scenario = toml::from_str(&toml::to_string(&scenario).unwrap()).unwrap();
-        assert_eq!(again, scenario);
-    }
-
-    #[test]
-    fn what_is_wrong_is_named() {
-        let problem = |text: &str| match toml::from_str::<Scenario>(text) {
-            Err(error) => error.message().to_owned(),
-            Ok(scenario) => match scenario.check(&stage()) {
-                Err(error) => error.to_string(),
-                Ok(()) => scenario.riders(&stage(), Path::new("/none")).unwrap_err().to_string(),
-            },
-        };
-        let body = "[[body]]\nname = 'arm'\nmotion.kind = 'curl'\n";
-        assert!(problem("sede = 3").contains("unknown field `sede`"));
-        assert!(problem("min_range_m = 0").contains("min_range_m: 0 should be above 0"));
-        assert!(problem("[[device]]\nname = 'flok'").contains("no device `flok`"));
-        assert!(problem("[[device]]\nname = 'flock'\nrate_hz = 500").contains("14 to 144 Hz"));
-        assert!(problem("[[sensor]]\nname = 'wand'\nbody = 'x'").contains("no [[simulation.body]]"));
-        assert!(problem(&format!("{body}motion.period_s = 0\n")).contains("period_s"));
-        assert!(problem(&format!("{body}motion.perod_s = 1\n")).contains("perod_s"));
-        assert!(
-            problem(&format!("{body}[[sensor]]\nname = 'wand'\nbody = 'arm'\nsegment = 'hand'\n"))
-                .contains("has the segments upper_arm, forearm")
-        );
-        assert!(
-            problem("[[body]]\nname = 'a'\nmotion = { kind = 'file', path = 'a.bvh' }\n")
-                .contains("/none/a.bvh")
-        );
-        let fault = "[[device]]\nname = 'flock'\nfault = [{ kind = 'stall', at_s = -1 }]\n";
-        assert!(problem(fault).contains("should begin at 0 s or later"), "{}", problem(fault));
-    }
-
-    #[test]
-    fn without_a_bird_at_address_1_an_extended_range_controller_is_there() {
-        let mut stage = stage();
-        for sensor in &mut stage.sensors {
-            sensor.address += 1;
-        }
-        let scenario = Scenario::default();
-        let riders = scenario.riders(&stage, Path::new(".")).unwrap();
-        let (flock, _) = scenario.flock(&stage, 0, &riders).unwrap();
-        assert!(flock.extended_range && flock.units[0].extended_controller);
-        assert_eq!(flock.units.len(), 4);
-        assert!(flock.units[0].sensor.is_none());
-    }
-
-    #[test]
-    fn the_floor_lies_below_the_transmitter_whatever_its_axes() {
-        let scenario = Scenario {
-            floor: Some(FloorSpec { z_m: 0.0, strength: 0.1, material: Material::Iron }),
-            ..Scenario::default()
-        };
-        let tracker = scenario.tracker(&transmitter_in_room(&stage()), false);
-        let floor = tracker.environment.floor.unwrap();
-        assert_eq!(floor.distance_m, 1.0);
-        assert!((floor.normal.into_inner() - Vector3::new(0.0, 0.0, -1.0)).norm() < 1e-12, "z is down");
     }
 }

@@ -79,9 +79,12 @@ fn records(host: &mut Host, ms: f64) -> Vec<(u8, usize)> {
     starts.windows(2).map(|pair| (bytes[pair[1] - 1], pair[1] - pair[0])).collect()
 }
 
+/// What the host writes, and how long it waits then, ms.
+type Step<'a> = (&'a [u8], f64);
+
 #[test]
 fn the_start_up_sequences_in_use_lead_to_a_stream() {
-    let steps: [(&str, &[(&[u8], f64)]); 6] = [
+    let steps: [(&str, &[Step]); 6] = [
         (
             "VRPN",
             &[

@@ -74,8 +74,9 @@ impl Tracker {
         let p_m = pose.translation.vector;
         let r_m = p_m.norm();
         let mirrored = p_m.dot(hemisphere) < 0.0;
-        if !(r_m <= self.max_range_m) || r_m < 1e-3 {
-            let signal = if r_m < 1e-3 { Signal::Saturated } else { Signal::Weak };
+        let too_near = r_m < 1e-3;
+        if too_near || r_m > self.max_range_m || r_m.is_nan() {
+            let signal = if too_near { Signal::Saturated } else { Signal::Weak };
             return Reading { solution: None, distortion_m: Vector3::zeros(), mirrored, signal };
         }
         let mut signals = signal_matrix(&self.environment.field(&p_m), &pose.rotation);

@@ -74,23 +74,21 @@ fn second_derivatives(t: &[f64], y: &[Row]) -> Vec<Row> {
     if n < 2 {
         return bends;
     }
-    let slope = |i: usize, c: usize| (y[i + 1][c] - y[i][c]) / (t[i + 1] - t[i]);
+    let slope = |i: usize| -> Row { std::array::from_fn(|c| (y[i + 1][c] - y[i][c]) / (t[i + 1] - t[i])) };
     let mut upper = vec![0.0; n];
+    let (mut left, mut slope_left, mut before, mut upper_before) = (0.0, [0.0; 7], [0.0; 7], 0.0);
     for i in 0..n {
-        let (left, right) =
-            (if i > 0 { t[i] - t[i - 1] } else { 0.0 }, if i + 1 < n { t[i + 1] - t[i] } else { 0.0 });
-        let lower_factor = if i > 0 { left * upper[i - 1] } else { 0.0 };
-        let diagonal = 2.0 * (left + right) - lower_factor;
+        let (right, slope_right) = if i + 1 < n { (t[i + 1] - t[i], slope(i)) } else { (0.0, [0.0; 7]) };
+        let diagonal = 2.0 * (left + right) - left * upper_before;
         upper[i] = right / diagonal;
-        for c in 0..7 {
-            let jump = if i + 1 < n { slope(i, c) } else { 0.0 } - if i > 0 { slope(i - 1, c) } else { 0.0 };
-            let before = if i > 0 { left * bends[i - 1][c] } else { 0.0 };
-            bends[i][c] = (6.0 * jump - before) / diagonal;
-        }
+        bends[i] =
+            std::array::from_fn(|c| (6.0 * (slope_right[c] - slope_left[c]) - left * before[c]) / diagonal);
+        (left, slope_left, before, upper_before) = (right, slope_right, bends[i], upper[i]);
     }
     for i in (0..n - 1).rev() {
-        for c in 0..7 {
-            bends[i][c] -= upper[i] * bends[i + 1][c];
+        let after = bends[i + 1];
+        for (bend, after) in bends[i].iter_mut().zip(after) {
+            *bend -= upper[i] * after;
         }
     }
     bends
