@@ -22,6 +22,8 @@ mod decode;
 mod demo;
 mod doctor;
 mod end;
+mod export;
+mod info;
 mod output;
 mod replay;
 mod replay_pty;
@@ -30,8 +32,6 @@ mod schema;
 mod simulate;
 mod simulation;
 mod watch;
-mod export;
-mod info;
 
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
