@@ -26,7 +26,8 @@ use crate::session::{Counters, LineEvent, Output, SensorInfo, Session, State};
 /// How long RTS holds the unit in reset, and how long it then takes to be ready.
 const RESET_PULSE: Duration = Duration::from_secs(1);
 const BOOT: Duration = Duration::from_secs(2);
-/// How long after birds were started their poses are not believed.
+/// How long after the start of a stream its poses are not believed: birds that have just begun to measure
+/// are off by centimetres, and nothing they say tells whether they have.
 const SETTLE: Duration = Duration::from_millis(500);
 /// Quiet time after RUN.
 const RUN_QUIET: Duration = Duration::from_millis(200);
@@ -55,8 +56,6 @@ pub struct FlockSession {
     findings: Option<Findings>,
     modem_lines: bool,
     pause: Duration,
-    /// Whether this session has streamed before: a unit that still has its settings then need not settle again.
-    has_streamed: bool,
     /// Cycles go on counting over a new set-up.
     next_cycle: u64,
     #[serde(skip)]
@@ -83,9 +82,6 @@ struct Configuring {
     running_limit: Option<Timestamp>,
     /// Wanted birds that were on the bus; the others have been warned of, and are not waited for.
     present: Vec<u8>,
-    /// When birds were started, as far as this set-up knows.
-    started_at: Option<Timestamp>,
-    settle: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -143,7 +139,6 @@ impl FlockSession {
             findings: None,
             modem_lines: false,
             pause: FIRST_PAUSE,
-            has_streamed: false,
             next_cycle: 0,
             outputs: VecDeque::new(),
         })
@@ -242,8 +237,6 @@ impl FlockSession {
         for warning in plan.warnings {
             self.warn(warning);
         }
-        let as_left = self.has_streamed && findings.status.format() == Some(self.settings.format);
-        let settle = plan.starts_birds || !as_left;
         self.findings = Some(findings.clone());
         let sensors = findings.sensors();
         let present = self.wanted.iter().copied().filter(|address| sensors.contains(address)).collect();
@@ -254,8 +247,6 @@ impl FlockSession {
             question: None,
             running_limit: None,
             present,
-            started_at: None,
-            settle,
         };
         self.work_off(now, Box::new(configuring));
     }
@@ -272,7 +263,6 @@ impl FlockSession {
                 Some(Action::Run) => {
                     self.transmit(Command::Run.to_bytes(None, Addressing::Normal));
                     configuring.quiet_until = now + RUN_QUIET;
-                    configuring.started_at = Some(configuring.started_at.unwrap_or(now));
                     continue;
                 }
                 Some(Action::AwaitRunning) => Topic::Running,
@@ -329,8 +319,6 @@ impl FlockSession {
                     self.warn(format!(
                         "bird {list} does not run after auto-configuration; the others go on without it"
                     ));
-                } else {
-                    configuring.started_at = Some(now);
                 }
                 self.findings = Some(configuring.findings.clone());
             }
@@ -412,7 +400,7 @@ impl FlockSession {
             splitter,
             silence,
             silent_at: now + silence,
-            settled_at: if configuring.settle { configuring.started_at.unwrap_or(now) + SETTLE } else { now },
+            settled_at: now + SETTLE,
             poll,
         }));
     }
@@ -459,7 +447,6 @@ impl FlockSession {
         }
         self.phase = Phase::Streaming(streaming);
         if published {
-            self.has_streamed = true;
             if self.state != State::Streaming {
                 self.set_state(State::Streaming);
             }
