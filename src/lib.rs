@@ -15,6 +15,6 @@ pub mod geometry;
 pub mod input;
 pub mod noise;
 pub mod output;
-pub mod protocol;
 pub mod pipeline;
+pub mod protocol;
 pub mod stage;

@@ -43,7 +43,8 @@ static ALLOCATOR: Counting = Counting;
 #[test]
 fn a_warm_pipeline_does_not_allocate() {
     let stage_file = stage(&[2, 1]);
-    let flock = |name: &str, burst_ms| DeviceScenario { name: name.into(), burst_ms, ..DeviceScenario::default() };
+    let flock =
+        |name: &str, burst_ms| DeviceScenario { name: name.into(), burst_ms, ..DeviceScenario::default() };
     let scenario = Scenario { devices: vec![flock("d0", 16.0), flock("d1", 0.0)], ..Scenario::default() };
     let mut rig = Rig::new(&stage_file, &scenario);
     rig.run_until(12.0);

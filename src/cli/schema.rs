@@ -6,7 +6,9 @@ use super::{Error, print};
 
 /// What to print.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  posed schema > posed.v1.schema.json\n  posed schema --typescript > posed.v1.ts")]
+#[command(
+    after_help = "Example:\n  posed schema > posed.v1.schema.json\n  posed schema --typescript > posed.v1.ts"
+)]
 pub(crate) struct Args {
     /// TypeScript types instead of JSON Schema.
     #[arg(long)]

@@ -274,7 +274,11 @@ impl Pipeline {
         }
         // Nothing is measured by a swap; it speaks of the frame before it.
         let t = self.estimate.t_valid;
-        say(Output::Outcome(&Outcome { t_valid: t, t_decided: t, what: OutcomeKind::ModelSwapped(model.clone()) }));
+        say(Output::Outcome(&Outcome {
+            t_valid: t,
+            t_decided: t,
+            what: OutcomeKind::ModelSwapped(model.clone()),
+        }));
     }
 
     /// Takes a model whose numbers are right; false where it speaks of nothing that is here.
@@ -291,7 +295,9 @@ impl Pipeline {
                     sigma_radial_m: *sigma_radial_m,
                     sigma_rotation_rad: *sigma_rotation_rad,
                 };
-                let Some(owner) = self.devices.iter().position(|owner| owner.name == *device) else { return false };
+                let Some(owner) = self.devices.iter().position(|owner| owner.name == *device) else {
+                    return false;
+                };
                 for sensor in self.sensors.iter_mut().filter(|sensor| usize::from(sensor.device()) == owner) {
                     sensor.set_noise(noise);
                 }

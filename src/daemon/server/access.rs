@@ -69,8 +69,9 @@ impl Access {
         if known {
             return Ok(());
         }
-        let message =
-            format!("this daemon does not answer to the name {name}: add its origin to server.allowed_origins");
+        let message = format!(
+            "this daemon does not answer to the name {name}: add its origin to server.allowed_origins"
+        );
         Err((StatusCode::MISDIRECTED_REQUEST, message))
     }
 
@@ -78,10 +79,13 @@ impl Access {
     pub(super) fn check_origin(&self, headers: &HeaderMap) -> Result<(), Refusal> {
         let Some(origin) = headers.get(header::ORIGIN) else { return Ok(()) };
         let text = origin.to_str().unwrap_or("").to_ascii_lowercase();
-        if self.allowed_origins.contains(&text) || Origin::parse(&text).is_some_and(|o| self.is_own(&o, headers)) {
+        if self.allowed_origins.contains(&text)
+            || Origin::parse(&text).is_some_and(|o| self.is_own(&o, headers))
+        {
             return Ok(());
         }
-        let message = format!("pages of {text} may not connect: add it to server.allowed_origins if they should");
+        let message =
+            format!("pages of {text} may not connect: add it to server.allowed_origins if they should");
         Err((StatusCode::FORBIDDEN, message))
     }
 
@@ -159,7 +163,10 @@ mod tests {
 
     fn access(tokens: &[(&str, Role)]) -> Access {
         Access {
-            tokens: tokens.iter().map(|(secret, role)| Token { secret: (*secret).into(), role: *role }).collect(),
+            tokens: tokens
+                .iter()
+                .map(|(secret, role)| Token { secret: (*secret).into(), role: *role })
+                .collect(),
             allowed_origins: vec!["https://trainer.example".into()],
             listen_host: "stage-a.local".into(),
             port: 8787,
@@ -221,9 +228,14 @@ mod tests {
     fn only_known_hosts_are_answered() {
         let access = access(&[]);
         let status = |host: &str| {
-            access.check_host(&headers(&[(header::HOST, host)]), &Uri::default()).err().map(|(status, _)| status)
+            access
+                .check_host(&headers(&[(header::HOST, host)]), &Uri::default())
+                .err()
+                .map(|(status, _)| status)
         };
-        for host in ["127.0.0.1:8787", "[::1]:8787", "localhost", "10.0.0.7:80", "STAGE-A.local", "trainer.example"] {
+        for host in
+            ["127.0.0.1:8787", "[::1]:8787", "localhost", "10.0.0.7:80", "STAGE-A.local", "trainer.example"]
+        {
             assert_eq!(status(host), None, "{host}");
         }
         assert_eq!(status("rebound.evil.example:8787"), Some(StatusCode::MISDIRECTED_REQUEST));

@@ -62,7 +62,11 @@ impl Drop for Reply {
     fn drop(&mut self) {
         if let Some(id) = self.id.take() {
             let message = "the daemon did not carry this out: it is busy with something else, or ends".into();
-            self.send(&ServerMessage::Error(ErrorReply { id: Some(id), code: "unavailable".into(), message }));
+            self.send(&ServerMessage::Error(ErrorReply {
+                id: Some(id),
+                code: "unavailable".into(),
+                message,
+            }));
         }
     }
 }
@@ -76,7 +80,13 @@ enum End {
 }
 
 /// Serves one client until it ends.
-pub(super) async fn serve(socket: WebSocket, id: ClientId, encoding: Encoding, role: Role, shared: Arc<Shared>) {
+pub(super) async fn serve(
+    socket: WebSocket,
+    id: ClientId,
+    encoding: Encoding,
+    role: Role,
+    shared: Arc<Shared>,
+) {
     let outbox = Arc::new(Outbox::new(encoding, shared.limits.clone()));
     let hello = ServerMessage::Hello(Hello {
         version: env!("CARGO_PKG_VERSION").into(),
@@ -224,7 +234,10 @@ impl Client {
     fn call(&self, id: RequestId, call: Call) {
         let reply = Reply { outbox: Arc::clone(&self.outbox), id: Some(id) };
         if call.changes_something() && self.role < Role::Operate {
-            reply.error("forbidden", "this token may watch; the request needs a token with the role `operate`");
+            reply.error(
+                "forbidden",
+                "this token may watch; the request needs a token with the role `operate`",
+            );
             return;
         }
         match self.shared.calls.try_send(PendingCall { call, reply }) {
@@ -250,10 +263,7 @@ impl Client {
 }
 
 /// Waits for a write, but not for a client that has stopped reading for ever, and not past the shutdown.
-async fn patiently(
-    shared: &Shared,
-    write: impl Future<Output = Result<(), axum::Error>>,
-) -> Result<(), End> {
+async fn patiently(shared: &Shared, write: impl Future<Output = Result<(), axum::Error>>) -> Result<(), End> {
     let mut shutdown = shared.shutdown.clone();
     tokio::select! {
         biased;
@@ -275,9 +285,15 @@ async fn ended(shutdown: &mut watch::Receiver<bool>) {
 fn end_of(error: axum::Error) -> End {
     match error.into_inner().downcast::<tungstenite::Error>().map(|error| *error) {
         Ok(tungstenite::Error::Capacity(_)) => End::Close(Close::TOO_LARGE),
-        Ok(tungstenite::Error::Utf8(_)) => End::Close(Close { code: 1007, reason: "a text message must be UTF-8" }),
-        Ok(tungstenite::Error::Protocol(tungstenite::error::ProtocolError::ResetWithoutClosingHandshake)) => End::Gone,
-        Ok(tungstenite::Error::Protocol(_)) => End::Close(Close { code: 1002, reason: "this is not the websocket protocol" }),
+        Ok(tungstenite::Error::Utf8(_)) => {
+            End::Close(Close { code: 1007, reason: "a text message must be UTF-8" })
+        }
+        Ok(tungstenite::Error::Protocol(tungstenite::error::ProtocolError::ResetWithoutClosingHandshake)) => {
+            End::Gone
+        }
+        Ok(tungstenite::Error::Protocol(_)) => {
+            End::Close(Close { code: 1002, reason: "this is not the websocket protocol" })
+        }
         _ => End::Gone,
     }
 }

@@ -13,8 +13,8 @@ use super::outbox::{Outbox, Outgoing};
 use crate::input::{Model, SensorIndex};
 use crate::output::{FaultCause, OutcomeKind};
 use crate::protocol::{
-    Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload, RequestId, ServerMessage,
-    Stamp, Topic, View, encode,
+    Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload, RequestId,
+    ServerMessage, Stamp, Topic, View, encode,
 };
 
 /// Events older than this are not resumed, in microseconds.
@@ -240,7 +240,8 @@ impl Distributor {
                 self.views.len() - 1
             }
             None => {
-                let message = "too many different choices of sensors and fields are in use: subscribe to all of them";
+                let message =
+                    "too many different choices of sensors and fields are in use: subscribe to all of them";
                 return Err(("busy", message.into()));
             }
         };
@@ -393,7 +394,13 @@ impl Event {
     }
 }
 
-fn written(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, scratch: &mut Vec<u8>) -> Arc<[u8]> {
+fn written(
+    payload: &Payload<'_>,
+    stamp: &Stamp,
+    names: &Names,
+    view: &View,
+    scratch: &mut Vec<u8>,
+) -> Arc<[u8]> {
     scratch.clear();
     encode::body(payload, stamp, names, view, scratch);
     Arc::from(scratch.as_slice())

@@ -80,7 +80,11 @@ pub(super) async fn accept(listener: &TcpListener, tls: Option<&TlsAcceptor>, sh
 }
 
 /// One request per connection (every answer says `Connection: close`); a websocket goes on in a task of its own.
-async fn serve(stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, app: axum::Router, shared: &Shared) {
+async fn serve(
+    stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    app: axum::Router,
+    shared: &Shared,
+) {
     let connection = hyper::server::conn::http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(shared.limits.greeting_timeout)

@@ -42,7 +42,11 @@ impl Metrics {
             all.register("frames", "Frames published", metrics.frames.clone());
             all.register("bodies", "Message bodies serialised", metrics.bodies.clone());
             all.register("messages", "Data messages queued for clients", metrics.messages.clone());
-            all.register("messages_dropped", "Data messages dropped for slow clients", metrics.dropped.clone());
+            all.register(
+                "messages_dropped",
+                "Data messages dropped for slow clients",
+                metrics.dropped.clone(),
+            );
             all.register_with_unit("sent", "Payload sent to clients", Unit::Bytes, metrics.bytes.clone());
             all.register("requests", "Messages received from clients", metrics.requests.clone());
             all.register("connections_refused", "Connections refused or cut", metrics.refused.clone());

@@ -151,7 +151,9 @@ pub enum BindError {
         listen: String,
     },
     /// The address is taken.
-    #[error("cannot listen on {listen}: {error}; is another posed running? choose another port with --listen")]
+    #[error(
+        "cannot listen on {listen}: {error}; is another posed running? choose another port with --listen"
+    )]
     Bind {
         /// As given.
         listen: String,
@@ -211,8 +213,12 @@ impl Server {
     ///
     /// # Errors
     /// When the address is no address, is taken, needs a token that is not there, or TLS files do not serve.
-    pub fn bind(stage: &Stage, config: Config) -> Result<(Self, Hub, mpsc::Receiver<PendingCall>), BindError> {
-        let listen = config.listen.or_else(|| stage.server.listen.clone()).unwrap_or_else(|| DEFAULT_LISTEN.into());
+    pub fn bind(
+        stage: &Stage,
+        config: Config,
+    ) -> Result<(Self, Hub, mpsc::Receiver<PendingCall>), BindError> {
+        let listen =
+            config.listen.or_else(|| stage.server.listen.clone()).unwrap_or_else(|| DEFAULT_LISTEN.into());
         let addresses: Vec<SocketAddr> = match listen.to_socket_addrs() {
             Ok(addresses) => addresses.collect(),
             Err(error) => return Err(BindError::Address { listen, error }),
@@ -239,7 +245,12 @@ impl Server {
         let shared = Arc::new(Shared {
             access: Access {
                 tokens: stage.server.tokens.clone(),
-                allowed_origins: stage.server.allowed_origins.iter().map(|o| o.to_ascii_lowercase()).collect(),
+                allowed_origins: stage
+                    .server
+                    .allowed_origins
+                    .iter()
+                    .map(|o| o.to_ascii_lowercase())
+                    .collect(),
                 listen_host: listen.rsplit_once(':').map_or("", |(host, _)| host).to_owned(),
                 port: address.port(),
                 tls: tls.is_some(),
@@ -262,7 +273,8 @@ impl Server {
         });
         let hub = Hub::default();
         let distributor = Distributor::new(names, limits, metrics, config.counters);
-        let server = Self { listener, address, tls, shared, distributor, hub: hub.clone(), commands, shutdown };
+        let server =
+            Self { listener, address, tls, shared, distributor, hub: hub.clone(), commands, shutdown };
         Ok((server, hub, calls))
     }
 

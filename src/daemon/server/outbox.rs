@@ -20,11 +20,14 @@ pub(super) struct Close {
 
 impl Close {
     pub(super) const SHUTDOWN: Self = Self { code: 1001, reason: "the daemon is shutting down" };
-    pub(super) const TOO_SLOW: Self =
-        Self { code: 1008, reason: "too slow: events and replies have piled up; read faster or subscribe to less" };
+    pub(super) const TOO_SLOW: Self = Self {
+        code: 1008,
+        reason: "too slow: events and replies have piled up; read faster or subscribe to less",
+    };
     pub(super) const TOO_MANY: Self = Self { code: 1008, reason: "too many messages per second" };
     pub(super) const SILENT: Self = Self { code: 1008, reason: "no answer to pings" };
-    pub(super) const TOO_LARGE: Self = Self { code: 1009, reason: "the message is larger than this daemon takes" };
+    pub(super) const TOO_LARGE: Self =
+        Self { code: 1009, reason: "the message is larger than this daemon takes" };
 }
 
 /// One message to write.

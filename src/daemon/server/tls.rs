@@ -45,7 +45,8 @@ pub(super) fn acceptor(files: &Tls, folder: &Path) -> Result<TlsAcceptor, TlsErr
         return Err(TlsError::Empty { path });
     }
     let path = folder.join(&files.key);
-    let key = PrivateKeyDer::from_pem_file(&path).map_err(|error| TlsError::File { what: "key", path, error })?;
+    let key =
+        PrivateKeyDer::from_pem_file(&path).map_err(|error| TlsError::File { what: "key", path, error })?;
     let mut config = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()))
         .with_safe_default_protocol_versions()?
         .with_no_client_auth()

@@ -40,7 +40,9 @@ async fn a_taken_port_is_named() {
     let server = Running::plain();
     let taken = posed::daemon::server::Config { listen: Some(server.address.to_string()), ..config() };
     match Server::bind(&stage(""), taken) {
-        Err(error @ BindError::Bind { .. }) => assert!(error.to_string().contains(&server.address.to_string())),
+        Err(error @ BindError::Bind { .. }) => {
+            assert!(error.to_string().contains(&server.address.to_string()))
+        }
         Err(error) => panic!("{error}"),
         Ok(_) => panic!("it was not refused"),
     }

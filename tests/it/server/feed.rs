@@ -47,8 +47,7 @@ async fn fields_sensors_and_rate_are_the_clients_choice() {
     let reply = all.ask(json!({"type": "subscribe", "topics": ["sensors"], "fields": fields})).await;
     assert_eq!(reply["type"], "ok");
     let mut few = server.client().await;
-    let request =
-        json!({"type": "subscribe", "topics": ["sensors"], "sensors": ["right"], "fields": [], "max_rate_hz": 50});
+    let request = json!({"type": "subscribe", "topics": ["sensors"], "sensors": ["right"], "fields": [], "max_rate_hz": 50});
     assert_eq!(few.ask(request).await["type"], "ok");
     for frame in 1..=5 {
         server.frame(frame);
@@ -154,7 +153,10 @@ async fn calls_reach_the_daemon_and_come_back() {
     client.send(json!({"type": "record.stop", "id": 2})).await;
     drop(server.calls.recv().await.unwrap());
     let reply = client.next().await;
-    assert_eq!((&reply["type"], &reply["id"], &reply["code"]), (&json!("error"), &json!(2), &json!("unavailable")));
+    assert_eq!(
+        (&reply["type"], &reply["id"], &reply["code"]),
+        (&json!("error"), &json!(2), &json!("unavailable"))
+    );
 }
 
 #[tokio::test]

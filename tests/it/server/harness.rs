@@ -59,10 +59,7 @@ pub(super) struct Running {
 }
 
 pub(super) fn config() -> Config {
-    Config {
-        listen: Some("127.0.0.1:0".into()),
-        ..Config::new(Path::new("."), 1_700_000_000_000_000_001)
-    }
+    Config { listen: Some("127.0.0.1:0".into()), ..Config::new(Path::new("."), 1_700_000_000_000_000_001) }
 }
 
 pub(super) fn start(stage: &Stage, config: Config) -> Running {
@@ -97,7 +94,8 @@ impl Running {
 
     pub(super) async fn connect(&self, request: Request) -> Result<Client, tungstenite::Error> {
         let (socket, response) = tokio_tungstenite::connect_async(request).await?;
-        let protocol = response.headers().get("sec-websocket-protocol").map(|p| p.to_str().unwrap().to_owned());
+        let protocol =
+            response.headers().get("sec-websocket-protocol").map(|p| p.to_str().unwrap().to_owned());
         Ok(Client { socket, protocol })
     }
 
