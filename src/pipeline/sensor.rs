@@ -88,7 +88,7 @@ impl Sensor {
         room: &Isometry3<f64>,
     ) -> SensorEstimate {
         self.state = SensorState::Missing;
-        self.fault = slot.expected.then_some(FaultCause::Missing);
+        self.fault = slot.expected().then_some(FaultCause::Missing);
         for sample in &slot.samples {
             let (state, fault) = self.measure(&sample.measured, others_move);
             self.state = if sample.late && state == SensorState::Ok { SensorState::Late } else { state };
@@ -126,8 +126,9 @@ impl Sensor {
 
     fn count(&mut self, slot: &FrameSensor, frame: &Frame) {
         self.samples += slot.samples.len() as u64;
-        if slot.expected {
-            self.lost += u64::from(self.state != SensorState::Ok);
+        if slot.expected() {
+            let unpublished = !slot.samples.is_empty() && self.state != SensorState::Ok;
+            self.lost += u64::from(slot.missed) + u64::from(unpublished);
             // Ticks without a record are counted by the clock, not by the line.
             let by_time = frame.by_model && slot.samples.is_empty();
             self.lost += frame.ticks_left_out;
