@@ -5,8 +5,8 @@
 //!
 //! Life: `Closed -> (Resetting ->) Examining -> Configuring -> Streaming`; silence leads back to Examining,
 //! failure to a short pause and then there. A flock that still runs as configured is not configured
-//! again: after a break of the line poses are back in about 0.3 s. One that has to be auto-configured needs
-//! 1.2 s of quiet time for it, 0.6 s more where its slaves are reset, and half a second until its poses settle.
+//! again: after a break of the line the stream is back in about 0.3 s. One that has to be auto-configured needs
+//! 0.6 s of quiet time for it, 0.3 s more where another unit has the transmitter. Every stream settles for half a second.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -33,9 +33,11 @@ const SETTLE: Duration = Duration::from_millis(500);
 const RUN_QUIET: Duration = Duration::from_millis(200);
 /// How long auto-configured birds may take to run.
 const RUNNING_LIMIT: Duration = Duration::from_secs(2);
+/// Records of missing birds after which the flock is set up again with them: one may be damage.
+const STRANGERS_TO_SET_UP: u8 = 4;
 /// Pauses between attempts at a silent unit: the first, and the longest.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
-const LONGEST_PAUSE: Duration = Duration::from_secs(1);
+const LONGEST_PAUSE: Duration = Duration::from_millis(250);
 /// Shortest silence that counts as one.
 const MIN_SILENCE: Duration = Duration::from_millis(250);
 /// A reply to POINT that has not come by then was lost.
@@ -98,6 +100,10 @@ struct Streaming {
     silence: Duration,
     silent_at: Timestamp,
     settled_at: Timestamp,
+    /// Birds that came back into the stream, and until when their poses are not believed.
+    returned: Vec<(u16, Timestamp)>,
+    /// Records of wanted birds that were not there at set-up.
+    strangers: u8,
     /// In point mode: when the next question is due, and whether its reply is still awaited.
     poll: Option<Poll>,
 }
@@ -401,6 +407,8 @@ impl FlockSession {
             silence,
             silent_at: now + silence,
             settled_at: now + SETTLE,
+            returned: Vec::new(),
+            strangers: 0,
             poll,
         }));
     }
@@ -415,12 +423,14 @@ impl FlockSession {
         let Self { outputs, settling, wanted, .. } = self;
         let mut heard = false;
         let mut published = false;
-        let settled = now >= streaming.settled_at;
-        input(&mut streaming.splitter, &mut |event| {
+        let Streaming { splitter, settled_at, returned, strangers, .. } = &mut *streaming;
+        let settled = now >= *settled_at;
+        returned.retain(|&(_, until)| now < until);
+        input(splitter, &mut |event| {
             match event {
             Event::Sample(sample) => {
                 heard = true;
-                if !settled {
+                if !settled || returned.iter().any(|&(address, _)| address == sample.address) {
                     *settling += 1;
                 } else if wanted.iter().any(|&address| u16::from(address) == sample.address) {
                     published = true;
@@ -431,11 +441,21 @@ impl FlockSession {
                 "bird {address} has left the stream; the others go on. Check its power, FLY switch and bus cable"
             ))),
             Event::Returned(address) => {
+                returned.push((u16::from(address), now + SETTLE));
                 outputs.push_back(Output::Warning(format!("bird {address} is back in the stream")));
+            }
+            Event::Stranger(address) => {
+                *strangers = strangers.saturating_add(u8::from(wanted.contains(&address)));
             }
         }
         });
         self.take_counters(&mut streaming);
+        if streaming.strangers >= STRANGERS_TO_SET_UP {
+            self.phase = Phase::Streaming(streaming);
+            self.leave_stream();
+            self.warn("a bird that was missing has appeared; the flock is set up again with it".into());
+            return self.examine(now);
+        }
         if heard {
             streaming.silent_at = now + streaming.silence;
             self.pause = FIRST_PAUSE;
