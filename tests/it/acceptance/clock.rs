@@ -25,6 +25,7 @@ struct Times {
 /// A stage of one flock in the format that fits its line.
 fn flock(birds: u16) -> Stage {
     let mut stage = stage(&[birds]);
+    #[allow(irrefutable_let_patterns, reason = "there are other drivers to come")]
     if let Driver::FlockOfBirds(settings) = &mut stage.devices[0].driver
         && birds > 7
     {

@@ -162,7 +162,7 @@ fn a_unit_switched_off_and_on_is_back_within_a_second_of_its_own_reset() {
         let rig = run(vec![fault], 14.0);
         let back_s = back_after(&rig, 0, on_s + 0.05) + 0.05 - boot_s;
         println!("{what}: poses {back_s:.3} s after the unit is ready");
-        assert!(back_s < 2.0, "{what}: {back_s}");
+        assert!(back_s < 1.9, "{what}: {back_s}");
     }
 }
 
@@ -185,6 +185,7 @@ fn a_stalled_unit_goes_on_and_all_that_it_did_not_send_is_counted() {
 fn a_slow_line_skips_cycles_and_keeps_its_times() {
     let mut stage: Stage = stage(&[2]);
     stage.devices[0].baud = 19_200;
+    #[allow(irrefutable_let_patterns, reason = "there are other drivers to come")]
     if let Driver::FlockOfBirds(settings) = &mut stage.devices[0].driver {
         settings.format = Format::PositionMatrix;
     }
@@ -218,9 +219,9 @@ fn errors_of_a_unit_are_told_in_words_and_fatal_ones_end_the_stream() {
     let noted = run(vec![error(32, 0)], 8.0);
     assert_eq!(count(&noted, 0, (5.0, 8.0), &[SensorState::Ok]).0, within(&noted, 5.0, 8.0).count());
 
-    // A RAM failure stops the unit: no pose is good from then on, and the reason is told.
+    // A RAM failure stops the unit, and the reason is told. The session tries again; this one lets itself be run.
     let rig = run(vec![error(1, 0)], 9.0);
-    assert_eq!(count(&rig, 0, (6.02, 9.0), &[SensorState::Ok]).0, 0);
+    assert_eq!(count(&rig, 0, (6.02, 7.0), &[SensorState::Ok]).0, 0);
     let told = rig
         .said
         .iter()
