@@ -369,7 +369,11 @@ impl Splitter {
         if i < self.next {
             self.next -= 1;
         }
-        self.next %= self.slots.len();
+        if self.next == self.slots.len() {
+            // It was the last of its cycle, which ends without it.
+            self.next = 0;
+            self.cycle += 1;
+        }
         self.absent.push(Slot { count: 0, last: None, ..slot });
         self.in_order = false;
     }
