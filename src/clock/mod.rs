@@ -30,6 +30,8 @@ const SLEW: f64 = 0.05;
 /// So many of the latest [`INCONSISTENT_SPAN`] cycles outside their bounds mean another phase: start again.
 const INCONSISTENT_LIMIT: u32 = 32;
 const INCONSISTENT_SPAN: u32 = 64;
+/// By how much less than whole cycles a read may be late and still mean that they are missing, s.
+const LATE_BY_LESS_S: f64 = 5e-5;
 /// Least spacing of two cycles of one device, ns.
 const LEAST_STEP_NS: i64 = 1_000;
 
@@ -238,10 +240,11 @@ impl Clock {
             // late reader would have found the following cycles in the same chunk.
             let n = ((late - fit.upper) / period).round();
             let rest = late - n * period;
-            let fits = rest >= fit.lower - tolerance && rest <= fit.upper + fit.lateness + tolerance;
+            // A host that was late by a little less than a cycle would have found no more either.
+            let fits = rest >= fit.upper - LATE_BY_LESS_S && rest <= fit.upper + fit.lateness + tolerance;
             if fits && evidence.bytes_after <= self.usual_bytes_after { n } else { 0.0 }
         } else {
-            if prompt {
+            if prompt && late <= fit.upper + fit.lateness + tolerance {
                 self.usual_bytes_after = self.usual_bytes_after.max(evidence.bytes_after);
             }
             0.0
