@@ -467,9 +467,7 @@ impl FlockSession {
         }
         self.phase = Phase::Streaming(streaming);
         if published {
-            if self.state != State::Streaming {
-                self.set_state(State::Streaming);
-            }
+            self.set_state(State::Streaming);
         }
     }
 
