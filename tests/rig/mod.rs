@@ -191,10 +191,10 @@ impl Rig {
 
     /// Forgets what has been read and said up to now.
     pub(crate) fn forget(&mut self) {
-        self.truth.clear();
-        self.log.clear();
-        self.said.clear();
-        self.said_at.clear();
+        self.truth = Vec::new();
+        self.log = Vec::new();
+        self.said = Vec::new();
+        self.said_at = Vec::new();
     }
 
     pub(crate) fn push(&mut self, input: Input) {

@@ -466,7 +466,7 @@ impl FlockSession {
             }
         }
         self.phase = Phase::Streaming(streaming);
-        if published && self.state != State::Streaming {
+        if published {
             self.set_state(State::Streaming);
         }
     }
