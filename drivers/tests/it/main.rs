@@ -1,0 +1,10 @@
+//! Tests of the drivers from outside, in one binary.
+
+mod xbus_captures;
+mod xbus_examples;
+
+/// Bytes written in hexadecimal, spaces allowed.
+fn hex(text: &str) -> Vec<u8> {
+    let digits: Vec<u8> = text.bytes().filter(|byte| !byte.is_ascii_whitespace()).collect();
+    digits.chunks(2).map(|pair| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap()).collect()
+}
