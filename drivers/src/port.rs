@@ -16,13 +16,17 @@ use tokio_serial::{ErrorKind, SerialPort, SerialStream};
 #[derive(Debug, Error)]
 pub enum PortError {
     /// No such file.
-    #[error("{port} does not exist; check the cable and the adapter, or see `posed doctor` for the ports there are")]
+    #[error(
+        "{port} does not exist; check the cable and the adapter, or see `posed doctor` for the ports there are"
+    )]
     Missing {
         /// The port as named in the stage file.
         port: String,
     },
     /// The operating system refuses.
-    #[error("no right to open {port}; add yourself to the group `dialout` (sudo usermod -aG dialout $USER) and log in again")]
+    #[error(
+        "no right to open {port}; add yourself to the group `dialout` (sudo usermod -aG dialout $USER) and log in again"
+    )]
     NotAllowed {
         /// The port as named in the stage file.
         port: String,
@@ -155,7 +159,8 @@ pub async fn open(port: &str, baud: u32) -> Result<Port<Stream>, PortError> {
         stream.set_nodelay(true).map_err(unreachable)?;
         return Ok(Port::new(Stream::Tcp(stream)));
     }
-    let mut serial = SerialStream::open(&tokio_serial::new(port, baud)).map_err(|error| in_words(port, &error))?;
+    let mut serial =
+        SerialStream::open(&tokio_serial::new(port, baud)).map_err(|error| in_words(port, &error))?;
     ask_for_low_latency(port);
     // A pseudo-terminal has no modem lines and says so with an error, which is no fault.
     let modem_lines = serial.write_request_to_send(false).is_ok();

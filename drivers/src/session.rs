@@ -32,6 +32,7 @@ pub enum LineEvent {
 
 /// What a session asks for or tells.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "nearly all outputs are samples, and none may allocate")]
 pub enum Output {
     /// Write these bytes to the line.
     Transmit(Vec<u8>),

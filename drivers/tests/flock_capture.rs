@@ -115,7 +115,10 @@ fn a_session_with_every_turn_a_host_can_take() {
     // A record cut in two lines, two records in one line, a quaternion command (a lone backslash).
     log.host(b"\\");
     log.host(b"@");
-    let (a, b) = (pose(Format::Quaternion, None, None, Range::In72, 1), pose(Format::Quaternion, None, None, Range::In72, 2));
+    let (a, b) = (
+        pose(Format::Quaternion, None, None, Range::In72, 1),
+        pose(Format::Quaternion, None, None, Range::In72, 2),
+    );
     log.unit(&a[..3]);
     log.unit(&a[3..]);
     log.unit(&[b.clone(), a.clone()].concat());
@@ -160,8 +163,7 @@ fn a_flock_of_mixed_formats_behind_an_extended_range_controller() {
 fn raw_bytes_say_themselves_what_they_are() {
     for format in Format::ALL {
         for (button, address) in [(None, None), (None, Some(2)), (Some(0x10), Some(1)), (Some(0), None)] {
-            let file: Vec<u8> =
-                (0..40).flat_map(|i| pose(format, button, address, Range::In36, i)).collect();
+            let file: Vec<u8> = (0..40).flat_map(|i| pose(format, button, address, Range::In36, i)).collect();
             let named = Options { format: Some(format), ..Options::default() };
             for options in [Options::default(), named] {
                 let decoded = decode(&file, options).unwrap();

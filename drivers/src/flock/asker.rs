@@ -39,7 +39,13 @@ const PAUSE: Duration = Duration::from_millis(60);
 
 impl Asker {
     /// Opens a question; send [`Self::question`] now.
-    pub(super) fn new(now: Timestamp, command: &Command, to: Option<u8>, addressing: Addressing, tries: u8) -> Self {
+    pub(super) fn new(
+        now: Timestamp,
+        command: &Command,
+        to: Option<u8>,
+        addressing: Addressing,
+        tries: u8,
+    ) -> Self {
         let answer_len = command.answer_len(addressing);
         // Long answers are slow ones: the flock system status takes 50 ms, all others 16 ms or less.
         let timeout = Duration::from_millis(if answer_len > 10 { 800 } else { 250 });

@@ -78,8 +78,10 @@ pub enum CaptureError {
         problem: String,
     },
     /// A raw capture without a single record.
-    #[error("no record of a Flock of Birds in this file; expected pieces that begin at bytes with bit 7 set, 6 to 26 bytes long, or a \
-             log with lines `TIME : (LEVEL) N. receive[COUNT] DATA`")]
+    #[error(
+        "no record of a Flock of Birds in this file; expected pieces that begin at bytes with bit 7 set, 6 to 26 bytes long, or a \
+             log with lines `TIME : (LEVEL) N. receive[COUNT] DATA`"
+    )]
     NoRecords,
 }
 

@@ -273,7 +273,10 @@ impl Examination {
             (Step::Revision, &[integer, fraction]) => found.revision = (integer, fraction),
             (Step::Status, &[low, high]) => {
                 found.status = BirdStatus::from_bytes([low, high]);
-                if found.status.has(BirdStatus::EXPANDED) && !self.fixed_addressing && found.revision >= (3, 33) {
+                if found.status.has(BirdStatus::EXPANDED)
+                    && !self.fixed_addressing
+                    && found.revision >= (3, 33)
+                {
                     found.addressing = Addressing::Expanded;
                 }
             }

@@ -12,7 +12,6 @@ pub mod capture;
 
 pub mod examine;
 
-
 pub mod parser;
 mod plan;
 pub mod probe;

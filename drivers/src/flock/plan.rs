@@ -52,10 +52,7 @@ pub(super) struct Plan {
 /// Full scale and quaternion sense of the records to come.
 pub(super) fn scale(settings: &Settings, findings: &Findings) -> Scale {
     let found = if findings.extended_range() { Range::In144 } else { Range::In36 };
-    Scale {
-        range: settings.range_in.unwrap_or(found),
-        quaternion_sense: settings.quaternion_sense,
-    }
+    Scale { range: settings.range_in.unwrap_or(found), quaternion_sense: settings.quaternion_sense }
 }
 
 /// Makes the plan.
@@ -124,12 +121,16 @@ fn check_fit(
 ) -> Result<(), String> {
     let found = findings.units.iter().map(|unit| unit.address.to_string()).collect::<Vec<_>>().join(", ");
     if group && findings.stand_alone() {
-        return Err("the unit is switched to stand-alone (address 0); give its sensor address = 0, or set the \
+        return Err(
+            "the unit is switched to stand-alone (address 0); give its sensor address = 0, or set the \
                     unit's address switches 4 to 7"
-            .into());
+                .into(),
+        );
     }
     if !group && !findings.stand_alone() {
-        return Err(format!("the unit is part of a flock with addresses {found}; address 0 is a stand-alone unit"));
+        return Err(format!(
+            "the unit is part of a flock with addresses {found}; address 0 is a stand-alone unit"
+        ));
     }
     if group {
         let usable = |address: &&u8| !findings.sensors().contains(*address);
@@ -149,9 +150,11 @@ fn check_fit(
         }
     }
     if findings.extended_range() && settings.range_in.is_some_and(|range| range != Range::In144) {
-        return Err("the flock has an extended range controller, whose positions have a range of 144 inches; set \
+        return Err(
+            "the flock has an extended range controller, whose positions have a range of 144 inches; set \
                     range_in = 144 or leave it out"
-            .into());
+                .into(),
+        );
     }
     Ok(())
 }

@@ -283,25 +283,35 @@ impl FlockSession {
     }
 
     /// An answer came, or will not come (`None`).
-    fn on_answer(&mut self, now: Timestamp, topic: Topic, answer: Option<&[u8]>, mut configuring: Box<Configuring>) {
+    fn on_answer(
+        &mut self,
+        now: Timestamp,
+        topic: Topic,
+        answer: Option<&[u8]>,
+        mut configuring: Box<Configuring>,
+    ) {
         match (topic, answer) {
             (Topic::Running, answer) => {
                 let limit = *configuring.running_limit.get_or_insert(now + RUNNING_LIMIT);
                 if let Some(bytes) = answer {
                     configuring.findings.units = examine::units(bytes);
                 }
-                let late: Vec<u8> = self.wanted.iter().copied().filter(|&a| !runs(&configuring.findings, a)).collect();
+                let late: Vec<u8> =
+                    self.wanted.iter().copied().filter(|&a| !runs(&configuring.findings, a)).collect();
                 if !late.is_empty() && now < limit {
                     configuring.actions.push_front(Action::AwaitRunning);
                     configuring.quiet_until = now + Duration::from_millis(20);
                 } else if late.len() == self.wanted.len() {
-                    let reason = "after auto-configuration no wanted bird runs; check that the unit on the line \
+                    let reason =
+                        "after auto-configuration no wanted bird runs; check that the unit on the line \
                                   has address 1 and that all addresses follow each other"
-                        .into();
+                            .into();
                     return self.pause_and_retry(now, State::Failed { reason });
                 } else if !late.is_empty() {
                     let list = late.iter().map(u8::to_string).collect::<Vec<_>>().join(", ");
-                    self.warn(format!("bird {list} does not run after auto-configuration; the others go on without it"));
+                    self.warn(format!(
+                        "bird {list} does not run after auto-configuration; the others go on without it"
+                    ));
                 }
                 self.findings = Some(configuring.findings.clone());
             }
@@ -340,7 +350,13 @@ impl FlockSession {
         let group = self.wanted != [0];
         let shape = self.settings.shape(group);
         let birds: Vec<(u8, Shape)> = if group {
-            configuring.findings.units.iter().filter(|unit| unit.streams()).map(|unit| (unit.address, shape)).collect()
+            configuring
+                .findings
+                .units
+                .iter()
+                .filter(|unit| unit.streams())
+                .map(|unit| (unit.address, shape))
+                .collect()
         } else {
             vec![(0, shape)]
         };
@@ -393,7 +409,8 @@ impl FlockSession {
         let mut heard = false;
         let mut published = false;
         let settled = now >= streaming.settled_at;
-        input(&mut streaming.splitter, &mut |event| match event {
+        input(&mut streaming.splitter, &mut |event| {
+            match event {
             Event::Sample(sample) => {
                 heard = true;
                 if !settled {
@@ -409,6 +426,7 @@ impl FlockSession {
             Event::Returned(address) => {
                 outputs.push_back(Output::Warning(format!("bird {address} is back in the stream")));
             }
+        }
         });
         self.take_counters(&mut streaming);
         if heard {
@@ -456,9 +474,10 @@ impl FlockSession {
 }
 
 fn runs(findings: &Findings, address: u8) -> bool {
-    findings.units.iter().any(|unit| {
-        unit.address == address && unit.status.has(UnitStatus::ACCESSIBLE | UnitStatus::RUNNING)
-    })
+    findings
+        .units
+        .iter()
+        .any(|unit| unit.address == address && unit.status.has(UnitStatus::ACCESSIBLE | UnitStatus::RUNNING))
 }
 
 impl Session for FlockSession {
@@ -577,10 +596,15 @@ impl Session for FlockSession {
                 None => configuring.quiet_until,
             }),
             Phase::Streaming(streaming) => {
-                let poll_at = streaming.poll.as_ref().map(|poll| {
-                    if poll.awaiting { poll.sent_at + POINT_LIMIT } else { poll.at }
-                });
-                [streaming.splitter.poll_timeout(), poll_at].into_iter().flatten().chain([streaming.silent_at]).min()
+                let poll_at = streaming
+                    .poll
+                    .as_ref()
+                    .map(|poll| if poll.awaiting { poll.sent_at + POINT_LIMIT } else { poll.at });
+                [streaming.splitter.poll_timeout(), poll_at]
+                    .into_iter()
+                    .flatten()
+                    .chain([streaming.silent_at])
+                    .min()
             }
         }
     }

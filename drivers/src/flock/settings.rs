@@ -72,7 +72,11 @@ impl Settings {
         check("measurement_rate_hz", rate.is_none_or(|hz| (14.0..=144.0).contains(&hz)), "14 to 144")?;
         check("units", self.units.is_none_or(|n| (1..=126).contains(&n)), "1 to 126")?;
         check("transmitter_number", self.transmitter_number <= 3, "0 to 3")?;
-        check("transmitter_address", self.transmitter_address.is_none_or(|n| (1..=15).contains(&n)), "1 to 15")
+        check(
+            "transmitter_address",
+            self.transmitter_address.is_none_or(|n| (1..=15).contains(&n)),
+            "1 to 15",
+        )
     }
 
     /// Shape of every record.

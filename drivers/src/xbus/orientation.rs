@@ -20,8 +20,8 @@ const TOLERANCE: f64 = 0.02;
 /// `None` when it is no rotation.
 pub(super) fn from_quaternion(q: [f64; 4], axes: Axes) -> Option<[f64; 4]> {
     let norm = q.iter().map(|value| value * value).sum::<f64>().sqrt();
-    // Written so that NaN is refused.
-    if !((norm - 1.0).abs() <= TOLERANCE) {
+    // NaN is out of the range, too.
+    if !(1.0 - TOLERANCE..=1.0 + TOLERANCE).contains(&norm) {
         return None;
     }
     let q = q.map(|value| value / norm);
@@ -40,7 +40,7 @@ pub(super) fn from_matrix(m: [[f64; 3]; 3], axes: Axes) -> Option<[f64; 4]> {
     for i in 0..3 {
         for j in 0..3 {
             let dot: f64 = (0..3).map(|k| m[i][k] * m[j][k]).sum();
-            if !((dot - f64::from(u8::from(i == j))).abs() <= TOLERANCE) {
+            if !(-TOLERANCE..=TOLERANCE).contains(&(dot - f64::from(u8::from(i == j)))) {
                 return None;
             }
         }

@@ -1,7 +1,11 @@
 //! Tests of the drivers from outside, in one binary.
 
+#![allow(clippy::unwrap_used, reason = "a test may stop where its ground gives way")]
+
+mod rig;
 mod xbus_captures;
 mod xbus_examples;
+mod xbus_session;
 
 /// Bytes written in hexadecimal, spaces allowed.
 fn hex(text: &str) -> Vec<u8> {

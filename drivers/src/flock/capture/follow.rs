@@ -7,7 +7,8 @@ use super::{CaptureError, CapturedRecord, Decoded, Options, Summary};
 use crate::flock::wire::record::{self, PHASE_BIT};
 use crate::flock::wire::value::parameter;
 use crate::flock::wire::{
-    Addressing, BirdStatus, Command, CommandParser, Format, Range, Record, Scale, Shape, Tolerance, UnitStatus,
+    Addressing, BirdStatus, Command, CommandParser, Format, Range, Record, Scale, Shape, Tolerance,
+    UnitStatus,
 };
 
 /// What a unit is believed to send; `None` = the session has not said it.
@@ -133,7 +134,8 @@ impl<'a> Follower<'a> {
             }
             (parameter::MODEL_ID, model) => self.extended_range |= model.starts_with(b"6DERC"),
             (parameter::FLOCK_SYSTEM_STATUS, units) => {
-                self.extended_range |= units.iter().any(|&unit| UnitStatus(unit).has(UnitStatus::EXTENDED_RANGE));
+                self.extended_range |=
+                    units.iter().any(|&unit| UnitStatus(unit).has(UnitStatus::EXTENDED_RANGE));
             }
             (parameter::FBB_ADDRESSING_MODE, &[code]) => {
                 self.host.addressing = Addressing::from_code(code).unwrap_or_default();
@@ -184,7 +186,8 @@ impl<'a> Follower<'a> {
 
     /// Whether these bytes begin with a whole record of what is believed to be running.
     fn begins_record(&self, bytes: &[u8]) -> bool {
-        let len = bytes.iter().skip(1).position(|&byte| byte & PHASE_BIT != 0).map_or(bytes.len(), |at| at + 1);
+        let len =
+            bytes.iter().skip(1).position(|&byte| byte & PHASE_BIT != 0).map_or(bytes.len(), |at| at + 1);
         let longest = len.min(record::MAX_LEN);
         (6..=longest).rev().any(|len| self.interpret(&bytes[..len]).is_some())
     }
@@ -268,9 +271,6 @@ impl<'a> Follower<'a> {
 
     fn scale(&self) -> Scale {
         let found = if self.extended_range { Range::In144 } else { self.scaling.unwrap_or_default() };
-        Scale {
-            range: self.options.range.unwrap_or(found),
-            quaternion_sense: self.options.quaternion_sense,
-        }
+        Scale { range: self.options.range.unwrap_or(found), quaternion_sense: self.options.quaternion_sense }
     }
 }

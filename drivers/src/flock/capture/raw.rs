@@ -27,7 +27,8 @@ const BUTTONS: [u8; 4] = [0x00, 0x10, 0x30, 0x70];
 /// No way of reading gives a single record.
 pub fn decode(file: &[u8], options: Options) -> Result<Decoded, CaptureError> {
     let pieces: Vec<&[u8]> = cut(file);
-    let scale = Scale { range: options.range.unwrap_or_default(), quaternion_sense: options.quaternion_sense };
+    let scale =
+        Scale { range: options.range.unwrap_or_default(), quaternion_sense: options.quaternion_sense };
     let mut best: Option<Reading> = None;
     let mut rivals = 0;
     for (group, button) in [(false, false), (true, false), (false, true), (true, true)] {
@@ -41,7 +42,9 @@ pub fn decode(file: &[u8], options: Options) -> Result<Decoded, CaptureError> {
             }
         }
     }
-    let Some(reading) = best.filter(|reading| reading.records > 0) else { return Err(CaptureError::NoRecords) };
+    let Some(reading) = best.filter(|reading| reading.records > 0) else {
+        return Err(CaptureError::NoRecords);
+    };
     let mut decoded = Decoded::default();
     let mut summary = Summary { bytes_skipped: file.len() as u64, ..Summary::default() };
     for piece in &pieces {
@@ -57,7 +60,9 @@ pub fn decode(file: &[u8], options: Options) -> Result<Decoded, CaptureError> {
     }
     decoded.summary = summary;
     if rivals > 0 {
-        decoded.warnings.push("the records can be read with or without button and address bytes; without is shown".into());
+        decoded.warnings.push(
+            "the records can be read with or without button and address bytes; without is shown".into(),
+        );
     }
     for (address, shown, other) in reading.ambiguous {
         decoded.warnings.push(format!(
@@ -93,7 +98,8 @@ fn read(pieces: &[&[u8]], group: bool, button: bool, format: Option<Format>, sca
             pieces.iter().filter(|piece| decode_one(piece, shape, scale).is_some()).count() as u64
         };
         let candidates: Vec<Format> = format.map_or_else(|| by_evidence().to_vec(), |format| vec![format]);
-        let counted: Vec<(Format, u64)> = candidates.into_iter().map(|format| (format, fits(format))).collect();
+        let counted: Vec<(Format, u64)> =
+            candidates.into_iter().map(|format| (format, fits(format))).collect();
         let most = counted.iter().map(|&(_, count)| count).max().unwrap_or(0);
         // A lone piece that happens to fit is no bird, where others make a stream.
         if most == 0 || (group && most * 50 < pieces.len() as u64) {
