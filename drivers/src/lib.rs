@@ -10,6 +10,7 @@ mod outbox;
 pub mod port;
 pub mod sample;
 pub mod session;
+pub mod x_imu3;
 pub mod xbus;
 
 pub use sample::{Arrival, DeviceTime, Measurement, Sample, Timestamp};
