@@ -5,6 +5,7 @@
 //! sleep, open a port, start a thread. Only [`port`] touches the operating system.
 
 mod arrivals;
+pub mod fastrak;
 pub mod flock;
 mod outbox;
 pub mod port;

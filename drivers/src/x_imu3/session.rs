@@ -186,8 +186,10 @@ impl XImu3Session {
         match unit.clock.check(now, stamped.time_us) {
             Clock::Plausible => {}
             Clock::Doubtful => return false,
-            Clock::Restarted => {
+            Clock::Restarted(since_s) => {
                 let address = unit.address;
+                self.losses[index].lost += (since_s * 1e6 / period_us as f64) as u64;
+                self.losses[index].estimated = true;
                 self.outbox.warn(now, 0x2_0000 + u32::from(address), || {
                     format!("unit {address} has restarted or set its clock; setting it up again")
                 });

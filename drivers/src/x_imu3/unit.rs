@@ -51,7 +51,6 @@ impl Unit {
 
     pub(super) fn ask_from_start(&mut self, now: Timestamp) {
         self.phase = Phase::Asking { step: 0, tries: TRIES, until: now + ANSWER };
-        self.clock = ClockWatch::default();
     }
 
     pub(super) fn close(&mut self) {
@@ -120,7 +119,6 @@ impl Unit {
             Phase::Missing { .. } => {
                 // One question a second is enough for a unit that is not there.
                 self.phase = Phase::Asking { step: 0, tries: 0, until: now + ANSWER };
-                self.clock = ClockWatch::default();
                 Expired::Ask
             }
             Phase::Running { .. } => Expired::Silent,
@@ -129,14 +127,14 @@ impl Unit {
 }
 
 /// Whether a time stamp can be true.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Clock {
     /// It fits the ones before.
     Plausible,
     /// It does not; the message may be damaged.
     Doubtful,
-    /// Two in a row fit each other and not the ones before.
-    Restarted,
+    /// Two in a row fit each other and not the ones before, of which the last one came so many seconds ago.
+    Restarted(f64),
 }
 
 /// What a gap between time stamps tells.
@@ -172,8 +170,9 @@ impl ClockWatch {
             return Clock::Plausible;
         }
         if self.doubtful.replace((now, time_us)).is_some_and(|doubtful| fits(doubtful, now, time_us)) {
+            let since_s = self.last.map_or(0.0, |(then, _)| now.seconds_since(then));
             *self = Self::default();
-            return Clock::Restarted;
+            return Clock::Restarted(since_s);
         }
         Clock::Doubtful
     }

@@ -75,6 +75,8 @@ pub struct XbusSession {
     dropped: u64,
     sensors: Vec<SensorInfo>,
     losses: Vec<Loss>,
+    /// When data last came, of this stream or an earlier one.
+    last_data: Option<Timestamp>,
     rate_hz: Option<f64>,
     pause: Duration,
     /// The next failure to reach the device while it streams is answered by a reset.
@@ -119,6 +121,7 @@ impl XbusSession {
             dropped: 0,
             sensors: Vec::new(),
             losses: Vec::new(),
+            last_data: None,
             rate_hz: None,
             pause: FIRST_PAUSE,
             may_reset: true,
@@ -245,6 +248,15 @@ impl XbusSession {
         self.phase =
             match outcome {
                 Outcome::Data(samples) => {
+                    let is_first = *outbox.state() != State::Streaming;
+                    if let Some(last) = self.last_data.replace(now).filter(|_| is_first) {
+                        // Counters start again with a new measurement: what was missed is told by time alone.
+                        let missed = (now.seconds_since(last) * stream.rate_hz()).round() as u64;
+                        for loss in losses {
+                            loss.lost += missed.saturating_sub(1);
+                            loss.estimated |= missed > 1;
+                        }
+                    }
                     outbox.counters.records += u64::from(samples.max(1));
                     outbox.streaming();
                     self.pause = FIRST_PAUSE;
@@ -266,6 +278,7 @@ impl XbusSession {
                 Outcome::Other => match frame.mid {
                     message::WAKE_UP => {
                         outbox.warn(now, 2, || "the device has restarted; check its power".into());
+                        outbox.connecting("the device has restarted");
                         outbox.transmit(message::request(MASTER, message::WAKE_UP_ACK, &[]));
                         return self.set_up(now);
                     }

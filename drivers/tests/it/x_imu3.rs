@@ -272,7 +272,10 @@ fn one_dead_unit_holds_up_no_other() {
     rig.device.dead[1] = false;
     rig.samples.clear();
     rig.run_ms(1500);
-    assert!(rig.samples.iter().filter(|sample| sample.address == 3).count() > 50);
+    let back = rig.samples.iter().filter(|sample| sample.address == 3).count() as u64 / 2;
+    assert!(back > 50);
+    let loss = rig.session.losses()[1];
+    assert!(loss.estimated && loss.lost.abs_diff(550 - back) <= 1, "{loss:?} of {back}");
 }
 
 #[test]
@@ -284,7 +287,7 @@ fn a_restart_is_noticed_by_two_stamps_in_a_row() {
     rig.run_ms(500);
     assert!(rig.warnings.iter().any(|warning| warning.contains("restarted")), "{:?}", rig.warnings);
     assert!(rig.samples.len() > 80);
-    assert_eq!(rig.session.losses()[0].lost, 0);
+    assert!(rig.session.losses()[0].lost <= 2);
 }
 
 #[test]

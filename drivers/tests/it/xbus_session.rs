@@ -315,7 +315,8 @@ fn a_restart_in_mid_stream_is_answered_in_time() {
     rig.run_ms(300);
     assert!(rig.is_streaming() && !rig.samples.is_empty(), "{}", rig.reason());
     assert!(rig.warnings.iter().any(|warning| warning.contains("restarted")));
-    assert_eq!(rig.session.losses()[0].lost, 0, "a new count is no loss");
+    let loss = rig.session.losses()[0];
+    assert!(loss.lost <= 3, "a new count is no loss, only the pause is: {loss:?}");
 }
 
 #[test]
@@ -380,8 +381,12 @@ fn silence_is_told_and_ended() {
     rig.run_ms(400);
     assert!(matches!(rig.session.state(), State::Silent { .. }));
     rig.device.answers = true;
+    let before = rig.samples.len() as u64;
     rig.run_ms(1500);
     assert!(rig.is_streaming());
+    let loss = rig.session.losses()[0];
+    let since_ms = 1900 - 10 * (rig.samples.len() as u64 - before);
+    assert!(loss.estimated && loss.lost.abs_diff(since_ms / 10) <= 1, "{loss:?} of {since_ms} ms");
 }
 
 #[test]
