@@ -7,6 +7,7 @@
 mod arrivals;
 pub mod fastrak;
 pub mod flock;
+pub mod motionstar;
 mod outbox;
 pub mod port;
 pub mod sample;

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may stop where its ground gives way")]
 
 mod fastrak;
+mod motionstar;
 mod rig;
 mod x_imu3;
 mod xbus_captures;
