@@ -5,6 +5,7 @@
 //! sleep, open a port, start a thread. Only [`port`] touches the operating system.
 
 mod arrivals;
+pub mod datagram;
 pub mod fastrak;
 pub mod flock;
 pub mod motionstar;
@@ -12,6 +13,7 @@ mod outbox;
 pub mod port;
 pub mod sample;
 pub mod session;
+pub mod slimevr;
 pub mod x_imu3;
 pub mod xbus;
 

@@ -5,6 +5,7 @@
 mod fastrak;
 mod motionstar;
 mod rig;
+mod slimevr;
 mod x_imu3;
 mod xbus_captures;
 mod xbus_examples;
