@@ -5,6 +5,8 @@
 use posed_drivers::{LineEvent, Timestamp};
 use serde::{Deserialize, Serialize};
 
+use crate::geometry;
+
 /// Index of a device in the stage file's `[[device]]` list.
 pub type DeviceIndex = u16;
 /// Index of a sensor in the stage file's `[[sensor]]` list.
@@ -68,6 +70,39 @@ pub enum Model {
         /// Rotation standard deviation at `r0_m`, rad (grows with r^3).
         sigma_rotation_rad: f64,
     },
+}
+
+impl Model {
+    /// Whether `newer` takes this model's place.
+    pub fn replaced_by(&self, newer: &Self) -> bool {
+        match (self, newer) {
+            (Self::Transmitter { .. }, Self::Transmitter { .. }) => true,
+            (Self::TrackerNoise { device, .. }, Self::TrackerNoise { device: of, .. }) => device == of,
+            _ => false,
+        }
+    }
+
+    /// Whether the numbers make a model.
+    ///
+    /// # Errors
+    /// One sentence that names the key and what it must be.
+    pub fn check(&self) -> Result<(), String> {
+        match self {
+            Self::Transmitter { position_m, orientation_wxyz } => {
+                if geometry::isometry(*position_m, *orientation_wxyz).is_none() {
+                    return Err("position_m, orientation_wxyz: give finite numbers and a quaternion that is not zero".into());
+                }
+            }
+            Self::TrackerNoise { r0_m, sigma_radial_m, sigma_rotation_rad, .. } => {
+                let numbers =
+                    [("r0_m", r0_m), ("sigma_radial_m", sigma_radial_m), ("sigma_rotation_rad", sigma_rotation_rad)];
+                if let Some((key, value)) = numbers.into_iter().find(|(_, v)| !(v.is_finite() && **v > 0.0)) {
+                    return Err(format!("{key}: give a positive number, not {value}"));
+                }
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Ground truth of one capture instant.

@@ -104,6 +104,21 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Port<S> {
     }
 }
 
+impl Port<Stream> {
+    /// Sets the line rate of a serial port; does nothing at a device server, which has its own.
+    ///
+    /// Unlike opening the port again this does not raise RTS, which would reset a Flock.
+    ///
+    /// # Errors
+    /// The port is gone, or its driver does not know the rate.
+    pub fn set_baud(&mut self, baud: u32) -> io::Result<()> {
+        match &mut self.stream {
+            Stream::Serial(serial) => serial.set_baud_rate(baud).map_err(io::Error::from),
+            Stream::Tcp(_) => Ok(()),
+        }
+    }
+}
+
 /// What [`open`] opens.
 #[derive(Debug)]
 pub enum Stream {

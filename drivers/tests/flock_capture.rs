@@ -1,6 +1,6 @@
 //! Captures of real units, and captures made here to know every byte.
 
-#![expect(clippy::unwrap_used, reason = "a test helper may panic")]
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests may panic and print")]
 
 use posed_drivers::flock::capture::{CaptureError, Decoded, Options, decode};
 use posed_drivers::flock::wire::{Format, Range, Scale, Shape, record, rotation};
@@ -50,8 +50,10 @@ fn two_streaming_birds() {
     assert_eq!((decoded.summary.rejected, decoded.summary.bytes_skipped), (0, 0));
     assert_eq!(decoded.summary.answers, 13);
     assert_eq!(decoded.summary.records, 22);
-    let matrices = &decoded.records[..2];
-    assert!(matrices.iter().all(|r| r.format == Format::PositionMatrix && r.record.button == Some(0)));
+    let formats: Vec<_> = decoded.records.iter().map(|r| (r.format, r.record.button)).collect();
+    assert_eq!(formats[0], (Format::PositionMatrix, Some(0x70)));
+    assert_eq!(formats[1], (Format::PositionMatrix, Some(0)));
+    assert!(formats[2..].iter().all(|&format| format == (Format::PositionAngles, Some(0))));
     assert_eq!(decoded.records.iter().map(|r| r.address).collect::<Vec<_>>(), [1, 2].repeat(11));
     assert_eq!(decoded.records[2].t.as_deref(), Some("24438598969.224308"));
     close(inches(&decoded, 2), [8.802, 3.059, 0.435], 6e-4);

@@ -9,9 +9,9 @@
 
 mod asker;
 pub mod capture;
-
 pub mod examine;
-
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod parser;
 mod plan;
 pub mod probe;

@@ -199,10 +199,8 @@ impl Splitter {
     pub fn finish(&mut self) {
         self.abandon_piece();
         let cycle_len = self.bytes_before(self.slots.len());
-        if cycle_len > 0 {
-            let records = self.damage * self.slots.len() as u64;
-            self.counters.rejected += (records + cycle_len / 2) / cycle_len;
-        }
+        let records = self.damage * self.slots.len() as u64;
+        self.counters.rejected += (records + cycle_len / 2).checked_div(cycle_len).unwrap_or(0);
         self.damage = 0;
         self.in_order = false;
     }

@@ -15,9 +15,6 @@ use super::wire::{BirdStatus, Command, Range, Scale, Shape, UnitStatus};
 const AUTO_CONFIG_QUIET_MS: u64 = 600;
 /// Gap after a command that sets something.
 const SET_GAP_MS: u64 = 10;
-/// Quiet time after RUN.
-const RUN_QUIET_MS: u64 = 200;
-
 /// One thing to do.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum Action {
@@ -30,6 +27,8 @@ pub(super) enum Action {
     },
     /// Ask for the flock's status until all wanted birds run.
     AwaitRunning,
+    /// Let the birds run; they need some quiet time.
+    Run,
     /// Ask for the error code and tell it in words.
     ReadError,
     /// Ask for the measurement rate.
@@ -102,7 +101,7 @@ pub(super) fn plan(settings: &Settings, wanted: &[u8], findings: &Findings) -> R
     plan.actions.push_back(Action::ReadError);
     let asleep = findings.status.has(BirdStatus::ASLEEP) || !findings.status.has(BirdStatus::RUNNING);
     if asleep || plan.starts_birds {
-        send(&mut plan, Command::Run, None, RUN_QUIET_MS);
+        plan.actions.push_back(Action::Run);
         plan.starts_birds = true;
     }
     if settings.mode == Mode::Stream {

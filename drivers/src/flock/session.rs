@@ -28,6 +28,8 @@ const RESET_PULSE: Duration = Duration::from_secs(1);
 const BOOT: Duration = Duration::from_secs(2);
 /// How long after birds were started their poses are not believed.
 const SETTLE: Duration = Duration::from_millis(500);
+/// Quiet time after RUN.
+const RUN_QUIET: Duration = Duration::from_millis(200);
 /// How long auto-configured birds may take to run.
 const RUNNING_LIMIT: Duration = Duration::from_secs(2);
 /// Pauses between attempts at a silent unit: the first, and the longest.
@@ -79,6 +81,10 @@ struct Configuring {
     quiet_until: Timestamp,
     question: Option<(Topic, Asker)>,
     running_limit: Option<Timestamp>,
+    /// Wanted birds that were on the bus; the others have been warned of, and are not waited for.
+    present: Vec<u8>,
+    /// When birds were started, as far as this set-up knows.
+    started_at: Option<Timestamp>,
     settle: bool,
 }
 
@@ -239,12 +245,16 @@ impl FlockSession {
         let as_left = self.has_streamed && findings.status.format() == Some(self.settings.format);
         let settle = plan.starts_birds || !as_left;
         self.findings = Some(findings.clone());
+        let sensors = findings.sensors();
+        let present = self.wanted.iter().copied().filter(|address| sensors.contains(address)).collect();
         let configuring = Configuring {
             findings,
             actions: plan.actions,
             quiet_until: now,
             question: None,
             running_limit: None,
+            present,
+            started_at: None,
             settle,
         };
         self.work_off(now, Box::new(configuring));
@@ -257,6 +267,12 @@ impl FlockSession {
                 Some(Action::Send { bytes, quiet_ms }) => {
                     self.transmit(bytes);
                     configuring.quiet_until = now + Duration::from_millis(quiet_ms);
+                    continue;
+                }
+                Some(Action::Run) => {
+                    self.transmit(Command::Run.to_bytes(None, Addressing::Normal));
+                    configuring.quiet_until = now + RUN_QUIET;
+                    configuring.started_at = Some(configuring.started_at.unwrap_or(now));
                     continue;
                 }
                 Some(Action::AwaitRunning) => Topic::Running,
@@ -296,12 +312,13 @@ impl FlockSession {
                 if let Some(bytes) = answer {
                     configuring.findings.units = examine::units(bytes);
                 }
+                let Configuring { present, findings, .. } = &*configuring;
                 let late: Vec<u8> =
-                    self.wanted.iter().copied().filter(|&a| !runs(&configuring.findings, a)).collect();
+                    present.iter().copied().filter(|&address| !runs(findings, address)).collect();
                 if !late.is_empty() && now < limit {
                     configuring.actions.push_front(Action::AwaitRunning);
                     configuring.quiet_until = now + Duration::from_millis(20);
-                } else if late.len() == self.wanted.len() {
+                } else if late.len() == configuring.present.len() {
                     let reason =
                         "after auto-configuration no wanted bird runs; check that the unit on the line \
                                   has address 1 and that all addresses follow each other"
@@ -312,6 +329,8 @@ impl FlockSession {
                     self.warn(format!(
                         "bird {list} does not run after auto-configuration; the others go on without it"
                     ));
+                } else {
+                    configuring.started_at = Some(now);
                 }
                 self.findings = Some(configuring.findings.clone());
             }
@@ -393,7 +412,7 @@ impl FlockSession {
             splitter,
             silence,
             silent_at: now + silence,
-            settled_at: if configuring.settle { now + SETTLE } else { now },
+            settled_at: if configuring.settle { configuring.started_at.unwrap_or(now) + SETTLE } else { now },
             poll,
         }));
     }
@@ -449,12 +468,12 @@ impl FlockSession {
 
     fn stream_timeout(&mut self, now: Timestamp, mut streaming: Box<Streaming>) {
         if now >= streaming.silent_at {
+            let silence_ms = streaming.silence.as_millis();
             self.phase = Phase::Streaming(streaming);
             self.leave_stream();
             self.set_state(State::Silent {
                 reason: format!(
-                    "no record for {} ms; check the unit's power, FLY switch and cable",
-                    MIN_SILENCE.as_millis()
+                    "no record for {silence_ms} ms; check the unit's power, FLY switch and cable"
                 ),
             });
             return self.examine(now);

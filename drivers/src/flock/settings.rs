@@ -19,6 +19,7 @@ pub struct Settings {
     /// Records are sent every 1, 2, 8 or 32 measurement cycles.
     pub report_every_cycles: ReportRate,
     /// Measurement rate to set, Hz, 14 to 144; absent: as the unit has it.
+    #[schemars(range(min = 14.0, max = 144.0))]
     pub measurement_rate_hz: Option<f64>,
     /// Whether the unit streams, or is asked for each record.
     pub mode: Mode,
@@ -29,10 +30,13 @@ pub struct Settings {
     /// Filters to set; absent: as the unit has them.
     pub filters: Option<Filters>,
     /// Unit whose transmitter is used; absent: the first one found.
+    #[schemars(range(min = 1, max = 15))]
     pub transmitter_address: Option<u8>,
     /// Number of that transmitter at its unit, 0 to 3.
+    #[schemars(range(max = 3))]
     pub transmitter_number: u8,
     /// Units on the bus, controllers included; absent: as many as answer.
+    #[schemars(range(min = 1, max = 126))]
     pub units: Option<u8>,
     /// How units are numbered; absent: as the unit says.
     pub addressing: Option<Addressing>,

@@ -134,7 +134,7 @@ impl fmt::Display for Format {
 /// Full scale of the position words.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "u16", into = "u16")]
-#[schemars(with = "u16")]
+#[schemars(with = "u16", extend("enum" = [36, 72, 144]))]
 pub enum Range {
     /// Standard transmitter, parameter 3 = 0.
     #[default]
@@ -299,7 +299,7 @@ impl Addressing {
 /// How often a unit streams, in measurement cycles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "u16", into = "u16")]
-#[schemars(with = "u16")]
+#[schemars(with = "u16", extend("enum" = [1, 2, 8, 32]))]
 pub enum ReportRate {
     /// Every cycle.
     #[default]

@@ -218,6 +218,8 @@ impl<'a> Follower<'a> {
             Some((shape, record, guessed)) => {
                 let address = record.address.unwrap_or(0);
                 self.guessed += u64::from(guessed);
+                // The first record settles what the host has not said.
+                self.group.get_or_insert(shape.group);
                 let unit = if shape.group { address } else { LINE_UNIT };
                 let belief = self.units.entry(unit).or_default();
                 if belief.format == Some(shape.format) {

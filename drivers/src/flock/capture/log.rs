@@ -70,6 +70,9 @@ fn split(line: &[u8]) -> Option<(String, Side, usize, &[u8])> {
 
 /// Reads `data` as exactly `count` bytes; where there are several ways, escapes are read as escapes.
 fn unescape(data: &[u8], count: usize) -> Option<Vec<u8>> {
+    if count > data.len() {
+        return None;
+    }
     let mut bytes = Vec::with_capacity(count);
     // Iterative search: each open choice is (where, bytes so far); dead ends are remembered.
     let mut choices: Vec<(usize, usize)> = Vec::new();

@@ -1,29 +1,56 @@
-//! The stage file: which devices and sensors there are, and who may look.
+//! The stage file: which devices and sensors there are, who wears them, and who may look.
 //!
-//! TOML; unknown keys are errors; every key carries its unit. `config/README.md` is the reference.
+//! What comes in: TOML text. What goes out: a [`Stage`], or every [`Problem`] of the text with its line, key
+//! and mend. What it never does: fill a gap by guessing, accept an unknown key, touch a device.
+//!
+//! Every key carries its unit. `config/README.md` is the reference, and a test holds it against these types.
+//! The shape of the file is checked against the JSON schema of the types (`shape.rs`), so that a range written at
+//! a field is both documentation and check; what spans several tables is in `rules/`.
 
+mod body;
+mod check;
+mod port;
+mod problem;
+mod rules;
+mod shape;
+#[cfg(test)]
+mod tests;
+
+use std::path::{Path, PathBuf};
+
+use posed_drivers::flock;
 use serde::{Deserialize, Serialize};
+
+pub use body::{Body, BodySegment, Calibration, JointKind, Mounting, SEGMENTS, Skeleton};
+pub use check::{Report, check, check_in, check_table};
+pub use port::{PortAddress, PortAddressError};
+pub use problem::{LoadError, Problem, Problems};
 
 /// A stage file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Stage {
     /// Shown to clients.
+    #[schemars(length(min = 1, max = 200))]
     pub name: String,
     /// Ticks of the stage clock per second; absent: the ticks follow the fastest device.
+    #[schemars(range(min = 1.0, max = 1000.0))]
     pub frame_rate_hz: Option<f64>,
     /// How long a frame waits for its last sensors, ms.
     #[serde(default = "default_frame_wait_ms")]
+    #[schemars(range(min = 0.0, max = 1000.0))]
     pub frame_wait_ms: f64,
     /// The magnetic transmitter.
     #[serde(default)]
     pub transmitter: Transmitter,
-    /// Devices, in the order of `DeviceIndex`.
+    /// Devices; everything published keeps their order.
     #[serde(default, rename = "device")]
     pub devices: Vec<Device>,
-    /// Sensors, in the order of `SensorIndex`.
+    /// Sensors; everything published keeps their order.
     #[serde(default, rename = "sensor")]
     pub sensors: Vec<Sensor>,
+    /// The body that wears the sensors; absent: nobody does.
+    pub body: Option<Body>,
     /// Websocket, page and metrics.
     #[serde(default)]
     pub server: Server,
@@ -34,6 +61,50 @@ pub struct Stage {
     #[serde(default)]
     #[schemars(with = "Option<serde_json::Map<String, serde_json::Value>>")]
     pub simulation: Option<toml::Table>,
+}
+
+impl Stage {
+    /// Reads a stage from the text of its file.
+    ///
+    /// Paths stay as they stand in the text; files they name are not looked at ([`Stage::load`] does both).
+    ///
+    /// # Errors
+    /// Every problem of the text, not only the first.
+    pub fn parse(text: &str) -> Result<Self, Problems> {
+        check::parse(text, None)
+    }
+
+    /// Reads a stage from its file; relative paths in it begin at the file's folder.
+    ///
+    /// # Errors
+    /// The file cannot be read, or every problem that it has.
+    pub fn load(path: &Path) -> Result<Self, LoadError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| LoadError::Read { path: path.to_owned(), error })?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let mut stage = check::parse(&text, Some(folder))
+            .map_err(|problems| LoadError::Wrong { path: path.to_owned(), problems })?;
+        if let Some(tls) = &mut stage.server.tls {
+            tls.certificate = folder.join(&tls.certificate);
+            tls.key = folder.join(&tls.key);
+        }
+        let recordings = stage.recording.folder.get_or_insert_with(|| PathBuf::from("recordings"));
+        *recordings = folder.join(&*recordings);
+        Ok(stage)
+    }
+}
+
+/// What the fuzz target does with any bytes: a text is right exactly if it parses, and every problem has a line.
+#[doc(hidden)]
+pub fn fuzz(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    let report = check(text);
+    assert_eq!(report.ok, Stage::parse(text).is_ok());
+    assert_eq!(report.ok, report.problems.is_empty());
+    let lines = 1 + text.matches('\n').count();
+    for problem in report.problems.iter().chain(&report.warnings) {
+        assert!((1..=lines).contains(&problem.line), "{problem:?}");
+    }
 }
 
 fn default_frame_wait_ms() -> f64 {
@@ -59,18 +130,23 @@ pub struct Pose {
 }
 
 /// One device.
+///
+/// Its own keys and those of its driver stand in one table. Unknown keys are refused by the driver's settings,
+/// which get all keys that are not listed here.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(deny_unknown_fields)]
 pub struct Device {
     /// Unique name.
+    #[schemars(length(min = 1, max = 64))]
     pub name: String,
     /// Path of a serial port, `tcp://HOST:PORT`, `udp://HOST:PORT` or `auto`.
     pub port: String,
     /// Line rate, bit/s.
     #[serde(default = "default_baud")]
+    #[schemars(range(min = 1))]
     pub baud: u32,
     /// Constant delay from measurement to the record's first byte, ms.
     #[serde(default)]
+    #[schemars(range(min = 0.0, max = 1000.0))]
     pub measurement_delay_ms: f64,
     /// The driver and its settings.
     #[serde(flatten)]
@@ -85,8 +161,17 @@ fn default_baud() -> u32 {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(tag = "driver", rename_all = "kebab-case")]
 pub enum Driver {
-    /// Ascension Flock of Birds. (Settings: `posed_drivers::flock::Settings`, to be joined here.)
-    FlockOfBirds {},
+    /// Ascension Flock of Birds.
+    FlockOfBirds(flock::Settings),
+}
+
+impl Driver {
+    /// The driver's word in the stage file.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::FlockOfBirds(_) => "flock-of-birds",
+        }
+    }
 }
 
 /// One sensor.
@@ -94,11 +179,18 @@ pub enum Driver {
 #[serde(deny_unknown_fields)]
 pub struct Sensor {
     /// Unique name; a segment's name gives it a role.
+    #[schemars(length(min = 1, max = 64))]
     pub name: String,
     /// Name of its device.
     pub device: String,
     /// Address on the device; 0 is a stand-alone unit.
     pub address: u16,
+    /// The body segment it sits on; absent: its name, if that is a segment's.
+    pub segment: Option<String>,
+    /// Unit quaternion that turns sensor coordinates into segment coordinates, scalar first.
+    pub mount_quat_wxyz: Option<[f64; 4]>,
+    /// Position on the segment, in the segment's frame with its origin at the proximal joint, m.
+    pub offset_m: Option<[f64; 3]>,
 }
 
 /// Websocket, page and metrics.
@@ -122,6 +214,7 @@ pub struct Server {
 #[serde(deny_unknown_fields)]
 pub struct Token {
     /// The secret, at least 16 characters.
+    #[schemars(length(min = 16, max = 512))]
     pub secret: String,
     /// What its bearer may do.
     pub role: Role,
@@ -144,9 +237,9 @@ pub enum Role {
 #[serde(deny_unknown_fields)]
 pub struct Tls {
     /// PEM file with the certificate chain.
-    pub certificate: std::path::PathBuf,
+    pub certificate: PathBuf,
     /// PEM file with the private key.
-    pub key: std::path::PathBuf,
+    pub key: PathBuf,
 }
 
 /// Where recordings live.
@@ -154,5 +247,5 @@ pub struct Tls {
 #[serde(deny_unknown_fields)]
 pub struct Recording {
     /// The one folder that `record.start` writes to and `replay.list` reads; absent: `recordings` beside the stage file.
-    pub folder: Option<std::path::PathBuf>,
+    pub folder: Option<PathBuf>,
 }

@@ -1,0 +1,444 @@
+// Messages of the posed websocket. Generated from the Rust types by `posed schema --typescript`; do not edit.
+
+/** Requests for the daemon. All but `replay.list` need the role `operate`. */
+export type Call = {
+  /** The reply carries it. */
+  id: RequestId;
+  /** File name within the recordings' folder, without a path; absent: stage and time. */
+  name?: string | null;
+  type: "record.start";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  type: "record.stop";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  type: "replay.list";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** A name that `replay.list` gave. */
+  name: string;
+  type: "replay.open";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** Seconds since the recording's epoch. */
+  t_s: number;
+  type: "replay.seek";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** Multiple of real time; 0 pauses. */
+  speed: Speed;
+  type: "replay.speed";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** Its number. */
+  job: number;
+  type: "job.cancel";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** The model, in full. */
+  model: Model;
+  type: "model.load";
+};
+
+/** Everything a client can send. */
+export type ClientMessage = Feed | Call;
+
+/** Health of a device. Counts never go back. */
+export type DeviceStatus = {
+  /** Bytes that belong to no accepted record and no answer. */
+  bytes_skipped: number;
+  /** Its driver. */
+  driver: string;
+  /** Its name. */
+  name: string;
+  /** Its port. */
+  port: string;
+  /** Measured rate, Hz; null until known. */
+  rate_hz: number | null;
+  /** Why, and what to check; null while streaming. */
+  reason: string | null;
+  /** Records accepted. */
+  records: number;
+  /** Records refused. */
+  rejected: number;
+  /** What its link does. */
+  state: LinkState;
+};
+
+/** What to do with messages for which a client is too slow. Either way the oldest goes first and is counted. */
+export type DropPolicy = "latest" | "queue";
+
+/** Reply to a request that was not carried out. */
+export type ErrorReply = {
+  /** For programs: `bad_message`, `bad_request`, `unknown_type`, `unknown_sensor`, `forbidden`, `busy`, ... */
+  code: string;
+  /** The request's; null where it could not be read. */
+  id: RequestId | null;
+  /** For people: what was wrong and what would be right, in one sentence. */
+  message: string;
+};
+
+/** Why a sensor's pose is not simply good. */
+export type FaultCause = "hemisphere" | "stuck" | "gate" | "missing";
+
+/** What every data message starts with, and its body. */
+export type FaultMessage = {
+  /** Whether it began or ended. */
+  active: boolean;
+  /** What is wrong with it. */
+  cause: FaultCause;
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** Stage-wide number of the event, from 1. */
+  event_id: number;
+  /** Which sensor. */
+  sensor: string;
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Stream time at which it was decided, s; rises strictly (by 1 µs between events of one frame). */
+  t_s: number;
+  /** Capture time it speaks of, s. */
+  t_valid_s: number;
+};
+
+/** Requests about what this client receives. */
+export type Feed = {
+  /** What to do when this client is too slow; absent: `latest`. */
+  drop?: DropPolicy | null;
+  /** What `sensors` and `truth` say of each sensor, beside its name and state; absent: `device`, `position_m`, `orientation_wxyz`, `sigma_m`. */
+  fields?: Field[] | null;
+  /** The reply carries it. */
+  id: RequestId;
+  /** At most so many messages per second and topic, events excepted; absent: every frame. */
+  max_rate_hz?: number | null;
+  /** Only these sensors, by name; absent: all. */
+  sensors?: string[] | null;
+  /** Which ones. */
+  topics: Topic[];
+  type: "subscribe";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** Which ones. */
+  topics: Topic[];
+  type: "unsubscribe";
+} | {
+  /** The last `event_id` that the client has; 0: all. */
+  after: number;
+  /** The reply carries it. */
+  id: RequestId;
+  type: "resume";
+};
+
+/** Something that a `sensors` entry can say; name and state are always said. */
+export type Field = "name" | "state" | "device" | "position_m" | "orientation_wxyz" | "sigma_m" | "measured" | "covariance" | "velocity" | "quality";
+
+/** What every data message starts with, and its body. */
+export type FieldEventMessage = {
+  event: "model_swapped";
+  /** The model, in full. */
+  model: Model;
+} & {
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** Stage-wide number of the event, from 1. */
+  event_id: number;
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Stream time at which it was decided, s; rises strictly (by 1 µs between events of one frame). */
+  t_s: number;
+  /** Capture time it speaks of, s. */
+  t_valid_s: number;
+};
+
+/** Who speaks, and what there is. */
+export type Hello = {
+  /** The stage's epoch: UTC in RFC 3339 with nanoseconds. */
+  epoch_utc: string;
+  /** Number of the newest event, 0 before the first: what a client that starts now has not missed. */
+  last_event_id: number;
+  /** What this client may do. */
+  role: Role;
+  /** The stage's sensors, in the order of the `sensors` message. */
+  sensors: HelloSensor[];
+  /** The body's skeleton; null on a stage without a body. */
+  skeleton: Skeleton | null;
+  /** Name of the stage. */
+  stage: string;
+  /** Topics that this stage publishes. */
+  topics: Topic[];
+  /** Version of the daemon. */
+  version: string;
+};
+
+/** A sensor by name. */
+export type HelloSensor = {
+  /** Its device's name. */
+  device: string;
+  /** Its name. */
+  name: string;
+};
+
+/** A long job. */
+export type Job = {
+  /** Its number, for `job.cancel`. */
+  job: number;
+  /** What it does, by the name of the request that started it. */
+  kind: string;
+  /** Outcome or reason of failure, in one sentence. */
+  message: string | null;
+  /** 0 to 1. */
+  progress: number;
+  /** Expected time to its end, s; null where unknown. */
+  remaining_s: number | null;
+  /** How it stands. */
+  state: JobState;
+};
+
+/** How a job stands. */
+export type JobState = "running" | "done" | "failed" | "cancelled";
+
+/** What every data message starts with, and its body. */
+export type JobsMessage = {
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** All jobs, running and lately ended. */
+  jobs: Job[];
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Host time, s; rises strictly. */
+  t_s: number;
+};
+
+/** What a device's link does. */
+export type LinkState = "streaming" | "connecting" | "silent" | "failed";
+
+/** A raw record in device axes. */
+export type Measured = {
+  /** Button byte; null where button mode is off. */
+  button: number | null;
+  /** Sensor to device axes; null in position-only formats. */
+  orientation_wxyz: [number, number, number, number] | null;
+  /** Position in device axes, m; null in orientation-only formats. */
+  position_m: [number, number, number] | null;
+  /** Capture time of this record, s. */
+  t_s: number;
+};
+
+/** A model that can be swapped in between two frames. */
+export type Model = {
+  kind: "transmitter";
+  /** Turns transmitter coordinates into room coordinates. */
+  orientation_wxyz: [number, number, number, number];
+  /** Position of the transmitter in the room, m. */
+  position_m: [number, number, number];
+} | {
+  /** The device it speaks of, by name. */
+  device: string;
+  kind: "tracker_noise";
+  /** Reference distance from the transmitter, m. */
+  r0_m: number;
+  /** Standard deviation along the transmitter ray at `r0_m`, m (grows with r^4). */
+  sigma_radial_m: number;
+  /** Rotation standard deviation at `r0_m`, rad (grows with r^3). */
+  sigma_rotation_rad: number;
+};
+
+/** Reply to a request that was carried out. */
+export type OkReply = {
+  /** The request's. */
+  id: RequestId | null;
+  /** What was asked for, where the request asks for something. */
+  result?: unknown;
+};
+
+/** Something that is wrong now. */
+export type Problem = {
+  /** For programs. */
+  code: string;
+  /** For people: what to do, in one sentence. */
+  message: string;
+};
+
+/** How good a pose is. */
+export type Quality = {
+  /** Root mean square of the expected rotation error, rad. */
+  sigma_rotation_rad: number;
+};
+
+/** A recording in progress. */
+export type RecordingStatus = {
+  /** Bytes written so far. */
+  bytes: number;
+  /** Its file name. */
+  name: string;
+  /** When it began, s. */
+  started_s: number;
+};
+
+/** What a client calls its request; replies carry it. */
+export type RequestId = number | string;
+
+/** What a client may do. */
+export type Role = "watch" | "operate";
+
+/** One sensor in one frame. `name` and `state` are always there; the others as `fields` asks for. */
+export type SensorEntry = {
+  /** Angular velocity in sensor axes, rad/s. */
+  angular_velocity_rad_s?: [number, number, number] | null;
+  /** Covariance of (position in room, m; rotation error in sensor axes, rad): the 21 numbers of the upper triangle of the 6 x 6 matrix, row by row. */
+  covariance?: number[] | null;
+  /** Its device's name. */
+  device?: string | null;
+  /** The raw record, unfiltered, in device axes; null where none arrived. */
+  measured?: Measured | null;
+  /** Its name. */
+  name: string;
+  /** Sensor to room, unit quaternion, scalar first; null where there is no estimate. */
+  orientation_wxyz?: [number, number, number, number] | null;
+  /** Filtered position in the room, m; null where there is no estimate. */
+  position_m?: [number, number, number] | null;
+  /** More on how good the pose is. */
+  quality?: Quality | null;
+  /** Root mean square of the expected 3-D position error, m; null where there is no estimate. */
+  sigma_m?: number | null;
+  /** How far to trust it; only `ok`, `repaired` and `extrapolated` are poses to use. */
+  state: SensorState;
+  /** Velocity in the room, m/s. */
+  velocity_m_s?: [number, number, number] | null;
+};
+
+/** How far a sensor's pose can be trusted. */
+export type SensorState = "ok" | "suspect" | "missing" | "late" | "stuck" | "repaired" | "extrapolated";
+
+/** Health of a sensor. Counts never go back. */
+export type SensorStatus = {
+  /** Whether `lost` is partly estimated, because whole cycles left no trace in the bytes. */
+  estimated: boolean;
+  /** Expected samples that were not published as `ok`. */
+  lost: number;
+  /** Its name. */
+  name: string;
+  /** Samples that arrived. */
+  samples: number;
+};
+
+/** What every data message starts with, and its body. */
+export type SensorsMessage = {
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** Number of the frame (field `quality`). */
+  frame?: number | null;
+  /** The subscribed sensors, in the stage file's order. */
+  sensors: SensorEntry[];
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Standard deviation of the capture time itself, s (field `quality`). */
+  sigma_t_s?: number | null;
+  /** Capture time that the poses belong to, s; rises strictly. */
+  t_s: number;
+};
+
+/** Everything a client can receive. */
+export type ServerMessage = Hello & {
+  type: "hello";
+} | OkReply & {
+  type: "ok";
+} | ErrorReply & {
+  type: "error";
+} | StatusMessage & {
+  type: "status";
+} | SensorsMessage & {
+  type: "sensors";
+} | TruthsMessage & {
+  type: "truth";
+} | JobsMessage & {
+  type: "jobs";
+} | FaultMessage & {
+  type: "faults";
+} | FieldEventMessage & {
+  type: "field";
+};
+
+/** Which segments a body has. */
+export type Skeleton = "human" | "custom";
+
+/** Speed of a replay. */
+export type Speed = number | SpeedWord;
+
+/** A speed in words. */
+export type SpeedWord = "max";
+
+/** Latency of one stage of the flow, ms. */
+export type StageLatency = {
+  /** Longest, ms. */
+  max_ms: number;
+  /** Median, ms. */
+  p50_ms: number;
+  /** 99 % quantile, ms. */
+  p99_ms: number;
+  /** From where to where. */
+  stage: string;
+};
+
+/** What every data message starts with, and its body. */
+export type StatusMessage = {
+  /** Connected clients. */
+  clients: number;
+  /** Devices, in the stage file's order. */
+  devices: DeviceStatus[];
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** How long each stage of the flow took since the last status. */
+  latency: StageLatency[];
+  /** What is wrong now, beside the devices' own reasons: disk full, wall clock set, ... */
+  problems: Problem[];
+  /** The recording in progress; null without one. */
+  recording: RecordingStatus | null;
+  /** Sensors, in the stage file's order. */
+  sensors: SensorStatus[];
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Host time, s; rises strictly. */
+  t_s: number;
+};
+
+/** A topic; its name is the `type` of its messages. */
+export type Topic = "status" | "sensors" | "body" | "faults" | "keyframes" | "segments" | "exercise" | "field" | "jobs" | "truth";
+
+/** Ground truth of one sensor. `name`, `state` and `class` are always there; the others as `fields` asks for. */
+export type TruthEntry = {
+  /** What the simulator did to the record: `clean`, `inverted`, `stuck`, `jump`, `disturbed`. */
+  class: string;
+  /** Its device's name. */
+  device?: string | null;
+  /** Its name. */
+  name: string;
+  /** Sensor to room. */
+  orientation_wxyz?: [number, number, number, number] | null;
+  /** Position in the room, m. */
+  position_m?: [number, number, number] | null;
+  /** Always 0. */
+  sigma_m?: number | null;
+  /** Always `ok`. */
+  state: SensorState;
+};
+
+/** What every data message starts with, and its body. */
+export type TruthsMessage = {
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** The simulated sensors. */
+  sensors: TruthEntry[];
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Capture time, exact, s; rises strictly. */
+  t_s: number;
+};

@@ -1,0 +1,448 @@
+//! Whole sessions against a small stand-in for the unit; time is advanced by the test.
+
+#![expect(clippy::unwrap_used, reason = "a test helper may panic")]
+
+use std::time::Duration;
+
+use posed_drivers::flock::examine::Failure;
+use posed_drivers::flock::wire::{Addressing, Command, CommandParser, Format, Scale, Shape, record};
+use posed_drivers::flock::{FlockSession, Mode, Probe, Settings};
+use posed_drivers::{LineEvent, Output, Sample, Session, State, Timestamp};
+
+const CYCLE: Duration = Duration::from_micros(9_680);
+
+/// Answers as the sheet says: 5 to 50 ms late, auto-configuration busy for 270 ms, records in order.
+struct Unit {
+    commands: CommandParser,
+    /// Status bytes by address; empty for a stand-alone unit.
+    units: Vec<u8>,
+    initialised: bool,
+    running: bool,
+    streaming: bool,
+    group: bool,
+    format: Format,
+    error: u8,
+    dead: Vec<u8>,
+    /// It takes and gives nothing before then.
+    deaf_until: Timestamp,
+    next_cycle: Timestamp,
+    cycle: u32,
+    out: Vec<(Timestamp, Vec<u8>)>,
+    commands_seen: Vec<Command>,
+}
+
+impl Unit {
+    fn flock(birds: u8) -> Self {
+        let mut units = vec![0xE0; usize::from(birds)];
+        units[0] = 0xA1;
+        Self { units, initialised: false, ..Self::alone() }
+    }
+
+    fn alone() -> Self {
+        Self {
+            commands: CommandParser::default(),
+            units: Vec::new(),
+            initialised: true,
+            running: true,
+            streaming: false,
+            group: false,
+            format: Format::PositionAngles,
+            error: 0,
+            dead: Vec::new(),
+            deaf_until: Timestamp::ZERO,
+            next_cycle: Timestamp::ZERO,
+            cycle: 0,
+            out: Vec::new(),
+            commands_seen: Vec::new(),
+        }
+    }
+
+    fn records(&mut self) -> Vec<u8> {
+        self.cycle += 1;
+        let q = [1.0, 0.0, 0.0, 0.0];
+        let p = [0.3 + 0.001 * f64::from(self.cycle % 10), 0.1, 0.2];
+        let shape = Shape { format: self.format, button: false, group: self.group };
+        let addresses: Vec<u8> = if self.group { (1..=self.units.len() as u8).collect() } else { vec![0] };
+        let mut bytes = Vec::new();
+        for address in addresses {
+            let runs = !self.group || self.units[usize::from(address) - 1] & 0xE0 == 0xE0;
+            if runs && !self.dead.contains(&address) {
+                record::encode(p, q, (0, address), shape, Scale::default(), &mut bytes);
+            }
+        }
+        bytes
+    }
+
+    fn take(&mut self, now: Timestamp, bytes: &[u8]) {
+        if now < self.deaf_until && !self.initialised {
+            return;
+        }
+        for &byte in bytes {
+            if let Some(parsed) = self.commands.push(byte) {
+                match parsed {
+                    Ok(addressed) => self.obey(now, addressed.command),
+                    Err(_) => self.error = 6,
+                }
+            }
+        }
+    }
+
+    fn obey(&mut self, now: Timestamp, command: Command) {
+        self.commands_seen.push(command.clone());
+        let busy = self.deaf_until.max(now);
+        let mut answer = |ms: u64, bytes: Vec<u8>| self.out.push((busy + Duration::from_millis(ms), bytes));
+        match command {
+            Command::Point => {
+                self.streaming = false;
+                let bytes = self.records();
+                self.out.push((busy + Duration::from_millis(10), bytes));
+            }
+            Command::Stream => {
+                self.streaming = true;
+                self.next_cycle = now + CYCLE;
+            }
+            Command::Run => self.running = true,
+            Command::Format(format) => self.format = format,
+            Command::Change { parameter: 0x23, data } => self.group = data[0] != 0,
+            Command::Change { parameter: 0x32, .. } => {
+                self.initialised = true;
+                self.deaf_until = now + Duration::from_millis(270);
+                self.units.iter_mut().for_each(|unit| *unit |= 0x60);
+            }
+            Command::Examine(0) => {
+                let status = 0x8100u16
+                    | u16::from(self.initialised) << 14
+                    | u16::from(self.running) << 12
+                    | u16::from(self.format.status_code()) << 1;
+                answer(8, status.to_le_bytes().to_vec());
+            }
+            Command::Examine(1) => answer(8, vec![3, 67]),
+            Command::Examine(7) => answer(8, vec![0x4D, 0x67]),
+            Command::Examine(10) => {
+                answer(8, vec![self.error]);
+                self.error = 0;
+            }
+            Command::Examine(15) => answer(15, b"6DFOB     ".to_vec()),
+            Command::Examine(19) => answer(8, vec![0]),
+            Command::Examine(36) => {
+                let mut bytes = self.units.clone();
+                bytes.resize(14, 0);
+                answer(45, bytes);
+            }
+            _ => {}
+        }
+    }
+
+    fn power_cycle(&mut self, now: Timestamp) {
+        let birds = self.units.len() as u8;
+        let fresh = if birds == 0 { Self::alone() } else { Self::flock(birds) };
+        *self = Self { initialised: false, deaf_until: now + Duration::from_secs(2), ..fresh };
+    }
+
+    /// When something comes out, and what.
+    fn next(&self) -> Option<Timestamp> {
+        let cycle = self.streaming.then_some(self.next_cycle);
+        self.out.iter().map(|(at, _)| *at).chain(cycle).min()
+    }
+
+    fn give(&mut self, now: Timestamp) -> Vec<u8> {
+        if self.streaming && self.next_cycle <= now {
+            self.next_cycle = self.next_cycle + CYCLE;
+            return self.records();
+        }
+        let i = (0..self.out.len()).find(|&i| self.out[i].0 <= now).unwrap();
+        self.out.remove(i).1
+    }
+}
+
+struct Bench {
+    now: Timestamp,
+    session: FlockSession,
+    unit: Unit,
+    cable: bool,
+    samples: Vec<(Timestamp, Sample)>,
+    warnings: Vec<String>,
+    states: Vec<(Timestamp, State)>,
+    rts: Vec<(Timestamp, bool)>,
+}
+
+impl Bench {
+    fn new(settings: Settings, wanted: &[u16], unit: Unit) -> Self {
+        let session = FlockSession::new(settings, 115_200, wanted).unwrap();
+        Self {
+            now: Timestamp::ZERO,
+            session,
+            unit,
+            cable: true,
+            samples: Vec::new(),
+            warnings: Vec::new(),
+            states: Vec::new(),
+            rts: Vec::new(),
+        }
+    }
+
+    fn open(&mut self, modem_lines: bool) {
+        self.cable = true;
+        self.session.handle_line(self.now, &LineEvent::Opened { modem_lines });
+        self.drain();
+    }
+
+    fn close(&mut self) {
+        self.cable = false;
+        self.session.handle_line(self.now, &LineEvent::Closed { reason: "unplugged".into() });
+        self.drain();
+    }
+
+    fn drain(&mut self) {
+        while let Some(output) = self.session.poll_output() {
+            match output {
+                Output::Transmit(bytes) if self.cable => self.unit.take(self.now, &bytes),
+                Output::Transmit(_) => {}
+                Output::SetRts(asserted) => self.rts.push((self.now, asserted)),
+                Output::Sample(sample) => self.samples.push((self.now, sample)),
+                Output::StateChanged => self.states.push((self.now, self.session.state().clone())),
+                Output::Warning(text) => self.warnings.push(text),
+            }
+        }
+    }
+
+    fn run(&mut self, seconds: f64) {
+        let end = self.now + Duration::from_secs_f64(seconds);
+        loop {
+            let unit_at = self.unit.next();
+            let session_at = self.session.poll_timeout();
+            let Some(at) = [unit_at, session_at].into_iter().flatten().min().filter(|&at| at <= end) else {
+                break;
+            };
+            self.now = self.now.max(at);
+            if unit_at == Some(at) {
+                let bytes = self.unit.give(self.now);
+                if self.cable {
+                    self.session.handle_bytes(self.now, &bytes);
+                }
+            } else {
+                self.session.handle_timeout(self.now);
+            }
+            self.drain();
+        }
+        self.now = end;
+    }
+
+    /// Time of the first sample after `t`, in seconds after it.
+    fn first_sample_after(&self, t: Timestamp) -> f64 {
+        self.samples.iter().find(|(at, _)| *at > t).expect("no sample").0.seconds_since(t)
+    }
+}
+
+fn seconds(bench: &Bench, address: u16) -> usize {
+    bench.samples.iter().filter(|(_, sample)| sample.address == address).count()
+}
+
+#[test]
+fn a_flock_of_two_is_set_up_and_streams() {
+    let mut bench = Bench::new(Settings::default(), &[1, 2], Unit::flock(2));
+    bench.open(false);
+    bench.run(5.0);
+    assert_eq!(bench.session.state(), &State::Streaming);
+    assert_eq!(bench.warnings, Vec::<String>::new());
+    let first = bench.first_sample_after(Timestamp::ZERO);
+    println!("full set-up: first pose after {first:.3} s");
+    // 0.3 s of questions, 1.2 s quiet around auto-configuration, 0.5 s to settle from then on.
+    assert!((1.6..2.2).contains(&first), "{first}");
+    assert_eq!(seconds(&bench, 1), seconds(&bench, 2));
+    let counters = bench.session.counters();
+    assert_eq!((counters.rejected, counters.bytes_skipped), (0, 0));
+    assert_eq!(bench.session.sensors().len(), 2);
+    assert!(bench.session.records_settling() > 0);
+    assert!((bench.session.rate_hz().unwrap() - 103.3).abs() < 0.01);
+    assert!(bench.unit.commands_seen.contains(&Command::Change { parameter: 0x32, data: vec![2] }));
+}
+
+#[test]
+fn a_unit_alone_streams_and_answers_polls() {
+    for (mode, format) in [(Mode::Stream, Format::PositionMatrix), (Mode::Point, Format::PositionQuaternion)]
+    {
+        let mut bench = Bench::new(Settings { mode, format, ..Settings::default() }, &[0], Unit::alone());
+        bench.open(false);
+        bench.run(3.0);
+        assert_eq!(bench.session.state(), &State::Streaming);
+        assert!(seconds(&bench, 0) > 100, "{mode:?}: {}", seconds(&bench, 0));
+        assert_eq!(bench.session.counters().rejected, 0);
+        assert!(
+            !bench.unit.commands_seen.iter().any(|c| matches!(c, Command::Change { parameter: 0x32, .. }))
+        );
+    }
+}
+
+#[test]
+fn poses_are_back_soon_after_the_cable() {
+    let mut bench = Bench::new(Settings::default(), &[1, 2], Unit::flock(2));
+    bench.open(false);
+    bench.run(4.0);
+    bench.close();
+    bench.run(2.0);
+    let back = bench.now;
+    bench.open(false);
+    bench.run(2.0);
+    let after = bench.first_sample_after(back);
+    println!("cable back: first pose after {after:.3} s");
+    assert!(after < 0.5, "{after}");
+    let configured =
+        bench.unit.commands_seen.iter().filter(|c| matches!(c, Command::Change { parameter: 0x32, .. }));
+    assert_eq!(configured.count(), 1);
+}
+
+#[test]
+fn a_unit_that_was_switched_off_and_on_is_set_up_again() {
+    let mut bench = Bench::new(Settings::default(), &[1, 2], Unit::flock(2));
+    bench.open(false);
+    bench.run(4.0);
+    let cut = bench.now;
+    bench.unit.power_cycle(cut);
+    bench.run(8.0);
+    assert_eq!(bench.session.state(), &State::Streaming);
+    assert!(bench.states.iter().any(|(_, state)| matches!(state, State::Silent { .. })));
+    let after = bench.first_sample_after(cut + Duration::from_secs(2));
+    println!("unit restarted: first pose {after:.3} s after it was ready");
+    assert!(after < 4.5, "{after}");
+}
+
+#[test]
+fn modem_lines_reset_the_unit_and_pseudo_terminals_do_not() {
+    let mut bench = Bench::new(Settings::default(), &[0], Unit::alone());
+    bench.open(true);
+    bench.run(6.0);
+    let times: Vec<_> = bench.rts.iter().map(|(at, asserted)| (at.as_secs_f64(), *asserted)).collect();
+    assert_eq!(times, [(0.0, true), (1.0, false)]);
+    assert_eq!(bench.session.state(), &State::Streaming);
+    assert!(bench.first_sample_after(Timestamp::ZERO) > 3.0);
+}
+
+#[test]
+fn a_dead_bird_does_not_stop_the_other() {
+    let mut bench = Bench::new(Settings::default(), &[1, 2], Unit::flock(2));
+    bench.open(false);
+    bench.run(4.0);
+    bench.unit.dead = vec![2];
+    let (one, two) = (seconds(&bench, 1), seconds(&bench, 2));
+    bench.run(2.0);
+    assert!(seconds(&bench, 1) - one >= 200, "{}", seconds(&bench, 1) - one);
+    assert_eq!(seconds(&bench, 2), two);
+    assert!(bench.warnings.iter().any(|text| text.contains("bird 2")), "{:?}", bench.warnings);
+    bench.unit.dead.clear();
+    bench.run(1.0);
+    assert!(seconds(&bench, 2) > two + 90);
+}
+
+#[test]
+fn what_does_not_fit_is_said_in_words() {
+    let mut silent = Bench::new(Settings::default(), &[1], Unit::flock(1));
+    silent.cable = false;
+    silent.session.handle_line(Timestamp::ZERO, &LineEvent::Opened { modem_lines: false });
+    silent.run(3.0);
+    let State::Silent { reason } = silent.session.state() else { panic!("{:?}", silent.session.state()) };
+    assert!(reason.contains("115200"), "{reason}");
+
+    for (wanted, unit, words) in [
+        (vec![1u16], Unit::alone(), "stand-alone"),
+        (vec![0], Unit::flock(2), "1, 2"),
+        (vec![5], Unit::flock(2), "none of the wanted birds (5)"),
+    ] {
+        let mut bench = Bench::new(Settings::default(), &wanted, unit);
+        bench.open(false);
+        bench.run(2.0);
+        let State::Failed { reason } = bench.session.state() else { panic!("{:?}", bench.session.state()) };
+        assert!(reason.contains(words), "{reason}");
+    }
+
+    let mut bench = Bench::new(Settings::default(), &[1, 5], Unit::flock(2));
+    bench.open(false);
+    bench.run(4.0);
+    assert_eq!(bench.session.state(), &State::Streaming);
+    assert!(bench.warnings.iter().any(|text| text.contains("bird 5")), "{:?}", bench.warnings);
+    assert!(bench.samples.iter().all(|(_, sample)| sample.address == 1));
+}
+
+#[test]
+fn a_slow_line_is_told_and_its_rate_known() {
+    let mut bench = Bench::new(
+        Settings { format: Format::PositionMatrix, ..Settings::default() },
+        &[1, 2],
+        Unit::flock(2),
+    );
+    bench.session = FlockSession::new(
+        Settings { format: Format::PositionMatrix, ..Settings::default() },
+        19_200,
+        &[1, 2],
+    )
+    .unwrap();
+    bench.open(false);
+    bench.run(3.0);
+    assert!(bench.warnings.iter().any(|text| text.contains("19200")), "{:?}", bench.warnings);
+    // 50 bytes take 26 ms, three cycles.
+    assert!((bench.session.rate_hz().unwrap() - 103.3 / 3.0).abs() < 0.01);
+}
+
+#[test]
+fn settings_are_checked() {
+    let new = |settings, wanted: &[u16]| FlockSession::new(settings, 115_200, wanted).map(|_| ());
+    assert!(new(Settings::default(), &[1, 1]).is_err());
+    assert!(new(Settings::default(), &[0, 1]).is_err());
+    assert!(new(Settings::default(), &[127]).is_err());
+    assert!(new(Settings::default(), &[]).is_err());
+    let fast = Settings { measurement_rate_hz: Some(200.0), ..Settings::default() };
+    assert_eq!(new(fast, &[0]).unwrap_err().to_string(), "measurement_rate_hz must be 14 to 144");
+}
+
+#[test]
+fn a_session_can_be_put_away_at_any_moment() {
+    let mut bench = Bench::new(Settings::default(), &[1, 2], Unit::flock(2));
+    bench.open(false);
+    let mut whole = Bench::new(Settings::default(), &[1, 2], Unit::flock(2));
+    whole.open(false);
+    for _ in 0..400 {
+        bench.run(0.01);
+        whole.run(0.01);
+        let bytes = rmp_serde::to_vec(&bench.session).unwrap();
+        bench.session = rmp_serde::from_slice(&bytes).unwrap();
+        assert_eq!(rmp_serde::to_vec(&bench.session).unwrap(), bytes);
+    }
+    assert!(!bench.samples.is_empty());
+    assert_eq!(bench.samples, whole.samples);
+}
+
+#[test]
+fn a_probe_tells_what_is_there() {
+    let mut unit = Unit::flock(2);
+    let mut probe = Probe::new(Timestamp::ZERO, false);
+    let mut now = Timestamp::ZERO;
+    while probe.result().is_none() {
+        while let Some(output) = probe.poll_output() {
+            if let Output::Transmit(bytes) = output {
+                unit.take(now, &bytes);
+            }
+        }
+        let (unit_at, probe_at) = (unit.next(), probe.poll_timeout().unwrap());
+        if let Some(at) = unit_at.filter(|&at| at <= probe_at) {
+            now = now.max(at);
+            probe.handle_bytes(now, &unit.give(now));
+        } else {
+            now = now.max(probe_at);
+            probe.handle_timeout(now);
+        }
+    }
+    let findings = probe.result().unwrap().unwrap();
+    assert_eq!((findings.revision, findings.model.as_str()), ((3, 67), "6DFOB"));
+    assert_eq!(findings.sensors(), [1, 2]);
+    assert_eq!(findings.addressing, Addressing::Normal);
+    assert!((findings.rate_hz - 103.3).abs() < 0.01);
+    assert!(now.as_secs_f64() < 0.4, "{now:?}");
+
+    let mut probe = Probe::new(Timestamp::ZERO, false);
+    while let Some(at) = probe.poll_timeout() {
+        now = at;
+        probe.handle_timeout(now);
+    }
+    assert_eq!(probe.result(), Some(Err(Failure::Silent)));
+    assert!(Failure::Silent.advice(38_400).contains("38400"));
+}

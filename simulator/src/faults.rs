@@ -1,0 +1,234 @@
+//! Fault scripts: what goes wrong, when, and the record of what it hit.
+//!
+//! Faults of the device (a bird that dies, a frozen sensor) act in [`crate::flock`], faults of the line
+//! (lost bytes, unplugging) in [`crate::line`]. Times are seconds of the stage's clock.
+
+use posed_drivers::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use crate::random::Random;
+
+/// One line of a fault script.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Fault {
+    /// Bytes of records that never arrive.
+    LostBytes(Bytes),
+    /// Random bytes in front of bytes of records.
+    InsertedBytes(Bytes),
+    /// Bytes of records with bit 7 flipped.
+    Bit7Flips(Bytes),
+    /// Bytes of records with one of bits 0 to 6 flipped.
+    DataBitFlips(Bytes),
+    /// The line delivers only every so many milliseconds, as a USB adapter does.
+    Bursts {
+        /// From, s.
+        start_s: f64,
+        /// Until, s.
+        end_s: f64,
+        /// Time between two deliveries, ms.
+        burst_ms: f64,
+    },
+    /// The port disappears and comes back.
+    Unplug {
+        /// When, s.
+        at_s: f64,
+        /// For how long, s; absent: for good.
+        duration_s: Option<f64>,
+        /// The unit loses power with it and starts anew.
+        #[serde(default)]
+        power: bool,
+    },
+    /// The first bytes of the next frame are cut off, anywhere within its first record.
+    PhaseCut {
+        /// When, s.
+        at_s: f64,
+    },
+    /// The unit does nothing for a while; input waits.
+    Stall {
+        /// When, s.
+        at_s: f64,
+        /// For how long, s.
+        #[serde(default = "two")]
+        duration_s: f64,
+    },
+    /// The device loses power for a moment and starts anew, with all its units.
+    PowerCycle {
+        /// When, s.
+        at_s: f64,
+    },
+    /// A bird is gone from the bus; when it returns it goes on with its settings.
+    BirdDies {
+        /// Which.
+        address: u8,
+        /// When, s.
+        at_s: f64,
+        /// For how long, s; absent: for good.
+        duration_s: Option<f64>,
+    },
+    /// Positions on the wrong side of the transmitter.
+    HemisphereFlip {
+        /// Which bird.
+        address: u8,
+        /// When, s.
+        at_s: f64,
+        /// For how long, s.
+        duration_s: f64,
+    },
+    /// The sensor is taken out of range: its words repeat, and jump when it returns.
+    OutOfRange {
+        /// Which bird.
+        address: u8,
+        /// When, s.
+        at_s: f64,
+        /// For how long, s.
+        duration_s: f64,
+    },
+    /// Orientations that are no rotation (matrix and quaternion formats).
+    BadMatrix {
+        /// Which bird.
+        address: u8,
+        /// When, s.
+        at_s: f64,
+        /// For how long, s.
+        duration_s: f64,
+    },
+    /// An error code that waits to be read; a fatal one stops the unit.
+    Error {
+        /// Which unit notes it.
+        address: u8,
+        /// When, s.
+        at_s: f64,
+        /// The code.
+        code: u8,
+        /// Second byte of the expanded code: for code 13 the silent unit's address.
+        #[serde(default)]
+        detail: u8,
+    },
+}
+
+fn two() -> f64 {
+    2.0
+}
+
+/// A number of damaged bytes, at seeded random times in a span and random places in the frames there.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Bytes {
+    /// How many.
+    pub count: u32,
+    /// From, s.
+    pub start_s: f64,
+    /// Until, s.
+    pub end_s: f64,
+}
+
+impl Fault {
+    /// Its word in scripts and logs.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::LostBytes(_) => "lost-bytes",
+            Self::InsertedBytes(_) => "inserted-bytes",
+            Self::Bit7Flips(_) => "bit7-flips",
+            Self::DataBitFlips(_) => "data-bit-flips",
+            Self::Bursts { .. } => "bursts",
+            Self::Unplug { .. } => "unplug",
+            Self::PhaseCut { .. } => "phase-cut",
+            Self::Stall { .. } => "stall",
+            Self::PowerCycle { .. } => "power-cycle",
+            Self::BirdDies { .. } => "bird-dies",
+            Self::HemisphereFlip { .. } => "hemisphere-flip",
+            Self::OutOfRange { .. } => "out-of-range",
+            Self::BadMatrix { .. } => "bad-matrix",
+            Self::Error { .. } => "error",
+        }
+    }
+
+    /// From when to when it lasts, s; a single moment where both are equal.
+    pub fn span_s(&self) -> (f64, f64) {
+        match *self {
+            Self::LostBytes(bytes)
+            | Self::InsertedBytes(bytes)
+            | Self::Bit7Flips(bytes)
+            | Self::DataBitFlips(bytes) => (bytes.start_s, bytes.end_s),
+            Self::Bursts { start_s, end_s, .. } => (start_s, end_s),
+            Self::PhaseCut { at_s } | Self::PowerCycle { at_s } | Self::Error { at_s, .. } => (at_s, at_s),
+            Self::Unplug { at_s, duration_s, .. } | Self::BirdDies { at_s, duration_s, .. } => {
+                (at_s, duration_s.map_or(f64::INFINITY, |d| at_s + d))
+            }
+            Self::Stall { at_s, duration_s }
+            | Self::HemisphereFlip { at_s, duration_s, .. }
+            | Self::OutOfRange { at_s, duration_s, .. }
+            | Self::BadMatrix { at_s, duration_s, .. } => (at_s, at_s + duration_s),
+        }
+    }
+
+    /// The bird it is about, if it is about one.
+    pub fn address(&self) -> Option<u8> {
+        match *self {
+            Self::BirdDies { address, .. }
+            | Self::HemisphereFlip { address, .. }
+            | Self::OutOfRange { address, .. }
+            | Self::BadMatrix { address, .. }
+            | Self::Error { address, .. } => Some(address),
+            _ => None,
+        }
+    }
+
+    /// Whether it lasts at `t` (its end excluded).
+    pub(crate) fn is_active(&self, t: Timestamp) -> bool {
+        let (start_s, end_s) = self.span_s();
+        let t_s = t.as_secs_f64();
+        start_s <= t_s && t_s < end_s
+    }
+}
+
+/// What a fault hit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FaultHit {
+    /// When.
+    pub t: Timestamp,
+    /// [`Fault::name`].
+    pub fault: &'static str,
+    /// The bird whose record or unit was hit.
+    pub address: Option<u8>,
+    /// Measurement cycle of the record that was hit.
+    pub cycle: Option<u64>,
+    /// Which byte of the record, from 0.
+    pub byte: Option<u8>,
+}
+
+/// How a byte is damaged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Damage {
+    Lose,
+    Insert,
+    FlipBit7,
+    FlipData,
+}
+
+/// The damaged bytes of a script, in the order of their times.
+pub(crate) fn damage_schedule(
+    faults: &[Fault],
+    random: &mut Random,
+) -> Vec<(Timestamp, Damage, &'static str)> {
+    let mut schedule = Vec::new();
+    for fault in faults {
+        let (bytes, damage) = match *fault {
+            Fault::LostBytes(bytes) => (bytes, Damage::Lose),
+            Fault::InsertedBytes(bytes) => (bytes, Damage::Insert),
+            Fault::Bit7Flips(bytes) => (bytes, Damage::FlipBit7),
+            Fault::DataBitFlips(bytes) => (bytes, Damage::FlipData),
+            _ => continue,
+        };
+        for _ in 0..bytes.count {
+            let t_s = bytes.start_s + random.uniform() * (bytes.end_s - bytes.start_s);
+            schedule.push((Timestamp::from_secs_f64(t_s), damage, fault.name()));
+        }
+    }
+    schedule.sort_by_key(|&(t, ..)| t);
+    schedule
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,420 @@
+//! A virtual Flock of Birds: one chain of units on one serial line.
+//!
+//! What comes in: the host's bytes and the passing of time. What goes out: the bytes of the units, with the
+//! time of each on the wire, and the truth of every measurement cycle. No clock, no port, no thread:
+//! call [`VirtualFlock::handle_bytes`], [`VirtualFlock::handle_rts`] or [`VirtualFlock::handle_timeout`],
+//! then [`VirtualFlock::poll_output`] until `None`, then [`VirtualFlock::poll_timeout`].
+//!
+//! - `unit`: one unit's settings, parameters and last measurement
+//! - `command`: what each command does
+//! - `measure`: the measurement cycle
+//! - `send`: records and answers onto the wire
+
+mod command;
+mod measure;
+mod send;
+#[cfg(test)]
+mod tests;
+mod unit;
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use nalgebra::Isometry3;
+use posed_drivers::Timestamp;
+use posed_drivers::flock::wire::{Addressing, CommandParser};
+
+use crate::faults::{Fault, FaultHit};
+use crate::line::WireByte;
+use crate::magnetic::Tracker;
+use crate::motion::Body;
+use crate::random::Random;
+use crate::truth::TruthCycle;
+use unit::{Measured, Unit};
+
+/// A sensor and what it rides on.
+#[derive(Clone, Debug)]
+pub struct Sensor {
+    /// Index in the stage's list of sensors.
+    pub index: usize,
+    /// The body.
+    pub body: Body,
+    /// Which segment of it.
+    pub segment: usize,
+    /// Sensor to segment, m.
+    pub mount: Isometry3<f64>,
+}
+
+impl Sensor {
+    /// Sensor to room at `t`.
+    pub(crate) fn pose_in_room(&self, t: Timestamp) -> Isometry3<f64> {
+        self.body.pose(self.segment, t.as_secs_f64()) * self.mount
+    }
+}
+
+/// One unit of the chain.
+#[derive(Clone, Debug)]
+pub struct UnitConfig {
+    /// Its sensor, if one is plugged in.
+    pub sensor: Option<Sensor>,
+    /// It is an extended range controller.
+    pub extended_controller: bool,
+    /// A transmitter is plugged in.
+    pub transmitter: bool,
+}
+
+/// A chain of units.
+#[derive(Clone, Debug)]
+pub struct FlockConfig {
+    /// Index in the stage's list of devices.
+    pub device: usize,
+    /// Line rate, bit/s.
+    pub baud: u32,
+    /// The only unit stands alone (address 0); else the units have addresses 1, 2, ...
+    pub stand_alone: bool,
+    /// The units.
+    pub units: Vec<UnitConfig>,
+    /// Address mode switches.
+    pub addressing: Addressing,
+    /// Software revision: integer part, fraction.
+    pub revision: [u8; 2],
+    /// An extended range transmitter: words are fractions of 144 inches.
+    pub extended_range: bool,
+    /// Nominal rate at power-up, Hz.
+    pub rate_hz: f64,
+    /// How much slower than nominal the unit's clock runs, parts per million.
+    pub drift_ppm: f64,
+    /// From measurement to the record's first bit.
+    pub measurement_delay: Duration,
+    /// From power or reset to the first command that is understood.
+    pub boot: Duration,
+    /// Transmitter to room.
+    pub transmitter_in_room: Isometry3<f64>,
+    /// Field, noise, limits.
+    pub tracker: Tracker,
+    /// A distortion above this makes a measurement `disturbed`, m.
+    pub disturbed_above_m: f64,
+    /// What goes wrong; faults of the line are not for the units.
+    pub faults: Vec<Fault>,
+}
+
+/// What a flock gives.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FlockOutput {
+    /// Bytes that go onto the wire in one go.
+    Send(Vec<WireByte>),
+    /// A reset at this time: bytes that would leave later never do.
+    Cut(Timestamp),
+    /// Truth of a measurement cycle.
+    Truth(TruthCycle),
+    /// A fault hit something.
+    Fault(FaultHit),
+}
+
+/// What a unit is busy with; input waits meanwhile.
+#[derive(Debug)]
+enum Job {
+    /// Then send these bytes.
+    Answer(Vec<u8>),
+    /// Then send a record of this unit, or of all of them in group mode.
+    Point(usize),
+    /// Then the first so many units are configured.
+    AutoConfig(u8),
+    /// A stall of the script.
+    Nothing,
+}
+
+/// A frame that was measured and waits for the constant delay to pass.
+#[derive(Debug)]
+struct Ready {
+    at: Timestamp,
+    cycle: u64,
+    units: Vec<Option<Measured>>,
+}
+
+/// A chain of units on a line; see the module.
+#[derive(Debug)]
+pub struct VirtualFlock {
+    config: FlockConfig,
+    units: Vec<Unit>,
+    /// Noise of each unit's sensor.
+    noise: Vec<Random>,
+    random: Random,
+    now: Timestamp,
+    /// The reset line holds the first unit.
+    held: bool,
+    /// Power-up or reset goes on until then.
+    booting: Option<Timestamp>,
+    /// Auto-configured, or stand-alone.
+    configured: bool,
+    group: bool,
+    streaming: bool,
+    /// Cycles per streamed frame.
+    report_every: u16,
+    asleep: bool,
+    xoff: bool,
+    factory_test: bool,
+    rate_hz: f64,
+    parser: CommandParser,
+    input: VecDeque<u8>,
+    busy: Option<(Timestamp, Job)>,
+    /// Start of cycle `origin.1`; later ones follow at the period.
+    origin: (Timestamp, u64),
+    next_cycle: u64,
+    /// Cycle of the last streamed or skipped frame.
+    last_frame: Option<u64>,
+    ready: VecDeque<Ready>,
+    /// Cycle of the units' present measurements.
+    present_cycle: u64,
+    /// When the last byte handed to the line has left.
+    line_free: Timestamp,
+    /// Answers held back by XOFF.
+    held_back: Vec<u8>,
+    /// Momentary faults still to come, next one first.
+    moments: VecDeque<(Timestamp, Fault)>,
+    output: VecDeque<FlockOutput>,
+    skipped_frames: u64,
+}
+
+impl VirtualFlock {
+    /// A flock that is powered at the stage's epoch.
+    ///
+    /// `noise` are the random numbers of each unit's sensor.
+    pub(crate) fn new(config: FlockConfig, noise: Vec<Random>, mut random: Random) -> Self {
+        let units: Vec<Unit> = (0..config.units.len()).map(|i| Unit::new(&config, i, &mut random)).collect();
+        let mut moments: Vec<(Timestamp, Fault)> = Vec::new();
+        for fault in &config.faults {
+            let (start_s, end_s) = fault.span_s();
+            match fault {
+                Fault::Stall { .. }
+                | Fault::Error { .. }
+                | Fault::PowerCycle { .. }
+                | Fault::BirdDies { .. } => {
+                    moments.push((Timestamp::from_secs_f64(start_s), fault.clone()));
+                }
+                // Power returns with the port.
+                Fault::Unplug { power: true, .. } if end_s.is_finite() => {
+                    moments.push((Timestamp::from_secs_f64(end_s), fault.clone()));
+                }
+                _ => {}
+            }
+        }
+        moments.sort_by_key(|&(t, _)| t);
+        let phase = Duration::from_secs_f64(random.uniform() / config.rate_hz);
+        let mut flock = Self {
+            units,
+            noise,
+            random,
+            now: Timestamp::ZERO,
+            held: false,
+            booting: None,
+            configured: false,
+            group: false,
+            streaming: false,
+            report_every: 1,
+            asleep: false,
+            xoff: false,
+            factory_test: false,
+            rate_hz: config.rate_hz,
+            parser: CommandParser::new(config.addressing),
+            input: VecDeque::new(),
+            busy: None,
+            origin: (Timestamp::ZERO + phase, 0),
+            next_cycle: 0,
+            last_frame: None,
+            ready: VecDeque::new(),
+            present_cycle: 0,
+            line_free: Timestamp::ZERO,
+            held_back: Vec::new(),
+            moments: moments.into(),
+            output: VecDeque::new(),
+            skipped_frames: 0,
+            config,
+        };
+        flock.power_up(Timestamp::ZERO);
+        flock
+    }
+
+    /// Frames left out since the line had not drained.
+    pub fn skipped_frames(&self) -> u64 {
+        self.skipped_frames
+    }
+
+    /// Bytes of the host arrive.
+    pub fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
+        self.handle_timeout(now);
+        if self.held || self.booting.is_some() {
+            return;
+        }
+        self.input.extend(bytes);
+        self.work(now);
+    }
+
+    /// The host sets the RTS line: asserted holds the first unit in reset.
+    pub fn handle_rts(&mut self, now: Timestamp, asserted: bool) {
+        self.handle_timeout(now);
+        match (self.held, asserted) {
+            (false, true) => {
+                self.held = true;
+                self.stop(now);
+            }
+            (true, false) => {
+                self.held = false;
+                self.reset_unit(0);
+                self.configured = self.config.stand_alone;
+                self.boot(now);
+            }
+            _ => {}
+        }
+    }
+
+    /// Time has passed: does everything that is due at or before `now`.
+    pub fn handle_timeout(&mut self, now: Timestamp) {
+        while let Some(due) = self.poll_timeout().filter(|&due| due <= now) {
+            self.now = self.now.max(due);
+            self.step(due);
+        }
+        self.now = self.now.max(now);
+    }
+
+    /// When something happens next.
+    pub fn poll_timeout(&self) -> Option<Timestamp> {
+        let moment = self.moments.front().map(|&(t, _)| t);
+        let busy = self.busy.as_ref().map(|&(t, _)| t);
+        let ready = self.ready.front().map(|ready| ready.at);
+        let cycle = Some(self.cycle_time(self.next_cycle));
+        [moment, self.booting, busy, ready, cycle].into_iter().flatten().min()
+    }
+
+    /// The next output, until `None`.
+    pub fn poll_output(&mut self) -> Option<FlockOutput> {
+        self.output.pop_front()
+    }
+
+    /// Does the one thing that is due at `due`.
+    fn step(&mut self, due: Timestamp) {
+        if self.moments.front().is_some_and(|&(t, _)| t <= due) {
+            if let Some((t, fault)) = self.moments.pop_front() {
+                self.moment(t, &fault);
+            }
+        } else if self.booting.is_some_and(|t| t <= due) {
+            self.booting = None;
+        } else if self.busy.as_ref().is_some_and(|&(t, _)| t <= due) {
+            if let Some((t, job)) = self.busy.take() {
+                self.finish(t, job);
+                self.work(t);
+            }
+        } else if self.ready.front().is_some_and(|ready| ready.at <= due) {
+            if let Some(ready) = self.ready.pop_front() {
+                self.publish(ready);
+            }
+        } else {
+            self.measure_cycle(due);
+        }
+    }
+
+    /// A momentary fault of the script.
+    fn moment(&mut self, t: Timestamp, fault: &Fault) {
+        let address = fault.address();
+        let hit = FaultHit { t, fault: fault.name(), address, cycle: None, byte: None };
+        let unit = address.and_then(|address| self.unit_of(Some(address)));
+        match *fault {
+            Fault::Stall { duration_s, .. } => {
+                let until = t + Duration::from_secs_f64(duration_s.max(0.0));
+                // What it was busy with waits for the end of the stall too.
+                let job = self.busy.take().map_or(Job::Nothing, |(_, job)| job);
+                self.busy = Some((until, job));
+            }
+            Fault::PowerCycle { .. } | Fault::Unplug { .. } => {
+                self.stop(t);
+                self.power_up(t);
+            }
+            Fault::BirdDies { address, .. } if unit.is_some() => self.set_error(0, 13, address),
+            Fault::Error { code, detail, .. } => {
+                if let Some(unit) = unit {
+                    self.set_error(unit, code, detail);
+                }
+            }
+            _ => {}
+        }
+        self.output.push_back(FlockOutput::Fault(hit));
+    }
+
+    /// Everything that was going on ends, as by a loss of power.
+    fn stop(&mut self, t: Timestamp) {
+        self.streaming = false;
+        self.busy = None;
+        self.input.clear();
+        self.parser.reset();
+        self.ready.clear();
+        self.held_back.clear();
+        self.xoff = false;
+        self.line_free = self.line_free.min(t);
+        self.output.push_back(FlockOutput::Cut(t));
+    }
+
+    /// All units start with their power-up settings.
+    fn power_up(&mut self, t: Timestamp) {
+        for index in 0..self.units.len() {
+            self.reset_unit(index);
+        }
+        self.configured = self.config.stand_alone;
+        self.boot(t);
+    }
+
+    /// The first unit starts: its own state and that of the chain which it masters.
+    fn boot(&mut self, t: Timestamp) {
+        self.group = false;
+        self.streaming = false;
+        self.asleep = false;
+        self.factory_test = false;
+        self.report_every = 1;
+        self.set_rate(t, self.config.rate_hz);
+        self.booting = Some(t + self.config.boot);
+        self.settle_from(t + self.config.boot);
+    }
+
+    fn reset_unit(&mut self, index: usize) {
+        self.units[index] = Unit::new(&self.config, index, &mut self.random);
+    }
+
+    /// All units have just started and give bad measurements for a while.
+    fn settle_from(&mut self, t: Timestamp) {
+        for unit in &mut self.units {
+            unit.started = Some(t);
+        }
+    }
+
+    /// Index of the unit that a prefix names; without one the unit on the line.
+    fn unit_of(&self, to: Option<u8>) -> Option<usize> {
+        match to {
+            None => Some(0),
+            Some(address) => self.units.iter().position(|unit| unit.address == address),
+        }
+    }
+
+    /// Whether a unit answers on the bus.
+    fn is_accessible(&self, unit: usize, t: Timestamp) -> bool {
+        let address = self.units[unit].address;
+        !self.config.faults.iter().any(|fault| {
+            matches!(*fault, Fault::BirdDies { address: dead, .. } if dead == address) && fault.is_active(t)
+        })
+    }
+
+    /// Whether a unit measures: the master only once it has configured its chain.
+    fn is_running(&self, unit: usize) -> bool {
+        !self.asleep && (unit > 0 || self.configured)
+    }
+
+    fn set_error(&mut self, unit: usize, code: u8, detail: u8) {
+        let unit = &mut self.units[unit];
+        unit.error = [code, detail];
+        unit.error_waiting = true;
+        if posed_drivers::flock::wire::value::error(code).1
+            == posed_drivers::flock::wire::value::ErrorClass::Fatal
+        {
+            self.streaming = false;
+            self.asleep = true;
+        }
+    }
+}

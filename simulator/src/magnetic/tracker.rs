@@ -1,0 +1,160 @@
+//! One measurement: from the true pose, through nine noisy signals, to the pose that a device reports.
+
+use nalgebra::{Isometry3, Matrix3, Vector3};
+
+use super::dipole::{Solution, signal_matrix, solve};
+use super::metal::Environment;
+use crate::random::Random;
+
+/// A stray field of the mains, the same for all sensors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hum {
+    /// Mains frequency, Hz.
+    pub frequency_hz: f64,
+    /// Amplitude and direction in the transmitter frame, in units of mu0 m / 4 pi (1/m^3).
+    pub amplitude: Vector3<f64>,
+    /// Phase at t = 0, rad.
+    pub phase_rad: f64,
+}
+
+/// The physical part of a tracker: source, metal, noise, limits.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tracker {
+    /// Metal around the transmitter.
+    pub environment: Environment,
+    /// Standard deviation of each of the nine signals, in units of mu0 m / 4 pi (1/m^3).
+    ///
+    /// It gives r^4 s / sqrt(54) along the ray and sqrt(5) / 3 r^4 s across it.
+    pub sigma_signal: f64,
+    /// Stray field of the mains.
+    pub hum: Option<Hum>,
+    /// Beyond this distance the signals are too weak, m.
+    pub max_range_m: f64,
+    /// Nearer than this the amplifiers saturate, m.
+    pub min_range_m: f64,
+}
+
+/// How usable the signals were.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Signal {
+    /// A pose was solved.
+    Good,
+    /// Too far away: the device repeats its last words.
+    Weak,
+    /// Too near: signals were clipped, the pose is wrong.
+    Saturated,
+}
+
+/// What one sensor measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reading {
+    /// The pose that the device solves, in the transmitter frame; absent when `signal` is `Weak`.
+    pub solution: Option<Solution>,
+    /// The position that it would solve without noise, on the true side of the transmitter, minus the true one, m.
+    pub distortion_m: Vector3<f64>,
+    /// Whether the solution lies on the other side of the transmitter than the sensor.
+    pub mirrored: bool,
+    /// How usable the signals were.
+    pub signal: Signal,
+}
+
+impl Tracker {
+    /// Measures a sensor at `pose` (sensor to transmitter, m) at `t_s` seconds.
+    ///
+    /// `hemisphere` is the axis of the half-space that the device was told, in the transmitter frame.
+    /// Draws the same amount of noise whatever happens, so that sensors and cycles stay independent.
+    pub(crate) fn measure(
+        &self,
+        t_s: f64,
+        pose: &Isometry3<f64>,
+        hemisphere: &Vector3<f64>,
+        random: &mut Random,
+    ) -> Reading {
+        let noise = Matrix3::from_fn(|_, _| self.sigma_signal * random.normal());
+        let p_m = pose.translation.vector;
+        let r_m = p_m.norm();
+        let mirrored = p_m.dot(hemisphere) < 0.0;
+        let too_near = r_m < 1e-3;
+        if too_near || r_m > self.max_range_m || r_m.is_nan() {
+            let signal = if too_near { Signal::Saturated } else { Signal::Weak };
+            return Reading { solution: None, distortion_m: Vector3::zeros(), mirrored, signal };
+        }
+        let mut signals = signal_matrix(&self.environment.field(&p_m), &pose.rotation);
+        if let Some(hum) = &self.hum {
+            let phase = std::f64::consts::TAU * hum.frequency_hz * t_s + hum.phase_rad;
+            let stray = pose.rotation.inverse() * (hum.amplitude * phase.sin());
+            signals += stray * nalgebra::RowVector3::repeat(1.0);
+        }
+        let limit = 2.0 / self.min_range_m.powi(3);
+        let saturated = signals.iter().any(|s| s.abs() > limit) || r_m < self.min_range_m;
+        let clip = |m: Matrix3<f64>| m.map(|s| s.clamp(-limit, limit));
+        let distortion_m =
+            solve(&clip(signals), &p_m).map_or_else(Vector3::zeros, |solution| solution.position_m - p_m);
+        let solution = solve(&clip(signals + noise), hemisphere);
+        let signal = match (saturated, solution) {
+            (true, _) => Signal::Saturated,
+            (false, Some(_)) => Signal::Good,
+            (false, None) => Signal::Weak,
+        };
+        Reading { solution, distortion_m, mirrored, signal }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Purpose;
+
+    fn tracker() -> Tracker {
+        Tracker {
+            environment: Environment::default(),
+            sigma_signal: 0.0,
+            hum: None,
+            max_range_m: 1.2,
+            min_range_m: 0.15,
+        }
+    }
+
+    fn measure(tracker: &Tracker, t_s: f64, p: [f64; 3]) -> Reading {
+        let pose = Isometry3::translation(p[0], p[1], p[2]);
+        tracker.measure(t_s, &pose, &Vector3::x(), &mut Random::new(1, Purpose::Signals(0)))
+    }
+
+    #[test]
+    fn crossing_the_plane_mirrors_the_position_at_unchanged_orientation() {
+        let near = measure(&tracker(), 0.0, [0.01, 0.5, 0.2]);
+        let beyond = measure(&tracker(), 0.0, [-0.01, 0.5, 0.2]);
+        assert!(!near.mirrored && beyond.mirrored);
+        let (a, b) = (near.solution.unwrap(), beyond.solution.unwrap());
+        assert!((a.position_m - Vector3::new(0.01, 0.5, 0.2)).norm() < 1e-9);
+        assert!((b.position_m - Vector3::new(0.01, -0.5, -0.2)).norm() < 1e-9);
+        assert!(a.orientation.angle_to(&b.orientation) < 1e-6);
+        assert!(beyond.distortion_m.norm() < 1e-9, "being mirrored is no distortion");
+    }
+
+    #[test]
+    fn too_far_is_weak_and_too_near_saturates() {
+        assert_eq!(measure(&tracker(), 0.0, [1.21, 0.0, 0.0]).signal, Signal::Weak);
+        assert_eq!(measure(&tracker(), 0.0, [1.19, 0.0, 0.0]).signal, Signal::Good);
+        let near = measure(&tracker(), 0.0, [0.1, 0.0, 0.0]);
+        assert_eq!(near.signal, Signal::Saturated);
+        assert!(near.solution.unwrap().position_m.norm() > 0.12, "clipped signals look farther away");
+        assert_eq!(measure(&tracker(), 0.0, [0.0; 3]).signal, Signal::Saturated);
+        assert_eq!(measure(&tracker(), 0.0, [f64::NAN; 3]).signal, Signal::Weak);
+    }
+
+    #[test]
+    fn hum_shows_at_the_aliased_frequency() {
+        let mut tracker = tracker();
+        tracker.hum =
+            Some(Hum { frequency_hz: 50.0, amplitude: Vector3::new(0.0, 0.01, 0.0), phase_rad: 0.3 });
+        // Sampled at 30 Hz, 50 Hz shows at |50 - 2 * 30| = 10 Hz: every third sample is alike.
+        let x: Vec<f64> =
+            (0..9).map(|i| measure(&tracker, f64::from(i) / 30.0, [0.8, 0.0, 0.0]).distortion_m.y).collect();
+        assert!(x.iter().any(|v| v.abs() > 1e-3), "{x:?}");
+        for i in 0..6 {
+            assert!((x[i] - x[i + 3]).abs() < 1e-9, "{x:?}");
+        }
+        assert!((x[0] - x[1]).abs() > 1e-4, "{x:?}");
+    }
+}

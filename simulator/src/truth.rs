@@ -1,0 +1,149 @@
+//! Ground truth: what really was, for every sensor in every measurement cycle, and how it reaches a file.
+
+use std::io::{self, Write};
+
+use nalgebra::{Isometry3, Vector3};
+use posed_drivers::Timestamp;
+use serde::{Deserialize, Serialize};
+
+/// What the simulator did to a measurement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Class {
+    /// Nothing but noise and mild distortion.
+    Clean,
+    /// The position is mirrored through the transmitter.
+    Inverted,
+    /// The words of an earlier cycle are repeated.
+    Stuck,
+    /// The first measurement after being stuck.
+    Jump,
+    /// Metal, hum, saturation or a start bend the measurement beyond the scene's limit, or its orientation is no rotation.
+    Disturbed,
+}
+
+impl Class {
+    /// Its word in files and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Clean => "clean",
+            Self::Inverted => "inverted",
+            Self::Stuck => "stuck",
+            Self::Jump => "jump",
+            Self::Disturbed => "disturbed",
+        }
+    }
+}
+
+/// Truth of one sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruthRow {
+    /// Index in the stage's list of sensors.
+    pub sensor: usize,
+    /// Sensor to room, m.
+    pub pose: Isometry3<f64>,
+    /// What happened to the measurement.
+    pub class: Class,
+    /// Measured without noise, minus true, in room axes, m; mirroring and repeating left out.
+    pub distortion_m: Vector3<f64>,
+}
+
+/// Truth of one measurement cycle of one device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TruthCycle {
+    /// Capture time, exact.
+    pub t: Timestamp,
+    /// Index in the stage's list of devices.
+    pub device: usize,
+    /// The device's number of the cycle.
+    pub cycle: u64,
+    /// One row for each of the device's sensors.
+    pub sensors: Vec<TruthRow>,
+}
+
+/// Writes truth as CSV: `t,sensor,x,y,z,qw,qx,qy,qz,class,distortion_x,distortion_y,distortion_z`.
+pub struct TruthWriter<W: Write> {
+    writer: W,
+    sensors: Vec<String>,
+}
+
+impl<W: Write> TruthWriter<W> {
+    /// Begins a file: a comment with the UTC time of t = 0, then the header.
+    ///
+    /// `sensors` are the names by index; `epoch_utc` is RFC 3339.
+    ///
+    /// # Errors
+    /// What the writer says.
+    pub fn new(mut writer: W, sensors: Vec<String>, epoch_utc: &str) -> io::Result<Self> {
+        writeln!(writer, "# epoch_utc = {epoch_utc}")?;
+        writeln!(writer, "t,sensor,x,y,z,qw,qx,qy,qz,class,distortion_x,distortion_y,distortion_z")?;
+        Ok(Self { writer, sensors })
+    }
+
+    /// Writes the rows of a cycle.
+    ///
+    /// # Errors
+    /// What the writer says.
+    pub fn write(&mut self, cycle: &TruthCycle) -> io::Result<()> {
+        let nanos = cycle.t.as_nanos();
+        let (sign, nanos) = if nanos < 0 { ("-", nanos.unsigned_abs()) } else { ("", nanos.unsigned_abs()) };
+        for row in &cycle.sensors {
+            let (p, q, d) = (row.pose.translation.vector, row.pose.rotation, row.distortion_m);
+            writeln!(
+                self.writer,
+                "{sign}{}.{:09},{},{:.7},{:.7},{:.7},{:.8},{:.8},{:.8},{:.8},{},{:.7},{:.7},{:.7}",
+                nanos / 1_000_000_000,
+                nanos % 1_000_000_000,
+                self.sensors.get(row.sensor).map_or("", String::as_str),
+                p.x,
+                p.y,
+                p.z,
+                q.w,
+                q.i,
+                q.j,
+                q.k,
+                row.class.name(),
+                d.x,
+                d.y,
+                d.z,
+            )?;
+        }
+        Ok(())
+    }
+
+    /// Writes what is still in memory and gives the writer back.
+    ///
+    /// # Errors
+    /// What the writer says.
+    pub fn finish(mut self) -> io::Result<W> {
+        self.writer.flush()?;
+        Ok(self.writer)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_those_of_the_design() {
+        let mut writer =
+            TruthWriter::new(Vec::new(), vec!["left".into()], "2024-05-01T12:00:00.000000000Z").unwrap();
+        let row = TruthRow {
+            sensor: 0,
+            pose: Isometry3::translation(1.0, -2.0, 0.5),
+            class: Class::Inverted,
+            distortion_m: Vector3::new(0.001, 0.0, 0.0),
+        };
+        let t = Timestamp::from_nanos(1_000_000_005);
+        writer.write(&TruthCycle { t, device: 0, cycle: 7, sensors: vec![row] }).unwrap();
+        let text = String::from_utf8(writer.finish().unwrap()).unwrap();
+        assert_eq!(
+            text,
+            "# epoch_utc = 2024-05-01T12:00:00.000000000Z\n\
+             t,sensor,x,y,z,qw,qx,qy,qz,class,distortion_x,distortion_y,distortion_z\n\
+             1.000000005,left,1.0000000,-2.0000000,0.5000000,1.00000000,0.00000000,0.00000000,0.00000000,\
+             inverted,0.0010000,0.0000000,0.0000000\n"
+        );
+    }
+}

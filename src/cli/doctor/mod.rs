@@ -1,0 +1,175 @@
+//! `posed doctor [PORT]`: lists the serial ports, asks each what is there, and says what is wrong.
+//!
+//! Ports are asked side by side, each at one rate after the other, and none for longer than [`LIMIT`]. A unit that
+//! streams is stopped by the question; nothing else is changed.
+
+mod probe;
+mod stage;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use posed_drivers::flock::probe::BAUD_RATES;
+use serde::Serialize;
+
+use super::{Error, output, print, print_json};
+
+/// How long all questions together may take.
+const LIMIT: Duration = Duration::from_secs(18);
+
+/// What to look at.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  posed doctor\n  posed doctor /dev/ttyUSB0 --write-stage stage.toml\n\n\
+    Exit code 1 if nothing answers. A unit that streams is stopped by the question.")]
+pub(crate) struct Args {
+    /// Path of a serial port, or tcp://HOST:PORT; absent: all serial ports of this machine.
+    port: Option<String>,
+    /// Ask at this line rate only, bit/s.
+    #[arg(long, value_name = "RATE", value_parser = clap::value_parser!(u32).range(1..))]
+    baud: Option<u32>,
+    /// Write a stage file with the devices that answered; an existing file is not touched.
+    #[arg(long, value_name = "FILE")]
+    write_stage: Option<PathBuf>,
+    /// Print one JSON object: ports, each with port, driver, revision, sensors, problem and mend.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What `doctor` answers.
+#[derive(Serialize)]
+struct Report {
+    ports: Vec<PortReport>,
+}
+
+/// What was found at one port.
+#[derive(Clone, Debug, Default, Serialize)]
+struct PortReport {
+    /// The port as a stage file names it.
+    port: String,
+    /// The driver that understands what is there; absent where nothing answers.
+    driver: Option<&'static str>,
+    /// Software revision, such as `3.67`.
+    revision: Option<String>,
+    /// Model as the unit writes it.
+    model: Option<String>,
+    /// Line rate at which it answers, bit/s.
+    baud: Option<u32>,
+    /// How units on the bus are numbered.
+    addressing: Option<posed_drivers::flock::wire::Addressing>,
+    /// Measurement rate, Hz.
+    rate_hz: Option<f64>,
+    /// Units that have a sensor, by rising address.
+    sensors: Vec<SensorReport>,
+    /// What is wrong.
+    problem: Option<String>,
+    /// What to do about it.
+    mend: Option<String>,
+}
+
+/// One unit with a sensor.
+#[derive(Clone, Debug, Serialize)]
+struct SensorReport {
+    /// Address on the device; 0 is a stand-alone unit.
+    address: u8,
+}
+
+pub(crate) fn run(args: Args) -> Result<(), Error> {
+    if let Some(path) = args.write_stage.as_deref().filter(|path| path.exists()) {
+        return Err(output::exists(path));
+    }
+    let ports = match &args.port {
+        Some(port) => vec![port.clone()],
+        None => posed_drivers::port::list(),
+    };
+    let bauds = args.baud.map_or(BAUD_RATES.to_vec(), |baud| vec![baud]);
+    let progress = ProgressBar::new_spinner().with_style(ProgressStyle::default_spinner());
+    progress.enable_steady_tick(Duration::from_millis(120));
+    progress.set_message(format!("asking {} ports", ports.len()));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    let runtime = runtime.map_err(|error| Error::Failed(format!("cannot start: {error}")))?;
+    let report = Report { ports: runtime.block_on(probe::all(ports, &bauds, LIMIT)) };
+    progress.finish_and_clear();
+
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(&report.sentences())?;
+    }
+    if report.ports.iter().all(|port| port.driver.is_none()) {
+        return Err(Error::Told);
+    }
+    if let Some(path) = &args.write_stage {
+        let text = stage::text(&report.ports)?;
+        output::create(path, |file| file.write_all(text.as_bytes()))?;
+        super::tell(&format!("wrote {}; next: posed run {0}", path.display()));
+    }
+    Ok(())
+}
+
+impl Report {
+    /// For people: one paragraph per port.
+    fn sentences(&self) -> String {
+        if self.ports.is_empty() {
+            return "There is no serial port on this machine; plug in the adapter, or name a port: \
+                    posed doctor tcp://HOST:PORT\n"
+                .to_owned();
+        }
+        self.ports.iter().map(PortReport::sentences).collect()
+    }
+}
+
+impl PortReport {
+    fn sentences(&self) -> String {
+        let mut text = format!("{}\n", self.port);
+        if self.driver.is_some() {
+            let model = self.model.as_deref().map(|model| format!(" ({model})")).unwrap_or_default();
+            let revision = self.revision.as_deref().unwrap_or("?");
+            let rate = self.rate_hz.map(|rate| format!(", {rate:.1} Hz")).unwrap_or_default();
+            let baud = self.baud.map(|baud| format!(", {baud} baud")).unwrap_or_default();
+            text.push_str(&format!("    Flock of Birds{model}, revision {revision}{baud}{rate}\n"));
+            let addresses: Vec<String> = self.sensors.iter().map(|s| s.address.to_string()).collect();
+            match addresses.as_slice() {
+                [] => {}
+                [address] if address == "0" => text.push_str("    stand-alone unit: address 0\n"),
+                addresses => text.push_str(&format!("    birds at addresses {}\n", addresses.join(", "))),
+            }
+        }
+        if let Some(problem) = &self.problem {
+            text.push_str(&format!("    {problem}\n"));
+        }
+        if let Some(mend) = &self.mend {
+            text.push_str(&format!("    mend: {mend}\n"));
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_found_is_told_in_sentences() {
+        let found = PortReport {
+            port: "/dev/ttyUSB0".into(),
+            driver: Some("flock-of-birds"),
+            revision: Some("3.67".into()),
+            model: Some("6DFOB".into()),
+            baud: Some(115_200),
+            rate_hz: Some(103.3),
+            sensors: vec![SensorReport { address: 1 }, SensorReport { address: 2 }],
+            ..PortReport::default()
+        };
+        let silent = PortReport {
+            port: "/dev/ttyS0".into(),
+            problem: Some("nothing answers".into()),
+            mend: Some("check the cable".into()),
+            ..PortReport::default()
+        };
+        let text = Report { ports: vec![found, silent] }.sentences();
+        let expected = "/dev/ttyUSB0\n    Flock of Birds (6DFOB), revision 3.67, 115200 baud, 103.3 Hz\n    \
+                        birds at addresses 1, 2\n/dev/ttyS0\n    nothing answers\n    mend: check the cable\n";
+        assert_eq!(text, expected);
+    }
+}

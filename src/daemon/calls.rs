@@ -1,0 +1,133 @@
+//! What clients ask the daemon to do, one call at a time.
+//!
+//! In: calls that the server has read and whose role it has checked. Out: commands and models for the fusion thread,
+//! answers. Nothing here waits for the fusion thread: it answers by itself when it has carried a command out.
+
+use std::path::{Path, PathBuf};
+
+use tokio::sync::{mpsc, watch};
+
+use super::clock::StageClock;
+use super::fusion::{Command, FusionInbox};
+use super::inbox::Event;
+use super::ports::ended;
+use super::server::{PendingCall, Reply};
+use crate::input::{Entry, Input, Model};
+use crate::protocol::Call;
+use crate::stage::Stage;
+
+/// Longest name of a recording, bytes.
+const NAME_BYTES: usize = 128;
+
+/// Carries out clients' calls on a live stage.
+pub(super) struct Calls {
+    stage: Stage,
+    recordings: PathBuf,
+    clock: StageClock,
+    inbox: FusionInbox,
+}
+
+impl Calls {
+    pub(super) fn new(stage: &Stage, folder: PathBuf, clock: StageClock, inbox: FusionInbox) -> Self {
+        let recordings = stage.recording.folder.clone().unwrap_or_else(|| folder.join("recordings"));
+        Self { stage: stage.clone(), recordings, clock, inbox }
+    }
+
+    /// Until shutdown.
+    pub(super) async fn run(self, mut pending: mpsc::Receiver<PendingCall>, mut down: watch::Receiver<bool>) {
+        loop {
+            tokio::select! {
+                () = ended(&mut down) => return,
+                call = pending.recv() => match call {
+                    Some(PendingCall { call, reply }) => self.carry_out(call, reply),
+                    None => return,
+                },
+            }
+        }
+    }
+
+    fn carry_out(&self, call: Call, reply: Reply) {
+        match call {
+            Call::RecordStart { name } => match self.recording_path(name) {
+                Ok(path) => {
+                    self.inbox.push(Event::Command(Command::StartRecording { path, reply: Some(reply) }));
+                }
+                Err(sentence) => reply.error("bad_request", sentence),
+            },
+            Call::RecordStop {} => {
+                self.inbox.push(Event::Command(Command::StopRecording { reply: Some(reply) }));
+            }
+            Call::ModelLoad { model } => match self.check_model(&model) {
+                Ok(()) => {
+                    self.inbox.push(Event::Entry(Entry { t: self.clock.now(), input: Input::Model(model) }));
+                    reply.ok(None);
+                }
+                Err(sentence) => reply.error("bad_request", sentence),
+            },
+            Call::ReplayList {} => match list(&self.recordings) {
+                Ok(names) => reply.ok(Some(serde_json::json!({ "recordings": names }))),
+                Err(sentence) => reply.error("failed", sentence),
+            },
+            Call::ReplayOpen { .. } | Call::ReplaySeek { .. } | Call::ReplaySpeed { .. } => reply.error(
+                "live",
+                "this daemon tracks a live stage; open a recording with `posed replay FILE`, which serves it to clients",
+            ),
+            Call::JobCancel { job } => reply.error("no_such_job", format!("no job {job} is running")),
+        }
+    }
+
+    /// A new file in the one folder for recordings.
+    fn recording_path(&self, name: Option<String>) -> Result<PathBuf, String> {
+        let name = match name {
+            Some(name) => {
+                let plain = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.' | ' ');
+                if name.is_empty() || name.len() > NAME_BYTES || name.starts_with('.') || !name.chars().all(plain) {
+                    return Err("name: give a file name of letters, digits, '-', '_', '.', without a path".into());
+                }
+                if name.ends_with(".mcap") { name } else { format!("{name}.mcap") }
+            }
+            None => {
+                let utc = i128::from(self.clock.epoch_utc_ns()) + i128::from(self.clock.now().as_nanos());
+                let stage: String = self
+                    .stage
+                    .name
+                    .chars()
+                    .map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' })
+                    .collect();
+                match jiff::Timestamp::from_nanosecond(utc) {
+                    Ok(utc) => format!("{stage}-{}.mcap", utc.strftime("%Y%m%d-%H%M%S")),
+                    Err(error) => return Err(format!("the computer's clock is out of range: {error}")),
+                }
+            }
+        };
+        std::fs::create_dir_all(&self.recordings).map_err(|error| {
+            format!("cannot make the folder {}: {error}", self.recordings.display())
+        })?;
+        Ok(self.recordings.join(name))
+    }
+
+    fn check_model(&self, model: &Model) -> Result<(), String> {
+        model.check()?;
+        if let Model::TrackerNoise { device, .. } = model
+            && !self.stage.devices.iter().any(|known| &known.name == device)
+        {
+            return Err(format!("device: this stage has no device {device:?}"));
+        }
+        Ok(())
+    }
+}
+
+/// Names of the recordings in a folder, in order; none where there is no folder yet.
+pub(super) fn list(folder: &Path) -> Result<Vec<String>, String> {
+    let entries = match std::fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(format!("cannot read the folder {}: {error}", folder.display())),
+    };
+    let mut names: Vec<String> = entries
+        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+        .filter(|name| name.ends_with(".mcap"))
+        .collect();
+    names.sort();
+    Ok(names)
+}

@@ -1,0 +1,217 @@
+//! The fusion thread: the only owner of the pipeline.
+//!
+//! It takes one event at a time from its [`Inbox`], writes it to the recording, pushes it through the pipeline and hands
+//! the outputs on: bytes to ports, poses and events to the [`Hub`]. None of those can make it wait.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use posed_drivers::Timestamp;
+use tokio::sync::{mpsc, watch};
+
+use super::clock::StageClock;
+use super::health::Health;
+use super::inbox::{Event, Inbox};
+use super::ports::PortCommand;
+use super::recorder::{Recorder, RecorderState};
+use super::server::{Hub, Reply};
+use crate::input::{Entry, Input, Model};
+use crate::output::{OutcomeKind, Output};
+use crate::pipeline::Pipeline;
+use crate::protocol::{Payload, Publisher, Status, schema};
+use crate::recording::{Header, Snapshot};
+
+/// The queue into the fusion thread.
+pub type FusionInbox = Inbox<Command>;
+
+/// Chunks that wait at most: at 1000 reads per second, four seconds of a stalled machine.
+pub(super) const INBOX_CAPACITY: usize = 4096;
+/// Distance of two `status` messages when nothing changes.
+const STATUS_INTERVAL: Duration = Duration::from_secs(1);
+/// Distance of two `status` messages when things change all the time.
+const STATUS_MIN_INTERVAL: Duration = Duration::from_millis(100);
+
+/// What the fusion thread can be asked between two entries.
+#[derive(Debug)]
+pub enum Command {
+    /// Begins a recording in this file.
+    StartRecording {
+        /// The file; must not exist.
+        path: PathBuf,
+        /// Who wants to know.
+        reply: Option<Reply>,
+    },
+    /// Ends the recording.
+    StopRecording {
+        /// Who wants to know.
+        reply: Option<Reply>,
+    },
+    /// Ends the thread.
+    Shutdown,
+}
+
+/// A recording in progress, or one that has ended by itself and is not yet reported.
+pub(super) struct Recording {
+    pub(super) recorder: Recorder,
+    pub(super) name: String,
+    pub(super) started: Timestamp,
+}
+
+/// The thread's state.
+pub(super) struct Fusion {
+    pub(super) clock: StageClock,
+    pub(super) inbox: FusionInbox,
+    pub(super) pipeline: Pipeline,
+    pub(super) publisher: Publisher,
+    pub(super) hub: Hub,
+    pub(super) ports: Vec<mpsc::Sender<PortCommand>>,
+    pub(super) health: Health,
+    pub(super) status: watch::Sender<Status>,
+    pub(super) recording: Option<Recording>,
+    /// Whether the pipeline has seen an entry.
+    pub(super) begun: bool,
+    /// Models swapped in so far, the newest of each kind last.
+    pub(super) models: Vec<Model>,
+    /// What every recording of this run begins with.
+    pub(super) recording_header: Header,
+}
+
+impl Fusion {
+    /// Runs until [`Command::Shutdown`]; the recording is complete when it returns.
+    pub(super) fn run(mut self) {
+        let mut next_status = self.clock.now();
+        loop {
+            let wake = self.pipeline.poll_timeout().map_or(next_status, |timeout| timeout.min(next_status));
+            match self.inbox.pop_until(Some(self.clock.instant(wake))) {
+                Some(Event::Entry(entry)) => self.step(&entry),
+                Some(Event::Command(Command::Shutdown)) => break,
+                Some(Event::Command(command)) => self.command(command),
+                None => {}
+            }
+            let now = self.clock.now();
+            if self.pipeline.poll_timeout().is_some_and(|timeout| timeout <= now) {
+                self.step(&Entry { t: now, input: Input::Timer });
+            }
+            if now >= next_status || self.health.changed_since_status(now, STATUS_MIN_INTERVAL) {
+                next_status = now + STATUS_INTERVAL;
+                self.publish_status(now);
+            }
+        }
+        if let Some(recording) = self.recording.take() {
+            // What failed has been logged by the recorder.
+            recording.recorder.wait();
+        }
+    }
+
+    /// One entry through recording and pipeline.
+    fn step(&mut self, entry: &Entry) {
+        self.begun = true;
+        let Self { pipeline, publisher, hub, ports, health, recording, clock, models, .. } = self;
+        let mut recorder = recording.as_mut().map(|recording| &mut recording.recorder);
+        if let Some(recorder) = &mut recorder {
+            recorder.entry(entry);
+        }
+        pipeline.push(entry, &mut |output| {
+            match output {
+                Output::Transmit { device, bytes } => {
+                    if let Some(recorder) = &mut recorder {
+                        recorder.transmitted(device, entry.t, bytes);
+                    }
+                    send(ports, device, PortCommand::Transmit(bytes.to_vec()));
+                }
+                Output::SetRts { device, asserted } => send(ports, device, PortCommand::SetRts(asserted)),
+                Output::Device { device, state } => health.device_changed(device, state),
+                Output::Warning { device, text } => health.warn(device, text),
+                Output::Estimate(estimate) => health.estimate(clock.now().seconds_since(entry.t), estimate),
+                Output::Outcome(outcome) => {
+                    if let OutcomeKind::ModelSwapped(model) = &outcome.what {
+                        models.retain(|old| !old.replaced_by(model));
+                        models.push(model.clone());
+                    }
+                }
+                Output::Truth(_) => {}
+            }
+            let Some(payload) = Payload::of(&output) else { return };
+            // Clients first: the recording has time.
+            hub.publish(&output);
+            match &mut recorder {
+                Some(recorder) => {
+                    let (topic, t, message) = publisher.publish(&payload);
+                    recorder.message(topic.name(), t, message);
+                }
+                None => publisher.skip(&payload),
+            }
+        });
+    }
+
+    fn command(&mut self, command: Command) {
+        match command {
+            Command::StartRecording { path, reply } => {
+                let started = self.start_recording(path);
+                self.health.touch();
+                answer(reply, started);
+            }
+            Command::StopRecording { reply } => {
+                let stopped = match &mut self.recording {
+                    Some(recording) => {
+                        // The thread writes its index meanwhile; the next status says when it is done.
+                        recording.recorder.stop("stopped by a client");
+                        Ok(())
+                    }
+                    None => Err("nothing is being recorded".to_owned()),
+                };
+                self.health.touch();
+                answer(reply, stopped);
+            }
+            Command::Shutdown => {}
+        }
+    }
+
+    pub(super) fn start_recording(&mut self, path: PathBuf) -> Result<(), String> {
+        if let Some(recording) = &self.recording {
+            return Err(format!("{} is being recorded already; stop that first", recording.name));
+        }
+        let publisher = rmp_serde::to_vec(&self.publisher.state()).map_err(|error| error.to_string())?;
+        let header = Header {
+            begun: self.clock.now(),
+            models: self.models.clone(),
+            // A recording of the whole run needs none: it begins where every pipeline begins.
+            snapshot: self.begun.then(|| Snapshot { pipeline: self.pipeline.snapshot(), publisher }),
+            ..self.recording_header.clone()
+        };
+        let started = header.begun;
+        let recorder = Recorder::start(&path, header, &schema::of_topics())
+            .map_err(|error| format!("cannot record to {}: {error}", path.display()))?;
+        let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
+        self.health.recording_started();
+        self.recording = Some(Recording { recorder, name, started });
+        Ok(())
+    }
+
+    fn publish_status(&mut self, now: Timestamp) {
+        if let Some(recording) = self.recording.take_if(|recording| recording.recorder.is_finished())
+            && let RecorderState::Failed { reason } = recording.recorder.wait()
+        {
+            self.health.recording_failed(format!("{}: {reason}", recording.name));
+        }
+        let status = self.health.status(now, &self.pipeline.status(), self.recording.as_ref(), &self.clock);
+        self.status.send_replace(status.clone());
+        self.hub.publish_status(status);
+    }
+}
+
+/// Never waits: a port that takes no bytes is about to be reported as gone, and its session asks again.
+fn send(ports: &[mpsc::Sender<PortCommand>], device: u16, command: PortCommand) {
+    if let Some(port) = ports.get(usize::from(device)) {
+        let _ = port.try_send(command);
+    }
+}
+
+fn answer(reply: Option<Reply>, result: Result<(), String>) {
+    match (reply, result) {
+        (Some(reply), Ok(())) => reply.ok(None),
+        (Some(reply), Err(sentence)) => reply.error("failed", sentence),
+        (None, Ok(())) => {}
+        (None, Err(sentence)) => tracing::error!("{sentence}"),
+    }
+}

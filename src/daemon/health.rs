@@ -1,0 +1,239 @@
+//! What `status` says: the pipeline's counts, the links' states, how long things took, what is wrong now.
+
+use posed_drivers::{State, Timestamp};
+
+use super::clock::StageClock;
+use super::fusion::Recording;
+use crate::input::DeviceIndex;
+use crate::output::Estimate;
+use crate::pipeline::PipelineStatus;
+use crate::protocol::{DeviceStatus, Problem, RecordingStatus, SensorStatus, StageLatency, Status};
+use crate::stage::Stage;
+use std::time::Duration;
+
+/// Samples of each latency between two status messages; more than a second holds.
+const SAMPLES: usize = 4096;
+/// Warnings about one device that are kept.
+const WARNINGS: usize = 4;
+
+/// Collects what the status needs; belongs to the fusion thread.
+pub(super) struct Health {
+    devices: Vec<Device>,
+    sensors: Vec<String>,
+    /// Read of a frame's last byte to its estimate, s.
+    read_to_estimate: Latency,
+    /// Capture of a frame to its estimate, s.
+    capture_to_estimate: Latency,
+    recording_failure: Option<String>,
+    changed: bool,
+    last_status: Timestamp,
+}
+
+struct Device {
+    name: String,
+    driver: String,
+    port: String,
+    warnings: Vec<String>,
+}
+
+impl Health {
+    pub(super) fn new(stage: &Stage) -> Self {
+        let device = |device: &crate::stage::Device| Device {
+            name: device.name.clone(),
+            driver: device.driver.word().to_owned(),
+            port: device.port.clone(),
+            warnings: Vec::new(),
+        };
+        Self {
+            devices: stage.devices.iter().map(device).collect(),
+            sensors: stage.sensors.iter().map(|sensor| sensor.name.clone()).collect(),
+            read_to_estimate: Latency::new("read to estimate"),
+            capture_to_estimate: Latency::new("capture to estimate"),
+            recording_failure: None,
+            changed: true,
+            last_status: Timestamp::ZERO,
+        }
+    }
+
+    /// A frame was estimated `after_read_s` after its last bytes had been read.
+    pub(super) fn estimate(&mut self, after_read_s: f64, estimate: &Estimate) {
+        self.read_to_estimate.add(after_read_s);
+        self.capture_to_estimate.add(after_read_s + estimate.t_closed.seconds_since(estimate.t_valid));
+    }
+
+    /// A link's state changed.
+    pub(super) fn device_changed(&mut self, device: DeviceIndex, state: &State) {
+        let Some(device) = self.devices.get_mut(usize::from(device)) else { return };
+        match state {
+            State::Streaming => tracing::info!(device = device.name, "streaming"),
+            State::Connecting { reason } => tracing::debug!(device = device.name, reason, "connecting"),
+            State::Silent { reason } => tracing::warn!(device = device.name, reason, "silent"),
+            State::Failed { reason } => tracing::warn!(device = device.name, reason, "failed"),
+        }
+        if matches!(state, State::Connecting { .. }) {
+            // What was wrong before belongs to the set-up before.
+            device.warnings.clear();
+        }
+        self.changed = true;
+    }
+
+    /// A sentence about a device.
+    pub(super) fn warn(&mut self, device: DeviceIndex, text: &str) {
+        let Some(device) = self.devices.get_mut(usize::from(device)) else { return };
+        if device.warnings.iter().any(|known| known == text) {
+            return;
+        }
+        tracing::warn!(device = device.name, "{text}");
+        if device.warnings.len() == WARNINGS {
+            device.warnings.remove(0);
+        }
+        device.warnings.push(text.to_owned());
+        self.changed = true;
+    }
+
+    /// The recording has ended by itself.
+    pub(super) fn recording_failed(&mut self, reason: String) {
+        tracing::error!("recording ended: {reason}");
+        self.recording_failure = Some(reason);
+        self.changed = true;
+    }
+
+    /// A recording begins: what happened to the one before is told.
+    pub(super) fn recording_started(&mut self) {
+        self.recording_failure = None;
+        self.changed = true;
+    }
+
+    /// Something else in the status has changed.
+    pub(super) fn touch(&mut self) {
+        self.changed = true;
+    }
+
+    /// Whether there is something to tell and the last status is `min` old.
+    pub(super) fn changed_since_status(&self, now: Timestamp, min: Duration) -> bool {
+        self.changed && now >= self.last_status + min
+    }
+
+    /// The status as of `now`; begins the next interval.
+    pub(super) fn status(
+        &mut self,
+        now: Timestamp,
+        pipeline: &PipelineStatus,
+        recording: Option<&Recording>,
+        clock: &StageClock,
+    ) -> Status {
+        self.changed = false;
+        self.last_status = now;
+        let device = |(device, counted): (&Device, &crate::pipeline::DeviceStatus)| DeviceStatus {
+            name: device.name.clone(),
+            driver: device.driver.clone(),
+            port: device.port.clone(),
+            state: (&counted.state).into(),
+            reason: match &counted.state {
+                State::Streaming => None,
+                State::Connecting { reason } | State::Silent { reason } | State::Failed { reason } => {
+                    Some(reason.clone())
+                }
+            },
+            rate_hz: counted.rate_hz,
+            records: counted.counters.records,
+            rejected: counted.counters.rejected,
+            bytes_skipped: counted.counters.bytes_skipped,
+        };
+        let sensor = |(name, counted): (&String, &crate::pipeline::SensorStatus)| SensorStatus {
+            name: name.clone(),
+            samples: counted.samples,
+            lost: counted.lost,
+            estimated: counted.estimated,
+        };
+        Status {
+            t_s: now.as_secs_f64(),
+            devices: self.devices.iter().zip(&pipeline.devices).map(device).collect(),
+            sensors: self.sensors.iter().zip(&pipeline.sensors).map(sensor).collect(),
+            latency: vec![self.read_to_estimate.take(), self.capture_to_estimate.take()],
+            recording: recording.map(|recording| RecordingStatus {
+                name: recording.name.clone(),
+                bytes: recording.recorder.bytes_written(),
+                started_s: recording.started.as_secs_f64(),
+            }),
+            replay: None,
+            problems: self.problems(clock),
+            // The server knows and fills it in.
+            clients: 0,
+        }
+    }
+
+    fn problems(&self, clock: &StageClock) -> Vec<Problem> {
+        let problem = |code: &str, message: String| Problem { code: code.to_owned(), message };
+        let mut problems = Vec::new();
+        for device in &self.devices {
+            problems.extend(
+                device.warnings.iter().map(|text| problem("device", format!("{}: {text}", device.name))),
+            );
+        }
+        if let Some(reason) = &self.recording_failure {
+            problems.push(problem("recording", format!("recording ended: {reason}")));
+        }
+        if let Some(jump_s) = clock.wall_clock_jump_s() {
+            problems.push(problem(
+                "wall_clock",
+                format!(
+                    "the computer's clock was set by {jump_s:+.1} s; times of this run still count from its epoch, so \
+                     restart posed before comparing with other computers"
+                ),
+            ));
+        }
+        problems
+    }
+}
+
+/// Durations of one interval.
+struct Latency {
+    stage: &'static str,
+    samples_s: Vec<f64>,
+}
+
+impl Latency {
+    fn new(stage: &'static str) -> Self {
+        Self { stage, samples_s: Vec::with_capacity(SAMPLES) }
+    }
+
+    fn add(&mut self, seconds: f64) {
+        if self.samples_s.len() < SAMPLES {
+            self.samples_s.push(seconds);
+        }
+    }
+
+    fn take(&mut self) -> StageLatency {
+        self.samples_s.sort_unstable_by(f64::total_cmp);
+        let quantile = |q: f64| {
+            let last = self.samples_s.len().saturating_sub(1) as f64;
+            self.samples_s.get((q * last).round() as usize).map_or(0.0, |seconds| seconds * 1e3)
+        };
+        let latency = StageLatency {
+            stage: self.stage.to_owned(),
+            p50_ms: quantile(0.5),
+            p99_ms: quantile(0.99),
+            max_ms: quantile(1.0),
+        };
+        self.samples_s.clear();
+        latency
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_those_of_the_interval() {
+        let mut latency = Latency::new("read to estimate");
+        for ms in 1..=101 {
+            latency.add(f64::from(ms) * 1e-3);
+        }
+        let taken = latency.take();
+        assert!((taken.p50_ms - 51.0).abs() < 1e-9 && (taken.p99_ms - 100.0).abs() < 1e-9);
+        assert!((taken.max_ms - 101.0).abs() < 1e-9);
+        assert!(latency.take().max_ms < 1e-9, "each interval starts anew");
+    }
+}

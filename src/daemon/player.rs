@@ -1,0 +1,286 @@
+//! Plays a recording to the server's clients: the same log through the same pipeline, at a chosen speed.
+//!
+//! In: a recording, and what clients ask of it. Out: messages through the [`Hub`], and a status that says where it is. The
+//! thread stands in the place of the fusion thread, so a client cannot tell the two apart but by `status.replay`.
+
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::Duration;
+
+use posed_drivers::Timestamp;
+use tokio::sync::watch;
+
+use super::calls;
+use super::clock::StageClock;
+use super::health::Health;
+use super::server::{Hub, PendingCall};
+use crate::input::Entry;
+use crate::pipeline::Pipeline;
+use crate::protocol::{Call, ReplayStatus, Status};
+use crate::recording::{Info, Item, ReadError, Reader, machine};
+use crate::stage::Stage;
+
+/// Distance of two `status` messages, and the longest time without looking at the clients.
+const STATUS_INTERVAL: Duration = Duration::from_secs(1);
+/// Entries between two looks at the clients while seeking.
+const SEEK_BATCH: usize = 4096;
+
+/// What the player is told.
+pub(super) enum Command {
+    /// A client's call.
+    Call(PendingCall),
+    /// Ends the thread.
+    Shutdown,
+}
+
+/// The thread's state.
+pub(super) struct Player {
+    clock: StageClock,
+    commands: Receiver<Command>,
+    hub: Hub,
+    status: watch::Sender<Status>,
+    folder: PathBuf,
+    stage: Stage,
+    health: Health,
+    playing: Playing,
+}
+
+/// An open recording.
+struct Playing {
+    path: PathBuf,
+    reader: Reader<std::io::BufReader<std::fs::File>>,
+    pipeline: Pipeline,
+    begun: Timestamp,
+    end: Timestamp,
+    /// The next entry, read and not yet played.
+    next: Option<Entry>,
+    /// Where the recording stands.
+    at: Timestamp,
+    /// Multiple of real time; 0 is a pause, infinity as fast as it goes.
+    speed: f64,
+    /// Host time and stream time at which `speed` was set.
+    since: (Timestamp, Timestamp),
+    ended: Option<String>,
+}
+
+impl Player {
+    pub(super) fn new(
+        clock: StageClock,
+        commands: Receiver<Command>,
+        hub: Hub,
+        status: watch::Sender<Status>,
+        path: &Path,
+        folder: PathBuf,
+        speed: f64,
+    ) -> Result<Self, PlayError> {
+        let playing = Playing::open(path, None, speed, clock.now())?;
+        let stage = Stage::parse(&playing.reader.header().stage_toml).map_err(machine::MachineError::from)?;
+        let health = Health::new(&stage);
+        Ok(Self { clock, commands, hub, status, folder, stage, health, playing })
+    }
+
+    /// Runs until [`Command::Shutdown`].
+    pub(super) fn run(mut self) {
+        let mut next_status = self.clock.now();
+        loop {
+            let now = self.clock.now();
+            if now >= next_status {
+                next_status = now + STATUS_INTERVAL;
+                self.publish_status(now);
+            }
+            let due = self.playing.due();
+            let wake = due.map_or(next_status, |due| due.min(next_status));
+            let wait = Duration::try_from_secs_f64(wake.seconds_since(now)).unwrap_or_default();
+            match self.commands.recv_timeout(wait) {
+                Ok(Command::Call(PendingCall { call, reply })) => {
+                    match self.carry_out(call) {
+                        Ok(result) => reply.ok(result),
+                        Err((code, sentence)) => reply.error(code, sentence),
+                    }
+                    next_status = self.clock.now();
+                }
+                Ok(Command::Shutdown) | Err(RecvTimeoutError::Disconnected) => return,
+                Err(RecvTimeoutError::Timeout) => {
+                    if due.is_some_and(|due| due <= self.clock.now()) {
+                        let Self { playing, hub, health, clock, .. } = &mut self;
+                        let read = clock.now();
+                        playing.step(|output| {
+                            if let crate::output::Output::Estimate(estimate) = output {
+                                health.estimate(clock.now().seconds_since(read), estimate);
+                            }
+                            hub.publish(output);
+                        });
+                        if self.playing.ended.is_some() {
+                            next_status = self.clock.now();
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn carry_out(&mut self, call: Call) -> Result<Option<serde_json::Value>, (&'static str, String)> {
+        let refused = |error: PlayError| ("failed", error.to_string());
+        match call {
+            Call::ReplayList {} => {
+                let recordings = calls::list(&self.folder).map_err(|sentence| ("failed", sentence))?;
+                Ok(Some(serde_json::json!({ "recordings": recordings })))
+            }
+            Call::ReplayOpen { name } => {
+                let known = calls::list(&self.folder).map_err(|sentence| ("failed", sentence))?;
+                if !known.contains(&name) {
+                    return Err(("not_found", format!("name: there is no recording {name:?}; replay.list names them")));
+                }
+                let path = self.folder.join(&name);
+                let speed = self.playing.speed;
+                self.playing = Playing::open(&path, Some(&self.stage), speed, self.clock.now()).map_err(refused)?;
+                self.hub.rewind();
+                Ok(None)
+            }
+            Call::ReplaySeek { t_s } => {
+                if !t_s.is_finite() {
+                    return Err(("bad_request", "t_s: give a number of seconds".into()));
+                }
+                self.seek(Timestamp::from_secs_f64(t_s)).map_err(refused)?;
+                Ok(None)
+            }
+            Call::ReplaySpeed { speed } => {
+                let speed = speed.times();
+                if speed.is_nan() || speed < 0.0 {
+                    return Err(("bad_request", "speed: give 0 or more, or \"max\"".into()));
+                }
+                self.playing.set_speed(speed, self.clock.now());
+                Ok(None)
+            }
+            Call::RecordStart { .. } | Call::RecordStop {} | Call::ModelLoad { .. } => {
+                Err(("replay", "this daemon replays a recording; recording and models belong to a live stage".into()))
+            }
+            Call::JobCancel { job } => Err(("no_such_job", format!("no job {job} is running"))),
+        }
+    }
+
+    /// Goes to `t`, through the pipeline: filters arrive there as they did live. Nothing of the way is published.
+    fn seek(&mut self, t: Timestamp) -> Result<(), PlayError> {
+        if t < self.playing.at {
+            let Playing { path, speed, .. } = &self.playing;
+            self.playing = Playing::open(&path.clone(), Some(&self.stage), *speed, self.clock.now())?;
+        }
+        while self.playing.next.as_ref().is_some_and(|next| next.t < t) {
+            for _ in 0..SEEK_BATCH {
+                if self.playing.next.as_ref().is_none_or(|next| next.t >= t) {
+                    break;
+                }
+                self.playing.step(|_| {});
+            }
+        }
+        self.hub.rewind();
+        self.playing.at = self.playing.at.max(t.min(self.playing.end));
+        self.playing.set_speed(self.playing.speed, self.clock.now());
+        Ok(())
+    }
+
+    fn publish_status(&mut self, now: Timestamp) {
+        let Playing { path, pipeline, begun, end, at, speed, ended, .. } = &self.playing;
+        let mut status = self.health.status(now, &pipeline.status(), None, &self.clock);
+        status.replay = Some(ReplayStatus {
+            name: path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
+            begun_s: begun.as_secs_f64(),
+            end_s: end.as_secs_f64(),
+            t_s: at.as_secs_f64(),
+            speed: speed.is_finite().then_some(*speed),
+            ended: ended.clone(),
+        });
+        self.status.send_replace(status.clone());
+        self.hub.publish_status(status);
+    }
+}
+
+impl Playing {
+    /// Opens a recording at its beginning; on the stage of a running server, where that has one.
+    fn open(path: &Path, server: Option<&Stage>, speed: f64, now: Timestamp) -> Result<Self, PlayError> {
+        let info = Info::read(path)?;
+        let reader = Reader::open(path)?;
+        let (stage, machine) = machine::Machine::as_recorded(reader.header())?;
+        let names = |stage: &Stage| stage.sensors.iter().map(|sensor| sensor.name.clone()).collect::<Vec<_>>();
+        if let Some(server) = server
+            && names(server) != names(&stage)
+        {
+            return Err(PlayError::OtherStage { stage: stage.name });
+        }
+        let begun = reader.header().begun;
+        let mut playing = Self {
+            path: path.to_owned(),
+            reader,
+            pipeline: machine.pipeline,
+            begun,
+            end: begun + Duration::try_from_secs_f64(info.duration_s).unwrap_or_default(),
+            next: None,
+            at: begun,
+            speed,
+            since: (now, begun),
+            ended: None,
+        };
+        playing.read_next();
+        Ok(playing)
+    }
+
+    /// Host time of the next entry; `None` in a pause and at the end.
+    fn due(&self) -> Option<Timestamp> {
+        let next = self.next.as_ref()?;
+        if self.speed <= 0.0 {
+            return None;
+        }
+        let (host, stream) = self.since;
+        // Division by infinity: everything is due at once.
+        let wait_s = next.t.seconds_since(stream).max(0.0) / self.speed;
+        Some(host + Duration::try_from_secs_f64(wait_s).unwrap_or(Duration::MAX / 4))
+    }
+
+    /// Plays the next entry.
+    fn step(&mut self, mut say: impl FnMut(&crate::output::Output<'_>)) {
+        if let Some(entry) = self.next.take() {
+            self.at = self.at.max(entry.t);
+            self.pipeline.push(&entry, &mut |output| say(&output));
+            self.read_next();
+        }
+    }
+
+    fn read_next(&mut self) {
+        for item in &mut self.reader {
+            match item {
+                Ok(Item::Entry(entry)) => {
+                    self.next = Some(entry);
+                    return;
+                }
+                Ok(Item::Message(_) | Item::Transmitted { .. }) => {}
+                Err(error) => {
+                    self.ended = Some(error.to_string());
+                    return;
+                }
+            }
+        }
+        self.ended = Some("the recording ends here".into());
+    }
+
+    fn set_speed(&mut self, speed: f64, now: Timestamp) {
+        self.speed = speed;
+        self.since = (now, self.at);
+    }
+}
+
+/// Why a recording cannot be played.
+#[derive(Debug, thiserror::Error)]
+pub enum PlayError {
+    /// It cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// It cannot be replayed.
+    #[error(transparent)]
+    Machine(#[from] machine::MachineError),
+    /// Clients know other sensors.
+    #[error("that recording was made on stage {stage:?} with other sensors; end this replay and open it with `posed replay`")]
+    OtherStage {
+        /// Where it was made.
+        stage: String,
+    },
+}

@@ -1,0 +1,126 @@
+//! One task per device: opens its port, reads, stamps, forwards; writes what the pipeline transmits; opens it again.
+//!
+//! It decodes nothing and knows no protocol. A port that is away costs nobody else anything.
+
+use std::time::Duration;
+
+use posed_drivers::LineEvent;
+use posed_drivers::port::{self, Port};
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::sync::{mpsc, watch};
+
+use super::clock::StageClock;
+use super::fusion::FusionInbox;
+use super::inbox::Event;
+use crate::input::{DeviceIndex, Entry, Input};
+
+/// A port that returned is seen after half of this at the median; an attempt costs one failed `open`.
+const RETRY: Duration = Duration::from_millis(200);
+/// An attempt that hangs, such as a host that does not answer, is given up after this.
+const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
+/// Longer than anything a device sends between two wake-ups of a healthy reader.
+const READ_BYTES: usize = 4096;
+
+/// What the fusion thread asks of a port.
+#[derive(Debug, PartialEq, Eq)]
+pub enum PortCommand {
+    /// Write these bytes.
+    Transmit(Vec<u8>),
+    /// Set RTS (`true` = asserted).
+    SetRts(bool),
+}
+
+/// A device's task: where it reports to and when it ends.
+pub struct PortTask {
+    /// Whose port.
+    pub device: DeviceIndex,
+    /// Stamps what was read.
+    pub clock: StageClock,
+    /// Takes what was read.
+    pub inbox: FusionInbox,
+    /// What to write.
+    pub commands: mpsc::Receiver<PortCommand>,
+    /// Turns true when the daemon ends.
+    pub shutdown: watch::Receiver<bool>,
+}
+
+impl PortTask {
+    /// Keeps the port at `path` open until shutdown.
+    #[expect(clippy::disallowed_methods, reason = "the daemon retries on its own clock")]
+    pub async fn keep_open(mut self, path: String, baud: u32) {
+        let mut told = None;
+        if path == "auto" {
+            self.closed("port \"auto\" works in `posed demo`; elsewhere name the port, `posed doctor` says which".into());
+            return;
+        }
+        loop {
+            let opened = tokio::select! {
+                () = ended(&mut self.shutdown) => return,
+                opened = tokio::time::timeout(OPEN_TIMEOUT, port::open(&path, baud)) => opened,
+            };
+            let reason = match opened {
+                Ok(Ok(port)) => {
+                    let Some(reason) = self.pump(port).await else { return };
+                    reason
+                }
+                Ok(Err(error)) => error.to_string(),
+                Err(_) => format!("{path} does not answer; check the address and the cable"),
+            };
+            // The log holds changes, not five attempts a second.
+            if told.as_ref() != Some(&reason) {
+                self.closed(reason.clone());
+                told = Some(reason);
+            }
+            tokio::select! {
+                () = ended(&mut self.shutdown) => return,
+                () = tokio::time::sleep(RETRY) => {}
+            }
+        }
+    }
+
+    /// Reads and writes until the port is gone, and says why; `None` on shutdown.
+    pub async fn pump<S: AsyncRead + AsyncWrite + Unpin>(&mut self, mut port: Port<S>) -> Option<String> {
+        // What was meant for the port before it went away is not for this one.
+        while self.commands.try_recv().is_ok() {}
+        self.line(LineEvent::Opened { modem_lines: port.modem_lines() });
+        let mut buffer = vec![0; READ_BYTES];
+        loop {
+            let done = tokio::select! {
+                () = ended(&mut self.shutdown) => return None,
+                read = port.read(&mut buffer) => match read {
+                    Ok(n) => {
+                        let t = self.clock.now();
+                        let input = Input::Bytes { device: self.device, bytes: buffer[..n].to_vec() };
+                        self.inbox.push(Event::Entry(Entry { t, input }));
+                        Ok(())
+                    }
+                    Err(error) => Err(error),
+                },
+                command = self.commands.recv() => match command {
+                    Some(PortCommand::Transmit(bytes)) => port.write_all(&bytes).await,
+                    Some(PortCommand::SetRts(asserted)) => port.set_rts(asserted),
+                    None => return None,
+                },
+            };
+            if let Err(error) = done {
+                return Some(format!("the port is gone ({error}); check the cable and the adapter"));
+            }
+        }
+    }
+
+    /// Tells that the port is away.
+    pub(super) fn closed(&self, reason: String) {
+        self.line(LineEvent::Closed { reason });
+    }
+
+    fn line(&self, event: LineEvent) {
+        let input = Input::Line { device: self.device, event };
+        self.inbox.push(Event::Entry(Entry { t: self.clock.now(), input }));
+    }
+}
+
+/// Waits for the daemon's end.
+pub(super) async fn ended(shutdown: &mut watch::Receiver<bool>) {
+    // The sender outlives every task; without it, the daemon is gone too.
+    let _ = shutdown.wait_for(|&down| down).await;
+}

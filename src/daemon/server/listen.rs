@@ -1,0 +1,217 @@
+//! From the listening socket to an HTTP connection: limits on how many there are and how long a greeting takes.
+
+use std::collections::BTreeMap;
+use std::io::ErrorKind;
+use std::net::IpAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use axum::Extension;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Notify;
+use tokio::time::timeout;
+use tokio_rustls::TlsAcceptor;
+
+use super::{Shared, http};
+
+/// Longest request head, in bytes.
+const HEAD_BYTES: usize = 16 * 1024;
+/// Connections that are told at a time why they are refused; more are just closed.
+const REFUSALS: usize = 32;
+/// A plain HTTP answer that takes longer than this has nobody reading it.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// Accepts connections for ever.
+pub(super) async fn accept(listener: &TcpListener, tls: Option<&TlsAcceptor>, shared: &Arc<Shared>) {
+    let refusals = Arc::new(tokio::sync::Semaphore::new(REFUSALS));
+    let app = http::router(Arc::clone(shared));
+    loop {
+        let (stream, address) = match listener.accept().await {
+            Ok(accepted) => accepted,
+            Err(error) => {
+                let gone = matches!(error.kind(), ErrorKind::ConnectionAborted | ErrorKind::ConnectionReset);
+                if !gone {
+                    // Out of descriptors, most likely: connections end, and then it goes on.
+                    tracing::warn!(%error, "cannot accept connections for a moment");
+                    let _ = timeout(Duration::from_millis(100), std::future::pending::<()>()).await;
+                }
+                continue;
+            }
+        };
+        let slot = match shared.slots.take(address.ip()) {
+            Ok(slot) => slot,
+            Err(reason) => {
+                shared.metrics.refuse("limit");
+                if let Ok(permit) = Arc::clone(&refusals).try_acquire_owned() {
+                    let plain = tls.is_none();
+                    tokio::spawn(async move {
+                        if plain {
+                            let _ = timeout(Duration::from_secs(1), refuse(stream, &reason)).await;
+                        }
+                        drop(permit);
+                    });
+                }
+                continue;
+            }
+        };
+        // A frame must not wait for the acknowledgement of the one before it.
+        if let Err(error) = stream.set_nodelay(true) {
+            tracing::debug!(%error, "TCP_NODELAY");
+        }
+        let slot = Arc::new(slot);
+        let app = app.clone().layer(Extension(Arc::clone(&slot)));
+        let shared = Arc::clone(shared);
+        let tls = tls.cloned();
+        tokio::spawn(async move {
+            match tls {
+                None => serve(stream, app, &shared).await,
+                Some(tls) => match timeout(shared.limits.greeting_timeout, tls.accept(stream)).await {
+                    Ok(Ok(stream)) => serve(stream, app, &shared).await,
+                    Ok(Err(_)) => shared.metrics.refuse("tls"),
+                    Err(_) => shared.metrics.refuse("timeout"),
+                },
+            }
+            drop(slot);
+        });
+    }
+}
+
+/// One request per connection (every answer says `Connection: close`); a websocket goes on in a task of its own.
+async fn serve(
+    stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    app: axum::Router,
+    shared: &Shared,
+) {
+    let connection = hyper::server::conn::http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(shared.limits.greeting_timeout)
+        .max_buf_size(HEAD_BYTES)
+        .serve_connection(TokioIo::new(stream), TowerToHyperService::new(app))
+        .with_upgrades();
+    match timeout(shared.limits.greeting_timeout + ANSWER_TIMEOUT, connection).await {
+        Ok(Ok(())) => {}
+        Ok(Err(error)) if error.is_timeout() => shared.metrics.refuse("timeout"),
+        Ok(Err(error)) => tracing::trace!(%error, "connection"),
+        Err(_) => shared.metrics.refuse("timeout"),
+    }
+}
+
+/// Tells a client over the limit so, after it has said what it wants: closing earlier would reset the connection
+/// under the answer.
+async fn refuse(mut stream: TcpStream, reason: &str) -> std::io::Result<()> {
+    let mut head = [0; 1024];
+    let mut seen = Vec::new();
+    while !seen.windows(4).any(|end| end == b"\r\n\r\n") && seen.len() < HEAD_BYTES {
+        let read = stream.read(&mut head).await?;
+        if read == 0 {
+            break;
+        }
+        seen.extend_from_slice(&head[..read]);
+    }
+    let answer = format!(
+        "HTTP/1.1 503 Service Unavailable\r\nContent-Type: text/plain\r\nContent-Length: {}\r\nRetry-After: 5\r\n\
+         Connection: close\r\n\r\n{reason}",
+        reason.len()
+    );
+    stream.write_all(answer.as_bytes()).await?;
+    stream.shutdown().await
+}
+
+/// How many connections there may be, in all and from one address.
+#[derive(Debug)]
+pub(super) struct Slots {
+    total: usize,
+    per_address: usize,
+    taken: Arc<Taken>,
+}
+
+#[derive(Debug, Default)]
+struct Taken {
+    count: Mutex<(usize, BTreeMap<IpAddr, usize>)>,
+    freed: Notify,
+}
+
+/// A connection's place; freed when dropped.
+#[derive(Debug)]
+pub(super) struct Slot {
+    address: IpAddr,
+    taken: Arc<Taken>,
+}
+
+impl Slots {
+    pub(super) fn new(total: usize, per_address: usize) -> Self {
+        Self { total, per_address, taken: Arc::default() }
+    }
+
+    /// A place, or the sentence for who gets none.
+    pub(super) fn take(&self, address: IpAddr) -> Result<Slot, String> {
+        let mut count = self.taken.lock();
+        let (total, by_address) = &mut *count;
+        if *total >= self.total {
+            return Err(format!("this daemon serves {} connections at most; try again later\n", self.total));
+        }
+        let of_address = by_address.entry(address).or_insert(0);
+        if *of_address >= self.per_address {
+            return Err(format!(
+                "this daemon serves {} connections of one address at most; try again later\n",
+                self.per_address
+            ));
+        }
+        *of_address += 1;
+        *total += 1;
+        Ok(Slot { address, taken: Arc::clone(&self.taken) })
+    }
+
+    /// Waits until no connection is left.
+    pub(super) async fn all_free(&self) {
+        loop {
+            let freed = self.taken.freed.notified();
+            if self.taken.lock().0 == 0 {
+                return;
+            }
+            freed.await;
+        }
+    }
+}
+
+impl Taken {
+    fn lock(&self) -> MutexGuard<'_, (usize, BTreeMap<IpAddr, usize>)> {
+        self.count.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Slot {
+    fn drop(&mut self) {
+        let mut count = self.taken.lock();
+        count.0 -= 1;
+        if let Some(of_address) = count.1.get_mut(&self.address) {
+            *of_address -= 1;
+            if *of_address == 0 {
+                count.1.remove(&self.address);
+            }
+        }
+        drop(count);
+        self.taken.freed.notify_one();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_are_counted_in_all_and_per_address() {
+        let [one, two]: [IpAddr; 2] = [[127, 0, 0, 1].into(), [127, 0, 0, 2].into()];
+        let slots = Slots::new(3, 2);
+        let first = slots.take(one).unwrap();
+        let _second = slots.take(one).unwrap();
+        assert!(slots.take(one).unwrap_err().contains("one address"));
+        let _third = slots.take(two).unwrap();
+        assert!(slots.take(two).unwrap_err().contains("3 connections"));
+        drop(first);
+        assert!(slots.take(one).is_ok());
+    }
+}

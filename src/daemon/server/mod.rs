@@ -1,0 +1,377 @@
+//! The server: websocket, page, metrics, health.
+//!
+//! In: frames, events, status from the fusion thread through a [`Hub`], connections from a socket. Out: messages to
+//! clients, their [`PendingCall`]s to the daemon. Never: anything that makes the fusion thread, or one client, wait for another.
+//!
+//! ```text
+//! fusion thread ── Hub ──> distributor ──> outbox of each client ──> its task ──> socket
+//!                               ^ subscribe, resume                     │ calls ──> daemon ── Reply ──> outbox
+//! ```
+//! One task ([`distributor`]) owns the subscriptions and serialises each distinct body once; one task per client
+//! ([`client`]) writes what is in its [`outbox`], which is bounded and which nobody waits for.
+
+mod access;
+mod client;
+mod distributor;
+mod http;
+mod hub;
+mod listen;
+mod metrics;
+mod outbox;
+mod tls;
+
+use std::net::{SocketAddr, ToSocketAddrs};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::net::{TcpListener, TcpSocket};
+use tokio::sync::{mpsc, watch};
+
+use self::access::Access;
+use self::distributor::{Command, Distributor};
+use self::listen::Slots;
+use self::metrics::Metrics;
+use crate::protocol::{Counters, HelloSensor, Names, Topic};
+use crate::stage::{Skeleton, Stage};
+
+pub use self::client::{PendingCall, Reply};
+pub use self::hub::Hub;
+pub use self::tls::TlsError;
+
+/// Where the server listens unless the stage file or the command line says otherwise.
+pub const DEFAULT_LISTEN: &str = "127.0.0.1:8787";
+
+/// What the server cannot know from the stage file.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// `HOST:PORT` instead of the stage file's; port 0 lets the system choose.
+    pub listen: Option<String>,
+    /// Folder that relative paths of the stage file start from.
+    pub folder: PathBuf,
+    /// UTC of the stage's epoch, in nanoseconds since 1970.
+    pub epoch_utc_ns: i64,
+    /// Topics that are published beside `status`, `sensors`, `faults`, `field`, `jobs`, and `truth` of a simulated stage.
+    pub more_topics: Vec<Topic>,
+    /// Numbers given out before; those of a recording when one is replayed.
+    pub counters: Counters,
+    /// What one client, and all together, may take.
+    pub limits: Limits,
+}
+
+impl Config {
+    /// For a stage whose relative paths start from `folder`.
+    pub fn new(folder: &Path, epoch_utc_ns: i64) -> Self {
+        Self {
+            listen: None,
+            folder: folder.into(),
+            epoch_utc_ns,
+            more_topics: Vec::new(),
+            counters: Counters::default(),
+            limits: Limits::default(),
+        }
+    }
+}
+
+/// What one client, and all together, may take.
+#[derive(Clone, Debug)]
+pub struct Limits {
+    /// Connections at a time.
+    pub connections: usize,
+    /// Connections at a time from one address.
+    pub connections_per_address: usize,
+    /// Bytes of a client's message; a larger one closes with 1009.
+    pub message_bytes: usize,
+    /// Messages per second that a client may send on average; more closes with 1008.
+    pub messages_per_s: f64,
+    /// Messages that a client may send at once.
+    pub message_burst: f64,
+    /// Data messages per topic that wait for a client with `drop: latest`.
+    pub latest_messages: usize,
+    /// Data messages that wait for a client with `drop: queue`.
+    pub queue_messages: usize,
+    /// Bytes that wait for a client.
+    pub queue_bytes: usize,
+    /// Replies and events that wait for a client; more closes with 1008.
+    pub lossless_messages: usize,
+    /// Events that are kept for `resume`, ten minutes at most.
+    pub events: usize,
+    /// Distinct choices of sensors, fields and encoding over all clients.
+    pub views: usize,
+    /// Time for the TLS handshake, and again for the HTTP request.
+    pub greeting_timeout: Duration,
+    /// Distance of pings.
+    pub ping_interval: Duration,
+    /// A client that sends nothing, not even a pong, for so long is gone.
+    pub silence_timeout: Duration,
+    /// Time that all clients have for their goodbye at shutdown.
+    pub shutdown_timeout: Duration,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            connections: 512,
+            connections_per_address: 256,
+            message_bytes: 64 * 1024,
+            messages_per_s: 50.0,
+            message_burst: 200.0,
+            latest_messages: 16,
+            queue_messages: 4096,
+            queue_bytes: 8 * 1024 * 1024,
+            lossless_messages: 8192,
+            events: 4096,
+            views: 64,
+            greeting_timeout: Duration::from_secs(5),
+            ping_interval: Duration::from_secs(15),
+            silence_timeout: Duration::from_secs(45),
+            shutdown_timeout: Duration::from_secs(3),
+        }
+    }
+}
+
+/// Why the server cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum BindError {
+    /// The address cannot be read or resolved.
+    #[error("cannot listen on {listen}: {error}; give HOST:PORT, like {DEFAULT_LISTEN}")]
+    Address {
+        /// As given.
+        listen: String,
+        /// What the system said.
+        error: std::io::Error,
+    },
+    /// Beyond loopback everybody on the network could look and operate.
+    #[error(
+        "refusing to listen on {listen}, which other computers can reach, without a token: add [[server.token]] with \
+         secret (at least 16 characters) and role to the stage file, or listen on 127.0.0.1"
+    )]
+    NeedsToken {
+        /// As given.
+        listen: String,
+    },
+    /// The address is taken.
+    #[error(
+        "cannot listen on {listen}: {error}; is another posed running? choose another port with --listen"
+    )]
+    Bind {
+        /// As given.
+        listen: String,
+        /// What the system said.
+        error: std::io::Error,
+    },
+    /// Certificate or key do not serve.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
+}
+
+/// A server that is bound and not yet running.
+pub struct Server {
+    listener: TcpListener,
+    address: SocketAddr,
+    tls: Option<tokio_rustls::TlsAcceptor>,
+    shared: Arc<Shared>,
+    distributor: Distributor,
+    hub: Hub,
+    commands: mpsc::Receiver<Command>,
+    shutdown: watch::Sender<bool>,
+}
+
+/// What every connection needs.
+struct Shared {
+    access: Access,
+    limits: Limits,
+    metrics: Arc<Metrics>,
+    slots: Slots,
+    names: Arc<Names>,
+    greeting: Greeting,
+    commands: mpsc::Sender<Command>,
+    calls: mpsc::Sender<PendingCall>,
+    shutdown: watch::Receiver<bool>,
+    /// Newest event, for greetings.
+    last_event_id: std::sync::atomic::AtomicU64,
+    next_client: std::sync::atomic::AtomicU64,
+}
+
+/// What every client is told first.
+struct Greeting {
+    stage: String,
+    epoch_utc: String,
+    skeleton: Option<Skeleton>,
+    topics: Vec<Topic>,
+}
+
+impl Shared {
+    fn hello_sensors(&self) -> Vec<HelloSensor> {
+        let sensor = |(name, device): (&str, &str)| HelloSensor { name: name.into(), device: device.into() };
+        self.names.sensors().map(sensor).collect()
+    }
+}
+
+impl Server {
+    /// Binds the stage's address. Gives the server, the handle to publish with, and the calls that clients make.
+    ///
+    /// # Errors
+    /// When the address is no address, is taken, needs a token that is not there, or TLS files do not serve.
+    pub fn bind(
+        stage: &Stage,
+        config: Config,
+    ) -> Result<(Self, Hub, mpsc::Receiver<PendingCall>), BindError> {
+        let listen =
+            config.listen.or_else(|| stage.server.listen.clone()).unwrap_or_else(|| DEFAULT_LISTEN.into());
+        let addresses: Vec<SocketAddr> = match listen.to_socket_addrs() {
+            Ok(addresses) => addresses.collect(),
+            Err(error) => return Err(BindError::Address { listen, error }),
+        };
+        let open = addresses.iter().any(|address| !address.ip().is_loopback());
+        if open && stage.server.tokens.is_empty() {
+            return Err(BindError::NeedsToken { listen });
+        }
+        let tls = stage.server.tls.as_ref().map(|files| tls::acceptor(files, &config.folder)).transpose()?;
+        let (listener, address) =
+            bind_first(&addresses).map_err(|error| BindError::Bind { listen: listen.clone(), error })?;
+
+        let limits = config.limits;
+        let names = Arc::new(Names::new(stage));
+        let metrics = Arc::new(Metrics::new());
+        let (command_sender, commands) = mpsc::channel(1024);
+        let (call_sender, calls) = mpsc::channel(64);
+        let (shutdown, shutdown_seen) = watch::channel(false);
+        let mut topics = vec![Topic::Status, Topic::Sensors, Topic::Faults, Topic::Field, Topic::Jobs];
+        topics.extend(config.more_topics);
+        topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
+        topics.sort();
+        topics.dedup();
+        let shared = Arc::new(Shared {
+            access: Access {
+                tokens: stage.server.tokens.clone(),
+                allowed_origins: stage
+                    .server
+                    .allowed_origins
+                    .iter()
+                    .map(|o| o.to_ascii_lowercase())
+                    .collect(),
+                listen_host: listen.rsplit_once(':').map_or("", |(host, _)| host).to_owned(),
+                port: address.port(),
+                tls: tls.is_some(),
+            },
+            greeting: Greeting {
+                stage: stage.name.clone(),
+                epoch_utc: rfc3339(config.epoch_utc_ns),
+                skeleton: stage.body.as_ref().map(|body| body.skeleton),
+                topics,
+            },
+            slots: Slots::new(limits.connections, limits.connections_per_address),
+            limits: limits.clone(),
+            metrics: Arc::clone(&metrics),
+            names: Arc::clone(&names),
+            commands: command_sender,
+            calls: call_sender,
+            shutdown: shutdown_seen,
+            last_event_id: config.counters.last_event_id().into(),
+            next_client: 0.into(),
+        });
+        let hub = Hub::default();
+        let distributor = Distributor::new(names, limits, metrics, config.counters);
+        let server =
+            Self { listener, address, tls, shared, distributor, hub: hub.clone(), commands, shutdown };
+        Ok((server, hub, calls))
+    }
+
+    /// The address it listens on.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// What to open in a browser.
+    pub fn url(&self) -> String {
+        let scheme = if self.tls.is_some() { "https" } else { "http" };
+        let mut address = self.address;
+        if address.ip().is_unspecified() {
+            address.set_ip(std::net::Ipv4Addr::LOCALHOST.into());
+        }
+        format!("{scheme}://{address}/")
+    }
+
+    /// Serves until `shutdown` resolves; then tells every client goodbye (1001) and returns within the shutdown timeout.
+    pub async fn run(self, shutdown: impl Future<Output = ()>) {
+        let Self { listener, tls, shared, distributor, hub, commands, shutdown: tell, .. } = self;
+        let distributing = tokio::spawn(distribute(distributor, hub, commands, Arc::clone(&shared)));
+        tokio::select! {
+            () = listen::accept(&listener, tls.as_ref(), &shared) => {}
+            () = shutdown => {}
+        }
+        drop(listener);
+        tell.send_replace(true);
+        let _ = tokio::time::timeout(shared.limits.shutdown_timeout, shared.slots.all_free()).await;
+        distributing.abort();
+    }
+}
+
+/// Feeds the distributor, one thing at a time; frames before commands.
+async fn distribute(
+    mut distributor: Distributor,
+    hub: Hub,
+    mut commands: mpsc::Receiver<Command>,
+    shared: Arc<Shared>,
+) {
+    use std::sync::atomic::Ordering;
+    loop {
+        while let Some(item) = hub.take() {
+            match &item {
+                hub::Item::Estimate(_) => _ = shared.metrics.frames.inc(),
+                hub::Item::Status(status) => shared.metrics.take(status),
+                _ => {}
+            }
+            if let Some(replaced) = distributor.publish(item) {
+                hub.recycle(replaced);
+            }
+            shared.last_event_id.store(distributor.last_event_id(), Ordering::Relaxed);
+            // The clients' tasks that were just woken go first.
+            tokio::task::yield_now().await;
+        }
+        tokio::select! {
+            biased;
+            () = hub.filled() => {}
+            Some(command) = commands.recv() => distributor.handle(command),
+        }
+    }
+}
+
+fn bind_first(addresses: &[SocketAddr]) -> std::io::Result<(TcpListener, SocketAddr)> {
+    let mut refused = std::io::Error::other("the name has no address");
+    for &address in addresses {
+        match bind(address) {
+            Ok(bound) => return Ok(bound),
+            Err(error) => refused = error,
+        }
+    }
+    Err(refused)
+}
+
+fn bind(address: SocketAddr) -> std::io::Result<(TcpListener, SocketAddr)> {
+    let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+    socket.set_reuseaddr(true)?;
+    // Inherited by each connection: what the kernel holds for a client that stalls is soon old, and bounded by this.
+    socket.set_send_buffer_size(256 * 1024)?;
+    socket.bind(address)?;
+    let listener = socket.listen(1024)?;
+    let address = listener.local_addr()?;
+    Ok((listener, address))
+}
+
+fn rfc3339(utc_ns: i64) -> String {
+    match jiff::Timestamp::from_nanosecond(utc_ns.into()) {
+        Ok(utc) => format!("{utc:.9}"),
+        Err(_) => String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn epoch_has_nanoseconds() {
+        assert_eq!(super::rfc3339(1_700_000_000_000_000_001), "2023-11-14T22:13:20.000000001Z");
+        assert_eq!(super::rfc3339(0), "1970-01-01T00:00:00.000000000Z");
+    }
+}

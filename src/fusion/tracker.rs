@@ -1,0 +1,127 @@
+//! One sensor's tracker: the track that is believed, and the one that may replace it.
+
+use posed_drivers::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use super::track::{Track, Tuning};
+use crate::faults::{Checked, Gate, Label, MeasuredPose, Prediction};
+use crate::noise::TrackerNoise;
+
+/// How long a track goes on without a measurement, s.
+const COAST_S: f64 = 0.5;
+/// Agreeing records that begin a track: two leave the velocity to whatever error one of them had.
+const RECORDS_TO_BEGIN: u32 = 3;
+/// Agreeing records outside the gate that replace a track: the sensor was taken elsewhere.
+const RECORDS_TO_REPLACE: u32 = 5;
+
+/// What became of a measurement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Inside its gate and used.
+    Good,
+    /// Outside its gate, or not yet confirmed by others.
+    Suspect,
+    /// Not used: the detector said that it repeats itself.
+    Dropped,
+}
+
+/// A track in waiting.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct Candidate {
+    track: Track,
+    records: u32,
+}
+
+/// Tracker of one sensor, in the transmitter frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Tracker {
+    tuning: Tuning,
+    noise: TrackerNoise,
+    track: Option<Track>,
+    candidate: Option<Candidate>,
+}
+
+impl Tracker {
+    /// A tracker that has seen nothing.
+    pub fn new(noise: TrackerNoise, tuning: Tuning) -> Self {
+        Self { tuning, noise, track: None, candidate: None }
+    }
+
+    /// Noise model in use.
+    pub fn noise(&self) -> &TrackerNoise {
+        &self.noise
+    }
+
+    /// Swaps in a measured noise model; from then on nothing is learnt about it.
+    pub fn set_noise(&mut self, noise: TrackerNoise) {
+        self.noise = noise;
+        self.tuning.noise_scale_max = 1.0;
+    }
+
+    /// Tells the nominal interval of measurements, s.
+    pub fn set_interval_s(&mut self, interval_s: f64) {
+        self.tuning.interval_s = interval_s.clamp(1e-3, 0.2);
+    }
+
+    /// What is expected of a measurement at `t`; `None` while nothing is tracked.
+    pub fn expectation(&self, t: Timestamp) -> Option<Prediction> {
+        self.at(t).map(|track| track.expectation(&self.tuning))
+    }
+
+    /// The track at `t`; `None` before the first confirmed measurements and after coasting too long.
+    pub fn at(&self, t: Timestamp) -> Option<Track> {
+        let track = self.track.as_ref()?;
+        (t.seconds_since(track.t()) <= COAST_S).then(|| track.predicted(t, &self.tuning))
+    }
+
+    /// Takes a checked measurement at its own capture time.
+    pub fn push(&mut self, t: Timestamp, checked: &Checked) -> Verdict {
+        let pose = &checked.pose;
+        if matches!(checked.label, Label::Repeated | Label::Stuck) {
+            return Verdict::Dropped;
+        }
+        let Some(mut track) = self.at(t) else {
+            self.track = None;
+            return self.consider(t, pose, RECORDS_TO_BEGIN);
+        };
+        match track.expectation(&self.tuning).gate(pose, &self.noise) {
+            Gate::Inside => {
+                track.update(pose, &self.noise, &self.tuning);
+                self.track = Some(track);
+                self.candidate = None;
+                Verdict::Good
+            }
+            Gate::Loose => self.consider(t, pose, RECORDS_TO_BEGIN),
+            Gate::Outside => self.consider(t, pose, RECORDS_TO_REPLACE),
+        }
+    }
+
+    /// Adds a measurement to the candidate; it becomes the track once `needed` records agree.
+    fn consider(&mut self, t: Timestamp, pose: &MeasuredPose, needed: u32) -> Verdict {
+        let continued = self.candidate.and_then(|candidate| {
+            let mut track = candidate.track.predicted(t, &self.tuning);
+            let fresh = t.seconds_since(candidate.track.t()) <= COAST_S;
+            let agrees = track.expectation(&self.tuning).gate(pose, &self.noise) != Gate::Outside;
+            (fresh && agrees).then(|| {
+                track.update(pose, &self.noise, &self.tuning);
+                Candidate { track, records: candidate.records + 1 }
+            })
+        });
+        let candidate = continued.unwrap_or_else(|| Candidate {
+            track: Track::new(t, pose, &self.noise, &self.tuning),
+            records: 1,
+        });
+        if candidate.records >= needed {
+            self.track = Some(candidate.track);
+            self.candidate = None;
+            Verdict::Good
+        } else {
+            self.candidate = Some(candidate);
+            Verdict::Suspect
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "tracker_tests.rs"]
+mod tests;

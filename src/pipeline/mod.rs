@@ -1,0 +1,341 @@
+//! The pipeline: input log in, outputs out.
+//!
+//! What comes in: [`Entry`]s in their total order. What goes out: [`Output`]s, during the call. What it never
+//! does: read a clock, start a thread, allocate per frame once warm, depend on anything but the entries. One
+//! input, then all outputs are drained; the same entries give the same outputs, and a pipeline restored from
+//! a snapshot goes on as if nothing had happened.
+
+mod session;
+mod sensor;
+mod status;
+
+
+use nalgebra::Isometry3;
+use posed_drivers::{LineEvent, Measurement, Sample, State, Timestamp, session::Output as SessionOutput};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::clock::{self, Clock};
+use crate::frame::{Assembler, Frame};
+use crate::geometry;
+use crate::input::{DeviceIndex, Entry, Input, Model, SensorIndex};
+use crate::noise::TrackerNoise;
+use crate::output::{Estimate, Measured, Outcome, OutcomeKind, Output, SensorEstimate};
+use crate::stage::Stage;
+use sensor::Sensor;
+use session::DeviceSession;
+pub use status::{ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
+
+/// Bits of one byte on a serial line: start, eight, stop.
+const BITS_PER_BYTE: f64 = 10.0;
+
+/// A stage file that no pipeline can be made of, or a snapshot that does not fit it.
+#[derive(Debug, Error)]
+pub enum PipelineError {
+    /// A sensor names a device that is not there.
+    #[error("sensor {sensor:?} belongs to device {device:?}, which the stage does not have")]
+    UnknownDevice {
+        /// The sensor.
+        sensor: String,
+        /// The name it gives.
+        device: String,
+    },
+    /// A driver refuses its settings.
+    #[error("device {device:?}: {source}")]
+    Settings {
+        /// The device.
+        device: String,
+        /// What the driver expects.
+        source: posed_drivers::flock::SettingsError,
+    },
+    /// A number that the pipeline cannot work with.
+    #[error("{key}: expected {expected}")]
+    Value {
+        /// The key in the stage file.
+        key: &'static str,
+        /// What it must be.
+        expected: &'static str,
+    },
+    /// The snapshot is not one, or of another version.
+    #[error("the snapshot cannot be read: {0}")]
+    Snapshot(#[from] rmp_serde::decode::Error),
+    /// The snapshot was taken on another stage.
+    #[error("the snapshot belongs to a stage with other devices or sensors")]
+    OtherStage,
+}
+
+/// One device: its session, its clock, and who its sensors are.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Device {
+    name: String,
+    session: DeviceSession,
+    clock: Clock,
+    /// (address, sensor), by address.
+    sensors: Vec<(u16, SensorIndex)>,
+    streaming: bool,
+}
+
+/// All stages from bytes to outcomes.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Pipeline {
+    now: Timestamp,
+    devices: Vec<Device>,
+    sensors: Vec<Sensor>,
+    frames: Assembler,
+    room_transmitter: Isometry3<f64>,
+    estimate: Estimate,
+    models_refused: u64,
+}
+
+impl Pipeline {
+    /// A pipeline for a stage, before its first input.
+    ///
+    /// # Errors
+    /// The stage file contradicts itself.
+    pub fn new(stage: &Stage) -> Result<Self, PipelineError> {
+        let positive = |value: f64| value.is_finite() && value > 0.0;
+        let check = |ok: bool, key, expected| if ok { Ok(()) } else { Err(PipelineError::Value { key, expected }) };
+        let rate_ok = stage.frame_rate_hz.is_none_or(|rate| positive(rate) && rate <= 10_000.0);
+        check(rate_ok, "frame_rate_hz", "a rate from above 0 to 10000")?;
+        let wait = stage.frame_wait_ms;
+        check((0.0..=10_000.0).contains(&wait), "frame_wait_ms", "0 to 10000")?;
+        let owners = stage.sensors.iter().map(|sensor| owner(stage, sensor)).collect::<Result<Vec<_>, _>>()?;
+        let devices = (0..stage.devices.len()).map(|index| Device::new(stage, index, &owners));
+        let room_transmitter = match &stage.transmitter.pose_in_room {
+            None => Isometry3::identity(),
+            Some(pose) => geometry::isometry(pose.position_m, pose.orientation_wxyz).ok_or(
+                PipelineError::Value { key: "transmitter.pose_in_room", expected: "finite numbers and a quaternion" },
+            )?,
+        };
+        Ok(Self {
+            now: Timestamp::ZERO,
+            devices: devices.collect::<Result<_, _>>()?,
+            sensors: stage.sensors.iter().zip(&owners).map(|(sensor, &device)| Sensor::new(sensor, device)).collect(),
+            frames: Assembler::new(stage.devices.len(), &owners, stage.frame_rate_hz, wait),
+            room_transmitter,
+            estimate: Estimate {
+                sensors: vec![SensorEstimate::default(); stage.sensors.len()],
+                ..Estimate::default()
+            },
+            models_refused: 0,
+        })
+    }
+
+    /// Takes the next entry of the input log and says all that follows from it.
+    ///
+    /// Entries that name a device which the stage does not have are ignored.
+    pub fn push(&mut self, entry: &Entry, say: &mut impl FnMut(Output<'_>)) {
+        self.now = self.now.max(entry.t);
+        let now = self.now;
+        match &entry.input {
+            Input::Bytes { device, bytes } => {
+                if let Some(owner) = self.devices.get_mut(usize::from(*device)) {
+                    owner.session.get_mut().handle_bytes(now, bytes);
+                    self.drain(*device, say);
+                }
+            }
+            Input::Line { device, event } => self.line(*device, event, say),
+            Input::Timer => {
+                for device in 0..self.devices.len() {
+                    let session = self.devices[device].session.get_mut();
+                    if session.poll_timeout().is_some_and(|timeout| timeout <= now) {
+                        session.handle_timeout(now);
+                    }
+                    self.drain(device as DeviceIndex, say);
+                }
+            }
+            Input::Model(model) => self.swap(model, say),
+            Input::Truth(truth) => say(Output::Truth(truth)),
+        }
+        self.close_frames(say);
+    }
+
+    /// When to push [`Input::Timer`] if nothing else comes.
+    pub fn poll_timeout(&self) -> Option<Timestamp> {
+        let sessions = self.devices.iter().filter_map(|device| device.session.get().poll_timeout());
+        sessions.chain(self.frames.poll_timeout(self.now)).min()
+    }
+
+    /// All state, as MessagePack.
+    ///
+    /// # Panics
+    /// Never: plain data is written to memory.
+    pub fn snapshot(&self) -> Vec<u8> {
+        rmp_serde::to_vec_named(self).expect("plain data can be written to memory")
+    }
+
+    /// A pipeline that goes on from a snapshot taken on the same stage.
+    ///
+    /// # Errors
+    /// The bytes are no snapshot of this version, or of a stage with other devices or sensors.
+    pub fn restore(stage: &Stage, snapshot: &[u8]) -> Result<Self, PipelineError> {
+        let pipeline: Self = rmp_serde::from_slice(snapshot)?;
+        let devices = pipeline.devices.iter().map(|device| &device.name).eq(stage.devices.iter().map(|d| &d.name));
+        let sensors = pipeline.sensors.iter().map(Sensor::name).eq(stage.sensors.iter().map(|s| s.name.as_str()));
+        if devices && sensors { Ok(pipeline) } else { Err(PipelineError::OtherStage) }
+    }
+
+    /// What the pipeline has counted and measured.
+    pub fn status(&self) -> PipelineStatus {
+        PipelineStatus {
+            devices: self.devices.iter().map(Device::status).collect(),
+            sensors: self.sensors.iter().map(Sensor::status).collect(),
+            models_refused: self.models_refused,
+        }
+    }
+
+    fn line(&mut self, device: DeviceIndex, event: &LineEvent, say: &mut impl FnMut(Output<'_>)) {
+        let now = self.now;
+        let Some(owner) = self.devices.get_mut(usize::from(device)) else { return };
+        owner.session.get_mut().handle_line(now, event);
+        self.drain(device, say);
+    }
+
+    /// All that a session has to say.
+    fn drain(&mut self, device: DeviceIndex, say: &mut impl FnMut(Output<'_>)) {
+        let index = usize::from(device);
+        while let Some(output) = self.devices[index].session.get_mut().poll_output() {
+            match output {
+                SessionOutput::Transmit(bytes) => say(Output::Transmit { device, bytes: &bytes }),
+                SessionOutput::SetRts(asserted) => say(Output::SetRts { device, asserted }),
+                SessionOutput::Warning(text) => say(Output::Warning { device, text: &text }),
+                SessionOutput::StateChanged => {
+                    self.state_changed(device);
+                    say(Output::Device { device, state: self.devices[index].session.get().state() });
+                }
+                SessionOutput::Sample(sample) => {
+                    self.sample(device, &sample);
+                    // A chunk may hold several cycles: each frame closes as soon as it can.
+                    self.close_frames(say);
+                }
+            }
+        }
+    }
+
+    fn state_changed(&mut self, device: DeviceIndex) {
+        let owner = &mut self.devices[usize::from(device)];
+        let streaming = *owner.session.get().state() == State::Streaming;
+        if streaming && !owner.streaming {
+            owner.clock.restart();
+            owner.clock.set_nominal_rate_hz(owner.session.get().rate_hz());
+        } else if !streaming && owner.streaming {
+            self.frames.stop(device);
+        }
+        owner.streaming = streaming;
+    }
+
+    fn sample(&mut self, device: DeviceIndex, sample: &Sample) {
+        let owner = &mut self.devices[usize::from(device)];
+        let stamp = owner.clock.push(sample);
+        let period_s = owner.clock.period_or_nominal_s();
+        self.frames.stamp(device, &stamp, period_s, self.now);
+        let Ok(at) = owner.sensors.binary_search_by_key(&sample.address, |&(address, _)| address) else { return };
+        let sensor = owner.sensors[at].1;
+        if stamp.begins_cycle && let Some(period_s) = period_s {
+            for (_, sensor) in &owner.sensors {
+                self.sensors[usize::from(*sensor)].set_interval_s(period_s);
+            }
+        }
+        // What inertial sensors measure is not fused yet.
+        let Measurement::Pose { position_m, orientation_wxyz, button } = sample.measurement else { return };
+        self.frames.sample(sensor, Measured { t_valid: stamp.t_valid, position_m, orientation_wxyz, button });
+    }
+
+    fn close_frames(&mut self, say: &mut impl FnMut(Output<'_>)) {
+        let Self { frames, sensors, estimate, room_transmitter, now, .. } = self;
+        while let Some(frame) = frames.poll(*now) {
+            estimate_frame(frame, sensors, room_transmitter, estimate);
+            say(Output::Estimate(estimate));
+            for (index, sensor) in sensors.iter_mut().enumerate() {
+                sensor.outcomes(index as SensorIndex, frame, say);
+            }
+        }
+    }
+
+    fn swap(&mut self, model: &Model, say: &mut impl FnMut(Output<'_>)) {
+        let accepted = model.check().is_ok() && self.apply(model);
+        if !accepted {
+            self.models_refused += 1;
+            return;
+        }
+        // Nothing is measured by a swap; it speaks of the frame before it.
+        let t = self.estimate.t_valid;
+        say(Output::Outcome(&Outcome { t_valid: t, t_decided: t, what: OutcomeKind::ModelSwapped(model.clone()) }));
+    }
+
+    /// Takes a model whose numbers are right; false where it speaks of nothing that is here.
+    fn apply(&mut self, model: &Model) -> bool {
+        match model {
+            Model::Transmitter { position_m, orientation_wxyz } => {
+                let pose = geometry::isometry(*position_m, *orientation_wxyz);
+                self.room_transmitter = pose.unwrap_or(self.room_transmitter);
+                pose.is_some()
+            }
+            Model::TrackerNoise { device, r0_m, sigma_radial_m, sigma_rotation_rad } => {
+                let noise = TrackerNoise {
+                    r0_m: *r0_m,
+                    sigma_radial_m: *sigma_radial_m,
+                    sigma_rotation_rad: *sigma_rotation_rad,
+                };
+                let Some(owner) = self.devices.iter().position(|owner| owner.name == *device) else { return false };
+                for sensor in self.sensors.iter_mut().filter(|sensor| usize::from(sensor.device()) == owner) {
+                    sensor.set_noise(noise);
+                }
+                true
+            }
+        }
+    }
+}
+
+/// Checks, filters and publishes all sensors of a frame.
+fn estimate_frame(frame: &Frame, sensors: &mut [Sensor], room: &Isometry3<f64>, estimate: &mut Estimate) {
+    estimate.frame = frame.number;
+    estimate.t_valid = frame.t_valid;
+    estimate.t_closed = frame.t_closed;
+    estimate.sigma_t_s = frame.sigma_t_s;
+    // Motion in the previous frame: an explicit argument to the stuck test, like the prediction.
+    let moving = sensors.iter().filter(|sensor| sensor.is_moving()).count();
+    for ((sensor, slot), out) in sensors.iter_mut().zip(&frame.sensors).zip(&mut estimate.sensors) {
+        let others_move = moving > usize::from(sensor.is_moving());
+        *out = sensor.estimate(slot, frame, others_move, room);
+    }
+}
+
+impl Device {
+    fn new(stage: &Stage, index: usize, owners: &[DeviceIndex]) -> Result<Self, PipelineError> {
+        let device = &stage.devices[index];
+        let value = |ok: bool, key, expected| if ok { Ok(()) } else { Err(PipelineError::Value { key, expected }) };
+        value(device.baud > 0, "baud", "a line rate above 0")?;
+        let delay_s = device.measurement_delay_ms * 1e-3;
+        value((0.0..=1.0).contains(&delay_s), "measurement_delay_ms", "0 to 1000")?;
+        let mut sensors: Vec<(u16, SensorIndex)> = (0..)
+            .zip(stage.sensors.iter().zip(owners))
+            .filter(|(_, (_, owner))| usize::from(**owner) == index)
+            .map(|(at, (sensor, _))| (sensor.address, at))
+            .collect();
+        sensors.sort_unstable();
+        let clock = clock::Settings {
+            byte_time_s: BITS_PER_BYTE / f64::from(device.baud),
+            measurement_delay_s: delay_s,
+        };
+        Ok(Self {
+            name: device.name.clone(),
+            session: DeviceSession::new(device, &sensors)?,
+            clock: Clock::new(clock),
+            sensors,
+            streaming: false,
+        })
+    }
+}
+
+/// Index of a sensor's device.
+fn owner(stage: &Stage, sensor: &crate::stage::Sensor) -> Result<DeviceIndex, PipelineError> {
+    let found = stage.devices.iter().position(|device| device.name == sensor.device);
+    found.map(|index| index as DeviceIndex).ok_or_else(|| PipelineError::UnknownDevice {
+        sensor: sensor.name.clone(),
+        device: sensor.device.clone(),
+    })
+}
+
+#[cfg(test)]
+mod tests;

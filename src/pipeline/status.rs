@@ -1,0 +1,64 @@
+//! What `status` tells of the pipeline.
+
+use posed_drivers::{Counters, State};
+
+use super::Device;
+
+/// Counts and measured rates; a copy.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PipelineStatus {
+    /// In the stage's order.
+    pub devices: Vec<DeviceStatus>,
+    /// In the stage's order.
+    pub sensors: Vec<SensorStatus>,
+    /// Models that were not swapped in: not finite, or of an unknown device.
+    pub models_refused: u64,
+}
+
+/// One device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DeviceStatus {
+    /// What its session is doing.
+    pub state: State,
+    /// Measured rate of its cycles, Hz, once known.
+    pub rate_hz: Option<f64>,
+    /// Records, rejected ones, skipped bytes.
+    pub counters: Counters,
+    /// Clock model, once there is one.
+    pub clock: Option<ClockStatus>,
+}
+
+/// A device's clock model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClockStatus {
+    /// Measured interval of its cycles on the host's clock, s.
+    pub period_s: f64,
+    /// Standard deviation of its capture times, s.
+    pub sigma_t_s: f64,
+}
+
+/// One sensor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SensorStatus {
+    /// Samples received.
+    pub samples: u64,
+    /// Expected samples that were not published as `ok`.
+    pub lost: u64,
+    /// Part of `lost` comes from the time that passed: nothing on the line tells how many samples there were.
+    pub estimated: bool,
+}
+
+impl Device {
+    pub(super) fn status(&self) -> DeviceStatus {
+        let session = self.session.get();
+        let period_s = self.clock.period_s().filter(|_| self.streaming);
+        DeviceStatus {
+            state: session.state().clone(),
+            rate_hz: period_s.map(f64::recip),
+            counters: session.counters(),
+            clock: period_s
+                .zip(self.clock.sigma_t_s())
+                .map(|(period_s, sigma_t_s)| ClockStatus { period_s, sigma_t_s }),
+        }
+    }
+}

@@ -1,0 +1,42 @@
+//! What clients and the daemon say to each other on the websocket, and how it is written.
+//!
+//! In: the pipeline's outputs, the daemon's status, bytes that clients sent. Out: messages in JSON or MessagePack,
+//! parsed requests, the JSON Schema and TypeScript types of both. Never: a socket, a clock, a thread.
+//!
+//! Everything is a map with a `type`. A *data message* belongs to a [`Topic`] and starts with `type`, `seq`, `dropped`,
+//! which differ from client to client, followed by a *body* which all clients with the same [`View`] share: the body is
+//! written once per frame, the head once per client (see [`encode`]).
+//!
+//! # Resolution of numbers
+//! Positions and their sigma 1e-5 m and 1e-6 m, quaternions 1e-6, times 1e-6 s, velocities 1e-4 m/s and 1e-4 rad/s,
+//! covariances four significant digits, rates 1e-3 Hz. Both encodings carry the rounded number.
+
+pub mod encode;
+mod message;
+mod names;
+mod publisher;
+mod request;
+mod round;
+pub mod schema;
+mod sensors;
+mod topic;
+mod typescript;
+
+pub use encode::{Encoding, Payload};
+pub use message::{
+    Data, DeviceStatus, ErrorReply, Fault, FieldChange, FieldEvent, Hello, HelloSensor, Job, JobState, Jobs,
+    LinkState, Measured, OkReply, Problem, Quality, RecordingStatus, ReplayStatus, SensorEntry, SensorStatus, Sensors,
+    ServerMessage, StageLatency, Status, TruthEntry, Truths,
+};
+pub use names::Names;
+pub use publisher::{Counters, Publisher, PublisherState, Stamp};
+pub use request::{
+    Call, DropPolicy, Feed, ParseError, Request, RequestId, Speed, SpeedWord, fuzz_client_message, parse,
+};
+pub use sensors::{Field, Fields, View};
+pub use topic::Topic;
+
+/// Version of the protocol and name of the websocket sub-protocol with JSON text messages.
+pub const SUBPROTOCOL_JSON: &str = "posed.v1";
+/// Name of the sub-protocol with the same messages in MessagePack.
+pub const SUBPROTOCOL_MSGPACK: &str = "posed.v1.msgpack";

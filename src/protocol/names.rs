@@ -1,0 +1,62 @@
+//! Names of a stage's sensors and devices, in the order of their indices.
+
+use crate::input::{DeviceIndex, SensorIndex};
+use crate::stage::Stage;
+
+/// Names as messages carry them.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Names {
+    devices: Vec<String>,
+    sensors: Vec<SensorName>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct SensorName {
+    name: String,
+    device: String,
+}
+
+impl Names {
+    /// Those of a stage.
+    pub fn new(stage: &Stage) -> Self {
+        let sensor = |sensor: &crate::stage::Sensor| SensorName {
+            name: sensor.name.clone(),
+            device: sensor.device.clone(),
+        };
+        Self {
+            devices: stage.devices.iter().map(|device| device.name.clone()).collect(),
+            sensors: stage.sensors.iter().map(sensor).collect(),
+        }
+    }
+
+    /// A device's name.
+    pub fn device(&self, device: DeviceIndex) -> &str {
+        self.devices.get(usize::from(device)).map_or("", String::as_str)
+    }
+
+    /// A sensor's name.
+    pub fn sensor(&self, sensor: SensorIndex) -> &str {
+        self.sensors.get(usize::from(sensor)).map_or("", |sensor| &sensor.name)
+    }
+
+    /// Name of the device that a sensor belongs to.
+    pub fn device_of(&self, sensor: SensorIndex) -> &str {
+        self.sensors.get(usize::from(sensor)).map_or("", |sensor| &sensor.device)
+    }
+
+    /// The sensor of that name.
+    pub fn find_sensor(&self, name: &str) -> Option<SensorIndex> {
+        let at = self.sensors.iter().position(|sensor| sensor.name == name)?;
+        SensorIndex::try_from(at).ok()
+    }
+
+    /// Number of sensors.
+    pub fn sensor_count(&self) -> usize {
+        self.sensors.len()
+    }
+
+    /// Name and device of every sensor, in order.
+    pub fn sensors(&self) -> impl ExactSizeIterator<Item = (&str, &str)> {
+        self.sensors.iter().map(|sensor| (sensor.name.as_str(), sensor.device.as_str()))
+    }
+}

@@ -1,0 +1,58 @@
+//! Rounding to the stated resolution. The quotient of two exact doubles is the double nearest to the decimal, so its
+//! shortest text has no more digits than the resolution asks for.
+
+/// Steps per metre of a position.
+pub(super) const POSITION: f64 = 1e5;
+/// Steps per metre of a standard deviation.
+pub(super) const SIGMA: f64 = 1e6;
+/// Steps per unit of a quaternion component.
+pub(super) const QUATERNION: f64 = 1e6;
+/// Steps per unit of a velocity (m/s or rad/s).
+pub(super) const VELOCITY: f64 = 1e4;
+/// Steps per hertz of a rate.
+pub(super) const RATE: f64 = 1e3;
+
+/// `value` to the nearest `1 / steps`; never a negative zero.
+pub(super) fn to(steps: f64, value: f64) -> f64 {
+    (value * steps).round() / steps + 0.0
+}
+
+/// Each component to the nearest `1 / steps`.
+pub(super) fn each<const N: usize>(steps: f64, values: [f64; N]) -> [f64; N] {
+    values.map(|value| to(steps, value))
+}
+
+/// `value` to four significant digits; magnitudes below 1e-18 are zero.
+pub(super) fn significant(value: f64) -> f64 {
+    let magnitude = value.abs();
+    if magnitude.is_nan() || magnitude < 1e-18 {
+        return 0.0;
+    }
+    let digits = 3 - magnitude.log10().floor() as i32;
+    if digits >= 0 {
+        to(10f64.powi(digits.min(22)), value)
+    } else {
+        let steps = 10f64.powi(-digits);
+        (value / steps).round() * steps
+    }
+}
+
+/// Microseconds as seconds.
+pub(super) fn seconds(t_us: i64) -> f64 {
+    t_us as f64 / 1e6
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_is_as_short_as_the_resolution() {
+        assert_eq!(to(POSITION, 0.123456789).to_string(), "0.12346");
+        assert_eq!(to(POSITION, -1e-9).to_string(), "0");
+        assert_eq!(to(QUATERNION, std::f64::consts::FRAC_1_SQRT_2).to_string(), "0.707107");
+        assert_eq!(significant(1.23456789e-8).to_string(), "0.00000001235");
+        assert_eq!(significant(-123456.0).to_string(), "-123500");
+        assert_eq!(seconds(1_234_567).to_string(), "1.234567");
+    }
+}

@@ -1,0 +1,7 @@
+//! The websocket server with real clients.
+#![expect(clippy::unwrap_used, reason = "helpers of tests")]
+
+mod access;
+mod feed;
+mod harness;
+mod limits;

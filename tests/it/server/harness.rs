@@ -1,0 +1,218 @@
+//! A running server, and a client of it.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::time::Duration;
+
+use futures_util::{SinkExt, StreamExt};
+use posed::daemon::server::{Config, Hub, PendingCall, Server};
+use posed::output::{
+    Estimate, FaultCause, Measured, Outcome, OutcomeKind, Output, PoseEstimate, SensorEstimate, SensorState,
+};
+use posed::stage::Stage;
+use posed_drivers::Timestamp;
+use serde_json::{Value, json};
+use tokio::net::TcpStream;
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinHandle;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::tungstenite::handshake::client::Request;
+use tokio_tungstenite::tungstenite::protocol::CloseFrame;
+use tokio_tungstenite::tungstenite::{self, Message};
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream};
+
+pub(super) const WATCH: &str = "watch-watch-watch-1";
+pub(super) const OPERATE: &str = "operate-operate-1";
+
+/// Nothing here takes long; a test that waits for ever should fail with a line number.
+pub(super) const PATIENCE: Duration = Duration::from_secs(20);
+
+pub(super) fn stage(extra: &str) -> Stage {
+    let text = format!(
+        r#"
+        name = "Stage A"
+        [[device]]
+        name = "flock"
+        driver = "flock-of-birds"
+        port = "auto"
+        [[sensor]]
+        name = "left"
+        device = "flock"
+        address = 1
+        [[sensor]]
+        name = "right"
+        device = "flock"
+        address = 2
+        {extra}
+        "#
+    );
+    Stage::parse(&text).unwrap()
+}
+
+pub(super) struct Running {
+    pub(super) address: SocketAddr,
+    pub(super) url: String,
+    pub(super) hub: Hub,
+    pub(super) calls: mpsc::Receiver<PendingCall>,
+    stop: Option<oneshot::Sender<()>>,
+    pub(super) task: JoinHandle<()>,
+}
+
+pub(super) fn config() -> Config {
+    Config { listen: Some("127.0.0.1:0".into()), ..Config::new(Path::new("."), 1_700_000_000_000_000_001) }
+}
+
+pub(super) fn start(stage: &Stage, config: Config) -> Running {
+    let (server, hub, calls) = Server::bind(stage, config).unwrap();
+    let (address, url) = (server.address(), server.url());
+    let (stop, stopped) = oneshot::channel();
+    let task = tokio::spawn(server.run(async {
+        let _ = stopped.await;
+    }));
+    Running { address, url, hub, calls, stop: Some(stop), task }
+}
+
+impl Running {
+    pub(super) fn plain() -> Self {
+        start(&stage(""), config())
+    }
+
+    pub(super) fn stop(&mut self) {
+        self.stop.take().unwrap().send(()).unwrap();
+    }
+
+    pub(super) fn request(&self, query: &str) -> Request {
+        format!("ws://{}/ws{query}", self.address).into_client_request().unwrap()
+    }
+
+    /// A client that has been greeted.
+    pub(super) async fn client(&self) -> Client {
+        let mut client = self.connect(self.request("")).await.unwrap();
+        assert_eq!(client.next().await["type"], "hello");
+        client
+    }
+
+    pub(super) async fn connect(&self, request: Request) -> Result<Client, tungstenite::Error> {
+        let (socket, response) = tokio_tungstenite::connect_async(request).await?;
+        let protocol =
+            response.headers().get("sec-websocket-protocol").map(|p| p.to_str().unwrap().to_owned());
+        Ok(Client { socket, protocol })
+    }
+
+    /// Status with which the upgrade was refused, and the sentence.
+    pub(super) async fn refusal(&self, request: Request) -> (u16, String) {
+        match self.connect(request).await {
+            Ok(_) => panic!("it was not refused"),
+            Err(tungstenite::Error::Http(response)) => {
+                let body = response.body().clone().unwrap_or_default();
+                (response.status().as_u16(), String::from_utf8(body).unwrap())
+            }
+            Err(error) => panic!("{error}"),
+        }
+    }
+
+    pub(super) fn frame(&self, frame: u64) {
+        self.hub.publish(&Output::Estimate(&estimate(frame)));
+    }
+
+    pub(super) fn fault(&self, at_ms: i64, sensor: u16, active: bool) {
+        let t = Timestamp::from_nanos(at_ms * 1_000_000);
+        let what = OutcomeKind::Fault { sensor, cause: FaultCause::Gate, active };
+        self.hub.publish(&Output::Outcome(&Outcome { t_valid: t, t_decided: t, what }));
+    }
+}
+
+/// A frame every 10 ms; the left sensor moves, the right one is missing.
+pub(super) fn estimate(frame: u64) -> Estimate {
+    let t_valid = Timestamp::from_nanos(frame as i64 * 10_000_000);
+    let position_m = [0.1 + frame as f64 * 1e-3, -0.2, 1.0 / 3.0];
+    let orientation_wxyz = [0.5f64.sqrt(), 0.0, 0.5f64.sqrt(), 0.0];
+    let left = SensorEstimate {
+        state: SensorState::Ok,
+        pose: Some(PoseEstimate {
+            position_m,
+            orientation_wxyz,
+            velocity_m_s: [0.1, 0.0, 0.0],
+            angular_velocity_rad_s: [0.0; 3],
+            covariance: [1.234567e-7; 21],
+            sigma_m: 0.000_612_3,
+        }),
+        measured: Some(Measured {
+            t_valid,
+            position_m: Some(position_m),
+            orientation_wxyz: Some(orientation_wxyz),
+            button: None,
+        }),
+    };
+    Estimate {
+        frame,
+        t_valid,
+        t_closed: t_valid,
+        sigma_t_s: 2e-4,
+        sensors: vec![left, SensorEstimate::default()],
+    }
+}
+
+pub(super) struct Client {
+    pub(super) socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
+    pub(super) protocol: Option<String>,
+}
+
+impl Client {
+    pub(super) async fn send(&mut self, request: Value) {
+        self.socket.send(Message::Text(request.to_string().into())).await.unwrap();
+    }
+
+    /// The next message, in either encoding.
+    pub(super) async fn next(&mut self) -> Value {
+        loop {
+            match tokio::time::timeout(PATIENCE, self.socket.next()).await.expect("a message") {
+                Some(Ok(Message::Text(text))) => return serde_json::from_str(&text).unwrap(),
+                Some(Ok(Message::Binary(bytes))) => return rmp_serde::from_slice(&bytes).unwrap(),
+                Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
+                other => panic!("expected a message, got {other:?}"),
+            }
+        }
+    }
+
+    /// Sends a request and gives its reply, which must be the next message that is one.
+    pub(super) async fn ask(&mut self, mut request: Value) -> Value {
+        request["id"] = json!(7);
+        self.send(request).await;
+        loop {
+            let message = self.next().await;
+            if message["type"] == "ok" || message["type"] == "error" {
+                assert_eq!(message["id"], 7);
+                return message;
+            }
+        }
+    }
+
+    pub(super) async fn subscribe(&mut self, topics: &[&str]) {
+        let reply = self.ask(json!({"type": "subscribe", "topics": topics})).await;
+        assert_eq!(reply["type"], "ok", "{reply}");
+    }
+
+    /// Code and reason with which the server ends this connection.
+    pub(super) async fn closed(&mut self) -> (u16, String) {
+        loop {
+            match tokio::time::timeout(PATIENCE, self.socket.next()).await.expect("a close") {
+                Some(Ok(Message::Close(Some(CloseFrame { code, reason })))) => {
+                    return (code.into(), reason.to_string());
+                }
+                Some(Ok(_)) => {}
+                other => panic!("expected a close, got {other:?}"),
+            }
+        }
+    }
+}
+
+/// A plain HTTP exchange: the whole answer.
+pub(super) async fn get(address: SocketAddr, head: &str) -> String {
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    let mut stream = TcpStream::connect(address).await.unwrap();
+    stream.write_all(head.as_bytes()).await.unwrap();
+    let mut answer = Vec::new();
+    tokio::time::timeout(PATIENCE, stream.read_to_end(&mut answer)).await.unwrap().unwrap();
+    String::from_utf8(answer).unwrap()
+}

@@ -1,0 +1,138 @@
+//! Slow, silent, flooding and too many clients.
+
+use std::time::Duration;
+
+use futures_util::SinkExt;
+use posed::daemon::server::{Config, Limits};
+use serde_json::json;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use tokio_tungstenite::tungstenite::Message;
+
+use super::harness::{PATIENCE, Running, config, estimate, get, stage, start};
+
+fn with(limits: Limits) -> Running {
+    start(&stage(""), Config { limits, ..config() })
+}
+
+#[tokio::test]
+async fn a_large_message_closes_with_1009() {
+    let server = Running::plain();
+    for frame_bytes in [65 * 1024, 10 * 1024 * 1024] {
+        let mut client = server.client().await;
+        // The server may have closed before the whole message was written.
+        let _ = client.socket.send(Message::Text(" ".repeat(frame_bytes).into())).await;
+        let (code, _) = client.closed().await;
+        assert_eq!(code, 1009);
+    }
+}
+
+#[tokio::test]
+async fn a_flood_closes_with_1008() {
+    let server = Running::plain();
+    let mut flooding = server.client().await;
+    let mut other = server.client().await;
+    other.subscribe(&["sensors"]).await;
+    for id in 0..400 {
+        if flooding.socket.feed(Message::Text(json!({"id": id}).to_string().into())).await.is_err() {
+            break;
+        }
+    }
+    let _ = flooding.socket.flush().await;
+    let (code, reason) = flooding.closed().await;
+    assert_eq!((code, reason.as_str()), (1008, "too many messages per second"));
+    server.frame(1);
+    assert_eq!(other.next().await["type"], "sensors");
+}
+
+#[tokio::test]
+async fn a_stalled_client_loses_old_frames_and_nobody_else_does() {
+    let sensors: String = (3..=100)
+        .map(|n| format!("[[sensor]]\nname = \"bird-{n}\"\ndevice = \"flock\"\naddress = {n}\n"))
+        .collect();
+    let server = start(&stage(&sensors), config());
+    let mut stalled = server.client().await;
+    stalled.subscribe(&["sensors"]).await;
+    let mut other = server.client().await;
+    other.subscribe(&["sensors"]).await;
+    // 15 kB each: more than the socket buffers of both sides hold.
+    let frames = 1000;
+    for frame in 1..=frames {
+        let mut wide = estimate(frame);
+        wide.sensors = vec![wide.sensors[0]; 100];
+        server.hub.publish_estimate(&wide);
+        let message = other.next().await;
+        assert_eq!((&message["seq"], &message["dropped"]), (&json!(frame - 1), &json!(0)));
+    }
+    let mut seq = None;
+    let mut received = 0;
+    let mut dropped = 0;
+    while seq != Some(frames - 1) {
+        let message = stalled.next().await;
+        let now = message["seq"].as_u64().unwrap();
+        assert!(seq.is_none_or(|before| before < now));
+        assert!(message["dropped"].as_u64().unwrap() >= dropped, "counts up");
+        dropped = message["dropped"].as_u64().unwrap();
+        seq = Some(now);
+        received += 1;
+    }
+    assert!(dropped > 0, "it was slow");
+    assert_eq!(received + dropped, frames, "every message was received or is counted");
+}
+
+#[tokio::test]
+async fn a_silent_client_is_dropped() {
+    let server = with(Limits {
+        ping_interval: Duration::from_millis(20),
+        silence_timeout: Duration::from_millis(200),
+        ..Limits::default()
+    });
+    let mut silent = TcpStream::connect(server.address).await.unwrap();
+    let head = format!(
+        "GET /ws HTTP/1.1\r\nHost: {}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
+         Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n",
+        server.address
+    );
+    silent.write_all(head.as_bytes()).await.unwrap();
+    let mut all = Vec::new();
+    tokio::time::timeout(PATIENCE, silent.read_to_end(&mut all)).await.unwrap().unwrap();
+    assert!(all.windows(18).any(|text| text == b"no answer to pings"));
+}
+
+#[tokio::test]
+async fn half_a_greeting_is_cut() {
+    let server = with(Limits { greeting_timeout: Duration::from_millis(100), ..Limits::default() });
+    let mut slow = TcpStream::connect(server.address).await.unwrap();
+    slow.write_all(b"GET /ws HTTP/1.1\r\nHost: localh").await.unwrap();
+    let mut all = Vec::new();
+    tokio::time::timeout(PATIENCE, slow.read_to_end(&mut all)).await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn one_connection_too_many_is_told_so() {
+    let server = with(Limits { connections: 2, ..Limits::default() });
+    let mut one = server.client().await;
+    let two = server.client().await;
+    let head = format!("GET /ws HTTP/1.1\r\nHost: {}\r\n\r\n", server.address);
+    let answer = get(server.address, &head).await;
+    assert!(answer.starts_with("HTTP/1.1 503") && answer.contains("2 connections at most"), "{answer}");
+    one.subscribe(&["sensors"]).await;
+    drop(two);
+    // The place is free again once the server has noticed.
+    tokio::time::timeout(PATIENCE, async {
+        while server.connect(server.request("")).await.is_err() {
+            tokio::task::yield_now().await;
+        }
+    })
+    .await
+    .unwrap();
+}
+
+#[tokio::test]
+async fn who_lets_replies_pile_up_is_disconnected() {
+    let server = with(Limits { lossless_messages: 0, ..Limits::default() });
+    let mut client = server.connect(server.request("")).await.unwrap();
+    let (code, reason) = client.closed().await;
+    assert_eq!(code, 1008);
+    assert!(reason.starts_with("too slow"), "{reason}");
+}

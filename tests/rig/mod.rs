@@ -1,0 +1,170 @@
+//! A stage in simulated time: virtual devices, the real pipeline, and nobody in between.
+
+#![allow(
+    dead_code,
+    missing_docs,
+    clippy::unwrap_used,
+    reason = "shared by several tests, none of which uses all of it"
+)]
+
+use posed::input::{Entry, Input};
+use posed::output::{Estimate, Outcome, Output};
+use posed::pipeline::Pipeline;
+use posed::stage::Stage;
+use posed_drivers::{LineEvent, Timestamp};
+use posed_simulator::scenario::{DeviceSpec, Scenario, SensorSpec, StageSpec};
+use posed_simulator::stage::{Output as Virtual, VirtualStage};
+use posed_simulator::truth::TruthCycle;
+
+/// A stage file with Flocks of so many birds each; one bird stands alone.
+pub(crate) fn stage(birds: &[u16]) -> Stage {
+    let mut text = String::from("name = \"test\"\n");
+    for (device, &birds) in birds.iter().enumerate() {
+        text += &format!("[[device]]\nname = \"d{device}\"\ndriver = \"flock-of-birds\"\nport = \"none\"\n");
+        // Eight quaternions do not fit a cycle at 115200 baud, eight times three angles do.
+        if birds > 6 {
+            text += "format = \"position-angles\"\n";
+        }
+        for bird in 0..birds {
+            let address = if birds == 1 { 0 } else { bird + 1 };
+            text += &format!(
+                "[[sensor]]\nname = \"s{device}-{bird}\"\ndevice = \"d{device}\"\naddress = {address}\n"
+            );
+        }
+    }
+    toml::from_str(&text).unwrap()
+}
+
+/// Virtual devices for a stage.
+pub(crate) fn simulate(stage: &Stage, scenario: &Scenario) -> VirtualStage {
+    let spec = StageSpec {
+        transmitter_in_room: stage
+            .transmitter
+            .pose_in_room
+            .map(|pose| (pose.position_m, pose.orientation_wxyz)),
+        devices: stage
+            .devices
+            .iter()
+            .map(|device| DeviceSpec {
+                name: device.name.clone(),
+                driver: "flock-of-birds".into(),
+                baud: device.baud,
+                measurement_delay_ms: device.measurement_delay_ms,
+            })
+            .collect(),
+        sensors: stage
+            .sensors
+            .iter()
+            .map(|sensor| SensorSpec {
+                name: sensor.name.clone(),
+                device: sensor.device.clone(),
+                address: sensor.address,
+            })
+            .collect(),
+    };
+    VirtualStage::new(&spec, scenario, ".".as_ref()).unwrap()
+}
+
+/// What the pipeline said of the tracking.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Said {
+    Estimate(Estimate),
+    Outcome(Outcome),
+    State(u16, posed_drivers::State),
+}
+
+/// A pipeline with its virtual stage.
+pub(crate) struct Rig {
+    pub(crate) virtual_stage: VirtualStage,
+    pub(crate) pipeline: Pipeline,
+    pub(crate) now: Timestamp,
+    pub(crate) truth: Vec<TruthCycle>,
+    pub(crate) log: Vec<Entry>,
+    pub(crate) said: Vec<Said>,
+}
+
+impl Rig {
+    pub(crate) fn new(stage: &Stage, scenario: &Scenario) -> Self {
+        let mut rig = Self {
+            virtual_stage: simulate(stage, scenario),
+            pipeline: Pipeline::new(stage).unwrap(),
+            now: Timestamp::ZERO,
+            truth: Vec::new(),
+            log: Vec::new(),
+            said: Vec::new(),
+        };
+        for device in 0..stage.devices.len() {
+            let event = LineEvent::Opened { modem_lines: false };
+            rig.push(Input::Line { device: device as u16, event });
+        }
+        rig
+    }
+
+    /// Lets time pass.
+    pub(crate) fn run_until(&mut self, seconds: f64) {
+        let end = Timestamp::from_secs_f64(seconds);
+        while self.now < end {
+            let due = [self.virtual_stage.poll_timeout(), self.pipeline.poll_timeout()];
+            let next = due.into_iter().flatten().min().unwrap_or(end).clamp(self.now, end);
+            self.now = next;
+            self.virtual_stage.step(next);
+            while let Some(event) = self.virtual_stage.poll_event() {
+                let device = event.device as u16;
+                match event.output {
+                    Virtual::Data(bytes) => self.push(Input::Bytes { device, bytes }),
+                    Virtual::Truth(cycle) => self.truth.push(cycle),
+                    Virtual::Unplugged => {
+                        let event = LineEvent::Closed { reason: "unplugged".into() };
+                        self.push(Input::Line { device, event });
+                    }
+                    Virtual::Replugged => {
+                        let event = LineEvent::Opened { modem_lines: false };
+                        self.push(Input::Line { device, event });
+                    }
+                    Virtual::Fault(_) => {}
+                }
+            }
+            if self.pipeline.poll_timeout().is_some_and(|due| due <= next) {
+                self.push(Input::Timer);
+            }
+        }
+    }
+
+    pub(crate) fn push(&mut self, input: Input) {
+        let entry = Entry { t: self.now, input };
+        let Self { pipeline, virtual_stage, said, now, .. } = self;
+        pipeline.push(&entry, &mut |output| {
+            if let Output::Transmit { device, bytes } = &output {
+                virtual_stage.write(usize::from(*device), *now, bytes);
+            }
+            said.extend(keep(&output));
+        });
+        self.log.push(entry);
+    }
+
+    pub(crate) fn estimates(&self) -> impl Iterator<Item = &Estimate> {
+        self.said.iter().filter_map(|said| match said {
+            Said::Estimate(estimate) => Some(estimate),
+            _ => None,
+        })
+    }
+}
+
+/// An output worth keeping, as one's own.
+pub(crate) fn keep(output: &Output<'_>) -> Option<Said> {
+    match output {
+        Output::Estimate(estimate) => Some(Said::Estimate((*estimate).clone())),
+        Output::Outcome(outcome) => Some(Said::Outcome((*outcome).clone())),
+        Output::Device { device, state } => Some(Said::State(*device, (*state).clone())),
+        _ => None,
+    }
+}
+
+/// Feeds entries to a pipeline.
+pub(crate) fn replay(pipeline: &mut Pipeline, log: &[Entry]) -> Vec<Said> {
+    let mut said = Vec::new();
+    for entry in log {
+        pipeline.push(entry, &mut |output| said.extend(keep(&output)));
+    }
+    said
+}
