@@ -8,6 +8,7 @@ mod arrivals;
 pub mod datagram;
 pub mod fastrak;
 pub mod flock;
+pub mod fuzzing;
 pub mod motionstar;
 mod outbox;
 pub mod port;

@@ -9,8 +9,10 @@ use crate::flock::wire::{Format, QuaternionSense, rotation};
 
 /// Bytes of a packet's header.
 pub const HEADER: usize = 16;
-/// Most bytes of a body that are believed: records of all units in the longest format fit twice.
-pub const MAX_BODY: usize = 8192;
+/// Most bytes of a body: records of all units in the longest format, with buttons.
+pub const MAX_BODY: usize = 126 * (2 + 24 + 2);
+/// Most bytes of a body without records: the status of a system with all units, and some to spare.
+const MAX_PLAIN_BODY: usize = 256;
 /// Number of the protocol.
 const PROTOCOL: u8 = 3;
 /// Full scale of a word.
@@ -87,6 +89,11 @@ impl Header {
         out.extend(body);
     }
 
+    /// Whether the body is a row of records.
+    fn has_records(&self) -> bool {
+        matches!(self.kind, kind::DATA_PACKET | kind::DATA_SINGLE)
+    }
+
     /// Reads a header and the length of the body; `None` when it cannot be one.
     fn parse(bytes: &[u8; HEADER]) -> Option<(Self, usize)> {
         let be16 = |at: usize| u16::from_be_bytes([bytes[at], bytes[at + 1]]);
@@ -100,8 +107,8 @@ impl Header {
             error_extension: be16(12),
         };
         let len = usize::from(be16(14));
-        let fits =
-            bytes[10] == PROTOCOL && kind::is_known(header.kind) && header.unit <= 126 && len <= MAX_BODY;
+        let most = if header.has_records() { MAX_BODY } else { MAX_PLAIN_BODY };
+        let fits = bytes[10] == PROTOCOL && kind::is_known(header.kind) && header.unit <= 126 && len <= most;
         fits.then_some((header, len))
     }
 }
@@ -117,6 +124,9 @@ pub struct Found {
 }
 
 /// Cuts a stream of bytes into packets.
+///
+/// Packets have neither mark nor checksum. A header must be possible and its records must fill the body, as far
+/// as it has come; else it gives up one byte, and a wrong length holds up little.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Packets {
     buffer: Vec<u8>,
@@ -139,7 +149,10 @@ impl Packets {
         loop {
             let pending = &self.buffer[self.start..];
             let head = pending.first_chunk()?;
-            let Some((header, len)) = Header::parse(head) else {
+            let body = |len: usize| &pending[HEADER..pending.len().min(HEADER + len)];
+            let parsed = Header::parse(head)
+                .filter(|(header, len)| !header.has_records() || may_be_records(body(*len), *len));
+            let Some((header, len)) = parsed else {
                 self.start += 1;
                 self.bytes_skipped += 1;
                 continue;
@@ -269,6 +282,25 @@ pub fn records(body: &[u8]) -> Option<impl Iterator<Item = Record<'_>>> {
             Some(record)
         })
     })
+}
+
+/// Whether bytes can be the front of a body of `len` bytes that records fill.
+fn may_be_records(front: &[u8], len: usize) -> bool {
+    let mut at = 0;
+    while let Some(&[unit, form]) = front.get(at..).and_then(|rest| rest.first_chunk()) {
+        let (code, words) = (form >> 4, usize::from(form & 0x0F));
+        let has_form = match code {
+            0 => words == 0,
+            14 | 15 => true,
+            _ => Format::from_status_code(code).is_some_and(|format| format.words() == words),
+        };
+        at += 2 + 2 * words + if unit & 0x80 != 0 { 2 } else { 0 };
+        if !has_form || !(1..=126).contains(&(unit & 0x7F)) || at > len {
+            return false;
+        }
+    }
+    // Nothing may be left over: a last byte alone is no record.
+    front.len() < len || at == len
 }
 
 fn next_record(bytes: &[u8]) -> Option<(Record<'_>, &[u8])> {

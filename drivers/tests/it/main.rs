@@ -3,6 +3,8 @@
 #![allow(clippy::unwrap_used, reason = "a test may stop where its ground gives way")]
 
 mod fastrak;
+mod fuzz_bodies;
+mod matrix;
 mod motionstar;
 mod rig;
 mod slimevr;
