@@ -173,7 +173,7 @@ fn a_unit_is_set_up_and_streams() {
     for text in [false, true] {
         for button in [false, true] {
             let mut rig = rig(Settings { text, button, ..Settings::default() }, &[1, 3]);
-            rig.run_ms(600);
+            rig.run_stored_ms(750);
             assert!(rig.is_streaming(), "{}", rig.reason());
             rig.samples.clear();
             rig.run_ms(1000);

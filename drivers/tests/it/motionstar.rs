@@ -224,7 +224,7 @@ fn rig(wanted: &[u16]) -> Rig<MotionStarSession, Pretended> {
 #[test]
 fn a_system_is_set_up_and_streams() {
     let mut rig = rig(&[2, 3]);
-    rig.run_ms(100);
+    rig.run_stored_ms(100);
     assert!(rig.is_streaming(), "{}", rig.reason());
     assert_eq!((rig.device.writes, rig.session.rate_hz()), (2, Some(100.0)));
     rig.samples.clear();

@@ -63,6 +63,27 @@ impl<S: Session, D: Device> Rig<S, D> {
         }
     }
 
+    /// Puts the session away as a snapshot does, and goes on with what is read back.
+    pub(crate) fn store_and_restore(&mut self)
+    where
+        S: serde::Serialize + serde::de::DeserializeOwned,
+    {
+        let bytes = rmp_serde::to_vec_named(&self.session).unwrap();
+        self.session = rmp_serde::from_slice(&bytes).unwrap();
+        assert_eq!(rmp_serde::to_vec_named(&self.session).unwrap(), bytes);
+    }
+
+    /// As [`Rig::run_ms`], put away and read back every few milliseconds.
+    pub(crate) fn run_stored_ms(&mut self, ms: u64)
+    where
+        S: serde::Serialize + serde::de::DeserializeOwned,
+    {
+        for _ in 0..ms.div_ceil(3) {
+            self.run_ms(3);
+            self.store_and_restore();
+        }
+    }
+
     pub(crate) fn is_streaming(&self) -> bool {
         *self.session.state() == State::Streaming
     }

@@ -229,7 +229,7 @@ fn named(lasts: &[u8]) -> Settings {
 #[test]
 fn trackers_join_and_stream() {
     let mut rig = rig(named(&[7, 8]), &[1, 2], vec![one(8), one(7)]);
-    rig.run_ms(200);
+    rig.run_stored_ms(200);
     assert!(rig.is_streaming(), "{}", rig.reason());
     assert!(rig.device.trackers.iter().all(|one| one.acknowledged && one.bundles));
     rig.samples.clear();

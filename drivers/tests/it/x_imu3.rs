@@ -228,7 +228,7 @@ fn rig(addresses: &[u16]) -> Rig<XImu3Session, Pretended> {
 #[test]
 fn a_chain_is_set_up_and_streams() {
     let mut rig = rig(&[2, 3, 0xDB]);
-    rig.run_ms(100);
+    rig.run_stored_ms(100);
     assert!(rig.is_streaming(), "{}", rig.reason());
     let serials: Vec<_> = rig.session.sensors().iter().map(|sensor| sensor.serial.clone().unwrap()).collect();
     assert_eq!(serials, ["SN2", "SN3", "SN219"]);
