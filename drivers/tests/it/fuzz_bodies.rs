@@ -1,6 +1,7 @@
 //! The fuzz targets' bodies over seeded bytes: noise, and noise sown into messages.
 
 use std::net::SocketAddr;
+use std::path::Path;
 
 use posed_drivers::datagram::Datagram;
 use posed_drivers::fuzzing;
@@ -26,6 +27,43 @@ fn scripts(noise: &mut Noise, message: &[u8]) -> Vec<u8> {
         script[at] = noise.next();
     }
     script
+}
+
+#[test]
+fn the_corpus_runs_clean() {
+    type Body = fn(&[u8]) -> usize;
+    fn wire(body: fn(&[u8])) -> impl Fn(&[u8]) -> usize {
+        move |data| {
+            body(data);
+            1
+        }
+    }
+    let run = |target: &str, body: &dyn Fn(&[u8]) -> usize| {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/corpus").join(target);
+        let files: Vec<_> = std::fs::read_dir(folder).unwrap().flatten().collect();
+        assert!(!files.is_empty(), "{target}");
+        let published: Vec<usize> =
+            files.iter().map(|file| body(&std::fs::read(file.path()).unwrap())).collect();
+        assert!(published.iter().any(|&samples| samples > 0), "{target}: no seed leads to a sample");
+    };
+    for (target, body) in [
+        ("xbus_session", fuzzing::xbus_session as Body),
+        ("x_imu3_session", fuzzing::x_imu3_session),
+        ("fastrak_session", fuzzing::fastrak_session),
+        ("motionstar_session", fuzzing::motionstar_session),
+        ("slimevr_session", fuzzing::slimevr_session),
+    ] {
+        run(target, &body);
+    }
+    for (target, body) in [
+        ("xbus_wire", fuzzing::xbus_wire as fn(&[u8])),
+        ("x_imu3_wire", fuzzing::x_imu3_wire),
+        ("fastrak_wire", fuzzing::fastrak_wire),
+        ("motionstar_wire", fuzzing::motionstar_wire),
+        ("slimevr_wire", fuzzing::slimevr_wire),
+    ] {
+        run(target, &wire(body));
+    }
 }
 
 #[test]
