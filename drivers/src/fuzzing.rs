@@ -157,7 +157,7 @@ pub fn slimevr_wire(data: &[u8]) {
     for datagram in datagrams(data).flatten() {
         assert_eq!(datagrams(&datagram.encode()).next(), Some(Ok(datagram)), "an envelope changed");
         if let Some(packet) = slimevr::wire::parse(datagram.data) {
-            packet.items(|item| drop(item));
+            packet.items(drop);
         }
     }
 }

@@ -32,6 +32,14 @@ pub struct Record {
     pub t_s: Option<f64>,
 }
 
+impl Record {
+    /// Number of the tracker whose data this is, a stand-alone one's is 1; `None` for messages without data.
+    pub fn tracker(&self) -> Option<u16> {
+        let is_data = matches!(self.mid, message::MTDATA | message::MTDATA2) && self.data.is_none();
+        is_data.then_some(if self.bid == message::MASTER { 1 } else { self.bid.into() })
+    }
+}
+
 /// What a data message holds, each under its name; numbers as sent, in 64 bits.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[expect(missing_docs, reason = "the names and units are those of the values of mtdata2")]

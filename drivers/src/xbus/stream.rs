@@ -109,25 +109,24 @@ impl Stream {
         let (mut packet, mut time) = (None, None);
         for item in mtdata2::items(data) {
             let axes = mtdata2::axes(item.id);
-            let fine = match item.value {
-                Value::PacketCounter(value) => {
-                    packet = Some(value);
-                    true
-                }
-                Value::SampleTimeFine(value) => {
-                    time = Some(value);
-                    true
-                }
+            let fits = match item.value {
                 Value::Acceleration(value) => imu.specific_force(value),
                 Value::RateOfTurn(value) => imu.angular_rate(value),
                 Value::MagneticField(value) => imu.magnetic_field(value),
-                Value::Quaternion(value) => imu.orientation(orientation::from_quaternion(value, axes)),
-                Value::RotationMatrix(value) => imu.orientation(orientation::from_matrix(value, axes)),
-                Value::EulerDeg(value) => imu.orientation(orientation::from_euler_deg(value, axes)),
                 _ => true,
             };
-            if !fine {
+            if !fits {
                 return Outcome::Refused;
+            }
+            match item.value {
+                Value::PacketCounter(value) => packet = Some(value),
+                Value::SampleTimeFine(value) => time = Some(value),
+                // One that is no rotation is left out: the checksum was right, so the device's filter has not
+                // settled yet, and what its sensors measure is good all the same.
+                Value::Quaternion(value) => imu.orientation = orientation::from_quaternion(value, axes),
+                Value::RotationMatrix(value) => imu.orientation = orientation::from_matrix(value, axes),
+                Value::EulerDeg(value) => imu.orientation = orientation::from_euler_deg(value, axes),
+                _ => {}
             }
         }
         if let Some(packet) = packet {
@@ -244,24 +243,19 @@ impl Imu {
         within(value, MOST_FIELD)
     }
 
-    fn orientation(&mut self, value: Option<[f64; 4]>) -> bool {
-        self.orientation = value;
-        value.is_some()
-    }
-
     fn from_block(block: &Block, settings: u32) -> Option<Self> {
         let axes = if settings & Layout::NED != 0 { Axes::Ned } else { Axes::Enu };
         let mut imu = Self::default();
-        let fine = block.vectors_fit(&mut imu)
-            && match block.orientation {
-                Some(Orientation::Quaternion(q)) => imu.orientation(orientation::from_quaternion(q, axes)),
-                Some(Orientation::EulerDeg(angles)) => {
-                    imu.orientation(orientation::from_euler_deg(angles, axes))
-                }
-                // Rows or columns? See `mtdata::Orientation::Matrix`.
-                Some(Orientation::Matrix(_)) | None => true,
-            };
-        fine.then_some(imu)
+        let fits = block.rate_of_turn.is_none_or(|value| imu.angular_rate(value))
+            && block.acceleration.is_none_or(|value| imu.specific_force(value))
+            && block.magnetic_field.is_none_or(|value| imu.magnetic_field(value));
+        imu.orientation = match block.orientation {
+            Some(Orientation::Quaternion(q)) => orientation::from_quaternion(q, axes),
+            Some(Orientation::EulerDeg(angles)) => orientation::from_euler_deg(angles, axes),
+            // Rows or columns? See `mtdata::Orientation::Matrix`.
+            Some(Orientation::Matrix(_)) | None => None,
+        };
+        fits.then_some(imu)
     }
 
     fn measurement(self) -> Option<Measurement> {
@@ -276,13 +270,5 @@ impl Imu {
             magnetic_field: self.magnetic_field,
             orientation_wxyz: self.orientation,
         })
-    }
-}
-
-impl Block {
-    fn vectors_fit(&self, imu: &mut Imu) -> bool {
-        self.rate_of_turn.is_none_or(|value| imu.angular_rate(value))
-            && self.acceleration.is_none_or(|value| imu.specific_force(value))
-            && self.magnetic_field.is_none_or(|value| imu.magnetic_field(value))
     }
 }

@@ -118,6 +118,7 @@ fn message_of_a_chain() {
     ));
     let records = decode(&bytes);
     assert_eq!((records[1].bid, records[2].bid), (1, 2));
+    assert_eq!((records[0].tracker(), records[2].tracker()), (None, Some(2)));
     assert_eq!(records[1].items.quaternion, Some([1.0, 0.0, 0.0, 0.0]));
     assert_eq!(records[2].items.quaternion, Some([0.5, 0.5, -0.5, 0.5]));
     assert!(records[1..].iter().all(|record| record.items.packet_counter == Some(0x1234)));

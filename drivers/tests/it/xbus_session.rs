@@ -36,6 +36,7 @@ struct Pretended {
     /// Periods to leave out while the counter goes on.
     skip: u16,
     resets: usize,
+    quaternion: [f64; 4],
 }
 
 impl Pretended {
@@ -56,6 +57,7 @@ impl Pretended {
             writes: 0,
             skip: 0,
             resets: 0,
+            quaternion: [1.0, 0.0, 0.0, 0.0],
         }
     }
 
@@ -167,7 +169,7 @@ impl Pretended {
                     id::ACCELERATION => mtdata2::encode_numbers(id, &[0.0, 0.0, 9.75], &mut data),
                     id::RATE_OF_TURN => mtdata2::encode_numbers(id, &[0.25, 0.0, 0.0], &mut data),
                     id::MAGNETIC_FIELD => mtdata2::encode_numbers(id, &[0.0, 0.5, -0.75], &mut data),
-                    id::QUATERNION => mtdata2::encode_numbers(id, &[1.0, 0.0, 0.0, 0.0], &mut data),
+                    id::QUATERNION => mtdata2::encode_numbers(id, &self.quaternion, &mut data),
                     _ => {}
                 }
             }
@@ -415,4 +417,16 @@ fn addresses_are_checked() {
     let slow = Settings { rate_hz: 1.0, ..Settings::default() };
     assert!(XbusSession::new(slow, 115_200, &[1]).is_err());
     assert!(XbusSession::new(Settings::default(), 115_200, &[0]).is_ok());
+}
+
+#[test]
+fn an_orientation_that_is_none_leaves_the_rest() {
+    let mut rig = rig(Kind::Items, Settings::default(), 115_200);
+    rig.device.quaternion = [0.0; 4];
+    rig.run_ms(500);
+    assert!(rig.is_streaming(), "{}", rig.reason());
+    let Measurement::Imu { angular_rate_rad_s, orientation_wxyz, .. } = rig.samples[0].measurement else {
+        panic!()
+    };
+    assert_eq!((angular_rate_rad_s, orientation_wxyz), (Some([0.25, 0.0, 0.0]), None));
 }
