@@ -124,7 +124,7 @@ impl Record {
         let values = self.position_m.map(|value| value / CM).into_iter().chain(self.orientation_wxyz);
         for value in values {
             if shape.text {
-                out.extend(format!("{value:9.4}").bytes());
+                out.extend(format!(" {value:8.4}").bytes());
             } else {
                 out.extend((value as f32).to_le_bytes());
             }
@@ -142,13 +142,11 @@ struct Fields<'a>(&'a str);
 impl<'a> Iterator for Fields<'a> {
     type Item = &'a str;
     fn next(&mut self) -> Option<&'a str> {
-        let rest = self.0.trim_start();
+        let rest = self.0.trim_start_matches(' ');
         let end = rest
             .char_indices()
             .skip(1)
-            .find(|&(at, letter)| {
-                letter.is_whitespace() || letter == '-' && !rest[..at].ends_with(['e', 'E'])
-            })
+            .find(|&(at, letter)| letter == ' ' || letter == '-' && !rest[..at].ends_with(['e', 'E']))
             .map_or(rest.len(), |(at, _)| at);
         let (field, rest) = rest.split_at(end);
         self.0 = rest;
