@@ -290,11 +290,13 @@ fn line_len(bytes: &[u8]) -> Result<usize, Cut> {
 
 /// Length of a status answer: `2`, station, `S`, 50 or 51 more bytes, CR LF.
 fn status_len(bytes: &[u8]) -> Result<usize, Cut> {
-    if bytes.get(2).is_some_and(|&kind| kind != b'S') || !bytes.iter().take(53).all(|&b| is_printable(b)) {
+    let len = line_len(bytes);
+    // What follows the line is no part of it, whether it has come yet or not.
+    let line = len.as_ref().map_or(bytes, |&len| &bytes[..len]);
+    if line.get(2).is_some_and(|&kind| kind != b'S') || !line.iter().all(|&byte| is_printable(byte)) {
         return Err(Cut::No);
     }
-    let len = line_len(bytes)?;
-    if (50..=60).contains(&len) { Ok(len) } else { Err(Cut::No) }
+    len.and_then(|len| if (50..=60).contains(&len) { Ok(len) } else { Err(Cut::No) })
 }
 
 fn is_printable(byte: u8) -> bool {
