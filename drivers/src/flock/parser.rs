@@ -40,6 +40,7 @@ const CONTINUES_WITHIN: u16 = 511;
 
 /// What the splitter says.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "nearly all events are samples, and none may allocate")]
 pub enum Event {
     /// A record to believe.
     Sample(Sample),
