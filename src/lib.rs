@@ -6,7 +6,9 @@
 //! The core is one plain struct that is pushed entries of the input log and says outputs; it has no clock,
 //! no thread and no randomness. The daemon around it owns ports, threads, sockets, files and time.
 
+pub mod clock;
 pub mod daemon;
+pub mod geometry;
 pub mod input;
 pub mod output;
 pub mod stage;

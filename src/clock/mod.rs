@@ -1,0 +1,306 @@
+//! Capture times: from a record's arrival and its device's counter to `t_valid` with an uncertainty.
+//!
+//! What comes in: samples in the order of their arrival. What goes out: one [`Stamp`] per sample. What it
+//! never does: read a clock; assume that bytes come in at the line's pace; let `t_valid` run backwards.
+//!
+//! The device measures cycle `x` at `t(x) = a + P x`. One read tells two things: the record's first byte was
+//! on the host's side at or before `t_read`, a bound that delays of any kind cannot break, and not before
+//! `t_previous_read`, since a read delivers all there is. A burst adapter makes both loose, but their phases
+//! differ from cycle to cycle, and over a [`Window`] the gap between the bounds closes: `P` is a robust fit,
+//! `a` the middle of the gap, the stated uncertainty its width. Where reads follow the bytes closely the lower
+//! bound says nothing (nothing came since the last cycle), and the usual lateness takes its place.
+//!
+//! Cycles that leave no trace on the wire make the driver's count fall behind. The same bounds show it: a
+//! cycle cannot have been read before it was measured, nor have waited through an earlier read.
+
+mod window;
+
+use posed_drivers::{Arrival, DeviceTime, Sample, Timestamp};
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+use window::{Evidence, Fit, Window};
+
+/// Uncertainty that remains when the bounds meet: stamps and adapters are not better than this, s.
+const SIGMA_FLOOR_S: f64 = 1e-4;
+/// Slack of a bound before it counts as broken, s.
+const TOLERANCE_S: f64 = 3e-4;
+/// Share of a period by which one cycle's time may be corrected.
+const SLEW: f64 = 0.05;
+/// So many of the latest [`INCONSISTENT_SPAN`] cycles outside their bounds mean another phase: start again.
+const INCONSISTENT_LIMIT: u32 = 32;
+const INCONSISTENT_SPAN: u32 = 64;
+/// Least spacing of two cycles of one device, ns.
+const LEAST_STEP_NS: i64 = 1_000;
+
+/// What is known of a line beforehand.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// Time of one byte on the line, s.
+    pub byte_time_s: f64,
+    /// Constant delay from measurement to the first byte of the cycle, s.
+    pub measurement_delay_s: f64,
+}
+
+/// Capture time of one sample.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Stamp {
+    /// When the measurement was true; the same for all samples of one cycle.
+    pub t_valid: Timestamp,
+    /// Standard deviation of `t_valid`, s.
+    pub sigma_s: f64,
+    /// Whether this sample begins a cycle.
+    pub begins_cycle: bool,
+    /// Cycles that are missing in front of this one: nothing of them came through.
+    pub cycles_skipped: u32,
+}
+
+/// Clock model of one device.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Clock {
+    settings: Settings,
+    /// Period to believe until the data speak, s.
+    nominal_period_s: Option<f64>,
+    window: Window,
+    fit: Option<Fit>,
+    origin: Option<Origin>,
+    /// Cycles that the driver's count is behind (Cycle only).
+    renumbered: i64,
+    last: Option<Cycle>,
+    /// Bytes that usually follow in the chunk of a cycle's first record.
+    usual_bytes_after: u32,
+    /// Stamp of the latest read that came later than usual.
+    late_read: Option<Timestamp>,
+    inconsistent: u32,
+    inconsistent_seen: u32,
+}
+
+/// Where internal times and counts begin, so that doubles keep their precision.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Origin {
+    t: Timestamp,
+    index: u64,
+}
+
+/// The latest cycle.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Cycle {
+    /// The device's own count.
+    raw: u64,
+    /// Count after renumbering, from the origin.
+    x: f64,
+    t_valid: Timestamp,
+    sigma_s: f64,
+}
+
+impl Clock {
+    /// A clock that has seen nothing yet.
+    pub fn new(settings: Settings) -> Self {
+        Self {
+            settings,
+            nominal_period_s: None,
+            window: Window::new(),
+            fit: None,
+            origin: None,
+            renumbered: 0,
+            last: None,
+            usual_bytes_after: 0,
+            late_read: None,
+            inconsistent: 0,
+            inconsistent_seen: 0,
+        }
+    }
+
+    /// Tells the rate that the device claims, Hz; believed only until the data speak, and only if they
+    /// do not contradict it.
+    pub fn set_nominal_rate_hz(&mut self, rate_hz: Option<f64>) {
+        let period = rate_hz.filter(|rate| rate.is_finite() && *rate > 0.0).map(f64::recip);
+        self.nominal_period_s = period.or(self.nominal_period_s);
+    }
+
+    /// Forgets the phase: the device or its line began anew. The period is kept as the nominal one.
+    pub fn restart(&mut self) {
+        if let Some(period) = self.period_s() {
+            self.nominal_period_s = Some(period);
+        }
+        self.window.clear();
+        self.fit = None;
+        self.origin = None;
+        self.renumbered = 0;
+        self.usual_bytes_after = 0;
+        self.late_read = None;
+        self.inconsistent = 0;
+        self.inconsistent_seen = 0;
+        // `last` stays: time goes on rising over a restart.
+    }
+
+    /// Measured period of a cycle, s, once known.
+    pub fn period_s(&self) -> Option<f64> {
+        self.fit.map(|fit| fit.period_s).filter(|_| self.window.is_settled())
+    }
+
+    /// Measured period, or the nominal one before that, s.
+    pub fn period_or_nominal_s(&self) -> Option<f64> {
+        self.period_s().or(self.nominal_period_s)
+    }
+
+    /// Standard deviation of the latest `t_valid`, s.
+    pub fn sigma_t_s(&self) -> Option<f64> {
+        self.last.map(|cycle| cycle.sigma_s)
+    }
+
+    /// Capture time of the latest cycle.
+    pub fn latest(&self) -> Option<Timestamp> {
+        self.last.map(|cycle| cycle.t_valid)
+    }
+
+    /// Takes the next sample and says when it was measured.
+    pub fn push(&mut self, sample: &Sample) -> Stamp {
+        let (raw, tick_s) = match sample.t_device {
+            DeviceTime::Cycle(cycle) => (cycle, None),
+            DeviceTime::Counter { ticks, tick_s } => (ticks, Some(tick_s)),
+        };
+        if let Some(tick_s) = tick_s {
+            self.nominal_period_s = Some(tick_s);
+        }
+        if self.last.is_some_and(|last| raw < last.raw) {
+            self.restart();
+        }
+        let known = self.origin.is_some();
+        let origin = *self.origin.get_or_insert(Origin { t: sample.arrival.t_read, index: raw });
+        let begins_cycle = !known || self.last.is_none_or(|last| raw != last.raw);
+        let mut x = raw as f64 - origin.index as f64 + self.renumbered as f64;
+        let mut evidence = self.evidence(&sample.arrival, origin, x);
+        if begins_cycle && self.fit.is_some() && self.window.is_settled() {
+            let shift = self.check(&evidence, tick_s.is_none());
+            if self.fit.is_none() {
+                // The check found another phase and started again.
+                return self.push(sample);
+            }
+            self.renumbered += shift;
+            x += shift as f64;
+            evidence.x = x;
+        }
+        // Not twice in a row: a count that is behind makes every read look late, and needs the lower bound.
+        if let Some(fit) = &self.fit
+            && !self.follows_late_read(&sample.arrival)
+            && evidence.upper - fit.line(x) > fit.upper + fit.lateness + TOLERANCE_S
+        {
+            self.late_read = Some(sample.arrival.t_read);
+        }
+        if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S) || self.fit.is_none() {
+            self.fit = self.window.fit(self.nominal_period_s);
+        } else if let Some(fit) = &mut self.fit {
+            fit.tighten(&evidence);
+        }
+        if begins_cycle { self.begin_cycle(raw, x, origin, known, &evidence) } else { self.repeat() }
+    }
+
+    /// The bounds that one arrival sets to the capture time of its cycle, relative to the origin.
+    fn evidence(&self, arrival: &Arrival, origin: Origin, x: f64) -> Evidence {
+        let byte_s = self.settings.byte_time_s;
+        // The first byte itself takes its time on the line, after those of the lower addresses.
+        let wire_s = f64::from(arrival.cycle_bytes_before + 1) * byte_s;
+        let upper = arrival.t_read.seconds_since(origin.t) - wire_s;
+        // A late reader takes all that an adapter has sent, but its stamp is younger than the adapter's last
+        // burst: what came since may already have waited for the next.
+        let slack_s = self.fit.filter(|_| self.follows_late_read(arrival)).map_or(0.0, |fit| fit.lateness);
+        Evidence {
+            x,
+            upper,
+            lower: arrival.t_previous_read.map(|t| t.seconds_since(origin.t) - wire_s - slack_s),
+            paced: upper - f64::from(arrival.bytes_after) * byte_s,
+            bytes_after: arrival.bytes_after,
+        }
+    }
+
+    fn follows_late_read(&self, arrival: &Arrival) -> bool {
+        self.late_read.is_some() && arrival.t_previous_read == self.late_read
+    }
+
+    /// Holds a cycle's bounds against the model; says by how many cycles the count is behind (negative: ahead).
+    fn check(&mut self, evidence: &Evidence, may_renumber: bool) -> i64 {
+        let Some(fit) = self.fit else { return 0 };
+        let period = fit.period_s;
+        let tolerance = TOLERANCE_S.min(0.3 * period);
+        let late = evidence.upper - fit.line(evidence.x);
+        let early = evidence.lower.map(|lower| lower - fit.line(evidence.x));
+        let prompt = fit.lateness < 0.4 * period;
+        let shift = if late < fit.lower - tolerance {
+            // Read before it was measured: the count is ahead.
+            -(((fit.lower - tolerance - late) / period).ceil())
+        } else if early.is_some_and(|early| early > fit.upper + tolerance) {
+            // It would have waited through an earlier read: the count is behind, if a whole number fits.
+            let n = ((early.unwrap_or(0.0) - fit.upper - tolerance) / period).ceil();
+            if late - n * period >= fit.lower - tolerance { n } else { f64::NAN }
+        } else if prompt && late > fit.upper + 0.5 * period {
+            // Late by whole periods on a prompt line, with nothing queued behind it: cycles are missing. A
+            // late reader would have found the following cycles in the same chunk.
+            let n = ((late - fit.upper) / period).round();
+            let rest = late - n * period;
+            let fits = rest >= fit.lower - tolerance && rest <= fit.upper + fit.lateness + tolerance;
+            if fits && evidence.bytes_after <= self.usual_bytes_after { n } else { 0.0 }
+        } else {
+            if prompt {
+                self.usual_bytes_after = self.usual_bytes_after.max(evidence.bytes_after);
+            }
+            0.0
+        };
+        let off_phase = prompt && shift == 0.0 && late > fit.upper + fit.lateness + tolerance;
+        self.count_consistency(shift.is_nan() || off_phase || (shift != 0.0 && !may_renumber));
+        if shift.is_nan() || !may_renumber { 0 } else { shift as i64 }
+    }
+
+    fn count_consistency(&mut self, inconsistent: bool) {
+        self.inconsistent_seen += 1;
+        self.inconsistent += u32::from(inconsistent);
+        if self.inconsistent >= INCONSISTENT_LIMIT {
+            self.restart();
+        } else if self.inconsistent_seen >= INCONSISTENT_SPAN {
+            self.inconsistent_seen = 0;
+            self.inconsistent = 0;
+        }
+    }
+
+    fn begin_cycle(&mut self, raw: u64, x: f64, origin: Origin, known: bool, evidence: &Evidence) -> Stamp {
+        let (relative_s, sigma_s, period_s) = match &self.fit {
+            Some(fit) => (fit.line(x) + fit.middle, fit.sigma, fit.period_s),
+            None => (evidence.upper, 1e-2, 1e-2),
+        };
+        let model_ns = ((relative_s - self.settings.measurement_delay_s) * 1e9).round() as i64;
+        let mut t_ns = origin.t.as_nanos() + model_ns;
+        let mut cycles_skipped = 0;
+        if let Some(last) = self.last {
+            let steps = x - last.x;
+            if known && steps >= 1.0 {
+                cycles_skipped = (steps - 1.0) as u32;
+                let expected_ns = last.t_valid.as_nanos() + (steps * period_s * 1e9) as i64;
+                let error_ns = t_ns - expected_ns;
+                let limit_ns = (SLEW * period_s * steps * 1e9) as i64;
+                // A renumbering or a first fit is put right at once, a correction of the phase bit by bit.
+                if self.window.is_settled() && error_ns.abs() < (0.5 * period_s * 1e9) as i64 {
+                    t_ns = expected_ns + error_ns.clamp(-limit_ns, limit_ns);
+                }
+            }
+            t_ns = t_ns.max(last.t_valid.as_nanos() + LEAST_STEP_NS);
+        }
+        let t_valid = Timestamp::from_nanos(t_ns);
+        self.last = Some(Cycle { raw, x, t_valid, sigma_s });
+        Stamp { t_valid, sigma_s, begins_cycle: true, cycles_skipped }
+    }
+
+    fn repeat(&self) -> Stamp {
+        let (t_valid, sigma_s) =
+            self.last.map_or((Timestamp::ZERO, 0.0), |last| (last.t_valid, last.sigma_s));
+        Stamp { t_valid, sigma_s, begins_cycle: false, cycles_skipped: 0 }
+    }
+
+    /// Capture time that the model gives for `cycles` after the latest one; `None` before the period is known.
+    pub fn predict(&self, cycles: u32) -> Option<Timestamp> {
+        let period_s = self.period_or_nominal_s()?;
+        Some(self.latest()? + Duration::from_secs_f64(period_s * f64::from(cycles)))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,335 @@
+//! The evidence of the latest cycles, and the line through it.
+
+use serde::{Deserialize, Serialize};
+
+use super::SIGMA_FLOOR_S;
+
+/// Cycles in one block.
+const BLOCK_CYCLES: u32 = 8;
+/// Blocks in the window: 3072 cycles, half a minute at 100 Hz.
+const BLOCKS: usize = 384;
+/// From so many blocks on the fitted period is better than a nominal one.
+const SETTLED_BLOCKS: usize = 6;
+/// Share of blocks whose lower bound may be wrong: a late reader stamps it late.
+const TRIMMED: f64 = 0.15;
+
+/// Candidate periods on either side of the first estimate.
+const GRID: i32 = 8;
+/// Inflation of the spread between bounds, from simulated bursts in step with the cycles.
+const STILL_PHASES: f64 = 1.25;
+
+/// What one arrival says of the capture time of cycle `x`; seconds from the clock's origin.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Evidence {
+    pub(super) x: f64,
+    /// Not later than this.
+    pub(super) upper: f64,
+    /// Not before this.
+    pub(super) lower: Option<f64>,
+    /// Not later than this, if the bytes of the chunk came at the line's pace.
+    pub(super) paced: f64,
+    pub(super) bytes_after: u32,
+}
+
+/// A bound at one cycle.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Point {
+    x: f64,
+    t: f64,
+}
+
+/// The tightest bounds of a few cycles.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Block {
+    cycles: u32,
+    samples: f64,
+    sum_x: f64,
+    sum_upper: f64,
+    upper: Point,
+    lower: Option<Point>,
+    paced: Point,
+}
+
+/// `t = base_t + period (x - base_x)` plus something between `lower` and `upper`.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(super) struct Fit {
+    pub(super) period_s: f64,
+    base_x: f64,
+    base_t: f64,
+    /// Bounds of the offset from the line, s.
+    pub(super) upper: f64,
+    pub(super) lower: f64,
+    /// Best offset from the line, s, and its standard deviation.
+    pub(super) middle: f64,
+    pub(super) sigma: f64,
+    /// How late a read usually is at most, s: twice the mean, and what pacing, if there were any, would take
+    /// off the upper bound.
+    pub(super) lateness: f64,
+}
+
+impl Fit {
+    /// The line without its offset, s.
+    pub(super) fn line(&self, x: f64) -> f64 {
+        self.base_t + self.period_s * (x - self.base_x)
+    }
+
+    /// Takes the one bound that needs no second opinion.
+    pub(super) fn tighten(&mut self, evidence: &Evidence) {
+        let upper = evidence.upper - self.line(evidence.x);
+        if upper < self.upper {
+            self.lower = self.lower.min(upper);
+            self.upper = upper;
+            self.middle = self.middle.min(upper);
+        }
+    }
+}
+
+/// A sliding window of blocks.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Window {
+    /// Ring, oldest at `start` once full.
+    blocks: Vec<Block>,
+    next: usize,
+    /// Sums over the first cycles, for a period before there are blocks: n, x, t, xx, xt.
+    sums: [f64; 5],
+    #[serde(skip)]
+    scratch: Vec<f64>,
+}
+
+impl Window {
+    pub(super) fn new() -> Self {
+        Self {
+            blocks: Vec::with_capacity(BLOCKS),
+            next: 0,
+            sums: [0.0; 5],
+            scratch: Vec::with_capacity(BLOCKS),
+        }
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.blocks.clear();
+        self.next = 0;
+        self.sums = [0.0; 5];
+    }
+
+    /// Whether the period comes from the data.
+    pub(super) fn is_settled(&self) -> bool {
+        self.blocks.len() > SETTLED_BLOCKS
+    }
+
+    /// Adds one arrival; says whether it is time to fit again.
+    pub(super) fn push(
+        &mut self,
+        evidence: &Evidence,
+        begins_cycle: bool,
+        fit: Option<&Fit>,
+        tolerance_s: f64,
+    ) -> bool {
+        // A lower bound above the upper one was stamped late; it would only pull the middle up.
+        let lower = match fit {
+            Some(fit) if self.is_settled() => {
+                evidence.lower.filter(|lower| lower - fit.line(evidence.x) <= fit.upper + tolerance_s)
+            }
+            _ => evidence.lower,
+        };
+        let settled = self.is_settled();
+        if !settled {
+            let (x, t) = (evidence.x, evidence.upper);
+            for (sum, term) in self.sums.iter_mut().zip([1.0, x, t, x * x, x * t]) {
+                *sum += term;
+            }
+        }
+        let period = fit.map_or(0.0, |fit| fit.period_s);
+        let full = self.newest().is_none_or(|block| begins_cycle && block.cycles >= BLOCK_CYCLES);
+        if full {
+            self.start_block(evidence, lower);
+        } else {
+            let at = self.newest_index();
+            let block = &mut self.blocks[at];
+            block.cycles += u32::from(begins_cycle);
+            block.samples += 1.0;
+            block.sum_x += evidence.x;
+            block.sum_upper += evidence.upper;
+            let offset = |point: &Point| point.t - period * point.x;
+            let upper = Point { x: evidence.x, t: evidence.upper };
+            if offset(&upper) < offset(&block.upper) {
+                block.upper = upper;
+            }
+            let paced = Point { x: evidence.x, t: evidence.paced };
+            if offset(&paced) < offset(&block.paced) {
+                block.paced = paced;
+            }
+            if let Some(t) = lower {
+                let lower = Point { x: evidence.x, t };
+                if block.lower.as_ref().is_none_or(|held| offset(&lower) > offset(held)) {
+                    block.lower = Some(lower);
+                }
+            }
+        }
+        full || !settled
+    }
+
+    fn newest_index(&self) -> usize {
+        (self.next + BLOCKS - 1) % BLOCKS
+    }
+
+    fn newest(&self) -> Option<&Block> {
+        self.blocks.get(self.newest_index())
+    }
+
+    fn start_block(&mut self, evidence: &Evidence, lower: Option<f64>) {
+        let x = evidence.x;
+        let block = Block {
+            cycles: 1,
+            samples: 1.0,
+            sum_x: x,
+            sum_upper: evidence.upper,
+            upper: Point { x, t: evidence.upper },
+            lower: lower.map(|t| Point { x, t }),
+            paced: Point { x, t: evidence.paced },
+        };
+        if self.blocks.len() < BLOCKS {
+            self.blocks.push(block);
+        } else {
+            self.blocks[self.next] = block;
+        }
+        self.next = (self.next + 1) % BLOCKS;
+    }
+
+    /// The line through the window; `None` while there is not enough to know a period.
+    pub(super) fn fit(&mut self, nominal_period_s: Option<f64>) -> Option<Fit> {
+        let settled = self.is_settled();
+        let period_s = if settled { self.slope()? } else { self.first_slope(nominal_period_s)? };
+        let newest = *self.newest()?;
+        let base = newest.upper;
+        let offset = |point: &Point| point.t - base.t - period_s * (point.x - base.x);
+        let (upper, bound) = self.bounds(period_s, base);
+        let paced = self.blocks.iter().map(|block| offset(&block.paced)).fold(f64::INFINITY, f64::min);
+        self.scratch.clear();
+        self.scratch.extend(self.blocks.iter().map(|block| {
+            let mean = Point { x: block.sum_x / block.samples, t: block.sum_upper / block.samples };
+            offset(&mean)
+        }));
+        let median = nth(&mut self.scratch, self.blocks.len() / 2, false)?;
+        let lateness = 2.0 * (median - upper).max(0.0) + (upper - paced).max(0.0);
+        let lower = bound.max(upper - lateness);
+        // Bounds that cross by a little, from an imperfect slope, share the error.
+        let (lower, upper) = if lower > upper { (upper, lower) } else { (lower, upper) };
+        let half = 0.5 * (upper - lower);
+        let first = Fit {
+            period_s,
+            base_x: base.x,
+            base_t: base.t,
+            upper,
+            lower,
+            middle: 0.5 * (upper + lower),
+            sigma: (half * half / 3.0 + SIGMA_FLOOR_S * SIGMA_FLOOR_S).sqrt(),
+            lateness,
+        };
+        let bursts = bound > upper - lateness;
+        Some(if settled && bursts { self.posterior(first, base) } else { first })
+    }
+
+    /// Offsets of the tightest upper and lower bound from a line of the given period through `base`.
+    fn bounds(&mut self, period_s: f64, base: Point) -> (f64, f64) {
+        let offset = |point: &Point| point.t - base.t - period_s * (point.x - base.x);
+        let mut upper = f64::INFINITY;
+        self.scratch.clear();
+        for block in &self.blocks {
+            upper = upper.min(offset(&block.upper));
+            self.scratch.extend(block.lower.as_ref().map(offset));
+        }
+        let trimmed = (TRIMMED * self.scratch.len() as f64) as usize;
+        (upper, nth(&mut self.scratch, trimmed, true).unwrap_or(f64::NEG_INFINITY))
+    }
+
+    /// Mean and spread of all lines between the bounds, each as likely as any other.
+    ///
+    /// With bursts in step with the cycles the middles of the blocks jump by whole phases and least squares
+    /// follows the jumps; what the bounds allow as a whole is honest about it.
+    fn posterior(&mut self, first: Fit, base: Point) -> Fit {
+        let Some(oldest) = self.blocks.get(self.next % self.blocks.len()) else { return first };
+        let span = (base.x - oldest.upper.x).max(1.0);
+        let reach = (2.0 * (first.upper - first.lower) + 1e-3) / span;
+        let (mut weight, mut period, mut mean, mut square) = (0.0, 0.0, 0.0, 0.0);
+        for i in -GRID..=GRID {
+            let candidate = first.period_s + reach * f64::from(i) / f64::from(GRID);
+            let (upper, bound) = self.bounds(candidate, base);
+            let lower = bound.max(upper - first.lateness);
+            let room = upper - lower + SIGMA_FLOOR_S;
+            if room > 0.0 {
+                let middle = 0.5 * (upper + lower);
+                weight += room;
+                period += room * candidate;
+                mean += room * middle;
+                square += room * (middle * middle + room * room / 12.0);
+            }
+        }
+        if weight <= 0.0 {
+            return first;
+        }
+        let (period_s, middle) = (period / weight, mean / weight);
+        let variance = (square / weight - middle * middle).max(0.0);
+        let (upper, bound) = self.bounds(period_s, base);
+        let lower = bound.max(upper - first.lateness).min(middle);
+        // Phases that stand still give less than independent bounds would; the factor covers it.
+        let sigma = STILL_PHASES * (variance + SIGMA_FLOOR_S * SIGMA_FLOOR_S).sqrt();
+        Fit { period_s, upper: upper.max(middle), lower, middle, sigma, ..first }
+    }
+
+    /// Period from the first cycles, by least squares and the nominal one.
+    fn first_slope(&self, nominal_period_s: Option<f64>) -> Option<f64> {
+        let [n, x, t, xx, xt] = self.sums;
+        let spread = n * xx - x * x;
+        let span = (12.0 * spread / (n * n)).sqrt();
+        let measured = (n * xt - x * t) / spread;
+        match nominal_period_s {
+            None => (span > 3.0).then_some(measured),
+            Some(nominal) if span < 3.0 => Some(nominal),
+            Some(nominal) => {
+                // A slow line makes a unit skip whole cycles, so that its period is a multiple of the nominal.
+                let multiple = (measured / nominal).round().max(1.0) * nominal;
+                Some(if (measured / multiple - 1.0).abs() < 0.2 { multiple } else { measured })
+            }
+        }
+    }
+
+    /// Period from the middles of the blocks' bounds, by least squares without the outliers.
+    fn slope(&self) -> Option<f64> {
+        let first = self.blocks.first()?.upper;
+        let middle = |block: &Block| {
+            let lower = block.lower.unwrap_or(block.upper);
+            let x = 0.5 * (block.upper.x + lower.x) - first.x;
+            (x, 0.5 * (block.upper.t + lower.t) - first.t)
+        };
+        let bounded = || self.blocks.iter().filter(|block| block.lower.is_some()).map(middle);
+        let (mut a, mut b) = least_squares(bounded())?;
+        for _ in 0..2 {
+            let residual = |(x, t): (f64, f64)| (t - a - b * x).abs();
+            let (sum, n) = bounded().fold((0.0, 0.0), |(sum, n), point| (sum + residual(point), n + 1.0));
+            let limit = 2.0 * sum / n + 1e-5;
+            (a, b) = least_squares(bounded().filter(|&point| residual(point) <= limit))?;
+        }
+        Some(b)
+    }
+}
+
+/// Intercept and slope.
+fn least_squares(points: impl Iterator<Item = (f64, f64)> + Clone) -> Option<(f64, f64)> {
+    let (n, x, t) = points.clone().fold((0.0, 0.0, 0.0), |(n, x, t), p| (n + 1.0, x + p.0, t + p.1));
+    let (mean_x, mean_t) = (x / n, t / n);
+    let (xx, xt) = points.fold((0.0, 0.0), |(xx, xt), p| {
+        (xx + (p.0 - mean_x) * (p.0 - mean_x), xt + (p.0 - mean_x) * (p.1 - mean_t))
+    });
+    let slope = xt / xx;
+    slope.is_finite().then_some((mean_t - slope * mean_x, slope))
+}
+
+/// The n-th smallest (or largest) value.
+fn nth(values: &mut [f64], n: usize, largest: bool) -> Option<f64> {
+    if n >= values.len() {
+        return None;
+    }
+    let order = |a: &f64, b: &f64| if largest { b.total_cmp(a) } else { a.total_cmp(b) };
+    Some(*values.select_nth_unstable_by(n, order).1)
+}

@@ -1,0 +1,57 @@
+//! Rotations and rigid motions: the Lie group kit that filters, faults and motion analysis share.
+//!
+//! What comes in: vectors, unit quaternions, poses. What goes out: the same. Conventions: radians and
+//! metres; Hamilton quaternions; errors are local (right-multiplied): `R = R_hat * exp(error)`.
+
+pub mod se3;
+pub mod so3;
+
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+
+/// Unit quaternion from (w, x, y, z); `None` unless it is finite and clearly not zero.
+pub fn orientation_from_wxyz(wxyz: [f64; 4]) -> Option<UnitQuaternion<f64>> {
+    let [w, x, y, z] = wxyz;
+    // nalgebra's constructor takes w first although it stores it last.
+    let quaternion = Quaternion::new(w, x, y, z);
+    let norm = quaternion.norm();
+    (norm.is_finite() && norm > 1e-6).then(|| UnitQuaternion::from_quaternion(quaternion))
+}
+
+/// (w, x, y, z) of a unit quaternion, with w >= 0 so that equal rotations have equal numbers.
+pub fn orientation_to_wxyz(orientation: &UnitQuaternion<f64>) -> [f64; 4] {
+    let sign = if orientation.w < 0.0 { -1.0 } else { 1.0 };
+    [sign * orientation.w, sign * orientation.i, sign * orientation.j, sign * orientation.k]
+}
+
+/// Rigid motion from a position (m) and a quaternion (w, x, y, z); `None` unless all is finite.
+pub fn isometry(position_m: [f64; 3], orientation_wxyz: [f64; 4]) -> Option<Isometry3<f64>> {
+    let position = Vector3::from(position_m);
+    position.iter().all(|value| value.is_finite()).then_some(())?;
+    Some(Isometry3::from_parts(Translation3::from(position), orientation_from_wxyz(orientation_wxyz)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_quarter_turn_about_z_keeps_the_order_of_the_components() {
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let turn = orientation_from_wxyz([half, 0.0, 0.0, half]).unwrap();
+        assert!((turn * Vector3::x() - Vector3::y()).norm() < 1e-15);
+        assert!((orientation_to_wxyz(&turn)[3] - half).abs() < 1e-15);
+    }
+
+    #[test]
+    fn both_signs_of_a_quaternion_give_the_same_numbers() {
+        let q = orientation_from_wxyz([-0.5, 0.5, -0.5, 0.5]).unwrap();
+        assert_eq!(orientation_to_wxyz(&q), [0.5, -0.5, 0.5, -0.5]);
+    }
+
+    #[test]
+    fn zero_and_not_a_number_are_no_orientation() {
+        assert!(orientation_from_wxyz([0.0; 4]).is_none());
+        assert!(orientation_from_wxyz([f64::NAN, 0.0, 0.0, 1.0]).is_none());
+        assert!(isometry([f64::INFINITY, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]).is_none());
+    }
+}
