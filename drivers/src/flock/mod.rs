@@ -1,1 +1,3 @@
 //! Ascension Flock of Birds over RS-232.
+
+pub mod wire;

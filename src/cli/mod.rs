@@ -1,0 +1,154 @@
+//! The command line: one file per command, one line per command in [`Command`].
+//!
+//! What comes in: arguments. What goes out: the answer on stdout (with `--json` one JSON object on one
+//! line), everything else on stderr, and an exit code: 0 done, 1 failed, 2 wrong use. What a command never
+//! does: panic on bad input, leave a half-written file behind, mix log lines into its answer.
+//!
+//! The convention of a command's file:
+//!
+//! ```text
+//! #[derive(clap::Args)]
+//! #[command(after_help = "Example:\n  posed check stage.toml")]
+//! pub(crate) struct Args { .. }
+//!
+//! pub(crate) fn run(args: Args) -> Result<(), Error> { .. }
+//! ```
+//! A command whose answer itself is bad news (problems found, nothing answered) prints it and returns
+//! [`Error::Told`]. Answers go through [`print`] and [`print_json`], which know a closed pipe.
+
+mod check;
+mod completions;
+
+use std::io::{self, IsTerminal, Write};
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser, Subcommand};
+
+/// Live motion tracking: magnetic trackers in, filtered poses out.
+#[derive(Parser)]
+#[command(name = "posed", version, arg_required_else_help = true, subcommand_required = true)]
+#[command(after_help = "Exit codes: 0 done, 1 failed, 2 wrong use.\n\n\
+    Example:\n  posed completions bash > ~/.local/share/bash-completion/completions/posed")]
+struct Cli {
+    /// What to log on stderr: `error`, `warn`, `info`, `debug`, `trace`, or a filter such as
+    /// `info,posed_drivers=trace`.
+    #[arg(long, global = true, env = "POSED_LOG", default_value = "info", value_name = "FILTER")]
+    log: String,
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// Every command that works, in the order of a first day with the program.
+#[derive(Subcommand)]
+enum Command {
+    /// Says all that is wrong with a stage file, by line and key, and how to mend it.
+    Check(check::Args),
+    /// Writes the completion script of a shell.
+    Completions(completions::Args),
+}
+
+impl Command {
+    fn run(self) -> Result<(), Error> {
+        match self {
+            Self::Check(args) => check::run(args),
+            Self::Completions(args) => completions::run(args),
+        }
+    }
+}
+
+/// Why a command ended other than well.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum Error {
+    /// The work failed; the sentence says what and what to do about it. Exit code 1.
+    #[error("{0}")]
+    Failed(String),
+    /// The command was asked for something that makes no sense. Exit code 2.
+    #[error("{0}")]
+    Usage(String),
+    /// The work failed, and the answer on stdout already says so. Exit code 1.
+    #[error("failed")]
+    Told,
+    /// Nobody reads stdout any more, which is the reader's good right. Exit code 0, no word.
+    #[error("nobody reads the output")]
+    BrokenPipe,
+}
+
+impl Error {
+    /// A failure from anything that can say what is wrong.
+    pub(crate) fn failed(reason: impl std::fmt::Display) -> Self {
+        Self::Failed(reason.to_string())
+    }
+
+    /// A failure of a file: what was tried, with which file, and what the system said.
+    ///
+    /// For example `cannot read stage.toml: No such file or directory (os error 2)`.
+    pub(crate) fn file(tried: &str, path: &std::path::Path, error: &io::Error) -> Self {
+        Self::Failed(format!("cannot {tried} {}: {error}", path.display()))
+    }
+}
+
+/// Parses the arguments, runs the command, and says the exit code.
+pub(crate) fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let result = start_log(&cli.log).and_then(|()| cli.command.run());
+    let (code, error) = match result {
+        Ok(()) | Err(Error::BrokenPipe) => return ExitCode::SUCCESS,
+        Err(Error::Told) => return ExitCode::from(1),
+        Err(error @ Error::Failed(_)) => (1, error),
+        Err(error @ Error::Usage(_)) => (2, error),
+    };
+    // Nothing is left to do where even stderr is gone.
+    let _ = writeln!(io::stderr(), "posed: {error}");
+    ExitCode::from(code)
+}
+
+/// Sends log lines to stderr, coloured where a person reads them.
+fn start_log(filter: &str) -> Result<(), Error> {
+    let filter = tracing_subscriber::EnvFilter::try_new(filter).map_err(|error| {
+        Error::Usage(format!("--log {filter}: {error}; give a level such as `info` or `warn,posed=debug`"))
+    })?;
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(io::stderr)
+        .with_ansi(io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none())
+        .with_target(false)
+        .init();
+    Ok(())
+}
+
+/// Prints a piece of the answer on stdout, as it is.
+pub(crate) fn print(text: &str) -> Result<(), Error> {
+    let mut stdout = io::stdout().lock();
+    stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()).map_err(|error| match error.kind() {
+        io::ErrorKind::BrokenPipe => Error::BrokenPipe,
+        _ => Error::Failed(format!("cannot write to stdout: {error}")),
+    })
+}
+
+/// Prints an answer for programs: one JSON object on one line of stdout.
+pub(crate) fn print_json(answer: &impl serde::Serialize) -> Result<(), Error> {
+    let mut line = serde_json::to_string(answer).map_err(Error::failed)?;
+    line.push('\n');
+    print(&line)
+}
+
+/// The whole command line, for completions.
+fn command() -> clap::Command {
+    Cli::command()
+}
+
+#[cfg(test)]
+mod tests {
+    /// Clap checks names, defaults and conflicts of all commands, and every command shows an example.
+    #[test]
+    fn the_command_line_is_sound_and_shows_examples() {
+        let command = super::command();
+        command.clone().debug_assert();
+        for subcommand in command.get_subcommands() {
+            let help = subcommand.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let example = format!("posed {}", subcommand.get_name());
+            assert!(help.contains("Example") && help.contains(&example), "{example} has no example");
+            assert!(subcommand.get_about().is_some(), "{example} does not say what it does");
+        }
+    }
+}

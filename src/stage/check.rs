@@ -1,0 +1,133 @@
+//! From text to a [`Stage`] or to all its problems: TOML syntax, then shape, then rules, then serde.
+
+use std::ops::Range;
+use std::path::Path;
+use std::sync::LazyLock;
+
+use serde::Serialize;
+use toml::de::{DeTable, Error as TomlError};
+
+use super::problem::{Notes, Problem, Problems};
+use super::shape::Shape;
+use super::{Stage, rules};
+
+/// The JSON schema of the stage file.
+pub(super) static SCHEMA: LazyLock<serde_json::Value> =
+    LazyLock::new(|| schemars::schema_for!(Stage).to_value());
+
+/// What is to be said about a stage file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Report {
+    /// Whether `posed run` would take it.
+    pub ok: bool,
+    /// What is wrong, in the order of the lines; empty if `ok`.
+    pub problems: Vec<Problem>,
+    /// What works, but hardly as it was meant.
+    pub warnings: Vec<Problem>,
+}
+
+/// Says all that is wrong with the text of a stage file; files that it names are not looked at.
+pub fn check(text: &str) -> Report {
+    report(text, None).1
+}
+
+/// As [`check`], and looks at the files that the stage names; relative paths begin at `folder`.
+pub fn check_in(text: &str, folder: &Path) -> Report {
+    report(text, Some(folder)).1
+}
+
+pub(super) fn parse(text: &str, folder: Option<&Path>) -> Result<Stage, Problems> {
+    match report(text, folder) {
+        (Some(stage), _) => Ok(stage),
+        (None, report) => Err(Problems(report.problems)),
+    }
+}
+
+/// The stage if it is right, and what is to be said about it.
+fn report(text: &str, folder: Option<&Path>) -> (Option<Stage>, Report) {
+    let mut notes = Notes::new(text);
+    let (document, errors) = DeTable::parse_recoverable(text);
+    let mut broken = false;
+    for error in &errors {
+        let duplicate = syntax(text, error, &mut notes);
+        broken |= !duplicate;
+    }
+    Shape::new(&SCHEMA, &mut notes, broken).document(&document);
+    if !broken {
+        rules::check(&document, folder, &mut notes);
+    }
+    let mut stage = None;
+    if !notes.has_problems() {
+        match toml::from_str(text) {
+            Ok(parsed) => stage = Some(parsed),
+            Err(error) => {
+                syntax(text, &error, &mut notes);
+            }
+        }
+    }
+    let (problems, warnings) = notes.finish();
+    let report = Report { ok: problems.is_empty(), problems, warnings };
+    (stage, report)
+}
+
+/// Notes an error of the TOML parser; says whether it is no more than a duplicate.
+fn syntax(text: &str, error: &TomlError, notes: &mut Notes<'_>) -> bool {
+    let at = error.span().unwrap_or(0..0);
+    let (line, start) = line_around(text, at.start);
+    if error.message().contains("duplicate key") {
+        let name = text.get(at.clone()).unwrap_or_default().trim_matches(['"', '\'']);
+        let (message, mend) = if line.trim_start().starts_with('[') {
+            (format!("[{name}] stands here a second time"), "join the two tables into one")
+        } else {
+            (format!("`{name}` stands here a second time in its table"), "keep one of the two")
+        };
+        notes.problem(&at, name, message, mend);
+        return true;
+    }
+    let (key, mend) = broken_line(line);
+    let message = error.message().lines().next().unwrap_or("broken TOML").to_owned();
+    // An error at the very end of a line is an error of that line, not of the next.
+    notes.problem(&(start.min(at.start)..at.end), key, message, mend);
+    false
+}
+
+/// The line that a byte is on, and where it starts; the last line with text for the end of the file.
+fn line_around(text: &str, offset: usize) -> (&str, usize) {
+    let before: Range<usize> = 0..offset.min(text.len());
+    let mut head = text.get(before).unwrap_or(text);
+    if offset >= text.len() {
+        head = text.trim_end();
+    }
+    let start = head.rfind('\n').map_or(0, |newline| newline + 1);
+    let line = text[start..].lines().next().unwrap_or("");
+    (line, start)
+}
+
+/// The key of a line that is no TOML, and the likely mend.
+fn broken_line(line: &str) -> (&str, String) {
+    let Some((key, value)) = line.split_once('=') else {
+        let mend = match line.trim_start() {
+            table if table.starts_with("[[") => "write [[name]] on a line of its own",
+            table if table.starts_with('[') => "write [name] on a line of its own",
+            _ => "write key = value, or begin the line with # for a comment",
+        };
+        let key = line.trim().trim_matches(['[', ']']);
+        return (key, mend.to_owned());
+    };
+    let (key, value) = (key.trim(), value.split('#').next().unwrap_or("").trim());
+    let is_quote = |c| c == '"' || c == '\'';
+    let mend = if value.is_empty() {
+        "write a value behind the equals sign".to_owned()
+    } else if value.starts_with(is_quote) && (value.len() == 1 || !value.ends_with(is_quote)) {
+        "close the quotes".to_owned()
+    } else if value.starts_with('[') && !value.ends_with(']') {
+        "close the bracket".to_owned()
+    } else if value.parse::<f64>().is_err() && value.starts_with(|c: char| c.is_alphabetic() || c == '/') {
+        format!("put the text in quotes: {key} = \"{value}\"")
+    } else if value.contains(',') && !value.starts_with(['[', '"', '\'']) {
+        "write a decimal point, not a comma; lists stand in [brackets]".to_owned()
+    } else {
+        "write one value as TOML has it: text in quotes, 1.5, true, or [1, 2, 3]".to_owned()
+    };
+    (key, mend)
+}

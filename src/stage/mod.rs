@@ -1,0 +1,319 @@
+//! The stage file: which devices and sensors there are, who wears them, and who may look.
+//!
+//! What comes in: TOML text. What goes out: a [`Stage`], or every [`Problem`] of the text with its line, key
+//! and mend. What it never does: fill a gap by guessing, accept an unknown key, touch a device.
+//!
+//! Every key carries its unit. `config/README.md` is the reference, and a test holds it against these types.
+//! The shape of the file is checked against the JSON schema of the types ([`shape`]), so that a range written at
+//! a field is both documentation and check; what spans several tables is in [`rules`].
+
+mod body;
+mod check;
+mod port;
+mod problem;
+mod rules;
+mod shape;
+#[cfg(test)]
+mod tests;
+
+use std::path::{Path, PathBuf};
+
+use posed_drivers::flock::wire::{Addressing, Format, Hemisphere, QuaternionSense, Range, ReportRate};
+use serde::{Deserialize, Serialize};
+
+pub use body::{Body, BodySegment, Calibration, JointKind, Mounting, SEGMENTS, Skeleton};
+pub use check::{Report, check, check_in};
+pub use port::{PortAddress, PortAddressError};
+pub use problem::{LoadError, Problem, Problems};
+
+/// A stage file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Stage {
+    /// Shown to clients.
+    #[schemars(length(min = 1, max = 200))]
+    pub name: String,
+    /// Ticks of the stage clock per second; absent: the ticks follow the fastest device.
+    #[schemars(range(min = 1.0, max = 1000.0))]
+    pub frame_rate_hz: Option<f64>,
+    /// How long a frame waits for its last sensors, ms.
+    #[serde(default = "default_frame_wait_ms")]
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub frame_wait_ms: f64,
+    /// The magnetic transmitter.
+    #[serde(default)]
+    pub transmitter: Transmitter,
+    /// Devices, in the order of `DeviceIndex`.
+    #[serde(default, rename = "device")]
+    pub devices: Vec<Device>,
+    /// Sensors, in the order of `SensorIndex`.
+    #[serde(default, rename = "sensor")]
+    pub sensors: Vec<Sensor>,
+    /// The body that wears the sensors; absent: nobody does.
+    pub body: Option<Body>,
+    /// Websocket, page and metrics.
+    #[serde(default)]
+    pub server: Server,
+    /// Where recordings go and come from.
+    #[serde(default)]
+    pub recording: Recording,
+    /// What `posed demo` and `posed simulate` put in the devices' place; checked by the simulator.
+    #[serde(default)]
+    #[schemars(with = "Option<serde_json::Map<String, serde_json::Value>>")]
+    pub simulation: Option<toml::Table>,
+}
+
+impl Stage {
+    /// Reads a stage from the text of its file.
+    ///
+    /// Paths stay as they stand in the text; files they name are not looked at ([`Stage::load`] does both).
+    ///
+    /// # Errors
+    /// Every problem of the text, not only the first.
+    pub fn parse(text: &str) -> Result<Self, Problems> {
+        check::parse(text, None)
+    }
+
+    /// Reads a stage from its file; relative paths in it begin at the file's folder.
+    ///
+    /// # Errors
+    /// The file cannot be read, or every problem that it has.
+    pub fn load(path: &Path) -> Result<Self, LoadError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| LoadError::Read { path: path.to_owned(), error })?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let mut stage = check::parse(&text, Some(folder))
+            .map_err(|problems| LoadError::Wrong { path: path.to_owned(), problems })?;
+        if let Some(tls) = &mut stage.server.tls {
+            tls.certificate = folder.join(&tls.certificate);
+            tls.key = folder.join(&tls.key);
+        }
+        let recordings = stage.recording.folder.get_or_insert_with(|| PathBuf::from("recordings"));
+        *recordings = folder.join(&*recordings);
+        Ok(stage)
+    }
+}
+
+fn default_frame_wait_ms() -> f64 {
+    5.0
+}
+
+/// The magnetic transmitter.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Transmitter {
+    /// Transmitter to room; absent: the room's axes are the tracker's own.
+    pub pose_in_room: Option<Pose>,
+}
+
+/// A pose: the named frame in the room.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Pose {
+    /// Position, m.
+    pub position_m: [f64; 3],
+    /// Unit quaternion, scalar first.
+    pub orientation_wxyz: [f64; 4],
+}
+
+/// One device.
+///
+/// Its own keys and those of its driver stand in one table. Unknown keys are refused by the driver's settings,
+/// which get all keys that are not listed here.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+pub struct Device {
+    /// Unique name.
+    #[schemars(length(min = 1, max = 64))]
+    pub name: String,
+    /// Path of a serial port, `tcp://HOST:PORT`, `udp://HOST:PORT` or `auto`.
+    pub port: String,
+    /// Line rate, bit/s.
+    #[serde(default = "default_baud")]
+    pub baud: u32,
+    /// Constant delay from measurement to the record's first byte, ms.
+    #[serde(default)]
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub measurement_delay_ms: f64,
+    /// The driver and its settings.
+    #[serde(flatten)]
+    pub driver: Driver,
+}
+
+fn default_baud() -> u32 {
+    115_200
+}
+
+/// A driver by name, with its settings.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(tag = "driver", rename_all = "kebab-case")]
+pub enum Driver {
+    /// Ascension Flock of Birds.
+    FlockOfBirds(FlockSettings),
+}
+
+impl Driver {
+    /// The driver's word in the stage file.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::FlockOfBirds(_) => "flock-of-birds",
+        }
+    }
+}
+
+/// One sensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Sensor {
+    /// Unique name; a segment's name gives it a role.
+    #[schemars(length(min = 1, max = 64))]
+    pub name: String,
+    /// Name of its device.
+    pub device: String,
+    /// Address on the device; 0 is a stand-alone unit.
+    pub address: u16,
+    /// The body segment it sits on; absent: its name, if that is a segment's.
+    pub segment: Option<String>,
+    /// Unit quaternion that turns sensor coordinates into segment coordinates, scalar first.
+    pub mount_quat_wxyz: Option<[f64; 4]>,
+    /// Position on the segment, in the segment's frame with its origin at the proximal joint, m.
+    pub offset_m: Option<[f64; 3]>,
+}
+
+/// Websocket, page and metrics.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Server {
+    /// Address to listen on; absent: 127.0.0.1:8787. Anything but loopback needs a token.
+    pub listen: Option<String>,
+    /// Who may do what.
+    #[serde(default, rename = "token")]
+    pub tokens: Vec<Token>,
+    /// Origins of browser pages that may connect, beside the daemon's own.
+    #[serde(default)]
+    pub allowed_origins: Vec<String>,
+    /// Certificate and key for TLS.
+    pub tls: Option<Tls>,
+}
+
+/// An access token.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Token {
+    /// The secret, at least 16 characters.
+    #[schemars(length(min = 16, max = 512))]
+    pub secret: String,
+    /// What its bearer may do.
+    pub role: Role,
+}
+
+/// What a client may do.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Role {
+    /// Subscribe.
+    Watch,
+    /// Subscribe and request.
+    Operate,
+}
+
+/// TLS by files.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Tls {
+    /// PEM file with the certificate chain.
+    pub certificate: PathBuf,
+    /// PEM file with the private key.
+    pub key: PathBuf,
+}
+
+/// Where recordings live.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Recording {
+    /// The one folder that `record.start` writes to and `replay.list` reads; absent: `recordings` beside the stage file.
+    pub folder: Option<PathBuf>,
+}
+
+/// FlockSettings of one Flock; every key has a default.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct FlockSettings {
+    /// What each bird's records hold.
+    pub format: Format,
+    /// Full scale of positions in inches, 36, 72 or 144; absent: 144 with an extended range controller, else 36.
+    pub range_in: Option<Range>,
+    /// The half-space around the transmitter in which the sensors start.
+    pub hemisphere: Hemisphere,
+    /// Records are sent every 1, 2, 8 or 32 measurement cycles.
+    pub report_every_cycles: ReportRate,
+    /// Measurement rate to set, Hz, 14 to 144; absent: as the unit has it.
+    #[schemars(range(min = 14.0, max = 144.0))]
+    pub measurement_rate_hz: Option<f64>,
+    /// Whether the unit streams, or is asked for each record.
+    pub mode: Mode,
+    /// Which rotation the quaternion on the wire describes.
+    pub quaternion_sense: QuaternionSense,
+    /// Whether records carry a button byte.
+    pub button: bool,
+    /// Filters to set; absent: as the unit has them.
+    pub filters: Option<Filters>,
+    /// Unit whose transmitter is used; absent: the first one found.
+    #[schemars(range(min = 1, max = 15))]
+    pub transmitter_address: Option<u8>,
+    /// Number of that transmitter at its unit, 0 to 3.
+    #[schemars(range(max = 3))]
+    pub transmitter_number: u8,
+    /// Units on the bus, controllers included; absent: as many as answer.
+    #[schemars(range(min = 1, max = 126))]
+    pub units: Option<u8>,
+    /// How units are numbered; absent: as the unit says.
+    pub addressing: Option<Addressing>,
+    /// Whether RTS resets the unit when the port opens, where the line exists.
+    pub reset_on_open: bool,
+}
+
+impl Default for FlockSettings {
+    fn default() -> Self {
+        Self {
+            format: Format::PositionQuaternion,
+            range_in: None,
+            hemisphere: Hemisphere::Forward,
+            report_every_cycles: ReportRate::Every,
+            measurement_rate_hz: None,
+            mode: Mode::Stream,
+            quaternion_sense: QuaternionSense::Vendor,
+            button: false,
+            filters: None,
+            transmitter_address: None,
+            transmitter_number: 0,
+            units: None,
+            addressing: None,
+            reset_on_open: true,
+        }
+    }
+}
+
+/// How records are got.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Mode {
+    /// The unit sends each cycle by itself.
+    #[default]
+    Stream,
+    /// The driver asks for each cycle once the one before has come.
+    Point,
+}
+
+/// The unit's own filters; `true` = on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Filters {
+    /// Adaptive low-pass filter.
+    pub dc: bool,
+    /// Wide mains notch filter.
+    pub ac_wide_notch: bool,
+    /// Narrow mains notch filter.
+    pub ac_narrow_notch: bool,
+}

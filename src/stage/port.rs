@@ -1,0 +1,109 @@
+//! The forms that `port` may have in a stage file.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+/// Where a device is to be found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PortAddress {
+    /// The daemon looks for the device on all serial ports.
+    Auto,
+    /// A serial port or pseudo-terminal by its path, such as `/dev/ttyUSB0`.
+    Serial(PathBuf),
+    /// A serial server: `tcp://HOST:PORT`.
+    Tcp {
+        /// Host name or address, without the brackets of an IPv6 address.
+        host: String,
+        /// TCP port.
+        port: u16,
+    },
+    /// A device that speaks UDP: `udp://HOST:PORT`.
+    Udp {
+        /// Host name or address, without the brackets of an IPv6 address.
+        host: String,
+        /// UDP port.
+        port: u16,
+    },
+}
+
+/// Why a text is no port.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PortAddressError {
+    /// Nothing is given.
+    #[error("the port is empty")]
+    Empty,
+    /// A URL of a kind that is not known.
+    #[error("only tcp:// and udp:// are known")]
+    Scheme,
+    /// No host.
+    #[error("the host is missing")]
+    Host,
+    /// No port number, or an impossible one.
+    #[error("the port number is missing or not from 1 to 65535")]
+    Number,
+    /// A name that is no path.
+    #[error("a serial port is given by its path, which begins with /")]
+    Relative,
+}
+
+impl FromStr for PortAddress {
+    type Err = PortAddressError;
+
+    fn from_str(text: &str) -> Result<Self, PortAddressError> {
+        if text.is_empty() {
+            Err(PortAddressError::Empty)
+        } else if text == "auto" {
+            Ok(Self::Auto)
+        } else if let Some(rest) = text.strip_prefix("tcp://") {
+            host_and_port(rest).map(|(host, port)| Self::Tcp { host, port })
+        } else if let Some(rest) = text.strip_prefix("udp://") {
+            host_and_port(rest).map(|(host, port)| Self::Udp { host, port })
+        } else if text.contains("://") {
+            Err(PortAddressError::Scheme)
+        } else if text.starts_with('/') && !text.contains('\0') {
+            Ok(Self::Serial(PathBuf::from(text)))
+        } else {
+            Err(PortAddressError::Relative)
+        }
+    }
+}
+
+fn host_and_port(text: &str) -> Result<(String, u16), PortAddressError> {
+    let (host, port) = text.rsplit_once(':').ok_or(PortAddressError::Number)?;
+    let host = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
+    if host.is_empty() || host.chars().any(|c| c.is_whitespace() || c == '/') {
+        return Err(PortAddressError::Host);
+    }
+    match port.parse() {
+        Ok(0) | Err(_) => Err(PortAddressError::Number),
+        Ok(port) => Ok((host.to_owned(), port)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_form_is_read_and_its_mistakes_are_named() {
+        use PortAddressError as E;
+        let tcp = |host: &str, port| PortAddress::Tcp { host: host.into(), port };
+        let cases = [
+            ("auto", Ok(PortAddress::Auto)),
+            ("/dev/ttyUSB0", Ok(PortAddress::Serial("/dev/ttyUSB0".into()))),
+            ("tcp://moxa:4001", Ok(tcp("moxa", 4001))),
+            ("tcp://[fe80::1]:4001", Ok(tcp("fe80::1", 4001))),
+            ("udp://10.0.0.7:6000", Ok(PortAddress::Udp { host: "10.0.0.7".into(), port: 6000 })),
+            ("", Err(E::Empty)),
+            ("ttyUSB0", Err(E::Relative)),
+            ("http://moxa:80", Err(E::Scheme)),
+            ("tcp://moxa", Err(E::Number)),
+            ("tcp://moxa:0", Err(E::Number)),
+            ("tcp://moxa:70000", Err(E::Number)),
+            ("tcp://:4001", Err(E::Host)),
+        ];
+        for (text, expected) in cases {
+            assert_eq!(text.parse::<PortAddress>(), expected, "{text}");
+        }
+    }
+}
