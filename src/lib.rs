@@ -8,6 +8,7 @@
 
 pub mod clock;
 pub mod daemon;
+pub mod fusion;
 pub mod geometry;
 pub mod input;
 pub mod output;

@@ -22,6 +22,8 @@
 mod heading;
 mod inclination;
 mod rest;
+#[cfg(test)]
+mod tests;
 
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
