@@ -4,3 +4,4 @@
 //! covariance. What they never do: decide what is a fault of a device (they only gate), ask for the time, or allocate per sample.
 
 pub mod ahrs;
+pub mod limb;
