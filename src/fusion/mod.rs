@@ -5,3 +5,4 @@
 
 pub mod ahrs;
 pub mod limb;
+pub mod mounting;

@@ -135,7 +135,6 @@ fn the_recursion_agrees_with_differentiated_poses() {
 }
 
 /// Largest difference between analytic and central-difference derivatives, relative to the largest entry.
-#[expect(private_bounds, reason = "as in the filter")]
 fn jacobian_error<J: Joint<N> + Clone, const D: usize, const N: usize>(
     limb: &Limb<J, D, N>,
     base: &Base,
@@ -220,7 +219,6 @@ fn the_azimuth_turns_as_the_sheet_says() {
 }
 
 /// Derivative of a prediction by `tau`, by central differences.
-#[expect(private_bounds, reason = "as in the filter")]
 fn transition<J: Joint<N> + Clone, const D: usize, const N: usize>(
     limb: &Limb<J, D, N>,
     tau: f64,
