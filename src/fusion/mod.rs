@@ -4,5 +4,7 @@
 //! covariance. What they never do: decide what is a fault of a device (they only gate), ask for the time, or allocate per sample.
 
 pub mod ahrs;
+pub mod chain;
+pub mod hinge;
 pub mod limb;
 pub mod mounting;

@@ -80,6 +80,8 @@ pub struct Ahrs {
     started: bool,
     /// The last rate without its bias, rad/s.
     rate_rad_s: Vector3<f64>,
+    /// Time since the last sample that was bridged, s.
+    coasted_s: f64,
     window: Window,
     inclination: inclination::Inclination,
     heading: heading::Heading,
@@ -116,6 +118,7 @@ impl Ahrs {
             q_level_sensor: UnitQuaternion::identity(),
             started: false,
             rate_rad_s: Vector3::zeros(),
+            coasted_s: 0.0,
             window: Window::default(),
             inclination: inclination::Inclination::new(&params.inclination),
             heading: heading::Heading::new(&params.heading),
@@ -146,6 +149,7 @@ impl Ahrs {
         let rate = gyro - self.inclination.bias_rad_s();
         self.q_level_sensor = integrate(self.q_level_sensor, rate, dt_s);
         self.rate_rad_s = rate;
+        self.coasted_s = 0.0;
         let rotation = rotation_matrix(&self.q_level_sensor);
         let force = rotation * sample.accel_m_s2;
         let w = &mut self.window;
@@ -164,6 +168,14 @@ impl Ahrs {
             self.close_window();
         }
         self.orientation()
+    }
+
+    /// Moves on by `dt_s` without a sample: the last rate goes on for at most a tenth of a second, then it holds.
+    pub fn coast(&mut self, dt_s: f64) {
+        if self.started && dt_s > 0.0 && dt_s.is_finite() && self.coasted_s < 0.1 {
+            self.coasted_s += dt_s;
+            self.q_level_sensor = integrate(self.q_level_sensor, self.rate_rad_s, dt_s);
+        }
     }
 
     /// Sensor to room: z up, and x east, y north where there is a magnetometer.
