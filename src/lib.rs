@@ -6,10 +6,13 @@
 //! The core is one plain struct that is pushed entries of the input log and says outputs; it has no clock,
 //! no thread and no randomness. The daemon around it owns ports, threads, sockets, files and time.
 
+pub mod atomic_file;
 pub mod clock;
 pub mod daemon;
 pub mod fusion;
 pub mod geometry;
 pub mod input;
 pub mod output;
+pub mod recording;
 pub mod stage;
+pub mod table;

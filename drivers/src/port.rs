@@ -1,1 +1,264 @@
 //! The only file of this package that opens a port.
+//!
+//! What comes in: the path of a serial port or pseudo-terminal, or `tcp://HOST:PORT`. What goes out: a
+//! [`Port`] to read from and write to, or a sentence for the operator. It decodes nothing.
+
+use std::io;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+
+use thiserror::Error;
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
+use tokio::net::TcpStream;
+use tokio_serial::{ErrorKind, SerialPort, SerialStream};
+
+/// Why a port could not be opened; each says what to check.
+#[derive(Debug, Error)]
+pub enum PortError {
+    /// No such file.
+    #[error(
+        "{port} does not exist; check the cable and the adapter, or see `posed doctor` for the ports there are"
+    )]
+    Missing {
+        /// The port as named in the stage file.
+        port: String,
+    },
+    /// The operating system refuses.
+    #[error(
+        "no right to open {port}; add yourself to the group `dialout` (sudo usermod -aG dialout $USER) and log in again"
+    )]
+    NotAllowed {
+        /// The port as named in the stage file.
+        port: String,
+    },
+    /// Another program has it.
+    #[error("{port} is in use by another program; end that one first")]
+    Busy {
+        /// The port as named in the stage file.
+        port: String,
+    },
+    /// Nobody listens at the address.
+    #[error("{port} cannot be reached: {source}; check the address and that the device server runs")]
+    Unreachable {
+        /// The port as named in the stage file.
+        port: String,
+        /// What the operating system said.
+        source: io::Error,
+    },
+    /// Anything else.
+    #[error("{port} cannot be opened: {reason}")]
+    Other {
+        /// The port as named in the stage file.
+        port: String,
+        /// What the operating system said.
+        reason: String,
+    },
+}
+
+/// A stream of bytes with, perhaps, modem lines.
+#[derive(Debug)]
+pub struct Port<S> {
+    stream: S,
+    set_rts: Option<fn(&mut S, bool) -> io::Result<()>>,
+}
+
+impl<S: AsyncRead + AsyncWrite + Unpin> Port<S> {
+    /// A port without modem lines over any stream.
+    pub fn new(stream: S) -> Self {
+        Self { stream, set_rts: None }
+    }
+
+    /// Whether RTS can be set; pseudo-terminals and sockets have no such line.
+    pub fn modem_lines(&self) -> bool {
+        self.set_rts.is_some()
+    }
+
+    /// Sets RTS (`true` = asserted); does nothing where the line does not exist.
+    ///
+    /// # Errors
+    /// The port is gone.
+    pub fn set_rts(&mut self, asserted: bool) -> io::Result<()> {
+        match self.set_rts {
+            Some(set) => set(&mut self.stream, asserted),
+            None => Ok(()),
+        }
+    }
+
+    /// Reads at least one byte; safe to drop while it waits.
+    ///
+    /// # Errors
+    /// The port is gone: an unplugged port reads zero bytes for ever, which counts as an error here.
+    pub async fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        match self.stream.read(buffer).await? {
+            0 => Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the port was closed or unplugged")),
+            n => Ok(n),
+        }
+    }
+
+    /// Writes all bytes.
+    ///
+    /// # Errors
+    /// The port is gone.
+    pub async fn write_all(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.stream.write_all(bytes).await
+    }
+}
+
+impl Port<Stream> {
+    /// Sets the line rate of a serial port; does nothing at a device server, which has its own.
+    ///
+    /// Unlike opening the port again this does not raise RTS, which would reset a Flock.
+    ///
+    /// # Errors
+    /// The port is gone, or its driver does not know the rate.
+    pub fn set_baud(&mut self, baud: u32) -> io::Result<()> {
+        match &mut self.stream {
+            Stream::Serial(serial) => serial.set_baud_rate(baud).map_err(io::Error::from),
+            Stream::Tcp(_) => Ok(()),
+        }
+    }
+}
+
+/// What [`open`] opens.
+#[derive(Debug)]
+pub enum Stream {
+    /// A serial port or a pseudo-terminal.
+    Serial(SerialStream),
+    /// A device server.
+    Tcp(TcpStream),
+}
+
+impl AsyncRead for Stream {
+    fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        match self.get_mut() {
+            Self::Serial(stream) => Pin::new(stream).poll_read(cx, buf),
+            Self::Tcp(stream) => Pin::new(stream).poll_read(cx, buf),
+        }
+    }
+}
+
+impl AsyncWrite for Stream {
+    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        match self.get_mut() {
+            Self::Serial(stream) => Pin::new(stream).poll_write(cx, bytes),
+            Self::Tcp(stream) => Pin::new(stream).poll_write(cx, bytes),
+        }
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        match self.get_mut() {
+            // A serial flush blocks until the last bit is out; nobody here needs to know when.
+            Self::Serial(_) => Poll::Ready(Ok(())),
+            Self::Tcp(stream) => Pin::new(stream).poll_flush(cx),
+        }
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        match self.get_mut() {
+            Self::Serial(_) => Poll::Ready(Ok(())),
+            Self::Tcp(stream) => Pin::new(stream).poll_shutdown(cx),
+        }
+    }
+}
+
+/// Opens a serial port (8 data bits, no parity, 1 stop bit, raw, exclusive) or `tcp://HOST:PORT`.
+///
+/// RTS is let go at once, where it exists: opening a port raises it, and it holds a Flock in reset.
+///
+/// # Errors
+/// Each says what the operator should check.
+pub async fn open(port: &str, baud: u32) -> Result<Port<Stream>, PortError> {
+    if let Some(address) = port.strip_prefix("tcp://") {
+        let unreachable = |source| PortError::Unreachable { port: port.into(), source };
+        let stream = TcpStream::connect(address).await.map_err(unreachable)?;
+        stream.set_nodelay(true).map_err(unreachable)?;
+        return Ok(Port::new(Stream::Tcp(stream)));
+    }
+    let mut serial =
+        SerialStream::open(&tokio_serial::new(port, baud)).map_err(|error| in_words(port, &error))?;
+    ask_for_low_latency(port);
+    // A pseudo-terminal has no modem lines and says so with an error, which is no fault.
+    let modem_lines = serial.write_request_to_send(false).is_ok();
+    let set_rts: fn(&mut Stream, bool) -> io::Result<()> = |stream, asserted| match stream {
+        Stream::Serial(serial) => serial.write_request_to_send(asserted).map_err(io::Error::from),
+        Stream::Tcp(_) => Ok(()),
+    };
+    Ok(Port { stream: Stream::Serial(serial), set_rts: modem_lines.then_some(set_rts) })
+}
+
+/// Serial ports of this machine that a device may be at, sorted by name; pseudo-terminals are not listed.
+pub fn list() -> Vec<String> {
+    let mut ports: Vec<String> =
+        tokio_serial::available_ports().unwrap_or_default().into_iter().map(|port| port.port_name).collect();
+    ports.sort();
+    ports
+}
+
+fn in_words(port: &str, error: &tokio_serial::Error) -> PortError {
+    let busy = error.description.contains("exclusive lock") || error.description.contains("busy");
+    let port = port.to_owned();
+    match error.kind() {
+        _ if busy => PortError::Busy { port },
+        ErrorKind::Io(io::ErrorKind::NotFound) => PortError::Missing { port },
+        ErrorKind::Io(io::ErrorKind::PermissionDenied) => PortError::NotAllowed { port },
+        ErrorKind::Io(io::ErrorKind::ResourceBusy) => PortError::Busy { port },
+        _ => PortError::Other { port, reason: error.description.clone() },
+    }
+}
+
+/// FTDI adapters hold bytes back for up to 16 ms; their driver takes 1 ms through a file, if we may write it.
+fn ask_for_low_latency(port: &str) {
+    let Some(name) = std::path::Path::new(port).file_name() else { return };
+    let timer = std::path::Path::new("/sys/class/tty").join(name).join("device/latency_timer");
+    if timer.exists()
+        && let Err(error) = std::fs::write(&timer, "1")
+    {
+        tracing::info!(
+            port,
+            %error,
+            "the USB adapter's latency timer cannot be set; its bytes may come in bursts of 16 ms"
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_missing_port_is_named() {
+        let error = open("/dev/no-such-tracker", 115_200).await.unwrap_err();
+        assert!(matches!(error, PortError::Missing { .. }), "{error}");
+        assert!(error.to_string().contains("/dev/no-such-tracker"));
+    }
+
+    #[tokio::test]
+    async fn a_server_that_is_not_there_is_named() {
+        let error = open("tcp://127.0.0.1:1", 115_200).await.unwrap_err();
+        assert!(matches!(error, PortError::Unreachable { .. }), "{error}");
+    }
+
+    #[tokio::test]
+    async fn bytes_pass_and_a_closed_port_is_an_error() {
+        let (near, far) = tokio::io::duplex(64);
+        let (mut near, mut far) = (Port::new(near), Port::new(far));
+        assert!(!near.modem_lines());
+        near.set_rts(true).unwrap();
+        near.write_all(b"B").await.unwrap();
+        let mut buffer = [0; 8];
+        assert_eq!(far.read(&mut buffer).await.unwrap(), 1);
+        drop(near);
+        assert_eq!(far.read(&mut buffer).await.unwrap_err().kind(), io::ErrorKind::UnexpectedEof);
+    }
+
+    #[test]
+    fn refusals_are_told_apart() {
+        let error = |kind, text: &str| in_words("/dev/ttyUSB0", &tokio_serial::Error::new(kind, text));
+        let denied = error(ErrorKind::Io(io::ErrorKind::PermissionDenied), "Permission denied");
+        assert!(denied.to_string().contains("dialout"), "{denied}");
+        let busy = error(ErrorKind::NoDevice, "Unable to acquire exclusive lock on serial port");
+        assert!(matches!(busy, PortError::Busy { .. }));
+        let busy = error(ErrorKind::NoDevice, "Device or resource busy");
+        assert!(matches!(busy, PortError::Busy { .. }));
+    }
+}

@@ -84,10 +84,10 @@ fn syntax(text: &str, error: &TomlError, notes: &mut Notes<'_>) -> bool {
         notes.problem(&at, name, message, mend);
         return true;
     }
-    let (key, mend) = broken_line(line);
-    let message = error.message().lines().next().unwrap_or("broken TOML").to_owned();
+    let (key, message, mend) = broken_line(line);
+    let message = message.or(error.message().lines().next()).unwrap_or("this is no TOML");
     // An error at the very end of a line is an error of that line, not of the next.
-    notes.problem(&(start.min(at.start)..at.end), key, message, mend);
+    notes.broken(&(start.min(at.start)..at.end), key, message, mend);
     false
 }
 
@@ -103,8 +103,8 @@ fn line_around(text: &str, offset: usize) -> (&str, usize) {
     (line, start)
 }
 
-/// The key of a line that is no TOML, and the likely mend.
-fn broken_line(line: &str) -> (&str, String) {
+/// The key of a line that is no TOML, the likely message where the parser's own would mislead, and the mend.
+fn broken_line(line: &str) -> (&str, Option<&'static str>, String) {
     let Some((key, value)) = line.split_once('=') else {
         let mend = match line.trim_start() {
             table if table.starts_with("[[") => "write [[name]] on a line of its own",
@@ -112,22 +112,23 @@ fn broken_line(line: &str) -> (&str, String) {
             _ => "write key = value, or begin the line with # for a comment",
         };
         let key = line.trim().trim_matches(['[', ']']);
-        return (key, mend.to_owned());
+        return (key, None, mend.to_owned());
     };
     let (key, value) = (key.trim(), value.split('#').next().unwrap_or("").trim());
     let is_quote = |c| c == '"' || c == '\'';
-    let mend = if value.is_empty() {
-        "write a value behind the equals sign".to_owned()
+    let begins_as_word = value.starts_with(|c: char| c.is_alphabetic() || c == '/');
+    let (message, mend) = if value.is_empty() {
+        (Some("there is no value"), "write a value behind the equals sign".to_owned())
     } else if value.starts_with(is_quote) && (value.len() == 1 || !value.ends_with(is_quote)) {
-        "close the quotes".to_owned()
+        (Some("the quotes are not closed"), "close the quotes".to_owned())
     } else if value.starts_with('[') && !value.ends_with(']') {
-        "close the bracket".to_owned()
-    } else if value.parse::<f64>().is_err() && value.starts_with(|c: char| c.is_alphabetic() || c == '/') {
-        format!("put the text in quotes: {key} = \"{value}\"")
+        (None, "close the bracket".to_owned())
+    } else if begins_as_word && value.parse::<f64>().is_err() {
+        (Some("text without quotes"), format!("put the text in quotes: {key} = \"{value}\""))
     } else if value.contains(',') && !value.starts_with(['[', '"', '\'']) {
-        "write a decimal point, not a comma; lists stand in [brackets]".to_owned()
+        (None, "write a decimal point, not a comma; lists stand in [brackets]".to_owned())
     } else {
-        "write one value as TOML has it: text in quotes, 1.5, true, or [1, 2, 3]".to_owned()
+        (None, "write one value as TOML has it: text in quotes, 1.5, true, or [1, 2, 3]".to_owned())
     };
-    (key, mend)
+    (key, message, mend)
 }

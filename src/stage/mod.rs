@@ -18,7 +18,7 @@ mod tests;
 
 use std::path::{Path, PathBuf};
 
-use posed_drivers::flock::wire::{Addressing, Format, Hemisphere, QuaternionSense, Range, ReportRate};
+use posed_drivers::flock;
 use serde::{Deserialize, Serialize};
 
 pub use body::{Body, BodySegment, Calibration, JointKind, Mounting, SEGMENTS, Skeleton};
@@ -43,10 +43,10 @@ pub struct Stage {
     /// The magnetic transmitter.
     #[serde(default)]
     pub transmitter: Transmitter,
-    /// Devices, in the order of `DeviceIndex`.
+    /// Devices; everything published keeps their order.
     #[serde(default, rename = "device")]
     pub devices: Vec<Device>,
-    /// Sensors, in the order of `SensorIndex`.
+    /// Sensors; everything published keeps their order.
     #[serde(default, rename = "sensor")]
     pub sensors: Vec<Sensor>,
     /// The body that wears the sensors; absent: nobody does.
@@ -94,6 +94,19 @@ impl Stage {
     }
 }
 
+/// What the fuzz target does with any bytes: a text is right exactly if it parses, and every problem has a line.
+#[doc(hidden)]
+pub fn fuzz(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    let report = check(text);
+    assert_eq!(report.ok, Stage::parse(text).is_ok());
+    assert_eq!(report.ok, report.problems.is_empty());
+    let lines = 1 + text.matches('\n').count();
+    for problem in report.problems.iter().chain(&report.warnings) {
+        assert!((1..=lines).contains(&problem.line), "{problem:?}");
+    }
+}
+
 fn default_frame_wait_ms() -> f64 {
     5.0
 }
@@ -129,6 +142,7 @@ pub struct Device {
     pub port: String,
     /// Line rate, bit/s.
     #[serde(default = "default_baud")]
+    #[schemars(range(min = 1))]
     pub baud: u32,
     /// Constant delay from measurement to the record's first byte, ms.
     #[serde(default)]
@@ -148,7 +162,7 @@ fn default_baud() -> u32 {
 #[serde(tag = "driver", rename_all = "kebab-case")]
 pub enum Driver {
     /// Ascension Flock of Birds.
-    FlockOfBirds(FlockSettings),
+    FlockOfBirds(flock::Settings),
 }
 
 impl Driver {
@@ -234,86 +248,4 @@ pub struct Tls {
 pub struct Recording {
     /// The one folder that `record.start` writes to and `replay.list` reads; absent: `recordings` beside the stage file.
     pub folder: Option<PathBuf>,
-}
-
-/// FlockSettings of one Flock; every key has a default.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct FlockSettings {
-    /// What each bird's records hold.
-    pub format: Format,
-    /// Full scale of positions in inches, 36, 72 or 144; absent: 144 with an extended range controller, else 36.
-    pub range_in: Option<Range>,
-    /// The half-space around the transmitter in which the sensors start.
-    pub hemisphere: Hemisphere,
-    /// Records are sent every 1, 2, 8 or 32 measurement cycles.
-    pub report_every_cycles: ReportRate,
-    /// Measurement rate to set, Hz, 14 to 144; absent: as the unit has it.
-    #[schemars(range(min = 14.0, max = 144.0))]
-    pub measurement_rate_hz: Option<f64>,
-    /// Whether the unit streams, or is asked for each record.
-    pub mode: Mode,
-    /// Which rotation the quaternion on the wire describes.
-    pub quaternion_sense: QuaternionSense,
-    /// Whether records carry a button byte.
-    pub button: bool,
-    /// Filters to set; absent: as the unit has them.
-    pub filters: Option<Filters>,
-    /// Unit whose transmitter is used; absent: the first one found.
-    #[schemars(range(min = 1, max = 15))]
-    pub transmitter_address: Option<u8>,
-    /// Number of that transmitter at its unit, 0 to 3.
-    #[schemars(range(max = 3))]
-    pub transmitter_number: u8,
-    /// Units on the bus, controllers included; absent: as many as answer.
-    #[schemars(range(min = 1, max = 126))]
-    pub units: Option<u8>,
-    /// How units are numbered; absent: as the unit says.
-    pub addressing: Option<Addressing>,
-    /// Whether RTS resets the unit when the port opens, where the line exists.
-    pub reset_on_open: bool,
-}
-
-impl Default for FlockSettings {
-    fn default() -> Self {
-        Self {
-            format: Format::PositionQuaternion,
-            range_in: None,
-            hemisphere: Hemisphere::Forward,
-            report_every_cycles: ReportRate::Every,
-            measurement_rate_hz: None,
-            mode: Mode::Stream,
-            quaternion_sense: QuaternionSense::Vendor,
-            button: false,
-            filters: None,
-            transmitter_address: None,
-            transmitter_number: 0,
-            units: None,
-            addressing: None,
-            reset_on_open: true,
-        }
-    }
-}
-
-/// How records are got.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Mode {
-    /// The unit sends each cycle by itself.
-    #[default]
-    Stream,
-    /// The driver asks for each cycle once the one before has come.
-    Point,
-}
-
-/// The unit's own filters; `true` = on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Filters {
-    /// Adaptive low-pass filter.
-    pub dc: bool,
-    /// Wide mains notch filter.
-    pub ac_wide_notch: bool,
-    /// Narrow mains notch filter.
-    pub ac_narrow_notch: bool,
 }

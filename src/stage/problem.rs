@@ -67,19 +67,33 @@ pub enum LoadError {
 /// Collects problems and warnings, and knows which byte is on which line.
 pub(super) struct Notes<'a> {
     text: &'a str,
+    /// Lines that are no TOML: what the parser made of them is not worth a second word.
+    broken: Vec<usize>,
     problems: Vec<(usize, Problem)>,
     warnings: Vec<(usize, Problem)>,
 }
 
 impl<'a> Notes<'a> {
     pub(super) fn new(text: &'a str) -> Self {
-        Self { text, problems: Vec::new(), warnings: Vec::new() }
+        Self { text, broken: Vec::new(), problems: Vec::new(), warnings: Vec::new() }
     }
 
     /// The line of a byte, from 1.
     pub(super) fn line(&self, offset: usize) -> usize {
         let end = offset.min(self.text.len());
         1 + self.text.as_bytes()[..end].iter().filter(|byte| **byte == b'\n').count()
+    }
+
+    /// Notes a line that is no TOML; nothing else is said about it afterwards.
+    pub(super) fn broken(
+        &mut self,
+        at: &Range<usize>,
+        key: &str,
+        message: impl Into<String>,
+        mend: impl Into<String>,
+    ) {
+        self.problem(at, key, message, mend);
+        self.broken.push(self.line(at.start));
     }
 
     /// Notes something that makes the file unusable.
@@ -91,7 +105,9 @@ impl<'a> Notes<'a> {
         mend: impl Into<String>,
     ) {
         let problem = self.at(at.start, key, message.into(), mend.into());
-        self.problems.push((at.start, problem));
+        if !self.broken.contains(&problem.line) {
+            self.problems.push((at.start, problem));
+        }
     }
 
     /// Notes something that works, but hardly as it was meant.

@@ -68,16 +68,16 @@ impl<'a, 't> Shape<'a, 't> {
                 }
             }
         }
+        let names = || fields.properties.iter().map(|(name, _)| *name);
+        let strangers = table.keys().filter(|key| !fields.open && fields.schema(key.get_ref()).is_none());
+        let misspelt: Vec<&str> = strangers.filter_map(|key| nearest(key.get_ref(), names())).collect();
         for key in &fields.required {
-            if !self.recovered && !table.contains_key(*key) {
+            // A key that stands there with a misspelt name is told once, where it stands.
+            if !self.recovered && !table.contains_key(*key) && !misspelt.contains(key) {
                 let about = fields.schema(key).map(|schema| self.about(schema)).unwrap_or_default();
                 let place = if name.is_empty() { String::new() } else { format!(" of [{name}]") };
-                self.notes.problem(
-                    &header,
-                    key,
-                    format!("the key `{key}`{place} is missing"),
-                    format!("add `{key}`: {about}"),
-                );
+                let message = format!("the key `{key}`{place} is missing");
+                self.notes.problem(&header, key, message, format!("add `{key}`: {about}"));
             }
         }
         for (key, value) in table {

@@ -70,8 +70,9 @@ end_s = 2
 #[test]
 fn a_driver_of_a_later_version_is_known_by_name() {
     for driver in shape::LATER_DRIVERS {
-        let text =
-            format!("name = \"s\"\n[[device]]\nname = \"d\"\ndriver = \"{driver}\"\nport = \"auto\"\n");
+        let text = format!(
+            "name = \"s\"\n[[device]]\nname = \"d\"\ndriver = \"{driver}\"\nport = \"auto\"\n[[sensor]]\nname = \"s\"\ndevice = \"d\"\naddress = 0\n"
+        );
         let report = check(&text);
         assert_eq!(report.problems.len(), 1, "{report:?}");
         assert_eq!(report.problems[0].line, 4);
@@ -106,8 +107,18 @@ fn a_stage_survives_json_and_messagepack() {
 
 #[test]
 fn several_problems_come_at_once_with_their_lines() {
-    let text = "nam = \"s\"\n[[device]]\nname = \"d\"\ndriver = \"flock-of-birds\"\nport = \"ttyUSB0\"\nbaud = \"115200\"\n";
+    let text = "nam = \"s\"\n[[device]]\nname = \"d\"\ndriver = \"flock-of-birds\"\nport = \"ttyUSB0\"\nbaud = \"115200\"\n[[sensor]]\nname = \"s\"\ndevice = \"d\"\naddress = 0\n";
     let report = check(text);
     let found: Vec<(usize, &str)> = report.problems.iter().map(|p| (p.line, p.key.as_str())).collect();
-    assert_eq!(found, [(1, "name"), (1, "nam"), (5, "port"), (6, "baud")], "{report:#?}");
+    assert_eq!(found, [(1, "nam"), (5, "port"), (6, "baud")], "{report:#?}");
+}
+
+proptest::proptest! {
+    /// Cut out, doubled or overwritten pieces of a good file: never a panic, and a line for every problem.
+    #[test]
+    fn a_damaged_file_is_answered(start in 0..DESIGN.len(), length in 0..40usize, with in "[\\[\\]a-z=\"\\n0-9. ]{0,8}") {
+        let end = (start + length).min(DESIGN.len());
+        fuzz(format!("{}{with}{}", &DESIGN[..start], &DESIGN[end..]).as_bytes());
+        fuzz(format!("{}{}{}", &DESIGN[..end], &DESIGN[start..end], &DESIGN[end..]).as_bytes());
+    }
 }

@@ -23,14 +23,16 @@ pub(super) fn check(root: &Item<'_, '_>, notes: &mut Notes<'_>) {
             notes.problem(&device.at, "device", format!("there is no device `{}`", device.value), mend);
         }
     }
+    // A sensor with a wrong device may belong to one that seems to have none.
+    let all_placed = sensors.iter().all(|s| s.text("device").is_some_and(|d| names.contains(&d.value)));
     for device in &devices {
         let Some(name) = device.text("name") else { continue };
         let mine: Vec<&Item<'_, '_>> =
             sensors.iter().filter(|s| s.text("device").is_some_and(|d| d.value == name.value)).collect();
         addresses_differ(&mine, name.value, notes);
-        if mine.is_empty() {
+        if mine.is_empty() && all_placed {
             let mend = "add a [[sensor]] with its address, or remove the device";
-            notes.warning(&name.at, "name", format!("device `{}` has no sensor", name.value), mend);
+            notes.problem(&name.at, "name", format!("device `{}` has no sensor", name.value), mend);
         }
         if device.text("driver").is_some_and(|driver| driver.value == "flock-of-birds") {
             flock(device, &mine, notes);

@@ -78,7 +78,11 @@ impl<'a, 'i> Item<'a, 'i> {
         Some(Item { header: value.span(), table: value.get_ref().as_table()? })
     }
 
+    /// The tables of a list; a single table, which is another mistake, counts as a list of one.
     fn items(&self, key: &str) -> Vec<Item<'a, 'i>> {
+        if let Some(item) = self.item(key) {
+            return vec![item];
+        }
         let list = self.get(key).and_then(|value| value.get_ref().as_array());
         list.into_iter()
             .flat_map(|list| list.iter())

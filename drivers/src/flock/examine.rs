@@ -1,0 +1,326 @@
+//! Finds out what is on the line: revision, status, model, the units of the flock, their rate.
+//!
+//! What comes in: bytes and timeouts. What goes out: bytes to send and, at the end, [`Findings`]. It
+//! changes nothing at the device except that it stops a stream.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use super::asker::{Asker, Expired};
+use super::wire::value::{self, parameter};
+use super::wire::{Addressing, BirdStatus, Command, UnitStatus};
+use crate::sample::Timestamp;
+
+/// Silence after POINT before the first question.
+const FIRST_QUIET: Duration = Duration::from_millis(100);
+/// Silence after the last stray byte.
+const QUIET: Duration = Duration::from_millis(40);
+/// How long a stream may go on after it was told to stop.
+const STOP_LIMIT: Duration = Duration::from_millis(600);
+/// Tries to stop a stream.
+const STOP_TRIES: u8 = 3;
+/// Measured rate of a unit that does not tell its own.
+pub const POWER_UP_RATE_HZ: f64 = 103.3;
+
+/// One unit of a flock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Unit {
+    /// Address on the bus.
+    pub address: u8,
+    /// What it is and does.
+    pub status: UnitStatus,
+}
+
+impl Unit {
+    /// Whether it sends records in group mode.
+    pub fn streams(self) -> bool {
+        self.status.has(UnitStatus::ACCESSIBLE | UnitStatus::RUNNING | UnitStatus::SENSOR)
+    }
+}
+
+/// What an examination found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Findings {
+    /// Software revision: integer part, fraction.
+    pub revision: (u8, u8),
+    /// Status of the unit on the line.
+    pub status: BirdStatus,
+    /// Model as the unit writes it, without padding; empty where it does not tell.
+    pub model: String,
+    /// How units are numbered.
+    pub addressing: Addressing,
+    /// Units that answer on the bus, by rising address; empty for a stand-alone unit.
+    pub units: Vec<Unit>,
+    /// Measurement rate, Hz.
+    pub rate_hz: f64,
+}
+
+impl Findings {
+    /// Whether the unit is alone, and so without address.
+    pub fn stand_alone(&self) -> bool {
+        self.units.is_empty()
+    }
+
+    /// Whether positions have the full scale of an extended range transmitter.
+    pub fn extended_range(&self) -> bool {
+        self.model.starts_with("6DERC")
+            || self.units.iter().any(|unit| unit.status.has(UnitStatus::EXTENDED_RANGE))
+    }
+
+    /// Addresses that have a sensor; 0 for a stand-alone unit.
+    pub fn sensors(&self) -> Vec<u8> {
+        if self.stand_alone() {
+            return vec![0];
+        }
+        let sensing = |unit: &&Unit| unit.status.has(UnitStatus::SENSOR);
+        self.units.iter().filter(sensing).map(|unit| unit.address).collect()
+    }
+}
+
+/// Why an examination failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Failure {
+    /// Not a byte came.
+    Silent,
+    /// Bytes came, but no answers.
+    Unintelligible,
+    /// The stream could not be stopped.
+    DoesNotStop,
+}
+
+impl Failure {
+    /// What to check, for the operator.
+    pub fn advice(self, baud: u32) -> String {
+        match self {
+            Self::Silent => format!(
+                "nothing answers at {baud} baud; check the unit's power and FLY switch, the cable (a straight \
+                 one with RTS not held), and that the baud switches 1 to 3 say {baud}"
+            ),
+            Self::Unintelligible => format!(
+                "bytes come in, but no answers that a Flock would give; check that the unit's baud switches say {baud}, \
+                 and that no other program uses the port"
+            ),
+            Self::DoesNotStop => format!(
+                "bytes keep coming after the stream was told to stop; check that the unit's baud switches say {baud}, \
+                 and that the line from the computer to the unit is connected"
+            ),
+        }
+    }
+}
+
+/// Progress of an examination after an input.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Progress {
+    /// Not done yet.
+    Busy,
+    /// Done.
+    Found(Box<Findings>),
+    /// Failed.
+    Failed(Failure),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+enum Step {
+    Stop,
+    Revision,
+    Status,
+    Addressing,
+    Model,
+    Topology,
+    Rate,
+}
+
+/// A running examination.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Examination {
+    step: Step,
+    /// While stopping: the line is quiet at the first, given up at the second.
+    quiet_at: Timestamp,
+    stop_limit: Timestamp,
+    stops_left: u8,
+    asker: Option<Asker>,
+    heard: bool,
+    findings: Findings,
+    fixed_addressing: bool,
+    tries: u8,
+    #[serde(skip)]
+    transmits: VecDeque<Vec<u8>>,
+    bytes_skipped: u64,
+}
+
+impl Examination {
+    /// Begins: stops a stream, then asks, `tries` times each.
+    pub fn new(now: Timestamp, addressing: Option<Addressing>, tries: u8) -> Self {
+        Self {
+            step: Step::Stop,
+            quiet_at: now + FIRST_QUIET,
+            stop_limit: now + STOP_LIMIT,
+            stops_left: STOP_TRIES - 1,
+            asker: None,
+            heard: false,
+            findings: Findings {
+                revision: (0, 0),
+                status: BirdStatus(0),
+                model: String::new(),
+                addressing: addressing.unwrap_or_default(),
+                units: Vec::new(),
+                rate_hz: POWER_UP_RATE_HZ,
+            },
+            fixed_addressing: addressing.is_some(),
+            tries,
+            transmits: VecDeque::from([Command::Point.to_bytes(None, Addressing::Normal)]),
+            bytes_skipped: 0,
+        }
+    }
+
+    /// Bytes to send, until `None`.
+    pub fn poll_transmit(&mut self) -> Option<Vec<u8>> {
+        self.transmits.pop_front()
+    }
+
+    /// When to call [`Self::handle_timeout`].
+    pub fn poll_timeout(&self) -> Timestamp {
+        match &self.asker {
+            Some(asker) => asker.poll_timeout(),
+            None => self.quiet_at.min(self.stop_limit),
+        }
+    }
+
+    /// Bytes that were no part of an answer since the last call; the rest of a stopped stream is not counted.
+    pub fn take_bytes_skipped(&mut self) -> u64 {
+        std::mem::take(&mut self.bytes_skipped)
+    }
+
+    /// Bytes were read.
+    pub fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) -> Progress {
+        self.heard |= !bytes.is_empty();
+        let Some(asker) = &mut self.asker else {
+            self.quiet_at = self.quiet_at.max(now + QUIET);
+            return Progress::Busy;
+        };
+        let (answer, skipped) = asker.handle_bytes(bytes);
+        self.bytes_skipped += skipped;
+        match answer {
+            Some(answer) => self.answered(now, &answer),
+            None => Progress::Busy,
+        }
+    }
+
+    /// The time of [`Self::poll_timeout`] has come.
+    pub fn handle_timeout(&mut self, now: Timestamp) -> Progress {
+        let Some(asker) = &mut self.asker else {
+            return self.stopping(now);
+        };
+        let (expired, lost) = asker.handle_timeout(now);
+        self.bytes_skipped += lost;
+        match expired {
+            Expired::No => Progress::Busy,
+            Expired::Again(bytes) => {
+                self.transmits.push_back(bytes);
+                Progress::Busy
+            }
+            Expired::GaveUp => match self.step {
+                Step::Revision | Step::Status | Step::Stop => {
+                    Progress::Failed(if self.heard { Failure::Unintelligible } else { Failure::Silent })
+                }
+                // Firmware without this parameter gives no answer; the defaults stand.
+                _ => self.next_step(now),
+            },
+        }
+    }
+
+    fn stopping(&mut self, now: Timestamp) -> Progress {
+        if now >= self.quiet_at {
+            return self.ask(now, Step::Revision);
+        }
+        if now < self.stop_limit {
+            return Progress::Busy;
+        }
+        if self.stops_left == 0 {
+            return Progress::Failed(Failure::DoesNotStop);
+        }
+        self.stops_left -= 1;
+        self.stop_limit = now + STOP_LIMIT;
+        self.quiet_at = now + FIRST_QUIET;
+        // Newer firmware has a command of its own; older answers it with an error that nobody reads.
+        self.transmits.push_back(Command::StreamStop.to_bytes(None, Addressing::Normal));
+        self.transmits.push_back(Command::Point.to_bytes(None, Addressing::Normal));
+        Progress::Busy
+    }
+
+    fn ask(&mut self, now: Timestamp, step: Step) -> Progress {
+        let number = match step {
+            Step::Stop | Step::Revision => parameter::SOFTWARE_REVISION,
+            Step::Status => parameter::BIRD_STATUS,
+            Step::Addressing => parameter::FBB_ADDRESSING_MODE,
+            Step::Model => parameter::MODEL_ID,
+            Step::Topology => parameter::FLOCK_SYSTEM_STATUS,
+            Step::Rate => parameter::MEASUREMENT_RATE,
+        };
+        let tries = if matches!(step, Step::Revision | Step::Status) { self.tries } else { 2 };
+        let asker = Asker::new(now, &Command::Examine(number), None, self.findings.addressing, tries);
+        self.transmits.push_back(asker.question());
+        self.asker = Some(asker);
+        self.step = step;
+        Progress::Busy
+    }
+
+    fn answered(&mut self, now: Timestamp, answer: &[u8]) -> Progress {
+        let found = &mut self.findings;
+        match (self.step, answer) {
+            (Step::Revision, &[integer, fraction]) => found.revision = (integer, fraction),
+            (Step::Status, &[low, high]) => {
+                found.status = BirdStatus::from_bytes([low, high]);
+                if found.status.has(BirdStatus::EXPANDED)
+                    && !self.fixed_addressing
+                    && found.revision >= (3, 33)
+                {
+                    found.addressing = Addressing::Expanded;
+                }
+            }
+            (Step::Addressing, &[code]) => {
+                if let (Some(addressing), false) = (Addressing::from_code(code), self.fixed_addressing) {
+                    found.addressing = addressing;
+                }
+            }
+            (Step::Model, model) => found.model = String::from_utf8_lossy(model).trim().to_owned(),
+            (Step::Topology, bytes) => found.units = units(bytes),
+            (Step::Rate, &[low, high]) => {
+                let hz = value::rate_hz(u16::from_le_bytes([low, high]));
+                if (10.0..=200.0).contains(&hz) {
+                    found.rate_hz = hz;
+                }
+            }
+            _ => {}
+        }
+        self.next_step(now)
+    }
+
+    fn next_step(&mut self, now: Timestamp) -> Progress {
+        let revision = self.findings.revision;
+        match self.step {
+            Step::Stop => self.ask(now, Step::Revision),
+            Step::Revision => self.ask(now, Step::Status),
+            Step::Status if revision >= (3, 67) => self.ask(now, Step::Addressing),
+            Step::Status | Step::Addressing => self.ask(now, Step::Model),
+            Step::Model => self.ask(now, Step::Topology),
+            // Before revision 3 this number gave 36 other bytes.
+            Step::Topology if revision.0 >= 3 => self.ask(now, Step::Rate),
+            Step::Topology | Step::Rate => {
+                self.asker = None;
+                Progress::Found(Box::new(self.findings.clone()))
+            }
+        }
+    }
+}
+
+/// Units of a FLOCK SYSTEM STATUS answer.
+pub(super) fn units(bytes: &[u8]) -> Vec<Unit> {
+    (1u8..)
+        .zip(bytes)
+        .map(|(address, &status)| Unit { address, status: UnitStatus(status) })
+        .filter(|unit| unit.status.has(UnitStatus::ACCESSIBLE))
+        .collect()
+}

@@ -1,0 +1,130 @@
+//! What the stage file may say about a Flock of Birds.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::wire::{Addressing, Format, Hemisphere, QuaternionSense, Range, ReportRate, Shape};
+
+/// Settings of one Flock; every key has a default.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Settings {
+    /// What each bird's records hold.
+    pub format: Format,
+    /// Full scale of positions in inches, 36, 72 or 144; absent: 144 with an extended range controller, else 36.
+    pub range_in: Option<Range>,
+    /// The half-space around the transmitter in which the sensors start.
+    pub hemisphere: Hemisphere,
+    /// Records are sent every 1, 2, 8 or 32 measurement cycles.
+    pub report_every_cycles: ReportRate,
+    /// Measurement rate to set, Hz, 14 to 144; absent: as the unit has it.
+    #[schemars(range(min = 14.0, max = 144.0))]
+    pub measurement_rate_hz: Option<f64>,
+    /// Whether the unit streams, or is asked for each record.
+    pub mode: Mode,
+    /// Which rotation the quaternion on the wire describes.
+    pub quaternion_sense: QuaternionSense,
+    /// Whether records carry a button byte.
+    pub button: bool,
+    /// Filters to set; absent: as the unit has them.
+    pub filters: Option<Filters>,
+    /// Unit whose transmitter is used; absent: the first one found.
+    #[schemars(range(min = 1, max = 15))]
+    pub transmitter_address: Option<u8>,
+    /// Number of that transmitter at its unit, 0 to 3.
+    #[schemars(range(max = 3))]
+    pub transmitter_number: u8,
+    /// Units on the bus, controllers included; absent: as many as answer.
+    #[schemars(range(min = 1, max = 126))]
+    pub units: Option<u8>,
+    /// How units are numbered; absent: as the unit says.
+    pub addressing: Option<Addressing>,
+    /// Whether RTS resets the unit when the port opens, where the line exists.
+    pub reset_on_open: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            format: Format::PositionQuaternion,
+            range_in: None,
+            hemisphere: Hemisphere::Forward,
+            report_every_cycles: ReportRate::Every,
+            measurement_rate_hz: None,
+            mode: Mode::Stream,
+            quaternion_sense: QuaternionSense::Vendor,
+            button: false,
+            filters: None,
+            transmitter_address: None,
+            transmitter_number: 0,
+            units: None,
+            addressing: None,
+            reset_on_open: true,
+        }
+    }
+}
+
+impl Settings {
+    /// Checks values that the types cannot.
+    ///
+    /// # Errors
+    /// The first value out of its range, by key.
+    pub fn validate(&self) -> Result<(), SettingsError> {
+        let check = |key, ok: bool, expected| if ok { Ok(()) } else { Err(SettingsError { key, expected }) };
+        let rate = self.measurement_rate_hz;
+        check("measurement_rate_hz", rate.is_none_or(|hz| (14.0..=144.0).contains(&hz)), "14 to 144")?;
+        check("units", self.units.is_none_or(|n| (1..=126).contains(&n)), "1 to 126")?;
+        check("transmitter_number", self.transmitter_number <= 3, "0 to 3")?;
+        check(
+            "transmitter_address",
+            self.transmitter_address.is_none_or(|n| (1..=15).contains(&n)),
+            "1 to 15",
+        )
+    }
+
+    /// Shape of every record.
+    pub(super) fn shape(&self, group: bool) -> Shape {
+        Shape { format: self.format, button: self.button, group }
+    }
+}
+
+/// A setting out of its range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("{key} must be {expected}")]
+pub struct SettingsError {
+    /// The key.
+    pub key: &'static str,
+    /// What it may be.
+    pub expected: &'static str,
+}
+
+/// How records are got.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Mode {
+    /// The unit sends each cycle by itself.
+    #[default]
+    Stream,
+    /// The driver asks for each cycle once the one before has come.
+    Point,
+}
+
+/// The unit's own filters; `true` = on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Filters {
+    /// Adaptive low-pass filter.
+    pub dc: bool,
+    /// Wide mains notch filter.
+    pub ac_wide_notch: bool,
+    /// Narrow mains notch filter.
+    pub ac_narrow_notch: bool,
+}
+
+impl Filters {
+    /// Value of parameter 4, where 1 means off.
+    pub(super) fn word(self) -> u16 {
+        u16::from(!self.dc) | u16::from(!self.ac_wide_notch) << 1 | u16::from(!self.ac_narrow_notch) << 2
+    }
+}
