@@ -16,8 +16,11 @@
 //! A command whose answer itself is bad news (problems found, nothing answered) prints it and returns
 //! [`Error::Told`]. Answers go through [`print`] and [`print_json`], which know a closed pipe.
 
+mod body;
 mod check;
 mod completions;
+mod imu;
+mod orient;
 
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
@@ -43,6 +46,12 @@ struct Cli {
 enum Command {
     /// Says all that is wrong with a stage file, by line and key, and how to mend it.
     Check(check::Args),
+    /// Orientation of single IMUs from a file of samples.
+    Orient(orient::Args),
+    /// Intrinsics of an IMU from a recording of rests.
+    Imu(imu::Args),
+    /// Joint angles and body pose from a recording of IMUs.
+    Body(body::Args),
     /// Writes the completion script of a shell.
     Completions(completions::Args),
 }
@@ -51,6 +60,9 @@ impl Command {
     fn run(self) -> Result<(), Error> {
         match self {
             Self::Check(args) => check::run(args),
+            Self::Orient(args) => orient::run(args),
+            Self::Imu(args) => imu::run(args),
+            Self::Body(args) => body::run(args),
             Self::Completions(args) => completions::run(args),
         }
     }

@@ -6,5 +6,6 @@
 pub mod ahrs;
 pub mod chain;
 pub mod hinge;
+pub mod intrinsics;
 pub mod limb;
 pub mod mounting;
