@@ -33,19 +33,25 @@ fn ball() -> Ball {
 
 fn arm() -> Arm {
     let limits = [SVector::<f64, 2>::repeat(-2.0), SVector::<f64, 2>::repeat(3.0)];
-    let noise = LimbNoise { accel: 10.0, gyro: 3.0, ..LimbNoise::default() };
-    Arm::new(geometry(), noise, ball(), Axes::new([Vector3::z(), Vector3::y()]), limits, 0.1)
+    Arm::new(geometry(), LimbNoise::default(), ball(), Axes::new([Vector3::z(), Vector3::y()]), limits, 0.1)
 }
 
 fn leg() -> Leg {
     let limits = [SVector::<f64, 1>::repeat(-3.0), SVector::<f64, 1>::repeat(3.0)];
-    let noise = LimbNoise { accel: 10.0, gyro: 3.0, ..LimbNoise::default() };
-    Leg::new(geometry(), noise, ball(), Axes::new([Vector3::z()]), limits, 0.1)
+    Leg::new(geometry(), LimbNoise::default(), ball(), Axes::new([Vector3::z()]), limits, 0.1)
 }
 
-/// A field that the azimuth's gate lets pass in every posture, so that all 14 rows are used.
-fn any_field() -> FieldReference {
-    FieldReference { azimuth_rad: 0.0, norm: Vector3::new(17.0, 42.0, 5.0).norm(), dip_rad: 0.3 }
+/// A limb that hangs still: gyro, accelerometer and azimuth of both IMUs are believed, so all 14 rows are used.
+fn still(field: Vector3<f64>) -> LimbSamples {
+    let g = geometry();
+    let sample = |mount: UnitQuaternion<f64>| {
+        Some(ImuSample {
+            gyro_rad_s: Vector3::zeros(),
+            accel_m_s2: mount.inverse() * Vector3::z() * 9.81,
+            mag: Some(mount.inverse() * field),
+        })
+    };
+    LimbSamples { upper: sample(g.upper_mount), lower: sample(g.lower_mount) }
 }
 
 fn benches(c: &mut Criterion) {
@@ -58,21 +64,24 @@ fn benches(c: &mut Criterion) {
         });
     });
     let base = Base::room();
-    let field = any_field();
+    let north = Vector3::new(0.0, 17.0, -42.0);
+    let field = FieldReference {
+        azimuth_rad: std::f64::consts::FRAC_PI_2,
+        norm: north.norm(),
+        dip_rad: (42.0_f64 / 17.0).atan(),
+    };
+    let samples = still(north);
     c.bench_function("limb/arm update", |b| {
         let mut arm = arm();
-        let samples = LimbSamples { upper: Some(sample(0.0)), lower: Some(sample(0.3)) };
         b.iter(|| arm.push(black_box(&base), Some(&field), black_box(&samples), 0.01));
     });
     c.bench_function("limb/leg update", |b| {
         let mut leg = leg();
-        let samples = LimbSamples { upper: Some(sample(0.0)), lower: Some(sample(0.3)) };
         b.iter(|| leg.push(black_box(&base), Some(&field), black_box(&samples), 0.01));
     });
     c.bench_function("body/10 IMUs", |b| {
         let mut trunk = [Ahrs::new(Params::default()), Ahrs::new(Params::default())];
         let (mut arms, mut legs) = ([arm(), arm()], [leg(), leg()]);
-        let samples = LimbSamples { upper: Some(sample(0.0)), lower: Some(sample(0.3)) };
         b.iter(|| {
             for ahrs in &mut trunk {
                 black_box(ahrs.push(black_box(&sample(0.0)), 0.01));

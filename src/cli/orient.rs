@@ -105,7 +105,7 @@ impl Oriented {
     /// Orientation after a row, none before the first sample; `None` outside where the time does not rise.
     fn push(&mut self, row: &ImuRow) -> Option<Option<UnitQuaternion<f64>>> {
         let dt_s = self.last_t_s.map_or(self.first_dt_s, |last| row.t_s - last);
-        if !(dt_s > 0.0) {
+        if dt_s.is_nan() || dt_s <= 0.0 {
             return None;
         }
         self.last_t_s = Some(row.t_s);

@@ -80,7 +80,10 @@ pub enum ChainError {
 /// # Errors
 /// A joint whose axis the movement does not show, or times that do not rise.
 pub fn solve(segments: &[ChainSegment], epochs: &[Epoch]) -> Result<Solved, ChainError> {
-    if let Some(pair) = epochs.windows(2).find(|pair| !(pair[1].t_s > pair[0].t_s)) {
+    if let Some(pair) = epochs
+        .windows(2)
+        .find(|pair| pair[1].t_s.partial_cmp(&pair[0].t_s) != Some(std::cmp::Ordering::Greater))
+    {
         return Err(ChainError::Time { t_s: pair[0].t_s });
     }
     let mut axes = Vec::with_capacity(segments.len());

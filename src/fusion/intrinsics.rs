@@ -154,7 +154,7 @@ pub fn calibrate(samples: &[ImuSample], dt_s: f64) -> Result<Intrinsics, Intrins
         }
     }
     let (accel_bias, accel_scale, accel_residual_m_s2) = fit_gravity(&rests);
-    if !(accel_residual_m_s2 <= MAX_RESIDUAL) {
+    if accel_residual_m_s2.is_nan() || accel_residual_m_s2 > MAX_RESIDUAL {
         return Err(IntrinsicsError::Residual { found: accel_residual_m_s2, limit: MAX_RESIDUAL });
     }
     let count = rests.len() as f64;
@@ -226,7 +226,7 @@ fn fit_ellipsoid(fields: &[Vector3<f64>]) -> Result<MagIntrinsics, IntrinsicsErr
     let count = fields.len() as f64;
     let mean = fields.iter().sum::<Vector3<f64>>() / count;
     let size = (fields.iter().map(|m| (m - mean).norm_squared()).sum::<f64>() / count).sqrt();
-    if !(size > 0.0 && size.is_finite()) {
+    if !size.is_finite() || size <= 0.0 {
         return Err(IntrinsicsError::Ellipsoid);
     }
     let mut normal = SMatrix::<f64, 9, 9>::zeros();
@@ -248,7 +248,8 @@ fn fit_ellipsoid(fields: &[Vector3<f64>]) -> Result<MagIntrinsics, IntrinsicsErr
         right += row / count;
     }
     // Where the samples cover a cap or a plane, many quadrics pass through them.
-    if !(normal.symmetric_eigenvalues().min() > 1e-4) {
+    let weakest = normal.symmetric_eigenvalues().min();
+    if weakest.is_nan() || weakest < 1e-4 {
         return Err(IntrinsicsError::Ellipsoid);
     }
     let Some(q) = normal.cholesky().map(|c| c.solve(&right)) else { return Err(IntrinsicsError::Ellipsoid) };
@@ -258,7 +259,8 @@ fn fit_ellipsoid(fields: &[Vector3<f64>]) -> Result<MagIntrinsics, IntrinsicsErr
     let centre = -inverse * b;
     let shape = a / (1.0 + b.dot(&(inverse * b)));
     let eigen = SymmetricEigen::new(shape);
-    if !(eigen.eigenvalues.min() > 0.0) {
+    let least = eigen.eigenvalues.min();
+    if least.is_nan() || least <= 0.0 {
         return Err(IntrinsicsError::Ellipsoid);
     }
     let root = eigen.eigenvalues.map(f64::sqrt);

@@ -135,7 +135,7 @@ impl Ahrs {
     pub fn push(&mut self, sample: &ImuSample, dt_s: f64) -> UnitQuaternion<f64> {
         let mag = sample.mag.filter(|m| m.iter().all(|v| v.is_finite()) && m.norm_squared() > 0.0);
         let finite = sample.gyro_rad_s.iter().chain(sample.accel_m_s2.iter()).all(|v| v.is_finite());
-        if !finite || !(dt_s > 0.0 && dt_s.is_finite()) {
+        if !finite || !dt_s.is_finite() || dt_s <= 0.0 {
             self.rejected += 1;
             return self.orientation();
         }

@@ -30,16 +30,7 @@ impl<const N: usize> Covariance<N> {
         h: &SMatrix<f64, M, N>,
         columns: usize,
     ) -> Innovation<M, N> {
-        let mut cross = SMatrix::<f64, N, M>::zeros();
-        for j in 0..columns {
-            let p = self.0.column(j);
-            for i in 0..M {
-                let factor = h[(i, j)];
-                if factor != 0.0 {
-                    cross.column_mut(i).axpy(factor, &p, 1.0);
-                }
-            }
-        }
+        let cross = product(&self.0, h, columns);
         let mut predicted = SMatrix::<f64, M, M>::zeros();
         for j in 0..columns {
             for i in 0..M {
@@ -51,20 +42,20 @@ impl<const N: usize> Covariance<N> {
         Innovation { cross, predicted }
     }
 
-    /// Kalman update in Joseph's form; returns the correction of the error state, or `None` where the
-    /// innovation's covariance is not positive (then nothing has changed).
+    /// Kalman update in Joseph's form; returns the correction of the error state. `inverse` is that of the
+    /// innovation's covariance with this `noise` ([`Innovation::inverse`]).
     pub(super) fn update<const M: usize>(
         &mut self,
         h: &SMatrix<f64, M, N>,
         columns: usize,
         innovation: &Innovation<M, N>,
+        inverse: &SMatrix<f64, M, M>,
         residual: &SVector<f64, M>,
         noise: &SVector<f64, M>,
-    ) -> Option<SVector<f64, N>> {
-        let inverse = inverse(innovation, noise)?;
+    ) -> SVector<f64, N> {
         let gain = innovation.cross * inverse;
         self.apply(h, columns, innovation, &gain, noise);
-        Some(gain * residual)
+        gain * residual
     }
 
     /// What a correction with any `gain` does to the covariance, in Joseph's form:
@@ -78,16 +69,7 @@ impl<const N: usize> Covariance<N> {
         noise: &SVector<f64, M>,
     ) {
         subtract_product(&mut self.0, gain, &innovation.cross);
-        let mut rest = SMatrix::<f64, N, M>::zeros();
-        for j in 0..columns {
-            let a = self.0.column(j);
-            for i in 0..M {
-                let factor = h[(i, j)];
-                if factor != 0.0 {
-                    rest.column_mut(i).axpy(factor, &a, 1.0);
-                }
-            }
-        }
+        let mut rest = product(&self.0, h, columns);
         for i in 0..M {
             rest.column_mut(i).axpy(-noise[i], &gain.column(i), 1.0);
         }
@@ -122,54 +104,71 @@ impl<const N: usize> Covariance<N> {
     }
 }
 
-/// Normalised innovation squared: M on average where the filter is consistent.
-pub(super) fn nis<const M: usize, const N: usize>(
-    innovation: &Innovation<M, N>,
-    residual: &SVector<f64, M>,
-    noise: &SVector<f64, M>,
-) -> Option<f64> {
-    Some(residual.dot(&(inverse(innovation, noise)? * residual)))
+impl<const M: usize, const N: usize> Innovation<M, N> {
+    /// Inverse of the innovation's covariance; `None` where that is not positive.
+    pub(super) fn inverse(&self, noise: &SVector<f64, M>) -> Option<SMatrix<f64, M, M>> {
+        let mut s = self.predicted;
+        for i in 0..M {
+            s[(i, i)] += noise[i];
+        }
+        // Gauss-Jordan without pivots: a covariance needs none, and M is at most three.
+        let mut out = SMatrix::<f64, M, M>::identity();
+        for i in 0..M {
+            let pivot = s[(i, i)];
+            if !(pivot > 0.0 && pivot.is_finite()) {
+                return None;
+            }
+            for j in 0..M {
+                s[(i, j)] /= pivot;
+                out[(i, j)] /= pivot;
+            }
+            for k in (0..M).filter(|k| *k != i) {
+                let factor = s[(k, i)];
+                for j in 0..M {
+                    s[(k, j)] -= factor * s[(i, j)];
+                    out[(k, j)] -= factor * out[(i, j)];
+                }
+            }
+        }
+        Some(out)
+    }
 }
 
-fn inverse<const M: usize, const N: usize>(
-    innovation: &Innovation<M, N>,
-    noise: &SVector<f64, M>,
-) -> Option<SMatrix<f64, M, M>> {
-    let mut s = innovation.predicted;
-    for i in 0..M {
-        s[(i, i)] += noise[i];
-    }
-    // Gauss-Jordan without pivots: a covariance needs none, and M is at most three.
-    let mut out = SMatrix::<f64, M, M>::identity();
-    for i in 0..M {
-        let pivot = s[(i, i)];
-        if !(pivot > 0.0 && pivot.is_finite()) {
-            return None;
+/// `p h'`, all M columns in one pass over `p`; columns of `h` from `columns` on are zero.
+fn product<const M: usize, const N: usize>(
+    p: &SMatrix<f64, N, N>,
+    h: &SMatrix<f64, M, N>,
+    columns: usize,
+) -> SMatrix<f64, N, M> {
+    let mut out = [[0.0; N]; M];
+    for (p, h) in p.data.0.iter().zip(&h.data.0).take(columns) {
+        // Many states do not touch many measurements.
+        if h.iter().all(|factor| *factor == 0.0) {
+            continue;
         }
-        for j in 0..M {
-            s[(i, j)] /= pivot;
-            out[(i, j)] /= pivot;
-        }
-        for k in (0..M).filter(|k| *k != i) {
-            let factor = s[(k, i)];
-            for j in 0..M {
-                s[(k, j)] -= factor * s[(i, j)];
-                out[(k, j)] -= factor * out[(i, j)];
+        for i in 0..M {
+            for k in 0..N {
+                out[i][k] += h[i] * p[k];
             }
         }
     }
-    Some(out)
+    SMatrix::from_data(nalgebra::ArrayStorage(out))
 }
 
+/// `p -= left right'`, in one pass over `p`.
 fn subtract_product<const M: usize, const N: usize>(
     p: &mut SMatrix<f64, N, N>,
     left: &SMatrix<f64, N, M>,
     right: &SMatrix<f64, N, M>,
 ) {
-    for j in 0..N {
-        let mut column = p.column_mut(j);
-        for i in 0..M {
-            column.axpy(-right[(j, i)], &left.column(i), 1.0);
+    for (j, column) in p.data.0.iter_mut().enumerate() {
+        let factors: [f64; M] = std::array::from_fn(|i| right.data.0[i][j]);
+        for k in 0..N {
+            let mut sum = 0.0;
+            for i in 0..M {
+                sum += factors[i] * left.data.0[i][k];
+            }
+            column[k] -= sum;
         }
     }
 }

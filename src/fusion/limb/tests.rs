@@ -279,7 +279,8 @@ fn josephs_form_equals_the_textbook_update() {
     let noise = V::new(0.5, 1.0, 2.0);
     let innovation = p.innovation(&h, 12);
     let residual = V::new(1.0, -2.0, 0.5);
-    let dx = p.update(&h, 12, &innovation, &residual, &noise).unwrap();
+    let inverse = innovation.inverse(&noise).unwrap();
+    let dx = p.update(&h, 12, &innovation, &inverse, &residual, &noise);
     let s = h * before * h.transpose() + Matrix3::from_diagonal(&noise);
     let gain = before * h.transpose() * s.try_inverse().unwrap();
     assert!((dx - gain * residual).amax() < 1e-9);

@@ -6,7 +6,7 @@ use nalgebra::{SMatrix, SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::chain::{Motion, Rows};
-use super::covariance::{Covariance, nis};
+use super::covariance::Covariance;
 use super::joint::Joint;
 use super::{Base, Limb, Which};
 use crate::fusion::ahrs::ImuSample;
@@ -209,41 +209,48 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             // Residuals as seen from the prior: the state has already moved by `from`.
             let from = dx;
             self.correct(&-from);
-            let mut p = prior.clone();
+            if pass > 0 {
+                self.p.clone_from(&prior);
+            }
             dx.fill(0.0);
             *report = SensorReport { ..SensorReport::default() };
             let gyro = sample.gyro_rad_s - prediction.gyro + prediction.d_gyro * from;
             let accel = sample.accel_m_s2 - prediction.accel + prediction.d_accel * from;
 
             report.gyro_nis =
-                step(&mut p, &mut dx, &prediction.d_gyro, columns, &gyro, &gyro_noise, |_| Some(1.0)).0;
-            let (nis, excess) =
-                step(&mut p, &mut dx, &prediction.d_accel, columns, &accel, &accel_noise, |nis| match nis {
+                step(&mut self.p, &mut dx, &prediction.d_gyro, columns, &gyro, &gyro_noise, |_| Some(1.0)).0;
+            let (nis, excess) = step(
+                &mut self.p,
+                &mut dx,
+                &prediction.d_accel,
+                columns,
+                &accel,
+                &accel_noise,
+                |nis| match nis {
                     n if n > GATE_3 => None,
                     n if n > DOUBT_3 => Some(n / 3.0),
                     _ => Some(1.0),
-                });
+                },
+            );
             report.accel_nis = nis;
             report.accel_gated = nis.is_none_or(|n| n > GATE_3);
-            let mut relinearise = report.gyro_nis.is_some_and(|n| n > RELINEARISE)
+            let relinearise = report.gyro_nis.is_some_and(|n| n > RELINEARISE)
                 || nis.is_some_and(|n| n > RELINEARISE && n <= GATE_3);
 
             if let Some(azimuth) = prediction.azimuth {
                 let residual = wrap(-azimuth + (prediction.d_azimuth * from)[0]);
                 let patient = sensor.without_field_s < FIELD_PATIENCE_S;
                 let own = heading.powi(2) * if patient { 1.0 } else { 10.0 };
-                let nis = turn_only(&mut p, &mut dx, &prediction, columns, residual, own, |nis| {
+                let nis = turn_only(&mut self.p, &mut dx, &prediction, columns, residual, own, |nis| {
                     nis <= GATE_1 || !patient
                 });
                 report.heading_nis = nis;
                 report.heading_gated = patient && nis.is_none_or(|n| n > GATE_1);
-                relinearise &= pass < 2;
             } else {
                 report.heading_gated = field.is_some();
             }
             self.correct(&dx);
             if !relinearise || pass == 2 {
-                self.p = p;
                 // The innovation's excess over what was predicted, slowly, as a factor on the noise.
                 let gain = dt_s / (ADAPT_S + dt_s);
                 let seen = (excess / (3.0 * accel_variance)).min(100.0);
@@ -264,7 +271,8 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         h[column] = 1.0;
         let innovation = self.p.innovation(&h, N);
         let (residual, noise) = (SVector::<f64, 1>::new(residual), SVector::<f64, 1>::new(noise));
-        if let Some(dx) = self.p.update(&h, N, &innovation, &residual, &noise) {
+        if let Some(inverse) = innovation.inverse(&noise) {
+            let dx = self.p.update(&h, N, &innovation, &inverse, &residual, &noise);
             self.correct(&dx);
         }
     }
@@ -284,11 +292,17 @@ fn step<const M: usize, const N: usize>(
     let innovation = p.innovation(h, columns);
     let residual = residual - h * *dx;
     let excess = residual.norm_squared() - innovation.predicted.trace();
-    let Some(nis) = nis(&innovation, &residual, noise) else { return (None, excess) };
-    if let Some(factor) = trust(nis)
-        && let Some(correction) = p.update(h, columns, &innovation, &residual, &(noise * factor))
-    {
-        *dx += correction;
+    let Some(inverse) = innovation.inverse(noise) else { return (None, excess) };
+    let nis = residual.dot(&(inverse * residual));
+    match trust(nis) {
+        None => {}
+        Some(1.0) => *dx += p.update(h, columns, &innovation, &inverse, &residual, noise),
+        Some(factor) => {
+            let noise = noise * factor;
+            if let Some(inverse) = innovation.inverse(&noise) {
+                *dx += p.update(h, columns, &innovation, &inverse, &residual, &noise);
+            }
+        }
     }
     (Some(nis), excess)
 }

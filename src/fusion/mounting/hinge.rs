@@ -62,7 +62,7 @@ pub fn hinge_axes(samples: &[Pair]) -> Result<HingeAxes, Refused> {
         return Err(Refused::TooShort { found: 0, needed: MIN_SAMPLES });
     };
     let excitation = information.symmetric_eigenvalues().min() / samples.len() as f64;
-    if !(excitation >= MIN_CURVATURE) {
+    if excitation.is_nan() || excitation < MIN_CURVATURE {
         return Err(Refused::Excitation { found: excitation, needed: MIN_CURVATURE });
     }
     let sum: f64 =

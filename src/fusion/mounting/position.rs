@@ -61,7 +61,7 @@ pub fn joint_position(samples: &[[Motion; 2]]) -> Result<JointPosition, Refused>
     curvatures.sort_by(f64::total_cmp);
     // A hinge hides the place along its axis in both sensors at once: one direction.
     let excitation = curvatures[1] / samples.len() as f64;
-    if !(excitation >= MIN_CURVATURE) {
+    if excitation.is_nan() || excitation < MIN_CURVATURE {
         return Err(Refused::Excitation { found: excitation, needed: MIN_CURVATURE });
     }
     let (sum, _, _) = linearise(samples, &o);
