@@ -135,7 +135,6 @@ impl<const M: usize, const N: usize> Innovation<M, N> {
 }
 
 /// `p h'`, all M columns in one pass over `p`; columns of `h` from `columns` on are zero.
-#[expect(clippy::needless_range_loop, reason = "plain indices let the compiler vectorise over the rows")]
 fn product<const M: usize, const N: usize>(
     p: &SMatrix<f64, N, N>,
     h: &SMatrix<f64, M, N>,
