@@ -8,6 +8,7 @@
 
 mod acceptance;
 mod cli;
+mod inertial;
 mod pipeline;
 mod reference;
 #[path = "../rig/mod.rs"]
