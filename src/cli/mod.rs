@@ -19,10 +19,14 @@
 mod check;
 mod completions;
 mod decode;
+mod decode_recording;
 mod demo;
 mod doctor;
 mod end;
+mod export;
+mod info;
 mod output;
+mod progress;
 mod replay;
 mod replay_pty;
 mod run;
@@ -30,8 +34,6 @@ mod schema;
 mod simulate;
 mod simulation;
 mod watch;
-mod export;
-mod info;
 
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
@@ -67,7 +69,7 @@ enum Command {
     Doctor(doctor::Args),
     /// Plays a recording through the same pipeline: to the websocket, to a file, or against one.
     Replay(replay::Args),
-    /// Decodes a capture made elsewhere to CSV or JSON lines.
+    /// Decodes a capture made elsewhere to CSV, JSON lines or a recording.
     Decode(decode::Args),
     /// Says what is inside a recording, and completes one that breaks off.
     Info(info::Args),
