@@ -130,7 +130,7 @@ fn stage(decoded: &Decoded, sense: QuaternionSense, origin: &str) -> Result<Stri
     };
     let mut text = format!(
         "# Written by `posed decode`. Time 0 is {origin}.\n\nname = \"Capture\"\n\n[[device]]\nname = \"flock\"\n\
-         driver = \"flock-of-birds\"\nport = \"capture\"\nmode = \"listen\"\nformat = \"{format}\"\nbutton = {button}\n\
+         driver = \"flock-of-birds\"\nport = \"auto\"\nmode = \"listen\"\nformat = \"{format}\"\nbutton = {button}\n\
          range_in = {range_in}\nquaternion_sense = \"{sense}\"\n"
     );
     for address in addresses {

@@ -189,7 +189,7 @@ enum Stop {
 impl<R: BufRead> Pass<R> {
     fn run(&mut self, reader: &mut Reader<BufReader<File>>, file: &mut dyn Write) -> Result<(), Stop> {
         while let Some(item) = reader.next() {
-            self.progress.at(reader.position());
+            self.progress.at(reader.bytes_read());
             let Item::Entry(entry) = item.map_err(Stop::Read)? else { continue };
             let Some(entry) = self.mapping.entry(entry) else { continue };
             self.entries += 1;

@@ -35,7 +35,7 @@ pub fn jsonl(recording: &Path, output: &Path, mut progress: impl FnMut(u64)) -> 
     let mut file = AtomicFile::create(output).map_err(write)?;
     let mut lines = 0;
     while let Some(item) = reader.next() {
-        progress(reader.position());
+        progress(reader.bytes_read());
         if let Item::Message(message) = item.map_err(failed)? {
             file.write_all(&message.json).and_then(|()| file.write_all(b"\n")).map_err(write)?;
             lines += 1;
@@ -68,7 +68,7 @@ pub fn csv(
     // Holds the rows of one message, and the sensors' names.
     let mut poses = Poses::default();
     while let Some(item) = reader.next() {
-        progress(reader.position());
+        progress(reader.bytes_read());
         match item.map_err(failed)? {
             Item::Entry(entry) => {
                 if let (Some(transmitter), Input::Model(model)) = (&mut transmitter, &entry.input) {

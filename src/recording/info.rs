@@ -65,7 +65,7 @@ impl Info {
         let mut last = header.begun;
         let mut problem = None;
         while let Some(item) = reader.next() {
-            progress(reader.position());
+            progress(reader.bytes_read());
             let item = match item {
                 Ok(item) => item,
                 Err(ReadError::Io(error)) => return Err(ReadError::Io(error)),

@@ -165,7 +165,7 @@ impl<R: Read> Reader<R> {
     }
 
     /// Bytes of the file that have been read: how far it is.
-    pub fn position(&self) -> u64 {
+    pub fn bytes_read(&self) -> u64 {
         self.records.position()
     }
 

@@ -60,7 +60,7 @@ pub fn repair(path: &Path, mut progress: impl FnMut(u64)) -> Result<Repaired, Re
     let mut reader = Reader::open(path)?;
     let mut sound = true;
     while let Some(item) = reader.next() {
-        progress(reader.position());
+        progress(reader.bytes_read());
         sound &= item.is_ok();
     }
     if sound && reader.ending() == Some(Ending::Complete) {

@@ -4,6 +4,8 @@
 
 mod acceptance;
 mod cli;
+mod daemon;
+mod page;
 mod pipeline;
 mod reference;
 #[path = "../rig/mod.rs"]
