@@ -42,15 +42,20 @@ pub(super) fn write(
     let text = stage(decoded, sense, &origin)?;
     let stage = Stage::parse(&text).map_err(Error::failed)?;
     let header = Header::new(&stage, &text, 0);
-    let mut written = Ok(());
+    let mut written = Ok(0);
     output::replace(path, |file| {
         written = log_of(header, &chunks, file);
         match &written {
             Err(error) => Err(std::io::Error::other(error.to_string())),
-            Ok(()) => Ok(()),
+            Ok(_) => Ok(()),
         }
     })?;
-    written.map_err(Error::failed)?;
+    if written.map_err(Error::failed)? == 0 {
+        tracing::warn!(
+            "no pose follows from this capture: it is too short for the clock, which needs a second or two of \
+             stream; the recording holds its bytes, and -o FILE.csv all records"
+        );
+    }
     tell(&format!("time 0 of the recording is {origin}"));
     Ok(())
 }
@@ -141,47 +146,50 @@ fn stage(decoded: &Decoded, sense: QuaternionSense, origin: &str) -> Result<Stri
     Ok(text)
 }
 
-/// Runs the capture through the pipeline as it would have run live, and writes both sides.
-fn log_of(header: Header, chunks: &[Chunk], file: &mut dyn Write) -> Result<(), WriteError> {
+/// Runs the capture through the pipeline as it would have run live, and writes both sides; the number of messages.
+fn log_of(header: Header, chunks: &[Chunk], file: &mut dyn Write) -> Result<u64, WriteError> {
     let (_, mut machine) =
         Machine::as_recorded(&header).map_err(|error| WriteError::Format(error.to_string()))?;
     let mut writer = Writer::new(file, header)?;
     schema::of_topics().iter().for_each(|(topic, schema)| writer.declare(topic, schema));
     let opened = Input::Line { device: 0, event: LineEvent::Opened { modem_lines: false } };
-    step(&mut machine, &mut writer, &Entry { t: Timestamp::ZERO, input: opened })?;
+    let mut messages = step(&mut machine, &mut writer, &Entry { t: Timestamp::ZERO, input: opened })?;
     let mut last = Timestamp::ZERO;
     for Chunk { t, to_unit, bytes } in chunks {
-        timers(&mut machine, &mut writer, *t)?;
+        messages += timers(&mut machine, &mut writer, *t)?;
         last = last.max(*t);
         if *to_unit {
             writer.transmitted(0, *t, bytes)?;
         } else {
             let input = Input::Bytes { device: 0, bytes: bytes.clone() };
-            step(&mut machine, &mut writer, &Entry { t: *t, input })?;
+            messages += step(&mut machine, &mut writer, &Entry { t: *t, input })?;
         }
     }
-    timers(&mut machine, &mut writer, Timestamp::from_nanos(last.as_nanos() + TAIL_NS))?;
-    writer.finish("the capture ends here").map(drop)
+    messages += timers(&mut machine, &mut writer, Timestamp::from_nanos(last.as_nanos() + TAIL_NS))?;
+    writer.finish("the capture ends here")?;
+    Ok(messages)
 }
 
-/// All deadlines up to `t`.
-fn timers<W: Write>(machine: &mut Machine, writer: &mut Writer<W>, t: Timestamp) -> Result<(), WriteError> {
+/// All deadlines up to `t`; the number of messages.
+fn timers<W: Write>(machine: &mut Machine, writer: &mut Writer<W>, t: Timestamp) -> Result<u64, WriteError> {
+    let mut messages = 0;
     while let Some(at) = machine.pipeline.poll_timeout().filter(|&at| at <= t) {
-        step(machine, writer, &Entry { t: at, input: Input::Timer })?;
+        messages += step(machine, writer, &Entry { t: at, input: Input::Timer })?;
         if machine.pipeline.poll_timeout() == Some(at) {
             // Due as soon as time goes on.
-            return step(machine, writer, &Entry { t, input: Input::Timer });
+            return Ok(messages + step(machine, writer, &Entry { t, input: Input::Timer })?);
         }
     }
-    Ok(())
+    Ok(messages)
 }
 
-fn step<W: Write>(machine: &mut Machine, writer: &mut Writer<W>, entry: &Entry) -> Result<(), WriteError> {
+/// One entry and what follows from it; the number of messages.
+fn step<W: Write>(machine: &mut Machine, writer: &mut Writer<W>, entry: &Entry) -> Result<u64, WriteError> {
     writer.entry(entry)?;
-    let mut written = Ok(());
+    let mut written = Ok(0);
     machine.push(entry, &mut |topic, t, json| {
-        if written.is_ok() {
-            written = writer.message(topic, t, json);
+        if let Ok(messages) = written {
+            written = writer.message(topic, t, json).map(|()| messages + 1);
         }
     });
     written

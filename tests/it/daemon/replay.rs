@@ -7,6 +7,7 @@ use posed::recording::Info;
 use serde_json::json;
 
 use super::process::{Posed, ok, refused, replays, succeed, until};
+use crate::cli::posed;
 
 /// A capture of one stand-alone unit, `records` long, 10 ms apart, as a recording.
 fn recording(folder: &Path, name: &str, records: usize) -> PathBuf {
@@ -66,9 +67,9 @@ fn a_capture_becomes_a_recording_that_replays() {
     assert!(good > 200, "{good} good poses in\n{}", text.lines().take(20).collect::<Vec<_>>().join("\n"));
 }
 
-/// The capture that the project was given, where it is at hand.
+/// Sessions with real units, where they are at hand: a tenth of a second each, too short for poses.
 #[test]
-fn real_captures_become_recordings_that_replay() {
+fn real_captures_become_recordings_that_say_when_no_pose_follows() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/captures/flock-of-birds");
     let Ok(entries) = fs::read_dir(&folder) else {
         println!("skipped: the recorded sessions are not at hand");
@@ -80,16 +81,27 @@ fn real_captures_become_recordings_that_replay() {
             continue;
         }
         let path = out.path().join("session.mcap");
-        succeed([
+        let arguments = [
             "decode".as_ref(),
             "flock-of-birds".as_ref(),
             entry.as_os_str(),
             "-o".as_ref(),
             path.as_os_str(),
-        ]);
+        ];
+        let decoded = posed(arguments);
+        assert!(decoded.status.success() && String::from_utf8_lossy(&decoded.stderr).contains("too short"));
         let info = Info::read(&path, |_| ()).unwrap();
-        assert!(info.complete && info.topics["/posed/sensors"] >= 5, "{}: {info:?}", entry.display());
-        replays(&path);
+        assert!(
+            info.complete && info.devices[0].bytes_in > 100 && info.devices[0].bytes_out > 10,
+            "{info:?}"
+        );
+        assert!(!info.topics.contains_key("/posed/sensors"), "it replays now: hold it against `replays`");
+        succeed([
+            "replay".as_ref(),
+            path.as_os_str(),
+            "-o".as_ref(),
+            out.path().join("out.jsonl").as_os_str(),
+        ]);
     }
 }
 
