@@ -3,19 +3,26 @@
 //! What comes in: a path and bytes. What goes out: the finished file under its name, by one rename. What it
 //! never does: leave a half-written file behind, or touch the old one before the new one is on the disk.
 
-use std::ffi::OsString;
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use tempfile::NamedTempFile;
+
 /// A file being written beside its final place.
 ///
-/// Dropped without [`AtomicFile::commit`], it disappears.
+/// Dropped without [`AtomicFile::commit`], it disappears. A path that is there and no ordinary file (`/dev/stdout`, a
+/// pipe) is written to as it is: to put a file in its place would destroy it.
 #[derive(Debug)]
 pub struct AtomicFile {
-    file: Option<BufWriter<File>>,
-    temporary: PathBuf,
+    file: BufWriter<Target>,
     path: PathBuf,
+}
+
+#[derive(Debug)]
+enum Target {
+    Beside(NamedTempFile),
+    Through(File),
 }
 
 impl AtomicFile {
@@ -24,65 +31,90 @@ impl AtomicFile {
     /// # Errors
     /// The folder does not exist or may not be written to.
     pub fn create(path: &Path) -> io::Result<Self> {
-        let name = path.file_name().ok_or_else(|| {
-            io::Error::new(io::ErrorKind::InvalidInput, format!("{} names no file", path.display()))
-        })?;
         // Through a link, so that the link stays and its target is replaced.
         let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
-        // A name that no other process and no other thread of this one uses.
-        for attempt in 0..100 {
-            let mut hidden = OsString::from(".");
-            hidden.push(name);
-            hidden.push(format!(".{}-{attempt}.tmp", std::process::id()));
-            let temporary = path.with_file_name(hidden);
-            match OpenOptions::new().write(true).create_new(true).open(&temporary) {
-                Ok(file) => return Ok(Self { file: Some(BufWriter::new(file)), temporary, path }),
-                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
-                Err(error) => return Err(error),
+        let special = path.metadata().is_ok_and(|there| !there.is_file() && !there.is_dir());
+        let target = if special {
+            Target::Through(File::options().write(true).open(&path)?)
+        } else {
+            let (Some(_), Some(folder)) = (path.file_name(), path.parent()) else {
+                let reason = format!("{} names no file", path.display());
+                return Err(io::Error::new(io::ErrorKind::InvalidInput, reason));
+            };
+            let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+            let mut builder = tempfile::Builder::new();
+            builder.prefix(".posed-").suffix(".tmp");
+            #[cfg(unix)]
+            {
+                // What other files get; the user's mask still applies.
+                use std::os::unix::fs::PermissionsExt;
+                builder.permissions(std::fs::Permissions::from_mode(0o666));
             }
-        }
-        Err(io::Error::new(io::ErrorKind::AlreadyExists, "too many unfinished files beside it; delete *.tmp"))
+            Target::Beside(builder.tempfile_in(folder)?)
+        };
+        Ok(Self { file: BufWriter::new(target), path })
     }
 
     /// Gives the file its name; it is on the disk before it does.
     ///
     /// # Errors
     /// The disk is full or the rename was refused; the old file is as it was.
-    pub fn commit(mut self) -> io::Result<()> {
-        let Some(file) = self.file.take() else { return Ok(()) };
-        let done = file
-            .into_inner()
-            .map_err(io::IntoInnerError::into_error)
-            .and_then(|file| file.sync_all())
-            .and_then(|()| std::fs::rename(&self.temporary, &self.path));
-        if done.is_err() {
-            let _ = std::fs::remove_file(&self.temporary);
+    pub fn commit(self) -> io::Result<()> {
+        self.finish(|file, path| file.persist(path))
+    }
+
+    /// As [`Self::commit`], but refuses to take the place of a file that is there.
+    ///
+    /// # Errors
+    /// [`io::ErrorKind::AlreadyExists`], and those of [`Self::commit`].
+    pub fn commit_new(self) -> io::Result<()> {
+        self.finish(|file, path| file.persist_noclobber(path))
+    }
+
+    fn finish(
+        self,
+        persist: impl FnOnce(NamedTempFile, &Path) -> Result<File, tempfile::PersistError>,
+    ) -> io::Result<()> {
+        match self.file.into_inner().map_err(io::IntoInnerError::into_error)? {
+            Target::Through(mut file) => file.flush(),
+            Target::Beside(file) => {
+                file.as_file().sync_all()?;
+                persist(file, &self.path).map(drop).map_err(|refused| refused.error)
+            }
         }
-        done
     }
 }
 
 impl Write for AtomicFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.file.as_mut().map_or(Ok(0), |file| file.write(bytes))
+        self.file.write(bytes)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.file.as_mut().map_or(Ok(()), Write::flush)
+        self.file.flush()
     }
 }
 
-impl Drop for AtomicFile {
-    fn drop(&mut self) {
-        if self.file.take().is_some() {
-            // Nobody is left to be told of a failure.
-            let _ = std::fs::remove_file(&self.temporary);
+impl Write for Target {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            Self::Beside(file) => file.write(bytes),
+            Self::Through(file) => file.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match self {
+            Self::Beside(file) => file.flush(),
+            Self::Through(file) => file.flush(),
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::ffi::OsString;
+
     use super::*;
 
     fn names(folder: &Path) -> Vec<OsString> {
@@ -124,6 +156,27 @@ mod tests {
         one.commit().unwrap();
         two.commit().unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"2");
+    }
+
+    #[test]
+    fn given_a_file_that_is_there_a_new_one_does_not_replace_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("stage.toml");
+        for (text, done) in [("first", true), ("second", false)] {
+            let mut file = AtomicFile::create(&path).unwrap();
+            file.write_all(text.as_bytes()).unwrap();
+            assert_eq!(file.commit_new().is_ok(), done);
+        }
+        assert_eq!(std::fs::read(&path).unwrap(), b"first");
+        assert_eq!(names(folder.path()), ["stage.toml"]);
+    }
+
+    #[test]
+    fn given_a_device_it_is_written_to_and_stays_one() {
+        let mut file = AtomicFile::create(Path::new("/dev/null")).unwrap();
+        file.write_all(b"gone").unwrap();
+        file.commit().unwrap();
+        assert!(!Path::new("/dev/null").metadata().unwrap().is_file());
     }
 
     #[test]

@@ -340,7 +340,10 @@ fn what_does_not_fit_is_said_in_words() {
     let mut silent = Bench::new(Settings::default(), &[1], Unit::flock(1));
     silent.cable = false;
     silent.session.handle_line(Timestamp::ZERO, &LineEvent::Opened { modem_lines: false });
-    silent.run(3.0);
+    silent.run(2.9);
+    // A unit that was just switched on is given time to start.
+    assert!(silent.states.iter().all(|(_, state)| matches!(state, State::Connecting { .. })));
+    silent.run(2.0);
     let State::Silent { reason } = silent.session.state() else { panic!("{:?}", silent.session.state()) };
     assert!(reason.contains("115200"), "{reason}");
 

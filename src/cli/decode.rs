@@ -11,11 +11,12 @@ use posed_drivers::flock::wire::{Format, QuaternionSense, Range};
 use serde::Serialize;
 use serde::de::{DeserializeOwned, IntoDeserializer, value};
 
-use super::{Error, output, print, print_json, tell};
+use super::{Error, decode_recording, output, print, print_json, tell};
 
 /// What to decode, and where to put it.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  posed decode flock-of-birds session.txt -o poses.csv\n\n\
+#[command(after_help = "Examples:\n  posed decode flock-of-birds session.txt -o poses.csv\n  \
+    posed decode flock-of-birds session.txt -o session.mcap\n\n\
     The file is a two-way log (lines `TIME : (LEVEL) N. receive[COUNT] DATA`) or the device's raw bytes.\n\
     Columns of the table: t,sensor,x,y,z,qw,qx,qy,qz,format,button; metres, sensor to transmitter.")]
 pub(crate) struct Args {
@@ -23,7 +24,8 @@ pub(crate) struct Args {
     driver: Driver,
     /// The capture.
     file: PathBuf,
-    /// Where to write the records, by extension: `.csv`, `.csv.gz` or `.jsonl`; absent: CSV on stdout.
+    /// Where to write the records, by extension: `.csv`, `.csv.gz` or `.jsonl`, or `.mcap` for a recording to
+    /// replay; absent: CSV on stdout.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Record format of a capture of raw bytes: position, angles, matrix, quaternion, position-angles,
@@ -69,6 +71,9 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         tracing::warn!("{warning}");
     }
     match (&args.output, table) {
+        (Some(path), Some(Table::Recording)) => {
+            decode_recording::write(path, &file, &decoded, args.quaternion_sense)?;
+        }
         (Some(path), Some(table)) => output::replace(path, |file| table.write(&decoded.records, file))?,
         _ if !args.json => {
             let mut text = Vec::new();
@@ -91,6 +96,7 @@ enum Table {
     Csv,
     CsvGz,
     JsonLines,
+    Recording,
 }
 
 impl Table {
@@ -102,9 +108,13 @@ impl Table {
             Ok(Self::CsvGz)
         } else if name.ends_with(".jsonl") {
             Ok(Self::JsonLines)
+        } else if name.ends_with(".mcap") {
+            Ok(Self::Recording)
         } else {
             let path = path.display();
-            Err(Error::Usage(format!("cannot tell the form of {path}; end it in .csv, .csv.gz or .jsonl")))
+            Err(Error::Usage(format!(
+                "cannot tell the form of {path}; end it in .csv, .csv.gz, .jsonl or .mcap"
+            )))
         }
     }
 
@@ -117,6 +127,7 @@ impl Table {
                 gz.finish().map(drop)
             }
             Self::JsonLines => json_lines(records, file),
+            Self::Recording => Err(io::Error::other("a recording holds bytes, not records")),
         }
     }
 }

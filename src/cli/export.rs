@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use posed::recording::export::{self, Frame};
 
+use super::progress::Progress;
 use super::{Error, print, print_json};
 
 /// What to export, and as what.
@@ -36,16 +37,18 @@ enum Format {
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let Args { recording, to, output, frame, json } = args;
+    let mut progress = Progress::over(&recording, "exporting");
     let rows = match to {
         Format::Jsonl if frame != Frame::Room => {
             return Err(Error::Usage(
                 "--frame is for --to csv; messages are written as they were published".into(),
             ));
         }
-        Format::Jsonl => export::jsonl(&recording, &output),
-        Format::Csv => export::csv(&recording, &output, frame),
+        Format::Jsonl => export::jsonl(&recording, &output, |bytes| progress.at(bytes)),
+        Format::Csv => export::csv(&recording, &output, frame, |bytes| progress.at(bytes)),
     };
     let rows = rows.map_err(Error::failed)?;
+    drop(progress);
     if json {
         print_json(&serde_json::json!({ "rows": rows }))
     } else {

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use posed::recording::{self, Info, Repaired};
 
+use super::progress::Progress;
 use super::{Error, print, print_json};
 
 /// What to look at.
@@ -25,10 +26,15 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let path = &args.recording;
     let failed = |error: &dyn std::fmt::Display| Error::Failed(format!("{}: {error}", path.display()));
     let repaired = match args.repair {
-        true => Some(recording::repair(path).map_err(|error| failed(&error))?),
+        true => {
+            let mut progress = Progress::over(path, "repairing");
+            Some(recording::repair(path, |bytes| progress.at(bytes)).map_err(|error| failed(&error))?)
+        }
         false => None,
     };
-    let info = Info::read(path).map_err(|error| failed(&error))?;
+    let mut progress = Progress::over(path, "reading");
+    let info = Info::read(path, |bytes| progress.at(bytes)).map_err(|error| failed(&error))?;
+    drop(progress);
     if args.json {
         print_json(&info)?;
     } else {

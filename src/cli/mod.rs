@@ -20,6 +20,7 @@ mod body;
 mod check;
 mod completions;
 mod decode;
+mod decode_recording;
 mod demo;
 mod doctor;
 mod end;
@@ -28,6 +29,7 @@ mod imu;
 mod info;
 mod orient;
 mod output;
+mod progress;
 mod replay;
 mod replay_pty;
 mod run;
@@ -70,7 +72,7 @@ enum Command {
     Doctor(doctor::Args),
     /// Plays a recording through the same pipeline: to the websocket, to a file, or against one.
     Replay(replay::Args),
-    /// Decodes a capture made elsewhere to CSV or JSON lines.
+    /// Decodes a capture made elsewhere to CSV, JSON lines or a recording.
     Decode(decode::Args),
     /// Says what is inside a recording, and completes one that breaks off.
     Info(info::Args),

@@ -12,6 +12,7 @@ use posed::recording::{
 use posed::stage::Stage;
 use serde::Serialize;
 
+use super::progress::Progress;
 use super::run::runtime;
 use super::{Error, output, print, print_json, watch};
 
@@ -124,7 +125,8 @@ fn reprocess(args: &Args) -> Result<Answer, Error> {
         .expect
         .as_deref()
         .map(|path| Golden::open(path, comparison).map_err(|error| Error::file("read", path, &error)));
-    let mut pass = Pass { machine, mapping, golden: golden.transpose()?, entries: 0, messages: 0 };
+    let progress = Progress::over(&args.recording, "replaying");
+    let mut pass = Pass { machine, mapping, golden: golden.transpose()?, progress, entries: 0, messages: 0 };
     let outcome = match &args.output {
         None => pass.run(&mut reader, &mut std::io::sink()),
         Some(path) => {
@@ -172,6 +174,7 @@ struct Pass<R> {
     machine: Machine,
     mapping: Mapping,
     golden: Option<Golden<R>>,
+    progress: Progress,
     entries: u64,
     messages: u64,
 }
@@ -185,7 +188,8 @@ enum Stop {
 
 impl<R: BufRead> Pass<R> {
     fn run(&mut self, reader: &mut Reader<BufReader<File>>, file: &mut dyn Write) -> Result<(), Stop> {
-        for item in reader {
+        while let Some(item) = reader.next() {
+            self.progress.at(reader.bytes_read());
             let Item::Entry(entry) = item.map_err(Stop::Read)? else { continue };
             let Some(entry) = self.mapping.entry(entry) else { continue };
             self.entries += 1;

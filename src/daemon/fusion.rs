@@ -30,6 +30,8 @@ pub(super) const INBOX_CAPACITY: usize = 4096;
 const STATUS_INTERVAL: Duration = Duration::from_secs(1);
 /// Distance of two `status` messages when things change all the time.
 const STATUS_MIN_INTERVAL: Duration = Duration::from_millis(100);
+/// Distance of two looks at a recording that is being ended.
+const ENDING_INTERVAL: Duration = Duration::from_millis(20);
 
 /// What the fusion thread can be asked between two entries.
 #[derive(Debug)]
@@ -68,6 +70,8 @@ pub(super) struct Fusion {
     pub(super) health: Health,
     pub(super) status: watch::Sender<Status>,
     pub(super) recording: Option<Recording>,
+    /// Recordings that were stopped and still write their index, with who wants to know when they are whole.
+    pub(super) ending: Vec<(Recording, Option<Reply>)>,
     /// Whether the pipeline has seen an entry.
     pub(super) begun: bool,
     /// Models swapped in so far, the newest of each kind last.
@@ -81,7 +85,12 @@ impl Fusion {
     pub(super) fn run(mut self) {
         let mut next_status = self.clock.now();
         loop {
-            let wake = self.pipeline.poll_timeout().map_or(next_status, |timeout| timeout.min(next_status));
+            let mut wake =
+                self.pipeline.poll_timeout().map_or(next_status, |timeout| timeout.min(next_status));
+            if !self.ending.is_empty() {
+                wake = wake.min(self.clock.now() + ENDING_INTERVAL);
+                self.take_ended();
+            }
             match self.inbox.pop_until(Some(self.clock.instant(wake))) {
                 Some(Event::Entry(entry)) => self.step(&entry),
                 Some(Event::Command(Command::Shutdown)) => break,
@@ -100,6 +109,9 @@ impl Fusion {
         if let Some(recording) = self.recording.take() {
             // What failed has been logged by the recorder.
             recording.recorder.wait();
+        }
+        for (recording, reply) in self.ending.drain(..) {
+            answer(reply, whole(recording));
         }
     }
 
@@ -152,16 +164,14 @@ impl Fusion {
                 answer(reply, started);
             }
             Command::StopRecording { reply } => {
-                let stopped = match &mut self.recording {
-                    Some(recording) => {
-                        // The thread writes its index meanwhile; the next status says when it is done.
+                match self.recording.take() {
+                    Some(mut recording) => {
                         recording.recorder.stop("stopped by a client");
-                        Ok(())
+                        self.ending.push((recording, reply));
                     }
-                    None => Err("nothing is being recorded".to_owned()),
-                };
+                    None => answer(reply, Err("nothing is being recorded".to_owned())),
+                }
                 self.health.touch();
-                answer(reply, stopped);
             }
             Command::Shutdown => {}
         }
@@ -188,15 +198,35 @@ impl Fusion {
         Ok(())
     }
 
+    /// Answers for recordings that are whole now.
+    fn take_ended(&mut self) {
+        while let Some(at) = self.ending.iter().position(|(recording, _)| recording.recorder.is_finished()) {
+            let (recording, reply) = self.ending.swap_remove(at);
+            let ended = whole(recording);
+            if let Err(reason) = &ended {
+                self.health.recording_failed(reason.clone());
+            }
+            answer(reply, ended);
+        }
+    }
+
     fn publish_status(&mut self, now: Timestamp) {
         if let Some(recording) = self.recording.take_if(|recording| recording.recorder.is_finished())
-            && let RecorderState::Failed { reason } = recording.recorder.wait()
+            && let Err(reason) = whole(recording)
         {
-            self.health.recording_failed(format!("{}: {reason}", recording.name));
+            self.health.recording_failed(reason);
         }
         let status = self.health.status(now, &self.pipeline.status(), self.recording.as_ref(), &self.clock);
         self.status.send_replace(status.clone());
         self.hub.publish_status(status);
+    }
+}
+
+/// Waits for the end of a recording that was stopped, and says whether it is whole.
+fn whole(recording: Recording) -> Result<(), String> {
+    match recording.recorder.wait() {
+        RecorderState::Failed { reason } => Err(format!("{}: {reason}", recording.name)),
+        RecorderState::Recording | RecorderState::Stopped { .. } => Ok(()),
     }
 }
 

@@ -226,6 +226,18 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_jump_of_the_wall_clock_is_a_problem_with_a_sentence() {
+        use std::sync::atomic::{AtomicI64, Ordering};
+        static UTC_NS: AtomicI64 = AtomicI64::new(1_700_000_000_000_000_000);
+        let health = Health::new(&Stage::parse("name = \"A\"\n").unwrap());
+        let clock = StageClock::with_utc(|| UTC_NS.load(Ordering::Relaxed));
+        UTC_NS.fetch_add(7_200_000_000_000, Ordering::Relaxed);
+        let problems = health.problems(&clock);
+        assert_eq!((problems.len(), problems[0].code.as_str()), (1, "wall_clock"));
+        assert!(problems[0].message.contains("restart posed"), "{}", problems[0].message);
+    }
+
+    #[test]
     fn quantiles_are_those_of_the_interval() {
         let mut latency = Latency::new("read to estimate");
         for ms in 1..=101 {

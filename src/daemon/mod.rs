@@ -13,6 +13,7 @@ pub mod clock;
 pub mod fusion;
 mod health;
 pub mod inbox;
+mod limits;
 mod playback;
 mod player;
 pub mod ports;
@@ -132,6 +133,7 @@ impl Daemon {
     /// As for [`Daemon::start`].
     pub fn start_without_ports(options: Options) -> Result<Self, StartError> {
         let Options { stage, stage_toml, folder, listen, record, truth, clock } = options;
+        limits::raise();
         let mut config = server::Config::new(&folder, clock.epoch_utc_ns());
         config.listen = listen;
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
@@ -160,6 +162,7 @@ impl Daemon {
             health: Health::new(&stage),
             status: status_sender,
             recording: None,
+            ending: Vec::new(),
             begun: false,
             models: Vec::new(),
             recording_header: crate::recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),

@@ -51,6 +51,7 @@ impl Playback {
     /// # Errors
     /// The recording cannot be read or played, or the address does not serve.
     pub fn start(recording: &Path, listen: Option<String>, speed: f64) -> Result<Self, PlaybackError> {
+        super::limits::raise();
         let folder = match recording.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
             _ => PathBuf::from("."),
@@ -59,7 +60,7 @@ impl Playback {
         let stage = Stage::parse(&header.stage_toml)?;
         let mut config = Config::new(&folder, header.epoch_utc_ns);
         config.listen = listen;
-        if Info::read(recording)?.topics.contains_key("/input/truth") {
+        if Info::read(recording, |_| ())?.topics.contains_key("/input/truth") {
             config.more_topics.push(Topic::Truth);
         }
         let (server, hub, mut calls) = Server::bind(&stage, config)?;

@@ -203,7 +203,7 @@ impl Player {
 impl Playing {
     /// Opens a recording at its beginning; on the stage of a running server, where that has one.
     fn open(path: &Path, server: Option<&Stage>, speed: f64, now: Timestamp) -> Result<Self, PlayError> {
-        let info = Info::read(path)?;
+        let info = Info::read(path, |_| ())?;
         let reader = Reader::open(path)?;
         let (stage, machine) = machine::Machine::as_recorded(reader.header())?;
         let names =

@@ -71,6 +71,7 @@ impl PortTask {
             };
             // The log holds changes, not five attempts a second.
             if told.as_ref() != Some(&reason) {
+                tracing::warn!("{reason}");
                 self.closed(reason.clone());
                 told = Some(reason);
             }

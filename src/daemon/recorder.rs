@@ -307,7 +307,10 @@ mod tests {
             }
         };
         assert_eq!(torn, (vec![Item::Entry(chunk(1))], Some(Ending::Torn), None));
-        assert!(matches!(crate::recording::repair(&path), Err(RepairError::InUse)), "it is being written");
+        assert!(
+            matches!(crate::recording::repair(&path, |_| ()), Err(RepairError::InUse)),
+            "it is being written"
+        );
         recorder.wait();
     }
 

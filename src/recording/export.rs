@@ -23,17 +23,19 @@ pub enum Frame {
     Transmitter,
 }
 
-/// Writes every message of a recording, one line each, in order; the number of lines.
+/// Writes every message of a recording, one line each, in order; the number of lines. `progress` is told the bytes
+/// of the recording read so far.
 ///
 /// # Errors
 /// The recording cannot be read or the file cannot be written; nothing is left behind.
-pub fn jsonl(recording: &Path, output: &Path) -> Result<u64, TableError> {
+pub fn jsonl(recording: &Path, output: &Path, mut progress: impl FnMut(u64)) -> Result<u64, TableError> {
     let failed = |source| TableError::Recording { file: recording.display().to_string(), source };
     let write = |source| TableError::Io { tried: "write", file: output.display().to_string(), source };
-    let reader = Reader::open(recording).map_err(failed)?;
+    let mut reader = Reader::open(recording).map_err(failed)?;
     let mut file = AtomicFile::create(output).map_err(write)?;
     let mut lines = 0;
-    for item in reader {
+    while let Some(item) = reader.next() {
+        progress(reader.bytes_read());
         if let Item::Message(message) = item.map_err(failed)? {
             file.write_all(&message.json).and_then(|()| file.write_all(b"\n")).map_err(write)?;
             lines += 1;
@@ -43,11 +45,17 @@ pub fn jsonl(recording: &Path, output: &Path) -> Result<u64, TableError> {
     Ok(lines)
 }
 
-/// Writes the filtered poses of a recording with a column `state`; the number of rows.
+/// Writes the filtered poses of a recording with a column `state`; the number of rows. `progress` is told the bytes
+/// of the recording read so far.
 ///
 /// # Errors
 /// The recording cannot be read or the file cannot be written; nothing is left behind.
-pub fn csv(recording: &Path, output: &Path, frame: Frame) -> Result<u64, TableError> {
+pub fn csv(
+    recording: &Path,
+    output: &Path,
+    frame: Frame,
+    mut progress: impl FnMut(u64),
+) -> Result<u64, TableError> {
     let failed = |source| TableError::Recording { file: recording.display().to_string(), source };
     let mut reader = Reader::open(recording).map_err(failed)?;
     let mut transmitter = match frame {
@@ -59,7 +67,8 @@ pub fn csv(recording: &Path, output: &Path, frame: Frame) -> Result<u64, TableEr
     let mut rows = 0;
     // Holds the rows of one message, and the sensors' names.
     let mut poses = Poses::default();
-    for item in &mut reader {
+    while let Some(item) = reader.next() {
+        progress(reader.bytes_read());
         match item.map_err(failed)? {
             Item::Entry(entry) => {
                 if let (Some(transmitter), Input::Model(model)) = (&mut transmitter, &entry.input) {

@@ -52,11 +52,11 @@ pub struct DeviceInfo {
 }
 
 impl Info {
-    /// Reads a recording through.
+    /// Reads a recording through; `progress` is told the bytes read so far.
     ///
     /// # Errors
     /// It cannot be opened, or is no recording. Damage further on is not an error: [`Info::problem`] says it.
-    pub fn read(path: &Path) -> Result<Self, ReadError> {
+    pub fn read(path: &Path, mut progress: impl FnMut(u64)) -> Result<Self, ReadError> {
         let mut reader = Reader::open(path)?;
         let header = reader.header().clone();
         let device = |name: &String| DeviceInfo { name: name.clone(), ..DeviceInfo::default() };
@@ -64,7 +64,8 @@ impl Info {
         let mut topics = BTreeMap::<String, u64>::new();
         let mut last = header.begun;
         let mut problem = None;
-        for item in &mut reader {
+        while let Some(item) = reader.next() {
+            progress(reader.bytes_read());
             let item = match item {
                 Ok(item) => item,
                 Err(ReadError::Io(error)) => return Err(ReadError::Io(error)),

@@ -164,6 +164,11 @@ impl<R: Read> Reader<R> {
         self.end_reason.as_deref()
     }
 
+    /// Bytes of the file that have been read: how far it is.
+    pub fn bytes_read(&self) -> u64 {
+        self.records.position()
+    }
+
     /// Messages of all topics, others' included, before the end or the first error.
     pub(super) fn sound_messages(&self) -> u64 {
         self.sound_messages

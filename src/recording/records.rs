@@ -54,6 +54,11 @@ impl<R: Read> Records<R> {
         }
     }
 
+    /// Bytes taken from the source.
+    pub(super) fn position(&self) -> u64 {
+        self.position
+    }
+
     /// The next record; `None` at the end, see [`Records::ending`].
     pub(super) fn next(&mut self) -> Result<Option<Record>, ReadError> {
         while self.ending.is_none() {

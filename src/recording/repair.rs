@@ -47,18 +47,22 @@ impl From<io::Error> for RepairError {
     }
 }
 
-/// Completes the recording at `path`, in place.
+/// Completes the recording at `path`, in place; `progress` is told the bytes looked at so far.
 ///
 /// # Errors
 /// It is no recording, it is being written, or the folder cannot be written to; it is as it was.
-pub fn repair(path: &Path) -> Result<Repaired, RepairError> {
+pub fn repair(path: &Path, mut progress: impl FnMut(u64)) -> Result<Repaired, RepairError> {
     let original = File::open(path).map_err(ReadError::Io)?;
     // The recorder holds the lock. A file system without locks does not stop the repair.
     if matches!(original.try_lock(), Err(TryLockError::WouldBlock)) {
         return Err(RepairError::InUse);
     }
     let mut reader = Reader::open(path)?;
-    let sound = reader.by_ref().all(|item| item.is_ok());
+    let mut sound = true;
+    while let Some(item) = reader.next() {
+        progress(reader.bytes_read());
+        sound &= item.is_ok();
+    }
     if sound && reader.ending() == Some(Ending::Complete) {
         return Ok(Repaired::WasComplete);
     }

@@ -148,8 +148,8 @@ fn a_hole_in_the_log_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.mcap");
     std::fs::write(&path, bytes).unwrap();
-    assert_eq!(repair(&path).unwrap(), Repaired::Completed { messages: 2 });
-    assert!(Info::read(&path).unwrap().complete);
+    assert_eq!(repair(&path, |_| ()).unwrap(), Repaired::Completed { messages: 2 });
+    assert!(Info::read(&path, |_| ()).unwrap().complete);
 }
 
 #[test]
@@ -222,14 +222,14 @@ fn a_repaired_file_is_the_prefix_and_complete() {
         let Ok(_) = reader(&bytes[..cut]) else { continue };
         let (prefix, ..) = read_all(&bytes[..cut]);
         std::fs::write(&path, &bytes[..cut]).unwrap();
-        assert_eq!(repair(&path).unwrap(), Repaired::Completed { messages: prefix.len() as u64 });
+        assert_eq!(repair(&path, |_| ()).unwrap(), Repaired::Completed { messages: prefix.len() as u64 });
         let repaired = std::fs::read(&path).unwrap();
         let (back, error, ending) = read_all(&repaired);
         assert!(error.is_none() && back == prefix && ending == Some(Ending::Complete), "cut at {cut}");
         assert_eq!(reader(&repaired).unwrap().header(), &header());
         let summary = mcap::Summary::read(&repaired).unwrap().unwrap();
         assert_eq!(summary.stats.unwrap().message_count, prefix.len() as u64);
-        assert_eq!(repair(&path).unwrap(), Repaired::WasComplete);
+        assert_eq!(repair(&path, |_| ()).unwrap(), Repaired::WasComplete);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing half-written stays");
     }
 }
@@ -239,7 +239,7 @@ fn what_cannot_be_repaired_stays_as_it_is() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.mcap");
     std::fs::write(&path, b"something else").unwrap();
-    assert!(repair(&path).is_err());
+    assert!(repair(&path, |_| ()).is_err());
     assert_eq!(std::fs::read(&path).unwrap(), b"something else");
 }
 
@@ -250,7 +250,7 @@ fn info_counts_and_names() {
     let items: Vec<_> = items().into_iter().take(12).collect();
     let bytes = record(&items, 5);
     std::fs::write(&path, &bytes).unwrap();
-    let info = Info::read(&path).unwrap();
+    let info = Info::read(&path, |_| ()).unwrap();
     assert!(info.complete && info.mid_run && info.problem.is_none());
     assert_eq!(info.ended.as_deref(), Some("test over"));
     assert_eq!(
@@ -263,7 +263,7 @@ fn info_counts_and_names() {
     assert_eq!(bytes_in, [(78, 2), (78, 0)]);
     assert!((info.duration_s - 14e-9).abs() < 1e-15);
     std::fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
-    let torn = Info::read(&path).unwrap();
+    let torn = Info::read(&path, |_| ()).unwrap();
     assert!(!torn.complete && torn.problem.unwrap().contains("--repair"));
     assert_eq!(torn.topics.values().sum::<u64>(), 12);
 }
@@ -401,13 +401,13 @@ fn exported_poses_are_in_room_or_transmitter_axes() {
         write(&mut writer, &item).unwrap();
     }
     writer.finish("x").unwrap();
-    assert_eq!(export::csv(&path, &output, export::Frame::Room).unwrap(), 4);
+    assert_eq!(export::csv(&path, &output, export::Frame::Room, |_| ()).unwrap(), 4);
     let room = std::fs::read_to_string(&output).unwrap();
     let lines: Vec<_> = room.lines().collect();
     assert_eq!(lines[0], "t,sensor,x,y,z,qw,qx,qy,qz,state");
     assert_eq!(lines[1], "0,left,1.5,2.25,3.125,1,0,0,0,ok");
     assert_eq!(lines[4], "1,right,1,2,3,1,0,0,0,suspect");
-    export::csv(&path, &output, export::Frame::Transmitter).unwrap();
+    export::csv(&path, &output, export::Frame::Transmitter, |_| ()).unwrap();
     let poses = crate::table::Poses::read(&output).unwrap();
     // Half a turn about x, at (1, 2, 3).
     assert_eq!(poses.rows[0].position_m, Some([0.5, -0.25, -0.125]));
@@ -417,7 +417,7 @@ fn exported_poses_are_in_room_or_transmitter_axes() {
     // Only what may be used as good.
     let usable = crate::table::Poses::read(&path).unwrap();
     assert_eq!((usable.rows.len(), usable.sensors.as_slice()), (2, &["left".to_owned()][..]));
-    assert_eq!(export::jsonl(&path, &output).unwrap(), 2);
+    assert_eq!(export::jsonl(&path, &output, |_| ()).unwrap(), 2);
     assert_eq!(
         std::fs::read_to_string(&output).unwrap(),
         format!("{}\n{}\n", sensors(0), sensors(1_000_000_000))

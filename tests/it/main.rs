@@ -8,7 +8,9 @@
 
 mod acceptance;
 mod cli;
+mod daemon;
 mod inertial;
+mod page;
 mod pipeline;
 mod reference;
 #[path = "../rig/mod.rs"]

@@ -3,5 +3,5 @@
 
 mod access;
 mod feed;
-mod harness;
+pub(crate) mod harness;
 mod limits;

@@ -11,13 +11,13 @@ use serde_json::Value;
 use crate::cli::{json, posed};
 
 /// A running `posed simulate`.
-struct Simulation {
+pub(crate) struct Simulation {
     child: Child,
     devices: Value,
 }
 
 impl Simulation {
-    fn start(stage: &Path, more: &[&str]) -> Self {
+    pub(crate) fn start(stage: &Path, more: &[&str]) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_posed"))
             .arg("simulate")
             .arg(stage)
@@ -32,11 +32,11 @@ impl Simulation {
         Self { child, devices }
     }
 
-    fn port(&self) -> String {
+    pub(crate) fn port(&self) -> String {
         self.devices[0]["port"].as_str().unwrap().to_owned()
     }
 
-    fn interrupt(mut self) -> ExitStatus {
+    pub(crate) fn interrupt(mut self) -> ExitStatus {
         let killed = Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap();
         assert!(killed.success());
         self.child.wait().unwrap()

@@ -57,6 +57,8 @@ pub struct Summary {
 pub struct Decoded {
     /// All records in order.
     pub records: Vec<CapturedRecord>,
+    /// Full scale of the positions.
+    pub range: Range,
     /// Counts.
     pub summary: Summary,
     /// Sentences for the user: what had to be guessed.

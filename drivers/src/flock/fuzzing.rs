@@ -70,7 +70,11 @@ pub fn session(data: &[u8]) -> usize {
     let Some((&choice, mut rest)) = data.split_first() else { return 0 };
     let settings = Settings {
         format: Format::ALL[usize::from(choice) % 7],
-        mode: if choice & 0x40 != 0 { Mode::Point } else { Mode::Stream },
+        mode: match choice & 0x48 {
+            0 => Mode::Stream,
+            0x08 => Mode::Listen,
+            _ => Mode::Point,
+        },
         button: choice & 0x20 != 0,
         ..Settings::default()
     };

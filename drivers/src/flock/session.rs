@@ -8,6 +8,8 @@
 //! again: after a break of the line the stream is back in about 0.3 s. One that has to be auto-configured needs
 //! 0.6 s of quiet time for it, 0.3 s more where another unit has the transmitter. Every stream settles for half a second.
 
+mod listen;
+
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -40,6 +42,8 @@ const FIRST_PAUSE: Duration = Duration::from_millis(100);
 const LONGEST_PAUSE: Duration = Duration::from_millis(250);
 /// Shortest silence that counts as one.
 const MIN_SILENCE: Duration = Duration::from_millis(250);
+/// How long after its port was opened a unit may be starting: until then no answer is no news.
+const POWER_UP: Duration = Duration::from_secs(3);
 /// A reply to POINT that has not come by then was lost.
 const POINT_LIMIT: Duration = Duration::from_millis(100);
 
@@ -57,6 +61,8 @@ pub struct FlockSession {
     rate_hz: Option<f64>,
     findings: Option<Findings>,
     modem_lines: bool,
+    /// Until then silence may be a unit that starts.
+    powered_up_at: Timestamp,
     pause: Duration,
     /// Cycles go on counting over a new set-up.
     next_cycle: u64,
@@ -144,6 +150,7 @@ impl FlockSession {
             rate_hz: None,
             findings: None,
             modem_lines: false,
+            powered_up_at: Timestamp::ZERO,
             pause: FIRST_PAUSE,
             next_cycle: 0,
             outputs: VecDeque::new(),
@@ -223,6 +230,11 @@ impl FlockSession {
         match progress {
             Progress::Busy => self.phase = Phase::Examining(examination),
             Progress::Failed(failure) => {
+                if failure == Failure::Silent && now < self.powered_up_at {
+                    self.connecting("no answer yet; a unit that was just switched on needs a moment");
+                    self.phase = Phase::Pausing { until: now + FIRST_PAUSE };
+                    return;
+                }
                 let reason = failure.advice(self.baud);
                 let state = match failure {
                     Failure::Silent => State::Silent { reason },
@@ -401,6 +413,7 @@ impl FlockSession {
                 let period = Duration::from_secs_f64(1.0 / rate_hz);
                 Some(Poll { at: now + period, period, sent_at: now, awaiting: true })
             }
+            Mode::Listen => None,
         };
         self.phase = Phase::Streaming(Box::new(Streaming {
             splitter,
@@ -450,7 +463,7 @@ impl FlockSession {
         }
         });
         self.take_counters(&mut streaming);
-        if streaming.strangers >= STRANGERS_TO_SET_UP {
+        if streaming.strangers >= STRANGERS_TO_SET_UP && self.settings.mode != Mode::Listen {
             self.phase = Phase::Streaming(streaming);
             self.leave_stream();
             self.warn("a bird that was missing has appeared; the flock is set up again with it".into());
@@ -473,6 +486,9 @@ impl FlockSession {
 
     fn stream_timeout(&mut self, now: Timestamp, mut streaming: Box<Streaming>) {
         if now >= streaming.silent_at {
+            if self.settings.mode == Mode::Listen {
+                return self.heard_nothing(now, streaming);
+            }
             let silence_ms = streaming.silence.as_millis();
             self.phase = Phase::Streaming(streaming);
             self.leave_stream();
@@ -511,7 +527,11 @@ impl Session for FlockSession {
                 self.leave_stream();
                 self.modem_lines = *modem_lines;
                 self.pause = FIRST_PAUSE;
+                self.powered_up_at = now + POWER_UP;
                 self.set_state(State::Connecting { reason: "the port is open".into() });
+                if self.settings.mode == Mode::Listen {
+                    return self.listen(now);
+                }
                 if !modem_lines {
                     return self.examine(now);
                 }

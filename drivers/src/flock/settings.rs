@@ -21,7 +21,7 @@ pub struct Settings {
     /// Measurement rate to set, Hz, 14 to 144; absent: as the unit has it.
     #[schemars(range(min = 14.0, max = 144.0))]
     pub measurement_rate_hz: Option<f64>,
-    /// Whether the unit streams, or is asked for each record.
+    /// Whether the unit streams, is asked for each record, or is only listened to.
     pub mode: Mode,
     /// Which rotation the quaternion on the wire describes.
     pub quaternion_sense: QuaternionSense,
@@ -108,6 +108,8 @@ pub enum Mode {
     Stream,
     /// The driver asks for each cycle once the one before has come.
     Point,
+    /// The driver sends nothing and takes what comes: another program has set the unit up as the stage file says.
+    Listen,
 }
 
 /// The unit's own filters; `true` = on.

@@ -13,8 +13,8 @@ use super::outbox::{Outbox, Outgoing};
 use crate::input::{Model, SensorIndex};
 use crate::output::{FaultCause, OutcomeKind};
 use crate::protocol::{
-    Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload, RequestId,
-    ServerMessage, Stamp, Topic, View, encode,
+    Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload, Problem,
+    RequestId, ServerMessage, Stamp, Topic, View, encode,
 };
 
 /// Events older than this are not resumed, in microseconds.
@@ -44,6 +44,8 @@ pub(super) struct Distributor {
     /// Events that still hold: faults that have not ended, the newest model of each kind.
     current: Vec<(Key, Event)>,
     newest_us: i64,
+    /// Connections refused as of the last status.
+    refused: u64,
     scratch: Vec<u8>,
 }
 
@@ -102,6 +104,7 @@ impl Distributor {
             events: VecDeque::new(),
             current: Vec::new(),
             newest_us: i64::MIN,
+            refused: 0,
             scratch: Vec::new(),
         }
     }
@@ -110,6 +113,18 @@ impl Distributor {
     pub(super) fn publish(&mut self, mut item: Item) -> Option<Item> {
         if let Item::Status(status) = &mut item {
             status.clients = self.clients.len() as u32;
+            let refused = self.metrics.refused_over_limit();
+            if refused > self.refused {
+                let new = refused - self.refused;
+                status.problems.push(Problem {
+                    code: "connections".to_owned(),
+                    message: format!(
+                        "{new} connections were refused because too many are open; end programs that connect again \
+                         and again"
+                    ),
+                });
+                self.refused = refused;
+            }
         }
         let Some(payload) = item.payload() else {
             self.rewind();

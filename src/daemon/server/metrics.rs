@@ -67,6 +67,11 @@ impl Metrics {
         self.refused.get_or_create(&vec![("reason", reason.to_owned())]).inc();
     }
 
+    /// Connections refused so far because there were too many.
+    pub(super) fn refused_over_limit(&self) -> u64 {
+        self.refused.get_or_create(&vec![("reason", "limit".to_owned())]).get()
+    }
+
     /// Takes over the numbers of a status.
     pub(super) fn take(&self, status: &Status) {
         for device in &status.devices {

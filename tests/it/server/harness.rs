@@ -21,13 +21,13 @@ use tokio_tungstenite::tungstenite::protocol::CloseFrame;
 use tokio_tungstenite::tungstenite::{self, Message};
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream};
 
-pub(super) const WATCH: &str = "watch-watch-watch-1";
-pub(super) const OPERATE: &str = "operate-operate-1";
+pub(crate) const WATCH: &str = "watch-watch-watch-1";
+pub(crate) const OPERATE: &str = "operate-operate-1";
 
 /// Nothing here takes long; a test that waits for ever should fail with a line number.
-pub(super) const PATIENCE: Duration = Duration::from_secs(20);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
-pub(super) fn stage(extra: &str) -> Stage {
+pub(crate) fn stage(extra: &str) -> Stage {
     let text = format!(
         r#"
         name = "Stage A"
@@ -49,20 +49,20 @@ pub(super) fn stage(extra: &str) -> Stage {
     Stage::parse(&text).unwrap()
 }
 
-pub(super) struct Running {
-    pub(super) address: SocketAddr,
-    pub(super) url: String,
-    pub(super) hub: Hub,
-    pub(super) calls: mpsc::Receiver<PendingCall>,
+pub(crate) struct Running {
+    pub(crate) address: SocketAddr,
+    pub(crate) url: String,
+    pub(crate) hub: Hub,
+    pub(crate) calls: mpsc::Receiver<PendingCall>,
     stop: Option<oneshot::Sender<()>>,
-    pub(super) task: JoinHandle<()>,
+    pub(crate) task: JoinHandle<()>,
 }
 
-pub(super) fn config() -> Config {
+pub(crate) fn config() -> Config {
     Config { listen: Some("127.0.0.1:0".into()), ..Config::new(Path::new("."), 1_700_000_000_000_000_001) }
 }
 
-pub(super) fn start(stage: &Stage, config: Config) -> Running {
+pub(crate) fn start(stage: &Stage, config: Config) -> Running {
     let (server, hub, calls) = Server::bind(stage, config).unwrap();
     let (address, url) = (server.address(), server.url());
     let (stop, stopped) = oneshot::channel();
@@ -73,26 +73,26 @@ pub(super) fn start(stage: &Stage, config: Config) -> Running {
 }
 
 impl Running {
-    pub(super) fn plain() -> Self {
+    pub(crate) fn plain() -> Self {
         start(&stage(""), config())
     }
 
-    pub(super) fn stop(&mut self) {
+    pub(crate) fn stop(&mut self) {
         self.stop.take().unwrap().send(()).unwrap();
     }
 
-    pub(super) fn request(&self, query: &str) -> Request {
+    pub(crate) fn request(&self, query: &str) -> Request {
         format!("ws://{}/ws{query}", self.address).into_client_request().unwrap()
     }
 
     /// A client that has been greeted.
-    pub(super) async fn client(&self) -> Client {
+    pub(crate) async fn client(&self) -> Client {
         let mut client = self.connect(self.request("")).await.unwrap();
         assert_eq!(client.next().await["type"], "hello");
         client
     }
 
-    pub(super) async fn connect(&self, request: Request) -> Result<Client, tungstenite::Error> {
+    pub(crate) async fn connect(&self, request: Request) -> Result<Client, tungstenite::Error> {
         let (socket, response) = tokio_tungstenite::connect_async(request).await?;
         let protocol =
             response.headers().get("sec-websocket-protocol").map(|p| p.to_str().unwrap().to_owned());
@@ -100,7 +100,7 @@ impl Running {
     }
 
     /// Status with which the upgrade was refused, and the sentence.
-    pub(super) async fn refusal(&self, request: Request) -> (u16, String) {
+    pub(crate) async fn refusal(&self, request: Request) -> (u16, String) {
         match self.connect(request).await {
             Ok(_) => panic!("it was not refused"),
             Err(tungstenite::Error::Http(response)) => {
@@ -111,11 +111,11 @@ impl Running {
         }
     }
 
-    pub(super) fn frame(&self, frame: u64) {
+    pub(crate) fn frame(&self, frame: u64) {
         self.hub.publish(&Output::Estimate(&estimate(frame)));
     }
 
-    pub(super) fn fault(&self, at_ms: i64, sensor: u16, active: bool) {
+    pub(crate) fn fault(&self, at_ms: i64, sensor: u16, active: bool) {
         let t = Timestamp::from_nanos(at_ms * 1_000_000);
         let what = OutcomeKind::Fault { sensor, cause: FaultCause::Gate, active };
         self.hub.publish(&Output::Outcome(&Outcome { t_valid: t, t_decided: t, what }));
@@ -123,7 +123,7 @@ impl Running {
 }
 
 /// A frame every 10 ms; the left sensor moves, the right one is missing.
-pub(super) fn estimate(frame: u64) -> Estimate {
+pub(crate) fn estimate(frame: u64) -> Estimate {
     let t_valid = Timestamp::from_nanos(frame as i64 * 10_000_000);
     let position_m = [0.1 + frame as f64 * 1e-3, -0.2, 1.0 / 3.0];
     let orientation_wxyz = [0.5f64.sqrt(), 0.0, 0.5f64.sqrt(), 0.0];
@@ -153,18 +153,18 @@ pub(super) fn estimate(frame: u64) -> Estimate {
     }
 }
 
-pub(super) struct Client {
-    pub(super) socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
-    pub(super) protocol: Option<String>,
+pub(crate) struct Client {
+    pub(crate) socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
+    pub(crate) protocol: Option<String>,
 }
 
 impl Client {
-    pub(super) async fn send(&mut self, request: Value) {
+    pub(crate) async fn send(&mut self, request: Value) {
         self.socket.send(Message::Text(request.to_string().into())).await.unwrap();
     }
 
     /// The next message, in either encoding.
-    pub(super) async fn next(&mut self) -> Value {
+    pub(crate) async fn next(&mut self) -> Value {
         loop {
             match tokio::time::timeout(PATIENCE, self.socket.next()).await.expect("a message") {
                 Some(Ok(Message::Text(text))) => return serde_json::from_str(&text).unwrap(),
@@ -176,7 +176,7 @@ impl Client {
     }
 
     /// Sends a request and gives its reply, which must be the next message that is one.
-    pub(super) async fn ask(&mut self, mut request: Value) -> Value {
+    pub(crate) async fn ask(&mut self, mut request: Value) -> Value {
         request["id"] = json!(7);
         self.send(request).await;
         loop {
@@ -188,13 +188,13 @@ impl Client {
         }
     }
 
-    pub(super) async fn subscribe(&mut self, topics: &[&str]) {
+    pub(crate) async fn subscribe(&mut self, topics: &[&str]) {
         let reply = self.ask(json!({"type": "subscribe", "topics": topics})).await;
         assert_eq!(reply["type"], "ok", "{reply}");
     }
 
     /// Code and reason with which the server ends this connection.
-    pub(super) async fn closed(&mut self) -> (u16, String) {
+    pub(crate) async fn closed(&mut self) -> (u16, String) {
         loop {
             match tokio::time::timeout(PATIENCE, self.socket.next()).await.expect("a close") {
                 Some(Ok(Message::Close(Some(CloseFrame { code, reason })))) => {
@@ -208,7 +208,7 @@ impl Client {
 }
 
 /// A plain HTTP exchange: the whole answer.
-pub(super) async fn get(address: SocketAddr, head: &str) -> String {
+pub(crate) async fn get(address: SocketAddr, head: &str) -> String {
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
     let mut stream = TcpStream::connect(address).await.unwrap();
     stream.write_all(head.as_bytes()).await.unwrap();

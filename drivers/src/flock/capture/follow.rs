@@ -76,6 +76,7 @@ pub fn decode(lines: &[Line], options: Options) -> Result<Decoded, CaptureError>
         )
     });
     Ok(Decoded {
+        range: follower.scale().range,
         records: follower.records,
         summary: follower.summary,
         warnings: warnings.into_iter().collect(),

@@ -45,7 +45,7 @@ pub fn decode(file: &[u8], options: Options) -> Result<Decoded, CaptureError> {
     let Some(reading) = best.filter(|reading| reading.records > 0) else {
         return Err(CaptureError::NoRecords);
     };
-    let mut decoded = Decoded::default();
+    let mut decoded = Decoded { range: scale.range, ..Decoded::default() };
     let mut summary = Summary { bytes_skipped: file.len() as u64, ..Summary::default() };
     for piece in &pieces {
         match interpret(piece, &reading.shapes, scale) {

@@ -1,0 +1,142 @@
+//! What the computer around the daemon can do to it: each is named, and tracking goes on.
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::json;
+
+use super::process::{Posed, all_ok, frames, ok, one_device, record_start, refused, two_devices, until};
+use crate::cli::posed;
+
+/// The limit on the size of files stands for the disk: it fails the same way and needs no rights.
+#[tokio::test]
+async fn a_full_disk_ends_the_recording_with_a_sentence_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let stage = two_devices(folder.path(), "");
+    let recording = folder.path().join("full.mcap");
+    let script = format!(
+        "ulimit -f 100; exec {} demo --listen 127.0.0.1:0 --stage {} --record {}",
+        env!("CARGO_BIN_EXE_posed"),
+        stage.display(),
+        recording.display()
+    );
+    let posed_full = Posed::spawn(Command::new("bash").args(["-c", &script]));
+    let mut client = posed_full.subscriber(&["status", "sensors"]).await;
+    let status = until(&mut client, "a full disk", |message| {
+        message["problems"].as_array().is_some_and(|problems| !problems.is_empty())
+    })
+    .await;
+    assert_eq!(status["problems"][0]["code"], "recording");
+    let sentence = status["problems"][0]["message"].as_str().unwrap();
+    assert!(sentence.contains("full.mcap") && sentence.contains("disk is full"), "{sentence}");
+    assert!(status["recording"].is_null(), "{status}");
+    until(&mut client, "all sensors", all_ok).await;
+    frames(&mut client, 20).await;
+    assert_eq!(posed_full.end("INT").await.code(), Some(0));
+    // What fitted can be saved.
+    assert_eq!(posed(["info".as_ref(), recording.as_os_str(), "--repair".as_ref()]).status.code(), Some(0));
+}
+
+#[tokio::test]
+async fn folders_that_are_missing_are_made_and_those_that_refuse_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let stage = two_devices(folder.path(), "[recording]\nfolder = \"a/b\"\n");
+    let posed_two = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut client = posed_two.subscriber(&["sensors"]).await;
+    ok(&mut client, record_start("one")).await;
+    ok(&mut client, json!({"type": "record.stop"})).await;
+    assert!(folder.path().join("a/b/one.mcap").exists());
+    let (code, sentence) = refused(&mut client, record_start("one")).await;
+    assert!(code == "failed" && sentence.contains("choose another name"), "{sentence}");
+    assert_eq!(posed_two.end("INT").await.code(), Some(0));
+
+    // Not even root may write here.
+    let stage = two_devices(folder.path(), "[recording]\nfolder = \"/proc\"\n");
+    let posed_two = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut client = posed_two.subscriber(&["sensors"]).await;
+    let (_, sentence) = refused(&mut client, record_start("one")).await;
+    assert!(sentence.contains("cannot record to /proc/one.mcap"), "{sentence}");
+    until(&mut client, "tracking goes on", all_ok).await;
+    let output = posed(["demo", "--listen", "127.0.0.1:0", "--record", "/no/such/folder/a.mcap"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("make it first"));
+}
+
+#[test]
+fn corrupt_recordings_and_stage_files_are_refused_with_a_sentence() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("bad.mcap");
+    fs::write(&recording, b"\x89MCAP0\r\nnot much of a recording").unwrap();
+    let path = recording.to_str().unwrap();
+    let out = folder.path().join("out.csv");
+    for args in [
+        vec!["info", path],
+        vec!["info", path, "--repair"],
+        vec!["replay", path],
+        vec!["replay", path, "-o", out.to_str().unwrap()],
+        vec!["export", path, "--to", "csv", "-o", out.to_str().unwrap()],
+    ] {
+        let output = posed(&args);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(1), "{args:?}: {said}");
+        assert!(said.starts_with("posed: ") && said.contains("recording"), "{args:?}: {said}");
+        assert!(!out.exists());
+    }
+    let stage = folder.path().join("bad.toml");
+    fs::write(&stage, "name = \"A\"\nfrme_wait_ms = 3\n").unwrap();
+    let output = posed(["run", stage.to_str().unwrap()]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(1) && said.contains("line 2: frme_wait_ms"), "{said}");
+}
+
+#[tokio::test]
+async fn a_port_that_is_missing_at_the_start_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let stage = one_device(folder.path(), "/dev/no-such-port", "");
+    let posed = Posed::start(["run", stage.to_str().unwrap()]);
+    let mut client = posed.subscriber(&["status"]).await;
+    let status = until(&mut client, "a reason", |message| {
+        message["devices"][0]["reason"]
+            .as_str()
+            .is_some_and(|reason| reason.contains("/dev/no-such-port does not exist"))
+    })
+    .await;
+    assert_eq!(status["devices"][0]["state"], "connecting");
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+}
+
+/// `run` and `doctor` as a user who may not open the port.
+#[tokio::test]
+async fn a_port_without_permission_names_the_group_to_join() {
+    if !rustix::process::geteuid().is_root() {
+        println!("skipped: only root can run `posed` as another user");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let open = |path: &Path, mode| fs::set_permissions(path, fs::Permissions::from_mode(mode)).unwrap();
+    open(folder.path(), 0o755);
+    let program = folder.path().join("posed");
+    fs::copy(env!("CARGO_BIN_EXE_posed"), &program).unwrap();
+    open(&program, 0o755);
+    let port = folder.path().join("port");
+    fs::write(&port, "").unwrap();
+    open(&port, 0o600);
+    let stage = one_device(folder.path(), port.to_str().unwrap(), "");
+    let nobody = |args: &[&str]| {
+        let mut command = Command::new("setpriv");
+        command.args(["--reuid", "65534", "--regid", "65534", "--clear-groups"]).arg(&program).args(args);
+        command
+    };
+    let doctor = nobody(&["doctor", port.to_str().unwrap(), "--json"]).output().unwrap();
+    let said = String::from_utf8_lossy(&doctor.stdout).into_owned();
+    assert!(doctor.status.code() == Some(1) && said.contains("dialout"), "{said}");
+    let posed = Posed::spawn(&mut nobody(&["run", stage.to_str().unwrap(), "--listen", "127.0.0.1:0"]));
+    let mut client = posed.subscriber(&["status"]).await;
+    until(&mut client, "the group", |message| {
+        message["devices"][0]["reason"].as_str().is_some_and(|reason| reason.contains("dialout"))
+    })
+    .await;
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+}

@@ -1,0 +1,11 @@
+//! The daemon as its users see it: real processes, pseudo-terminals, sockets and files.
+//!
+//! Nothing here asserts how fast something is; waits are generous and end with a line number.
+
+mod connections;
+mod environment;
+mod plug;
+pub(crate) mod process;
+mod recordings;
+mod replay;
+mod run;

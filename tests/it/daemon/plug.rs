@@ -1,0 +1,47 @@
+//! A port that goes away and comes back, beside one that stays.
+
+use serde_json::Value;
+
+use super::process::{Posed, all_ok, two_devices, until};
+
+#[tokio::test]
+async fn a_port_that_returns_has_poses_again_and_the_other_device_loses_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    // Behind the last table, device "one".
+    let unplug = "[[simulation.device.fault]]\nkind = \"unplug\"\nat_s = 8.0\nduration_s = 2.0\n";
+    let stage = two_devices(folder.path(), unplug);
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut client = posed.subscriber(&["status", "sensors"]).await;
+    until(&mut client, "both devices", all_ok).await;
+    let device = |status: &Value, index: usize, key: &str| status["devices"][index][key].clone();
+    let away = until(&mut client, "the port is away", |message| {
+        message["type"] == "status"
+            && device(message, 0, "reason").as_str().is_some_and(|reason| reason.contains("port is gone"))
+    })
+    .await;
+    assert_eq!((device(&away, 0, "name"), device(&away, 1, "name")), ("one".into(), "two".into()));
+    assert_eq!(
+        (device(&away, 0, "state"), device(&away, 1, "state")),
+        ("connecting".into(), "streaming".into())
+    );
+    let missing = until(&mut client, "the port is missing", |message| {
+        device(message, 0, "reason").as_str().is_some_and(|reason| reason.contains("does not exist"))
+    })
+    .await;
+    assert_eq!(device(&missing, 1, "state"), "streaming");
+    until(&mut client, "poses again", all_ok).await;
+    let back = until(&mut client, "a status after it", |message| {
+        message["type"] == "status" && device(message, 0, "state") == "streaming"
+    })
+    .await;
+    // The other device: every record came, none was refused, and none of its bytes was left over.
+    for key in ["rejected", "bytes_skipped"] {
+        assert_eq!(device(&back, 1, key), device(&away, 1, key), "{key}");
+    }
+    let count = |status: &Value| device(status, 1, "records").as_f64().unwrap();
+    let seconds = back["t_s"].as_f64().unwrap() - away["t_s"].as_f64().unwrap();
+    let expected = 103.3 * seconds;
+    let records = count(&back) - count(&away);
+    assert!((records - expected).abs() < 20.0, "{records} records in {seconds} s");
+    assert_eq!(posed.end("TERM").await.code(), Some(0));
+}

@@ -1,0 +1,70 @@
+//! Recordings made by a running daemon: from the start, in the middle, and torn.
+
+use std::path::Path;
+
+use posed::recording::Info;
+use serde_json::json;
+
+use super::process::{Posed, all_ok, frames, ok, record_start, replays, two_devices, until};
+use crate::cli::posed;
+
+#[tokio::test]
+async fn a_recording_from_the_start_replays_byte_for_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let stage = two_devices(folder.path(), "");
+    let recording = folder.path().join("take.mcap");
+    let posed =
+        Posed::start(["demo", "--stage", stage.to_str().unwrap(), "--record", recording.to_str().unwrap()]);
+    let mut client = posed.subscriber(&["sensors"]).await;
+    until(&mut client, "all sensors", all_ok).await;
+    frames(&mut client, 100).await;
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+    replays(&recording);
+}
+
+#[tokio::test]
+async fn a_recording_begun_mid_run_with_a_model_swapped_in_replays_and_a_killed_one_is_mended() {
+    let folder = tempfile::tempdir().unwrap();
+    let stage = two_devices(folder.path(), "");
+    let mut daemon = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut client = daemon.subscriber(&["sensors"]).await;
+    until(&mut client, "all sensors", all_ok).await;
+    ok(&mut client, record_start("middle")).await;
+    frames(&mut client, 100).await;
+    let model = json!({"kind": "transmitter", "position_m": [0.0, 0.0, 2.0], "orientation_wxyz": [1.0, 0.0, 0.0, 0.0]});
+    ok(&mut client, json!({"type": "model.load", "model": model})).await;
+    frames(&mut client, 100).await;
+    ok(&mut client, json!({"type": "record.stop"})).await;
+    // The answer means that the file is whole, and the next one may begin at once.
+    let middle = folder.path().join("recordings/middle.mcap");
+    let info = Info::read(&middle, |_| ()).unwrap();
+    assert!(info.complete && info.mid_run && info.topics["/input/model"] == 1, "{info:?}");
+    ok(&mut client, record_start("torn")).await;
+    let last = frames(&mut client, 300).await.pop().unwrap()["t_s"].as_f64().unwrap();
+    daemon.child.kill().unwrap();
+    daemon.child.wait().unwrap();
+    replays(&middle);
+    let torn = folder.path().join("recordings/torn.mcap");
+    let info = Info::read(&torn, |_| ()).unwrap();
+    assert!(info.problem.as_deref().unwrap().contains("breaks off"), "{info:?}");
+    let end_s = info.begun_s + info.duration_s;
+    assert!(end_s > last - 1.0, "the recording ends at {end_s} s, the client saw {last} s");
+    mended(&torn);
+}
+
+/// A torn recording replays, is completed by the repair, and replays the same.
+fn mended(torn: &Path) {
+    let output = torn.with_extension("jsonl");
+    let replay = || {
+        let replayed = posed(["replay".as_ref(), torn.as_os_str(), "-o".as_ref(), output.as_os_str()]);
+        assert!(replayed.status.success());
+        std::fs::read(&output).unwrap()
+    };
+    let before = replay();
+    let info = |more: &[&str]| posed([&["info", torn.to_str().unwrap()], more].concat());
+    assert_eq!(info(&[]).status.code(), Some(1));
+    assert_eq!(info(&["--repair"]).status.code(), Some(0));
+    assert_eq!(info(&[]).status.code(), Some(0));
+    assert!(!before.is_empty() && replay() == before);
+    replays(torn);
+}

@@ -1,0 +1,217 @@
+//! `posed replay` to the websocket and to ports, and captures turned into recordings.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use posed::recording::Info;
+use serde_json::json;
+
+use super::process::{Posed, ok, refused, replays, succeed, until};
+use crate::cli::posed;
+
+/// A capture of one stand-alone unit, `records` long, 10 ms apart, as a recording.
+fn recording(folder: &Path, name: &str, records: usize) -> PathBuf {
+    let mut log = String::from("1000000000000.000 : (INFO) 1. command[1] ]\n");
+    for n in 0..records {
+        let t_ms = 10 * n;
+        // Position 0.1 m along x and a bit more each time, no rotation: words of 14 bits, low seven bits first.
+        let x = (0.1 + 1e-4 * n as f64) / (36.0 * 0.0254) * 32768.0;
+        let words = [x as i16, 0, 0, 32767, 0, 0, 0];
+        let mut bytes: Vec<u8> = words
+            .iter()
+            .flat_map(|word| [((*word as u16) >> 2 & 0x7F) as u8, ((*word as u16) >> 9) as u8])
+            .collect();
+        bytes[0] |= 0x80;
+        let text: String = bytes.iter().map(|byte| format!("\\x{byte:02X}")).collect();
+        log.push_str(&format!(
+            "{}.{:03} : (INFO) {}. command[1] B\n{0}.{1:03} : (INFO) {2}. receive[14] {text}\n",
+            1_000_000_000_000_u64 + t_ms as u64 / 1000,
+            t_ms % 1000,
+            n + 2
+        ));
+    }
+    let capture = folder.join("capture.txt");
+    fs::write(&capture, log).unwrap();
+    let path = folder.join(name);
+    succeed([
+        "decode".as_ref(),
+        "flock-of-birds".as_ref(),
+        capture.as_os_str(),
+        "-o".as_ref(),
+        path.as_os_str(),
+    ]);
+    path
+}
+
+#[test]
+fn a_capture_becomes_a_recording_that_replays() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = recording(folder.path(), "capture.mcap", 300);
+    let info = Info::read(&path, |_| ()).unwrap();
+    assert!(info.complete && info.sensors == ["bird-0"], "{info:?}");
+    assert_eq!((info.devices[0].bytes_in, info.devices[0].bytes_out), (300 * 14, 301));
+    assert_eq!(info.topics["/input/flock/bytes"], 300);
+    assert!((info.duration_s - 2.99).abs() < 0.2, "{info:?}");
+    replays(&path);
+    let csv = folder.path().join("poses.csv");
+    succeed([
+        "export".as_ref(),
+        path.as_os_str(),
+        "--to".as_ref(),
+        "csv".as_ref(),
+        "-o".as_ref(),
+        csv.as_os_str(),
+    ]);
+    let text = fs::read_to_string(&csv).unwrap();
+    let good = text.lines().filter(|line| line.ends_with(",ok")).count();
+    assert!(good > 200, "{good} good poses in\n{}", text.lines().take(20).collect::<Vec<_>>().join("\n"));
+}
+
+/// Sessions with real units, where they are at hand: a tenth of a second each, too short for poses.
+#[test]
+fn real_captures_become_recordings_that_say_when_no_pose_follows() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/captures/flock-of-birds");
+    let Ok(entries) = fs::read_dir(&folder) else {
+        println!("skipped: the recorded sessions are not at hand");
+        return;
+    };
+    let out = tempfile::tempdir().unwrap();
+    for entry in entries.map(|entry| entry.unwrap().path()) {
+        if entry.extension().is_none_or(|extension| extension != "txt") {
+            continue;
+        }
+        let path = out.path().join("session.mcap");
+        let arguments = [
+            "decode".as_ref(),
+            "flock-of-birds".as_ref(),
+            entry.as_os_str(),
+            "-o".as_ref(),
+            path.as_os_str(),
+        ];
+        let decoded = posed(arguments);
+        assert!(decoded.status.success() && String::from_utf8_lossy(&decoded.stderr).contains("too short"));
+        let info = Info::read(&path, |_| ()).unwrap();
+        assert!(
+            info.complete && info.devices[0].bytes_in > 100 && info.devices[0].bytes_out > 10,
+            "{info:?}"
+        );
+        assert!(!info.topics.contains_key("/posed/sensors"), "it replays now: hold it against `replays`");
+        succeed([
+            "replay".as_ref(),
+            path.as_os_str(),
+            "-o".as_ref(),
+            out.path().join("out.jsonl").as_os_str(),
+        ]);
+    }
+}
+
+#[tokio::test]
+async fn a_replay_is_steered_over_the_websocket() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = recording(folder.path(), "a.mcap", 1500);
+    recording(folder.path(), "b.mcap", 400);
+    fs::write(folder.path().join("broken.mcap"), "nothing").unwrap();
+    let posed = Posed::start(["replay", path.to_str().unwrap()]);
+    let mut client = posed.subscriber(&["sensors", "status"]).await;
+    let status = until(&mut client, "status", |message| message["replay"].is_object()).await;
+    assert_eq!((&status["replay"]["name"], &status["replay"]["speed"]), (&"a.mcap".into(), &1.0.into()));
+    let listed = ok(&mut client, json!({"type": "replay.list"})).await;
+    assert_eq!(listed["recordings"], json!(["a.mcap", "b.mcap", "broken.mcap"]));
+
+    let pose_in = |from: f64, to: f64| {
+        move |message: &serde_json::Value| {
+            message["type"] == "sensors" && message["t_s"].as_f64().is_some_and(|t| t >= from && t < to)
+        }
+    };
+    ok(&mut client, json!({"type": "replay.seek", "t_s": 10.0})).await;
+    until(&mut client, "poses from 10 s on", pose_in(9.9, 15.1)).await;
+    ok(&mut client, json!({"type": "replay.seek", "t_s": 2.0})).await;
+    until(&mut client, "poses from 2 s on", pose_in(1.9, 9.0)).await;
+    ok(&mut client, json!({"type": "replay.speed", "speed": 0})).await;
+    let paused = until(&mut client, "a pause", |message| message["replay"]["speed"] == 0.0).await;
+    let again = until(&mut client, "a status", |message| message["replay"].is_object()).await;
+    assert_eq!(paused["replay"]["t_s"], again["replay"]["t_s"]);
+    ok(&mut client, json!({"type": "replay.speed", "speed": "max"})).await;
+    until(&mut client, "the end", |message| message["replay"]["ended"].is_string()).await;
+    ok(&mut client, json!({"type": "replay.speed", "speed": 1})).await;
+    ok(&mut client, json!({"type": "replay.open", "name": "b.mcap"})).await;
+    until(&mut client, "the other one", |message| message["replay"]["name"] == "b.mcap").await;
+    until(&mut client, "its poses", pose_in(0.0, 4.1)).await;
+
+    for (request, code, words) in [
+        (json!({"type": "replay.open", "name": "c.mcap"}), "not_found", "replay.list"),
+        (json!({"type": "replay.open", "name": "../a.mcap"}), "not_found", "replay.list"),
+        (json!({"type": "replay.open", "name": "broken.mcap"}), "failed", "no recording of posed"),
+        (json!({"type": "replay.speed", "speed": -1}), "bad_request", "0 or more"),
+        (json!({"type": "record.start"}), "replay", "live stage"),
+    ] {
+        let (got, sentence) = refused(&mut client, request.clone()).await;
+        assert!(got == code && sentence.contains(words), "{request}: {got} {sentence}");
+    }
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+}
+
+#[tokio::test]
+async fn a_live_daemon_says_how_to_replay() {
+    let folder = tempfile::tempdir().unwrap();
+    let stage = folder.path().join("empty.toml");
+    fs::write(&stage, "name = \"Empty\"\n").unwrap();
+    let posed = Posed::start(["run", stage.to_str().unwrap()]);
+    let mut client = posed.client().await;
+    assert_eq!(ok(&mut client, json!({"type": "replay.list"})).await, json!({"recordings": []}));
+    for request in [
+        json!({"type": "replay.open", "name": "a.mcap"}),
+        json!({"type": "replay.seek", "t_s": 1.0}),
+        json!({"type": "replay.speed", "speed": 1}),
+    ] {
+        let (code, sentence) = refused(&mut client, request).await;
+        assert!(code == "live" && sentence.contains("posed replay FILE"), "{sentence}");
+    }
+    let (_, sentence) = refused(&mut client, json!({"type": "record.stop"})).await;
+    assert!(sentence.contains("nothing is being recorded"));
+}
+
+/// The recorded bytes on a port, read by another daemon that only listens.
+#[tokio::test]
+async fn recorded_bytes_on_a_port_feed_another_daemon() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = recording(folder.path(), "a.mcap", 6000);
+    let mut ports = Ports::of(&path);
+    let stage = folder.path().join("listen.toml");
+    fs::write(
+        &stage,
+        format!(
+            "name = \"Listen\"\n[[device]]\nname = \"flock\"\ndriver = \"flock-of-birds\"\nport = \"{}\"\nmode = \"listen\"\n\
+             [[sensor]]\nname = \"a\"\ndevice = \"flock\"\naddress = 0\n",
+            ports.first
+        ),
+    )
+    .unwrap();
+    let posed = Posed::start(["run", stage.to_str().unwrap()]);
+    let mut client = posed.subscriber(&["sensors"]).await;
+    until(&mut client, "a good pose", super::process::all_ok).await;
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+    ports.child.kill().unwrap();
+    ports.child.wait().unwrap();
+}
+
+/// A running `posed replay --pty`.
+struct Ports {
+    child: std::process::Child,
+    first: String,
+}
+
+impl Ports {
+    fn of(recording: &Path) -> Self {
+        use std::io::{BufRead, BufReader};
+        let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_posed"))
+            .args(["replay", recording.to_str().unwrap(), "--pty", "--json"])
+            .stdout(std::process::Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let answer: serde_json::Value = serde_json::from_str(&line).unwrap();
+        Self { child, first: answer["devices"][0]["port"].as_str().unwrap().to_owned() }
+    }
+}
