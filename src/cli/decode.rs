@@ -11,14 +11,16 @@ use posed_drivers::flock::wire::{Format, QuaternionSense, Range};
 use serde::Serialize;
 use serde::de::{DeserializeOwned, IntoDeserializer, value};
 
-use super::{Error, decode_recording, output, print, print_json, tell};
+use super::{Error, decode_recording, decode_xbus, output, print, print_json, tell};
 
 /// What to decode, and where to put it.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  posed decode flock-of-birds session.txt -o poses.csv\n  \
-    posed decode flock-of-birds session.txt -o session.mcap\n\n\
-    The file is a two-way log (lines `TIME : (LEVEL) N. receive[COUNT] DATA`) or the device's raw bytes.\n\
-    Columns of the table: t,sensor,x,y,z,qw,qx,qy,qz,format,button; metres, sensor to transmitter.")]
+    posed decode flock-of-birds session.txt -o session.mcap\n  \
+    posed decode xbus output.bin -o records.jsonl\n\n\
+    A Flock's file is a two-way log (lines `TIME : (LEVEL) N. receive[COUNT] DATA`) or the device's raw bytes;\n\
+    columns of the table: t,sensor,x,y,z,qw,qx,qy,qz,format,button; metres, sensor to transmitter.\n\
+    An Xbus file is raw bytes; columns: t,sensor,ax..az (m/s2),gx..gz (rad/s),mx..mz,qw..qz (sensor to room).")]
 pub(crate) struct Args {
     /// The driver that understands the bytes.
     driver: Driver,
@@ -46,6 +48,7 @@ pub(crate) struct Args {
 #[derive(Clone, Copy, clap::ValueEnum)]
 enum Driver {
     FlockOfBirds,
+    Xbus,
 }
 
 /// Reads a word as the stage file does.
@@ -61,7 +64,13 @@ fn number<T: DeserializeOwned>(text: &str) -> Result<T, String> {
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let table = args.output.as_deref().map(Table::of).transpose()?;
-    let Driver::FlockOfBirds = args.driver;
+    match args.driver {
+        Driver::FlockOfBirds => flock(&args, table),
+        Driver::Xbus => decode_xbus::run(&args.file, args.output.as_deref(), table, args.json),
+    }
+}
+
+fn flock(args: &Args, table: Option<Table>) -> Result<(), Error> {
     let file = std::fs::read(&args.file).map_err(|error| Error::file("read", &args.file, &error))?;
     let options =
         Options { format: args.format, range: args.range_in, quaternion_sense: args.quaternion_sense };
@@ -74,7 +83,9 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         (Some(path), Some(Table::Recording)) => {
             decode_recording::write(path, &file, &decoded, args.quaternion_sense)?;
         }
-        (Some(path), Some(table)) => output::replace(path, |file| table.write(&decoded.records, file))?,
+        (Some(path), Some(table)) => output::replace(path, |file| {
+            table.write(file, |file| csv(&decoded.records, file), |file| json_lines(&decoded.records, file))
+        })?,
         _ if !args.json => {
             let mut text = Vec::new();
             csv(&decoded.records, &mut text).map_err(Error::failed)?;
@@ -91,8 +102,8 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 }
 
 /// The forms in which records are written.
-#[derive(Clone, Copy)]
-enum Table {
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Table {
     Csv,
     CsvGz,
     JsonLines,
@@ -118,15 +129,21 @@ impl Table {
         }
     }
 
-    fn write(self, records: &[CapturedRecord], file: &mut dyn Write) -> io::Result<()> {
+    /// Writes in this form, given what writes a table and what writes lines.
+    pub(super) fn write(
+        self,
+        file: &mut dyn Write,
+        csv: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+        json_lines: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> io::Result<()> {
         match self {
-            Self::Csv => csv(records, file),
+            Self::Csv => csv(file),
             Self::CsvGz => {
                 let mut gz = flate2::write::GzEncoder::new(file, flate2::Compression::default());
-                csv(records, &mut gz)?;
+                csv(&mut gz)?;
                 gz.finish().map(drop)
             }
-            Self::JsonLines => json_lines(records, file),
+            Self::JsonLines => json_lines(file),
             Self::Recording => Err(io::Error::other("a recording holds bytes, not records")),
         }
     }
