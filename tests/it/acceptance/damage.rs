@@ -16,7 +16,7 @@ const DELIVERIES: [(&str, usize, f64); 3] = [("bytes", 1, 0.0), ("frames", 4096,
 /// Runs the script; says frames lost, wrong poses, wrong beyond 20 mm or 5 degrees; checks every count.
 fn run(fault: Fault, seed: u64, (name, fifo_bytes, burst_ms): (&str, usize, f64)) -> (usize, usize, usize) {
     let what = format!("{}, {name}, seed {seed}", fault.name());
-    let noise = if seed % 2 == 0 { QUIET } else { NOISY };
+    let noise = if seed.is_multiple_of(2) { QUIET } else { NOISY };
     let device = DeviceScenario { fifo_bytes, burst_ms, ..device(0, vec![fault]) };
     let mut rig = pair(seed, noise, device);
     rig.run_until(START_S - 1.0);
@@ -35,8 +35,8 @@ fn run(fault: Fault, seed: u64, (name, fifo_bytes, burst_ms): (&str, usize, f64)
     );
     assert!(judgement.frames > 1200, "{what}: {}", judgement.frames);
     let status = rig.pipeline.status();
-    for sensor in 0..2 {
-        let told = status.sensors[sensor].lost - before[sensor];
+    for (sensor, before) in before.iter().enumerate() {
+        let told = status.sensors[sensor].lost - before;
         assert_eq!(told, lost(&rig, 0, sensor, from_s), "{what}: bird {}", sensor + 1);
     }
     let warnings: Vec<_> =

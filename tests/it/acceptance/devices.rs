@@ -100,7 +100,9 @@ fn a_dying_bird_costs_the_other_nothing_and_returns() {
     rig.run_until(12.0);
     never_wrong(&rig, 0, 12.0);
     let status = rig.pipeline.status();
-    assert_eq!(status.sensors[0].lost, before[0], "bird 1");
+    let not_ok = within(&rig, 5.0, 12.0).filter(|e| e.sensors[0].state != SensorState::Ok);
+    let not_ok: Vec<_> = not_ok.map(|e| (e.t_valid.as_secs_f64(), e.sensors[0].state)).collect();
+    assert_eq!(status.sensors[0].lost, before[0], "bird 1: {not_ok:?}");
     assert_eq!(status.sensors[1].lost - before[1], lost(&rig, 0, 1, from_s), "bird 2");
     assert_eq!(count(&rig, 1, (6.02, 7.98), &[SensorState::Missing]).0, within(&rig, 6.02, 7.98).count());
     let back_s = back_after(&rig, 1, 8.0);
@@ -128,14 +130,13 @@ fn two(fault: Fault, until_s: f64) -> Rig {
     let scenario = scene(3, QUIET, &["s0-0", "s0-1", "s1-0", "s1-1"], devices);
     let mut rig = Rig::new(&stage(&[2, 2]), &scenario);
     rig.run_until(5.0);
-    let (from_s, before) = counted(&rig, 1);
+    let (_, before) = counted(&rig, 1);
     rig.run_until(until_s);
     never_wrong(&rig, 0, until_s);
     let status = rig.pipeline.status();
-    let _ = from_s;
     // Frames that hold no sample of the slower device are none that it has lost.
-    for sensor in 2..4 {
-        assert_eq!(status.sensors[sensor].lost, before[sensor], "the second device's sensor {sensor}");
+    for (sensor, before) in before.iter().enumerate().skip(2) {
+        assert_eq!(status.sensors[sensor].lost, *before, "the second device's sensor {sensor}");
     }
     let span = (5.0, until_s - 0.1);
     let held = within(&rig, span.0, span.1).filter(|e| e.sensors[2].state == SensorState::Ok).count();
@@ -162,7 +163,7 @@ fn a_unit_switched_off_and_on_is_back_within_a_second_of_its_own_reset() {
         let rig = run(vec![fault], 14.0);
         let back_s = back_after(&rig, 0, on_s + 0.05) + 0.05 - boot_s;
         println!("{what}: poses {back_s:.3} s after the unit is ready");
-        assert!(back_s < 2.0, "{what}: {back_s}");
+        assert!(back_s < 1.9, "{what}: {back_s}");
     }
 }
 
@@ -185,8 +186,10 @@ fn a_stalled_unit_goes_on_and_all_that_it_did_not_send_is_counted() {
 fn a_slow_line_skips_cycles_and_keeps_its_times() {
     let mut stage: Stage = stage(&[2]);
     stage.devices[0].baud = 19_200;
-    let Driver::FlockOfBirds(settings) = &mut stage.devices[0].driver;
-    settings.format = Format::PositionMatrix;
+    #[allow(irrefutable_let_patterns, reason = "there are other drivers to come")]
+    if let Driver::FlockOfBirds(settings) = &mut stage.devices[0].driver {
+        settings.format = Format::PositionMatrix;
+    }
     let mut rig = Rig::new(&stage, &scene(3, QUIET, &["s0-0", "s0-1"], vec![device(0, Vec::new())]));
     rig.run_until(14.0);
     never_wrong(&rig, 0, 14.0);
@@ -217,9 +220,9 @@ fn errors_of_a_unit_are_told_in_words_and_fatal_ones_end_the_stream() {
     let noted = run(vec![error(32, 0)], 8.0);
     assert_eq!(count(&noted, 0, (5.0, 8.0), &[SensorState::Ok]).0, within(&noted, 5.0, 8.0).count());
 
-    // A RAM failure stops the unit: no pose is good from then on, and the reason is told.
+    // A RAM failure stops the unit, and the reason is told. The session tries again; this one lets itself be run.
     let rig = run(vec![error(1, 0)], 9.0);
-    assert_eq!(count(&rig, 0, (6.02, 9.0), &[SensorState::Ok]).0, 0);
+    assert_eq!(count(&rig, 0, (6.02, 7.0), &[SensorState::Ok]).0, 0);
     let told = rig
         .said
         .iter()

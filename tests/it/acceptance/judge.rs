@@ -100,7 +100,7 @@ pub(super) fn judge(rig: &Rig, device: usize, from_s: f64, until_s: f64, noise: 
                 out.worst_sigmas = out.worst_sigmas.max(off.0);
                 out.worst_mm = out.worst_mm.max(off.1 * 1e3);
                 out.wrong_coarse += usize::from(off.1 > 0.02 || off.2 > 5f64.to_radians());
-                let wrong = !(off.0 <= 5.0);
+                let wrong = off.0.is_nan() || off.0 > 5.0;
                 if wrong && out.examples.len() < 8 {
                     out.examples.push(words(what, off));
                 }

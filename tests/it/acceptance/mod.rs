@@ -3,6 +3,8 @@
 //! Everything runs in simulated time from seeds. A pose is *wrong* if it is published as `ok` or `repaired` and
 //! lies further from the truth than the scene's noise explains.
 
+#![allow(clippy::print_stdout, clippy::unwrap_used, reason = "tests print what they measure")]
+
 mod clock;
 mod damage;
 mod determinism;
