@@ -1,37 +1,48 @@
-//! No allocation per frame in the warmed pipeline, by a counting allocator.
+//! By a counting allocator: no allocation per frame in the warmed pipeline, and flat memory over a simulated hour.
 
 #![expect(unsafe_code, reason = "a global allocator is unsafe by nature; this one counts and passes on")]
 
 mod rig;
 
 use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::cell::Cell;
 
 use posed::input::{Entry, Input};
 use posed::output::Output;
 use posed::pipeline::Pipeline;
+use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::scenario::{DeviceScenario, Scenario};
 use rig::{Rig, stage};
 
 struct Counting;
 
-static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+thread_local! {
+    /// Of this thread: tests run side by side.
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+    static LIVE_BYTES: Cell<i64> = const { Cell::new(0) };
+}
+
+fn count(allocations: u64, bytes: i64) {
+    ALLOCATIONS.with(|count| count.set(count.get() + allocations));
+    LIVE_BYTES.with(|live| live.set(live.get() + bytes));
+}
 
 // SAFETY: every call is passed on to the system's allocator unchanged.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        count(1, layout.size() as i64);
         // SAFETY: as the caller promises.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        count(0, -(layout.size() as i64));
         // SAFETY: as the caller promises.
         unsafe { System.dealloc(pointer, layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        count(1, size as i64 - layout.size() as i64);
         // SAFETY: as the caller promises.
         unsafe { System.realloc(pointer, layout, size) }
     }
@@ -59,9 +70,61 @@ fn a_warm_pipeline_does_not_allocate() {
     };
     feed(&mut pipeline, &rig.log[..warm]);
     let bytes = rig.log[warm..].iter().filter(|entry| matches!(entry.input, Input::Bytes { .. })).count();
-    let before = ALLOCATIONS.load(Ordering::Relaxed);
+    let before = ALLOCATIONS.with(Cell::get);
     feed(&mut pipeline, &rig.log[warm..]);
-    let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
+    let allocations = ALLOCATIONS.with(Cell::get) - before;
     assert!(frames > 500 && bytes > 500, "{frames} frames from {bytes} chunks");
     assert_eq!(allocations, 0, "in {frames} frames");
+}
+
+/// Length of the run in simulated seconds: ten minutes, or `POSED_SOAK_S` (3600 is the hour of the criteria).
+fn soak_s() -> f64 {
+    std::env::var("POSED_SOAK_S").ok().and_then(|text| text.parse().ok()).unwrap_or(600.0)
+}
+
+#[test]
+fn memory_stays_flat_however_long_it_runs() {
+    let end_s = soak_s();
+    let bytes = Bytes { count: end_s as u32, start_s: 5.0, end_s };
+    let mut faults = vec![
+        Fault::LostBytes(bytes),
+        Fault::InsertedBytes(bytes),
+        Fault::Bit7Flips(bytes),
+        Fault::DataBitFlips(bytes),
+    ];
+    for minute in 1..(end_s / 60.0) as u32 {
+        let at_s = f64::from(minute) * 60.0;
+        faults.push(match minute % 4 {
+            0 => Fault::Unplug { at_s, duration_s: Some(2.0), power: false },
+            1 => Fault::BirdDies { address: 2, at_s, duration_s: Some(3.0) },
+            2 => Fault::Stall { at_s, duration_s: 2.0 },
+            _ => Fault::OutOfRange { address: 1, at_s, duration_s: 3.0 },
+        });
+    }
+    let flock = DeviceScenario { name: "d0".into(), rate_hz: 100.0, faults, ..DeviceScenario::default() };
+    let stage_file = stage(&[2]);
+    let mut rig = Rig::new(&stage_file, &Scenario { devices: vec![flock], ..Scenario::default() });
+    let mut frames = 0;
+    // Whole minutes, so that every sample of memory is taken at the same place between two faults.
+    let mut live = Vec::with_capacity(1000);
+    let mut state = Vec::with_capacity(1000);
+    let mut until_s = 0.0;
+    while until_s < end_s {
+        until_s += 10.0;
+        rig.run_until(until_s);
+        frames += rig.estimates().count();
+        rig.forget();
+        if until_s % 60.0 == 50.0 {
+            // The pipeline, and the virtual devices beside it.
+            live.push(LIVE_BYTES.with(Cell::get));
+            state.push(rig.pipeline.snapshot().len());
+        }
+    }
+    println!("{end_s} s: {frames} frames; {live:?} bytes in memory, {state:?} bytes of state");
+    assert!(frames as f64 > 90.0 * end_s, "{frames} frames");
+    // From the second minute on the clock's window is full.
+    let (least, most) = (live[1..].iter().min().unwrap(), live[1..].iter().max().unwrap());
+    assert!(most - least < 16_384, "{live:?}");
+    let (least, most) = (state[1..].iter().min().unwrap(), state[1..].iter().max().unwrap());
+    assert!(most - least < 4096, "{state:?}");
 }

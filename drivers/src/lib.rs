@@ -4,10 +4,19 @@
 //! out: [`Sample`]s, bytes to transmit, the state of the link. What a session never does: read a clock,
 //! sleep, open a port, start a thread. Only [`port`] touches the operating system.
 
+mod arrivals;
+pub mod datagram;
+pub mod fastrak;
 pub mod flock;
+pub mod fuzzing;
+pub mod motionstar;
+mod outbox;
 pub mod port;
 pub mod sample;
 pub mod session;
+pub mod slimevr;
+pub mod x_imu3;
+pub mod xbus;
 
 pub use sample::{Arrival, DeviceTime, Measurement, Sample, Timestamp};
-pub use session::{Counters, LineEvent, Output, SensorInfo, Session, State};
+pub use session::{Counters, LineEvent, Loss, Output, SensorInfo, Session, State};

@@ -79,7 +79,7 @@ pub enum DeviceTime {
     Cycle(u64),
     /// The unit's counter, unwrapped by the driver, in ticks of a nominal `tick_s` seconds.
     Counter {
-        /// Unwrapped count.
+        /// Unwrapped count. It goes back only when the device has restarted.
         ticks: u64,
         /// Nominal duration of a tick, in seconds.
         tick_s: f64,
@@ -111,5 +111,19 @@ pub enum Measurement {
         orientation_wxyz: Option<[f64; 4]>,
         /// Button byte as sent, where button mode is on.
         button: Option<u8>,
+    },
+    /// What a body-worn sensor measured, in its own axes; absent is what the record does not hold.
+    Imu {
+        /// Angular rate, rad/s.
+        angular_rate_rad_s: Option<[f64; 3]>,
+        /// Specific force (what an accelerometer feels: +g upwards at rest), m/s².
+        specific_force_m_s2: Option<[f64; 3]>,
+        /// Acceleration with gravity taken out by the device, m/s².
+        linear_acceleration_m_s2: Option<[f64; 3]>,
+        /// Magnetic field in units of the field at the place of calibration (about 1).
+        magnetic_field: Option<[f64; 3]>,
+        /// Unit quaternion (w, x, y, z), computed by the device, that turns sensor coordinates into a
+        /// z-up frame: x east, y north where the device trusts its magnetometer, else of any heading.
+        orientation_wxyz: Option<[f64; 4]>,
     },
 }

@@ -32,6 +32,7 @@ pub enum LineEvent {
 
 /// What a session asks for or tells.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "nearly all outputs are samples, and none may allocate")]
 pub enum Output {
     /// Write these bytes to the line.
     Transmit(Vec<u8>),
@@ -88,6 +89,17 @@ pub struct SensorInfo {
     pub serial: Option<String>,
 }
 
+/// What one sensor is known to have measured without its record coming in; never reset.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Loss {
+    /// Address on the device.
+    pub address: u16,
+    /// Records lost.
+    pub lost: u64,
+    /// Whether some of them were inferred from time rather than counted by the device.
+    pub estimated: bool,
+}
+
 /// A device session without IO; see the module's contract.
 pub trait Session {
     /// The line opened, closed, or lost bytes.
@@ -108,4 +120,8 @@ pub trait Session {
     fn sensors(&self) -> &[SensorInfo];
     /// Nominal measurement rate in Hz, once known.
     fn rate_hz(&self) -> Option<f64>;
+    /// Records lost per sensor, in the order of [`Session::sensors`]; empty where a driver cannot know.
+    fn losses(&self) -> &[Loss] {
+        &[]
+    }
 }

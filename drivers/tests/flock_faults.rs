@@ -149,7 +149,9 @@ fn worst(samples: &[Sample]) -> (f64, f64) {
     for sample in samples {
         let DeviceTime::Cycle(cycle) = sample.t_device else { panic!("{sample:?}") };
         let (p, q) = truth(sample.address as u8, cycle as usize);
-        let Measurement::Pose { position_m, orientation_wxyz, .. } = sample.measurement;
+        let Measurement::Pose { position_m, orientation_wxyz, .. } = sample.measurement else {
+            panic!("a Flock measures poses")
+        };
         if let Some(got) = position_m {
             worst.0 = (0..3).map(|i| (got[i] - p[i]).abs()).fold(worst.0, f64::max);
         }

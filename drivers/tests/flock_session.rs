@@ -247,8 +247,8 @@ fn a_flock_of_two_is_set_up_and_streams() {
     assert_eq!(bench.warnings, Vec::<String>::new());
     let first = bench.first_sample_after(Timestamp::ZERO);
     println!("full set-up: first pose after {first:.3} s");
-    // 0.3 s of questions, 1.2 s quiet around auto-configuration, 0.5 s to settle from then on.
-    assert!((1.6..2.2).contains(&first), "{first}");
+    // 0.3 s of questions, 0.6 s quiet around auto-configuration, 0.1 s of settings, 0.5 s to settle.
+    assert!((1.2..1.7).contains(&first), "{first}");
     assert_eq!(seconds(&bench, 1), seconds(&bench, 2));
     let counters = bench.session.counters();
     assert_eq!((counters.rejected, counters.bytes_skipped), (0, 0));
@@ -286,7 +286,7 @@ fn poses_are_back_soon_after_the_cable() {
     bench.run(2.0);
     let after = bench.first_sample_after(back);
     println!("cable back: first pose after {after:.3} s");
-    assert!(after < 0.5, "{after}");
+    assert!(after < 0.9, "{after}");
     let configured =
         bench.unit.commands_seen.iter().filter(|c| matches!(c, Command::Change { parameter: 0x32, .. }));
     assert_eq!(configured.count(), 1);
@@ -304,7 +304,7 @@ fn a_unit_that_was_switched_off_and_on_is_set_up_again() {
     assert!(bench.states.iter().any(|(_, state)| matches!(state, State::Silent { .. })));
     let after = bench.first_sample_after(cut + Duration::from_secs(2));
     println!("unit restarted: first pose {after:.3} s after it was ready");
-    assert!(after < 4.5, "{after}");
+    assert!(after < 2.0, "{after}");
 }
 
 #[test]
@@ -330,7 +330,8 @@ fn a_dead_bird_does_not_stop_the_other() {
     assert_eq!(seconds(&bench, 2), two);
     assert!(bench.warnings.iter().any(|text| text.contains("bird 2")), "{:?}", bench.warnings);
     bench.unit.dead.clear();
-    bench.run(1.0);
+    bench.run(1.5);
+    // Half a second of its poses is not believed.
     assert!(seconds(&bench, 2) > two + 90);
 }
 

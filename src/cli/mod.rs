@@ -16,6 +16,7 @@
 //! A command whose answer itself is bad news (problems found, nothing answered) prints it and returns
 //! [`Error::Told`]. Answers go through [`print`] and [`print_json`], which know a closed pipe.
 
+mod body;
 mod check;
 mod completions;
 mod decode;
@@ -24,7 +25,9 @@ mod demo;
 mod doctor;
 mod end;
 mod export;
+mod imu;
 mod info;
+mod orient;
 mod output;
 mod progress;
 mod replay;
@@ -75,6 +78,12 @@ enum Command {
     Info(info::Args),
     /// Writes a recording's poses or messages to a file that other programs open.
     Export(export::Args),
+    /// Orientation of single IMUs from a file of samples.
+    Orient(orient::Args),
+    /// Intrinsics of an IMU from a recording of rests.
+    Imu(imu::Args),
+    /// Joint angles and body pose from a recording of IMUs.
+    Body(body::Args),
     /// Writes the completion script of a shell.
     Completions(completions::Args),
     /// Prints the JSON Schema of all websocket messages.
@@ -93,6 +102,9 @@ impl Command {
             Self::Decode(args) => decode::run(args),
             Self::Info(args) => info::run(args),
             Self::Export(args) => export::run(args),
+            Self::Orient(args) => orient::run(args),
+            Self::Imu(args) => imu::run(args),
+            Self::Body(args) => body::run(args),
             Self::Completions(args) => completions::run(args),
             Self::Schema(args) => schema::run(args),
         }

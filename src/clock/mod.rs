@@ -30,6 +30,10 @@ const SLEW: f64 = 0.05;
 /// So many of the latest [`INCONSISTENT_SPAN`] cycles outside their bounds mean another phase: start again.
 const INCONSISTENT_LIMIT: u32 = 32;
 const INCONSISTENT_SPAN: u32 = 64;
+/// Bytes that a UART may keep to itself.
+const FIFO_BYTES: f64 = 16.0;
+/// By how much less than whole cycles a read may be late and still mean that they are missing, s.
+const LATE_BY_LESS_S: f64 = 5e-5;
 /// Least spacing of two cycles of one device, ns.
 const LEAST_STEP_NS: i64 = 1_000;
 
@@ -225,11 +229,13 @@ impl Clock {
         let tolerance = TOLERANCE_S.min(0.3 * period);
         let late = evidence.upper - fit.line(evidence.x);
         let early = evidence.lower.map(|lower| lower - fit.line(evidence.x));
+        // Bytes may have lain in a UART's buffer while the earlier read took place.
+        let early_tolerance = (TOLERANCE_S + FIFO_BYTES * self.settings.byte_time_s).min(0.3 * period);
         let prompt = fit.lateness < 0.4 * period;
         let shift = if late < fit.lower - tolerance {
             // Read before it was measured: the count is ahead.
             -(((fit.lower - tolerance - late) / period).ceil())
-        } else if early.is_some_and(|early| early > fit.upper + tolerance) {
+        } else if early.is_some_and(|early| early > fit.upper + early_tolerance) {
             // It would have waited through an earlier read: the count is behind, if a whole number fits.
             let n = ((early.unwrap_or(0.0) - fit.upper - tolerance) / period).ceil();
             if late - n * period >= fit.lower - tolerance { n } else { f64::NAN }
@@ -238,10 +244,11 @@ impl Clock {
             // late reader would have found the following cycles in the same chunk.
             let n = ((late - fit.upper) / period).round();
             let rest = late - n * period;
-            let fits = rest >= fit.lower - tolerance && rest <= fit.upper + fit.lateness + tolerance;
+            // A host that was late by a little less than a cycle would have found no more either.
+            let fits = rest >= fit.upper - LATE_BY_LESS_S && rest <= fit.upper + fit.lateness + tolerance;
             if fits && evidence.bytes_after <= self.usual_bytes_after { n } else { 0.0 }
         } else {
-            if prompt {
+            if prompt && late <= fit.upper + fit.lateness + tolerance {
                 self.usual_bytes_after = self.usual_bytes_after.max(evidence.bytes_after);
             }
             0.0

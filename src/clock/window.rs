@@ -15,10 +15,12 @@ const TRIMMED: f64 = 0.15;
 
 /// Periods that a device may have, s; arrivals without sense must not give others.
 const PERIOD_RANGE_S: std::ops::Range<f64> = 1e-4..60.0;
+/// One block in so many is taken to be free of delays by the host.
+const UNDISTURBED: usize = 8;
 /// Candidate periods on either side of the first estimate.
 const GRID: i32 = 8;
-/// Inflation of the spread between bounds, from simulated bursts in step with the cycles.
-const STILL_PHASES: f64 = 1.25;
+/// Inflation of the spread between bounds, so that two sigmas hold also for simulated bursts in step with the cycles.
+const STILL_PHASES: f64 = 1.8;
 
 /// What one arrival says of the capture time of cycle `x`; seconds from the clock's origin.
 #[derive(Clone, Copy, Debug)]
@@ -213,8 +215,14 @@ impl Window {
             let mean = Point { x: block.sum_x / block.samples, t: block.sum_upper / block.samples };
             offset(&mean)
         }));
-        let median = nth(&mut self.scratch, self.blocks.len() / 2, false)?;
-        let lateness = 2.0 * (median - upper).max(0.0) + (upper - paced).max(0.0);
+        let lateness = |usual: f64| 2.0 * (usual - upper).max(0.0) + (upper - paced).max(0.0);
+        let median = lateness(nth(&mut self.scratch, self.blocks.len() / 2, false)?);
+        let bursts = bound > upper - median;
+        // On a prompt line the blocks that fared best speak: a host that is late now and then says nothing of how
+        // late reads usually are.
+        let undisturbed = self.blocks.len() / UNDISTURBED;
+        let prompt = median < 0.5 * period_s;
+        let lateness = if prompt { lateness(nth(&mut self.scratch, undisturbed, false)?) } else { median };
         let lower = bound.max(upper - lateness);
         // Bounds that cross by a little, from an imperfect slope, share the error.
         let (lower, upper) = if lower > upper { (upper, lower) } else { (lower, upper) };
@@ -229,7 +237,6 @@ impl Window {
             sigma: (half * half / 3.0 + SIGMA_FLOOR_S * SIGMA_FLOOR_S).sqrt(),
             lateness,
         };
-        let bursts = bound > upper - lateness;
         Some(if settled && bursts { self.posterior(first, base) } else { first })
     }
 

@@ -29,6 +29,8 @@ use device::Device;
 pub const COAST_S: f64 = 0.5;
 /// A sensor that has missed so many cycles is no longer waited for.
 const UNHEARD_CYCLES: f64 = 5.0;
+/// Share of a period by which a cycle between two ticks may be late before it counts as missed.
+const OVERDUE: f64 = 0.5;
 /// Another device takes over the stage clock only if it is faster by more than this.
 const FASTER: f64 = 0.99;
 
@@ -46,8 +48,15 @@ pub struct FrameSample {
 pub struct FrameSensor {
     /// All samples since the last tick, oldest first; the newest is the frame's value.
     pub samples: Vec<FrameSample>,
+    /// Cycles of the sensor's device without a sample that this frame accounts for.
+    pub missed: u32,
+}
+
+impl FrameSensor {
     /// Whether the sensor's device should have measured it since the last tick.
-    pub expected: bool,
+    pub fn expected(&self) -> bool {
+        self.missed > 0 || !self.samples.is_empty()
+    }
 }
 
 /// All sensors at one tick.
@@ -82,6 +91,46 @@ struct Sensor {
     device: usize,
     queue: VecDeque<FrameSample>,
     newest: Option<Timestamp>,
+    /// Latest cycle that a frame has accounted for, sample or not; `None` while its device is stopped.
+    accounted: Option<Timestamp>,
+}
+
+impl Sensor {
+    /// Cycles without a sample up to the tick `t` that no frame has accounted for.
+    ///
+    /// The stage clock's own device (`own_interval_s`) has a cycle at every tick. Cycles of others lie anywhere between
+    /// ticks, and some ticks have none: one is missed once it is overdue, or when the sample after it comes.
+    fn missed(
+        &mut self,
+        device: &Device,
+        samples: &[FrameSample],
+        t: Timestamp,
+        own_interval_s: Option<f64>,
+    ) -> u32 {
+        let Some(period_s) = device.period_s().filter(|_| device.is_running()) else {
+            self.accounted = None;
+            return 0;
+        };
+        let newest = samples.iter().rev().find(|sample| !sample.late).map(|sample| sample.measured.t_valid);
+        if let Some(interval_s) = own_interval_s {
+            self.accounted = Some(t);
+            return u32::from(samples.is_empty() && period_s < 1.5 * interval_s);
+        }
+        let (missed, accounted) = match (newest, self.accounted) {
+            (Some(newest), None) => (0, Some(newest)),
+            (None, None) => (0, None),
+            (Some(newest), Some(before)) => {
+                let cycles = (newest.seconds_since(before) / period_s).round() as i64;
+                ((cycles - samples.len() as i64).max(0), Some(newest.max(before)))
+            }
+            (None, Some(before)) => {
+                let cycles = (t.seconds_since(before) / period_s - OVERDUE).floor().max(0.0);
+                (cycles as i64, Some(before + Duration::from_secs_f64(cycles * period_s)))
+            }
+        };
+        self.accounted = accounted;
+        missed as u32
+    }
 }
 
 /// Sorts samples into frames.
@@ -117,7 +166,12 @@ impl Assembler {
             devices: (0..devices).map(|_| Device::default()).collect(),
             sensors: sensors
                 .iter()
-                .map(|&device| Sensor { device: usize::from(device), queue: queue(), newest: None })
+                .map(|&device| Sensor {
+                    device: usize::from(device),
+                    queue: queue(),
+                    newest: None,
+                    accounted: None,
+                })
                 .collect(),
             reference: None,
             pending: VecDeque::with_capacity(64),
@@ -128,7 +182,7 @@ impl Assembler {
             frame: Frame {
                 sensors: sensors
                     .iter()
-                    .map(|_| FrameSensor { samples: Vec::with_capacity(16), expected: false })
+                    .map(|_| FrameSensor { samples: Vec::with_capacity(16), missed: 0 })
                     .collect(),
                 ..Frame::default()
             },
@@ -314,9 +368,9 @@ impl Assembler {
                 slot.samples.push(*sample);
                 sensor.queue.pop_front();
             }
+            let is_clock = self.grid_s.is_none() && self.reference == Some(sensor.device);
             let device = &self.devices[sensor.device];
-            let every_tick = device.period_s().is_some_and(|period_s| period_s < 1.5 * interval_s);
-            slot.expected = !slot.samples.is_empty() || (device.is_running() && every_tick);
+            slot.missed = sensor.missed(device, &slot.samples, tick.t, is_clock.then_some(interval_s));
         }
         self.last_closed = Some(tick.t);
     }

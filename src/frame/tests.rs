@@ -71,7 +71,7 @@ fn a_lost_record_delays_its_frame_only_until_the_next_cycle() {
     }
     let frame = &bench.closed[5];
     assert_eq!(frame.t_valid, ms(50.0));
-    assert!(frame.sensors[1].samples.is_empty() && frame.sensors[1].expected);
+    assert!(frame.sensors[1].samples.is_empty() && frame.sensors[1].expected());
     assert_eq!(bench.closed.len(), 10);
 }
 

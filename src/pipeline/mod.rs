@@ -251,7 +251,8 @@ impl Pipeline {
                 self.sensors[usize::from(*sensor)].set_interval_s(period_s);
             }
         }
-        let Measurement::Pose { position_m, orientation_wxyz, button } = sample.measurement;
+        // What inertial sensors measure is not fused yet.
+        let Measurement::Pose { position_m, orientation_wxyz, button } = sample.measurement else { return };
         self.frames.sample(sensor, Measured { t_valid: stamp.t_valid, position_m, orientation_wxyz, button });
     }
 

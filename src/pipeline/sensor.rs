@@ -89,7 +89,7 @@ impl Sensor {
     ) -> SensorEstimate {
         self.state = SensorState::Missing;
         // Where nothing was due, nothing is wrong that was not wrong before.
-        if slot.expected {
+        if slot.expected() {
             self.fault = Some(FaultCause::Missing);
         }
         for sample in &slot.samples {
@@ -129,8 +129,9 @@ impl Sensor {
 
     fn count(&mut self, slot: &FrameSensor, frame: &Frame) {
         self.samples += slot.samples.len() as u64;
-        if slot.expected {
-            self.lost += u64::from(self.state != SensorState::Ok);
+        if slot.expected() {
+            let unpublished = !slot.samples.is_empty() && self.state != SensorState::Ok;
+            self.lost += u64::from(slot.missed) + u64::from(unpublished);
             // Ticks without a record are counted by the clock, not by the line.
             let by_time = frame.by_model && slot.samples.is_empty();
             self.lost += frame.ticks_left_out;

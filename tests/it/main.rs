@@ -1,10 +1,15 @@
 //! Integration tests: one binary, one module per subject.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests may panic")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests may panic and tell what they measured"
+)]
 
 mod acceptance;
 mod cli;
 mod daemon;
+mod inertial;
 mod page;
 mod pipeline;
 mod reference;

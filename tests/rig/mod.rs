@@ -74,10 +74,10 @@ pub(crate) enum Said {
     Warning(u16, String),
 }
 
-/// A host that now and then does not read for a while, and then reads all that has come.
+/// A host that is now and then late with a read, and then reads all that has come meanwhile.
 pub(crate) struct Sleepy {
     pub(crate) random: u64,
-    /// Share of reads after which it sleeps.
+    /// Share of reads that it is late with.
     pub(crate) share: f64,
     pub(crate) longest_ms: f64,
     until: Timestamp,
@@ -167,16 +167,16 @@ impl Rig {
     fn read(&mut self, device: u16, bytes: Vec<u8>) {
         let now = self.now;
         if let Some(host) = &mut self.sleepy {
+            if now >= host.until && host.uniform() < host.share {
+                let sleep_s = host.uniform() * host.longest_ms * 1e-3;
+                host.until = Timestamp::from_secs_f64(now.as_secs_f64() + sleep_s);
+            }
             if now < host.until {
                 match host.waiting.iter_mut().find(|(waiting, _)| *waiting == device) {
                     Some((_, held)) => held.extend(bytes),
                     None => host.waiting.push((device, bytes)),
                 }
                 return;
-            }
-            if host.uniform() < host.share {
-                let sleep_s = host.uniform() * host.longest_ms * 1e-3;
-                host.until = Timestamp::from_secs_f64(now.as_secs_f64() + sleep_s);
             }
         }
         self.push(Input::Bytes { device, bytes });
@@ -191,10 +191,10 @@ impl Rig {
 
     /// Forgets what has been read and said up to now.
     pub(crate) fn forget(&mut self) {
-        self.truth.clear();
-        self.log.clear();
-        self.said.clear();
-        self.said_at.clear();
+        self.truth = Vec::new();
+        self.log = Vec::new();
+        self.said = Vec::new();
+        self.said_at = Vec::new();
     }
 
     pub(crate) fn push(&mut self, input: Input) {

@@ -111,7 +111,9 @@ pub fn session(data: &[u8]) -> usize {
         while let Some(output) = session.poll_output() {
             if let Output::Sample(sample) = output {
                 samples += 1;
-                let Measurement::Pose { position_m, orientation_wxyz, .. } = sample.measurement;
+                let Measurement::Pose { position_m, orientation_wxyz, .. } = sample.measurement else {
+                    panic!("a Flock measures poses")
+                };
                 assert!(position_m.is_none_or(|p| p.iter().all(|c| c.abs() <= 3.7)), "beyond full scale");
                 assert!(
                     orientation_wxyz.is_none_or(|q| (rotation::norm(q) - 1.0).abs() < 1e-9),

@@ -11,7 +11,8 @@
 //! - *Two first bytes in a row* (one inserted with bit 7, before or after the true one): nothing tells which is
 //!   true, so the record behind a piece of one byte is refused.
 //! - *Order after damage*: the bytes of the damage say how many records they were, so the expected bird and
-//!   the cycle number stay right. A record that contradicts is refused and its word on the order taken.
+//!   the cycle number stay right. A record that contradicts is refused and its word on the order taken; but where
+//!   not a byte is damaged and it continues its bird's last record, the birds before it have stopped speaking.
 //! - *A record complete at the end of a chunk*: a byte inserted inside it would make it look complete one byte
 //!   early. It is published at once when it continues its bird's previous record within one step of the
 //!   high byte in every word, which no shifted record does; otherwise it waits for the next byte to be
@@ -30,6 +31,8 @@ use crate::session::Counters;
 const MISSES_TO_LEAVE: u8 = 3;
 /// Records of an absent bird after which it is put back.
 const SIGHTINGS_TO_RETURN: u8 = 2;
+/// Three words and an address.
+const SHORTEST_RECORD: usize = 7;
 /// Bytes by which damage may differ from whole records, and still say how many they were.
 const SLACK_BYTES: u64 = 3;
 /// One step of a word's high byte, less one.
@@ -37,6 +40,7 @@ const CONTINUES_WITHIN: u16 = 511;
 
 /// What the splitter says.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "nearly all events are samples, and none may allocate")]
 pub enum Event {
     /// A record to believe.
     Sample(Sample),
@@ -44,6 +48,8 @@ pub enum Event {
     Left(u8),
     /// It is back.
     Returned(u8),
+    /// A whole piece that ends in the address of a bird which is not known here.
+    Stranger(u8),
 }
 
 /// One bird in the order of records.
@@ -231,9 +237,23 @@ impl Splitter {
                 self.judge(slot, emit);
                 self.clear_piece();
             }
-            _ => self.abandon_piece(),
+            _ => {
+                if let Some(address) = self.stranger() {
+                    emit(Event::Stranger(address));
+                }
+                self.abandon_piece();
+            }
         }
         self.after_lone_first_byte = lone;
+    }
+
+    /// The address at the end of the open piece, if no known bird's record could be damaged to this.
+    fn stranger(&self) -> Option<u8> {
+        let whole = !self.piece.published && self.damage == 0 && self.piece.len == self.piece.bytes.len();
+        let address =
+            self.piece.bytes.last().copied().filter(|_| whole && self.piece.len >= SHORTEST_RECORD)?;
+        let known = |slot: &Slot| !slot.shape.group || slot.address == address;
+        (!self.slots.iter().chain(&self.absent).any(known)).then_some(address)
     }
 
     /// The bird whose record the open, unpublished piece could be: by address and length only.
@@ -266,6 +286,9 @@ impl Splitter {
             Place::Absent(index) => return self.sight(index, emit),
         };
         let (skipped, agrees) = self.skipped_records(index);
+        // Not a byte is missing or too many: the birds between did not speak. An address that a flipped bit made
+        // would not go on where its bird left off.
+        let agrees = agrees || (self.damage == 0 && self.continues(place));
         if self.damage > 0 {
             self.counters.rejected += skipped;
         } else if self.in_order && skipped > 0 {
@@ -347,7 +370,11 @@ impl Splitter {
         if i < self.next {
             self.next -= 1;
         }
-        self.next %= self.slots.len();
+        if self.next == self.slots.len() {
+            // It was the last of its cycle, which ends without it.
+            self.next = 0;
+            self.cycle += 1;
+        }
         self.absent.push(Slot { count: 0, last: None, ..slot });
         self.in_order = false;
     }

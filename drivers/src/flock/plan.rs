@@ -11,8 +11,9 @@ use super::settings::{Mode, Settings};
 use super::wire::value::{self, parameter};
 use super::wire::{BirdStatus, Command, Range, Scale, Shape, UnitStatus};
 
-/// Quiet time around auto-configuration.
-const AUTO_CONFIG_QUIET_MS: u64 = 600;
+/// Quiet time on either side of auto-configuration, as the maker's guide says. Others wait twice as long; here
+/// a question answered, with the birds running, shows that the unit is done.
+const AUTO_CONFIG_QUIET_MS: u64 = 300;
 /// Gap after a command that sets something.
 const SET_GAP_MS: u64 = 10;
 /// One thing to do.
@@ -42,8 +43,6 @@ pub(super) enum Action {
 pub(super) struct Plan {
     /// What to do, in order.
     pub(super) actions: VecDeque<Action>,
-    /// Whether birds are started, so that their first half second is not to be believed.
-    pub(super) starts_birds: bool,
     /// Sentences for the operator.
     pub(super) warnings: Vec<String>,
 }
@@ -59,7 +58,7 @@ pub(super) fn scale(settings: &Settings, findings: &Findings) -> Scale {
 /// # Errors
 /// A sentence for the operator: what is there does not fit what is wanted.
 pub(super) fn plan(settings: &Settings, wanted: &[u8], findings: &Findings) -> Result<Plan, String> {
-    let mut plan = Plan { actions: VecDeque::new(), starts_birds: false, warnings: Vec::new() };
+    let mut plan = Plan { actions: VecDeque::new(), warnings: Vec::new() };
     let group = wanted != [0];
     check_fit(settings, wanted, findings, group, &mut plan.warnings)?;
     let wanted_units: Vec<Unit> =
@@ -99,10 +98,11 @@ pub(super) fn plan(settings: &Settings, wanted: &[u8], findings: &Findings) -> R
     }
     send(&mut plan, change(parameter::GROUP_MODE, &[u8::from(group)]), None, SET_GAP_MS);
     plan.actions.push_back(Action::ReadError);
-    let asleep = findings.status.has(BirdStatus::ASLEEP) || !findings.status.has(BirdStatus::RUNNING);
-    if asleep || plan.starts_birds {
+    // Auto-configured birds run, and have said so.
+    let auto_configured = group && !configured;
+    let asleep = findings.status.has(BirdStatus::ASLEEP);
+    if asleep || !(auto_configured || findings.status.has(BirdStatus::RUNNING)) {
         plan.actions.push_back(Action::Run);
-        plan.starts_birds = true;
     }
     if settings.mode == Mode::Stream {
         send(&mut plan, Command::ReportRate(settings.report_every_cycles), None, SET_GAP_MS);
@@ -184,7 +184,6 @@ fn auto_configure(settings: &Settings, findings: &Findings, plan: &mut Plan) {
     let bytes = command.to_bytes(None, findings.addressing);
     plan.actions.push_back(Action::Send { bytes, quiet_ms: AUTO_CONFIG_QUIET_MS });
     plan.actions.push_back(Action::AwaitRunning);
-    plan.starts_birds = true;
 }
 
 /// Rate of records per bird in Hz, and a warning where the line is too slow for every cycle.

@@ -5,8 +5,8 @@
 //!
 //! Life: `Closed -> (Resetting ->) Examining -> Configuring -> Streaming`; silence leads back to Examining,
 //! failure to a short pause and then there. A flock that still runs as configured is not configured
-//! again: after a break of the line poses are back in about 0.3 s. One that has to be auto-configured needs
-//! 1.2 s of quiet time for it, 0.6 s more where its slaves are reset, and half a second until its poses settle.
+//! again: after a break of the line the stream is back in about 0.3 s. One that has to be auto-configured needs
+//! 0.6 s of quiet time for it, 0.3 s more where another unit has the transmitter. Every stream settles for half a second.
 
 mod listen;
 
@@ -28,15 +28,18 @@ use crate::session::{Counters, LineEvent, Output, SensorInfo, Session, State};
 /// How long RTS holds the unit in reset, and how long it then takes to be ready.
 const RESET_PULSE: Duration = Duration::from_secs(1);
 const BOOT: Duration = Duration::from_secs(2);
-/// How long after birds were started their poses are not believed.
+/// How long after the start of a stream its poses are not believed: birds that have just begun to measure
+/// are off by centimetres, and nothing they say tells whether they have.
 const SETTLE: Duration = Duration::from_millis(500);
 /// Quiet time after RUN.
 const RUN_QUIET: Duration = Duration::from_millis(200);
 /// How long auto-configured birds may take to run.
 const RUNNING_LIMIT: Duration = Duration::from_secs(2);
+/// Records of missing birds after which the flock is set up again with them: one may be damage.
+const STRANGERS_TO_SET_UP: u8 = 4;
 /// Pauses between attempts at a silent unit: the first, and the longest.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
-const LONGEST_PAUSE: Duration = Duration::from_secs(1);
+const LONGEST_PAUSE: Duration = Duration::from_millis(250);
 /// Shortest silence that counts as one.
 const MIN_SILENCE: Duration = Duration::from_millis(250);
 /// How long after its port was opened a unit may be starting: until then no answer is no news.
@@ -61,8 +64,6 @@ pub struct FlockSession {
     /// Until then silence may be a unit that starts.
     powered_up_at: Timestamp,
     pause: Duration,
-    /// Whether this session has streamed before: a unit that still has its settings then need not settle again.
-    has_streamed: bool,
     /// Cycles go on counting over a new set-up.
     next_cycle: u64,
     #[serde(skip)]
@@ -89,9 +90,6 @@ struct Configuring {
     running_limit: Option<Timestamp>,
     /// Wanted birds that were on the bus; the others have been warned of, and are not waited for.
     present: Vec<u8>,
-    /// When birds were started, as far as this set-up knows.
-    started_at: Option<Timestamp>,
-    settle: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -108,6 +106,10 @@ struct Streaming {
     silence: Duration,
     silent_at: Timestamp,
     settled_at: Timestamp,
+    /// Birds that came back into the stream, and until when their poses are not believed.
+    returned: Vec<(u16, Timestamp)>,
+    /// Records of wanted birds that were not there at set-up.
+    strangers: u8,
     /// In point mode: when the next question is due, and whether its reply is still awaited.
     poll: Option<Poll>,
 }
@@ -150,7 +152,6 @@ impl FlockSession {
             modem_lines: false,
             powered_up_at: Timestamp::ZERO,
             pause: FIRST_PAUSE,
-            has_streamed: false,
             next_cycle: 0,
             outputs: VecDeque::new(),
         })
@@ -254,8 +255,6 @@ impl FlockSession {
         for warning in plan.warnings {
             self.warn(warning);
         }
-        let as_left = self.has_streamed && findings.status.format() == Some(self.settings.format);
-        let settle = plan.starts_birds || !as_left;
         self.findings = Some(findings.clone());
         let sensors = findings.sensors();
         let present = self.wanted.iter().copied().filter(|address| sensors.contains(address)).collect();
@@ -266,8 +265,6 @@ impl FlockSession {
             question: None,
             running_limit: None,
             present,
-            started_at: None,
-            settle,
         };
         self.work_off(now, Box::new(configuring));
     }
@@ -284,7 +281,6 @@ impl FlockSession {
                 Some(Action::Run) => {
                     self.transmit(Command::Run.to_bytes(None, Addressing::Normal));
                     configuring.quiet_until = now + RUN_QUIET;
-                    configuring.started_at = Some(configuring.started_at.unwrap_or(now));
                     continue;
                 }
                 Some(Action::AwaitRunning) => Topic::Running,
@@ -341,8 +337,6 @@ impl FlockSession {
                     self.warn(format!(
                         "bird {list} does not run after auto-configuration; the others go on without it"
                     ));
-                } else {
-                    configuring.started_at = Some(now);
                 }
                 self.findings = Some(configuring.findings.clone());
             }
@@ -425,7 +419,9 @@ impl FlockSession {
             splitter,
             silence,
             silent_at: now + silence,
-            settled_at: if configuring.settle { configuring.started_at.unwrap_or(now) + SETTLE } else { now },
+            settled_at: now + SETTLE,
+            returned: Vec::new(),
+            strangers: 0,
             poll,
         }));
     }
@@ -440,12 +436,14 @@ impl FlockSession {
         let Self { outputs, settling, wanted, .. } = self;
         let mut heard = false;
         let mut published = false;
-        let settled = now >= streaming.settled_at;
-        input(&mut streaming.splitter, &mut |event| {
+        let Streaming { splitter, settled_at, returned, strangers, .. } = &mut *streaming;
+        let settled = now >= *settled_at;
+        returned.retain(|&(_, until)| now < until);
+        input(splitter, &mut |event| {
             match event {
             Event::Sample(sample) => {
                 heard = true;
-                if !settled {
+                if !settled || returned.iter().any(|&(address, _)| address == sample.address) {
                     *settling += 1;
                 } else if wanted.iter().any(|&address| u16::from(address) == sample.address) {
                     published = true;
@@ -456,11 +454,21 @@ impl FlockSession {
                 "bird {address} has left the stream; the others go on. Check its power, FLY switch and bus cable"
             ))),
             Event::Returned(address) => {
+                returned.push((u16::from(address), now + SETTLE));
                 outputs.push_back(Output::Warning(format!("bird {address} is back in the stream")));
+            }
+            Event::Stranger(address) => {
+                *strangers = strangers.saturating_add(u8::from(wanted.contains(&address)));
             }
         }
         });
         self.take_counters(&mut streaming);
+        if streaming.strangers >= STRANGERS_TO_SET_UP && self.settings.mode != Mode::Listen {
+            self.phase = Phase::Streaming(streaming);
+            self.leave_stream();
+            self.warn("a bird that was missing has appeared; the flock is set up again with it".into());
+            return self.examine(now);
+        }
         if heard {
             streaming.silent_at = now + streaming.silence;
             self.pause = FIRST_PAUSE;
@@ -472,10 +480,7 @@ impl FlockSession {
         }
         self.phase = Phase::Streaming(streaming);
         if published {
-            self.has_streamed = true;
-            if self.state != State::Streaming {
-                self.set_state(State::Streaming);
-            }
+            self.set_state(State::Streaming);
         }
     }
 

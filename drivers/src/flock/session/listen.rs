@@ -38,6 +38,8 @@ impl FlockSession {
             silent_at: now + SILENCE,
             settled_at: now,
             poll: None,
+            returned: Vec::new(),
+            strangers: 0,
         }));
     }
 

@@ -1,0 +1,331 @@
+//! The live session with a Fastrak: set-up, stream, recovery.
+//!
+//! What comes in: line events, bytes, timeouts. What goes out: samples, commands, the state of the link.
+//! The unit acknowledges nothing but the status question, so set-up is proved by records that fit.
+//!
+//! Life: `Closed -> Stopping -> Asking (-> Resetting) -> Streaming`; silence leads back to Stopping.
+
+use std::time::Duration;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::wire::{Piece, Record, STATIONS, Shape, Splitter};
+use crate::arrivals::Arrivals;
+use crate::flock::SettingsError;
+use crate::outbox::Outbox;
+use crate::sample::{DeviceTime, Measurement, Sample, Timestamp};
+use crate::session::{Counters, LineEvent, Loss, Output, SensorInfo, Session, State};
+
+/// Measurements per second of a unit, shared by its stations.
+const UNIT_RATE_HZ: f64 = 120.0;
+/// From "stop" to a quiet line.
+const STOP: Duration = Duration::from_millis(500);
+/// Time for the status answer.
+const ANSWER: Duration = Duration::from_millis(1000);
+/// A reset unit answers after 10 to 15 s.
+const RESET: Duration = Duration::from_secs(16);
+/// Unanswered questions after which the unit is reset.
+const QUESTIONS: u8 = 3;
+/// Silence of a stream, and of one that has just been started.
+const SILENCE: Duration = Duration::from_millis(300);
+const START: Duration = Duration::from_secs(1);
+
+/// Settings of a Fastrak; every key has a default.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Settings {
+    /// Whether records travel as lines of text instead of binary numbers; slower, for trackers that cannot else.
+    pub text: bool,
+    /// Whether the stylus button is sent.
+    pub button: bool,
+    /// Direction of the half-space around the transmitter in which the sensors move: (1, 0, 0) forward,
+    /// (0, 0, -1) upper; (0, 0, 0) follows the sensor.
+    pub hemisphere: [f64; 3],
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { text: false, button: false, hemisphere: [1.0, 0.0, 0.0] }
+    }
+}
+
+impl Settings {
+    /// Checks values that the types cannot.
+    ///
+    /// # Errors
+    /// The first value out of its range, by key.
+    pub fn validate(&self) -> Result<(), SettingsError> {
+        if self.hemisphere.iter().all(|value| value.abs() <= 1.0) {
+            Ok(())
+        } else {
+            Err(SettingsError { key: "hemisphere", expected: "three numbers from -1 to 1" })
+        }
+    }
+
+    fn shape(&self) -> Shape {
+        Shape { text: self.text, button: self.button }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+enum Phase {
+    Closed,
+    Stopping { until: Timestamp },
+    Asking { until: Timestamp },
+    Resetting { until: Timestamp },
+    Streaming { silent_at: Timestamp },
+}
+
+/// A live session with one Fastrak.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct FastrakSession {
+    settings: Settings,
+    stations: Vec<u8>,
+    phase: Phase,
+    questions: u8,
+    splitter: Splitter,
+    arrivals: Arrivals,
+    outbox: Outbox,
+    /// Bytes dropped in front of the session, and those of refused records.
+    dropped: u64,
+    sensors: Vec<SensorInfo>,
+    losses: Vec<Loss>,
+    cycle: u64,
+    /// Index of the station whose record is due.
+    due: usize,
+    last_record: Option<Timestamp>,
+}
+
+impl FastrakSession {
+    /// A session for the stations `wanted`, 1 to 4; the others are switched off.
+    ///
+    /// # Errors
+    /// A setting is out of its range, or a station is none.
+    pub fn new(settings: Settings, wanted: &[u16]) -> Result<Self, SettingsError> {
+        settings.validate()?;
+        let bad = SettingsError { key: "address", expected: "different numbers from 1 to 4" };
+        let mut stations: Vec<u8> =
+            wanted.iter().map(|&station| u8::try_from(station).map_err(|_| bad)).collect::<Result<_, _>>()?;
+        stations.sort_unstable();
+        stations.dedup();
+        let in_range = stations.iter().all(|station| (1..=STATIONS).contains(station));
+        if stations.is_empty() || stations.len() != wanted.len() || !in_range {
+            return Err(bad);
+        }
+        let addresses = stations.iter().copied().map(u16::from);
+        Ok(Self {
+            splitter: Splitter::new(settings.shape()),
+            settings,
+            sensors: addresses.clone().map(|address| SensorInfo { address, serial: None }).collect(),
+            losses: addresses.map(|address| Loss { address, ..Loss::default() }).collect(),
+            stations,
+            phase: Phase::Closed,
+            questions: 0,
+            arrivals: Arrivals::default(),
+            outbox: Outbox::new(),
+            dropped: 0,
+            cycle: 0,
+            due: 0,
+            last_record: None,
+        })
+    }
+
+    fn stop(&mut self, now: Timestamp) {
+        // CR first: it ends whatever half a command the unit may still hold.
+        self.outbox.transmit(b"\rc".to_vec());
+        self.phase = Phase::Stopping { until: now + STOP };
+    }
+
+    fn ask(&mut self, now: Timestamp) {
+        self.outbox.transmit(b"S".to_vec());
+        self.questions += 1;
+        self.phase = Phase::Asking { until: now + ANSWER };
+    }
+
+    fn start(&mut self, now: Timestamp) {
+        let [x, y, z] = self.settings.hemisphere;
+        let mut commands = String::from("u");
+        for station in 1..=STATIONS {
+            let on = u8::from(self.stations.contains(&station));
+            commands += &format!("l{station},{on}\r");
+        }
+        for station in &self.stations {
+            commands += &format!("O{station},{}\rH{station},{x},{y},{z}\r", self.settings.shape().items());
+            if self.settings.button {
+                commands += &format!("e{station},0\r");
+            }
+        }
+        commands += if self.settings.text { "F" } else { "f" };
+        commands.push('C');
+        self.outbox.transmit(commands.into_bytes());
+        self.questions = 0;
+        self.due = 0;
+        self.splitter.interrupt();
+        self.phase = Phase::Streaming { silent_at: now + START };
+    }
+
+    fn record(&mut self, now: Timestamp, place: u64, record: Record) {
+        if !matches!(self.phase, Phase::Streaming { .. }) {
+            return;
+        }
+        let Some(index) = self.stations.iter().position(|&station| station == record.station) else {
+            self.outbox.counters.rejected += 1;
+            return;
+        };
+        self.phase = Phase::Streaming { silent_at: now + SILENCE };
+        self.count_losses(now, index);
+        if record.status != b' ' {
+            self.outbox.counters.rejected += 1;
+            self.losses[index].lost += 1;
+            let (station, letter) = (record.station, char::from(record.status));
+            self.outbox.warn(now, u32::from(station) << 8 | u32::from(record.status), || {
+                format!("station {station} reports error {letter}; its poses are not used until that ends")
+            });
+            return;
+        }
+        self.outbox.counters.records += 1;
+        self.outbox.streaming();
+        let Some(mut arrival) = self.arrivals.of(place) else { return };
+        if !self.settings.text {
+            arrival.cycle_bytes_before = (index * self.settings.shape().binary_len()) as u32;
+        }
+        self.outbox.sample(Sample {
+            address: record.station.into(),
+            arrival,
+            t_device: DeviceTime::Cycle(self.cycle),
+            measurement: Measurement::Pose {
+                position_m: Some(record.position_m),
+                orientation_wxyz: Some(record.orientation_wxyz),
+                button: record.button.map(u8::from),
+            },
+        });
+    }
+
+    /// Stations come in turn: those passed over were lost. A pause of several cycles is told by time alone.
+    fn count_losses(&mut self, now: Timestamp, index: usize) {
+        let stations = self.stations.len();
+        let period_s = stations as f64 / UNIT_RATE_HZ;
+        let elapsed_s = self.last_record.replace(now).map_or(0.0, |last| now.seconds_since(last));
+        // Bursts hold records back by some cycles, so only a long pause says anything.
+        let whole = if elapsed_s > SILENCE.as_secs_f64() { (elapsed_s / period_s).round() as u64 } else { 0 };
+        if whole > 0 {
+            for loss in &mut self.losses {
+                loss.lost += whole - 1;
+                loss.estimated = true;
+            }
+            self.cycle += whole;
+        } else {
+            while self.due != index {
+                self.losses[self.due].lost += 1;
+                self.losses[self.due].estimated = true;
+                self.step();
+            }
+        }
+        self.due = index;
+        self.step();
+    }
+
+    fn step(&mut self) {
+        self.due += 1;
+        if self.due == self.stations.len() {
+            self.due = 0;
+            self.cycle += 1;
+        }
+    }
+}
+
+impl Session for FastrakSession {
+    fn handle_line(&mut self, now: Timestamp, event: &LineEvent) {
+        match event {
+            LineEvent::Opened { .. } => {
+                self.splitter.interrupt();
+                self.arrivals.reopen();
+                self.questions = 0;
+                self.outbox.connecting("asking the unit for its status");
+                self.stop(now);
+            }
+            LineEvent::Closed { reason } => {
+                self.splitter.interrupt();
+                self.phase = Phase::Closed;
+                self.outbox.connecting(reason.clone());
+            }
+            LineEvent::Dropped { bytes } => {
+                self.splitter.interrupt();
+                self.dropped += bytes;
+            }
+        }
+    }
+
+    fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
+        self.arrivals.read(now, bytes.len());
+        self.splitter.push(bytes);
+        while let Some(piece) = self.splitter.find() {
+            match piece {
+                Piece::Record(place, record) => self.record(now, place, record),
+                Piece::Status if matches!(self.phase, Phase::Asking { .. }) => self.start(now),
+                Piece::Status => {}
+            }
+        }
+    }
+
+    fn handle_timeout(&mut self, now: Timestamp) {
+        if self.poll_timeout().is_none_or(|at| now < at) {
+            return;
+        }
+        match self.phase {
+            Phase::Closed => {}
+            Phase::Stopping { .. } => self.ask(now),
+            Phase::Asking { .. } if self.questions < QUESTIONS => self.stop(now),
+            Phase::Asking { .. } => {
+                self.outbox
+                    .silent("the unit does not answer; it is being reset. Check power, cable and baud rate");
+                self.outbox.transmit(vec![0x19]);
+                self.questions = 0;
+                self.phase = Phase::Resetting { until: now + RESET };
+            }
+            Phase::Resetting { .. } => self.stop(now),
+            Phase::Streaming { .. } => {
+                self.outbox
+                    .silent("no record any more; check the unit's power, its sensors' plugs and the cable");
+                self.stop(now);
+            }
+        }
+    }
+
+    fn poll_output(&mut self) -> Option<Output> {
+        self.outbox.poll()
+    }
+
+    fn poll_timeout(&self) -> Option<Timestamp> {
+        match self.phase {
+            Phase::Closed => None,
+            Phase::Stopping { until } | Phase::Asking { until } | Phase::Resetting { until } => Some(until),
+            Phase::Streaming { silent_at } => Some(silent_at),
+        }
+    }
+
+    fn state(&self) -> &State {
+        self.outbox.state()
+    }
+
+    fn counters(&self) -> Counters {
+        Counters {
+            rejected: self.outbox.counters.rejected + self.splitter.rejected(),
+            bytes_skipped: self.dropped + self.splitter.bytes_skipped(),
+            ..self.outbox.counters
+        }
+    }
+
+    fn sensors(&self) -> &[SensorInfo] {
+        &self.sensors
+    }
+
+    fn rate_hz(&self) -> Option<f64> {
+        Some(UNIT_RATE_HZ / self.stations.len() as f64)
+    }
+
+    fn losses(&self) -> &[Loss] {
+        &self.losses
+    }
+}

@@ -1,0 +1,437 @@
+//! The server of SlimeVR trackers: handshakes, sensors, order of packets, pings.
+//!
+//! What comes in: chunks of envelopes (see [`crate::datagram`]), line events, timeouts. What goes out:
+//! samples, envelopes to send, the state of the whole. A tracker is known by its network address (MAC), so
+//! it may come back under another IP; one tracker never waits for another.
+//!
+//! Addresses of samples: sensor `s` of the tracker with number `n` (its place in the settings, from 1) is
+//! `256 * s + n`.
+
+use std::fmt;
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::wire::{self, Handshake, Item, Packet, Refused};
+use crate::arrivals::Arrivals;
+use crate::datagram::{Datagram, datagrams};
+use crate::flock::SettingsError;
+use crate::outbox::Outbox;
+use crate::sample::{Arrival, DeviceTime, Measurement, Sample, Timestamp};
+use crate::session::{Counters, LineEvent, Loss, Output, SensorInfo, Session, State};
+
+/// How often a tracker hears from the server.
+const BEAT: Duration = Duration::from_millis(500);
+/// After so much silence a tracker has timed out; after the longer one it is gone until its next handshake.
+const TIMED_OUT_S: f64 = 1.0;
+const GONE_S: f64 = 3.0;
+/// Most trackers that are served.
+const MOST: usize = 64;
+/// Most sensors of one tracker.
+const MOST_SENSORS: u8 = 16;
+/// Greatest gap of packet numbers that is a loss, and not a new count.
+const MOST_LOST: u64 = 1_000_000;
+/// Protocols before this one have acceleration in other axes.
+const UNTURNED: u32 = 22;
+/// A battery is told to be low below this share.
+const LOW_BATTERY: f64 = 0.1;
+
+/// Settings of SlimeVR trackers; every key has a default.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Settings {
+    /// Network addresses (MAC, `A4:CF:12:D4:E5:F6`) of the trackers, in the order of their numbers. Empty: any
+    /// tracker is served, numbered as they come.
+    pub trackers: Vec<String>,
+}
+
+/// Who a tracker is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+enum Identity {
+    Mac([u8; 6]),
+    /// Imitations without a network address of their own are known by their IP.
+    Ip(std::net::IpAddr),
+}
+
+impl fmt::Display for Identity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Mac([a, b, c, d, e, g]) => write!(f, "{a:02X}:{b:02X}:{c:02X}:{d:02X}:{e:02X}:{g:02X}"),
+            Self::Ip(ip) => write!(f, "{ip}"),
+        }
+    }
+}
+
+fn parse_mac(text: &str) -> Option<[u8; 6]> {
+    let mut parts = text.split([':', '-']);
+    let mut mac = [0; 6];
+    for byte in &mut mac {
+        *byte = u8::from_str_radix(parts.next().filter(|part| part.len() == 2)?, 16).ok()?;
+    }
+    parts.next().is_none().then_some(mac)
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Tracker {
+    number: u16,
+    identity: Identity,
+    /// `None` until it has come, and when it is gone.
+    peer: Option<SocketAddr>,
+    protocol: u32,
+    last_number: u64,
+    heard: Timestamp,
+    timed_out: bool,
+}
+
+/// The server of all trackers on one socket.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct SlimeVrSession {
+    wanted: Vec<u16>,
+    /// Whether trackers that the settings do not name are served.
+    open_to_all: bool,
+    trackers: Vec<Tracker>,
+    next_beat: Option<Timestamp>,
+    beats: u32,
+    arrivals: Arrivals,
+    /// Bytes of all chunks so far.
+    place: u64,
+    outbox: Outbox,
+    bytes_skipped: u64,
+    sensors: Vec<SensorInfo>,
+    losses: Vec<Loss>,
+}
+
+impl SlimeVrSession {
+    /// A server for the sensors `wanted`, see the module for their addresses.
+    ///
+    /// # Errors
+    /// A text is no network address, or an address no sensor's.
+    pub fn new(settings: Settings, wanted: &[u16]) -> Result<Self, SettingsError> {
+        let bad = SettingsError {
+            key: "trackers",
+            expected: "different addresses like A4:CF:12:D4:E5:F6, 64 at most",
+        };
+        let macs: Vec<[u8; 6]> =
+            settings.trackers.iter().map(|text| parse_mac(text).ok_or(bad)).collect::<Result<_, _>>()?;
+        let distinct = macs.iter().enumerate().all(|(k, mac)| !macs[..k].contains(mac));
+        if !distinct || macs.len() > MOST {
+            return Err(bad);
+        }
+        let most = if macs.is_empty() { MOST } else { macs.len() };
+        let mut addresses = wanted.to_vec();
+        addresses.sort_unstable();
+        addresses.dedup();
+        let in_range = addresses.iter().all(|address| {
+            (1..=most).contains(&usize::from(address & 0xFF)) && address >> 8 < MOST_SENSORS.into()
+        });
+        if addresses.is_empty() || addresses.len() != wanted.len() || !in_range {
+            let expected = "256 * sensor + tracker, the tracker's number in `trackers` counting from 1";
+            return Err(SettingsError { key: "address", expected });
+        }
+        Ok(Self {
+            open_to_all: macs.is_empty(),
+            trackers: (1..)
+                .zip(macs)
+                .map(|(number, mac)| Tracker {
+                    number,
+                    identity: Identity::Mac(mac),
+                    peer: None,
+                    protocol: 0,
+                    last_number: 0,
+                    heard: Timestamp::ZERO,
+                    timed_out: false,
+                })
+                .collect(),
+            next_beat: None,
+            beats: 0,
+            arrivals: Arrivals::default(),
+            place: 0,
+            outbox: Outbox::new(),
+            bytes_skipped: 0,
+            sensors: addresses.iter().map(|&address| SensorInfo { address, serial: None }).collect(),
+            losses: addresses.iter().map(|&address| Loss { address, ..Loss::default() }).collect(),
+            wanted: addresses,
+        })
+    }
+
+    fn send(&mut self, peer: SocketAddr, data: &[u8]) {
+        self.outbox.transmit(Datagram { peer, data }.encode());
+    }
+
+    fn refuse(&mut self, bytes: usize) {
+        self.outbox.counters.rejected += 1;
+        self.bytes_skipped += bytes as u64;
+    }
+
+    fn datagram(&mut self, now: Timestamp, place: u64, datagram: Datagram<'_>) {
+        let Some(packet) = wire::parse(datagram.data) else { return self.refuse(datagram.data.len()) };
+        if packet.is_handshake() {
+            return packet.items(|item| {
+                if let Ok(Item::Handshake(handshake)) = item {
+                    self.handshake(now, datagram.peer, handshake);
+                }
+            });
+        }
+        // Without a handshake nobody knows whose packet it is; the tracker looks for its server again in 3 s.
+        let Some(k) = self.trackers.iter().position(|tracker| tracker.peer == Some(datagram.peer)) else {
+            return self.refuse(datagram.data.len());
+        };
+        let tracker = &mut self.trackers[k];
+        tracker.heard = now;
+        if std::mem::take(&mut tracker.timed_out) {
+            let number = tracker.number;
+            self.outbox.warn(now, 0x100 + u32::from(number), || format!("tracker {number} is back"));
+        }
+        if packet.number > 0 && !self.in_order(k, packet.number) {
+            return self.refuse(datagram.data.len());
+        }
+        let Some(arrival) = self.arrivals.of(place) else { return };
+        self.packet(now, k, datagram.peer, packet, arrival);
+    }
+
+    /// Whether a packet is newer than those before; counts those that it shows to be missing.
+    fn in_order(&mut self, k: usize, number: u64) -> bool {
+        let tracker = &mut self.trackers[k];
+        if number <= tracker.last_number {
+            return false;
+        }
+        let missing = number - tracker.last_number - 1;
+        let is_first = std::mem::replace(&mut tracker.last_number, number) == 0;
+        if missing > 0 && missing < MOST_LOST && !is_first {
+            let of = tracker.number;
+            for loss in self.losses.iter_mut().filter(|loss| loss.address & 0xFF == of) {
+                // Packets are numbered, not samples: one may have held several, or none of this sensor.
+                loss.lost += missing;
+                loss.estimated = true;
+            }
+        }
+        true
+    }
+
+    fn handshake(&mut self, now: Timestamp, peer: SocketAddr, handshake: Handshake<'_>) {
+        let identity = handshake.mac.map_or(Identity::Ip(peer.ip()), Identity::Mac);
+        let k = match self.trackers.iter().position(|tracker| tracker.identity == identity) {
+            Some(k) => k,
+            None if self.open_to_all && self.trackers.len() < MOST => {
+                let number = self.trackers.len() as u16 + 1;
+                self.trackers.push(Tracker {
+                    number,
+                    identity,
+                    peer: None,
+                    protocol: 0,
+                    last_number: 0,
+                    heard: now,
+                    timed_out: false,
+                });
+                self.outbox.warn(now, 0x200 + u32::from(number), || {
+                    format!("{identity} is tracker {number}; name it under `trackers` to keep that number")
+                });
+                self.trackers.len() - 1
+            }
+            None => {
+                self.outbox.warn(now, 1, || {
+                    format!(
+                        "tracker {identity} wants to join; add it to `trackers` in the stage file to serve it"
+                    )
+                });
+                return;
+            }
+        };
+        // Whoever had this endpoint before has it no more.
+        for tracker in &mut self.trackers {
+            if tracker.peer == Some(peer) {
+                tracker.peer = None;
+            }
+        }
+        let tracker = &mut self.trackers[k];
+        tracker.peer = Some(peer);
+        tracker.protocol = handshake.protocol;
+        tracker.last_number = 0;
+        tracker.heard = now;
+        tracker.timed_out = false;
+        let (number, serial) = (tracker.number, tracker.identity.to_string());
+        for sensor in self.sensors.iter_mut().filter(|sensor| sensor.address & 0xFF == number) {
+            let index = sensor.address >> 8;
+            sensor.serial = Some(if index == 0 { serial.clone() } else { format!("{serial}/{index}") });
+        }
+        self.send(peer, &wire::handshake_reply());
+        self.next_beat.get_or_insert(now + BEAT);
+    }
+
+    fn packet(&mut self, now: Timestamp, k: usize, peer: SocketAddr, packet: Packet<'_>, arrival: Arrival) {
+        let number = self.trackers[k].number;
+        let t_device = DeviceTime::Cycle(packet.number);
+        packet.items(|item| {
+            let mut sample = |sensor: u8, orientation_wxyz, acceleration_m_s2: Option<[f64; 3]>| {
+                let turned = self.trackers[k].protocol >= UNTURNED;
+                self.motion(
+                    u16::from(sensor) << 8 | number,
+                    arrival,
+                    t_device,
+                    orientation_wxyz,
+                    // Up to protocol 21 the mounting's quarter turn about z is left to the server.
+                    acceleration_m_s2.map(|[x, y, z]| if turned { [x, y, z] } else { [y, -x, z] }),
+                );
+            };
+            match item {
+                Ok(Item::Rotation { sensor, orientation_wxyz }) => {
+                    sample(sensor, Some(orientation_wxyz), None)
+                }
+                Ok(Item::Acceleration { sensor, acceleration_m_s2 }) => {
+                    sample(sensor, None, Some(acceleration_m_s2))
+                }
+                Ok(Item::Motion { sensor, orientation_wxyz, acceleration_m_s2 }) => {
+                    sample(sensor, Some(orientation_wxyz), Some(acceleration_m_s2));
+                }
+                Ok(Item::SensorInfo(info)) => {
+                    self.send(peer, &wire::sensor_info_ack(info.sensor, info.state));
+                    let sensor = info.sensor;
+                    if info.state == 2 {
+                        self.outbox.warn(now, 0x300 + (u32::from(number) << 8) + u32::from(sensor), || {
+                            format!("sensor {sensor} of tracker {number} has failed; restart the tracker")
+                        });
+                    }
+                }
+                Ok(Item::FeatureFlags) => self.send(peer, &wire::feature_flags()),
+                Ok(Item::Error { sensor, code }) => {
+                    self.outbox.warn(now, 0x1_0000 + (u32::from(number) << 8) + u32::from(sensor), || {
+                        format!("sensor {sensor} of tracker {number} reports error {code}")
+                    });
+                }
+                Ok(Item::Battery { level, .. }) if level < LOW_BATTERY => {
+                    self.outbox.warn(now, 0x2_0000 + u32::from(number), || {
+                        format!("the battery of tracker {number} is at {:.0} %", level * 100.0)
+                    });
+                }
+                Ok(_) => {}
+                Err(Refused) => self.outbox.counters.rejected += 1,
+            }
+        });
+    }
+
+    fn motion(
+        &mut self,
+        address: u16,
+        arrival: Arrival,
+        t_device: DeviceTime,
+        orientation_wxyz: Option<[f64; 4]>,
+        linear_acceleration_m_s2: Option<[f64; 3]>,
+    ) {
+        if !self.wanted.contains(&address) {
+            return;
+        }
+        self.outbox.counters.records += 1;
+        self.outbox.streaming();
+        self.outbox.sample(Sample {
+            address,
+            arrival,
+            t_device,
+            measurement: Measurement::Imu {
+                angular_rate_rad_s: None,
+                specific_force_m_s2: None,
+                linear_acceleration_m_s2,
+                magnetic_field: None,
+                orientation_wxyz,
+            },
+        });
+    }
+
+    fn beat(&mut self, now: Timestamp) {
+        self.beats = self.beats.wrapping_add(1);
+        for k in 0..self.trackers.len() {
+            let tracker = &mut self.trackers[k];
+            let Some(peer) = tracker.peer else { continue };
+            let silent_s = now.seconds_since(tracker.heard);
+            let number = tracker.number;
+            if silent_s >= GONE_S {
+                tracker.peer = None;
+                self.outbox.warn(now, 0x400 + u32::from(number), || {
+                    format!("tracker {number} is gone; check its battery and the network")
+                });
+                continue;
+            }
+            if silent_s >= TIMED_OUT_S && !tracker.timed_out {
+                tracker.timed_out = true;
+                self.outbox.warn(now, 0x500 + u32::from(number), || format!("tracker {number} is silent"));
+            }
+            self.send(peer, &wire::heartbeat());
+            self.send(peer, &wire::ping(self.beats));
+        }
+        let any = self.trackers.iter().any(|tracker| tracker.peer.is_some());
+        self.next_beat = any.then(|| now + BEAT);
+        if self.trackers.iter().all(|tracker| tracker.peer.is_none() || tracker.timed_out) {
+            self.outbox.silent("no tracker sends; switch them on, in the same network as this computer");
+        }
+    }
+}
+
+impl Session for SlimeVrSession {
+    fn handle_line(&mut self, _: Timestamp, event: &LineEvent) {
+        match event {
+            LineEvent::Opened { .. } => {
+                self.arrivals.reopen();
+                self.outbox.connecting("waiting for trackers");
+            }
+            LineEvent::Closed { reason } => {
+                for tracker in &mut self.trackers {
+                    tracker.peer = None;
+                }
+                self.next_beat = None;
+                self.outbox.connecting(reason.clone());
+            }
+            LineEvent::Dropped { bytes } => self.bytes_skipped += bytes,
+        }
+    }
+
+    fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
+        self.arrivals.read(now, bytes.len());
+        let mut place = self.place;
+        self.place += bytes.len() as u64;
+        for found in datagrams(bytes) {
+            match found {
+                Ok(datagram) => {
+                    self.datagram(now, place, datagram);
+                    place += datagram.envelope_len() as u64;
+                }
+                Err(len) => self.refuse(len),
+            }
+        }
+    }
+
+    fn handle_timeout(&mut self, now: Timestamp) {
+        if self.next_beat.is_some_and(|at| at <= now) {
+            self.beat(now);
+        }
+    }
+
+    fn poll_output(&mut self) -> Option<Output> {
+        self.outbox.poll()
+    }
+
+    fn poll_timeout(&self) -> Option<Timestamp> {
+        self.next_beat
+    }
+
+    fn state(&self) -> &State {
+        self.outbox.state()
+    }
+
+    fn counters(&self) -> Counters {
+        Counters { bytes_skipped: self.bytes_skipped, ..self.outbox.counters }
+    }
+
+    fn sensors(&self) -> &[SensorInfo] {
+        &self.sensors
+    }
+
+    fn rate_hz(&self) -> Option<f64> {
+        // Trackers send on change only, up to their own 100 Hz.
+        None
+    }
+
+    fn losses(&self) -> &[Loss] {
+        &self.losses
+    }
+}

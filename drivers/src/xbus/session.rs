@@ -1,0 +1,403 @@
+//! The live session with an Xbus device: set-up, stream, recovery.
+//!
+//! What comes in: line events, bytes, timeouts. What goes out: samples, requests, the state of the link.
+//! What it never does: wait, or believe that a device sends what it was asked for; data messages are read by
+//! what the device itself has said about them.
+//!
+//! Life: `Closed -> SettingUp -> Streaming`; silence, a restart of the device, or data of another shape lead
+//! back to SettingUp, failure to a pause and then there.
+
+use std::time::Duration;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::frame::{Frame, Framer};
+use super::message::{self, MASTER};
+use super::setup::{Progress, Setup};
+use super::stream::{Outcome, Plan, Stream};
+use crate::arrivals::Arrivals;
+use crate::flock::SettingsError;
+use crate::outbox::Outbox;
+use crate::sample::Timestamp;
+use crate::session::{Counters, LineEvent, Loss, Output, SensorInfo, Session, State};
+
+/// Pauses between attempts: the first, and the longest.
+const FIRST_PAUSE: Duration = Duration::from_millis(100);
+const LONGEST_PAUSE: Duration = Duration::from_secs(1);
+/// Shortest silence that counts as one, and periods that do.
+const MIN_SILENCE_S: f64 = 0.3;
+const SILENT_PERIODS: f64 = 20.0;
+/// Refused data messages in a row after which the device is set up again.
+const MOST_REFUSED: u32 = 10;
+
+/// Settings of an Xbus device; every key has a default.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Settings {
+    /// Measurement rate, Hz, 5 to 2000; a slower one is taken, with a warning, where line or device need it.
+    pub rate_hz: f64,
+    /// Whether the device also sends the orientation that it computes.
+    pub orientation: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { rate_hz: 100.0, orientation: true }
+    }
+}
+
+impl Settings {
+    /// Checks values that the types cannot.
+    ///
+    /// # Errors
+    /// The first value out of its range, by key.
+    pub fn validate(&self) -> Result<(), SettingsError> {
+        if (5.0..=2000.0).contains(&self.rate_hz) {
+            Ok(())
+        } else {
+            Err(SettingsError { key: "rate_hz", expected: "5 to 2000" })
+        }
+    }
+}
+
+/// A live session with one device or one chain.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct XbusSession {
+    settings: Settings,
+    baud: u32,
+    wanted: Vec<u16>,
+    phase: Phase,
+    framer: Framer,
+    arrivals: Arrivals,
+    outbox: Outbox,
+    /// Bytes dropped in front of the session; the framer counts the others.
+    dropped: u64,
+    sensors: Vec<SensorInfo>,
+    losses: Vec<Loss>,
+    /// When data last came, of this stream or an earlier one.
+    last_data: Option<Timestamp>,
+    rate_hz: Option<f64>,
+    pause: Duration,
+    /// The next failure to reach the device while it streams is answered by a reset.
+    may_reset: bool,
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+enum Phase {
+    Closed,
+    SettingUp { setup: Box<Setup>, bytes: u64 },
+    Streaming { stream: Box<Stream>, silent_at: Timestamp, refused: u32 },
+    Pausing { until: Timestamp },
+}
+
+impl XbusSession {
+    /// A session for the trackers `wanted`, by bus address; a stand-alone device has address 1 (or 0).
+    ///
+    /// `baud` is 0 where the line has no such limit.
+    ///
+    /// # Errors
+    /// A setting or an address is out of its range.
+    pub fn new(settings: Settings, baud: u32, wanted: &[u16]) -> Result<Self, SettingsError> {
+        settings.validate()?;
+        let mut addresses = wanted.to_vec();
+        addresses.sort_unstable();
+        addresses.dedup();
+        let in_range = addresses == [0] || addresses.iter().all(|address| (1..=20).contains(address));
+        if addresses.is_empty() || addresses.len() != wanted.len() || !in_range {
+            return Err(SettingsError {
+                key: "address",
+                expected: "0 alone, or different numbers from 1 to 20",
+            });
+        }
+        Ok(Self {
+            settings,
+            baud,
+            wanted: addresses,
+            phase: Phase::Closed,
+            framer: Framer::default(),
+            arrivals: Arrivals::default(),
+            outbox: Outbox::new(),
+            dropped: 0,
+            sensors: Vec::new(),
+            losses: Vec::new(),
+            last_data: None,
+            rate_hz: None,
+            pause: FIRST_PAUSE,
+            may_reset: true,
+        })
+    }
+
+    fn set_up(&mut self, now: Timestamp) {
+        if !matches!(self.outbox.state(), State::Silent { .. } | State::Failed { .. }) {
+            self.outbox.connecting("asking the device what it is");
+        }
+        let mut setup = Box::new(Setup::new(now, &self.settings, self.baud));
+        self.transmit(&mut setup);
+        self.phase = Phase::SettingUp { setup, bytes: 0 };
+    }
+
+    fn transmit(&mut self, setup: &mut Setup) {
+        while let Some(request) = setup.poll_transmit() {
+            self.outbox.transmit(request);
+        }
+    }
+
+    fn message(&mut self, now: Timestamp, frame: Frame<'_>, place: u64) {
+        match std::mem::replace(&mut self.phase, Phase::Closed) {
+            Phase::SettingUp { mut setup, bytes } => {
+                let progress = setup.handle(now, frame);
+                self.on_progress(now, setup, bytes, progress);
+            }
+            Phase::Streaming { stream, silent_at, refused } => {
+                self.stream_message(now, frame, place, (stream, silent_at, refused));
+            }
+            other => self.phase = other,
+        }
+    }
+
+    fn on_progress(&mut self, now: Timestamp, mut setup: Box<Setup>, bytes: u64, progress: Progress) {
+        for (kind, warning) in (100..).zip(setup.take_warnings()) {
+            self.outbox.warn(now, kind, || warning);
+        }
+        self.transmit(&mut setup);
+        match progress {
+            Progress::Busy => self.phase = Phase::SettingUp { setup, bytes },
+            Progress::Done(plan) => self.start(now, plan),
+            Progress::Refused(reason) => {
+                self.outbox.failed(reason);
+                self.pause(now);
+            }
+            Progress::Unanswered => {
+                if setup.heard && std::mem::take(&mut self.may_reset) {
+                    // Some devices pass over GotoConfig until they are reset.
+                    self.outbox.transmit(message::request(MASTER, message::RESET, &[]));
+                    return self.set_up(now);
+                }
+                self.may_reset = true;
+                let baud = self.baud;
+                if setup.heard {
+                    self.outbox.failed(
+                        "the device sends, but does not answer; check the transmit wire, or switch it off and on",
+                    );
+                } else if bytes > 0 {
+                    self.outbox.failed(format!(
+                        "what arrives at {baud} baud is no Xbus message; try another baud rate (an Xbus Master has \
+                         460800, an MTi 115200)"
+                    ));
+                } else {
+                    self.outbox.silent(format!(
+                        "nothing answers at {baud} baud; check power, cable and baud rate (an Xbus Master has 460800, \
+                         an MTi 115200)"
+                    ));
+                }
+                self.pause(now);
+            }
+        }
+    }
+
+    fn pause(&mut self, now: Timestamp) {
+        self.phase = Phase::Pausing { until: now + self.pause };
+        self.pause = (self.pause * 2).min(LONGEST_PAUSE);
+    }
+
+    fn start(&mut self, now: Timestamp, mut plan: Plan) {
+        if self.wanted == [0]
+            && let [unit] = plan.units.as_mut_slice()
+        {
+            unit.address = 0;
+        }
+        for &address in &self.wanted {
+            if !plan.units.iter().any(|unit| unit.address == address) {
+                let there = plan.units.len();
+                self.outbox.warn(now, 200 + u32::from(address), || {
+                    format!("tracker {address} is not there; the device has {there}. Check its cable and the stage file")
+                });
+            }
+        }
+        let stream = Box::new(Stream::new(plan));
+        self.rate_hz = Some(stream.rate_hz());
+        self.sensors = stream.sensors().collect();
+        let earlier = std::mem::take(&mut self.losses);
+        self.losses = self
+            .sensors
+            .iter()
+            .map(|sensor| {
+                let known = earlier.iter().find(|loss| loss.address == sensor.address);
+                known.copied().unwrap_or(Loss { address: sensor.address, ..Loss::default() })
+            })
+            .collect();
+        let silent_at = now + silence(stream.rate_hz());
+        self.phase = Phase::Streaming { stream, silent_at, refused: 0 };
+    }
+
+    fn stream_message(
+        &mut self,
+        now: Timestamp,
+        frame: Frame<'_>,
+        place: u64,
+        (mut stream, silent_at, refused): (Box<Stream>, Timestamp, u32),
+    ) {
+        let Some(arrival) = self.arrivals.of(place) else { return };
+        let Self { outbox, wanted, losses, .. } = self;
+        let outcome = stream.handle(frame, arrival, losses, &mut |sample| {
+            if wanted.contains(&sample.address) {
+                outbox.sample(sample);
+            }
+        });
+        self.phase =
+            match outcome {
+                Outcome::Data(samples) => {
+                    let is_first = *outbox.state() != State::Streaming;
+                    if let Some(last) = self.last_data.replace(now).filter(|_| is_first) {
+                        // Counters start again with a new measurement: what was missed is told by time alone.
+                        let missed = (now.seconds_since(last) * stream.rate_hz()).round() as u64;
+                        for loss in losses {
+                            loss.lost += missed.saturating_sub(1);
+                            loss.estimated |= missed > 1;
+                        }
+                    }
+                    outbox.counters.records += u64::from(samples.max(1));
+                    outbox.streaming();
+                    self.pause = FIRST_PAUSE;
+                    self.may_reset = true;
+                    let silent_at = now + silence(stream.rate_hz());
+                    Phase::Streaming { stream, silent_at, refused: 0 }
+                }
+                Outcome::Refused => {
+                    outbox.counters.rejected += 1;
+                    if refused + 1 < MOST_REFUSED {
+                        Phase::Streaming { stream, silent_at, refused: refused + 1 }
+                    } else {
+                        outbox.warn(now, 1, || {
+                            "the device sends something else than it was set to; setting it up again".into()
+                        });
+                        return self.set_up(now);
+                    }
+                }
+                Outcome::Other => match frame.mid {
+                    message::WAKE_UP => {
+                        outbox.warn(now, 2, || "the device has restarted; check its power".into());
+                        outbox.connecting("the device has restarted");
+                        outbox.transmit(message::request(MASTER, message::WAKE_UP_ACK, &[]));
+                        return self.set_up(now);
+                    }
+                    message::ERROR => {
+                        let code = frame.data.first().copied().unwrap_or_default();
+                        let words = message::error_words(code);
+                        let tracker = frame.data.get(1).copied().unwrap_or_default();
+                        outbox.warn(now, 0x1000 + 0x100 * u32::from(code) + u32::from(tracker), || {
+                            match tracker {
+                                0 => format!("the device reports error {code:#04x}: {words}"),
+                                _ => format!(
+                                    "the device reports error {code:#04x} of tracker {tracker}: {words}"
+                                ),
+                            }
+                        });
+                        Phase::Streaming { stream, silent_at, refused }
+                    }
+                    _ => Phase::Streaming { stream, silent_at, refused },
+                },
+            };
+    }
+}
+
+fn silence(rate_hz: f64) -> Duration {
+    Duration::from_secs_f64((SILENT_PERIODS / rate_hz).max(MIN_SILENCE_S))
+}
+
+impl Session for XbusSession {
+    fn handle_line(&mut self, now: Timestamp, event: &LineEvent) {
+        match event {
+            LineEvent::Opened { modem_lines } => {
+                self.framer.interrupt();
+                self.arrivals.reopen();
+                self.pause = FIRST_PAUSE;
+                self.outbox.connecting("the port is open");
+                if *modem_lines {
+                    // Without RTS an Xbus Master does not transmit.
+                    self.outbox.set_rts(true);
+                }
+                self.set_up(now);
+            }
+            LineEvent::Closed { reason } => {
+                self.framer.interrupt();
+                self.phase = Phase::Closed;
+                self.outbox.connecting(reason.clone());
+            }
+            LineEvent::Dropped { bytes } => {
+                self.framer.interrupt();
+                self.dropped += bytes;
+            }
+        }
+    }
+
+    fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
+        self.arrivals.read(now, bytes.len());
+        if let Phase::SettingUp { bytes: heard, .. } = &mut self.phase {
+            *heard += bytes.len() as u64;
+        }
+        // The messages lie in the framer while the session changes.
+        let mut framer = std::mem::take(&mut self.framer);
+        framer.push(bytes);
+        while let Some(found) = framer.find() {
+            self.message(now, framer.frame(found), found.place);
+        }
+        self.framer = framer;
+    }
+
+    fn handle_timeout(&mut self, now: Timestamp) {
+        if self.poll_timeout().is_none_or(|at| now < at) {
+            return;
+        }
+        match std::mem::replace(&mut self.phase, Phase::Closed) {
+            Phase::Closed => {}
+            Phase::Pausing { .. } => self.set_up(now),
+            Phase::SettingUp { mut setup, bytes } => {
+                let progress = setup.handle_timeout(now);
+                self.on_progress(now, setup, bytes, progress);
+            }
+            Phase::Streaming { .. } => {
+                self.outbox.silent("no data any more; check the device's power and cable");
+                self.set_up(now);
+            }
+        }
+    }
+
+    fn poll_output(&mut self) -> Option<Output> {
+        self.outbox.poll()
+    }
+
+    fn poll_timeout(&self) -> Option<Timestamp> {
+        match &self.phase {
+            Phase::Closed => None,
+            Phase::SettingUp { setup, .. } => Some(setup.poll_timeout()),
+            Phase::Streaming { silent_at, .. } => Some(*silent_at),
+            Phase::Pausing { until } => Some(*until),
+        }
+    }
+
+    fn state(&self) -> &State {
+        self.outbox.state()
+    }
+
+    fn counters(&self) -> Counters {
+        Counters {
+            bytes_skipped: self.dropped + self.framer.bytes_skipped(),
+            rejected: self.outbox.counters.rejected + self.framer.bad_checksums(),
+            ..self.outbox.counters
+        }
+    }
+
+    fn sensors(&self) -> &[SensorInfo] {
+        &self.sensors
+    }
+
+    fn rate_hz(&self) -> Option<f64> {
+        self.rate_hz
+    }
+
+    fn losses(&self) -> &[Loss] {
+        &self.losses
+    }
+}

@@ -1,0 +1,242 @@
+//! Fastrak: worked examples, round trips, and the session against a pretended unit.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use posed_drivers::fastrak::wire::{Piece, Record, Shape, Splitter};
+use posed_drivers::fastrak::{FastrakSession, Settings};
+use posed_drivers::{DeviceTime, Measurement, Session, State, Timestamp};
+use proptest::prelude::*;
+
+use crate::hex;
+use crate::rig::{Device, Rig};
+
+const BINARY: Shape = Shape { text: false, button: false };
+
+fn records(bytes: &[u8], shape: Shape) -> Vec<Record> {
+    let mut splitter = Splitter::new(shape);
+    splitter.push(bytes);
+    std::iter::from_fn(|| splitter.find())
+        .filter_map(|piece| if let Piece::Record(_, record) = piece { Some(record) } else { None })
+        .collect()
+}
+
+#[test]
+fn worked_example() {
+    // The sheet's record with CR LF in place of the space: 12, -3.5, 20.25 and a quaternion.
+    let bytes = hex(
+        "30 31 20 00 00 40 41 00 00 60 C0 00 00 A2 41 75 3D 27 3F 7F 78 33 3F A9 05 BD 3D D4 8B 8A 3E 0D 0A",
+    );
+    assert_eq!(bytes.len(), BINARY.binary_len());
+    let record = records(&bytes, BINARY)[0];
+    assert_eq!((record.station, record.status), (1, b' '));
+    for (value, expected) in record.position_m.iter().zip([0.12, -0.035, 0.2025]) {
+        assert!((value - expected).abs() < 1e-12);
+    }
+    for (value, expected) in record.orientation_wxyz.iter().zip([0.65328, 0.70106, 0.09230, 0.27060]) {
+        assert!((value - expected).abs() < 1e-5);
+    }
+}
+
+#[test]
+fn text_fields_may_touch() {
+    let line = b"02 -120.0000-115.2500   20.2500   0.5000  -0.5000-0.5000 0.5000\r\n";
+    let record = records(line, Shape { text: true, button: false })[0];
+    assert_eq!(record.station, 2);
+    assert_eq!(record.position_m, [-1.2, -1.1525, 0.2025]);
+    assert_eq!(record.orientation_wxyz, [0.5, -0.5, -0.5, 0.5]);
+}
+
+prop_compose! {
+    fn any_record()(
+        station in 1_u8..=4,
+        position_m in proptest::array::uniform3(-3.0_f64..3.0),
+        q in proptest::array::uniform4(-1.0_f64..1.0).prop_filter("long", |q| q.iter().map(|v| v * v).sum::<f64>() > 0.1),
+        button: bool,
+    ) -> Record {
+        let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let orientation_wxyz = q.map(|v| v / norm);
+        Record { station, status: b' ', position_m, orientation_wxyz, button: Some(button) }
+    }
+}
+
+proptest! {
+    #[test]
+    fn round_trip(record in any_record(), text: bool, button: bool) {
+        let shape = Shape { text, button };
+        let mut bytes = Vec::new();
+        record.encode(shape, &mut bytes);
+        let [back] = records(&bytes, shape)[..] else { panic!("{bytes:?}") };
+        let tolerance = if text { 1e-4 } else { 1e-6 };
+        prop_assert_eq!(back.station, record.station);
+        prop_assert_eq!(back.button, record.button.filter(|_| button));
+        for (a, b) in back.position_m.iter().chain(&back.orientation_wxyz).zip(record.position_m.iter().chain(&record.orientation_wxyz)) {
+            prop_assert!((a - b).abs() < tolerance, "{} {}", a, b);
+        }
+    }
+
+    #[test]
+    fn a_lost_byte_costs_at_most_its_record_and_the_next(record in any_record(), at in 0_usize..33) {
+        let mut one = Vec::new();
+        record.encode(BINARY, &mut one);
+        let mut bytes = one.repeat(4);
+        bytes.remove(33 + at);
+        let found = records(&bytes, BINARY);
+        prop_assert!(found.len() >= 2);
+        let whole = records(&one, BINARY)[0];
+        prop_assert!(found.iter().all(|record| *record == whole));
+    }
+}
+
+/// A unit that obeys the commands that set-up uses.
+struct Pretended {
+    stations: Vec<u8>,
+    shape: Shape,
+    on: bool,
+    dead: bool,
+    status: u8,
+    next: Timestamp,
+    turn: usize,
+    out: VecDeque<Vec<u8>>,
+    heard: Vec<u8>,
+    skip: usize,
+}
+
+impl Pretended {
+    fn new() -> Self {
+        Self {
+            stations: vec![1, 2, 3, 4],
+            shape: BINARY,
+            on: true,
+            dead: false,
+            status: b' ',
+            next: Timestamp::ZERO,
+            turn: 0,
+            out: VecDeque::new(),
+            heard: vec![],
+            skip: 0,
+        }
+    }
+}
+
+impl Device for Pretended {
+    fn receive(&mut self, now: Timestamp, bytes: &[u8]) {
+        self.heard.extend(bytes);
+        if self.dead {
+            return;
+        }
+        let text = String::from_utf8(bytes.to_vec()).unwrap();
+        if text == "\rc" {
+            self.on = false;
+        } else if text == "S" {
+            let status = format!("21S000000      2.08  {:<32}\r\n", "FASTRAK");
+            self.out.push_back(status.into_bytes());
+        } else if text.ends_with('C') {
+            self.stations = (1..=4).filter(|station| text.contains(&format!("l{station},1\r"))).collect();
+            self.shape = Shape { text: text.ends_with("FC"), button: text.contains("2,11,16,1") };
+            self.on = true;
+            self.turn = 0;
+            self.next = now;
+        }
+    }
+
+    fn send(&mut self, now: Timestamp) -> Option<Vec<u8>> {
+        if self.on && !self.dead && now >= self.next {
+            self.next = self.next.max(now - Duration::from_millis(5)) + Duration::from_nanos(8_333_333);
+            let station = self.stations[self.turn % self.stations.len()];
+            self.turn += 1;
+            if self.skip > 0 {
+                self.skip -= 1;
+            } else {
+                let mut bytes = Vec::new();
+                Record {
+                    station,
+                    status: self.status,
+                    position_m: [0.5, 0.25, -0.125],
+                    orientation_wxyz: [0.5, 0.5, -0.5, 0.5],
+                    button: Some(true),
+                }
+                .encode(self.shape, &mut bytes);
+                self.out.push_back(bytes);
+            }
+        }
+        self.out.pop_front()
+    }
+}
+
+fn rig(settings: Settings, wanted: &[u16]) -> Rig<FastrakSession, Pretended> {
+    Rig::open(FastrakSession::new(settings, wanted).unwrap(), Pretended::new())
+}
+
+#[test]
+fn a_unit_is_set_up_and_streams() {
+    for text in [false, true] {
+        for button in [false, true] {
+            let mut rig = rig(Settings { text, button, ..Settings::default() }, &[1, 3]);
+            rig.run_stored_ms(750);
+            assert!(rig.is_streaming(), "{}", rig.reason());
+            rig.samples.clear();
+            rig.run_ms(1000);
+            assert!((119..=121).contains(&rig.samples.len()), "{}", rig.samples.len());
+            let sample = rig.samples[0];
+            let Measurement::Pose { position_m, orientation_wxyz, button: pressed } = sample.measurement
+            else {
+                panic!()
+            };
+            assert_eq!(position_m, Some([0.5, 0.25, -0.125]));
+            assert_eq!(orientation_wxyz, Some([0.5, 0.5, -0.5, 0.5]));
+            assert_eq!(pressed, button.then_some(1));
+            let cycles: Vec<_> = rig.samples.iter().map(|sample| sample.t_device).collect();
+            let DeviceTime::Cycle(first) = cycles[0] else { panic!() };
+            let DeviceTime::Cycle(last) = cycles[cycles.len() - 1] else { panic!() };
+            assert!((59..=60).contains(&(last - first)));
+            assert!(rig.session.losses().iter().all(|loss| loss.lost == 0));
+            assert_eq!(rig.session.counters().rejected, 0);
+        }
+    }
+}
+
+#[test]
+fn passed_over_stations_are_lost() {
+    let mut rig = rig(Settings::default(), &[1, 2, 3]);
+    rig.run_ms(1000);
+    rig.device.skip = 1;
+    rig.run_ms(100);
+    let lost: u64 = rig.session.losses().iter().map(|loss| loss.lost).sum();
+    assert_eq!(lost, 1);
+}
+
+#[test]
+fn poses_of_a_station_in_error_are_not_used() {
+    let mut rig = rig(Settings::default(), &[1]);
+    rig.run_ms(1000);
+    rig.device.status = b'E';
+    rig.samples.clear();
+    rig.run_ms(200);
+    assert!(rig.samples.is_empty());
+    assert!(rig.session.counters().rejected >= 20);
+    assert_eq!(rig.warnings.len(), 1, "{:?}", rig.warnings);
+}
+
+#[test]
+fn silence_is_told_and_the_unit_reset() {
+    let mut rig = rig(Settings::default(), &[1]);
+    rig.run_ms(1000);
+    rig.device.dead = true;
+    rig.run_ms(6000);
+    assert!(matches!(rig.session.state(), State::Silent { .. }));
+    assert!(rig.device.heard.contains(&0x19));
+    rig.device.dead = false;
+    let before = rig.samples.len() as u64;
+    rig.run_ms(17_000);
+    assert!(rig.is_streaming(), "{}", rig.reason());
+    let (loss, ours) = (rig.session.losses()[0], rig.samples.len() as u64 - before);
+    assert!(loss.estimated && (loss.lost + ours).abs_diff(23 * 120) <= 3, "{loss:?} and {ours}");
+}
+
+#[test]
+fn stations_are_checked() {
+    for wanted in [&[][..], &[0], &[5], &[1, 1], &[256]] {
+        assert!(FastrakSession::new(Settings::default(), wanted).is_err(), "{wanted:?}");
+    }
+}

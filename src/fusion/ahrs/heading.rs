@@ -1,0 +1,303 @@
+//! Heading from the magnetometer.
+//!
+//! In: per window, the mean field turned into the level frame, and the mean rotation. Out: the angle that
+//! turns the level frame to north. It never touches the tilt.
+//!
+//! A sample is `R m = e + d + R h + tau R (w x m) + noise`, all in the level frame: `e` the earth's field, which
+//! only drifts with the gyro's heading, at a rate that is a state too; `d` a disturbance in the room; `h` a
+//! magnet or iron fastened to the sensor; `tau` the lag of the magnetometer behind the gyro. That is linear in
+//! (e, d, h, tau), so one Kalman filter with eleven states tells them apart as the sensor turns.
+//!
+//! As long as the innovations are healthy, `d` is zero. When the field jumps, `d` and `h` are made uncertain and
+//! `e` is not: the heading holds by the gyro until the turning has shown which of the two it was. `d` ends when
+//! the samples are explained without it, and is forgotten only after many minutes: a field that turns with norm
+//! and dip unchanged cannot be told from a turned sensor by any other sign.
+
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use serde::{Deserialize, Serialize};
+
+const STATES: usize = 11;
+const EARTH: usize = 0;
+const ROOM: usize = 3;
+const MAGNET: usize = 6;
+const LAG: usize = 9;
+const RATE: usize = 10;
+
+/// What the heading filter assumes; fields as fractions of the first sample's norm.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HeadingParams {
+    /// Drift of the gyro's heading, rad per sqrt(s).
+    pub drift: f64,
+    /// Gyro scale error as a fraction: turning by an angle adds this part of it to the drift.
+    pub drift_scale: f64,
+    /// Standard deviation of the rate at which the gyro's heading drifts, rad/s.
+    pub rate_sigma: f64,
+    /// Time in which that rate changes, s.
+    pub rate_tau_s: f64,
+    /// The same deviation at rest, where the gyro's bias is measured.
+    pub rate_rest: f64,
+    /// Drift of the earth's field in norm and dip, per sqrt(s).
+    pub earth_walk: f64,
+    /// Initial standard deviation of the field of a magnet on the sensor: small, because a magnetometer comes
+    /// calibrated. A magnet that is put on shows as a jump.
+    pub magnet_initial: f64,
+    /// Drift of that field, per sqrt(s).
+    pub magnet_walk: f64,
+    /// Initial standard deviation of the magnetometer's lag, s.
+    pub lag_initial_s: f64,
+    /// Drift of the lag, s per sqrt(s).
+    pub lag_walk: f64,
+    /// White noise of a window's mean field.
+    pub noise: f64,
+    /// Error of the field per turn in a window (misalignment, nonlinearity of the lag), fraction per rad.
+    pub turn_noise: f64,
+    /// Normalised innovation squared (3 degrees of freedom, low-passed) that tells a jump.
+    pub jump_nis: f64,
+    /// Time constant of its low-pass, s.
+    pub jump_tau_s: f64,
+    /// How uncertain room disturbance and magnet become at a jump.
+    pub jump_sigma: f64,
+    /// Standard deviation of a lasting disturbance in the room.
+    pub room_sigma: f64,
+    /// Time after which a lasting disturbance is taken for the earth's field, s.
+    pub room_memory_s: f64,
+    /// Normalised innovation squared under no disturbance (low-passed) below which it has passed.
+    pub clear_nis: f64,
+    /// Time constant of that low-pass, s.
+    pub clear_tau_s: f64,
+}
+
+impl Default for HeadingParams {
+    fn default() -> Self {
+        Self {
+            drift: 1e-4,
+            drift_scale: 0.003,
+            rate_sigma: 3e-4,
+            rate_tau_s: 300.0,
+            rate_rest: 1e-5,
+            earth_walk: 1e-4,
+            magnet_initial: 5e-4,
+            magnet_walk: 1e-5,
+            lag_initial_s: 0.01,
+            lag_walk: 1e-5,
+            noise: 0.04,
+            turn_noise: 0.1,
+            jump_nis: 13.0,
+            jump_tau_s: 0.4,
+            jump_sigma: 1.0,
+            room_sigma: 0.5,
+            room_memory_s: 600.0,
+            clear_nis: 8.0,
+            clear_tau_s: 1.0,
+        }
+    }
+}
+
+/// Means over one window, level frame.
+pub(super) struct FieldWindow {
+    pub(super) duration_s: f64,
+    pub(super) field: Vector3<f64>,
+    pub(super) lag: Vector3<f64>,
+    pub(super) rotation: Matrix3<f64>,
+    pub(super) turned_rad: f64,
+    pub(super) at_rest: bool,
+}
+
+/// The filter's state.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Heading {
+    /// Norm of the first sample: the unit of all fields here; 0 before it.
+    unit: f64,
+    x: SVector<f64, STATES>,
+    p: SMatrix<f64, STATES, STATES>,
+    nis: f64,
+    disturbed: bool,
+    clear_nis: f64,
+    offset_rad: f64,
+}
+
+impl Heading {
+    pub(super) fn new(params: &HeadingParams) -> Self {
+        let sigma = |i| match i {
+            EARTH..ROOM => 1.0,
+            ROOM..MAGNET => 0.0,
+            MAGNET..LAG => params.magnet_initial,
+            LAG => params.lag_initial_s,
+            _ => params.rate_sigma,
+        };
+        Self {
+            unit: 0.0,
+            x: SVector::zeros(),
+            p: SMatrix::from_diagonal(&SVector::from_fn(|i, _| f64::powi(sigma(i), 2))),
+            nis: 0.0,
+            disturbed: false,
+            clear_nis: 0.0,
+            offset_rad: 0.0,
+        }
+    }
+
+    /// Begins with the first sample, level frame.
+    pub(super) fn start(&mut self, field: Vector3<f64>) {
+        self.unit = field.norm();
+        self.x.fixed_rows_mut::<3>(EARTH).copy_from(&(field / self.unit));
+        self.offset_rad = field.x.atan2(field.y);
+    }
+
+    pub(super) fn offset_rad(&self) -> f64 {
+        self.offset_rad
+    }
+
+    pub(super) fn disturbed(&self) -> bool {
+        self.disturbed
+    }
+
+    pub(super) fn magnet(&self) -> Vector3<f64> {
+        Vector3::new(self.x[MAGNET], self.x[MAGNET + 1], self.x[MAGNET + 2]) * self.unit
+    }
+
+    /// Takes one window.
+    pub(super) fn update(&mut self, params: &HeadingParams, w: &FieldWindow) {
+        if self.unit == 0.0 {
+            self.start(w.field);
+        }
+        self.predict(params, w);
+        let field = w.field / self.unit;
+        let lag = w.lag / self.unit;
+        let noise = params.noise.powi(2) + (params.turn_noise * w.turned_rad).powi(2);
+        if self.disturbed {
+            let nis = self.nis_if_clear(w, field, lag, noise);
+            self.clear_nis += (nis - self.clear_nis) * (w.duration_s / (params.clear_tau_s + w.duration_s));
+        }
+        let mut nis = 0.0;
+        for i in 0..3 {
+            let row = [
+                (EARTH + i, 1.0),
+                (ROOM + i, 1.0),
+                (MAGNET, w.rotation[(i, 0)]),
+                (MAGNET + 1, w.rotation[(i, 1)]),
+                (MAGNET + 2, w.rotation[(i, 2)]),
+                (LAG, lag[i]),
+            ];
+            nis += self.observe(&row, field[i], noise);
+        }
+        if w.at_rest {
+            self.observe(&[(RATE, 1.0)], 0.0, params.rate_rest.powi(2));
+        }
+        self.watch(params, nis, w.duration_s);
+        if self.x[EARTH].hypot(self.x[EARTH + 1]) > 0.02 {
+            self.offset_rad = self.x[EARTH].atan2(self.x[EARTH + 1]);
+        }
+    }
+
+    fn predict(&mut self, params: &HeadingParams, w: &FieldWindow) {
+        let t = w.duration_s;
+        let (x, p) = (&mut self.x, &mut self.p);
+        if self.disturbed {
+            let keep = (-t / params.room_memory_s).exp();
+            for i in ROOM..MAGNET {
+                x[i] *= keep;
+                for j in 0..STATES {
+                    p[(i, j)] *= keep;
+                }
+                for j in 0..STATES {
+                    p[(j, i)] *= keep;
+                }
+                p[(i, i)] += params.room_sigma.powi(2) * (1.0 - keep * keep);
+            }
+        }
+        let keep = (-t / params.rate_tau_s).exp();
+        x[RATE] *= keep;
+        for j in 0..STATES {
+            p[(RATE, j)] *= keep;
+        }
+        for j in 0..STATES {
+            p[(j, RATE)] *= keep;
+        }
+        p[(RATE, RATE)] += params.rate_sigma.powi(2) * (1.0 - keep * keep);
+        let (ex, ey, rate) = (x[EARTH], x[EARTH + 1], x[RATE]);
+        x[EARTH] -= t * rate * ey;
+        x[EARTH + 1] += t * rate * ex;
+        for (to, factor) in [(EARTH, -t * ey), (EARTH + 1, t * ex)] {
+            for j in 0..STATES {
+                p[(j, to)] += factor * p[(j, RATE)];
+            }
+            for j in 0..STATES {
+                p[(to, j)] += factor * p[(RATE, j)];
+            }
+        }
+        // A heading drift turns the earth's field about the vertical.
+        let q = params.drift.powi(2) * t + (params.drift_scale * w.turned_rad).powi(2);
+        p[(EARTH, EARTH)] += q * ey * ey;
+        p[(EARTH, EARTH + 1)] -= q * ex * ey;
+        p[(EARTH + 1, EARTH)] -= q * ex * ey;
+        p[(EARTH + 1, EARTH + 1)] += q * ex * ex;
+        for i in 0..3 {
+            p[(EARTH + i, EARTH + i)] += params.earth_walk.powi(2) * t;
+            p[(MAGNET + i, MAGNET + i)] += params.magnet_walk.powi(2) * t;
+        }
+        p[(LAG, LAG)] += params.lag_walk.powi(2) * t;
+    }
+
+    /// One scalar measurement with a sparse row; returns its normalised innovation squared.
+    fn observe(&mut self, row: &[(usize, f64)], z: f64, r: f64) -> f64 {
+        let mut ph = SVector::<f64, STATES>::zeros();
+        let mut innovation = z;
+        for &(i, h) in row {
+            ph += self.p.column(i) * h;
+            innovation -= h * self.x[i];
+        }
+        let s = r + row.iter().map(|&(i, h)| h * ph[i]).sum::<f64>();
+        let gain = ph / s;
+        self.x += gain * innovation;
+        for j in 0..STATES {
+            for k in 0..STATES {
+                self.p[(k, j)] -= gain[k] * ph[j];
+            }
+        }
+        innovation * innovation / s
+    }
+
+    /// Would the sample be explained without a disturbance in the room? Normalised, 3 degrees of freedom.
+    fn nis_if_clear(&self, w: &FieldWindow, field: Vector3<f64>, lag: Vector3<f64>, noise: f64) -> f64 {
+        let mut nis = 0.0;
+        for i in 0..3 {
+            let row = [
+                (EARTH + i, 1.0),
+                (MAGNET, w.rotation[(i, 0)]),
+                (MAGNET + 1, w.rotation[(i, 1)]),
+                (MAGNET + 2, w.rotation[(i, 2)]),
+                (LAG, lag[i]),
+            ];
+            let mut innovation = field[i];
+            let mut s = noise;
+            for &(j, h) in &row {
+                innovation -= h * self.x[j];
+                for &(k, g) in &row {
+                    s += h * self.p[(j, k)] * g;
+                }
+            }
+            nis += innovation * innovation / s;
+        }
+        nis
+    }
+
+    /// Watches the innovations; a run of large ones means that the field has changed.
+    fn watch(&mut self, params: &HeadingParams, nis: f64, t: f64) {
+        self.nis += (nis - self.nis) * (t / (params.jump_tau_s + t));
+        if self.nis > params.jump_nis {
+            self.nis = 0.0;
+            self.disturbed = true;
+            self.clear_nis = 100.0;
+            for i in ROOM..LAG {
+                self.p[(i, i)] += params.jump_sigma.powi(2);
+            }
+        } else if self.disturbed && self.clear_nis < params.clear_nis {
+            self.disturbed = false;
+            for i in ROOM..MAGNET {
+                self.x[i] = 0.0;
+                self.p.row_mut(i).fill(0.0);
+                self.p.column_mut(i).fill(0.0);
+            }
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! Tilt and gyro bias from the specific force.
+//!
+//! In: per window, the integrals of the rotation and of the specific force in the level frame. Out: the tilt
+//! by which the level frame must be turned, and the gyro bias. It knows nothing of heading.
+//!
+//! Kalman filter over (tilt 2, gyro bias 3, horizontal velocity 2). The specific force is the known input of
+//! the velocity; that the velocity stays near zero is the measurement, white with a stated density. A tilt
+//! error leaks gravity into the velocity, which then runs away: that is what is seen.
+//! Unlike a low-pass of the force, the filter does not take a swing of the arm for tilt, because a swing ends
+//! where it began.
+
+use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Standard gravity, m/s².
+pub(super) const GRAVITY_M_S2: f64 = 9.81;
+
+const STATES: usize = 7;
+const TILT: usize = 0;
+const BIAS: usize = 2;
+const VELOCITY: usize = 5;
+
+/// Noise that the tilt filter assumes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct InclinationParams {
+    /// Angle random walk of the gyro, rad/sqrt(s).
+    pub gyro_noise: f64,
+    /// Gyro scale and cross-axis error as a fraction: turning by an angle adds this part of it as noise.
+    pub gyro_scale: f64,
+    /// Initial standard deviation of the gyro bias, rad/s.
+    pub bias_initial: f64,
+    /// Random walk of the gyro bias, rad/s per sqrt(s).
+    pub bias_walk: f64,
+    /// Noise of the specific force, m/s per sqrt(s).
+    pub accel_noise: f64,
+    /// Scale and cross-axis error of the specific force as a fraction.
+    pub accel_scale: f64,
+    /// Density of the horizontal velocity as noise, (m/s)·sqrt(s).
+    pub velocity_density: f64,
+    /// Standard deviation of the velocity at rest, m/s.
+    pub rest_velocity: f64,
+    /// Standard deviation of the low-passed gyro about its bias at rest, rad/s.
+    pub rest_gyro: f64,
+}
+
+impl Default for InclinationParams {
+    fn default() -> Self {
+        Self {
+            gyro_noise: 1e-4,
+            gyro_scale: 0.007,
+            bias_initial: 0.5_f64.to_radians(),
+            bias_walk: 3e-4,
+            accel_noise: 0.02,
+            accel_scale: 0.02,
+            velocity_density: 0.25,
+            rest_velocity: 0.1,
+            rest_gyro: 0.03_f64.to_radians(),
+        }
+    }
+}
+
+/// Integrals over one window, level frame.
+pub(super) struct ForceWindow {
+    pub(super) duration_s: f64,
+    pub(super) rotation_s: Matrix3<f64>,
+    pub(super) velocity_m_s: Vector3<f64>,
+    pub(super) shaking: f64,
+    pub(super) turned_rad: f64,
+    /// Low-passed gyro, if at rest.
+    pub(super) rest_gyro_rad_s: Option<Vector3<f64>>,
+}
+
+/// The filter's state.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Inclination {
+    /// Tilt, bias, velocity; the tilt part is zero between updates.
+    x: SVector<f64, STATES>,
+    p: SMatrix<f64, STATES, STATES>,
+}
+
+impl Inclination {
+    pub(super) fn new(params: &InclinationParams) -> Self {
+        let sigma = |i| match i {
+            TILT..BIAS => 0.2,
+            BIAS..VELOCITY => params.bias_initial,
+            _ => 0.5,
+        };
+        Self {
+            x: SVector::zeros(),
+            p: SMatrix::from_diagonal(&SVector::from_fn(|i, _| f64::powi(sigma(i), 2))),
+        }
+    }
+
+    pub(super) fn bias_rad_s(&self) -> Vector3<f64> {
+        Vector3::new(self.x[BIAS], self.x[BIAS + 1], self.x[BIAS + 2])
+    }
+
+    /// Returns the tilt (rotation about level x and y, rad) to be applied to the strapdown.
+    pub(super) fn update(&mut self, params: &InclinationParams, w: &ForceWindow) -> Vector2<f64> {
+        self.predict(params, w);
+        let r_velocity = match w.rest_gyro_rad_s {
+            None => params.velocity_density.powi(2) / w.duration_s,
+            Some(_) => params.rest_velocity.powi(2),
+        };
+        for i in 0..2 {
+            self.observe(VELOCITY + i, 0.0, r_velocity);
+        }
+        if let Some(gyro) = w.rest_gyro_rad_s {
+            for i in 0..3 {
+                self.observe(BIAS + i, gyro[i], params.rest_gyro.powi(2));
+            }
+        }
+        let tilt = Vector2::new(self.x[TILT], self.x[TILT + 1]);
+        self.x[TILT] = 0.0;
+        self.x[TILT + 1] = 0.0;
+        tilt
+    }
+
+    /// `P <- F P F' + Q` with the blocks of F applied as row and column operations.
+    fn predict(&mut self, params: &InclinationParams, w: &ForceWindow) {
+        let t = w.duration_s;
+        let up = w.velocity_m_s.z;
+        let (x, p) = (&mut self.x, &mut self.p);
+        for i in 0..2 {
+            x[VELOCITY + i] += w.velocity_m_s[i];
+        }
+        // velocity += up x tilt, then tilt -= rotation * bias: each from the old values, so in this order (the
+        // terms of second order in the window are below the noise).
+        for (to, from, factor) in [
+            (VELOCITY, TILT + 1, up),
+            (VELOCITY + 1, TILT, -up),
+            (TILT, BIAS, -w.rotation_s[(0, 0)]),
+            (TILT, BIAS + 1, -w.rotation_s[(0, 1)]),
+            (TILT, BIAS + 2, -w.rotation_s[(0, 2)]),
+            (TILT + 1, BIAS, -w.rotation_s[(1, 0)]),
+            (TILT + 1, BIAS + 1, -w.rotation_s[(1, 1)]),
+            (TILT + 1, BIAS + 2, -w.rotation_s[(1, 2)]),
+        ] {
+            for j in 0..STATES {
+                p[(j, to)] += factor * p[(j, from)];
+            }
+            for j in 0..STATES {
+                p[(to, j)] += factor * p[(from, j)];
+            }
+        }
+        let q_tilt = params.gyro_noise.powi(2) * t + (params.gyro_scale * w.turned_rad).powi(2);
+        let q_velocity = params.accel_noise.powi(2) * t + params.accel_scale.powi(2) * w.shaking * t;
+        for i in 0..2 {
+            p[(TILT + i, TILT + i)] += q_tilt;
+            p[(VELOCITY + i, VELOCITY + i)] += q_velocity;
+        }
+        for i in 0..3 {
+            p[(BIAS + i, BIAS + i)] += params.bias_walk.powi(2) * t;
+        }
+    }
+
+    /// State `i` was measured as `z` with variance `r`.
+    fn observe(&mut self, i: usize, z: f64, r: f64) {
+        let column: SVector<f64, STATES> = self.p.column(i).into();
+        let gain = column / (column[i] + r);
+        self.x += gain * (z - self.x[i]);
+        for j in 0..STATES {
+            for k in 0..STATES {
+                self.p[(k, j)] -= gain[k] * column[j];
+            }
+        }
+    }
+}

@@ -1,0 +1,285 @@
+//! Orientation of a single IMU, causally, with or without a magnetometer.
+//!
+//! In: rate gyro, accelerometer and (optionally) magnetometer samples of one sensor, each with the time since
+//! the one before. Out: sensor to room, after every sample. It never looks ahead, never lets the magnetometer
+//! tilt the result, and never allocates.
+//!
+//! ```text
+//! gyro - bias ──> strapdown ──> q_level_sensor ────────────────┐
+//!                  │  ^ tilt, bias                             ├──> q_room_sensor
+//!                  v  │ every `window_s`                       │
+//! accel ──> inclination.rs: tilt, gyro bias, velocity          │
+//! mag ────> heading.rs: field, disturbance, magnet on the sensor, lag ──> heading
+//! rest.rs: is it lying still?
+//! ```
+//! As in Laidig & Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic
+//! disturbance rejection" (2023), inclination and heading are decoupled: the strapdown runs in a frame that is
+//! kept level by gravity and drifts about the vertical, and one angle turns it to north. Where VQF low-passes
+//! the specific force and steers the heading by azimuth, both are Kalman filters here, whose states say what
+//! a low-pass cannot: a hand's acceleration must integrate to a bounded velocity, and a magnet
+//! fastened to the sensor turns with it while the earth's field does not.
+
+mod heading;
+mod inclination;
+mod rest;
+#[cfg(test)]
+mod tests;
+
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+pub use heading::HeadingParams;
+pub use inclination::InclinationParams;
+pub use rest::RestParams;
+
+/// What the filter assumes; the defaults are one set for all sensors of MEMS class.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Params {
+    /// The Kalman filters run once per window of this length, s; the strapdown runs on every sample.
+    pub window_s: f64,
+    /// How far the gyro's samples lag behind their time stamps (its low-pass), s: the published orientation is
+    /// carried forward by that much.
+    pub gyro_delay_s: f64,
+    /// Tilt and gyro bias.
+    pub inclination: InclinationParams,
+    /// Magnetic heading.
+    pub heading: HeadingParams,
+    /// Rest detection.
+    pub rest: RestParams,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self {
+            window_s: 0.028,
+            gyro_delay_s: 0.0,
+            inclination: InclinationParams::default(),
+            heading: HeadingParams::default(),
+            rest: RestParams::default(),
+        }
+    }
+}
+
+/// One sample of an IMU, in sensor axes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ImuSample {
+    /// Rate of turn, rad/s.
+    pub gyro_rad_s: Vector3<f64>,
+    /// Specific force, m/s² (+9.81 on the axis that points up, at rest).
+    pub accel_m_s2: Vector3<f64>,
+    /// Magnetic field in any unit of constant scale; absent: hold the heading by the gyro.
+    pub mag: Option<Vector3<f64>>,
+}
+
+/// Orientation filter of one IMU.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Ahrs {
+    params: Params,
+    /// Sensor to the level frame: z up, heading free.
+    q_level_sensor: UnitQuaternion<f64>,
+    started: bool,
+    /// The last rate without its bias, rad/s.
+    rate_rad_s: Vector3<f64>,
+    /// Time since the last sample that was bridged, s.
+    coasted_s: f64,
+    window: Window,
+    inclination: inclination::Inclination,
+    heading: heading::Heading,
+    rest: rest::Rest,
+    /// Samples refused because a number in them was not finite.
+    rejected: u64,
+}
+
+/// Sums over the running window; level frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Window {
+    duration_s: f64,
+    /// Integral of the rotation matrix, s.
+    rotation_s: Matrix3<f64>,
+    /// Integral of the specific force, m/s.
+    velocity_m_s: Vector3<f64>,
+    /// Integral of the squared departure of the specific force from gravity, m²/s³.
+    shaking: f64,
+    /// Integral of |rate|, rad.
+    turned_rad: f64,
+    mag_samples: u32,
+    /// Sum of field samples.
+    mag: Vector3<f64>,
+    /// Sum of (rate x field): what one second of magnetometer lag would add.
+    mag_lag: Vector3<f64>,
+    /// Sum of rotation matrices at the field samples.
+    mag_rotation: Matrix3<f64>,
+}
+
+impl Ahrs {
+    /// A filter that has seen nothing.
+    pub fn new(params: Params) -> Self {
+        Self {
+            q_level_sensor: UnitQuaternion::identity(),
+            started: false,
+            rate_rad_s: Vector3::zeros(),
+            coasted_s: 0.0,
+            window: Window::default(),
+            inclination: inclination::Inclination::new(&params.inclination),
+            heading: heading::Heading::new(&params.heading),
+            rest: rest::Rest::default(),
+            rejected: 0,
+            params,
+        }
+    }
+
+    /// Takes one sample, `dt_s` seconds after the one before, and returns sensor to room.
+    ///
+    /// A sample with a number that is not finite (or a `dt_s` that is not positive) changes nothing but
+    /// [`Self::rejected`].
+    pub fn push(&mut self, sample: &ImuSample, dt_s: f64) -> UnitQuaternion<f64> {
+        let mag = sample.mag.filter(|m| m.iter().all(|v| v.is_finite()) && m.norm_squared() > 0.0);
+        let finite = sample.gyro_rad_s.iter().chain(sample.accel_m_s2.iter()).all(|v| v.is_finite());
+        if !finite || !dt_s.is_finite() || dt_s <= 0.0 {
+            self.rejected += 1;
+            return self.orientation();
+        }
+        let dt_s = dt_s.min(0.5);
+        if !self.started {
+            self.start(sample.accel_m_s2, mag);
+        }
+        let gyro = sample.gyro_rad_s;
+        self.rest.push(&self.params.rest, gyro, sample.accel_m_s2, dt_s);
+
+        let rate = gyro - self.inclination.bias_rad_s();
+        self.q_level_sensor = integrate(self.q_level_sensor, rate, dt_s);
+        self.rate_rad_s = rate;
+        self.coasted_s = 0.0;
+        let rotation = rotation_matrix(&self.q_level_sensor);
+        let force = rotation * sample.accel_m_s2;
+        let w = &mut self.window;
+        w.duration_s += dt_s;
+        w.rotation_s += rotation * dt_s;
+        w.velocity_m_s += force * dt_s;
+        w.shaking += dt_s * (force - Vector3::z() * inclination::GRAVITY_M_S2).norm_squared();
+        w.turned_rad += rate.norm() * dt_s;
+        if let Some(mag) = mag {
+            w.mag_samples += 1;
+            w.mag += rotation * mag;
+            w.mag_lag += rotation * rate.cross(&mag);
+            w.mag_rotation += rotation;
+        }
+        if w.duration_s >= self.params.window_s - 1e-9 {
+            self.close_window();
+        }
+        self.orientation()
+    }
+
+    /// Moves on by `dt_s` without a sample: the last rate goes on for at most a tenth of a second, then it holds.
+    pub fn coast(&mut self, dt_s: f64) {
+        if self.started && dt_s > 0.0 && dt_s.is_finite() && self.coasted_s < 0.1 {
+            self.coasted_s += dt_s;
+            self.q_level_sensor = integrate(self.q_level_sensor, self.rate_rad_s, dt_s);
+        }
+    }
+
+    /// Sensor to room: z up, and x east, y north where there is a magnetometer.
+    pub fn orientation(&self) -> UnitQuaternion<f64> {
+        let half = 0.5 * self.heading.offset_rad();
+        let north = UnitQuaternion::new_unchecked(Quaternion::new(half.cos(), 0.0, 0.0, half.sin()));
+        north * self.orientation_6d()
+    }
+
+    /// Sensor to the level frame (z up, heading of the gyro alone).
+    pub fn orientation_6d(&self) -> UnitQuaternion<f64> {
+        integrate(self.q_level_sensor, self.rate_rad_s, self.params.gyro_delay_s)
+    }
+
+    /// Estimated gyro bias, rad/s, sensor axes.
+    pub fn bias_rad_s(&self) -> Vector3<f64> {
+        self.inclination.bias_rad_s()
+    }
+
+    /// Whether the sensor lies still.
+    pub fn at_rest(&self) -> bool {
+        self.rest.at_rest()
+    }
+
+    /// Whether the field is told to differ from the earth's at present.
+    pub fn magnetic_disturbance(&self) -> bool {
+        self.heading.disturbed()
+    }
+
+    /// Field of a magnet fastened to the sensor, sensor axes, in the unit of the samples.
+    pub fn magnet(&self) -> Vector3<f64> {
+        self.heading.magnet()
+    }
+
+    /// Samples refused because a number in them was not finite.
+    pub fn rejected(&self) -> u64 {
+        self.rejected
+    }
+
+    fn start(&mut self, accel: Vector3<f64>, mag: Option<Vector3<f64>>) {
+        self.started = true;
+        self.q_level_sensor =
+            UnitQuaternion::rotation_between(&accel, &Vector3::z()).unwrap_or_else(UnitQuaternion::identity);
+        if let Some(mag) = mag {
+            self.heading.start(self.q_level_sensor * mag);
+        }
+    }
+
+    fn close_window(&mut self) {
+        let w = std::mem::take(&mut self.window);
+        if w.mag_samples > 0 {
+            self.heading.update(
+                &self.params.heading,
+                &heading::FieldWindow {
+                    duration_s: w.duration_s,
+                    field: w.mag / f64::from(w.mag_samples),
+                    lag: w.mag_lag / f64::from(w.mag_samples),
+                    rotation: w.mag_rotation / f64::from(w.mag_samples),
+                    turned_rad: w.turned_rad,
+                    at_rest: self.rest.at_rest(),
+                },
+            );
+        }
+        let tilt = self.inclination.update(
+            &self.params.inclination,
+            &inclination::ForceWindow {
+                duration_s: w.duration_s,
+                rotation_s: w.rotation_s,
+                velocity_m_s: w.velocity_m_s,
+                shaking: w.shaking,
+                turned_rad: w.turned_rad,
+                rest_gyro_rad_s: self.rest.at_rest().then(|| self.rest.gyro_rad_s()),
+            },
+        );
+        let correction = UnitQuaternion::from_scaled_axis(Vector3::new(tilt[0], tilt[1], 0.0));
+        self.q_level_sensor = UnitQuaternion::new_normalize((correction * self.q_level_sensor).into_inner());
+    }
+}
+
+/// Turns `q` by `rate` (body axes, rad/s) for `dt_s`; the half-angle series is exact to 1e-13 for the angles of
+/// one sample, and large angles take the closed form.
+fn integrate(q: UnitQuaternion<f64>, rate: Vector3<f64>, dt_s: f64) -> UnitQuaternion<f64> {
+    let half = rate * (0.5 * dt_s);
+    let h2 = half.norm_squared();
+    if h2 > 0.01 {
+        return q * UnitQuaternion::from_scaled_axis(rate * dt_s);
+    }
+    let c = 1.0 - h2 * (0.5 - h2 * (1.0 / 24.0 - h2 * (1.0 / 720.0)));
+    let s = 1.0 - h2 * (1.0 / 6.0 - h2 * (1.0 / 120.0 - h2 * (1.0 / 5040.0)));
+    let step = Quaternion::new(c, s * half.x, s * half.y, s * half.z);
+    UnitQuaternion::new_unchecked(q.into_inner() * step)
+}
+
+fn rotation_matrix(q: &UnitQuaternion<f64>) -> Matrix3<f64> {
+    let (w, x, y, z) = (q.w, q.i, q.j, q.k);
+    Matrix3::new(
+        1.0 - 2.0 * (y * y + z * z),
+        2.0 * (x * y - w * z),
+        2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z),
+        1.0 - 2.0 * (x * x + z * z),
+        2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y),
+        2.0 * (y * z + w * x),
+        1.0 - 2.0 * (x * x + y * y),
+    )
+}

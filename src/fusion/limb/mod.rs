@@ -1,0 +1,296 @@
+//! One limb, arm or leg, as one filter over two IMUs.
+//!
+//! In: the motion of the segment that the limb hangs on (its [`Base`]), the samples of the upper and the lower
+//! IMU, and the time since the last ones. Out: joint angles, rates, their covariance, and for each sensor whether
+//! it was believed. It never clamps a state, never lets the magnetometer tilt a segment, and goes
+//! on by prediction where a sample is missing.
+//!
+//! Source: Weber et al. (2011), with the full recursion of `chain.rs`. [`Arm`] and [`Leg`] hold shoulder and hip on SO(3)
+//! and estimate the gyro biases: 21 and 18 error states. [`EulerArm`] and [`EulerLeg`] are the paper's form,
+//! all joints as chains of axes and no biases: 15 and 12.
+//!
+//! Order of the error states: upper joint 9 (turn or angles, rates, accelerations); bias of the upper gyro 3, where
+//! estimated; lower joint 3 D; bias of the lower gyro 3.
+
+mod chain;
+mod covariance;
+mod joint;
+#[cfg(test)]
+mod tests;
+mod update;
+
+use nalgebra::{SVector, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::ahrs::ImuSample;
+use chain::Motion;
+use covariance::Covariance;
+use joint::Joint;
+pub use joint::{Axes, Ball, JointNoise};
+pub use update::{FieldReference, SensorReport};
+
+/// Arm: ball joint and two axes, with gyro biases.
+pub type Arm = Limb<Ball, 2, 21>;
+/// Leg, or any limb with a hinge below a ball joint.
+pub type Leg = Limb<Ball, 1, 18>;
+/// Arm in the paper's form.
+pub type EulerArm = Limb<Axes<3>, 2, 15>;
+/// Leg in the paper's form.
+pub type EulerLeg = Limb<Axes<3>, 1, 12>;
+
+/// The segment that a limb hangs on, in its own axes, with its origin where its IMU sits.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Base {
+    /// Segment to room.
+    pub q_room_base: UnitQuaternion<f64>,
+    /// Angular rate, rad/s.
+    pub rate_rad_s: Vector3<f64>,
+    /// Angular acceleration, rad/s².
+    pub accel_rad_s2: Vector3<f64>,
+    /// Specific force at the origin, m/s².
+    pub force_m_s2: Vector3<f64>,
+    /// Standard deviation of the rate, rad/s.
+    pub rate_sigma: f64,
+    /// Standard deviation of the specific force at the joint, m/s².
+    pub force_sigma: f64,
+}
+
+impl Base {
+    /// No IMU above the limb: the base is the room, and the joint's own acceleration counts as noise of 1 m/s².
+    pub fn room() -> Self {
+        Self {
+            q_room_base: UnitQuaternion::identity(),
+            rate_rad_s: Vector3::zeros(),
+            accel_rad_s2: Vector3::zeros(),
+            force_m_s2: Vector3::z() * 9.81,
+            rate_sigma: 0.0,
+            force_sigma: 1.0,
+        }
+    }
+}
+
+/// Lengths of a limb and where its sensors sit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LimbGeometry {
+    /// Base's origin to the upper joint, base axes, m.
+    pub base_to_joint_m: Vector3<f64>,
+    /// Upper joint to the upper IMU, upper segment's axes, m.
+    pub upper_imu_m: Vector3<f64>,
+    /// Upper joint to the lower joint, upper segment's axes, m.
+    pub upper_to_lower_m: Vector3<f64>,
+    /// Lower joint to the lower IMU, lower segment's axes, m.
+    pub lower_imu_m: Vector3<f64>,
+    /// Upper sensor to upper segment.
+    pub upper_mount: UnitQuaternion<f64>,
+    /// Lower sensor to lower segment.
+    pub lower_mount: UnitQuaternion<f64>,
+}
+
+/// What the filter assumes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LimbNoise {
+    /// How freely the joints move.
+    pub joint: JointNoise,
+    /// Noise of a gyro sample, rad/s.
+    pub gyro: f64,
+    /// Noise of an accelerometer sample, m/s²; skin motion included.
+    pub accel: f64,
+    /// Noise of an azimuth, rad.
+    pub heading: f64,
+    /// Initial standard deviation of a gyro bias, rad/s.
+    pub bias_initial: f64,
+    /// Random walk of a gyro bias, rad/s per sqrt(s).
+    pub bias_walk: f64,
+    /// How sharp an anatomical limit is, rad.
+    pub limit: f64,
+    /// Range of the accelerometer, m/s²; an axis beyond 98 % of it is dropped.
+    pub accel_range: f64,
+}
+
+impl Default for LimbNoise {
+    fn default() -> Self {
+        Self {
+            joint: JointNoise { jerk: 200.0, accel_tau_s: 0.3 },
+            gyro: 0.01,
+            accel: 0.3,
+            heading: 5_f64.to_radians(),
+            bias_initial: 0.5_f64.to_radians(),
+            bias_walk: 0.003_f64.to_radians(),
+            limit: 1_f64.to_radians(),
+            accel_range: 16.0 * 9.81,
+        }
+    }
+}
+
+/// One limb's filter: `J` is the upper joint, D the axes of the lower one, N the number of error states.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Limb<J, const D: usize, const N: usize> {
+    geometry: LimbGeometry,
+    noise: LimbNoise,
+    /// Limits of the lower joint's angles, rad; the first row the least, the second the largest.
+    limits: [SVector<f64, D>; 2],
+    upper: J,
+    lower: Axes<D>,
+    biases: [Vector3<f64>; 2],
+    p: Covariance<N>,
+    sensors: [update::Sensor; 2],
+}
+
+/// Which of the two IMUs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Which {
+    Upper,
+    Lower,
+}
+
+/// One epoch of samples; absent: none came, and the limb moves by prediction alone.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LimbSamples {
+    /// Of the IMU above the lower joint.
+    pub upper: Option<ImuSample>,
+    /// Of the IMU below it.
+    pub lower: Option<ImuSample>,
+}
+
+#[expect(private_bounds, reason = "the two kinds of joint are a closed set")]
+impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
+    const HAS_BIAS: bool = N == 15 + 3 * D;
+    const UPPER_BIAS: usize = 9;
+    const LOWER: usize = if Self::HAS_BIAS { 12 } else { 9 };
+    const LOWER_BIAS: usize = Self::LOWER + 3 * D;
+
+    /// A limb in a given posture, of which each angle is known to `sigma_rad`; at rest.
+    pub fn new(
+        geometry: LimbGeometry,
+        noise: LimbNoise,
+        upper: J,
+        lower: Axes<D>,
+        limits_rad: [SVector<f64, D>; 2],
+        sigma_rad: f64,
+    ) -> Self {
+        const { assert!(N == 15 + 3 * D || N == 9 + 3 * D, "with biases or without") };
+        let mut sigmas = SVector::<f64, N>::zeros();
+        for (at, k) in [(0, 3), (Self::LOWER, D)] {
+            for i in 0..k {
+                sigmas[at + i] = sigma_rad;
+                sigmas[at + k + i] = 1.0;
+                sigmas[at + 2 * k + i] = 10.0;
+            }
+        }
+        if Self::HAS_BIAS {
+            for i in 0..3 {
+                sigmas[Self::UPPER_BIAS + i] = noise.bias_initial;
+                sigmas[Self::LOWER_BIAS + i] = noise.bias_initial;
+            }
+        }
+        Self {
+            geometry,
+            noise,
+            limits: limits_rad,
+            upper,
+            lower,
+            biases: [Vector3::zeros(); 2],
+            p: Covariance::from_sigmas(sigmas),
+            sensors: [update::Sensor::default(); 2],
+        }
+    }
+
+    /// Moves on by `dt_s` and takes the samples of both IMUs; `field` is the field where it is trusted.
+    pub fn push(
+        &mut self,
+        base: &Base,
+        field: Option<&FieldReference>,
+        samples: &LimbSamples,
+        dt_s: f64,
+    ) -> [SensorReport; 2] {
+        self.predict(dt_s);
+        let upper = self.observe(Which::Upper, base, field, samples.upper.as_ref(), dt_s);
+        let lower = self.observe(Which::Lower, base, field, samples.lower.as_ref(), dt_s);
+        self.keep_limits();
+        self.p.symmetrise();
+        [upper, lower]
+    }
+
+    /// Joint above: upper segment to base, or the angles of its axes.
+    pub fn upper(&self) -> &J {
+        &self.upper
+    }
+
+    /// Joint below: angles, rates, accelerations.
+    pub fn lower(&self) -> &Axes<D> {
+        &self.lower
+    }
+
+    /// Upper and lower segment to base.
+    pub fn orientations(&self) -> [UnitQuaternion<f64>; 2] {
+        let mut motion = Motion::<N>::of_base(Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
+        self.upper.turn(&mut motion, 0);
+        [motion.q_base_frame, motion.q_base_frame * self.lower.orientation()]
+    }
+
+    /// Gyro biases of the upper and the lower IMU, rad/s, segment axes' sensors.
+    pub fn biases_rad_s(&self) -> &[Vector3<f64>; 2] {
+        &self.biases
+    }
+
+    /// Standard deviation of an angle of the lower joint, rad.
+    pub fn lower_sigma_rad(&self, axis: usize) -> f64 {
+        self.p.0[(Self::LOWER + axis, Self::LOWER + axis)].max(0.0).sqrt()
+    }
+
+    /// Says that the limb is at rest: all joint rates are zero. Holds the heading where no field is trusted.
+    pub fn observe_rest(&mut self) {
+        let sigma = 0.2_f64.to_radians();
+        let rates = [self.upper.rates(0), Joint::<N>::rates(&self.lower, Self::LOWER)];
+        for (k, range) in rates.into_iter().enumerate() {
+            for column in range {
+                let rate = if k == 0 {
+                    self.upper.rate(column, 0)
+                } else {
+                    Joint::<N>::rate(&self.lower, column, Self::LOWER)
+                };
+                self.observe_state(column, -rate, sigma * sigma);
+            }
+        }
+        self.p.symmetrise();
+    }
+
+    fn predict(&mut self, dt_s: f64) {
+        self.upper.predict(&mut self.p, &self.noise.joint, dt_s, 0);
+        self.lower.predict(&mut self.p, &self.noise.joint, dt_s, Self::LOWER);
+        if Self::HAS_BIAS {
+            let walk = self.noise.bias_walk.powi(2) * dt_s;
+            for i in 0..3 {
+                self.p.0[(Self::UPPER_BIAS + i, Self::UPPER_BIAS + i)] += walk;
+                self.p.0[(Self::LOWER_BIAS + i, Self::LOWER_BIAS + i)] += walk;
+            }
+        }
+    }
+
+    fn correct(&mut self, dx: &SVector<f64, N>) {
+        self.upper.correct(dx, 0);
+        self.lower.correct(dx, Self::LOWER);
+        if Self::HAS_BIAS {
+            self.biases[0] += dx.fixed_rows::<3>(Self::UPPER_BIAS);
+            self.biases[1] += dx.fixed_rows::<3>(Self::LOWER_BIAS);
+        }
+    }
+
+    /// A limit that is passed pulls the angle back as a measurement; the state is never clamped.
+    fn keep_limits(&mut self) {
+        for i in 0..D {
+            let angle = self.lower.angle_rad[i];
+            let limit = angle.clamp(self.limits[0][i], self.limits[1][i]);
+            if limit != angle {
+                self.observe_state(Self::LOWER + i, limit - angle, self.noise.limit.powi(2));
+            }
+        }
+    }
+}
+
+impl<const N: usize, const D: usize> Limb<Ball, D, N> {
+    /// Upper segment to base.
+    pub fn upper_orientation(&self) -> UnitQuaternion<f64> {
+        self.upper.q
+    }
+}
