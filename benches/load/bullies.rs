@@ -71,6 +71,8 @@ async fn slow(url: &str) {
 }
 
 async fn crowd(url: &str) {
+    // All come from one address: who is measured takes places first.
+    pause(1500).await;
     loop {
         let mut tasks = Vec::new();
         for _ in 0..500 {

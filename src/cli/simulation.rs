@@ -1,7 +1,10 @@
 //! The bridge between stage files and the simulator, which must not know each other.
 
+use std::path::Path;
+
 use posed::stage::{self, Problem, Stage};
 use posed_simulator::scenario::{DeviceSpec, Scenario, SensorSpec, StageSpec};
+use posed_simulator::stage::VirtualStage;
 use serde::Deserialize;
 
 use super::Error;
@@ -44,6 +47,11 @@ pub(crate) fn scenario(stage: &Stage) -> Result<Scenario, Error> {
     }
 }
 
+/// The virtual devices of a stage; paths in its `[simulation]` table begin at `folder`.
+pub(crate) fn virtual_stage(stage: &Stage, folder: &Path) -> Result<VirtualStage, Error> {
+    VirtualStage::new(&spec(stage), &scenario(stage)?, folder).map_err(Error::failed)
+}
+
 /// What is wrong with the `[simulation]` table of a stage file that is otherwise right.
 pub(crate) fn problems(text: &str, stage: &Stage) -> Vec<Problem> {
     let schema = schemars::schema_for!(Scenario).to_value();
@@ -79,6 +87,9 @@ mod tests {
         let stage = Stage::parse(DEMO).unwrap();
         let moving = scenario(&stage).unwrap().sensors.len();
         assert!(moving >= 2 && moving == stage.sensors.len());
+        // The simulator tests its own copy for distances and distortion.
+        let tested = include_str!("../../simulator/resources/demo-simulation.toml");
+        assert_eq!(scenario(&stage).unwrap(), toml::from_str(tested).unwrap());
     }
 
     #[test]

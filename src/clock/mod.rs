@@ -115,7 +115,7 @@ impl Clock {
     /// do not contradict it.
     pub fn set_nominal_rate_hz(&mut self, rate_hz: Option<f64>) {
         let period = rate_hz.filter(|rate| rate.is_finite() && *rate > 0.0).map(f64::recip);
-        self.nominal_period_s = period.or(self.nominal_period_s);
+        self.nominal_period_s = period.filter(|period| *period < 60.0).or(self.nominal_period_s);
     }
 
     /// Forgets the phase: the device or its line began anew. The period is kept as the nominal one.
@@ -268,17 +268,17 @@ impl Clock {
             None => (evidence.upper, 1e-2, 1e-2),
         };
         let model_ns = ((relative_s - self.settings.measurement_delay_s) * 1e9).round() as i64;
-        let mut t_ns = origin.t.as_nanos() + model_ns;
+        let mut t_ns = origin.t.as_nanos().saturating_add(model_ns);
         let mut cycles_skipped = 0;
         if let Some(last) = self.last {
             let steps = x - last.x;
             if known && steps >= 1.0 {
                 cycles_skipped = (steps - 1.0) as u32;
-                let expected_ns = last.t_valid.as_nanos() + (steps * period_s * 1e9) as i64;
-                let error_ns = t_ns - expected_ns;
+                let expected_ns = last.t_valid.as_nanos().saturating_add((steps * period_s * 1e9) as i64);
+                let error_ns = t_ns.saturating_sub(expected_ns);
                 let limit_ns = (SLEW * period_s * steps * 1e9) as i64;
                 // A renumbering or a first fit is put right at once, a correction of the phase bit by bit.
-                if self.window.is_settled() && error_ns.abs() < (0.5 * period_s * 1e9) as i64 {
+                if self.window.is_settled() && error_ns.saturating_abs() < (0.5 * period_s * 1e9) as i64 {
                     t_ns = expected_ns + error_ns.clamp(-limit_ns, limit_ns);
                 }
             }

@@ -13,6 +13,8 @@ const SETTLED_BLOCKS: usize = 6;
 /// Share of blocks whose lower bound may be wrong: a late reader stamps it late.
 const TRIMMED: f64 = 0.15;
 
+/// Periods that a device may have, s; arrivals without sense must not give others.
+const PERIOD_RANGE_S: std::ops::Range<f64> = 1e-4..60.0;
 /// Candidate periods on either side of the first estimate.
 const GRID: i32 = 8;
 /// Inflation of the spread between bounds, from simulated bursts in step with the cycles.
@@ -199,7 +201,8 @@ impl Window {
     /// The line through the window; `None` while there is not enough to know a period.
     pub(super) fn fit(&mut self, nominal_period_s: Option<f64>) -> Option<Fit> {
         let settled = self.is_settled();
-        let period_s = if settled { self.slope()? } else { self.first_slope(nominal_period_s)? };
+        let period_s = if settled { self.slope() } else { self.first_slope(nominal_period_s) };
+        let period_s = period_s.filter(|period_s| PERIOD_RANGE_S.contains(period_s))?;
         let newest = *self.newest()?;
         let base = newest.upper;
         let offset = |point: &Point| point.t - base.t - period_s * (point.x - base.x);
@@ -269,6 +272,9 @@ impl Window {
             return first;
         }
         let (period_s, middle) = (period / weight, mean / weight);
+        if !PERIOD_RANGE_S.contains(&period_s) {
+            return first;
+        }
         let variance = (square / weight - middle * middle).max(0.0);
         let (upper, bound) = self.bounds(period_s, base);
         let lower = bound.max(upper - first.lateness).min(middle);

@@ -13,12 +13,13 @@ use super::clock::StageClock;
 use super::health::Health;
 use super::inbox::{Event, Inbox};
 use super::ports::PortCommand;
-use super::recorder::{self, Recorder};
+use super::recorder::{Recorder, RecorderState};
 use super::server::{Hub, Reply};
-use crate::input::{Entry, Input};
-use crate::output::Output;
+use crate::input::{Entry, Input, Model};
+use crate::output::{OutcomeKind, Output};
 use crate::pipeline::Pipeline;
-use crate::protocol::{Payload, Publisher, Status};
+use crate::protocol::{Payload, Publisher, Status, schema};
+use crate::recording::{Header, Snapshot};
 
 /// The queue into the fusion thread.
 pub type FusionInbox = Inbox<Command>;
@@ -49,6 +50,13 @@ pub enum Command {
     Shutdown,
 }
 
+/// A recording in progress, or one that has ended by itself and is not yet reported.
+pub(super) struct Recording {
+    pub(super) recorder: Recorder,
+    pub(super) name: String,
+    pub(super) started: Timestamp,
+}
+
 /// The thread's state.
 pub(super) struct Fusion {
     pub(super) clock: StageClock,
@@ -59,9 +67,13 @@ pub(super) struct Fusion {
     pub(super) ports: Vec<mpsc::Sender<PortCommand>>,
     pub(super) health: Health,
     pub(super) status: watch::Sender<Status>,
-    pub(super) recorder: Option<Recorder>,
+    pub(super) recording: Option<Recording>,
+    /// Whether the pipeline has seen an entry.
+    pub(super) begun: bool,
+    /// Models swapped in so far, the newest of each kind last.
+    pub(super) models: Vec<Model>,
     /// What every recording of this run begins with.
-    pub(super) recording_header: recorder::Header,
+    pub(super) recording_header: Header,
 }
 
 impl Fusion {
@@ -85,21 +97,24 @@ impl Fusion {
                 self.publish_status(now);
             }
         }
-        if let Some(recorder) = self.recorder.take() {
-            recorder.finish();
+        if let Some(recording) = self.recording.take() {
+            // What failed has been logged by the recorder.
+            recording.recorder.wait();
         }
     }
 
     /// One entry through recording and pipeline.
     fn step(&mut self, entry: &Entry) {
-        let Self { pipeline, publisher, hub, ports, health, recorder, clock, .. } = self;
-        if let Some(recorder) = recorder {
+        self.begun = true;
+        let Self { pipeline, publisher, hub, ports, health, recording, clock, models, .. } = self;
+        let mut recorder = recording.as_mut().map(|recording| &mut recording.recorder);
+        if let Some(recorder) = &mut recorder {
             recorder.entry(entry);
         }
         pipeline.push(entry, &mut |output| {
             match output {
                 Output::Transmit { device, bytes } => {
-                    if let Some(recorder) = recorder {
+                    if let Some(recorder) = &mut recorder {
                         recorder.transmitted(device, entry.t, bytes);
                     }
                     send(ports, device, PortCommand::Transmit(bytes.to_vec()));
@@ -108,15 +123,21 @@ impl Fusion {
                 Output::Device { device, state } => health.device_changed(device, state),
                 Output::Warning { device, text } => health.warn(device, text),
                 Output::Estimate(estimate) => health.estimate(clock.now().seconds_since(entry.t), estimate),
-                Output::Outcome(_) | Output::Truth(_) => {}
+                Output::Outcome(outcome) => {
+                    if let OutcomeKind::ModelSwapped(model) = &outcome.what {
+                        models.retain(|old| !old.replaced_by(model));
+                        models.push(model.clone());
+                    }
+                }
+                Output::Truth(_) => {}
             }
             let Some(payload) = Payload::of(&output) else { return };
             // Clients first: the recording has time.
             hub.publish(&output);
-            match recorder {
+            match &mut recorder {
                 Some(recorder) => {
                     let (topic, t, message) = publisher.publish(&payload);
-                    recorder.message(topic, t, message);
+                    recorder.message(topic.name(), t, message);
                 }
                 None => publisher.skip(&payload),
             }
@@ -131,9 +152,10 @@ impl Fusion {
                 answer(reply, started);
             }
             Command::StopRecording { reply } => {
-                let stopped = match self.recorder.take() {
-                    Some(recorder) => {
-                        recorder.finish();
+                let stopped = match &mut self.recording {
+                    Some(recording) => {
+                        // The thread writes its index meanwhile; the next status says when it is done.
+                        recording.recorder.stop("stopped by a client");
                         Ok(())
                     }
                     None => Err("nothing is being recorded".to_owned()),
@@ -146,25 +168,33 @@ impl Fusion {
     }
 
     pub(super) fn start_recording(&mut self, path: PathBuf) -> Result<(), String> {
-        if let Some(recorder) = &self.recorder {
-            return Err(format!("{} is being recorded already; stop that first", recorder.path().display()));
+        if let Some(recording) = &self.recording {
+            return Err(format!("{} is being recorded already; stop that first", recording.name));
         }
-        let start = recorder::Start {
-            t: self.clock.now(),
-            snapshot: self.pipeline.snapshot(),
-            publisher: self.publisher.state(),
+        let publisher = rmp_serde::to_vec(&self.publisher.state()).map_err(|error| error.to_string())?;
+        let header = Header {
+            begun: self.clock.now(),
+            models: self.models.clone(),
+            // A recording of the whole run needs none: it begins where every pipeline begins.
+            snapshot: self.begun.then(|| Snapshot { pipeline: self.pipeline.snapshot(), publisher }),
+            ..self.recording_header.clone()
         };
-        let recorder = Recorder::start(&path, &self.recording_header, start).map_err(|error| error.to_string())?;
-        self.recorder = Some(recorder);
+        let started = header.begun;
+        let recorder = Recorder::start(&path, header, &schema::of_topics())
+            .map_err(|error| format!("cannot record to {}: {error}", path.display()))?;
+        let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
+        self.health.recording_started();
+        self.recording = Some(Recording { recorder, name, started });
         Ok(())
     }
 
     fn publish_status(&mut self, now: Timestamp) {
-        if let Some(reason) = self.recorder.as_ref().and_then(Recorder::failure) {
-            self.health.recording_failed(reason);
-            self.recorder = None;
+        if let Some(recording) = self.recording.take_if(|recording| recording.recorder.is_finished())
+            && let RecorderState::Failed { reason } = recording.recorder.wait()
+        {
+            self.health.recording_failed(format!("{}: {reason}", recording.name));
         }
-        let status = self.health.status(now, &self.pipeline.status(), self.recorder.as_ref(), &self.clock);
+        let status = self.health.status(now, &self.pipeline.status(), self.recording.as_ref(), &self.clock);
         self.status.send_replace(status.clone());
         self.hub.publish_status(status);
     }

@@ -3,7 +3,7 @@
 use posed_drivers::{State, Timestamp};
 
 use super::clock::StageClock;
-use super::recorder::Recorder;
+use super::fusion::Recording;
 use crate::input::DeviceIndex;
 use crate::output::Estimate;
 use crate::pipeline::PipelineStatus;
@@ -41,7 +41,7 @@ impl Health {
         let device = |device: &crate::stage::Device| Device {
             name: device.name.clone(),
             driver: device.driver.word().to_owned(),
-            port: device.port.to_string(),
+            port: device.port.clone(),
             warnings: Vec::new(),
         };
         Self {
@@ -119,7 +119,7 @@ impl Health {
         &mut self,
         now: Timestamp,
         pipeline: &PipelineStatus,
-        recorder: Option<&Recorder>,
+        recording: Option<&Recording>,
         clock: &StageClock,
     ) -> Status {
         self.changed = false;
@@ -151,11 +151,12 @@ impl Health {
             devices: self.devices.iter().zip(&pipeline.devices).map(device).collect(),
             sensors: self.sensors.iter().zip(&pipeline.sensors).map(sensor).collect(),
             latency: vec![self.read_to_estimate.take(), self.capture_to_estimate.take()],
-            recording: recorder.map(|recorder| RecordingStatus {
-                name: recorder.name().to_owned(),
-                bytes: recorder.bytes(),
-                started_s: recorder.started().as_secs_f64(),
+            recording: recording.map(|recording| RecordingStatus {
+                name: recording.name.clone(),
+                bytes: recording.recorder.bytes_written(),
+                started_s: recording.started.as_secs_f64(),
             }),
+            replay: None,
             problems: self.problems(clock),
             // The server knows and fills it in.
             clients: 0,

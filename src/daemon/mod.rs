@@ -1,5 +1,238 @@
 //! The daemon: everything that owns a thread, a socket, a file or a clock.
+//!
+//! ```text
+//!  port task ┐  read, stamp                               ┌─> hub ──> server ──> clients
+//!  port task ┼──────────────> inbox ──> fusion thread ────┼─> recorder thread
+//!  timer     ┘  Entry         bounded   Pipeline::push    └─> port tasks
+//! ```
+//! Ports push what they read into one [`inbox`]; the [`fusion`] thread takes it from there, records it, pushes it
+//! through the pipeline and hands the outputs on. What clients ask for is carried out by [`calls`].
 
+pub mod calls;
 pub mod clock;
+pub mod fusion;
+mod health;
 pub mod inbox;
+mod playback;
+mod player;
+pub mod ports;
+pub mod recorder;
 pub mod server;
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use posed_drivers::port::Port;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinSet;
+
+pub use self::playback::{Playback, PlaybackError};
+
+use self::calls::Calls;
+use self::clock::StageClock;
+use self::fusion::{Command, Fusion, FusionInbox, INBOX_CAPACITY};
+use self::health::Health;
+use self::inbox::{Event, Inbox};
+use self::ports::PortTask;
+use self::server::{BindError, Server};
+use crate::pipeline::{Pipeline, PipelineError};
+use crate::protocol::{Fields, Publisher, Status, Topic};
+use crate::stage::Stage;
+
+/// Commands that wait for a port that writes slowly.
+const PORT_COMMANDS: usize = 256;
+/// Time that the fusion thread has to end, the recording included.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(4);
+
+/// What a daemon is started with.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The stage.
+    pub stage: Stage,
+    /// Its file's text, for recordings.
+    pub stage_toml: String,
+    /// Folder that relative paths of the stage file start from.
+    pub folder: PathBuf,
+    /// `HOST:PORT` instead of the stage file's.
+    pub listen: Option<String>,
+    /// Record into this file from the start.
+    pub record: Option<PathBuf>,
+    /// Whether a simulator will send ground truth.
+    pub truth: bool,
+    /// The stage's clock; its epoch is when the options were made.
+    pub clock: StageClock,
+}
+
+impl Options {
+    /// For a stage in `folder`, with everything else as the stage file says.
+    pub fn new(stage: Stage, stage_toml: String, folder: PathBuf) -> Self {
+        Self {
+            stage,
+            stage_toml,
+            folder,
+            listen: None,
+            record: None,
+            truth: false,
+            clock: StageClock::start(),
+        }
+    }
+}
+
+/// Why a daemon cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The server.
+    #[error(transparent)]
+    Bind(#[from] BindError),
+    /// The pipeline.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+    /// The recording asked for.
+    #[error("{0}")]
+    Record(String),
+    /// A thread could not be made.
+    #[error("the system gives no thread: {0}")]
+    Thread(std::io::Error),
+}
+
+/// A running daemon; ends with [`Daemon::shutdown`].
+pub struct Daemon {
+    clock: StageClock,
+    address: SocketAddr,
+    url: String,
+    inbox: FusionInbox,
+    status: watch::Receiver<Status>,
+    shutdown: watch::Sender<bool>,
+    tasks: JoinSet<()>,
+    ports: Vec<Option<PortTask>>,
+    fusion: std::thread::JoinHandle<()>,
+}
+
+impl Daemon {
+    /// Binds the server, starts the fusion thread, opens every device's port. Needs a tokio runtime.
+    ///
+    /// # Errors
+    /// The address, the stage or the recording's file do not serve.
+    pub fn start(options: Options) -> Result<Self, StartError> {
+        let devices = options.stage.devices.clone();
+        let mut daemon = Self::start_without_ports(options)?;
+        for (index, device) in devices.into_iter().enumerate() {
+            if let Some(task) = daemon.ports.get_mut(index).and_then(Option::take) {
+                daemon.tasks.spawn(task.keep_open(device.port, device.baud));
+            }
+        }
+        Ok(daemon)
+    }
+
+    /// Like [`Daemon::start`], but no port is opened: [`Daemon::attach`] gives devices their streams.
+    ///
+    /// # Errors
+    /// As for [`Daemon::start`].
+    pub fn start_without_ports(options: Options) -> Result<Self, StartError> {
+        let Options { stage, stage_toml, folder, listen, record, truth, clock } = options;
+        let mut config = server::Config::new(&folder, clock.epoch_utc_ns());
+        config.listen = listen;
+        config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
+        let (server, hub, pending) = Server::bind(&stage, config)?;
+        let (address, url) = (server.address(), server.url());
+
+        let inbox = Inbox::new(INBOX_CAPACITY);
+        let (shutdown, down) = watch::channel(false);
+        let (status_sender, status) = watch::channel(Status::default());
+        let mut commands = Vec::new();
+        let mut ports = Vec::new();
+        for device in 0..stage.devices.len() {
+            let (sender, receiver) = mpsc::channel(PORT_COMMANDS);
+            commands.push(sender);
+            let (inbox, shutdown) = (inbox.clone(), down.clone());
+            let device = device as u16;
+            ports.push(Some(PortTask { device, clock, inbox, commands: receiver, shutdown }));
+        }
+        let mut fusion = Fusion {
+            clock,
+            inbox: inbox.clone(),
+            pipeline: Pipeline::new(&stage)?,
+            publisher: Publisher::new(&stage, Fields::all()),
+            hub: hub.clone(),
+            ports: commands,
+            health: Health::new(&stage),
+            status: status_sender,
+            recording: None,
+            begun: false,
+            models: Vec::new(),
+            recording_header: crate::recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
+        };
+        if let Some(path) = record {
+            fusion.start_recording(path).map_err(StartError::Record)?;
+        }
+        #[expect(clippy::disallowed_methods, reason = "the daemon owns the fusion thread")]
+        let fusion = std::thread::Builder::new()
+            .name("fusion".into())
+            .spawn(move || fusion.run())
+            .map_err(StartError::Thread)?;
+
+        let mut tasks = JoinSet::new();
+        let mut server_down = down.clone();
+        tasks.spawn(server.run(async move { ports::ended(&mut server_down).await }));
+        let calls = Calls::new(&stage, folder, clock, inbox.clone());
+        tasks.spawn(calls.run(pending, down));
+        Ok(Self { clock, address, url, inbox, status, shutdown, tasks, ports, fusion })
+    }
+
+    /// Gives a device an open stream instead of its port; it is not opened again when it ends.
+    pub fn attach<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(&mut self, device: u16, stream: S) {
+        if let Some(mut task) = self.ports.get_mut(usize::from(device)).and_then(Option::take) {
+            self.tasks.spawn(async move {
+                if let Some(reason) = task.pump(Port::new(stream)).await {
+                    task.closed(reason);
+                }
+            });
+        }
+    }
+
+    /// The stage's clock.
+    pub fn clock(&self) -> StageClock {
+        self.clock
+    }
+
+    /// Where entries go in: for a simulator's truth.
+    pub fn inbox(&self) -> FusionInbox {
+        self.inbox.clone()
+    }
+
+    /// The address the server listens on.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// What to open in a browser.
+    pub fn url(&self) -> &str {
+        &self.url
+    }
+
+    /// The newest status.
+    pub fn status(&self) -> watch::Receiver<Status> {
+        self.status.clone()
+    }
+
+    /// Ends everything: the recording is complete, clients are told goodbye. Takes less than five seconds.
+    pub async fn shutdown(mut self) {
+        self.shutdown.send_replace(true);
+        self.inbox.push(Event::Command(Command::Shutdown));
+        let fusion = self.fusion;
+        let ended = tokio::task::spawn_blocking(move || fusion.join().is_ok());
+        let all = async {
+            while self.tasks.join_next().await.is_some() {}
+            ended.await
+        };
+        match tokio::time::timeout(SHUTDOWN_TIMEOUT, all).await {
+            Ok(Ok(true)) => {}
+            Ok(_) => tracing::error!("the fusion thread ended with a panic; please report this"),
+            Err(_) => tracing::error!(
+                "not everything has ended in time; the recording may lack its index: `posed info --repair` adds it"
+            ),
+        }
+    }
+}

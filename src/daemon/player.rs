@@ -8,6 +8,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
 use posed_drivers::Timestamp;
+use tokio::sync::watch;
 
 use super::calls;
 use super::clock::StageClock;
@@ -15,7 +16,7 @@ use super::health::Health;
 use super::server::{Hub, PendingCall};
 use crate::input::Entry;
 use crate::pipeline::Pipeline;
-use crate::protocol::{Call, ReplayStatus};
+use crate::protocol::{Call, ReplayStatus, Status};
 use crate::recording::{Info, Item, ReadError, Reader, machine};
 use crate::stage::Stage;
 
@@ -37,6 +38,7 @@ pub(super) struct Player {
     clock: StageClock,
     commands: Receiver<Command>,
     hub: Hub,
+    status: watch::Sender<Status>,
     folder: PathBuf,
     stage: Stage,
     health: Health,
@@ -66,6 +68,7 @@ impl Player {
         clock: StageClock,
         commands: Receiver<Command>,
         hub: Hub,
+        status: watch::Sender<Status>,
         path: &Path,
         folder: PathBuf,
         speed: f64,
@@ -73,12 +76,7 @@ impl Player {
         let playing = Playing::open(path, None, speed, clock.now())?;
         let stage = Stage::parse(&playing.reader.header().stage_toml).map_err(machine::MachineError::from)?;
         let health = Health::new(&stage);
-        Ok(Self { clock, commands, hub, folder, stage, health, playing })
-    }
-
-    /// The stage that the recording was made on.
-    pub(super) fn stage(&self) -> &Stage {
-        &self.stage
+        Ok(Self { clock, commands, hub, status, folder, stage, health, playing })
     }
 
     /// Runs until [`Command::Shutdown`].
@@ -131,11 +129,15 @@ impl Player {
             Call::ReplayOpen { name } => {
                 let known = calls::list(&self.folder).map_err(|sentence| ("failed", sentence))?;
                 if !known.contains(&name) {
-                    return Err(("not_found", format!("name: there is no recording {name:?}; replay.list names them")));
+                    return Err((
+                        "not_found",
+                        format!("name: there is no recording {name:?}; replay.list names them"),
+                    ));
                 }
                 let path = self.folder.join(&name);
                 let speed = self.playing.speed;
-                self.playing = Playing::open(&path, Some(&self.stage), speed, self.clock.now()).map_err(refused)?;
+                self.playing =
+                    Playing::open(&path, Some(&self.stage), speed, self.clock.now()).map_err(refused)?;
                 self.hub.rewind();
                 Ok(None)
             }
@@ -154,9 +156,10 @@ impl Player {
                 self.playing.set_speed(speed, self.clock.now());
                 Ok(None)
             }
-            Call::RecordStart { .. } | Call::RecordStop {} | Call::ModelLoad { .. } => {
-                Err(("replay", "this daemon replays a recording; recording and models belong to a live stage".into()))
-            }
+            Call::RecordStart { .. } | Call::RecordStop {} | Call::ModelLoad { .. } => Err((
+                "replay",
+                "this daemon replays a recording; recording and models belong to a live stage".into(),
+            )),
             Call::JobCancel { job } => Err(("no_such_job", format!("no job {job} is running"))),
         }
     }
@@ -192,6 +195,7 @@ impl Player {
             speed: speed.is_finite().then_some(*speed),
             ended: ended.clone(),
         });
+        self.status.send_replace(status.clone());
         self.hub.publish_status(status);
     }
 }
@@ -202,7 +206,8 @@ impl Playing {
         let info = Info::read(path)?;
         let reader = Reader::open(path)?;
         let (stage, machine) = machine::Machine::as_recorded(reader.header())?;
-        let names = |stage: &Stage| stage.sensors.iter().map(|sensor| sensor.name.clone()).collect::<Vec<_>>();
+        let names =
+            |stage: &Stage| stage.sensors.iter().map(|sensor| sensor.name.clone()).collect::<Vec<_>>();
         if let Some(server) = server
             && names(server) != names(&stage)
         {
@@ -279,7 +284,9 @@ pub enum PlayError {
     #[error(transparent)]
     Machine(#[from] machine::MachineError),
     /// Clients know other sensors.
-    #[error("that recording was made on stage {stage:?} with other sensors; end this replay and open it with `posed replay`")]
+    #[error(
+        "that recording was made on stage {stage:?} with other sensors; end this replay and open it with `posed replay`"
+    )]
     OtherStage {
         /// Where it was made.
         stage: String,

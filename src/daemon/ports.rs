@@ -49,6 +49,13 @@ impl PortTask {
     #[expect(clippy::disallowed_methods, reason = "the daemon retries on its own clock")]
     pub async fn keep_open(mut self, path: String, baud: u32) {
         let mut told = None;
+        if path == "auto" {
+            self.closed(
+                "port \"auto\" works in `posed demo`; elsewhere name the port, `posed doctor` says which"
+                    .into(),
+            );
+            return;
+        }
         loop {
             let opened = tokio::select! {
                 () = ended(&mut self.shutdown) => return,

@@ -97,6 +97,8 @@ pub struct Assembler {
     last_scheduled: Option<Timestamp>,
     last_closed: Option<Timestamp>,
     sigma_t_s: f64,
+    /// Ticks of the grid left out before the next one.
+    left_out: u64,
     frame: Frame,
 }
 
@@ -122,6 +124,7 @@ impl Assembler {
             last_scheduled: None,
             last_closed: None,
             sigma_t_s: 0.0,
+            left_out: 0,
             frame: Frame {
                 sensors: sensors
                     .iter()
@@ -141,8 +144,9 @@ impl Assembler {
             if self.grid_s.is_none() && self.reference == Some(index) {
                 self.sigma_t_s = stamp.sigma_s;
                 self.schedule_cycle(stamp.t_valid, period_s);
-            } else if self.grid_s.is_some() {
+            } else if let Some(grid_s) = self.grid_s {
                 self.sigma_t_s = stamp.sigma_s;
+                self.anchor_grid(stamp.t_valid, grid_s);
             }
         }
     }
@@ -182,7 +186,8 @@ impl Assembler {
 
     /// The stage clock's device: the fastest that is alive.
     fn choose_reference(&mut self, now: Timestamp) {
-        let alive = |index: usize| self.devices[index].period_s().filter(|_| self.devices[index].is_alive(now));
+        let alive =
+            |index: usize| self.devices[index].period_s().filter(|_| self.devices[index].is_alive(now));
         let mut best = self.reference.and_then(|index| alive(index).map(|period| (index, period * FASTER)));
         for index in 0..self.devices.len() {
             if let Some(period) = alive(index)
@@ -227,6 +232,7 @@ impl Assembler {
             && let Some((tick, due)) = self.next_model_tick(now)
             && due <= now
         {
+            self.left_out = 0;
             self.schedule(tick);
         }
     }
@@ -244,23 +250,28 @@ impl Assembler {
         alive.then_some((Tick { t, by_model: true, left_out: 0 }, due))
     }
 
-    fn next_grid_tick(&self, grid_s: f64, now: Timestamp) -> Option<(Tick, Timestamp)> {
-        let latest = self.devices.iter().filter(|device| device.is_running()).filter_map(Device::latest).max()?;
-        let at = |n: f64| Timestamp::from_secs_f64(n * grid_s);
-        let (mut t, mut left_out) = (at((latest.as_secs_f64() / grid_s).ceil()), 0);
-        if let Some(last) = self.last_scheduled {
-            let next = at((last.as_secs_f64() / grid_s).round() + 1.0);
-            let behind_s = t.seconds_since(next);
-            if behind_s <= COAST_S {
-                t = next;
-            } else {
-                left_out = (behind_s / grid_s).round() as u64;
+    /// Where the grid begins, at first and after a silence.
+    fn anchor_grid(&mut self, t: Timestamp, grid_s: f64) {
+        let floor = Timestamp::from_secs_f64((t.as_secs_f64() / grid_s).floor() * grid_s);
+        match self.last_scheduled {
+            None => self.last_scheduled = Some(floor),
+            Some(last) if t.seconds_since(last) > COAST_S + grid_s => {
+                self.left_out = (floor.seconds_since(last) / grid_s).round() as u64;
+                self.last_scheduled = Some(floor);
             }
+            Some(_) => {}
         }
+    }
+
+    fn next_grid_tick(&self, grid_s: f64, now: Timestamp) -> Option<(Tick, Timestamp)> {
+        let latest =
+            self.devices.iter().filter(|device| device.is_running()).filter_map(Device::latest).max()?;
+        let n = (self.last_scheduled?.as_secs_f64() / grid_s).round() + 1.0;
+        let t = Timestamp::from_secs_f64(n * grid_s);
         (t.seconds_since(latest) <= COAST_S).then_some(())?;
         // Due once the fastest device has gone past it; the deadline sees to those that have not.
         let due = if latest >= t { now } else { self.deadline(t, now).map_or(t, |deadline| deadline.max(t)) };
-        Some((Tick { t, by_model: false, left_out }, due))
+        Some((Tick { t, by_model: false, left_out: self.left_out }, due))
     }
 
     /// How long a tick waits for its sensors; `None` if all have said what they have to say.

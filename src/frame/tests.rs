@@ -1,1 +1,139 @@
+//! Ticks and waiting, without clocks and devices.
 
+use super::*;
+
+fn ms(ms: f64) -> Timestamp {
+    Timestamp::from_secs_f64(ms * 1e-3)
+}
+
+fn stamp(t_ms: f64) -> Stamp {
+    Stamp { t_valid: ms(t_ms), sigma_s: 1e-4, begins_cycle: true, cycles_skipped: 0 }
+}
+
+fn measured(t_ms: f64) -> Measured {
+    Measured { t_valid: ms(t_ms), position_m: None, orientation_wxyz: None, button: None }
+}
+
+/// Devices of 100 Hz with one sensor each, unless said otherwise.
+struct Bench {
+    frames: Assembler,
+    closed: Vec<Frame>,
+}
+
+impl Bench {
+    fn new(sensors: &[DeviceIndex], rate_hz: Option<f64>) -> Self {
+        let devices = usize::from(*sensors.iter().max().unwrap()) + 1;
+        Self { frames: Assembler::new(devices, sensors, rate_hz, 5.0), closed: Vec::new() }
+    }
+
+    /// A record of cycle `t_ms` is complete at `now_ms`.
+    fn record(&mut self, device: DeviceIndex, sensor: SensorIndex, t_ms: f64, now_ms: f64) {
+        self.frames.stamp(device, &stamp(t_ms), Some(0.01), ms(now_ms));
+        self.frames.sample(sensor, measured(t_ms));
+        self.poll(now_ms);
+    }
+
+    fn poll(&mut self, now_ms: f64) {
+        while let Some(frame) = self.frames.poll(ms(now_ms)) {
+            self.closed.push(frame.clone());
+        }
+    }
+
+    fn times_ms(&self) -> Vec<f64> {
+        self.closed.iter().map(|frame| (frame.t_valid.as_secs_f64() * 1e5).round() / 100.0).collect()
+    }
+}
+
+#[test]
+fn a_frame_closes_with_its_last_sensor() {
+    let mut bench = Bench::new(&[0, 0], None);
+    for k in 0..5 {
+        let t = f64::from(k) * 10.0;
+        bench.record(0, 0, t, t + 1.0);
+        let open = bench.closed.len();
+        bench.record(0, 1, t, t + 2.0);
+        assert_eq!(bench.closed.len(), open + usize::from(k > 0), "tick {k} waits for both");
+    }
+    let frame = bench.closed.last().unwrap();
+    assert_eq!((frame.number, frame.t_valid, frame.t_closed), (4, ms(40.0), ms(42.0)));
+    assert!(frame.sensors.iter().all(|sensor| sensor.samples.len() == 1 && !sensor.samples[0].late));
+}
+
+#[test]
+fn a_lost_record_delays_its_frame_only_until_the_next_cycle() {
+    let mut bench = Bench::new(&[0, 0], None);
+    for k in 0..10 {
+        let t = f64::from(k) * 10.0;
+        bench.record(0, 0, t, t + 1.0);
+        if k != 5 {
+            bench.record(0, 1, t, t + 2.0);
+        }
+    }
+    let frame = &bench.closed[5];
+    assert_eq!(frame.t_valid, ms(50.0));
+    assert!(frame.sensors[1].samples.is_empty() && frame.sensors[1].expected);
+    assert_eq!(bench.closed.len(), 10);
+}
+
+#[test]
+fn lost_cycles_have_ticks_of_their_own() {
+    let mut bench = Bench::new(&[0], None);
+    for k in [0, 1, 2, 5, 6] {
+        let t = f64::from(k) * 10.0;
+        bench.record(0, 0, t, t + 1.0);
+    }
+    assert_eq!(bench.times_ms(), [0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0]);
+    let by_model: Vec<bool> = bench.closed.iter().map(|frame| frame.by_model).collect();
+    assert_eq!(by_model, [false, false, false, true, true, false, false]);
+}
+
+#[test]
+fn a_silent_stage_ticks_on_for_half_a_second_and_counts_the_rest() {
+    let mut bench = Bench::new(&[0], None);
+    for k in 0..10 {
+        let t = f64::from(k) * 10.0;
+        bench.record(0, 0, t, t + 1.0);
+    }
+    let mut now = 91.0;
+    while let Some(due) = bench.frames.poll_timeout(ms(now)) {
+        now = due.as_secs_f64() * 1e3;
+        bench.poll(now);
+    }
+    assert_eq!(bench.times_ms().last(), Some(&590.0));
+    bench.record(0, 0, 2000.0, 2001.0);
+    let frame = bench.closed.last().unwrap();
+    assert_eq!((frame.t_valid, frame.ticks_left_out), (ms(2000.0), 140));
+}
+
+#[test]
+fn what_comes_after_its_frame_is_late_in_the_next() {
+    let mut bench = Bench::new(&[0, 1], None);
+    for k in 0..20 {
+        let t = f64::from(k) * 10.0;
+        bench.record(0, 0, t, t + 1.0);
+        if k != 10 {
+            bench.record(1, 1, t - 1.0, t + 1.5);
+        }
+        if k == 10 {
+            let due = bench.frames.poll_timeout(ms(t + 1.0)).unwrap();
+            assert!(due > ms(t + 5.0) && due < ms(t + 9.0), "{due:?}");
+            bench.poll(due.as_secs_f64() * 1e3);
+            assert_eq!(bench.times_ms().last(), Some(&t), "closed without the second device");
+            bench.record(1, 1, t - 1.0, t + 9.5);
+        }
+    }
+    let next = bench.closed.iter().find(|frame| frame.t_valid == ms(110.0)).unwrap();
+    let samples = &next.sensors[1].samples;
+    assert_eq!((samples.len(), samples[0].late, samples[1].late), (2, true, false));
+}
+
+#[test]
+fn a_rate_of_its_own_makes_a_grid() {
+    let mut bench = Bench::new(&[0], Some(25.0));
+    for k in 0..50 {
+        let t = f64::from(k) * 10.0 + 3.0;
+        bench.record(0, 0, t, t + 1.0);
+    }
+    assert_eq!(bench.times_ms()[..5], [40.0, 80.0, 120.0, 160.0, 200.0]);
+    assert!(bench.closed[1..].iter().all(|frame| frame.sensors[0].samples.len() == 4));
+}

@@ -88,7 +88,10 @@ impl Sensor {
         room: &Isometry3<f64>,
     ) -> SensorEstimate {
         self.state = SensorState::Missing;
-        self.fault = slot.expected.then_some(FaultCause::Missing);
+        // Where nothing was due, nothing is wrong that was not wrong before.
+        if slot.expected {
+            self.fault = Some(FaultCause::Missing);
+        }
         for sample in &slot.samples {
             let (state, fault) = self.measure(&sample.measured, others_move);
             self.state = if sample.late && state == SensorState::Ok { SensorState::Late } else { state };

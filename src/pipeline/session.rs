@@ -1,7 +1,7 @@
 //! All sessions there are, as one closed type: so that a pipeline is plain data.
 
-use posed_drivers::flock::FlockSession;
 use posed_drivers::Session;
+use posed_drivers::flock::FlockSession;
 use serde::{Deserialize, Serialize};
 
 use super::PipelineError;

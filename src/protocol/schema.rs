@@ -5,7 +5,8 @@
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
 
-use super::{Call, Feed, RequestId, ServerMessage, typescript};
+use super::message::{Data, Fault, FieldEvent, Jobs, Sensors, Status, Truths};
+use super::{Call, Feed, RequestId, ServerMessage, Topic, typescript};
 
 /// JSON Schema (draft 2020-12) of `ServerMessage` and `ClientMessage`.
 pub fn json_schema() -> Value {
@@ -39,6 +40,29 @@ pub fn json_schema() -> Value {
         "anyOf": [server, { "$ref": "#/$defs/ClientMessage" }],
         "$defs": definitions,
     })
+}
+
+/// JSON Schema of one topic's messages, self-contained, for recordings; `None` for a topic without messages yet.
+pub fn of_topic(topic: Topic) -> Option<String> {
+    let mut generator = SchemaSettings::draft2020_12().for_serialize().into_generator();
+    let schema = match topic {
+        Topic::Status => generator.root_schema_for::<Data<Status>>(),
+        Topic::Sensors => generator.root_schema_for::<Data<Sensors>>(),
+        Topic::Truth => generator.root_schema_for::<Data<Truths>>(),
+        Topic::Jobs => generator.root_schema_for::<Data<Jobs>>(),
+        Topic::Faults => generator.root_schema_for::<Data<Fault>>(),
+        Topic::Field => generator.root_schema_for::<Data<FieldEvent>>(),
+        Topic::Body | Topic::Keyframes | Topic::Segments | Topic::Exercise => return None,
+    };
+    let mut schema = schema.to_value();
+    let properties = schema.as_object_mut()?.entry("properties").or_insert_with(|| json!({}));
+    properties.as_object_mut()?.insert("type".into(), json!({ "const": topic.name() }));
+    Some(schema.to_string())
+}
+
+/// [`of_topic`] for every topic that has messages, with its name.
+pub fn of_topics() -> Vec<(&'static str, String)> {
+    Topic::ALL.into_iter().filter_map(|topic| Some((topic.name(), of_topic(topic)?))).collect()
 }
 
 /// TypeScript types of the same messages.

@@ -5,7 +5,7 @@ use serde::ser::{Serialize, SerializeSeq, SerializeStruct, Serializer};
 use serde::{Deserialize, Serialize as DeriveSerialize};
 
 use super::message::{Measured, Quality};
-use super::{Encoding, Names, Stamp, round};
+use super::{Encoding, Names, Stamp, Topic, round};
 use crate::input::{SensorIndex, Truth, TruthSensor};
 use crate::output::{self, Estimate, PoseEstimate, SensorEstimate, SensorState};
 
@@ -81,6 +81,14 @@ impl View {
     /// All sensors with the default fields.
     pub fn all(encoding: Encoding) -> Self {
         Self { encoding, fields: Fields::default(), sensors: None }
+    }
+
+    /// The view of one topic: only `sensors` and `truth` look different for different choices.
+    pub fn for_topic(&self, topic: Topic) -> Self {
+        match topic {
+            Topic::Sensors | Topic::Truth => self.clone(),
+            _ => Self::all(self.encoding),
+        }
     }
 
     fn shows(&self, sensor: SensorIndex) -> bool {

@@ -4,8 +4,8 @@
 //! and mend. What it never does: fill a gap by guessing, accept an unknown key, touch a device.
 //!
 //! Every key carries its unit. `config/README.md` is the reference, and a test holds it against these types.
-//! The shape of the file is checked against the JSON schema of the types ([`shape`]), so that a range written at
-//! a field is both documentation and check; what spans several tables is in [`rules`].
+//! The shape of the file is checked against the JSON schema of the types (`shape.rs`), so that a range written at
+//! a field is both documentation and check; what spans several tables is in `rules/`.
 
 mod body;
 mod check;

@@ -1,4 +1,5 @@
 //! The websocket server with real clients.
+#![expect(clippy::unwrap_used, reason = "helpers of tests")]
 
 mod access;
 mod feed;

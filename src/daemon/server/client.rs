@@ -24,6 +24,9 @@ const BATCH: usize = 32;
 /// Time for the closing handshake with one client.
 const GOODBYE: Duration = Duration::from_secs(1);
 
+/// Distance of the messages that are read while closing.
+const PACE: Duration = Duration::from_millis(5);
+
 /// A client's request that the daemon carries out.
 #[derive(Debug)]
 pub struct PendingCall {
@@ -255,7 +258,11 @@ impl Client {
         let frame = CloseFrame { code, reason: reason.into() };
         let closing = async {
             self.socket.send(Message::Close(Some(frame))).await?;
-            while let Some(Ok(_)) = self.socket.recv().await {}
+            // At a walking pace: who is sent away for flooding must not be read at full speed once more.
+            let mut pace = interval(PACE);
+            while let Some(Ok(_)) = self.socket.recv().await {
+                pace.tick().await;
+            }
             Ok::<_, axum::Error>(())
         };
         let _ = timeout(GOODBYE, closing).await;

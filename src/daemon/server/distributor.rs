@@ -198,18 +198,23 @@ impl Distributor {
                     None => None,
                 };
                 let view = self.view(at, sensors, fields)?;
-                self.unsubscribe_keeping_times(at, &topics);
                 let live_after = self.counters.last_event_id();
-                self.reply_ok(at, id, None);
+                let mut begun = Vec::with_capacity(topics.len());
                 for topic in topics {
-                    if self.clients[at].subscriptions[topic.index()].is_some() {
+                    if begun.iter().any(|(other, _)| *other == topic) {
                         continue;
                     }
-                    // Events look the same to all: their views differ in the encoding only.
-                    let view = match topic {
-                        Topic::Sensors | Topic::Truth => self.intern(&view)?,
-                        _ => self.intern(&View::all(view.encoding))?,
-                    };
+                    match self.intern(&view.for_topic(topic)) {
+                        Ok(view) => begun.push((topic, view)),
+                        Err(busy) => {
+                            // All or nothing: what there was before goes on.
+                            begun.iter().for_each(|(_, view)| self.views[*view].users -= 1);
+                            return Err(busy);
+                        }
+                    }
+                }
+                self.reply_ok(at, id, None);
+                for (topic, view) in begun {
                     let subscription = Subscription {
                         view,
                         period_us,
@@ -217,7 +222,10 @@ impl Distributor {
                         policy: drop.unwrap_or_default(),
                         live_after,
                     };
-                    self.clients[at].subscriptions[topic.index()] = Some(subscription);
+                    let replaced = self.clients[at].subscriptions[topic.index()].replace(subscription);
+                    if let Some(old) = replaced {
+                        self.views[old.view].users -= 1;
+                    }
                     self.send_last_state(at, topic);
                 }
             }
@@ -277,17 +285,11 @@ impl Distributor {
     }
 
     fn unsubscribe(&mut self, at: usize, topics: &[Topic]) {
-        self.unsubscribe_keeping_times(at, topics);
-        for topic in topics {
-            self.clients[at].sent_us[topic.index()] = None;
-        }
-    }
-
-    fn unsubscribe_keeping_times(&mut self, at: usize, topics: &[Topic]) {
         for topic in topics {
             if let Some(old) = self.clients[at].subscriptions[topic.index()].take() {
                 self.views[old.view].users -= 1;
             }
+            self.clients[at].sent_us[topic.index()] = None;
         }
     }
 
@@ -428,4 +430,101 @@ fn written(
     scratch.clear();
     encode::body(payload, stamp, names, view, scratch);
     Arc::from(scratch.as_slice())
+}
+
+#[cfg(test)]
+mod tests {
+    use posed_drivers::Timestamp;
+
+    use super::*;
+    use crate::output::Estimate;
+    use crate::stage::Stage;
+
+    fn distributor(limits: &Limits) -> Distributor {
+        let stage = Stage::parse("name = \"test\"").unwrap();
+        let names = Arc::new(Names::new(&stage));
+        Distributor::new(names, limits.clone(), Arc::new(Metrics::new()), Counters::default())
+    }
+
+    fn connect(distributor: &mut Distributor, client: ClientId, limits: &Limits) -> Arc<Outbox> {
+        let outbox = Arc::new(Outbox::new(Encoding::Json, limits.clone()));
+        distributor.handle(Command::Connect { client, outbox: Arc::clone(&outbox) });
+        outbox
+    }
+
+    fn subscribe(
+        distributor: &mut Distributor,
+        client: ClientId,
+        max_rate_hz: Option<f64>,
+        fields: &[Field],
+    ) {
+        let feed = Feed::Subscribe {
+            topics: vec![Topic::Sensors],
+            max_rate_hz,
+            sensors: None,
+            fields: Some(fields.to_vec()),
+            drop: Some(DropPolicy::Queue),
+        };
+        distributor.handle(Command::Feed { client, id: RequestId::Number(1), feed });
+    }
+
+    fn frame(distributor: &mut Distributor, t_us: i64) {
+        let t_valid = Timestamp::from_nanos(t_us * 1000);
+        distributor.publish(Item::Estimate(Estimate { t_valid, ..Estimate::default() }));
+    }
+
+    fn received(outbox: &Outbox) -> Vec<serde_json::Value> {
+        let mut out = Vec::new();
+        let mut all = Vec::new();
+        while outbox.pop(&mut out) == Ok(true) {
+            all.push(serde_json::from_slice(&out).unwrap());
+            out.clear();
+        }
+        all
+    }
+
+    #[test]
+    fn a_maximum_rate_is_kept_on_average_whatever_the_frames_do() {
+        let limits = Limits::default();
+        for (frame_us, max_rate_hz, expected) in [
+            (10_000, 30.0, 30),
+            (10_000, 60.0, 60),
+            (6_944, 50.0, 50),
+            (10_000, 250.0, 100),
+            (20_000, 50.0, 50),
+        ] {
+            let mut distributor = distributor(&limits);
+            let outbox = connect(&mut distributor, 1, &limits);
+            subscribe(&mut distributor, 1, Some(max_rate_hz), &[]);
+            for n in 0..(1_000_000 / frame_us) {
+                frame(&mut distributor, n * frame_us);
+            }
+            let got = received(&outbox).len() as i64 - 1;
+            assert!((expected - 1..=expected).contains(&got), "{got} of {expected} per second");
+        }
+    }
+
+    #[test]
+    fn equal_views_are_serialised_once_and_places_are_reused() {
+        let limits = Limits { views: 2, ..Limits::default() };
+        let mut distributor = distributor(&limits);
+        let outboxes: Vec<_> = (0..10).map(|client| connect(&mut distributor, client, &limits)).collect();
+        for client in 0..9 {
+            subscribe(
+                &mut distributor,
+                client,
+                None,
+                &[[Field::PositionM, Field::SigmaM][client as usize % 2]],
+            );
+        }
+        frame(&mut distributor, 0);
+        assert_eq!(distributor.metrics.bodies.get(), 2);
+        subscribe(&mut distributor, 9, None, &[Field::Device]);
+        assert_eq!(received(&outboxes[9])[0]["code"], "busy", "no third view");
+        for client in (0..9).filter(|client| client % 2 == 0) {
+            distributor.handle(Command::Disconnect { client });
+        }
+        subscribe(&mut distributor, 9, None, &[Field::Device]);
+        assert_eq!(received(&outboxes[9])[0]["type"], "ok");
+    }
 }

@@ -17,7 +17,7 @@ const SPARES: usize = 8;
 /// Something to publish, owned.
 #[derive(Debug)]
 pub(super) enum Item {
-    Estimate(Box<Estimate>),
+    Estimate(Estimate),
     Truth(Box<Truth>),
     Outcome(Box<Outcome>),
     Status(Box<Status>),
@@ -63,7 +63,7 @@ struct Shared {
 #[derive(Debug, Default)]
 struct Queue {
     items: VecDeque<Item>,
-    spares: Vec<Box<Estimate>>,
+    spares: Vec<Estimate>,
     dropped: u64,
 }
 
@@ -80,11 +80,10 @@ impl Hub {
 
     /// Publishes a frame; copies it into memory that earlier frames have left.
     pub fn publish_estimate(&self, estimate: &Estimate) {
-        let mut copy = self.lock().spares.pop().unwrap_or_default();
+        let mut memory = self.lock().spares.pop().map(|spare| spare.sensors).unwrap_or_default();
         let Estimate { frame, t_valid, t_closed, sigma_t_s, ref sensors } = *estimate;
-        let mut memory = std::mem::take(&mut copy.sensors);
         memory.clone_from(sensors);
-        *copy = Estimate { frame, t_valid, t_closed, sigma_t_s, sensors: memory };
+        let copy = Estimate { frame, t_valid, t_closed, sigma_t_s, sensors: memory };
         self.push(Item::Estimate(copy));
     }
 

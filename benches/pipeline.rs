@@ -1,0 +1,52 @@
+//! One second of bytes through the warm pipeline: session, clock, frames, faults, filter.
+
+#[path = "../tests/rig/mod.rs"]
+mod rig;
+
+use std::hint::black_box;
+
+use criterion::{BatchSize, Criterion, Throughput};
+use posed::pipeline::Pipeline;
+use posed_simulator::scenario::{DeviceScenario, Scenario};
+use rig::{Rig, stage};
+
+fn second(criterion: &mut Criterion, name: &str, birds: &[u16], rate_hz: f64) {
+    let stage_file = stage(birds);
+    let device = |index| DeviceScenario { name: format!("d{index}"), rate_hz, ..DeviceScenario::default() };
+    let scenario = Scenario { devices: (0..birds.len()).map(device).collect(), ..Scenario::default() };
+    let mut rig = Rig::new(&stage_file, &scenario);
+    rig.run_until(9.0);
+    let from = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 8.0);
+    let mut warm = Pipeline::new(&stage_file).expect("the stage is right");
+    for entry in &rig.log[..from] {
+        warm.push(entry, &mut |_| {});
+    }
+    let mut frames = 0;
+    let mut count = warm.clone();
+    for entry in &rig.log[from..] {
+        count.push(entry, &mut |output| {
+            frames += u64::from(matches!(output, posed::output::Output::Estimate(_)))
+        });
+    }
+    let mut group = criterion.benchmark_group("pipeline");
+    // Time per element is time per frame.
+    group.throughput(Throughput::Elements(frames));
+    group.bench_function(name, |bencher| {
+        let run = |pipeline: &mut Pipeline| {
+            for entry in &rig.log[from..] {
+                pipeline.push(entry, &mut |output| {
+                    black_box(output);
+                });
+            }
+        };
+        bencher.iter_batched_ref(|| warm.clone(), run, BatchSize::LargeInput);
+    });
+    group.finish();
+}
+
+fn main() {
+    let mut criterion = Criterion::default().configure_from_args();
+    second(&mut criterion, "8 birds of one flock", &[8], 90.0);
+    second(&mut criterion, "100 birds of 50 flocks", &[2; 50], 100.0);
+    criterion.final_summary();
+}

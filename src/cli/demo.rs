@@ -1,0 +1,100 @@
+//! `posed demo`: a simulated stage, the daemon and the page in one process.
+//!
+//! The devices are virtual, everything else is what `posed run` does: the driver opens a pseudo-terminal and talks to
+//! a unit that does not know it is not one.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, OnceLock};
+
+use posed::daemon::fusion::FusionInbox;
+use posed::daemon::inbox::Event as InboxEvent;
+use posed::daemon::{Daemon, Options};
+use posed::input::{Entry, Input, Truth, TruthSensor};
+use posed::stage::Stage;
+use posed_drivers::Timestamp;
+use posed_simulator::host::{Clock, Host, Watcher};
+use posed_simulator::stage::{Event, Output};
+use posed_simulator::truth::TruthCycle;
+
+use super::run::runtime;
+use super::{Error, simulation, watch};
+
+/// The stage that is built in.
+const STAGE: &str = include_str!("../../config/demo.toml");
+
+/// What to show.
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  posed demo\n\nThen open the address that it prints; Ctrl-C ends it.")]
+pub(crate) struct Args {
+    /// Address for the page and the websocket, in place of the stage's.
+    #[arg(long, value_name = "HOST:PORT")]
+    listen: Option<String>,
+    /// Simulate another stage file than the one that is built in.
+    #[arg(long, value_name = "STAGE.toml")]
+    stage: Option<PathBuf>,
+    /// Record everything that comes in, from the first byte on.
+    #[arg(long, value_name = "REC.mcap")]
+    record: Option<PathBuf>,
+}
+
+pub(crate) fn run(args: Args) -> Result<(), Error> {
+    let (stage, text, folder) = match &args.stage {
+        Some(path) => {
+            let text = std::fs::read_to_string(path).map_err(|error| Error::file("read", path, &error))?;
+            let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+            (Stage::load(path).map_err(Error::failed)?, text, folder)
+        }
+        None => (Stage::parse(STAGE).map_err(Error::failed)?, STAGE.to_owned(), PathBuf::new()),
+    };
+    let duration_s = simulation::scenario(&stage)?.duration_s;
+    let devices = simulation::virtual_stage(&stage, &folder)?;
+    let ports = tempfile::Builder::new()
+        .prefix("posed-")
+        .tempdir()
+        .map_err(|error| Error::Failed(format!("cannot make a folder for the ports: {error}")))?;
+    let mut options = Options::new(stage, text, folder);
+    options.listen = args.listen;
+    options.record = args.record;
+    options.truth = true;
+
+    runtime()?.block_on(async {
+        // The devices come first, since the daemon must know their ports; their truth waits for its inbox.
+        let inbox = Arc::new(OnceLock::new());
+        let clock = Clock::since(options.clock.instant(Timestamp::ZERO));
+        let host = Host::on_ptys(devices, ports.path(), clock, truth_to(Arc::clone(&inbox)))
+            .map_err(|error| Error::Failed(format!("cannot make the virtual ports: {error}")))?;
+        for (device, info) in options.stage.devices.iter_mut().zip(host.devices()) {
+            device.port.clone_from(&info.port);
+        }
+        let daemon = Daemon::start(options).map_err(Error::failed)?;
+        let _ = inbox.set(daemon.inbox());
+        let ended = watch::until_end(daemon.url(), daemon.status(), duration_s).await;
+        let stopped =
+            host.stop().await.map_err(|error| Error::Failed(format!("a virtual device failed: {error}")));
+        daemon.shutdown().await;
+        ended.and(stopped)
+    })
+}
+
+/// Sends the truth to the `truth` topic.
+fn truth_to(inbox: Arc<OnceLock<FusionInbox>>) -> Watcher {
+    Arc::new(move |event: &Event| {
+        if let (Output::Truth(cycle), Some(inbox)) = (&event.output, inbox.get()) {
+            publish(inbox, cycle);
+        }
+    })
+}
+
+fn publish(inbox: &FusionInbox, cycle: &TruthCycle) {
+    let sensor = |row: &posed_simulator::truth::TruthRow| {
+        let (t, q) = (row.pose.translation.vector, row.pose.rotation.into_inner());
+        TruthSensor {
+            sensor: row.sensor as u16,
+            position_m: t.into(),
+            orientation_wxyz: [q.w, q.i, q.j, q.k],
+            class: row.class.name().to_owned(),
+        }
+    };
+    let truth = Truth { t_valid: cycle.t, sensors: cycle.sensors.iter().map(sensor).collect() };
+    inbox.push(InboxEvent::Entry(Entry { t: cycle.t, input: Input::Truth(truth) }));
+}

@@ -1,0 +1,119 @@
+//! A daemon without devices: a recording served to clients as a live stage would be.
+
+use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+
+use super::clock::StageClock;
+use super::player::{Command, PlayError, Player};
+use super::ports::ended;
+use super::server::{BindError, Config, Server};
+use crate::protocol::{Status, Topic};
+use crate::recording::{Header, Info, ReadError, Reader};
+use crate::stage::{Problems, Stage};
+
+/// Why a recording cannot be served.
+#[derive(Debug, thiserror::Error)]
+pub enum PlaybackError {
+    /// It cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// Its stage file does not fit this version.
+    #[error("the recording's stage file does not fit this version of posed: {0}")]
+    Stage(#[from] Problems),
+    /// It cannot be played.
+    #[error(transparent)]
+    Play(#[from] PlayError),
+    /// The address does not serve.
+    #[error(transparent)]
+    Bind(#[from] BindError),
+    /// A thread could not be made.
+    #[error("the system gives no thread: {0}")]
+    Thread(std::io::Error),
+}
+
+/// A recording being served; ends with [`Playback::shutdown`].
+pub struct Playback {
+    url: String,
+    status: watch::Receiver<Status>,
+    shutdown: watch::Sender<bool>,
+    tasks: JoinSet<()>,
+    commands: mpsc::Sender<Command>,
+    player: std::thread::JoinHandle<()>,
+}
+
+impl Playback {
+    /// Serves `recording` at `speed` times real time; `replay.list` and `replay.open` speak of its folder.
+    /// Needs a tokio runtime.
+    ///
+    /// # Errors
+    /// The recording cannot be read or played, or the address does not serve.
+    pub fn start(recording: &Path, listen: Option<String>, speed: f64) -> Result<Self, PlaybackError> {
+        let folder = match recording.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
+            _ => PathBuf::from("."),
+        };
+        let header: Header = Reader::open(recording)?.header().clone();
+        let stage = Stage::parse(&header.stage_toml)?;
+        let mut config = Config::new(&folder, header.epoch_utc_ns);
+        config.listen = listen;
+        if Info::read(recording)?.topics.contains_key("/input/truth") {
+            config.more_topics.push(Topic::Truth);
+        }
+        let (server, hub, mut calls) = Server::bind(&stage, config)?;
+        let url = server.url();
+
+        let (shutdown, down) = watch::channel(false);
+        let (status_sender, status) = watch::channel(Status::default());
+        let (commands, received) = mpsc::channel();
+        let player =
+            Player::new(StageClock::start(), received, hub, status_sender, recording, folder, speed)?;
+        #[expect(clippy::disallowed_methods, reason = "the daemon owns the player's thread")]
+        let player = std::thread::Builder::new()
+            .name("player".into())
+            .spawn(move || player.run())
+            .map_err(PlaybackError::Thread)?;
+
+        let mut tasks = JoinSet::new();
+        let mut server_down = down.clone();
+        tasks.spawn(server.run(async move { ended(&mut server_down).await }));
+        let forward = commands.clone();
+        let mut down = down;
+        tasks.spawn(async move {
+            loop {
+                tokio::select! {
+                    () = ended(&mut down) => return,
+                    call = calls.recv() => match call {
+                        Some(call) => _ = forward.send(Command::Call(call)),
+                        None => return,
+                    },
+                }
+            }
+        });
+        Ok(Self { url, status, shutdown, tasks, commands, player })
+    }
+
+    /// What to open in a browser.
+    pub fn url(&self) -> &str {
+        &self.url
+    }
+
+    /// The newest status.
+    pub fn status(&self) -> watch::Receiver<Status> {
+        self.status.clone()
+    }
+
+    /// Ends everything; clients are told goodbye.
+    pub async fn shutdown(mut self) {
+        self.shutdown.send_replace(true);
+        let _ = self.commands.send(Command::Shutdown);
+        let player = self.player;
+        let joined = tokio::task::spawn_blocking(move || player.join().is_ok());
+        while self.tasks.join_next().await.is_some() {}
+        if !matches!(joined.await, Ok(true)) {
+            tracing::error!("the player ended with a panic; please report this");
+        }
+    }
+}

@@ -1,0 +1,239 @@
+//! A stage in simulated time: virtual devices, the real pipeline, and nobody in between.
+
+#![allow(
+    dead_code,
+    missing_docs,
+    clippy::unwrap_used,
+    reason = "shared by several tests, none of which uses all of it"
+)]
+
+use posed::input::{Entry, Input};
+use posed::output::{Estimate, Outcome, Output};
+use posed::pipeline::Pipeline;
+use posed::stage::Stage;
+use posed_drivers::{LineEvent, Timestamp};
+use posed_simulator::scenario::{DeviceSpec, Scenario, SensorSpec, StageSpec};
+use posed_simulator::stage::{Output as Virtual, VirtualStage};
+use posed_simulator::truth::TruthCycle;
+
+/// A stage file with Flocks of so many birds each; one bird stands alone.
+pub(crate) fn stage(birds: &[u16]) -> Stage {
+    let mut text = String::from("name = \"test\"\n");
+    for (device, &birds) in birds.iter().enumerate() {
+        text += &format!("[[device]]\nname = \"d{device}\"\ndriver = \"flock-of-birds\"\nport = \"none\"\n");
+        // Eight quaternions do not fit a cycle at 115200 baud, eight times three angles do.
+        if birds > 6 {
+            text += "format = \"position-angles\"\n";
+        }
+        for bird in 0..birds {
+            let address = if birds == 1 { 0 } else { bird + 1 };
+            text += &format!(
+                "[[sensor]]\nname = \"s{device}-{bird}\"\ndevice = \"d{device}\"\naddress = {address}\n"
+            );
+        }
+    }
+    toml::from_str(&text).unwrap()
+}
+
+/// Virtual devices for a stage.
+pub(crate) fn simulate(stage: &Stage, scenario: &Scenario) -> VirtualStage {
+    let spec = StageSpec {
+        transmitter_in_room: stage
+            .transmitter
+            .pose_in_room
+            .map(|pose| (pose.position_m, pose.orientation_wxyz)),
+        devices: stage
+            .devices
+            .iter()
+            .map(|device| DeviceSpec {
+                name: device.name.clone(),
+                driver: "flock-of-birds".into(),
+                baud: device.baud,
+                measurement_delay_ms: device.measurement_delay_ms,
+            })
+            .collect(),
+        sensors: stage
+            .sensors
+            .iter()
+            .map(|sensor| SensorSpec {
+                name: sensor.name.clone(),
+                device: sensor.device.clone(),
+                address: sensor.address,
+            })
+            .collect(),
+    };
+    VirtualStage::new(&spec, scenario, ".".as_ref()).unwrap()
+}
+
+/// What the pipeline said of the tracking.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Said {
+    Estimate(Estimate),
+    Outcome(Outcome),
+    State(u16, posed_drivers::State),
+    Warning(u16, String),
+}
+
+/// A host that now and then does not read for a while, and then reads all that has come.
+pub(crate) struct Sleepy {
+    pub(crate) random: u64,
+    /// Share of reads after which it sleeps.
+    pub(crate) share: f64,
+    pub(crate) longest_ms: f64,
+    until: Timestamp,
+    waiting: Vec<(u16, Vec<u8>)>,
+}
+
+impl Sleepy {
+    pub(crate) fn new(seed: u64, share: f64, longest_ms: f64) -> Self {
+        Self { random: seed, share, longest_ms, until: Timestamp::ZERO, waiting: Vec::new() }
+    }
+
+    /// Uniform in [0, 1): splitmix64.
+    fn uniform(&mut self) -> f64 {
+        self.random = self.random.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.random;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+/// A pipeline with its virtual stage.
+pub(crate) struct Rig {
+    pub(crate) virtual_stage: VirtualStage,
+    pub(crate) pipeline: Pipeline,
+    pub(crate) now: Timestamp,
+    pub(crate) truth: Vec<TruthCycle>,
+    pub(crate) log: Vec<Entry>,
+    pub(crate) said: Vec<Said>,
+    pub(crate) sleepy: Option<Sleepy>,
+    /// When something of the tracking was last said, and when each entry of `said` was.
+    pub(crate) said_at: Vec<Timestamp>,
+}
+
+impl Rig {
+    pub(crate) fn new(stage: &Stage, scenario: &Scenario) -> Self {
+        let mut rig = Self {
+            virtual_stage: simulate(stage, scenario),
+            pipeline: Pipeline::new(stage).unwrap(),
+            now: Timestamp::ZERO,
+            truth: Vec::new(),
+            log: Vec::new(),
+            said: Vec::new(),
+            sleepy: None,
+            said_at: Vec::new(),
+        };
+        for device in 0..stage.devices.len() {
+            let event = LineEvent::Opened { modem_lines: false };
+            rig.push(Input::Line { device: device as u16, event });
+        }
+        rig
+    }
+
+    /// Lets time pass.
+    pub(crate) fn run_until(&mut self, seconds: f64) {
+        let end = Timestamp::from_secs_f64(seconds);
+        while self.now < end {
+            let awake = self.sleepy.as_ref().filter(|host| !host.waiting.is_empty()).map(|host| host.until);
+            let due = [self.virtual_stage.poll_timeout(), self.pipeline.poll_timeout(), awake];
+            let next = due.into_iter().flatten().min().unwrap_or(end).clamp(self.now, end);
+            self.now = next;
+            self.wake();
+            self.virtual_stage.step(next);
+            while let Some(event) = self.virtual_stage.poll_event() {
+                let device = event.device as u16;
+                match event.output {
+                    Virtual::Data(bytes) => self.read(device, bytes),
+                    Virtual::Truth(cycle) => self.truth.push(cycle),
+                    Virtual::Unplugged => {
+                        let event = LineEvent::Closed { reason: "unplugged".into() };
+                        self.push(Input::Line { device, event });
+                    }
+                    Virtual::Replugged => {
+                        let event = LineEvent::Opened { modem_lines: false };
+                        self.push(Input::Line { device, event });
+                    }
+                    Virtual::Fault(_) => {}
+                }
+            }
+            if self.pipeline.poll_timeout().is_some_and(|due| due <= next) {
+                self.push(Input::Timer);
+            }
+        }
+    }
+
+    /// Bytes can be read; a host that sleeps reads them later, those of one device in one go.
+    fn read(&mut self, device: u16, bytes: Vec<u8>) {
+        let now = self.now;
+        if let Some(host) = &mut self.sleepy {
+            if now < host.until {
+                match host.waiting.iter_mut().find(|(waiting, _)| *waiting == device) {
+                    Some((_, held)) => held.extend(bytes),
+                    None => host.waiting.push((device, bytes)),
+                }
+                return;
+            }
+            if host.uniform() < host.share {
+                let sleep_s = host.uniform() * host.longest_ms * 1e-3;
+                host.until = Timestamp::from_secs_f64(now.as_secs_f64() + sleep_s);
+            }
+        }
+        self.push(Input::Bytes { device, bytes });
+    }
+
+    fn wake(&mut self) {
+        let Some(host) = self.sleepy.as_mut().filter(|host| host.until <= self.now) else { return };
+        for (device, bytes) in std::mem::take(&mut host.waiting) {
+            self.push(Input::Bytes { device, bytes });
+        }
+    }
+
+    /// Forgets what has been read and said up to now.
+    pub(crate) fn forget(&mut self) {
+        self.truth.clear();
+        self.log.clear();
+        self.said.clear();
+        self.said_at.clear();
+    }
+
+    pub(crate) fn push(&mut self, input: Input) {
+        let entry = Entry { t: self.now, input };
+        let Self { pipeline, virtual_stage, said, said_at, now, .. } = self;
+        pipeline.push(&entry, &mut |output| {
+            if let Output::Transmit { device, bytes } = &output {
+                virtual_stage.write(usize::from(*device), *now, bytes);
+            }
+            said.extend(keep(&output));
+            said_at.resize(said.len(), *now);
+        });
+        self.log.push(entry);
+    }
+
+    pub(crate) fn estimates(&self) -> impl Iterator<Item = &Estimate> {
+        self.said.iter().filter_map(|said| match said {
+            Said::Estimate(estimate) => Some(estimate),
+            _ => None,
+        })
+    }
+}
+
+/// An output worth keeping, as one's own.
+pub(crate) fn keep(output: &Output<'_>) -> Option<Said> {
+    match output {
+        Output::Estimate(estimate) => Some(Said::Estimate((*estimate).clone())),
+        Output::Outcome(outcome) => Some(Said::Outcome((*outcome).clone())),
+        Output::Device { device, state } => Some(Said::State(*device, (*state).clone())),
+        Output::Warning { device, text } => Some(Said::Warning(*device, (*text).to_owned())),
+        _ => None,
+    }
+}
+
+/// Feeds entries to a pipeline.
+pub(crate) fn replay(pipeline: &mut Pipeline, log: &[Entry]) -> Vec<Said> {
+    let mut said = Vec::new();
+    for entry in log {
+        pipeline.push(entry, &mut |output| said.extend(keep(&output)));
+    }
+    said
+}
