@@ -22,6 +22,9 @@ mod decode;
 mod demo;
 mod doctor;
 mod end;
+mod exercise;
+mod export;
+mod info;
 mod output;
 mod replay;
 mod replay_pty;
@@ -30,8 +33,6 @@ mod schema;
 mod simulate;
 mod simulation;
 mod watch;
-mod export;
-mod info;
 
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
@@ -69,6 +70,8 @@ enum Command {
     Replay(replay::Args),
     /// Decodes a capture made elsewhere to CSV or JSON lines.
     Decode(decode::Args),
+    /// Learns exercises from a few repetitions, and counts them.
+    Exercise(exercise::Args),
     /// Says what is inside a recording, and completes one that breaks off.
     Info(info::Args),
     /// Writes a recording's poses or messages to a file that other programs open.
@@ -89,6 +92,7 @@ impl Command {
             Self::Simulate(args) => simulate::run(args),
             Self::Doctor(args) => doctor::run(args),
             Self::Decode(args) => decode::run(args),
+            Self::Exercise(args) => exercise::run(args),
             Self::Info(args) => info::run(args),
             Self::Export(args) => export::run(args),
             Self::Completions(args) => completions::run(args),

@@ -25,7 +25,10 @@ impl Repetition {
 
 /// The part of a path in which the movement happens: a path may wait in the first and in the last state, which
 /// look like rest. At most two frames in the first state and two in the last are kept.
-pub(super) fn trim(path: impl ExactSizeIterator<Item = usize> + Clone, states: usize) -> std::ops::Range<usize> {
+pub(super) fn trim(
+    path: impl ExactSizeIterator<Item = usize> + Clone,
+    states: usize,
+) -> std::ops::Range<usize> {
     let length = path.len();
     let waiting = path.clone().take_while(|state| *state == 0).count();
     let moving = path.take_while(|state| *state + 1 < states).count();

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 /// Channels of an exercise bound to the columns of a stream.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Binding {
+pub(super) struct Binding {
     sources: Vec<Source>,
     values: Vec<f64>,
 }
@@ -28,7 +28,7 @@ impl Binding {
     ///
     /// # Errors
     /// The name of the first channel that is neither a column nor follows from an orientation.
-    pub fn new(channels: &[String], columns: &[String]) -> Result<Self, String> {
+    pub(super) fn new(channels: &[String], columns: &[String]) -> Result<Self, String> {
         let mut sources = Vec::with_capacity(channels.len());
         for channel in channels {
             sources.push(source(channel, columns).ok_or_else(|| channel.clone())?);
@@ -37,7 +37,7 @@ impl Binding {
     }
 
     /// Values of the channels in a row of the stream; NaN where there is none.
-    pub fn values(&mut self, row: &[Option<f64>]) -> &[f64] {
+    pub(super) fn values(&mut self, row: &[Option<f64>]) -> &[f64] {
         let cell = |column: usize| row.get(column).copied().flatten().unwrap_or(f64::NAN);
         for (value, source) in self.values.iter_mut().zip(&self.sources) {
             *value = match source {
@@ -49,7 +49,7 @@ impl Binding {
     }
 
     /// Number of channels.
-    pub fn width(&self) -> usize {
+    pub(super) fn width(&self) -> usize {
         self.sources.len()
     }
 }
@@ -65,6 +65,21 @@ pub fn all_channels(columns: &[String]) -> Vec<String> {
         }
     }
     channels
+}
+
+/// The columns among `columns` that `channels` come from, in order.
+///
+/// # Errors
+/// The name of the first channel that is neither a column nor follows from an orientation.
+pub fn columns_of(channels: &[String], columns: &[String]) -> Result<Vec<String>, String> {
+    let mut used = vec![false; columns.len()];
+    for channel in channels {
+        match source(channel, columns).ok_or_else(|| channel.clone())? {
+            Source::Column(column) => used[column] = true,
+            Source::Up { columns, .. } => columns.iter().for_each(|column| used[*column] = true),
+        }
+    }
+    Ok(columns.iter().zip(used).filter(|(_, used)| *used).map(|(column, _)| column.clone()).collect())
 }
 
 /// Whether a column is the x, y or z of an orientation.

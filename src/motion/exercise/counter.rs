@@ -20,8 +20,8 @@ use super::viterbi::ShortTimeViterbi;
 
 /// Least bound on the delay of the path, s; below, background wins before the movement has shown itself.
 const LEAST_DELAY_S: f64 = 0.3;
-/// Bound on the delay as a share of the longest exercise.
-const DELAY_SHARE: f64 = 0.25;
+/// Bound on the delay as a share of the longest exercise: half a repetition costs no exactness.
+const DELAY_SHARE: f64 = 0.5;
 /// Repetitions nearer than this share of the shortest taught one are one.
 const REFRACTORY: f64 = 0.4;
 
@@ -156,10 +156,8 @@ impl Counter {
             if exercise.rate_hz != rate_hz {
                 return Err(CounterError::Rates(first.name.clone(), exercise.name.clone()));
             }
-            Binding::new(&exercise.channels, columns).map_err(|channel| CounterError::NoChannel {
-                exercise: exercise.name.clone(),
-                channel,
-            })?;
+            Binding::new(&exercise.channels, columns)
+                .map_err(|channel| CounterError::NoChannel { exercise: exercise.name.clone(), channel })?;
             for channel in &exercise.channels {
                 if !all.contains(channel) {
                     all.push(channel.clone());
@@ -215,8 +213,7 @@ impl Counter {
 impl Counting {
     fn new(exercises: Vec<Exercise>, all: &[String], rate_hz: f64) -> Self {
         let network = Network::new(exercises.iter().map(Exercise::states));
-        let longest_s =
-            exercises.iter().map(|exercise| exercise.durations.longest_s).fold(0.0, f64::max);
+        let longest_s = exercises.iter().map(|exercise| exercise.durations.longest_s).fold(0.0, f64::max);
         let median_s = exercises.iter().map(|exercise| exercise.durations.median_s).fold(0.0, f64::max);
         let bound = (LEAST_DELAY_S.max(DELAY_SHARE * median_s) * rate_hz).ceil() as usize;
         let slowest = exercises.iter().map(|exercise| exercise.gate.duration[1]).fold(1.0, f64::max);
@@ -452,7 +449,8 @@ impl Counting {
             begin -= 1;
         }
         let reaches_back = begin == 0 && self.open.is_some() && {
-            let state = self.states[((before_all + self.states.len() as u64 - 1) % self.states.len() as u64) as usize];
+            let state = self.states
+                [((before_all + self.states.len() as u64 - 1) % self.states.len() as u64) as usize];
             state != 0 && state <= path[0]
         };
         let start = if reaches_back { self.open.unwrap_or(first) } else { first + begin as u64 };

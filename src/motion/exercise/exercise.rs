@@ -73,7 +73,9 @@ pub enum ExerciseError {
     #[error("this is no exercise file: {0}")]
     Shape(#[from] serde_json::Error),
     /// Of another program or version.
-    #[error("this file is `{format}` version {version}; this program reads `{FORMAT}` version {VERSION}: teach it again")]
+    #[error(
+        "this file is `{format}` version {version}; this program reads `{FORMAT}` version {VERSION}: teach it again"
+    )]
     Version {
         /// What the file says it is.
         format: String,
@@ -157,7 +159,8 @@ impl Exercise {
             Err(ExerciseError::Damaged("a standard deviation or an amplitude is not above 0"))
         } else if !(1.0..=1000.0).contains(&self.rate_hz) {
             Err(ExerciseError::Damaged("the frame rate is not between 1 and 1000 Hz"))
-        } else if !(shortest_s > 0.0 && shortest_s <= median_s && median_s <= longest_s && longest_s < 600.0) {
+        } else if !(shortest_s > 0.0 && shortest_s <= median_s && median_s <= longest_s && longest_s < 600.0)
+        {
             Err(ExerciseError::Damaged("the durations are not in order"))
         } else {
             Ok(())

@@ -92,7 +92,8 @@ pub(super) fn describe<'a>(
                 range: (high - low) / (taught_high - taught_low).max(1e-9),
                 tempo: measures.duration_s / exercise.durations.median_s,
                 fifth_tempo: [0.0; 5],
-                jerk: log_jerk(rows.clone().map(|(observation, _)| observation), exercise) - exercise.log_jerk,
+                jerk: log_jerk(rows.clone().map(|(observation, _)| observation), exercise)
+                    - exercise.log_jerk,
             });
         }
     }
@@ -105,10 +106,7 @@ pub(super) fn describe<'a>(
 }
 
 /// Log dimensionless jerk (Hogan & Sternad 2009) of all channels, each in units of its amplitude.
-pub(super) fn log_jerk<'a>(
-    rows: impl Iterator<Item = &'a [f64]> + Clone,
-    exercise: &Exercise,
-) -> f64 {
+pub(super) fn log_jerk<'a>(rows: impl Iterator<Item = &'a [f64]> + Clone, exercise: &Exercise) -> f64 {
     let width = exercise.channels.len();
     let rate_hz = exercise.rate_hz;
     let (mut jerk, mut fastest, mut frames) = (0.0, 0.0_f64, 0.0);

@@ -13,18 +13,18 @@ const VELOCITY_SPAN_S: f64 = 0.12;
 
 /// A frame is done.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Frame<'a> {
+pub(super) struct Frame<'a> {
     /// Number on the grid: the frame holds the samples of `[index / rate, (index + 1) / rate)`.
-    pub index: u64,
+    pub(super) index: u64,
     /// Value per channel; NaN where there is none.
-    pub values: &'a [f64],
+    pub(super) values: &'a [f64],
     /// Whether frames before this one were jumped over.
-    pub after_gap: bool,
+    pub(super) after_gap: bool,
 }
 
 /// Puts samples on the grid.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Resampler {
+pub(super) struct Resampler {
     rate_hz: f64,
     /// The frame that is being filled.
     current: Option<u64>,
@@ -38,7 +38,7 @@ pub struct Resampler {
 
 impl Resampler {
     /// Grid of `rate_hz` for `width` channels.
-    pub fn new(rate_hz: f64, width: usize) -> Self {
+    pub(super) fn new(rate_hz: f64, width: usize) -> Self {
         Self {
             rate_hz,
             current: None,
@@ -52,7 +52,7 @@ impl Resampler {
 
     /// Takes a sample at `t_s`, NaN where a channel has no value, and says the frames that are done with it.
     /// A sample that is older than the frame being filled, or has no time, is counted and left out.
-    pub fn push(&mut self, t_s: f64, values: &[f64], each: &mut impl FnMut(Frame<'_>)) {
+    pub(super) fn push(&mut self, t_s: f64, values: &[f64], each: &mut impl FnMut(Frame<'_>)) {
         // A sample on the edge belongs to the frame it begins, whatever its last digit.
         let index = (t_s * self.rate_hz + 1e-6).floor();
         if !(0.0..9e15).contains(&index) {
@@ -88,14 +88,14 @@ impl Resampler {
     }
 
     /// Says the frame that is being filled: the stream has ended.
-    pub fn finish(&mut self, each: &mut impl FnMut(Frame<'_>)) {
+    pub(super) fn finish(&mut self, each: &mut impl FnMut(Frame<'_>)) {
         if let Some(current) = self.current.take() {
             self.flush(current, each);
         }
     }
 
     /// Number of samples left out because they came too late or had no time.
-    pub fn late(&self) -> u64 {
+    pub(super) fn late(&self) -> u64 {
         self.late
     }
 
@@ -115,7 +115,7 @@ pub(super) fn velocity_span(rate_hz: f64) -> usize {
 
 /// Appends to each frame its velocities: the difference to the frame some 0.12 s before, per second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Differentiator {
+pub(super) struct Differentiator {
     rate_hz: f64,
     width: usize,
     /// Ring of the last frames.
@@ -126,17 +126,19 @@ pub struct Differentiator {
 
 impl Differentiator {
     /// For frames of `width` channels at `rate_hz`.
-    pub fn new(rate_hz: f64, width: usize) -> Self {
+    pub(super) fn new(rate_hz: f64, width: usize) -> Self {
         let past = vec![f64::NAN; width * velocity_span(rate_hz)];
         Self { rate_hz, width, past, next: 0, observation: vec![f64::NAN; 2 * width] }
     }
 
     /// Values and velocities; a velocity is NaN where either frame has no value.
-    pub fn push(&mut self, values: &[f64]) -> &[f64] {
+    pub(super) fn push(&mut self, values: &[f64]) -> &[f64] {
         let span = self.past.len() / self.width.max(1);
         let past = &mut self.past[self.next * self.width..(self.next + 1) * self.width];
         let (positions, velocities) = self.observation.split_at_mut(self.width);
-        for (((position, velocity), past), value) in positions.iter_mut().zip(velocities).zip(past).zip(values) {
+        for (((position, velocity), past), value) in
+            positions.iter_mut().zip(velocities).zip(past).zip(values)
+        {
             *position = *value;
             *velocity = (value - *past) * self.rate_hz / span as f64;
             *past = *value;
@@ -146,7 +148,7 @@ impl Differentiator {
     }
 
     /// Forgets the past: the next frame follows a gap.
-    pub fn reset(&mut self) {
+    pub(super) fn reset(&mut self) {
         self.past.fill(f64::NAN);
     }
 }

@@ -12,16 +12,17 @@ use serde::{Deserialize, Serialize};
 
 /// Frames that the pooled variance counts for.
 const POOLED_FRAMES: f64 = 4.0;
-/// Least standard deviation of a state as a share of the channel's amplitude.
-pub(super) const FLOOR: f64 = 0.2;
+/// Least standard deviation of a state as a share of the channel's amplitude: values, which shift with posture and the
+/// place of the sensor, and velocities, which do not.
+const FLOOR: [f64; 2] = [0.3, 0.2];
 /// Standard deviation of the wide background as a share of the channel's amplitude.
-pub(super) const WIDE: f64 = 1.0;
+const WIDE: f64 = 1.0;
 /// Least standard deviation of the resting background as a share of the channel's amplitude.
 const REST_FLOOR: f64 = 0.1;
 /// Most that one channel can speak against a state, in half squared standard deviations.
 pub(super) const WORST: f64 = 8.0;
 /// Mean frames in a state at the taught speed.
-pub(super) const FRAMES_PER_STATE: f64 = 2.0;
+const FRAMES_PER_STATE: f64 = 2.0;
 /// Fewest states.
 const FEWEST_STATES: usize = 6;
 
@@ -62,8 +63,7 @@ impl Density {
         let states = gaussians.mean.first().map_or(0, Vec::len);
         let sd = || gaussians.sd.iter().flatten();
         let log_norm: Vec<f64> = sd().map(|sd| -sd.ln() - 0.5 * std::f64::consts::TAU.ln()).collect();
-        let log_norms =
-            (0..states).map(|state| log_norm.iter().skip(state).step_by(states).sum()).collect();
+        let log_norms = (0..states).map(|state| log_norm.iter().skip(state).step_by(states).sum()).collect();
         Self {
             states,
             mean: gaussians.mean.iter().flatten().copied().collect(),
@@ -203,7 +203,7 @@ pub(super) fn estimate(
         let (low, high) = range(&mean);
         // A channel that stands still keeps a width of its noise, so that it has no say.
         let amplitude = (0.5 * (high - low)).max(2.0 * pooled.sqrt()).max(1e-9);
-        let floor = ((if 2*channel<width {par("FP",0.2)} else {par("FV",0.2)}) * amplitude).powi(2);
+        let floor = (FLOOR[usize::from(2 * channel >= width)] * amplitude).powi(2);
         let sd = squares
             .iter()
             .zip(&moments)
@@ -213,7 +213,7 @@ pub(super) fn estimate(
             .unwrap_or_else(|| (0.5 * (mean[0] + mean[states - 1]), amplitude));
         let middle = 0.5 * (low + high);
         model.background.mean.push(vec![rest_mean, middle]);
-        model.background.sd.push(vec![rest_sd.max(REST_FLOOR * amplitude), par("WIDE",1.0) * amplitude]);
+        model.background.sd.push(vec![rest_sd.max(REST_FLOOR * amplitude), WIDE * amplitude]);
         model.states.mean.push(mean);
         model.states.sd.push(sd);
         model.amplitude.push(amplitude);
@@ -240,9 +240,9 @@ fn fill(values: Vec<Option<f64>>) -> Vec<f64> {
 
 /// Lowest and highest value.
 pub(super) fn range(values: &[f64]) -> (f64, f64) {
-    values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
-        (low.min(*value), high.max(*value))
-    })
+    values
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(*value), high.max(*value)))
 }
 
 /// Mean and standard deviation of the values that are there; `None` with fewer than two.
@@ -308,5 +308,3 @@ mod tests {
         assert_eq!(fill(vec![None, Some(1.0), None, Some(3.0), None]), [1.0, 1.0, 2.0, 3.0, 3.0]);
     }
 }
-
-pub(super) fn par(n:&str,d:f64)->f64{std::env::var(n).ok().and_then(|v|v.parse().ok()).unwrap_or(d)}

@@ -38,7 +38,11 @@ impl Material {
     ///
     /// # Errors
     /// The name of a channel that is not there.
-    pub(super) fn new(stream: &Stream<'_>, channels: Option<&[String]>, most_hz: f64) -> Result<Self, String> {
+    pub(super) fn new(
+        stream: &Stream<'_>,
+        channels: Option<&[String]>,
+        most_hz: f64,
+    ) -> Result<Self, String> {
         let channels = channels.map_or_else(|| all_channels(stream.columns), <[String]>::to_vec);
         let mut binding = Binding::new(&channels, stream.columns)?;
         let rate_hz = rate_of(stream.t_s).min(most_hz);
@@ -121,7 +125,8 @@ impl Material {
 
 /// Frames per second that a stream can fill: one over the median step, in whole Hz.
 fn rate_of(t_s: &[f64]) -> f64 {
-    let mut steps: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
+    let mut steps: Vec<f64> =
+        t_s.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
     if steps.is_empty() {
         return RATE_HZ;
     }

@@ -234,9 +234,13 @@ mod tests {
             (0, 0) => 0.0,
             (0, _) => cheapest(a, b, 0, j - 1, band),
             (_, 0) => cheapest(a, b, i - 1, 0, band),
-            _ => cheapest(a, b, i - 1, j, band)
-                .min(cheapest(a, b, i, j - 1, band))
-                .min(cheapest(a, b, i - 1, j - 1, band)),
+            _ => cheapest(a, b, i - 1, j, band).min(cheapest(a, b, i, j - 1, band)).min(cheapest(
+                a,
+                b,
+                i - 1,
+                j - 1,
+                band,
+            )),
         };
         before + cost
     }

@@ -37,14 +37,19 @@ const LEAST_COMMON: f64 = 0.25;
 /// Frames per second while hypotheses are compared.
 const SEARCH_HZ: f64 = 12.5;
 /// Shortest and longest repetition of an example, the median being 1.
-const UNEVEN: [f64; 2] = [0.5, 2.0];
+const UNEVEN: [f64; 2] = [0.55, 1.8];
 /// Least log ratio per frame of a repetition of an example, the median being 1.
 const LEAST_ALIKE: f64 = 0.4;
+/// Least log ratio per frame of a repetition that counts, the taught median being 1: other days are less alike.
+const LEAST_RATIO: f64 = 0.15;
 /// Least correlation of a repetition of an example with their mean.
 const LEAST_LIKENESS: f64 = 0.6;
 
 /// How much a cut in full motion costs.
-const AT_REST: f64 = 0.3;
+const AT_REST: f64 = 0.6;
+
+/// How much movement as strong as the repetitions', left over before and after them, costs.
+const LEFT_OVER: f64 = 0.6;
 
 /// What to teach.
 #[derive(Clone, Debug, PartialEq)]
@@ -229,23 +234,29 @@ fn refine(
     let width = 2 * material.width();
     let mut hypothesis = None;
     for _ in 0..rounds {
-        let movement =
-            estimate(&material.observations, width, states, &alignments, &idle(&alignments, material.frames()));
+        let movement = estimate(
+            &material.observations,
+            width,
+            states,
+            &alignments,
+            &idle(&alignments, material.frames()),
+        );
         let found = repetitions(&material.observations, width, &movement);
         let (found, log_ratio) = alike(&material, &movement, found);
         if found.len() < 2 {
             return None;
         }
         alignments = found.iter().map(|repetition| repetition.path.clone()).collect();
-        let off = found.len().abs_diff(options.repetitions) as f64 / options.repetitions as f64;
-        let score = log_ratio * (1.0 - off).max(0.0).powi(2) * steadiness(&material, &found, states);
+        let announced = options.repetitions;
+        let off = found.len().abs_diff(announced) as f64 / announced as f64;
+        let score = log_ratio * (1.0 - off).max(0.0) * steadiness(&material, &found, states);
         hypothesis = Some(Hypothesis { movement, found, score });
     }
     hypothesis.map(|hypothesis| (material, hypothesis))
 }
 
-/// How likely the repetitions are cut at the right places, from 0 to 1: they follow each other without long gaps, and
-/// begin and end where the movement is slow.
+/// How likely the repetitions are cut at the right places, from 0 to 1: they follow each other without long gaps,
+/// begin and end where the movement is slow, and leave no half of a movement over before the first and after the last.
 fn steadiness(material: &Material, found: &[Repetition], states: usize) -> f64 {
     let ranges: Vec<_> = found.iter().map(|repetition| repetition.range(states)).collect();
     let (Some(first), Some(last)) = (ranges.first(), ranges.last()) else { return 0.0 };
@@ -254,9 +265,10 @@ fn steadiness(material: &Material, found: &[Repetition], states: usize) -> f64 {
     let width = material.width();
     let scales: Vec<f64> = (0..width)
         .map(|channel| {
-            let speeds = ranges.iter().flat_map(|range| range.clone()).map(|frame| {
-                material.observations[frame * 2 * width + width + channel]
-            });
+            let speeds = ranges
+                .iter()
+                .flat_map(|range| range.clone())
+                .map(|frame| material.observations[frame * 2 * width + width + channel]);
             super::hmm::spread(speeds).map_or(0.0, |(_, sd)| if sd > 0.0 { 1.0 / sd } else { 0.0 })
         })
         .collect();
@@ -270,7 +282,12 @@ fn steadiness(material: &Material, found: &[Repetition], states: usize) -> f64 {
     let cuts: f64 = ranges.iter().map(|range| speed(range.start)).sum::<f64>() / ranges.len() as f64;
     // A channel's mean square is 1 in these units.
     let at_rest = 1.0 - AT_REST * (cuts / width as f64).sqrt().min(1.0);
-    covered.sqrt() * at_rest
+    let edge = 1 + busy / (2 * ranges.len());
+    let edges = (first.start.saturating_sub(edge)..first.start)
+        .chain(last.end..(last.end + edge).min(material.frames()));
+    let left_over = edges.map(|frame| speed(frame).min(2.0 * width as f64)).sum::<f64>() / (2 * edge) as f64;
+    let complete = 1.0 - LEFT_OVER * (left_over / width as f64).min(1.0);
+    covered * at_rest * complete
 }
 
 /// The repetitions that are like most of them, and the mean over them of the log ratio per frame.
@@ -320,7 +337,8 @@ fn without_still_channels(all: &Material) -> Material {
         .filter(|channel| {
             let column = all.values.iter().skip(*channel).step_by(all.width()).copied();
             let there = column.clone().filter(|value| value.is_finite()).count();
-            2 * there >= all.frames() && super::hmm::spread(column).is_some_and(|(mean, sd)| sd > 1e-9 * mean.abs())
+            2 * there >= all.frames()
+                && super::hmm::spread(column).is_some_and(|(mean, sd)| sd > 1e-9 * mean.abs())
         })
         .collect();
     all.only(&moving)
@@ -439,7 +457,7 @@ fn gate_of(measures: &[Measures]) -> Gate {
     let lowest = |value: fn(&Measures) -> f64| measures.iter().map(value).fold(f64::INFINITY, f64::min);
     let log_ratio = middle(|m| m.mean_log_ratio).max(0.0);
     Gate {
-        mean_log_ratio: super::hmm::par("MLR",0.15) * log_ratio,
+        mean_log_ratio: LEAST_RATIO * log_ratio,
         fifth_log_ratio: (lowest(|m| m.fifth_log_ratio) - 3.0).min(-log_ratio),
         gain: [0.62, 1.7],
         likeness: (lowest(|m| m.likeness) - 0.15).clamp(0.6, 0.75),
@@ -452,7 +470,8 @@ fn gate_of(measures: &[Measures]) -> Gate {
 fn reason_of(report: &Report) -> String {
     let seen = &report.repetitions;
     if seen.len() > report.announced {
-        return "the recording holds more repetitions than announced, or other movements like them".to_owned();
+        return "the recording holds more repetitions than announced, or other movements like them"
+            .to_owned();
     }
     let lengths: Vec<f64> = seen.iter().map(|seen| seen.t_end_s - seen.t_start_s).collect();
     let typical = median(lengths.iter().copied()).unwrap_or(1.0);

@@ -36,7 +36,8 @@ impl Topology {
         assert!(states > 0 && states <= usize::from(u16::MAX), "1 to 65535 states");
         let mut transitions: Vec<_> = transitions.iter().filter(|transition| transition.2 > DEAD).collect();
         transitions.sort_by_key(|(from, to, _)| (*to, *from));
-        let mut topology = Self { initial, ends: vec![0; states], from: Vec::new(), log_probability: Vec::new() };
+        let mut topology =
+            Self { initial, ends: vec![0; states], from: Vec::new(), log_probability: Vec::new() };
         for (from, to, log_probability) in transitions {
             assert!(*from < states && *to < states, "a transition between states that are there");
             topology.from.push(*from as u16);
@@ -134,7 +135,8 @@ impl ShortTimeViterbi {
         let words = states.div_ceil(64);
         self.children[slot * states..(slot + 1) * states].fill(0);
         for (chunk, word) in self.score.chunks(64).zip(&mut self.alive[slot * words..(slot + 1) * words]) {
-            *word = chunk.iter().enumerate().fold(0, |set, (bit, score)| set | (u64::from(*score > DEAD) << bit));
+            *word =
+                chunk.iter().enumerate().fold(0, |set, (bit, score)| set | (u64::from(*score > DEAD) << bit));
         }
         if !begins {
             self.link(slot);

@@ -55,9 +55,8 @@ fn model(seed: u64, frames: usize) -> Model {
             }
         }
     }
-    let density = (0..frames)
-        .map(|_| (0..states).map(|_| 3.0 * value(&mut random)).collect::<Vec<_>>())
-        .collect();
+    let density =
+        (0..frames).map(|_| (0..states).map(|_| 3.0 * value(&mut random)).collect::<Vec<_>>()).collect();
     Model { initial, transitions, density }
 }
 

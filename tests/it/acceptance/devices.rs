@@ -81,7 +81,10 @@ fn all_birds_flipped_at_once_are_turned_back() {
 fn a_bird_out_of_range_is_not_good_and_its_jump_neither() {
     let rig = run(vec![Fault::OutOfRange { address: 2, at_s: 6.0, duration_s: 2.0 }], 10.0);
     let (stuck, frames) = count(&rig, 1, (6.06, 7.98), &[SensorState::Stuck]);
-    println!("out of range: {stuck} of {frames} frames stuck, ok again {:.3} s after", back_after(&rig, 1, 8.0));
+    println!(
+        "out of range: {stuck} of {frames} frames stuck, ok again {:.3} s after",
+        back_after(&rig, 1, 8.0)
+    );
     assert_eq!(stuck, frames);
     assert_eq!(count(&rig, 0, (5.0, 10.0), &[SensorState::Ok]).0, within(&rig, 5.0, 10.0).count());
     let cycles = cycles(&rig, 0);
@@ -218,8 +221,9 @@ fn errors_of_a_unit_are_told_in_words_and_fatal_ones_end_the_stream() {
     // A RAM failure stops the unit: no pose is good from then on, and the reason is told.
     let rig = run(vec![error(1, 0)], 9.0);
     assert_eq!(count(&rig, 0, (6.02, 9.0), &[SensorState::Ok]).0, 0);
-    let told = rig.said.iter().any(|said| {
-        matches!(said, Said::State(_, State::Failed { reason }) if reason.contains("error 1"))
-    });
+    let told = rig
+        .said
+        .iter()
+        .any(|said| matches!(said, Said::State(_, State::Failed { reason }) if reason.contains("error 1")));
     assert!(told, "{:?}", rig.pipeline.status().devices[0].state);
 }

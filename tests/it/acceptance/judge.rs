@@ -137,8 +137,11 @@ pub(super) fn lost(rig: &Rig, device: usize, sensor: usize, from_s: f64) -> u64 
     let after = |t_s: f64| t_s > from_s && t_s < last_s + half_s;
     let measured = cycles.iter().filter(|cycle| after(cycle.t.as_secs_f64())).count();
     let ok = |e: &&Estimate| after(nearest(&cycles, e.t_valid.as_secs_f64()).t.as_secs_f64());
-    let ok =
-        rig.estimates().filter(ok).filter(|estimate| estimate.sensors[sensor].state == SensorState::Ok).count();
+    let ok = rig
+        .estimates()
+        .filter(ok)
+        .filter(|estimate| estimate.sensors[sensor].state == SensorState::Ok)
+        .count();
     measured as u64 - ok as u64
 }
 
