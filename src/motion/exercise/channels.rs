@@ -110,8 +110,7 @@ fn source(channel: &str, columns: &[String]) -> Option<Source> {
 /// The room's vertical in sensor axes: the last row of the rotation matrix.
 fn up([w, x, y, z]: [f64; 4]) -> [f64; 3] {
     let norm = w * w + x * x + y * y + z * z;
-    // Not (>) rather than (<=): what is no number is no orientation either.
-    if !(norm > 1e-6) {
+    if norm.is_nan() || norm <= 1e-6 {
         return [f64::NAN; 3];
     }
     [2.0 * (x * z - w * y) / norm, 2.0 * (y * z + w * x) / norm, (w * w - x * x - y * y + z * z) / norm]

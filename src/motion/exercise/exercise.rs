@@ -155,7 +155,10 @@ impl Exercise {
             Err(ExerciseError::Damaged("it needs 6 to 4096 states"))
         } else if !fits(states, self.states()) || !fits(background, 2) {
             Err(ExerciseError::Damaged("the states' rows differ in length"))
-        } else if !finite(states) || !finite(background) || amplitude.iter().any(|value| !(*value > 0.0)) {
+        } else if !finite(states)
+            || !finite(background)
+            || amplitude.iter().any(|value| value.is_nan() || *value <= 0.0)
+        {
             Err(ExerciseError::Damaged("a standard deviation or an amplitude is not above 0"))
         } else if !(1.0..=1000.0).contains(&self.rate_hz) {
             Err(ExerciseError::Damaged("the frame rate is not between 1 and 1000 Hz"))

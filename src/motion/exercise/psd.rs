@@ -31,7 +31,7 @@ pub(super) fn periods(
 ) -> Vec<f64> {
     let low = LOWEST_HZ.max(rate_hz / longest) / 1.05;
     let high = HIGHEST_HZ.min(rate_hz / shortest) * 1.05;
-    if !(low < high) {
+    if high <= low {
         return Vec::new();
     }
     // Steps of 2 % resolve any peak that a segment of this length can have.

@@ -37,9 +37,9 @@ const LEAST_COMMON: f64 = 0.25;
 /// Frames per second while hypotheses are compared.
 const SEARCH_HZ: f64 = 12.5;
 /// Shortest and longest repetition of an example, the median being 1.
-const UNEVEN: [f64; 2] = [0.55, 1.8];
+const UNEVEN: [f64; 2] = [0.55, 1.7];
 /// Least log ratio per frame of a repetition of an example, the median being 1.
-const LEAST_ALIKE: f64 = 0.4;
+const LEAST_ALIKE: f64 = 0.5;
 /// Least log ratio per frame of a repetition that counts, the taught median being 1: other days are less alike.
 const LEAST_RATIO: f64 = 0.15;
 /// Least correlation of a repetition of an example with their mean.
@@ -49,7 +49,7 @@ const LEAST_LIKENESS: f64 = 0.6;
 const AT_REST: f64 = 0.6;
 
 /// How much movement as strong as the repetitions', left over before and after them, costs.
-const LEFT_OVER: f64 = 0.6;
+const LEFT_OVER: f64 = 0.1;
 
 /// What to teach.
 #[derive(Clone, Debug, PartialEq)]
@@ -249,7 +249,7 @@ fn refine(
         alignments = found.iter().map(|repetition| repetition.path.clone()).collect();
         let announced = options.repetitions;
         let off = found.len().abs_diff(announced) as f64 / announced as f64;
-        let score = log_ratio * (1.0 - off).max(0.0) * steadiness(&material, &found, states);
+        let score = log_ratio * (1.0 - off).max(0.0).powi(2) * steadiness(&material, &found, states);
         hypothesis = Some(Hypothesis { movement, found, score });
     }
     hypothesis.map(|hypothesis| (material, hypothesis))
@@ -287,7 +287,7 @@ fn steadiness(material: &Material, found: &[Repetition], states: usize) -> f64 {
         .chain(last.end..(last.end + edge).min(material.frames()));
     let left_over = edges.map(|frame| speed(frame).min(2.0 * width as f64)).sum::<f64>() / (2 * edge) as f64;
     let complete = 1.0 - LEFT_OVER * (left_over / width as f64).min(1.0);
-    covered * at_rest * complete
+    covered.sqrt() * at_rest * complete
 }
 
 /// The repetitions that are like most of them, and the mean over them of the log ratio per frame.
@@ -312,6 +312,7 @@ fn alike(material: &Material, movement: &Movement, found: Vec<Repetition>) -> (V
     for (repetition, measures) in found.into_iter().zip(&measured) {
         if (UNEVEN[0]..=UNEVEN[1]).contains(&(measures.duration_s / duration_s))
             && measures.mean_log_ratio > LEAST_ALIKE * log_ratio
+            && measures.fifth_log_ratio > -log_ratio
             && measures.likeness > LEAST_LIKENESS
         {
             sum += measures.mean_log_ratio;
