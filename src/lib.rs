@@ -14,6 +14,7 @@ pub mod frame;
 pub mod fusion;
 pub mod geometry;
 pub mod input;
+pub mod motion;
 pub mod noise;
 pub mod output;
 pub mod pipeline;

@@ -29,6 +29,7 @@ mod export;
 mod imu;
 mod info;
 mod orient;
+mod exercise;
 mod output;
 mod progress;
 mod replay;
@@ -75,6 +76,8 @@ enum Command {
     Replay(replay::Args),
     /// Decodes a capture made elsewhere to CSV, JSON lines or a recording.
     Decode(decode::Args),
+    /// Learns exercises from a few repetitions, and counts them.
+    Exercise(exercise::Args),
     /// Says what is inside a recording, and completes one that breaks off.
     Info(info::Args),
     /// Writes a recording's poses or messages to a file that other programs open.
@@ -101,6 +104,7 @@ impl Command {
             Self::Simulate(args) => simulate::run(args),
             Self::Doctor(args) => doctor::run(args),
             Self::Decode(args) => decode::run(args),
+            Self::Exercise(args) => exercise::run(args),
             Self::Info(args) => info::run(args),
             Self::Export(args) => export::run(args),
             Self::Orient(args) => orient::run(args),

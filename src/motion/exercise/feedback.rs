@@ -1,0 +1,212 @@
+//! What was off: one repetition against the taught ones.
+//!
+//! What comes in: the observations and states of a repetition. What goes out: the largest deviation with its channel,
+//! phase and size, the tempo and the smoothness, and a sentence. What it never does: decide whether it counts.
+
+use serde::{Deserialize, Serialize};
+
+use super::exercise::Exercise;
+use super::judge::Measures;
+
+/// Deviations are means over this share of the movement: shorter ones are noise or alignment.
+const WINDOW: f64 = 0.12;
+/// Least deviation worth a word, in standard deviations of the state.
+const WORTH_A_WORD: f64 = 1.2;
+/// Tempo within these bounds is as taught.
+const SAME_TEMPO: [f64; 2] = [0.75, 1.35];
+/// Log dimensionless jerk above the taught one that is worth a word.
+const JERKY: f64 = 1.5;
+/// Half width of the turning point, as a share of the movement.
+const TURN: f64 = 0.15;
+
+/// What deviated in a repetition.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Feedback {
+    /// Index of the channel that deviated most.
+    pub channel: usize,
+    /// Its deviation there, in the channel's unit; positive is more than taught.
+    pub deviation: f64,
+    /// The same in standard deviations of the taught movement.
+    pub deviation_sd: f64,
+    /// Where in the movement: 0 is the beginning, 1 the end.
+    pub phase: f64,
+    /// Root mean square deviation of that channel over the repetition, in standard deviations.
+    pub rms_sd: f64,
+    /// Range of that channel, the taught one being 1.
+    pub range: f64,
+    /// Duration, the taught median being 1.
+    pub tempo: f64,
+    /// Duration of each fifth of the movement, the taught one being 1.
+    pub fifth_tempo: [f64; 5],
+    /// Log dimensionless jerk above the taught one; 0.7 is twice the jerk.
+    pub jerk: f64,
+}
+
+/// Compares a repetition with what was taught; `None` where no channel has a value.
+pub(super) fn describe<'a>(
+    exercise: &Exercise,
+    measures: &Measures,
+    rows: impl Iterator<Item = (&'a [f64], usize)> + Clone,
+) -> Option<Feedback> {
+    let states = exercise.states();
+    let gaussians = &exercise.movement.states;
+    let half = (0.5 * WINDOW * states as f64).max(1.0);
+    let mut worst: Option<Feedback> = None;
+    for channel in 0..exercise.channels.len() {
+        let (mean, sd) = (&gaussians.mean[channel], &gaussians.sd[channel]);
+        let there = rows
+            .clone()
+            .filter(|(observation, _)| observation[channel].is_finite())
+            .map(|(observation, state)| (observation[channel], state));
+        let (mut n, mut square, mut low, mut high) = (0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
+        let (mut taught_low, mut taught_high) = (f64::INFINITY, f64::NEG_INFINITY);
+        for (value, state) in there.clone() {
+            n += 1.0;
+            square += ((value - mean[state]) / sd[state]).powi(2);
+            (low, high) = (low.min(value), high.max(value));
+            (taught_low, taught_high) = (taught_low.min(mean[state]), taught_high.max(mean[state]));
+        }
+        // The largest mean deviation over a window of states.
+        let mut peak = (0.0_f64, 0.0, 0.0);
+        for centre in 0..states {
+            let (mut weight, mut sum, mut sum_sd) = (0.0, 0.0, 0.0);
+            for (value, state) in there.clone() {
+                if (state as f64 - centre as f64).abs() <= half {
+                    weight += 1.0;
+                    sum += value - mean[state];
+                    sum_sd += (value - mean[state]) / sd[state];
+                }
+            }
+            if weight > 0.0 && (sum_sd / weight).abs() > peak.0.abs() {
+                peak = (sum_sd / weight, sum / weight, (centre as f64 + 0.5) / states as f64);
+            }
+        }
+        let (deviation_sd, deviation, phase) = peak;
+        if n > 0.0 && worst.is_none_or(|worst| deviation_sd.abs() > worst.deviation_sd.abs()) {
+            worst = Some(Feedback {
+                channel,
+                deviation,
+                deviation_sd,
+                phase,
+                rms_sd: f64::sqrt(square / n),
+                range: (high - low) / (taught_high - taught_low).max(1e-9),
+                tempo: measures.duration_s / exercise.durations.median_s,
+                fifth_tempo: [0.0; 5],
+                jerk: log_jerk(rows.clone().map(|(observation, _)| observation), exercise)
+                    - exercise.log_jerk,
+            });
+        }
+    }
+    let mut feedback = worst?;
+    for (_, state) in rows {
+        feedback.fifth_tempo[(5 * state / states).min(4)] +=
+            5.0 / (exercise.durations.median_s * exercise.rate_hz);
+    }
+    Some(feedback)
+}
+
+/// Log dimensionless jerk (Hogan & Sternad 2009) of all channels, each in units of its amplitude.
+pub(super) fn log_jerk<'a>(rows: impl Iterator<Item = &'a [f64]> + Clone, exercise: &Exercise) -> f64 {
+    let width = exercise.channels.len();
+    let rate_hz = exercise.rate_hz;
+    let (mut jerk, mut fastest, mut frames) = (0.0, 0.0_f64, 0.0);
+    let later = rows.clone().skip(1);
+    let latest = rows.clone().skip(2);
+    for ((a, b), c) in rows.zip(later).zip(latest) {
+        let (mut squared, mut speed) = (0.0, 0.0);
+        for channel in 0..width {
+            let scale = 1.0 / exercise.movement.amplitude[channel];
+            let velocity = width + channel;
+            let second = (a[velocity] - 2.0 * b[velocity] + c[velocity]) * scale * rate_hz * rate_hz;
+            if second.is_finite() {
+                squared += second * second;
+                speed += (b[velocity] * scale).powi(2);
+            }
+        }
+        jerk += squared / rate_hz;
+        fastest = fastest.max(speed);
+        frames += 1.0;
+    }
+    let duration_s = frames / rate_hz;
+    if jerk > 0.0 && fastest > 0.0 { (duration_s.powi(3) * jerk / fastest).ln() } else { 0.0 }
+}
+
+impl Feedback {
+    /// One sentence for the person who moves; `None` where all was as taught.
+    pub fn sentence(&self, exercise: &Exercise) -> Option<String> {
+        if self.deviation_sd.abs() >= WORTH_A_WORD {
+            let (name, unit, factor) = words(exercise.channels.get(self.channel)?);
+            let mean = exercise.movement.states.mean.get(self.channel)?;
+            let turn = turning_point(mean);
+            let outward = (mean[turn] - mean[0]).signum();
+            let turn_phase = (turn as f64 + 0.5) / mean.len() as f64;
+            let size = amount(self.deviation.abs() * factor);
+            let at_turn = (self.phase - turn_phase).abs() <= TURN;
+            let way = match (at_turn, self.deviation * outward > 0.0, self.deviation > 0.0) {
+                (true, true, _) => "too far",
+                (true, false, _) => "short",
+                (false, _, true) => "too high",
+                (false, _, false) => "too low",
+            };
+            return Some(format!("{name} {size}{unit} {way} {}", self.place(turn_phase)));
+        }
+        if self.tempo > SAME_TEMPO[1] {
+            Some(format!("slower than taught: {:.1} times the duration", self.tempo))
+        } else if self.tempo < SAME_TEMPO[0] {
+            Some(format!("faster than taught: {:.1} times the duration", self.tempo))
+        } else if self.jerk > JERKY {
+            Some("less smooth than taught".to_owned())
+        } else {
+            None
+        }
+    }
+
+    fn place(&self, turn: f64) -> &'static str {
+        if (self.phase - turn).abs() <= TURN {
+            "at the top"
+        } else if self.phase < 0.1 {
+            "at the start"
+        } else if self.phase > 0.9 {
+            "at the end"
+        } else if self.phase < turn {
+            "on the way up"
+        } else {
+            "on the way back"
+        }
+    }
+}
+
+/// The state in which a channel is farthest from where it begins.
+fn turning_point(mean: &[f64]) -> usize {
+    let first = mean.first().copied().unwrap_or(0.0);
+    let mut farthest = (0, 0.0);
+    for (state, value) in mean.iter().enumerate() {
+        if (value - first).abs() > farthest.1 {
+            farthest = (state, (value - first).abs());
+        }
+    }
+    farthest.0
+}
+
+/// A channel's name in words, its unit with a space before it, and the factor from its unit to that one.
+fn words(channel: &str) -> (String, &'static str, f64) {
+    let (name, unit, factor) = if let Some(name) = channel.strip_suffix("_deg") {
+        (name, " degrees", 1.0)
+    } else if let Some(name) = channel.strip_suffix("_rad") {
+        (name, " degrees", 180.0 / std::f64::consts::PI)
+    } else if let Some(name) = channel.strip_suffix("_m") {
+        (name, " cm", 100.0)
+    } else {
+        (channel, "", 1.0)
+    };
+    (name.replace('_', " "), unit, factor)
+}
+
+/// A number with the digits that matter to a person.
+fn amount(value: f64) -> String {
+    match value {
+        value if value >= 10.0 => format!("{value:.0}"),
+        value if value >= 1.0 => format!("{value:.1}"),
+        _ => format!("{value:.2}"),
+    }
+}

@@ -1,0 +1,142 @@
+//! Whether what the path calls a repetition is one.
+//!
+//! What comes in: the observations of a repetition and their states. What goes out: its measures, and the first one
+//! that is out of the gate. The best path alone would also count half movements, slow drifts and other things that are
+//! merely likelier than "any movement".
+
+use serde::{Deserialize, Serialize};
+
+use super::exercise::{Durations, Gate};
+use super::hmm::{LogRatio, Movement, WORST};
+
+/// Measures of one repetition.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Measures {
+    /// Duration, s.
+    pub duration_s: f64,
+    /// Mean log ratio of exercise and background per frame.
+    pub mean_log_ratio: f64,
+    /// The same in its worst fifth.
+    pub fifth_log_ratio: f64,
+    /// Size of the movement along the taught one, which is 1; a shift does not change it.
+    pub gain: f64,
+    /// Correlation with the taught movement.
+    pub likeness: f64,
+    /// Share of the states visited.
+    pub visited: f64,
+}
+
+/// Why a repetition does not count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reason {
+    /// Much shorter than taught.
+    TooFast,
+    /// Much longer than taught.
+    TooSlow,
+    /// Much smaller than taught.
+    TooSmall,
+    /// Much larger than taught.
+    TooLarge,
+    /// It went another way.
+    Different,
+    /// Only a part of it was done.
+    Incomplete,
+    /// Too soon after the one before.
+    TooSoon,
+}
+
+impl Reason {
+    /// The word in events.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::TooFast => "too_fast",
+            Self::TooSlow => "too_slow",
+            Self::TooSmall => "too_small",
+            Self::TooLarge => "too_large",
+            Self::Different => "different",
+            Self::Incomplete => "incomplete",
+            Self::TooSoon => "too_soon",
+        }
+    }
+}
+
+/// Measures a repetition: `observation` gives the observation of each frame of `path`, whose items are states.
+pub(super) fn measure<'a>(
+    movement: &Movement,
+    ratio: &LogRatio,
+    rate_hz: f64,
+    frames: impl Iterator<Item = (&'a [f64], usize)> + Clone,
+) -> Measures {
+    let states = ratio.states();
+    let channels = movement.amplitude.len() / 2;
+    let count = frames.clone().count().max(1);
+    let (mut sum, mut visited, mut last) = (0.0, 0, usize::MAX);
+    let mut fifths = [(0.0, 0.0); 5];
+    for (observation, state) in frames.clone() {
+        let log_ratio = ratio.of(observation, state);
+        sum += log_ratio;
+        let fifth = &mut fifths[(5 * state / states).min(4)];
+        *fifth = (fifth.0 + log_ratio, fifth.1 + 1.0);
+        visited += usize::from(state != last);
+        last = state;
+    }
+    let worst = fifths.iter().filter(|fifth| fifth.1 > 0.0).map(|fifth| fifth.0 / fifth.1);
+    let (mut along, mut taught, mut done) = (0.0, 0.0, 0.0);
+    for channel in 0..channels {
+        let (mean, sd) = (&movement.states.mean[channel], &movement.states.sd[channel]);
+        // A glitch, or a channel that has gone elsewhere, has no say here either.
+        let farthest = (2.0 * WORST).sqrt();
+        let pairs = frames
+            .clone()
+            .map(|(observation, state)| (observation[channel], mean[state], sd[state]))
+            .filter(|(value, mean, sd)| (value - mean).abs() < farthest * sd)
+            .map(|(value, mean, _)| (value, mean));
+        let (mut n, mut x, mut y, mut xy, mut xx, mut yy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+        for (value, expected) in pairs {
+            n += 1.0;
+            x += value;
+            y += expected;
+            xy += value * expected;
+            xx += value * value;
+            yy += expected * expected;
+        }
+        if n > 0.0 {
+            let scale = movement.amplitude[channel].powi(-2);
+            along += scale * (xy - x * y / n);
+            taught += scale * (yy - y * y / n);
+            done += scale * (xx - x * x / n);
+        }
+    }
+    Measures {
+        duration_s: count as f64 / rate_hz,
+        mean_log_ratio: sum / count as f64,
+        fifth_log_ratio: worst.fold(f64::INFINITY, f64::min),
+        gain: if taught > 0.0 { along / taught } else { 0.0 },
+        likeness: if taught > 0.0 && done > 0.0 { along / (taught * done).sqrt() } else { 0.0 },
+        visited: visited as f64 / states as f64,
+    }
+}
+
+/// The first measure that is out of the gate.
+pub(super) fn judge(measures: &Measures, gate: &Gate, durations: &Durations) -> Result<(), Reason> {
+    let Measures { duration_s, mean_log_ratio, fifth_log_ratio, gain, likeness, visited } = *measures;
+    if duration_s < gate.duration[0] * durations.shortest_s {
+        Err(Reason::TooFast)
+    } else if duration_s > gate.duration[1] * durations.longest_s {
+        Err(Reason::TooSlow)
+    } else if visited < gate.visited {
+        Err(Reason::Incomplete)
+    } else if gain < gate.gain[0] {
+        Err(Reason::TooSmall)
+    } else if gain > gate.gain[1] {
+        Err(Reason::TooLarge)
+    } else if likeness < gate.likeness
+        || mean_log_ratio < gate.mean_log_ratio
+        || fifth_log_ratio < gate.fifth_log_ratio
+    {
+        Err(Reason::Different)
+    } else {
+        Ok(())
+    }
+}
