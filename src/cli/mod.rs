@@ -20,6 +20,7 @@ mod check;
 mod completions;
 mod decode;
 mod doctor;
+mod keyframes;
 mod output;
 mod schema;
 mod simulate;
@@ -55,6 +56,8 @@ enum Command {
     Doctor(doctor::Args),
     /// Decodes a capture made elsewhere to CSV or JSON lines.
     Decode(decode::Args),
+    /// Finds the frames at which a motion changes, and a smooth path between them.
+    Keyframes(keyframes::Args),
     /// Writes the completion script of a shell.
     Completions(completions::Args),
     /// Prints the JSON Schema of all websocket messages.
@@ -68,6 +71,7 @@ impl Command {
             Self::Simulate(args) => simulate::run(args),
             Self::Doctor(args) => doctor::run(args),
             Self::Decode(args) => decode::run(args),
+            Self::Keyframes(args) => keyframes::run(args),
             Self::Completions(args) => completions::run(args),
             Self::Schema(args) => schema::run(args),
         }
