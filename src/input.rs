@@ -90,12 +90,18 @@ impl Model {
         match self {
             Self::Transmitter { position_m, orientation_wxyz } => {
                 if geometry::isometry(*position_m, *orientation_wxyz).is_none() {
-                    return Err("position_m, orientation_wxyz: give finite numbers and a quaternion that is not zero".into());
+                    return Err(
+                        "position_m, orientation_wxyz: give finite numbers and a quaternion that is not zero"
+                            .into(),
+                    );
                 }
             }
             Self::TrackerNoise { r0_m, sigma_radial_m, sigma_rotation_rad, .. } => {
-                let numbers =
-                    [("r0_m", r0_m), ("sigma_radial_m", sigma_radial_m), ("sigma_rotation_rad", sigma_rotation_rad)];
+                let numbers = [
+                    ("r0_m", r0_m),
+                    ("sigma_radial_m", sigma_radial_m),
+                    ("sigma_rotation_rad", sigma_rotation_rad),
+                ];
                 if let Some((key, value)) = numbers.into_iter().find(|(_, v)| !(v.is_finite() && **v > 0.0)) {
                     return Err(format!("{key}: give a positive number, not {value}"));
                 }

@@ -283,6 +283,22 @@ export type RecordingStatus = {
   started_s: number;
 };
 
+/** A recording being replayed. After `replay.open` and `replay.seek` the times of all other topics start anew. */
+export type ReplayStatus = {
+  /** Stage time at which it begins, s. */
+  begun_s: number;
+  /** Stage time at which it ends, s. */
+  end_s: number;
+  /** Why it goes no further: its end, or damage; null while it can go on. */
+  ended: string | null;
+  /** Its file name. */
+  name: string;
+  /** Multiple of real time; 0 is a pause, null as fast as it goes. */
+  speed: number | null;
+  /** Where it stands, s. */
+  t_s: number;
+};
+
 /** What a client calls its request; replies carry it. */
 export type RequestId = number | string;
 
@@ -402,6 +418,8 @@ export type StatusMessage = {
   problems: Problem[];
   /** The recording in progress; null without one. */
   recording: RecordingStatus | null;
+  /** The recording that is being replayed; null on a live stage. */
+  replay: ReplayStatus | null;
   /** Sensors, in the stage file's order. */
   sensors: SensorStatus[];
   /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */

@@ -50,7 +50,7 @@ impl Gesture {
     /// Its poses without noise.
     pub fn poses(&self) -> Vec<Isometry3<f64>> {
         let mut random = Random::new(self.seed, Purpose::Signals(0));
-        let mut direction = |random: &mut Random| {
+        let direction = |random: &mut Random| {
             Vector3::new(random.normal(), random.normal(), random.normal()).normalize()
         };
         // As far as the longest piece, of 200 frames, goes in half the box.

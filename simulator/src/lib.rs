@@ -17,7 +17,7 @@ pub mod host;
 pub mod line;
 pub mod magnetic;
 pub mod motion;
-mod pty;
+pub mod pty;
 mod random;
 pub mod scenario;
 pub mod stage;

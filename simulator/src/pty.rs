@@ -90,6 +90,35 @@ impl Port for Pty {
     }
 }
 
+/// A pseudo-terminal that only speaks: what the host sends is thrown away.
+pub struct Speaker(Pty);
+
+impl Speaker {
+    /// Opens a pseudo-terminal and puts a link to it at `link`; the link goes when this is dropped.
+    ///
+    /// # Errors
+    /// What the operating system said about the link or the pseudo-terminal.
+    ///
+    /// # Panics
+    /// Outside a tokio runtime with IO.
+    pub fn open(link: &Path) -> io::Result<Self> {
+        Pty::open(link).map(Self)
+    }
+
+    /// Says these bytes; what nobody has read for 16 KiB is lost, as on a serial line.
+    ///
+    /// # Errors
+    /// The pseudo-terminal is gone.
+    pub fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+        if let Some(ends) = &self.0.ends {
+            // Unread, the host's commands would fill its side of the line and block it.
+            let mut unwanted = [0; 256];
+            while rustix::io::read(ends.ours.get_ref(), &mut unwanted).is_ok_and(|n| n > 0) {}
+        }
+        Port::write(&mut self.0, bytes)
+    }
+}
+
 impl Drop for Pty {
     fn drop(&mut self) {
         if self.ends.is_some() {

@@ -19,12 +19,20 @@
 mod check;
 mod completions;
 mod decode;
+mod demo;
 mod doctor;
+mod end;
+mod export;
+mod info;
 mod keyframes;
 mod output;
+mod replay;
+mod replay_pty;
+mod run;
 mod schema;
 mod simulate;
 mod simulation;
+mod watch;
 
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
@@ -48,16 +56,29 @@ struct Cli {
 /// Every command that works, in the order of a first day with the program.
 #[derive(Subcommand)]
 enum Command {
+    /// Runs a simulated stage, the daemon and the page in one process.
+    Demo(demo::Args),
+    /// Runs the daemon on a stage's devices.
+    Run(run::Args),
     /// Says all that is wrong with a stage file, by line and key, and how to mend it.
     Check(check::Args),
     /// Runs the virtual devices of a stage on pseudo-terminals, and prints their ports.
     Simulate(simulate::Args),
     /// Lists the serial ports, asks what is there, and says what is wrong.
     Doctor(doctor::Args),
+    /// Plays a recording through the same pipeline: to the websocket, to a file, or against one.
+    Replay(replay::Args),
     /// Decodes a capture made elsewhere to CSV or JSON lines.
     Decode(decode::Args),
+<<<<<<< HEAD
     /// Finds the frames at which a motion changes, and a smooth path between them.
     Keyframes(keyframes::Args),
+=======
+    /// Says what is inside a recording, and completes one that breaks off.
+    Info(info::Args),
+    /// Writes a recording's poses or messages to a file that other programs open.
+    Export(export::Args),
+>>>>>>> main
     /// Writes the completion script of a shell.
     Completions(completions::Args),
     /// Prints the JSON Schema of all websocket messages.
@@ -67,11 +88,19 @@ enum Command {
 impl Command {
     fn run(self) -> Result<(), Error> {
         match self {
+            Self::Demo(args) => demo::run(args),
+            Self::Run(args) => run::run(args),
+            Self::Replay(args) => replay::run(args),
             Self::Check(args) => check::run(args),
             Self::Simulate(args) => simulate::run(args),
             Self::Doctor(args) => doctor::run(args),
             Self::Decode(args) => decode::run(args),
+<<<<<<< HEAD
             Self::Keyframes(args) => keyframes::run(args),
+=======
+            Self::Info(args) => info::run(args),
+            Self::Export(args) => export::run(args),
+>>>>>>> main
             Self::Completions(args) => completions::run(args),
             Self::Schema(args) => schema::run(args),
         }

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use posed::daemon::Playback;
 use posed::recording::{
-    Comparison, Ending, Golden, GoldenError, Header, Item, Machine, Mapping, ReadError, Reader, Replayable, is_replayed,
+    Comparison, Ending, Golden, GoldenError, Header, Item, Machine, Mapping, ReadError, Reader, Replayable,
+    is_replayed,
 };
 use posed::stage::Stage;
 use serde::Serialize;
@@ -78,7 +79,9 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     }
     if args.output.is_none() && args.expect.is_none() {
         if args.stage.is_some() {
-            return Err(Error::Usage("--stage processes the recording anew: give -o OUT.jsonl or --expect too".into()));
+            return Err(Error::Usage(
+                "--stage processes the recording anew: give -o OUT.jsonl or --expect too".into(),
+            ));
         }
         return serve(&args);
     }
@@ -103,7 +106,8 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 /// To the websocket.
 fn serve(args: &Args) -> Result<(), Error> {
     runtime()?.block_on(async {
-        let playback = Playback::start(&args.recording, args.listen.clone(), args.speed).map_err(Error::failed)?;
+        let playback =
+            Playback::start(&args.recording, args.listen.clone(), args.speed).map_err(Error::failed)?;
         let ended = watch::until_end(playback.url(), playback.status(), None).await;
         playback.shutdown().await;
         ended
@@ -116,9 +120,10 @@ fn reprocess(args: &Args) -> Result<Answer, Error> {
     let (stage, machine) = machine(args.stage.as_deref(), reader.header())?;
     let mapping = Mapping::new(reader.header(), &stage);
     let comparison = Comparison { tolerance: args.tolerance };
-    let golden = args.expect.as_deref().map(|path| {
-        Golden::open(path, comparison).map_err(|error| Error::file("read", path, &error))
-    });
+    let golden = args
+        .expect
+        .as_deref()
+        .map(|path| Golden::open(path, comparison).map_err(|error| Error::file("read", path, &error)));
     let mut pass = Pass { machine, mapping, golden: golden.transpose()?, entries: 0, messages: 0 };
     let outcome = match &args.output {
         None => pass.run(&mut reader, &mut std::io::sink()),

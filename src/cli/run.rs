@@ -25,14 +25,15 @@ pub(crate) struct Args {
     ports: Vec<(String, String)>,
 }
 
-fn port(text: &str) -> Result<(String, PortAddress), String> {
+fn port(text: &str) -> Result<(String, String), String> {
     let (device, port) = text.split_once('=').ok_or("write DEVICE=PORT, like flock=/dev/ttyUSB1")?;
     port.parse::<PortAddress>().map_err(|error| error.to_string())?;
     Ok((device.to_owned(), port.to_owned()))
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
-    let text = std::fs::read_to_string(&args.stage).map_err(|error| Error::file("read", &args.stage, &error))?;
+    let text =
+        std::fs::read_to_string(&args.stage).map_err(|error| Error::file("read", &args.stage, &error))?;
     let mut stage = Stage::load(&args.stage).map_err(Error::failed)?;
     for (name, port) in args.ports {
         match stage.devices.iter_mut().find(|device| device.name == name) {

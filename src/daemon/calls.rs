@@ -81,8 +81,14 @@ impl Calls {
         let name = match name {
             Some(name) => {
                 let plain = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.' | ' ');
-                if name.is_empty() || name.len() > NAME_BYTES || name.starts_with('.') || !name.chars().all(plain) {
-                    return Err("name: give a file name of letters, digits, '-', '_', '.', without a path".into());
+                if name.is_empty()
+                    || name.len() > NAME_BYTES
+                    || name.starts_with('.')
+                    || !name.chars().all(plain)
+                {
+                    return Err(
+                        "name: give a file name of letters, digits, '-', '_', '.', without a path".into()
+                    );
                 }
                 if name.ends_with(".mcap") { name } else { format!("{name}.mcap") }
             }
@@ -100,9 +106,8 @@ impl Calls {
                 }
             }
         };
-        std::fs::create_dir_all(&self.recordings).map_err(|error| {
-            format!("cannot make the folder {}: {error}", self.recordings.display())
-        })?;
+        std::fs::create_dir_all(&self.recordings)
+            .map_err(|error| format!("cannot make the folder {}: {error}", self.recordings.display()))?;
         Ok(self.recordings.join(name))
     }
 

@@ -127,9 +127,14 @@ mod tests {
         Event::Entry(Entry { t: Timestamp::from_nanos(n), input })
     }
 
+    #[expect(clippy::disallowed_methods, reason = "a deadline that has passed")]
+    fn now() -> Option<Instant> {
+        Some(Instant::now())
+    }
+
     fn drain(inbox: &Inbox<()>) -> Vec<Input> {
         let mut inputs = Vec::new();
-        while let Some(event) = inbox.pop_until(Some(std::time::Instant::now())) {
+        while let Some(event) = inbox.pop_until(now()) {
             if let Event::Entry(entry) = event {
                 inputs.push(entry.input);
             }
@@ -179,6 +184,6 @@ mod tests {
 
     #[test]
     fn given_a_passed_deadline_it_does_not_wait() {
-        assert!(Inbox::<()>::new(1).pop_until(Some(std::time::Instant::now())).is_none());
+        assert!(Inbox::<()>::new(1).pop_until(now()).is_none());
     }
 }

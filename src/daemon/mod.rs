@@ -16,7 +16,7 @@ pub mod inbox;
 mod playback;
 mod player;
 pub mod ports;
-mod recorder;
+pub mod recorder;
 pub mod server;
 
 use std::net::SocketAddr;
@@ -68,7 +68,15 @@ pub struct Options {
 impl Options {
     /// For a stage in `folder`, with everything else as the stage file says.
     pub fn new(stage: Stage, stage_toml: String, folder: PathBuf) -> Self {
-        Self { stage, stage_toml, folder, listen: None, record: None, truth: false, clock: StageClock::start() }
+        Self {
+            stage,
+            stage_toml,
+            folder,
+            listen: None,
+            record: None,
+            truth: false,
+            clock: StageClock::start(),
+        }
     }
 }
 
@@ -222,7 +230,9 @@ impl Daemon {
         match tokio::time::timeout(SHUTDOWN_TIMEOUT, all).await {
             Ok(Ok(true)) => {}
             Ok(_) => tracing::error!("the fusion thread ended with a panic; please report this"),
-            Err(_) => tracing::error!("not everything has ended in time; the recording may lack its index: `posed info --repair` adds it"),
+            Err(_) => tracing::error!(
+                "not everything has ended in time; the recording may lack its index: `posed info --repair` adds it"
+            ),
         }
     }
 }

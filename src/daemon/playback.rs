@@ -68,7 +68,8 @@ impl Playback {
         let (shutdown, down) = watch::channel(false);
         let (status_sender, status) = watch::channel(Status::default());
         let (commands, received) = mpsc::channel();
-        let player = Player::new(StageClock::start(), received, hub, status_sender, recording, folder, speed)?;
+        let player =
+            Player::new(StageClock::start(), received, hub, status_sender, recording, folder, speed)?;
         #[expect(clippy::disallowed_methods, reason = "the daemon owns the player's thread")]
         let player = std::thread::Builder::new()
             .name("player".into())

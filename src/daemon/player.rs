@@ -129,11 +129,15 @@ impl Player {
             Call::ReplayOpen { name } => {
                 let known = calls::list(&self.folder).map_err(|sentence| ("failed", sentence))?;
                 if !known.contains(&name) {
-                    return Err(("not_found", format!("name: there is no recording {name:?}; replay.list names them")));
+                    return Err((
+                        "not_found",
+                        format!("name: there is no recording {name:?}; replay.list names them"),
+                    ));
                 }
                 let path = self.folder.join(&name);
                 let speed = self.playing.speed;
-                self.playing = Playing::open(&path, Some(&self.stage), speed, self.clock.now()).map_err(refused)?;
+                self.playing =
+                    Playing::open(&path, Some(&self.stage), speed, self.clock.now()).map_err(refused)?;
                 self.hub.rewind();
                 Ok(None)
             }
@@ -152,9 +156,10 @@ impl Player {
                 self.playing.set_speed(speed, self.clock.now());
                 Ok(None)
             }
-            Call::RecordStart { .. } | Call::RecordStop {} | Call::ModelLoad { .. } => {
-                Err(("replay", "this daemon replays a recording; recording and models belong to a live stage".into()))
-            }
+            Call::RecordStart { .. } | Call::RecordStop {} | Call::ModelLoad { .. } => Err((
+                "replay",
+                "this daemon replays a recording; recording and models belong to a live stage".into(),
+            )),
             Call::JobCancel { job } => Err(("no_such_job", format!("no job {job} is running"))),
         }
     }
@@ -201,7 +206,8 @@ impl Playing {
         let info = Info::read(path)?;
         let reader = Reader::open(path)?;
         let (stage, machine) = machine::Machine::as_recorded(reader.header())?;
-        let names = |stage: &Stage| stage.sensors.iter().map(|sensor| sensor.name.clone()).collect::<Vec<_>>();
+        let names =
+            |stage: &Stage| stage.sensors.iter().map(|sensor| sensor.name.clone()).collect::<Vec<_>>();
         if let Some(server) = server
             && names(server) != names(&stage)
         {
@@ -278,7 +284,9 @@ pub enum PlayError {
     #[error(transparent)]
     Machine(#[from] machine::MachineError),
     /// Clients know other sensors.
-    #[error("that recording was made on stage {stage:?} with other sensors; end this replay and open it with `posed replay`")]
+    #[error(
+        "that recording was made on stage {stage:?} with other sensors; end this replay and open it with `posed replay`"
+    )]
     OtherStage {
         /// Where it was made.
         stage: String,

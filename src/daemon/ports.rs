@@ -50,7 +50,10 @@ impl PortTask {
     pub async fn keep_open(mut self, path: String, baud: u32) {
         let mut told = None;
         if path == "auto" {
-            self.closed("port \"auto\" works in `posed demo`; elsewhere name the port, `posed doctor` says which".into());
+            self.closed(
+                "port \"auto\" works in `posed demo`; elsewhere name the port, `posed doctor` says which"
+                    .into(),
+            );
             return;
         }
         loop {

@@ -73,13 +73,21 @@ impl Recorder {
     /// The file exists, the folder is missing or may not be written to, the disk is full.
     pub fn start(path: &Path, header: Header, schemas: &[(&str, String)]) -> Result<Self, WriteError> {
         let file = OpenOptions::new().write(true).create_new(true).open(path)?;
-        let synced = file.try_clone()?;
+        // For the repair, which must not take the name from a file in use. Without locks it has to trust people.
+        let _ = file.try_lock();
+        let begun = file.try_clone().map_err(WriteError::from).and_then(|synced| {
+            let sync = move || synced.sync_data();
+            Self::start_with(BufWriter::new(file), sync, header, schemas, QUEUE_ITEMS)
+        });
         // So that its name survives a power cut too. Not every file system can do this.
         if let Some(folder) = path.parent() {
             let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
             let _ = File::open(folder).and_then(|folder| folder.sync_all());
         }
-        Self::start_with(BufWriter::new(file), move || synced.sync_data(), header, schemas, QUEUE_ITEMS)
+        begun.inspect_err(|_| {
+            // A file without its front part helps nobody.
+            let _ = std::fs::remove_file(path);
+        })
     }
 
     /// Begins a recording into `sink`; `sync` brings what was flushed to the disk.
@@ -99,6 +107,7 @@ impl Recorder {
         let (sender, receiver) = bounded(queue_items);
         let thread = {
             let shared = Arc::clone(&shared);
+            #[expect(clippy::disallowed_methods, reason = "the daemon owns the recorder's thread")]
             std::thread::Builder::new().name("recorder".to_owned()).spawn(move || {
                 if let Err(error) = run(writer, &mut sync, &receiver, &shared) {
                     tracing::error!("the recording has ended: {error}");
@@ -152,7 +161,7 @@ impl Recorder {
         self.thread.is_finished()
     }
 
-    /// Waits until the file is closed, and says how it ended; stops it if nobody has.
+    /// Stops it if nobody has, waits until the file is closed, and says how it ended.
     pub fn wait(mut self) -> RecorderState {
         self.stop("stopped");
         if self.thread.join().is_err() {
@@ -252,7 +261,7 @@ fn run(
 mod tests {
     use super::*;
     use crate::recording::testing::{Full, chunk, header};
-    use crate::recording::{Ending, Item, Reader};
+    use crate::recording::{Ending, Item, Reader, RepairError};
 
     fn read(path: &Path) -> (Vec<Item>, Option<Ending>, Option<String>) {
         let mut reader = Reader::open(path).unwrap();
@@ -298,6 +307,7 @@ mod tests {
             }
         };
         assert_eq!(torn, (vec![Item::Entry(chunk(1))], Some(Ending::Torn), None));
+        assert!(matches!(crate::recording::repair(&path), Err(RepairError::InUse)), "it is being written");
         recorder.wait();
     }
 
@@ -309,10 +319,10 @@ mod tests {
         let error = Recorder::start(&path, header(), &[]).unwrap_err();
         assert!(error.to_string().contains("choose another name"), "{error}");
         assert_eq!(std::fs::read(&path).unwrap(), b"precious");
-        assert!(Recorder::start(&folder.path().join("gone/a.mcap"), header(), &[]).is_err());
+        let error = Recorder::start(&folder.path().join("gone/a.mcap"), header(), &[]).unwrap_err();
+        assert!(error.to_string().contains("the folder does not exist"), "{error}");
         // Not even root may create a file here.
-        let error = Recorder::start(Path::new("/proc/a.mcap"), header(), &[]).unwrap_err();
-        assert!(matches!(error, WriteError::Io(_) | WriteError::Refused(_)), "{error}");
+        assert!(Recorder::start(Path::new("/proc/a.mcap"), header(), &[]).is_err());
         let read_only = WriteError::from(io::Error::from(io::ErrorKind::ReadOnlyFilesystem));
         assert!(read_only.to_string().contains("no right to write"), "{read_only}");
     }

@@ -5,10 +5,9 @@
 //! input, then all outputs are drained; the same entries give the same outputs, and a pipeline restored from
 //! a snapshot goes on as if nothing had happened.
 
-mod session;
 mod sensor;
+mod session;
 mod status;
-
 
 use nalgebra::Isometry3;
 use posed_drivers::{LineEvent, Measurement, Sample, State, Timestamp, session::Output as SessionOutput};
@@ -94,23 +93,33 @@ impl Pipeline {
     /// The stage file contradicts itself.
     pub fn new(stage: &Stage) -> Result<Self, PipelineError> {
         let positive = |value: f64| value.is_finite() && value > 0.0;
-        let check = |ok: bool, key, expected| if ok { Ok(()) } else { Err(PipelineError::Value { key, expected }) };
+        let check =
+            |ok: bool, key, expected| if ok { Ok(()) } else { Err(PipelineError::Value { key, expected }) };
         let rate_ok = stage.frame_rate_hz.is_none_or(|rate| positive(rate) && rate <= 10_000.0);
         check(rate_ok, "frame_rate_hz", "a rate from above 0 to 10000")?;
         let wait = stage.frame_wait_ms;
         check((0.0..=10_000.0).contains(&wait), "frame_wait_ms", "0 to 10000")?;
-        let owners = stage.sensors.iter().map(|sensor| owner(stage, sensor)).collect::<Result<Vec<_>, _>>()?;
+        let owners =
+            stage.sensors.iter().map(|sensor| owner(stage, sensor)).collect::<Result<Vec<_>, _>>()?;
         let devices = (0..stage.devices.len()).map(|index| Device::new(stage, index, &owners));
         let room_transmitter = match &stage.transmitter.pose_in_room {
             None => Isometry3::identity(),
-            Some(pose) => geometry::isometry(pose.position_m, pose.orientation_wxyz).ok_or(
-                PipelineError::Value { key: "transmitter.pose_in_room", expected: "finite numbers and a quaternion" },
-            )?,
+            Some(pose) => {
+                geometry::isometry(pose.position_m, pose.orientation_wxyz).ok_or(PipelineError::Value {
+                    key: "transmitter.pose_in_room",
+                    expected: "finite numbers and a quaternion",
+                })?
+            }
         };
         Ok(Self {
             now: Timestamp::ZERO,
             devices: devices.collect::<Result<_, _>>()?,
-            sensors: stage.sensors.iter().zip(&owners).map(|(sensor, &device)| Sensor::new(sensor, device)).collect(),
+            sensors: stage
+                .sensors
+                .iter()
+                .zip(&owners)
+                .map(|(sensor, &device)| Sensor::new(sensor, device))
+                .collect(),
             frames: Assembler::new(stage.devices.len(), &owners, stage.frame_rate_hz, wait),
             room_transmitter,
             estimate: Estimate {
@@ -170,8 +179,10 @@ impl Pipeline {
     /// The bytes are no snapshot of this version, or of a stage with other devices or sensors.
     pub fn restore(stage: &Stage, snapshot: &[u8]) -> Result<Self, PipelineError> {
         let pipeline: Self = rmp_serde::from_slice(snapshot)?;
-        let devices = pipeline.devices.iter().map(|device| &device.name).eq(stage.devices.iter().map(|d| &d.name));
-        let sensors = pipeline.sensors.iter().map(Sensor::name).eq(stage.sensors.iter().map(|s| s.name.as_str()));
+        let devices =
+            pipeline.devices.iter().map(|device| &device.name).eq(stage.devices.iter().map(|d| &d.name));
+        let sensors =
+            pipeline.sensors.iter().map(Sensor::name).eq(stage.sensors.iter().map(|s| s.name.as_str()));
         if devices && sensors { Ok(pipeline) } else { Err(PipelineError::OtherStage) }
     }
 
@@ -229,9 +240,13 @@ impl Pipeline {
         let stamp = owner.clock.push(sample);
         let period_s = owner.clock.period_or_nominal_s();
         self.frames.stamp(device, &stamp, period_s, self.now);
-        let Ok(at) = owner.sensors.binary_search_by_key(&sample.address, |&(address, _)| address) else { return };
+        let Ok(at) = owner.sensors.binary_search_by_key(&sample.address, |&(address, _)| address) else {
+            return;
+        };
         let sensor = owner.sensors[at].1;
-        if stamp.begins_cycle && let Some(period_s) = period_s {
+        if stamp.begins_cycle
+            && let Some(period_s) = period_s
+        {
             for (_, sensor) in &owner.sensors {
                 self.sensors[usize::from(*sensor)].set_interval_s(period_s);
             }
@@ -259,7 +274,11 @@ impl Pipeline {
         }
         // Nothing is measured by a swap; it speaks of the frame before it.
         let t = self.estimate.t_valid;
-        say(Output::Outcome(&Outcome { t_valid: t, t_decided: t, what: OutcomeKind::ModelSwapped(model.clone()) }));
+        say(Output::Outcome(&Outcome {
+            t_valid: t,
+            t_decided: t,
+            what: OutcomeKind::ModelSwapped(model.clone()),
+        }));
     }
 
     /// Takes a model whose numbers are right; false where it speaks of nothing that is here.
@@ -276,7 +295,9 @@ impl Pipeline {
                     sigma_radial_m: *sigma_radial_m,
                     sigma_rotation_rad: *sigma_rotation_rad,
                 };
-                let Some(owner) = self.devices.iter().position(|owner| owner.name == *device) else { return false };
+                let Some(owner) = self.devices.iter().position(|owner| owner.name == *device) else {
+                    return false;
+                };
                 for sensor in self.sensors.iter_mut().filter(|sensor| usize::from(sensor.device()) == owner) {
                     sensor.set_noise(noise);
                 }
@@ -303,7 +324,8 @@ fn estimate_frame(frame: &Frame, sensors: &mut [Sensor], room: &Isometry3<f64>, 
 impl Device {
     fn new(stage: &Stage, index: usize, owners: &[DeviceIndex]) -> Result<Self, PipelineError> {
         let device = &stage.devices[index];
-        let value = |ok: bool, key, expected| if ok { Ok(()) } else { Err(PipelineError::Value { key, expected }) };
+        let value =
+            |ok: bool, key, expected| if ok { Ok(()) } else { Err(PipelineError::Value { key, expected }) };
         value(device.baud > 0, "baud", "a line rate above 0")?;
         let delay_s = device.measurement_delay_ms * 1e-3;
         value((0.0..=1.0).contains(&delay_s), "measurement_delay_ms", "0 to 1000")?;

@@ -63,7 +63,7 @@ pub fn csv(recording: &Path, output: &Path, frame: Frame) -> Result<u64, TableEr
         match item.map_err(failed)? {
             Item::Entry(entry) => {
                 if let (Some(transmitter), Input::Model(model)) = (&mut transmitter, &entry.input) {
-                    transmitter.swap(model).map_err(failed)?;
+                    transmitter.swap(model);
                 }
             }
             Item::Message(message) if &*message.topic == "sensors" => {
@@ -95,20 +95,22 @@ impl Transmitter {
             .map_err(|problems| ReadError::NotARecording(format!("its stage file is wrong: {problems}")))?;
         let room_from_transmitter = match stage.transmitter.pose_in_room {
             None => Isometry3::identity(),
-            Some(pose) => placed(pose.position_m, pose.orientation_wxyz)?,
+            Some(pose) => isometry(pose.position_m, pose.orientation_wxyz).ok_or_else(|| {
+                ReadError::NotARecording("its transmitter's orientation is no quaternion".to_owned())
+            })?,
         };
         let mut transmitter = Self { room_from_transmitter };
-        for model in &header.models {
-            transmitter.swap(model)?;
-        }
+        header.models.iter().for_each(|model| transmitter.swap(model));
         Ok(transmitter)
     }
 
-    fn swap(&mut self, model: &Model) -> Result<(), ReadError> {
-        if let Model::Transmitter { position_m, orientation_wxyz } = model {
-            self.room_from_transmitter = placed(*position_m, *orientation_wxyz)?;
+    /// A model whose numbers are none changes nothing, as in the pipeline.
+    fn swap(&mut self, model: &Model) {
+        if let Model::Transmitter { position_m, orientation_wxyz } = model
+            && let Some(placed) = isometry(*position_m, *orientation_wxyz)
+        {
+            self.room_from_transmitter = placed;
         }
-        Ok(())
     }
 
     /// From room to transmitter axes.
@@ -120,9 +122,4 @@ impl Transmitter {
             orientation_to_wxyz(&(transmitter_from_room.rotation * room_from_sensor))
         });
     }
-}
-
-fn placed(position_m: [f64; 3], orientation_wxyz: [f64; 4]) -> Result<Isometry3<f64>, ReadError> {
-    isometry(position_m, orientation_wxyz)
-        .ok_or_else(|| ReadError::NotARecording("its transmitter's orientation is no quaternion".to_owned()))
 }

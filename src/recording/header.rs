@@ -52,6 +52,13 @@ pub struct Snapshot {
     pub publisher: Vec<u8>,
 }
 
+/// An attachment of the front part.
+pub(super) struct Part {
+    pub(super) name: &'static str,
+    pub(super) media_type: &'static str,
+    pub(super) data: Vec<u8>,
+}
+
 impl Header {
     /// Header of a recording that begins with the run of `stage`, read from `stage_toml`.
     pub fn new(stage: &Stage, stage_toml: &str, epoch_utc_ns: i64) -> Self {
@@ -78,16 +85,17 @@ impl Header {
         Timestamp::from_nanos((log_time as i64).wrapping_sub(self.epoch_utc_ns))
     }
 
-    /// The attachments: name, media type, content.
-    pub(super) fn attachments(&self) -> Result<Vec<(&'static str, &'static str, Vec<u8>)>, String> {
-        let mut attachments = vec![(STAGE, "application/toml", self.stage_toml.clone().into_bytes())];
+    /// The attachments.
+    pub(super) fn attachments(&self) -> Result<Vec<Part>, String> {
+        let part = |name, media_type, data| Part { name, media_type, data };
+        let mut attachments = vec![part(STAGE, "application/toml", self.stage_toml.clone().into_bytes())];
         if !self.models.is_empty() {
             let models = rmp_serde::to_vec_named(&self.models).map_err(|error| error.to_string())?;
-            attachments.push((MODELS, "application/msgpack", models));
+            attachments.push(part(MODELS, "application/msgpack", models));
         }
         if let Some(Snapshot { pipeline, publisher }) = &self.snapshot {
-            attachments.push((PIPELINE, "application/octet-stream", pipeline.clone()));
-            attachments.push((PUBLISHER, "application/octet-stream", publisher.clone()));
+            attachments.push(part(PIPELINE, "application/octet-stream", pipeline.clone()));
+            attachments.push(part(PUBLISHER, "application/octet-stream", publisher.clone()));
         }
         Ok(attachments)
     }

@@ -43,8 +43,8 @@ pub use header::{Header, Snapshot};
 pub use info::Info;
 pub use machine::{Machine, MachineError};
 pub use reader::{Ending, Item, Message, ReadError, Reader};
-pub use repair::{Repaired, repair};
-pub use replay::{Mapping, Replayable, Verdict, verify};
+pub use repair::{RepairError, Repaired, repair};
+pub use replay::{Mapping, Replayable, Verdict, VerifyError, verify};
 pub use writer::{WriteError, Writer};
 
 /// Largest message, attachment or chunk that is written, and that a reader believes without having seen a

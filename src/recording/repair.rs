@@ -3,7 +3,7 @@
 //! Everything before the break is copied into a new file beside the old one, which takes its name only once it is
 //! on the disk: at every moment there is either the old file or the new one.
 
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io::{self, BufReader, Write};
 use std::path::Path;
 
@@ -33,6 +33,9 @@ pub enum RepairError {
     /// There is nothing to save.
     #[error(transparent)]
     Read(#[from] ReadError),
+    /// Somebody is writing it.
+    #[error("the recording is still being written; stop it first")]
+    InUse,
     /// The new file could not be written.
     #[error(transparent)]
     Write(#[from] WriteError),
@@ -47,15 +50,20 @@ impl From<io::Error> for RepairError {
 /// Completes the recording at `path`, in place.
 ///
 /// # Errors
-/// It is no recording, or the folder cannot be written to; it is as it was.
+/// It is no recording, it is being written, or the folder cannot be written to; it is as it was.
 pub fn repair(path: &Path) -> Result<Repaired, RepairError> {
+    let original = File::open(path).map_err(ReadError::Io)?;
+    // The recorder holds the lock. A file system without locks does not stop the repair.
+    if matches!(original.try_lock(), Err(TryLockError::WouldBlock)) {
+        return Err(RepairError::InUse);
+    }
     let mut reader = Reader::open(path)?;
     let sound = reader.by_ref().all(|item| item.is_ok());
     if sound && reader.ending() == Some(Ending::Complete) {
         return Ok(Repaired::WasComplete);
     }
-    let bytes = std::fs::metadata(path).map_err(ReadError::Io)?.len();
-    let source = BufReader::new(File::open(path).map_err(ReadError::Io)?);
+    let bytes = original.metadata().map_err(ReadError::Io)?.len();
+    let source = BufReader::new(original);
     let mut file = AtomicFile::create(path)?;
     let messages = reader.sound_messages();
     copy(Records::new(source, bytes), messages, &mut file)?;

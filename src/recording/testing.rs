@@ -34,7 +34,7 @@ address = 1
 
 [[sensor]]
 name = "right"
-device = "flock"
+device = "über/flock"
 address = 2
 "#;
 

@@ -14,7 +14,7 @@ use mcap::{Attachment, Compression, McapError, WriteOptions};
 use posed_drivers::Timestamp;
 
 use super::MAX_RECORD_BYTES;
-use super::header::{Header, METADATA_END};
+use super::header::{Header, METADATA_END, Part};
 use crate::input::{DeviceIndex, Entry, Input};
 
 /// Uncompressed bytes after which a chunk is closed by itself.
@@ -32,6 +32,9 @@ pub enum WriteError {
     /// A file of that name is there already.
     #[error("a file of that name is there already; choose another name")]
     Exists,
+    /// The folder is missing.
+    #[error("the folder does not exist; make it first")]
+    NoFolder,
     /// Anything else that the system said.
     #[error("the recording cannot be written: {0}")]
     Io(io::Error),
@@ -63,6 +66,7 @@ impl From<io::Error> for WriteError {
             Kind::StorageFull | Kind::QuotaExceeded | Kind::FileTooLarge => Self::DiskFull,
             Kind::PermissionDenied | Kind::ReadOnlyFilesystem => Self::Refused(error),
             Kind::AlreadyExists => Self::Exists,
+            Kind::NotFound => Self::NoFolder,
             _ => Self::Io(error),
         }
     }
@@ -116,7 +120,7 @@ impl<W: Write> Writer<W> {
         let sink = Counting { sink, bytes: Arc::clone(&bytes) };
         let mut mcap = options().create(NoSeek::new(sink))?;
         let time = header.log_time(header.begun);
-        for (name, media_type, data) in header.attachments().map_err(WriteError::Format)? {
+        for Part { name, media_type, data } in header.attachments().map_err(WriteError::Format)? {
             check_size(name, data.len())?;
             let (name, media_type) = (name.to_owned(), media_type.to_owned());
             mcap.attach(&Attachment {

@@ -12,6 +12,8 @@ mod poses;
 mod reader;
 mod sequences;
 mod streams;
+#[cfg(test)]
+mod tests;
 mod writer;
 
 pub use error::TableError;

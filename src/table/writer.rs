@@ -35,7 +35,9 @@ impl TableWriter {
         } else {
             Sink::Plain(file)
         };
-        let mut table = Self { file: name.clone(), csv: csv::Writer::from_writer(sink), cell: String::new() };
+        // Quotes what would read as a comment.
+        let csv = csv::WriterBuilder::new().comment(Some(b'#')).from_writer(sink);
+        let mut table = Self { file: name.clone(), csv, cell: String::new() };
         for column in columns {
             table.text(column.as_ref())?;
         }

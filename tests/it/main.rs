@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests may panic")]
 
+mod acceptance;
 mod cli;
 mod keyframes;
 mod pipeline;

@@ -71,6 +71,32 @@ pub(crate) enum Said {
     Estimate(Estimate),
     Outcome(Outcome),
     State(u16, posed_drivers::State),
+    Warning(u16, String),
+}
+
+/// A host that now and then does not read for a while, and then reads all that has come.
+pub(crate) struct Sleepy {
+    pub(crate) random: u64,
+    /// Share of reads after which it sleeps.
+    pub(crate) share: f64,
+    pub(crate) longest_ms: f64,
+    until: Timestamp,
+    waiting: Vec<(u16, Vec<u8>)>,
+}
+
+impl Sleepy {
+    pub(crate) fn new(seed: u64, share: f64, longest_ms: f64) -> Self {
+        Self { random: seed, share, longest_ms, until: Timestamp::ZERO, waiting: Vec::new() }
+    }
+
+    /// Uniform in [0, 1): splitmix64.
+    fn uniform(&mut self) -> f64 {
+        self.random = self.random.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.random;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
 }
 
 /// A pipeline with its virtual stage.
@@ -81,6 +107,9 @@ pub(crate) struct Rig {
     pub(crate) truth: Vec<TruthCycle>,
     pub(crate) log: Vec<Entry>,
     pub(crate) said: Vec<Said>,
+    pub(crate) sleepy: Option<Sleepy>,
+    /// When something of the tracking was last said, and when each entry of `said` was.
+    pub(crate) said_at: Vec<Timestamp>,
 }
 
 impl Rig {
@@ -92,6 +121,8 @@ impl Rig {
             truth: Vec::new(),
             log: Vec::new(),
             said: Vec::new(),
+            sleepy: None,
+            said_at: Vec::new(),
         };
         for device in 0..stage.devices.len() {
             let event = LineEvent::Opened { modem_lines: false };
@@ -104,14 +135,16 @@ impl Rig {
     pub(crate) fn run_until(&mut self, seconds: f64) {
         let end = Timestamp::from_secs_f64(seconds);
         while self.now < end {
-            let due = [self.virtual_stage.poll_timeout(), self.pipeline.poll_timeout()];
+            let awake = self.sleepy.as_ref().filter(|host| !host.waiting.is_empty()).map(|host| host.until);
+            let due = [self.virtual_stage.poll_timeout(), self.pipeline.poll_timeout(), awake];
             let next = due.into_iter().flatten().min().unwrap_or(end).clamp(self.now, end);
             self.now = next;
+            self.wake();
             self.virtual_stage.step(next);
             while let Some(event) = self.virtual_stage.poll_event() {
                 let device = event.device as u16;
                 match event.output {
-                    Virtual::Data(bytes) => self.push(Input::Bytes { device, bytes }),
+                    Virtual::Data(bytes) => self.read(device, bytes),
                     Virtual::Truth(cycle) => self.truth.push(cycle),
                     Virtual::Unplugged => {
                         let event = LineEvent::Closed { reason: "unplugged".into() };
@@ -130,14 +163,49 @@ impl Rig {
         }
     }
 
+    /// Bytes can be read; a host that sleeps reads them later, those of one device in one go.
+    fn read(&mut self, device: u16, bytes: Vec<u8>) {
+        let now = self.now;
+        if let Some(host) = &mut self.sleepy {
+            if now < host.until {
+                match host.waiting.iter_mut().find(|(waiting, _)| *waiting == device) {
+                    Some((_, held)) => held.extend(bytes),
+                    None => host.waiting.push((device, bytes)),
+                }
+                return;
+            }
+            if host.uniform() < host.share {
+                let sleep_s = host.uniform() * host.longest_ms * 1e-3;
+                host.until = Timestamp::from_secs_f64(now.as_secs_f64() + sleep_s);
+            }
+        }
+        self.push(Input::Bytes { device, bytes });
+    }
+
+    fn wake(&mut self) {
+        let Some(host) = self.sleepy.as_mut().filter(|host| host.until <= self.now) else { return };
+        for (device, bytes) in std::mem::take(&mut host.waiting) {
+            self.push(Input::Bytes { device, bytes });
+        }
+    }
+
+    /// Forgets what has been read and said up to now.
+    pub(crate) fn forget(&mut self) {
+        self.truth.clear();
+        self.log.clear();
+        self.said.clear();
+        self.said_at.clear();
+    }
+
     pub(crate) fn push(&mut self, input: Input) {
         let entry = Entry { t: self.now, input };
-        let Self { pipeline, virtual_stage, said, now, .. } = self;
+        let Self { pipeline, virtual_stage, said, said_at, now, .. } = self;
         pipeline.push(&entry, &mut |output| {
             if let Output::Transmit { device, bytes } = &output {
                 virtual_stage.write(usize::from(*device), *now, bytes);
             }
             said.extend(keep(&output));
+            said_at.resize(said.len(), *now);
         });
         self.log.push(entry);
     }
@@ -156,6 +224,7 @@ pub(crate) fn keep(output: &Output<'_>) -> Option<Said> {
         Output::Estimate(estimate) => Some(Said::Estimate((*estimate).clone())),
         Output::Outcome(outcome) => Some(Said::Outcome((*outcome).clone())),
         Output::Device { device, state } => Some(Said::State(*device, (*state).clone())),
+        Output::Warning { device, text } => Some(Said::Warning(*device, (*text).to_owned())),
         _ => None,
     }
 }
