@@ -70,15 +70,12 @@ enum Command {
     Replay(replay::Args),
     /// Decodes a capture made elsewhere to CSV or JSON lines.
     Decode(decode::Args),
-<<<<<<< HEAD
     /// Finds the frames at which a motion changes, and a smooth path between them.
     Keyframes(keyframes::Args),
-=======
     /// Says what is inside a recording, and completes one that breaks off.
     Info(info::Args),
     /// Writes a recording's poses or messages to a file that other programs open.
     Export(export::Args),
->>>>>>> main
     /// Writes the completion script of a shell.
     Completions(completions::Args),
     /// Prints the JSON Schema of all websocket messages.
@@ -95,12 +92,9 @@ impl Command {
             Self::Simulate(args) => simulate::run(args),
             Self::Doctor(args) => doctor::run(args),
             Self::Decode(args) => decode::run(args),
-<<<<<<< HEAD
             Self::Keyframes(args) => keyframes::run(args),
-=======
             Self::Info(args) => info::run(args),
             Self::Export(args) => export::run(args),
->>>>>>> main
             Self::Completions(args) => completions::run(args),
             Self::Schema(args) => schema::run(args),
         }
