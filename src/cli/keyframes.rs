@@ -18,9 +18,11 @@ const BRIDGED_FRAMES: usize = 5;
 
 /// Where to look, and how.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  posed keyframes poses.csv -o keys.csv --resample path.csv --picture keys.svg\n\n\
+#[command(
+    after_help = "Example:\n  posed keyframes poses.csv -o keys.csv --resample path.csv --picture keys.svg\n\n\
     Columns of the answer: frame,t,t_decided,score,sensor,corner. A frame is one time of the file, counted from 0;\n\
-    t_decided is when a live client would have known. Without orientations only positions are looked at.")]
+    t_decided is when a live client would have known. Without orientations only positions are looked at."
+)]
 pub(crate) struct Args {
     /// Poses, one per frame and sensor: CSV or a recording.
     poses: PathBuf,
@@ -63,7 +65,8 @@ fn positive(text: &str) -> Result<f64, String> {
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let poses = Poses::read(&args.poses).map_err(Error::failed)?;
-    let ticks = Ticks::of(&poses).map_err(|reason| Error::failed(format!("{}: {reason}", args.poses.display())))?;
+    let ticks =
+        Ticks::of(&poses).map_err(|reason| Error::failed(format!("{}: {reason}", args.poses.display())))?;
     let mut found = Vec::new();
     let mut resampled = poses.clone();
     let mut sensors = Vec::new();
@@ -78,7 +81,9 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
             if let Some(spline) = &spline {
                 stretch.resample(spline, sensor.orientation, &mut resampled);
             }
-            if let Some(path) = args.picture.as_deref().filter(|_| index == 0 && stretch.start == sensor.longest()) {
+            if let Some(path) =
+                args.picture.as_deref().filter(|_| index == 0 && stretch.start == sensor.longest())
+            {
                 draw(path, name, method, stretch, &trace, &keys, spline.as_ref())?;
             }
             found.extend(keys.into_iter().map(|key| Found { start: stretch.start, sensor: index, key }));
@@ -90,8 +95,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     if let Some(path) = &args.resample {
         resampled.write(path).map_err(Error::failed)?;
     }
-    let summary =
-        Summary { frames: ticks.t_s.len(), rate_hz: ticks.rate_hz, keys: found.len(), sensors };
+    let summary = Summary { frames: ticks.t_s.len(), rate_hz: ticks.rate_hz, keys: found.len(), sensors };
     if args.json {
         return print_json(&summary);
     }
@@ -168,8 +172,7 @@ struct Stretch {
 impl Sensor {
     fn of(poses: &Poses, ticks: &Ticks, index: usize) -> Self {
         let of_sensor = |row: &&PoseRow| row.sensor == index;
-        let orientation =
-            poses.rows.iter().filter(of_sensor).any(|row| row.orientation_wxyz.is_some());
+        let orientation = poses.rows.iter().filter(of_sensor).any(|row| row.orientation_wxyz.is_some());
         let mut stretches: Vec<Stretch> = Vec::new();
         for (number, (row, tick)) in poses.rows.iter().zip(&ticks.of_row).enumerate() {
             let wxyz = if orientation { row.orientation_wxyz } else { Some([1.0, 0.0, 0.0, 0.0]) };
@@ -233,7 +236,12 @@ impl Found {
     }
 }
 
-fn write(path: &Path, found: &[Found], ticks: &Ticks, names: &[String]) -> Result<(), posed::table::TableError> {
+fn write(
+    path: &Path,
+    found: &[Found],
+    ticks: &Ticks,
+    names: &[String],
+) -> Result<(), posed::table::TableError> {
     let mut table = TableWriter::create(path, &["frame", "t", "t_decided", "score", "sensor", "corner"])?;
     for found in found {
         let frame = found.frame();
@@ -263,7 +271,8 @@ fn draw(
         Method::Hinge(_) => "hinge fit",
         Method::Paper(_) => "weighted means in se(3)",
     };
-    let title = format!("{name} {what}: statistic (root scale) from frame {}, path with its spline", stretch.start);
+    let title =
+        format!("{name} {what}: statistic (root scale) from frame {}, path with its spline", stretch.start);
     let text = picture::draw(title.trim(), &stretch.poses, trace, keys, threshold, spline);
     output::replace(path, |file| file.write_all(text.as_bytes()))
 }

@@ -111,8 +111,7 @@ impl Hinge {
                 if variance <= 0.0 {
                     continue;
                 }
-                let guard =
-                    GUARD_SIGMAS * (1.0 - fit.correlation * fit.correlation) / (width as f64).sqrt();
+                let guard = GUARD_SIGMAS * (1.0 - fit.correlation * fit.correlation) / (width as f64).sqrt();
                 let seen = self.seen[group].max(fit.correlation - guard);
                 value += fit.hinge * fit.hinge / (variance * self.correlation.factor(seen));
                 hinge += fit.hinge * fit.hinge / variance;

@@ -143,6 +143,19 @@ impl Detector {
         self.peaks.finish(&mut |peak| event(Event::of(peak, first, decided)));
     }
 
+    /// Takes a whole motion: confirmed key poses in order, and the statistic over time.
+    pub fn run(mut self, poses: &[Isometry3<f64>]) -> (Vec<KeyPose>, Vec<Trace>) {
+        let mut keys = Vec::new();
+        let mut keep = |event| {
+            if let Event::Confirmed(key) = event {
+                keys.push(key);
+            }
+        };
+        let trace = poses.iter().filter_map(|pose| self.push(pose, &mut keep)).collect();
+        self.finish(&mut keep);
+        (keys, trace)
+    }
+
     fn lag(&self) -> usize {
         match &self.statistic {
             Statistic::Hinge(hinge) => hinge.lag(),
@@ -174,16 +187,7 @@ pub fn detect(method: Method, poses: &[Isometry3<f64>]) -> Vec<KeyPose> {
 
 /// Key poses of a whole motion and the statistic over time.
 pub fn detect_with_trace(method: Method, poses: &[Isometry3<f64>]) -> (Vec<KeyPose>, Vec<Trace>) {
-    let mut detector = Detector::new(method);
-    let mut keys = Vec::new();
-    let mut keep = |event| {
-        if let Event::Confirmed(key) = event {
-            keys.push(key);
-        }
-    };
-    let trace = poses.iter().filter_map(|pose| detector.push(pose, &mut keep)).collect();
-    detector.finish(&mut keep);
-    (keys, trace)
+    Detector::new(method).run(poses)
 }
 
 #[cfg(test)]

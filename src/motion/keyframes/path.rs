@@ -103,11 +103,7 @@ impl Spline {
     }
 
     /// Distance from the recording, over some of its frames.
-    pub fn deviation(
-        &self,
-        poses: &[Isometry3<f64>],
-        frames: std::ops::RangeInclusive<usize>,
-    ) -> Deviation {
+    pub fn deviation(&self, poses: &[Isometry3<f64>], frames: std::ops::RangeInclusive<usize>) -> Deviation {
         deviation(poses, frames, |frame| self.pose(frame as f64))
     }
 
@@ -179,11 +175,7 @@ impl ScrewPath {
     }
 
     /// Distance from the recording, over some of its frames.
-    pub fn deviation(
-        &self,
-        poses: &[Isometry3<f64>],
-        frames: std::ops::RangeInclusive<usize>,
-    ) -> Deviation {
+    pub fn deviation(&self, poses: &[Isometry3<f64>], frames: std::ops::RangeInclusive<usize>) -> Deviation {
         deviation(poses, frames, |frame| self.pose(frame as f64))
     }
 }

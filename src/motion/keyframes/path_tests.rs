@@ -83,7 +83,8 @@ fn a_cubic_motion_is_met_exactly_by_one_piece() {
         let t = k as f64 / 50.0;
         Vector3::new(t * t * t - t, 2.0 * t * t, 0.3 * t)
     };
-    let poses: Vec<_> = (0..51).map(|k| Isometry3::from_parts(position(k).into(), so3::exp(&Vector3::zeros()))).collect();
+    let poses: Vec<_> =
+        (0..51).map(|k| Isometry3::from_parts(position(k).into(), so3::exp(&Vector3::zeros()))).collect();
     let spline = Spline::fit(&poses, &[]).unwrap();
     assert_eq!(spline.knots().count(), 2);
     assert!(spline.deviation(&poses, 0..=50).position_m < 1e-9);
