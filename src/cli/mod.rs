@@ -23,6 +23,7 @@ mod demo;
 mod doctor;
 mod end;
 mod export;
+mod faults;
 mod info;
 mod keyframes;
 mod output;
@@ -70,6 +71,8 @@ enum Command {
     Replay(replay::Args),
     /// Decodes a capture made elsewhere to CSV or JSON lines.
     Decode(decode::Args),
+    /// Learns and finds bad frames of magnetic sensors.
+    Faults(faults::Args),
     /// Finds the frames at which a motion changes, and a smooth path between them.
     Keyframes(keyframes::Args),
     /// Says what is inside a recording, and completes one that breaks off.
@@ -92,6 +95,7 @@ impl Command {
             Self::Simulate(args) => simulate::run(args),
             Self::Doctor(args) => doctor::run(args),
             Self::Decode(args) => decode::run(args),
+            Self::Faults(args) => faults::run(args),
             Self::Keyframes(args) => keyframes::run(args),
             Self::Info(args) => info::run(args),
             Self::Export(args) => export::run(args),
