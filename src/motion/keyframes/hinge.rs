@@ -94,7 +94,8 @@ impl Hinge {
         self.fill_channels()?;
         let width = self.basis.hinge.len();
         let groups = if self.settings.orientation { 2 } else { 1 };
-        let (mut value, mut hinge, mut eased, mut quartic) = (0.0, 0.0, 0.0, 0.0);
+        let (mut sharp, mut gentle) = (0.0, 0.0);
+        let (mut hinge, mut eased, mut quartic) = (0.0, 0.0, 0.0);
         self.windows = (self.windows + 1.0).min(MEMORY_WINDOWS * width as f64);
         for group in 0..groups {
             let fits: [Fit; 3] = std::array::from_fn(|c| {
@@ -113,13 +114,18 @@ impl Hinge {
                 }
                 let guard = GUARD_SIGMAS * (1.0 - fit.correlation * fit.correlation) / (width as f64).sqrt();
                 let seen = self.seen[group].max(fit.correlation - guard);
-                value += fit.hinge * fit.hinge / (variance * self.correlation.factor(seen));
+                let white = variance * self.correlation.factor(seen);
+                sharp += fit.hinge * fit.hinge / white;
+                gentle += fit.eased * fit.eased / white;
                 hinge += fit.hinge * fit.hinge / variance;
                 eased += fit.eased * fit.eased / variance;
                 quartic += fit.quartic * fit.quartic / variance;
             }
         }
-        Some(Score { value, accepted: value > self.threshold && hinge >= quartic, corner: hinge >= eased })
+        // A change is sharp or eased, whichever fits better; the two shapes are so alike that noise hardly gains.
+        let value = f64::max(sharp, gentle);
+        let accepted = value > self.threshold && f64::max(hinge, eased) >= quartic;
+        Some(Score { value, accepted, corner: hinge >= eased })
     }
 
     /// Remembers a pose, and the smallest step of its words.

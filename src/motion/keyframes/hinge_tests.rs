@@ -58,7 +58,6 @@ fn a_clean_hinge_is_a_corner_and_an_eased_one_is_not() {
     };
     let sharp = score(&|k| if k < 100 { 0.0 } else { 0.01 });
     let eased = score(&|k| 0.01 * ((k as f64 - 93.0) / 14.0).clamp(0.0, 1.0));
-    println!("{sharp:?} {eased:?}");
-    assert!(sharp.accepted && sharp.corner);
-    assert!(eased.accepted && !eased.corner);
+    assert!(sharp.accepted && sharp.corner, "{sharp:?}");
+    assert!(eased.accepted && !eased.corner, "{eased:?}");
 }
