@@ -21,4 +21,5 @@ pub mod pipeline;
 pub mod protocol;
 pub mod recording;
 pub mod stage;
+pub mod svg;
 pub mod table;

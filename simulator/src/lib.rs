@@ -12,6 +12,7 @@
 
 pub mod faults;
 pub mod flock;
+pub mod gesture;
 pub mod host;
 pub mod line;
 pub mod magnetic;

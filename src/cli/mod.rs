@@ -30,6 +30,8 @@ mod imu;
 mod info;
 mod orient;
 mod exercise;
+mod faults;
+mod keyframes;
 mod output;
 mod progress;
 mod replay;
@@ -78,6 +80,10 @@ enum Command {
     Decode(decode::Args),
     /// Learns exercises from a few repetitions, and counts them.
     Exercise(exercise::Args),
+    /// Learns and finds bad frames of magnetic sensors.
+    Faults(faults::Args),
+    /// Finds the frames at which a motion changes, and a smooth path between them.
+    Keyframes(keyframes::Args),
     /// Says what is inside a recording, and completes one that breaks off.
     Info(info::Args),
     /// Writes a recording's poses or messages to a file that other programs open.
@@ -105,6 +111,8 @@ impl Command {
             Self::Doctor(args) => doctor::run(args),
             Self::Decode(args) => decode::run(args),
             Self::Exercise(args) => exercise::run(args),
+            Self::Faults(args) => faults::run(args),
+            Self::Keyframes(args) => keyframes::run(args),
             Self::Info(args) => info::run(args),
             Self::Export(args) => export::run(args),
             Self::Orient(args) => orient::run(args),

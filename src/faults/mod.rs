@@ -7,6 +7,7 @@
 
 mod gate;
 mod repetition;
+pub mod som;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};

@@ -11,6 +11,7 @@ mod cli;
 mod daemon;
 mod inertial;
 mod page;
+mod keyframes;
 mod pipeline;
 mod reference;
 #[path = "../rig/mod.rs"]

@@ -1,0 +1,316 @@
+//! `posed faults train|detect|study`: bad frames of a set of magnetic sensors.
+
+use std::path::{Path, PathBuf};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+
+use super::{Error, output, print, print_json, tell};
+use posed::faults::som::frames::Frames;
+use posed::faults::som::map::{Rule, Training, Width};
+use posed::faults::som::rules::{Cause, Class};
+use posed::faults::som::study::{self, Report};
+use posed::faults::som::{Labels, Network, Size, picture};
+use posed::table::{Poses, TableError, TableWriter};
+
+/// Layer sizes of the paper's study.
+const STUDIED_NEURONS: [usize; 5] = [11, 21, 31, 41, 51];
+const STUDIED_SIDES: [usize; 5] = [11, 16, 21, 26, 31];
+
+/// Learns, finds and studies bad frames.
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  posed faults train scripted.csv -o FAULTS.json\n  \
+    posed faults detect FAULTS.json session.csv -o labels.csv --picture map.svg\n\n\
+    Positions are in transmitter axes turned z up, in metres. Nobody labels anything: classes are told by physics.")]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(clap::Subcommand)]
+enum Command {
+    /// Trains the two-layer map on a recording and names its cells.
+    #[command(after_help = "Example:\n  posed faults train scripted.csv -o FAULTS.json --labels labels.csv")]
+    Train(TrainArgs),
+    /// Labels the frames of a recording.
+    #[command(after_help = "Example:\n  posed faults detect FAULTS.json session.csv -o labels.csv")]
+    Detect(DetectArgs),
+    /// Trains maps of 25 sizes and says how well each separates the classes.
+    #[command(after_help = "Example:\n  posed faults study scripted.csv --rule paper")]
+    Study(StudyArgs),
+}
+
+#[derive(clap::Args)]
+struct TrainingArgs {
+    /// How weights are moved: the paper's rule, row by row, or all rows at once.
+    #[arg(long, value_enum, default_value = "batch")]
+    rule: RuleName,
+    /// Passes over the frames at most; absent: 100 for the paper's rule, 30 for batch.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
+    epochs: Option<u16>,
+    /// Neighbourhood of one neuron throughout, as published, and no early end.
+    #[arg(long)]
+    as_published: bool,
+    /// Frames per epoch at most, drawn anew each time; 0 for all.
+    #[arg(long, default_value_t = 1000)]
+    subset: usize,
+    /// Seed of the order of frames.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
+enum RuleName {
+    Paper,
+    Batch,
+}
+
+impl TrainingArgs {
+    fn training(&self) -> Training {
+        let (rule, epochs) = match self.rule {
+            RuleName::Paper => (Rule::Paper, 100),
+            RuleName::Batch => (Rule::Batch, 30),
+        };
+        Training {
+            rule,
+            epochs: self.epochs.map_or(epochs, usize::from),
+            width: if self.as_published { Width::Fixed } else { Width::Shrink },
+            // The batch rule is cheap enough for all frames.
+            subset: if self.as_published || rule == Rule::Batch { 0 } else { self.subset },
+            stop: !self.as_published,
+            seed: self.seed,
+            ..Training::default()
+        }
+    }
+}
+
+#[derive(clap::Args)]
+struct TrainArgs {
+    /// Poses of a recording that shows all kinds of frames.
+    poses: PathBuf,
+    /// Where to write the network.
+    #[arg(short, long, value_name = "FAULTS.json")]
+    output: PathBuf,
+    /// Where to write the automatic labels.
+    #[arg(long, value_name = "OUT.csv")]
+    labels: Option<PathBuf>,
+    /// Neurons per sensor.
+    #[arg(long, default_value_t = 41, value_parser = clap::value_parser!(u16).range(2..=500))]
+    neurons: u16,
+    /// Rows and columns of the second layer.
+    #[arg(long, default_value_t = 21, value_parser = clap::value_parser!(u16).range(2..=100))]
+    side: u16,
+    #[command(flatten)]
+    training: TrainingArgs,
+    /// Print a summary as one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(clap::Args)]
+struct DetectArgs {
+    /// The network.
+    network: PathBuf,
+    /// Poses of the same sensors.
+    poses: PathBuf,
+    /// Where to write the labels.
+    #[arg(short, long, value_name = "LABELS.csv")]
+    output: PathBuf,
+    /// Where to draw the map and the distance over time.
+    #[arg(long, value_name = "PICTURE.svg")]
+    picture: Option<PathBuf>,
+    /// Print a summary as one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(clap::Args)]
+struct StudyArgs {
+    /// Poses of a recording that shows all kinds of frames.
+    poses: PathBuf,
+    #[command(flatten)]
+    training: TrainingArgs,
+    /// Print the table as one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: Args) -> Result<(), Error> {
+    match args.command {
+        Command::Train(args) => train(&args),
+        Command::Detect(args) => detect(&args),
+        Command::Study(args) => study(&args),
+    }
+}
+
+fn read(path: &Path) -> Result<Frames, Error> {
+    Ok(Frames::of(&Poses::read(path).map_err(Error::failed)?))
+}
+
+#[derive(Serialize)]
+struct Trained {
+    frames: usize,
+    sensors: usize,
+    epochs: usize,
+    classes: Counts,
+    map: Report,
+}
+
+#[derive(Default, Serialize)]
+struct Counts {
+    clean: usize,
+    inverted: usize,
+    anomalous: usize,
+    unknown: usize,
+}
+
+impl Counts {
+    fn of(classes: impl IntoIterator<Item = Class>) -> Self {
+        let mut counts = Self::default();
+        for class in classes {
+            *match class {
+                Class::Clean => &mut counts.clean,
+                Class::Inverted => &mut counts.inverted,
+                Class::Anomalous => &mut counts.anomalous,
+                Class::Unknown => &mut counts.unknown,
+            } += 1;
+        }
+        counts
+    }
+
+    fn sentence(&self) -> String {
+        let Self { clean, inverted, anomalous, unknown } = self;
+        format!("{clean} clean, {inverted} inverted, {anomalous} anomalous, {unknown} unknown")
+    }
+}
+
+fn train(args: &TrainArgs) -> Result<(), Error> {
+    let frames = read(&args.poses)?;
+    let size = Size { neurons: usize::from(args.neurons), side: usize::from(args.side) };
+    let (network, labels) = Network::train(&frames, size, &args.training.training())
+        .map_err(|error| Error::failed(format!("{}: {error}", args.poses.display())))?;
+    let classes: Vec<Class> = labels.frames.iter().map(|label| label.0).collect();
+    let map = study::measure(&network, &frames, &classes);
+    output::replace(&args.output, |file| {
+        serde_json::to_writer(&mut *file, &network).map_err(std::io::Error::from)?;
+        file.write_all(b"\n")
+    })?;
+    if let Some(path) = &args.labels {
+        write_labels(path, &frames, &labels, None).map_err(Error::failed)?;
+    }
+    let summary = Trained {
+        frames: frames.len(),
+        sensors: frames.sensors.len(),
+        epochs: network.epochs,
+        classes: Counts::of(classes),
+        map,
+    };
+    if args.json {
+        return print_json(&summary);
+    }
+    tell(&format!("{} frames: {}; {} epochs", summary.frames, summary.classes.sentence(), summary.epochs));
+    Ok(())
+}
+
+#[derive(Serialize)]
+struct Detected {
+    frames: usize,
+    classes: Counts,
+}
+
+fn detect(args: &DetectArgs) -> Result<(), Error> {
+    let text = std::fs::read(&args.network).map_err(|error| Error::file("read", &args.network, &error))?;
+    let network: Network = serde_json::from_slice(&text)
+        .map_err(|error| Error::failed(format!("{}: {error}", args.network.display())))?;
+    let frames = network
+        .adapt(&read(&args.poses)?)
+        .map_err(|error| Error::failed(format!("{}: {error}", args.poses.display())))?;
+    let mut watch = network.watch();
+    let mut labels = Labels::default();
+    let mut drawn = Vec::with_capacity(frames.len());
+    for k in 0..frames.len() {
+        let verdict = watch.push(&network, frames.frame(k));
+        labels.frames.push((verdict.class, verdict.cause));
+        labels.sensors.extend_from_slice(verdict.sensors);
+        let distance = verdict.winner.map_or(f64::NAN, |winner| winner.distance);
+        drawn.push((verdict.winner.map(|winner| winner.cell), distance, verdict.class));
+    }
+    let distances: Vec<f64> = drawn.iter().map(|frame| frame.1).collect();
+    write_labels(&args.output, &frames, &labels, Some(&distances)).map_err(Error::failed)?;
+    if let Some(path) = &args.picture {
+        let title = format!("{}: winner cells by class", args.poses.display());
+        let text = picture::draw(&title, network.size(), &network.cells, &drawn);
+        output::replace(path, |file| file.write_all(text.as_bytes()))?;
+    }
+    let summary =
+        Detected { frames: frames.len(), classes: Counts::of(labels.frames.iter().map(|label| label.0)) };
+    if args.json {
+        return print_json(&summary);
+    }
+    tell(&format!("{} frames: {}", summary.frames, summary.classes.sentence()));
+    Ok(())
+}
+
+/// One row per sensor, and one for the frame; the map's distance is the frame's.
+fn write_labels(
+    path: &Path,
+    frames: &Frames,
+    labels: &Labels,
+    distances: Option<&[f64]>,
+) -> Result<(), TableError> {
+    let columns = ["t", "frame", "sensor", "label", "cause", "distance", "repaired"];
+    let mut table = TableWriter::create(path, &columns)?;
+    let sensors = frames.sensors.len();
+    for (k, t_s) in frames.t_s.iter().enumerate() {
+        let mut row = |sensor: &str, (class, cause): (Class, Cause), distance: f64| {
+            table.number(*t_s)?;
+            table.text(&k.to_string())?;
+            table.text(sensor)?;
+            table.text(class.name())?;
+            table.text(cause.name())?;
+            table.number(distance)?;
+            table.text("0")?;
+            table.end_row()
+        };
+        for (name, label) in frames.sensors.iter().zip(&labels.sensors[k * sensors..(k + 1) * sensors]) {
+            row(name, *label, f64::NAN)?;
+        }
+        row("*", labels.frames[k], distances.map_or(f64::NAN, |distances| distances[k]))?;
+    }
+    table.finish()
+}
+
+#[derive(Serialize)]
+struct Studied {
+    sizes: Vec<Report>,
+}
+
+fn study(args: &StudyArgs) -> Result<(), Error> {
+    let frames = read(&args.poses)?;
+    let rules = posed::faults::som::rules::Rules::learn(&frames);
+    let labels = posed::faults::som::label_all(&rules, &frames);
+    let classes: Vec<Class> = labels.frames.iter().map(|label| label.0).collect();
+    let bar = ProgressBar::new((STUDIED_NEURONS.len() * STUDIED_SIDES.len()) as u64);
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} sizes, {eta} left") {
+        bar.set_style(style);
+    }
+    let training = args.training.training();
+    let sizes = study::sizes(&frames, &classes, &STUDIED_NEURONS, &STUDIED_SIDES, &training, || bar.inc(1))
+        .map_err(|error| Error::failed(format!("{}: {error}", args.poses.display())))?;
+    bar.finish_and_clear();
+    if args.json {
+        return print_json(&Studied { sizes });
+    }
+    print("neurons side used  share overlaps par purity grouping error\n")?;
+    for report in &sizes {
+        let Report { neurons, side, used, overlaps, changeovers, .. } = report;
+        print(&format!(
+            "{neurons:7} {side:4} {used:4} {:5.1}% {overlaps:8} {changeovers:3} {:6.4} {:8.3} {:.4}\n",
+            100.0 * report.used_share,
+            report.purity,
+            report.grouping,
+            report.error
+        ))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,93 @@
+//! How well a map separates classes: the paper's figures of merit.
+
+use serde::Serialize;
+
+use super::frames::Frames;
+use super::rules::Class;
+use super::{Network, NetworkError, Size, map::Training};
+
+/// What one map does with the classes of a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Neurons per sensor.
+    pub neurons: usize,
+    /// Rows of the second layer.
+    pub side: usize,
+    /// Cells that win for some frame.
+    pub used: usize,
+    /// Their share of all cells.
+    pub used_share: f64,
+    /// Cells that win for frames of two classes.
+    pub overlaps: usize,
+    /// Change-overs between classes in the recording: as many overlaps are par.
+    pub changeovers: usize,
+    /// Share of frames that are in a cell of their own class.
+    pub purity: f64,
+    /// Share of used neighbouring cells that have the same class.
+    pub grouping: f64,
+    /// Mean distance of frames from their cell.
+    pub error: f64,
+}
+
+/// Measures a network against classes per frame; frames of unknown class are left out.
+pub fn measure(network: &Network, frames: &Frames, classes: &[Class]) -> Report {
+    let (rows, columns) = network.size();
+    let mut counts = vec![[0usize; 4]; rows * columns];
+    let (mut error, mut total) = (0.0, 0usize);
+    let mut indices = vec![0.0; frames.sensors.len()];
+    for (k, class) in classes.iter().enumerate().filter(|(_, class)| **class != Class::Unknown) {
+        network.indices(frames.frame(k), &mut indices);
+        let Some(winner) = network.map.winner(&indices) else { continue };
+        counts[winner.cell][*class as usize] += 1;
+        error += winner.distance;
+        total += 1;
+    }
+    let used = |cell: usize| counts[cell].iter().sum::<usize>() > 0;
+    let largest = |cell: usize| counts[cell].iter().copied().max().unwrap_or(0);
+    let class = |cell: usize| (0..4).max_by_key(|class| counts[cell][*class]);
+    let cells: Vec<usize> = (0..counts.len()).filter(|cell| used(*cell)).collect();
+    let (mut alike, mut pairs) = (0, 0);
+    for &cell in &cells {
+        let right = (cell % columns + 1 < columns).then_some(cell + 1);
+        let below = (cell + columns < counts.len()).then_some(cell + columns);
+        for other in [right, below].into_iter().flatten().filter(|other| used(*other)) {
+            pairs += 1;
+            alike += usize::from(class(cell) == class(other));
+        }
+    }
+    let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
+    Report {
+        neurons: network.chains.first().map_or(0, |chain| chain.columns),
+        side: rows,
+        used: cells.len(),
+        used_share: share(cells.len(), counts.len()),
+        overlaps: cells.iter().filter(|cell| counts[**cell].iter().filter(|n| **n > 0).count() > 1).count(),
+        changeovers: classes.windows(2).filter(|pair| pair[0] != pair[1]).count(),
+        purity: share(cells.iter().map(|cell| largest(*cell)).sum(), total),
+        grouping: share(alike, pairs),
+        error: error / total.max(1) as f64,
+    }
+}
+
+/// Trains and measures maps of all pairs of sizes.
+///
+/// # Errors
+/// As [`Network::train`].
+pub fn sizes(
+    frames: &Frames,
+    classes: &[Class],
+    neurons: &[usize],
+    sides: &[usize],
+    training: &Training,
+    mut done: impl FnMut(),
+) -> Result<Vec<Report>, NetworkError> {
+    let mut reports = Vec::new();
+    for &neurons in neurons {
+        for &side in sides {
+            let (network, _) = Network::train(frames, Size { neurons, side }, training)?;
+            reports.push(measure(&network, frames, classes));
+            done();
+        }
+    }
+    Ok(reports)
+}
