@@ -1,9 +1,7 @@
-//! What a motion means: offline and live analysis of poses, angles and raw signals.
+//! What a motion means: where it changes, which exercise it is.
+//!
+//! What comes in: poses, angles or raw signals, frame by frame. What goes out: events with the frame they speak about
+//! and the frame at which they were decided. What it never does: change a pose, look at a clock, allocate once warm.
 
 pub mod exercise;
-//! What a stream of poses means: where a motion changes.
-//!
-//! What comes in: poses and frames. What goes out: events with the frame they speak about and the frame at which
-//! they were decided. What it never does: change a pose, look at a clock, allocate once warm.
-
 pub mod keyframes;
