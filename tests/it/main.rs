@@ -10,8 +10,8 @@ mod acceptance;
 mod cli;
 mod daemon;
 mod inertial;
-mod page;
 mod keyframes;
+mod page;
 mod pipeline;
 mod reference;
 #[path = "../rig/mod.rs"]
