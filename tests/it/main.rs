@@ -5,6 +5,7 @@
 mod acceptance;
 mod cli;
 mod keyframes;
+mod motion_commands;
 mod pipeline;
 mod reference;
 #[path = "../rig/mod.rs"]

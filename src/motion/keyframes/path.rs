@@ -347,9 +347,9 @@ impl Tridiagonal {
         self.diagonal[i] += u * u;
         self.diagonal[j] += v * v;
         self.beside[i.min(j)] += u * v;
-        for c in 0..6 {
-            self.right[i][c] += u * target[c];
-            self.right[j][c] += v * target[c];
+        for (c, target) in target.iter().enumerate() {
+            self.right[i][c] += u * target;
+            self.right[j][c] += v * target;
         }
     }
 
