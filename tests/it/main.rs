@@ -12,6 +12,7 @@ mod daemon;
 mod inertial;
 mod keyframes;
 mod page;
+mod motion_commands;
 mod pipeline;
 mod reference;
 #[path = "../rig/mod.rs"]

@@ -1,0 +1,51 @@
+//! Cost of the two-layer map: training by the paper's rule, and a frame of a live stream.
+
+use std::hint::black_box;
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use posed::faults::som::frames::Frames;
+use posed::faults::som::map::{Rule, Training, Width};
+use posed::faults::som::{Network, Size};
+
+/// Sensors that sway about places of their own.
+fn frames(sensors: usize, count: usize) -> Frames {
+    let place = |k: usize, sensor: usize, axis: usize| {
+        let (t, s) = (k as f64 / 30.0, sensor as f64);
+        0.4 * (0.7 * t + s + axis as f64).sin() + 0.2 * (2.3 * t + 0.3 * s * axis as f64).cos() + 0.1 * s
+    };
+    Frames {
+        sensors: (0..sensors).map(|sensor| format!("s{sensor}")).collect(),
+        t_s: (0..count).map(|k| k as f64 / 30.0).collect(),
+        positions_m: (0..count)
+            .flat_map(|k| (0..sensors).flat_map(move |s| (0..3).map(move |axis| place(k, s, axis))))
+            .collect(),
+    }
+}
+
+fn train(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("faults");
+    group.sample_size(10);
+    let published =
+        Training { rule: Rule::Paper, epochs: 100, width: Width::Fixed, stop: false, ..Training::default() };
+    for count in [407, 2823] {
+        let frames = frames(16, count);
+        group.bench_function(format!("train 16 sensors x {count} frames x 100 epochs"), |bencher| {
+            bencher.iter(|| Network::train(&frames, Size::default(), &published));
+        });
+    }
+    let frames = frames(20, 1000);
+    if let Ok((network, _)) = Network::train(&frames, Size::default(), &Training::default()) {
+        let mut watch = network.watch();
+        let mut k = 0;
+        group.bench_function("a frame of 20 sensors", |bencher| {
+            bencher.iter(|| {
+                k = (k + 1) % frames.len();
+                black_box(watch.push(&network, frames.frame(k)).class)
+            });
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, train);
+criterion_main!(benches);

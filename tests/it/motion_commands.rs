@@ -1,0 +1,73 @@
+//! `posed keyframes` and `posed faults` from file to file.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use posed_simulator::gesture::{Gesture, count_errors};
+
+fn posed(folder: &Path, words: &str) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_posed"))
+        .current_dir(folder)
+        .args(words.split_whitespace())
+        .output()
+        .unwrap()
+}
+
+fn write_poses(path: &Path) {
+    let mut text = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");
+    for (k, pose) in Gesture::of_the_table(2).noisy((0.001, 0.2)).iter().enumerate() {
+        let (p, q) = (pose.translation.vector, pose.rotation);
+        for (sensor, shift) in [("a", 2.0), ("b", 2.5)] {
+            let t = k as f64 / 100.0;
+            text +=
+                &format!("{t},{sensor},{},{},{},{},{},{},{}\n", p.x + shift, p.y, p.z, q.w, q.i, q.j, q.k);
+        }
+    }
+    std::fs::write(path, text).unwrap();
+}
+
+#[test]
+fn keyframes_writes_keys_path_and_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    write_poses(&folder.path().join("poses.csv"));
+    let words = "keyframes poses.csv -o keys.csv --resample path.csv --picture keys.svg --json";
+    let output = posed(folder.path(), words);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(summary["frames"], 1000);
+    let keys = std::fs::read_to_string(folder.path().join("keys.csv")).unwrap();
+    assert!(keys.starts_with("frame,t,t_decided,score,sensor,corner\n"));
+    let frames: Vec<usize> = keys
+        .lines()
+        .filter(|line| line.contains(",a,"))
+        .map(|line| line.split(',').next().unwrap().parse().unwrap())
+        .collect();
+    let (alarms, misses) = count_errors(frames);
+    assert!(alarms <= 1 && misses == 0, "{keys}");
+    let path = std::fs::read_to_string(folder.path().join("path.csv")).unwrap();
+    assert_eq!(path.lines().count(), 2001);
+    assert!(std::fs::read_to_string(folder.path().join("keys.svg")).unwrap().contains("</svg>"));
+}
+
+#[test]
+fn faults_are_trained_and_found_and_other_sensors_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    write_poses(&folder.path().join("poses.csv"));
+    let train = "faults train poses.csv -o FAULTS.json --labels auto.csv --neurons 11 --side 5 --epochs 5";
+    let output = posed(folder.path(), train);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let detect = "faults detect FAULTS.json poses.csv -o labels.csv --picture map.svg --json";
+    let output = posed(folder.path(), detect);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(summary["classes"]["clean"].as_u64().unwrap() >= 990, "{summary}");
+    let labels = std::fs::read_to_string(folder.path().join("labels.csv")).unwrap();
+    assert!(labels.starts_with("t,frame,sensor,label,cause,distance,repaired\n"));
+    assert_eq!(labels.lines().count(), 3001);
+    let poses = std::fs::read_to_string(folder.path().join("poses.csv")).unwrap();
+    std::fs::write(folder.path().join("other.csv"), poses.replace(",b,", ",c,")).unwrap();
+    let output = posed(folder.path(), "faults detect FAULTS.json other.csv -o none.csv");
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("expected the sensors a,b, found a,c"));
+    assert!(!folder.path().join("none.csv").exists());
+}
