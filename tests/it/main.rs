@@ -11,8 +11,8 @@ mod cli;
 mod daemon;
 mod inertial;
 mod keyframes;
-mod page;
 mod motion_commands;
+mod page;
 mod pipeline;
 mod reference;
 #[path = "../rig/mod.rs"]
