@@ -10,6 +10,7 @@ pub mod atomic_file;
 pub mod clock;
 pub mod daemon;
 pub mod faults;
+pub mod field;
 pub mod frame;
 pub mod fusion;
 pub mod geometry;

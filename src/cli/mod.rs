@@ -28,6 +28,7 @@ mod end;
 mod exercise;
 mod export;
 mod faults;
+mod field;
 mod imu;
 mod info;
 mod keyframes;
@@ -94,6 +95,8 @@ enum Command {
     Imu(imu::Args),
     /// Joint angles and body pose from a recording of IMUs.
     Body(body::Args),
+    /// Calibrates the field by a waved pole, corrects poses, draws the map.
+    Field(field::Args),
     /// Writes the completion script of a shell.
     Completions(completions::Args),
     /// Prints the JSON Schema of all websocket messages.
@@ -118,6 +121,7 @@ impl Command {
             Self::Orient(args) => orient::run(args),
             Self::Imu(args) => imu::run(args),
             Self::Body(args) => body::run(args),
+            Self::Field(args) => field::run(args),
             Self::Completions(args) => completions::run(args),
             Self::Schema(args) => schema::run(args),
         }

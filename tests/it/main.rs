@@ -9,6 +9,7 @@
 mod acceptance;
 mod cli;
 mod daemon;
+mod field;
 mod inertial;
 mod keyframes;
 mod motion_commands;

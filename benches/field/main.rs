@@ -1,0 +1,22 @@
+//! How well the field is calibrated, and what it costs: `cargo bench --bench field`.
+//!
+//! `-- --seeds 5` sets the number of seeds of the table of scenes; `-- --map` compares the map alone instead, and with
+//! `--export DIR` writes the readings and targets that `benches/peers/field` gives to other libraries.
+
+mod map;
+mod scenes;
+mod table;
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let after = |name: &str| {
+        let at = arguments.iter().position(|argument| argument == name)?;
+        arguments.get(at + 1).cloned()
+    };
+    if arguments.iter().any(|argument| argument == "--map") {
+        map::run(after("--export").as_deref().map(std::path::Path::new));
+    } else {
+        let seeds = after("--seeds").and_then(|text| text.parse().ok()).unwrap_or(5);
+        table::run(seeds, after("--scene").as_deref());
+    }
+}

@@ -1,0 +1,173 @@
+//! The table of scenes: the cascade, the joint solver, and the best that its own basis could do.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use posed::field::cascade::cascade;
+use posed::field::{Anchor, FieldNoise, PoleReading, PoleRun, refit_known, rigid, solve};
+
+use super::scenes::{Run, SENSORS, SPACING_M, Sample, Scene, scenes};
+
+type Pair = (Vector3<f64>, Vector3<f64>);
+
+/// Rms distance, mm.
+fn absolute_mm(pairs: &[Pair]) -> f64 {
+    1e3 * (pairs.iter().map(|(a, b)| (a - b).norm_squared()).sum::<f64>() / pairs.len() as f64).sqrt()
+}
+
+/// Rms distance after rigid alignment, mm.
+fn aligned_mm(pairs: &[Pair]) -> f64 {
+    let motion = rigid(pairs);
+    let moved: Vec<Pair> =
+        pairs.iter().map(|(a, b)| (motion.rotation * a + motion.translation.vector, *b)).collect();
+    absolute_mm(&moved)
+}
+
+fn median_mm(pairs: &[Pair]) -> f64 {
+    let motion = rigid(pairs);
+    let mut errors: Vec<f64> =
+        pairs.iter().map(|(a, b)| (motion.rotation * a + motion.translation.vector - b).norm()).collect();
+    errors.sort_by(f64::total_cmp);
+    1e3 * errors[errors.len() / 2]
+}
+
+/// The recording as the solver gets it.
+pub(crate) fn pole(run: &Run) -> PoleRun {
+    let rows = run.frames.iter().zip(&run.t_s).flat_map(|(frame, t_s)| {
+        frame.iter().enumerate().map(move |(sensor, sample)| {
+            (*t_s, sensor, PoleReading { position_m: sample.z, orientation: Some(sample.q) })
+        })
+    });
+    PoleRun::new((0..SENSORS).map(|k| format!("bird-{}", k + 1)).collect(), SPACING_M, rows).expect("a pole")
+}
+
+/// Three surveyed points: a sensor stands still for half a second at three places far from each other.
+fn anchors(scene: &Scene, run: &Run, pole: &mut PoleRun, seed: u64) -> Vec<Anchor> {
+    let points = [Vector3::new(1.1, -0.6, 0.5), Vector3::new(1.8, 0.5, 0.5), Vector3::new(1.2, 0.4, 1.2)];
+    let mut t_s = run.t_s.last().copied().unwrap_or(0.0) + 1.0;
+    let mut anchors = Vec::new();
+    for (index, point) in points.into_iter().enumerate() {
+        let start = t_s;
+        for reading in scene.dwell(&point, 15, seed * 10 + index as u64) {
+            let mut readings = vec![None; SENSORS];
+            readings[0] = Some(PoleReading { position_m: reading, orientation: None });
+            pole.frames.push(posed::field::PoleFrame { t_s, readings });
+            t_s += 1.0 / 30.0;
+        }
+        anchors.push(Anchor {
+            name: format!("point {index}"),
+            sensor: 0,
+            t_s: [start, t_s],
+            position_m: point,
+        });
+        t_s += 1.0;
+    }
+    anchors
+}
+
+#[derive(Default, Clone, Copy)]
+struct Row {
+    raw: f64,
+    raw_absolute: f64,
+    cascade_residual: f64,
+    cascade_once: f64,
+    cascade_eight: f64,
+    solved: f64,
+    median: f64,
+    polynomial: f64,
+    best: f64,
+    anchored: f64,
+    covered: f64,
+    raw_deg: f64,
+    solved_deg: f64,
+    seconds: f64,
+}
+
+#[expect(
+    clippy::print_stdout,
+    clippy::disallowed_methods,
+    reason = "the table is the answer, and time a column"
+)]
+pub(crate) fn run(seeds: u64, only: Option<&str>) {
+    println!(
+        "| scene | raw | cascade residual | cascade once | cascade 8x | solved | (median) | best polynomial | same basis, \
+         truth | raw, absolute | 3 anchors, absolute | covered by 2 sigma, % | rotation raw, deg | solved, deg | s |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
+    for scene in scenes().iter().filter(|scene| only.is_none_or(|only| scene.name.contains(only))) {
+        let mut sum = Row::default();
+        let mut models = Vec::new();
+        for seed in 1..=seeds {
+            let run = scene.run(seed);
+            let recording = pole(&run);
+            let pairs = |map: &dyn Fn(&Vector3<f64>) -> Vector3<f64>| -> Vec<Pair> {
+                run.tests.iter().map(|sample| (map(&sample.z), sample.p)).collect()
+            };
+            sum.raw += aligned_mm(&pairs(&|z| *z));
+            sum.raw_absolute += absolute_mm(&pairs(&|z| *z));
+            if let (Some(once), Some(eight)) = (cascade(&recording, 1), cascade(&recording, 8)) {
+                sum.cascade_residual += 1e3 * eight.residuals_m.last().copied().unwrap_or(f64::NAN);
+                sum.cascade_once += aligned_mm(&pairs(&|z| once.network.correct(z)));
+                sum.cascade_eight += aligned_mm(&pairs(&|z| eight.network.correct(z)));
+            }
+            let begun = std::time::Instant::now();
+            let solution = solve(recording, &[], &mut |_| {});
+            sum.seconds += begun.elapsed().as_secs_f64();
+            let Some(map) = solution.map else { continue };
+            models.push(if map.report.accepted { map.report.model.clone() } else { "refused".into() });
+            let corrector = map.corrector();
+            let solved = pairs(&|z| corrector.position(z));
+            sum.solved += aligned_mm(&solved);
+            sum.median += median_mm(&solved);
+            sum.polynomial += solution
+                .polynomials
+                .iter()
+                .map(|model| aligned_mm(&pairs(&|z| model.correct(z))))
+                .fold(f64::INFINITY, f64::min);
+            let truth: Vec<Pair> =
+                run.frames.iter().flatten().filter(|s| !s.stuck).map(|sample| (sample.z, sample.p)).collect();
+            let noise = FieldNoise { floor_m: 3e-4, ..map.noise };
+            if let Some(best) = refit_known(&map.model, &truth, noise) {
+                sum.best += aligned_mm(&pairs(&|z| best.correct(z)));
+            }
+            let noisy: Vec<Pair> = run.noisy.iter().map(|s| (corrector.position(&s.z), s.p)).collect();
+            let motion = rigid(&noisy);
+            let covered = run.noisy.iter().filter(|sample| {
+                let corrected = corrector.correct(&sample.z);
+                let p = motion.rotation * corrected.position_m + motion.translation.vector;
+                (p - sample.p).norm() < 2.0 * corrected.sigma_m
+            });
+            sum.covered += 100.0 * covered.count() as f64 / run.noisy.len() as f64;
+            let turned = |of: &dyn Fn(&Sample) -> UnitQuaternion<f64>| {
+                let square: f64 = run.tests.iter().map(|s| of(s).angle_to(&s.truth).powi(2)).sum();
+                (square / run.tests.len() as f64).sqrt().to_degrees()
+            };
+            sum.raw_deg += turned(&|s| s.q);
+            sum.solved_deg += turned(&|s| corrector.orientation(&s.z, &s.q));
+            let mut recording = pole(&run);
+            let anchors = anchors(scene, &run, &mut recording, seed);
+            if let Some(map) = solve(recording, &anchors, &mut |_| {}).map {
+                let corrector = map.corrector();
+                sum.anchored += absolute_mm(&pairs(&|z| corrector.position(z)));
+            }
+        }
+        let n = seeds as f64;
+        println!(
+            "| {} | {:.1} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.1} | {:.2} | {:.1} | {:.2} | {:.2} | {:.1} |",
+            scene.name,
+            sum.raw / n,
+            sum.cascade_residual / n,
+            sum.cascade_once / n,
+            sum.cascade_eight / n,
+            sum.solved / n,
+            sum.median / n,
+            sum.polynomial / n,
+            sum.best / n,
+            sum.raw_absolute / n,
+            sum.anchored / n,
+            sum.covered / n,
+            sum.raw_deg / n,
+            sum.solved_deg / n,
+            sum.seconds / n
+        );
+        println!("<!-- {}: {} -->", scene.name, models.join("; "));
+    }
+}

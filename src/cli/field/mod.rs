@@ -1,0 +1,58 @@
+//! `posed field`: calibrate by waving a pole, correct poses, look at the result.
+//!
+//! Positions are in the transmitter frame: a map is that of one transmitter where it stands.
+
+mod correct;
+mod show;
+mod solve;
+
+use std::path::Path;
+
+use posed::field::{FieldMap, VERSION};
+
+use super::{Error, output, print, print_json, tell};
+
+/// What to do with a field.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  posed field solve pole.csv --spacing-m 0.3 --anchors anchors.csv -o field.json\n  \
+    posed field correct field.json poses.csv -o corrected.csv\n  posed field show field.json -o field.svg"
+)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(clap::Subcommand)]
+enum Command {
+    /// Solves a recording of the pole for a map, or says why there is none.
+    Solve(solve::Args),
+    /// Corrects poses by a map.
+    Correct(correct::Args),
+    /// Draws a map.
+    Show(show::Args),
+}
+
+pub(crate) fn run(args: Args) -> Result<(), Error> {
+    match args.command {
+        Command::Solve(args) => solve::run(args),
+        Command::Correct(args) => correct::run(args),
+        Command::Show(args) => show::run(args),
+    }
+}
+
+/// Reads a map.
+fn read_map(path: &Path) -> Result<FieldMap, Error> {
+    let text = std::fs::read_to_string(path).map_err(|error| Error::file("read", path, &error))?;
+    let map: FieldMap = serde_json::from_str(&text)
+        .map_err(|error| Error::Failed(format!("{} is no field map: {error}", path.display())))?;
+    if map.version != VERSION {
+        let found = map.version;
+        return Err(Error::Failed(format!(
+            "{} is of version {found}; this program reads {VERSION}",
+            path.display()
+        )));
+    }
+    map.check().map_err(|reason| Error::Failed(format!("{} is no field map: {reason}", path.display())))?;
+    Ok(map)
+}

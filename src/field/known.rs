@@ -1,0 +1,86 @@
+//! A map from readings whose true places are known: from a survey, a robot, a simulation.
+//!
+//! The same choice between the same candidates as the pole's, with the same held-out blocks, here of every tenth part
+//! of the readings in their order.
+
+use nalgebra::Vector3;
+
+use super::fit::fit;
+use super::hull::Hull;
+use super::map::{Aligned, Corrector, FieldMap, Uncertainty, VERSION, coarse};
+use super::model::Model;
+use super::noise::FieldNoise;
+use super::problem::Problem;
+use super::report::Report;
+use super::select::{Chosen, Selection};
+
+const FOLDS: usize = 10;
+/// Readings that follow each other belong to one block.
+const BLOCK: usize = 50;
+
+fn problem(pairs: &[(Vector3<f64>, Vector3<f64>)], noise: &FieldNoise) -> Problem {
+    let mut problem = Problem::new(FOLDS);
+    for (index, (reading, place)) in pairs.iter().enumerate() {
+        problem.push_known(index / BLOCK, *reading, *place, noise);
+    }
+    problem
+}
+
+/// Fits a map to pairs of reading and true place (transmitter frame, m); `None` without any.
+pub fn fit_known(pairs: &[(Vector3<f64>, Vector3<f64>)], noise: FieldNoise) -> Option<FieldMap> {
+    let hull = Hull::new(pairs.iter().map(|(reading, _)| reading))?;
+    let weighting = FieldNoise { floor_m: noise.floor_m.max(1e-4), ..noise };
+    let problem = problem(pairs, &weighting);
+    let Chosen { candidate: chosen, tried, .. } = Selection::new(&problem).choose(&mut |_| {})?;
+    let shape = coarse(&hull);
+    let excess_m2 = chosen.held_out.rms_m.powi(2);
+    let uncertainty = Uncertainty { sigma_m: vec![excess_m2.sqrt(); shape.len()], shape };
+    let report = Report {
+        accepted: true,
+        residual_m: chosen.fit.rms_m(),
+        heldout_m: chosen.held_out.rms_m,
+        raw_m: tried.first().map_or(f64::NAN, |tried| tried.heldout_m),
+        model: chosen.fit.model.describe(),
+        readings: pairs.len(),
+        covered: 1.0,
+        tried,
+        ..Report::default()
+    };
+    Some(FieldMap {
+        version: VERSION,
+        sensors: Vec::new(),
+        spacing_m: 0.0,
+        model: chosen.fit.model,
+        rotation: None,
+        noise,
+        alignment: Aligned::default(),
+        hull,
+        uncertainty,
+        report,
+    })
+}
+
+/// The best that a basis could do: the same kind of model fitted to the truth.
+pub fn refit_known(
+    model: &Model,
+    pairs: &[(Vector3<f64>, Vector3<f64>)],
+    noise: FieldNoise,
+) -> Option<Model> {
+    let problem = problem(pairs, &FieldNoise { floor_m: noise.floor_m.max(1e-4), ..noise });
+    Some(fit(&problem, model, 10)?.model)
+}
+
+impl Model {
+    /// The corrected position of a reading, m, without grid or alignment.
+    pub fn correct(&self, reading_m: &Vector3<f64>) -> Vector3<f64> {
+        self.evaluator().correct(reading_m)
+    }
+}
+
+impl Corrector {
+    /// Corrects a batch.
+    pub fn positions(&self, readings_m: &[Vector3<f64>], corrected_m: &mut Vec<Vector3<f64>>) {
+        corrected_m.clear();
+        corrected_m.extend(readings_m.iter().map(|z| self.position(z)));
+    }
+}

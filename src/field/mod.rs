@@ -1,0 +1,46 @@
+//! The field: where metal bends a magnetic tracker's world, and how to bend it back.
+//!
+//! What comes in: a recording of a pole with sensors at measured distances, waved through the stage; surveyed points if
+//! there are any. What goes out: a [`FieldMap`], and from it a [`Corrector`] that corrects every pose at once, with an
+//! honest uncertainty. What it never does: estimate the spacing from the readings, or give out a map that does not make
+//! unseen readings better.
+//!
+//! ```text
+//! PoleRun -> outliers -> solve: select (search, fit, held-out blocks) -> anchors -> FieldMap -> Corrector
+//! ```
+//! A pole sees lengths, so a map that moves everything rigidly is invisible to it; anchors fix that, and so does a
+//! model of the metal, for which the transmitter is where it is.
+
+mod anchors;
+pub mod cascade;
+mod coverage;
+mod estimate;
+mod fit;
+mod grid;
+mod hull;
+mod known;
+mod map;
+pub mod model;
+mod noise;
+mod orientation;
+mod outliers;
+mod picture;
+mod pole;
+mod problem;
+mod report;
+mod search;
+mod select;
+mod solve;
+
+pub use anchors::{Anchor, LEAST_ANCHORS, rigid};
+pub use grid::Shape;
+pub use hull::Hull;
+pub use known::{fit_known, refit_known};
+pub use map::{Aligned, Corrected, Corrector, FieldMap, Uncertainty, VERSION};
+pub use noise::FieldNoise;
+pub use outliers::{Reason as RejectReason, Rejected, reject};
+pub use picture::svg;
+pub use pole::{PoleError, PoleFrame, PoleReading, PoleRun};
+pub use problem::MAX_SENSORS;
+pub use report::{Code, Reason, Report, Tried};
+pub use solve::{Solution, solve};

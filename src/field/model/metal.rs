@@ -1,0 +1,253 @@
+//! Metal as secondary sources: image planes (floors, walls) and induced dipoles (objects).
+
+use nalgebra::{Matrix3, SMatrix, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::dipole::{field, field_gradient, solve};
+
+/// What a secondary source stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// A plane: the mirror image of the transmitter. Iron is positive, a conductor negative, both at most one.
+    Plane,
+    /// A compact object: the dipole induced in it by the transmitter.
+    Object,
+}
+
+/// One secondary source.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Source {
+    /// Plane or object.
+    pub kind: Kind,
+    /// Centre of an object, or the mirrored transmitter, in the transmitter frame, m.
+    pub position_m: [f64; 3],
+    /// A plane: the strength of the image, 0 to 1. An object: `q a^3 / 2`, m^3 (sphere of radius a; q = -1 for a
+    /// perfect conductor, +2 for iron).
+    pub strength: f64,
+}
+
+/// Places are found to this, m; in steps no longer than this; and no farther from the reading than this.
+const PRECISION_M: f64 = 1e-8;
+const LONGEST_STEP_M: f64 = 0.1;
+const FARTHEST_M: f64 = 0.5;
+
+/// Parameters of one source: position and strength.
+pub(crate) const SOURCE_PARAMETERS: usize = 4;
+
+impl Source {
+    fn position(&self) -> Vector3<f64> {
+        Vector3::from(self.position_m)
+    }
+
+    /// Moments that the three source axes induce at unit strength.
+    pub(crate) fn moments(&self) -> Matrix3<f64> {
+        let c = self.position();
+        match self.kind {
+            Kind::Object => field(&c),
+            Kind::Plane => c * c.transpose() * (2.0 / c.norm_squared()) - Matrix3::identity(),
+        }
+    }
+
+    /// Derivatives of [`Source::moments`] by the position.
+    fn moments_gradient(&self) -> [Matrix3<f64>; 3] {
+        let c = self.position();
+        match self.kind {
+            Kind::Object => field_gradient(&c),
+            Kind::Plane => {
+                let r2 = c.norm_squared();
+                let outer = c * c.transpose();
+                [0, 1, 2].map(|l| {
+                    let mut d = outer * (-4.0 * c[l] / (r2 * r2));
+                    for k in 0..3 {
+                        d[(k, l)] += 2.0 * c[k] / r2;
+                        d[(l, k)] += 2.0 * c[k] / r2;
+                    }
+                    d
+                })
+            }
+        }
+    }
+}
+
+/// All metal around, ready to be asked: what depends on the sources alone is computed once.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Metal {
+    sources: Vec<Prepared>,
+}
+
+#[derive(Clone, Debug)]
+struct Prepared {
+    position: Vector3<f64>,
+    strength: f64,
+    moments: Matrix3<f64>,
+    gradient: [Matrix3<f64>; 3],
+}
+
+/// A place found for a reading.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Place {
+    /// The true position, m.
+    pub(crate) p: Vector3<f64>,
+    /// Derivative of `p` by the nine numbers of the field at a fixed reading, with the sign of a correction.
+    pub(crate) by_field: SMatrix<f64, 3, 9>,
+}
+
+impl Metal {
+    pub(crate) fn new(sources: &[Source]) -> Self {
+        let prepare = |source: &Source| Prepared {
+            position: source.position(),
+            strength: source.strength,
+            moments: source.moments(),
+            gradient: source.moments_gradient(),
+        };
+        Self { sources: sources.iter().map(prepare).collect() }
+    }
+
+    /// Field of transmitter and metal at `p`.
+    pub(crate) fn field(&self, p: &Vector3<f64>) -> Matrix3<f64> {
+        let mut total = field(p);
+        for source in &self.sources {
+            total += field(&(p - source.position)) * source.moments * source.strength;
+        }
+        total
+    }
+
+    /// What the device reports for a sensor at `p`.
+    #[cfg(test)]
+    pub(crate) fn reading(&self, p: &Vector3<f64>) -> Vector3<f64> {
+        solve(&self.field(p), p).position
+    }
+
+    /// Derivatives of the field by the place.
+    fn gradient(&self, p: &Vector3<f64>) -> [Matrix3<f64>; 3] {
+        let mut total = field_gradient(p);
+        for source in &self.sources {
+            let moments = source.moments * source.strength;
+            for (sum, gradient) in total.iter_mut().zip(field_gradient(&(p - source.position))) {
+                *sum += gradient * moments;
+            }
+        }
+        total
+    }
+
+    /// The place where the device reports `z`; `None` where there is none near `z`.
+    ///
+    /// Chords with the Jacobian at the first guess: it changes little over a correction, and a field costs a tenth of it.
+    pub(crate) fn correct(&self, z: &Vector3<f64>) -> Option<Vector3<f64>> {
+        let mut p = *z;
+        let mut inverse = Matrix3::identity();
+        for round in 0..24 {
+            let b = self.field(&p);
+            let reading = solve(&b, &p);
+            if round % 8 == 1 {
+                inverse = self.jacobian(&p, &reading.derivative(&b)).try_inverse()?;
+            }
+            let step = inverse * (z - reading.position);
+            let length = step.norm();
+            if !length.is_finite() {
+                return None;
+            }
+            p += if length > LONGEST_STEP_M { step * (LONGEST_STEP_M / length) } else { step };
+            if length < PRECISION_M {
+                return ((p - z).norm() < FARTHEST_M).then_some(p);
+            }
+        }
+        None
+    }
+
+    /// As [`Metal::correct`], with what a solver needs.
+    pub(crate) fn place(&self, z: &Vector3<f64>) -> Option<Place> {
+        let p = self.correct(z)?;
+        let field = self.field(&p);
+        let derivative = solve(&field, &p).derivative(&field);
+        let inverse = self.jacobian(&p, &derivative).try_inverse()?;
+        Some(Place { p, by_field: -inverse * derivative })
+    }
+
+    /// Derivative of the reading by the place.
+    fn jacobian(&self, p: &Vector3<f64>, derivative: &SMatrix<f64, 3, 9>) -> Matrix3<f64> {
+        let mut jacobian = Matrix3::zeros();
+        for (l, change) in self.gradient(p).iter().enumerate() {
+            jacobian.set_column(l, &times(derivative, change));
+        }
+        jacobian
+    }
+
+    /// Derivatives of the place by all parameters, source by source: position, then strength.
+    pub(crate) fn parameters(&self, place: &Place, mut each: impl FnMut(usize, Vector3<f64>)) {
+        for (index, source) in self.sources.iter().enumerate() {
+            let from = place.p - source.position;
+            let k = field(&from);
+            let gradient = field_gradient(&from);
+            for (l, (by_moments, by_place)) in source.gradient.iter().zip(&gradient).enumerate() {
+                let change = (k * by_moments - by_place * source.moments) * source.strength;
+                each(SOURCE_PARAMETERS * index + l, times(&place.by_field, &change));
+            }
+            each(SOURCE_PARAMETERS * index + 3, times(&place.by_field, &(k * source.moments)));
+        }
+    }
+
+    /// Distance from `p` to the nearest source, m.
+    pub(crate) fn clearance(&self, p: &Vector3<f64>) -> f64 {
+        self.sources.iter().map(|source| (p - source.position).norm()).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// A linear map of a matrix, taken column by column.
+pub(crate) fn times(map: &SMatrix<f64, 3, 9>, matrix: &Matrix3<f64>) -> Vector3<f64> {
+    let mut sum = Vector3::zeros();
+    for k in 0..9 {
+        sum += map.column(k) * matrix[k];
+    }
+    sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sources() -> Vec<Source> {
+        vec![
+            Source { kind: Kind::Plane, position_m: [0.1, -0.05, -0.8], strength: 0.06 },
+            Source { kind: Kind::Object, position_m: [2.2, 1.3, 0.3], strength: -0.004 },
+        ]
+    }
+
+    #[test]
+    fn a_place_is_where_the_device_would_report_the_reading() {
+        let metal = Metal::new(&sources());
+        for p in [Vector3::new(1.0, 0.2, 0.6), Vector3::new(1.8, -0.7, 1.1), Vector3::new(1.9, 0.9, 0.4)] {
+            let z = metal.reading(&p);
+            assert!((z - p).norm() > 1e-4, "there is something to correct");
+            assert!((metal.place(&z).unwrap().p - p).norm() < 1e-7);
+        }
+    }
+
+    #[test]
+    fn derivatives_by_the_parameters_are_differences() {
+        let sources = sources();
+        let z = Vector3::new(1.7, 0.6, 0.5);
+        let metal = Metal::new(&sources);
+        let place = metal.place(&z).unwrap();
+        let mut derivatives = [Vector3::zeros(); 8];
+        metal.parameters(&place, |k, d| derivatives[k] = d);
+        for (k, derivative) in derivatives.iter().enumerate() {
+            let h = if k % 4 == 3 { 1e-6 } else { 1e-5 };
+            let moved = |sign: f64| {
+                let mut moved = sources.clone();
+                let source = &mut moved[k / 4];
+                match k % 4 {
+                    3 => source.strength += sign * h,
+                    l => source.position_m[l] += sign * h,
+                }
+                Metal::new(&moved).place(&z).unwrap().p
+            };
+            let difference = (moved(1.0) - moved(-1.0)) / (2.0 * h);
+            assert!(
+                (derivative - difference).norm() < 1e-5 * (1.0 + difference.norm()),
+                "{k} {derivative} {difference}"
+            );
+        }
+    }
+}

@@ -1,0 +1,405 @@
+//! What a map is fitted to: frames of a pole, or readings whose true place is known.
+//!
+//! A frame of a pole knows nothing but that its sensors stand in a row at known distances. Its five unknown numbers
+//! (place and direction) are fitted to the corrected readings, and what remains is its residual; so no pose is needed,
+//! and a residual carries exactly what the pole can see: straightness, spacing and length.
+
+use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
+use rayon::prelude::*;
+
+use super::model::{Evaluator, Model};
+use super::noise::FieldNoise;
+
+/// Most sensors on one pole.
+pub const MAX_SENSORS: usize = 24;
+/// Residuals above this many standard deviations count linearly only (Huber).
+const HUBER: f64 = 3.0;
+/// Rows that are gathered before they are multiplied out.
+const CHUNK_ROWS: usize = 768;
+
+/// One group of readings that are judged together.
+#[derive(Clone, Debug)]
+struct Group {
+    start: usize,
+    end: usize,
+    fold: usize,
+    kind: Kind,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Kind {
+    /// Sensors in a row.
+    Pole,
+    /// One reading at a known place.
+    Known(Vector3<f64>),
+}
+
+/// Readings, how they hang together, and how much each is worth.
+#[derive(Clone, Debug)]
+pub(crate) struct Problem {
+    pub(crate) z: Vec<Vector3<f64>>,
+    /// Place along the pole from its middle, m.
+    offsets: Vec<f64>,
+    whiteners: Vec<Matrix3<f64>>,
+    groups: Vec<Group>,
+    pub(crate) folds: usize,
+}
+
+/// A normal equation and what it came from.
+#[derive(Clone, Debug)]
+pub(crate) struct Normal {
+    pub(crate) matrix: DMatrix<f64>,
+    pub(crate) gradient: DVector<f64>,
+    /// Sum of the Huber losses of the whitened residuals.
+    pub(crate) cost: f64,
+    /// Numbers that the residuals hold.
+    pub(crate) freedoms: f64,
+    /// Sum of the squared residuals, m^2, and how many readings they are of.
+    pub(crate) square_m2: f64,
+    pub(crate) readings: f64,
+}
+
+impl Normal {
+    fn zero(parameters: usize) -> Self {
+        Self {
+            matrix: DMatrix::zeros(parameters, parameters),
+            gradient: DVector::zeros(parameters),
+            cost: 0.0,
+            freedoms: 0.0,
+            square_m2: 0.0,
+            readings: 0.0,
+        }
+    }
+
+    /// Adds another one.
+    pub(crate) fn add(&mut self, other: &Self) {
+        self.matrix += &other.matrix;
+        self.gradient += &other.gradient;
+        self.cost += other.cost;
+        self.freedoms += other.freedoms;
+        self.square_m2 += other.square_m2;
+        self.readings += other.readings;
+    }
+}
+
+impl Problem {
+    pub(crate) fn new(folds: usize) -> Self {
+        Self { z: Vec::new(), offsets: Vec::new(), whiteners: Vec::new(), groups: Vec::new(), folds }
+    }
+
+    /// Adds a frame of a pole: each reading with its place along the pole, m from the middle.
+    pub(crate) fn push_pole(&mut self, fold: usize, readings: &[(Vector3<f64>, f64)], noise: &FieldNoise) {
+        if readings.len() < 3 || readings.len() > MAX_SENSORS {
+            return;
+        }
+        let start = self.z.len();
+        for (z, offset) in readings {
+            self.z.push(*z);
+            self.offsets.push(*offset);
+            self.whiteners.push(noise.whitener(z));
+        }
+        self.groups.push(Group { start, end: self.z.len(), fold: fold % self.folds, kind: Kind::Pole });
+    }
+
+    /// Adds a reading at a known place.
+    pub(crate) fn push_known(
+        &mut self,
+        fold: usize,
+        z: Vector3<f64>,
+        place: Vector3<f64>,
+        noise: &FieldNoise,
+    ) {
+        let start = self.z.len();
+        self.z.push(z);
+        self.offsets.push(0.0);
+        self.whiteners.push(noise.whitener(&z));
+        self.groups.push(Group { start, end: start + 1, fold: fold % self.folds, kind: Kind::Known(place) });
+    }
+
+    /// Every `stride`th group.
+    pub(crate) fn thinned(&self, stride: usize) -> Self {
+        let mut thin = Self::new(self.folds);
+        for group in self.groups.iter().step_by(stride.max(1)) {
+            let start = thin.z.len();
+            thin.z.extend(&self.z[group.start..group.end]);
+            thin.offsets.extend(&self.offsets[group.start..group.end]);
+            thin.whiteners.extend(&self.whiteners[group.start..group.end]);
+            thin.groups.push(Group { start, end: thin.z.len(), ..*group });
+        }
+        thin
+    }
+
+    /// Number of groups.
+    pub(crate) fn groups(&self) -> usize {
+        self.groups.len()
+    }
+
+    /// Normal equations of each fold, without the prior.
+    pub(crate) fn normals(&self, model: &Model) -> Vec<Normal> {
+        let evaluator = model.evaluator();
+        (0..self.folds)
+            .into_par_iter()
+            .map(|fold| self.normal_of(&evaluator, model.parameters(), fold))
+            .collect()
+    }
+
+    fn normal_of(&self, evaluator: &Evaluator<'_>, parameters: usize, fold: usize) -> Normal {
+        let mut normal = Normal::zero(parameters);
+        // Transposed: one column per residual.
+        let mut rows = DMatrix::zeros(parameters, CHUNK_ROWS);
+        let mut residuals = DVector::zeros(CHUNK_ROWS);
+        let mut filled = 0;
+        let mut derivatives = vec![0.0; 3 * parameters];
+        let mut scratch = Scratch::default();
+        for group in self.groups.iter().filter(|group| group.fold == fold) {
+            let count = group.end - group.start;
+            if filled + 3 * count > CHUNK_ROWS {
+                flush(&mut normal, &rows, &residuals, filled);
+                filled = 0;
+            }
+            for (k, index) in (group.start..group.end).enumerate() {
+                derivatives.fill(0.0);
+                scratch.y[k] = evaluator.with_derivatives(&self.z[index], &mut derivatives);
+                for parameter in 0..parameters {
+                    for axis in 0..3 {
+                        rows[(parameter, filled + 3 * k + axis)] = derivatives[3 * parameter + axis];
+                    }
+                }
+            }
+            self.residual(group, &mut scratch);
+            scratch.tally(count, group, &mut normal);
+            for k in 0..count {
+                whiten_columns(&mut rows, filled + 3 * k, &scratch.whitener[k]);
+                for axis in 0..3 {
+                    residuals[filled + 3 * k + axis] = scratch.residual[3 * k + axis];
+                }
+            }
+            if group.kind == Kind::Pole {
+                project(&mut rows, filled, 3 * count, &scratch.pose);
+            }
+            filled += 3 * count;
+        }
+        flush(&mut normal, &rows, &residuals, filled);
+        normal
+    }
+
+    /// Costs of one fold without derivatives.
+    pub(crate) fn cost_of(&self, model: &Model, fold: usize) -> Normal {
+        let evaluator = model.evaluator();
+        let mut normal = Normal::zero(0);
+        let mut scratch = Scratch::default();
+        for group in self.groups.iter().filter(|group| group.fold == fold) {
+            for (k, index) in (group.start..group.end).enumerate() {
+                scratch.y[k] = evaluator.correct(&self.z[index]);
+            }
+            self.residual(group, &mut scratch);
+            scratch.tally(group.end - group.start, group, &mut normal);
+        }
+        normal
+    }
+
+    /// Says for each group: index of its first reading, its whitened residual, its whiteners (with robust weights),
+    /// and an orthonormal basis of what its own pose explains.
+    pub(crate) fn each_residual(&self, model: &Model, mut each: impl FnMut(usize, usize, &Scratch)) {
+        let evaluator = model.evaluator();
+        let mut scratch = Scratch::default();
+        for group in &self.groups {
+            for (k, index) in (group.start..group.end).enumerate() {
+                scratch.y[k] = evaluator.correct(&self.z[index]);
+            }
+            self.residual(group, &mut scratch);
+            if group.kind != Kind::Pole {
+                scratch.pose.fill(0.0);
+            }
+            each(group.start, group.end - group.start, &scratch);
+        }
+    }
+
+    fn residual(&self, group: &Group, scratch: &mut Scratch) {
+        let whiteners = &self.whiteners[group.start..group.end];
+        match group.kind {
+            Kind::Known(place) => {
+                let difference = scratch.y[0] - place;
+                let weight = huber_weight((whiteners[0] * difference).norm());
+                scratch.difference[0] = difference;
+                scratch.loss = huber_loss((whiteners[0] * difference).norm());
+                scratch.whitener[0] = whiteners[0] * weight.sqrt();
+                let residual = scratch.whitener[0] * difference;
+                scratch.residual.fixed_rows_mut::<3>(0).copy_from(&residual);
+            }
+            Kind::Pole => scratch.fit_pole(whiteners, &self.offsets[group.start..group.end]),
+        }
+    }
+}
+
+/// Rotates and scales three columns by a symmetric 3x3 matrix.
+fn whiten_columns(rows: &mut DMatrix<f64>, column: usize, whitener: &Matrix3<f64>) {
+    for parameter in 0..rows.nrows() {
+        let v = Vector3::new(
+            rows[(parameter, column)],
+            rows[(parameter, column + 1)],
+            rows[(parameter, column + 2)],
+        );
+        let v = whitener * v;
+        for axis in 0..3 {
+            rows[(parameter, column + axis)] = v[axis];
+        }
+    }
+}
+
+/// Takes out of `count` columns from `start` on what the pose of the pole can explain.
+fn project(rows: &mut DMatrix<f64>, start: usize, count: usize, pose: &PoseBasis) {
+    for basis in 0..5 {
+        let q = pose.column(basis);
+        for parameter in 0..rows.nrows() {
+            let mut dot = 0.0;
+            for k in 0..count {
+                dot += rows[(parameter, start + k)] * q[k];
+            }
+            for k in 0..count {
+                rows[(parameter, start + k)] -= dot * q[k];
+            }
+        }
+    }
+}
+
+fn flush(normal: &mut Normal, rows: &DMatrix<f64>, residuals: &DVector<f64>, filled: usize) {
+    if filled == 0 || rows.nrows() == 0 {
+        return;
+    }
+    let rows = rows.columns(0, filled);
+    normal.matrix.gemm(1.0, &rows, &rows.transpose(), 1.0);
+    normal.gradient.gemv(1.0, &rows, &residuals.rows(0, filled), 1.0);
+}
+
+fn huber_weight(size: f64) -> f64 {
+    if size > HUBER { HUBER / size } else { 1.0 }
+}
+
+fn huber_loss(size: f64) -> f64 {
+    if size > HUBER { HUBER * (2.0 * size - HUBER) } else { size * size }
+}
+
+type PoseBasis = SMatrix<f64, { 3 * MAX_SENSORS }, 5>;
+
+/// Working space for one group.
+#[derive(Clone, Debug)]
+pub(crate) struct Scratch {
+    pub(crate) y: [Vector3<f64>; MAX_SENSORS],
+    /// Reading minus pole, m.
+    difference: [Vector3<f64>; MAX_SENSORS],
+    /// Whiteners with the robust weights in them.
+    pub(crate) whitener: [Matrix3<f64>; MAX_SENSORS],
+    /// Whitened residual, three numbers per sensor.
+    pub(crate) residual: SVector<f64, { 3 * MAX_SENSORS }>,
+    /// Orthonormal basis of what the pose of the pole can explain, whitened.
+    pub(crate) pose: PoseBasis,
+    loss: f64,
+}
+
+impl Default for Scratch {
+    fn default() -> Self {
+        Self {
+            y: [Vector3::zeros(); MAX_SENSORS],
+            difference: [Vector3::zeros(); MAX_SENSORS],
+            whitener: [Matrix3::identity(); MAX_SENSORS],
+            residual: SVector::zeros(),
+            pose: SMatrix::zeros(),
+            loss: 0.0,
+        }
+    }
+}
+
+impl Scratch {
+    /// Fits place and direction of the pole to the corrected readings, robustly, by Gauss-Newton.
+    fn fit_pole(&mut self, whiteners: &[Matrix3<f64>], offsets: &[f64]) {
+        let count = offsets.len();
+        let (mut middle, mut along) = line(&self.y[..count], offsets);
+        for round in 0..4 {
+            let side = side_basis(&along);
+            self.loss = 0.0;
+            for k in 0..count {
+                self.difference[k] = self.y[k] - middle - along * offsets[k];
+                let size = (whiteners[k] * self.difference[k]).norm();
+                self.loss += huber_loss(size);
+                self.whitener[k] = whiteners[k] * huber_weight(size).sqrt();
+                let w = &self.whitener[k];
+                self.residual.fixed_rows_mut::<3>(3 * k).copy_from(&(w * self.difference[k]));
+                self.pose.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(w);
+                self.pose.fixed_view_mut::<3, 2>(3 * k, 3).copy_from(&(w * side * offsets[k]));
+            }
+            let used = 3 * count;
+            let step = orthonormalise(&mut self.pose, used, &self.residual);
+            let Some(step) = step else { return };
+            if round == 3 {
+                // What is left after the last step is the residual.
+                for basis in 0..5 {
+                    let dot: f64 = (0..used).map(|k| self.pose[(k, basis)] * self.residual[k]).sum();
+                    for k in 0..used {
+                        self.residual[k] -= dot * self.pose[(k, basis)];
+                    }
+                }
+                return;
+            }
+            middle += step.fixed_rows::<3>(0);
+            along += side * step.fixed_rows::<2>(3);
+            along /= along.norm();
+        }
+    }
+
+    fn tally(&self, count: usize, group: &Group, normal: &mut Normal) {
+        normal.cost += self.loss;
+        normal.freedoms += 3.0 * count as f64 - if group.kind == Kind::Pole { 5.0 } else { 0.0 };
+        normal.square_m2 += self.difference[..count].iter().map(Vector3::norm_squared).sum::<f64>();
+        normal.readings += count as f64;
+    }
+}
+
+/// Middle and direction of a row of points, unweighted.
+pub(crate) fn line(points: &[Vector3<f64>], offsets: &[f64]) -> (Vector3<f64>, Vector3<f64>) {
+    let count = points.len() as f64;
+    let mean = points.iter().sum::<Vector3<f64>>() / count;
+    let mean_offset = offsets.iter().sum::<f64>() / count;
+    let mut along = Vector3::zeros();
+    for (point, offset) in points.iter().zip(offsets) {
+        along += (point - mean) * (offset - mean_offset);
+    }
+    let along = along.try_normalize(1e-12).unwrap_or_else(Vector3::x);
+    (mean - along * mean_offset, along)
+}
+
+/// Two unit vectors across `along`.
+pub(crate) fn side_basis(along: &Vector3<f64>) -> SMatrix<f64, 3, 2> {
+    let helper = if along.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
+    let first = along.cross(&helper).normalize();
+    SMatrix::<f64, 3, 2>::from_columns(&[first, along.cross(&first)])
+}
+
+/// Gram-Schmidt in place; returns the least-squares solution of `pose x = residual`, or `None` if it has none.
+fn orthonormalise(
+    pose: &mut PoseBasis,
+    used: usize,
+    residual: &SVector<f64, { 3 * MAX_SENSORS }>,
+) -> Option<SVector<f64, 5>> {
+    let mut triangle = SMatrix::<f64, 5, 5>::zeros();
+    let mut projected = SVector::<f64, 5>::zeros();
+    for column in 0..5 {
+        for earlier in 0..column {
+            let dot: f64 = (0..used).map(|k| pose[(k, column)] * pose[(k, earlier)]).sum();
+            triangle[(earlier, column)] = dot;
+            for k in 0..used {
+                pose[(k, column)] -= dot * pose[(k, earlier)];
+            }
+        }
+        let norm = (0..used).map(|k| pose[(k, column)] * pose[(k, column)]).sum::<f64>().sqrt();
+        if !norm.is_normal() {
+            return None;
+        }
+        triangle[(column, column)] = norm;
+        for k in 0..used {
+            pose[(k, column)] /= norm;
+        }
+        projected[column] = (0..used).map(|k| pose[(k, column)] * residual[k]).sum();
+    }
+    triangle.solve_upper_triangular(&projected)
+}

@@ -1,0 +1,70 @@
+//! What a calibration says of itself: accepted or not and why, and the three figures.
+
+use serde::{Deserialize, Serialize};
+
+/// Why a calibration is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Code {
+    /// The pole was not everywhere.
+    Coverage,
+    /// It was not held in all directions.
+    Excitation,
+    /// The map does not make held-out readings clearly better.
+    Improvement,
+    /// The stated spacing contradicts the anchors.
+    Spacing,
+}
+
+/// A reason and what to do about it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Reason {
+    /// For programs.
+    pub code: Code,
+    /// For the operator.
+    pub text: String,
+}
+
+/// A candidate for the map and what held-out blocks said of it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Tried {
+    /// What it is made of.
+    pub what: String,
+    /// Number of its parameters.
+    pub parameters: usize,
+    /// Loss per number on held-out blocks, in units of the noise; below 1 nothing but noise is left.
+    pub score: f64,
+    /// Rms of the held-out residuals, 3-D, m.
+    pub heldout_m: f64,
+}
+
+/// The summary of a calibration.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Whether the map may be used.
+    pub accepted: bool,
+    /// Why not; empty when accepted.
+    pub reasons: Vec<Reason>,
+    /// What the operator should know all the same.
+    pub warnings: Vec<String>,
+    /// Rms distance of corrected readings from their fitted pole, m.
+    pub residual_m: f64,
+    /// The same on blocks that were held out, m.
+    pub heldout_m: f64,
+    /// The same without correction, m.
+    pub raw_m: f64,
+    /// What noise alone would leave, m.
+    pub noise_m: f64,
+    /// Rms distance of corrected readings on the anchors from the surveyed points, m; absent without three anchors.
+    pub anchors_m: Option<f64>,
+    /// What the map is made of.
+    pub model: String,
+    /// Readings used and taken out.
+    pub readings: usize,
+    /// Readings taken out as outliers.
+    pub rejected: usize,
+    /// Share of the 20 cm cells inside the hull that the pole came near.
+    pub covered: f64,
+    /// Candidates in the order in which they were tried.
+    pub tried: Vec<Tried>,
+}

@@ -1,0 +1,147 @@
+//! The field, calibrated in simulated scenes whose truth is known, and through the commands.
+
+#[path = "../../benches/field/scenes.rs"]
+#[allow(dead_code, reason = "the bench uses the rest")]
+mod scenes;
+
+use nalgebra::Vector3;
+use posed::field::{Anchor, Code, PoleReading, PoleRun, RejectReason, rigid, solve};
+use scenes::{Run, SENSORS, SPACING_M, scenes};
+
+use crate::cli::{json, posed};
+
+/// The first `frames` instants of a scene's recording.
+fn pole(run: &Run, frames: usize, spacing_m: f64) -> PoleRun {
+    let rows = run.frames.iter().zip(&run.t_s).take(frames).flat_map(|(frame, t_s)| {
+        frame.iter().enumerate().map(move |(sensor, sample)| {
+            (*t_s, sensor, PoleReading { position_m: sample.z, orientation: Some(sample.q) })
+        })
+    });
+    PoleRun::new((0..SENSORS).map(|k| k.to_string()).collect(), spacing_m, rows).unwrap()
+}
+
+fn scene(name: &str) -> scenes::Scene {
+    scenes().into_iter().find(|scene| scene.name == name).unwrap()
+}
+
+#[test]
+fn given_a_steel_floor_the_map_is_right_to_a_fraction_of_a_millimetre() {
+    let run = scene("floor, low transmitter").run(7);
+    let solution = solve(pole(&run, 900, SPACING_M), &[], &mut |_| {});
+    let map = solution.map.unwrap();
+    assert!(map.report.accepted, "{:?}", map.report);
+    let corrector = map.corrector();
+    let square =
+        |of: &dyn Fn(&scenes::Sample) -> f64| run.tests.iter().map(of).sum::<f64>() / run.tests.len() as f64;
+    let raw_m = square(&|s| (s.z - s.p).norm_squared()).sqrt();
+    let error_m = square(&|s| (corrector.position(&s.z) - s.p).norm_squared()).sqrt();
+    assert!(raw_m > 0.02 && error_m < 5e-4, "{raw_m} {error_m}");
+    let raw = square(&|s| s.q.angle_to(&s.truth).powi(2)).sqrt();
+    let error = square(&|s| corrector.orientation(&s.z, &s.q).angle_to(&s.truth).powi(2)).sqrt();
+    assert!(error < 0.1 * raw, "{raw} {error}");
+    let covered = run.noisy.iter().filter(|s| {
+        let corrected = corrector.correct(&s.z);
+        (corrected.position_m - s.p).norm() < 2.0 * corrected.sigma_m
+    });
+    let share = covered.count() as f64 / run.noisy.len() as f64;
+    assert!((0.9..0.998).contains(&share), "{share}");
+    assert!(corrector.correct(&Vector3::new(1.5, 3.5, 0.5)).extrapolated);
+}
+
+#[test]
+fn given_a_pure_scale_error_a_polynomial_of_degree_one_is_enough() {
+    let run = scene("scale 1.02").run(3);
+    let map = solve(pole(&run, 900, SPACING_M), &[], &mut |_| {}).map.unwrap();
+    assert_eq!(map.report.model, "degree 1");
+    let corrector = map.corrector();
+    let inside = run.tests.iter().filter(|s| !corrector.correct(&s.z).extrapolated);
+    let pairs: Vec<_> = inside.map(|s| (corrector.position(&s.z), s.p)).collect();
+    assert!(pairs.len() > 1000);
+    let motion = rigid(&pairs);
+    let square: f64 =
+        pairs.iter().map(|(a, b)| (motion.rotation * a + motion.translation.vector - b).norm_squared()).sum();
+    assert!((square / pairs.len() as f64).sqrt() < 2e-4);
+    // A spacing that is a millimetre off makes a map that is as smooth: only anchors can tell.
+    let wrong = pole(&run, 900, SPACING_M + 0.001);
+    let anchors: Vec<Anchor> = [30, 300, 600, 850]
+        .into_iter()
+        .map(|k| Anchor {
+            name: k.to_string(),
+            sensor: 2,
+            t_s: [run.t_s[k], run.t_s[k]],
+            position_m: run.frames[k][2].p,
+        })
+        .collect();
+    let solution = solve(wrong, &anchors, &mut |_| {});
+    assert!(
+        solution.report.reasons.iter().any(|reason| reason.code == Code::Spacing),
+        "{:?}",
+        solution.report
+    );
+}
+
+#[test]
+fn given_a_range_limit_stuck_readings_are_found_and_good_ones_are_kept() {
+    let run = scene("range limit with dropouts").run(2);
+    let solution = solve(pole(&run, 900, SPACING_M), &[], &mut |_| {});
+    let is_stuck = |t_s: f64, sensor: usize| run.frames[(t_s * 30.0).round() as usize][sensor].stuck;
+    let stuck = run.frames[..900].iter().flatten().filter(|s| s.stuck).count();
+    let good = 900 * SENSORS - stuck;
+    let found = solution.rejected.iter().filter(|r| is_stuck(r.t_s, r.sensor)).count();
+    let lost = solution.rejected.len() - found;
+    assert!(stuck > 500 && found as f64 > 0.95 * stuck as f64, "{found} of {stuck}");
+    assert!((lost as f64) < 0.01 * good as f64, "{lost} of {good}");
+    assert!(solution.rejected.iter().any(|r| r.reason == RejectReason::Stuck));
+}
+
+#[test]
+fn given_a_pole_that_is_held_one_way_the_map_is_refused() {
+    let rows =
+        (0..600).flat_map(|frame| (0..SENSORS).map(move |sensor| (frame, sensor))).map(|(frame, sensor)| {
+            let t = f64::from(frame) / 30.0;
+            let middle =
+                Vector3::new(1.3 + 0.3 * t.sin(), 0.4 * (0.7 * t).cos(), 0.6 + 0.2 * (1.3 * t).sin());
+            let p = middle + Vector3::x() * (0.1 * (sensor as f64 - 2.5));
+            (t, sensor, PoleReading { position_m: p * 1.03, orientation: None })
+        });
+    let run = PoleRun::new((0..SENSORS).map(|k| k.to_string()).collect(), 0.1, rows).unwrap();
+    let solution = solve(run, &[], &mut |_| {});
+    assert!(!solution.report.accepted);
+    assert!(solution.report.reasons.iter().any(|reason| reason.code == Code::Excitation));
+}
+
+#[test]
+fn given_the_commands_a_file_is_solved_corrected_and_drawn() {
+    use std::fmt::Write;
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let run = scene("floor, low transmitter").run(1);
+    let mut csv = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");
+    for (frame, t) in run.frames.iter().zip(&run.t_s).take(700) {
+        for (k, s) in frame.iter().enumerate() {
+            let q = s.q.quaternion();
+            writeln!(csv, "{t},bird-{k},{},{},{},{},{},{},{}", s.z.x, s.z.y, s.z.z, q.w, q.i, q.j, q.k)
+                .unwrap();
+        }
+    }
+    std::fs::write(path("pole.csv"), &csv).unwrap();
+    let args =
+        ["field", "solve", &path("pole.csv"), "--spacing-m", "0.3", "-o", &path("field.json"), "--json"];
+    let solved = posed(args);
+    assert_eq!(solved.status.code(), Some(0), "{}", String::from_utf8_lossy(&solved.stderr));
+    assert_eq!(json(&solved)["accepted"], true);
+    let corrected =
+        posed(["field", "correct", &path("field.json"), &path("pole.csv"), "-o", &path("out.csv"), "--json"]);
+    assert_eq!(json(&corrected)["rows"], 700 * 6);
+    let out = std::fs::read_to_string(path("out.csv")).unwrap();
+    assert!(out.starts_with("t,sensor,x,y,z,qw,qx,qy,qz,sigma_m,extrapolated\n"));
+    assert_eq!(out.lines().count(), 700 * 6 + 1);
+    assert_eq!(
+        posed(["field", "show", &path("field.json"), "-o", &path("field.svg")]).status.code(),
+        Some(0)
+    );
+    assert!(std::fs::read_to_string(path("field.svg")).unwrap().starts_with("<svg"));
+    // A file of another kind is named, not believed.
+    std::fs::write(path("other.json"), "{}").unwrap();
+    assert_eq!(posed(["field", "show", &path("other.json"), "-o", &path("x.svg")]).status.code(), Some(1));
+}
