@@ -1,7 +1,7 @@
 //! Exercises: taught from a few repetitions, counted live, with a word on what was off.
 //!
 //! What comes in: streams of named channels (joint angles, a watch's raw signals, poses) and taught exercises. What
-//! goes out: exercises from [`teach`]; from a [`Counter`] events: a repetition started, is provisional, was
+//! goes out: exercises from [`teach()`]; from a [`Counter`] events: a repetition started, is provisional, was
 //! counted, rejected or withdrawn, with [`Feedback`]. What it never does: count before the movement began, take a count
 //! back, or learn from an example in which it does not see what was announced.
 //!
