@@ -192,7 +192,7 @@ fn weights(t: f32) -> [f32; 4] {
 }
 
 /// Coefficients whose spline runs through the values: along each axis the tridiagonal system
-/// (c[i-1] + 4 c[i] + c[i+1]) / 6 = v[i], with free ends.
+/// `(c[i-1] + 4 c[i] + c[i+1]) / 6 = v[i]`, with free ends.
 fn coefficients(shape: &Shape, values: &[[f32; 4]]) -> Vec<[f32; 4]> {
     let mut data: Vec<[f64; 4]> = values.iter().map(|value| value.map(f64::from)).collect();
     let [nx, ny, nz] = shape.counts;

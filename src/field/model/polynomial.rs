@@ -21,7 +21,7 @@ pub struct Polynomial {
     pub center_m: [f64; 3],
     /// Half the extent of the data, m.
     pub scale_m: f64,
-    /// One vector per monomial, m (rad for rotations); the order is that of [`monomials`].
+    /// One vector per monomial, m (rad for rotations); the order is that of `monomials`.
     pub coefficients: Vec<[f64; 3]>,
 }
 
