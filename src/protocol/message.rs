@@ -355,8 +355,8 @@ pub struct Job {
     pub kind: String,
     /// How it stands.
     pub state: JobState,
-    /// 0 to 1.
-    pub progress: f64,
+    /// 0 to 1; null where it has no known end, as a recording.
+    pub progress: Option<f64>,
     /// Expected time to its end, s; null where unknown.
     pub remaining_s: Option<f64>,
     /// Outcome or reason of failure, in one sentence.
