@@ -5,6 +5,7 @@
 use posed_drivers::{LineEvent, Timestamp};
 use serde::{Deserialize, Serialize};
 
+use crate::field::Prepared;
 use crate::geometry;
 
 /// Index of a device in the stage file's `[[device]]` list.
@@ -44,8 +45,27 @@ pub enum Input {
     Timer,
     /// A model is swapped in, in full.
     Model(Model),
+    /// A request about the guided calibration of the field.
+    Field(FieldRequest),
     /// Ground truth from a simulator, passed through to the `truth` topic.
     Truth(Truth),
+}
+
+/// What the operator asks of a guided calibration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FieldRequest {
+    /// Begins to collect what a pole's sensors read; what was collected before is forgotten.
+    Start {
+        /// The sensors in their order along the pole.
+        sensors: Vec<SensorIndex>,
+        /// Measured distance between neighbours, m.
+        spacing_m: f64,
+    },
+    /// Ends it: the recording goes to the solver.
+    Finish,
+    /// Ends it: what was collected is forgotten.
+    Cancel,
 }
 
 /// A model that can be swapped in between two frames.
@@ -70,6 +90,14 @@ pub enum Model {
         /// Rotation standard deviation at `r0_m`, rad (grows with r^3).
         sigma_rotation_rad: f64,
     },
+    /// Where metal bends the field: what a file of `posed field solve` holds.
+    Field {
+        /// Number of the map on its stage, from 1; 0 is none.
+        version: u32,
+        /// The map; null takes the present one away.
+        #[schemars(with = "Option<serde_json::Map<String, serde_json::Value>>")]
+        map: Option<Prepared>,
+    },
 }
 
 impl Model {
@@ -78,6 +106,7 @@ impl Model {
         match (self, newer) {
             (Self::Transmitter { .. }, Self::Transmitter { .. }) => true,
             (Self::TrackerNoise { device, .. }, Self::TrackerNoise { device: of, .. }) => device == of,
+            (Self::Field { .. }, Self::Field { .. }) => true,
             _ => false,
         }
     }
@@ -104,6 +133,11 @@ impl Model {
                 ];
                 if let Some((key, value)) = numbers.into_iter().find(|(_, v)| !(v.is_finite() && **v > 0.0)) {
                     return Err(format!("{key}: give a positive number, not {value}"));
+                }
+            }
+            Self::Field { map, .. } => {
+                if let Some(map) = map {
+                    map.map().check().map_err(|reason| format!("map: {reason}"))?;
                 }
             }
         }

@@ -3,6 +3,7 @@
 use posed_drivers::{State, Timestamp};
 use serde::{Deserialize, Serialize};
 
+use crate::field::{PoleRun, Progress, Warning};
 use crate::input::{DeviceIndex, Model, SensorIndex, Truth};
 
 /// One output of `Pipeline::push`; borrowed, valid during the call.
@@ -40,6 +41,8 @@ pub enum Output<'a> {
         /// The sentence.
         text: &'a str,
     },
+    /// A guided calibration has ended: what its pole was seen to do, empty if none was under way.
+    PoleRun(&'a PoleRun),
     /// Ground truth, passed through.
     Truth(&'a Truth),
 }
@@ -148,6 +151,17 @@ pub enum OutcomeKind {
     },
     /// A model was swapped in.
     ModelSwapped(Model),
+    /// The field is disturbed, or has drifted, or a guided calibration goes on.
+    Field(FieldNews),
+}
+
+/// What there is to say of the field.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum FieldNews {
+    /// A disturbance began or ended, or the field has drifted.
+    Warning(Warning),
+    /// How far a guided calibration is.
+    Progress(Progress),
 }
 
 /// Why a sensor's pose is not simply good.

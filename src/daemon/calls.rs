@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use tokio::sync::{mpsc, watch};
 
+use super::calibration::Calibration;
 use super::clock::StageClock;
 use super::fusion::{Command, FusionInbox};
 use super::inbox::Event;
@@ -27,6 +28,7 @@ pub(super) struct Calls {
     clock: StageClock,
     inbox: FusionInbox,
     jobs: Jobs,
+    calibration: Calibration,
 }
 
 impl Calls {
@@ -36,9 +38,10 @@ impl Calls {
         clock: StageClock,
         inbox: FusionInbox,
         jobs: Jobs,
+        calibration: Calibration,
     ) -> Self {
         let recordings = stage.recording.folder.clone().unwrap_or_else(|| folder.join("recordings"));
-        Self { stage: stage.clone(), recordings, clock, inbox, jobs }
+        Self { stage: stage.clone(), recordings, clock, inbox, jobs, calibration }
     }
 
     /// Until shutdown.
@@ -80,6 +83,10 @@ impl Calls {
                 "live",
                 "this daemon tracks a live stage; open a recording with `posed replay FILE`, which serves it to clients",
             ),
+            Call::FieldStart { sensors, spacing_m } => self.calibration.start(&sensors, spacing_m, reply),
+            Call::FieldFinish { anchors } => self.calibration.finish(anchors, reply),
+            Call::FieldAccept {} => answer(reply, self.calibration.accept()),
+            Call::FieldRollback {} => answer(reply, self.calibration.rollback()),
             Call::JobCancel { job } => match self.jobs.cancel(job) {
                 Ok(()) => {
                     self.inbox.push(Event::Command(Command::LookAtJobs));
@@ -133,6 +140,14 @@ impl Calls {
             return Err(format!("device: this stage has no device {device:?}"));
         }
         Ok(())
+    }
+}
+
+/// Says which version of the field's map is in use now, or why none.
+fn answer(reply: Reply, version: Result<u32, String>) {
+    match version {
+        Ok(version) => reply.ok(Some(serde_json::json!({ "version": version }))),
+        Err(sentence) => reply.error("failed", sentence),
     }
 }
 

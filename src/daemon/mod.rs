@@ -8,6 +8,7 @@
 //! Ports push what they read into one [`inbox`]; the [`fusion`] thread takes it from there, records it, pushes it
 //! through the pipeline and hands the outputs on. What clients ask for is carried out by [`calls`].
 
+mod calibration;
 pub mod calls;
 pub mod clock;
 pub mod fusion;
@@ -31,6 +32,7 @@ use tokio::sync::{mpsc, watch};
 
 pub use self::playback::{Playback, PlaybackError};
 
+use self::calibration::Calibration;
 use self::calls::Calls;
 use self::clock::StageClock;
 use self::fusion::{Command, Fusion, FusionInbox, INBOX_CAPACITY};
@@ -93,6 +95,9 @@ pub enum StartError {
     /// The recording asked for.
     #[error("{0}")]
     Record(String),
+    /// A model that the stage begins with.
+    #[error("{0}")]
+    Model(String),
     /// A thread could not be made.
     #[error("the system gives no thread: {0}")]
     Thread(std::io::Error),
@@ -149,6 +154,8 @@ impl Daemon {
             let device = device as u16;
             ports.push(Some(PortTask { device, clock, inbox, commands: receiver, shutdown }));
         }
+        let calibration = Calibration::new(&stage, &folder, clock, inbox.clone(), jobs.clone());
+        calibration.begin().map_err(StartError::Model)?;
         let mut fusion = Fusion {
             clock,
             inbox: inbox.clone(),
@@ -156,6 +163,7 @@ impl Daemon {
             publisher: Publisher::new(&stage, Fields::all()),
             hub,
             jobs: jobs.clone(),
+            calibration: calibration.clone(),
             ports: commands,
             health: Health::new(&stage),
             status: status_sender,
@@ -174,7 +182,7 @@ impl Daemon {
             .spawn(move || fusion.run())
             .map_err(StartError::Thread)?;
 
-        let calls = Calls::new(&stage, folder, clock, inbox.clone(), jobs);
+        let calls = Calls::new(&stage, folder, clock, inbox.clone(), jobs, calibration);
         service.spawn(calls.run(pending, service.down()));
         Ok(Self { clock, service, inbox, status, ports, fusion })
     }

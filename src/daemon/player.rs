@@ -191,7 +191,13 @@ impl Player {
                 self.playing.set_speed(speed, self.clock.now());
                 Ok(None)
             }
-            Call::RecordStart { .. } | Call::RecordStop {} | Call::ModelLoad { .. } => Err((
+            Call::RecordStart { .. }
+            | Call::RecordStop {}
+            | Call::ModelLoad { .. }
+            | Call::FieldStart { .. }
+            | Call::FieldFinish { .. }
+            | Call::FieldAccept {}
+            | Call::FieldRollback {} => Err((
                 "replay",
                 "this daemon replays a recording; recording and models belong to a live stage".into(),
             )),

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::problem::{MAX_SENSORS, line};
 
 /// One sensor at one time, as measured.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoleReading {
     /// Position in the transmitter frame, m.
     pub position_m: Vector3<f64>,
@@ -19,7 +19,7 @@ pub struct PoleReading {
 }
 
 /// All sensors at one time.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoleFrame {
     /// Time, s.
     pub t_s: f64,
@@ -28,7 +28,7 @@ pub struct PoleFrame {
 }
 
 /// A recording of the pole.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoleRun {
     /// Names of the sensors in the order along the pole.
     pub sensors: Vec<String>,
@@ -128,7 +128,10 @@ impl PoleRun {
     }
 
     /// Asks each frame where along its own main direction each sensor stands, and compares the medians.
-    fn check_order(&self) -> Result<(), PoleError> {
+    ///
+    /// # Errors
+    /// Another order, or no instant that could say it.
+    pub fn check_order(&self) -> Result<(), PoleError> {
         let count = self.sensors.len();
         let mut places: Vec<Vec<f64>> = vec![Vec::new(); count];
         for frame in &self.frames {

@@ -5,6 +5,7 @@
 //! input, then all outputs are drained; the same entries give the same outputs, and a pipeline restored from
 //! a snapshot goes on as if nothing had happened.
 
+mod field;
 mod sensor;
 mod session;
 mod status;
@@ -21,6 +22,7 @@ use crate::input::{DeviceIndex, Entry, Input, Model, SensorIndex};
 use crate::noise::TrackerNoise;
 use crate::output::{Estimate, Measured, Outcome, OutcomeKind, Output, SensorEstimate};
 use crate::stage::Stage;
+use field::Field;
 use sensor::Sensor;
 use session::DeviceSession;
 pub use status::{ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
@@ -82,6 +84,7 @@ pub struct Pipeline {
     sensors: Vec<Sensor>,
     frames: Assembler,
     room_transmitter: Isometry3<f64>,
+    field: Field,
     estimate: Estimate,
     models_refused: u64,
 }
@@ -122,6 +125,7 @@ impl Pipeline {
                 .collect(),
             frames: Assembler::new(stage.devices.len(), &owners, stage.frame_rate_hz, wait),
             room_transmitter,
+            field: Field::new(stage),
             estimate: Estimate {
                 sensors: vec![SensorEstimate::default(); stage.sensors.len()],
                 ..Estimate::default()
@@ -154,6 +158,10 @@ impl Pipeline {
                 }
             }
             Input::Model(model) => self.swap(model, say),
+            Input::Field(request) => {
+                let names: Vec<&str> = self.sensors.iter().map(Sensor::name).collect();
+                self.field.request(request, &names, say);
+            }
             Input::Truth(truth) => say(Output::Truth(truth)),
         }
         self.close_frames(say);
@@ -257,13 +265,14 @@ impl Pipeline {
     }
 
     fn close_frames(&mut self, say: &mut impl FnMut(Output<'_>)) {
-        let Self { frames, sensors, estimate, room_transmitter, now, .. } = self;
+        let Self { frames, sensors, estimate, room_transmitter, field, now, .. } = self;
         while let Some(frame) = frames.poll(*now) {
-            estimate_frame(frame, sensors, room_transmitter, estimate);
+            estimate_frame(frame, sensors, field, room_transmitter, estimate);
             say(Output::Estimate(estimate));
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, say);
             }
+            field.frame(estimate, sensors, room_transmitter, say);
         }
     }
 
@@ -304,12 +313,22 @@ impl Pipeline {
                 }
                 true
             }
+            Model::Field { map, .. } => {
+                self.field.swap(map.clone());
+                true
+            }
         }
     }
 }
 
 /// Checks, filters and publishes all sensors of a frame.
-fn estimate_frame(frame: &Frame, sensors: &mut [Sensor], room: &Isometry3<f64>, estimate: &mut Estimate) {
+fn estimate_frame(
+    frame: &Frame,
+    sensors: &mut [Sensor],
+    field: &Field,
+    room: &Isometry3<f64>,
+    estimate: &mut Estimate,
+) {
     estimate.frame = frame.number;
     estimate.t_valid = frame.t_valid;
     estimate.t_closed = frame.t_closed;
@@ -318,7 +337,7 @@ fn estimate_frame(frame: &Frame, sensors: &mut [Sensor], room: &Isometry3<f64>, 
     let moving = sensors.iter().filter(|sensor| sensor.is_moving()).count();
     for ((sensor, slot), out) in sensors.iter_mut().zip(&frame.sensors).zip(&mut estimate.sensors) {
         let others_move = moving > usize::from(sensor.is_moving());
-        *out = sensor.estimate(slot, frame, others_move, room);
+        *out = sensor.estimate(slot, frame, others_move, field, room);
     }
 }
 

@@ -46,6 +46,7 @@ impl<'a> Payload<'a> {
             Output::Transmit { .. }
             | Output::SetRts { .. }
             | Output::Device { .. }
+            | Output::PoleRun(_)
             | Output::Warning { .. } => None,
         }
     }
@@ -59,7 +60,7 @@ impl<'a> Payload<'a> {
             Self::Jobs(_) => Topic::Jobs,
             Self::Outcome(outcome) => match outcome.what {
                 OutcomeKind::Fault { .. } => Topic::Faults,
-                OutcomeKind::ModelSwapped(_) => Topic::Field,
+                OutcomeKind::ModelSwapped(_) | OutcomeKind::Field(_) => Topic::Field,
             },
         }
     }
@@ -84,7 +85,11 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
                     write(encoding, &fault, out);
                 }
                 OutcomeKind::ModelSwapped(model) => {
-                    let change = FieldChange::ModelSwapped { model: model.clone() };
+                    let change = FieldChange::swapped(model);
+                    write(encoding, &FieldEvent { t_s, event_id, t_valid_s, change }, out);
+                }
+                OutcomeKind::Field(news) => {
+                    let change = FieldChange::news(news, names);
                     write(encoding, &FieldEvent { t_s, event_id, t_valid_s, change }, out);
                 }
             }

@@ -9,6 +9,7 @@
 
 mod body;
 mod check;
+mod field;
 mod port;
 mod problem;
 mod rules;
@@ -23,6 +24,7 @@ use serde::{Deserialize, Serialize};
 
 pub use body::{Body, BodySegment, Calibration, JointKind, Mounting, SEGMENTS, Skeleton};
 pub use check::{Report, check, check_in, check_table};
+pub use field::{FieldWatch, Models};
 pub use port::{PortAddress, PortAddressError};
 pub use problem::{LoadError, Problem, Problems};
 
@@ -49,6 +51,11 @@ pub struct Stage {
     /// Sensors; everything published keeps their order.
     #[serde(default, rename = "sensor")]
     pub sensors: Vec<Sensor>,
+    /// What watches over the tracker's field; absent: nothing does.
+    pub field: Option<FieldWatch>,
+    /// Models to begin with.
+    #[serde(default)]
+    pub models: Models,
     /// The body that wears the sensors; absent: nobody does.
     pub body: Option<Body>,
     /// Websocket, page and metrics.
@@ -87,6 +94,9 @@ impl Stage {
         if let Some(tls) = &mut stage.server.tls {
             tls.certificate = folder.join(&tls.certificate);
             tls.key = folder.join(&tls.key);
+        }
+        if let Some(map) = &mut stage.models.field {
+            *map = folder.join(&*map);
         }
         let recordings = stage.recording.folder.get_or_insert_with(|| PathBuf::from("recordings"));
         *recordings = folder.join(&*recordings);

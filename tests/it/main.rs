@@ -10,6 +10,7 @@ mod acceptance;
 mod cli;
 mod daemon;
 mod field;
+mod field_live;
 mod inertial;
 mod keyframes;
 mod motion_commands;

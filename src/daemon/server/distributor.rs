@@ -10,8 +10,9 @@ use super::Limits;
 use super::hub::Item;
 use super::metrics::Metrics;
 use super::outbox::{Outbox, Outgoing};
+use crate::field::{Cause, Warning};
 use crate::input::{Model, SensorIndex};
-use crate::output::{FaultCause, OutcomeKind};
+use crate::output::{FaultCause, FieldNews, OutcomeKind};
 use crate::protocol::{
     Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload, Problem,
     RequestId, ServerMessage, Stamp, Topic, View, encode,
@@ -89,6 +90,10 @@ enum Key {
     Fault(SensorIndex, FaultCause),
     Transmitter,
     TrackerNoise(String),
+    FieldMap,
+    FieldProgress,
+    Disturbed(Cause, [usize; 2]),
+    Drifted,
 }
 
 impl Distributor {
@@ -375,6 +380,12 @@ impl Distributor {
             OutcomeKind::ModelSwapped(Model::TrackerNoise { device, .. }) => {
                 (Key::TrackerNoise(device.clone()), true)
             }
+            OutcomeKind::ModelSwapped(Model::Field { .. }) => (Key::FieldMap, true),
+            OutcomeKind::Field(FieldNews::Progress(_)) => (Key::FieldProgress, true),
+            OutcomeKind::Field(FieldNews::Warning(Warning::Disturbed { cause, sensors, active, .. })) => {
+                (Key::Disturbed(*cause, *sensors), *active)
+            }
+            OutcomeKind::Field(FieldNews::Warning(Warning::Drifted { .. })) => (Key::Drifted, true),
         };
         self.current.retain(|(other, _)| *other != key);
         if holds {

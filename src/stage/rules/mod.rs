@@ -6,6 +6,7 @@
 
 mod body;
 mod devices;
+mod field;
 mod server;
 
 use std::ops::Range;
@@ -27,6 +28,7 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
     if let (Some(recording), Some(folder)) = (root.item("recording"), folder) {
         server::recording_folder(&recording, folder, notes);
     }
+    field::check(&root, folder, notes);
     body::check(&root, notes);
 }
 
