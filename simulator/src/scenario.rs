@@ -1,11 +1,14 @@
 //! The `[simulation]` table of a stage file: its types and their check. `build` makes virtual devices of it.
 
 mod build;
+mod spec;
 #[cfg(test)]
 mod tests;
 
 use posed_drivers::flock::wire::Addressing;
 use serde::{Deserialize, Serialize};
+
+pub use spec::{DeviceSpec, SensorSpec, StageSpec};
 
 use crate::faults::Fault;
 use crate::motion::{FileError, Motion};
@@ -210,41 +213,6 @@ impl Default for DeviceScenario {
             faults: Vec::new(),
         }
     }
-}
-
-/// The parts of a stage file that the simulator needs, without the types of its reader.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct StageSpec {
-    /// Position (m) and quaternion (w, x, y, z) of the transmitter in the room; absent: the room's axes are the tracker's.
-    pub transmitter_in_room: Option<([f64; 3], [f64; 4])>,
-    /// Devices, in the stage's order.
-    pub devices: Vec<DeviceSpec>,
-    /// Sensors, in the stage's order.
-    pub sensors: Vec<SensorSpec>,
-}
-
-/// A device of the stage.
-#[derive(Clone, Debug, PartialEq)]
-pub struct DeviceSpec {
-    /// Its name.
-    pub name: String,
-    /// Its driver: `flock-of-birds`.
-    pub driver: String,
-    /// Line rate, bit/s.
-    pub baud: u32,
-    /// Constant delay from measurement to the record's first bit, ms.
-    pub measurement_delay_ms: f64,
-}
-
-/// A sensor of the stage.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SensorSpec {
-    /// Its name.
-    pub name: String,
-    /// Name of its device.
-    pub device: String,
-    /// Address on the device.
-    pub address: u16,
 }
 
 /// Why a scenario was refused.

@@ -10,7 +10,7 @@
 //!         name: "flock".into(),
 //!         driver: "flock-of-birds".into(),
 //!         baud: 115_200,
-//!         measurement_delay_ms: 0.0,
+//!         ..DeviceSpec::default()
 //!     }],
 //!     sensors: vec![SensorSpec { name: "wand".into(), device: "flock".into(), address: 0 }],
 //!     ..StageSpec::default()

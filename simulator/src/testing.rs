@@ -19,6 +19,7 @@ pub(crate) fn stage(addresses: &[u16], baud: u32) -> StageSpec {
             driver: "flock-of-birds".into(),
             baud,
             measurement_delay_ms: 2.0,
+            ..DeviceSpec::default()
         }],
         sensors: addresses.iter().map(sensor).collect(),
     }

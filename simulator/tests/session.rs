@@ -33,6 +33,7 @@ impl Pair {
                 driver: "flock-of-birds".into(),
                 baud: 115_200,
                 measurement_delay_ms: 1.0,
+                ..DeviceSpec::default()
             }],
             sensors: addresses.iter().map(sensor).collect(),
         };

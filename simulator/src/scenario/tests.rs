@@ -16,6 +16,7 @@ fn stage() -> StageSpec {
             driver: "flock-of-birds".into(),
             baud: 115_200,
             measurement_delay_ms: 0.0,
+            ..DeviceSpec::default()
         }],
         sensors: vec![sensor("upper_arm_r", 1), sensor("forearm_r", 2), sensor("wand", 3)],
     }
@@ -139,4 +140,29 @@ fn the_floor_lies_below_the_transmitter_whatever_its_axes() {
     let floor = tracker.environment.floor.unwrap();
     assert_eq!(floor.distance_m, 1.0);
     assert!((floor.normal.into_inner() - Vector3::new(0.0, 0.0, -1.0)).norm() < 1e-12, "z is down");
+}
+
+#[test]
+fn a_stage_file_gives_what_the_simulator_needs() {
+    let text = r#"
+        name = "any"
+        [transmitter]
+        pose_in_room = { position_m = [0, 0, 1], orientation_wxyz = [0, 1, 0, 0] }
+        [[device]]
+        name = "trackers"
+        driver = "slimevr"
+        port = "udp://0.0.0.0:6969"
+        trackers = ["A4:CF:12:D4:E5:F6"]
+        [[sensor]]
+        name = "wand"
+        device = "trackers"
+        address = 1
+        segment = "pelvis"
+    "#;
+    let spec = StageSpec::of(&toml::from_str::<toml::Table>(text).unwrap()).unwrap();
+    assert_eq!(spec.transmitter_in_room, Some(([0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0])));
+    assert_eq!(spec.devices[0].serials, ["A4:CF:12:D4:E5:F6"]);
+    assert_eq!((spec.devices[0].baud, spec.devices[0].measurement_delay_ms), (115_200, 0.0));
+    assert_eq!(spec.sensors, [SensorSpec { name: "wand".into(), device: "trackers".into(), address: 1 }]);
+    assert!(StageSpec::of(&"text").is_err());
 }
