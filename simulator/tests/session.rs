@@ -73,7 +73,7 @@ impl Pair {
                         self.plugged = true;
                         self.session.handle_line(event.t, &LineEvent::Opened { modem_lines: false });
                     }
-                    Output::Fault(_) => {}
+                    Output::Fault(_) | Output::Lost(_) => {}
                 }
                 self.listen(event.t);
             }

@@ -130,7 +130,7 @@ impl Rig {
                         let event = LineEvent::Opened { modem_lines: false };
                         self.push(Input::Line { device, event });
                     }
-                    Virtual::Fault(_) => {}
+                    Virtual::Fault(_) | Virtual::Lost(_) => {}
                 }
             }
             if self.pipeline.poll_timeout().is_some_and(|due| due <= next) {

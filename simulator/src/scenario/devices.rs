@@ -1,0 +1,160 @@
+//! From a scenario to a device of any kind and its link.
+
+use std::time::Duration;
+
+use super::{DeviceScenario, DeviceSpec, Personality, Scenario, ScenarioError, StageSpec, invalid};
+use crate::chassis::{Config, Powered};
+use crate::device::{Device, Sensor};
+use crate::flock::VirtualFlock;
+use crate::inertial::{FilterErrors, Imu, ImuErrors};
+use crate::line::{Line, LineConfig};
+use crate::network::Network;
+use crate::random::{Purpose, Random};
+use crate::stage::Link;
+use crate::xbus::{Tracker, Xbus};
+
+/// Rate of a link that is no serial line, bit/s.
+const NETWORK_BAUD: u32 = 100_000_000;
+/// A device and its link.
+type Built = (Box<dyn Device>, Link);
+
+/// What a device is built from.
+struct Parts<'a> {
+    scenario: &'a Scenario,
+    stage: &'a StageSpec,
+    index: usize,
+    spec: &'a DeviceSpec,
+    given: DeviceScenario,
+    /// Sensors by address.
+    sensors: Vec<(u16, Sensor)>,
+}
+
+impl Scenario {
+    /// The `index`-th device of the stage.
+    pub(crate) fn device(
+        &self,
+        stage: &StageSpec,
+        index: usize,
+        riders: &[Sensor],
+    ) -> Result<Built, ScenarioError> {
+        let spec = &stage.devices[index];
+        let given = self.devices.iter().find(|given| given.name == spec.name).cloned().unwrap_or_default();
+        let mut sensors: Vec<(u16, Sensor)> = Vec::new();
+        for (sensor, rider) in
+            stage.sensors.iter().zip(riders).filter(|(sensor, _)| sensor.device == spec.name)
+        {
+            if sensors.iter().any(|&(taken, _)| taken == sensor.address) {
+                let problem = format!("address {} is taken twice", sensor.address);
+                return Err(invalid(format!("device.{}", spec.name), problem));
+            }
+            sensors.push((sensor.address, rider.clone()));
+        }
+        sensors.sort_by_key(|&(address, _)| address);
+        let parts = Parts { scenario: self, stage, index, spec, given, sensors };
+        let device: Box<dyn Device> = match spec.driver.as_str() {
+            "flock-of-birds" => return self.virtual_flock(stage, index, riders),
+            "xbus" => Box::new(parts.xbus()?),
+            driver => {
+                return Err(parts.wrong(format!(
+                    "driver `{driver}` cannot be simulated, only flock-of-birds, xbus, x-imu3, slimevr, motionstar \
+                     and fastrak"
+                )));
+            }
+        };
+        Ok((device, parts.link()))
+    }
+
+    fn virtual_flock(
+        &self,
+        stage: &StageSpec,
+        index: usize,
+        riders: &[Sensor],
+    ) -> Result<Built, ScenarioError> {
+        let (flock, line) = self.flock(stage, index, riders)?;
+        let noise = flock.units.iter().map(|unit| {
+            let sensor = unit.sensor.as_ref().map_or(usize::MAX, |sensor| sensor.index);
+            Random::new(self.seed, Purpose::Signals(sensor & 0xFFFF_FFFF))
+        });
+        let noise = noise.collect();
+        let faults = flock.faults.clone();
+        let flock = VirtualFlock::new(flock, noise, Random::new(self.seed, Purpose::Device(index)));
+        let line = Line::new(line, faults, Random::new(self.seed, Purpose::Faults(index)));
+        Ok((Box::new(flock), Link::Line(line)))
+    }
+}
+
+impl Parts<'_> {
+    fn wrong(&self, problem: impl Into<String>) -> ScenarioError {
+        invalid(format!("device.{}", self.spec.name), problem)
+    }
+
+    fn is_on_network(&self) -> bool {
+        self.spec.port.starts_with("tcp://") || self.spec.port.starts_with("udp://")
+    }
+
+    fn baud(&self) -> u32 {
+        if self.is_on_network() { NETWORK_BAUD } else { self.spec.baud }
+    }
+
+    fn link(&self) -> Link {
+        let random = Random::new(self.scenario.seed, Purpose::Faults(self.index));
+        if self.spec.port.starts_with("udp://") {
+            return Link::Network(Network::new(&self.given.faults, random));
+        }
+        let config = LineConfig {
+            baud: self.baud(),
+            // A network delivers what was sent in one go at once.
+            fifo_bytes: if self.is_on_network() { usize::MAX } else { self.given.fifo_bytes.max(1) },
+            burst: Duration::from_secs_f64(self.given.burst_ms.max(0.0) * 1e-3),
+        };
+        Link::Line(Line::new(config, self.given.faults.clone(), random))
+    }
+
+    fn config(&self) -> Config {
+        let duration = |ms: f64| Duration::from_secs_f64(ms.max(0.0) * 1e-3);
+        Config {
+            device: self.index,
+            baud: self.baud(),
+            drift_ppm: self.given.drift_ppm,
+            boot: duration(self.given.boot_ms),
+            measurement_delay: duration(self.spec.measurement_delay_ms),
+            faults: self.given.faults.clone(),
+        }
+    }
+
+    fn random(&self) -> Random {
+        Random::new(self.scenario.seed, Purpose::Device(self.index))
+    }
+
+    /// The inertial sensor at an address, if the stage has one there.
+    fn imu(&self, address: u16, filter: impl FnOnce(FilterErrors) -> FilterErrors) -> Option<Imu> {
+        let (_, sensor) = self.sensors.iter().find(|&&(at, _)| at == address)?;
+        let errors = ImuErrors::of(self.given.imu);
+        let errors = ImuErrors { filter: filter(errors.filter), ..errors };
+        let name = &self.stage.sensors[sensor.index].name;
+        let random = Random::new(self.scenario.seed, Purpose::Signals(sensor.index));
+        Some(Imu::new(sensor.clone(), self.scenario.earth.felt_by(name), &errors, random))
+    }
+
+    fn xbus(&self) -> Result<Powered<Xbus>, ScenarioError> {
+        let highest = self.sensors.last().map_or(1, |&(address, _)| address);
+        let personality = match self.given.xbus {
+            Some(personality) => personality,
+            None if self.sensors.len() > 1 || highest > 1 => Personality::Chain,
+            None => Personality::Mti,
+        };
+        let is_chain = personality == Personality::Chain;
+        let lowest = self.sensors.first().map_or(1, |&(address, _)| address);
+        if is_chain && (lowest == 0 || highest > 20) {
+            return Err(self.wrong("trackers of a chain have the addresses 1 to 20"));
+        }
+        if !is_chain && self.sensors.len() > 1 {
+            return Err(self.wrong("a stand-alone tracker has one sensor, at address 1"));
+        }
+        let addresses = if is_chain { 1..=highest } else { lowest..=lowest };
+        let trackers =
+            addresses.map(|address| Tracker::new(self.index, address, self.imu(address, |errors| errors)));
+        let trackers = trackers.collect();
+        Ok(Powered::new(self.config(), self.random(), |chassis| Xbus::new(personality, trackers, chassis)))
+    }
+}
