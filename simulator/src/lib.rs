@@ -29,4 +29,5 @@ pub mod stage;
 #[cfg(test)]
 mod testing;
 pub mod truth;
+mod x_imu3;
 mod xbus;

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use posed_drivers::x_imu3::wire;
+
 use super::{DeviceScenario, DeviceSpec, Personality, Scenario, ScenarioError, StageSpec, invalid};
 use crate::chassis::{Config, Powered};
 use crate::device::{Device, Sensor};
@@ -11,6 +13,7 @@ use crate::line::{Line, LineConfig};
 use crate::network::Network;
 use crate::random::{Purpose, Random};
 use crate::stage::Link;
+use crate::x_imu3::{self, XImu3};
 use crate::xbus::{Tracker, Xbus};
 
 /// Rate of a link that is no serial line, bit/s.
@@ -54,6 +57,7 @@ impl Scenario {
         let device: Box<dyn Device> = match spec.driver.as_str() {
             "flock-of-birds" => return self.virtual_flock(stage, index, riders),
             "xbus" => Box::new(parts.xbus()?),
+            "x-imu3" => Box::new(parts.x_imu3()?),
             driver => {
                 return Err(parts.wrong(format!(
                     "driver `{driver}` cannot be simulated, only flock-of-birds, xbus, x-imu3, slimevr, motionstar \
@@ -156,5 +160,20 @@ impl Parts<'_> {
             addresses.map(|address| Tracker::new(self.index, address, self.imu(address, |errors| errors)));
         let trackers = trackers.collect();
         Ok(Powered::new(self.config(), self.random(), |chassis| Xbus::new(personality, trackers, chassis)))
+    }
+
+    fn x_imu3(&self) -> Result<Powered<XImu3>, ScenarioError> {
+        let alone = self.sensors.len() == 1;
+        if !self.sensors.iter().all(|&(address, _)| wire::is_address(address) && (alone || address != 0)) {
+            return Err(self.wrong("units have the address 0 (alone) or channel bytes other than 10 and 94"));
+        }
+        let imus = self.sensors.iter().filter_map(|&(address, _)| Some((address, self.imu(address, |e| e)?)));
+        let imus: Vec<(u16, Imu)> = imus.collect();
+        Ok(Powered::new(self.config(), self.random(), |chassis| {
+            let members =
+                imus.into_iter().map(|(address, imu)| x_imu3::Member::new(self.index, address, imu, chassis));
+            let members = members.collect();
+            XImu3::new(members, self.is_on_network())
+        }))
     }
 }
