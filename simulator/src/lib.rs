@@ -25,6 +25,7 @@ pub mod network;
 pub mod pty;
 mod random;
 pub mod scenario;
+mod slimevr;
 pub mod stage;
 #[cfg(test)]
 mod testing;

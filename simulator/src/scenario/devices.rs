@@ -1,5 +1,6 @@
 //! From a scenario to a device of any kind and its link.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use posed_drivers::x_imu3::wire;
@@ -12,6 +13,7 @@ use crate::inertial::{FilterErrors, Imu, ImuErrors};
 use crate::line::{Line, LineConfig};
 use crate::network::Network;
 use crate::random::{Purpose, Random};
+use crate::slimevr::{self, SlimeVr};
 use crate::stage::Link;
 use crate::x_imu3::{self, XImu3};
 use crate::xbus::{Tracker, Xbus};
@@ -58,6 +60,7 @@ impl Scenario {
             "flock-of-birds" => return self.virtual_flock(stage, index, riders),
             "xbus" => Box::new(parts.xbus()?),
             "x-imu3" => Box::new(parts.x_imu3()?),
+            "slimevr" => Box::new(parts.slimevr()?),
             driver => {
                 return Err(parts.wrong(format!(
                     "driver `{driver}` cannot be simulated, only flock-of-birds, xbus, x-imu3, slimevr, motionstar \
@@ -176,4 +179,45 @@ impl Parts<'_> {
             XImu3::new(members, self.is_on_network())
         }))
     }
+
+    fn slimevr(&self) -> Result<Powered<SlimeVr>, ScenarioError> {
+        if !self.spec.port.starts_with("udp://") {
+            return Err(self.wrong("SlimeVR trackers come over udp://HOST:PORT"));
+        }
+        let numbers: BTreeSet<u16> = self.sensors.iter().map(|&(address, _)| address & 0xFF).collect();
+        if !numbers.iter().all(|number| (1..=64).contains(number)) {
+            return Err(
+                self.wrong("the address of a sensor is 256 * sensor + tracker, trackers from 1 to 64")
+            );
+        }
+        let mut trackers = Vec::new();
+        for number in numbers {
+            let own = [0xA4, 0xCF, 0x12, 0xD4, self.index as u8, number as u8];
+            let mac = match self.spec.serials.get(usize::from(number) - 1) {
+                Some(text) => parse_mac(text).ok_or_else(|| {
+                    self.wrong(format!("`{text}` is no network address like A4:CF:12:D4:E5:F6"))
+                })?,
+                None => own,
+            };
+            let sensors = self.sensors.iter().filter(|&&(address, _)| address & 0xFF == number);
+            let sensors = sensors.filter_map(|&(address, _)| {
+                // No magnetometer is trusted: each heading is what it is.
+                let imu = self.imu(address, |errors| FilterErrors { any_heading: true, ..errors })?;
+                Some(((address >> 8) as u8, imu))
+            });
+            trackers.push((number, mac, sensors.collect()));
+        }
+        Ok(Powered::new(self.config(), self.random(), |chassis| {
+            let trackers = trackers
+                .into_iter()
+                .map(|(number, mac, sensors)| slimevr::Tracker::new(number, mac, sensors, chassis));
+            SlimeVr::new(trackers.collect())
+        }))
+    }
+}
+
+fn parse_mac(text: &str) -> Option<[u8; 6]> {
+    let bytes: Option<Vec<u8>> =
+        text.split([':', '-']).map(|part| u8::from_str_radix(part, 16).ok()).collect();
+    bytes?.try_into().ok()
 }
