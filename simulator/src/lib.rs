@@ -21,6 +21,7 @@ pub mod inertial;
 pub mod line;
 pub mod magnetic;
 pub mod motion;
+mod motionstar;
 pub mod network;
 pub mod pty;
 mod random;

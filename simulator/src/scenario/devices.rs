@@ -5,12 +5,15 @@ use std::time::Duration;
 
 use posed_drivers::x_imu3::wire;
 
+use super::build::transmitter_in_room;
 use super::{DeviceScenario, DeviceSpec, Personality, Scenario, ScenarioError, StageSpec, invalid};
 use crate::chassis::{Config, Powered};
 use crate::device::{Device, Sensor};
 use crate::flock::VirtualFlock;
 use crate::inertial::{FilterErrors, Imu, ImuErrors};
 use crate::line::{Line, LineConfig};
+use crate::magnetic::{Scene, Station};
+use crate::motionstar::{Bird, MotionStar};
 use crate::network::Network;
 use crate::random::{Purpose, Random};
 use crate::slimevr::{self, SlimeVr};
@@ -61,6 +64,7 @@ impl Scenario {
             "xbus" => Box::new(parts.xbus()?),
             "x-imu3" => Box::new(parts.x_imu3()?),
             "slimevr" => Box::new(parts.slimevr()?),
+            "motionstar" => Box::new(parts.motionstar()?),
             driver => {
                 return Err(parts.wrong(format!(
                     "driver `{driver}` cannot be simulated, only flock-of-birds, xbus, x-imu3, slimevr, motionstar \
@@ -212,6 +216,35 @@ impl Parts<'_> {
                 .into_iter()
                 .map(|(number, mac, sensors)| slimevr::Tracker::new(number, mac, sensors, chassis));
             SlimeVr::new(trackers.collect())
+        }))
+    }
+
+    /// The magnetic sensors of a device whose addresses end at `most`.
+    fn stations(&self, most: u16) -> Result<Vec<Station>, ScenarioError> {
+        if !self.sensors.iter().all(|&(address, _)| (1..=most).contains(&address)) {
+            return Err(self.wrong(format!("addresses are 1 to {most}")));
+        }
+        let station = |(address, sensor): &(u16, Sensor)| {
+            let random = Random::new(self.scenario.seed, Purpose::Signals(sensor.index));
+            Station::new(*address, sensor.clone(), random)
+        };
+        Ok(self.sensors.iter().map(station).collect())
+    }
+
+    fn scene(&self) -> Scene {
+        let transmitter_in_room = transmitter_in_room(self.stage);
+        Scene {
+            tracker: self.scenario.tracker(&transmitter_in_room, true),
+            transmitter_in_room,
+            disturbed_above_m: self.scenario.disturbed_above_mm * 1e-3,
+        }
+    }
+
+    fn motionstar(&self) -> Result<Powered<MotionStar>, ScenarioError> {
+        let birds = self.stations(126)?.into_iter().map(Bird::new).collect();
+        let rate_hz = self.given.rate_hz;
+        Ok(Powered::new(self.config(), self.random(), |chassis| {
+            MotionStar::new(birds, self.scene(), rate_hz, chassis)
         }))
     }
 }
