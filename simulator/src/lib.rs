@@ -13,6 +13,7 @@
 
 mod chassis;
 pub mod device;
+mod fastrak;
 pub mod faults;
 pub mod flock;
 pub mod gesture;

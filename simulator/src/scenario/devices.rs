@@ -9,6 +9,7 @@ use super::build::transmitter_in_room;
 use super::{DeviceScenario, DeviceSpec, Personality, Scenario, ScenarioError, StageSpec, invalid};
 use crate::chassis::{Config, Powered};
 use crate::device::{Device, Sensor};
+use crate::fastrak::{Fastrak, Stylus};
 use crate::flock::VirtualFlock;
 use crate::inertial::{FilterErrors, Imu, ImuErrors};
 use crate::line::{Line, LineConfig};
@@ -65,6 +66,7 @@ impl Scenario {
             "x-imu3" => Box::new(parts.x_imu3()?),
             "slimevr" => Box::new(parts.slimevr()?),
             "motionstar" => Box::new(parts.motionstar()?),
+            "fastrak" => Box::new(parts.fastrak()?),
             driver => {
                 return Err(parts.wrong(format!(
                     "driver `{driver}` cannot be simulated, only flock-of-birds, xbus, x-imu3, slimevr, motionstar \
@@ -245,6 +247,13 @@ impl Parts<'_> {
         let rate_hz = self.given.rate_hz;
         Ok(Powered::new(self.config(), self.random(), |chassis| {
             MotionStar::new(birds, self.scene(), rate_hz, chassis)
+        }))
+    }
+
+    fn fastrak(&self) -> Result<Powered<Fastrak>, ScenarioError> {
+        let stations = self.stations(4)?.into_iter().map(Stylus::new).collect();
+        Ok(Powered::new(self.config(), self.random(), |chassis| {
+            Fastrak::new(stations, self.scene(), chassis)
         }))
     }
 }

@@ -166,3 +166,28 @@ fn a_stage_file_gives_what_the_simulator_needs() {
     assert_eq!(spec.sensors, [SensorSpec { name: "wand".into(), device: "trackers".into(), address: 1 }]);
     assert!(StageSpec::of(&"text").is_err());
 }
+
+#[test]
+fn every_driver_can_be_simulated_and_wrong_addresses_are_named() {
+    let of = |driver: &str, port: &str, addresses: &[u16]| {
+        let spec = crate::testing::stage_of(driver, port, 115_200, addresses);
+        let built = crate::stage::VirtualStage::new(&spec, &Scenario::default(), ".".as_ref());
+        built.map(drop).map_err(|error| error.to_string())
+    };
+    for (driver, port, good, bad) in [
+        ("flock-of-birds", "a", &[1, 2][..], &[0, 1][..]),
+        ("xbus", "a", &[1, 2, 3], &[1, 21]),
+        ("x-imu3", "a", &[1, 300], &[0, 1]),
+        ("slimevr", "udp://x:6969", &[1, 0x102], &[0x100]),
+        ("motionstar", "tcp://x:6000", &[2, 3], &[0]),
+        ("fastrak", "a", &[1, 4], &[5]),
+    ] {
+        assert_eq!(of(driver, port, good), Ok(()), "{driver}");
+        let error = of(driver, port, bad).unwrap_err();
+        assert!(error.starts_with("simulation.device.device: "), "{driver} {error}");
+        let twice = of(driver, port, &[good[0], good[0]]).unwrap_err();
+        assert!(twice.contains("taken twice"), "{twice}");
+    }
+    assert!(of("vicon", "a", &[1]).unwrap_err().contains("cannot be simulated"));
+    assert!(of("slimevr", "/dev/ttyUSB0", &[1]).unwrap_err().contains("udp://"));
+}
