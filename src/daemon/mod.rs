@@ -10,6 +10,7 @@
 
 pub mod calls;
 pub mod clock;
+pub mod find;
 pub mod fusion;
 mod health;
 pub mod inbox;
@@ -36,7 +37,7 @@ use self::clock::StageClock;
 use self::fusion::{Command, Fusion, FusionInbox, INBOX_CAPACITY};
 use self::health::Health;
 use self::inbox::{Event, Inbox};
-use self::ports::PortTask;
+use self::ports::{Place, PortTask};
 use self::server::{BindError, Server};
 use crate::pipeline::{Pipeline, PipelineError};
 use crate::protocol::{Fields, Publisher, Status, Topic};
@@ -117,11 +118,11 @@ impl Daemon {
     /// # Errors
     /// The address, the stage or the recording's file do not serve.
     pub fn start(options: Options) -> Result<Self, StartError> {
-        let devices = options.stage.devices.clone();
+        let places: Vec<_> = (0..).map_while(|index| Place::of(&options.stage, index)).collect();
         let mut daemon = Self::start_without_ports(options)?;
-        for (index, device) in devices.into_iter().enumerate() {
-            if let Some(task) = daemon.ports.get_mut(index).and_then(Option::take) {
-                daemon.tasks.spawn(task.keep_open(device.port, device.baud));
+        for (place, port) in places.into_iter().zip(&mut daemon.ports) {
+            if let Some(task) = port.take() {
+                daemon.tasks.spawn(task.keep_open(place));
             }
         }
         Ok(daemon)
