@@ -172,7 +172,7 @@ async fn run<P: Port>(
                 }
                 Output::Unplugged => port.unplug(),
                 Output::Replugged => port.replug()?,
-                Output::Truth(_) | Output::Fault(_) => {}
+                Output::Truth(_) | Output::Fault(_) | Output::Lost(_) => {}
             }
             watcher(&event);
         }
