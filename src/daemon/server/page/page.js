@@ -61,7 +61,7 @@ function showSensors({ sensors, t_s, dropped }) {
     [s.state, `word ${STATE_CLASS[s.state] ?? ""}`],
     ...numbers(s.position_m, 3, 4),
     ...numbers(s.orientation_wxyz, 4, 4),
-    [s.sigma_m === null ? "–" : (s.sigma_m * 1000).toFixed(2)],
+    [s.sigma_m == null ? "–" : (s.sigma_m * 1000).toFixed(2)],
     [String(lost.get(s.name) ?? "–")],
   ]));
   byId("frame").textContent = `stage time ${t_s.toFixed(2)} s` + (dropped ? `, ${dropped} messages dropped for this page` : "");
