@@ -178,6 +178,22 @@ impl Ahrs {
         }
     }
 
+    /// Prepares for samples after a silence in which the sensor may have been turned.
+    ///
+    /// The next sample levels the orientation anew and the next field sample gives the heading, both at once; without a
+    /// magnetometer the heading stays. The gyro's bias is kept.
+    pub fn resume(&mut self) {
+        self.started = false;
+        self.window = Window::default();
+        self.rest = rest::Rest::default();
+        self.heading.resume(&self.params.heading);
+    }
+
+    /// The latest rate of turn without its bias, rad/s, sensor axes.
+    pub fn rate_rad_s(&self) -> Vector3<f64> {
+        self.rate_rad_s
+    }
+
     /// Sensor to room: z up, and x east, y north where there is a magnetometer.
     pub fn orientation(&self) -> UnitQuaternion<f64> {
         let half = 0.5 * self.heading.offset_rad();
@@ -217,8 +233,11 @@ impl Ahrs {
 
     fn start(&mut self, accel: Vector3<f64>, mag: Option<Vector3<f64>>) {
         self.started = true;
-        self.q_level_sensor =
-            UnitQuaternion::rotation_between(&accel, &Vector3::z()).unwrap_or_else(UnitQuaternion::identity);
+        // What was known of the heading before a silence stays.
+        let up = self.q_level_sensor * accel;
+        let leveling =
+            UnitQuaternion::rotation_between(&up, &Vector3::z()).unwrap_or_else(UnitQuaternion::identity);
+        self.q_level_sensor = leveling * self.q_level_sensor;
         if let Some(mag) = mag {
             self.heading.start(self.q_level_sensor * mag);
         }
