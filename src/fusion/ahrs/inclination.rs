@@ -95,6 +95,16 @@ impl Inclination {
         Vector3::new(self.x[BIAS], self.x[BIAS + 1], self.x[BIAS + 2])
     }
 
+    /// As new, but for the bias and what is known of it.
+    pub(super) fn forget_motion(&mut self) {
+        for i in (TILT..BIAS).chain(VELOCITY..STATES) {
+            self.x[i] = 0.0;
+            self.p.row_mut(i).fill(0.0);
+            self.p.column_mut(i).fill(0.0);
+            self.p[(i, i)] = f64::powi(if i < BIAS { 0.2 } else { 0.5 }, 2);
+        }
+    }
+
     /// Returns the tilt (rotation about level x and y, rad) to be applied to the strapdown.
     pub(super) fn update(&mut self, params: &InclinationParams, w: &ForceWindow) -> Vector2<f64> {
         self.predict(params, w);

@@ -170,6 +170,16 @@ impl Ahrs {
         self.orientation()
     }
 
+    /// Back to the beginning of the same recording, keeping the gyro bias that it showed.
+    pub fn restart(&mut self) {
+        self.inclination.forget_motion();
+        self.started = false;
+        self.coasted_s = 0.0;
+        self.window = Window::default();
+        self.rest = rest::Rest::default();
+        self.heading = heading::Heading::new(&self.params.heading);
+    }
+
     /// Moves on by `dt_s` without a sample: the last rate goes on for at most a tenth of a second, then it holds.
     pub fn coast(&mut self, dt_s: f64) {
         if self.started && dt_s > 0.0 && dt_s.is_finite() && self.coasted_s < 0.1 {
