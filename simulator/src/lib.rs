@@ -10,6 +10,7 @@
 //! the processor allows ([`stage::VirtualStage`]). This package uses the drivers' encoders and never
 //! `posed`: truth does not come from the code under test.
 
+pub mod body;
 pub mod faults;
 pub mod flock;
 pub mod gesture;

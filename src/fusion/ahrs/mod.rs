@@ -236,6 +236,10 @@ impl Ahrs {
 
     fn close_window(&mut self) {
         let w = std::mem::take(&mut self.window);
+        let rest_gyro_rad_s = self.rest.at_rest().then(|| self.rest.gyro_rad_s()).filter(|gyro| {
+            self.inclination.may_be_bias(&self.params.inclination, gyro)
+                || self.rest.still_s() > self.params.rest.certain_s
+        });
         if w.mag_samples > 0 {
             self.heading.update(
                 &self.params.heading,
@@ -245,7 +249,7 @@ impl Ahrs {
                     lag: w.mag_lag / f64::from(w.mag_samples),
                     rotation: w.mag_rotation / f64::from(w.mag_samples),
                     turned_rad: w.turned_rad,
-                    at_rest: self.rest.at_rest(),
+                    at_rest: rest_gyro_rad_s.is_some(),
                 },
             );
         }
@@ -257,7 +261,7 @@ impl Ahrs {
                 velocity_m_s: w.velocity_m_s,
                 shaking: w.shaking,
                 turned_rad: w.turned_rad,
-                rest_gyro_rad_s: self.rest.at_rest().then(|| self.rest.gyro_rad_s()),
+                rest_gyro_rad_s,
             },
         );
         let correction = UnitQuaternion::from_scaled_axis(Vector3::new(tilt[0], tilt[1], 0.0));
