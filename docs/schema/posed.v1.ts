@@ -194,8 +194,8 @@ export type Job = {
   kind: string;
   /** Outcome or reason of failure, in one sentence. */
   message: string | null;
-  /** 0 to 1. */
-  progress: number;
+  /** 0 to 1; null where it has no known end, as a recording. */
+  progress: number | null;
   /** Expected time to its end, s; null where unknown. */
   remaining_s: number | null;
   /** How it stands. */
