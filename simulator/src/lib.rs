@@ -28,6 +28,7 @@ pub mod pty;
 mod random;
 pub mod scenario;
 mod slimevr;
+mod sockets;
 pub mod stage;
 #[cfg(test)]
 mod testing;

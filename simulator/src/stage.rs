@@ -250,7 +250,7 @@ impl VirtualStage {
                 index,
                 name: device.name.clone(),
                 driver: device.driver.clone(),
-                port: device.port.clone(),
+                port: device.port().to_owned(),
                 device: unit,
                 link,
                 output: VecDeque::new(),

@@ -102,16 +102,16 @@ impl Parts<'_> {
     }
 
     fn is_on_network(&self) -> bool {
-        self.spec.port.starts_with("tcp://") || self.spec.port.starts_with("udp://")
+        self.spec.port().starts_with("tcp://") || self.spec.port().starts_with("udp://")
     }
 
     fn baud(&self) -> u32 {
-        if self.is_on_network() { NETWORK_BAUD } else { self.spec.baud }
+        if self.spec.has_line() { self.spec.baud } else { NETWORK_BAUD }
     }
 
     fn link(&self) -> Link {
         let random = Random::new(self.scenario.seed, Purpose::Faults(self.index));
-        if self.spec.port.starts_with("udp://") {
+        if self.spec.port().starts_with("udp://") {
             return Link::Network(Network::new(&self.given.faults, random));
         }
         let config = LineConfig {
@@ -187,7 +187,7 @@ impl Parts<'_> {
     }
 
     fn slimevr(&self) -> Result<Powered<SlimeVr>, ScenarioError> {
-        if !self.spec.port.starts_with("udp://") {
+        if !self.spec.port().starts_with("udp://") {
             return Err(self.wrong("SlimeVR trackers come over udp://HOST:PORT"));
         }
         let numbers: BTreeSet<u16> = self.sensors.iter().map(|&(address, _)| address & 0xFF).collect();

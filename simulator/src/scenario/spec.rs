@@ -70,6 +70,19 @@ pub struct DeviceSpec {
     pub measurement_delay_ms: f64,
 }
 
+impl DeviceSpec {
+    /// Its port; SlimeVR trackers that are to be found anywhere call where all servers listen.
+    pub(crate) fn port(&self) -> &str {
+        if self.driver == "slimevr" && self.port == "auto" { "udp://127.0.0.1:6969" } else { &self.port }
+    }
+
+    /// Whether a serial line limits what it sends: also behind a serial server on a network.
+    pub(crate) fn has_line(&self) -> bool {
+        let has_socket = matches!(self.driver.as_str(), "motionstar" | "x-imu3");
+        !self.port().starts_with("udp://") && !(has_socket && self.port().starts_with("tcp://"))
+    }
+}
+
 fn usual_baud() -> u32 {
     115_200
 }
