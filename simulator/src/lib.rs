@@ -11,6 +11,7 @@
 //! `posed`: truth does not come from the code under test.
 
 pub mod faults;
+pub mod figure;
 pub mod flock;
 pub mod gesture;
 pub mod host;
