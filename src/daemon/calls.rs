@@ -134,6 +134,10 @@ impl Calls {
 
     fn check_model(&self, model: &Model) -> Result<(), String> {
         model.check()?;
+        if let Model::Field { map: Some(map), .. } = model {
+            // Here is time to make it fast; the fusion thread has none.
+            map.corrector();
+        }
         if let Model::TrackerNoise { device, .. } = model
             && !self.stage.devices.iter().any(|known| &known.name == device)
         {

@@ -11,6 +11,7 @@
 mod calibration;
 pub mod calls;
 pub mod clock;
+pub mod find;
 pub mod fusion;
 mod health;
 pub mod inbox;
@@ -39,7 +40,7 @@ use self::fusion::{Command, Fusion, FusionInbox, INBOX_CAPACITY};
 use self::health::Health;
 use self::inbox::{Event, Inbox};
 use self::jobs::Jobs;
-use self::ports::PortTask;
+use self::ports::{Place, PortTask};
 use self::server::{BindError, Server};
 use self::service::Service;
 use crate::pipeline::{Pipeline, PipelineError};
@@ -119,11 +120,11 @@ impl Daemon {
     /// # Errors
     /// The address, the stage or the recording's file do not serve.
     pub fn start(options: Options) -> Result<Self, StartError> {
-        let devices = options.stage.devices.clone();
+        let places: Vec<_> = (0..).map_while(|index| Place::of(&options.stage, index)).collect();
         let mut daemon = Self::start_without_ports(options)?;
-        for (index, device) in devices.into_iter().enumerate() {
-            if let Some(task) = daemon.ports.get_mut(index).and_then(Option::take) {
-                daemon.service.spawn(task.keep_open(device.port, device.baud));
+        for (place, port) in places.into_iter().zip(&mut daemon.ports) {
+            if let Some(task) = port.take() {
+                daemon.service.spawn(task.keep_open(place));
             }
         }
         Ok(daemon)

@@ -259,6 +259,22 @@ impl Corrector {
         if self.aligned { self.turn * p + Vector3::from(self.alignment.position_m) } else { p }
     }
 
+    /// What a sensor at `p` would read: the inverse of [`Corrector::position`], m.
+    ///
+    /// A correction changes so little over its own length that three steps of its fixed point are enough.
+    pub fn reading(&self, p: &Vector3<f64>) -> Vector3<f64> {
+        let unaligned = if self.aligned {
+            self.turn.inverse() * (p - Vector3::from(self.alignment.position_m))
+        } else {
+            *p
+        };
+        let mut z = unaligned;
+        for _ in 0..3 {
+            z -= self.unaligned(&z) - unaligned;
+        }
+        z
+    }
+
     /// Corrects a position, and says how far to trust it.
     pub fn correct(&self, z: &Vector3<f64>) -> Corrected {
         let outside = self.positions.cubic(z)[3];

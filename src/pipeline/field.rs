@@ -82,14 +82,9 @@ impl Field {
     }
 
     /// What is expected of a measurement before its correction: faults look at what the device says.
-    ///
-    /// A correction changes so little over its own length that two steps of its fixed point are enough.
     pub(super) fn uncorrected(&self, expected: Prediction) -> Prediction {
         let Some(corrector) = self.corrector() else { return expected };
-        let mut z = expected.position_m;
-        for _ in 0..3 {
-            z -= corrector.position(&z) - expected.position_m;
-        }
+        let z = corrector.reading(&expected.position_m);
         let turn = corrector.orientation(&z, &UnitQuaternion::identity());
         Prediction { position_m: z, orientation: turn.inverse() * expected.orientation, ..expected }
     }
@@ -157,11 +152,12 @@ impl Field {
 fn seen(index: usize, estimate: &Estimate, sensors: &[Sensor], room: &Isometry3<f64>) -> Seen {
     let Some(sensor) = sensors.get(index) else { return Seen::default() };
     let pose = estimate.sensors.get(index).and_then(|estimate| estimate.pose.as_ref());
-    let tracked = pose.map(|pose| room.inverse_transform_point(&pose.position_m.into()).coords);
+    let placed = pose.and_then(|pose| pose.position_m);
+    let tracked = placed.map(|position_m| room.inverse_transform_point(&position_m.into()).coords);
     Seen {
         measured_m: sensor.corrected_m(),
         tracked_m: tracked.filter(|_| sensor.corrected_m().is_some()),
-        sigma_m: pose.map_or(0.0, |pose| pose.sigma_m),
+        sigma_m: pose.and_then(|pose| pose.sigma_m).unwrap_or(0.0),
     }
 }
 

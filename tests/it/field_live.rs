@@ -45,7 +45,7 @@ fn farthest_m<'a>(
         };
         let z = Vector3::from(measured.position_m.unwrap());
         worst.0 += 1;
-        worst.1 = worst.1.max((Vector3::from(pose.position_m) - of(&z)).norm());
+        worst.1 = worst.1.max((Vector3::from(pose.position_m.unwrap()) - of(&z)).norm());
     }
     worst
 }
@@ -67,7 +67,7 @@ fn given_a_map_every_pose_is_corrected_from_the_next_frame_on() {
     let (good, corrected_m) = farthest_m(corrected(), |z| corrector.position(z));
     let moved_m = farthest_m(corrected(), |z| *z).1;
     assert!(good > 400 && corrected_m < 0.01 && moved_m > 0.008, "{good} {corrected_m} {moved_m}");
-    let sigma = corrected().flat_map(|e| &e.sensors).find_map(|sensor| sensor.pose).unwrap().sigma_m;
+    let sigma = corrected().flat_map(|e| &e.sensors).find_map(|sensor| sensor.pose).unwrap().sigma_m.unwrap();
     assert!(sigma.is_finite() && sigma > 0.0);
     let swapped = rig.said.iter().any(|said| {
         matches!(said, Said::Outcome(outcome)

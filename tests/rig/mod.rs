@@ -12,9 +12,9 @@ use posed::output::{Estimate, Outcome, Output};
 use posed::pipeline::Pipeline;
 use posed::stage::Stage;
 use posed_drivers::{LineEvent, Timestamp};
-use posed_simulator::scenario::{DeviceSpec, Scenario, SensorSpec, StageSpec};
+use posed_simulator::scenario::{Scenario, StageSpec};
 use posed_simulator::stage::{Output as Virtual, VirtualStage};
-use posed_simulator::truth::TruthCycle;
+use posed_simulator::truth::{Loss, TruthCycle};
 
 /// A stage file with Flocks of so many birds each; one bird stands alone.
 pub(crate) fn stage(birds: &[u16]) -> Stage {
@@ -37,31 +37,7 @@ pub(crate) fn stage(birds: &[u16]) -> Stage {
 
 /// Virtual devices for a stage.
 pub(crate) fn simulate(stage: &Stage, scenario: &Scenario) -> VirtualStage {
-    let spec = StageSpec {
-        transmitter_in_room: stage
-            .transmitter
-            .pose_in_room
-            .map(|pose| (pose.position_m, pose.orientation_wxyz)),
-        devices: stage
-            .devices
-            .iter()
-            .map(|device| DeviceSpec {
-                name: device.name.clone(),
-                driver: "flock-of-birds".into(),
-                baud: device.baud,
-                measurement_delay_ms: device.measurement_delay_ms,
-            })
-            .collect(),
-        sensors: stage
-            .sensors
-            .iter()
-            .map(|sensor| SensorSpec {
-                name: sensor.name.clone(),
-                device: sensor.device.clone(),
-                address: sensor.address,
-            })
-            .collect(),
-    };
+    let spec = StageSpec::of(stage).unwrap();
     VirtualStage::new(&spec, scenario, ".".as_ref()).unwrap()
 }
 
@@ -105,6 +81,8 @@ pub(crate) struct Rig {
     pub(crate) pipeline: Pipeline,
     pub(crate) now: Timestamp,
     pub(crate) truth: Vec<TruthCycle>,
+    /// Records that did not reach the host, by device and time.
+    pub(crate) losses: Vec<(usize, Timestamp, Loss)>,
     pub(crate) log: Vec<Entry>,
     pub(crate) said: Vec<Said>,
     pub(crate) sleepy: Option<Sleepy>,
@@ -119,6 +97,7 @@ impl Rig {
             pipeline: Pipeline::new(stage).unwrap(),
             now: Timestamp::ZERO,
             truth: Vec::new(),
+            losses: Vec::new(),
             log: Vec::new(),
             said: Vec::new(),
             sleepy: None,
@@ -154,6 +133,7 @@ impl Rig {
                         let event = LineEvent::Opened { modem_lines: false };
                         self.push(Input::Line { device, event });
                     }
+                    Virtual::Lost(loss) => self.losses.push((event.device, event.t, loss)),
                     Virtual::Fault(_) => {}
                 }
             }
@@ -192,6 +172,7 @@ impl Rig {
     /// Forgets what has been read and said up to now.
     pub(crate) fn forget(&mut self) {
         self.truth = Vec::new();
+        self.losses = Vec::new();
         self.log = Vec::new();
         self.said = Vec::new();
         self.said_at = Vec::new();

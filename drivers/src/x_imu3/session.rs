@@ -29,6 +29,7 @@ const SAMPLE_RATE_HZ: f64 = 400.0;
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
     /// Inertial messages per second, 4 to 400; the nearest one that divides 400.
+    #[schemars(range(min = 4.0, max = 400.0))]
     pub rate_hz: f64,
     /// Whether units also send the orientation that they compute.
     pub orientation: bool,
@@ -51,6 +52,11 @@ impl Settings {
         } else {
             Err(SettingsError { key: "rate_hz", expected: "4 to 400" })
         }
+    }
+
+    /// How much earlier than it is sent an inertial message is true, s: it is the average of several samples.
+    pub fn averaging_s(&self) -> f64 {
+        0.5 * f64::from(self.divisor() - 1) / SAMPLE_RATE_HZ
     }
 
     /// Samples that one message is the average of.

@@ -30,19 +30,19 @@ pub struct SensorEntry {
     pub device: Option<String>,
     /// How far to trust it; only `ok`, `repaired` and `extrapolated` are poses to use.
     pub state: SensorState,
-    /// Filtered position in the room, m; null where there is no estimate.
+    /// Filtered position in the room, m; null where there is no estimate, and for sensors that measure none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub position_m: Option<[f64; 3]>,
     /// Sensor to room, unit quaternion, scalar first; null where there is no estimate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
-    /// Root mean square of the expected 3-D position error, m; null where there is no estimate.
+    /// Root mean square of the expected 3-D position error, m; null where there is no position.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sigma_m: Option<f64>,
     /// The raw record, unfiltered, in device axes; null where none arrived.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measured: Option<Measured>,
-    /// Velocity in the room, m/s.
+    /// Velocity in the room, m/s; null where there is no position.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub velocity_m_s: Option<[f64; 3]>,
     /// Angular velocity in sensor axes, rad/s.
@@ -68,6 +68,18 @@ pub struct Measured {
     pub orientation_wxyz: Option<[f64; 4]>,
     /// Button byte; null where button mode is off.
     pub button: Option<u8>,
+    /// Angular rate of a body-worn sensor in its own axes, rad/s; this and the following only where the record holds them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub angular_rate_rad_s: Option<[f64; 3]>,
+    /// Specific force in sensor axes (+9.81 on the axis that points up, at rest), m/s².
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub specific_force_m_s2: Option<[f64; 3]>,
+    /// Acceleration in sensor axes with gravity taken out by the device, m/s².
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub linear_acceleration_m_s2: Option<[f64; 3]>,
+    /// Magnetic field in sensor axes, about 1 at the place of calibration.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub magnetic_field: Option<[f64; 3]>,
 }
 
 /// How good a pose is.
