@@ -174,6 +174,8 @@ export type Hello = {
   stage: string;
   /** Topics that this stage publishes. */
   topics: Topic[];
+  /** Magnetic transmitter to room, as the stage file has it; a `field` event tells when it is changed. */
+  transmitter: Pose;
   /** Version of the daemon. */
   version: string;
 };
@@ -265,6 +267,14 @@ export type OkReply = {
   id: RequestId | null;
   /** What was asked for, where the request asks for something. */
   result?: unknown;
+};
+
+/** A pose: the named frame in the room. */
+export type Pose = {
+  /** Unit quaternion, scalar first. */
+  orientation_wxyz: [number, number, number, number];
+  /** Position, m. */
+  position_m: [number, number, number];
 };
 
 /** Something that is wrong now. */

@@ -130,6 +130,11 @@ pub struct Pose {
     pub orientation_wxyz: [f64; 4],
 }
 
+impl Pose {
+    /// The room's own axes.
+    pub const IDENTITY: Self = Self { position_m: [0.0; 3], orientation_wxyz: [1.0, 0.0, 0.0, 0.0] };
+}
+
 /// One device.
 ///
 /// Its own keys and those of its driver stand in one table. Unknown keys are refused by the driver's settings,

@@ -170,6 +170,16 @@ impl Ahrs {
         self.orientation()
     }
 
+    /// Back to the beginning of the same recording, keeping the gyro bias that it showed.
+    pub fn restart(&mut self) {
+        self.inclination.forget_motion();
+        self.started = false;
+        self.coasted_s = 0.0;
+        self.window = Window::default();
+        self.rest = rest::Rest::default();
+        self.heading = heading::Heading::new(&self.params.heading);
+    }
+
     /// Moves on by `dt_s` without a sample: the last rate goes on for at most a tenth of a second, then it holds.
     pub fn coast(&mut self, dt_s: f64) {
         if self.started && dt_s > 0.0 && dt_s.is_finite() && self.coasted_s < 0.1 {
@@ -245,6 +255,10 @@ impl Ahrs {
 
     fn close_window(&mut self) {
         let w = std::mem::take(&mut self.window);
+        let rest_gyro_rad_s = self.rest.at_rest().then(|| self.rest.gyro_rad_s()).filter(|gyro| {
+            self.inclination.may_be_bias(&self.params.inclination, gyro)
+                || self.rest.still_s() > self.params.rest.certain_s
+        });
         if w.mag_samples > 0 {
             self.heading.update(
                 &self.params.heading,
@@ -254,7 +268,7 @@ impl Ahrs {
                     lag: w.mag_lag / f64::from(w.mag_samples),
                     rotation: w.mag_rotation / f64::from(w.mag_samples),
                     turned_rad: w.turned_rad,
-                    at_rest: self.rest.at_rest(),
+                    at_rest: rest_gyro_rad_s.is_some(),
                 },
             );
         }
@@ -266,7 +280,7 @@ impl Ahrs {
                 velocity_m_s: w.velocity_m_s,
                 shaking: w.shaking,
                 turned_rad: w.turned_rad,
-                rest_gyro_rad_s: self.rest.at_rest().then(|| self.rest.gyro_rad_s()),
+                rest_gyro_rad_s,
             },
         );
         let correction = UnitQuaternion::from_scaled_axis(Vector3::new(tilt[0], tilt[1], 0.0));

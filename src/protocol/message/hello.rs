@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::protocol::Topic;
-use crate::stage::{Role, Skeleton};
+use crate::stage::{Pose, Role, Skeleton};
 
 /// Who speaks, and what there is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -21,6 +21,8 @@ pub struct Hello {
     pub topics: Vec<Topic>,
     /// The stage's sensors, in the order of the `sensors` message.
     pub sensors: Vec<HelloSensor>,
+    /// Magnetic transmitter to room, as the stage file has it; a `field` event tells when it is changed.
+    pub transmitter: Pose,
     /// What this client may do.
     pub role: Role,
     /// Number of the newest event, 0 before the first: what a client that starts now has not missed.
