@@ -168,7 +168,7 @@ impl BodyFilter {
 
     /// Takes the samples of one time, `dt_s` after the ones before. A time that does not rise changes nothing.
     pub fn push(&mut self, samples: &BodySamples, dt_s: f64) -> &BodyEstimate {
-        if !(dt_s > 0.0 && dt_s.is_finite()) {
+        if !dt_s.is_finite() || dt_s <= 0.0 {
             return &self.estimate;
         }
         for (sensor, sample) in self.sensors.iter_mut().zip(samples) {
