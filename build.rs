@@ -3,8 +3,6 @@
 //! Without npm the build goes on, with a page in its place that says what is missing. `POSED_VIEWER=skip` leaves npm out on
 //! purpose; with `POSED_VIEWER=require` a viewer that cannot be built is an error: for packages and for the tests.
 
-#![expect(clippy::print_stdout, reason = "this is how a build script speaks to cargo")]
-
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{env, fs};

@@ -87,7 +87,7 @@ fn record(case: &Case) -> Run {
     let (mut recording, mut truth) = (Vec::new(), Vec::new());
     let frames = ((script.activity_s() + case.activity_s) * RATE_HZ) as usize;
     for _ in 0..frames {
-        let (samples, at) = wearer.next();
+        let (samples, at) = wearer.step();
         let samples: BodySamples = samples.map(|sample| {
             Some(ImuSample {
                 gyro_rad_s: sample.gyro_rad_s,

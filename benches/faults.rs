@@ -25,8 +25,14 @@ fn frames(sensors: usize, count: usize) -> Frames {
 fn train(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("faults");
     group.sample_size(10);
-    let published =
-        Training { rule: Rule::Paper, epochs: 100, width: Width::Fixed, stop: false, ..Training::default() };
+    let published = Training {
+        rule: Rule::Paper,
+        epochs: 100,
+        width: Width::Fixed,
+        stop: false,
+        body: false,
+        ..Training::default()
+    };
     for count in [407, 2823] {
         let frames = frames(16, count);
         group.bench_function(format!("train 16 sensors x {count} frames x 100 epochs"), |bencher| {

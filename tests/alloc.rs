@@ -10,6 +10,7 @@ use std::cell::Cell;
 use posed::input::{Entry, Input};
 use posed::output::Output;
 use posed::pipeline::Pipeline;
+use posed::stage::Stage;
 use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::scenario::{DeviceScenario, Scenario};
 use rig::{Rig, stage};
@@ -75,6 +76,27 @@ fn a_warm_pipeline_does_not_allocate() {
     let allocations = ALLOCATIONS.with(Cell::get) - before;
     assert!(frames > 500 && bytes > 500, "{frames} frames from {bytes} chunks");
     assert_eq!(allocations, 0, "in {frames} frames");
+}
+
+/// Timers apart: the server of the SlimeVR trackers speaks to each of them twice a second.
+#[test]
+fn a_warm_pipeline_of_many_devices_does_not_allocate_for_what_it_reads() {
+    let stage_file = Stage::parse(include_str!("../config/many-devices.toml")).unwrap();
+    let mut rig = Rig::new(&stage_file, &Scenario::default());
+    rig.run_until(10.0);
+    let mut pipeline = Pipeline::new(&stage_file).unwrap();
+    let (mut frames, mut chunks, mut allocations) = (0, 0, 0);
+    for entry in &rig.log {
+        let warm = entry.t.as_secs_f64() > 6.0 && matches!(entry.input, Input::Bytes { .. });
+        let before = ALLOCATIONS.with(Cell::get);
+        pipeline.push(entry, &mut |output| frames += u64::from(matches!(output, Output::Estimate(_))));
+        if warm {
+            chunks += 1;
+            allocations += ALLOCATIONS.with(Cell::get) - before;
+        }
+    }
+    assert!(frames > 300 && chunks > 1000, "{frames} frames, {chunks} chunks");
+    assert_eq!(allocations, 0, "in {chunks} chunks");
 }
 
 /// Length of the run in simulated seconds: ten minutes, or `POSED_SOAK_S` (3600 is the hour of the criteria).

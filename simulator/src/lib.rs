@@ -16,6 +16,7 @@ mod chassis;
 pub mod device;
 mod fastrak;
 pub mod faults;
+pub mod figure;
 pub mod flock;
 pub mod gesture;
 pub mod host;

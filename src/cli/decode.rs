@@ -11,7 +11,7 @@ use posed_drivers::flock::wire::{Format, QuaternionSense, Range};
 use serde::Serialize;
 use serde::de::{DeserializeOwned, IntoDeserializer, value};
 
-use super::{Error, decode_recording, decode_xbus, output, print, print_json, tell};
+use super::{Error, decode_recording, decode_x_imu3, decode_xbus, output, print, print_json, tell};
 
 /// What to decode, and where to put it.
 #[derive(clap::Args)]
@@ -20,7 +20,8 @@ use super::{Error, decode_recording, decode_xbus, output, print, print_json, tel
     posed decode xbus output.bin -o records.jsonl\n\n\
     A Flock's file is a two-way log (lines `TIME : (LEVEL) N. receive[COUNT] DATA`) or the device's raw bytes;\n\
     columns of the table: t,sensor,x,y,z,qw,qx,qy,qz,format,button; metres, sensor to transmitter.\n\
-    An Xbus file is raw bytes; columns: t,sensor,ax..az (m/s2),gx..gz (rad/s),mx..mz,qw..qz (sensor to room).")]
+    An Xbus file is raw bytes; columns: t,sensor,ax..az (m/s2),gx..gz (rad/s),mx..mz,qw..qz (sensor to room).\n\
+    An x-IMU3 file is a log of the unit or raw bytes; the same columns, one row per inertial message.")]
 pub(crate) struct Args {
     /// The driver that understands the bytes.
     driver: Driver,
@@ -49,6 +50,8 @@ pub(crate) struct Args {
 enum Driver {
     FlockOfBirds,
     Xbus,
+    #[value(name = "x-imu3")]
+    XImu3,
 }
 
 /// Reads a word as the stage file does.
@@ -66,6 +69,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let table = args.output.as_deref().map(Table::of).transpose()?;
     match args.driver {
         Driver::FlockOfBirds => flock(&args, table),
+        Driver::XImu3 => decode_x_imu3::run(&args.file, args.output.as_deref(), table, args.json),
         Driver::Xbus => decode_xbus::run(&args.file, args.output.as_deref(), table, args.json),
     }
 }

@@ -42,7 +42,8 @@ enum Command {
 
 #[derive(clap::Args)]
 struct TrainingArgs {
-    /// How weights are moved: the paper's rule, row by row, or all rows at once.
+    /// How weights are moved: the paper's rule, row by row, on positions as they are; or all rows at once, on positions
+    /// in the figure's own axes.
     #[arg(long, value_enum, default_value = "batch")]
     rule: RuleName,
     /// Passes over the frames at most; absent: 100 for the paper's rule, 30 for batch.
@@ -79,6 +80,8 @@ impl TrainingArgs {
             subset: if self.as_published || rule == Rule::Batch { 0 } else { self.subset },
             stop: !self.as_published,
             seed: self.seed,
+            // The paper's input is positions as they are.
+            body: rule == Rule::Batch,
             ..Training::default()
         }
     }
@@ -228,15 +231,18 @@ fn detect(args: &DetectArgs) -> Result<(), Error> {
     let mut watch = network.watch();
     let mut labels = Labels::default();
     let mut drawn = Vec::with_capacity(frames.len());
+    let mut sensor_distances = Vec::with_capacity(frames.len() * frames.sensors.len());
     for k in 0..frames.len() {
         let verdict = watch.push(&network, frames.frame(k));
         labels.frames.push((verdict.class, verdict.cause));
         labels.sensors.extend_from_slice(verdict.sensors);
+        sensor_distances.extend_from_slice(verdict.distances_m);
         let distance = verdict.winner.map_or(f64::NAN, |winner| winner.distance);
         drawn.push((verdict.winner.map(|winner| winner.cell), distance, verdict.class));
     }
     let distances: Vec<f64> = drawn.iter().map(|frame| frame.1).collect();
-    write_labels(&args.output, &frames, &labels, Some(&distances)).map_err(Error::failed)?;
+    let distances = Some((&distances[..], &sensor_distances[..]));
+    write_labels(&args.output, &frames, &labels, distances).map_err(Error::failed)?;
     if let Some(path) = &args.picture {
         let title = format!("{}: winner cells by class", args.poses.display());
         let text = picture::draw(&title, network.size(), &network.cells, &drawn);
@@ -251,12 +257,13 @@ fn detect(args: &DetectArgs) -> Result<(), Error> {
     Ok(())
 }
 
-/// One row per sensor, and one for the frame; the map's distance is the frame's.
+/// One row per sensor, and one for the frame. Distances are those of the frames from their cells, and of the sensors
+/// from the nearest place of the training, m.
 fn write_labels(
     path: &Path,
     frames: &Frames,
     labels: &Labels,
-    distances: Option<&[f64]>,
+    distances: Option<(&[f64], &[f64])>,
 ) -> Result<(), TableError> {
     let columns = ["t", "frame", "sensor", "label", "cause", "distance", "repaired"];
     let mut table = TableWriter::create(path, &columns)?;
@@ -272,10 +279,11 @@ fn write_labels(
             table.text("0")?;
             table.end_row()
         };
-        for (name, label) in frames.sensors.iter().zip(&labels.sensors[k * sensors..(k + 1) * sensors]) {
-            row(name, *label, f64::NAN)?;
+        for (sensor, name) in frames.sensors.iter().enumerate() {
+            let at = k * sensors + sensor;
+            row(name, labels.sensors[at], distances.map_or(f64::NAN, |distances| distances.1[at]))?;
         }
-        row("*", labels.frames[k], distances.map_or(f64::NAN, |distances| distances[k]))?;
+        row("*", labels.frames[k], distances.map_or(f64::NAN, |distances| distances.0[k]))?;
     }
     table.finish()
 }

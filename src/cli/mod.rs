@@ -21,6 +21,7 @@ mod check;
 mod completions;
 mod decode;
 mod decode_recording;
+mod decode_x_imu3;
 mod decode_xbus;
 mod demo;
 mod doctor;

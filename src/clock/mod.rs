@@ -19,6 +19,7 @@
 
 mod arrival;
 mod interval;
+pub mod offset;
 mod window;
 
 use posed_drivers::{Arrival, DeviceTime, Sample, Timestamp};

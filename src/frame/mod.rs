@@ -91,7 +91,8 @@ struct Sensor {
     device: usize,
     queue: VecDeque<FrameSample>,
     newest: Option<Timestamp>,
-    /// Latest cycle that a frame has accounted for, sample or not; `None` while its device is stopped.
+    /// Latest cycle that a frame has accounted for, sample or not; what its device misses while it is stopped is
+    /// accounted for when it is back.
     accounted: Option<Timestamp>,
 }
 
@@ -107,14 +108,14 @@ impl Sensor {
         t: Timestamp,
         own_interval_s: Option<f64>,
     ) -> u32 {
-        let Some(period_s) = device.period_s().filter(|_| device.is_running()) else {
-            self.accounted = None;
-            return 0;
-        };
+        let Some(period_s) = device.period_s().filter(|_| device.is_running()) else { return 0 };
         let newest = samples.iter().rev().find(|sample| !sample.late).map(|sample| sample.measured.t_valid);
         if let Some(interval_s) = own_interval_s {
+            // Ticks since then that were not its own: it was away while others measured.
+            let away_s = self.accounted.map_or(0.0, |before| t.seconds_since(before) - interval_s);
+            let away = (away_s / period_s).round().max(0.0) as u32;
             self.accounted = Some(t);
-            return u32::from(samples.is_empty() && period_s < 1.5 * interval_s);
+            return away + u32::from(samples.is_empty() && period_s < 1.5 * interval_s);
         }
         let (missed, accounted) = match (newest, self.accounted) {
             (Some(newest), None) => (0, Some(newest)),

@@ -66,7 +66,7 @@ impl Device {
                 .driver
                 .line_baud(&device.port, device.baud)
                 .map_or(0.0, |baud| BITS_PER_BYTE / f64::from(baud)),
-            measurement_delay_s: delay_s,
+            measurement_delay_s: delay_s + device.driver.delay_s(),
         };
         let first_source = sources.len() as SourceIndex;
         let mut bases: Vec<TimeBase> = Vec::new();

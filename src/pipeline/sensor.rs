@@ -168,7 +168,8 @@ impl Sensor {
             // Ticks without a record are counted by the clock, not by the line.
             let by_time = frame.by_model && slot.samples.is_empty();
             self.missed += frame.ticks_left_out;
-            self.missed_by_time |= by_time || frame.ticks_left_out > 0;
+            // More than one at once is told by how long its device was away.
+            self.missed_by_time |= by_time || frame.ticks_left_out > 0 || slot.missed > 1;
         }
     }
 

@@ -70,6 +70,14 @@ impl Driver {
         }
     }
 
+    /// How much earlier than it is sent a record is true by the device's own doing, s.
+    pub fn delay_s(&self) -> f64 {
+        match self {
+            Self::XImu3(settings) => settings.averaging_s(),
+            _ => 0.0,
+        }
+    }
+
     /// Rate of the line that limits the device at `port`, bit/s; `None` where bytes cost no time that is known.
     pub fn line_baud(&self, port: &str, baud: u32) -> Option<u32> {
         let limited = match port.parse::<PortAddress>() {

@@ -52,7 +52,7 @@ impl Recorded {
         let mut text = String::from("t,sensor,ax,ay,az,gx,gy,gz,mx,my,mz\n");
         let mut truth = Vec::new();
         for _ in 0..2200 {
-            let (samples, at) = wearer.next();
+            let (samples, at) = wearer.step();
             for index in [0, 2, 3] {
                 let s = samples[index];
                 let values = [s.accel_m_s2, s.gyro_rad_s, s.mag_ut.expect("it has a magnetometer")];

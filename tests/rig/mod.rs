@@ -14,7 +14,7 @@ use posed::stage::Stage;
 use posed_drivers::{LineEvent, Timestamp};
 use posed_simulator::scenario::{Scenario, StageSpec};
 use posed_simulator::stage::{Output as Virtual, VirtualStage};
-use posed_simulator::truth::TruthCycle;
+use posed_simulator::truth::{Loss, TruthCycle};
 
 /// A stage file with Flocks of so many birds each; one bird stands alone.
 pub(crate) fn stage(birds: &[u16]) -> Stage {
@@ -81,6 +81,8 @@ pub(crate) struct Rig {
     pub(crate) pipeline: Pipeline,
     pub(crate) now: Timestamp,
     pub(crate) truth: Vec<TruthCycle>,
+    /// Records that did not reach the host, by device and time.
+    pub(crate) losses: Vec<(usize, Timestamp, Loss)>,
     pub(crate) log: Vec<Entry>,
     pub(crate) said: Vec<Said>,
     pub(crate) sleepy: Option<Sleepy>,
@@ -95,6 +97,7 @@ impl Rig {
             pipeline: Pipeline::new(stage).unwrap(),
             now: Timestamp::ZERO,
             truth: Vec::new(),
+            losses: Vec::new(),
             log: Vec::new(),
             said: Vec::new(),
             sleepy: None,
@@ -130,7 +133,8 @@ impl Rig {
                         let event = LineEvent::Opened { modem_lines: false };
                         self.push(Input::Line { device, event });
                     }
-                    Virtual::Fault(_) | Virtual::Lost(_) => {}
+                    Virtual::Lost(loss) => self.losses.push((event.device, event.t, loss)),
+                    Virtual::Fault(_) => {}
                 }
             }
             if self.pipeline.poll_timeout().is_some_and(|due| due <= next) {
@@ -168,6 +172,7 @@ impl Rig {
     /// Forgets what has been read and said up to now.
     pub(crate) fn forget(&mut self) {
         self.truth = Vec::new();
+        self.losses = Vec::new();
         self.log = Vec::new();
         self.said = Vec::new();
         self.said_at = Vec::new();

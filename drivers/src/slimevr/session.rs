@@ -27,6 +27,8 @@ const BEAT: Duration = Duration::from_millis(500);
 /// After so much silence a tracker has timed out; after the longer one it is gone until its next handshake.
 const TIMED_OUT_S: f64 = 1.0;
 const GONE_S: f64 = 3.0;
+/// How often a tracker looks at its sensors, s.
+const INTERVAL_S: f64 = 0.01;
 /// Most trackers that are served.
 const MOST: usize = 64;
 /// Most sensors of one tracker.
@@ -101,6 +103,8 @@ pub struct SlimeVrSession {
     bytes_skipped: u64,
     sensors: Vec<SensorInfo>,
     losses: Vec<Loss>,
+    /// Per sensor: when it last sent, and whether its tracker has had to come anew since.
+    sent: Vec<(Option<Timestamp>, bool)>,
 }
 
 impl SlimeVrSession {
@@ -152,6 +156,7 @@ impl SlimeVrSession {
             bytes_skipped: 0,
             sensors: addresses.iter().map(|&address| SensorInfo { address, serial: None }).collect(),
             losses: addresses.iter().map(|&address| Loss { address, ..Loss::default() }).collect(),
+            sent: vec![(None, false); addresses.len()],
             wanted: addresses,
         })
     }
@@ -252,7 +257,11 @@ impl SlimeVrSession {
         tracker.heard = now;
         tracker.timed_out = false;
         let (number, serial) = (tracker.number, tracker.identity.to_string());
-        for sensor in self.sensors.iter_mut().filter(|sensor| sensor.address & 0xFF == number) {
+        let mine = |address: u16| address & 0xFF == number;
+        for (address, (_, anew)) in self.wanted.iter().zip(&mut self.sent) {
+            *anew |= mine(*address);
+        }
+        for sensor in self.sensors.iter_mut().filter(|sensor| mine(sensor.address)) {
             let index = sensor.address >> 8;
             sensor.serial = Some(if index == 0 { serial.clone() } else { format!("{serial}/{index}") });
         }
@@ -319,9 +328,8 @@ impl SlimeVrSession {
         orientation_wxyz: Option<[f64; 4]>,
         linear_acceleration_m_s2: Option<[f64; 3]>,
     ) {
-        if !self.wanted.contains(&address) {
-            return;
-        }
+        let Some(index) = self.wanted.iter().position(|wanted| *wanted == address) else { return };
+        self.count_absence(index, arrival.t_read);
         self.outbox.counters.records += 1;
         self.outbox.streaming();
         self.outbox.sample(Sample {
@@ -336,6 +344,17 @@ impl SlimeVrSession {
                 orientation_wxyz,
             },
         });
+    }
+
+    /// While a tracker is without its server it sends nothing that could be counted: time alone tells what was missed.
+    fn count_absence(&mut self, index: usize, now: Timestamp) {
+        let (last, anew) = &mut self.sent[index];
+        let anew = std::mem::take(anew);
+        if let Some(last) = last.replace(now).filter(|_| anew) {
+            let missed = ((now.seconds_since(last) / INTERVAL_S).round() as u64).saturating_sub(1);
+            self.losses[index].lost += missed;
+            self.losses[index].estimated |= missed > 0;
+        }
     }
 
     fn beat(&mut self, now: Timestamp) {

@@ -54,6 +54,11 @@ impl Settings {
         }
     }
 
+    /// How much earlier than it is sent an inertial message is true, s: it is the average of several samples.
+    pub fn averaging_s(&self) -> f64 {
+        0.5 * f64::from(self.divisor() - 1) / SAMPLE_RATE_HZ
+    }
+
     /// Samples that one message is the average of.
     fn divisor(&self) -> u32 {
         (SAMPLE_RATE_HZ / self.rate_hz).round() as u32

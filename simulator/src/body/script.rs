@@ -160,7 +160,7 @@ impl Script {
             }
             Activity::Curls => {
                 for (side, phase) in [(0, 0.0), (1, std::f64::consts::PI)] {
-                    p.elbow[side] = [2.2 * rise(0.5, phase), -1.0 * rise(0.5, phase)].map(|a| grow * a);
+                    p.elbow[side] = [2.2 * rise(0.5, phase), -rise(0.5, phase)].map(|a| grow * a);
                     raise(p, side, grow * 0.15 * rise(0.5, phase), grow * 0.08, 0.0);
                 }
                 p.spine = [0.03 * wave(0.5, 0.0), 0.0, 0.06 * wave(0.25, 0.0)].map(|a| grow * a);

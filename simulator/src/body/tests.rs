@@ -63,7 +63,7 @@ fn a_sensor_that_rests_feels_gravity_and_the_field_and_nothing_else() {
         seed: 1,
     };
     let mut wearer = Wearer::new(spec);
-    let (samples, truth) = wearer.next();
+    let (samples, truth) = wearer.step();
     for (index, sample) in samples.iter().enumerate() {
         let (mount, _) = wearer.mounting(index);
         let force = truth.body[index].axes * (mount * sample.accel_m_s2);
@@ -88,13 +88,13 @@ fn rates_add_up_to_the_turn() {
         seed: 2,
     };
     let mut wearer = Wearer::new(spec);
-    let (_, first) = wearer.next();
+    let (_, first) = wearer.step();
     let index = 5;
     let mount = wearer.mounting(index).0;
     let mut turned = nalgebra::Rotation3::from_matrix_unchecked(first.body[index].axes);
     let mut last = first;
     for _ in 0..3000 {
-        let (samples, truth) = wearer.next();
+        let (samples, truth) = wearer.step();
         turned *= nalgebra::Rotation3::from_scaled_axis(mount * samples[index].gyro_rad_s * 1e-3);
         last = truth;
     }

@@ -198,7 +198,7 @@ impl Wearer {
     }
 
     /// The next frame: samples of all segments, and the truth.
-    pub fn next(&mut self) -> ([Sample; 10], Truth) {
+    pub fn step(&mut self) -> ([Sample; 10], Truth) {
         let t_s = self.frame as f64 / self.spec.rate_hz;
         self.frame += 1;
         let spec = &self.spec;

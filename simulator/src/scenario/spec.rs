@@ -79,7 +79,8 @@ impl DeviceSpec {
     /// Whether a serial line limits what it sends: also behind a serial server on a network.
     pub(crate) fn has_line(&self) -> bool {
         let has_socket = matches!(self.driver.as_str(), "motionstar" | "x-imu3");
-        !self.port().starts_with("udp://") && !(has_socket && self.port().starts_with("tcp://"))
+        let by_tcp = has_socket && self.port().starts_with("tcp://");
+        !by_tcp && !self.port().starts_with("udp://")
     }
 }
 

@@ -5,6 +5,7 @@
 
 mod probe;
 mod stage;
+mod sync;
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -20,7 +21,8 @@ const LIMIT: Duration = Duration::from_millis(18_500);
 
 /// What to look at.
 #[derive(clap::Args)]
-#[command(after_help = "Examples:\n  posed doctor\n  posed doctor /dev/ttyUSB0 --write-stage stage.toml\n\n\
+#[command(after_help = "Examples:\n  posed doctor\n  posed doctor /dev/ttyUSB0 --write-stage stage.toml\n  \
+    posed doctor --sync stage.toml\n\n\
     Exit code 1 if nothing answers. A unit that streams is stopped by the question.")]
 pub(crate) struct Args {
     /// Path of a serial port, tcp://HOST:PORT or udp://HOST:PORT; absent: all serial ports of this machine, and the units
@@ -35,6 +37,13 @@ pub(crate) struct Args {
     /// Write a stage file with the devices that answered; an existing file is not touched.
     #[arg(long, value_name = "FILE")]
     write_stage: Option<PathBuf>,
+    /// Measure by how much one device's motion appears later than another's: a recording, or a stage file that is then run.
+    /// Fasten a sensor of each device to the same stick and turn it quickly and irregularly.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["port", "baud", "driver", "write_stage"])]
+    sync: Option<PathBuf>,
+    /// How long the stage is run for --sync.
+    #[arg(long, value_name = "SECONDS", default_value_t = 20.0, requires = "sync")]
+    sync_s: f64,
     /// Print one JSON object: ports, each with port, driver, revision, sensors, problem and mend.
     #[arg(long)]
     json: bool,
@@ -93,6 +102,12 @@ struct SensorReport {
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     if let Some(path) = args.write_stage.as_deref().filter(|path| path.exists()) {
         return Err(output::exists(path));
+    }
+    if let Some(file) = &args.sync {
+        if !(5.0..=600.0).contains(&args.sync_s) {
+            return Err(Error::Usage(format!("--sync-s {}: give 5 to 600", args.sync_s)));
+        }
+        return sync::run(file, args.sync_s, args.json);
     }
     let ports = match &args.port {
         Some(port) => vec![port.clone()],

@@ -51,6 +51,12 @@ impl Frames {
         &self.positions_m[index * width..(index + 1) * width]
     }
 
+    /// The same, to be written.
+    pub(super) fn frame_mut(&mut self, index: usize) -> &mut [f64] {
+        let width = 3 * self.sensors.len();
+        &mut self.positions_m[index * width..(index + 1) * width]
+    }
+
     /// Positions of one sensor at all times.
     pub fn sensor(&self, sensor: usize) -> Vec<f64> {
         (0..self.len()).flat_map(|k| self.frame(k)[3 * sensor..3 * sensor + 3].to_vec()).collect()

@@ -11,11 +11,17 @@ use serde::{Deserialize, Serialize};
 
 /// Neighbours farther than so many sigmas learn less than a rounding error.
 const REACH_SIGMAS: f64 = 6.0;
+/// A smaller step is none: weights are of the order of one.
+const NEGLIGIBLE: f64 = 1e-9;
 /// Stop when fewer winners than this share changed in an epoch.
 const SETTLED_SHARE: f64 = 0.005;
 /// Stop when the error fell by less than this share for so many epochs.
 const SETTLED_ERROR: f64 = 0.001;
 const SETTLED_EPOCHS: usize = 3;
+
+/// When a shrinking neighbourhood has come down to one neuron, and where it ends.
+const NARROWING: f64 = 0.5;
+const NARROWEST: f64 = 0.2;
 
 /// How the weights are moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -33,7 +39,8 @@ pub enum Rule {
 pub enum Width {
     /// One neuron, as published; the chain may stay folded.
     Fixed,
-    /// From a quarter of the map to one neuron.
+    /// From a quarter of the map to one neuron, and in the second half of the training to a fifth of one, so that
+    /// neurons end where rows are rather than between them and their neighbours.
     Shrink,
 }
 
@@ -54,6 +61,8 @@ pub struct Training {
     pub stop: bool,
     /// Seed of the order.
     pub seed: u64,
+    /// Look at positions in the figure's own axes rather than in the room's.
+    pub body: bool,
 }
 
 impl Default for Training {
@@ -66,6 +75,7 @@ impl Default for Training {
             subset: 0,
             stop: true,
             seed: 1,
+            body: true,
         }
     }
 }
@@ -117,18 +127,33 @@ impl Map {
         self.rows * self.columns
     }
 
-    /// The cell nearest to a row; `None` if no value is there.
+    /// The cell nearest to a row, of equal ones the first; `None` if no value is there.
     pub fn winner(&self, row: &[f64]) -> Option<Winner> {
-        row.iter().any(|value| !value.is_nan()).then_some(())?;
-        let complete = row.iter().all(|value| !value.is_nan());
-        let mut best = (0, f64::INFINITY);
-        for (cell, weight) in self.weights.chunks_exact(self.dimension).enumerate() {
-            let squared = if complete { bounded(weight, row, best.1) } else { partial(weight, row) };
-            if squared < best.1 {
-                best = (cell, squared);
+        self.winner_from(row, 0)
+    }
+
+    /// The same winner, found sooner where `guess` is near it: other cells are given up as soon as they are farther.
+    pub fn winner_from(&self, row: &[f64], guess: usize) -> Option<Winner> {
+        let there = row.iter().filter(|value| !value.is_nan()).count();
+        if there == 0 {
+            return None;
+        }
+        if there < row.len() {
+            let distances = self.weights.chunks_exact(self.dimension).map(|weight| partial(weight, row));
+            let (cell, squared) = distances.enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
+            return Some(Winner { cell, distance: squared.sqrt() });
+        }
+        let guess = if guess < self.cells() { guess } else { 0 };
+        let start = guess * self.dimension;
+        let mut limit = bounded(&self.weights[start..start + self.dimension], row, f64::INFINITY);
+        let mut cell = guess;
+        for (other, weight) in self.weights.chunks_exact(self.dimension).enumerate() {
+            let squared = bounded(weight, row, limit);
+            if squared < limit || (squared == limit && other < cell) {
+                (cell, limit) = (other, squared);
             }
         }
-        Some(Winner { cell: best.0, distance: best.1.sqrt() })
+        Some(Winner { cell, distance: limit.sqrt() })
     }
 
     /// Trains the map; returns the epochs that it took.
@@ -147,32 +172,34 @@ impl Map {
             let progress = epoch as f64 / training.epochs as f64;
             let sigma = match training.width {
                 Width::Fixed => 1.0,
-                // Reaches one neuron at two thirds, so that the rest is the paper's.
-                Width::Shrink => widest.powf((1.0 - 1.5 * progress).max(0.0)).max(1.0),
+                Width::Shrink if progress < NARROWING => widest.powf(1.0 - progress / NARROWING).max(1.0),
+                Width::Shrink => 1.0 - (progress - NARROWING) / (1.0 - NARROWING) * (1.0 - NARROWEST),
             };
             order.shuffle(&mut random);
             let order = &order[..rows];
             let (mut changed, mut error) = (0, 0.0);
+            let kernel = Kernel::new(sigma);
             let mut sums = Batch::new(self);
             for (step, index) in order.iter().enumerate() {
                 let row = &data[index * self.dimension..(index + 1) * self.dimension];
-                let Some(winner) = self.winner(row) else { continue };
+                let Some(winner) = self.winner_from(row, winners[*index]) else { continue };
                 changed += usize::from(winners[*index] != winner.cell);
                 winners[*index] = winner.cell;
                 error += winner.distance;
                 match training.rule {
                     Rule::Paper => {
                         let done = (epoch * rows + step) as f64 / (training.epochs * rows) as f64;
-                        self.update(row, winner.cell, training.alpha * (1.0 - done), sigma);
+                        self.update(row, winner.cell, training.alpha * (1.0 - done), &kernel);
                     }
                     Rule::Batch => sums.add(row, winner.cell),
                 }
             }
             if training.rule == Rule::Batch {
-                sums.apply(self, sigma);
+                sums.apply(self, &kernel);
             }
             errors.push(error);
-            if training.stop && sigma <= 1.0 && settled(changed, rows, &errors) {
+            let narrow = training.width == Width::Fixed || sigma < 0.5;
+            if training.stop && narrow && settled(changed, rows, &errors) {
                 return epoch + 1;
             }
         }
@@ -182,21 +209,35 @@ impl Map {
     }
 
     /// One step of the paper's rule: every neuron moves towards the row by `alpha h`.
-    pub fn update(&mut self, row: &[f64], winner: usize, alpha: f64, sigma: f64) {
-        let reach = (REACH_SIGMAS * sigma) as usize;
+    fn update(&mut self, row: &[f64], winner: usize, alpha: f64, kernel: &Kernel) {
+        let complete = row.iter().all(|value| !value.is_nan());
+        let reach = kernel.0.len() - 1;
         let (r, c) = (winner / self.columns, winner % self.columns);
         for i in r.saturating_sub(reach)..(r + reach + 1).min(self.rows) {
+            let alpha = alpha * kernel.0[i.abs_diff(r)];
             for j in c.saturating_sub(reach)..(c + reach + 1).min(self.columns) {
-                let squared = (i.abs_diff(r).pow(2) + j.abs_diff(c).pow(2)) as f64;
-                let step = alpha * neighbourhood(squared, sigma);
+                let step = alpha * kernel.0[j.abs_diff(c)];
+                if step < NEGLIGIBLE {
+                    continue;
+                }
                 let start = (i * self.columns + j) * self.dimension;
                 for (weight, value) in self.weights[start..start + self.dimension].iter_mut().zip(row) {
-                    if !value.is_nan() {
+                    if complete || !value.is_nan() {
                         *weight += step * (value - *weight);
                     }
                 }
             }
         }
+    }
+}
+
+/// The neighbourhood at whole distances, computed once per width: `h` of a grid is the product of both directions.
+struct Kernel(Vec<f64>);
+
+impl Kernel {
+    fn new(sigma: f64) -> Self {
+        let reach = (REACH_SIGMAS * sigma) as usize;
+        Self((0..=reach).map(|d| neighbourhood((d * d) as f64, sigma)).collect())
     }
 }
 
@@ -251,9 +292,8 @@ impl Batch {
         }
     }
 
-    fn apply(&self, map: &mut Map, sigma: f64) {
-        let reach = (REACH_SIGMAS * sigma) as usize;
-        let kernel: Vec<f64> = (0..=reach).map(|d| neighbourhood((d * d) as f64, sigma)).collect();
+    fn apply(&self, map: &mut Map, Kernel(kernel): &Kernel) {
+        let reach = kernel.len() - 1;
         let n = map.dimension;
         for row in 0..map.rows {
             for column in 0..map.columns {
@@ -320,7 +360,7 @@ mod tests {
     fn an_update_by_hand() {
         let mut map = Map { rows: 1, columns: 3, dimension: 3, weights: vec![0.0; 9] };
         map.weights[3..6].copy_from_slice(&[1.0, 1.0, 1.0]);
-        map.update(&[2.0, 0.0, 1.0], 1, 0.5, 1.0);
+        map.update(&[2.0, 0.0, 1.0], 1, 0.5, &Kernel::new(1.0));
         let h = 0.5 * (-0.5f64).exp();
         let expected = [2.0 * h, 0.0, h, 1.5, 0.5, 1.0, 2.0 * h, 0.0, h];
         assert!(map.weights.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-15), "{:?}", map.weights);
@@ -378,7 +418,7 @@ mod tests {
         let mut map = Map { rows: 1, columns: 2, dimension: 2, weights: vec![0.0, 5.0, 1.0, -5.0] };
         assert_eq!(map.winner(&[0.9, f64::NAN]).unwrap().cell, 1);
         assert!(map.winner(&[f64::NAN; 2]).is_none());
-        map.update(&[0.5, f64::NAN], 1, 1.0, 1.0);
+        map.update(&[0.5, f64::NAN], 1, 1.0, &Kernel::new(1.0));
         assert_eq!(map.weights[3], -5.0);
     }
 }

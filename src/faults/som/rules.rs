@@ -1,32 +1,30 @@
 //! Labels without an operator: what physics says about positions.
 //!
 //! What comes in: frames of positions. What goes out: a label and a cause per sensor. What is learnt from a
-//! recording before that ([`Rules::learn`], no labels needed) is which distances between sensors are rigid, how fast
-//! the sensors move, and which is the clean side of the transmitter. What it never does: look at the future.
+//! recording before that ([`Rules::learn`], no labels needed) is how far apart sensors can be, how they move, and
+//! which is the clean side of the transmitter. What it never does: look at the future.
 //!
-//! A flip is an event: the position jumps, and its mirror image does not. Between flips a sensor keeps its side.
-//! A whole figure that flips keeps all its mutual distances, so those alone would never see it.
+//! A whole figure that flips keeps all its mutual distances, so those alone would never see it: flips are events.
+
+use std::cell::Cell;
 
 use serde::{Deserialize, Serialize};
 
 use super::frames::Frames;
+use super::memory::{Habit, Memory, Point, distance, turned};
+use super::pairs::{Pairs, Size};
 
-/// A jump whose mirror image is so many times shorter is a flip.
+/// In a recording, a step whose mirror image is so many times shorter is a flip; shorter steps are motion, m.
 const FLIP_RATIO: f64 = 0.3;
-/// Jumps below this are motion, m.
-const SMALLEST_JUMP_M: f64 = 0.1;
-/// A bone's residual beyond so many robust sigmas is a fault.
-const BONE_SIGMAS: f64 = 4.0;
-/// Skin and noise, m: no bone is more rigid than this.
-const BONE_FLOOR_M: f64 = 0.01;
-/// A pair is a bone if its distance varies by less than this share of itself (robust sigma).
-const BONE_SHARE: f64 = 0.08;
-/// Steps beyond so many times the learnt limit are too fast.
-const SPEED_FACTOR: f64 = 3.0;
-/// Equal positions in a row that are frozen.
-const FROZEN_FRAMES: u32 = 5;
-/// A sensor that was missing for longer has no memory of its side.
-const MEMORY_FRAMES: u32 = 30;
+const SMALLEST_FLIP_M: f64 = 0.1;
+/// A deviation from a steady motion is a jump beyond so many times the largest usual one, or the usual one, and
+/// never below this, m.
+const JUMP_LARGEST: f64 = 1.5;
+const JUMP_USUAL: f64 = 4.0;
+const SMALLEST_JUMP_M: f64 = 0.04;
+
+/// Shares of the distances that are taken for faults, at first and then, at either end.
+const RANGES_LEAVE_OUT: [f64; 2] = [0.02, 0.003];
 
 /// What is the matter with one sensor, or with a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -95,39 +93,15 @@ impl Cause {
 /// What is known of a set of sensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rules {
-    sensors: usize,
-    bones: Vec<Bone>,
-    /// Longest usual step per frame of each sensor, m.
-    step_m: Vec<f64>,
-    /// Where each sensor is when it is clean, on average, m.
-    home_m: Vec<[f64; 3]>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-struct Bone {
-    a: usize,
-    b: usize,
-    length_m: f64,
-    sigma_m: f64,
+    habits: Vec<Habit>,
+    pairs: Pairs,
 }
 
 /// Labels frames as they come.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Labeller {
     sensors: Vec<Memory>,
-    bad: Vec<u32>,
-    count: Vec<u32>,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct Memory {
-    last: Option<[f64; 3]>,
-    /// Position before a jump that no motion makes, turned to the clean side.
-    trusted: Option<[f64; 3]>,
-    missing: u32,
-    inverted: bool,
-    repeated: u32,
-    moved: bool,
+    size: Size,
 }
 
 impl Rules {
@@ -135,161 +109,117 @@ impl Rules {
     pub fn learn(frames: &Frames) -> Self {
         let sensors = frames.sensors.len();
         let sides = sides(frames);
-        let turned = |frame: usize, sensor: usize| {
-            let p = position(frames.frame(frame), sensor)?;
-            Some(if sides[frame * sensors + sensor] { mirror(p) } else { p })
+        let here = |frame: usize, sensor: usize| {
+            Some(turned(position(frames.frame(frame), sensor)?, sides[frame * sensors + sensor]))
         };
-        let mut bones = Vec::new();
-        for a in 0..sensors {
-            for b in a + 1..sensors {
-                let mut lengths: Vec<f64> =
-                    (0..frames.len()).filter_map(|k| Some(distance(turned(k, a)?, turned(k, b)?))).collect();
-                let length_m = median(&mut lengths);
-                let mut off: Vec<f64> = lengths.iter().map(|length| (length - length_m).abs()).collect();
-                // 1.4826 makes the median absolute deviation a standard deviation.
-                let sigma_m = (1.4826 * median(&mut off)).max(BONE_FLOOR_M);
-                if lengths.len() > 10 && sigma_m < (BONE_SHARE * length_m).max(1.5 * BONE_FLOOR_M) {
-                    bones.push(Bone { a, b, length_m, sigma_m });
-                }
+        let habits = (0..sensors).map(|sensor| habit(frames.len(), |frame| here(frame, sensor))).collect();
+        let mut rules = Self { habits, pairs: Pairs::default() };
+        // Ranges are learnt from what is left once all that jumps, flips and freezes is gone, and then once more
+        // without what is outside of these.
+        let mut labels = vec![(Class::Unknown, Cause::Missing); sensors];
+        let mut places: Vec<Option<Point>> = Vec::with_capacity(frames.len() * sensors);
+        for outside in RANGES_LEAVE_OUT {
+            let mut labeller = rules.labeller();
+            places.clear();
+            for k in 0..frames.len() {
+                rules.label(&mut labeller, frames.frame(k), &mut labels);
+                let cells = Cell::from_mut(&mut labels[..]).as_slice_of_cells();
+                places.extend((0..sensors).map(|sensor| believed(&labeller.sensors, cells, sensor)));
             }
+            let place = |k: usize, sensor: usize| places[k * sensors + sensor];
+            rules.pairs = Pairs::learn(sensors, frames.len(), outside, place);
         }
-        let step_m = (0..sensors)
-            .map(|sensor| {
-                let step = |k: usize| Some(distance(turned(k, sensor)?, turned(k - 1, sensor)?));
-                let mut steps: Vec<f64> = (1..frames.len()).filter_map(step).collect();
-                quantile(&mut steps, 0.95).max(0.3 * SMALLEST_JUMP_M)
-            })
-            .collect();
-        let home_m = (0..sensors)
-            .map(|sensor| {
-                let axis = |c: usize| {
-                    median(
-                        &mut (0..frames.len())
-                            .filter_map(|k| Some(turned(k, sensor)?[c]))
-                            .collect::<Vec<_>>(),
-                    )
-                };
-                [axis(0), axis(1), axis(2)]
-            })
-            .collect();
-        Self { sensors, bones, step_m, home_m }
+        rules
     }
 
     /// Whether these are the rules of so many sensors.
     pub(super) fn fits(&self, sensors: usize) -> bool {
-        self.sensors == sensors
-            && self.step_m.len() == sensors
-            && self.home_m.len() == sensors
-            && self.bones.iter().all(|bone| bone.a < sensors && bone.b < sensors)
+        self.habits.len() == sensors && self.pairs.fit(sensors)
     }
 
     /// A labeller that has seen nothing.
     pub fn labeller(&self) -> Labeller {
-        Labeller {
-            sensors: vec![Memory::default(); self.sensors],
-            bad: vec![0; self.sensors],
-            count: vec![0; self.sensors],
-        }
+        let sensors = self.habits.len();
+        Labeller { sensors: vec![Memory::default(); sensors], size: Size::new(sensors, &self.pairs) }
     }
 
     /// Labels the next frame (three numbers a sensor, NaN where missing) into `labels`.
     pub fn label(&self, labeller: &mut Labeller, frame: &[f64], labels: &mut [(Class, Cause)]) {
         let moving = labeller.sensors.iter().filter(|memory| memory.moved).count();
-        for (sensor, (memory, label)) in labeller.sensors.iter_mut().zip(labels.iter_mut()).enumerate() {
+        let habits = self.habits.iter().zip(labeller.sensors.iter_mut().zip(labels.iter_mut()));
+        for (sensor, (habit, (memory, label))) in habits.enumerate() {
             *label = match position(frame, sensor) {
                 Some(p) => {
                     let others_move = moving > usize::from(memory.moved);
-                    memory.take(p, self.step_m[sensor], &self.home_m[sensor], others_move)
+                    memory.take(p, habit, others_move)
                 }
                 None => {
-                    memory.missing += 1;
+                    memory.miss();
                     (Class::Unknown, Cause::Missing)
                 }
             };
         }
-        self.check_bones(labeller, labels);
-    }
-
-    /// A sensor most of whose bones are wrong is anomalous, the one with most of them first.
-    fn check_bones(&self, labeller: &mut Labeller, labels: &mut [(Class, Cause)]) {
-        let wrong = |bone: &Bone, memories: &[Memory]| {
-            let (a, b) = (&memories[bone.a], &memories[bone.b]);
-            let (Some(p), Some(q)) = (a.here(), b.here()) else { return None };
-            Some((distance(p, q) - bone.length_m).abs() > BONE_SIGMAS * bone.sigma_m)
-        };
-        loop {
-            labeller.bad.fill(0);
-            labeller.count.fill(0);
-            for bone in &self.bones {
-                let judged = |sensor: usize| matches!(labels[sensor].0, Class::Clean | Class::Inverted);
-                if !judged(bone.a) || !judged(bone.b) {
-                    continue;
-                }
-                if let Some(wrong) = wrong(bone, &labeller.sensors) {
-                    for sensor in [bone.a, bone.b] {
-                        labeller.count[sensor] += 1;
-                        labeller.bad[sensor] += u32::from(wrong);
-                    }
-                }
+        let Labeller { sensors: memories, size } = labeller;
+        let labels = Cell::from_mut(labels).as_slice_of_cells();
+        for sensor in 0..memories.len() {
+            let (Some(now), Some(before)) = (memories[sensor].here(), memories[sensor].left()) else {
+                continue;
+            };
+            let here = |other| believed(memories, labels, other);
+            let strangeness = |p| self.pairs.strangeness(size, sensor, p, here);
+            // A jump to where the others would rather have it is a return from where it got to unseen.
+            if strangeness(now) < strangeness(before) {
+                labels[sensor].set(memories[sensor].believe());
             }
-            let share =
-                |sensor: usize| f64::from(labeller.bad[sensor]) / f64::from(labeller.count[sensor].max(1));
-            let worst = (0..self.sensors).max_by(|a, b| share(*a).total_cmp(&share(*b)));
-            match worst.filter(|sensor| share(*sensor) > 0.5) {
-                Some(sensor) => labels[sensor] = (Class::Anomalous, Cause::Bone),
-                None => return,
+        }
+        let place = |sensor: usize| memories[sensor].here();
+        let here = |sensor| believed(memories, labels, sensor);
+        self.pairs.check(size, place, here, |sensor| labels[sensor].set((Class::Anomalous, Cause::Bone)));
+        for sensor in 0..memories.len() {
+            if !self.pairs.is_empty()
+                && memories[sensor].is_away()
+                && let Some(p) = memories[sensor].here()
+            {
+                let fits = self.pairs.allow(size, sensor, p, |other| believed(memories, labels, other));
+                memories[sensor].judge(fits);
             }
         }
     }
 }
 
-impl Memory {
-    fn here(&self) -> Option<[f64; 3]> {
-        let last = self.last.filter(|_| self.missing == 0)?;
-        Some(if self.inverted { mirror(last) } else { last })
+/// Where a sensor is, if nothing is known against it.
+fn believed(memories: &[Memory], labels: &[Cell<(Class, Cause)>], sensor: usize) -> Option<Point> {
+    let sound = matches!(labels[sensor].get().0, Class::Clean | Class::Inverted);
+    memories[sensor].here().filter(|_| sound)
+}
+
+impl Labeller {
+    /// Where each sensor is, on the clean side.
+    pub(super) fn places(&self) -> Vec<Option<Point>> {
+        self.sensors.iter().map(Memory::here).collect()
     }
 
-    fn take(&mut self, p: [f64; 3], step_m: f64, home_m: &[f64; 3], others_move: bool) -> (Class, Cause) {
-        let gap = self.missing;
-        self.missing = 0;
-        if gap > MEMORY_FRAMES {
-            *self = Self::default();
-        }
-        let turned = |inverted: bool| if inverted { mirror(p) } else { p };
-        let Some(last) = self.last.replace(p) else {
-            // Nothing to compare with but where it usually is.
-            self.inverted = distance(mirror(p), *home_m) < FLIP_RATIO * distance(p, *home_m);
-            self.trusted = Some(turned(self.inverted));
-            return if self.inverted { (Class::Inverted, Cause::Flip) } else { (Class::Clean, Cause::None) };
-        };
-        self.moved = p != last;
-        if p == last && gap == 0 {
-            self.repeated += 1;
-            if self.repeated + 1 >= FROZEN_FRAMES && others_move {
-                return (Class::Anomalous, Cause::Frozen);
-            }
-        } else {
-            self.repeated = 0;
-        }
-        let trusted = self.trusted.unwrap_or(turned(self.inverted));
-        let (plain, flipped) = (distance(p, trusted), distance(mirror(p), trusted));
-        let reach = (f64::from(gap) + 1.0) * (SPEED_FACTOR * step_m).max(SMALLEST_JUMP_M);
-        if plain.min(flipped) <= reach || flipped < FLIP_RATIO * plain || plain < FLIP_RATIO * flipped {
-            // Close to the transmitter both images are near: it stays on its side.
-            if (plain - flipped).abs() > reach.min(0.5 * plain.max(flipped)) {
-                self.inverted = flipped < plain;
-            }
-            if plain.min(flipped) <= reach {
-                self.trusted = Some(turned(self.inverted));
-                let class = if self.inverted { Class::Inverted } else { Class::Clean };
-                return (class, if self.inverted { Cause::Flip } else { Cause::None });
-            }
-        }
-        // A jump: believed once it has stayed where it went.
-        if distance(p, last) <= reach {
-            self.trusted = Some(turned(self.inverted));
-        }
-        (Class::Anomalous, Cause::Jump)
+    /// Size of this body over that of the training's, as far as it is known.
+    pub fn size(&self) -> f64 {
+        self.size.value()
+    }
+}
+
+/// How a sensor moves, from a recording of it on its clean side.
+fn habit(frames: usize, here: impl Fn(usize) -> Option<Point>) -> Habit {
+    let mut steps: Vec<f64> = (1..frames).filter_map(|k| Some(distance(here(k)?, here(k - 1)?))).collect();
+    let bend = |k: usize| {
+        let (a, b, c) = (here(k - 2)?, here(k - 1)?, here(k)?);
+        Some(distance(c, std::array::from_fn(|axis| 2.0 * b[axis] - a[axis])))
+    };
+    let mut bends: Vec<f64> = (2..frames).filter_map(bend).collect();
+    let largest = JUMP_LARGEST * quantile(&mut bends, 0.995);
+    let usual = JUMP_USUAL * quantile(&mut bends, 0.95);
+    let axis = |c: usize| median(&mut (0..frames).filter_map(|k| Some(here(k)?[c])).collect::<Vec<_>>());
+    Habit {
+        jump_m: largest.min(usual).max(SMALLEST_JUMP_M),
+        step_m: quantile(&mut steps, 0.95),
+        home_m: [axis(0), axis(1), axis(2)],
     }
 }
 
@@ -304,8 +234,8 @@ fn sides(frames: &Frames) -> Vec<bool> {
         for k in 0..frames.len() {
             let Some(p) = position(frames.frame(k), sensor) else { continue };
             if let Some(last) = last {
-                let (step, mirrored) = (distance(p, last), distance(mirror(p), last));
-                inverted ^= step > SMALLEST_JUMP_M && mirrored < FLIP_RATIO * step;
+                let (step, mirrored) = (distance(p, last), distance(turned(p, true), last));
+                inverted ^= step > SMALLEST_FLIP_M && mirrored < FLIP_RATIO * step;
             }
             last = Some(p);
             sides[k * sensors + sensor] = inverted;
@@ -365,14 +295,6 @@ pub fn frame_class(labels: &[(Class, Cause)]) -> (Class, Cause) {
 fn position(frame: &[f64], sensor: usize) -> Option<[f64; 3]> {
     let p = &frame[3 * sensor..3 * sensor + 3];
     p.iter().all(|value| value.is_finite()).then(|| [p[0], p[1], p[2]])
-}
-
-fn mirror(p: [f64; 3]) -> [f64; 3] {
-    p.map(|value| -value)
-}
-
-fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    ((a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2) + (a[2] - b[2]).powi(2)).sqrt()
 }
 
 fn median(values: &mut [f64]) -> f64 {

@@ -34,10 +34,12 @@ pub fn measure(network: &Network, frames: &Frames, classes: &[Class]) -> Report 
     let (rows, columns) = network.size();
     let mut counts = vec![[0usize; 4]; rows * columns];
     let (mut error, mut total) = (0.0, 0usize);
-    let mut indices = vec![0.0; frames.sensors.len()];
-    for (k, class) in classes.iter().enumerate().filter(|(_, class)| **class != Class::Unknown) {
-        network.indices(frames.frame(k), &mut indices);
-        let Some(winner) = network.map.winner(&indices) else { continue };
+    let mut watch = network.watch();
+    for (k, class) in classes.iter().enumerate() {
+        let Some(winner) = watch.push(network, frames.frame(k)).winner else { continue };
+        if *class == Class::Unknown {
+            continue;
+        }
         counts[winner.cell][*class as usize] += 1;
         error += winner.distance;
         total += 1;

@@ -108,7 +108,7 @@ type Orientations = [UnitQuaternion<f64>; SEGMENTS];
 fn record(wearer: &mut Wearer, seconds: f64) -> (Vec<Recorded>, Vec<Orientations>) {
     (0..(seconds * 100.0) as usize)
         .map(|_| {
-            let (samples, truth) = wearer.next();
+            let (samples, truth) = wearer.step();
             let samples = samples.map(|s| {
                 Some(ImuSample { gyro_rad_s: s.gyro_rad_s, accel_m_s2: s.accel_m_s2, mag: s.mag_ut })
             });

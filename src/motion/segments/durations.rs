@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     fn decode(minimum: &[usize], bound: usize, frames: &[usize]) -> Vec<usize> {
-        let mut decoder = Decoder::new(minimum, -1.0, bound);
+        let mut decoder = Decoder::new(minimum, -2.0, bound);
         let mut classes = Vec::new();
         let mut say = |frame: u64, class| {
             assert_eq!(frame, classes.len() as u64);
@@ -100,8 +100,8 @@ mod tests {
     #[test]
     fn a_bound_holds_no_frame_back_for_longer() {
         let mut decoder = Decoder::new(&[4, 4], -1.0, 6);
+        let mut last = None;
         for frame in 0..50_u64 {
-            let mut last = None;
             decoder.push(&[0.5, 0.5], &mut |frame, _| last = Some(frame));
             assert!(frame < 6 || last.is_some_and(|last| last + 6 >= frame), "{frame} {last:?}");
         }

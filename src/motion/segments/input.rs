@@ -85,7 +85,7 @@ impl Preparation {
         let mut preparation =
             Self { joints, rate_hz, features, pairs, offset: Vec::new(), scale: Vec::new(), size_m: 0.0 };
         let raw = preparation.raw_features();
-        let (mut sum, mut squares, mut frames) = (vec![0.0; raw], vec![0.0; raw], 0.0_f64);
+        let (mut sum, mut squares, mut counts) = (vec![0.0; raw], vec![0.0; raw], vec![0.0_f64; raw]);
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for sequence in sequences {
             let mut memory = Memory::default();
@@ -93,29 +93,33 @@ impl Preparation {
                 preparation.measure(positions, &mut memory);
                 for (index, value) in memory.raw.iter().enumerate() {
                     let value = f64::from(*value);
+                    // A joint that is missing, or the first frame's velocity.
+                    if !value.is_finite() {
+                        continue;
+                    }
+                    counts[index] += 1.0;
                     sum[index] += value;
                     squares[index] += value * value;
                     low[index % 3] = low[index % 3].min(value);
                     high[index % 3] = high[index % 3].max(value);
                 }
-                frames += 1.0;
             }
         }
-        let frames = frames.max(1.0);
+        let mean = |sums: &[f64], index: usize| sums[index] / counts[index].max(1.0);
         let positions = 3 * preparation.joints.len();
-        let mean_square = squares[..positions].iter().sum::<f64>() / frames;
+        let mean_square = (0..positions).map(|index| mean(&squares, index)).sum::<f64>();
         preparation.size_m = (mean_square / preparation.joints.len().max(1) as f64).sqrt();
         if features.velocities || features.facing {
             let deviation: Vec<f64> = (0..raw)
-                .map(|index| (squares[index] / frames - (sum[index] / frames).powi(2)).max(0.0).sqrt())
+                .map(|index| (mean(&squares, index) - mean(&sum, index).powi(2)).max(0.0).sqrt())
                 .collect();
-            preparation.offset = sum.iter().map(|sum| (sum / frames) as f32).collect();
+            preparation.offset = (0..raw).map(|index| mean(&sum, index) as f32).collect();
             // Positions, velocities and the centre's motion each have a floor of their own.
             let parts = [0, positions, 2 * positions, 2 * positions + 3, 3 * positions + 3, raw];
             for pair in parts.windows(2) {
                 let part = &deviation[pair[0].min(raw)..pair[1].min(raw)];
-                let mean = part.iter().map(|d| d * d).sum::<f64>() / part.len().max(1) as f64;
-                let floor = (FLOOR * mean.sqrt()).max(1e-9);
+                let square = part.iter().map(|d| d * d).sum::<f64>() / part.len().max(1) as f64;
+                let floor = (FLOOR * square.sqrt()).max(1e-9);
                 preparation.scale.extend(part.iter().map(|d| (1.0 / d.max(floor)) as f32));
             }
         } else {

@@ -10,6 +10,7 @@ mod damage;
 mod determinism;
 mod devices;
 mod judge;
+mod many;
 
 use posed_simulator::faults::Fault;
 use posed_simulator::motion::{Motion, Orbit};

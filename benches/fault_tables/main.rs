@@ -1,0 +1,163 @@
+//! How well bad frames are found: rules alone, the map alone, both. `cargo bench --bench fault_tables`.
+//!
+//! Trained on one scripted session (5 min, 15 sensors, half of it bad), tested on other sessions and bodies; then, where
+//! `../shared/data/cmu-labelled` is there, on motion captures with faults put in, trained on one and tested on others.
+//! Recall of frames that are inverted or anomalous, and the share of clean frames that are called bad.
+
+use std::path::Path;
+
+use posed::faults::som::frames::Frames;
+use posed::faults::som::map::Training;
+use posed::faults::som::rules::{Cause, Class, frame_class};
+use posed::faults::som::{Network, Size};
+use posed::table::{SequenceOptions, Sequences, Unit, Up};
+use posed_simulator::figure::{Fault, Figure, SENSORS, Truth, inject};
+
+/// Frames by true class and by what was said.
+#[derive(Clone, Copy, Default)]
+struct Table([[usize; 4]; 4]);
+
+impl Table {
+    fn add(&mut self, truth: Class, said: Class) {
+        self.0[truth as usize][said as usize] += 1;
+    }
+
+    fn line(&self, name: &str) {
+        let share = |class: Class| {
+            let row = &self.0[class as usize];
+            row[class as usize] as f64 / row.iter().sum::<usize>().max(1) as f64
+        };
+        let (inverted, anomalous) = (share(Class::Inverted), share(Class::Anomalous));
+        println!("| {name} | {inverted:.3} | {anomalous:.3} | {:.4} |", 1.0 - share(Class::Clean));
+    }
+}
+
+fn class(truth: Truth) -> Class {
+    match truth {
+        Truth::Clean => Class::Clean,
+        Truth::Inverted => Class::Inverted,
+        Truth::Stuck | Truth::Jump | Truth::Disturbed => Class::Anomalous,
+    }
+}
+
+/// What each frame is.
+fn classes(truth: &[Truth], sensors: usize) -> Vec<Class> {
+    let frame = |row: &[Truth]| {
+        let labels: Vec<(Class, Cause)> = row.iter().map(|truth| (class(*truth), Cause::None)).collect();
+        frame_class(&labels).0
+    };
+    truth.chunks_exact(sensors).map(frame).collect()
+}
+
+struct Session {
+    frames: Frames,
+    classes: Vec<Class>,
+}
+
+impl Session {
+    fn new(sensors: Vec<String>, mut positions_m: Vec<f64>, rate_hz: f64, seed: u64, share: f64) -> Self {
+        let truth = inject(&mut positions_m, sensors.len(), rate_hz, seed, share, &Fault::ALL);
+        let classes = classes(&truth, sensors.len());
+        let t_s = (0..classes.len()).map(|k| k as f64 / rate_hz).collect();
+        Self { frames: Frames { sensors, t_s, positions_m }, classes }
+    }
+
+    fn of_figure(seed: u64, height_m: f64, frames: usize, share: f64) -> Self {
+        let figure = Figure { seed, height_m, rate_hz: 60.0, frames };
+        Self::new(SENSORS.map(str::to_owned).into(), figure.positions_m(), 60.0, seed, share)
+    }
+
+    fn train(&self) -> Option<Network> {
+        let (network, labels) = Network::train(&self.frames, Size::default(), &Training::default()).ok()?;
+        let agree = labels.frames.iter().zip(&self.classes).filter(|(label, class)| label.0 == **class);
+        println!(
+            "trained: automatic labels agree in {:.3}",
+            agree.count() as f64 / self.classes.len() as f64
+        );
+        Some(network)
+    }
+
+    /// Rules alone, map alone, both.
+    fn test(&self, network: &Network, tables: &mut [Table; 3]) {
+        let Ok(frames) = network.adapt(&self.frames) else { return };
+        let mut watch = network.watch();
+        for (k, truth) in self.classes.iter().enumerate() {
+            let verdict = watch.push(network, frames.frame(k));
+            for (table, said) in tables.iter_mut().zip([verdict.by_rules, verdict.by_map, verdict.class]) {
+                table.add(*truth, said);
+            }
+        }
+    }
+}
+
+fn print(title: &str, tables: &[Table; 3]) {
+    println!("\n| {title} | inverted | anomalous | false |\n|---|---|---|---|");
+    for (table, name) in tables.iter().zip(["rules alone", "map alone", "both"]) {
+        table.line(name);
+    }
+}
+
+/// A motion capture: two metres before the transmitter, which stands one metre above the floor; 1 mm of noise.
+fn capture(path: &Path, seed: u64, share: f64) -> Option<Session> {
+    let options = SequenceOptions { rate_hz: Some(120.0), unit: Unit::Mm, up: Up::Y };
+    let sequences = Sequences::read(path, &options).ok()?;
+    let sensors = sequences.joints.clone();
+    let mut positions_m: Vec<f64> =
+        sequences.positions_m.iter().flat_map(|p| p.unwrap_or([f64::NAN; 3])).collect();
+    let width = 3 * sensors.len();
+    let root = |c: usize| {
+        let sum: f64 = positions_m.chunks_exact(width).map(|row| row[c]).sum();
+        sum / (positions_m.len() / width) as f64
+    };
+    let offset = [2.0 - root(0), -root(1), -1.0];
+    let mut noise = Noise(seed);
+    for (k, value) in positions_m.iter_mut().enumerate() {
+        *value += offset[k % 3] + 1e-3 * noise.next();
+    }
+    Some(Session::new(sensors, positions_m, 120.0, seed, share))
+}
+
+/// Normal numbers (Irwin and Hall) from a fixed seed.
+struct Noise(u64);
+
+impl Noise {
+    fn next(&mut self) -> f64 {
+        let mut uniform = || {
+            self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (self.0 >> 11) as f64 / (1u64 << 53) as f64
+        };
+        (0..12).map(|_| uniform()).sum::<f64>() - 6.0
+    }
+}
+
+fn main() {
+    if let Some(network) = Session::of_figure(1, 1.78, 18_000, 0.5).train() {
+        let mut same = [Table::default(); 3];
+        for seed in 100..104 {
+            Session::of_figure(seed, 1.78, 6000, 0.4).test(&network, &mut same);
+        }
+        print("other sessions of the same person", &same);
+        let mut other = [Table::default(); 3];
+        for (seed, height_m) in (110..).zip([1.6, 1.7, 1.85, 1.9]) {
+            Session::of_figure(seed, height_m, 6000, 0.4).test(&network, &mut other);
+        }
+        print("people of 1.60, 1.70, 1.85 and 1.90 m", &other);
+    }
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/cmu-labelled");
+    let names = ["13_29", "13_30", "14_20"];
+    let mut tables = [Table::default(); 3];
+    for name in names {
+        let path = |name: &str| folder.join(format!("{name}.csv.gz"));
+        let Some(training) = capture(&path(name), 5, 0.5) else {
+            println!("skipped: {} is not there", path(name).display());
+            continue;
+        };
+        let Some(network) = training.train() else { continue };
+        for other in names.into_iter().filter(|other| *other != name) {
+            if let Some(session) = capture(&path(other), 77, 0.4) {
+                session.test(&network, &mut tables);
+            }
+        }
+    }
+    print("motion captures with faults put in", &tables);
+}

@@ -1,0 +1,185 @@
+//! `posed decode x-imu3 FILE`: the bytes of an x-IMU3 unit or chain, such as its log files, as a table of its IMUs.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use posed_drivers::Measurement;
+use posed_drivers::x_imu3::data;
+use posed_drivers::x_imu3::wire::{self, Lines};
+use serde::Serialize;
+
+use super::decode::Table;
+use super::{Error, output, print, print_json, tell};
+
+const COLUMNS: [&str; 15] =
+    ["t", "sensor", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz", "qw", "qx", "qy", "qz"];
+
+/// One inertial message, with what came since the one before.
+#[derive(Clone, Debug, Serialize)]
+struct Record {
+    t_s: f64,
+    /// Channel bytes of a chain; 0 for a unit alone.
+    address: u16,
+    angular_rate_rad_s: [f64; 3],
+    specific_force_m_s2: [f64; 3],
+    magnetic_field: Option<[f64; 3]>,
+    orientation_wxyz: Option<[f64; 4]>,
+}
+
+/// The answer.
+#[derive(Default, Serialize)]
+struct Summary {
+    records: u64,
+    rejected: u64,
+    bytes_skipped: u64,
+}
+
+/// Decodes `file`, writes what was asked for, and says the summary.
+pub(super) fn run(file: &Path, output: Option<&Path>, table: Option<Table>, json: bool) -> Result<(), Error> {
+    if table == Some(Table::Recording) {
+        return Err(Error::Usage(
+            "an x-IMU3 capture carries no times of arrival to record; end the output in .csv, .csv.gz or .jsonl"
+                .into(),
+        ));
+    }
+    let bytes = std::fs::read(file).map_err(|error| Error::file("read", file, &error))?;
+    let (records, summary) = decode(&bytes);
+    if records.is_empty() {
+        return Err(Error::Failed(format!(
+            "{} holds no inertial message: is it a log or capture of an x-IMU3?",
+            file.display()
+        )));
+    }
+    match (output, table) {
+        (Some(path), Some(table)) => output::replace(path, |file| {
+            table.write(file, |file| csv(&records, file), |file| json_lines(&records, file))
+        })?,
+        _ if !json => {
+            let mut text = Vec::new();
+            csv(&records, &mut text).map_err(Error::failed)?;
+            print(&String::from_utf8_lossy(&text))?;
+        }
+        _ => {}
+    }
+    if json {
+        return print_json(&summary);
+    }
+    let Summary { records, rejected, bytes_skipped } = summary;
+    tell(&format!("{records} records, {rejected} rejected, {bytes_skipped} bytes skipped"));
+    Ok(())
+}
+
+fn decode(bytes: &[u8]) -> (Vec<Record>, Summary) {
+    let (mut lines, mut scratch) = (Lines::default(), Vec::new());
+    let (mut records, mut summary) = (Vec::new(), Summary::default());
+    // By address: field and orientation for the unit's next inertial message.
+    type Waiting = (u16, Option<[f64; 3]>, Option<[f64; 4]>);
+    let mut waiting: Vec<Waiting> = Vec::new();
+    lines.push(bytes);
+    while let Some(line) = lines.find() {
+        let line = lines.line(line);
+        let Some(message) = wire::parse(line, &mut scratch) else {
+            summary.rejected += 1;
+            summary.bytes_skipped += line.len() as u64 + 1;
+            continue;
+        };
+        if matches!(message.body, wire::Body::Command(_)) {
+            continue;
+        }
+        let measured = data::decode(&message.body).map(|it| (it.time_us, it.data.measurement()));
+        let Some((time_us, Ok(measurement))) = measured else {
+            summary.rejected += 1;
+            summary.bytes_skipped += line.len() as u64 + 1;
+            continue;
+        };
+        let Some(Measurement::Imu {
+            angular_rate_rad_s,
+            specific_force_m_s2,
+            magnetic_field,
+            orientation_wxyz,
+            ..
+        }) = measurement
+        else {
+            continue;
+        };
+        let at = waiting.iter().position(|(address, ..)| *address == message.address).unwrap_or_else(|| {
+            waiting.push((message.address, None, None));
+            waiting.len() - 1
+        });
+        let (address, field, orientation) = &mut waiting[at];
+        *field = magnetic_field.or(*field);
+        *orientation = orientation_wxyz.or(*orientation);
+        if let (Some(angular_rate_rad_s), Some(specific_force_m_s2)) =
+            (angular_rate_rad_s, specific_force_m_s2)
+        {
+            summary.records += 1;
+            records.push(Record {
+                t_s: time_us as f64 * 1e-6,
+                address: *address,
+                angular_rate_rad_s,
+                specific_force_m_s2,
+                magnetic_field: field.take(),
+                orientation_wxyz: orientation.take(),
+            });
+        }
+    }
+    summary.bytes_skipped += lines.bytes_skipped();
+    (records, summary)
+}
+
+/// One row per inertial message.
+fn csv(records: &[Record], file: &mut dyn Write) -> io::Result<()> {
+    let mut table = csv::Writer::from_writer(file);
+    table.write_record(COLUMNS)?;
+    for record in records {
+        table.write_field(record.t_s.to_string())?;
+        table.write_field(format!("unit-{}", record.address))?;
+        let vectors =
+            [Some(record.specific_force_m_s2), Some(record.angular_rate_rad_s), record.magnetic_field];
+        let numbers = vectors.into_iter().flat_map(|vector| match vector {
+            Some(values) => values.map(Some),
+            None => [None; 3],
+        });
+        for number in numbers.chain(record.orientation_wxyz.map_or([None; 4], |q| q.map(Some))) {
+            table.write_field(number.map(|number| number.to_string()).unwrap_or_default())?;
+        }
+        table.write_record(None::<&[u8]>)?;
+    }
+    table.flush()
+}
+
+/// Every record in full.
+fn json_lines(records: &[Record], file: &mut dyn Write) -> io::Result<()> {
+    for record in records {
+        serde_json::to_writer(&mut *file, record)?;
+        file.write_all(b"\n")?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slower_magnetometer_joins_the_next_inertial_message() {
+        let mut bytes = Vec::new();
+        let mut add = |address, letter, time_us, values: &[f64]| {
+            wire::binary(address, letter, &data::encode(time_us, values), &mut bytes);
+        };
+        add(2, b'I', 10_000, &[0.0, 0.0, 180.0, 0.0, 0.0, 1.0]);
+        add(3, b'I', 12_000, &[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+        add(2, b'M', 15_000, &[1.0, 0.0, 0.0]);
+        add(2, b'I', 20_000, &[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+        bytes.extend(b"\xC9broken\n");
+        let (records, summary) = decode(&bytes);
+        assert_eq!((summary.records, summary.rejected), (3, 1));
+        assert_eq!(records[0].angular_rate_rad_s[2], std::f64::consts::PI);
+        assert!((records[0].t_s, records[1].address) == (0.01, 3) && records[1].magnetic_field.is_none());
+        assert_eq!(records[2].magnetic_field, Some([1.0, 0.0, 0.0]));
+        let mut text = Vec::new();
+        csv(&records, &mut text).unwrap();
+        let text = String::from_utf8(text).unwrap();
+        assert!(text.lines().nth(1).unwrap().starts_with("0.01,unit-2,0,0,9.80665,0,0,3.14159"), "{text}");
+    }
+}

@@ -1,0 +1,123 @@
+//! A network as `FAULTS.json` holds it, and whether such a file holds together.
+
+use serde::{Deserialize, Serialize};
+
+use super::body::Body;
+use super::map::Map;
+use super::rules::{Class, Rules};
+use super::{Network, NetworkError};
+
+const FORMAT: &str = "posed faults 2";
+
+/// The first layer: a chain per sensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Layer1 {
+    /// Sensor, neuron, coordinate; m.
+    weights: Vec<Vec<[f64; 3]>>,
+}
+
+/// The second layer: a map of winners' indices.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Layer2 {
+    /// Row, column, sensor; index over the number of neurons.
+    weights: Vec<Vec<Vec<f64>>>,
+}
+
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct File {
+    format: String,
+    sensors: Vec<String>,
+    layer1: Layer1,
+    layer2: Layer2,
+    /// Row by row; may be edited by hand.
+    cells: Vec<Vec<Class>>,
+    /// Per sensor, neuron by neuron.
+    neurons: Vec<Vec<Class>>,
+    usual_distance: f64,
+    usual_distances_m: Vec<f64>,
+    epochs: usize,
+    /// Absent: positions are taken as they are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    body: Option<Body>,
+    rules: Rules,
+}
+
+impl From<Network> for File {
+    fn from(network: Network) -> Self {
+        let chain = |chain: &Map| chain.weights.chunks_exact(3).map(|w| [w[0], w[1], w[2]]).collect();
+        let cells: Vec<Vec<f64>> =
+            network.map.weights.chunks_exact(network.map.dimension).map(<[f64]>::to_vec).collect();
+        Self {
+            format: FORMAT.to_owned(),
+            layer1: Layer1 { weights: network.chains.iter().map(chain).collect() },
+            layer2: Layer2 { weights: cells.chunks(network.map.columns).map(<[_]>::to_vec).collect() },
+            cells: network.cells.chunks(network.map.columns).map(<[_]>::to_vec).collect(),
+            sensors: network.sensors,
+            neurons: network.neurons,
+            usual_distance: network.usual_distance,
+            usual_distances_m: network.usual_distances_m,
+            epochs: network.epochs,
+            body: network.body,
+            rules: network.rules,
+        }
+    }
+}
+
+impl TryFrom<File> for Network {
+    type Error = NetworkError;
+
+    fn try_from(file: File) -> Result<Self, NetworkError> {
+        let wrong = |what| Err(NetworkError::File(what));
+        let sensors = file.sensors.len();
+        if file.format != FORMAT {
+            return wrong("its `format` is not `posed faults 2`; train it again");
+        }
+        if sensors == 0 || file.layer1.weights.len() != sensors {
+            return wrong("layer1 should have one chain per sensor");
+        }
+        if file.layer1.weights.iter().any(Vec::is_empty) {
+            return wrong("layer1 has a chain without neurons");
+        }
+        let (rows, columns) = (file.layer2.weights.len(), file.layer2.weights.first().map_or(0, Vec::len));
+        let cells: Vec<&Vec<f64>> = file.layer2.weights.iter().flatten().collect();
+        if cells.is_empty() || cells.len() != rows * columns || cells.iter().any(|cell| cell.len() != sensors)
+        {
+            return wrong("layer2 should be a full grid of one number per sensor");
+        }
+        let classes: Vec<Class> = file.cells.into_iter().flatten().collect();
+        if classes.len() != rows * columns {
+            return wrong("there should be one class per cell");
+        }
+        if !file.rules.fits(sensors) || file.body.as_ref().is_some_and(|body| !body.fits(sensors)) {
+            return wrong("the rules are of other sensors");
+        }
+        let chains = file.layer1.weights.iter().map(Vec::len);
+        if file.usual_distances_m.len() != sensors || !chains.eq(file.neurons.iter().map(Vec::len)) {
+            return wrong("there should be one class per neuron and one usual distance per sensor");
+        }
+        let chain = |weights: &Vec<[f64; 3]>| Map {
+            rows: 1,
+            columns: weights.len(),
+            dimension: 3,
+            weights: weights.iter().flatten().copied().collect(),
+        };
+        Ok(Self {
+            chains: file.layer1.weights.iter().map(chain).collect(),
+            map: Map {
+                rows,
+                columns,
+                dimension: sensors,
+                weights: cells.into_iter().flatten().copied().collect(),
+            },
+            cells: classes,
+            sensors: file.sensors,
+            neurons: file.neurons,
+            usual_distance: file.usual_distance,
+            usual_distances_m: file.usual_distances_m,
+            body: file.body,
+            rules: file.rules,
+            epochs: file.epochs,
+        })
+    }
+}
