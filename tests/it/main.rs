@@ -7,6 +7,7 @@
 )]
 
 mod acceptance;
+mod body;
 mod cli;
 mod daemon;
 mod field;

@@ -121,7 +121,8 @@ impl Follower {
     /// From the tracker nearest to the hips, so that the first step is a small one.
     fn start(&mut self, trackers: &[Tracked], first: &Tracked) {
         let trunk = [Segment::Pelvis, Segment::Torso];
-        let near = trunk.iter().find_map(|segment| trackers.iter().find(|t| t.segment == *segment)).unwrap_or(first);
+        let near =
+            trunk.iter().find_map(|segment| trackers.iter().find(|t| t.segment == *segment)).unwrap_or(first);
         let room_from_segment = near.room_from_sensor * near.segment_from_sensor.inverse();
         // Upright, turned as that segment is.
         let yaw = super::yaw_from_upright(&room_from_segment.rotation);
