@@ -5,6 +5,7 @@
 //! input, then all outputs are drained; the same entries give the same outputs, and a pipeline restored from
 //! a snapshot goes on as if nothing had happened.
 
+mod exercise;
 mod sensor;
 mod session;
 mod status;
@@ -17,10 +18,12 @@ use thiserror::Error;
 use crate::clock::{self, Clock};
 use crate::frame::{Assembler, Frame};
 use crate::geometry;
-use crate::input::{DeviceIndex, Entry, Input, Model, SensorIndex};
+use crate::input::{DeviceIndex, Entry, Input, Model, Request, SensorIndex};
 use crate::noise::TrackerNoise;
 use crate::output::{Estimate, Measured, Outcome, OutcomeKind, Output, SensorEstimate};
 use crate::stage::Stage;
+pub use exercise::DEFAULT_SUBJECT;
+use exercise::ExerciseStage;
 use sensor::Sensor;
 use session::DeviceSession;
 pub use status::{ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
@@ -83,7 +86,9 @@ pub struct Pipeline {
     frames: Assembler,
     room_transmitter: Isometry3<f64>,
     estimate: Estimate,
+    exercise: ExerciseStage,
     models_refused: u64,
+    requests_refused: u64,
 }
 
 impl Pipeline {
@@ -126,7 +131,9 @@ impl Pipeline {
                 sensors: vec![SensorEstimate::default(); stage.sensors.len()],
                 ..Estimate::default()
             },
+            exercise: ExerciseStage::new(stage.sensors.iter().map(|sensor| sensor.name.as_str())),
             models_refused: 0,
+            requests_refused: 0,
         })
     }
 
@@ -154,6 +161,7 @@ impl Pipeline {
                 }
             }
             Input::Model(model) => self.swap(model, say),
+            Input::Request(request) => self.request(request, say),
             Input::Truth(truth) => say(Output::Truth(truth)),
         }
         self.close_frames(say);
@@ -192,6 +200,7 @@ impl Pipeline {
             devices: self.devices.iter().map(Device::status).collect(),
             sensors: self.sensors.iter().map(Sensor::status).collect(),
             models_refused: self.models_refused,
+            requests_refused: self.requests_refused,
         }
     }
 
@@ -257,13 +266,14 @@ impl Pipeline {
     }
 
     fn close_frames(&mut self, say: &mut impl FnMut(Output<'_>)) {
-        let Self { frames, sensors, estimate, room_transmitter, now, .. } = self;
+        let Self { frames, sensors, estimate, room_transmitter, now, exercise, .. } = self;
         while let Some(frame) = frames.poll(*now) {
             estimate_frame(frame, sensors, room_transmitter, estimate);
             say(Output::Estimate(estimate));
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, say);
             }
+            exercise.frame(estimate, &mut |outcome| say(Output::Outcome(outcome)));
         }
     }
 
@@ -280,6 +290,23 @@ impl Pipeline {
             t_decided: t,
             what: OutcomeKind::ModelSwapped(model.clone()),
         }));
+        if let Model::Exercise { .. } = model {
+            self.exercise.loaded(&self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
+        }
+    }
+
+    /// Whether a request can be carried out now; [`Input::Request`] then does.
+    ///
+    /// # Errors
+    /// A sentence about what stands against it.
+    pub fn check_request(&self, request: &Request) -> Result<(), String> {
+        self.exercise.check(request)
+    }
+
+    fn request(&mut self, request: &Request, say: &mut impl FnMut(Output<'_>)) {
+        let done =
+            self.exercise.request(request, &self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
+        self.requests_refused += u64::from(!done);
     }
 
     /// Takes a model whose numbers are right; false where it speaks of nothing that is here.
@@ -304,6 +331,7 @@ impl Pipeline {
                 }
                 true
             }
+            Model::Exercise { exercise } => self.exercise.load(exercise),
         }
     }
 }

@@ -9,6 +9,7 @@
 mod acceptance;
 mod cli;
 mod daemon;
+mod exercise;
 mod field;
 mod inertial;
 mod keyframes;

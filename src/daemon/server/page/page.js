@@ -24,11 +24,11 @@ function connect() {
   socket.onopen = () => {
     attempts = 0;
     socket.send(JSON.stringify({ type: "subscribe", id: 1, topics: ["sensors"], max_rate_hz: 15 }));
-    socket.send(JSON.stringify({ type: "subscribe", id: 2, topics: ["status"] }));
+    socket.send(JSON.stringify({ type: "subscribe", id: 2, topics: ["status", "exercise"] }));
   };
   socket.onmessage = ({ data }) => {
     const message = JSON.parse(data);
-    const show = { hello: showHello, sensors: showSensors, status: showStatus }[message.type];
+    const show = { hello: showHello, sensors: showSensors, status: showStatus, exercise: showExercise }[message.type];
     if (show) show(message);
   };
   socket.onclose = ({ code, reason }) => {
@@ -84,6 +84,23 @@ function showStatus({ devices, sensors, problems }) {
     item.textContent = message;
     return item;
   }));
+}
+
+// One line per subject and exercise: the count, and what was said last.
+const exercises = new Map();
+
+function showExercise({ event, subject, exercise, count, reason, sentence, state }) {
+  if (event === "state") {
+    for (const key of exercises.keys()) if (key.startsWith(`${subject}: `)) exercises.delete(key);
+    for (const one of state.exercises) exercises.set(`${subject}: ${one.exercise}`, { count: one.count, said: "" });
+  } else if (event === "counted" || event === "rejected") {
+    const said = event === "counted" ? sentence ?? "good" : `not counted: ${reason}`;
+    exercises.set(`${subject}: ${exercise}`, { count, said });
+  } else {
+    return;
+  }
+  byId("exercise").hidden = exercises.size === 0;
+  rows(byId("exercises"), [...exercises].map(([name, { count: n, said }]) => [[name], [String(n)], [said, "word"]]));
 }
 
 function numbers(values, count, digits) {
