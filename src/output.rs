@@ -1,8 +1,13 @@
 //! What the pipeline says: estimates and outcomes, before anyone turns them into messages.
 
+mod exercise;
+
 use posed_drivers::{State, Timestamp};
 use serde::{Deserialize, Serialize};
 
+pub use self::exercise::{
+    ExerciseOutcome, ExerciseProgress, ExerciseState, ExerciseWhat, LiveHint, Repetition,
+};
 use crate::input::{DeviceIndex, Model, SensorIndex, Truth};
 
 /// One output of `Pipeline::push`; borrowed, valid during the call.
@@ -163,6 +168,8 @@ pub enum OutcomeKind {
     },
     /// A model was swapped in.
     ModelSwapped(Model),
+    /// Something happened with an exercise.
+    Exercise(ExerciseOutcome),
 }
 
 /// Why a sensor's pose is not simply good.

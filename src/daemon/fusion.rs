@@ -15,13 +15,15 @@ use super::health::Health;
 use super::inbox::{Event, Inbox};
 use super::jobs::{Job, Jobs};
 use super::ports::PortCommand;
+use super::recent::{Excerpt, Recent};
 use super::recorder::{Recorder, RecorderState};
 use super::server::{Hub, Reply};
-use crate::input::{Entry, Input, Model};
+use crate::input::{Entry, Input, Model, Request};
 use crate::output::{OutcomeKind, Output};
 use crate::pipeline::Pipeline;
 use crate::protocol::{Payload, Publisher, Status, schema};
 use crate::recording::{Header, Snapshot};
+use crate::signals;
 
 /// The queue into the fusion thread.
 pub type FusionInbox = Inbox<Command>;
@@ -49,6 +51,26 @@ pub enum Command {
     StopRecording {
         /// Who wants to know.
         reply: Option<Reply>,
+    },
+    /// Hands a request to the pipeline, if it can be carried out.
+    Request {
+        /// The request.
+        request: Request,
+        /// Models that it needs, swapped in before where the pipeline lacks them.
+        models: Vec<Model>,
+        /// Who wants to know.
+        reply: Option<Reply>,
+    },
+    /// Swaps a model in.
+    LoadModel(Model),
+    /// Copies what was tracked lately.
+    Recent {
+        /// After this time, s.
+        from_s: f64,
+        /// Only of these sensors; absent: all.
+        sensors: Option<Vec<String>>,
+        /// Where the copy goes.
+        to: std::sync::mpsc::Sender<Excerpt>,
     },
     /// A job was cancelled; it may be one of this thread.
     LookAtJobs,
@@ -82,6 +104,8 @@ pub(super) struct Fusion {
     pub(super) begun: bool,
     /// Models swapped in so far, the newest of each kind last.
     pub(super) models: Vec<Model>,
+    /// What exercises are taught from.
+    pub(super) recent: Recent,
     /// What every recording of this run begins with.
     pub(super) recording_header: Header,
 }
@@ -124,7 +148,7 @@ impl Fusion {
     /// One entry through recording and pipeline.
     fn step(&mut self, entry: &Entry) {
         self.begun = true;
-        let Self { pipeline, publisher, hub, ports, health, recording, clock, models, .. } = self;
+        let Self { pipeline, publisher, hub, ports, health, recording, clock, models, recent, .. } = self;
         let mut recorder = recording.as_mut().map(|recording| &mut recording.recorder);
         if let Some(recorder) = &mut recorder {
             recorder.entry(entry);
@@ -140,7 +164,10 @@ impl Fusion {
                 Output::SetRts { device, asserted } => send(ports, device, PortCommand::SetRts(asserted)),
                 Output::Device { device, state } => health.device_changed(device, state),
                 Output::Warning { device, text } => health.warn(device, text),
-                Output::Estimate(estimate) => health.estimate(clock.now().seconds_since(entry.t), estimate),
+                Output::Estimate(estimate) => {
+                    health.estimate(clock.now().seconds_since(entry.t), estimate);
+                    recent.push(estimate);
+                }
                 Output::Outcome(outcome) => {
                     if let OutcomeKind::ModelSwapped(model) = &outcome.what {
                         models.retain(|old| !old.replaced_by(model));
@@ -173,6 +200,22 @@ impl Fusion {
                 Some(recording) => self.stop_recording(recording, reply),
                 None => answer(reply, Err("nothing is being recorded".to_owned())),
             },
+            Command::Request { request, models, reply } => {
+                let done = self.request(request, models);
+                answer(reply, done.map(|()| None));
+            }
+            Command::LoadModel(model) => {
+                self.step(&Entry { t: self.clock.now(), input: Input::Model(model) })
+            }
+            Command::Recent { from_s, sensors, to } => {
+                // Behind the name of a sensor the columns differ.
+                let columns = sensors.map(|names| signals::columns(names.iter().map(String::as_str)));
+                let wanted = |column: &str| {
+                    columns.as_ref().is_none_or(|columns| columns.iter().any(|wanted| wanted == column))
+                };
+                // A job that has ended meanwhile does not want it any more.
+                let _ = to.send(self.recent.after(from_s, wanted));
+            }
             Command::LookAtJobs => {
                 if let Some(recording) = self.recording.take_if(|recording| recording.job.is_cancelled()) {
                     self.stop_recording(recording, None);
@@ -180,6 +223,18 @@ impl Fusion {
             }
             Command::Shutdown => {}
         }
+    }
+
+    /// A request through the log, with the models that it needs.
+    fn request(&mut self, request: Request, models: Vec<Model>) -> Result<(), String> {
+        for model in models {
+            if !self.models.iter().any(|known| known.replaced_by(&model)) {
+                self.step(&Entry { t: self.clock.now(), input: Input::Model(model) });
+            }
+        }
+        self.pipeline.check_request(&request)?;
+        self.step(&Entry { t: self.clock.now(), input: Input::Request(request) });
+        Ok(())
     }
 
     fn stop_recording(&mut self, mut recording: Recording, reply: Option<Reply>) {

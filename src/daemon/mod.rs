@@ -16,9 +16,11 @@ mod health;
 pub mod inbox;
 mod jobs;
 mod limits;
+pub mod models;
 mod playback;
 mod player;
 pub mod ports;
+mod recent;
 pub mod recorder;
 pub mod server;
 mod service;
@@ -39,8 +41,10 @@ use self::health::Health;
 use self::inbox::{Event, Inbox};
 use self::jobs::Jobs;
 use self::ports::{Place, PortTask};
+use self::recent::Recent;
 use self::server::{BindError, Server};
 use self::service::Service;
+use crate::input::{Entry, Input};
 use crate::pipeline::{Pipeline, PipelineError};
 use crate::protocol::{Fields, Publisher, Status, Topic};
 use crate::stage::Stage;
@@ -91,6 +95,9 @@ pub enum StartError {
     /// The pipeline.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
+    /// A model that the stage file names.
+    #[error("{0}")]
+    Model(String),
     /// The recording asked for.
     #[error("{0}")]
     Record(String),
@@ -132,6 +139,7 @@ impl Daemon {
     pub fn start_without_ports(options: Options) -> Result<Self, StartError> {
         let Options { stage, stage_toml, folder, listen, record, truth, clock } = options;
         limits::raise();
+        let models = models::load(&stage).map_err(StartError::Model)?;
         let mut config = server::Config::new(&folder, clock.epoch_utc_ns());
         config.listen = listen;
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
@@ -164,8 +172,14 @@ impl Daemon {
             ending: Vec::new(),
             begun: false,
             models: Vec::new(),
+            recent: Recent::new(stage.sensors.iter().map(|sensor| sensor.name.as_str())),
             recording_header: crate::recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
         };
+        for model in models {
+            // Before anything else, and in the log.
+            let input = Input::Model(model);
+            inbox.push(Event::Entry(Entry { t: clock.now(), input }));
+        }
         if let Some(path) = record {
             fusion.start_recording(path).map_err(StartError::Record)?;
         }

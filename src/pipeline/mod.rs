@@ -6,6 +6,7 @@
 //! a snapshot goes on as if nothing had happened.
 
 mod device;
+mod exercise;
 mod inertial;
 mod magnetic;
 mod sensor;
@@ -20,11 +21,13 @@ use thiserror::Error;
 
 use crate::frame::{Assembler, Frame};
 use crate::geometry;
-use crate::input::{DeviceIndex, Entry, Input, Model, SensorIndex};
+use crate::input::{DeviceIndex, Entry, Input, Model, Request, SensorIndex};
 use crate::noise::TrackerNoise;
 use crate::output::{Estimate, Outcome, OutcomeKind, Output, SensorEstimate};
 use crate::stage::Stage;
 use device::{Device, owner};
+pub use exercise::DEFAULT_SUBJECT;
+use exercise::ExerciseStage;
 use sensor::Sensor;
 use source::Source;
 pub use status::{ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
@@ -75,7 +78,9 @@ pub struct Pipeline {
     frames: Assembler,
     room_transmitter: Isometry3<f64>,
     estimate: Estimate,
+    exercise: ExerciseStage,
     models_refused: u64,
+    requests_refused: u64,
 }
 
 impl Pipeline {
@@ -128,7 +133,9 @@ impl Pipeline {
                 sensors: vec![SensorEstimate::default(); stage.sensors.len()],
                 ..Estimate::default()
             },
+            exercise: ExerciseStage::new(stage.sensors.iter().map(|sensor| sensor.name.as_str())),
             models_refused: 0,
+            requests_refused: 0,
         })
     }
 
@@ -156,6 +163,7 @@ impl Pipeline {
                 }
             }
             Input::Model(model) => self.swap(model, say),
+            Input::Request(request) => self.request(request, say),
             Input::Truth(truth) => say(Output::Truth(truth)),
         }
         self.close_frames(say);
@@ -200,6 +208,7 @@ impl Pipeline {
                 })
                 .collect(),
             models_refused: self.models_refused,
+            requests_refused: self.requests_refused,
         }
     }
 
@@ -274,13 +283,14 @@ impl Pipeline {
     }
 
     fn close_frames(&mut self, say: &mut impl FnMut(Output<'_>)) {
-        let Self { frames, sensors, estimate, room_transmitter, now, .. } = self;
+        let Self { frames, sensors, estimate, room_transmitter, now, exercise, .. } = self;
         while let Some(frame) = frames.poll(*now) {
             estimate_frame(frame, sensors, room_transmitter, estimate);
             say(Output::Estimate(estimate));
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, say);
             }
+            exercise.frame(estimate, &mut |outcome| say(Output::Outcome(outcome)));
         }
     }
 
@@ -297,6 +307,23 @@ impl Pipeline {
             t_decided: t,
             what: OutcomeKind::ModelSwapped(model.clone()),
         }));
+        if let Model::Exercise { .. } = model {
+            self.exercise.loaded(&self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
+        }
+    }
+
+    /// Whether a request can be carried out now; [`Input::Request`] then does.
+    ///
+    /// # Errors
+    /// A sentence about what stands against it.
+    pub fn check_request(&self, request: &Request) -> Result<(), String> {
+        self.exercise.check(request)
+    }
+
+    fn request(&mut self, request: &Request, say: &mut impl FnMut(Output<'_>)) {
+        let done =
+            self.exercise.request(request, &self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
+        self.requests_refused += u64::from(!done);
     }
 
     /// Takes a model whose numbers are right; false where it speaks of nothing that is here.
@@ -321,6 +348,7 @@ impl Pipeline {
                 }
                 true
             }
+            Model::Exercise { exercise } => self.exercise.load(exercise),
         }
     }
 }

@@ -5,10 +5,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::message::{Fault, FieldChange, FieldEvent, Jobs, Status};
+use super::message::{ExerciseEvent, Fault, FieldChange, FieldEvent, Jobs, Status};
 use super::sensors::{SensorsBody, TruthBody};
-use super::{Names, Stamp, Topic, View, round};
-use crate::input::Truth;
+use super::{Names, Stamp, Topic, View, exercise, round};
+use crate::input::{Model, Truth};
 use crate::output::{Estimate, Outcome, OutcomeKind, Output};
 
 /// How messages are written; chosen by the websocket sub-protocol.
@@ -59,6 +59,9 @@ impl<'a> Payload<'a> {
             Self::Jobs(_) => Topic::Jobs,
             Self::Outcome(outcome) => match outcome.what {
                 OutcomeKind::Fault { .. } => Topic::Faults,
+                OutcomeKind::ModelSwapped(Model::Exercise { .. }) | OutcomeKind::Exercise(_) => {
+                    Topic::Exercise
+                }
                 OutcomeKind::ModelSwapped(_) => Topic::Field,
             },
         }
@@ -82,6 +85,15 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
                     let sensor = names.sensor(*sensor).to_owned();
                     let fault = Fault { t_s, event_id, t_valid_s, sensor, cause: *cause, active: *active };
                     write(encoding, &fault, out);
+                }
+                OutcomeKind::ModelSwapped(Model::Exercise { exercise }) => {
+                    let change = exercise::loaded(exercise);
+                    write(encoding, &ExerciseEvent { t_s, event_id, t_valid_s, subject: None, change }, out);
+                }
+                OutcomeKind::Exercise(outcome) => {
+                    let change = exercise::change(&outcome.what);
+                    let subject = Some(outcome.subject.to_string());
+                    write(encoding, &ExerciseEvent { t_s, event_id, t_valid_s, subject, change }, out);
                 }
                 OutcomeKind::ModelSwapped(model) => {
                     let change = FieldChange::ModelSwapped { model: model.clone() };

@@ -178,6 +178,10 @@ impl<W: Write> Writer<W> {
                 pack(rmp_serde::encode::write_named(&mut scratch, model))?;
                 (Place::Stage("/input/model", "model"), &scratch)
             }
+            Input::Request(request) => {
+                pack(rmp_serde::encode::write_named(&mut scratch, request))?;
+                (Place::Stage("/input/request", "request"), &scratch)
+            }
             Input::Truth(truth) => {
                 pack(rmp_serde::encode::write_named(&mut scratch, truth))?;
                 (Place::Stage("/input/truth", "truth"), &scratch)

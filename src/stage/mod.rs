@@ -55,6 +55,9 @@ pub struct Stage {
     /// Websocket, page and metrics.
     #[serde(default)]
     pub server: Server,
+    /// Models that are loaded at the start.
+    #[serde(default)]
+    pub models: Models,
     /// Where recordings go and come from.
     #[serde(default)]
     pub recording: Recording,
@@ -89,6 +92,11 @@ impl Stage {
             tls.certificate = folder.join(&tls.certificate);
             tls.key = folder.join(&tls.key);
         }
+        for exercise in &mut stage.models.exercises {
+            *exercise = folder.join(&*exercise);
+        }
+        let exercises = stage.models.exercise_folder.get_or_insert_with(|| PathBuf::from("exercises"));
+        *exercises = folder.join(&*exercises);
         let recordings = stage.recording.folder.get_or_insert_with(|| PathBuf::from("recordings"));
         *recordings = folder.join(&*recordings);
         Ok(stage)
@@ -246,6 +254,17 @@ pub struct Tls {
     pub certificate: PathBuf,
     /// PEM file with the private key.
     pub key: PathBuf,
+}
+
+/// Models that are loaded at the start; relative paths begin at the stage file.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Models {
+    /// Files of taught exercises; all of them are counted until a client selects others.
+    #[serde(default)]
+    pub exercises: Vec<PathBuf>,
+    /// The one folder that `exercise.teach` writes to and `exercise.select` looks in; absent: `exercises` beside the stage file.
+    pub exercise_folder: Option<PathBuf>,
 }
 
 /// Where recordings live.

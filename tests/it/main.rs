@@ -10,6 +10,7 @@ mod acceptance;
 mod body;
 mod cli;
 mod daemon;
+mod exercise;
 mod field;
 mod inertial;
 mod keyframes;

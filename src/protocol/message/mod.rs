@@ -3,6 +3,7 @@
 //! `sensors` and `truth` are written from borrowed frames by [`super::encode`]; the types here describe the result, and a
 //! test reads every written message back through them. Times are seconds since the stage's epoch.
 
+mod exercise;
 mod faults;
 mod field;
 mod hello;
@@ -15,6 +16,7 @@ mod truth;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use self::exercise::{Begun, Deviation, ExerciseChange, ExerciseEvent, Judged};
 pub use self::faults::Fault;
 pub use self::field::{FieldChange, FieldEvent};
 pub use self::hello::{Hello, HelloSensor};
@@ -48,6 +50,8 @@ pub enum ServerMessage {
     Faults(Data<Fault>),
     /// A model of the field changed.
     Field(Data<FieldEvent>),
+    /// A repetition, or what belongs to it.
+    Exercise(Data<ExerciseEvent>),
 }
 
 /// What every data message starts with, and its body.

@@ -96,16 +96,6 @@ fn pem(tls: &Item<'_, '_>, key: &str, block: &str, folder: &Path, notes: &mut No
     }
 }
 
-/// The folder of recordings may be missing, it is then made; but it may not be a file.
-pub(super) fn recording_folder(recording: &Item<'_, '_>, folder: &Path, notes: &mut Notes<'_>) {
-    let Some(path) = recording.text("folder") else { return };
-    let full = folder.join(path.value);
-    if path.value.is_empty() || full.is_file() {
-        let message = format!("`{}` is no folder", full.display());
-        notes.problem(&path.at, "folder", message, "name a folder; it is made if it is not there");
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::loopback;
