@@ -47,6 +47,8 @@ pub struct FlockSession {
     sensors: Vec<SensorInfo>,
     rate_hz: Option<f64>,
     findings: Option<Findings>,
+    /// Serial numbers of sensors by the address of their bird, 0 where nothing is plugged in; read once per opening.
+    serials: Vec<(u8, u16)>,
     modem_lines: bool,
     /// Until then silence may be a unit that starts.
     powered_up_at: Timestamp,
@@ -94,6 +96,7 @@ impl FlockSession {
             sensors: Vec::new(),
             rate_hz: None,
             findings: None,
+            serials: Vec::new(),
             modem_lines: false,
             powered_up_at: Timestamp::ZERO,
             pause: FIRST_PAUSE,
@@ -102,9 +105,15 @@ impl FlockSession {
         })
     }
 
-    /// Records that were well received but not published, because birds had just been started.
+    /// Records that were not published because birds had just been started, well formed or not.
     pub fn records_settling(&self) -> u64 {
         self.settling
+    }
+
+    /// Serial number of a bird's sensor, where the unit has told one.
+    fn serial(&self, address: u8) -> Option<String> {
+        let told = self.serials.iter().find(|&&(of, serial)| of == address && serial > 0);
+        told.map(|(_, serial)| serial.to_string())
     }
 
     /// What the last examination found.
@@ -182,6 +191,7 @@ impl Session for FlockSession {
             LineEvent::Opened { modem_lines } => {
                 self.leave_stream();
                 self.modem_lines = *modem_lines;
+                self.serials.clear();
                 self.pause = FIRST_PAUSE;
                 self.powered_up_at = now + POWER_UP;
                 self.set_state(State::Connecting { reason: "the port is open".into() });

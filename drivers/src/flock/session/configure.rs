@@ -40,6 +40,8 @@ pub(super) enum Topic {
     Error,
     ExpandedError,
     Rate,
+    /// Of this bird's sensor; 0 for a stand-alone unit.
+    Serial(u8),
 }
 
 impl FlockSession {
@@ -83,6 +85,8 @@ impl FlockSession {
                 Some(Action::AwaitRunning) => Topic::Running,
                 Some(Action::ReadError) => Topic::Error,
                 Some(Action::ReadRate) => Topic::Rate,
+                Some(Action::ReadSerial(address)) if self.serial(address).is_some() => continue,
+                Some(Action::ReadSerial(address)) => Topic::Serial(address),
                 Some(Action::Start) | None => return self.start(now, *configuring),
             };
             self.ask(now, topic, &mut configuring);
@@ -96,9 +100,14 @@ impl FlockSession {
             Topic::Error => parameter::ERROR_CODE,
             Topic::ExpandedError => parameter::EXPANDED_ERROR_CODE,
             Topic::Rate => parameter::MEASUREMENT_RATE,
+            Topic::Serial(_) => parameter::SENSOR_SERIAL,
+        };
+        let to = match topic {
+            Topic::Serial(address) => Some(address).filter(|&address| address > 0),
+            _ => None,
         };
         let addressing = configuring.findings.addressing;
-        let asker = Asker::new(now, &Command::Examine(number), None, addressing, 2);
+        let asker = Asker::new(now, &Command::Examine(number), to, addressing, 2);
         self.transmit(asker.question());
         configuring.question = Some((topic, asker));
     }
@@ -162,6 +171,9 @@ impl FlockSession {
             (Topic::Rate, Some(&[low, high])) => {
                 configuring.findings.rate_hz = value::rate_hz(u16::from_le_bytes([low, high]));
                 self.findings = Some(configuring.findings.clone());
+            }
+            (Topic::Serial(address), Some(&[low, high])) => {
+                self.serials.push((address, u16::from_le_bytes([low, high])));
             }
             _ => {}
         }

@@ -76,7 +76,7 @@ impl FlockSession {
         self.rate_hz = Some(rate_hz);
         self.sensors = birds
             .iter()
-            .map(|&(address, _)| SensorInfo { address: u16::from(address), serial: None })
+            .map(|&(address, _)| SensorInfo { address: u16::from(address), serial: self.serial(address) })
             .collect();
         let scale = plan::scale(&self.settings, &configuring.findings);
         let mut splitter = Splitter::new(&birds, scale, Tolerance::LIVE, self.baud);
@@ -157,7 +157,14 @@ impl FlockSession {
             }
         }
         });
-        self.take_counters(&mut streaming);
+        if settled {
+            self.take_counters(&mut streaming);
+        } else {
+            // Birds that have just begun say what no sensor can: that is no fault of the line.
+            let counted = streaming.splitter.take_counters();
+            self.counters.records += counted.records;
+            self.settling += counted.rejected;
+        }
         if streaming.strangers >= STRANGERS_TO_SET_UP && self.settings.mode != Mode::Listen {
             self.phase = Phase::Streaming(streaming);
             self.leave_stream();
