@@ -18,7 +18,7 @@
 mod reads;
 mod window;
 
-use posed_drivers::{Arrival, DeviceTime, Sample, Timestamp};
+use posed_drivers::{DeviceTime, Sample, Timestamp};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 

@@ -77,11 +77,6 @@ impl Reads {
         }
     }
 
-    /// Whether bytes are known to take their time.
-    pub(super) fn wire(&self) -> bool {
-        self.wire
-    }
-
     /// The port has modem lines: there is a wire behind it.
     pub(super) fn know_wire(&mut self) {
         self.wire = true;

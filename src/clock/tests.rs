@@ -232,6 +232,10 @@ fn where_nothing_shows_a_wire_the_stated_uncertainty_covers_both() {
         Line { delivery, ..Line::default() }.check(&format!("one bird, {delivery:?}"));
         for (birds, burst_s) in [(2, None), (8, None), (2, Some(0.016))] {
             let outcome = Line { birds, record_bytes: 13, delivery, burst_s, ..Line::default() }.run(3);
+            let (worst_ms, sigma_ms) = (outcome.worst_s * 1e3, outcome.mean_sigma_s * 1e3);
+            println!(
+                "{delivery:?}, {birds} birds, burst {burst_s:?}: worst {worst_ms:.2} ms, sigma {sigma_ms:.2} ms"
+            );
             assert!(outcome.covered >= 0.95, "{delivery:?}, {birds} birds: {}", outcome.covered);
         }
     }
