@@ -213,7 +213,7 @@ fn virtual_flock() -> posed_simulator::stage::VirtualDevice {
             name: "flock".into(),
             driver: "flock-of-birds".into(),
             baud: 115_200,
-            measurement_delay_ms: 0.0,
+            ..DeviceSpec::default()
         }],
         sensors: (1..=BIRDS).map(sensor).collect(),
     };

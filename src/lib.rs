@@ -6,6 +6,7 @@
 //! The core is one plain struct that is pushed entries of the input log and says outputs; it has no clock,
 //! no thread and no randomness. The daemon around it owns ports, threads, sockets, files and time.
 
+pub mod animation;
 pub mod atomic_file;
 pub mod clock;
 pub mod daemon;

@@ -95,19 +95,19 @@ pub struct SensorEstimate {
 /// A filtered pose with its uncertainty; room frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoseEstimate {
-    /// Position, m.
-    pub position_m: [f64; 3],
+    /// Position, m; absent where the sensor measures none.
+    pub position_m: Option<[f64; 3]>,
     /// Sensor to room, unit.
     pub orientation_wxyz: [f64; 4],
-    /// Velocity, m/s.
-    pub velocity_m_s: [f64; 3],
+    /// Velocity, m/s; absent with the position.
+    pub velocity_m_s: Option<[f64; 3]>,
     /// Angular velocity in sensor axes, rad/s.
     pub angular_velocity_rad_s: [f64; 3],
     /// Covariance of (position in room, m; rotation error in sensor axes, rad): upper triangle of the
-    /// 6 x 6 matrix, row by row.
+    /// 6 x 6 matrix, row by row; the position's part is zero where there is none.
     pub covariance: [f64; 21],
-    /// Root mean square of the expected 3-D position error, m.
-    pub sigma_m: f64,
+    /// Root mean square of the expected 3-D position error, m; absent with the position.
+    pub sigma_m: Option<f64>,
 }
 
 /// A raw record in device axes.
@@ -121,6 +121,21 @@ pub struct Measured {
     pub orientation_wxyz: Option<[f64; 4]>,
     /// Button byte.
     pub button: Option<u8>,
+    /// What a body-worn sensor measured, in its own axes.
+    pub inertial: Option<Inertial>,
+}
+
+/// What a body-worn sensor measured, in sensor axes; absent is what the record does not hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Inertial {
+    /// Angular rate, rad/s.
+    pub angular_rate_rad_s: Option<[f64; 3]>,
+    /// Specific force (+g upwards at rest), m/s².
+    pub specific_force_m_s2: Option<[f64; 3]>,
+    /// Acceleration with gravity taken out by the device, m/s².
+    pub linear_acceleration_m_s2: Option<[f64; 3]>,
+    /// Magnetic field, about 1 at the place of calibration.
+    pub magnetic_field: Option<[f64; 3]>,
 }
 
 /// Something that happened; clients get every one of these.

@@ -8,6 +8,9 @@ use super::scenes::{Run, SENSORS, SPACING_M, Sample, Scene, scenes};
 
 type Pair = (Vector3<f64>, Vector3<f64>);
 
+/// Places of which the map says more than this of itself are flagged as `extrapolated`, m.
+const VOUCHED_M: f64 = 0.05;
+
 /// Rms distance, mm.
 fn absolute_mm(pairs: &[Pair]) -> f64 {
     1e3 * (pairs.iter().map(|(a, b)| (a - b).norm_squared()).sum::<f64>() / pairs.len() as f64).sqrt()
@@ -72,6 +75,8 @@ struct Row {
     cascade_eight: f64,
     solved: f64,
     median: f64,
+    vouched: f64,
+    doubted: f64,
     polynomial: f64,
     best: f64,
     anchored: f64,
@@ -88,10 +93,10 @@ struct Row {
 )]
 pub(crate) fn run(seeds: u64, only: Option<&str>) {
     println!(
-        "| scene | raw | cascade residual | cascade once | cascade 8x | solved | (median) | best polynomial | same basis, \
+        "| scene | raw | cascade residual | cascade once | cascade 8x | solved | (median) | where sigma < 5 cm | left out, % | best polynomial | same basis, \
          truth | raw, absolute | 3 anchors, absolute | covered by 2 sigma, % | rotation raw, deg | solved, deg | s |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
     for scene in scenes().iter().filter(|scene| only.is_none_or(|only| scene.name.contains(only))) {
         let mut sum = Row::default();
         let mut models = Vec::new();
@@ -117,6 +122,14 @@ pub(crate) fn run(seeds: u64, only: Option<&str>) {
             let solved = pairs(&|z| corrector.position(z));
             sum.solved += aligned_mm(&solved);
             sum.median += median_mm(&solved);
+            let vouched: Vec<Pair> = run
+                .tests
+                .iter()
+                .filter(|sample| corrector.correct(&sample.z).sigma_m < VOUCHED_M)
+                .map(|sample| (corrector.position(&sample.z), sample.p))
+                .collect();
+            sum.vouched += aligned_mm(&vouched);
+            sum.doubted += 100.0 * (1.0 - vouched.len() as f64 / run.tests.len() as f64);
             sum.polynomial += solution
                 .polynomials
                 .iter()
@@ -129,7 +142,15 @@ pub(crate) fn run(seeds: u64, only: Option<&str>) {
                 sum.best += aligned_mm(&pairs(&|z| best.correct(z)));
             }
             let noisy: Vec<Pair> = run.noisy.iter().map(|s| (corrector.position(&s.z), s.p)).collect();
-            let motion = rigid(&noisy);
+            // A rigid fit to all would be bent by the few that are decimetres off.
+            let sure: Vec<Pair> = run
+                .noisy
+                .iter()
+                .zip(&noisy)
+                .filter(|(sample, _)| corrector.correct(&sample.z).sigma_m < VOUCHED_M)
+                .map(|(_, pair)| *pair)
+                .collect();
+            let motion = rigid(&sure);
             let covered = run.noisy.iter().filter(|sample| {
                 let corrected = corrector.correct(&sample.z);
                 let p = motion.rotation * corrected.position_m + motion.translation.vector;
@@ -151,7 +172,7 @@ pub(crate) fn run(seeds: u64, only: Option<&str>) {
         }
         let n = seeds as f64;
         println!(
-            "| {} | {:.1} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.1} | {:.2} | {:.1} | {:.2} | {:.2} | {:.1} |",
+            "| {} | {:.1} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.1} | {:.2} | {:.1} | {:.2} | {:.2} | {:.1} |",
             scene.name,
             sum.raw / n,
             sum.cascade_residual / n,
@@ -159,6 +180,8 @@ pub(crate) fn run(seeds: u64, only: Option<&str>) {
             sum.cascade_eight / n,
             sum.solved / n,
             sum.median / n,
+            sum.vouched / n,
+            sum.doubted / n,
             sum.polynomial / n,
             sum.best / n,
             sum.raw_absolute / n,

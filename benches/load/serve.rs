@@ -32,6 +32,9 @@ pub(crate) fn start(args: &Args) -> Served {
             segment: None,
             mount_quat_wxyz: None,
             offset_m: None,
+            serial: None,
+            magnetometer: true,
+            gyro_delay_ms: 0.0,
         };
         stage.sensors.push(sensor);
     }
@@ -90,12 +93,12 @@ fn publish(hub: &Hub, rate_hz: f64, sensors: u16, ends: &AtomicBool) {
 fn sensor(phase: f64) -> SensorEstimate {
     let (s, c) = (phase.sin(), phase.cos());
     let pose = PoseEstimate {
-        position_m: [0.7 * s, 0.7 * c, 1.0 + 0.3 * s * c],
+        position_m: Some([0.7 * s, 0.7 * c, 1.0 + 0.3 * s * c]),
         orientation_wxyz: [c * 0.6, s * 0.6, c * 0.8, s * 0.8],
-        velocity_m_s: [c, -s, 0.0],
+        velocity_m_s: Some([c, -s, 0.0]),
         angular_velocity_rad_s: [0.0; 3],
         covariance: [1e-7; 21],
-        sigma_m: 0.001 + 0.0005 * s,
+        sigma_m: Some(0.001 + 0.0005 * s),
     };
     SensorEstimate { state: SensorState::Ok, pose: Some(pose), measured: None }
 }

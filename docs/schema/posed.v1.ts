@@ -174,6 +174,8 @@ export type Hello = {
   stage: string;
   /** Topics that this stage publishes. */
   topics: Topic[];
+  /** Magnetic transmitter to room, as the stage file has it; a `field` event tells when it is changed. */
+  transmitter: Pose;
   /** Version of the daemon. */
   version: string;
 };
@@ -194,8 +196,8 @@ export type Job = {
   kind: string;
   /** Outcome or reason of failure, in one sentence. */
   message: string | null;
-  /** 0 to 1. */
-  progress: number;
+  /** 0 to 1; null where it has no known end, as a recording. */
+  progress: number | null;
   /** Expected time to its end, s; null where unknown. */
   remaining_s: number | null;
   /** How it stands. */
@@ -222,12 +224,20 @@ export type LinkState = "streaming" | "connecting" | "silent" | "failed";
 
 /** A raw record in device axes. */
 export type Measured = {
+  /** Angular rate of a body-worn sensor in its own axes, rad/s; this and the following only where the record holds them. */
+  angular_rate_rad_s?: [number, number, number] | null;
   /** Button byte; null where button mode is off. */
   button: number | null;
+  /** Acceleration in sensor axes with gravity taken out by the device, m/s². */
+  linear_acceleration_m_s2?: [number, number, number] | null;
+  /** Magnetic field in sensor axes, about 1 at the place of calibration. */
+  magnetic_field?: [number, number, number] | null;
   /** Sensor to device axes; null in position-only formats. */
   orientation_wxyz: [number, number, number, number] | null;
   /** Position in device axes, m; null in orientation-only formats. */
   position_m: [number, number, number] | null;
+  /** Specific force in sensor axes (+9.81 on the axis that points up, at rest), m/s². */
+  specific_force_m_s2?: [number, number, number] | null;
   /** Capture time of this record, s. */
   t_s: number;
 };
@@ -257,6 +267,14 @@ export type OkReply = {
   id: RequestId | null;
   /** What was asked for, where the request asks for something. */
   result?: unknown;
+};
+
+/** A pose: the named frame in the room. */
+export type Pose = {
+  /** Unit quaternion, scalar first. */
+  orientation_wxyz: [number, number, number, number];
+  /** Position, m. */
+  position_m: [number, number, number];
 };
 
 /** Something that is wrong now. */
@@ -319,15 +337,15 @@ export type SensorEntry = {
   name: string;
   /** Sensor to room, unit quaternion, scalar first; null where there is no estimate. */
   orientation_wxyz?: [number, number, number, number] | null;
-  /** Filtered position in the room, m; null where there is no estimate. */
+  /** Filtered position in the room, m; null where there is no estimate, and for sensors that measure none. */
   position_m?: [number, number, number] | null;
   /** More on how good the pose is. */
   quality?: Quality | null;
-  /** Root mean square of the expected 3-D position error, m; null where there is no estimate. */
+  /** Root mean square of the expected 3-D position error, m; null where there is no position. */
   sigma_m?: number | null;
   /** How far to trust it; only `ok`, `repaired` and `extrapolated` are poses to use. */
   state: SensorState;
-  /** Velocity in the room, m/s. */
+  /** Velocity in the room, m/s; null where there is no position. */
   velocity_m_s?: [number, number, number] | null;
 };
 

@@ -12,6 +12,7 @@ pub mod fuzzing;
 pub mod motionstar;
 mod outbox;
 pub mod port;
+pub mod probe;
 pub mod sample;
 pub mod session;
 pub mod slimevr;

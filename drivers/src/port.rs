@@ -1,7 +1,9 @@
 //! The only file of this package that opens a port.
 //!
-//! What comes in: the path of a serial port or pseudo-terminal, or `tcp://HOST:PORT`. What goes out: a
-//! [`Port`] to read from and write to, or a sentence for the operator. It decodes nothing.
+//! What comes in: the path of a serial port or pseudo-terminal, `tcp://HOST:PORT` or `udp://HOST:PORT`. What goes out:
+//! a [`Port`] to read from and write to, or a sentence for the operator. It decodes nothing.
+
+mod udp;
 
 use std::io;
 use std::pin::Pin;
@@ -11,6 +13,8 @@ use thiserror::Error;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
 use tokio::net::TcpStream;
 use tokio_serial::{ErrorKind, SerialPort, SerialStream};
+
+pub use udp::{UdpStream, shared as shared_udp};
 
 /// Why a port could not be opened; each says what to check.
 #[derive(Debug, Error)]
@@ -114,8 +118,36 @@ impl Port<Stream> {
     pub fn set_baud(&mut self, baud: u32) -> io::Result<()> {
         match &mut self.stream {
             Stream::Serial(serial) => serial.set_baud_rate(baud).map_err(io::Error::from),
-            Stream::Tcp(_) => Ok(()),
+            Stream::Tcp(_) | Stream::Udp(_) => Ok(()),
         }
+    }
+}
+
+/// How a port is opened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// Line rate of a serial port, bit/s.
+    pub baud: u32,
+    /// Who is at the other end of a socket for datagrams.
+    pub udp: Udp,
+}
+
+/// The other end of a socket for datagrams.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Udp {
+    /// One device, at the port's address; it sends to this port of this computer, or to any.
+    Peer {
+        /// Port of this computer.
+        local_port: Option<u16>,
+    },
+    /// Any number of devices, which send to the port's address; datagrams come and go in envelopes.
+    Server,
+}
+
+impl Options {
+    /// A serial port with this line rate, or a socket for one device.
+    pub const fn baud(baud: u32) -> Self {
+        Self { baud, udp: Udp::Peer { local_port: None } }
     }
 }
 
@@ -126,6 +158,8 @@ pub enum Stream {
     Serial(SerialStream),
     /// A device server.
     Tcp(TcpStream),
+    /// Datagrams.
+    Udp(UdpStream),
 }
 
 impl AsyncRead for Stream {
@@ -133,6 +167,7 @@ impl AsyncRead for Stream {
         match self.get_mut() {
             Self::Serial(stream) => Pin::new(stream).poll_read(cx, buf),
             Self::Tcp(stream) => Pin::new(stream).poll_read(cx, buf),
+            Self::Udp(stream) => Pin::new(stream).poll_read(cx, buf),
         }
     }
 }
@@ -142,38 +177,51 @@ impl AsyncWrite for Stream {
         match self.get_mut() {
             Self::Serial(stream) => Pin::new(stream).poll_write(cx, bytes),
             Self::Tcp(stream) => Pin::new(stream).poll_write(cx, bytes),
+            Self::Udp(stream) => Pin::new(stream).poll_write(cx, bytes),
         }
     }
 
     fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         match self.get_mut() {
             // A serial flush blocks until the last bit is out; nobody here needs to know when.
-            Self::Serial(_) => Poll::Ready(Ok(())),
+            Self::Serial(_) | Self::Udp(_) => Poll::Ready(Ok(())),
             Self::Tcp(stream) => Pin::new(stream).poll_flush(cx),
         }
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         match self.get_mut() {
-            Self::Serial(_) => Poll::Ready(Ok(())),
+            Self::Serial(_) | Self::Udp(_) => Poll::Ready(Ok(())),
             Self::Tcp(stream) => Pin::new(stream).poll_shutdown(cx),
         }
     }
 }
 
-/// Opens a serial port (8 data bits, no parity, 1 stop bit, raw, exclusive) or `tcp://HOST:PORT`.
+/// Opens a serial port (8 data bits, no parity, 1 stop bit, raw, exclusive), `tcp://HOST:PORT` or `udp://HOST:PORT`.
 ///
 /// RTS is let go at once, where it exists: opening a port raises it, and it holds a Flock in reset.
 ///
 /// # Errors
 /// Each says what the operator should check.
-pub async fn open(port: &str, baud: u32) -> Result<Port<Stream>, PortError> {
+pub async fn open(port: &str, options: Options) -> Result<Port<Stream>, PortError> {
     if let Some(address) = port.strip_prefix("tcp://") {
         let unreachable = |source| PortError::Unreachable { port: port.into(), source };
         let stream = TcpStream::connect(address).await.map_err(unreachable)?;
         stream.set_nodelay(true).map_err(unreachable)?;
         return Ok(Port::new(Stream::Tcp(stream)));
     }
+    if let Some(address) = port.strip_prefix("udp://") {
+        let opened = match options.udp {
+            Udp::Peer { local_port } => UdpStream::connect(address, local_port).await,
+            Udp::Server => UdpStream::serve(address).await,
+        };
+        let stream = opened.map_err(|source| match source.kind() {
+            io::ErrorKind::AddrInUse => PortError::Busy { port: port.into() },
+            _ => PortError::Unreachable { port: port.into(), source },
+        })?;
+        return Ok(Port::new(Stream::Udp(stream)));
+    }
+    let baud = options.baud;
     let mut serial =
         SerialStream::open(&tokio_serial::new(port, baud)).map_err(|error| in_words(port, &error))?;
     ask_for_low_latency(port);
@@ -181,16 +229,27 @@ pub async fn open(port: &str, baud: u32) -> Result<Port<Stream>, PortError> {
     let modem_lines = serial.write_request_to_send(false).is_ok();
     let set_rts: fn(&mut Stream, bool) -> io::Result<()> = |stream, asserted| match stream {
         Stream::Serial(serial) => serial.write_request_to_send(asserted).map_err(io::Error::from),
-        Stream::Tcp(_) => Ok(()),
+        Stream::Tcp(_) | Stream::Udp(_) => Ok(()),
     };
     Ok(Port { stream: Stream::Serial(serial), set_rts: modem_lines.then_some(set_rts) })
 }
 
-/// Serial ports of this machine that a device may be at, sorted by name; pseudo-terminals are not listed.
+/// Serial ports of this machine that a device may be at, sorted by name.
+///
+/// Pseudo-terminals are not listed, but for those that the environment variable `POSED_PORTS` names: paths of ports, or
+/// of folders with ports, separated by colons.
 pub fn list() -> Vec<String> {
     let mut ports: Vec<String> =
         tokio_serial::available_ports().unwrap_or_default().into_iter().map(|port| port.port_name).collect();
+    let more = std::env::var_os("POSED_PORTS").unwrap_or_default();
+    for path in std::env::split_paths(&more).filter(|path| !path.as_os_str().is_empty()) {
+        match std::fs::read_dir(&path) {
+            Ok(folder) => ports.extend(folder.flatten().map(|port| port.path().display().to_string())),
+            Err(_) => ports.push(path.display().to_string()),
+        }
+    }
     ports.sort();
+    ports.dedup();
     ports
 }
 
@@ -227,14 +286,14 @@ mod tests {
 
     #[tokio::test]
     async fn a_missing_port_is_named() {
-        let error = open("/dev/no-such-tracker", 115_200).await.unwrap_err();
+        let error = open("/dev/no-such-tracker", Options::baud(115_200)).await.unwrap_err();
         assert!(matches!(error, PortError::Missing { .. }), "{error}");
         assert!(error.to_string().contains("/dev/no-such-tracker"));
     }
 
     #[tokio::test]
     async fn a_server_that_is_not_there_is_named() {
-        let error = open("tcp://127.0.0.1:1", 115_200).await.unwrap_err();
+        let error = open("tcp://127.0.0.1:1", Options::baud(115_200)).await.unwrap_err();
         assert!(matches!(error, PortError::Unreachable { .. }), "{error}");
     }
 

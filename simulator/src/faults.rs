@@ -1,7 +1,7 @@
 //! Fault scripts: what goes wrong, when, and the record of what it hit.
 //!
-//! Faults of the device (a bird that dies, a frozen sensor) act in [`crate::flock`], faults of the line
-//! (lost bytes, unplugging) in [`crate::line`]. Times are seconds of the stage's clock.
+//! Faults of the device (a bird that dies, a frozen sensor) act in the device, faults of the line (lost bytes,
+//! unplugging) in [`crate::line`], faults of datagrams in [`crate::network`]. Times are seconds of the stage's clock.
 
 use posed_drivers::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -57,10 +57,10 @@ pub enum Fault {
         /// When, s.
         at_s: f64,
     },
-    /// A bird is gone from the bus; when it returns it goes on with its settings.
+    /// A bird, tracker or station is gone; when it returns it goes on with its settings.
     BirdDies {
         /// Which.
-        address: u8,
+        address: u16,
         /// When, s.
         at_s: f64,
         /// For how long, s; absent: for good.
@@ -69,7 +69,7 @@ pub enum Fault {
     /// Positions on the wrong side of the transmitter.
     HemisphereFlip {
         /// Which bird.
-        address: u8,
+        address: u16,
         /// When, s.
         at_s: f64,
         /// For how long, s.
@@ -78,7 +78,7 @@ pub enum Fault {
     /// The sensor is taken out of range: its words repeat, and jump when it returns.
     OutOfRange {
         /// Which bird.
-        address: u8,
+        address: u16,
         /// When, s.
         at_s: f64,
         /// For how long, s.
@@ -87,23 +87,69 @@ pub enum Fault {
     /// Orientations that are no rotation (matrix and quaternion formats).
     BadMatrix {
         /// Which bird.
-        address: u8,
+        address: u16,
         /// When, s.
         at_s: f64,
         /// For how long, s.
         duration_s: f64,
     },
-    /// An error code that waits to be read; a fatal one stops the unit.
+    /// An error code: it waits to be read (Flock), or comes between the data (Xbus, x-IMU3, SlimeVR, MotionStar).
     Error {
         /// Which unit notes it.
-        address: u8,
+        address: u16,
         /// When, s.
         at_s: f64,
         /// The code.
         code: u8,
-        /// Second byte of the expanded code: for code 13 the silent unit's address.
+        /// Second byte of the code: for code 13 of a Flock the silent unit's address, on an Xbus the tracker's.
         #[serde(default)]
         detail: u8,
+    },
+    /// The device's counter, or its clock where it has no counter, begins anew while it goes on measuring.
+    CounterRestart {
+        /// When, s.
+        at_s: f64,
+    },
+    /// Measurements that the device counts and does not send.
+    LostPeriods {
+        /// When, s.
+        at_s: f64,
+        /// How many.
+        count: u32,
+    },
+    /// The device sends something else than it was set to.
+    WrongOutput {
+        /// When, s.
+        at_s: f64,
+        /// For how long, s; absent: until it is set up again.
+        duration_s: Option<f64>,
+    },
+    /// A unit says that its battery is nearly empty.
+    LowBattery {
+        /// Which unit.
+        address: u16,
+        /// When, s.
+        at_s: f64,
+    },
+    /// A unit comes from another network address.
+    AddressChange {
+        /// Which unit.
+        address: u16,
+        /// When, s.
+        at_s: f64,
+    },
+    /// Datagrams that never arrive.
+    LostDatagrams(Bytes),
+    /// Datagrams that arrive twice.
+    DuplicatedDatagrams(Bytes),
+    /// Datagrams that arrive after the one behind them.
+    ReorderedDatagrams(Bytes),
+    /// Datagrams that wait in the network, and then arrive all at once.
+    DelayedDatagrams {
+        /// When, s.
+        at_s: f64,
+        /// For how long, s.
+        duration_s: f64,
     },
 }
 
@@ -141,6 +187,15 @@ impl Fault {
             Self::OutOfRange { .. } => "out-of-range",
             Self::BadMatrix { .. } => "bad-matrix",
             Self::Error { .. } => "error",
+            Self::CounterRestart { .. } => "counter-restart",
+            Self::LostPeriods { .. } => "lost-periods",
+            Self::WrongOutput { .. } => "wrong-output",
+            Self::LowBattery { .. } => "low-battery",
+            Self::AddressChange { .. } => "address-change",
+            Self::LostDatagrams(_) => "lost-datagrams",
+            Self::DuplicatedDatagrams(_) => "duplicated-datagrams",
+            Self::ReorderedDatagrams(_) => "reordered-datagrams",
+            Self::DelayedDatagrams { .. } => "delayed-datagrams",
         }
     }
 
@@ -150,13 +205,25 @@ impl Fault {
             Self::LostBytes(bytes)
             | Self::InsertedBytes(bytes)
             | Self::Bit7Flips(bytes)
-            | Self::DataBitFlips(bytes) => (bytes.start_s, bytes.end_s),
+            | Self::DataBitFlips(bytes)
+            | Self::LostDatagrams(bytes)
+            | Self::DuplicatedDatagrams(bytes)
+            | Self::ReorderedDatagrams(bytes) => (bytes.start_s, bytes.end_s),
             Self::Bursts { start_s, end_s, .. } => (start_s, end_s),
-            Self::PhaseCut { at_s } | Self::PowerCycle { at_s } | Self::Error { at_s, .. } => (at_s, at_s),
-            Self::Unplug { at_s, duration_s, .. } | Self::BirdDies { at_s, duration_s, .. } => {
+            Self::PhaseCut { at_s }
+            | Self::PowerCycle { at_s }
+            | Self::Error { at_s, .. }
+            | Self::CounterRestart { at_s }
+            | Self::LostPeriods { at_s, .. }
+            | Self::LowBattery { at_s, .. }
+            | Self::AddressChange { at_s, .. } => (at_s, at_s),
+            Self::Unplug { at_s, duration_s, .. }
+            | Self::BirdDies { at_s, duration_s, .. }
+            | Self::WrongOutput { at_s, duration_s } => {
                 (at_s, duration_s.map_or(f64::INFINITY, |d| at_s + d))
             }
             Self::Stall { at_s, duration_s }
+            | Self::DelayedDatagrams { at_s, duration_s }
             | Self::HemisphereFlip { at_s, duration_s, .. }
             | Self::OutOfRange { at_s, duration_s, .. }
             | Self::BadMatrix { at_s, duration_s, .. } => (at_s, at_s + duration_s),
@@ -164,15 +231,34 @@ impl Fault {
     }
 
     /// The bird it is about, if it is about one.
-    pub fn address(&self) -> Option<u8> {
+    pub fn address(&self) -> Option<u16> {
         match *self {
             Self::BirdDies { address, .. }
             | Self::HemisphereFlip { address, .. }
             | Self::OutOfRange { address, .. }
             | Self::BadMatrix { address, .. }
-            | Self::Error { address, .. } => Some(address),
+            | Self::Error { address, .. }
+            | Self::LowBattery { address, .. }
+            | Self::AddressChange { address, .. } => Some(address),
             _ => None,
         }
+    }
+
+    /// Whether the device itself has to do something when it begins.
+    pub(crate) fn is_of_the_device(&self) -> bool {
+        matches!(
+            self,
+            Self::Stall { .. }
+                | Self::Error { .. }
+                | Self::PowerCycle { .. }
+                | Self::BirdDies { .. }
+                | Self::Unplug { .. }
+                | Self::CounterRestart { .. }
+                | Self::LostPeriods { .. }
+                | Self::WrongOutput { .. }
+                | Self::LowBattery { .. }
+                | Self::AddressChange { .. }
+        )
     }
 
     /// Whether it lasts at `t` (its end excluded).
@@ -190,12 +276,12 @@ pub struct FaultHit {
     pub t: Timestamp,
     /// [`Fault::name`].
     pub fault: &'static str,
-    /// The bird whose record or unit was hit.
-    pub address: Option<u8>,
+    /// The sensor whose record or unit was hit; absent where it was none or all of them.
+    pub address: Option<u16>,
     /// Measurement cycle of the record that was hit.
     pub cycle: Option<u64>,
     /// Which byte of the record, from 0.
-    pub byte: Option<u8>,
+    pub byte: Option<u16>,
 }
 
 /// How a byte is damaged.

@@ -1,9 +1,10 @@
-//! Runs virtual devices in real time: on pseudo-terminals, or on any pair of byte streams.
+//! Runs virtual devices in real time: on pseudo-terminals, on loopback sockets, or on any pair of byte streams.
 //!
 //! What comes in: a [`VirtualStage`] and a clock. What goes out: ports that programs can open, truth and
 //! faults to a watcher. The behaviour of the devices is elsewhere: this file only moves bytes on time.
 
 use std::io;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::os::fd::OwnedFd;
 use std::path::Path;
 use std::pin::Pin;
@@ -20,7 +21,11 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 use crate::pty::Pty;
+use crate::sockets::{Tcp, Udp, Units, loopback};
 use crate::stage::{Event, Output, VirtualDevice, VirtualStage};
+
+/// Where hosts listen for x-IMU3 units.
+const ANNOUNCEMENTS: u16 = 10_000;
 
 /// The stage's clock: times count from an epoch on the monotonic clock.
 #[derive(Clone, Copy, Debug)]
@@ -57,7 +62,7 @@ pub struct DeviceInfo {
     pub name: String,
     /// Its driver.
     pub driver: String,
-    /// Path of the port; the same after unplugging and replugging.
+    /// Path or address of the port; the same after unplugging and replugging.
     pub port: String,
 }
 
@@ -69,31 +74,46 @@ pub struct Host {
 }
 
 impl Host {
-    /// Puts each device on a pseudo-terminal, with a link of its name in `folder`, which is made if absent.
+    /// Gives each device its port: a loopback socket where the stage has it on a network, at the same port
+    /// number, else a pseudo-terminal with a link of its name in `folder`, which is made if absent.
     ///
     /// # Errors
-    /// What the operating system said about the folder, a link or a pseudo-terminal.
+    /// What the operating system said about the folder, a link, a pseudo-terminal or a socket.
     ///
     /// # Panics
     /// Outside a tokio runtime with IO.
-    pub fn on_ptys(stage: VirtualStage, folder: &Path, clock: Clock, watcher: Watcher) -> io::Result<Self> {
+    pub fn open(stage: VirtualStage, folder: &Path, clock: Clock, watcher: Watcher) -> io::Result<Self> {
         std::fs::create_dir_all(folder)?;
         let (stop, stopped) = watch::channel(false);
         let mut host = Self { devices: Vec::new(), stop, tasks: JoinSet::new() };
         for device in stage.into_devices() {
-            let file_name: String = device
-                .name()
-                .chars()
-                .map(|c| if c.is_alphanumeric() || c == '-' { c } else { '_' })
-                .collect();
-            let link = folder.join(file_name);
-            let pty = Pty::open(&link)?;
-            host.devices.push(DeviceInfo {
-                name: device.name().to_owned(),
-                driver: device.driver().to_owned(),
-                port: link.to_string_lossy().into_owned(),
-            });
-            host.tasks.spawn(run(device, pty, clock, Arc::clone(&watcher), stopped.clone()));
+            let (name, driver) = (device.name().to_owned(), device.driver().to_owned());
+            let tasks = &mut host.tasks;
+            let (watcher, stopped) = (Arc::clone(&watcher), stopped.clone());
+            let port = if device.port().starts_with("tcp://") {
+                let tcp = Tcp::open(loopback(device.port())?)?;
+                let port = format!("tcp://{}", tcp.address);
+                tasks.spawn(run(device, tcp, clock, watcher, stopped));
+                port
+            } else if device.port().starts_with("udp://") && driver == "slimevr" {
+                let server = loopback(device.port())?;
+                tasks.spawn(run(device, Units::new(server), clock, watcher, stopped));
+                format!("udp://{server}")
+            } else if device.port().starts_with("udp://") {
+                let udp = Udp::open(loopback(device.port())?)?;
+                let port = format!("udp://{}", udp.address);
+                if driver == "x-imu3" {
+                    tasks.spawn(announce(name.clone(), udp.address, stopped.clone()));
+                }
+                tasks.spawn(run(device, udp, clock, watcher, stopped));
+                port
+            } else {
+                let file_name = name.chars().map(|c| if c.is_alphanumeric() || c == '-' { c } else { '_' });
+                let link = folder.join(file_name.collect::<String>());
+                tasks.spawn(run(device, Pty::open(&link)?, clock, watcher, stopped));
+                link.to_string_lossy().into_owned()
+            };
+            host.devices.push(DeviceInfo { name, driver, port });
         }
         Ok(host)
     }
@@ -149,6 +169,23 @@ pub(crate) trait Port {
     fn replug(&mut self) -> io::Result<()>;
 }
 
+/// Tells once a second where a unit is, as it would on its network.
+async fn announce(name: String, address: SocketAddr, mut stopped: watch::Receiver<bool>) -> io::Result<()> {
+    let host = SocketAddr::from((Ipv4Addr::LOCALHOST, ANNOUNCEMENTS));
+    let socket = tokio::net::UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await?;
+    let words = crate::x_imu3::announcement(&name, address, host);
+    let timer = Timer::new()?;
+    loop {
+        // Nobody need listen.
+        let _ = socket.try_send_to(words.as_bytes(), host);
+        timer.set(1.0)?;
+        tokio::select! {
+            expired = timer.expired() => expired?,
+            _ = stopped.wait_for(|&stop| stop) => return Ok(()),
+        }
+    }
+}
+
 /// One device, until stopped.
 async fn run<P: Port>(
     mut device: VirtualDevice,
@@ -158,7 +195,7 @@ async fn run<P: Port>(
     mut stopped: watch::Receiver<bool>,
 ) -> io::Result<()> {
     let timer = Timer::new()?;
-    let mut buffer = [0; 1024];
+    let mut buffer = [0; 2048];
     loop {
         if let Some(baud) = port.baud() {
             device.set_host_baud(baud);
@@ -172,7 +209,7 @@ async fn run<P: Port>(
                 }
                 Output::Unplugged => port.unplug(),
                 Output::Replugged => port.replug()?,
-                Output::Truth(_) | Output::Fault(_) => {}
+                Output::Truth(_) | Output::Fault(_) | Output::Lost(_) => {}
             }
             watcher(&event);
         }

@@ -10,6 +10,7 @@ use posed_drivers::Timestamp;
 
 use crate::faults::{Damage, Fault, FaultHit, damage_schedule};
 use crate::random::Random;
+use crate::truth::Loss;
 
 /// A byte on the wire.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,14 +28,21 @@ pub struct WireByte {
 pub struct RecordByte {
     /// Measurement cycle.
     pub cycle: u64,
-    /// Bird.
-    pub address: u8,
+    /// Sensor; absent where the record holds those of all sensors of the device.
+    pub address: Option<u16>,
     /// Place in the record, from 0.
-    pub index: u8,
+    pub index: u16,
     /// Place in the frame, from 0.
     pub frame_index: u16,
     /// Bytes of the frame: the records of all birds in this cycle.
     pub frame_len: u16,
+}
+
+impl RecordByte {
+    /// The record, as one that is lost.
+    pub(crate) fn loss(&self) -> Loss {
+        Loss { cycle: self.cycle, address: self.address }
+    }
 }
 
 /// What the host sees of a line.
@@ -48,6 +56,8 @@ pub enum LineOutput {
     Replugged,
     /// A fault hit something.
     Fault(FaultHit),
+    /// A record did not reach the host, or not as it was sent.
+    Lost(Loss),
 }
 
 /// Settings of a line.
@@ -61,10 +71,18 @@ pub struct LineConfig {
     pub burst: Duration,
 }
 
+/// What is left of bytes that were sent.
+#[derive(Debug, Default)]
+struct Pieces {
+    bytes: Vec<WireByte>,
+    /// Records that the script has damaged.
+    damaged: Vec<Loss>,
+}
+
 #[derive(Debug)]
 struct Chunk {
     deliver: Timestamp,
-    bytes: Vec<(Timestamp, u8)>,
+    pieces: Pieces,
 }
 
 /// The line of one device.
@@ -87,6 +105,8 @@ pub struct Line {
     chunks: VecDeque<Chunk>,
     /// What the host believes the rate to be, where it is known.
     host_baud: Option<u32>,
+    /// The last record that was told to be lost, so that each is told once.
+    last_loss: Option<Loss>,
     output: VecDeque<(Timestamp, LineOutput)>,
 }
 
@@ -122,6 +142,7 @@ impl Line {
             plugged: true,
             chunks: VecDeque::new(),
             host_baud: None,
+            last_loss: None,
             output: VecDeque::new(),
         }
     }
@@ -145,7 +166,7 @@ impl Line {
     /// Takes bytes that the device sends in one go.
     pub(crate) fn send(&mut self, bytes: &[WireByte]) {
         let mut in_fifo = 0;
-        let mut fifo: Vec<(Timestamp, u8)> = Vec::new();
+        let mut fifo = Pieces::default();
         for (i, wire) in bytes.iter().enumerate() {
             self.damage(wire, &mut fifo);
             in_fifo += 1;
@@ -159,14 +180,20 @@ impl Line {
     /// The device was reset at `t`: what has not left it by then never will.
     pub(crate) fn cut_after(&mut self, t: Timestamp) {
         for chunk in &mut self.chunks {
-            chunk.bytes.retain(|&(arrival, _)| arrival <= t);
+            let Pieces { bytes, damaged } = &mut chunk.pieces;
+            bytes.retain(|byte| {
+                if byte.t > t {
+                    damaged.extend(byte.record.map(|record| record.loss()));
+                }
+                byte.t <= t
+            });
         }
     }
 
     /// Applies the script to one byte; what is left of it goes to `fifo`.
-    fn damage(&mut self, wire: &WireByte, fifo: &mut Vec<(Timestamp, u8)>) {
+    fn damage(&mut self, wire: &WireByte, fifo: &mut Pieces) {
         let Some(record) = wire.record else {
-            fifo.push((wire.t, wire.byte));
+            fifo.bytes.push(*wire);
             return;
         };
         if record.frame_index == 0 {
@@ -176,7 +203,7 @@ impl Line {
             LineOutput::Fault(FaultHit {
                 t: wire.t,
                 fault,
-                address: Some(record.address),
+                address: record.address,
                 cycle: Some(record.cycle),
                 byte: Some(record.index),
             })
@@ -185,6 +212,7 @@ impl Line {
             if record.frame_index == 0 {
                 self.output.push_back((wire.t, hit("phase-cut")));
             }
+            fifo.damaged.push(record.loss());
             return;
         }
         let mut byte = Some(wire.byte);
@@ -192,7 +220,9 @@ impl Line {
             let (_, damage, name) = self.aimed.swap_remove(at);
             match damage {
                 Damage::Lose => byte = None,
-                Damage::Insert => fifo.push((wire.t, self.random.byte())),
+                Damage::Insert => {
+                    fifo.bytes.push(WireByte { byte: self.random.byte(), ..*wire });
+                }
                 Damage::FlipBit7 => byte = byte.map(|b| b ^ 0x80),
                 Damage::FlipData => {
                     let bit = self.random.integer(0, 6);
@@ -200,8 +230,9 @@ impl Line {
                 }
             }
             self.output.push_back((wire.t, hit(name)));
+            fifo.damaged.push(record.loss());
         }
-        fifo.extend(byte.map(|byte| (wire.t, byte)));
+        fifo.bytes.extend(byte.map(|byte| WireByte { byte, ..*wire }));
     }
 
     /// Picks the bytes of a frame that begins now which the script is to damage.
@@ -231,7 +262,7 @@ impl Line {
     }
 
     /// Puts bytes that the UART hands over at `t` in line for delivery.
-    fn push_chunk(&mut self, t: Timestamp, bytes: Vec<(Timestamp, u8)>) {
+    fn push_chunk(&mut self, t: Timestamp, pieces: Pieces) {
         let burst = self.burst_at(t).as_nanos() as i64;
         let deliver = if burst == 0 {
             t
@@ -241,8 +272,11 @@ impl Line {
         // Never before what was handed over earlier, also where bursts begin or end.
         let deliver = self.chunks.back().map_or(deliver, |last| deliver.max(last.deliver));
         match self.chunks.back_mut() {
-            Some(last) if burst != 0 && last.deliver == deliver => last.bytes.extend(bytes),
-            _ => self.chunks.push_back(Chunk { deliver, bytes }),
+            Some(last) if burst != 0 && last.deliver == deliver => {
+                last.pieces.bytes.extend(pieces.bytes);
+                last.pieces.damaged.extend(pieces.damaged);
+            }
+            _ => self.chunks.push_back(Chunk { deliver, pieces }),
         }
     }
 
@@ -269,24 +303,44 @@ impl Line {
             {
                 self.plugging.pop_front();
                 self.plugged = plugged;
-                self.chunks.clear();
+                for chunk in std::mem::take(&mut self.chunks) {
+                    self.lose(t, &chunk.pieces);
+                }
                 let change = if plugged { LineOutput::Replugged } else { LineOutput::Unplugged };
                 self.output.push_back((t, change));
                 if !plugged {
                     let hit = FaultHit { t, fault: "unplug", address: None, cycle: None, byte: None };
                     self.output.push_back((t, LineOutput::Fault(hit)));
                 }
-            } else if let Some(chunk) = self.chunks.pop_front()
-                && self.plugged
-            {
-                let mut bytes: Vec<u8> = chunk.bytes.into_iter().map(|(_, byte)| byte).collect();
-                if !self.rates_agree() {
+            } else if let Some(Chunk { pieces, .. }) = self.chunks.pop_front() {
+                if !self.plugged {
+                    self.lose(due, &pieces);
+                    continue;
+                }
+                let mut bytes: Vec<u8> = pieces.bytes.iter().map(|byte| byte.byte).collect();
+                if self.rates_agree() {
+                    pieces.damaged.iter().for_each(|&loss| self.tell(due, loss));
+                } else {
+                    self.lose(due, &pieces);
                     self.garble(&mut bytes);
                 }
                 if !bytes.is_empty() {
                     self.output.push_back((due, LineOutput::Data(bytes)));
                 }
             }
+        }
+    }
+
+    /// All records of these pieces are lost.
+    fn lose(&mut self, t: Timestamp, pieces: &Pieces) {
+        pieces.damaged.iter().for_each(|&loss| self.tell(t, loss));
+        pieces.bytes.iter().flat_map(|byte| &byte.record).for_each(|record| self.tell(t, record.loss()));
+    }
+
+    /// Tells that a record is lost; its bytes come one after the other, perhaps in several pieces.
+    fn tell(&mut self, t: Timestamp, loss: Loss) {
+        if self.last_loss.replace(loss) != Some(loss) {
+            self.output.push_back((t, LineOutput::Lost(loss)));
         }
     }
 

@@ -176,7 +176,7 @@ mod tests {
     fn host(device: DeviceScenario, name: &str, watcher: Watcher) -> (Host, PathBuf) {
         let folder = std::env::temp_dir().join(format!("posed-simulator-{}-{name}", std::process::id()));
         let stage = VirtualStage::new(&stage(&[0], 115_200), &scenario(device), Path::new(".")).unwrap();
-        (Host::on_ptys(stage, &folder, Clock::start(), watcher).unwrap(), folder)
+        (Host::open(stage, &folder, Clock::start(), watcher).unwrap(), folder)
     }
 
     #[tokio::test]

@@ -13,6 +13,8 @@ pub(crate) enum Purpose {
     Faults(usize),
     /// Behaviour of the n-th device: phase of its cycle, garbage at a wrong baud rate, settling after a start.
     Device(usize),
+    /// Mounting and errors of the n-th sensor that a person wears.
+    Wearer(usize),
 }
 
 /// A seeded generator of uniform and normal numbers.
@@ -30,6 +32,7 @@ impl Random {
             Purpose::Signals(n) => (1, n),
             Purpose::Faults(n) => (2, n),
             Purpose::Device(n) => (3, n),
+            Purpose::Wearer(n) => (32, n),
         };
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
         generator.set_stream((kind << 32) | index as u64);

@@ -1,13 +1,18 @@
 //! The `[simulation]` table of a stage file: its types and their check. `build` makes virtual devices of it.
 
 mod build;
+mod devices;
+mod spec;
 #[cfg(test)]
 mod tests;
 
 use posed_drivers::flock::wire::Addressing;
 use serde::{Deserialize, Serialize};
 
+pub use spec::{DeviceSpec, SensorSpec, StageSpec};
+
 use crate::faults::Fault;
+use crate::inertial::{EarthSpec, ImuClass};
 use crate::motion::{FileError, Motion};
 
 /// What is simulated in the devices' place. Every key has a default; `Scenario::default()` is a clean, quiet stage.
@@ -33,6 +38,8 @@ pub struct Scenario {
     pub floor: Option<FloorSpec>,
     /// Stray field of the mains.
     pub hum: Option<HumSpec>,
+    /// Magnetic field that inertial sensors feel; the room's x is east, its y north.
+    pub earth: EarthSpec,
     /// Metal objects.
     pub metal: Vec<MetalSpec>,
     /// Moving bodies.
@@ -58,6 +65,7 @@ impl Default for Scenario {
             excitation: ExcitationSpec::default(),
             floor: None,
             hum: None,
+            earth: EarthSpec::default(),
             metal: Vec::new(),
             bodies: Vec::new(),
             sensors: Vec::new(),
@@ -174,7 +182,7 @@ fn identity() -> [f64; 4] {
 pub struct DeviceScenario {
     /// Name of the stage's device.
     pub name: String,
-    /// Measurement rate at power-up, Hz.
+    /// Measurement rate of a Flock or a MotionStar at power-up, Hz; the others have one of their own.
     pub rate_hz: f64,
     /// How much slower than nominal its clock runs, parts per million.
     pub drift_ppm: f64,
@@ -190,9 +198,25 @@ pub struct DeviceScenario {
     pub addressing: Option<Addressing>,
     /// An extended range transmitter; absent: if the stage has no sensor at address 1, where its controller then is.
     pub extended_range: Option<bool>,
+    /// How good inertial sensors are.
+    pub imu: ImuClass,
+    /// What answers as `xbus`; absent: an MTi where there is one sensor, else a chain.
+    pub xbus: Option<Personality>,
     /// What goes wrong.
     #[serde(rename = "fault")]
     pub faults: Vec<Fault>,
+}
+
+/// What speaks the Xbus protocol.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Personality {
+    /// A stand-alone tracker with output configuration and MTData2.
+    Mti,
+    /// An older stand-alone tracker with output mode and MTData.
+    Mtx,
+    /// An Xbus Master with a chain of trackers.
+    Chain,
 }
 
 impl Default for DeviceScenario {
@@ -207,44 +231,11 @@ impl Default for DeviceScenario {
             revision: [3, 67],
             addressing: None,
             extended_range: None,
+            imu: ImuClass::default(),
+            xbus: None,
             faults: Vec::new(),
         }
     }
-}
-
-/// The parts of a stage file that the simulator needs, without the types of its reader.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct StageSpec {
-    /// Position (m) and quaternion (w, x, y, z) of the transmitter in the room; absent: the room's axes are the tracker's.
-    pub transmitter_in_room: Option<([f64; 3], [f64; 4])>,
-    /// Devices, in the stage's order.
-    pub devices: Vec<DeviceSpec>,
-    /// Sensors, in the stage's order.
-    pub sensors: Vec<SensorSpec>,
-}
-
-/// A device of the stage.
-#[derive(Clone, Debug, PartialEq)]
-pub struct DeviceSpec {
-    /// Its name.
-    pub name: String,
-    /// Its driver: `flock-of-birds`.
-    pub driver: String,
-    /// Line rate, bit/s.
-    pub baud: u32,
-    /// Constant delay from measurement to the record's first bit, ms.
-    pub measurement_delay_ms: f64,
-}
-
-/// A sensor of the stage.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SensorSpec {
-    /// Its name.
-    pub name: String,
-    /// Name of its device.
-    pub device: String,
-    /// Address on the device.
-    pub address: u16,
 }
 
 /// Why a scenario was refused.
@@ -305,6 +296,19 @@ impl Scenario {
         {
             return Err(invalid("floor.strength", "should be between 0 and 1"));
         }
+        for other in &self.earth.disturbances {
+            not_negative("earth.disturbance.at_s", other.at_s)?;
+            not_negative("earth.disturbance.ramp_s", other.ramp_s)?;
+            positive("earth.disturbance.duration_s", other.duration_s)?;
+            if let Some(name) =
+                other.sensors.iter().find(|name| !stage.sensors.iter().any(|s| s.name == **name))
+            {
+                return Err(invalid(
+                    "earth.disturbance.sensors",
+                    format!("the stage has no sensor `{name}`"),
+                ));
+            }
+        }
         for body in &self.bodies {
             body.motion.check().map_err(|problem| invalid(format!("body.{}.motion", body.name), problem))?;
             if self.bodies.iter().filter(|other| other.name == body.name).count() > 1 {
@@ -328,7 +332,7 @@ impl Scenario {
             }
             let key = |key: &str| format!("device.{}.{key}", device.name);
             if !(14.0..=144.0).contains(&device.rate_hz) {
-                return Err(invalid(key("rate_hz"), "a Flock measures at 14 to 144 Hz"));
+                return Err(invalid(key("rate_hz"), "a tracker measures at 14 to 144 Hz"));
             }
             not_negative(&key("burst_ms"), device.burst_ms)?;
             not_negative(&key("boot_ms"), device.boot_ms)?;

@@ -10,7 +10,7 @@
 //!         name: "flock".into(),
 //!         driver: "flock-of-birds".into(),
 //!         baud: 115_200,
-//!         measurement_delay_ms: 0.0,
+//!         ..DeviceSpec::default()
 //!     }],
 //!     sensors: vec![SensorSpec { name: "wand".into(), device: "flock".into(), address: 0 }],
 //!     ..StageSpec::default()
@@ -35,12 +35,12 @@ use std::path::Path;
 
 use posed_drivers::Timestamp;
 
+use crate::device::{Device, DeviceOutput};
 use crate::faults::FaultHit;
-use crate::flock::{FlockOutput, VirtualFlock};
 use crate::line::{Line, LineOutput};
-use crate::random::{Purpose, Random};
+use crate::network::Network;
 use crate::scenario::{Scenario, ScenarioError, StageSpec};
-use crate::truth::TruthCycle;
+use crate::truth::{Loss, TruthCycle};
 
 /// What a device gives to the host, or tells those who watch the simulation.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,6 +55,8 @@ pub enum Output {
     Truth(TruthCycle),
     /// A fault hit something.
     Fault(FaultHit),
+    /// A record will not reach the host, or not as it was measured.
+    Lost(Loss),
 }
 
 /// An output, its time and its device.
@@ -68,14 +70,55 @@ pub struct Event {
     pub output: Output,
 }
 
-/// A device and its line.
+/// What is between a device and its host.
+#[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "there is one for each device")]
+pub(crate) enum Link {
+    /// A serial line, or a TCP connection: a stream of bytes.
+    Line(Line),
+    /// A network: datagrams.
+    Network(Network),
+}
+
+impl Link {
+    fn is_plugged(&self) -> bool {
+        match self {
+            Self::Line(line) => line.is_plugged() && line.rates_agree(),
+            Self::Network(network) => network.is_plugged(),
+        }
+    }
+
+    fn handle_timeout(&mut self, now: Timestamp) {
+        match self {
+            Self::Line(line) => line.handle_timeout(now),
+            Self::Network(network) => network.handle_timeout(now),
+        }
+    }
+
+    fn poll_timeout(&self) -> Option<Timestamp> {
+        match self {
+            Self::Line(line) => line.poll_timeout(),
+            Self::Network(network) => network.poll_timeout(),
+        }
+    }
+
+    fn poll_output(&mut self) -> Option<(Timestamp, LineOutput)> {
+        match self {
+            Self::Line(line) => line.poll_output(),
+            Self::Network(network) => network.poll_output(),
+        }
+    }
+}
+
+/// A device and its link.
 #[derive(Debug)]
 pub struct VirtualDevice {
     index: usize,
     name: String,
     driver: String,
-    flock: VirtualFlock,
-    line: Line,
+    port: String,
+    device: Box<dyn Device>,
+    link: Link,
     output: VecDeque<Event>,
 }
 
@@ -90,21 +133,23 @@ impl VirtualDevice {
         &self.driver
     }
 
-    /// The units, for a look inside.
-    pub fn flock(&self) -> &VirtualFlock {
-        &self.flock
+    /// Its port in the stage.
+    pub fn port(&self) -> &str {
+        &self.port
     }
 
     /// The rate that the host has set on its port; another one than the device's makes garbage of all bytes.
     pub fn set_host_baud(&mut self, baud: u32) {
-        self.line.set_host_baud(baud);
+        if let Link::Line(line) = &mut self.link {
+            line.set_host_baud(baud);
+        }
     }
 
     /// Bytes of the host arrive at `now`.
     pub fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
         self.handle_timeout(now);
-        if self.line.is_plugged() && self.line.rates_agree() {
-            self.flock.handle_bytes(now, bytes);
+        if self.link.is_plugged() {
+            self.device.handle_bytes(now, bytes);
             self.handle_timeout(now);
         }
     }
@@ -112,8 +157,8 @@ impl VirtualDevice {
     /// The host sets the RTS line, where there is one: asserted holds the unit in reset.
     pub fn handle_rts(&mut self, now: Timestamp, asserted: bool) {
         self.handle_timeout(now);
-        if self.line.is_plugged() {
-            self.flock.handle_rts(now, asserted);
+        if self.link.is_plugged() {
+            self.device.handle_rts(now, asserted);
             self.handle_timeout(now);
         }
     }
@@ -122,17 +167,17 @@ impl VirtualDevice {
     pub fn handle_timeout(&mut self, now: Timestamp) {
         self.drain(now);
         while let Some(due) = self.poll_timeout().filter(|&due| due <= now) {
-            self.flock.handle_timeout(due);
+            self.device.handle_timeout(due);
             self.drain(due);
-            self.line.handle_timeout(due);
+            self.link.handle_timeout(due);
             self.drain(due);
         }
-        self.flock.handle_timeout(now);
+        self.device.handle_timeout(now);
     }
 
     /// When something happens next.
     pub fn poll_timeout(&self) -> Option<Timestamp> {
-        [self.flock.poll_timeout(), self.line.poll_timeout()].into_iter().flatten().min()
+        [self.device.poll_timeout(), self.link.poll_timeout()].into_iter().flatten().min()
     }
 
     /// The next output, until `None`.
@@ -140,30 +185,43 @@ impl VirtualDevice {
         self.output.pop_front()
     }
 
-    /// Hands the flock's bytes to the line, and everything else out.
+    /// Hands the device's bytes to the link, and everything else out.
     fn drain(&mut self, now: Timestamp) {
         let device = self.index;
-        while let Some(output) = self.flock.poll_output() {
+        while let Some(output) = self.device.poll_output() {
             let (t, output) = match output {
-                FlockOutput::Send(bytes) => {
-                    self.line.send(&bytes);
+                DeviceOutput::Send(bytes) => {
+                    match &mut self.link {
+                        Link::Line(line) => line.send(&bytes),
+                        Link::Network(network) => network.send(None, &bytes),
+                    }
                     continue;
                 }
-                FlockOutput::Cut(t) => {
-                    self.line.cut_after(t);
+                DeviceOutput::SendFrom(peer, bytes) => {
+                    if let Link::Network(network) = &mut self.link {
+                        network.send(Some(peer), &bytes);
+                    }
                     continue;
                 }
-                FlockOutput::Truth(cycle) => (cycle.t, Output::Truth(cycle)),
-                FlockOutput::Fault(hit) => (now, Output::Fault(hit)),
+                DeviceOutput::Cut(t) => {
+                    if let Link::Line(line) = &mut self.link {
+                        line.cut_after(t);
+                    }
+                    continue;
+                }
+                DeviceOutput::Truth(cycle) => (cycle.t, Output::Truth(cycle)),
+                DeviceOutput::Fault(hit) => (now, Output::Fault(hit)),
+                DeviceOutput::Lost(loss) => (now, Output::Lost(loss)),
             };
             self.output.push_back(Event { t, device, output });
         }
-        while let Some((t, output)) = self.line.poll_output() {
+        while let Some((t, output)) = self.link.poll_output() {
             let output = match output {
                 LineOutput::Data(bytes) => Output::Data(bytes),
                 LineOutput::Unplugged => Output::Unplugged,
                 LineOutput::Replugged => Output::Replugged,
                 LineOutput::Fault(hit) => Output::Fault(hit),
+                LineOutput::Lost(loss) => Output::Lost(loss),
             };
             self.output.push_back(Event { t: t.min(now), device, output });
         }
@@ -187,22 +245,14 @@ impl VirtualStage {
         let riders = scenario.riders(stage, folder)?;
         let mut devices = Vec::new();
         for (index, device) in stage.devices.iter().enumerate() {
-            let (flock, line) = scenario.flock(stage, index, &riders)?;
-            let noise = flock.units.iter().map(|unit| {
-                let sensor = unit.sensor.as_ref().map_or(usize::MAX, |sensor| sensor.index);
-                Random::new(scenario.seed, Purpose::Signals(sensor & 0xFFFF_FFFF))
-            });
-            let noise = noise.collect();
+            let (unit, link) = scenario.device(stage, index, &riders)?;
             devices.push(VirtualDevice {
                 index,
                 name: device.name.clone(),
                 driver: device.driver.clone(),
-                flock: VirtualFlock::new(flock, noise, Random::new(scenario.seed, Purpose::Device(index))),
-                line: Line::new(
-                    line,
-                    scenario.faults(&device.name),
-                    Random::new(scenario.seed, Purpose::Faults(index)),
-                ),
+                port: device.port().to_owned(),
+                device: unit,
+                link,
                 output: VecDeque::new(),
             });
         }

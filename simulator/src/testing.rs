@@ -1,13 +1,14 @@
-//! A host for tests: it owns the time and remembers what it read.
+//! Hosts for tests: they own the time and remember what they read.
 
 use std::path::Path;
 
-use posed_drivers::Timestamp;
+use posed_drivers::session::Output as Said;
+use posed_drivers::{LineEvent, Sample, Session, Timestamp};
 
 use crate::faults::FaultHit;
 use crate::scenario::{DeviceScenario, DeviceSpec, Scenario, SensorSpec, StageSpec};
 use crate::stage::{Output, VirtualStage};
-use crate::truth::TruthCycle;
+use crate::truth::{Loss, TruthCycle, TruthRow};
 
 /// A stage with one Flock.
 pub(crate) fn stage(addresses: &[u16], baud: u32) -> StageSpec {
@@ -19,6 +20,7 @@ pub(crate) fn stage(addresses: &[u16], baud: u32) -> StageSpec {
             driver: "flock-of-birds".into(),
             baud,
             measurement_delay_ms: 2.0,
+            ..DeviceSpec::default()
         }],
         sensors: addresses.iter().map(sensor).collect(),
     }
@@ -37,6 +39,7 @@ pub(crate) struct Host {
     pub(crate) chunks: Vec<(Timestamp, Vec<u8>)>,
     pub(crate) truth: Vec<TruthCycle>,
     pub(crate) hits: Vec<FaultHit>,
+    pub(crate) losses: Vec<Loss>,
     pub(crate) plugging: Vec<(Timestamp, bool)>,
 }
 
@@ -54,6 +57,7 @@ impl Host {
             chunks: Vec::new(),
             truth: Vec::new(),
             hits: Vec::new(),
+            losses: Vec::new(),
             plugging: Vec::new(),
         };
         host.wait_ms(1500.0);
@@ -72,6 +76,7 @@ impl Host {
                 Output::Data(bytes) => self.chunks.push((event.t, bytes)),
                 Output::Truth(cycle) => self.truth.push(cycle),
                 Output::Fault(hit) => self.hits.push(hit),
+                Output::Lost(loss) => self.losses.push(loss),
                 Output::Unplugged => self.plugging.push((event.t, false)),
                 Output::Replugged => self.plugging.push((event.t, true)),
             }
@@ -107,4 +112,150 @@ impl Host {
         self.truth.clear();
         self.tell(b"@");
     }
+}
+
+/// A stage with one device, `device`, and a sensor at each address.
+pub(crate) fn stage_of(driver: &str, port: &str, baud: u32, addresses: &[u16]) -> StageSpec {
+    let sensor =
+        |&address: &u16| SensorSpec { name: format!("s{address}"), device: "device".into(), address };
+    StageSpec {
+        transmitter_in_room: None,
+        devices: vec![DeviceSpec {
+            name: "device".into(),
+            driver: driver.into(),
+            port: port.into(),
+            baud,
+            ..DeviceSpec::default()
+        }],
+        sensors: addresses.iter().map(sensor).collect(),
+    }
+}
+
+/// A scenario whose one device, `device`, is this; it starts at once.
+pub(crate) fn scenario_of(device: DeviceScenario) -> Scenario {
+    let device = DeviceScenario { name: "device".into(), boot_ms: 0.0, ..device };
+    Scenario { devices: vec![device], ..Scenario::default() }
+}
+
+/// The real driver on a virtual device, in simulated time.
+pub(crate) struct Pair<S> {
+    pub(crate) stage: VirtualStage,
+    pub(crate) session: S,
+    pub(crate) now: Timestamp,
+    pub(crate) samples: Vec<Sample>,
+    pub(crate) truth: Vec<TruthCycle>,
+    pub(crate) losses: Vec<Loss>,
+    pub(crate) hits: Vec<FaultHit>,
+    pub(crate) warnings: Vec<String>,
+    /// Everything that the host has read.
+    pub(crate) bytes: Vec<u8>,
+    addresses: Vec<u16>,
+}
+
+impl<S: Session> Pair<S> {
+    pub(crate) fn new(spec: &StageSpec, scenario: &Scenario, session: S) -> Self {
+        let mut pair = Self {
+            stage: VirtualStage::new(spec, scenario, Path::new(".")).unwrap(),
+            session,
+            now: Timestamp::ZERO,
+            samples: Vec::new(),
+            truth: Vec::new(),
+            losses: Vec::new(),
+            hits: Vec::new(),
+            warnings: Vec::new(),
+            bytes: Vec::new(),
+            addresses: spec.sensors.iter().map(|sensor| sensor.address).collect(),
+        };
+        pair.session.handle_line(Timestamp::ZERO, &LineEvent::Opened { modem_lines: true });
+        pair.listen();
+        pair
+    }
+
+    pub(crate) fn run_until(&mut self, seconds: f64) {
+        let end = Timestamp::from_secs_f64(seconds);
+        while self.now < end {
+            let due = [self.stage.poll_timeout(), self.session.poll_timeout()];
+            self.now = due.into_iter().flatten().min().unwrap_or(end).clamp(self.now, end);
+            self.stage.step(self.now);
+            while let Some(event) = self.stage.poll_event() {
+                match event.output {
+                    Output::Data(bytes) => {
+                        self.session.handle_bytes(self.now, &bytes);
+                        self.bytes.extend(bytes);
+                    }
+                    Output::Truth(cycle) => self.truth.push(cycle),
+                    Output::Fault(hit) => self.hits.push(hit),
+                    Output::Lost(loss) => self.losses.push(loss),
+                    Output::Unplugged => {
+                        let event = LineEvent::Closed { reason: "unplugged".into() };
+                        self.session.handle_line(self.now, &event);
+                    }
+                    Output::Replugged => {
+                        self.session.handle_line(self.now, &LineEvent::Opened { modem_lines: true });
+                    }
+                }
+                self.listen();
+            }
+            if self.session.poll_timeout().is_some_and(|due| due <= self.now) {
+                self.session.handle_timeout(self.now);
+                self.listen();
+            }
+        }
+    }
+
+    fn listen(&mut self) {
+        while let Some(said) = self.session.poll_output() {
+            match said {
+                Said::Transmit(bytes) => self.stage.write(0, self.now, &bytes),
+                Said::SetRts(on) => self.stage.device_mut(0).handle_rts(self.now, on),
+                Said::Sample(sample) => self.samples.push(sample),
+                Said::Warning(sentence) => self.warnings.push(sentence),
+                Said::StateChanged => {}
+            }
+        }
+    }
+
+    /// Forgets what has been seen up to now.
+    pub(crate) fn forget(&mut self) {
+        self.samples.clear();
+        self.truth.clear();
+        self.losses.clear();
+        self.hits.clear();
+        self.warnings.clear();
+    }
+
+    /// Samples of one sensor.
+    pub(crate) fn samples_of(&self, address: u16) -> Vec<Sample> {
+        self.samples.iter().filter(|sample| sample.address == address).copied().collect()
+    }
+
+    /// Records of a sensor that the simulator knows to be lost.
+    pub(crate) fn lost(&self, address: u16) -> u64 {
+        let of = |loss: &&Loss| loss.address.is_none_or(|of| of == address);
+        self.losses.iter().filter(of).count() as u64
+    }
+
+    /// What the driver counts as lost for each sensor, in the order of the stage.
+    pub(crate) fn counted(&self) -> Vec<u64> {
+        let of = |address| self.session.losses().iter().find(|loss| loss.address == address);
+        self.addresses.iter().map(|&address| of(address).map_or(0, |loss| loss.lost)).collect()
+    }
+
+    /// The truth of a sample: the last one before it was read. Good while records leave within their cycle.
+    pub(crate) fn truth_of(&self, sample: &Sample) -> (Timestamp, TruthRow) {
+        let sensor = self.addresses.iter().position(|&address| address == sample.address).unwrap();
+        let before = self.truth.iter().take_while(|cycle| cycle.t < sample.arrival.t_read);
+        let row = |cycle: &TruthCycle| {
+            let row = cycle.sensors.iter().find(|row| row.sensor == sensor)?;
+            Some((cycle.t, *row))
+        };
+        before.filter_map(row).last().unwrap()
+    }
+}
+
+/// Angle between a measured quaternion and a true rotation, rad.
+pub(crate) fn angle_to(q: [f64; 4], truth: &TruthRow) -> f64 {
+    let [w, x, y, z] = q;
+    let q = nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(w, x, y, z));
+    q.angle_to(&truth.pose.rotation)
 }

@@ -61,6 +61,15 @@ pub struct TruthCycle {
     pub sensors: Vec<TruthRow>,
 }
 
+/// A record that did not reach the host as the device measured it: never sent, damaged, or dropped on its way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Loss {
+    /// The device's number of the cycle, as in [`TruthCycle`].
+    pub cycle: u64,
+    /// Address of the sensor; absent where the record held those of all sensors of the device.
+    pub address: Option<u16>,
+}
+
 /// Writes truth as CSV: `t,sensor,x,y,z,qw,qx,qy,qz,class,distortion_x,distortion_y,distortion_z`.
 pub struct TruthWriter<W: Write> {
     writer: W,

@@ -33,6 +33,7 @@ impl Pair {
                 driver: "flock-of-birds".into(),
                 baud: 115_200,
                 measurement_delay_ms: 1.0,
+                ..DeviceSpec::default()
             }],
             sensors: addresses.iter().map(sensor).collect(),
         };
@@ -72,7 +73,7 @@ impl Pair {
                         self.plugged = true;
                         self.session.handle_line(event.t, &LineEvent::Opened { modem_lines: false });
                     }
-                    Output::Fault(_) => {}
+                    Output::Fault(_) | Output::Lost(_) => {}
                 }
                 self.listen(event.t);
             }

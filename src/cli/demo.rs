@@ -61,7 +61,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         // The devices come first, since the daemon must know their ports; their truth waits for its inbox.
         let inbox = Arc::new(OnceLock::new());
         let clock = Clock::since(options.clock.instant(Timestamp::ZERO));
-        let host = Host::on_ptys(devices, ports.path(), clock, truth_to(Arc::clone(&inbox)))
+        let host = Host::open(devices, ports.path(), clock, truth_to(Arc::clone(&inbox)))
             .map_err(|error| Error::Failed(format!("cannot make the virtual ports: {error}")))?;
         for (device, info) in options.stage.devices.iter_mut().zip(host.devices()) {
             device.port.clone_from(&info.port);

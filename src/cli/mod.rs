@@ -39,6 +39,7 @@ mod replay;
 mod replay_pty;
 mod run;
 mod schema;
+mod segments;
 mod simulate;
 mod simulation;
 mod watch;
@@ -85,6 +86,8 @@ enum Command {
     Faults(faults::Args),
     /// Finds the frames at which a motion changes, and a smooth path between them.
     Keyframes(keyframes::Args),
+    /// Learns what the frames of a motion show, and names them.
+    Segments(segments::Args),
     /// Says what is inside a recording, and completes one that breaks off.
     Info(info::Args),
     /// Writes a recording's poses or messages to a file that other programs open.
@@ -116,6 +119,7 @@ impl Command {
             Self::Exercise(args) => exercise::run(args),
             Self::Faults(args) => faults::run(args),
             Self::Keyframes(args) => keyframes::run(args),
+            Self::Segments(args) => segments::run(args),
             Self::Info(args) => info::run(args),
             Self::Export(args) => export::run(args),
             Self::Orient(args) => orient::run(args),

@@ -20,6 +20,7 @@ use super::{Error, print, print_json, simulation};
 /// What to simulate.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  posed simulate config/demo.toml --truth truth.csv\n\n\
+    Devices at tcp:// and udp:// ports are on this machine, at the same port number.\n\
     Ends at Ctrl-C, at SIGTERM, or after the simulation's duration; the truth is complete then.")]
 pub(crate) struct Args {
     /// The stage file; its [simulation] table says what moves and what goes wrong.
@@ -30,7 +31,7 @@ pub(crate) struct Args {
     /// End after so many seconds; absent: as the [simulation] table says, else at Ctrl-C.
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     duration_s: Option<f64>,
-    /// Folder for the ports, one link per device with its name; absent: a folder that goes with the simulation.
+    /// Folder for the serial ports, one link per device with its name; absent: a folder that goes with the simulation.
     #[arg(long, value_name = "FOLDER")]
     ports: Option<PathBuf>,
     /// Print one JSON object once the ports are there: devices, each with name, driver and port.
@@ -91,7 +92,7 @@ async fn simulate(args: &Args, stage: &Stage, ports: &Path) -> Result<(), Error>
             }
         }),
     };
-    let host = Host::on_ptys(devices, ports, Clock::since(clock.instant(Timestamp::ZERO)), watcher)
+    let host = Host::open(devices, ports, Clock::since(clock.instant(Timestamp::ZERO)), watcher)
         .map_err(|error| Error::Failed(format!("cannot make the ports in {}: {error}", ports.display())))?;
     announce(&host, args.json)?;
 

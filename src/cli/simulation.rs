@@ -3,40 +3,11 @@
 use std::path::Path;
 
 use posed::stage::{self, Problem, Stage};
-use posed_simulator::scenario::{DeviceSpec, Scenario, SensorSpec, StageSpec};
+use posed_simulator::scenario::{Scenario, StageSpec};
 use posed_simulator::stage::VirtualStage;
 use serde::Deserialize;
 
 use super::Error;
-
-/// The parts of a stage that the simulator needs.
-pub(crate) fn spec(stage: &Stage) -> StageSpec {
-    StageSpec {
-        transmitter_in_room: stage
-            .transmitter
-            .pose_in_room
-            .map(|pose| (pose.position_m, pose.orientation_wxyz)),
-        devices: stage
-            .devices
-            .iter()
-            .map(|device| DeviceSpec {
-                name: device.name.clone(),
-                driver: device.driver.word().to_owned(),
-                baud: device.baud,
-                measurement_delay_ms: device.measurement_delay_ms,
-            })
-            .collect(),
-        sensors: stage
-            .sensors
-            .iter()
-            .map(|sensor| SensorSpec {
-                name: sensor.name.clone(),
-                device: sensor.device.clone(),
-                address: sensor.address,
-            })
-            .collect(),
-    }
-}
 
 /// What the `[simulation]` table of a stage says; without one, a clean and quiet scene.
 pub(crate) fn scenario(stage: &Stage) -> Result<Scenario, Error> {
@@ -49,7 +20,8 @@ pub(crate) fn scenario(stage: &Stage) -> Result<Scenario, Error> {
 
 /// The virtual devices of a stage; paths in its `[simulation]` table begin at `folder`.
 pub(crate) fn virtual_stage(stage: &Stage, folder: &Path) -> Result<VirtualStage, Error> {
-    VirtualStage::new(&spec(stage), &scenario(stage)?, folder).map_err(Error::failed)
+    let spec = StageSpec::of(stage).map_err(Error::failed)?;
+    VirtualStage::new(&spec, &scenario(stage)?, folder).map_err(Error::failed)
 }
 
 /// What is wrong with the `[simulation]` table of a stage file that is otherwise right.
@@ -57,8 +29,10 @@ pub(crate) fn problems(text: &str, stage: &Stage) -> Vec<Problem> {
     let schema = schemars::schema_for!(Scenario).to_value();
     let mut problems = stage::check_table(text, "simulation", &schema);
     if problems.is_empty()
-        && let Err(error) =
-            scenario(stage).and_then(|scenario| scenario.check(&spec(stage)).map_err(Error::failed))
+        && let Err(error) = scenario(stage).and_then(|scenario| {
+            let spec = StageSpec::of(stage).map_err(Error::failed)?;
+            scenario.check(&spec).map_err(Error::failed)
+        })
     {
         problems.push(Problem {
             line: 1 + text.lines().position(|line| line.trim_start().starts_with("[simulation")).unwrap_or(0),

@@ -10,11 +10,17 @@
 //! `a` the middle of the gap, the stated uncertainty its width. Where reads follow the bytes closely the lower
 //! bound says nothing (nothing came since the last cycle), and the usual lateness takes its place.
 //!
+//! A device that counts says how much time lies between two of its cycles. Its ticks are only as long as its crystal
+//! is right, so `x` is its count in nominal periods and `P` is within [`CRYSTAL`] of nominal: that makes the fit
+//! right from the first second on, and lost cycles cost nothing.
+//!
 //! Cycles that leave no trace on the wire make the driver's count fall behind. The same bounds show it: a
 //! cycle cannot have been read before it was measured, nor have waited through an earlier read. The first is
 //! proof. The second may be a host that stamped the earlier read late, so it is believed on [`Trial`]: times follow at
 //! once, but count and window only when [`CONFIRMED`] reads agree, and none that contradicts has come before.
 
+mod arrival;
+mod interval;
 mod reads;
 mod window;
 
@@ -22,8 +28,10 @@ use posed_drivers::{DeviceTime, Sample, Timestamp};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
+pub use arrival::ArrivalClock;
+use interval::Interval;
 use reads::{Evidence, Reads};
-use window::{Fit, Window};
+use window::{Fit, Nominal, Window};
 
 /// Uncertainty that remains when the bounds meet: stamps and adapters are not better than this, s.
 const SIGMA_FLOOR_S: f64 = 1e-4;
@@ -44,6 +52,10 @@ const CONTRADICTION: f64 = 0.4;
 const CONFIRMED: u32 = 3;
 /// Cycles after which a suspicion that was neither confirmed nor refuted is dropped.
 const TRIAL_CYCLES: u32 = 64;
+/// How far a device's counter may be off, as a share: crystals are within 100 ppm, ceramic resonators within 0.5 %.
+const CRYSTAL: f64 = 1e-3;
+/// Period of a device that counts and has not said its rate, s.
+const UNTOLD_PERIOD_S: f64 = 0.01;
 /// Least spacing of two cycles of one device, ns.
 const LEAST_STEP_NS: i64 = 1_000;
 
@@ -79,6 +91,8 @@ pub struct Clock {
     window: Window,
     fit: Option<Fit>,
     origin: Option<Origin>,
+    /// Intervals of the cycles in units of `x`: 1 but for devices that count.
+    interval: Interval,
     /// Cycles that the driver's count is behind (Cycle only).
     renumbered: i64,
     trial: Option<Trial>,
@@ -94,6 +108,28 @@ pub struct Clock {
 struct Origin {
     t: Timestamp,
     index: u64,
+    /// Ticks of the device's counter per unit of `x`; 1 where it does not count.
+    ticks: f64,
+    /// Nominal duration of that many ticks, s, where the device counts.
+    counted_s: Option<f64>,
+}
+
+impl Origin {
+    fn new(sample: &Sample, raw: u64, nominal_period_s: Option<f64>) -> Self {
+        let t = sample.arrival.t_read;
+        match sample.t_device {
+            DeviceTime::Cycle(_) => Self { t, index: raw, ticks: 1.0, counted_s: None },
+            DeviceTime::Counter { tick_s, .. } => {
+                let ticks = (nominal_period_s.unwrap_or(UNTOLD_PERIOD_S) / tick_s).round().max(1.0);
+                Self { t, index: raw, ticks, counted_s: Some(ticks * tick_s) }
+            }
+        }
+    }
+
+    /// Position of a count on the clock's own axis.
+    fn x(&self, raw: u64) -> f64 {
+        raw.wrapping_sub(self.index) as i64 as f64 / self.ticks
+    }
 }
 
 /// A suspicion that cycles have left no trace.
@@ -129,6 +165,7 @@ impl Clock {
             window: Window::new(),
             fit: None,
             origin: None,
+            interval: Interval::default(),
             renumbered: 0,
             trial: None,
             last: None,
@@ -159,6 +196,7 @@ impl Clock {
         self.window.clear();
         self.fit = None;
         self.origin = None;
+        self.interval = Interval::default();
         self.renumbered = 0;
         self.trial = None;
         self.usual_bytes_after = 0;
@@ -169,7 +207,7 @@ impl Clock {
 
     /// Measured period of a cycle, s, once known.
     pub fn period_s(&self) -> Option<f64> {
-        self.fit.map(|fit| fit.period_s).filter(|_| self.window.is_settled())
+        self.fit.map(|fit| fit.period_s * self.interval.x()).filter(|_| self.window.is_settled())
     }
 
     /// Measured period, or the nominal one before that, s.
@@ -189,13 +227,10 @@ impl Clock {
 
     /// Takes the next sample and says when it was measured.
     pub fn push(&mut self, sample: &Sample) -> Stamp {
-        let (raw, tick_s) = match sample.t_device {
-            DeviceTime::Cycle(cycle) => (cycle, None),
-            DeviceTime::Counter { ticks, tick_s } => (ticks, Some(tick_s)),
+        let (raw, counted) = match sample.t_device {
+            DeviceTime::Cycle(cycle) => (cycle, false),
+            DeviceTime::Counter { ticks, .. } => (ticks, true),
         };
-        if let Some(tick_s) = tick_s {
-            self.nominal_period_s = Some(tick_s);
-        }
         if self.last.is_some_and(|last| raw < last.raw) {
             self.restart();
         }
@@ -203,14 +238,15 @@ impl Clock {
             self.window.know_wire();
         }
         let known = self.origin.is_some();
-        let origin = *self.origin.get_or_insert(Origin { t: sample.arrival.t_read, index: raw });
+        let nominal = self.nominal_period_s;
+        let origin = *self.origin.get_or_insert_with(|| Origin::new(sample, raw, nominal));
         let begins_cycle = !known || self.last.is_none_or(|last| raw != last.raw);
-        let count = raw as f64 - origin.index as f64;
+        let count = origin.x(raw);
         let byte_s = self.settings.byte_time_s;
         let mut evidence =
             self.reads.evidence(&sample.arrival, origin.t, count + self.renumbered as f64, byte_s);
         if begins_cycle && self.fit.is_some_and(|fit| self.window.may_judge(fit.prompt)) {
-            self.check(&evidence, tick_s.is_none());
+            self.check(&evidence, !counted);
             if self.fit.is_none() {
                 // The check found another phase and started again.
                 return self.push(sample);
@@ -224,8 +260,9 @@ impl Clock {
         } else if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S)
             || self.fit.is_none()
         {
-            self.fit = self.window.fit(self.nominal_period_s);
-            if self.fit.is_some_and(|fit| fit.crossing > CONTRADICTION * fit.period_s) {
+            let nominal = origin.counted_s.map(Nominal::Counted).or(nominal.map(Nominal::Told));
+            self.fit = self.window.fit(nominal);
+            if !counted && self.fit.is_some_and(|fit| fit.crossing > CONTRADICTION * fit.period_s) {
                 // A cycle was lost before the line was firm enough to show it, or the device has changed its phase.
                 self.restart();
                 return self.push(sample);
@@ -325,8 +362,11 @@ impl Clock {
         let mut cycles_skipped = 0;
         if let Some(last) = self.last {
             let steps = x - last.x;
-            if known && steps >= 1.0 {
-                cycles_skipped = (steps - 1.0) as u32;
+            if known && steps > 0.0 {
+                if origin.counted_s.is_some() {
+                    self.interval.push(steps);
+                }
+                cycles_skipped = ((steps / self.interval.x()).round() as u32).saturating_sub(1);
                 let expected_ns = last.t_valid.as_nanos().saturating_add((steps * period_s * 1e9) as i64);
                 let error_ns = t_ns.saturating_sub(expected_ns);
                 let limit_ns = (SLEW * period_s * steps * 1e9) as i64;

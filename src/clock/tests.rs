@@ -1,6 +1,6 @@
 //! The clock on simulated lines with known truth.
 
-use posed_drivers::Measurement;
+use posed_drivers::{Arrival, Measurement};
 
 use super::*;
 

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::SIGMA_FLOOR_S;
 use super::reads::Evidence;
+use super::{CRYSTAL, SIGMA_FLOOR_S};
 
 /// Cycles in one block.
 const BLOCK_CYCLES: u32 = 8;
@@ -24,6 +24,25 @@ const UNDISTURBED: usize = 8;
 const GRID: usize = 8;
 /// Inflation of the spread between bounds, so that two sigmas hold also for simulated bursts in step with the cycles.
 const STILL_PHASES: f64 = 1.8;
+
+/// What is known of the period before the data speak, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Nominal {
+    /// A rate that the device claims: a hint.
+    Told(f64),
+    /// Ticks of the device's counter: no further off than [`CRYSTAL`].
+    Counted(f64),
+}
+
+impl Nominal {
+    /// The period nearest to a measured one that can be.
+    fn limit(nominal: Option<Self>, period_s: f64) -> f64 {
+        match nominal {
+            Some(Self::Counted(period)) => period_s.clamp(period * (1.0 - CRYSTAL), period * (1.0 + CRYSTAL)),
+            _ => period_s,
+        }
+    }
+}
 
 /// A bound at one cycle.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
@@ -210,9 +229,14 @@ impl Window {
     }
 
     /// The line through the window; `None` while there is not enough to know a period.
-    pub(super) fn fit(&mut self, nominal_period_s: Option<f64>) -> Option<Fit> {
+    pub(super) fn fit(&mut self, nominal: Option<Nominal>) -> Option<Fit> {
         let settled = self.is_settled();
-        let period_s = if settled { self.slope() } else { self.first_slope(nominal_period_s) };
+        let period_s = match nominal {
+            Some(Nominal::Counted(period_s)) if !settled => Some(period_s),
+            Some(Nominal::Told(period_s)) if !settled => self.first_slope(Some(period_s)),
+            None if !settled => self.first_slope(None),
+            _ => self.slope().map(|period_s| Nominal::limit(nominal, period_s)),
+        };
         let period_s = period_s.filter(|period_s| PERIOD_RANGE_S.contains(period_s))?;
         let newest = *self.newest()?;
         let base = newest.upper;
@@ -252,7 +276,7 @@ impl Window {
             prompt,
             crossing: 0.0,
         };
-        Some(if settled && bursts { self.posterior(first, base) } else { first })
+        Some(if settled && bursts { self.posterior(first, base, nominal) } else { first })
     }
 
     /// Offsets of the tightest upper and lower bound from a line of the given period through `base`.
@@ -273,12 +297,12 @@ impl Window {
     /// With bursts in step with the cycles the middles of the blocks jump by whole phases and least squares
     /// follows the jumps; what the bounds allow as a whole is honest about it. Where they allow no line at all,
     /// bytes were kept for longer than the lower bounds admit, and those give way.
-    fn posterior(&mut self, first: Fit, base: Point) -> Fit {
+    fn posterior(&mut self, first: Fit, base: Point, nominal: Option<Nominal>) -> Fit {
         let Some(oldest) = self.blocks.get(self.next % self.blocks.len()) else { return first };
         let span = (base.x - oldest.upper.x).max(1.0);
         let reach = (2.0 * (first.upper - first.lower) + 1e-3) / span;
         let candidates: [(f64, f64, f64); 2 * GRID + 1] = std::array::from_fn(|i| {
-            let candidate = first.period_s + reach * (i as f64 / GRID as f64 - 1.0);
+            let candidate = Nominal::limit(nominal, first.period_s + reach * (i as f64 / GRID as f64 - 1.0));
             let (upper, bound) = self.bounds(candidate, base);
             (candidate, upper, bound.max(upper - first.lateness))
         });

@@ -10,6 +10,7 @@ use tokio::sync::{mpsc, watch};
 use super::clock::StageClock;
 use super::fusion::{Command, FusionInbox};
 use super::inbox::Event;
+use super::jobs::Jobs;
 use super::ports::ended;
 use super::server::{PendingCall, Reply};
 use crate::input::{Entry, Input, Model};
@@ -25,12 +26,19 @@ pub(super) struct Calls {
     recordings: PathBuf,
     clock: StageClock,
     inbox: FusionInbox,
+    jobs: Jobs,
 }
 
 impl Calls {
-    pub(super) fn new(stage: &Stage, folder: PathBuf, clock: StageClock, inbox: FusionInbox) -> Self {
+    pub(super) fn new(
+        stage: &Stage,
+        folder: PathBuf,
+        clock: StageClock,
+        inbox: FusionInbox,
+        jobs: Jobs,
+    ) -> Self {
         let recordings = stage.recording.folder.clone().unwrap_or_else(|| folder.join("recordings"));
-        Self { stage: stage.clone(), recordings, clock, inbox }
+        Self { stage: stage.clone(), recordings, clock, inbox, jobs }
     }
 
     /// Until shutdown.
@@ -72,7 +80,13 @@ impl Calls {
                 "live",
                 "this daemon tracks a live stage; open a recording with `posed replay FILE`, which serves it to clients",
             ),
-            Call::JobCancel { job } => reply.error("no_such_job", format!("no job {job} is running")),
+            Call::JobCancel { job } => match self.jobs.cancel(job) {
+                Ok(()) => {
+                    self.inbox.push(Event::Command(Command::LookAtJobs));
+                    reply.ok(None);
+                }
+                Err(sentence) => reply.error("no_such_job", sentence),
+            },
         }
     }
 

@@ -7,11 +7,13 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use posed_drivers::Timestamp;
+use serde_json::{Value, json};
 use tokio::sync::{mpsc, watch};
 
 use super::clock::StageClock;
 use super::health::Health;
 use super::inbox::{Event, Inbox};
+use super::jobs::{Job, Jobs};
 use super::ports::PortCommand;
 use super::recorder::{Recorder, RecorderState};
 use super::server::{Hub, Reply};
@@ -52,6 +54,8 @@ pub enum Command {
         /// Who wants to know.
         reply: Option<Reply>,
     },
+    /// A job was cancelled; it may be one of this thread.
+    LookAtJobs,
     /// Ends the thread.
     Shutdown,
 }
@@ -61,6 +65,7 @@ pub(super) struct Recording {
     pub(super) recorder: Recorder,
     pub(super) name: String,
     pub(super) started: Timestamp,
+    job: Job,
 }
 
 /// The thread's state.
@@ -70,6 +75,7 @@ pub(super) struct Fusion {
     pub(super) pipeline: Pipeline,
     pub(super) publisher: Publisher,
     pub(super) hub: Hub,
+    pub(super) jobs: Jobs,
     pub(super) ports: Vec<mpsc::Sender<PortCommand>>,
     pub(super) health: Health,
     pub(super) status: watch::Sender<Status>,
@@ -112,10 +118,10 @@ impl Fusion {
         }
         if let Some(recording) = self.recording.take() {
             // What failed has been logged by the recorder.
-            recording.recorder.wait();
+            let _ = whole(recording);
         }
         for (recording, reply) in self.ending.drain(..) {
-            answer(reply, whole(recording));
+            answer(reply, whole(recording).map(|()| None));
         }
     }
 
@@ -176,23 +182,29 @@ impl Fusion {
             Command::StartRecording { path, reply } => {
                 let started = self.start_recording(path);
                 self.health.touch();
-                answer(reply, started);
+                answer(reply, started.map(Some));
             }
-            Command::StopRecording { reply } => {
-                match self.recording.take() {
-                    Some(mut recording) => {
-                        recording.recorder.stop("stopped by a client");
-                        self.ending.push((recording, reply));
-                    }
-                    None => answer(reply, Err("nothing is being recorded".to_owned())),
+            Command::StopRecording { reply } => match self.recording.take() {
+                Some(recording) => self.stop_recording(recording, reply),
+                None => answer(reply, Err("nothing is being recorded".to_owned())),
+            },
+            Command::LookAtJobs => {
+                if let Some(recording) = self.recording.take_if(|recording| recording.job.is_cancelled()) {
+                    self.stop_recording(recording, None);
                 }
-                self.health.touch();
             }
             Command::Shutdown => {}
         }
     }
 
-    pub(super) fn start_recording(&mut self, path: PathBuf) -> Result<(), String> {
+    fn stop_recording(&mut self, mut recording: Recording, reply: Option<Reply>) {
+        recording.recorder.stop("stopped by a client");
+        self.ending.push((recording, reply));
+        self.health.touch();
+    }
+
+    /// Begins a recording and says its name and its job's number.
+    pub(super) fn start_recording(&mut self, path: PathBuf) -> Result<Value, String> {
         if let Some(recording) = &self.recording {
             return Err(format!("{} is being recorded already; stop that first", recording.name));
         }
@@ -209,8 +221,10 @@ impl Fusion {
             .map_err(|error| format!("cannot record to {}: {error}", path.display()))?;
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
         self.health.recording_started();
-        self.recording = Some(Recording { recorder, name, started });
-        Ok(())
+        let job = self.jobs.begin("record.start");
+        let result = json!({ "name": name, "job": job.number() });
+        self.recording = Some(Recording { recorder, name, started, job });
+        Ok(result)
     }
 
     /// Answers for recordings that are whole now.
@@ -221,7 +235,7 @@ impl Fusion {
             if let Err(reason) = &ended {
                 self.health.recording_failed(reason.clone());
             }
-            answer(reply, ended);
+            answer(reply, ended.map(|()| None));
         }
     }
 
@@ -230,6 +244,10 @@ impl Fusion {
             && let Err(reason) = whole(recording)
         {
             self.health.recording_failed(reason);
+        }
+        if let Some(recording) = &self.recording {
+            let megabytes = recording.recorder.bytes_written() as f64 * 1e-6;
+            recording.job.progress(None, Some(format!("{}: {megabytes:.1} MB", recording.name)));
         }
         let status = self.health.status(now, &self.pipeline.status(), self.recording.as_ref(), &self.clock);
         self.status.send_replace(status.clone());
@@ -245,10 +263,13 @@ fn timer_at(due: Option<Timestamp>, now: Timestamp, waiting_since: Option<Timest
 
 /// Waits for the end of a recording that was stopped, and says whether it is whole.
 fn whole(recording: Recording) -> Result<(), String> {
-    match recording.recorder.wait() {
-        RecorderState::Failed { reason } => Err(format!("{}: {reason}", recording.name)),
+    let Recording { recorder, name, job, .. } = recording;
+    let ended = match recorder.wait() {
+        RecorderState::Failed { reason } => Err(format!("{name}: {reason}")),
         RecorderState::Recording | RecorderState::Stopped { .. } => Ok(()),
-    }
+    };
+    job.end(ended.clone().map(|()| format!("{name} is complete")));
+    ended
 }
 
 /// Never waits: a port that takes no bytes is about to be reported as gone, and its session asks again.
@@ -258,11 +279,11 @@ fn send(ports: &[mpsc::Sender<PortCommand>], device: u16, command: PortCommand) 
     }
 }
 
-fn answer(reply: Option<Reply>, result: Result<(), String>) {
+fn answer(reply: Option<Reply>, result: Result<Option<Value>, String>) {
     match (reply, result) {
-        (Some(reply), Ok(())) => reply.ok(None),
+        (Some(reply), Ok(result)) => reply.ok(result),
         (Some(reply), Err(sentence)) => reply.error("failed", sentence),
-        (None, Ok(())) => {}
+        (None, Ok(_)) => {}
         (None, Err(sentence)) => tracing::error!("{sentence}"),
     }
 }

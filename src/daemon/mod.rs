@@ -10,24 +10,25 @@
 
 pub mod calls;
 pub mod clock;
+pub mod find;
 pub mod fusion;
 mod health;
 pub mod inbox;
+mod jobs;
 mod limits;
 mod playback;
 mod player;
 pub mod ports;
 pub mod recorder;
 pub mod server;
+mod service;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::time::Duration;
 
 use posed_drivers::port::Port;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{mpsc, watch};
-use tokio::task::JoinSet;
 
 pub use self::playback::{Playback, PlaybackError};
 
@@ -36,16 +37,16 @@ use self::clock::StageClock;
 use self::fusion::{Command, Fusion, FusionInbox, INBOX_CAPACITY};
 use self::health::Health;
 use self::inbox::{Event, Inbox};
-use self::ports::PortTask;
+use self::jobs::Jobs;
+use self::ports::{Place, PortTask};
 use self::server::{BindError, Server};
+use self::service::Service;
 use crate::pipeline::{Pipeline, PipelineError};
 use crate::protocol::{Fields, Publisher, Status, Topic};
 use crate::stage::Stage;
 
 /// Commands that wait for a port that writes slowly.
 const PORT_COMMANDS: usize = 256;
-/// Time that the fusion thread has to end, the recording included.
-const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(4);
 
 /// What a daemon is started with.
 #[derive(Clone, Debug)]
@@ -101,12 +102,9 @@ pub enum StartError {
 /// A running daemon; ends with [`Daemon::shutdown`].
 pub struct Daemon {
     clock: StageClock,
-    address: SocketAddr,
-    url: String,
+    service: Service,
     inbox: FusionInbox,
     status: watch::Receiver<Status>,
-    shutdown: watch::Sender<bool>,
-    tasks: JoinSet<()>,
     ports: Vec<Option<PortTask>>,
     fusion: std::thread::JoinHandle<()>,
 }
@@ -117,11 +115,11 @@ impl Daemon {
     /// # Errors
     /// The address, the stage or the recording's file do not serve.
     pub fn start(options: Options) -> Result<Self, StartError> {
-        let devices = options.stage.devices.clone();
+        let places: Vec<_> = (0..).map_while(|index| Place::of(&options.stage, index)).collect();
         let mut daemon = Self::start_without_ports(options)?;
-        for (index, device) in devices.into_iter().enumerate() {
-            if let Some(task) = daemon.ports.get_mut(index).and_then(Option::take) {
-                daemon.tasks.spawn(task.keep_open(device.port, device.baud));
+        for (place, port) in places.into_iter().zip(&mut daemon.ports) {
+            if let Some(task) = port.take() {
+                daemon.service.spawn(task.keep_open(place));
             }
         }
         Ok(daemon)
@@ -138,17 +136,17 @@ impl Daemon {
         config.listen = listen;
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
         let (server, hub, pending) = Server::bind(&stage, config)?;
-        let (address, url) = (server.address(), server.url());
+        let mut service = Service::start(server);
+        let jobs = Jobs::new(clock, hub.clone());
 
         let inbox = Inbox::new(INBOX_CAPACITY);
-        let (shutdown, down) = watch::channel(false);
         let (status_sender, status) = watch::channel(Status::default());
         let mut commands = Vec::new();
         let mut ports = Vec::new();
         for device in 0..stage.devices.len() {
             let (sender, receiver) = mpsc::channel(PORT_COMMANDS);
             commands.push(sender);
-            let (inbox, shutdown) = (inbox.clone(), down.clone());
+            let (inbox, shutdown) = (inbox.clone(), service.down());
             let device = device as u16;
             ports.push(Some(PortTask { device, clock, inbox, commands: receiver, shutdown }));
         }
@@ -157,7 +155,8 @@ impl Daemon {
             inbox: inbox.clone(),
             pipeline: Pipeline::new(&stage)?,
             publisher: Publisher::new(&stage, Fields::all()),
-            hub: hub.clone(),
+            hub,
+            jobs: jobs.clone(),
             ports: commands,
             health: Health::new(&stage),
             status: status_sender,
@@ -176,18 +175,15 @@ impl Daemon {
             .spawn(move || fusion.run())
             .map_err(StartError::Thread)?;
 
-        let mut tasks = JoinSet::new();
-        let mut server_down = down.clone();
-        tasks.spawn(server.run(async move { ports::ended(&mut server_down).await }));
-        let calls = Calls::new(&stage, folder, clock, inbox.clone());
-        tasks.spawn(calls.run(pending, down));
-        Ok(Self { clock, address, url, inbox, status, shutdown, tasks, ports, fusion })
+        let calls = Calls::new(&stage, folder, clock, inbox.clone(), jobs);
+        service.spawn(calls.run(pending, service.down()));
+        Ok(Self { clock, service, inbox, status, ports, fusion })
     }
 
     /// Gives a device an open stream instead of its port; it is not opened again when it ends.
     pub fn attach<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(&mut self, device: u16, stream: S) {
         if let Some(mut task) = self.ports.get_mut(usize::from(device)).and_then(Option::take) {
-            self.tasks.spawn(async move {
+            self.service.spawn(async move {
                 if let Some(reason) = task.pump(Port::new(stream)).await {
                     task.closed(reason);
                 }
@@ -207,12 +203,12 @@ impl Daemon {
 
     /// The address the server listens on.
     pub fn address(&self) -> SocketAddr {
-        self.address
+        self.service.address()
     }
 
     /// What to open in a browser.
     pub fn url(&self) -> &str {
-        &self.url
+        self.service.url()
     }
 
     /// The newest status.
@@ -221,21 +217,8 @@ impl Daemon {
     }
 
     /// Ends everything: the recording is complete, clients are told goodbye. Takes less than five seconds.
-    pub async fn shutdown(mut self) {
-        self.shutdown.send_replace(true);
+    pub async fn shutdown(self) {
         self.inbox.push(Event::Command(Command::Shutdown));
-        let fusion = self.fusion;
-        let ended = tokio::task::spawn_blocking(move || fusion.join().is_ok());
-        let all = async {
-            while self.tasks.join_next().await.is_some() {}
-            ended.await
-        };
-        match tokio::time::timeout(SHUTDOWN_TIMEOUT, all).await {
-            Ok(Ok(true)) => {}
-            Ok(_) => tracing::error!("the fusion thread ended with a panic; please report this"),
-            Err(_) => tracing::error!(
-                "not everything has ended in time; the recording may lack its index: `posed info --repair` adds it"
-            ),
-        }
+        self.service.shutdown(self.fusion).await;
     }
 }

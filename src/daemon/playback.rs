@@ -4,14 +4,15 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 
 use tokio::sync::watch;
-use tokio::task::JoinSet;
 
 use super::clock::StageClock;
-use super::player::{Command, PlayError, Player};
+use super::jobs::Jobs;
+use super::player::{Command, Outlet, PlayError, Played, Player};
 use super::ports::ended;
 use super::server::{BindError, Config, Server};
+use super::service::Service;
 use crate::protocol::{Status, Topic};
-use crate::recording::{Header, Info, ReadError, Reader};
+use crate::recording::{Header, Outline, ReadError, Reader};
 use crate::stage::{Problems, Stage};
 
 /// Why a recording cannot be served.
@@ -36,10 +37,8 @@ pub enum PlaybackError {
 
 /// A recording being served; ends with [`Playback::shutdown`].
 pub struct Playback {
-    url: String,
+    service: Service,
     status: watch::Receiver<Status>,
-    shutdown: watch::Sender<bool>,
-    tasks: JoinSet<()>,
     commands: mpsc::Sender<Command>,
     player: std::thread::JoinHandle<()>,
 }
@@ -60,29 +59,29 @@ impl Playback {
         let stage = Stage::parse(&header.stage_toml)?;
         let mut config = Config::new(&folder, header.epoch_utc_ns);
         config.listen = listen;
-        if Info::read(recording, |_| ())?.topics.contains_key("/input/truth") {
+        let outline = Outline::read(recording)?;
+        if outline.topics.contains("/input/truth") {
             config.more_topics.push(Topic::Truth);
         }
         let (server, hub, mut calls) = Server::bind(&stage, config)?;
-        let url = server.url();
+        let mut service = Service::start(server);
 
-        let (shutdown, down) = watch::channel(false);
         let (status_sender, status) = watch::channel(Status::default());
         let (commands, received) = mpsc::channel();
-        let player =
-            Player::new(StageClock::start(), received, hub, status_sender, recording, folder, speed)?;
+        let clock = StageClock::start();
+        let jobs = Jobs::new(clock, hub.clone());
+        let outlet = Outlet { clock, hub, jobs, status: status_sender };
+        let played = Played { path: recording.to_owned(), end: outline.end };
+        let player = Player::new(outlet, received, played, folder, speed)?;
         #[expect(clippy::disallowed_methods, reason = "the daemon owns the player's thread")]
         let player = std::thread::Builder::new()
             .name("player".into())
             .spawn(move || player.run())
             .map_err(PlaybackError::Thread)?;
 
-        let mut tasks = JoinSet::new();
-        let mut server_down = down.clone();
-        tasks.spawn(server.run(async move { ended(&mut server_down).await }));
         let forward = commands.clone();
-        let mut down = down;
-        tasks.spawn(async move {
+        let mut down = service.down();
+        service.spawn(async move {
             loop {
                 tokio::select! {
                     () = ended(&mut down) => return,
@@ -93,12 +92,12 @@ impl Playback {
                 }
             }
         });
-        Ok(Self { url, status, shutdown, tasks, commands, player })
+        Ok(Self { service, status, commands, player })
     }
 
     /// What to open in a browser.
     pub fn url(&self) -> &str {
-        &self.url
+        self.service.url()
     }
 
     /// The newest status.
@@ -107,14 +106,8 @@ impl Playback {
     }
 
     /// Ends everything; clients are told goodbye.
-    pub async fn shutdown(mut self) {
-        self.shutdown.send_replace(true);
+    pub async fn shutdown(self) {
         let _ = self.commands.send(Command::Shutdown);
-        let player = self.player;
-        let joined = tokio::task::spawn_blocking(move || player.join().is_ok());
-        while self.tasks.join_next().await.is_some() {}
-        if !matches!(joined.await, Ok(true)) {
-            tracing::error!("the player ended with a panic; please report this");
-        }
+        self.service.shutdown(self.player).await;
     }
 }

@@ -1,9 +1,10 @@
 //! Plays a recording to the server's clients: the same log through the same pipeline, at a chosen speed.
 //!
 //! In: a recording, and what clients ask of it. Out: messages through the [`Hub`], and a status that says where it is. The
-//! thread stands in the place of the fusion thread, so a client cannot tell the two apart but by `status.replay`.
+//! thread stands in the place of the fusion thread, so a client cannot tell the two apart but by `status.replay`. Seeking
+//! is a job: filters have to pass through all that lies between, a batch at a time, while clients are listened to.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
@@ -13,17 +14,20 @@ use tokio::sync::watch;
 use super::calls;
 use super::clock::StageClock;
 use super::health::Health;
+use super::jobs::{Job, Jobs};
 use super::server::{Hub, PendingCall};
 use crate::input::Entry;
 use crate::pipeline::Pipeline;
 use crate::protocol::{Call, ReplayStatus, Status};
-use crate::recording::{Info, Item, ReadError, Reader, machine};
+use crate::recording::{Item, Outline, ReadError, Reader, machine};
 use crate::stage::Stage;
 
 /// Distance of two `status` messages, and the longest time without looking at the clients.
 const STATUS_INTERVAL: Duration = Duration::from_secs(1);
 /// Entries between two looks at the clients while seeking.
-const SEEK_BATCH: usize = 4096;
+const SEEK_BATCH: usize = 1024;
+/// What lies so shortly before the place sought is published: who seeks in a pause sees where he is.
+const SEEK_SHOWN: Duration = Duration::from_millis(100);
 
 /// What the player is told.
 pub(super) enum Command {
@@ -38,20 +42,43 @@ pub(super) struct Player {
     clock: StageClock,
     commands: Receiver<Command>,
     hub: Hub,
+    jobs: Jobs,
     status: watch::Sender<Status>,
     folder: PathBuf,
     stage: Stage,
     health: Health,
     playing: Playing,
+    seeking: Option<Seeking>,
+}
+
+/// Where a player speaks.
+pub(super) struct Outlet {
+    pub(super) clock: StageClock,
+    pub(super) hub: Hub,
+    pub(super) jobs: Jobs,
+    pub(super) status: watch::Sender<Status>,
+}
+
+/// A recording's file and what its index says.
+#[derive(Clone)]
+pub(super) struct Played {
+    pub(super) path: PathBuf,
+    pub(super) end: Timestamp,
+}
+
+/// On the way to another time.
+struct Seeking {
+    from: Timestamp,
+    to: Timestamp,
+    job: Job,
 }
 
 /// An open recording.
 struct Playing {
-    path: PathBuf,
+    played: Played,
     reader: Reader<std::io::BufReader<std::fs::File>>,
     pipeline: Pipeline,
     begun: Timestamp,
-    end: Timestamp,
     /// The next entry, read and not yet played.
     next: Option<Entry>,
     /// Where the recording stands.
@@ -65,18 +92,17 @@ struct Playing {
 
 impl Player {
     pub(super) fn new(
-        clock: StageClock,
+        outlet: Outlet,
         commands: Receiver<Command>,
-        hub: Hub,
-        status: watch::Sender<Status>,
-        path: &Path,
+        played: Played,
         folder: PathBuf,
         speed: f64,
     ) -> Result<Self, PlayError> {
-        let playing = Playing::open(path, None, speed, clock.now())?;
+        let Outlet { clock, hub, jobs, status } = outlet;
+        let playing = Playing::open(played, None, speed, clock.now())?;
         let stage = Stage::parse(&playing.reader.header().stage_toml).map_err(machine::MachineError::from)?;
         let health = Health::new(&stage);
-        Ok(Self { clock, commands, hub, status, folder, stage, health, playing })
+        Ok(Self { clock, commands, hub, jobs, status, folder, stage, health, playing, seeking: None })
     }
 
     /// Runs until [`Command::Shutdown`].
@@ -88,7 +114,10 @@ impl Player {
                 next_status = now + STATUS_INTERVAL;
                 self.publish_status(now);
             }
-            let due = self.playing.due();
+            let due = match self.seeking {
+                Some(_) => Some(now),
+                None => self.playing.due(),
+            };
             let wake = due.map_or(next_status, |due| due.min(next_status));
             let wait = Duration::try_from_secs_f64(wake.seconds_since(now)).unwrap_or_default();
             match self.commands.recv_timeout(wait) {
@@ -101,7 +130,11 @@ impl Player {
                 }
                 Ok(Command::Shutdown) | Err(RecvTimeoutError::Disconnected) => return,
                 Err(RecvTimeoutError::Timeout) => {
-                    if due.is_some_and(|due| due <= self.clock.now()) {
+                    if self.seeking.is_some() {
+                        if self.seek_on() {
+                            next_status = self.clock.now();
+                        }
+                    } else if due.is_some_and(|due| due <= self.clock.now()) {
                         let Self { playing, hub, health, clock, .. } = &mut self;
                         let read = clock.now();
                         playing.step(|output| {
@@ -135,9 +168,11 @@ impl Player {
                     ));
                 }
                 let path = self.folder.join(&name);
-                let speed = self.playing.speed;
+                let end = Outline::read(&path).map_err(|error| refused(error.into()))?.end;
+                let (speed, now) = (self.playing.speed, self.clock.now());
                 self.playing =
-                    Playing::open(&path, Some(&self.stage), speed, self.clock.now()).map_err(refused)?;
+                    Playing::open(Played { path, end }, Some(&self.stage), speed, now).map_err(refused)?;
+                self.end_seeking(Err("another recording was opened".into()));
                 self.hub.rewind();
                 Ok(None)
             }
@@ -145,8 +180,8 @@ impl Player {
                 if !t_s.is_finite() {
                     return Err(("bad_request", "t_s: give a number of seconds".into()));
                 }
-                self.seek(Timestamp::from_secs_f64(t_s)).map_err(refused)?;
-                Ok(None)
+                let job = self.seek(Timestamp::from_secs_f64(t_s)).map_err(refused)?;
+                Ok(Some(serde_json::json!({ "job": job })))
             }
             Call::ReplaySpeed { speed } => {
                 let speed = speed.times();
@@ -160,32 +195,64 @@ impl Player {
                 "replay",
                 "this daemon replays a recording; recording and models belong to a live stage".into(),
             )),
-            Call::JobCancel { job } => Err(("no_such_job", format!("no job {job} is running"))),
+            Call::JobCancel { job } => {
+                self.jobs.cancel(job).map(|()| None).map_err(|sentence| ("no_such_job", sentence))
+            }
         }
     }
 
-    /// Goes to `t`, through the pipeline: filters arrive there as they did live. Nothing of the way is published.
-    fn seek(&mut self, t: Timestamp) -> Result<(), PlayError> {
+    /// Sets out for `t`, through the pipeline: filters arrive there as they did live. Says the job's number.
+    fn seek(&mut self, t: Timestamp) -> Result<u64, PlayError> {
         if t < self.playing.at {
-            let Playing { path, speed, .. } = &self.playing;
-            self.playing = Playing::open(&path.clone(), Some(&self.stage), *speed, self.clock.now())?;
+            let Playing { played, speed, .. } = &self.playing;
+            self.playing = Playing::open(played.clone(), Some(&self.stage), *speed, self.clock.now())?;
         }
-        while self.playing.next.as_ref().is_some_and(|next| next.t < t) {
-            for _ in 0..SEEK_BATCH {
-                if self.playing.next.as_ref().is_none_or(|next| next.t >= t) {
-                    break;
+        self.end_seeking(Err("another time was sought".into()));
+        self.hub.rewind();
+        let to = t.min(self.playing.played.end);
+        let job = self.jobs.begin("replay.seek");
+        let number = job.number();
+        self.seeking = Some(Seeking { from: self.playing.at, to, job });
+        Ok(number)
+    }
+
+    /// A batch of the way. True at its end, or where it was cancelled: it plays on from there.
+    fn seek_on(&mut self) -> bool {
+        let Self { playing, hub, seeking: Some(Seeking { from, to, job }), .. } = self else { return true };
+        for _ in 0..SEEK_BATCH {
+            match &playing.next {
+                Some(next) if next.t < *to && !job.is_cancelled() => {
+                    let shown = next.t + SEEK_SHOWN >= *to;
+                    playing.step(|output| {
+                        if shown {
+                            hub.publish(output);
+                        }
+                    });
                 }
-                self.playing.step(|_| {});
+                _ => {
+                    if !job.is_cancelled() {
+                        playing.at = playing.at.max(*to);
+                    }
+                    playing.set_speed(playing.speed, self.clock.now());
+                    let at = format!("at {:.2} s", playing.at.as_secs_f64());
+                    self.end_seeking(Ok(at));
+                    return true;
+                }
             }
         }
-        self.hub.rewind();
-        self.playing.at = self.playing.at.max(t.min(self.playing.end));
-        self.playing.set_speed(self.playing.speed, self.clock.now());
-        Ok(())
+        let way_s = to.seconds_since(*from).max(f64::MIN_POSITIVE);
+        job.progress(Some(playing.at.seconds_since(*from) / way_s), None);
+        false
+    }
+
+    fn end_seeking(&mut self, outcome: Result<String, String>) {
+        if let Some(Seeking { job, .. }) = self.seeking.take() {
+            job.end(outcome);
+        }
     }
 
     fn publish_status(&mut self, now: Timestamp) {
-        let Playing { path, pipeline, begun, end, at, speed, ended, .. } = &self.playing;
+        let Playing { played: Played { path, end }, pipeline, begun, at, speed, ended, .. } = &self.playing;
         let mut status = self.health.status(now, &pipeline.status(), None, &self.clock);
         status.replay = Some(ReplayStatus {
             name: path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
@@ -202,9 +269,8 @@ impl Player {
 
 impl Playing {
     /// Opens a recording at its beginning; on the stage of a running server, where that has one.
-    fn open(path: &Path, server: Option<&Stage>, speed: f64, now: Timestamp) -> Result<Self, PlayError> {
-        let info = Info::read(path, |_| ())?;
-        let reader = Reader::open(path)?;
+    fn open(played: Played, server: Option<&Stage>, speed: f64, now: Timestamp) -> Result<Self, PlayError> {
+        let reader = Reader::open(&played.path)?;
         let (stage, machine) = machine::Machine::as_recorded(reader.header())?;
         let names =
             |stage: &Stage| stage.sensors.iter().map(|sensor| sensor.name.clone()).collect::<Vec<_>>();
@@ -215,11 +281,10 @@ impl Playing {
         }
         let begun = reader.header().begun;
         let mut playing = Self {
-            path: path.to_owned(),
+            played,
             reader,
             pipeline: machine.pipeline,
             begun,
-            end: begun + Duration::try_from_secs_f64(info.duration_s).unwrap_or_default(),
             next: None,
             at: begun,
             speed,

@@ -5,14 +5,16 @@
 use std::time::Duration;
 
 use posed_drivers::LineEvent;
-use posed_drivers::port::{self, Port};
+use posed_drivers::port::{self, Port, Stream};
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{mpsc, watch};
 
 use super::clock::StageClock;
+use super::find;
 use super::fusion::FusionInbox;
 use super::inbox::Event;
 use crate::input::{DeviceIndex, Entry, Input};
+use crate::stage::{Device, PortAddress, Stage};
 
 /// A port that returned is seen after half of this at the median; an attempt costs one failed `open`.
 const RETRY: Duration = Duration::from_millis(200);
@@ -44,30 +46,58 @@ pub struct PortTask {
     pub shutdown: watch::Receiver<bool>,
 }
 
-impl PortTask {
-    /// Keeps the port at `path` open until shutdown.
-    #[expect(clippy::disallowed_methods, reason = "the daemon retries on its own clock")]
-    pub async fn keep_open(mut self, path: String, baud: u32) {
-        let mut told = None;
-        if path == "auto" {
-            self.closed(
-                "port \"auto\" works in `posed demo`; elsewhere name the port, `posed doctor` says which"
-                    .into(),
-            );
-            return;
+/// A device's port, as the stage file describes it.
+pub struct Place {
+    device: Device,
+    /// Serial numbers of its sensors, by which a search knows it.
+    serials: Vec<String>,
+    /// Ports of other devices, which are not asked.
+    taken: Vec<String>,
+}
+
+impl Place {
+    /// The place of the device at `index` of a stage.
+    pub fn of(stage: &Stage, index: usize) -> Option<Self> {
+        let device = stage.devices.get(index)?.clone();
+        let mine = stage.sensors.iter().filter(|sensor| sensor.device == device.name);
+        Some(Self {
+            serials: mine.filter_map(|sensor| sensor.serial.clone()).collect(),
+            taken: stage.devices.iter().map(|other| other.port.clone()).collect(),
+            device,
+        })
+    }
+
+    /// Opens the port, or finds it.
+    async fn open(&self) -> Result<Port<Stream>, String> {
+        let path = &self.device.port;
+        if path.parse() == Ok(PortAddress::Auto) {
+            let (found, port) = find::search(&self.device, &self.serials, &self.taken).await?;
+            tracing::info!("{} is at {found}", self.device.name);
+            return Ok(port);
         }
+        match tokio::time::timeout(OPEN_TIMEOUT, port::open(path, find::options(&self.device))).await {
+            Ok(opened) => opened.map_err(|error| error.to_string()),
+            Err(_) => Err(format!("{path} does not answer; check the address and the cable")),
+        }
+    }
+}
+
+impl PortTask {
+    /// Keeps the port of a device open until shutdown; where it is looked for, it may be another one each time.
+    #[expect(clippy::disallowed_methods, reason = "the daemon retries on its own clock")]
+    pub async fn keep_open(mut self, place: Place) {
+        let mut told = None;
         loop {
             let opened = tokio::select! {
                 () = ended(&mut self.shutdown) => return,
-                opened = tokio::time::timeout(OPEN_TIMEOUT, port::open(&path, baud)) => opened,
+                opened = place.open() => opened,
             };
             let reason = match opened {
-                Ok(Ok(port)) => {
+                Ok(port) => {
                     let Some(reason) = self.pump(port).await else { return };
                     reason
                 }
-                Ok(Err(error)) => error.to_string(),
-                Err(_) => format!("{path} does not answer; check the address and the cable"),
+                Err(reason) => reason,
             };
             // The log holds changes, not five attempts a second.
             if told.as_ref() != Some(&reason) {

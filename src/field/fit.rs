@@ -73,7 +73,7 @@ fn solve(matrix: &DMatrix<f64>, gradient: &DVector<f64>, damping: f64) -> Option
 pub(crate) struct HeldOut {
     /// Models fitted without each fold.
     pub(crate) models: Vec<Model>,
-    /// Loss per number of each fold, at the model fitted without it.
+    /// Bounded loss per number of each fold, at the model fitted without it.
     pub(crate) scores: Vec<f64>,
     /// Rms of the held-out residuals, 3-D, m.
     pub(crate) rms_m: f64,
@@ -103,7 +103,7 @@ impl Fit {
         let each = each?;
         let square: f64 = each.iter().map(|(_, normal)| normal.square_m2).sum();
         let readings: f64 = each.iter().map(|(_, normal)| normal.readings).sum();
-        let scores = each.iter().map(|(_, normal)| normal.cost / normal.freedoms.max(1.0)).collect();
+        let scores = each.iter().map(|(_, normal)| normal.bounded / normal.freedoms.max(1.0)).collect();
         let models = each.into_iter().map(|(model, _)| model).collect();
         Some(HeldOut { models, scores, rms_m: (square / readings.max(1.0)).sqrt() })
     }

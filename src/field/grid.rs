@@ -33,6 +33,16 @@ impl Shape {
         self.counts.iter().product()
     }
 
+    /// Indices of the eight nodes around `p`; at the edge outside.
+    pub(crate) fn around_place(&self, p: &Vector3<f64>) -> [usize; 8] {
+        let [i, j, k] = [0, 1, 2].map(|axis| {
+            let x = ((p[axis] - self.low_m[axis]) / self.step_m).max(0.0);
+            (x as usize).min(self.counts[axis] - 2)
+        });
+        let [nx, ny, _] = self.counts;
+        std::array::from_fn(|n| ((k + (n >> 2)) * ny + j + (n >> 1 & 1)) * nx + i + (n & 1))
+    }
+
     /// Place of node `index`, m.
     pub(crate) fn place(&self, index: usize) -> Vector3<f64> {
         let [nx, ny, _] = self.counts;
@@ -54,8 +64,15 @@ pub(crate) struct Grid {
 impl Grid {
     /// Asks for the values at all nodes.
     pub(crate) fn new(shape: Shape, at: impl Fn(&Vector3<f64>) -> [f64; 4] + Sync) -> Self {
-        let values: Vec<[f32; 4]> =
-            (0..shape.len()).into_par_iter().map(|index| at(&shape.place(index)).map(|x| x as f32)).collect();
+        Self::by_index(shape, |_, place| at(place))
+    }
+
+    /// The same with each node's index.
+    pub(crate) fn by_index(shape: Shape, at: impl Fn(usize, &Vector3<f64>) -> [f64; 4] + Sync) -> Self {
+        let values: Vec<[f32; 4]> = (0..shape.len())
+            .into_par_iter()
+            .map(|index| at(index, &shape.place(index)).map(|x| x as f32))
+            .collect();
         let spline = coefficients(&shape, &values);
         Self { shape, values, spline, rough: Vec::new() }
     }
@@ -94,11 +111,6 @@ impl Grid {
             .map(|k| [0.0, 0.0, 0.0, numbers.get(k).copied().unwrap_or(0.0) as f32])
             .collect::<Vec<_>>();
         Self { shape, values, spline: Vec::new(), rough: Vec::new() }
-    }
-
-    /// The fourth number, trilinear.
-    pub(crate) fn nearest(&self, p: &Vector3<f64>) -> f64 {
-        self.trilinear(p)[3]
     }
 
     /// Node to the lower side along each axis, and how far beyond it, in steps.
@@ -172,11 +184,6 @@ impl Grid {
         }
         sum.map(f64::from)
     }
-
-    /// All nodes and their values.
-    pub(crate) fn nodes(&self) -> impl Iterator<Item = (Vector3<f64>, [f64; 4])> {
-        self.values.iter().enumerate().map(|(k, values)| (self.shape.place(k), values.map(f64::from)))
-    }
 }
 
 /// Weights of the uniform cubic B-spline.
@@ -234,7 +241,8 @@ mod tests {
     #[test]
     fn the_spline_runs_through_the_nodes_and_near_the_function_between_them() {
         let grid = grid();
-        for (p, values) in grid.nodes().step_by(97) {
+        for index in (0..grid.shape.len()).step_by(97) {
+            let (p, values) = (grid.shape.place(index), grid.values[index].map(f64::from));
             // The outermost ring is only there to be leant on.
             if grid.cell(&p, 1).1.iter().all(|rest| (0.0..=1.0).contains(rest)) && inner(&grid, &p) {
                 for (a, b) in grid.cubic(&p).iter().zip(values) {

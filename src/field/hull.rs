@@ -3,6 +3,8 @@
 //! The true hull of many thousand noisy points has thousands of facets; this one is their bound in 128 evenly spread
 //! directions, at most a percent of its size larger, and costs the same for any recording.
 
+use std::sync::LazyLock;
+
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -18,15 +20,18 @@ pub struct Hull {
     pub reach_m: Vec<f64>,
 }
 
-/// The directions: a Fibonacci lattice on the sphere.
+/// The directions: a Fibonacci lattice on the sphere. Computed once: maps ask for them at every node.
 pub(crate) fn directions() -> impl Iterator<Item = Vector3<f64>> {
-    let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
-    (0..DIRECTIONS).map(move |k| {
-        let z = 1.0 - (2.0 * k as f64 + 1.0) / DIRECTIONS as f64;
-        let r = (1.0 - z * z).sqrt();
-        let (sin, cos) = (golden * k as f64).sin_cos();
-        Vector3::new(r * cos, r * sin, z)
-    })
+    static LATTICE: LazyLock<[Vector3<f64>; DIRECTIONS]> = LazyLock::new(|| {
+        let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
+        std::array::from_fn(|k| {
+            let z = 1.0 - (2.0 * k as f64 + 1.0) / DIRECTIONS as f64;
+            let r = (1.0 - z * z).sqrt();
+            let (sin, cos) = (golden * k as f64).sin_cos();
+            Vector3::new(r * cos, r * sin, z)
+        })
+    });
+    LATTICE.iter().copied()
 }
 
 impl Hull {

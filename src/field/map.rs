@@ -13,6 +13,7 @@ use super::model::{Model, Polynomial};
 use super::noise::FieldNoise;
 use super::orientation::by_metal;
 use super::report::Report;
+use super::trust;
 use crate::geometry::{orientation_from_wxyz, orientation_to_wxyz, so3};
 
 /// Version of the file.
@@ -105,7 +106,7 @@ pub struct Corrected {
     pub position_m: Vector3<f64>,
     /// Expected rms 3-D error, tracker noise included, m; absolute with anchors or metal, else after rigid alignment.
     pub sigma_m: f64,
-    /// Outside of what was calibrated.
+    /// Outside of what was calibrated, or where metal folds the field: two places give the same reading.
     pub extrapolated: bool,
 }
 
@@ -114,7 +115,7 @@ pub struct Corrected {
 pub struct Corrector {
     /// Correction and distance outside the hull.
     positions: Grid,
-    /// Rotation vector and uncertainty.
+    /// Rotation vector, and 3-D rms of what a corrected position is off by, m.
     rotations: Grid,
     /// To ask where the grid is too coarse.
     model: Model,
@@ -125,6 +126,9 @@ pub struct Corrector {
     keep_m: f64,
     noise: FieldNoise,
 }
+
+/// Where a corrected position may be farther off than this, nothing was calibrated, m.
+const LARGEST_SIGMA_M: f64 = 0.05;
 
 /// The grid of uncertainty for a hull.
 pub(crate) fn coarse(hull: &Hull) -> Shape {
@@ -186,8 +190,8 @@ impl FieldMap {
         if metal.is_some() {
             positions.mark_rough(ROUGH_M, |z, outside| (outside <= keep_m).then(|| correction(z)));
         }
-        let sigma = Grid::linear(self.uncertainty.shape.clone(), &self.uncertainty.sigma_m);
-        let rotations = Grid::new(shape, |z| {
+        let sigma = trust::sigma(self, &positions, &shape, metal.as_ref());
+        let rotations = Grid::by_index(shape, |index, z| {
             let z_in = self.hull.inward(z);
             let mut turn = UnitQuaternion::identity();
             if let Some(metal) = &metal {
@@ -197,7 +201,7 @@ impl FieldMap {
                 turn = so3::exp(&rotation.at(&z_in)) * turn;
             }
             let turn = so3::log(&turn);
-            [turn.x, turn.y, turn.z, sigma.nearest(z)]
+            [turn.x, turn.y, turn.z, sigma[index]]
         });
         let aligned = self.alignment != Aligned::default();
         let turn = self.alignment.rotation();
@@ -235,38 +239,23 @@ impl Corrector {
     /// Corrects a position, and says how far to trust it.
     pub fn correct(&self, z: &Vector3<f64>) -> Corrected {
         let outside = self.positions.cubic(z)[3];
-        let map = self.rotations.trilinear(z)[3];
+        let mut variance_m2 = self.rotations.trilinear(z)[3].powi(2);
         let beyond = self.positions.beyond(z);
+        let mut outside_m = outside;
+        if beyond > 0.0 {
+            outside_m = beyond + self.keep_m + FADE_M;
+            variance_m2 += self.noise.mean_square_m2(z);
+        }
         // Outside nobody has looked: a tenth of the way is as good a guess as any.
-        let outside_m = if beyond > 0.0 { beyond + self.keep_m + FADE_M } else { outside };
         let guess = 0.1 * outside_m.max(0.0);
-        let sigma_m = (map * map + guess * guess + self.noise.mean_square_m2(z)).sqrt();
-        Corrected { position_m: self.position(z), sigma_m, extrapolated: outside_m > 0.0 }
+        let sigma_m = (variance_m2 + guess * guess).sqrt();
+        let extrapolated = outside_m > 0.0 || sigma_m > LARGEST_SIGMA_M;
+        Corrected { position_m: self.position(z), sigma_m, extrapolated }
     }
 
     /// The corrected orientation of a sensor that reads `z` and `orientation` (sensor to transmitter).
     pub fn orientation(&self, z: &Vector3<f64>, orientation: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
         let [x, y, w, _] = self.rotations.trilinear(z);
         self.turn * so3::exp(&Vector3::new(x, y, w)) * orientation
-    }
-
-    /// Share of the places inside the hull where the map folds or tears space.
-    pub(crate) fn folded(&self) -> f64 {
-        let (mut bad, mut all) = (0.0, 0.0);
-        for (z, values) in self.positions.nodes() {
-            if values[3] > 0.0 {
-                continue;
-            }
-            let h = 0.5 * STEP_M;
-            let columns = [0, 1, 2].map(|axis| {
-                let mut step = Vector3::zeros();
-                step[axis] = h;
-                (self.position(&(z + step)) - self.position(&(z - step))) / (2.0 * h)
-            });
-            all += 1.0;
-            let determinant = nalgebra::Matrix3::from_columns(&columns).determinant();
-            bad += f64::from(u8::from(determinant.is_nan() || determinant < 0.2));
-        }
-        if all > 0.0 { bad / all } else { 1.0 }
     }
 }

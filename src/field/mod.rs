@@ -31,6 +31,7 @@ mod report;
 mod search;
 mod select;
 mod solve;
+mod trust;
 
 pub use anchors::{Anchor, LEAST_ANCHORS, rigid};
 pub use grid::Shape;

@@ -14,6 +14,9 @@ use super::noise::FieldNoise;
 pub const MAX_SENSORS: usize = 24;
 /// Residuals above this many standard deviations count linearly only (Huber).
 const HUBER: f64 = 3.0;
+/// A held-out residual counts as this many standard deviations at most: beside metal two places can give the same
+/// reading, and a handful of those must not decide between models.
+const BOUND: f64 = 8.0;
 /// Rows that are gathered before they are multiplied out.
 const CHUNK_ROWS: usize = 768;
 
@@ -52,6 +55,8 @@ pub(crate) struct Normal {
     pub(crate) gradient: DVector<f64>,
     /// Sum of the Huber losses of the whitened residuals.
     pub(crate) cost: f64,
+    /// The same of losses that no residual can drive beyond a bound: for comparing models.
+    pub(crate) bounded: f64,
     /// Numbers that the residuals hold.
     pub(crate) freedoms: f64,
     /// Sum of the squared residuals, m^2, and how many readings they are of.
@@ -65,6 +70,7 @@ impl Normal {
             matrix: DMatrix::zeros(parameters, parameters),
             gradient: DVector::zeros(parameters),
             cost: 0.0,
+            bounded: 0.0,
             freedoms: 0.0,
             square_m2: 0.0,
             readings: 0.0,
@@ -76,6 +82,7 @@ impl Normal {
         self.matrix += &other.matrix;
         self.gradient += &other.gradient;
         self.cost += other.cost;
+        self.bounded += other.bounded;
         self.freedoms += other.freedoms;
         self.square_m2 += other.square_m2;
         self.readings += other.readings;
@@ -198,6 +205,26 @@ impl Problem {
         normal
     }
 
+    /// Of each reading of a fold: what was read, the square of its residual (m^2), and the share of its noise that a
+    /// residual still holds.
+    pub(crate) fn squares_of(&self, model: &Model, fold: usize) -> Vec<(Vector3<f64>, f64, f64)> {
+        let evaluator = model.evaluator();
+        let mut scratch = Scratch::default();
+        let mut squares = Vec::new();
+        for group in self.groups.iter().filter(|group| group.fold == fold) {
+            let count = group.end - group.start;
+            for (k, index) in (group.start..group.end).enumerate() {
+                scratch.y[k] = evaluator.correct(&self.z[index]);
+            }
+            self.residual(group, &mut scratch);
+            let freedom = if group.kind == Kind::Pole { 1.0 - 5.0 / (3.0 * count as f64) } else { 1.0 };
+            squares.extend(
+                (0..count).map(|k| (self.z[group.start + k], scratch.difference[k].norm_squared(), freedom)),
+            );
+        }
+        squares
+    }
+
     /// Says for each group: index of its first reading, its whitened residual, its whiteners (with robust weights),
     /// and an orthonormal basis of what its own pose explains.
     pub(crate) fn each_residual(&self, model: &Model, mut each: impl FnMut(usize, usize, &Scratch)) {
@@ -223,6 +250,7 @@ impl Problem {
                 let weight = huber_weight((whiteners[0] * difference).norm());
                 scratch.difference[0] = difference;
                 scratch.loss = huber_loss((whiteners[0] * difference).norm());
+                scratch.bounded = bounded_loss((whiteners[0] * difference).norm());
                 scratch.whitener[0] = whiteners[0] * weight.sqrt();
                 let residual = scratch.whitener[0] * difference;
                 scratch.residual.fixed_rows_mut::<3>(0).copy_from(&residual);
@@ -280,6 +308,10 @@ fn huber_loss(size: f64) -> f64 {
     if size > HUBER { HUBER * (2.0 * size - HUBER) } else { size * size }
 }
 
+fn bounded_loss(size: f64) -> f64 {
+    huber_loss(size.min(BOUND))
+}
+
 type PoseBasis = SMatrix<f64, { 3 * MAX_SENSORS }, 5>;
 
 /// Working space for one group.
@@ -295,6 +327,7 @@ pub(crate) struct Scratch {
     /// Orthonormal basis of what the pose of the pole can explain, whitened.
     pub(crate) pose: PoseBasis,
     loss: f64,
+    bounded: f64,
 }
 
 impl Default for Scratch {
@@ -306,6 +339,7 @@ impl Default for Scratch {
             residual: SVector::zeros(),
             pose: SMatrix::zeros(),
             loss: 0.0,
+            bounded: 0.0,
         }
     }
 }
@@ -317,11 +351,12 @@ impl Scratch {
         let (mut middle, mut along) = line(&self.y[..count], offsets);
         for round in 0..4 {
             let side = side_basis(&along);
-            self.loss = 0.0;
+            (self.loss, self.bounded) = (0.0, 0.0);
             for k in 0..count {
                 self.difference[k] = self.y[k] - middle - along * offsets[k];
                 let size = (whiteners[k] * self.difference[k]).norm();
                 self.loss += huber_loss(size);
+                self.bounded += bounded_loss(size);
                 self.whitener[k] = whiteners[k] * huber_weight(size).sqrt();
                 let w = &self.whitener[k];
                 self.residual.fixed_rows_mut::<3>(3 * k).copy_from(&(w * self.difference[k]));
@@ -349,6 +384,7 @@ impl Scratch {
 
     fn tally(&self, count: usize, group: &Group, normal: &mut Normal) {
         normal.cost += self.loss;
+        normal.bounded += self.bounded;
         normal.freedoms += 3.0 * count as f64 - if group.kind == Kind::Pole { 5.0 } else { 0.0 };
         normal.square_m2 += self.difference[..count].iter().map(Vector3::norm_squared).sum::<f64>();
         normal.readings += count as f64;

@@ -125,8 +125,7 @@ impl<'a> Selection<'a> {
                 worse = 0;
             } else {
                 worse += 1;
-                // Near the noise there is nothing more to find.
-                if worse == 2 || score < 1.0 {
+                if worse == 2 {
                     break;
                 }
             }

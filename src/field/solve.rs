@@ -20,6 +20,7 @@ use super::pole::PoleRun;
 use super::problem::Problem;
 use super::report::{Code, Reason, Report};
 use super::select::{Chosen, Selection};
+use super::trust;
 
 /// Held-out blocks: of this length, s, dealt out to this many folds.
 const BLOCK_S: f64 = 2.0;
@@ -32,6 +33,9 @@ const LEAST_IMPROVEMENT: f64 = 0.2;
 /// Largest believable correction, m, and largest share of places where it may fold.
 const LARGEST_CORRECTION_M: f64 = 0.3;
 const MOST_FOLDED: f64 = 0.02;
+/// How far around a place what was left unexplained counts, m, and readings that are enough to know it.
+const EXCESS_REACH_M: f64 = 0.3;
+const EXCESS_READINGS: usize = 3000;
 
 /// A solved recording.
 #[derive(Clone, Debug)]
@@ -106,9 +110,7 @@ pub fn solve(mut run: PoleRun, anchors: &[Anchor], progress: &mut dyn FnMut(f64)
     let rotation = orientation::fit(&run, &model, &scale);
     progress(0.85);
     let absolute = model.polynomial.is_none() && model.local.is_none() && !model.sources.is_empty();
-    // The noise is known to a tenth; only what goes beyond is a fault of the map.
-    let excess_m2 = (report.heldout_m.powi(2) - (1.1 * report.noise_m).powi(2)).max(0.0);
-    let uncertainty = uncertainty(&model, &candidate.held_out, &hull, excess_m2, absolute);
+    let uncertainty = uncertainty(&problem, &model, &candidate.held_out, &hull, &noise, absolute);
     let typical_m = {
         let mut sigmas = uncertainty.sigma_m.clone();
         super::pole::median(&mut sigmas).unwrap_or(0.0)
@@ -146,21 +148,8 @@ pub fn solve(mut run: PoleRun, anchors: &[Anchor], progress: &mut dyn FnMut(f64)
     } else {
         report.warnings.push("no three anchors: positions are right up to a rigid motion only".into());
     }
-    let mut map = FieldMap {
-        version: VERSION,
-        sensors: run.sensors.clone(),
-        spacing_m: run.spacing_m,
-        model,
-        rotation,
-        noise,
-        alignment,
-        hull,
-        uncertainty,
-        report: report.clone(),
-    };
-    let corrector = map.corrector();
-    let folded = corrector.folded();
-    let mut lengths: Vec<f64> = points.iter().map(|z| (corrector.unaligned(z) - z).norm()).collect();
+    let folded = trust::folded(&model, &hull);
+    let mut lengths: Vec<f64> = points.par_iter().map(|z| (evaluator.correct(z) - z).norm()).collect();
     lengths.sort_by(f64::total_cmp);
     let largest_m = lengths[lengths.len() * 99 / 100];
     if largest_m > LARGEST_CORRECTION_M || folded > MOST_FOLDED {
@@ -172,7 +161,19 @@ pub fn solve(mut run: PoleRun, anchors: &[Anchor], progress: &mut dyn FnMut(f64)
         report.reasons.push(Reason { code: Code::Improvement, text });
     }
     report.accepted = report.reasons.is_empty();
-    map.report = report.clone();
+    drop(evaluator);
+    let map = FieldMap {
+        version: VERSION,
+        sensors: run.sensors,
+        spacing_m: run.spacing_m,
+        model,
+        rotation,
+        noise,
+        alignment,
+        hull,
+        uncertainty,
+        report: report.clone(),
+    };
     progress(1.0);
     Solution { map: Some(map), report, polynomials, rejected }
 }
@@ -200,12 +201,13 @@ fn half_extent(hull: &Hull) -> f64 {
     (0.5 * (high - low).max()).max(0.05)
 }
 
-/// How far the models that were fitted without a block disagree (jackknife), and what none of them explains.
+/// How far the models that were fitted without a block disagree (jackknife), and what none of them explains nearby.
 fn uncertainty(
+    problem: &Problem,
     model: &Model,
     held_out: &HeldOut,
     hull: &Hull,
-    excess_m2: f64,
+    noise: &FieldNoise,
     absolute: bool,
 ) -> Uncertainty {
     let shape = coarse(hull);
@@ -225,12 +227,53 @@ fn uncertainty(
                 .collect()
         })
         .collect();
+    let excesses = excesses(problem, model, held_out, noise);
     let folds = held_out.models.len() as f64;
     let sigma_m = (0..places.len())
+        .into_par_iter()
         .map(|k| {
             let jackknife = (folds - 1.0) / folds * squares.iter().map(|fold| fold[k]).sum::<f64>();
-            (jackknife + excess_m2).sqrt()
+            (jackknife + excess_near(&excesses, &places[k])).sqrt()
         })
         .collect();
     Uncertainty { shape, sigma_m }
+}
+
+/// Places of readings that were held out, the square of each residual, and what noise alone would make it, m^2.
+fn excesses(
+    problem: &Problem,
+    model: &Model,
+    held_out: &HeldOut,
+    noise: &FieldNoise,
+) -> Vec<(Vector3<f64>, f64, f64)> {
+    let evaluator = model.evaluator();
+    let squares: Vec<Vec<(Vector3<f64>, f64, f64)>> = held_out
+        .models
+        .par_iter()
+        .enumerate()
+        .map(|(fold, without)| problem.squares_of(without, fold))
+        .collect();
+    let squares: Vec<_> = squares.into_iter().flatten().collect();
+    let stride = squares.len().div_ceil(EXCESS_READINGS).max(1);
+    squares
+        .par_iter()
+        .step_by(stride)
+        .map(|(z, square, freedom)| {
+            (*z, *square, freedom * trust::stretched_m2(noise, z, |z| evaluator.correct(z)))
+        })
+        .collect()
+}
+
+/// Mean square near a place beyond the noise, m^2.
+fn excess_near(readings: &[(Vector3<f64>, f64, f64)], place: &Vector3<f64>) -> f64 {
+    let (mut square, mut expected, mut weights) = (0.0, 0.0, 0.0);
+    for (z, of, noise) in readings {
+        let far = (z - place).norm_squared() / (EXCESS_REACH_M * EXCESS_REACH_M);
+        let weight = 1.0 / ((1.0 + far) * (1.0 + far) * (1.0 + far));
+        square += weight * of;
+        expected += weight * noise;
+        weights += weight;
+    }
+    // The noise is known to a tenth; only what goes beyond is a fault of the map.
+    ((square - 1.21 * expected) / weights).max(0.0)
 }

@@ -7,7 +7,7 @@
 //! Zero is the posture in which the recording begins (its first quarter of a second) and bending from there is positive; in that
 //! posture all segment frames are parallel, x and z of the root level and z as near to its first hinge's axis as that allows.
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -17,6 +17,8 @@ use super::mounting::{HingeAxes, Refused, hinge_axes};
 
 /// How much of the beginning shows the zero, s.
 const ZERO_S: f64 = 0.25;
+/// How often axes and headings are improved in turn.
+const ROUNDS: usize = 8;
 
 /// A segment of the chain; the root has no hinge.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -86,30 +88,118 @@ pub fn solve(segments: &[ChainSegment], epochs: &[Epoch]) -> Result<Solved, Chai
     {
         return Err(ChainError::Time { t_s: pair[0].t_s });
     }
+    let steps_s = steps_s(epochs);
+    let level: Vec<Vec<UnitQuaternion<f64>>> =
+        (0..segments.len()).map(|index| level_orientations(epochs, &steps_s, index)).collect();
     let mut axes = Vec::with_capacity(segments.len());
+    let mut motions: Vec<Option<Motion>> = Vec::with_capacity(segments.len());
     for (index, segment) in segments.iter().enumerate() {
-        axes.push(match &segment.hinge {
-            None => None,
-            Some((parent, joint)) => Some(
-                find_axes(epochs, *parent, index)
-                    .map_err(|reason| ChainError::Joint { joint: joint.clone(), reason })?,
-            ),
-        });
+        let Some((parent, joint)) = &segment.hinge else {
+            axes.push(None);
+            motions.push(None);
+            continue;
+        };
+        let shown = find_axes(epochs, *parent, index)
+            .map_err(|reason| ChainError::Joint { joint: joint.clone(), reason })?;
+        let (refined, motion) = refine(shown, &level[*parent], &level[index], &steps_s);
+        axes.push(Some(refined));
+        motions.push(Some(motion));
     }
-    let mut poses = Run::new(segments, &axes).over(epochs);
-    // Bending is positive: turn the axes that bend the other way, and run again so that all signs agree.
-    let mut turned = false;
+    let mut poses = poses(segments, &axes, &motions, &level, epochs);
+    // Bending is positive.
     for (index, axes) in axes.iter_mut().enumerate() {
         let Some(axes) = axes else { continue };
         if poses.iter().map(|pose| pose.flexion_rad[index]).sum::<f64>() < 0.0 {
             *axes = HingeAxes { first: -axes.first, second: -axes.second, ..*axes };
-            turned = true;
+            poses.iter_mut().for_each(|pose| pose.flexion_rad[index] *= -1.0);
         }
     }
-    if turned {
-        poses = Run::new(segments, &axes).over(epochs);
-    }
     Ok(Solved { axes, poses })
+}
+
+/// Time since the epoch before, s; the first as long as the mean.
+fn steps_s(epochs: &[Epoch]) -> Vec<f64> {
+    let nominal_s = match epochs {
+        [first, .., last] => (last.t_s - first.t_s) / (epochs.len() - 1) as f64,
+        _ => 0.01,
+    };
+    let rest = epochs.windows(2).map(|pair| pair[1].t_s - pair[0].t_s);
+    std::iter::once(nominal_s).take(epochs.len()).chain(rest).collect()
+}
+
+/// One sensor's orientations in its level frame, twice over the recording: the second run begins with the gyro bias
+/// and the tilt that the first one found.
+fn level_orientations(epochs: &[Epoch], steps_s: &[f64], index: usize) -> Vec<UnitQuaternion<f64>> {
+    // The delay of the sensors' low-pass is not known here, and between equal sensors it cancels.
+    let params = Params { gyro_delay_s: 0.0, ..Params::default() };
+    let mut filter = Ahrs::new(params);
+    let run = |filter: &mut Ahrs| -> Vec<UnitQuaternion<f64>> {
+        let push = |(epoch, dt_s): (&Epoch, &f64)| {
+            match epoch.samples[index] {
+                Some(sample) => _ = filter.push(&ImuSample { mag: None, ..sample }, *dt_s),
+                None => filter.coast(*dt_s),
+            }
+            filter.orientation_6d()
+        };
+        epochs.iter().zip(steps_s).map(push).collect()
+    };
+    run(&mut filter);
+    filter.restart();
+    run(&mut filter)
+}
+
+/// Angle and heading over time of one hinge.
+struct Motion {
+    /// Angle, rad; its zero depends on the mounting.
+    angle_rad: Vec<f64>,
+    /// Turn of the level frame behind the hinge into the one before it, rad.
+    heading_rad: Vec<f64>,
+}
+
+/// Improves the axes with the orientations, and returns the hinge's motion.
+///
+/// Rates show the axes only as well as skin and straps let them, whose quick play they feel most. The axis as seen
+/// from both sensors points the same way in the room, `R1 j1 = H R2 j2` with H the heading between
+/// the level frames: the pair that agrees best over the whole movement is the first pair of singular vectors of the sum of
+/// `R1' H R2`, and in orientations that play is small and its mean zero.
+fn refine(
+    mut axes: HingeAxes,
+    before: &[UnitQuaternion<f64>],
+    behind: &[UnitQuaternion<f64>],
+    steps_s: &[f64],
+) -> (HingeAxes, Motion) {
+    let hinge = |axes: &HingeAxes| Hinge::new(HingeParams::default(), [axes.first, axes.second]);
+    let smooth = |axes: &HingeAxes| {
+        let steps = before.iter().zip(behind).zip(steps_s).map(|((a, b), dt_s)| (*a, *b, *dt_s));
+        hinge(axes).smooth(steps)
+    };
+    let mut heading_rad = smooth(&axes);
+    for _ in 0..ROUNDS {
+        let mut sum = Matrix3::zeros();
+        let mut last: Option<UnitQuaternion<f64>> = None;
+        for ((a, b), heading) in before.iter().zip(behind).zip(&heading_rad) {
+            let relative = a.inverse() * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), *heading) * b;
+            // By how far the joint moved: a pause says no more than a moment.
+            let weight = last.map_or(0.0, |last| last.angle_to(&relative));
+            sum += relative.to_rotation_matrix().into_inner() * weight;
+            last = Some(relative);
+        }
+        let svd = sum.svd(true, true);
+        let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { break };
+        let (first, second): (Vector3<f64>, Vector3<f64>) = (u.column(0).into(), v_t.row(0).transpose());
+        let sign = first.dot(&axes.first).signum();
+        let (first, second) = (first * sign, second * sign);
+        let moved = first.angle(&axes.first).max(second.angle(&axes.second));
+        axes = HingeAxes { first, second, ..axes };
+        heading_rad = smooth(&axes);
+        if moved < 1e-4 {
+            break;
+        }
+    }
+    let hinge = hinge(&axes);
+    let angles = before.iter().zip(behind).zip(&heading_rad);
+    let angle_rad = angles.map(|((a, b), heading)| hinge.angle_at_rad(*heading, a, b)).collect();
+    (axes, Motion { angle_rad, heading_rad })
 }
 
 fn find_axes(epochs: &[Epoch], parent: usize, child: usize) -> Result<HingeAxes, Refused> {
@@ -124,102 +214,77 @@ fn find_axes(epochs: &[Epoch], parent: usize, child: usize) -> Result<HingeAxes,
     hinge_axes(&pairs)
 }
 
-/// The filters of a chain.
-struct Run<'a> {
-    segments: &'a [ChainSegment],
-    filters: Vec<Ahrs>,
-    hinges: Vec<Option<Hinge>>,
-    last_t_s: Option<f64>,
+/// The axes of a hinge, improved with the orientations of the sensors beside it; first and second sensor.
+pub(super) fn refined_axes(
+    axes: HingeAxes,
+    before: &[UnitQuaternion<f64>],
+    behind: &[UnitQuaternion<f64>],
+    steps_s: &[f64],
+) -> [Vector3<f64>; 2] {
+    let (axes, _) = refine(axes, before, behind, steps_s);
+    [axes.first, axes.second]
 }
 
-impl<'a> Run<'a> {
-    fn new(segments: &'a [ChainSegment], axes: &[Option<HingeAxes>]) -> Self {
-        // The delay of the sensors' low-pass is not known here, and between equal sensors it cancels.
-        let params = Params { gyro_delay_s: 0.0, ..Params::default() };
-        let hinges = axes
+/// Segment orientations in the room and flexions, with zero and sign as the module says.
+fn poses(
+    segments: &[ChainSegment],
+    axes: &[Option<HingeAxes>],
+    motions: &[Option<Motion>],
+    level: &[Vec<UnitQuaternion<f64>>],
+    epochs: &[Epoch],
+) -> Vec<ChainPose> {
+    let Some(start_s) = epochs.first().map(|epoch| epoch.t_s) else { return Vec::new() };
+    let begin = epochs.iter().take_while(|epoch| epoch.t_s - start_s <= ZERO_S).count();
+    // About the first angle, so that no average is taken across the wrap.
+    let zero = |angles: &[f64]| {
+        angles[0] + angles[..begin].iter().map(|a| wrap(a - angles[0])).sum::<f64>() / begin as f64
+    };
+    let zeros: Vec<f64> =
+        motions.iter().map(|motion| motion.as_ref().map_or(0.0, |motion| zero(&motion.angle_rad))).collect();
+    // Sensor to room: each level frame turned into the root's.
+    let sensors = |k: usize| {
+        let mut headings: Vec<f64> = Vec::with_capacity(segments.len());
+        for (segment, motion) in segments.iter().zip(motions) {
+            headings.push(match (&segment.hinge, motion) {
+                (Some((parent, _)), Some(motion)) => headings[*parent] + motion.heading_rad[k],
+                _ => 0.0,
+            });
+        }
+        headings
+            .into_iter()
+            .zip(level)
+            .map(|(heading, q)| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading) * q[k])
+            .collect::<Vec<_>>()
+    };
+    let start = sensors(0);
+    let root = root_frame(segments, axes, &start);
+    let mounts: Vec<_> = start.iter().map(|q| q.inverse() * root).collect();
+    let pose = |k: usize| ChainPose {
+        t_s: epochs[k].t_s,
+        orientations: sensors(k).iter().zip(&mounts).map(|(q, mount)| q * mount).collect(),
+        flexion_rad: motions
             .iter()
-            .map(|axes| axes.map(|axes| Hinge::new(HingeParams::default(), [axes.first, axes.second])))
-            .collect();
-        Self { segments, filters: vec![Ahrs::new(params); segments.len()], hinges, last_t_s: None }
-    }
+            .zip(&zeros)
+            .map(|(motion, zero)| motion.as_ref().map_or(0.0, |motion| wrap(motion.angle_rad[k] - zero)))
+            .collect(),
+    };
+    (0..epochs.len()).map(pose).collect()
+}
 
-    fn over(mut self, epochs: &[Epoch]) -> Vec<ChainPose> {
-        let mut poses = Vec::with_capacity(epochs.len());
-        let nominal_s = match epochs {
-            [first, .., last] => (last.t_s - first.t_s) / (epochs.len() - 1) as f64,
-            _ => 0.01,
-        };
-        for epoch in epochs {
-            let dt_s = self.last_t_s.map_or(nominal_s, |last| epoch.t_s - last);
-            self.last_t_s = Some(epoch.t_s);
-            poses.push(self.step(epoch, dt_s));
-        }
-        self.level(&mut poses);
-        poses
-    }
-
-    /// Sensor orientations in the root's level frame and raw hinge angles.
-    fn step(&mut self, epoch: &Epoch, dt_s: f64) -> ChainPose {
-        for (filter, sample) in self.filters.iter_mut().zip(&epoch.samples) {
-            match sample {
-                Some(sample) => _ = filter.push(&ImuSample { mag: None, ..*sample }, dt_s),
-                None => filter.coast(dt_s),
-            }
-        }
-        let level: Vec<_> = self.filters.iter().map(Ahrs::orientation_6d).collect();
-        let mut orientations: Vec<UnitQuaternion<f64>> = Vec::with_capacity(level.len());
-        let mut headings: Vec<UnitQuaternion<f64>> = Vec::with_capacity(level.len());
-        let mut flexion_rad = Vec::with_capacity(level.len());
-        for (index, segment) in self.segments.iter().enumerate() {
-            let (heading, angle) = match (&segment.hinge, &mut self.hinges[index]) {
-                (Some((parent, _)), Some(hinge)) => {
-                    hinge.push(&level[*parent], &level[index], dt_s);
-                    let angle = hinge.angle_rad(&level[*parent], &level[index]);
-                    (headings[*parent] * hinge.heading(), angle)
-                }
-                _ => (UnitQuaternion::identity(), 0.0),
-            };
-            orientations.push(heading * level[index]);
-            headings.push(heading);
-            flexion_rad.push(angle);
-        }
-        ChainPose { t_s: epoch.t_s, orientations, flexion_rad }
-    }
-
-    /// From sensors to segments: subtracts the zero.
-    fn level(&self, poses: &mut [ChainPose]) {
-        let Some(start) = poses.first().cloned() else { return };
-        let count = poses.iter().take_while(|pose| pose.t_s - start.t_s <= ZERO_S).count();
-        let mut zero = vec![0.0; self.segments.len()];
-        for (index, zero) in zero.iter_mut().enumerate() {
-            // About the first angle, so that no average is taken across the wrap.
-            let first = start.flexion_rad[index];
-            let sum: f64 = poses[..count].iter().map(|pose| wrap(pose.flexion_rad[index] - first)).sum();
-            *zero = first + sum / count as f64;
-        }
-        let root = self.root_frame(&start);
-        let mounts: Vec<_> = start.orientations.iter().map(|q| q.inverse() * root).collect();
-        for pose in poses {
-            for (index, q) in pose.orientations.iter_mut().enumerate() {
-                *q *= mounts[index];
-                if self.hinges[index].is_some() {
-                    pose.flexion_rad[index] = wrap(pose.flexion_rad[index] - zero[index]);
-                }
-            }
-        }
-    }
-
-    /// The common segment frame in the first posture: y up, z the level part of the first hinge's axis.
-    fn root_frame(&self, start: &ChainPose) -> UnitQuaternion<f64> {
-        let axis = self.hinges.iter().zip(self.segments).find_map(|(hinge, segment)| {
-            let (parent, _) = segment.hinge.as_ref()?;
-            Some(start.orientations[*parent] * hinge.as_ref()?.axes()[0])
-        });
-        let z = axis.map_or(Vector3::x(), |axis| Vector3::new(axis.x, axis.y, 0.0));
-        let z = z.try_normalize(0.1).unwrap_or_else(Vector3::x);
-        let y = Vector3::z();
-        UnitQuaternion::from_basis_unchecked(&[y.cross(&z), y, z])
-    }
+/// The common segment frame in the first posture: y up, z the level part of the first hinge's axis.
+fn root_frame(
+    segments: &[ChainSegment],
+    axes: &[Option<HingeAxes>],
+    start: &[UnitQuaternion<f64>],
+) -> UnitQuaternion<f64> {
+    let axis = axes.iter().zip(segments).find_map(|(axes, segment)| {
+        let (parent, _) = segment.hinge.as_ref()?;
+        Some(start[*parent] * axes.as_ref()?.first)
+    });
+    let z = axis.map_or(Vector3::x(), |axis| Vector3::new(axis.x, axis.y, 0.0));
+    let z = z.try_normalize(0.1).unwrap_or_else(Vector3::x);
+    let y = Vector3::z();
+    UnitQuaternion::from_basis_unchecked(&[y.cross(&z), y, z])
 }
 
 #[cfg(test)]
@@ -231,6 +296,11 @@ mod tests {
 
     /// Three segments on two parallel hinges, sensors askew, gyros biased, no magnetometer.
     fn recording() -> (Vec<ChainSegment>, Vec<Epoch>, Vec<[f64; 2]>) {
+        recording_held(&UnitQuaternion::identity())
+    }
+
+    /// The same, held turned in the room.
+    fn recording_held(held: &UnitQuaternion<f64>) -> (Vec<ChainSegment>, Vec<Epoch>, Vec<[f64; 2]>) {
         let mounts = [
             so3::exp(&Vector3::new(0.4, -0.9, 0.3)),
             so3::exp(&Vector3::new(-1.2, 0.5, 2.0)),
@@ -247,7 +317,8 @@ mod tests {
             let upright = so3::exp(&(Vector3::x() * std::f64::consts::FRAC_PI_2));
             let whole = so3::exp(
                 &(Vector3::new((0.9 * t).sin(), 0.6 * (0.7 * t).sin(), 0.8 * (1.1 * t).sin()) * grow),
-            ) * upright;
+            ) * held
+                * upright;
             let [a, b] = angles(t);
             let second = whole * so3::exp(&(Vector3::z() * a));
             let third = second * so3::exp(&(Vector3::z() * b));
@@ -299,6 +370,39 @@ mod tests {
                 .sum();
             let rms = (sum / truth.len() as f64).sqrt().to_degrees();
             assert!(rms < 1.5, "joint {joint}: {rms} degrees");
+        }
+    }
+
+    /// A hinge that stands upright for the first seconds says nothing of the heading between its sensors meanwhile.
+    #[test]
+    fn an_axis_that_stands_upright_at_first_is_solved_from_the_first_sample() {
+        let turn = so3::exp(&(Vector3::x() * -std::f64::consts::FRAC_PI_2));
+        let (segments, epochs, truth) = recording_held(&turn);
+        let solved = solve(&segments, &epochs).unwrap();
+        for (k, (pose, truth)) in solved.poses.iter().zip(&truth).enumerate() {
+            let off = (pose.flexion_rad[1] - truth[0]).to_degrees();
+            assert!(off.abs() < 6.0, "{off} degrees off at epoch {k}");
+        }
+    }
+
+    /// Sensors in foam: they play by some degrees at 8 Hz, which their rates feel ten times as much as their orientations.
+    #[test]
+    fn soft_straps_do_not_spoil_the_axis() {
+        let (segments, mut epochs, truth) = recording();
+        for (k, epoch) in epochs.iter_mut().enumerate() {
+            let phase = std::f64::consts::TAU * 8.0 * k as f64 / RATE_HZ;
+            for (i, sample) in epoch.samples.iter_mut().flatten().enumerate() {
+                let axis = Vector3::new((i as f64).cos(), 0.7, (i as f64).sin()).normalize();
+                sample.gyro_rad_s += axis * (1.5 * (phase + i as f64).sin());
+            }
+        }
+        let solved = solve(&segments, &epochs).unwrap();
+        for joint in 0..2 {
+            let squares = solved.poses.iter().zip(&truth);
+            let sum: f64 =
+                squares.map(|(pose, truth)| (pose.flexion_rad[joint + 1] - truth[joint]).powi(2)).sum();
+            let rms = (sum / truth.len() as f64).sqrt().to_degrees();
+            assert!(rms < 3.5, "joint {joint}: {rms} degrees");
         }
     }
 

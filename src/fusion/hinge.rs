@@ -65,14 +65,26 @@ impl Hinge {
 
     /// Moves on by `dt_s` and looks at both sensors' level orientations.
     pub fn push(&mut self, before: &UnitQuaternion<f64>, behind: &UnitQuaternion<f64>, dt_s: f64) {
+        self.predict(dt_s);
+        self.look(before, behind, dt_s);
+    }
+
+    /// The transition over `dt_s`.
+    fn transition(&self, dt_s: f64) -> Matrix2<f64> {
+        Matrix2::new(1.0, dt_s, 0.0, (-dt_s / self.params.rate_tau_s).exp())
+    }
+
+    fn predict(&mut self, dt_s: f64) {
         let n = &self.params;
-        let keep = (-dt_s / n.rate_tau_s).exp();
-        let f = Matrix2::new(1.0, dt_s, 0.0, keep);
+        let f = self.transition(dt_s);
         self.x = f * self.x;
         self.p = f * self.p * f.transpose();
         self.p[(0, 0)] += n.drift.powi(2) * dt_s;
-        self.p[(1, 1)] += n.rate_sigma.powi(2) * (1.0 - keep * keep);
+        self.p[(1, 1)] += n.rate_sigma.powi(2) * (1.0 - f[(1, 1)].powi(2));
+    }
 
+    fn look(&mut self, before: &UnitQuaternion<f64>, behind: &UnitQuaternion<f64>, dt_s: f64) {
+        let n = &self.params;
         let (a, b) = (before * self.axes[0], behind * self.axes[1]);
         let (across, along) = (b.x * a.y - b.y * a.x, b.x * a.x + b.y * a.y);
         let (h2, k2) = (a.x.hypot(a.y).powi(2), b.x.hypot(b.y).powi(2));
@@ -86,7 +98,13 @@ impl Hinge {
             self.started = true;
             self.x[0] = measured;
         }
-        let variance = n.axis_sigma.powi(2) * (0.5 / h2 + 0.5 / k2);
+        self.observe(measured, [h2, k2], dt_s);
+    }
+
+    /// The axis was seen at `measured`, with squared horizontal parts `h2` in the two sensors.
+    fn observe(&mut self, measured: f64, h2: [f64; 2], dt_s: f64) {
+        let n = &self.params;
+        let variance = n.axis_sigma.powi(2) * (0.5 / h2[0] + 0.5 / h2[1]);
         let r = variance * (2.0 * n.axis_tau_s / dt_s).max(1.0);
         let innovation = wrap(measured - self.x[0]);
         let s = self.p[(0, 0)] + r;
@@ -96,6 +114,50 @@ impl Hinge {
         self.x += gain * innovation.clamp(-credible, credible);
         self.p -= gain * self.p.row(0);
         self.p = (self.p + self.p.transpose()) * 0.5;
+    }
+
+    /// The headings of a whole recording, each from all of it: the filter forward, then Rauch, Tung and Striebel's
+    /// smoother backward. Needed because an axis that stands upright at the beginning says nothing of the heading until later.
+    /// `steps` gives both sensors' level orientations and the time since the step before, s. Result in rad.
+    pub fn smooth(
+        mut self,
+        steps: impl Iterator<Item = (UnitQuaternion<f64>, UnitQuaternion<f64>, f64)>,
+    ) -> Vec<f64> {
+        // Filtered and predicted state of each step, and the transition into it.
+        let mut run: Vec<[(Vector2<f64>, Matrix2<f64>); 2]> = Vec::with_capacity(steps.size_hint().0);
+        let mut transitions = Vec::with_capacity(steps.size_hint().0);
+        for (before, behind, dt_s) in steps {
+            let unseen = !self.started;
+            self.predict(dt_s);
+            let mut predicted = (self.x, self.p);
+            self.look(&before, &behind, dt_s);
+            if unseen && self.started {
+                // Nothing was known of the heading: the first look counts from its own place, without a jump.
+                predicted.0[0] = self.x[0];
+                for earlier in &mut run {
+                    earlier[0].0[0] = self.x[0];
+                    earlier[1].0[0] = self.x[0];
+                }
+            }
+            run.push([predicted, (self.x, self.p)]);
+            transitions.push(self.transition(dt_s));
+        }
+        let Some(mut later) = run.last().map(|step| step[1]) else { return Vec::new() };
+        let mut headings = vec![later.0[0]; run.len()];
+        for k in (0..run.len() - 1).rev() {
+            let (predicted, filtered) = (run[k + 1][0], run[k][1]);
+            let Some(inverse) = predicted.1.try_inverse() else {
+                later = filtered;
+                headings[k] = later.0[0];
+                continue;
+            };
+            let gain = filtered.1 * transitions[k + 1].transpose() * inverse;
+            let x = filtered.0 + gain * (later.0 - predicted.0);
+            let p = filtered.1 + gain * (later.1 - predicted.1) * gain.transpose();
+            later = (x, p);
+            headings[k] = x[0];
+        }
+        headings
     }
 
     /// Unit axis in the sensor before and the sensor behind the hinge.
@@ -116,7 +178,18 @@ impl Hinge {
     /// Angle about the axis from the sensor before to the one behind, rad in (-pi, pi]; its zero depends on how the
     /// sensors are mounted.
     pub fn angle_rad(&self, before: &UnitQuaternion<f64>, behind: &UnitQuaternion<f64>) -> f64 {
-        let relative = before.inverse() * self.heading() * behind;
+        self.angle_at_rad(self.x[0], before, behind)
+    }
+
+    /// The same with a `heading_rad` from [`Self::smooth`].
+    pub fn angle_at_rad(
+        &self,
+        heading_rad: f64,
+        before: &UnitQuaternion<f64>,
+        behind: &UnitQuaternion<f64>,
+    ) -> f64 {
+        let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading_rad);
+        let relative = before.inverse() * heading * behind;
         let q = self.to_z[0] * relative * self.to_z[1].inverse();
         wrap(2.0 * q.k.atan2(q.w))
     }

@@ -5,6 +5,7 @@
 //! sensor is (they only gate), ask for the time, allocate per sample.
 
 pub mod ahrs;
+pub mod body;
 pub mod chain;
 mod half;
 pub mod hinge;

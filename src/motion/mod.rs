@@ -5,3 +5,4 @@
 
 pub mod exercise;
 pub mod keyframes;
+pub mod segments;

@@ -5,28 +5,29 @@
 //! input, then all outputs are drained; the same entries give the same outputs, and a pipeline restored from
 //! a snapshot goes on as if nothing had happened.
 
+mod device;
+mod inertial;
+mod magnetic;
 mod sensor;
 mod session;
+mod source;
 mod status;
 
 use nalgebra::Isometry3;
-use posed_drivers::{LineEvent, Measurement, Sample, State, Timestamp, session::Output as SessionOutput};
+use posed_drivers::{LineEvent, Sample, Timestamp, session::Output as SessionOutput};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::clock::{self, Clock};
 use crate::frame::{Assembler, Frame};
 use crate::geometry;
 use crate::input::{DeviceIndex, Entry, Input, Model, SensorIndex};
 use crate::noise::TrackerNoise;
-use crate::output::{Estimate, Measured, Outcome, OutcomeKind, Output, SensorEstimate};
+use crate::output::{Estimate, Outcome, OutcomeKind, Output, SensorEstimate};
 use crate::stage::Stage;
+use device::{Device, owner};
 use sensor::Sensor;
-use session::DeviceSession;
+use source::Source;
 pub use status::{ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
-
-/// Bits of one byte on a serial line: start, eight, stop.
-const BITS_PER_BYTE: f64 = 10.0;
 
 /// A stage file that no pipeline can be made of, or a snapshot that does not fit it.
 #[derive(Debug, Error)]
@@ -63,22 +64,13 @@ pub enum PipelineError {
     OtherStage,
 }
 
-/// One device: its session, its clock, and who its sensors are.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct Device {
-    name: String,
-    session: DeviceSession,
-    clock: Clock,
-    /// (address, sensor), by address.
-    sensors: Vec<(u16, SensorIndex)>,
-    streaming: bool,
-}
-
 /// All stages from bytes to outcomes.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Pipeline {
     now: Timestamp,
     devices: Vec<Device>,
+    /// The clocks of all devices, in their order.
+    sources: Vec<Source>,
     sensors: Vec<Sensor>,
     frames: Assembler,
     room_transmitter: Isometry3<f64>,
@@ -101,7 +93,14 @@ impl Pipeline {
         check((0.0..=10_000.0).contains(&wait), "frame_wait_ms", "0 to 10000")?;
         let owners =
             stage.sensors.iter().map(|sensor| owner(stage, sensor)).collect::<Result<Vec<_>, _>>()?;
-        let devices = (0..stage.devices.len()).map(|index| Device::new(stage, index, &owners));
+        let mut sources = Vec::new();
+        let devices: Vec<Device> = (0..stage.devices.len())
+            .map(|index| Device::new(stage, index, &owners, &mut sources))
+            .collect::<Result<_, _>>()?;
+        let mut timed_by = vec![0; stage.sensors.len()];
+        for placed in devices.iter().flat_map(|device| &device.sensors) {
+            timed_by[usize::from(placed.sensor)] = placed.source;
+        }
         let room_transmitter = match &stage.transmitter.pose_in_room {
             None => Isometry3::identity(),
             Some(pose) => {
@@ -113,14 +112,17 @@ impl Pipeline {
         };
         Ok(Self {
             now: Timestamp::ZERO,
-            devices: devices.collect::<Result<_, _>>()?,
+            frames: Assembler::new(sources.len(), &timed_by, stage.frame_rate_hz, wait),
             sensors: stage
                 .sensors
                 .iter()
                 .zip(&owners)
-                .map(|(sensor, &device)| Sensor::new(sensor, device))
+                .map(|(sensor, &device)| {
+                    Sensor::new(sensor, device, &stage.devices[usize::from(device)].driver)
+                })
                 .collect(),
-            frames: Assembler::new(stage.devices.len(), &owners, stage.frame_rate_hz, wait),
+            devices,
+            sources,
             room_transmitter,
             estimate: Estimate {
                 sensors: vec![SensorEstimate::default(); stage.sensors.len()],
@@ -189,8 +191,14 @@ impl Pipeline {
     /// What the pipeline has counted and measured.
     pub fn status(&self) -> PipelineStatus {
         PipelineStatus {
-            devices: self.devices.iter().map(Device::status).collect(),
-            sensors: self.sensors.iter().map(Sensor::status).collect(),
+            devices: self.devices.iter().map(|device| device.status(&self.sources)).collect(),
+            sensors: (0..)
+                .zip(&self.sensors)
+                .map(|(index, sensor)| {
+                    let device = &self.devices[usize::from(sensor.device())];
+                    sensor.status(device.counted(index, &self.sensors).as_ref())
+                })
+                .collect(),
             models_refused: self.models_refused,
         }
     }
@@ -199,7 +207,7 @@ impl Pipeline {
         let now = self.now;
         let Some(owner) = self.devices.get_mut(usize::from(device)) else { return };
         if matches!(event, LineEvent::Opened { modem_lines: true }) {
-            owner.clock.know_wire();
+            self.sources[owner.source_range()].iter_mut().for_each(Source::know_wire);
         }
         owner.session.get_mut().handle_line(now, event);
         self.drain(device, say);
@@ -228,35 +236,44 @@ impl Pipeline {
 
     fn state_changed(&mut self, device: DeviceIndex) {
         let owner = &mut self.devices[usize::from(device)];
-        let streaming = *owner.session.get().state() == State::Streaming;
-        if streaming && !owner.streaming {
-            owner.clock.restart();
-            owner.clock.set_nominal_rate_hz(owner.session.get().rate_hz());
-        } else if !streaming && owner.streaming {
-            self.frames.stop(device);
+        match owner.turned() {
+            Some(true) => {
+                let rate_hz = owner.session.get().rate_hz();
+                self.sources[owner.source_range()].iter_mut().for_each(|source| source.restart(rate_hz));
+            }
+            Some(false) => owner.source_range().for_each(|source| self.frames.stop(source as u16)),
+            None => {}
         }
-        owner.streaming = streaming;
     }
 
     fn sample(&mut self, device: DeviceIndex, sample: &Sample) {
-        let owner = &mut self.devices[usize::from(device)];
-        let stamp = owner.clock.push(sample);
-        let period_s = owner.clock.period_or_nominal_s();
-        self.frames.stamp(device, &stamp, period_s, self.now);
-        let Ok(at) = owner.sensors.binary_search_by_key(&sample.address, |&(address, _)| address) else {
+        let owner = &self.devices[usize::from(device)];
+        let route = owner.route(sample.address, &self.sensors);
+        let sensor = route.sensor.map(|index| &mut self.sensors[usize::from(index)]);
+        if sensor.as_ref().is_some_and(|sensor| !sensor.times(&sample.measurement)) {
+            // It joins the next record of its sensor, at that one's time.
+            if let Some(sensor) = sensor {
+                sensor.record(self.now, &sample.measurement);
+            }
             return;
-        };
-        let sensor = owner.sensors[at].1;
+        }
+        let source = &mut self.sources[usize::from(route.source)];
+        let stamp = source.push(sample);
+        let period_s = source.period_or_nominal_s();
+        self.frames.stamp(route.source, &stamp, period_s, self.now);
+        if let (Some(index), Some(sensor)) = (route.sensor, sensor)
+            && let Some(measured) = sensor.record(stamp.t_valid, &sample.measurement)
+        {
+            self.frames.sample(index, measured);
+        }
         if stamp.begins_cycle
+            && route.sensor.is_some()
             && let Some(period_s) = period_s
         {
-            for (_, sensor) in &owner.sensors {
-                self.sensors[usize::from(*sensor)].set_interval_s(period_s);
+            for placed in owner.sensors.iter().filter(|placed| placed.source == route.source) {
+                self.sensors[usize::from(placed.sensor)].set_interval_s(period_s);
             }
         }
-        // What inertial sensors measure is not fused yet.
-        let Measurement::Pose { position_m, orientation_wxyz, button } = sample.measurement else { return };
-        self.frames.sample(sensor, Measured { t_valid: stamp.t_valid, position_m, orientation_wxyz, button });
     }
 
     fn close_frames(&mut self, say: &mut impl FnMut(Output<'_>)) {
@@ -323,43 +340,6 @@ fn estimate_frame(frame: &Frame, sensors: &mut [Sensor], room: &Isometry3<f64>, 
         let others_move = moving > usize::from(sensor.is_moving());
         *out = sensor.estimate(slot, frame, others_move, room);
     }
-}
-
-impl Device {
-    fn new(stage: &Stage, index: usize, owners: &[DeviceIndex]) -> Result<Self, PipelineError> {
-        let device = &stage.devices[index];
-        let value =
-            |ok: bool, key, expected| if ok { Ok(()) } else { Err(PipelineError::Value { key, expected }) };
-        value(device.baud > 0, "baud", "a line rate above 0")?;
-        let delay_s = device.measurement_delay_ms * 1e-3;
-        value((0.0..=1.0).contains(&delay_s), "measurement_delay_ms", "0 to 1000")?;
-        let mut sensors: Vec<(u16, SensorIndex)> = (0..)
-            .zip(stage.sensors.iter().zip(owners))
-            .filter(|(_, (_, owner))| usize::from(**owner) == index)
-            .map(|(at, (sensor, _))| (sensor.address, at))
-            .collect();
-        sensors.sort_unstable();
-        let clock = clock::Settings {
-            byte_time_s: BITS_PER_BYTE / f64::from(device.baud),
-            measurement_delay_s: delay_s,
-        };
-        Ok(Self {
-            name: device.name.clone(),
-            session: DeviceSession::new(device, &sensors)?,
-            clock: Clock::new(clock),
-            sensors,
-            streaming: false,
-        })
-    }
-}
-
-/// Index of a sensor's device.
-fn owner(stage: &Stage, sensor: &crate::stage::Sensor) -> Result<DeviceIndex, PipelineError> {
-    let found = stage.devices.iter().position(|device| device.name == sensor.device);
-    found.map(|index| index as DeviceIndex).ok_or_else(|| PipelineError::UnknownDevice {
-        sensor: sensor.name.clone(),
-        device: sensor.device.clone(),
-    })
 }
 
 #[cfg(test)]

@@ -1,14 +1,13 @@
-//! One sensor through faults and fusion.
+//! One sensor: what its samples are worth, where it is, what was lost, which fault began or ended.
 
-use nalgebra::{Isometry3, Matrix3, Vector3};
-use posed_drivers::Timestamp;
+use nalgebra::Isometry3;
+use posed_drivers::{Loss, Measurement, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use super::SensorStatus;
-use crate::faults::{Detector, Label, MeasuredPose};
+use super::inertial::Inertial;
+use super::magnetic::Magnetic;
 use crate::frame::{Frame, FrameSensor};
-use crate::fusion::{Track, Tracker, Tuning, Verdict};
-use crate::geometry;
 use crate::input::{DeviceIndex, SensorIndex};
 use crate::noise::TrackerNoise;
 use crate::output::{
@@ -17,46 +16,66 @@ use crate::output::{
 use crate::stage;
 
 /// From these speeds on a sensor counts as moving, m/s and rad/s.
-const MOVING_M_S: f64 = 0.05;
-const MOVING_RAD_S: f64 = 0.2;
-/// Variance of an orientation of which nothing is known, rad^2.
-const UNKNOWN_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
+pub(super) const MOVING_M_S: f64 = 0.05;
+pub(super) const MOVING_RAD_S: f64 = 0.2;
+
+/// By what a sensor is estimated.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+enum Kind {
+    /// A magnetic tracker: poses in the transmitter's frame.
+    Magnetic(Box<Magnetic>),
+    /// A body-worn IMU: an orientation in the room, no position.
+    Inertial(Box<Inertial>),
+}
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Sensor {
     name: String,
+    /// Serial number that the stage file asks for.
+    serial: Option<String>,
     device: DeviceIndex,
-    detector: Detector,
-    tracker: Tracker,
+    kind: Kind,
     state: SensorState,
     fault: Option<FaultCause>,
     /// The cause that has last been published.
     published: Option<FaultCause>,
     moving: bool,
     samples: u64,
-    lost: u64,
-    estimated: bool,
+    /// Records that came in and were not published as `ok`, and those that the frames miss.
+    unpublished: u64,
+    missed: u64,
+    missed_by_time: bool,
 }
 
 impl Sensor {
-    pub(super) fn new(sensor: &stage::Sensor, device: DeviceIndex) -> Self {
+    pub(super) fn new(sensor: &stage::Sensor, device: DeviceIndex, driver: &stage::Driver) -> Self {
+        let kind = if driver.is_inertial() {
+            Kind::Inertial(Box::new(Inertial::new(sensor.magnetometer, sensor.gyro_delay_ms * 1e-3)))
+        } else {
+            Kind::Magnetic(Box::new(Magnetic::new()))
+        };
         Self {
             name: sensor.name.clone(),
+            serial: sensor.serial.clone(),
             device,
-            detector: Detector::default(),
-            tracker: Tracker::new(TrackerNoise::default(), Tuning::default()),
+            kind,
             state: SensorState::Missing,
             fault: None,
             published: None,
             moving: false,
             samples: 0,
-            lost: 0,
-            estimated: false,
+            unpublished: 0,
+            missed: 0,
+            missed_by_time: false,
         }
     }
 
     pub(super) fn name(&self) -> &str {
         &self.name
+    }
+
+    pub(super) fn serial(&self) -> Option<&str> {
+        self.serial.as_deref()
     }
 
     pub(super) fn device(&self) -> DeviceIndex {
@@ -68,15 +87,42 @@ impl Sensor {
     }
 
     pub(super) fn set_noise(&mut self, noise: TrackerNoise) {
-        self.tracker.set_noise(noise);
+        if let Kind::Magnetic(magnetic) = &mut self.kind {
+            magnetic.set_noise(noise);
+        }
     }
 
     pub(super) fn set_interval_s(&mut self, interval_s: f64) {
-        self.tracker.set_interval_s(interval_s);
+        if let Kind::Magnetic(magnetic) = &mut self.kind {
+            magnetic.set_interval_s(interval_s);
+        }
     }
 
-    pub(super) fn status(&self) -> SensorStatus {
-        SensorStatus { samples: self.samples, lost: self.lost, estimated: self.estimated }
+    /// `counted` is what the device itself knows to be lost; without it the frames count.
+    pub(super) fn status(&self, counted: Option<&Loss>) -> SensorStatus {
+        let (lost, estimated) =
+            counted.map_or((self.missed, self.missed_by_time), |loss| (loss.lost, loss.estimated));
+        SensorStatus { samples: self.samples, lost: lost + self.unpublished, estimated }
+    }
+
+    /// Whether a measurement is one of the cycle that times its device, rather than one beside it.
+    pub(super) fn times(&self, measurement: &Measurement) -> bool {
+        match &self.kind {
+            Kind::Magnetic(_) => true,
+            Kind::Inertial(inertial) => inertial.times(measurement),
+        }
+    }
+
+    /// The record that a measurement makes; none where it only adds to the next one.
+    pub(super) fn record(&mut self, t_valid: Timestamp, measurement: &Measurement) -> Option<Measured> {
+        match (&mut self.kind, *measurement) {
+            (Kind::Magnetic(_), Measurement::Pose { position_m, orientation_wxyz, button }) => {
+                Some(Measured { t_valid, position_m, orientation_wxyz, button, inertial: None })
+            }
+            (Kind::Inertial(inertial), measurement) => inertial.record(t_valid, &measurement),
+            // No driver of magnetic trackers has such samples.
+            (Kind::Magnetic(_), Measurement::Imu { .. }) => None,
+        }
     }
 
     /// Takes the frame's samples, each at its own time, and says where the sensor is at the frame's time.
@@ -93,37 +139,23 @@ impl Sensor {
             self.fault = Some(FaultCause::Missing);
         }
         for sample in &slot.samples {
-            let (state, fault) = self.measure(&sample.measured, others_move);
+            let (state, fault) = match &mut self.kind {
+                Kind::Magnetic(magnetic) => magnetic.measure(&sample.measured, others_move),
+                Kind::Inertial(inertial) => inertial.measure(&sample.measured),
+            };
             self.state = if sample.late && state == SensorState::Ok { SensorState::Late } else { state };
             self.fault = fault;
         }
         self.count(slot, frame);
-        let track = self.tracker.at(frame.t_valid);
-        self.moving = track.as_ref().is_some_and(is_moving);
+        let pose: Option<PoseEstimate>;
+        (pose, self.moving) = match &self.kind {
+            Kind::Magnetic(magnetic) => magnetic.at(frame.t_valid, room),
+            Kind::Inertial(inertial) => inertial.at(frame.t_valid),
+        };
         SensorEstimate {
             state: self.state,
-            pose: track.and_then(|track| in_room(&track, room)),
+            pose,
             measured: slot.samples.last().map(|sample| sample.measured),
-        }
-    }
-
-    fn measure(&mut self, measured: &Measured, others_move: bool) -> (SensorState, Option<FaultCause>) {
-        let t: Timestamp = measured.t_valid;
-        let pose = MeasuredPose {
-            position_m: measured.position_m.map(Vector3::from),
-            orientation: measured.orientation_wxyz.and_then(geometry::orientation_from_wxyz),
-        };
-        let finite = pose.position_m.is_none_or(|position| position.iter().all(|value| value.is_finite()));
-        if !finite || (pose.orientation.is_none() && measured.orientation_wxyz.is_some()) {
-            return (SensorState::Suspect, Some(FaultCause::Gate));
-        }
-        let expected = self.tracker.expectation(t);
-        let checked = self.detector.check(&pose, expected.as_ref(), self.tracker.noise(), others_move);
-        match (self.tracker.push(t, &checked), checked.label) {
-            (Verdict::Good, Label::Mirrored) => (SensorState::Repaired, Some(FaultCause::Hemisphere)),
-            (Verdict::Good, _) => (SensorState::Ok, None),
-            (_, Label::Stuck) => (SensorState::Stuck, Some(FaultCause::Stuck)),
-            (_, _) => (SensorState::Suspect, Some(FaultCause::Gate)),
         }
     }
 
@@ -131,11 +163,12 @@ impl Sensor {
         self.samples += slot.samples.len() as u64;
         if slot.expected() {
             let unpublished = !slot.samples.is_empty() && self.state != SensorState::Ok;
-            self.lost += u64::from(slot.missed) + u64::from(unpublished);
+            self.unpublished += u64::from(unpublished);
+            self.missed += u64::from(slot.missed);
             // Ticks without a record are counted by the clock, not by the line.
             let by_time = frame.by_model && slot.samples.is_empty();
-            self.lost += frame.ticks_left_out;
-            self.estimated |= by_time || frame.ticks_left_out > 0;
+            self.missed += frame.ticks_left_out;
+            self.missed_by_time |= by_time || frame.ticks_left_out > 0;
         }
     }
 
@@ -153,47 +186,4 @@ impl Sensor {
         }
         self.published = self.fault;
     }
-}
-
-fn is_moving(track: &Track) -> bool {
-    track.velocity_m_s().norm() > MOVING_M_S || track.angular_velocity_rad_s().norm() > MOVING_RAD_S
-}
-
-/// A track in the room. Formats without a position have no pose; without an orientation it is the
-/// identity, and its covariance says that nothing is known of it.
-fn in_room(track: &Track, room: &Isometry3<f64>) -> Option<PoseEstimate> {
-    let position_m = room.transform_point(&(*track.position_m()?).into()).coords;
-    let turn = room.rotation.to_rotation_matrix();
-    let position_m2 = turn.matrix() * track.position_m2() * turn.matrix().transpose();
-    let (orientation, rotation_rad2, rate) = match track.orientation() {
-        Some(orientation) => {
-            (room.rotation * orientation, track.rotation_rad2(), *track.angular_velocity_rad_s())
-        }
-        None => (Default::default(), Matrix3::identity() * UNKNOWN_RAD2, Vector3::zeros()),
-    };
-    Some(PoseEstimate {
-        position_m: position_m.into(),
-        orientation_wxyz: geometry::orientation_to_wxyz(&orientation),
-        velocity_m_s: (room.rotation * track.velocity_m_s()).into(),
-        angular_velocity_rad_s: rate.into(),
-        covariance: upper_triangle(&position_m2, &rotation_rad2),
-        sigma_m: position_m2.trace().sqrt(),
-    })
-}
-
-/// Upper triangle of the 6 x 6 covariance, row by row; the two halves are uncoupled.
-fn upper_triangle(position_m2: &Matrix3<f64>, rotation_rad2: &Matrix3<f64>) -> [f64; 21] {
-    let mut out = [0.0; 21];
-    let mut at = 0;
-    for row in 0..6 {
-        for column in row..6 {
-            out[at] = match (row < 3, column < 3) {
-                (true, true) => position_m2[(row, column)],
-                (false, false) => rotation_rad2[(row - 3, column - 3)],
-                _ => 0.0,
-            };
-            at += 1;
-        }
-    }
-    out
 }

@@ -2,8 +2,6 @@
 
 use posed_drivers::{Counters, State};
 
-use super::Device;
-
 /// Counts and measured rates; a copy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PipelineStatus {
@@ -46,19 +44,4 @@ pub struct SensorStatus {
     pub lost: u64,
     /// Part of `lost` comes from the time that passed: nothing on the line tells how many samples there were.
     pub estimated: bool,
-}
-
-impl Device {
-    pub(super) fn status(&self) -> DeviceStatus {
-        let session = self.session.get();
-        let period_s = self.clock.period_s().filter(|_| self.streaming);
-        DeviceStatus {
-            state: session.state().clone(),
-            rate_hz: period_s.map(f64::recip),
-            counters: session.counters(),
-            clock: period_s
-                .zip(self.clock.sigma_t_s())
-                .map(|(period_s, sigma_t_s)| ClockStatus { period_s, sigma_t_s }),
-        }
-    }
 }

@@ -1,6 +1,6 @@
 //! Input without sense, and stages without sense.
 
-use posed_drivers::{LineEvent, Timestamp};
+use posed_drivers::{LineEvent, Measurement, Timestamp};
 
 use super::*;
 

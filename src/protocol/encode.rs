@@ -162,7 +162,7 @@ fn rounded_status(status: &Status, stamp: &Stamp) -> Status {
 fn rounded_jobs(jobs: &Jobs, stamp: &Stamp) -> Jobs {
     let mut jobs = Jobs { t_s: stamp.t_s(), ..jobs.clone() };
     for job in &mut jobs.jobs {
-        job.progress = round::to(1e3, job.progress);
+        job.progress = job.progress.map(|progress| round::to(1e3, progress));
         job.remaining_s = job.remaining_s.map(|t| round::to(1e1, t));
     }
     jobs

@@ -156,6 +156,9 @@ mod tests {
             segment: None,
             mount_quat_wxyz: None,
             offset_m: None,
+            serial: None,
+            magnetometer: true,
+            gyro_delay_ms: 0.0,
         };
         stage.sensors = vec![sensor("left", 1), sensor("ri\"ght", 2)];
         stage
@@ -163,12 +166,12 @@ mod tests {
 
     fn estimate(t_ns: i64) -> Estimate {
         let pose = PoseEstimate {
-            position_m: [0.1, -0.2, 1.0 / 3.0],
+            position_m: Some([0.1, -0.2, 1.0 / 3.0]),
             orientation_wxyz: [1.0, 0.0, 0.0, 0.0],
-            velocity_m_s: [0.0; 3],
+            velocity_m_s: Some([0.0; 3]),
             angular_velocity_rad_s: [0.0; 3],
             covariance: [1e-6; 21],
-            sigma_m: 1e-3,
+            sigma_m: Some(1e-3),
         };
         let left = SensorEstimate { state: SensorState::Ok, pose: Some(pose), measured: None };
         Estimate {

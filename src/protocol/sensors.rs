@@ -170,7 +170,10 @@ impl Serialize for Entry<'_> {
         }
         entry.serialize_field("state", &state)?;
         if has(Field::PositionM) {
-            entry.serialize_field("position_m", &pose.map(|p| round::each(round::POSITION, p.position_m)))?;
+            entry.serialize_field(
+                "position_m",
+                &pose.and_then(|p| Some(round::each(round::POSITION, p.position_m?))),
+            )?;
         }
         if has(Field::OrientationWxyz) {
             let orientation = pose.map(|p| round::each(round::QUATERNION, p.orientation_wxyz));
@@ -180,12 +183,13 @@ impl Serialize for Entry<'_> {
             entry.serialize_field("measured", &self.values.measured.as_ref().map(measured))?;
         }
         if has(Field::SigmaM) {
-            entry.serialize_field("sigma_m", &pose.map(|p| round::to(round::SIGMA, p.sigma_m)))?;
+            entry
+                .serialize_field("sigma_m", &pose.and_then(|p| Some(round::to(round::SIGMA, p.sigma_m?))))?;
         }
         if has(Field::Velocity) {
             entry.serialize_field(
                 "velocity_m_s",
-                &pose.map(|p| round::each(round::VELOCITY, p.velocity_m_s)),
+                &pose.and_then(|p| Some(round::each(round::VELOCITY, p.velocity_m_s?))),
             )?;
             let angular = pose.map(|p| round::each(round::VELOCITY, p.angular_velocity_rad_s));
             entry.serialize_field("angular_velocity_rad_s", &angular)?;
@@ -201,16 +205,22 @@ impl Serialize for Entry<'_> {
 }
 
 fn is_finite(pose: &PoseEstimate) -> bool {
-    pose.position_m.iter().chain(&pose.orientation_wxyz).all(|value| value.is_finite())
-        && pose.sigma_m.is_finite()
+    let position = pose.position_m.iter().flatten();
+    position.chain(&pose.orientation_wxyz).chain(&pose.sigma_m).all(|value| value.is_finite())
 }
 
 fn measured(measured: &output::Measured) -> Measured {
+    let inertial = measured.inertial.unwrap_or_default();
+    let vector = |values: Option<[f64; 3]>| values.map(|values| round::each(round::QUATERNION, values));
     Measured {
         t_s: round::seconds(super::publisher::microseconds(measured.t_valid)),
         position_m: measured.position_m.map(|p| round::each(round::POSITION, p)),
         orientation_wxyz: measured.orientation_wxyz.map(|q| round::each(round::QUATERNION, q)),
         button: measured.button,
+        angular_rate_rad_s: vector(inertial.angular_rate_rad_s),
+        specific_force_m_s2: vector(inertial.specific_force_m_s2),
+        linear_acceleration_m_s2: vector(inertial.linear_acceleration_m_s2),
+        magnetic_field: vector(inertial.magnetic_field),
     }
 }
 

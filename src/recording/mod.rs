@@ -25,6 +25,7 @@
 pub mod compare;
 pub mod export;
 pub mod info;
+pub mod outline;
 pub mod reader;
 mod records;
 pub mod repair;
@@ -42,6 +43,7 @@ pub use compare::{Comparison, Difference, Golden, GoldenError, is_replayed};
 pub use header::{Header, Snapshot};
 pub use info::Info;
 pub use machine::{Machine, MachineError};
+pub use outline::Outline;
 pub use reader::{Ending, Item, Message, ReadError, Reader};
 pub use repair::{RepairError, Repaired, repair};
 pub use replay::{Mapping, Replayable, Verdict, VerifyError, verify};

@@ -19,6 +19,8 @@ pub const SEGMENTS: [&str; 10] = [
 
 /// The static poses that a calibration can hold.
 pub(super) const POSES: [&str; 2] = ["n_pose", "t_pose"];
+/// The movements that concern both sides.
+pub(super) const TRUNK_MOVEMENTS: [&str; 2] = ["bow", "trunk_rotation"];
 /// The movements of the `human` skeleton that a calibration can hold; each with `_r` or `_l` behind it.
 pub(super) const MOVEMENTS: [&str; 9] = [
     "elbow_flexion",

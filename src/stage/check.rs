@@ -73,7 +73,10 @@ fn report(text: &str, folder: Option<&Path>) -> (Option<Stage>, Report) {
     let mut stage = None;
     if !notes.has_problems() {
         match toml::from_str(text) {
-            Ok(parsed) => stage = Some(parsed),
+            Ok(parsed) => {
+                rules::check_parsed(&document, &parsed, &mut notes);
+                stage = Some(parsed).filter(|_| !notes.has_problems());
+            }
             Err(error) => {
                 syntax(text, &error, &mut notes);
             }

@@ -9,6 +9,7 @@
 
 mod body;
 mod check;
+mod driver;
 mod port;
 mod problem;
 mod rules;
@@ -18,11 +19,11 @@ mod tests;
 
 use std::path::{Path, PathBuf};
 
-use posed_drivers::flock;
 use serde::{Deserialize, Serialize};
 
 pub use body::{Body, BodySegment, Calibration, JointKind, Mounting, SEGMENTS, Skeleton};
 pub use check::{Report, check, check_in, check_table};
+pub use driver::{Driver, TimeBase};
 pub use port::{PortAddress, PortAddressError};
 pub use problem::{LoadError, Problem, Problems};
 
@@ -129,6 +130,11 @@ pub struct Pose {
     pub orientation_wxyz: [f64; 4],
 }
 
+impl Pose {
+    /// The room's own axes.
+    pub const IDENTITY: Self = Self { position_m: [0.0; 3], orientation_wxyz: [1.0, 0.0, 0.0, 0.0] };
+}
+
 /// One device.
 ///
 /// Its own keys and those of its driver stand in one table. Unknown keys are refused by the driver's settings,
@@ -140,6 +146,9 @@ pub struct Device {
     pub name: String,
     /// Path of a serial port, `tcp://HOST:PORT`, `udp://HOST:PORT` or `auto`.
     pub port: String,
+    /// UDP port of this computer that the device sends to, for `udp://HOST:PORT`; absent: any.
+    #[schemars(range(min = 1))]
+    pub local_port: Option<u16>,
     /// Line rate, bit/s.
     #[serde(default = "default_baud")]
     #[schemars(range(min = 1))]
@@ -157,23 +166,6 @@ fn default_baud() -> u32 {
     115_200
 }
 
-/// A driver by name, with its settings.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(tag = "driver", rename_all = "kebab-case")]
-pub enum Driver {
-    /// Ascension Flock of Birds.
-    FlockOfBirds(flock::Settings),
-}
-
-impl Driver {
-    /// The driver's word in the stage file.
-    pub fn word(&self) -> &'static str {
-        match self {
-            Self::FlockOfBirds(_) => "flock-of-birds",
-        }
-    }
-}
-
 /// One sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -185,12 +177,26 @@ pub struct Sensor {
     pub device: String,
     /// Address on the device; 0 is a stand-alone unit.
     pub address: u16,
+    /// Serial number as the device tells it: the sensor is the unit with this number, at whatever address it answers.
+    #[schemars(length(min = 1, max = 64))]
+    pub serial: Option<String>,
+    /// Whether the heading of an inertial sensor follows its magnetometer; without, it starts at 0 and drifts.
+    #[serde(default = "default_magnetometer")]
+    pub magnetometer: bool,
+    /// How far an inertial sensor's rate gyro lags behind its time stamps, ms.
+    #[serde(default)]
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub gyro_delay_ms: f64,
     /// The body segment it sits on; absent: its name, if that is a segment's.
     pub segment: Option<String>,
     /// Unit quaternion that turns sensor coordinates into segment coordinates, scalar first.
     pub mount_quat_wxyz: Option<[f64; 4]>,
     /// Position on the segment, in the segment's frame with its origin at the proximal joint, m.
     pub offset_m: Option<[f64; 3]>,
+}
+
+fn default_magnetometer() -> bool {
+    true
 }
 
 /// Websocket, page and metrics.

@@ -12,8 +12,6 @@ use toml::de::{DeString, DeTable, DeValue};
 
 use super::problem::{Notes, nearest, one_of};
 
-/// Drivers that the design names and that come with later versions.
-pub(super) const LATER_DRIVERS: [&str; 5] = ["motionstar", "fastrak", "xbus", "x-imu3", "slimevr"];
 /// How far the norm of a quaternion may be from 1: three digits per component are enough to write one.
 const UNIT_TOLERANCE: f64 = 2e-3;
 
@@ -274,17 +272,7 @@ impl<'a, 't> Shape<'a, 't> {
         words: &[&str],
     ) {
         let (key, at) = (key.get_ref(), value.span());
-        if key == "driver" && LATER_DRIVERS.contains(&word) {
-            let message = format!("driver {word} is not in this build yet");
-            let mend = format!(
-                "remove the device, or use a later version; this build has {}",
-                one_of(words.iter().copied())
-            );
-            self.notes.problem(&at, key, message, mend);
-            return;
-        }
-        let drivers = if key == "driver" { &LATER_DRIVERS[..] } else { &[] };
-        let mend = match nearest(word, words.iter().chain(drivers).copied()) {
+        let mend = match nearest(word, words.iter().copied()) {
             Some(near) => format!("did you mean `{near}`?"),
             None => format!("write {}", one_of(words.iter().copied())),
         };

@@ -68,19 +68,6 @@ end_s = 2
 }
 
 #[test]
-fn a_driver_of_a_later_version_is_known_by_name() {
-    for driver in shape::LATER_DRIVERS {
-        let text = format!(
-            "name = \"s\"\n[[device]]\nname = \"d\"\ndriver = \"{driver}\"\nport = \"auto\"\n[[sensor]]\nname = \"s\"\ndevice = \"d\"\naddress = 0\n"
-        );
-        let report = check(&text);
-        assert_eq!(report.problems.len(), 1, "{report:?}");
-        assert_eq!(report.problems[0].line, 4);
-        assert!(report.problems[0].message.contains("not in this build yet"), "{report:?}");
-    }
-}
-
-#[test]
 fn a_line_that_is_too_slow_gets_a_warning_and_stays_right() {
     let sensors: String = (1..=8)
         .map(|n| format!("[[sensor]]\nname = \"s{n}\"\ndevice = \"flock\"\naddress = {n}\n"))

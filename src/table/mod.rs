@@ -8,6 +8,7 @@
 
 mod error;
 mod imu;
+mod labels;
 mod poses;
 mod reader;
 mod sequences;
@@ -18,6 +19,7 @@ mod writer;
 
 pub use error::TableError;
 pub use imu::{Imu, ImuRow};
+pub use labels::{SegmentLabel, SegmentLabels};
 pub use poses::{PoseColumns, PoseRow, PoseWriter, Poses, Which};
 pub use reader::TableReader;
 pub use sequences::{SequenceFrame, SequenceOptions, Sequences, Unit, Up};

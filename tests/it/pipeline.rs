@@ -70,7 +70,7 @@ fn report(rig: &Rig, from_s: f64, sigma_signal: f64) -> Report {
             out.ok += 1;
             let pose = sensor.pose.unwrap();
             let truth = row.pose.translation.vector + row.distortion_m;
-            let error = (nalgebra::Vector3::from(pose.position_m) - truth).norm();
+            let error = (nalgebra::Vector3::from(pose.position_m.unwrap()) - truth).norm();
             let r = truth.norm();
             let across = 0.745 * sigma_signal * r.powi(4);
             let sigma = (2.0 * across * across

@@ -93,6 +93,56 @@ fn a_simulation_ends_at_an_interrupt_with_the_truth_complete() {
     }
 }
 
+/// A port number that nobody listens at just now.
+fn free_port() -> u16 {
+    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+#[test]
+fn many_devices_are_served_each_at_its_port_with_one_truth() {
+    let folder = tempfile::tempdir().unwrap();
+    let truth = folder.path().join("truth.csv");
+    let path = folder.path().join("stage.toml");
+    // SlimeVR trackers call here.
+    let server = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let calls = format!("udp://127.0.0.1:{}", server.local_addr().unwrap().port());
+    let (star, unit) =
+        (format!("tcp://127.0.0.1:{}", free_port()), format!("udp://127.0.0.1:{}", free_port()));
+    let devices = [
+        ("flock", "flock-of-birds", "auto", 1),
+        ("chain", "xbus", "auto", 1),
+        ("fast", "fastrak", "/dev/ttyUSB9", 1),
+        ("unit", "x-imu3", unit.as_str(), 0),
+        ("slimes", "slimevr", calls.as_str(), 1),
+        ("star", "motionstar", star.as_str(), 2),
+    ];
+    let mut text = String::from("name = \"many\"\n");
+    for (name, driver, port, address) in devices {
+        text += &format!(
+            "[[device]]\nname = \"{name}\"\ndriver = \"{driver}\"\nport = \"{port}\"\n\
+             [[sensor]]\nname = \"on {name}\"\ndevice = \"{name}\"\naddress = {address}\n"
+        );
+    }
+    fs::write(&path, text).unwrap();
+    let simulation = Simulation::start(&path, &["--truth", truth.to_str().unwrap()]);
+    for (k, (name, driver, port, _)) in devices.into_iter().enumerate() {
+        let device = &simulation.devices[k];
+        assert_eq!((&device["name"], &device["driver"]), (&name.into(), &driver.into()));
+        let served = device["port"].as_str().unwrap();
+        if port.contains("://") { assert_eq!(served, port) } else { assert!(Path::new(served).exists()) }
+    }
+    // The trackers call, and the star can be reached.
+    let mut call = [0; 128];
+    let (len, _) = server.recv_from(&mut call).unwrap();
+    assert_eq!(call[..len].first_chunk(), Some(&[0, 0, 0, 3]));
+    std::net::TcpStream::connect(star.strip_prefix("tcp://").unwrap()).unwrap();
+    assert_eq!(simulation.interrupt().code(), Some(0));
+    let text = fs::read_to_string(&truth).unwrap();
+    for (name, ..) in devices {
+        assert!(text.contains(&format!(",on {name},")), "no truth of {name}");
+    }
+}
+
 #[test]
 fn a_simulation_ends_after_its_duration() {
     let folder = tempfile::tempdir().unwrap();

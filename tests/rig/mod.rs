@@ -12,7 +12,7 @@ use posed::output::{Estimate, Outcome, Output};
 use posed::pipeline::Pipeline;
 use posed::stage::Stage;
 use posed_drivers::{LineEvent, Timestamp};
-use posed_simulator::scenario::{DeviceSpec, Scenario, SensorSpec, StageSpec};
+use posed_simulator::scenario::{Scenario, StageSpec};
 use posed_simulator::stage::{Output as Virtual, VirtualStage};
 use posed_simulator::truth::TruthCycle;
 
@@ -37,31 +37,7 @@ pub(crate) fn stage(birds: &[u16]) -> Stage {
 
 /// Virtual devices for a stage.
 pub(crate) fn simulate(stage: &Stage, scenario: &Scenario) -> VirtualStage {
-    let spec = StageSpec {
-        transmitter_in_room: stage
-            .transmitter
-            .pose_in_room
-            .map(|pose| (pose.position_m, pose.orientation_wxyz)),
-        devices: stage
-            .devices
-            .iter()
-            .map(|device| DeviceSpec {
-                name: device.name.clone(),
-                driver: "flock-of-birds".into(),
-                baud: device.baud,
-                measurement_delay_ms: device.measurement_delay_ms,
-            })
-            .collect(),
-        sensors: stage
-            .sensors
-            .iter()
-            .map(|sensor| SensorSpec {
-                name: sensor.name.clone(),
-                device: sensor.device.clone(),
-                address: sensor.address,
-            })
-            .collect(),
-    };
+    let spec = StageSpec::of(stage).unwrap();
     VirtualStage::new(&spec, scenario, ".".as_ref()).unwrap()
 }
 
@@ -154,7 +130,7 @@ impl Rig {
                         let event = LineEvent::Opened { modem_lines: false };
                         self.push(Input::Line { device, event });
                     }
-                    Virtual::Fault(_) => {}
+                    Virtual::Fault(_) | Virtual::Lost(_) => {}
                 }
             }
             if self.pipeline.poll_timeout().is_some_and(|due| due <= next) {

@@ -5,6 +5,7 @@
 //! ```
 //! A MotionStar on RS-232 is a Flock of Birds: see [`crate::flock`].
 
+pub mod probe;
 pub mod session;
 pub mod wire;
 

@@ -34,8 +34,10 @@ pub struct Settings {
     /// What each bird's records hold.
     pub format: Format,
     /// Measurement rate to set, Hz, 20 to 144; absent: as the system has it.
+    #[schemars(range(min = 20.0, max = 144.0))]
     pub measurement_rate_hz: Option<f64>,
     /// Records are sent every so many measurement cycles, 1 to 127.
+    #[schemars(range(min = 1, max = 127))]
     pub report_every_cycles: u8,
     /// The half-space around the transmitter in which the sensors start.
     pub hemisphere: Hemisphere,

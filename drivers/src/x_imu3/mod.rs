@@ -7,6 +7,7 @@
 //! message counts only when its length fits its letter exactly and its numbers can be measured.
 
 pub mod data;
+pub mod probe;
 pub mod session;
 mod unit;
 pub mod wire;

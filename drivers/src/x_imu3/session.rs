@@ -29,6 +29,7 @@ const SAMPLE_RATE_HZ: f64 = 400.0;
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
     /// Inertial messages per second, 4 to 400; the nearest one that divides 400.
+    #[schemars(range(min = 4.0, max = 400.0))]
     pub rate_hz: f64,
     /// Whether units also send the orientation that they compute.
     pub orientation: bool,

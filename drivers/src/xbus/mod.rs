@@ -16,6 +16,7 @@ pub mod mtdata;
 pub mod mtdata2;
 pub mod number;
 mod orientation;
+pub mod probe;
 pub mod session;
 mod setup;
 mod stream;

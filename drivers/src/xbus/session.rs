@@ -36,6 +36,7 @@ const MOST_REFUSED: u32 = 10;
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
     /// Measurement rate, Hz, 5 to 2000; a slower one is taken, with a warning, where line or device need it.
+    #[schemars(range(min = 5.0, max = 2000.0))]
     pub rate_hz: f64,
     /// Whether the device also sends the orientation that it computes.
     pub orientation: bool,

@@ -4,7 +4,8 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use posed_drivers::Timestamp;
 
 use super::unit::Measured;
-use super::{FlockOutput, Ready, VirtualFlock};
+use super::{Ready, VirtualFlock};
+use crate::device::DeviceOutput;
 use crate::faults::{Fault, FaultHit};
 use crate::magnetic::Signal;
 use crate::truth::{Class, TruthCycle, TruthRow};
@@ -50,7 +51,7 @@ impl VirtualFlock {
             });
             units.push(self.units[index].latest);
         }
-        self.output.push_back(FlockOutput::Truth(TruthCycle {
+        self.output.push_back(DeviceOutput::Truth(TruthCycle {
             t,
             device: self.config.device,
             cycle,
@@ -73,7 +74,7 @@ impl VirtualFlock {
         );
         let mut mirrored = reading.mirrored;
         let mut distortion_m = reading.distortion_m;
-        let address = self.units[index].address;
+        let address = u16::from(self.units[index].address);
         let script = |wanted: fn(&Fault) -> bool| {
             self.config
                 .faults
@@ -140,9 +141,9 @@ impl VirtualFlock {
     }
 
     /// Notes what a fault of the device hit: the cycle being measured.
-    fn report(&mut self, t: Timestamp, fault: &'static str, address: u8) {
+    fn report(&mut self, t: Timestamp, fault: &'static str, address: u16) {
         let cycle = Some(self.next_cycle - 1);
-        self.output.push_back(FlockOutput::Fault(FaultHit {
+        self.output.push_back(DeviceOutput::Fault(FaultHit {
             t,
             fault,
             address: Some(address),

@@ -2,8 +2,7 @@
 //!
 //! What comes in: the host's bytes and the passing of time. What goes out: the bytes of the units, with the
 //! time of each on the wire, and the truth of every measurement cycle. No clock, no port, no thread:
-//! call [`VirtualFlock::handle_bytes`], [`VirtualFlock::handle_rts`] or [`VirtualFlock::handle_timeout`],
-//! then [`VirtualFlock::poll_output`] until `None`, then [`VirtualFlock::poll_timeout`].
+//! see [`Device`].
 //!
 //! - `unit`: one unit's settings, parameters and last measurement
 //! - `command`: what each command does
@@ -24,33 +23,11 @@ use nalgebra::Isometry3;
 use posed_drivers::Timestamp;
 use posed_drivers::flock::wire::{Addressing, CommandParser};
 
+use crate::device::{Device, DeviceOutput, Sensor, moments};
 use crate::faults::{Fault, FaultHit};
-use crate::line::WireByte;
 use crate::magnetic::Tracker;
-use crate::motion::Body;
 use crate::random::Random;
-use crate::truth::TruthCycle;
 use unit::{Measured, Unit};
-
-/// A sensor and what it rides on.
-#[derive(Clone, Debug)]
-pub struct Sensor {
-    /// Index in the stage's list of sensors.
-    pub index: usize,
-    /// The body.
-    pub body: Body,
-    /// Which segment of it.
-    pub segment: usize,
-    /// Sensor to segment, m.
-    pub mount: Isometry3<f64>,
-}
-
-impl Sensor {
-    /// Sensor to room at `t`.
-    pub(crate) fn pose_in_room(&self, t: Timestamp) -> Isometry3<f64> {
-        self.body.pose(self.segment, t.as_secs_f64()) * self.mount
-    }
-}
 
 /// One unit of the chain.
 #[derive(Clone, Debug)]
@@ -96,19 +73,6 @@ pub struct FlockConfig {
     pub disturbed_above_m: f64,
     /// What goes wrong; faults of the line are not for the units.
     pub faults: Vec<Fault>,
-}
-
-/// What a flock gives.
-#[derive(Clone, Debug, PartialEq)]
-pub enum FlockOutput {
-    /// Bytes that go onto the wire in one go.
-    Send(Vec<WireByte>),
-    /// A reset at this time: bytes that would leave later never do.
-    Cut(Timestamp),
-    /// Truth of a measurement cycle.
-    Truth(TruthCycle),
-    /// A fault hit something.
-    Fault(FaultHit),
 }
 
 /// What a unit is busy with; input waits meanwhile.
@@ -172,8 +136,7 @@ pub struct VirtualFlock {
     held_back: Vec<u8>,
     /// Momentary faults still to come, next one first.
     moments: VecDeque<(Timestamp, Fault)>,
-    output: VecDeque<FlockOutput>,
-    skipped_frames: u64,
+    output: VecDeque<DeviceOutput>,
 }
 
 impl VirtualFlock {
@@ -182,24 +145,6 @@ impl VirtualFlock {
     /// `noise` are the random numbers of each unit's sensor.
     pub(crate) fn new(config: FlockConfig, noise: Vec<Random>, mut random: Random) -> Self {
         let units: Vec<Unit> = (0..config.units.len()).map(|i| Unit::new(&config, i, &mut random)).collect();
-        let mut moments: Vec<(Timestamp, Fault)> = Vec::new();
-        for fault in &config.faults {
-            let (start_s, end_s) = fault.span_s();
-            match fault {
-                Fault::Stall { .. }
-                | Fault::Error { .. }
-                | Fault::PowerCycle { .. }
-                | Fault::BirdDies { .. } => {
-                    moments.push((Timestamp::from_secs_f64(start_s), fault.clone()));
-                }
-                // Power returns with the port.
-                Fault::Unplug { power: true, .. } if end_s.is_finite() => {
-                    moments.push((Timestamp::from_secs_f64(end_s), fault.clone()));
-                }
-                _ => {}
-            }
-        }
-        moments.sort_by_key(|&(t, _)| t);
         let phase = Duration::from_secs_f64(random.uniform() / config.rate_hz);
         let mut flock = Self {
             units,
@@ -226,69 +171,12 @@ impl VirtualFlock {
             present_cycle: 0,
             line_free: Timestamp::ZERO,
             held_back: Vec::new(),
-            moments: moments.into(),
+            moments: moments(&config.faults),
             output: VecDeque::new(),
-            skipped_frames: 0,
             config,
         };
         flock.power_up(Timestamp::ZERO);
         flock
-    }
-
-    /// Frames left out since the line had not drained.
-    pub fn skipped_frames(&self) -> u64 {
-        self.skipped_frames
-    }
-
-    /// Bytes of the host arrive.
-    pub fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
-        self.handle_timeout(now);
-        if self.held || self.booting.is_some() {
-            return;
-        }
-        self.input.extend(bytes);
-        self.work(now);
-    }
-
-    /// The host sets the RTS line: asserted holds the first unit in reset.
-    pub fn handle_rts(&mut self, now: Timestamp, asserted: bool) {
-        self.handle_timeout(now);
-        match (self.held, asserted) {
-            (false, true) => {
-                self.held = true;
-                self.stop(now);
-            }
-            (true, false) => {
-                self.held = false;
-                self.reset_unit(0);
-                self.configured = self.config.stand_alone;
-                self.boot(now);
-            }
-            _ => {}
-        }
-    }
-
-    /// Time has passed: does everything that is due at or before `now`.
-    pub fn handle_timeout(&mut self, now: Timestamp) {
-        while let Some(due) = self.poll_timeout().filter(|&due| due <= now) {
-            self.now = self.now.max(due);
-            self.step(due);
-        }
-        self.now = self.now.max(now);
-    }
-
-    /// When something happens next.
-    pub fn poll_timeout(&self) -> Option<Timestamp> {
-        let moment = self.moments.front().map(|&(t, _)| t);
-        let busy = self.busy.as_ref().map(|&(t, _)| t);
-        let ready = self.ready.front().map(|ready| ready.at);
-        let cycle = Some(self.cycle_time(self.next_cycle));
-        [moment, self.booting, busy, ready, cycle].into_iter().flatten().min()
-    }
-
-    /// The next output, until `None`.
-    pub fn poll_output(&mut self) -> Option<FlockOutput> {
-        self.output.pop_front()
     }
 
     /// Does the one thing that is due at `due`.
@@ -317,7 +205,7 @@ impl VirtualFlock {
     fn moment(&mut self, t: Timestamp, fault: &Fault) {
         let address = fault.address();
         let hit = FaultHit { t, fault: fault.name(), address, cycle: None, byte: None };
-        let unit = address.and_then(|address| self.unit_of(Some(address)));
+        let unit = address.and_then(|address| self.unit_of(u8::try_from(address).ok()));
         match *fault {
             Fault::Stall { duration_s, .. } => {
                 let until = t + Duration::from_secs_f64(duration_s.max(0.0));
@@ -329,15 +217,17 @@ impl VirtualFlock {
                 self.stop(t);
                 self.power_up(t);
             }
-            Fault::BirdDies { address, .. } if unit.is_some() => self.set_error(0, 13, address),
+            Fault::BirdDies { address, .. } if unit.is_some() => self.set_error(0, 13, address as u8),
             Fault::Error { code, detail, .. } => {
                 if let Some(unit) = unit {
                     self.set_error(unit, code, detail);
                 }
             }
-            _ => {}
+            Fault::BirdDies { .. } => {}
+            // It has neither battery nor counter.
+            _ => return,
         }
-        self.output.push_back(FlockOutput::Fault(hit));
+        self.output.push_back(DeviceOutput::Fault(hit));
     }
 
     /// Everything that was going on ends, as by a loss of power.
@@ -350,7 +240,7 @@ impl VirtualFlock {
         self.held_back.clear();
         self.xoff = false;
         self.line_free = self.line_free.min(t);
-        self.output.push_back(FlockOutput::Cut(t));
+        self.output.push_back(DeviceOutput::Cut(t));
     }
 
     /// All units start with their power-up settings.
@@ -395,7 +285,7 @@ impl VirtualFlock {
 
     /// Whether a unit answers on the bus.
     fn is_accessible(&self, unit: usize, t: Timestamp) -> bool {
-        let address = self.units[unit].address;
+        let address = u16::from(self.units[unit].address);
         !self.config.faults.iter().any(|fault| {
             matches!(*fault, Fault::BirdDies { address: dead, .. } if dead == address) && fault.is_active(t)
         })
@@ -416,5 +306,53 @@ impl VirtualFlock {
             self.streaming = false;
             self.asleep = true;
         }
+    }
+}
+
+impl Device for VirtualFlock {
+    fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
+        self.handle_timeout(now);
+        if self.held || self.booting.is_some() {
+            return;
+        }
+        self.input.extend(bytes);
+        self.work(now);
+    }
+
+    fn handle_rts(&mut self, now: Timestamp, asserted: bool) {
+        self.handle_timeout(now);
+        match (self.held, asserted) {
+            (false, true) => {
+                self.held = true;
+                self.stop(now);
+            }
+            (true, false) => {
+                self.held = false;
+                self.reset_unit(0);
+                self.configured = self.config.stand_alone;
+                self.boot(now);
+            }
+            _ => {}
+        }
+    }
+
+    fn handle_timeout(&mut self, now: Timestamp) {
+        while let Some(due) = self.poll_timeout().filter(|&due| due <= now) {
+            self.now = self.now.max(due);
+            self.step(due);
+        }
+        self.now = self.now.max(now);
+    }
+
+    fn poll_timeout(&self) -> Option<Timestamp> {
+        let moment = self.moments.front().map(|&(t, _)| t);
+        let busy = self.busy.as_ref().map(|&(t, _)| t);
+        let ready = self.ready.front().map(|ready| ready.at);
+        let cycle = Some(self.cycle_time(self.next_cycle));
+        [moment, self.booting, busy, ready, cycle].into_iter().flatten().min()
+    }
+
+    fn poll_output(&mut self) -> Option<DeviceOutput> {
+        self.output.pop_front()
     }
 }

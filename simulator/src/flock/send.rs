@@ -4,8 +4,10 @@ use posed_drivers::Timestamp;
 use posed_drivers::flock::wire::record::{encode_words, pose_words};
 use posed_drivers::flock::wire::{QuaternionSense, Scale, Shape};
 
-use super::{FlockOutput, VirtualFlock};
+use super::VirtualFlock;
+use crate::device::DeviceOutput;
 use crate::line::{RecordByte, WireByte};
+use crate::truth::Loss;
 
 /// Bytes of answers that a unit keeps while XOFF holds them back.
 const HELD_BACK_MAX: usize = 1024;
@@ -14,7 +16,8 @@ impl VirtualFlock {
     /// Streams a frame, unless the last one is still on its way: then the whole frame is left out.
     pub(super) fn send_frame(&mut self, t: Timestamp) {
         if self.xoff || self.line_free > t {
-            self.skipped_frames += 1;
+            let loss = Loss { cycle: self.present_cycle, address: None };
+            self.output.push_back(DeviceOutput::Lost(loss));
             return;
         }
         self.send_records(t, 0);
@@ -39,12 +42,13 @@ impl VirtualFlock {
             let before = bytes.len();
             if self.encode(index, &mut bytes) {
                 let address = self.units[index].address;
-                places.extend((0..bytes.len() - before).map(|i| (address, i as u8)));
+                places.extend((0..bytes.len() - before).map(|i| (address, i as u16)));
             }
         }
         let frame_len = bytes.len() as u16;
         let cycle = self.present_cycle;
         let records = places.into_iter().enumerate().map(|(frame_index, (address, index))| {
+            let address = Some(u16::from(address));
             Some(RecordByte { cycle, address, index, frame_index: frame_index as u16, frame_len })
         });
         let records: Vec<_> = records.collect();
@@ -100,6 +104,6 @@ impl VirtualFlock {
             })
             .collect();
         self.line_free = Timestamp::from_nanos(start + bits(bytes.len()));
-        self.output.push_back(FlockOutput::Send(wire));
+        self.output.push_back(DeviceOutput::Send(wire));
     }
 }

@@ -7,8 +7,8 @@ use nalgebra::{Isometry3, Unit, Vector3};
 use posed_drivers::flock::wire::Addressing;
 
 use super::{ExcitationSpec, Material, Scenario, ScenarioError, SensorSpec, StageSpec, invalid};
-use crate::faults::Fault;
-use crate::flock::{FlockConfig, Sensor, UnitConfig};
+use crate::device::Sensor;
+use crate::flock::{FlockConfig, UnitConfig};
 use crate::line::LineConfig;
 use crate::magnetic::{
     Environment, Excitation, Floor, Hum, Sphere, Tracker, conductor_response, iron_response,
@@ -99,12 +99,6 @@ impl Scenario {
     ) -> Result<(FlockConfig, LineConfig), ScenarioError> {
         let device = &stage.devices[index];
         let wrong = |problem: String| invalid(format!("device.{}", device.name), problem);
-        if device.driver != "flock-of-birds" {
-            return Err(wrong(format!(
-                "driver `{}` cannot be simulated yet, only flock-of-birds",
-                device.driver
-            )));
-        }
         let given = self.devices.iter().find(|given| given.name == device.name).cloned().unwrap_or_default();
         let mut birds: Vec<(u8, Sensor)> = Vec::new();
         for (sensor, rider) in
@@ -163,14 +157,6 @@ impl Scenario {
             burst: duration(given.burst_ms),
         };
         Ok((flock, line))
-    }
-
-    /// The faults of a device, by name.
-    pub(crate) fn faults(&self, device: &str) -> Vec<Fault> {
-        self.devices
-            .iter()
-            .find(|given| given.name == device)
-            .map_or_else(Vec::new, |given| given.faults.clone())
     }
 }
 

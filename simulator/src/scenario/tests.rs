@@ -16,6 +16,7 @@ fn stage() -> StageSpec {
             driver: "flock-of-birds".into(),
             baud: 115_200,
             measurement_delay_ms: 0.0,
+            ..DeviceSpec::default()
         }],
         sensors: vec![sensor("upper_arm_r", 1), sensor("forearm_r", 2), sensor("wand", 3)],
     }
@@ -139,4 +140,54 @@ fn the_floor_lies_below_the_transmitter_whatever_its_axes() {
     let floor = tracker.environment.floor.unwrap();
     assert_eq!(floor.distance_m, 1.0);
     assert!((floor.normal.into_inner() - Vector3::new(0.0, 0.0, -1.0)).norm() < 1e-12, "z is down");
+}
+
+#[test]
+fn a_stage_file_gives_what_the_simulator_needs() {
+    let text = r#"
+        name = "any"
+        [transmitter]
+        pose_in_room = { position_m = [0, 0, 1], orientation_wxyz = [0, 1, 0, 0] }
+        [[device]]
+        name = "trackers"
+        driver = "slimevr"
+        port = "udp://0.0.0.0:6969"
+        trackers = ["A4:CF:12:D4:E5:F6"]
+        [[sensor]]
+        name = "wand"
+        device = "trackers"
+        address = 1
+        segment = "pelvis"
+    "#;
+    let spec = StageSpec::of(&toml::from_str::<toml::Table>(text).unwrap()).unwrap();
+    assert_eq!(spec.transmitter_in_room, Some(([0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0])));
+    assert_eq!(spec.devices[0].serials, ["A4:CF:12:D4:E5:F6"]);
+    assert_eq!((spec.devices[0].baud, spec.devices[0].measurement_delay_ms), (115_200, 0.0));
+    assert_eq!(spec.sensors, [SensorSpec { name: "wand".into(), device: "trackers".into(), address: 1 }]);
+    assert!(StageSpec::of(&"text").is_err());
+}
+
+#[test]
+fn every_driver_can_be_simulated_and_wrong_addresses_are_named() {
+    let of = |driver: &str, port: &str, addresses: &[u16]| {
+        let spec = crate::testing::stage_of(driver, port, 115_200, addresses);
+        let built = crate::stage::VirtualStage::new(&spec, &Scenario::default(), ".".as_ref());
+        built.map(drop).map_err(|error| error.to_string())
+    };
+    for (driver, port, good, bad) in [
+        ("flock-of-birds", "a", &[1, 2][..], &[0, 1][..]),
+        ("xbus", "a", &[1, 2, 3], &[1, 21]),
+        ("x-imu3", "a", &[1, 300], &[0, 1]),
+        ("slimevr", "udp://x:6969", &[1, 0x102], &[0x100]),
+        ("motionstar", "tcp://x:6000", &[2, 3], &[0]),
+        ("fastrak", "a", &[1, 4], &[5]),
+    ] {
+        assert_eq!(of(driver, port, good), Ok(()), "{driver}");
+        let error = of(driver, port, bad).unwrap_err();
+        assert!(error.starts_with("simulation.device.device: "), "{driver} {error}");
+        let twice = of(driver, port, &[good[0], good[0]]).unwrap_err();
+        assert!(twice.contains("taken twice"), "{twice}");
+    }
+    assert!(of("vicon", "a", &[1]).unwrap_err().contains("cannot be simulated"));
+    assert!(of("slimevr", "/dev/ttyUSB0", &[1]).unwrap_err().contains("udp://"));
 }

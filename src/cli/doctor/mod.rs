@@ -1,4 +1,4 @@
-//! `posed doctor [PORT]`: lists the serial ports, asks each what is there, and says what is wrong.
+//! `posed doctor [PORT]`: lists the ports, asks each what is there, and says what is wrong.
 //!
 //! Ports are asked side by side, each at one rate after the other, and none for longer than [`LIMIT`]. A unit that
 //! streams is stopped by the question; nothing else is changed.
@@ -10,30 +10,40 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use posed_drivers::flock::probe::BAUD_RATES;
+use posed::daemon::find::Kind;
 use serde::Serialize;
 
 use super::{Error, output, print, print_json};
 
 /// How long all questions together may take.
-const LIMIT: Duration = Duration::from_secs(18);
+const LIMIT: Duration = Duration::from_millis(18_500);
 
 /// What to look at.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  posed doctor\n  posed doctor /dev/ttyUSB0 --write-stage stage.toml\n\n\
     Exit code 1 if nothing answers. A unit that streams is stopped by the question.")]
 pub(crate) struct Args {
-    /// Path of a serial port, or tcp://HOST:PORT; absent: all serial ports of this machine.
+    /// Path of a serial port, tcp://HOST:PORT or udp://HOST:PORT; absent: all serial ports of this machine, and the units
+    /// that announce themselves on the network.
     port: Option<String>,
     /// Ask at this line rate only, bit/s.
     #[arg(long, value_name = "RATE", value_parser = clap::value_parser!(u32).range(1..))]
     baud: Option<u32>,
+    /// Ask for this kind of device only.
+    #[arg(long, value_name = "DRIVER", value_parser = kind)]
+    driver: Option<Kind>,
     /// Write a stage file with the devices that answered; an existing file is not touched.
     #[arg(long, value_name = "FILE")]
     write_stage: Option<PathBuf>,
     /// Print one JSON object: ports, each with port, driver, revision, sensors, problem and mend.
     #[arg(long)]
     json: bool,
+}
+
+fn kind(word: &str) -> Result<Kind, String> {
+    let mut all = Kind::SERIAL.into_iter().chain([Kind::MotionStar]);
+    all.find(|kind| kind.word() == word)
+        .ok_or_else(|| "write flock-of-birds, xbus, x-imu3, fastrak or motionstar".to_owned())
 }
 
 /// What `doctor` answers.
@@ -47,6 +57,9 @@ struct Report {
 struct PortReport {
     /// The port as a stage file names it.
     port: String,
+    /// Port of this computer that the device sends to, where it has a certain one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    local_port: Option<u16>,
     /// The driver that understands what is there; absent where nothing answers.
     driver: Option<&'static str>,
     /// Software revision, such as `3.67`.
@@ -71,7 +84,10 @@ struct PortReport {
 #[derive(Clone, Debug, Serialize)]
 struct SensorReport {
     /// Address on the device; 0 is a stand-alone unit.
-    address: u8,
+    address: u16,
+    /// Serial number, where the device tells one; a SlimeVR tracker's network address.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    serial: Option<String>,
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
@@ -82,13 +98,20 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         Some(port) => vec![port.clone()],
         None => posed_drivers::port::list(),
     };
-    let bauds = args.baud.map_or(BAUD_RATES.to_vec(), |baud| vec![baud]);
+    let wanted = probe::Wanted { baud: args.baud, kind: args.driver };
+    let alone = args.port.is_some() || args.driver.is_some_and(|kind| kind != Kind::XImu3);
     let progress = ProgressBar::new_spinner().with_style(ProgressStyle::default_spinner());
     progress.enable_steady_tick(Duration::from_millis(120));
     progress.set_message(format!("asking {} ports", ports.len()));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(|error| Error::Failed(format!("cannot start: {error}")))?;
-    let report = Report { ports: runtime.block_on(probe::all(ports, &bauds, LIMIT)) };
+    let ports = runtime.block_on(async {
+        let network = async { if alone { Vec::new() } else { probe::network().await } };
+        let (mut ports, network) = tokio::join!(probe::all(ports, wanted, LIMIT), network);
+        ports.extend(network);
+        ports
+    });
+    let report = Report { ports };
     progress.finish_and_clear();
 
     if args.json {
@@ -111,8 +134,8 @@ impl Report {
     /// For people: one paragraph per port.
     fn sentences(&self) -> String {
         if self.ports.is_empty() {
-            return "There is no serial port on this machine; plug in the adapter, or name a port: \
-                    posed doctor tcp://HOST:PORT\n"
+            return "There is no serial port on this machine, and no unit announces itself on the network; plug in the \
+                    adapter, or name a port: posed doctor tcp://HOST:PORT\n"
                 .to_owned();
         }
         self.ports.iter().map(PortReport::sentences).collect()
@@ -122,17 +145,34 @@ impl Report {
 impl PortReport {
     fn sentences(&self) -> String {
         let mut text = format!("{}\n", self.port);
-        if self.driver.is_some() {
+        if let Some(driver) = self.driver {
+            let name = match driver {
+                "flock-of-birds" => "Flock of Birds",
+                "motionstar" => "MotionStar",
+                "fastrak" => "Fastrak",
+                "xbus" => "Xbus device",
+                "x-imu3" => "x-IMU3",
+                "slimevr" => "SlimeVR trackers",
+                other => other,
+            };
             let model = self.model.as_deref().map(|model| format!(" ({model})")).unwrap_or_default();
-            let revision = self.revision.as_deref().unwrap_or("?");
+            let revision =
+                self.revision.as_deref().map(|text| format!(", revision {text}")).unwrap_or_default();
             let rate = self.rate_hz.map(|rate| format!(", {rate:.1} Hz")).unwrap_or_default();
             let baud = self.baud.map(|baud| format!(", {baud} baud")).unwrap_or_default();
-            text.push_str(&format!("    Flock of Birds{model}, revision {revision}{baud}{rate}\n"));
-            let addresses: Vec<String> = self.sensors.iter().map(|s| s.address.to_string()).collect();
-            match addresses.as_slice() {
+            text.push_str(&format!("    {name}{model}{revision}{baud}{rate}\n"));
+            let serial = |s: &SensorReport| s.serial.as_ref().map(|s| format!(" ({s})")).unwrap_or_default();
+            let addresses: Vec<String> =
+                self.sensors.iter().map(|s| format!("{}{}", s.address, serial(s))).collect();
+            match self.sensors.as_slice() {
                 [] => {}
-                [address] if address == "0" => text.push_str("    stand-alone unit: address 0\n"),
-                addresses => text.push_str(&format!("    birds at addresses {}\n", addresses.join(", "))),
+                [only] if only.address == 0 => {
+                    text.push_str(&format!("    stand-alone unit: address 0{}\n", serial(only)));
+                }
+                _ if driver == "flock-of-birds" => {
+                    text.push_str(&format!("    birds at addresses {}\n", addresses.join(", ")));
+                }
+                _ => text.push_str(&format!("    sensors at addresses {}\n", addresses.join(", "))),
             }
         }
         if let Some(problem) = &self.problem {
@@ -158,7 +198,7 @@ mod tests {
             model: Some("6DFOB".into()),
             baud: Some(115_200),
             rate_hz: Some(103.3),
-            sensors: vec![SensorReport { address: 1 }, SensorReport { address: 2 }],
+            sensors: [1, 2].map(|address| SensorReport { address, serial: None }).into(),
             ..PortReport::default()
         };
         let silent = PortReport {

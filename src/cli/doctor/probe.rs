@@ -1,25 +1,35 @@
-//! Asks ports what is there: the shell of IO and time around the drivers' probes.
+//! Asks ports what is there: each at one rate after the other, for one kind of device after the other.
 
 use std::io;
 use std::time::Duration;
 
 use posed::daemon::clock::StageClock;
-use posed_drivers::Output;
+use posed::daemon::find::{self, Answer, Kind};
 use posed_drivers::flock::examine::Failure;
-use posed_drivers::flock::{Findings, Probe};
-use posed_drivers::port::{self, Port, PortError, Stream};
+use posed_drivers::port::{self, Options, PortError};
 
 use super::{PortReport, SensorReport};
 
+/// Longest that one question to a line takes, a Flock's reset apart.
+const QUESTION: Duration = Duration::from_millis(1600);
+
+/// What to ask for.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Wanted {
+    /// At this line rate only.
+    pub(super) baud: Option<u32>,
+    /// For this kind only.
+    pub(super) kind: Option<Kind>,
+}
+
 /// Asks all ports side by side, none longer than `limit`; the reports keep the order of the ports.
-pub(super) async fn all(ports: Vec<String>, bauds: &[u32], limit: Duration) -> Vec<PortReport> {
+pub(super) async fn all(ports: Vec<String>, wanted: Wanted, limit: Duration) -> Vec<PortReport> {
     let tasks: Vec<_> = ports
         .into_iter()
         .map(|port| {
-            let bauds = bauds.to_vec();
             let task = tokio::spawn({
                 let port = port.clone();
-                async move { tokio::time::timeout(limit, one(&port, &bauds)).await }
+                async move { tokio::time::timeout(limit, one(&port, wanted, limit)).await }
             });
             (port, task)
         })
@@ -31,7 +41,9 @@ pub(super) async fn all(ports: Vec<String>, bauds: &[u32], limit: Duration) -> V
             Ok(Err(_)) | Err(_) => PortReport {
                 port,
                 problem: Some("no answer in time".to_owned()),
-                mend: Some("ask again at one rate with --baud RATE".to_owned()),
+                mend: Some(
+                    "ask again at one rate with --baud RATE, or for one device with --driver".to_owned(),
+                ),
                 ..PortReport::default()
             },
         });
@@ -39,84 +51,122 @@ pub(super) async fn all(ports: Vec<String>, bauds: &[u32], limit: Duration) -> V
     reports
 }
 
-/// Asks one port at one rate after the other, until something answers.
-async fn one(port: &str, bauds: &[u32]) -> PortReport {
-    let first = bauds.first().copied().unwrap_or(115_200);
-    let mut line = match port::open(port, first).await {
+/// Units that announce themselves on the network, and trackers that look for a server.
+pub(super) async fn network() -> Vec<PortReport> {
+    let (units, trackers) = tokio::join!(
+        find::announcements(find::ANNOUNCED),
+        find::slimevr_trackers(find::ANNOUNCED + find::ANNOUNCED)
+    );
+    let mut reports: Vec<PortReport> = units
+        .unwrap_or_default()
+        .into_iter()
+        .map(|unit| PortReport {
+            port: unit.port(),
+            local_port: Some(unit.sends_to).filter(|port| *port > 0),
+            driver: Some("x-imu3"),
+            model: Some(format!("x-IMU3 {:?}", unit.name)),
+            sensors: vec![SensorReport { address: 0, serial: Some(unit.serial) }],
+            ..PortReport::default()
+        })
+        .collect();
+    // Where the port is taken, a server serves them already.
+    let trackers = trackers.unwrap_or_default();
+    if !trackers.is_empty() {
+        let sensors = (1..).zip(trackers).map(|(n, mac)| SensorReport { address: n, serial: Some(mac) });
+        reports.push(PortReport {
+            port: "udp://0.0.0.0:6969".to_owned(),
+            driver: Some("slimevr"),
+            sensors: sensors.collect(),
+            ..PortReport::default()
+        });
+    }
+    reports
+}
+
+/// The questions to a port, in their order: the likeliest rates of every kind first.
+fn questions(port: &str, wanted: Wanted) -> Vec<(Kind, u32)> {
+    let network = port.contains("://");
+    let kinds: Vec<Kind> = match wanted.kind {
+        Some(kind) => vec![kind],
+        None if port.starts_with("udp://") && port.ends_with(":5000") => vec![Kind::MotionStar],
+        None if port.starts_with("udp://") || port.ends_with(":7000") => vec![Kind::XImu3],
+        None if network && port.ends_with(":6000") => vec![Kind::MotionStar],
+        None => Kind::SERIAL.to_vec(),
+    };
+    let rates = |kind: Kind| match wanted.baud {
+        Some(baud) => vec![baud],
+        // A device on the network has one rate, set where the line is.
+        None if network => vec![115_200],
+        None => kind.bauds().to_vec(),
+    };
+    let most = kinds.iter().map(|kind| rates(*kind).len()).max().unwrap_or(0);
+    let mut questions: Vec<(Kind, u32)> = (0..most)
+        .flat_map(|n| kinds.iter().filter_map(move |kind| Some((*kind, *rates(*kind).get(n)?))))
+        .collect();
+    // A Flock's questions take longest: its rarest rates come last.
+    questions.sort_by_key(|(kind, baud)| *kind == Kind::Flock && *baud < 9600);
+    questions
+}
+
+/// Asks one port until something answers.
+async fn one(port: &str, wanted: Wanted, limit: Duration) -> PortReport {
+    let questions = questions(port, wanted);
+    let first = questions.first().map_or(115_200, |(_, baud)| *baud);
+    let mut line = match port::open(port, Options::baud(first)).await {
         Ok(line) => line,
         Err(error) => return refused(port, &error),
     };
-    // A device server has one rate, set at the server.
-    let bauds = if port.contains("://") { &bauds[..bauds.len().min(1)] } else { bauds };
+    let clock = StageClock::start();
     let mut failure = Failure::Silent;
-    for (n, baud) in bauds.iter().enumerate() {
-        let asked = match line.set_baud(*baud) {
-            Ok(()) => ask(&mut line, n == 0).await,
+    let mut asked: Vec<(Kind, u32)> = Vec::new();
+    for (kind, baud) in questions {
+        if Duration::from_secs_f64(clock.now().as_secs_f64().max(0.0)) + QUESTION > limit {
+            break;
+        }
+        let answer = match line.set_baud(baud) {
+            Ok(()) => find::ask(&mut line, kind, asked.is_empty()).await,
             Err(error) => Err(error),
         };
-        match asked {
-            Ok(Ok(findings)) => return found(port, *baud, &findings),
+        match answer {
+            Ok(Ok(answer)) => return found(port, kind, baud, answer),
             // Bytes at one rate say more than silence at the others.
             Ok(Err(Failure::Silent)) => {}
             Ok(Err(other)) => failure = other,
             Err(error) => return lost(port, &error),
         }
+        asked.push((kind, baud));
     }
-    nothing(port, bauds, failure)
+    nothing(port, &asked, failure)
 }
 
-/// Drives one probe to its end.
-async fn ask(line: &mut Port<Stream>, reset: bool) -> io::Result<Result<Findings, Failure>> {
-    let clock = StageClock::start();
-    let mut probe =
-        if reset { Probe::new(clock.now(), line.modem_lines()) } else { Probe::without_reset(clock.now()) };
-    let mut buffer = [0; 1024];
-    loop {
-        while let Some(output) = probe.poll_output() {
-            match output {
-                Output::Transmit(bytes) => line.write_all(&bytes).await?,
-                Output::SetRts(asserted) => line.set_rts(asserted)?,
-                Output::Sample(_) | Output::StateChanged | Output::Warning(_) => {}
-            }
-        }
-        if let Some(result) = probe.result() {
-            return Ok(result.cloned());
-        }
-        let deadline = clock.instant(probe.poll_timeout().unwrap_or(clock.now()));
-        match tokio::time::timeout_at(deadline.into(), line.read(&mut buffer)).await {
-            Ok(read) => probe.handle_bytes(clock.now(), &buffer[..read?]),
-            Err(_) => probe.handle_timeout(clock.now()),
-        }
-    }
-}
-
-fn found(port: &str, baud: u32, findings: &Findings) -> PortReport {
-    let (whole, fraction) = findings.revision;
-    let sensors: Vec<SensorReport> =
-        findings.sensors().into_iter().map(|address| SensorReport { address }).collect();
-    let (problem, mend) = if sensors.is_empty() {
-        let problem = "the units answer, but none of them has a sensor";
-        let mend = "plug in the sensors, set the FLY switch (8) of each unit, and switch them off and on";
-        (Some(problem.to_owned()), Some(mend.to_owned()))
-    } else {
-        (None, None)
-    };
+fn found(port: &str, kind: Kind, baud: u32, answer: Answer) -> PortReport {
+    let identity = answer.identity;
+    let sensors = identity.sensors.into_iter();
+    let (problem, mend) = identity.problem.unzip();
     PortReport {
         port: port.to_owned(),
-        driver: Some("flock-of-birds"),
-        revision: Some(format!("{whole}.{fraction:02}")),
-        model: (!findings.model.is_empty()).then(|| findings.model.clone()),
+        driver: Some(kind.word()),
+        revision: identity.revision,
+        model: identity.model,
         baud: (!port.contains("://")).then_some(baud),
-        addressing: Some(findings.addressing),
-        rate_hz: Some(findings.rate_hz),
-        sensors,
+        addressing: answer.addressing,
+        rate_hz: identity.rate_hz,
+        sensors: sensors.map(|info| SensorReport { address: info.address, serial: info.serial }).collect(),
         problem,
         mend,
+        ..PortReport::default()
     }
 }
 
-fn nothing(port: &str, bauds: &[u32], failure: Failure) -> PortReport {
-    let rates = match bauds {
+fn nothing(port: &str, asked: &[(Kind, u32)], failure: Failure) -> PortReport {
+    let mut bauds: Vec<u32> = Vec::new();
+    for (_, baud) in asked {
+        if !bauds.contains(baud) {
+            bauds.push(*baud);
+        }
+    }
+    let rates = match bauds.as_slice() {
+        _ if port.contains("://") => String::new(),
         [] => String::new(),
         [only] => format!(" at {only} baud"),
         [..] => {
@@ -127,14 +177,14 @@ fn nothing(port: &str, bauds: &[u32], failure: Failure) -> PortReport {
     let (problem, mend) = match failure {
         Failure::Silent => (
             format!("nothing answers{rates}"),
-            "check that the unit has power and its lamp is on, that its FLY switch (8) is up, that its baud switches \
-             (1 to 3) are not all up, and the cable: a straight one, whose RTS wire must not be held high, for that \
-             keeps the unit in reset",
+            "check that the device has power and the cable; on a Flock of Birds that its FLY switch (8) is up, that its \
+             baud switches (1 to 3) are not all up, and that the cable is a straight one, whose RTS wire must not be held \
+             high, for that keeps the unit in reset",
         ),
         Failure::Unintelligible => (
-            format!("bytes come in, but no answer that a Flock of Birds would give{rates}"),
-            "check that this is the tracker's port, that no other program uses it, and that the unit's baud switches (1 to \
-             3) are at one of the rates asked; then switch the unit off and on",
+            format!("bytes come in, but no answer that a known device would give{rates}"),
+            "check that this is the tracker's port, that no other program uses it, and that the device is at one of the \
+             rates asked (a Flock's baud switches 1 to 3); then switch it off and on",
         ),
         Failure::DoesNotStop => (
             format!("bytes keep coming, although the stream was told to stop{rates}"),
@@ -183,5 +233,23 @@ fn lost(port: &str, error: &io::Error) -> PortReport {
         problem: Some(format!("the port failed: {error}")),
         mend: Some("check the adapter and its cable; there may be no hardware behind this port".to_owned()),
         ..PortReport::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_rate_of_every_kind_is_asked_and_the_likeliest_first() {
+        let asked = questions("/dev/ttyUSB0", Wanted::default());
+        assert_eq!(asked.len(), Kind::SERIAL.iter().map(|kind| kind.bauds().len()).sum::<usize>());
+        let first: Vec<Kind> = asked[..4].iter().map(|(kind, _)| *kind).collect();
+        assert_eq!(first, Kind::SERIAL);
+        assert_eq!(asked.last(), Some(&(Kind::Flock, 2400)));
+        let star = questions("tcp://10.0.0.2:6000", Wanted::default());
+        assert_eq!(star, [(Kind::MotionStar, 115_200)]);
+        let one = Wanted { baud: Some(9600), kind: Some(Kind::Fastrak) };
+        assert_eq!(questions("/dev/ttyS0", one), [(Kind::Fastrak, 9600)]);
     }
 }

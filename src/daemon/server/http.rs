@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use axum::extract::ws::WebSocketUpgrade;
-use axum::extract::{Extension, Request, State};
+use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
@@ -13,21 +13,20 @@ use axum::{Router, extract::rejection::ExtensionRejection};
 
 use super::access::Refusal;
 use super::listen::Slot;
-use super::{Shared, client};
+use super::{Shared, client, viewer};
 use crate::protocol::{Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK};
 
-/// The page loads its own two files and speaks to its own server; nothing else, from nowhere else.
+/// The page loads its own files and speaks to its own server; nothing else, from nowhere else.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
     img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 pub(super) fn router(shared: Arc<Shared>) -> Router {
-    let file = |kind: &'static str, text: &'static str| {
-        get(move || async move { ([(header::CONTENT_TYPE, kind)], text) })
-    };
     Router::new()
-        .route("/", file("text/html; charset=utf-8", include_str!("page/page.html")))
-        .route("/page.js", file("text/javascript; charset=utf-8", include_str!("page/page.js")))
-        .route("/page.css", file("text/css; charset=utf-8", include_str!("page/page.css")))
+        .route("/", get(|| async { viewer::file("index.html") }))
+        .route(
+            "/assets/{name}",
+            get(|Path(name): Path<String>| async move { viewer::file(&format!("assets/{name}")) }),
+        )
         .route("/health", get(|| async { "ok\n" }))
         .route("/metrics", get(metrics))
         .route("/ws", get(websocket))

@@ -107,6 +107,15 @@ impl Hub {
         self.lock().dropped
     }
 
+    /// The next list of jobs that nobody has taken.
+    #[cfg(test)]
+    pub(in crate::daemon) fn take_jobs(&self) -> Option<Jobs> {
+        std::iter::from_fn(|| self.take()).find_map(|item| match item {
+            Item::Jobs(jobs) => Some(*jobs),
+            _ => None,
+        })
+    }
+
     fn push(&self, item: Item) {
         let mut queue = self.lock();
         if queue.items.len() >= CAPACITY

@@ -19,6 +19,7 @@ mod listen;
 mod metrics;
 mod outbox;
 mod tls;
+mod viewer;
 
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::{Path, PathBuf};
@@ -33,7 +34,7 @@ use self::distributor::{Command, Distributor};
 use self::listen::Slots;
 use self::metrics::Metrics;
 use crate::protocol::{Counters, HelloSensor, Names, Topic};
-use crate::stage::{Skeleton, Stage};
+use crate::stage::{Pose, Skeleton, Stage};
 
 pub use self::client::{PendingCall, Reply};
 pub use self::hub::Hub;
@@ -198,6 +199,7 @@ struct Greeting {
     stage: String,
     epoch_utc: String,
     skeleton: Option<Skeleton>,
+    transmitter: Pose,
     topics: Vec<Topic>,
 }
 
@@ -259,6 +261,7 @@ impl Server {
                 stage: stage.name.clone(),
                 epoch_utc: rfc3339(config.epoch_utc_ns),
                 skeleton: stage.body.as_ref().map(|body| body.skeleton),
+                transmitter: stage.transmitter.pose_in_room.unwrap_or(Pose::IDENTITY),
                 topics,
             },
             slots: Slots::new(limits.connections, limits.connections_per_address),

@@ -31,6 +31,8 @@ pub struct Source {
 const PRECISION_M: f64 = 1e-8;
 const LONGEST_STEP_M: f64 = 0.1;
 const FARTHEST_M: f64 = 0.5;
+/// Steps in which metal is switched on where a place is hard to find.
+const FOLLOWING_STEPS: u32 = 8;
 
 /// Parameters of one source: position and strength.
 pub(crate) const SOURCE_PARAMETERS: usize = 4;
@@ -78,6 +80,7 @@ pub(crate) struct Metal {
 
 #[derive(Clone, Debug)]
 struct Prepared {
+    kind: Kind,
     position: Vector3<f64>,
     strength: f64,
     moments: Matrix3<f64>,
@@ -96,6 +99,7 @@ pub(crate) struct Place {
 impl Metal {
     pub(crate) fn new(sources: &[Source]) -> Self {
         let prepare = |source: &Source| Prepared {
+            kind: source.kind,
             position: source.position(),
             strength: source.strength,
             moments: source.moments(),
@@ -106,24 +110,28 @@ impl Metal {
 
     /// Field of transmitter and metal at `p`.
     pub(crate) fn field(&self, p: &Vector3<f64>) -> Matrix3<f64> {
+        self.field_of(p, 1.0)
+    }
+
+    /// The same if the metal answers with `share` of its strength.
+    fn field_of(&self, p: &Vector3<f64>, share: f64) -> Matrix3<f64> {
         let mut total = field(p);
         for source in &self.sources {
-            total += field(&(p - source.position)) * source.moments * source.strength;
+            total += field(&(p - source.position)) * source.moments * (source.strength * share);
         }
         total
     }
 
     /// What the device reports for a sensor at `p`.
-    #[cfg(test)]
     pub(crate) fn reading(&self, p: &Vector3<f64>) -> Vector3<f64> {
         solve(&self.field(p), p).position
     }
 
     /// Derivatives of the field by the place.
-    fn gradient(&self, p: &Vector3<f64>) -> [Matrix3<f64>; 3] {
+    fn gradient(&self, p: &Vector3<f64>, share: f64) -> [Matrix3<f64>; 3] {
         let mut total = field_gradient(p);
         for source in &self.sources {
-            let moments = source.moments * source.strength;
+            let moments = source.moments * (source.strength * share);
             for (sum, gradient) in total.iter_mut().zip(field_gradient(&(p - source.position))) {
                 *sum += gradient * moments;
             }
@@ -133,15 +141,27 @@ impl Metal {
 
     /// The place where the device reports `z`; `None` where there is none near `z`.
     ///
-    /// Chords with the Jacobian at the first guess: it changes little over a correction, and a field costs a tenth of it.
+    /// Where metal folds the field the reading itself is too bad a first guess: there the metal is switched on step by
+    /// step, and the place is followed.
     pub(crate) fn correct(&self, z: &Vector3<f64>) -> Option<Vector3<f64>> {
-        let mut p = *z;
+        let found = self.correct_from(z, *z, 1.0).or_else(|| {
+            (1..=FOLLOWING_STEPS)
+                .try_fold(*z, |p, step| self.correct_from(z, p, f64::from(step) / f64::from(FOLLOWING_STEPS)))
+        });
+        found.filter(|p| (p - z).norm() < FARTHEST_M)
+    }
+
+    /// The place near `guess` where the device reports `z` if the metal answers with `share` of its strength.
+    ///
+    /// Chords with the Jacobian at the first guess: it changes little over a correction, and a field costs a tenth of it.
+    fn correct_from(&self, z: &Vector3<f64>, guess: Vector3<f64>, share: f64) -> Option<Vector3<f64>> {
+        let mut p = guess;
         let mut inverse = Matrix3::identity();
         for round in 0..24 {
-            let b = self.field(&p);
+            let b = self.field_of(&p, share);
             let reading = solve(&b, &p);
             if round % 8 == 1 {
-                inverse = self.jacobian(&p, &reading.derivative(&b)).try_inverse()?;
+                inverse = self.jacobian(&p, &reading.derivative(&b), share).try_inverse()?;
             }
             let step = inverse * (z - reading.position);
             let length = step.norm();
@@ -150,7 +170,7 @@ impl Metal {
             }
             p += if length > LONGEST_STEP_M { step * (LONGEST_STEP_M / length) } else { step };
             if length < PRECISION_M {
-                return ((p - z).norm() < FARTHEST_M).then_some(p);
+                return Some(p);
             }
         }
         None
@@ -161,14 +181,14 @@ impl Metal {
         let p = self.correct(z)?;
         let field = self.field(&p);
         let derivative = solve(&field, &p).derivative(&field);
-        let inverse = self.jacobian(&p, &derivative).try_inverse()?;
+        let inverse = self.jacobian(&p, &derivative, 1.0).try_inverse()?;
         Some(Place { p, by_field: -inverse * derivative })
     }
 
     /// Derivative of the reading by the place.
-    fn jacobian(&self, p: &Vector3<f64>, derivative: &SMatrix<f64, 3, 9>) -> Matrix3<f64> {
+    fn jacobian(&self, p: &Vector3<f64>, derivative: &SMatrix<f64, 3, 9>, share: f64) -> Matrix3<f64> {
         let mut jacobian = Matrix3::zeros();
-        for (l, change) in self.gradient(p).iter().enumerate() {
+        for (l, change) in self.gradient(p, share).iter().enumerate() {
             jacobian.set_column(l, &times(derivative, change));
         }
         jacobian
@@ -186,6 +206,18 @@ impl Metal {
             }
             each(SOURCE_PARAMETERS * index + 3, times(&place.by_field, &(k * source.moments)));
         }
+    }
+
+    /// Distance from `p` to the surface of the nearest object, m: of the smallest sphere of iron (`q = 2`) or conductor
+    /// (`q = -1`) that answers so strongly.
+    pub(crate) fn surface(&self, p: &Vector3<f64>) -> f64 {
+        let objects = self.sources.iter().filter(|source| source.kind == Kind::Object);
+        objects
+            .map(|source| {
+                let s = source.strength;
+                (p - source.position).norm() - if s > 0.0 { s.cbrt() } else { (-2.0 * s).cbrt() }
+            })
+            .fold(f64::INFINITY, f64::min)
     }
 
     /// Distance from `p` to the nearest source, m.

@@ -143,6 +143,11 @@ impl Heading {
         self.offset_rad = field.x.atan2(field.y);
     }
 
+    /// Begins anew with the next field; the heading holds until then.
+    pub(super) fn resume(&mut self, params: &HeadingParams) {
+        *self = Self { offset_rad: self.offset_rad, ..Self::new(params) };
+    }
+
     pub(super) fn offset_rad(&self) -> f64 {
         self.offset_rad
     }

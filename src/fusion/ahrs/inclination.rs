@@ -95,6 +95,25 @@ impl Inclination {
         Vector3::new(self.x[BIAS], self.x[BIAS + 1], self.x[BIAS + 2])
     }
 
+    /// Whether a gyro that reads so at rest (rad/s) shows a bias that is credible after what is known of it: four standard
+    /// deviations. A body that turns slowly looks like rest too, and would be taken for bias ever after.
+    pub(super) fn may_be_bias(&self, params: &InclinationParams, gyro: &Vector3<f64>) -> bool {
+        (0..3).all(|i| {
+            let sigma = self.p[(BIAS + i, BIAS + i)].max(0.0).sqrt().hypot(params.rest_gyro);
+            (gyro[i] - self.x[BIAS + i]).abs() < 4.0 * sigma
+        })
+    }
+
+    /// As new, but for the bias and what is known of it.
+    pub(super) fn forget_motion(&mut self) {
+        for i in (TILT..BIAS).chain(VELOCITY..STATES) {
+            self.x[i] = 0.0;
+            self.p.row_mut(i).fill(0.0);
+            self.p.column_mut(i).fill(0.0);
+            self.p[(i, i)] = f64::powi(if i < BIAS { 0.2 } else { 0.5 }, 2);
+        }
+    }
+
     /// Returns the tilt (rotation about level x and y, rad) to be applied to the strapdown.
     pub(super) fn update(&mut self, params: &InclinationParams, w: &ForceWindow) -> Vector2<f64> {
         self.predict(params, w);

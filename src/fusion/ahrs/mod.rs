@@ -171,12 +171,38 @@ impl Ahrs {
         self.orientation()
     }
 
+    /// Back to the beginning of the same recording, keeping the gyro bias that it showed.
+    pub fn restart(&mut self) {
+        self.inclination.forget_motion();
+        self.started = false;
+        self.coasted_s = 0.0;
+        self.window = Window::default();
+        self.rest = rest::Rest::default();
+        self.heading = heading::Heading::new(&self.params.heading);
+    }
+
     /// Moves on by `dt_s` without a sample: the last rate goes on for at most a tenth of a second, then it holds.
     pub fn coast(&mut self, dt_s: f64) {
         if self.started && dt_s > 0.0 && dt_s.is_finite() && self.coasted_s < 0.1 {
             self.coasted_s += dt_s;
             self.q_level_sensor = integrate(self.q_level_sensor, self.rate_rad_s, dt_s);
         }
+    }
+
+    /// Prepares for samples after a silence in which the sensor may have been turned.
+    ///
+    /// The next sample levels the orientation anew and the next field sample gives the heading, both at once; without a
+    /// magnetometer the heading stays. The gyro's bias is kept.
+    pub fn resume(&mut self) {
+        self.started = false;
+        self.window = Window::default();
+        self.rest = rest::Rest::default();
+        self.heading.resume(&self.params.heading);
+    }
+
+    /// The latest rate of turn without its bias, rad/s, sensor axes.
+    pub fn rate_rad_s(&self) -> Vector3<f64> {
+        self.rate_rad_s
     }
 
     /// Sensor to room: z up, and x east, y north where there is a magnetometer.
@@ -218,8 +244,11 @@ impl Ahrs {
 
     fn start(&mut self, accel: Vector3<f64>, mag: Option<Vector3<f64>>) {
         self.started = true;
-        self.q_level_sensor =
-            UnitQuaternion::rotation_between(&accel, &Vector3::z()).unwrap_or_else(UnitQuaternion::identity);
+        // What was known of the heading before a silence stays.
+        let up = self.q_level_sensor * accel;
+        let leveling =
+            UnitQuaternion::rotation_between(&up, &Vector3::z()).unwrap_or_else(UnitQuaternion::identity);
+        self.q_level_sensor = leveling * self.q_level_sensor;
         if let Some(mag) = mag {
             self.heading.start(self.q_level_sensor * mag);
         }
@@ -227,6 +256,10 @@ impl Ahrs {
 
     fn close_window(&mut self) {
         let w = std::mem::take(&mut self.window);
+        let rest_gyro_rad_s = self.rest.at_rest().then(|| self.rest.gyro_rad_s()).filter(|gyro| {
+            self.inclination.may_be_bias(&self.params.inclination, gyro)
+                || self.rest.still_s() > self.params.rest.certain_s
+        });
         if w.mag_samples > 0 {
             self.heading.update(
                 &self.params.heading,
@@ -236,7 +269,7 @@ impl Ahrs {
                     lag: w.mag_lag / f64::from(w.mag_samples),
                     rotation: w.mag_rotation / f64::from(w.mag_samples),
                     turned_rad: w.turned_rad,
-                    at_rest: self.rest.at_rest(),
+                    at_rest: rest_gyro_rad_s.is_some(),
                 },
             );
         }
@@ -248,7 +281,7 @@ impl Ahrs {
                 velocity_m_s: w.velocity_m_s,
                 shaking: w.shaking,
                 turned_rad: w.turned_rad,
-                rest_gyro_rad_s: self.rest.at_rest().then(|| self.rest.gyro_rad_s()),
+                rest_gyro_rad_s,
             },
         );
         let correction = UnitQuaternion::from_scaled_axis(Vector3::new(tilt[0], tilt[1], 0.0));

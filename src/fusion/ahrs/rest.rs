@@ -16,6 +16,8 @@ pub struct RestParams {
     pub accel_m_s2: f64,
     /// How long both must hold, s.
     pub min_s: f64,
+    /// After so long nothing but a bias keeps a gyro from zero, s; before, a rate that the bias cannot explain is slow turning.
+    pub certain_s: f64,
     /// Largest bias that can be; a constant rate above it is no rest, rad/s.
     pub bias_clip_rad_s: f64,
 }
@@ -27,6 +29,7 @@ impl Default for RestParams {
             gyro_rad_s: 2.0_f64.to_radians(),
             accel_m_s2: 0.5,
             min_s: 1.5,
+            certain_s: 30.0,
             bias_clip_rad_s: 2.0_f64.to_radians(),
         }
     }
@@ -54,6 +57,10 @@ impl Rest {
 
     pub(super) fn at_rest(&self) -> bool {
         self.at_rest
+    }
+
+    pub(super) fn still_s(&self) -> f64 {
+        self.still_s
     }
 
     pub(super) fn gyro_rad_s(&self) -> Vector3<f64> {

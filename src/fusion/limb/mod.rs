@@ -29,6 +29,9 @@ use joint::Joint;
 pub use joint::{Axes, Ball, JointNoise};
 pub use update::{FieldReference, SensorReport};
 
+/// Standard gravity, m/s².
+pub(super) const GRAVITY_M_S2: f64 = 9.81;
+
 /// Arm: ball joint and two axes, with gyro biases.
 pub type Arm = Limb<Ball, 2, 21>;
 /// Leg, or any limb with a hinge below a ball joint.
@@ -236,6 +239,11 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
     /// Standard deviation of an angle of the lower joint, rad.
     pub fn lower_sigma_rad(&self, axis: usize) -> f64 {
         self.p.0[(Self::LOWER + axis, Self::LOWER + axis)].max(0.0).sqrt()
+    }
+
+    /// Root mean square uncertainty of the upper segment about an axis, relative to the base, rad.
+    pub fn upper_sigma_rad(&self) -> f64 {
+        ((0..3).map(|i| self.p.0[(i, i)]).sum::<f64>() / 3.0).max(0.0).sqrt()
     }
 
     /// Says that the limb is at rest: all joint rates are zero. Holds the heading where no field is trusted.

@@ -1,6 +1,6 @@
 //! The body: segments, who sits where, and when a pose was held.
 
-use super::super::body::{MOVEMENTS, POSES, SEGMENTS};
+use super::super::body::{MOVEMENTS, POSES, SEGMENTS, TRUNK_MOVEMENTS};
 use super::super::problem::Notes;
 use super::{Item, suggest, unique};
 
@@ -128,6 +128,7 @@ fn calibrations(body: &Item<'_, '_>, segments: &[Item<'_, '_>], custom: bool, no
         let joints = segments.iter().filter_map(|segment| Some(segment.text("joint")?.value));
         words.extend(joints.map(|joint| format!("{joint}_flexion")));
     } else {
+        words.extend(TRUNK_MOVEMENTS.map(str::to_owned));
         words.extend(
             MOVEMENTS.iter().flat_map(|movement| ["r", "l"].map(|side| format!("{movement}_{side}"))),
         );

@@ -14,7 +14,7 @@ pub(super) fn check(root: &Item<'_, '_>, notes: &mut Notes<'_>) {
     let sensors = root.items("sensor");
     unique(&devices, "name", "device", notes);
     unique(&sensors, "name", "sensor", notes);
-    ports(&devices, notes);
+    ports(&devices, &sensors, notes);
 
     let names: Vec<&str> = devices.iter().filter_map(|device| Some(device.text("name")?.value)).collect();
     for sensor in &sensors {
@@ -40,7 +40,7 @@ pub(super) fn check(root: &Item<'_, '_>, notes: &mut Notes<'_>) {
     }
 }
 
-fn ports(devices: &[Item<'_, '_>], notes: &mut Notes<'_>) {
+fn ports(devices: &[Item<'_, '_>], sensors: &[Item<'_, '_>], notes: &mut Notes<'_>) {
     let mut seen: Vec<(At<&str>, Option<&str>)> = Vec::new();
     for device in devices {
         let Some(port) = device.text("port") else { continue };
@@ -60,6 +60,13 @@ fn ports(devices: &[Item<'_, '_>], notes: &mut Notes<'_>) {
             continue;
         }
         let driver = device.text("driver").map(|driver| driver.value);
+        let name = device.text("name").map(|name| name.value);
+        let has_serial =
+            sensors.iter().any(|s| s.has("serial") && s.text("device").map(|device| device.value) == name);
+        // Serial numbers tell devices of one kind apart, wherever they are plugged in.
+        if port.value == "auto" && has_serial {
+            continue;
+        }
         // Two devices may both be looked for, if the answers tell them apart.
         let taken = seen.iter().find(|(earlier, other)| {
             earlier.value == port.value && (port.value != "auto" || *other == driver)
@@ -69,7 +76,7 @@ fn ports(devices: &[Item<'_, '_>], notes: &mut Notes<'_>) {
             let (message, mend) = if port.value == "auto" {
                 (
                     format!("line {line} looks for the same kind of device"),
-                    "give at least one of the two its port",
+                    "give at least one of the two its port, or its sensors their `serial`",
                 )
             } else {
                 (

@@ -6,6 +6,7 @@
 
 mod body;
 mod devices;
+mod drivers;
 mod server;
 
 use std::ops::Range;
@@ -14,6 +15,7 @@ use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::Stage;
 use super::problem::{Notes, nearest, one_of};
 use super::shape::as_number;
 
@@ -28,6 +30,12 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
         server::recording_folder(&recording, folder, notes);
     }
     body::check(&root, notes);
+}
+
+/// Applies the rules that need the typed stage, once all others hold.
+pub(super) fn check_parsed(document: &Spanned<DeTable<'_>>, stage: &Stage, notes: &mut Notes<'_>) {
+    let root = Item { header: document.span(), table: document.get_ref() };
+    drivers::check(&root, stage, notes);
 }
 
 /// A table with the place of its header.

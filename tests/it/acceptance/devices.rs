@@ -188,8 +188,9 @@ fn a_stalled_unit_goes_on_and_all_that_it_did_not_send_is_counted() {
 fn a_slow_line_skips_cycles_and_keeps_its_times() {
     let mut stage: Stage = stage(&[2]);
     stage.devices[0].baud = 19_200;
-    let Driver::FlockOfBirds(settings) = &mut stage.devices[0].driver;
-    settings.format = Format::PositionMatrix;
+    if let Driver::FlockOfBirds(settings) = &mut stage.devices[0].driver {
+        settings.format = Format::PositionMatrix;
+    }
     let mut rig = Rig::new(&stage, &scene(3, QUIET, &["s0-0", "s0-1"], vec![device(0, Vec::new())]));
     rig.run_until(14.0);
     never_wrong(&rig, 0, 14.0);

@@ -115,7 +115,7 @@ pub(super) fn judge(rig: &Rig, device: usize, from_s: f64, until_s: f64, noise: 
                 out.wrong_measured += note("measured", error(&isometry(p, q), &truth, noise));
             }
             let pose = sensor.pose.expect("what is good has a pose");
-            let pose = isometry(pose.position_m, pose.orientation_wxyz);
+            let pose = isometry(pose.position_m.unwrap(), pose.orientation_wxyz);
             out.wrong_pose += note("pose", error(&pose, &row.pose, noise));
         }
     }

@@ -52,6 +52,25 @@ async fn a_recording_begun_mid_run_with_a_model_swapped_in_replays_and_a_killed_
     mended(&torn);
 }
 
+#[tokio::test]
+async fn a_recording_is_a_job_and_one_that_is_cancelled_is_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let stage = two_devices(folder.path(), "");
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut client = posed.subscriber(&["sensors", "jobs"]).await;
+    let started = ok(&mut client, record_start("take")).await;
+    assert_eq!(started["name"], "take.mcap");
+    frames(&mut client, 20).await;
+    ok(&mut client, json!({"type": "job.cancel", "job": started["job"]})).await;
+    let jobs = until(&mut client, "its end", |message| message["jobs"][0]["state"] == "cancelled").await;
+    assert_eq!(jobs["jobs"][0]["job"], started["job"]);
+    assert_eq!(jobs["jobs"][0]["message"], "take.mcap is complete");
+    assert!(Info::read(&folder.path().join("recordings/take.mcap"), |_| ()).unwrap().complete);
+    ok(&mut client, record_start("next")).await;
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+    assert!(Info::read(&folder.path().join("recordings/next.mcap"), |_| ()).unwrap().complete);
+}
+
 /// A torn recording replays, is completed by the repair, and replays the same.
 fn mended(torn: &Path) {
     let output = torn.with_extension("jsonl");

@@ -112,7 +112,7 @@ async fn a_replay_is_steered_over_the_websocket() {
     recording(folder.path(), "b.mcap", 400);
     fs::write(folder.path().join("broken.mcap"), "nothing").unwrap();
     let posed = Posed::start(["replay", path.to_str().unwrap()]);
-    let mut client = posed.subscriber(&["sensors", "status"]).await;
+    let mut client = posed.subscriber(&["sensors", "status", "jobs"]).await;
     let status = until(&mut client, "status", |message| message["replay"].is_object()).await;
     assert_eq!((&status["replay"]["name"], &status["replay"]["speed"]), (&"a.mcap".into(), &1.0.into()));
     let listed = ok(&mut client, json!({"type": "replay.list"})).await;
@@ -123,7 +123,10 @@ async fn a_replay_is_steered_over_the_websocket() {
             message["type"] == "sensors" && message["t_s"].as_f64().is_some_and(|t| t >= from && t < to)
         }
     };
-    ok(&mut client, json!({"type": "replay.seek", "t_s": 10.0})).await;
+    let seek = ok(&mut client, json!({"type": "replay.seek", "t_s": 10.0})).await;
+    until(&mut client, "the job's end", |message| message["jobs"][0]["state"] == "done").await;
+    let (code, sentence) = refused(&mut client, json!({"type": "job.cancel", "job": seek["job"]})).await;
+    assert!(code == "no_such_job" && sentence.contains("ended already"), "{sentence}");
     until(&mut client, "poses from 10 s on", pose_in(9.9, 15.1)).await;
     ok(&mut client, json!({"type": "replay.seek", "t_s": 2.0})).await;
     until(&mut client, "poses from 2 s on", pose_in(1.9, 9.0)).await;
@@ -131,6 +134,8 @@ async fn a_replay_is_steered_over_the_websocket() {
     let paused = until(&mut client, "a pause", |message| message["replay"]["speed"] == 0.0).await;
     let again = until(&mut client, "a status", |message| message["replay"].is_object()).await;
     assert_eq!(paused["replay"]["t_s"], again["replay"]["t_s"]);
+    ok(&mut client, json!({"type": "replay.seek", "t_s": 12.0})).await;
+    until(&mut client, "the pose sought, in a pause", pose_in(11.9, 12.0)).await;
     ok(&mut client, json!({"type": "replay.speed", "speed": "max"})).await;
     until(&mut client, "the end", |message| message["replay"]["ended"].is_string()).await;
     ok(&mut client, json!({"type": "replay.speed", "speed": 1})).await;

@@ -130,18 +130,19 @@ pub(crate) fn estimate(frame: u64) -> Estimate {
     let left = SensorEstimate {
         state: SensorState::Ok,
         pose: Some(PoseEstimate {
-            position_m,
+            position_m: Some(position_m),
             orientation_wxyz,
-            velocity_m_s: [0.1, 0.0, 0.0],
+            velocity_m_s: Some([0.1, 0.0, 0.0]),
             angular_velocity_rad_s: [0.0; 3],
             covariance: [1.234567e-7; 21],
-            sigma_m: 0.000_612_3,
+            sigma_m: Some(0.000_612_3),
         }),
         measured: Some(Measured {
             t_valid,
             position_m: Some(position_m),
             orientation_wxyz: Some(orientation_wxyz),
             button: None,
+            inertial: None,
         }),
     };
     Estimate {

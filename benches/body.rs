@@ -1,0 +1,231 @@
+//! How well a simulated body is solved, and what it costs: the tables of `docs/body.md`. `cargo bench --bench body`
+
+use nalgebra::{UnitQuaternion, Vector3};
+use posed::fusion::ahrs::ImuSample;
+use posed::fusion::body::calibrate::{Block, Kind, Recorded, calibrate};
+use posed::fusion::body::{
+    ANGLE_NAMES, BodyFilter, BodyParams, BodySamples, SEGMENTS, Segment, Skeleton, Worn, angles,
+};
+use posed::geometry::so3;
+use posed_simulator::body::{Activity, Build, Disturbance, Script, SensorErrors, Wearer, WearerSpec};
+
+const HEIGHT_M: f64 = 1.8;
+const RATE_HZ: f64 = 100.0;
+const ACTIVITIES: [Activity; 4] = [Activity::Walking, Activity::Reaching, Activity::Curls, Activity::Squats];
+/// What the filters are given before the figures begin, s.
+const SETTLE_S: f64 = 10.0;
+
+/// How the sensors' mounting is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Mounting {
+    Perfect,
+    /// Wrong by so many degrees in a random direction.
+    Wrong(f64),
+    Calibrated,
+}
+
+struct Case {
+    activity: Activity,
+    errors: SensorErrors,
+    mounting: Mounting,
+    magnetometer: bool,
+    disturbances: Vec<Disturbance>,
+    clumsiness_rad: f64,
+    activity_s: f64,
+    seed: u64,
+}
+
+impl Case {
+    fn new(activity: Activity, mounting: Mounting) -> Self {
+        Self {
+            activity,
+            errors: SensorErrors::calibrated(),
+            mounting,
+            magnetometer: true,
+            disturbances: Vec::new(),
+            clumsiness_rad: 0.0,
+            activity_s: 60.0,
+            seed: 1,
+        }
+    }
+}
+
+/// Root mean square errors, degrees.
+#[derive(Clone, Copy, Debug, Default)]
+struct Figures {
+    elbow: f64,
+    pronation: f64,
+    knee: f64,
+    shoulder: f64,
+    hip: f64,
+    /// Of the torso, and of the worst segment's heading.
+    torso: f64,
+    heading: f64,
+}
+
+struct Run {
+    recording: Vec<Recorded>,
+    truth: Vec<[UnitQuaternion<f64>; SEGMENTS]>,
+    wearer: Wearer,
+    script: Script,
+    blocks: Vec<Block>,
+}
+
+fn record(case: &Case) -> Run {
+    let script = Script { activity: case.activity, calibration: true, facing: 0.6 };
+    let spec = WearerSpec {
+        script: script.clone(),
+        build: Build::of_height(HEIGHT_M),
+        errors: case.errors,
+        magnetometer: case.magnetometer,
+        disturbances: case.disturbances.clone(),
+        rate_hz: RATE_HZ,
+        clumsiness_rad: case.clumsiness_rad,
+        seed: case.seed,
+    };
+    let mut wearer = Wearer::new(spec);
+    let (mut recording, mut truth) = (Vec::new(), Vec::new());
+    let frames = ((script.activity_s() + case.activity_s) * RATE_HZ) as usize;
+    for _ in 0..frames {
+        let (samples, at) = wearer.next();
+        let samples: BodySamples = samples.map(|sample| {
+            Some(ImuSample {
+                gyro_rad_s: sample.gyro_rad_s,
+                accel_m_s2: sample.accel_m_s2,
+                mag: sample.mag_ut,
+            })
+        });
+        recording.push((at.t_s, samples));
+        // Without magnetometers the body's own facing is the room's x.
+        let turn = if case.magnetometer { 0.0 } else { -script.facing };
+        let room = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
+        truth.push(at.body.map(|placement| room * UnitQuaternion::from_matrix(&placement.axes)));
+    }
+    let blocks = script
+        .blocks()
+        .into_iter()
+        .filter_map(|b| Some(Block { kind: Kind::named(b.kind)?, start_s: b.start_s, end_s: b.end_s }))
+        .collect();
+    Run { recording, truth, wearer, script, blocks }
+}
+
+fn worn(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<Worn>; SEGMENTS], String> {
+    if case.mounting == Mounting::Calibrated {
+        let offsets = Segment::ALL.map(|_| None);
+        let found = calibrate(&run.recording, &run.blocks, skeleton, &offsets).map_err(|e| e.to_string())?;
+        return Ok(found.worn);
+    }
+    Ok(Segment::ALL.map(|segment| {
+        let (mount, offset_m) = run.wearer.mounting(segment.index());
+        let wrong = match case.mounting {
+            Mounting::Wrong(degrees) => {
+                let k = (segment.index() as f64 + 1.0) * (case.seed as f64 + 0.3);
+                let axis = Vector3::new((1.7 * k).sin(), (2.9 * k).cos(), (4.1 * k).sin()).normalize();
+                so3::exp(&(axis * degrees.to_radians()))
+            }
+            _ => UnitQuaternion::identity(),
+        };
+        Some(Worn { q_segment_sensor: wrong * mount, offset_m, heading_rad: None })
+    }))
+}
+
+fn solve(case: &Case) -> Result<Figures, String> {
+    let skeleton = Skeleton::from_height(HEIGHT_M);
+    let run = record(case);
+    let worn = worn(case, &run, &skeleton)?;
+    let mut filter = BodyFilter::new(&skeleton, &worn, &BodyParams::default());
+    let mut sums = [0.0; 7];
+    let mut count = 0.0;
+    let index = |name: &str| ANGLE_NAMES.iter().position(|n| *n == name).expect("a name");
+    let begin_s = run.script.activity_s() + SETTLE_S;
+    for ((t_s, samples), truth) in run.recording.iter().zip(&run.truth) {
+        let estimate = filter.push(samples, 1.0 / RATE_HZ);
+        if *t_s < begin_s {
+            continue;
+        }
+        let expected = angles(&truth.map(Some));
+        let off = |name: &str| {
+            let k = index(name);
+            let d = estimate.angles_rad[k].unwrap_or(f64::NAN) - expected[k].unwrap_or(f64::NAN);
+            so3::log(&so3::exp(&(Vector3::z() * d))).z.to_degrees()
+        };
+        let turn = |segment: Segment| {
+            let k = segment.index();
+            let Some(parent) = segment.parent() else { return f64::NAN };
+            let p = parent.index();
+            let (Some(own), Some(above)) = (estimate.orientations[k], estimate.orientations[p]) else {
+                return f64::NAN;
+            };
+            (above.inverse() * own).angle_to(&(truth[p].inverse() * truth[k])).to_degrees()
+        };
+        let torso = estimate.orientations[0].map_or(f64::NAN, |q| q.angle_to(&truth[0]).to_degrees());
+        let heading = Segment::ALL
+            .iter()
+            .filter_map(|s| {
+                Some(so3::log(&(estimate.orientations[s.index()]? * truth[s.index()].inverse())).z.abs())
+            })
+            .fold(0.0, f64::max)
+            .to_degrees();
+        let pair = |r: f64, l: f64| 0.5 * (r * r + l * l);
+        sums[0] += pair(off("elbow_r_flexion"), off("elbow_l_flexion"));
+        sums[1] += pair(off("elbow_r_pronation"), off("elbow_l_pronation"));
+        sums[2] += pair(off("knee_r_flexion"), off("knee_l_flexion"));
+        sums[3] += pair(turn(Segment::UpperArmR), turn(Segment::UpperArmL));
+        sums[4] += pair(turn(Segment::ThighR), turn(Segment::ThighL));
+        sums[5] += torso * torso;
+        sums[6] += heading * heading;
+        count += 1.0;
+    }
+    let [elbow, pronation, knee, shoulder, hip, torso, heading] = sums.map(|sum| (sum / count).sqrt());
+    Ok(Figures { elbow, pronation, knee, shoulder, hip, torso, heading })
+}
+
+fn main() {
+    let only = std::env::args().nth(1).filter(|word| !word.starts_with('-'));
+    let row = |name: &str, case: &Case| {
+        if only.as_ref().is_some_and(|only| !name.contains(only.as_str())) {
+            return;
+        }
+        match solve(case) {
+            Ok(f) => say(&format!(
+                "| {name} | {:?} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} |",
+                case.activity, f.elbow, f.pronation, f.knee, f.shoulder, f.hip, f.torso, f.heading
+            )),
+            Err(error) => say(&format!("| {name} | {:?} | {error} |", case.activity)),
+        }
+    };
+    say("| case | activity | elbow | pronation | knee | shoulder | hip | torso | worst heading |");
+    say("|---|---|---|---|---|---|---|---|---|");
+    for activity in ACTIVITIES {
+        row("perfect mounting", &Case::new(activity, Mounting::Perfect));
+        row("no errors", &Case { errors: SensorErrors::NONE, ..Case::new(activity, Mounting::Perfect) });
+        row("3 degrees wrong", &Case::new(activity, Mounting::Wrong(3.0)));
+        row("calibrated", &Case::new(activity, Mounting::Calibrated));
+        let clumsy = Case { clumsiness_rad: 0.03, ..Case::new(activity, Mounting::Calibrated) };
+        row("calibrated, clumsy", &clumsy);
+        row(
+            "no field, calibrated",
+            &Case { magnetometer: false, ..Case::new(activity, Mounting::Calibrated) },
+        );
+        let shelf = Case { errors: SensorErrors::uncalibrated(), ..Case::new(activity, Mounting::Perfect) };
+        row("uncalibrated units", &shelf);
+        let skin = SensorErrors { skin_m: 5e-4, skin_rad_m: 2.0, ..SensorErrors::calibrated() };
+        row("skin", &Case { errors: skin, ..Case::new(activity, Mounting::Calibrated) });
+        let mut far = Case::new(activity, Mounting::Perfect);
+        let calibration = Script { activity, calibration: true, facing: 0.0 };
+        let start_s = calibration.activity_s() + 15.0;
+        let disturbed = |azimuth_rad: f64, norm, dip_rad: f64| {
+            vec![Disturbance { start_s, end_s: start_s + 30.0, azimuth_rad, norm, dip_rad }]
+        };
+        far.disturbances = disturbed(45_f64.to_radians(), 0.86, -16_f64.to_radians());
+        row("disturbed 30 s", &far);
+        far.disturbances = disturbed(45_f64.to_radians(), 1.0, 0.0);
+        row("pure turn", &far);
+    }
+}
+
+/// The table goes to stdout.
+#[expect(clippy::print_stdout, reason = "a bench prints its table")]
+fn say(line: &str) {
+    println!("{line}");
+}

@@ -1,0 +1,130 @@
+//! Asks an open port whether a device of one kind is there, and what it is.
+//!
+//! The same contract as a session, without samples: feed an [`Inquiry`] inputs, drain [`Inquiry::poll_output`], wait
+//! for [`Inquiry::poll_timeout`], until [`Inquiry::result`] is there. What is asked changes no setting; a device that
+//! streams may have to be stopped for it. A Flock of Birds has a probe of its own ([`crate::flock::Probe`]).
+
+use std::fmt;
+use std::time::Duration;
+
+use crate::sample::Timestamp;
+use crate::session::SensorInfo;
+
+/// What a device says of itself.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Identity {
+    /// Model, as the device writes it.
+    pub model: Option<String>,
+    /// Software revision.
+    pub revision: Option<String>,
+    /// Measurement rate as it is set, Hz.
+    pub rate_hz: Option<f64>,
+    /// Its sensors, by address.
+    pub sensors: Vec<SensorInfo>,
+    /// What is wrong with it, in one sentence, and what to do about it.
+    pub problem: Option<(String, String)>,
+}
+
+/// Why there is no [`Identity`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoAnswer {
+    /// Not a byte came.
+    Silent,
+    /// Bytes came, but no answer of such a device.
+    Unintelligible,
+}
+
+/// One question, and how long its answer may take.
+#[derive(Clone, Debug)]
+pub(crate) struct Question {
+    pub(crate) bytes: Vec<u8>,
+    pub(crate) wait: Duration,
+}
+
+impl Question {
+    pub(crate) fn new(bytes: impl Into<Vec<u8>>, wait_ms: u64) -> Self {
+        Self { bytes: bytes.into(), wait: Duration::from_millis(wait_ms) }
+    }
+}
+
+/// Understands the answers of one kind of device.
+pub(crate) trait Listener: fmt::Debug + Send {
+    /// Bytes that came.
+    fn listen(&mut self, bytes: &[u8]);
+    /// Whether question `k` needs no more time.
+    fn has_answer(&self, k: usize) -> bool;
+    /// Whether it is worth asking on after question `k`.
+    fn goes_on(&self, k: usize) -> bool;
+    /// What the device is; none if it has not answered.
+    fn identity(&self) -> Option<Identity>;
+}
+
+/// One inquiry at one port.
+#[derive(Debug)]
+pub struct Inquiry {
+    questions: Vec<Question>,
+    listener: Box<dyn Listener>,
+    at: usize,
+    until: Timestamp,
+    transmit: Option<Vec<u8>>,
+    heard: bool,
+    result: Option<Result<Identity, NoAnswer>>,
+}
+
+impl Inquiry {
+    /// Begins; `now` is the time at which the port has been opened.
+    pub(crate) fn new(now: Timestamp, questions: Vec<Question>, listener: Box<dyn Listener>) -> Self {
+        let mut inquiry =
+            Self { questions, listener, at: 0, until: now, transmit: None, heard: false, result: None };
+        inquiry.ask(now);
+        inquiry
+    }
+
+    /// Bytes were read.
+    pub fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
+        self.heard |= !bytes.is_empty();
+        self.listener.listen(bytes);
+        if self.result.is_none() && self.listener.has_answer(self.at) {
+            self.next(now);
+        }
+    }
+
+    /// The time of [`Self::poll_timeout`] has come.
+    pub fn handle_timeout(&mut self, now: Timestamp) {
+        if self.poll_timeout().is_some_and(|at| at <= now) {
+            self.next(now);
+        }
+    }
+
+    /// Bytes to send, until `None`.
+    pub fn poll_transmit(&mut self) -> Option<Vec<u8>> {
+        self.transmit.take()
+    }
+
+    /// When to call [`Self::handle_timeout`]; `None` when done.
+    pub fn poll_timeout(&self) -> Option<Timestamp> {
+        self.result.is_none().then_some(self.until)
+    }
+
+    /// What was found, once done.
+    pub fn result(&self) -> Option<&Result<Identity, NoAnswer>> {
+        self.result.as_ref()
+    }
+
+    fn next(&mut self, now: Timestamp) {
+        let ends = self.at + 1 == self.questions.len() || !self.listener.goes_on(self.at);
+        if ends {
+            let why = if self.heard { NoAnswer::Unintelligible } else { NoAnswer::Silent };
+            self.result = Some(self.listener.identity().ok_or(why));
+        } else {
+            self.at += 1;
+            self.ask(now);
+        }
+    }
+
+    fn ask(&mut self, now: Timestamp) {
+        let question = &self.questions[self.at];
+        self.transmit = Some(question.bytes.clone());
+        self.until = now + question.wait;
+    }
+}

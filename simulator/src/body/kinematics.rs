@@ -1,0 +1,138 @@
+//! From joint angles to where every segment is.
+//!
+//! Rotations are products of elementary matrices, written out from the table; left limbs have their own signs.
+
+use nalgebra::{Matrix3, Vector3};
+
+/// Segments, in the order of all arrays here.
+pub const SEGMENT_NAMES: [&str; 10] = [
+    "torso",
+    "pelvis",
+    "upper_arm_r",
+    "forearm_r",
+    "thigh_r",
+    "shank_r",
+    "upper_arm_l",
+    "forearm_l",
+    "thigh_l",
+    "shank_l",
+];
+
+/// Lengths, m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Build {
+    /// Between the shoulders.
+    pub shoulder_width_m: f64,
+    /// Between the hips.
+    pub hip_width_m: f64,
+    /// From hips to shoulders.
+    pub trunk_m: f64,
+    /// Shoulder to elbow.
+    pub upper_arm_m: f64,
+    /// Elbow to wrist.
+    pub forearm_m: f64,
+    /// Hip to knee.
+    pub thigh_m: f64,
+    /// Knee to ankle.
+    pub shank_m: f64,
+}
+
+impl Build {
+    /// Proportions of Drillis and Contini (1966).
+    pub fn of_height(height_m: f64) -> Self {
+        Self {
+            shoulder_width_m: 0.258 * height_m,
+            hip_width_m: 0.191 * height_m,
+            trunk_m: 0.288 * height_m,
+            upper_arm_m: 0.186 * height_m,
+            forearm_m: 0.146 * height_m,
+            thigh_m: 0.245 * height_m,
+            shank_m: 0.246 * height_m,
+        }
+    }
+}
+
+/// Angles of all joints, rad, signs as in the table; index 0 is the right side, 1 the left.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Posture {
+    /// Hips' mid-point in the room, m.
+    pub pelvis_m: Vector3<f64>,
+    /// Turn of the pelvis to the left from looking along the room's x; forward tilt; list to the right.
+    pub pelvis: [f64; 3],
+    /// Spine: flexion, lateral, rotation.
+    pub spine: [f64; 3],
+    /// Shoulder: plane, elevation, rotation.
+    pub shoulder: [[f64; 3]; 2],
+    /// How a raised shoulder departs from those, about its x and z; smooth where the arm hangs, unlike plane and elevation.
+    pub shoulder_lean: [[f64; 2]; 2],
+    /// Elbow: flexion, pronation.
+    pub elbow: [[f64; 2]; 2],
+    /// Hip: flexion, adduction, rotation.
+    pub hip: [[f64; 3]; 2],
+    /// Knee flexion.
+    pub knee: [f64; 2],
+}
+
+/// Where a segment is: its axes as columns in the room, and its origin, m.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placement {
+    /// Segment to room.
+    pub axes: Matrix3<f64>,
+    /// Origin in the room, m.
+    pub origin_m: Vector3<f64>,
+}
+
+/// All segments, in the order of [`SEGMENT_NAMES`].
+pub type TrueBody = [Placement; 10];
+
+fn about_x(angle: f64) -> Matrix3<f64> {
+    let (s, c) = angle.sin_cos();
+    Matrix3::new(1.0, 0.0, 0.0, 0.0, c, -s, 0.0, s, c)
+}
+
+fn about_y(angle: f64) -> Matrix3<f64> {
+    let (s, c) = angle.sin_cos();
+    Matrix3::new(c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c)
+}
+
+fn about_z(angle: f64) -> Matrix3<f64> {
+    let (s, c) = angle.sin_cos();
+    Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
+}
+
+impl Posture {
+    /// Where every segment is.
+    pub fn place(&self, build: &Build) -> TrueBody {
+        // Segment axes (forward, up, right) of a body that looks along the room's x (z up).
+        let upright = Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0);
+        let [turn, tilt, list] = self.pelvis;
+        let pelvis = about_z(turn) * upright * about_z(-tilt) * about_x(list);
+        let [flexion, lateral, rotation] = self.spine;
+        let torso = pelvis * about_z(-flexion) * about_x(lateral) * about_y(rotation);
+        let hips_m = self.pelvis_m;
+        let shoulders_m = hips_m + torso * Vector3::new(0.0, build.trunk_m, 0.0);
+        let mut body = [Placement { axes: pelvis, origin_m: hips_m }; 10];
+        body[0] = Placement { axes: torso, origin_m: (hips_m + shoulders_m) * 0.5 };
+        for (side, sign) in [(0, 1.0), (1, -1.0)] {
+            let [plane, elevation, turn] = self.shoulder[side];
+            let [sideways, forward] = self.shoulder_lean[side];
+            let lean = torso * about_x(-sign * sideways) * about_z(forward);
+            let arm = lean * about_y(sign * plane) * about_x(-sign * elevation) * about_y(sign * turn);
+            let [flexion, pronation] = self.elbow[side];
+            let forearm = arm * about_z(flexion) * about_y(sign * pronation);
+            let shoulder = shoulders_m + torso * Vector3::new(0.0, 0.0, sign * 0.5 * build.shoulder_width_m);
+            let elbow = shoulder - arm * Vector3::new(0.0, build.upper_arm_m, 0.0);
+            let [flexion, adduction, turn] = self.hip[side];
+            let thigh = pelvis * about_z(flexion) * about_x(sign * adduction) * about_y(sign * turn);
+            let shank = thigh * about_z(-self.knee[side]);
+            let hip = hips_m + pelvis * Vector3::new(0.0, 0.0, sign * 0.5 * build.hip_width_m);
+            let knee = hip - thigh * Vector3::new(0.0, build.thigh_m, 0.0);
+            let first = 2 + 4 * side;
+            body[first] = Placement { axes: arm, origin_m: shoulder };
+            body[first + 1] = Placement { axes: forearm, origin_m: elbow };
+            body[first + 2] = Placement { axes: thigh, origin_m: hip };
+            body[first + 3] = Placement { axes: shank, origin_m: knee };
+        }
+        body
+    }
+}

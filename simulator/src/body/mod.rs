@@ -1,0 +1,17 @@
+//! A simulated person who wears IMUs: postures over time, and what each sensor measures.
+//!
+//! ```text
+//! script(t) ──> posture ──> kinematics ──> pose of every sensor ──> rate, force, field ──> errors ──> sample
+//! ```
+//! In: a seed, a script, errors. Out: samples and the truth. It follows the table of `docs/body.md` with kinematics of
+//! its own and never uses `posed`'s.
+
+mod kinematics;
+mod script;
+#[cfg(test)]
+mod tests;
+mod wearer;
+
+pub use kinematics::{Build, Placement, Posture, SEGMENT_NAMES, TrueBody};
+pub use script::{Activity, BlockSpan, Script};
+pub use wearer::{Disturbance, Sample, SensorErrors, Truth, Wearer, WearerSpec};

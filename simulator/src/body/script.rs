@@ -1,0 +1,219 @@
+//! What the person does: an N-pose and a T-pose, the calibration's movements one after the other, then an activity.
+//!
+//! Every angle is a smooth function of time (four continuous derivatives), so that rates and forces exist.
+
+use nalgebra::Vector3;
+
+use super::kinematics::{Build, Posture};
+
+/// What is done after the calibration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Activity {
+    /// Walks in a wide circle, 0.9 steps of each leg a second.
+    Walking,
+    /// Reaches forward, up and sideways with both arms.
+    Reaching,
+    /// Curls both arms, one after the other.
+    Curls,
+    /// Squats with the arms held forward.
+    Squats,
+}
+
+/// A span of the script, named as in a stage file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BlockSpan {
+    /// `n_pose`, `elbow_flexion_r`, ...
+    pub kind: &'static str,
+    /// Its begin, s.
+    pub start_s: f64,
+    /// Its end, s.
+    pub end_s: f64,
+}
+
+/// Poses, movements, an activity.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Script {
+    /// What follows the calibration.
+    pub activity: Activity,
+    /// Whether poses and movements come first.
+    pub calibration: bool,
+    /// Which way the person faces at first, rad.
+    pub facing: f64,
+}
+
+/// The movements: name, amplitude in rad; three seconds there and back, twice.
+const MOVEMENTS: [(&str, f64); 13] = [
+    ("elbow_flexion_r", 1.7),
+    ("elbow_flexion_l", 1.7),
+    ("elbow_pronation_r", 1.2),
+    ("elbow_pronation_l", 1.2),
+    ("shoulder_flexion_r", 1.3),
+    ("shoulder_flexion_l", 1.3),
+    ("knee_flexion_r", 1.4),
+    ("knee_flexion_l", 1.4),
+    ("hip_flexion_r", 1.0),
+    ("hip_flexion_l", 1.0),
+    ("bow", 0.8),
+    ("trunk_rotation", 0.7),
+    ("shoulder_abduction_r", 1.0),
+];
+const POSE_S: f64 = 3.0;
+const CHANGE_S: f64 = 2.0;
+const MOVE_S: f64 = 5.0;
+
+impl Script {
+    /// When which pose or movement is held.
+    pub fn blocks(&self) -> Vec<BlockSpan> {
+        if !self.calibration {
+            return Vec::new();
+        }
+        let t_pose = POSE_S + CHANGE_S;
+        let mut blocks = vec![
+            BlockSpan { kind: "n_pose", start_s: 0.2, end_s: POSE_S },
+            BlockSpan { kind: "t_pose", start_s: t_pose + 0.2, end_s: t_pose + POSE_S - 0.2 },
+        ];
+        for (index, (kind, _)) in MOVEMENTS.into_iter().enumerate() {
+            let start_s = movement_s(index);
+            blocks.push(BlockSpan { kind, start_s, end_s: start_s + MOVE_S });
+        }
+        blocks
+    }
+
+    /// When the activity begins, s.
+    pub fn activity_s(&self) -> f64 {
+        if self.calibration { movement_s(MOVEMENTS.len()) } else { 0.0 }
+    }
+
+    /// The posture at a time.
+    pub fn at(&self, t_s: f64, build: &Build) -> Posture {
+        let mut posture = Posture {
+            pelvis: [self.facing, 0.0, 0.0],
+            pelvis_m: Vector3::new(0.0, 0.0, build.thigh_m + build.shank_m + 0.07),
+            ..Posture::default()
+        };
+        if self.calibration {
+            let raised = step((t_s - POSE_S) / CHANGE_S) - step((t_s - 2.0 * POSE_S - CHANGE_S) / CHANGE_S);
+            for side in 0..2 {
+                posture.shoulder[side][1] = raised * std::f64::consts::FRAC_PI_2;
+            }
+            for (index, (kind, amplitude)) in MOVEMENTS.into_iter().enumerate() {
+                let phase = (t_s - movement_s(index)) / MOVE_S;
+                if (0.0..1.0).contains(&phase) {
+                    // Twice there and back, with smooth ends.
+                    let wave = 0.5 - 0.5 * (2.0 * std::f64::consts::TAU * step(phase)).cos();
+                    bend(&mut posture, kind, amplitude * wave);
+                }
+            }
+        }
+        let t = t_s - self.activity_s();
+        if t > 0.0 {
+            self.act(&mut posture, t, step(t / 3.0));
+        }
+        posture
+    }
+
+    fn act(&self, p: &mut Posture, t: f64, grow: f64) {
+        let wave = |hz: f64, phase: f64| (std::f64::consts::TAU * hz * t + phase).sin();
+        let rise = |hz: f64, phase: f64| 0.5 - 0.5 * (std::f64::consts::TAU * hz * t + phase).cos();
+        match self.activity {
+            Activity::Walking => {
+                const HZ: f64 = 0.9;
+                p.pelvis[0] += grow * 0.25 * t;
+                let (s, c) = p.pelvis[0].sin_cos();
+                p.pelvis_m += Vector3::new(4.0 * s, -4.0 * c, 0.0) * grow;
+                p.pelvis_m.z += grow * 0.02 * wave(2.0 * HZ, 0.4);
+                p.pelvis[1] = grow * 0.04 * wave(2.0 * HZ, 1.0);
+                p.pelvis[2] = grow * 0.05 * wave(HZ, 0.3);
+                p.spine = [0.05, 0.04 * wave(HZ, 2.0), 0.12 * wave(HZ, 0.9)].map(|a| grow * a);
+                for (side, phase) in [(0, 0.0), (1, std::f64::consts::PI)] {
+                    p.hip[side] = [
+                        0.1 + 0.42 * wave(HZ, phase),
+                        0.05 * wave(HZ, phase + 0.8),
+                        0.07 * wave(HZ, phase + 1.9),
+                    ]
+                    .map(|a| grow * a);
+                    p.knee[side] = grow * (0.15 + 0.95 * rise(HZ, phase + 1.2).powi(2));
+                    // An arm swings against its leg.
+                    let swing = 0.35 * wave(HZ, phase + std::f64::consts::PI);
+                    raise(p, side, grow * (0.05 + swing), grow * 0.12, grow * 0.1 * wave(HZ, phase));
+                    p.elbow[side] =
+                        [0.35 + 0.2 * wave(HZ, phase + 2.8), 0.3 + 0.1 * wave(HZ, phase)].map(|a| grow * a);
+                }
+            }
+            Activity::Reaching => {
+                p.spine = [0.25 * rise(0.13, 0.0), 0.15 * wave(0.11, 0.4), 0.35 * wave(0.17, 0.0)]
+                    .map(|a| grow * a);
+                p.pelvis[0] += grow * 0.3 * wave(0.07, 0.0);
+                p.pelvis[1] = grow * 0.1 * rise(0.13, 0.3);
+                for (side, hz) in [(0, 0.45), (1, 0.38)] {
+                    raise(
+                        p,
+                        side,
+                        grow * 1.5 * rise(hz, 0.0),
+                        grow * 0.9 * rise(hz * 0.43, 0.6),
+                        grow * 0.5 * wave(0.31, hz),
+                    );
+                    p.elbow[side] = [0.2 + 1.2 * rise(hz, 2.4), 0.6 * wave(hz * 0.7, 1.0)].map(|a| grow * a);
+                }
+                p.hip[0][0] = grow * 0.12 * rise(0.13, 0.0);
+                p.hip[1][0] = grow * 0.12 * rise(0.13, 0.0);
+            }
+            Activity::Curls => {
+                for (side, phase) in [(0, 0.0), (1, std::f64::consts::PI)] {
+                    p.elbow[side] = [2.2 * rise(0.5, phase), -1.0 * rise(0.5, phase)].map(|a| grow * a);
+                    raise(p, side, grow * 0.15 * rise(0.5, phase), grow * 0.08, 0.0);
+                }
+                p.spine = [0.03 * wave(0.5, 0.0), 0.0, 0.06 * wave(0.25, 0.0)].map(|a| grow * a);
+            }
+            Activity::Squats => {
+                let down = grow * rise(0.35, 0.0);
+                for side in 0..2 {
+                    p.hip[side] = [1.45 * down, -0.2 * down, -0.15 * down];
+                    p.knee[side] = 1.7 * down;
+                    raise(p, side, grow * (0.4 + 0.9 * rise(0.35, 0.0)), grow * 0.1, 0.0);
+                    p.elbow[side] = [grow * 0.2, grow * 0.3];
+                }
+                p.pelvis[1] = 0.35 * down;
+                p.spine[0] = 0.3 * down;
+                p.pelvis_m.z -= 0.42 * down;
+                p.pelvis_m.x -= 0.15 * down;
+            }
+        }
+    }
+}
+
+fn movement_s(index: usize) -> f64 {
+    2.0 * (POSE_S + CHANGE_S) + 0.5 + (MOVE_S + 1.0) * index as f64
+}
+
+/// From 0 to 1 with four continuous derivatives.
+fn step(x: f64) -> f64 {
+    let x = x.clamp(0.0, 1.0);
+    x.powi(5) * (126.0 - 420.0 * x + 540.0 * x * x - 315.0 * x.powi(3) + 70.0 * x.powi(4))
+}
+
+/// Raises an arm: so far forward, sideways and turned inwards, rad.
+fn raise(p: &mut Posture, side: usize, forward: f64, sideways: f64, inwards: f64) {
+    // Smooth through the hanging arm: plane and elevation of the direction, and no turn against the shortest way there.
+    let elevation = forward.hypot(sideways);
+    let plane = forward.atan2(sideways);
+    p.shoulder[side] = [plane, elevation, inwards - plane];
+}
+
+fn bend(p: &mut Posture, kind: &str, angle: f64) {
+    let side = usize::from(kind.ends_with("_l"));
+    match kind.trim_end_matches("_r").trim_end_matches("_l") {
+        "elbow_flexion" => p.elbow[side][0] = angle,
+        "elbow_pronation" => p.elbow[side][1] = angle,
+        "shoulder_flexion" => raise(p, side, angle, 0.0, 0.0),
+        "shoulder_abduction" => raise(p, side, 0.0, angle, 0.0),
+        "knee_flexion" => p.knee[side] = angle,
+        "hip_flexion" => p.hip[side][0] = angle,
+        "trunk_rotation" => p.spine[2] = angle,
+        _ => {
+            // A bow from the hips: the legs stay upright.
+            p.pelvis[1] = angle;
+            p.hip = [[angle, 0.0, 0.0]; 2];
+        }
+    }
+}

@@ -1,0 +1,267 @@
+//! The sensors that the person wears: what each measures, with a unit's errors.
+
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+
+use super::kinematics::{Build, Placement, SEGMENT_NAMES};
+use super::script::Script;
+use crate::random::{Purpose, Random};
+
+/// Standard gravity, m/s².
+const GRAVITY_M_S2: f64 = 9.81;
+/// Steps of the differences that make rates and forces, s.
+const STEP_S: f64 = 1e-3;
+/// Norm and dip of the simulated earth field: uT, rad.
+const FIELD_UT: f64 = 48.0;
+const DIP_RAD: f64 = 1.13;
+
+/// Errors of one class of units; standard deviations from which each unit's are drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorErrors {
+    /// Of a gyro sample, rad/s.
+    pub gyro_noise: f64,
+    /// Of a gyro's bias, rad/s.
+    pub gyro_bias: f64,
+    /// Of an accelerometer sample, m/s².
+    pub accel_noise: f64,
+    /// Of an accelerometer's bias, m/s².
+    pub accel_bias: f64,
+    /// Scale and cross-axis errors of both, fraction.
+    pub scale: f64,
+    /// Of a magnetometer sample, uT.
+    pub mag_noise: f64,
+    /// Of the field fastened to the sensor, uT.
+    pub mag_bias: f64,
+    /// How far the sensor plays on the skin per acceleration, m per m/s², and turns with it, rad per m; 0: rigid.
+    pub skin_m: f64,
+    /// See `skin_m`.
+    pub skin_rad_m: f64,
+}
+
+impl SensorErrors {
+    /// None at all.
+    pub const NONE: Self = Self {
+        gyro_noise: 0.0,
+        gyro_bias: 0.0,
+        accel_noise: 0.0,
+        accel_bias: 0.0,
+        scale: 0.0,
+        mag_noise: 0.0,
+        mag_bias: 0.0,
+        skin_m: 0.0,
+        skin_rad_m: 0.0,
+    };
+
+    /// A unit of MPU class at 100 Hz after its intrinsics were calibrated, rigidly worn: 0.01 deg/s and 300 ug per root
+    /// hertz at Nyquist, and what a calibration leaves.
+    pub fn calibrated() -> Self {
+        Self {
+            gyro_noise: 0.07_f64.to_radians(),
+            gyro_bias: 0.1_f64.to_radians(),
+            accel_noise: 0.021,
+            accel_bias: 0.03,
+            scale: 0.003,
+            mag_noise: 0.6,
+            mag_bias: 0.5,
+            ..Self::NONE
+        }
+    }
+
+    /// The same unit as it comes from the shelf.
+    pub fn uncalibrated() -> Self {
+        Self {
+            gyro_bias: 2.0_f64.to_radians(),
+            accel_bias: 0.4,
+            scale: 0.02,
+            mag_bias: 3.0,
+            ..Self::calibrated()
+        }
+    }
+}
+
+/// The field of the room differs from the earth's for a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Disturbance {
+    /// Its begin, s.
+    pub start_s: f64,
+    /// Its end, s.
+    pub end_s: f64,
+    /// By how much its azimuth turns, rad.
+    pub azimuth_rad: f64,
+    /// Factor on its norm.
+    pub norm: f64,
+    /// Added to its dip, rad.
+    pub dip_rad: f64,
+}
+
+/// Who wears what.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WearerSpec {
+    /// What the person does.
+    pub script: Script,
+    /// Lengths.
+    pub build: Build,
+    /// Of all sensors.
+    pub errors: SensorErrors,
+    /// Whether there are magnetometers.
+    pub magnetometer: bool,
+    /// Of the room's field.
+    pub disturbances: Vec<Disturbance>,
+    /// Samples per second.
+    pub rate_hz: f64,
+    /// How far the person is from the ideal pose and movement, standard deviation per axis, rad.
+    pub clumsiness_rad: f64,
+    /// Seed of mountings and errors.
+    pub seed: u64,
+}
+
+/// One sensor at one time, sensor axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// Rate, rad/s.
+    pub gyro_rad_s: Vector3<f64>,
+    /// Specific force, m/s².
+    pub accel_m_s2: Vector3<f64>,
+    /// Field, uT.
+    pub mag_ut: Option<Vector3<f64>>,
+}
+
+/// Truth of one time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Truth {
+    /// Time, s.
+    pub t_s: f64,
+    /// Segments.
+    pub body: [Placement; 10],
+}
+
+/// One unit's drawn errors and where it sits.
+#[derive(Clone, Debug)]
+struct Unit {
+    mount: UnitQuaternion<f64>,
+    offset_m: Vector3<f64>,
+    gyro: (Matrix3<f64>, Vector3<f64>),
+    accel: (Matrix3<f64>, Vector3<f64>),
+    magnet: Vector3<f64>,
+    skin: Matrix3<f64>,
+    noise: Random,
+}
+
+/// The person with ten sensors.
+#[derive(Clone, Debug)]
+pub struct Wearer {
+    spec: WearerSpec,
+    units: Vec<Unit>,
+    frame: u64,
+}
+
+impl Wearer {
+    /// Draws mountings and errors.
+    pub fn new(spec: WearerSpec) -> Self {
+        let build = spec.build;
+        let unit = |index: usize| {
+            let mut random = Random::new(spec.seed, Purpose::Wearer(index));
+            let mut vector = |sigma: f64| Vector3::from_fn(|_, _| sigma * random.normal());
+            let e = &spec.errors;
+            let length_m = match SEGMENT_NAMES[index].trim_end_matches("_r").trim_end_matches("_l") {
+                "upper_arm" => build.upper_arm_m,
+                "forearm" => build.forearm_m,
+                "thigh" => build.thigh_m,
+                "shank" => build.shank_m,
+                _ => 0.0,
+            };
+            let matrix = |a: Vector3<f64>, b: Vector3<f64>, c: Vector3<f64>| {
+                Matrix3::identity() + Matrix3::from_columns(&[a, b, c])
+            };
+            Unit {
+                mount: UnitQuaternion::from_scaled_axis(vector(1.0)),
+                offset_m: Vector3::new(0.0, -0.5 * length_m, 0.0) + vector(0.02),
+                gyro: (matrix(vector(e.scale), vector(e.scale), vector(e.scale)), vector(e.gyro_bias)),
+                accel: (matrix(vector(e.scale), vector(e.scale), vector(e.scale)), vector(e.accel_bias)),
+                magnet: vector(e.mag_bias),
+                skin: Matrix3::from_columns(&[vector(1.0), vector(1.0), vector(1.0)]) * e.skin_rad_m,
+                noise: random,
+            }
+        };
+        let units = (0..SEGMENT_NAMES.len()).map(unit).collect();
+        Self { spec, units, frame: 0 }
+    }
+
+    /// Sensor to segment, and the sensor's place in the segment, m.
+    pub fn mounting(&self, segment: usize) -> (UnitQuaternion<f64>, Vector3<f64>) {
+        (self.units[segment].mount, self.units[segment].offset_m)
+    }
+
+    /// Puts a sensor on anew, turned by a rotation vector in segment axes, rad: a strap that slipped.
+    pub fn slip(&mut self, segment: usize, turn_rad: Vector3<f64>) {
+        let unit = &mut self.units[segment];
+        unit.mount = UnitQuaternion::from_scaled_axis(turn_rad) * unit.mount;
+    }
+
+    /// The next frame: samples of all segments, and the truth.
+    pub fn next(&mut self) -> ([Sample; 10], Truth) {
+        let t_s = self.frame as f64 / self.spec.rate_hz;
+        self.frame += 1;
+        let spec = &self.spec;
+        let place = |t_s: f64| {
+            let mut posture = spec.script.at(t_s, &spec.build);
+            clumsy(&mut posture, spec.clumsiness_rad, spec.seed);
+            posture.place(&spec.build)
+        };
+        let times = [-2.0, -1.0, 0.0, 1.0, 2.0].map(|k| place(t_s + k * STEP_S));
+        let field = field(&spec.disturbances, t_s);
+        let errors = spec.errors;
+        let magnetometer = spec.magnetometer;
+        let samples = std::array::from_fn(|index| {
+            let unit = &mut self.units[index];
+            let points = times.each_ref().map(|body| body[index].origin_m + body[index].axes * unit.offset_m);
+            let bend = (points[1] + points[3]) * 16.0 - points[0] - points[4] - points[2] * 30.0;
+            let accel = bend / (12.0 * STEP_S * STEP_S);
+            let turn = |a: usize, b: usize| {
+                Rotation3::from_matrix_unchecked(times[a][index].axes.transpose() * times[b][index].axes)
+                    .scaled_axis()
+            };
+            let rate = (turn(1, 3) * 8.0 - turn(0, 4)) / (12.0 * STEP_S);
+            let axes = times[2][index].axes;
+            // Skin: an over-damped play that follows the acceleration and turns the sensor with it.
+            let play = axes.transpose() * accel * -errors.skin_m;
+            let mount = UnitQuaternion::from_scaled_axis(unit.skin * play) * unit.mount;
+            let back = mount.inverse();
+            let mut noise = |sigma: f64| Vector3::from_fn(|_, _| sigma * unit.noise.normal());
+            let force = axes.transpose() * (accel + Vector3::z() * GRAVITY_M_S2);
+            Sample {
+                gyro_rad_s: unit.gyro.0 * (back * rate) + unit.gyro.1 + noise(errors.gyro_noise),
+                accel_m_s2: unit.accel.0 * (back * force) + unit.accel.1 + noise(errors.accel_noise),
+                mag_ut: magnetometer
+                    .then(|| back * (axes.transpose() * field) + unit.magnet + noise(errors.mag_noise)),
+            }
+        });
+        (samples, Truth { t_s, body: times[2] })
+    }
+}
+
+/// The room's field, uT: x east, y north, z up.
+fn field(disturbances: &[Disturbance], t_s: f64) -> Vector3<f64> {
+    let (mut azimuth, mut norm, mut dip) = (0.0, FIELD_UT, DIP_RAD);
+    for disturbance in disturbances.iter().filter(|d| (d.start_s..d.end_s).contains(&t_s)) {
+        azimuth += disturbance.azimuth_rad;
+        norm *= disturbance.norm;
+        dip += disturbance.dip_rad;
+    }
+    Vector3::new(-azimuth.sin() * dip.cos(), azimuth.cos() * dip.cos(), -dip.sin()) * norm
+}
+
+/// A person's standing straight is not the table's: constant departures of every joint.
+fn clumsy(posture: &mut super::Posture, sigma: f64, seed: u64) {
+    if sigma == 0.0 {
+        return;
+    }
+    let mut random = Random::new(seed, Purpose::Wearer(100));
+    let mut add = |angle: &mut f64| *angle += sigma * random.normal();
+    posture.spine.iter_mut().for_each(&mut add);
+    for side in 0..2 {
+        posture.shoulder_lean[side].iter_mut().for_each(&mut add);
+        posture.hip[side].iter_mut().for_each(&mut add);
+        add(&mut posture.elbow[side][0]);
+        add(&mut posture.knee[side]);
+    }
+}

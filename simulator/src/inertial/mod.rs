@@ -1,0 +1,20 @@
+//! Body-worn inertial sensors: from the true motion to what a real one would report.
+//!
+//! ```text
+//! pose(t) ──> kinematics ──> rate, specific force ──> errors ──> measurement
+//!                 earth ──> magnetic field ──────────────┘
+//!                 pose(t) ──> attitude filter's error ──> orientation
+//! ```
+//! What comes in: a sensor on a moving body, a time. What goes out: what it measures there, and the truth. It
+//! knows no protocol.
+
+mod earth;
+mod errors;
+mod imu;
+
+pub use earth::{DisturbanceSpec, EarthSpec};
+pub use errors::{AxisErrors, FilterErrors, ImuClass, ImuErrors};
+pub(crate) use imu::{Imu, Inertial};
+
+/// Standard gravity, m/s².
+pub const GRAVITY_M_S2: f64 = 9.806_65;

@@ -1,0 +1,99 @@
+//! What the simulator needs to know of a stage.
+
+use serde::{Deserialize, Serialize};
+
+/// The parts of a stage file that the simulator needs, without the types of its reader.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StageSpec {
+    /// Position (m) and quaternion (w, x, y, z) of the transmitter in the room; absent: the room's axes are the tracker's.
+    pub transmitter_in_room: Option<([f64; 3], [f64; 4])>,
+    /// Devices, in the stage's order.
+    pub devices: Vec<DeviceSpec>,
+    /// Sensors, in the stage's order.
+    pub sensors: Vec<SensorSpec>,
+}
+
+impl StageSpec {
+    /// Picks what the simulator needs out of a stage: anything that is written like a stage file.
+    ///
+    /// # Errors
+    /// A key is missing or of another kind than in a stage file.
+    pub fn of(stage: &impl Serialize) -> Result<Self, serde_json::Error> {
+        #[derive(Deserialize)]
+        struct File {
+            #[serde(default)]
+            transmitter: Transmitter,
+            #[serde(default)]
+            device: Vec<DeviceSpec>,
+            #[serde(default)]
+            sensor: Vec<SensorSpec>,
+        }
+        #[derive(Default, Deserialize)]
+        struct Transmitter {
+            pose_in_room: Option<Pose>,
+        }
+        #[derive(Deserialize)]
+        struct Pose {
+            position_m: [f64; 3],
+            orientation_wxyz: [f64; 4],
+        }
+        let file: File = serde_json::from_value(serde_json::to_value(stage)?)?;
+        Ok(Self {
+            transmitter_in_room: file
+                .transmitter
+                .pose_in_room
+                .map(|pose| (pose.position_m, pose.orientation_wxyz)),
+            devices: file.device,
+            sensors: file.sensor,
+        })
+    }
+}
+
+/// A device of the stage; by its keys in a stage file.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+pub struct DeviceSpec {
+    /// Its name.
+    pub name: String,
+    /// Its driver: `flock-of-birds`, `xbus`, `x-imu3`, `slimevr`, `motionstar`, `fastrak`.
+    pub driver: String,
+    /// Its port: `tcp://...` and `udp://...` name a network, anything else a serial line.
+    #[serde(default)]
+    pub port: String,
+    /// What its units call themselves, in the order of their numbers, where the stage names them (SlimeVR).
+    #[serde(default, rename = "trackers")]
+    pub serials: Vec<String>,
+    /// Line rate, bit/s.
+    #[serde(default = "usual_baud")]
+    pub baud: u32,
+    /// Constant delay from measurement to the record's first bit, ms.
+    #[serde(default)]
+    pub measurement_delay_ms: f64,
+}
+
+impl DeviceSpec {
+    /// Its port; SlimeVR trackers that are to be found anywhere call where all servers listen.
+    pub(crate) fn port(&self) -> &str {
+        if self.driver == "slimevr" && self.port == "auto" { "udp://127.0.0.1:6969" } else { &self.port }
+    }
+
+    /// Whether a serial line limits what it sends: also behind a serial server on a network.
+    pub(crate) fn has_line(&self) -> bool {
+        let has_socket = matches!(self.driver.as_str(), "motionstar" | "x-imu3");
+        !self.port().starts_with("udp://") && !(has_socket && self.port().starts_with("tcp://"))
+    }
+}
+
+fn usual_baud() -> u32 {
+    115_200
+}
+
+/// A sensor of the stage; by its keys in a stage file.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct SensorSpec {
+    /// Its name.
+    pub name: String,
+    /// Name of its device.
+    pub device: String,
+    /// Address on the device.
+    pub address: u16,
+}

@@ -1,0 +1,127 @@
+//! ELAN annotation files (`.eaf`): segments on one tier, to be corrected by a person and read again.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use posed::motion::segments::measures::runs;
+use posed::table::Sequences;
+
+use super::super::Error;
+
+/// The tier that is written, and read first.
+const TIER: &str = "segments";
+
+/// An annotation file with a segment per run of equal classes.
+pub(super) fn write(t_s: &[f64], classes: &[u16], labels: &[String]) -> String {
+    let start_s = t_s.first().copied().unwrap_or(0.0);
+    let milliseconds = |frame: usize| {
+        let t_s = t_s.get(frame).or(t_s.last()).copied().unwrap_or(0.0);
+        ((t_s - start_s) * 1000.0).round()
+    };
+    let (mut slots, mut annotations) = (String::new(), String::new());
+    for (number, (class, first, end)) in runs(classes.iter().copied()).into_iter().enumerate() {
+        let (a, b) = (2 * number + 1, 2 * number + 2);
+        let label = escaped(&labels[usize::from(class)]);
+        // Writing to a string cannot fail.
+        let _ =
+            writeln!(slots, r#"    <TIME_SLOT TIME_SLOT_ID="ts{a}" TIME_VALUE="{}"/>"#, milliseconds(first));
+        let _ =
+            writeln!(slots, r#"    <TIME_SLOT TIME_SLOT_ID="ts{b}" TIME_VALUE="{}"/>"#, milliseconds(end));
+        let _ = writeln!(
+            annotations,
+            r#"    <ANNOTATION><ALIGNABLE_ANNOTATION ANNOTATION_ID="a{}" TIME_SLOT_REF1="ts{a}" TIME_SLOT_REF2="ts{b}"><ANNOTATION_VALUE>{label}</ANNOTATION_VALUE></ALIGNABLE_ANNOTATION></ANNOTATION>"#,
+            number + 1
+        );
+    }
+    format!(
+        r#"<?xml version="1.0" encoding="UTF-8"?>
+<ANNOTATION_DOCUMENT AUTHOR="posed" DATE="1970-01-01T00:00:00+00:00" FORMAT="3.0" VERSION="3.0" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" xsi:noNamespaceSchemaLocation="http://www.mpi.nl/tools/elan/EAFv3.0.xsd">
+  <HEADER MEDIA_FILE="" TIME_UNITS="milliseconds"/>
+  <TIME_ORDER>
+{slots}  </TIME_ORDER>
+  <TIER LINGUISTIC_TYPE_REF="default-lt" TIER_ID="{TIER}">
+{annotations}  </TIER>
+  <LINGUISTIC_TYPE GRAPHIC_REFERENCES="false" LINGUISTIC_TYPE_ID="default-lt" TIME_ALIGNABLE="true"/>
+</ANNOTATION_DOCUMENT>
+"#
+    )
+}
+
+/// Takes the labels of an annotation file: of its tier `segments`, or of its only one. Frames outside every
+/// annotation have no label.
+pub(super) fn read(path: &Path, sequences: &mut Sequences) -> Result<(), Error> {
+    let text = std::fs::read_to_string(path).map_err(|error| Error::file("read", path, &error))?;
+    let segments = parse(&text).map_err(|what| Error::Failed(format!("{}: {what}", path.display())))?;
+    let start_s = sequences.frames.first().map_or(0.0, |frame| frame.t_s);
+    for frame in &mut sequences.frames {
+        let at_ms = (frame.t_s - start_s) * 1000.0;
+        // Times are whole milliseconds: a frame on a border belongs to what begins there.
+        let here = segments.iter().rev().find(|(from, end, _)| at_ms >= from - 0.5 && at_ms < end - 0.5);
+        frame.label = here.map(|(_, _, label)| label.clone());
+    }
+    if let (Some(frame), Some((_, _, label))) = (sequences.frames.last_mut(), segments.last()) {
+        frame.label.get_or_insert_with(|| label.clone());
+    }
+    Ok(())
+}
+
+/// (from, end, label) of each annotation, in milliseconds, by time.
+fn parse(text: &str) -> Result<Vec<(f64, f64, String)>, String> {
+    let document = roxmltree::Document::parse(text).map_err(|error| error.to_string())?;
+    let named = |name: &'static str| document.descendants().filter(move |node| node.has_tag_name(name));
+    let time = |id: Option<&str>| {
+        let slot = named("TIME_SLOT").find(|slot| slot.attribute("TIME_SLOT_ID") == id && id.is_some());
+        slot.and_then(|slot| slot.attribute("TIME_VALUE")).and_then(|value| value.parse::<f64>().ok())
+    };
+    let mut tiers = named("TIER");
+    let tier = match named("TIER").find(|tier| tier.attribute("TIER_ID") == Some(TIER)) {
+        Some(tier) => tier,
+        None => match (tiers.next(), tiers.next()) {
+            (Some(tier), None) => tier,
+            _ => return Err(format!("expected a tier `{TIER}`, or only one")),
+        },
+    };
+    let mut segments = Vec::new();
+    for node in tier.descendants().filter(|node| node.has_tag_name("ALIGNABLE_ANNOTATION")) {
+        let value = node.children().find(|child| child.has_tag_name("ANNOTATION_VALUE"));
+        let label = value.and_then(|value| value.text()).unwrap_or("").trim().to_owned();
+        let times = (time(node.attribute("TIME_SLOT_REF1")), time(node.attribute("TIME_SLOT_REF2")));
+        let (Some(from), Some(end)) = times else {
+            return Err(format!("annotation `{label}` has no times"));
+        };
+        if !label.is_empty() {
+            segments.push((from, end, label));
+        }
+    }
+    segments.sort_by(|a, b| a.0.total_cmp(&b.0));
+    Ok(segments)
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+#[cfg(test)]
+mod tests {
+    use posed::table::SequenceFrame;
+
+    use super::*;
+
+    #[test]
+    fn what_is_written_is_read_again() {
+        let labels = ["walk & <turn>".to_owned(), "pick".to_owned()];
+        let t_s: Vec<f64> = (0..100).map(|frame| 5.0 + frame as f64 / 72.0).collect();
+        let classes: Vec<u16> = (0..100).map(|frame| u16::from((30..71).contains(&frame))).collect();
+        let text = write(&t_s, &classes, &labels);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.eaf");
+        std::fs::write(&path, text).unwrap();
+        let frames = t_s.iter().map(|t_s| SequenceFrame { t_s: *t_s, ..SequenceFrame::default() }).collect();
+        let mut sequences = Sequences { frames, ..Sequences::default() };
+        read(&path, &mut sequences).unwrap();
+        for (frame, class) in sequences.frames.iter().zip(classes) {
+            assert_eq!(frame.label.as_deref(), Some(labels[usize::from(class)].as_str()), "{}", frame.t_s);
+        }
+        assert!(parse("<x/>").unwrap_err().contains("tier"));
+    }
+}

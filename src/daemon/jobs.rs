@@ -1,0 +1,232 @@
+//! Jobs: what takes its time, can be watched on the topic `jobs`, and can be cancelled.
+//!
+//! In: who works says how far it is. Out: the list of all jobs to the clients, on change and at most five times a second
+//! between. A cancelled job is only told so: it ends where it can, and says itself what is left of it.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use posed_drivers::Timestamp;
+
+use super::clock::StageClock;
+use super::server::Hub;
+use crate::protocol::{self, JobState};
+
+/// Jobs that have ended and are still listed.
+const ENDED: usize = 16;
+/// Distance of two messages that tell nothing but progress.
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
+
+/// All jobs of a daemon; clones share them.
+#[derive(Clone, Debug)]
+pub(super) struct Jobs {
+    clock: StageClock,
+    hub: Hub,
+    list: Arc<Mutex<List>>,
+}
+
+#[derive(Debug, Default)]
+struct List {
+    last: u64,
+    jobs: Vec<Listed>,
+    published: Timestamp,
+}
+
+#[derive(Debug)]
+struct Listed {
+    job: protocol::Job,
+    begun: Timestamp,
+    cancelled: Arc<AtomicBool>,
+}
+
+/// A job at work; belongs to who does it. Dropped without an end, it has failed.
+#[derive(Debug)]
+pub(super) struct Job {
+    jobs: Jobs,
+    number: u64,
+    cancelled: Arc<AtomicBool>,
+}
+
+impl Jobs {
+    pub(super) fn new(clock: StageClock, hub: Hub) -> Self {
+        Self { clock, hub, list: Arc::default() }
+    }
+
+    /// Begins a job; `kind` is the request that asks for it.
+    pub(super) fn begin(&self, kind: &str) -> Job {
+        let mut list = self.lock();
+        list.last += 1;
+        let number = list.last;
+        let cancelled = Arc::<AtomicBool>::default();
+        list.jobs.push(Listed {
+            job: protocol::Job {
+                job: number,
+                kind: kind.to_owned(),
+                state: JobState::Running,
+                progress: None,
+                remaining_s: None,
+                message: None,
+            },
+            begun: self.clock.now(),
+            cancelled: Arc::clone(&cancelled),
+        });
+        self.publish(&mut list);
+        Job { jobs: self.clone(), number, cancelled }
+    }
+
+    /// Tells a job to end.
+    ///
+    /// # Errors
+    /// No such job is running.
+    pub(super) fn cancel(&self, number: u64) -> Result<(), String> {
+        let list = self.lock();
+        let found = list.jobs.iter().find(|listed| listed.job.job == number);
+        match found {
+            Some(listed) if listed.job.state == JobState::Running => {
+                listed.cancelled.store(true, Ordering::Relaxed);
+                Ok(())
+            }
+            Some(_) => Err(format!("job {number} has ended already")),
+            None => Err(format!("no job {number} is running")),
+        }
+    }
+
+    fn change(&self, number: u64, change: impl FnOnce(&mut Listed, Timestamp)) {
+        let mut list = self.lock();
+        let now = self.clock.now();
+        let Some(listed) = list.jobs.iter_mut().find(|listed| listed.job.job == number) else { return };
+        change(listed, now);
+        if listed.job.state != JobState::Running {
+            let ended = list.jobs.iter().filter(|listed| listed.job.state != JobState::Running).count();
+            let mut surplus = ended.saturating_sub(ENDED);
+            list.jobs.retain(|listed| {
+                let keep = listed.job.state == JobState::Running || surplus == 0;
+                surplus -= usize::from(!keep);
+                keep
+            });
+        } else if now < list.published + PROGRESS_INTERVAL {
+            return;
+        }
+        self.publish(&mut list);
+    }
+
+    fn publish(&self, list: &mut List) {
+        list.published = self.clock.now();
+        let jobs = list.jobs.iter().map(|listed| listed.job.clone()).collect();
+        self.hub.publish_jobs(protocol::Jobs { t_s: list.published.as_secs_f64(), jobs });
+    }
+
+    fn lock(&self) -> MutexGuard<'_, List> {
+        // Every change is complete before anything in it could panic.
+        self.list.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Job {
+    /// Its number, for the reply and for `job.cancel`.
+    pub(super) fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// Whether it was told to end.
+    pub(super) fn is_cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+
+    /// How far it is, from 0 to 1, where that is known, and what it is at.
+    pub(super) fn progress(&self, fraction: Option<f64>, message: Option<String>) {
+        self.jobs.change(self.number, |listed, now| {
+            let passed_s = now.seconds_since(listed.begun);
+            listed.job.progress = fraction.map(|fraction| fraction.clamp(0.0, 1.0));
+            listed.job.remaining_s =
+                fraction.filter(|fraction| *fraction > 0.0).map(|fraction| passed_s * (1.0 / fraction - 1.0));
+            listed.job.message = message;
+        });
+    }
+
+    /// Ends it with its outcome, or with the reason why there is none.
+    pub(super) fn end(self, outcome: Result<String, String>) {
+        let cancelled = self.is_cancelled();
+        self.jobs.change(self.number, |listed, _| {
+            let (state, message) = match outcome {
+                Ok(message) if cancelled => (JobState::Cancelled, message),
+                Ok(message) => (JobState::Done, message),
+                Err(message) => (JobState::Failed, message),
+            };
+            let progress = if state == JobState::Done { Some(1.0) } else { listed.job.progress };
+            listed.job = protocol::Job {
+                state,
+                progress,
+                remaining_s: None,
+                message: Some(message),
+                ..listed.job.clone()
+            };
+        });
+    }
+}
+
+impl Drop for Job {
+    fn drop(&mut self) {
+        self.jobs.change(self.number, |listed, _| {
+            if listed.job.state == JobState::Running {
+                listed.job.state = JobState::Failed;
+                listed.job.message = Some("it broke off; the daemon's log says more".into());
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn jobs() -> (Jobs, Hub) {
+        let hub = Hub::default();
+        (Jobs::new(StageClock::start(), hub.clone()), hub)
+    }
+
+    fn newest(hub: &Hub) -> Vec<protocol::Job> {
+        std::iter::from_fn(|| hub.take_jobs()).last().map(|jobs| jobs.jobs).unwrap_or_default()
+    }
+
+    #[test]
+    fn a_job_is_told_of_from_its_beginning_to_its_end() {
+        let (jobs, hub) = jobs();
+        let job = jobs.begin("record.start");
+        let begun = newest(&hub);
+        assert_eq!((begun.len(), begun[0].job, begun[0].state), (1, job.number(), JobState::Running));
+        assert_eq!((begun[0].kind.as_str(), begun[0].progress), ("record.start", None));
+        job.progress(Some(0.25), Some("a quarter".into()));
+        job.end(Ok("all of it".into()));
+        let ended = newest(&hub);
+        assert_eq!((ended[0].state, ended[0].progress), (JobState::Done, Some(1.0)));
+        assert_eq!(ended[0].message.as_deref(), Some("all of it"));
+    }
+
+    #[test]
+    fn a_cancelled_job_ends_by_itself_and_only_once() {
+        let (jobs, hub) = jobs();
+        let job = jobs.begin("replay.seek");
+        assert!(!job.is_cancelled());
+        jobs.cancel(job.number()).unwrap();
+        assert!(job.is_cancelled());
+        let number = job.number();
+        job.end(Ok("stays where it is".into()));
+        assert_eq!(newest(&hub)[0].state, JobState::Cancelled);
+        assert!(jobs.cancel(number).unwrap_err().contains("ended already"));
+        assert!(jobs.cancel(77).unwrap_err().contains("no job 77"));
+    }
+
+    #[test]
+    fn a_job_that_is_dropped_has_failed_and_old_ones_are_forgotten() {
+        let (jobs, hub) = jobs();
+        let running = jobs.begin("record.start");
+        for _ in 0..ENDED + 3 {
+            drop(jobs.begin("replay.seek"));
+        }
+        let listed = newest(&hub);
+        assert_eq!((listed.len(), listed[0].job), (ENDED + 1, running.number()));
+        assert!(listed[1..].iter().all(|job| job.state == JobState::Failed && job.message.is_some()));
+    }
+}

@@ -1,0 +1,134 @@
+//! Is a worn sensor to be believed, and if not, why?
+//!
+//! In: its samples or their absence, and how its own orientation agrees with the body's. Out: a [`SensorFault`]. It never
+//! takes a sensor out of the filters: those gate by themselves.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::fusion::ahrs::ImuSample;
+
+/// Without a sample for so long, a sensor is silent, s.
+const SILENT_S: f64 = 0.5;
+/// The same numbers for so long are a dead unit, s: noise changes the last bit of a live one.
+const FROZEN_S: f64 = 0.3;
+/// For so long after it a number that is none, or a saturated one, is told of, s.
+const TOLD_S: f64 = 1.0;
+/// 98 % of 16 g and of 2000 deg/s, the widest ranges of the usual units.
+const ACCEL_RANGE_M_S2: f64 = 0.98 * 16.0 * 9.80665;
+const GYRO_RANGE_RAD_S: f64 = 0.98 * 34.9;
+/// Tilt between the sensor's own orientation and the body's that no healthy strap shows, rad.
+const TILT_RAD: f64 = 0.26;
+/// The same of the heading, where there is a magnetometer, rad.
+const HEADING_RAD: f64 = 0.7;
+/// Part of the squared rate that no joint allows: above it the sensor turns in ways its segment cannot. Skin and blows
+/// make some; a strap turned by 30 degrees makes a quarter.
+const IMPOSSIBLE: f64 = 0.15;
+/// Time over which that part is taken, s.
+const IMPOSSIBLE_TAU_S: f64 = 0.4;
+/// Below this rate it says nothing, rad/s.
+const SLOW_RAD_S: f64 = 0.3;
+/// For so long must a disagreement last, s.
+const MISFIT_S: f64 = 0.3;
+
+/// What is wrong with a worn sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SensorFault {
+    /// No sample for half a second.
+    Silent,
+    /// A number that is not finite.
+    NotFinite,
+    /// The same numbers again and again.
+    Frozen,
+    /// At the end of its range.
+    Saturated,
+    /// Does not fit its segment: the strap has slipped, or two sensors are swapped.
+    Misfit,
+}
+
+/// What is remembered of a sensor's health.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Watch {
+    silent_s: f64,
+    frozen_s: f64,
+    misfit_s: f64,
+    /// Squared rates, low-passed: what no joint allows, and all.
+    impossible: f64,
+    turning: f64,
+    /// Time since the last such sample; starts as long ago as can be.
+    since_broken_s: Option<f64>,
+    since_saturated_s: Option<f64>,
+    last: Option<ImuSample>,
+}
+
+/// All numbers that every filter needs are finite.
+pub(super) fn usable(sample: &ImuSample) -> bool {
+    sample.gyro_rad_s.iter().chain(sample.accel_m_s2.iter()).all(|value| value.is_finite())
+}
+
+impl Watch {
+    /// One sample, or none.
+    pub(super) fn sample(&mut self, sample: Option<&ImuSample>, dt_s: f64) {
+        for since in [&mut self.since_broken_s, &mut self.since_saturated_s] {
+            *since = since.map(|s| s + dt_s).filter(|s| *s < TOLD_S);
+        }
+        let Some(sample) = sample else {
+            self.silent_s += dt_s;
+            return;
+        };
+        self.silent_s = 0.0;
+        if !usable(sample) {
+            self.since_broken_s = Some(0.0);
+            return;
+        }
+        let same = self
+            .last
+            .is_some_and(|last| last.gyro_rad_s == sample.gyro_rad_s && last.accel_m_s2 == sample.accel_m_s2);
+        self.frozen_s = if same { self.frozen_s + dt_s } else { 0.0 };
+        self.last = Some(*sample);
+        if sample.accel_m_s2.amax() > ACCEL_RANGE_M_S2 || sample.gyro_rad_s.amax() > GYRO_RANGE_RAD_S {
+            self.since_saturated_s = Some(0.0);
+        }
+    }
+
+    /// What the limb made of the gyro: the rate, rad/s, and the part of it that the joints do not allow.
+    pub(super) fn gyro(&mut self, rate_rad_s: f64, impossible_rad_s: f64, dt_s: f64) {
+        let gain = dt_s / (IMPOSSIBLE_TAU_S + dt_s);
+        self.impossible += gain * (impossible_rad_s.min(rate_rad_s).powi(2) - self.impossible);
+        self.turning += gain * (rate_rad_s.powi(2) - self.turning);
+    }
+
+    /// The segment's orientation by the sensor alone and by the body.
+    pub(super) fn agrees(
+        &mut self,
+        own: Option<UnitQuaternion<f64>>,
+        body: Option<UnitQuaternion<f64>>,
+        magnetometer: bool,
+        dt_s: f64,
+    ) {
+        let apart = own.zip(body).is_some_and(|(own, body)| {
+            let tilt = (own.inverse() * Vector3::z()).angle(&(body.inverse() * Vector3::z()));
+            tilt > TILT_RAD || (magnetometer && own.angle_to(&body) > HEADING_RAD)
+        });
+        let apart = apart || self.impossible > IMPOSSIBLE * self.turning.max(SLOW_RAD_S * SLOW_RAD_S);
+        self.misfit_s = if apart { self.misfit_s + dt_s } else { (self.misfit_s - dt_s).max(0.0) }.min(1.0);
+    }
+
+    /// The gravest of what is wrong.
+    pub(super) fn fault(&self) -> Option<SensorFault> {
+        if self.since_broken_s.is_some() {
+            Some(SensorFault::NotFinite)
+        } else if self.silent_s >= SILENT_S {
+            Some(SensorFault::Silent)
+        } else if self.frozen_s >= FROZEN_S {
+            Some(SensorFault::Frozen)
+        } else if self.since_saturated_s.is_some() {
+            Some(SensorFault::Saturated)
+        } else if self.misfit_s >= MISFIT_S {
+            Some(SensorFault::Misfit)
+        } else {
+            None
+        }
+    }
+}

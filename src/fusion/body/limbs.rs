@@ -1,0 +1,175 @@
+//! One limb of a body: begins an arm's or a leg's filter from its sensors' own orientations, and drives it.
+//!
+//! In: the trunk's motion, both sensors' samples and own orientations. Out: upper and lower segment to trunk. A limb
+//! of which no sensor is worn stays unknown; one with a single sensor shows the segments down to that sensor.
+
+use nalgebra::{SVector, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::skeleton::{Limb, SEGMENTS, Skeleton};
+use super::{Sensor, Worn, joint_angles};
+use crate::fusion::ahrs::ImuSample;
+use crate::fusion::limb::{
+    Arm, Axes, Ball, Base, FieldReference, Leg, LimbGeometry, LimbNoise, LimbSamples, SensorReport,
+};
+
+/// Uncertainty of each angle at the start, rad.
+const START_SIGMA_RAD: f64 = 0.2;
+/// North, as [`Sensor::north`] gives it.
+const NORTH: FieldReference =
+    FieldReference { azimuth_rad: std::f64::consts::FRAC_PI_2, norm: 1.0, dip_rad: 0.0 };
+/// Elbow: flexion, pronation; knee: flexion; degrees. Some degrees beyond the anatomy of algorithms as written, because the
+/// zero of a calibration is only as good as the pose that was held.
+const ELBOW_DEG: [[f64; 2]; 2] = [[-8.0, -95.0], [158.0, 95.0]];
+const KNEE_DEG: [f64; 2] = [-8.0, 155.0];
+
+/// The filter of one limb, once it has begun.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(clippy::large_enum_variant, reason = "four of them, made once; no box, so that a copy is a copy")]
+enum Filter {
+    Waiting,
+    Arm(Arm),
+    Leg(Leg),
+}
+
+/// One limb.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct LimbFilter {
+    limb: Limb,
+    geometry: LimbGeometry,
+    noise: LimbNoise,
+    /// Whether upper and lower segment wear a sensor.
+    worn: [bool; 2],
+    filter: Filter,
+}
+
+impl LimbFilter {
+    pub(super) fn new(
+        limb: Limb,
+        skeleton: &Skeleton,
+        worn: &[Option<Worn>; SEGMENTS],
+        noise: &LimbNoise,
+    ) -> Self {
+        let [trunk, upper, lower] = limb.segments();
+        let of = |index: usize| worn[index];
+        let mount = |worn: Option<Worn>| worn.map_or_else(UnitQuaternion::identity, |w| w.q_segment_sensor);
+        let offset = |segment: super::Segment| {
+            of(segment.index()).map_or_else(|| skeleton.usual_sensor_m(segment), |worn| worn.offset_m)
+        };
+        let trunk_m = of(trunk.index()).map_or_else(Vector3::zeros, |worn| worn.offset_m);
+        Self {
+            limb,
+            geometry: LimbGeometry {
+                base_to_joint_m: skeleton.joint_in_parent_m(upper) - trunk_m,
+                upper_imu_m: offset(upper),
+                upper_to_lower_m: skeleton.joint_in_parent_m(lower),
+                lower_imu_m: offset(lower),
+                upper_mount: mount(of(upper.index())),
+                lower_mount: mount(of(lower.index())),
+            },
+            noise: *noise,
+            worn: [of(upper.index()).is_some(), of(lower.index()).is_some()],
+            filter: Filter::Waiting,
+        }
+    }
+
+    /// Takes the samples of one time and says what became of them. `own` are the segments' orientations by their sensors
+    /// alone.
+    pub(super) fn push(
+        &mut self,
+        base: &Base,
+        sensors: [&Option<Sensor>; 2],
+        own: [Option<UnitQuaternion<f64>>; 2],
+        samples: [Option<ImuSample>; 2],
+        dt_s: f64,
+    ) -> [SensorReport; 2] {
+        if matches!(self.filter, Filter::Waiting) {
+            self.begin(base, own);
+            return [SensorReport::default(); 2];
+        }
+        // The field of a sample is replaced by what the sensor's own filter makes of it.
+        let with_north = |sample: Option<ImuSample>, sensor: &Option<Sensor>| {
+            sample.map(|sample| ImuSample { mag: sensor.as_ref().and_then(Sensor::north), ..sample })
+        };
+        let samples = LimbSamples {
+            upper: with_north(samples[0], sensors[0]),
+            lower: with_north(samples[1], sensors[1]),
+        };
+        let at_rest = sensors.iter().all(|sensor| sensor.as_ref().is_none_or(|s| s.ahrs.at_rest()));
+        match &mut self.filter {
+            Filter::Waiting => [SensorReport::default(); 2],
+            Filter::Arm(arm) => {
+                let reports = arm.push(base, Some(&NORTH), &samples, dt_s);
+                if at_rest && base.rate_rad_s.norm() < 0.05 {
+                    arm.observe_rest();
+                }
+                reports
+            }
+            Filter::Leg(leg) => {
+                let reports = leg.push(base, Some(&NORTH), &samples, dt_s);
+                if at_rest && base.rate_rad_s.norm() < 0.05 {
+                    leg.observe_rest();
+                }
+                reports
+            }
+        }
+    }
+
+    /// The gyro's noise that the filter assumes, rad/s.
+    pub(super) fn gyro_noise_rad_s(&self) -> f64 {
+        self.noise.gyro
+    }
+
+    /// Begins as soon as every worn sensor has an orientation.
+    fn begin(&mut self, base: &Base, own: [Option<UnitQuaternion<f64>>; 2]) {
+        let known = self.worn.iter().zip(&own).all(|(worn, own)| !worn || own.is_some());
+        if !known || self.worn == [false, false] {
+            return;
+        }
+        let Some(upper) = own[0].or(own[1]) else { return };
+        let lower = own[1].unwrap_or(upper);
+        let [_, _, segment] = self.limb.segments();
+        let angles = joint_angles(segment, &(upper.inverse() * lower));
+        let ball = Ball {
+            q: base.q_room_base.inverse() * upper,
+            rate_rad_s: Vector3::zeros(),
+            accel_rad_s2: Vector3::zeros(),
+        };
+        let side = segment.side();
+        self.filter = match self.limb {
+            Limb::ArmR | Limb::ArmL => {
+                let mut elbow = Axes::new([Vector3::z(), Vector3::y() * side]);
+                elbow.angle_rad = SVector::<f64, 2>::new(angles[0], angles[1]);
+                let limits = ELBOW_DEG.map(|row| SVector::from(row.map(f64::to_radians)));
+                Filter::Arm(Arm::new(self.geometry, self.noise, ball, elbow, limits, START_SIGMA_RAD))
+            }
+            Limb::LegR | Limb::LegL => {
+                let mut knee = Axes::new([-Vector3::z()]);
+                knee.angle_rad = SVector::<f64, 1>::new(angles[0]);
+                let limits = KNEE_DEG.map(|limit| SVector::from([limit.to_radians()]));
+                Filter::Leg(Leg::new(self.geometry, self.noise, ball, knee, limits, START_SIGMA_RAD))
+            }
+        };
+    }
+
+    /// Upper and lower segment to trunk; `None` where no sensor shows it.
+    pub(super) fn orientations(&self) -> [Option<UnitQuaternion<f64>>; 2] {
+        let [upper, lower] = match &self.filter {
+            Filter::Waiting => return [None; 2],
+            Filter::Arm(arm) => arm.orientations(),
+            Filter::Leg(leg) => leg.orientations(),
+        };
+        [Some(upper), self.worn[1].then_some(lower)]
+    }
+
+    /// Uncertainty of the upper (0) or lower (1) segment about an axis, rad.
+    pub(super) fn sigma_rad(&self, which: usize) -> f64 {
+        match &self.filter {
+            Filter::Waiting => std::f64::consts::PI,
+            Filter::Arm(arm) if which == 0 => arm.upper_sigma_rad(),
+            Filter::Leg(leg) if which == 0 => leg.upper_sigma_rad(),
+            Filter::Arm(arm) => arm.lower_sigma_rad(0).hypot(arm.upper_sigma_rad()),
+            Filter::Leg(leg) => leg.lower_sigma_rad(0).hypot(leg.upper_sigma_rad()),
+        }
+    }
+}

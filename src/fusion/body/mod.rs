@@ -1,0 +1,307 @@
+//! The whole body: ten IMUs at most, one skeleton, live.
+//!
+//! In: samples of the worn IMUs at one time, with the time since the ones before; how each sits on its segment
+//! ([`Worn`]). Out: a [`BodyEstimate`]: segment orientations, joint angles, their uncertainty, and the health of every
+//! sensor with the reason. It never invents a segment that no sensor shows, never stops the rest of the body because one
+//! sensor fails, and never allocates per sample.
+//!
+//! ```text
+//! torso, pelvis:  sensor ──> ahrs ────────────────────────────> segment orientation, and the base of its limbs
+//! limbs:          sensor ──> ahrs ── heading only ──┐
+//!                 sensor ── gyro, accelerometer ────┴> limb ──> joint angles ──> segment orientations
+//! ```
+//! The heading of a limb's sensor comes through its own orientation filter, whose eleven states tell a disturbance
+//! of the room from a magnet on the sensor; the limb sees it as an azimuth that cannot tilt anything. Without
+//! a magnetometer the headings hold by the gyros, the hinges of elbow and knee and rests; [`Heading::Held`] says so.
+
+mod angles;
+pub mod calibrate;
+mod health;
+mod limbs;
+pub mod places;
+mod skeleton;
+#[cfg(test)]
+mod tests;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+pub use angles::{ANGLE_NAMES, ANGLES, angles, joint_angles, joint_rotation, of_joint};
+pub use health::SensorFault;
+pub use skeleton::{Limb, SEGMENTS, Segment, Skeleton, upright};
+
+use super::ahrs::{Ahrs, ImuSample, Params};
+use super::limb::{Base, LimbNoise};
+use health::Watch;
+use limbs::LimbFilter;
+
+/// Samples of the whole body at one time, by [`Segment::index`].
+pub type BodySamples = [Option<ImuSample>; SEGMENTS];
+
+/// How one sensor sits on its segment.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Worn {
+    /// Turns sensor coordinates into segment coordinates.
+    pub q_segment_sensor: UnitQuaternion<f64>,
+    /// Where it sits, segment frame, m.
+    pub offset_m: Vector3<f64>,
+    /// Without a magnetometer: what turns the sensor's level frame into the room, rad; absent: as if the first sample
+    /// found the body in a posture that looks along the room's x.
+    pub heading_rad: Option<f64>,
+}
+
+/// What the body's filters assume.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct BodyParams {
+    /// Of every sensor's orientation filter.
+    pub ahrs: Params,
+    /// Of the limbs' filters.
+    pub limb: LimbNoise,
+}
+
+/// Where the body's heading comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum Heading {
+    /// Nothing has been measured.
+    #[default]
+    Unknown,
+    /// From a field that is believed.
+    Field,
+    /// Held by the gyros for so long, s: no magnetometer, or a field that is not believed.
+    Held(f64),
+}
+
+/// The body at one time.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BodyEstimate {
+    /// Segment to room; `None` where no sensor shows it.
+    pub orientations: [Option<UnitQuaternion<f64>>; SEGMENTS],
+    /// Root mean square of its expected error about an axis, rad; of limbs, relative to the trunk.
+    pub sigma_rad: [f64; SEGMENTS],
+    /// Angles in the order of [`ANGLE_NAMES`], rad.
+    pub angles_rad: [Option<f64>; ANGLES],
+    /// What is wrong with the sensor on each segment, if anything.
+    pub faults: [Option<SensorFault>; SEGMENTS],
+    /// Where the heading comes from.
+    pub heading: Heading,
+}
+
+impl Default for BodyEstimate {
+    fn default() -> Self {
+        Self {
+            orientations: [None; SEGMENTS],
+            sigma_rad: [std::f64::consts::PI; SEGMENTS],
+            angles_rad: [None; ANGLES],
+            faults: [None; SEGMENTS],
+            heading: Heading::Unknown,
+        }
+    }
+}
+
+impl BodyEstimate {
+    /// Joint centres: origins of all segments in the room, m, with the hips' mid-point above the room's origin and the lower
+    /// ankle at its height over the floor. A segment that is not known stands as its parent does.
+    pub fn origins_m(&self, skeleton: &Skeleton) -> [Vector3<f64>; SEGMENTS] {
+        let all = self.completed();
+        skeleton.origins_m(&all, skeleton.standing_m(&all))
+    }
+
+    /// Orientations with the missing ones as straight continuations of their parents (the pelvis of the torso).
+    pub fn completed(&self) -> [UnitQuaternion<f64>; SEGMENTS] {
+        let known = |segment: Segment| self.orientations[segment.index()];
+        let mut all = [upright(); SEGMENTS];
+        for segment in Skeleton::PARENTS_FIRST {
+            all[segment.index()] = known(segment).unwrap_or_else(|| match segment.parent() {
+                Some(parent) => all[parent.index()],
+                None => known(Segment::Torso).unwrap_or_else(upright),
+            });
+        }
+        all
+    }
+}
+
+/// One sensor: how it is worn, its own orientation and its health.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Sensor {
+    worn: Worn,
+    ahrs: Ahrs,
+    started: bool,
+    /// Whether its samples carry a field.
+    magnetometer: bool,
+    /// From its level frame to the room, where it has no magnetometer.
+    heading: UnitQuaternion<f64>,
+    watch: Watch,
+}
+
+/// The filters of a body.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BodyFilter {
+    sensors: [Option<Sensor>; SEGMENTS],
+    limbs: [LimbFilter; 4],
+    /// Last rate of torso and pelvis, segment axes, rad/s, for their angular acceleration.
+    last_rates: [Option<Vector3<f64>>; 2],
+    held_s: f64,
+    estimate: BodyEstimate,
+}
+
+impl BodyFilter {
+    /// A body that has seen nothing; `worn` by [`Segment::index`].
+    pub fn new(skeleton: &Skeleton, worn: &[Option<Worn>; SEGMENTS], params: &BodyParams) -> Self {
+        let sensor = |worn: Worn| Sensor {
+            worn,
+            ahrs: Ahrs::new(params.ahrs.clone()),
+            started: false,
+            magnetometer: false,
+            heading: UnitQuaternion::identity(),
+            watch: Watch::default(),
+        };
+        Self {
+            sensors: worn.map(|worn| worn.map(sensor)),
+            limbs: Limb::ALL.map(|limb| LimbFilter::new(limb, skeleton, worn, &params.limb)),
+            last_rates: [None; 2],
+            held_s: 0.0,
+            estimate: BodyEstimate::default(),
+        }
+    }
+
+    /// Takes the samples of one time, `dt_s` after the ones before. A time that does not rise changes nothing.
+    pub fn push(&mut self, samples: &BodySamples, dt_s: f64) -> &BodyEstimate {
+        if !(dt_s > 0.0 && dt_s.is_finite()) {
+            return &self.estimate;
+        }
+        for (sensor, sample) in self.sensors.iter_mut().zip(samples) {
+            if let Some(sensor) = sensor {
+                sensor.push(sample.as_ref(), dt_s);
+            }
+        }
+        let orientations =
+            self.sensors.each_ref().map(|sensor| sensor.as_ref().and_then(Sensor::orientation));
+        let bases = [Segment::Torso, Segment::Pelvis].map(|trunk| self.base(trunk, samples, dt_s));
+        for (limb, filter) in Limb::ALL.into_iter().zip(&mut self.limbs) {
+            let [trunk, upper, lower] = limb.segments();
+            let sensors = [&self.sensors[upper.index()], &self.sensors[lower.index()]];
+            let own = [orientations[upper.index()], orientations[lower.index()]];
+            let pair = [samples[upper.index()], samples[lower.index()]];
+            let reports = filter.push(&bases[trunk.index()], sensors, own, pair, dt_s);
+            for ((segment, report), sample) in [upper, lower].into_iter().zip(reports).zip(pair) {
+                if let (Some(sensor), Some(sample), Some(nis)) =
+                    (&mut self.sensors[segment.index()], sample, report.gyro_nis)
+                {
+                    // The filter lets the joints' rates go where the gyros say: what is left, it cannot explain.
+                    let left = nis.sqrt() * filter.gyro_noise_rad_s();
+                    sensor.watch.gyro(sample.gyro_rad_s.norm(), left, dt_s);
+                }
+            }
+        }
+        self.publish(&orientations, &bases, dt_s);
+        &self.estimate
+    }
+
+    /// The latest estimate.
+    pub fn estimate(&self) -> &BodyEstimate {
+        &self.estimate
+    }
+
+    /// Motion of torso or pelvis, which its limbs hang on.
+    fn base(&mut self, trunk: Segment, samples: &BodySamples, dt_s: f64) -> Base {
+        let slot = &mut self.last_rates[trunk.index()];
+        let Some(sensor) = &self.sensors[trunk.index()] else { return Base::room() };
+        let Some(q_room_base) = sensor.orientation() else { return Base::room() };
+        let gravity = q_room_base.inverse() * Vector3::z() * super::limb::GRAVITY_M_S2;
+        let Some(sample) = samples[trunk.index()].filter(health::usable) else {
+            // Nothing from the trunk: it stands, as far as anybody knows.
+            *slot = None;
+            return Base { q_room_base, force_m_s2: gravity, ..Base::room() };
+        };
+        let mount = &sensor.worn.q_segment_sensor;
+        let rate_rad_s = mount * (sample.gyro_rad_s - sensor.ahrs.bias_rad_s());
+        let accel_rad_s2 = slot.map_or_else(Vector3::zeros, |last| (rate_rad_s - last) / dt_s);
+        *slot = Some(rate_rad_s);
+        let force_m_s2 = mount * sample.accel_m_s2;
+        Base { q_room_base, rate_rad_s, accel_rad_s2, force_m_s2, rate_sigma: 0.01, force_sigma: 0.2 }
+    }
+
+    fn publish(&mut self, own: &[Option<UnitQuaternion<f64>>; SEGMENTS], bases: &[Base; 2], dt_s: f64) {
+        let out = &mut self.estimate;
+        for trunk in [Segment::Torso, Segment::Pelvis] {
+            out.orientations[trunk.index()] = own[trunk.index()];
+            if self.sensors[trunk.index()].is_some() {
+                out.sigma_rad[trunk.index()] = 1.5_f64.to_radians();
+            }
+        }
+        for (limb, filter) in Limb::ALL.into_iter().zip(&self.limbs) {
+            let [trunk, upper, lower] = limb.segments();
+            let q_room_base = bases[trunk.index()].q_room_base;
+            let relative = filter.orientations();
+            for (k, segment) in [upper, lower].into_iter().enumerate() {
+                out.orientations[segment.index()] = relative[k].map(|q| q_room_base * q);
+                out.sigma_rad[segment.index()] = filter.sigma_rad(k);
+            }
+        }
+        out.angles_rad = angles(&out.orientations);
+        for segment in Segment::ALL {
+            let index = segment.index();
+            let Some(sensor) = &mut self.sensors[index] else { continue };
+            sensor.watch.agrees(own[index], out.orientations[index], sensor.magnetometer, dt_s);
+            out.faults[index] = sensor.watch.fault();
+        }
+        let trunk =
+            [Segment::Torso, Segment::Pelvis].into_iter().find_map(|s| self.sensors[s.index()].as_ref());
+        let trunk = trunk.or_else(|| self.sensors.iter().flatten().next()).filter(|sensor| sensor.started);
+        out.heading = match trunk {
+            None => Heading::Unknown,
+            Some(sensor) if sensor.magnetometer && !sensor.ahrs.magnetic_disturbance() => {
+                self.held_s = 0.0;
+                Heading::Field
+            }
+            Some(_) => {
+                self.held_s += dt_s;
+                Heading::Held(self.held_s)
+            }
+        };
+    }
+}
+
+impl Sensor {
+    fn push(&mut self, sample: Option<&ImuSample>, dt_s: f64) {
+        self.watch.sample(sample, dt_s);
+        let Some(sample) = sample.filter(|sample| health::usable(sample)) else {
+            self.ahrs.coast(dt_s);
+            return;
+        };
+        self.magnetometer |= sample.mag.is_some();
+        self.ahrs.push(sample, dt_s);
+        if !self.started {
+            self.started = true;
+            if !self.magnetometer {
+                let heading = self.worn.heading_rad.unwrap_or_else(|| {
+                    let segment = self.ahrs.orientation_6d() * self.worn.q_segment_sensor.inverse();
+                    -yaw_from_upright(&segment)
+                });
+                self.heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading);
+            }
+        }
+    }
+
+    /// Segment to room by this sensor alone.
+    fn orientation(&self) -> Option<UnitQuaternion<f64>> {
+        let q_room_sensor = if self.magnetometer {
+            self.ahrs.orientation()
+        } else {
+            self.heading * self.ahrs.orientation_6d()
+        };
+        self.started.then(|| q_room_sensor * self.worn.q_segment_sensor.inverse())
+    }
+
+    /// What a compass in the sensor would say, sensor axes: north, if the heading is believed at all.
+    fn north(&self) -> Option<Vector3<f64>> {
+        (self.started && self.magnetometer).then(|| self.ahrs.orientation().inverse() * Vector3::y())
+    }
+}
+
+/// By how far a segment is turned about the vertical from a body that looks along the room's x, rad: the twist of its turn
+/// from upright, which sitting, bowing and raised arms leave alone.
+pub(crate) fn yaw_from_upright(segment: &UnitQuaternion<f64>) -> f64 {
+    let turn = segment * upright().inverse();
+    2.0 * turn.k.atan2(turn.w)
+}

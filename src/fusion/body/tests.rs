@@ -1,0 +1,308 @@
+//! The table by hand, then whole bodies from the simulator, which shares no code with the filters.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use posed_simulator::body::{Activity, Build, Script, SensorErrors, Wearer, WearerSpec};
+
+use super::calibrate::{Block, CalibrationError, Kind, Recorded, calibrate};
+use super::places::{PlaceError, places};
+use super::*;
+
+type V = Vector3<f64>;
+
+fn index(name: &str) -> usize {
+    ANGLE_NAMES.iter().position(|known| *known == name).unwrap()
+}
+
+/// Segment orientations from named angles.
+fn posture(words: &str) -> [UnitQuaternion<f64>; SEGMENTS] {
+    let mut values = [0.0; ANGLES];
+    for word in words.split_whitespace() {
+        let (name, degrees) = word.split_once('=').unwrap();
+        values[index(name)] = degrees.parse::<f64>().unwrap().to_radians();
+    }
+    let mut all = [upright(); SEGMENTS];
+    for segment in Skeleton::PARENTS_FIRST {
+        if let Some(parent) = segment.parent() {
+            all[segment.index()] = all[parent.index()] * joint_rotation(segment, &values[of_joint(segment)]);
+        }
+    }
+    all
+}
+
+fn lines() -> impl Iterator<Item = Vec<&'static str>> {
+    let text = include_str!("../../../docs/body-poses.csv");
+    text.lines().filter(|line| !line.starts_with('#')).skip(1).map(|line| line.split(',').collect())
+}
+
+#[test]
+fn segments_stand_as_in_the_poses_by_hand() {
+    for cells in lines() {
+        let body = posture(cells[1]);
+        let q = body[Segment::named(cells[2]).unwrap().index()];
+        let vector = |at: usize| V::from_fn(|i, _| cells[at + i].parse().unwrap());
+        assert!((q * V::x() - vector(3)).norm() < 1e-12, "{cells:?}");
+        assert!((q * V::y() - vector(6)).norm() < 1e-12, "{cells:?}");
+    }
+}
+
+#[test]
+fn angles_come_back_from_the_poses_by_hand() {
+    for cells in lines() {
+        let found = angles(&posture(cells[1]).map(Some));
+        for word in cells[1].split_whitespace() {
+            let (name, degrees) = word.split_once('=').unwrap();
+            let off = found[index(name)].unwrap().to_degrees() - degrees.parse::<f64>().unwrap();
+            assert!(off.abs() < 1e-9, "{name} of {cells:?}: {off}");
+        }
+    }
+}
+
+#[test]
+fn names_are_those_of_the_stage_file() {
+    assert_eq!(Segment::ALL.map(Segment::name), crate::stage::SEGMENTS);
+    for name in ["n_pose", "t_pose", "bow", "elbow_pronation_l", "hip_rotation_r", "shoulder_abduction_l"] {
+        assert_eq!(Kind::named(name).unwrap().name(), name);
+    }
+    assert_eq!(Kind::named("knee_pronation_r"), None);
+}
+
+#[test]
+fn joints_sit_where_the_lengths_say() {
+    let skeleton = Skeleton::from_height(2.0);
+    let body = posture("elbow_r_flexion=90 knee_l_flexion=90 spine_flexion=90");
+    let origins = skeleton.origins_m(&body, V::new(0.0, 0.0, 1.0));
+    // Bent forward by 90 degrees the trunk points along x; arms hang parallel to it, backwards.
+    let shoulder = V::new(0.576, -0.258, 1.0);
+    assert!((origins[Segment::Torso.index()] - V::new(0.288, 0.0, 1.0)).norm() < 1e-12);
+    assert!((origins[Segment::UpperArmR.index()] - shoulder).norm() < 1e-12);
+    assert!((origins[Segment::ForearmR.index()] - (shoulder - V::x() * 0.372)).norm() < 1e-12);
+    assert!((origins[Segment::ShankL.index()] - V::new(0.0, 0.191, 1.0 - 0.49)).norm() < 1e-12);
+    // It stands on the right ankle, the lower one.
+    let standing = skeleton.standing_m(&body);
+    assert!((standing.z - (0.078 + 0.49 + 0.492)).abs() < 1e-12);
+}
+
+fn wearer(activity: Activity, magnetometer: bool, seed: u64) -> Wearer {
+    Wearer::new(WearerSpec {
+        script: Script { activity, calibration: true, facing: 0.6 },
+        build: Build::of_height(1.8),
+        errors: SensorErrors::calibrated(),
+        magnetometer,
+        disturbances: Vec::new(),
+        rate_hz: 100.0,
+        clumsiness_rad: 0.0,
+        seed,
+    })
+}
+
+fn script(activity: Activity) -> Script {
+    Script { activity, calibration: true, facing: 0.6 }
+}
+
+type Orientations = [UnitQuaternion<f64>; SEGMENTS];
+
+fn record(wearer: &mut Wearer, seconds: f64) -> (Vec<Recorded>, Vec<Orientations>) {
+    (0..(seconds * 100.0) as usize)
+        .map(|_| {
+            let (samples, truth) = wearer.next();
+            let samples = samples.map(|s| {
+                Some(ImuSample { gyro_rad_s: s.gyro_rad_s, accel_m_s2: s.accel_m_s2, mag: s.mag_ut })
+            });
+            ((truth.t_s, samples), truth.body.map(|p| UnitQuaternion::from_matrix(&p.axes)))
+        })
+        .unzip()
+}
+
+fn blocks(activity: Activity) -> Vec<Block> {
+    let spans = script(activity).blocks().into_iter();
+    spans.map(|b| Block { kind: Kind::named(b.kind).unwrap(), start_s: b.start_s, end_s: b.end_s }).collect()
+}
+
+/// Root mean square of the difference of an angle after `from_s`, degrees.
+fn rms(
+    recording: &[Recorded],
+    truth: &[Orientations],
+    filter: &mut BodyFilter,
+    from_s: f64,
+    name: &str,
+) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for ((t_s, samples), truth) in recording.iter().zip(truth) {
+        let estimate = filter.push(samples, 0.01);
+        if *t_s >= from_s {
+            let off =
+                estimate.angles_rad[index(name)].unwrap() - angles(&truth.map(Some))[index(name)].unwrap();
+            sum += off * off;
+            count += 1.0;
+        }
+    }
+    f64::sqrt(sum / count).to_degrees()
+}
+
+const UNKNOWN: [Option<V>; SEGMENTS] = [None; SEGMENTS];
+
+#[test]
+fn a_body_is_calibrated_and_followed() {
+    for (activity, magnetometer, name, limit) in [
+        (Activity::Walking, true, "knee_r_flexion", 2.0),
+        (Activity::Curls, true, "elbow_l_flexion", 2.0),
+        (Activity::Squats, false, "knee_l_flexion", 2.0),
+    ] {
+        let mut wearer = wearer(activity, magnetometer, 7);
+        let begin_s = script(activity).activity_s();
+        let (recording, truth) = record(&mut wearer, begin_s + 15.0);
+        let skeleton = Skeleton::from_height(1.8);
+        let found = calibrate(&recording, &blocks(activity), &skeleton, &UNKNOWN).unwrap();
+        for segment in Segment::ALL {
+            let off = found.worn[segment.index()]
+                .unwrap()
+                .q_segment_sensor
+                .angle_to(&wearer.mounting(segment.index()).0)
+                .to_degrees();
+            assert!(off < 3.0, "{activity:?}: {} is {off} degrees off", segment.name());
+        }
+        assert!(found.warnings.is_empty(), "{:?}", found.warnings);
+        let mut filter = BodyFilter::new(&skeleton, &found.worn, &BodyParams::default());
+        let off = rms(&recording, &truth, &mut filter, begin_s, name);
+        assert!(off < limit, "{activity:?}: {name} {off} degrees");
+        let field = matches!(filter.estimate().heading, Heading::Field);
+        assert_eq!(field, magnetometer, "{:?}", filter.estimate().heading);
+    }
+}
+
+#[test]
+fn what_a_calibration_lacks_is_named() {
+    let mut wearer = wearer(Activity::Curls, true, 3);
+    let (recording, _) = record(&mut wearer, 20.0);
+    let skeleton = Skeleton::from_height(1.8);
+    let all = blocks(Activity::Curls);
+    let solve = |blocks: &[Block]| calibrate(&recording, blocks, &skeleton, &UNKNOWN);
+    let error = solve(&all[..1]).unwrap_err();
+    assert!(matches!(error, CalibrationError::Facing { of: "the body", .. }), "{error}");
+    let error = solve(&all[2..3]).unwrap_err();
+    assert_eq!(error, CalibrationError::NoPose);
+    // A pose that was none.
+    let moving = Block { start_s: all[2].start_s, end_s: all[2].end_s, ..all[0] };
+    let error = solve(&[moving, all[1]]).unwrap_err();
+    assert!(error.to_string().contains("forearm_r moved: stand still"), "{error}");
+    // A movement that was none.
+    let still = Block { start_s: 0.2, end_s: 3.0, ..all[2] };
+    let error = solve(&[all[0], still]).unwrap_err();
+    assert!(
+        error.to_string().starts_with("elbow_flexion_r from 0.2 to 3 s: the movement shows too little"),
+        "{error}"
+    );
+    assert_eq!(calibrate(&[], &all, &skeleton, &UNKNOWN).unwrap_err(), CalibrationError::Empty);
+}
+
+/// A body in the middle of its activity, perfectly mounted.
+fn running(seed: u64) -> (BodyFilter, Wearer) {
+    let mut wearer = wearer(Activity::Reaching, true, seed);
+    let worn = Segment::ALL.map(|segment| {
+        let (q_segment_sensor, offset_m) = wearer.mounting(segment.index());
+        Some(Worn { q_segment_sensor, offset_m, heading_rad: None })
+    });
+    let mut filter = BodyFilter::new(&Skeleton::from_height(1.8), &worn, &BodyParams::default());
+    let (recording, _) = record(&mut wearer, script(Activity::Reaching).activity_s() + 4.0);
+    for (_, samples) in &recording[recording.len() - 1500..] {
+        filter.push(samples, 0.01);
+    }
+    (filter, wearer)
+}
+
+#[test]
+fn every_fault_is_named_within_a_second_and_the_rest_goes_on() {
+    type Spoil = fn(&mut BodySamples, usize);
+    let cases: [(Segment, Spoil, SensorFault); 5] = [
+        (Segment::ForearmR, |s, i| s[i] = None, SensorFault::Silent),
+        (
+            Segment::ThighL,
+            |s, i| s[i] = s[i].map(|s| ImuSample { accel_m_s2: V::repeat(f64::NAN), ..s }),
+            SensorFault::NotFinite,
+        ),
+        (
+            Segment::Torso,
+            |s, i| s[i] = s[i].map(|_| ImuSample { gyro_rad_s: V::x(), accel_m_s2: V::z() * 9.8, mag: None }),
+            SensorFault::Frozen,
+        ),
+        (
+            Segment::ShankR,
+            |s, i| s[i] = s[i].map(|s| ImuSample { accel_m_s2: V::new(156.9, 0.0, s.accel_m_s2.z), ..s }),
+            SensorFault::Saturated,
+        ),
+        (Segment::ForearmL, |s, i| s.swap(i, Segment::UpperArmL.index()), SensorFault::Misfit),
+    ];
+    let (filter, wearer) = running(11);
+    assert_eq!(filter.estimate().faults, [None; SEGMENTS]);
+    for (segment, spoil, expected) in cases {
+        let (mut filter, mut wearer) = (filter.clone(), wearer.clone());
+        let (recording, truth) = record(&mut wearer, 1.0);
+        for (_, samples) in &recording {
+            let mut samples = *samples;
+            spoil(&mut samples, segment.index());
+            filter.push(&samples, 0.01);
+        }
+        let estimate = filter.estimate();
+        let named = match expected {
+            // Which of the two is wrong cannot be said.
+            SensorFault::Misfit => estimate.faults.contains(&Some(SensorFault::Misfit)),
+            _ => estimate.faults[segment.index()] == Some(expected),
+        };
+        assert!(named, "{segment:?}: {:?}", estimate.faults);
+        // The leg on the other side, which hangs on nothing that was spoiled, moves on.
+        let other = if segment.side() < 0.0 { "knee_r_flexion" } else { "knee_l_flexion" };
+        let expected = angles(&truth.last().unwrap().map(Some))[index(other)].unwrap();
+        let off = (estimate.angles_rad[index(other)].unwrap() - expected).to_degrees();
+        assert!(off.abs() < 3.0, "{segment:?}: {other} {off} degrees");
+    }
+}
+
+#[test]
+fn a_strap_that_slips_is_named() {
+    let (mut filter, mut wearer) = running(5);
+    wearer.slip(Segment::ForearmR.index(), V::new(0.9, 0.0, 0.0));
+    let (recording, _) = record(&mut wearer, 1.0);
+    for (_, samples) in &recording {
+        filter.push(samples, 0.01);
+    }
+    let faults = filter.estimate().faults;
+    let arm = [Segment::UpperArmR, Segment::ForearmR].map(|s| faults[s.index()]);
+    assert!(arm.contains(&Some(SensorFault::Misfit)), "{faults:?}");
+}
+
+#[test]
+fn a_body_goes_on_from_its_serialised_state() {
+    let (filter, mut wearer) = running(2);
+    let json = serde_json::to_string(&filter).unwrap();
+    let mut restored: BodyFilter = serde_json::from_str(&json).unwrap();
+    let mut filter = filter;
+    let (recording, _) = record(&mut wearer, 0.5);
+    for (_, samples) in &recording {
+        assert_eq!(filter.push(samples, 0.01), restored.push(samples, 0.01));
+    }
+}
+
+#[test]
+fn sensors_find_their_segments() {
+    let mut wearer = wearer(Activity::Curls, false, 4);
+    let (recording, _) = record(&mut wearer, script(Activity::Curls).activity_s());
+    let blocks = blocks(Activity::Curls);
+    let movements: Vec<Kind> = blocks.iter().map(|block| block.kind).collect();
+    // The sensors in reverse order.
+    let turned: Vec<Vec<f64>> = blocks
+        .iter()
+        .map(|block| {
+            let inside: Vec<&Recorded> =
+                recording.iter().filter(|(t, _)| (block.start_s..block.end_s).contains(t)).collect();
+            let square = |i: usize| {
+                inside.iter().filter_map(|(_, s)| s[i]).map(|s| s.gyro_rad_s.norm_squared()).sum::<f64>()
+            };
+            (0..SEGMENTS).rev().map(|i| (square(i) / inside.len() as f64).sqrt()).collect()
+        })
+        .collect();
+    let found = places(&Segment::ALL, &movements, &turned).unwrap();
+    let expected: Vec<Segment> = Segment::ALL.into_iter().rev().collect();
+    assert_eq!(found, expected);
+    // With poses and one elbow alone, most segments moved alike.
+    assert!(matches!(places(&Segment::ALL, &movements[..3], &turned[..3]), Err(PlaceError::Alike { .. })));
+}

@@ -1,0 +1,221 @@
+//! One body-worn IMU: its records, and its orientation in the room.
+//!
+//! What comes in: measurements, some of which hold only a part (a magnetometer slower than the gyro, an
+//! orientation in a message of its own). What goes out: one record per cycle with all that came since the last, how
+//! far it can be trusted, and the orientation. A unit that sends its rates is oriented here ([`Ahrs`]); one that only
+//! sends the orientation which it computes itself is believed. It never gives a position.
+
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use posed_drivers::{Measurement, Timestamp};
+use serde::{Deserialize, Serialize};
+
+use super::magnetic::upper_triangle;
+use super::sensor::MOVING_RAD_S;
+use crate::fusion::ahrs::{Ahrs, ImuSample, Params};
+use crate::geometry;
+use crate::output::{self, FaultCause, Measured, PoseEstimate, SensorState};
+
+/// How long an orientation goes on without a measurement, s.
+const COAST_S: f64 = 0.5;
+/// How long the last rate goes on without a measurement, s.
+const COAST_RATE_S: f64 = 0.1;
+/// Time that the filter of a sensor that has just appeared needs for its inclination, s.
+const SETTLING_S: f64 = 0.3;
+/// So many equal records in a row: noise alone would have changed them.
+const STUCK_RECORDS: u32 = 10;
+/// Shortest interval from which a rate is taken, s.
+const LEAST_INTERVAL_S: f64 = 2e-3;
+/// Stated errors (standard deviations): inclination; heading by a magnetometer, in a disturbed field, and by none;
+/// orientation of a unit that computes it itself. rad.
+const SIGMA_TILT: f64 = 0.015;
+const SIGMA_HEADING: f64 = 0.05;
+const SIGMA_HEADING_DISTURBED: f64 = 0.2;
+const SIGMA_HEADING_FREE: f64 = 1.8;
+const SIGMA_OWN: f64 = 0.02;
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Inertial {
+    filter: Ahrs,
+    magnetometer: bool,
+    /// Whether records with rates have come: what lacks them only adds to the next one that has them.
+    has_rates: bool,
+    /// What came since the latest record, for the next.
+    more: output::Inertial,
+    more_wxyz: Option<[f64; 4]>,
+    /// When a field was last measured.
+    field_at: Option<Timestamp>,
+    began: Option<Timestamp>,
+    last: Option<Oriented>,
+    /// The latest record's values, and how many records had the same.
+    repeated: (output::Inertial, u32),
+}
+
+/// Orientation after a record.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Oriented {
+    t: Timestamp,
+    orientation: UnitQuaternion<f64>,
+    /// Sensor axes.
+    rate_rad_s: Vector3<f64>,
+}
+
+impl Inertial {
+    pub(super) fn new(magnetometer: bool, gyro_delay_s: f64) -> Self {
+        Self {
+            filter: Ahrs::new(Params { gyro_delay_s, ..Params::default() }),
+            magnetometer,
+            has_rates: false,
+            more: output::Inertial::default(),
+            more_wxyz: None,
+            field_at: None,
+            began: None,
+            last: None,
+            repeated: (output::Inertial::default(), 0),
+        }
+    }
+
+    /// Whether a measurement is one of the cycle that times the device, rather than one beside it.
+    pub(super) fn times(&self, measurement: &Measurement) -> bool {
+        match measurement {
+            Measurement::Imu { angular_rate_rad_s, orientation_wxyz, .. } => {
+                angular_rate_rad_s.is_some() || (!self.has_rates && orientation_wxyz.is_some())
+            }
+            Measurement::Pose { .. } => true,
+        }
+    }
+
+    /// The record that a measurement completes.
+    pub(super) fn record(&mut self, t_valid: Timestamp, measurement: &Measurement) -> Option<Measured> {
+        let Measurement::Imu {
+            angular_rate_rad_s,
+            specific_force_m_s2,
+            linear_acceleration_m_s2,
+            magnetic_field,
+            orientation_wxyz,
+        } = *measurement
+        else {
+            return None;
+        };
+        let completes = self.times(measurement);
+        self.has_rates |= angular_rate_rad_s.is_some();
+        let more = &mut self.more;
+        more.angular_rate_rad_s = angular_rate_rad_s;
+        more.specific_force_m_s2 = specific_force_m_s2.or(more.specific_force_m_s2);
+        more.linear_acceleration_m_s2 = linear_acceleration_m_s2.or(more.linear_acceleration_m_s2);
+        more.magnetic_field = magnetic_field.or(more.magnetic_field);
+        self.more_wxyz = orientation_wxyz.or(self.more_wxyz);
+        completes.then(|| Measured {
+            t_valid,
+            position_m: None,
+            orientation_wxyz: self.more_wxyz.take(),
+            button: None,
+            inertial: Some(std::mem::take(&mut self.more)),
+        })
+    }
+
+    pub(super) fn measure(&mut self, measured: &Measured) -> (SensorState, Option<FaultCause>) {
+        const SUSPECT: (SensorState, Option<FaultCause>) = (SensorState::Suspect, Some(FaultCause::Gate));
+        let Some(inertial) = measured.inertial else { return SUSPECT };
+        let oriented = match (inertial.angular_rate_rad_s, inertial.specific_force_m_s2) {
+            (Some(rate), Some(force)) => {
+                self.filtered(measured.t_valid, rate, force, inertial.magnetic_field)
+            }
+            _ => self.told(measured),
+        };
+        let Some(oriented) = oriented else { return SUSPECT };
+        self.last = Some(oriented);
+        if self.repeats(inertial) {
+            return (SensorState::Stuck, Some(FaultCause::Stuck));
+        }
+        let began = *self.began.get_or_insert(measured.t_valid);
+        if inertial.angular_rate_rad_s.is_some() && measured.t_valid.seconds_since(began) < SETTLING_S {
+            return SUSPECT;
+        }
+        (SensorState::Ok, None)
+    }
+
+    /// The filter's orientation after a sample; `None` where the numbers make no sense.
+    fn filtered(
+        &mut self,
+        t: Timestamp,
+        rate_rad_s: [f64; 3],
+        force_m_s2: [f64; 3],
+        field: Option<[f64; 3]>,
+    ) -> Option<Oriented> {
+        let since_s = self.last.map(|last| t.seconds_since(last.t));
+        let dt_s = match since_s {
+            Some(dt_s) if dt_s <= 0.0 => return None,
+            Some(dt_s) if dt_s <= COAST_S => dt_s,
+            // The sensor may have been turned meanwhile.
+            Some(_) => {
+                self.filter.resume();
+                LEAST_INTERVAL_S
+            }
+            None => LEAST_INTERVAL_S,
+        };
+        let rejected = self.filter.rejected();
+        let mag = field.filter(|_| self.magnetometer).map(Vector3::from);
+        if mag.is_some() {
+            self.field_at = Some(t);
+        }
+        let sample =
+            ImuSample { gyro_rad_s: Vector3::from(rate_rad_s), accel_m_s2: Vector3::from(force_m_s2), mag };
+        let orientation = self.filter.push(&sample, dt_s);
+        let rate_rad_s = self.filter.rate_rad_s();
+        (self.filter.rejected() == rejected).then_some(Oriented { t, orientation, rate_rad_s })
+    }
+
+    /// The orientation that the unit computes; its rate comes from two of them.
+    fn told(&self, measured: &Measured) -> Option<Oriented> {
+        let t = measured.t_valid;
+        let orientation = geometry::orientation_from_wxyz(measured.orientation_wxyz?)?;
+        let before =
+            self.last.filter(|last| (LEAST_INTERVAL_S..=COAST_RATE_S).contains(&t.seconds_since(last.t)));
+        let rate_rad_s = before.map_or_else(Vector3::zeros, |last| {
+            (last.orientation.inverse() * orientation).scaled_axis() / t.seconds_since(last.t)
+        });
+        Some(Oriented { t, orientation, rate_rad_s })
+    }
+
+    /// Whether the sensor has repeated its rates too often; units without rates may rest.
+    fn repeats(&mut self, inertial: output::Inertial) -> bool {
+        let values = output::Inertial { magnetic_field: None, ..inertial };
+        let (before, count) = &mut self.repeated;
+        *count = if values.angular_rate_rad_s.is_some() && values == *before { *count + 1 } else { 0 };
+        *before = values;
+        *count >= STUCK_RECORDS
+    }
+
+    /// The orientation in the room at `t`, and whether the sensor turns.
+    pub(super) fn at(&self, t: Timestamp) -> (Option<PoseEstimate>, bool) {
+        let fresh = |last: &Oriented| t.seconds_since(last.t) <= COAST_S;
+        let Some(last) = self.last.filter(fresh) else { return (None, false) };
+        let ahead_s = t.seconds_since(last.t).clamp(0.0, COAST_RATE_S);
+        let orientation = last.orientation * UnitQuaternion::from_scaled_axis(last.rate_rad_s * ahead_s);
+        let pose = PoseEstimate {
+            position_m: None,
+            orientation_wxyz: geometry::orientation_to_wxyz(&orientation),
+            velocity_m_s: None,
+            angular_velocity_rad_s: last.rate_rad_s.into(),
+            covariance: upper_triangle(&Matrix3::zeros(), &self.rotation_rad2(&orientation, t)),
+            sigma_m: None,
+        };
+        (Some(pose), last.rate_rad_s.norm() > MOVING_RAD_S)
+    }
+
+    /// Covariance of the orientation's error in sensor axes, rad^2: as stated by the constants above.
+    fn rotation_rad2(&self, orientation: &UnitQuaternion<f64>, t: Timestamp) -> Matrix3<f64> {
+        if !self.has_rates {
+            return Matrix3::identity() * SIGMA_OWN.powi(2);
+        }
+        let north = self.field_at.is_some_and(|at| t.seconds_since(at) < 60.0);
+        let heading = match (north, self.filter.magnetic_disturbance()) {
+            (false, _) => SIGMA_HEADING_FREE,
+            (true, true) => SIGMA_HEADING_DISTURBED,
+            (true, false) => SIGMA_HEADING,
+        };
+        let room = Matrix3::from_diagonal(&Vector3::new(SIGMA_TILT, SIGMA_TILT, heading).map(|s| s * s));
+        let turn = orientation.to_rotation_matrix();
+        turn.matrix().transpose() * room * turn.matrix()
+    }
+}

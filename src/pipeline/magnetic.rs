@@ -1,0 +1,115 @@
+//! One magnetic sensor through faults and fusion.
+//!
+//! What comes in: raw records in the transmitter's frame. What goes out: how far each can be trusted, and the
+//! filtered pose in the room.
+
+use nalgebra::{Isometry3, Matrix3, Vector3};
+use posed_drivers::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use super::sensor::{MOVING_M_S, MOVING_RAD_S};
+use crate::faults::{Detector, Label, MeasuredPose};
+use crate::fusion::{Track, Tracker, Tuning, Verdict};
+use crate::geometry;
+use crate::noise::TrackerNoise;
+use crate::output::{FaultCause, Measured, PoseEstimate, SensorState};
+
+/// Variance of an orientation of which nothing is known, rad^2.
+const UNKNOWN_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Magnetic {
+    detector: Detector,
+    tracker: Tracker,
+}
+
+impl Magnetic {
+    pub(super) fn new() -> Self {
+        Self {
+            detector: Detector::default(),
+            tracker: Tracker::new(TrackerNoise::default(), Tuning::default()),
+        }
+    }
+
+    pub(super) fn set_noise(&mut self, noise: TrackerNoise) {
+        self.tracker.set_noise(noise);
+    }
+
+    pub(super) fn set_interval_s(&mut self, interval_s: f64) {
+        self.tracker.set_interval_s(interval_s);
+    }
+
+    pub(super) fn measure(
+        &mut self,
+        measured: &Measured,
+        others_move: bool,
+    ) -> (SensorState, Option<FaultCause>) {
+        let t: Timestamp = measured.t_valid;
+        let pose = MeasuredPose {
+            position_m: measured.position_m.map(Vector3::from),
+            orientation: measured.orientation_wxyz.and_then(geometry::orientation_from_wxyz),
+        };
+        let finite = pose.position_m.is_none_or(|position| position.iter().all(|value| value.is_finite()));
+        if !finite || (pose.orientation.is_none() && measured.orientation_wxyz.is_some()) {
+            return (SensorState::Suspect, Some(FaultCause::Gate));
+        }
+        let expected = self.tracker.expectation(t);
+        let checked = self.detector.check(&pose, expected.as_ref(), self.tracker.noise(), others_move);
+        match (self.tracker.push(t, &checked), checked.label) {
+            (Verdict::Good, Label::Mirrored) => (SensorState::Repaired, Some(FaultCause::Hemisphere)),
+            (Verdict::Good, _) => (SensorState::Ok, None),
+            (_, Label::Stuck) => (SensorState::Stuck, Some(FaultCause::Stuck)),
+            (_, _) => (SensorState::Suspect, Some(FaultCause::Gate)),
+        }
+    }
+
+    /// The pose in the room at `t`, and whether the sensor moves.
+    pub(super) fn at(&self, t: Timestamp, room: &Isometry3<f64>) -> (Option<PoseEstimate>, bool) {
+        let track = self.tracker.at(t);
+        let moving = track.as_ref().is_some_and(is_moving);
+        (track.and_then(|track| in_room(&track, room)), moving)
+    }
+}
+
+fn is_moving(track: &Track) -> bool {
+    track.velocity_m_s().norm() > MOVING_M_S || track.angular_velocity_rad_s().norm() > MOVING_RAD_S
+}
+
+/// A track in the room. Formats without a position have no pose; without an orientation it is the
+/// identity, and its covariance says that nothing is known of it.
+fn in_room(track: &Track, room: &Isometry3<f64>) -> Option<PoseEstimate> {
+    let position_m = room.transform_point(&(*track.position_m()?).into()).coords;
+    let turn = room.rotation.to_rotation_matrix();
+    let position_m2 = turn.matrix() * track.position_m2() * turn.matrix().transpose();
+    let (orientation, rotation_rad2, rate) = match track.orientation() {
+        Some(orientation) => {
+            (room.rotation * orientation, track.rotation_rad2(), *track.angular_velocity_rad_s())
+        }
+        None => (Default::default(), Matrix3::identity() * UNKNOWN_RAD2, Vector3::zeros()),
+    };
+    Some(PoseEstimate {
+        position_m: Some(position_m.into()),
+        orientation_wxyz: geometry::orientation_to_wxyz(&orientation),
+        velocity_m_s: Some((room.rotation * track.velocity_m_s()).into()),
+        angular_velocity_rad_s: rate.into(),
+        covariance: upper_triangle(&position_m2, &rotation_rad2),
+        sigma_m: Some(position_m2.trace().sqrt()),
+    })
+}
+
+/// Upper triangle of the 6 x 6 covariance, row by row; the two halves are uncoupled.
+pub(super) fn upper_triangle(position_m2: &Matrix3<f64>, rotation_rad2: &Matrix3<f64>) -> [f64; 21] {
+    let mut out = [0.0; 21];
+    let mut at = 0;
+    for row in 0..6 {
+        for column in row..6 {
+            out[at] = match (row < 3, column < 3) {
+                (true, true) => position_m2[(row, column)],
+                (false, false) => rotation_rad2[(row - 3, column - 3)],
+                _ => 0.0,
+            };
+            at += 1;
+        }
+    }
+    out
+}

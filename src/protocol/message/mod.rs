@@ -1,0 +1,64 @@
+//! Messages from the daemon to a client, as types: the source of the schema. One file per topic.
+//!
+//! `sensors` and `truth` are written from borrowed frames by [`super::encode`]; the types here describe the result, and a
+//! test reads every written message back through them. Times are seconds since the stage's epoch.
+
+mod faults;
+mod field;
+mod hello;
+mod jobs;
+mod reply;
+mod sensors;
+mod status;
+mod truth;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use self::faults::Fault;
+pub use self::field::{FieldChange, FieldEvent};
+pub use self::hello::{Hello, HelloSensor};
+pub use self::jobs::{Job, JobState, Jobs};
+pub use self::reply::{ErrorReply, OkReply};
+pub use self::sensors::{Measured, Quality, SensorEntry, Sensors};
+pub use self::status::{
+    DeviceStatus, LinkState, Problem, RecordingStatus, ReplayStatus, SensorStatus, StageLatency, Status,
+};
+pub use self::truth::{TruthEntry, Truths};
+
+/// Everything a client can receive.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "type", rename_all = "snake_case")]
+pub enum ServerMessage {
+    /// First message on every connection.
+    Hello(Hello),
+    /// A request was carried out.
+    Ok(OkReply),
+    /// A request was refused, or could not be read.
+    Error(ErrorReply),
+    /// Health.
+    Status(Data<Status>),
+    /// Poses of one frame.
+    Sensors(Data<Sensors>),
+    /// Ground truth of one instant.
+    Truth(Data<Truths>),
+    /// All jobs, running and lately ended.
+    Jobs(Data<Jobs>),
+    /// A fault began or ended.
+    Faults(Data<Fault>),
+    /// A model of the field changed.
+    Field(Data<FieldEvent>),
+}
+
+/// What every data message starts with, and its body.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[schemars(rename = "{B}Message")]
+pub struct Data<B> {
+    /// Counts this topic's messages to this client from 0; a gap is a message that was dropped.
+    pub seq: u64,
+    /// Data messages of all topics that were dropped for this client so far.
+    pub dropped: u64,
+    /// The rest.
+    #[serde(flatten)]
+    pub body: B,
+}

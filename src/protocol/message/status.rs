@@ -1,0 +1,138 @@
+//! Topic `status`: health of devices, sensors and daemon.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Body of `status`: published at 1 Hz and on change.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Status {
+    /// Host time, s; rises strictly.
+    pub t_s: f64,
+    /// Devices, in the stage file's order.
+    pub devices: Vec<DeviceStatus>,
+    /// Sensors, in the stage file's order.
+    pub sensors: Vec<SensorStatus>,
+    /// How long each stage of the flow took since the last status.
+    pub latency: Vec<StageLatency>,
+    /// The recording in progress; null without one.
+    pub recording: Option<RecordingStatus>,
+    /// The recording that is being replayed; null on a live stage.
+    #[serde(default)]
+    pub replay: Option<ReplayStatus>,
+    /// What is wrong now, beside the devices' own reasons: disk full, wall clock set, ...
+    pub problems: Vec<Problem>,
+    /// Connected clients.
+    pub clients: u32,
+}
+
+/// What a device's link does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum LinkState {
+    /// Records are coming in.
+    Streaming,
+    /// The port is not open, or set-up is under way.
+    #[default]
+    Connecting,
+    /// The port is open, and nothing comes.
+    Silent,
+    /// The device refused to work.
+    Failed,
+}
+
+impl From<&posed_drivers::State> for LinkState {
+    fn from(state: &posed_drivers::State) -> Self {
+        match state {
+            posed_drivers::State::Connecting { .. } => Self::Connecting,
+            posed_drivers::State::Streaming => Self::Streaming,
+            posed_drivers::State::Silent { .. } => Self::Silent,
+            posed_drivers::State::Failed { .. } => Self::Failed,
+        }
+    }
+}
+
+/// Health of a device. Counts never go back.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct DeviceStatus {
+    /// Its name.
+    pub name: String,
+    /// Its driver.
+    pub driver: String,
+    /// Its port.
+    pub port: String,
+    /// What its link does.
+    pub state: LinkState,
+    /// Why, and what to check; null while streaming.
+    pub reason: Option<String>,
+    /// Measured rate, Hz; null until known.
+    pub rate_hz: Option<f64>,
+    /// Records accepted.
+    pub records: u64,
+    /// Records refused.
+    pub rejected: u64,
+    /// Bytes that belong to no accepted record and no answer.
+    pub bytes_skipped: u64,
+}
+
+/// Health of a sensor. Counts never go back.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct SensorStatus {
+    /// Its name.
+    pub name: String,
+    /// Samples that arrived.
+    pub samples: u64,
+    /// Expected samples that were not published as `ok`.
+    pub lost: u64,
+    /// Whether `lost` is partly estimated, because whole cycles left no trace in the bytes.
+    pub estimated: bool,
+}
+
+/// Latency of one stage of the flow, ms.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct StageLatency {
+    /// From where to where.
+    pub stage: String,
+    /// Median, ms.
+    pub p50_ms: f64,
+    /// 99 % quantile, ms.
+    pub p99_ms: f64,
+    /// Longest, ms.
+    pub max_ms: f64,
+}
+
+/// A recording in progress.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RecordingStatus {
+    /// Its file name.
+    pub name: String,
+    /// Bytes written so far.
+    pub bytes: u64,
+    /// When it began, s.
+    pub started_s: f64,
+}
+
+/// A recording being replayed. After `replay.open` and `replay.seek` the times of all other topics start anew.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ReplayStatus {
+    /// Its file name.
+    pub name: String,
+    /// Stage time at which it begins, s.
+    pub begun_s: f64,
+    /// Stage time at which it ends, s.
+    pub end_s: f64,
+    /// Where it stands, s.
+    pub t_s: f64,
+    /// Multiple of real time; 0 is a pause, null as fast as it goes.
+    pub speed: Option<f64>,
+    /// Why it goes no further: its end, or damage; null while it can go on.
+    pub ended: Option<String>,
+}
+
+/// Something that is wrong now.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Problem {
+    /// For programs.
+    pub code: String,
+    /// For people: what to do, in one sentence.
+    pub message: String,
+}

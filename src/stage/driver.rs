@@ -1,0 +1,122 @@
+//! The drivers by name, and what the stage and the pipeline must know of each.
+
+use posed_drivers::fastrak::{self, FastrakSession};
+use posed_drivers::flock::{self, FlockSession, SettingsError};
+use posed_drivers::motionstar::{self, MotionStarSession};
+use posed_drivers::slimevr::{self, SlimeVrSession};
+use posed_drivers::x_imu3::{self, XImu3Session};
+use posed_drivers::xbus::{self, XbusSession};
+use serde::{Deserialize, Serialize};
+
+use super::PortAddress;
+
+/// A driver by name, with its settings.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(tag = "driver", rename_all = "kebab-case")]
+pub enum Driver {
+    /// Ascension Flock of Birds.
+    FlockOfBirds(flock::Settings),
+    /// Ascension MotionStar.
+    #[serde(rename = "motionstar")]
+    MotionStar(motionstar::Settings),
+    /// Polhemus Fastrak.
+    Fastrak(fastrak::Settings),
+    /// Xsens MTi, or a chain behind an Xbus Master.
+    Xbus(xbus::Settings),
+    /// x-io x-IMU3, alone or a chain.
+    #[serde(rename = "x-imu3")]
+    XImu3(x_imu3::Settings),
+    /// SlimeVR trackers.
+    #[serde(rename = "slimevr")]
+    SlimeVr(slimevr::Settings),
+}
+
+/// What times the samples of a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TimeBase {
+    /// One clock for all sensors.
+    Device,
+    /// A clock in each unit.
+    Unit(u16),
+    /// None: samples come when there is something new.
+    OnChange(u16),
+}
+
+impl Driver {
+    /// The driver's word in the stage file.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::FlockOfBirds(_) => "flock-of-birds",
+            Self::MotionStar(_) => "motionstar",
+            Self::Fastrak(_) => "fastrak",
+            Self::Xbus(_) => "xbus",
+            Self::XImu3(_) => "x-imu3",
+            Self::SlimeVr(_) => "slimevr",
+        }
+    }
+
+    /// Whether the sensors are body-worn IMUs: they measure an orientation and no position.
+    pub fn is_inertial(&self) -> bool {
+        matches!(self, Self::Xbus(_) | Self::XImu3(_) | Self::SlimeVr(_))
+    }
+
+    /// Which clock times the sensor at `address`; equal values share one.
+    pub fn time_base(&self, address: u16) -> TimeBase {
+        match self {
+            Self::XImu3(_) => TimeBase::Unit(address),
+            // The sensors of a tracker share its address's low byte, and its packets.
+            Self::SlimeVr(_) => TimeBase::OnChange(address & 0xFF),
+            _ => TimeBase::Device,
+        }
+    }
+
+    /// Rate of the line that limits the device at `port`, bit/s; `None` where bytes cost no time that is known.
+    pub fn line_baud(&self, port: &str, baud: u32) -> Option<u32> {
+        let limited = match port.parse::<PortAddress>() {
+            Ok(PortAddress::Udp { .. }) => false,
+            // A serial server has a line behind it; units with a socket of their own have none.
+            Ok(PortAddress::Tcp { .. }) => !matches!(self, Self::MotionStar(_) | Self::XImu3(_)),
+            _ => true,
+        };
+        limited.then_some(baud)
+    }
+
+    /// Whether the device can be at such a port.
+    ///
+    /// # Errors
+    /// What to write instead.
+    pub fn check_port(&self, port: &PortAddress) -> Result<(), &'static str> {
+        let (fits, instead) = match (self, port) {
+            (Self::SlimeVr(_), port) => (
+                matches!(port, PortAddress::Udp { .. } | PortAddress::Auto),
+                "udp://0.0.0.0:6969, the address of this computer that trackers send to",
+            ),
+            (Self::MotionStar(_), port) => (
+                matches!(port, PortAddress::Tcp { .. } | PortAddress::Udp { .. }),
+                "tcp://HOST:6000 or udp://HOST:5000",
+            ),
+            (Self::XImu3(_), _) => (true, ""),
+            (_, port) => (
+                !matches!(port, PortAddress::Udp { .. }),
+                "the path of a serial port, tcp://HOST:PORT of a serial server, or auto",
+            ),
+        };
+        if fits { Ok(()) } else { Err(instead) }
+    }
+
+    /// Whether a session for the addresses `wanted` can be made.
+    ///
+    /// # Errors
+    /// The first key that cannot be so.
+    pub fn check(&self, wanted: &[u16]) -> Result<(), SettingsError> {
+        const BAUD: u32 = 115_200;
+        match self {
+            Self::FlockOfBirds(settings) => FlockSession::new(settings.clone(), BAUD, wanted).map(drop),
+            Self::MotionStar(settings) => MotionStarSession::new(settings.clone(), wanted).map(drop),
+            Self::Fastrak(settings) => FastrakSession::new(settings.clone(), wanted).map(drop),
+            Self::Xbus(settings) => XbusSession::new(settings.clone(), BAUD, wanted).map(drop),
+            Self::XImu3(settings) => XImu3Session::new(settings.clone(), wanted).map(drop),
+            Self::SlimeVr(settings) => SlimeVrSession::new(settings.clone(), wanted).map(drop),
+        }
+    }
+}

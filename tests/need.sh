@@ -1,0 +1,8 @@
+# need COMMAND PACKAGE: installs a Debian package unless the command is there.
+need() {
+  command -v "$1" >/dev/null && return
+  local root=""
+  [ "$(id -u)" = 0 ] || root=sudo
+  $root apt-get update -qq
+  DEBIAN_FRONTEND=noninteractive $root apt-get install -y -qq --no-install-recommends "$2" >/dev/null
+}

@@ -1,0 +1,122 @@
+// The websocket: connects, asks for every topic the stage has, reconnects by itself, and asks for what was missed.
+
+import type { Call, Feed, Hello, ServerMessage } from "./protocol";
+
+const RETRY_MS = [500, 1000, 2000, 5000];
+/** Frames per second that a screen can use. */
+const DRAWN_HZ = 60;
+const TOKEN_KEY = "posed.token";
+
+export type LinkState = "connecting" | "open" | "lost" | "unauthorised";
+
+type WithoutId<T> = T extends { id: unknown } ? Omit<T, "id"> : never;
+export type Request = WithoutId<Call> | WithoutId<Feed>;
+
+/** What a request was refused with: a code for programs, a sentence for people. */
+export class Refused extends Error {
+  constructor(readonly code: string, sentence: string) {
+    super(sentence);
+  }
+}
+
+export class Link {
+  private socket: WebSocket | null = null;
+  private attempts = 0;
+  private nextId = 1;
+  private lastEvent = 0;
+  private waiting = new Map<number, { resolve: (result: unknown) => void; reject: (error: Error) => void }>();
+
+  constructor(
+    private readonly onMessage: (message: ServerMessage) => void,
+    private readonly onState: (state: LinkState, why: string) => void,
+  ) {}
+
+  connect(): void {
+    this.onState("connecting", "connecting…");
+    const scheme = location.protocol === "https:" ? "wss:" : "ws:";
+    const token = new URLSearchParams(location.search).get("token") ?? sessionStorage.getItem(TOKEN_KEY);
+    const query = token === null ? "" : `?token=${encodeURIComponent(token)}`;
+    const socket = new WebSocket(`${scheme}//${location.host}/ws${query}`, "posed.v1");
+    this.socket = socket;
+    let greeted = false;
+    socket.onmessage = ({ data }) => {
+      const message = JSON.parse(data) as ServerMessage;
+      if (message.type === "hello") {
+        greeted = true;
+        this.attempts = 0;
+        this.greet(message);
+      } else if (message.type === "ok" || message.type === "error") {
+        this.answer(message);
+        return;
+      } else if ("event_id" in message) {
+        this.lastEvent = Math.max(this.lastEvent, message.event_id);
+      }
+      this.onMessage(message);
+    };
+    socket.onclose = ({ code, reason }) => {
+      this.waiting.forEach(({ reject }) => reject(new Refused("lost", "the connection broke before the answer")));
+      this.waiting.clear();
+      void this.closed(greeted, reason || `connection lost (${code})`);
+    };
+  }
+
+  /** The token is kept for this tab and tried at once. */
+  useToken(token: string): void {
+    sessionStorage.setItem(TOKEN_KEY, token);
+    this.connect();
+  }
+
+  /** Asks the daemon; the answer's result, or a `Refused`. */
+  request(request: Request): Promise<unknown> {
+    return new Promise((resolve, reject) => {
+      if (this.socket?.readyState !== WebSocket.OPEN) {
+        reject(new Refused("lost", "not connected"));
+        return;
+      }
+      const id = this.nextId++;
+      this.waiting.set(id, { resolve, reject });
+      this.socket.send(JSON.stringify({ ...request, id }));
+    });
+  }
+
+  private greet(hello: Hello): void {
+    this.onState("open", `connected, posed ${hello.version}`);
+    const states = hello.topics.filter((topic) => topic === "sensors" || topic === "truth" || topic === "body");
+    const rest = hello.topics.filter((topic) => !(states as string[]).includes(topic));
+    const ignore = () => undefined;
+    this.request({ type: "subscribe", topics: rest }).catch(ignore);
+    this.request({ type: "subscribe", topics: states, max_rate_hz: DRAWN_HZ }).catch(ignore);
+    // A daemon that was started anew counts from one again.
+    if (this.lastEvent > hello.last_event_id) this.lastEvent = 0;
+    if (this.lastEvent > 0) this.request({ type: "resume", after: this.lastEvent }).catch(ignore);
+    this.lastEvent = Math.max(this.lastEvent, hello.last_event_id);
+  }
+
+  private answer(message: Extract<ServerMessage, { type: "ok" | "error" }>): void {
+    const waiting = this.waiting.get(Number(message.id));
+    this.waiting.delete(Number(message.id));
+    if (message.type === "ok") waiting?.resolve(message.result);
+    else waiting?.reject(new Refused(message.code, message.message));
+  }
+
+  private async closed(greeted: boolean, why: string): Promise<void> {
+    // A browser does not say why a websocket was refused; the daemon says it over HTTP.
+    if (!greeted && (await isUnauthorised())) {
+      this.onState("unauthorised", "this daemon asks for a token");
+      return;
+    }
+    const wait = RETRY_MS[Math.min(this.attempts++, RETRY_MS.length - 1)] ?? 5000;
+    this.onState("lost", `${why}. Trying again.`);
+    setTimeout(() => this.connect(), wait);
+  }
+}
+
+async function isUnauthorised(): Promise<boolean> {
+  const token = new URLSearchParams(location.search).get("token") ?? sessionStorage.getItem(TOKEN_KEY);
+  const headers = token === null ? undefined : { authorization: `Bearer ${token}` };
+  try {
+    return (await fetch("metrics", { headers, cache: "no-store" })).status === 401;
+  } catch {
+    return false;
+  }
+}

@@ -1,0 +1,98 @@
+// What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
+// Bounded: it never grows over hours.
+
+import type { FaultMessage, Hello, JobsMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
+
+/** Seconds of history for curves. */
+export const HISTORY_S = 20;
+const HISTORY_ROWS = HISTORY_S * 60;
+const EVENTS = 200;
+
+/** The last rows of one sensor, oldest overwritten: t, x, y, z, speed, sigma. */
+export class History {
+  static readonly COLUMNS = 6;
+  private readonly rows = new Float64Array(HISTORY_ROWS * History.COLUMNS);
+  private next = 0;
+  length = 0;
+
+  push(t_s: number, x: number, y: number, z: number, sigma_m: number): void {
+    const before = this.length > 0 ? this.at(this.length - 1) : null;
+    const dt = before ? t_s - before[0]! : 0;
+    const speed = before && dt > 0 ? Math.hypot(x - before[1]!, y - before[2]!, z - before[3]!) / dt : 0;
+    this.rows.set([t_s, x, y, z, speed, sigma_m], this.next * History.COLUMNS);
+    this.next = (this.next + 1) % HISTORY_ROWS;
+    this.length = Math.min(this.length + 1, HISTORY_ROWS);
+  }
+
+  /** Row `index`, 0 the oldest; a view, not a copy. */
+  at(index: number): Float64Array {
+    const row = (this.next - this.length + index + HISTORY_ROWS) % HISTORY_ROWS;
+    return this.rows.subarray(row * History.COLUMNS, (row + 1) * History.COLUMNS);
+  }
+
+  clear(): void {
+    this.length = 0;
+    this.next = 0;
+  }
+}
+
+export class Model {
+  hello: Hello | null = null;
+  sensors: SensorsMessage | null = null;
+  truth: TruthsMessage | null = null;
+  status: StatusMessage | null = null;
+  jobs: JobsMessage | null = null;
+  faults: FaultMessage[] = [];
+  readonly history = new Map<string, History>();
+  /** Browser time of the newest frame, ms. */
+  lastFrameMs = -Infinity;
+  /** Rises with every message, so that views see whether there is something to draw. */
+  version = 0;
+  private readonly listeners = new Set<(message: ServerMessage) => void>();
+
+  /** Calls `listener` for each message, after it has been taken in. */
+  listen(listener: (message: ServerMessage) => void): void {
+    this.listeners.add(listener);
+  }
+
+  take(message: ServerMessage): void {
+    this.version++;
+    switch (message.type) {
+      case "hello":
+        this.hello = message;
+        this.history.clear();
+        this.truth = null;
+        break;
+      case "sensors":
+        this.takeSensors(message);
+        break;
+      case "truth":
+        this.truth = message;
+        break;
+      case "status":
+        this.status = message;
+        break;
+      case "jobs":
+        this.jobs = message;
+        break;
+      case "faults":
+        this.faults.push(message);
+        if (this.faults.length > EVENTS) this.faults.shift();
+        break;
+    }
+    this.listeners.forEach((listener) => listener(message));
+  }
+
+  private takeSensors(message: SensorsMessage): void {
+    const rewound = this.sensors !== null && message.t_s < this.sensors.t_s;
+    this.sensors = message;
+    this.lastFrameMs = performance.now();
+    if (rewound) this.history.forEach((history) => history.clear());
+    for (const { name, position_m, sigma_m } of message.sensors) {
+      if (!position_m) continue;
+      let history = this.history.get(name);
+      if (!history) this.history.set(name, (history = new History()));
+      history.push(message.t_s, ...position_m, sigma_m ?? NaN);
+    }
+  }
+}

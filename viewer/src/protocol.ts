@@ -1,0 +1,25 @@
+// The messages, as generated from the daemon's types, and what this page makes of them.
+
+export type * from "../../docs/schema/posed.v1";
+
+import type { SensorState } from "../../docs/schema/posed.v1";
+
+export type Vec3 = [number, number, number];
+export type Quat = [number, number, number, number];
+
+/** How much a state is worth: colour, shape and words all follow from it. */
+export type Trust = "good" | "care" | "bad";
+
+const TRUST: Record<SensorState, Trust> = {
+  ok: "good",
+  repaired: "good",
+  extrapolated: "care",
+  suspect: "care",
+  late: "care",
+  missing: "bad",
+  stuck: "bad",
+};
+
+export function trustOf(state: SensorState): Trust {
+  return TRUST[state] ?? "care";
+}

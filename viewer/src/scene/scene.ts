@@ -1,0 +1,89 @@
+// The room in 3-D: z up, metres, as the messages say it. Few draw calls whatever the number of sensors.
+
+import * as THREE from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import type { Quat, Vec3 } from "../protocol";
+
+export class Scene {
+  readonly scene = new THREE.Scene();
+  readonly camera = new THREE.PerspectiveCamera(45, 1, 0.05, 60);
+  private readonly renderer: THREE.WebGLRenderer;
+  private readonly controls: OrbitControls;
+  private moved = true;
+
+  /** Throws where the browser has no WebGL. */
+  constructor() {
+    // The picture is kept between frames, so that it can be copied.
+    this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.camera.up.set(0, 0, 1);
+    this.controls = new OrbitControls(this.camera, this.renderer.domElement);
+    this.controls.addEventListener("change", () => (this.moved = true));
+    this.reset();
+    const sun = new THREE.DirectionalLight(0xffffff, 2);
+    sun.position.set(2, -3, 5);
+    this.scene.add(new THREE.HemisphereLight(0xffffff, 0x777788, 1.6), sun);
+    const grid = new THREE.GridHelper(6, 24, 0x888888, 0x888888);
+    grid.rotation.x = Math.PI / 2;
+    grid.material.transparent = true;
+    grid.material.opacity = 0.25;
+    this.scene.add(grid);
+    this.canvas.tabIndex = 0;
+    this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute("aria-label", "the room with its sensors; the table under Health says the same in numbers");
+  }
+
+  get canvas(): HTMLCanvasElement {
+    return this.renderer.domElement;
+  }
+
+  /** Back to where the camera began; otherwise it stays where it was put. */
+  reset(): void {
+    this.camera.position.set(1.7, -1.5, 1.75);
+    this.controls.target.set(0.3, 0, 1.0);
+    this.controls.update();
+  }
+
+  /** Draws, if something changed. */
+  render(changed: boolean): void {
+    const { clientWidth, clientHeight } = this.canvas.parentElement ?? this.canvas;
+    const size = this.renderer.getSize(new THREE.Vector2());
+    if (clientWidth > 0 && (size.x !== clientWidth || size.y !== clientHeight)) {
+      this.renderer.setSize(clientWidth, clientHeight, false);
+      this.camera.aspect = clientWidth / clientHeight;
+      this.camera.updateProjectionMatrix();
+      this.moved = true;
+    }
+    if (changed || this.moved) this.renderer.render(this.scene, this.camera);
+    this.moved = false;
+  }
+}
+
+export function vector([x, y, z]: Vec3, into = new THREE.Vector3()): THREE.Vector3 {
+  return into.set(x, y, z);
+}
+
+/** From scalar first to scalar last. */
+export function quaternion([w, x, y, z]: Quat, into = new THREE.Quaternion()): THREE.Quaternion {
+  return into.set(x, y, z, w);
+}
+
+/** A name that faces the camera. */
+export function label(text: string, colour: string): THREE.Sprite {
+  const canvas = document.createElement("canvas");
+  const draw = canvas.getContext("2d")!;
+  const font = "28px system-ui, sans-serif";
+  draw.font = font;
+  canvas.width = Math.ceil(draw.measureText(text).width) + 8;
+  canvas.height = 40;
+  draw.font = font;
+  draw.fillStyle = colour;
+  draw.textBaseline = "middle";
+  draw.fillText(text, 4, 20);
+  const map = new THREE.CanvasTexture(canvas);
+  const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ map, depthTest: false, transparent: true }));
+  const height_m = 0.055;
+  sprite.scale.set((height_m * canvas.width) / canvas.height, height_m, 1);
+  sprite.center.set(-0.1, -0.6);
+  return sprite;
+}

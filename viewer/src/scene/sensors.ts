@@ -1,0 +1,140 @@
+// Sensors in 3-D: a shape and a colour for how far each can be trusted, axes, trail, uncertainty, name.
+
+import * as THREE from "three";
+import { type Model } from "../model";
+import type { SensorEntry, SensorState } from "../protocol";
+import { label, quaternion, vector } from "./scene";
+
+/** Trail: so many points back, one per frame drawn. */
+const TRAIL = 120;
+const AXIS_M = 0.07;
+const SIZE_M = 0.022;
+const AXIS_COLOURS = [[0.85, 0.25, 0.2], [0.2, 0.65, 0.3], [0.25, 0.45, 0.95]] as const;
+
+/** Shape and colour say the same, so that neither is needed alone. */
+export const LOOKS: { states: SensorState[]; words: string; sign: string; colour: number; geometry: () => THREE.BufferGeometry }[] = [
+  { states: ["ok"], words: "good", sign: "■", colour: 0x2a78b8, geometry: () => new THREE.BoxGeometry(1, 1, 1) },
+  { states: ["repaired"], words: "repaired", sign: "◆", colour: 0x2a9d8f, geometry: () => new THREE.OctahedronGeometry(0.8) },
+  { states: ["extrapolated"], words: "outside the calibrated field", sign: "▲", colour: 0xd98e04, geometry: () => new THREE.TetrahedronGeometry(0.9) },
+  { states: ["suspect", "late", "stuck", "missing"], words: "not to be used", sign: "●", colour: 0xb3261e, geometry: () => new THREE.SphereGeometry(0.55, 16, 12) },
+];
+
+export class Sensors {
+  readonly group = new THREE.Group();
+  readonly sigma = new THREE.Group();
+  readonly trails = new THREE.Group();
+  readonly labels = new THREE.Group();
+  private names: string[] = [];
+  private looks: THREE.InstancedMesh[] = [];
+  private bubbles: THREE.InstancedMesh | null = null;
+  private axes: THREE.LineSegments | null = null;
+  private trail: THREE.LineSegments | null = null;
+  private readonly position = new THREE.Vector3();
+  private readonly rotation = new THREE.Quaternion();
+  private readonly scale = new THREE.Vector3();
+  private readonly matrix = new THREE.Matrix4();
+  private readonly tip = new THREE.Vector3();
+
+  constructor(private readonly model: Model) {
+    this.group.add(this.sigma, this.trails, this.labels);
+  }
+
+  update(sensors: SensorEntry[]): void {
+    if (sensors.length !== this.names.length || sensors.some(({ name }, i) => name !== this.names[i])) this.rebuild(sensors);
+    const counts = this.looks.map(() => 0);
+    let bubble = 0;
+    const axes = this.axes!.geometry.getAttribute("position") as THREE.BufferAttribute;
+    sensors.forEach((sensor, index) => {
+      const { position_m, orientation_wxyz, sigma_m, state } = sensor;
+      const sprite = this.labels.children[index]!;
+      sprite.visible = !!position_m;
+      if (!position_m) {
+        for (let end = 0; end < 6; end++) axes.setXYZ(index * 6 + end, 0, 0, -100);
+        return;
+      }
+      vector(position_m, this.position);
+      if (orientation_wxyz) quaternion(orientation_wxyz, this.rotation);
+      else this.rotation.identity();
+      sprite.position.copy(this.position);
+      const look = Math.max(0, LOOKS.findIndex(({ states }) => states.includes(state)));
+      this.place(this.looks[look]!, counts[look]!++, SIZE_M);
+      if (sigma_m != null) this.place(this.bubbles!, bubble++, Math.max(2 * sigma_m, 1e-4));
+      for (let axis = 0; axis < 3; axis++) {
+        this.tip.set(0, 0, 0).setComponent(axis, orientation_wxyz ? AXIS_M : 0).applyQuaternion(this.rotation).add(this.position);
+        axes.setXYZ(index * 6 + axis * 2, this.position.x, this.position.y, this.position.z);
+        axes.setXYZ(index * 6 + axis * 2 + 1, this.tip.x, this.tip.y, this.tip.z);
+      }
+    });
+    axes.needsUpdate = true;
+    this.looks.forEach((mesh, i) => finish(mesh, counts[i]!));
+    finish(this.bubbles!, bubble);
+    if (this.trails.visible) this.drawTrails();
+  }
+
+  private place(mesh: THREE.InstancedMesh, index: number, size_m: number): void {
+    this.matrix.compose(this.position, this.rotation, this.scale.setScalar(size_m));
+    mesh.setMatrixAt(index, this.matrix);
+  }
+
+  private drawTrails(): void {
+    const points = this.trail!.geometry.getAttribute("position") as THREE.BufferAttribute;
+    let at = 0;
+    for (const name of this.names) {
+      const history = this.model.history.get(name);
+      const length = Math.min(history?.length ?? 0, TRAIL);
+      const from = (history?.length ?? 0) - length;
+      for (let i = 0; i + 1 < length; i++) {
+        const [a, b] = [history!.at(from + i), history!.at(from + i + 1)];
+        points.setXYZ(at++, a[1]!, a[2]!, a[3]!);
+        points.setXYZ(at++, b[1]!, b[2]!, b[3]!);
+      }
+    }
+    this.trail!.geometry.setDrawRange(0, at);
+    points.needsUpdate = true;
+  }
+
+  private rebuild(sensors: SensorEntry[]): void {
+    const count = sensors.length;
+    this.names = sensors.map(({ name }) => name);
+    for (const old of [...this.looks, this.bubbles, this.axes, this.trail]) {
+      old?.removeFromParent();
+      old?.geometry.dispose();
+    }
+    this.looks = LOOKS.map(({ geometry, colour }) =>
+      instanced(geometry(), new THREE.MeshStandardMaterial({ color: colour, roughness: 0.5 }), count));
+    this.group.add(...this.looks);
+    const glass = new THREE.MeshBasicMaterial({ color: 0x7a5ac2, transparent: true, opacity: 0.22, depthWrite: false });
+    this.bubbles = instanced(new THREE.SphereGeometry(1, 16, 12), glass, count);
+    this.sigma.add(this.bubbles);
+    this.axes = segments(count * 6, new THREE.LineBasicMaterial({ vertexColors: true }));
+    const colours = Array.from({ length: count }, () => AXIS_COLOURS.flatMap((colour) => [...colour, ...colour])).flat();
+    this.axes.geometry.setAttribute("color", new THREE.Float32BufferAttribute(colours, 3));
+    this.group.add(this.axes);
+    this.trail = segments(count * 2 * (TRAIL - 1), new THREE.LineBasicMaterial({ color: 0x2a78b8, transparent: true, opacity: 0.45 }));
+    this.trails.add(this.trail);
+    this.labels.clear();
+    const ink = getComputedStyle(document.body).color;
+    this.labels.add(...this.names.map((name) => label(name, ink)));
+  }
+}
+
+export function instanced(geometry: THREE.BufferGeometry, material: THREE.Material, count: number): THREE.InstancedMesh {
+  const mesh = new THREE.InstancedMesh(geometry, material, Math.max(count, 1));
+  mesh.instanceMatrix.setUsage(THREE.DynamicDrawUsage);
+  mesh.frustumCulled = false;
+  return mesh;
+}
+
+export function segments(vertices: number, material: THREE.Material): THREE.LineSegments {
+  const geometry = new THREE.BufferGeometry();
+  const points = new THREE.BufferAttribute(new Float32Array(Math.max(vertices, 2) * 3), 3).setUsage(THREE.DynamicDrawUsage);
+  geometry.setAttribute("position", points);
+  const lines = new THREE.LineSegments(geometry, material);
+  lines.frustumCulled = false;
+  return lines;
+}
+
+export function finish(mesh: THREE.InstancedMesh, count: number): void {
+  mesh.count = count;
+  mesh.instanceMatrix.needsUpdate = true;
+}

@@ -1,0 +1,102 @@
+// Analysis: curves of one sensor, and the events as they come.
+
+import uPlot from "uplot";
+import "uplot/dist/uPlot.min.css";
+import { type Cell, Table, el } from "../dom";
+import { HISTORY_S, History } from "../model";
+import type { Context, View } from "../view";
+
+/** Curves are drawn so often; numbers move faster than eyes. */
+const DRAW_MS = 100;
+
+const CURVES: { title: string; unit: string; series: [label: string, column: number, colour: string][]; scale: number }[] = [
+  { title: "Position", unit: "m", scale: 1, series: [["x", 1, "#c8452f"], ["y", 2, "#2f8f46"], ["z", 3, "#3469c9"]] },
+  { title: "Speed", unit: "m/s", scale: 1, series: [["speed", 4, "#8a5ac2"]] },
+  { title: "Uncertainty", unit: "mm", scale: 1000, series: [["σ", 5, "#b07400"]] },
+];
+
+export class AnalysisView implements View {
+  readonly id = "analysis";
+  readonly title = "Analysis";
+  readonly element: HTMLElement;
+  private readonly choice = el("select", { id: "sensor-choice", "aria-label": "Sensor" });
+  private readonly curves = el("div", { class: "curves" });
+  private readonly faults = new Table("faults", "Faults, newest first", [["Stage time, s"], ["Sensor", "word"], ["Cause", "word"], [""]]);
+  private plots: uPlot[] = [];
+  private lastDraw = -Infinity;
+
+  constructor(private readonly context: Context) {
+    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.faults.element);
+    addEventListener("resize", () => this.resize());
+  }
+
+  shown(): void {
+    if (this.plots.length === 0) this.makePlots();
+    this.resize();
+  }
+
+  draw(now_ms: number, fresh: boolean): void {
+    if (!fresh || now_ms < this.lastDraw + DRAW_MS) return;
+    this.lastDraw = now_ms;
+    this.drawChoice();
+    const history = this.context.model.history.get(this.choice.value);
+    if (history) this.drawCurves(history);
+    this.faults.fill(this.context.model.faults.slice(-40).reverse().map((fault): Cell[] => [
+      [fault.t_s.toFixed(2)], [fault.sensor, "word"], [fault.cause, "word"],
+      [fault.active ? "began" : "ended", `word ${fault.active ? "care" : "good"}`],
+    ]));
+  }
+
+  private drawChoice(): void {
+    const names = this.context.model.hello?.sensors.map(({ name }) => name) ?? [];
+    if (names.join("\n") === [...this.choice.options].map((option) => option.value).join("\n")) return;
+    const chosen = this.choice.value;
+    this.choice.replaceChildren(...names.map((name) => el("option", { value: name }, name)));
+    if (names.includes(chosen)) this.choice.value = chosen;
+  }
+
+  private drawCurves(history: History): void {
+    const { length } = history;
+    const t = new Float64Array(length);
+    for (let i = 0; i < length; i++) t[i] = history.at(i)[0]!;
+    const end = t[length - 1] ?? 0;
+    this.plots.forEach((plot, p) => {
+      const { series, scale } = CURVES[p]!;
+      const columns = series.map(([, column]) => {
+        const values = new Array<number | null>(length);
+        for (let i = 0; i < length; i++) {
+          const value = history.at(i)[column]! * scale;
+          values[i] = Number.isFinite(value) ? value : null;
+        }
+        return values;
+      });
+      plot.batch(() => {
+        plot.setData([t, ...columns] as unknown as uPlot.AlignedData, true);
+        plot.setScale("x", { min: end - HISTORY_S, max: end });
+      });
+    });
+  }
+
+  private makePlots(): void {
+    const ink = getComputedStyle(document.body).color;
+    const axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
+    this.plots = CURVES.map(({ title, unit, series }) => {
+      const holder = el("section", { class: "curve", "aria-label": `${title}, ${unit}` }, el("h2", {}, `${title}, ${unit}`));
+      this.curves.append(holder);
+      const options: uPlot.Options = {
+        width: 400, height: 180,
+        scales: { x: { time: false } },
+        axes: [axis, { ...axis, size: 60 }],
+        series: [{ label: "t, s" }, ...series.map(([label, , stroke]) => ({ label, stroke, width: 1.5 }))],
+      };
+      return new uPlot(options, [[], ...series.map(() => [])] as unknown as uPlot.AlignedData, holder);
+    });
+  }
+
+  private resize(): void {
+    for (const plot of this.plots) {
+      const width = plot.root.parentElement?.clientWidth ?? 0;
+      if (width > 0) plot.setSize({ width, height: 180 });
+    }
+  }
+}

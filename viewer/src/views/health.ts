@@ -1,0 +1,69 @@
+// Health: what each device and sensor does, how long each stage of the flow takes, and what to do next.
+
+import { type Cell, Table, el, num, setText } from "../dom";
+import { trustOf } from "../protocol";
+import type { Context, View } from "../view";
+
+const LINK_CLASS = { streaming: "good", connecting: "care", silent: "care", failed: "bad" } as const;
+
+export class HealthView implements View {
+  readonly id = "health";
+  readonly title = "Health";
+  readonly element: HTMLElement;
+  private readonly sensors = new Table("sensors", "Sensors", [
+    ["Sensor"], ["State", "word"], ["x, m"], ["y, m"], ["z, m"], ["w"], ["x"], ["y"], ["z"], ["σ, mm"], ["Samples"], ["Lost"],
+  ]);
+  private readonly devices = new Table("devices", "Devices", [
+    ["Device"], ["Driver", "word"], ["Port", "word"], ["State", "word"], ["Rate, Hz"], ["Records"], ["Rejected"], ["Bytes skipped"],
+  ]);
+  private readonly latency = new Table("latency", "Latency since the last second", [["From where to where"], ["Median, ms"], ["99 %, ms"], ["Longest, ms"]]);
+  private readonly frame = el("p", { id: "frame", class: "quiet" });
+  private readonly clients = el("p", { class: "quiet" });
+
+  constructor(private readonly context: Context) {
+    this.element = el("div", {}, this.devices.element, this.sensors.element, this.frame, this.latency.element, this.clients);
+  }
+
+  draw(_now: number, fresh: boolean): void {
+    if (!fresh) return;
+    this.drawSensors();
+    const status = this.context.model.status;
+    if (!status) return;
+    this.devices.fill(status.devices.map((device): Cell[] => [
+      [device.name],
+      [device.driver, "word"],
+      [device.port, "word"],
+      [device.reason ? `${device.state}: ${device.reason}` : device.state, `word reason ${LINK_CLASS[device.state]}`],
+      [num(device.rate_hz, 2)],
+      [String(device.records)],
+      [String(device.rejected)],
+      [String(device.bytes_skipped)],
+    ]));
+    this.latency.fill(status.latency.map((stage): Cell[] => [
+      [stage.stage], [num(stage.p50_ms, 3)], [num(stage.p99_ms, 3)], [num(stage.max_ms, 3)],
+    ]));
+    setText(this.clients, status.clients === 1 ? "one client: this page" : `${status.clients} clients`);
+  }
+
+  private drawSensors(): void {
+    const { sensors, status } = this.context.model;
+    if (!sensors) return;
+    const counts = new Map(status?.sensors.map((sensor) => [sensor.name, sensor]));
+    this.sensors.fill(sensors.sensors.map((sensor): Cell[] => {
+      const count = counts.get(sensor.name);
+      const numbers = (values: number[] | null | undefined, n: number): Cell[] =>
+        Array.from({ length: n }, (_, i) => [num(values?.[i], 4)]);
+      return [
+        [sensor.name],
+        [sensor.state, `word ${trustOf(sensor.state)}`],
+        ...numbers(sensor.position_m, 3),
+        ...numbers(sensor.orientation_wxyz, 4),
+        [num(sensor.sigma_m == null ? null : sensor.sigma_m * 1000, 2)],
+        [count ? String(count.samples) : "–"],
+        [count ? `${count.lost}${count.estimated ? " ~" : ""}` : "–"],
+      ];
+    }));
+    const dropped = sensors.dropped ? `, ${sensors.dropped} messages dropped for this page` : "";
+    setText(this.frame, `stage time ${sensors.t_s.toFixed(2)} s${dropped}`);
+  }
+}

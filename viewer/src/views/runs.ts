@@ -1,0 +1,91 @@
+// Runs: what the operator starts and ends while the stage is live.
+
+import { acting, el, num, setText } from "../dom";
+import type { Job } from "../protocol";
+import type { Context, View } from "../view";
+
+export class RunsView implements View {
+  readonly id = "runs";
+  readonly title = "Runs";
+  readonly element: HTMLElement;
+  private readonly says = el("p", { class: "says", role: "alert" });
+  private readonly name = el("input", { id: "record-name", placeholder: "stage and time", maxlength: 100 });
+  private readonly start = el("button", { id: "record-start", class: "primary" }, "Record");
+  private readonly stop = el("button", { id: "record-stop" }, "Stop");
+  private readonly recording = el("p", { id: "recording", class: "quiet", role: "status" });
+  private readonly jobs = el("ul", { id: "jobs", "aria-label": "Jobs" });
+  private readonly noJobs = el("p", { class: "quiet" }, "Nothing is running and nothing was run yet.");
+  private rows = new Map<number, JobRow>();
+
+  constructor(private readonly context: Context) {
+    const { link } = context;
+    this.start.addEventListener("click", acting(this.says, () => {
+      const name = this.name.value.trim();
+      return link.request(name === "" ? { type: "record.start" } : { type: "record.start", name });
+    }));
+    this.stop.addEventListener("click", acting(this.says, () => link.request({ type: "record.stop" })));
+    this.element = el("div", {},
+      el("h2", {}, "Recording"),
+      el("div", { class: "row" }, el("label", {}, "Name ", this.name), this.start, this.stop),
+      this.recording, this.says,
+      el("h2", {}, "Jobs"), this.noJobs, this.jobs,
+    );
+  }
+
+  draw(_now: number, fresh: boolean): void {
+    if (!fresh) return;
+    const { status, jobs, hello } = this.context.model;
+    const recording = status?.recording ?? null;
+    const operates = hello?.role === "operate" && !status?.replay;
+    this.start.disabled = !operates || recording !== null;
+    this.stop.disabled = !operates || recording === null;
+    setText(this.recording, recording
+      ? `recording ${recording.name}, ${(recording.bytes / 1e6).toFixed(1)} MB since ${recording.started_s.toFixed(0)} s`
+      : hello?.role === "watch" ? "watching only: an operator's token can record"
+      : status?.replay ? "this is a replay; recordings belong to a live stage"
+      : "not recording");
+    this.drawJobs(jobs?.jobs ?? []);
+  }
+
+  private drawJobs(jobs: Job[]): void {
+    this.noJobs.hidden = jobs.length > 0;
+    for (const [number, row] of this.rows) {
+      if (!jobs.some(({ job }) => job === number)) {
+        row.element.remove();
+        this.rows.delete(number);
+      }
+    }
+    for (const job of jobs) {
+      let row = this.rows.get(job.job);
+      if (!row) {
+        row = new JobRow(acting(this.says, () => this.context.link.request({ type: "job.cancel", job: job.job })));
+        this.rows.set(job.job, row);
+        this.jobs.prepend(row.element);
+      }
+      row.fill(job);
+    }
+  }
+}
+
+class JobRow {
+  private readonly words = el("span");
+  private readonly bar = el("progress", { max: 1 });
+  private readonly cancel: HTMLButtonElement;
+  readonly element: HTMLLIElement;
+
+  constructor(onCancel: EventListener) {
+    this.cancel = el("button", { onclick: onCancel }, "Cancel");
+    this.element = el("li", { class: "row" }, this.words, this.bar, this.cancel);
+  }
+
+  fill({ job, kind, state, progress, remaining_s, message }: Job): void {
+    const running = state === "running";
+    const left = running && remaining_s !== null ? `, ${num(remaining_s, 0)} s left` : "";
+    setText(this.words, `${job} · ${kind} · ${state}${left}${message ? ` · ${message}` : ""}`);
+    this.words.className = state === "failed" ? "bad" : state === "done" ? "good" : "";
+    this.bar.hidden = this.cancel.hidden = !running;
+    this.bar.setAttribute("aria-label", `progress of job ${job}`);
+    if (progress === null) this.bar.removeAttribute("value");
+    else this.bar.value = progress;
+  }
+}

@@ -1,0 +1,85 @@
+// Stage: the room in 3-D, and beside it what the shapes mean.
+
+import { Group } from "three";
+import { el, setText } from "../dom";
+import { Scene, quaternion, vector } from "../scene/scene";
+import { transmitter } from "../scene/transmitter";
+import { LOOKS, Sensors } from "../scene/sensors";
+import { Truth } from "../scene/truth";
+import type { Pose } from "../protocol";
+import type { Context, View } from "../view";
+
+export class StageView implements View {
+  readonly id = "stage-view";
+  readonly title = "Stage";
+  readonly element = el("div");
+  private readonly summary = el("p", { id: "summary" });
+  private scene: Scene | null = null;
+  private readonly sensors: Sensors;
+  private readonly truth = new Truth();
+  private readonly transmitter: Group = transmitter();
+  private drawn = -1;
+
+  constructor(private readonly context: Context) {
+    this.sensors = new Sensors(context.model);
+    try {
+      this.scene = new Scene();
+    } catch {
+      this.element.append(el("p", {}, "This browser has no WebGL, which the picture needs. Health shows the same in numbers."));
+      return;
+    }
+    this.scene.scene.add(this.transmitter, this.sensors.group, this.truth.group);
+    context.model.listen((message) => {
+      if (message.type === "hello") this.placeTransmitter(message.transmitter);
+      else if (message.type === "field" && message.model.kind === "transmitter") this.placeTransmitter(message.model);
+    });
+    const legend = LOOKS.map(({ sign, words, colour }) => {
+      const mark = el("span", {}, `${sign} `);
+      mark.style.color = `#${colour.toString(16).padStart(6, "0")}`;
+      return el("li", {}, mark, words);
+    });
+    const layer = (words: string, group: { visible: boolean }, on: boolean) => {
+      group.visible = on;
+      const box = el("input", { type: "checkbox", checked: on });
+      box.addEventListener("change", () => {
+        group.visible = box.checked;
+        this.drawn = -1;
+      });
+      return el("label", {}, box, ` ${words}`);
+    };
+    this.element.append(
+      this.scene.canvas,
+      el("aside", {},
+        el("h2", {}, "Sensors"), this.summary,
+        layer("names", this.sensors.labels, true),
+        layer("trails", this.sensors.trails, true),
+        layer("uncertainty, two sigma", this.sensors.sigma, true),
+        layer("truth of the simulation", this.truth.group, true),
+        el("button", { onclick: () => this.scene?.reset() }, "Camera back"),
+        el("ul", { class: "legend", "aria-label": "What the shapes mean" }, ...legend)),
+    );
+  }
+
+  private placeTransmitter({ position_m, orientation_wxyz }: Pose): void {
+    vector(position_m, this.transmitter.position);
+    quaternion(orientation_wxyz, this.transmitter.quaternion);
+    this.drawn = -1;
+  }
+
+  shown(): void {
+    this.drawn = -1;
+  }
+
+  draw(): void {
+    const { model } = this.context;
+    const changed = this.drawn !== model.version;
+    this.drawn = model.version;
+    if (changed && model.sensors) {
+      this.sensors.update(model.sensors.sensors);
+      const good = model.sensors.sensors.filter(({ state }) => state === "ok" || state === "repaired").length;
+      setText(this.summary, `${good} of ${model.sensors.sensors.length} are good`);
+    }
+    if (changed && model.truth) this.truth.update(model.truth);
+    this.scene?.render(changed);
+  }
+}

@@ -1,0 +1,7 @@
+import { defineConfig } from "vite";
+
+// Built by cargo (build.rs), which says where to: nothing is written beside the sources.
+export default defineConfig({
+  base: "./",
+  build: { target: "es2022", assetsInlineLimit: 0, chunkSizeWarningLimit: 1000, modulePreload: { polyfill: false } },
+});
