@@ -36,6 +36,10 @@ const STATUS_INTERVAL: Duration = Duration::from_secs(1);
 const STATUS_MIN_INTERVAL: Duration = Duration::from_millis(100);
 /// Distance of two looks at a recording that is being ended.
 const ENDING_INTERVAL: Duration = Duration::from_millis(20);
+/// A wake-up that is later than this shows a host with too much to do.
+const LATE_WAKE: Duration = Duration::from_millis(1);
+/// How long its port tasks then have to bring what they should have read.
+const READERS_FIRST: Duration = Duration::from_millis(2);
 
 /// What the fusion thread can be asked between two entries.
 #[derive(Debug)]
@@ -121,15 +125,15 @@ impl Fusion {
                 wake = wake.min(self.clock.now() + ENDING_INTERVAL);
                 self.take_ended();
             }
-            match self.inbox.pop_until(Some(self.clock.instant(wake))) {
+            match self.next_event(wake) {
                 Some(Event::Entry(entry)) => self.step(&entry),
                 Some(Event::Command(Command::Shutdown)) => break,
                 Some(Event::Command(command)) => self.command(command),
                 None => {}
             }
             let now = self.clock.now();
-            if self.pipeline.poll_timeout().is_some_and(|timeout| timeout <= now) {
-                self.step(&Entry { t: now, input: Input::Timer });
+            if let Some(t) = timer_at(self.pipeline.poll_timeout(), now, self.inbox.waiting_since()) {
+                self.step(&Entry { t, input: Input::Timer });
             }
             if now >= next_status || self.health.changed_since_status(now, STATUS_MIN_INTERVAL) {
                 next_status = now + STATUS_INTERVAL;
@@ -143,6 +147,17 @@ impl Fusion {
         for (recording, reply) in self.ending.drain(..) {
             answer(reply, whole(recording).map(|()| None));
         }
+    }
+
+    /// The next event, or `None` at `wake`.
+    fn next_event(&self, wake: Timestamp) -> Option<Event<Command>> {
+        self.inbox.pop_until(Some(self.clock.instant(wake))).or_else(|| {
+            // A host that wakes this thread late has kept the port tasks waiting too. What they bring was there
+            // before the time-out, and must not make a frame miss it.
+            let now = self.clock.now();
+            let late = now > wake + LATE_WAKE;
+            late.then(|| self.inbox.pop_until(Some(self.clock.instant(now + READERS_FIRST)))).flatten()
+        })
     }
 
     /// One entry through recording and pipeline.
@@ -295,6 +310,12 @@ impl Fusion {
     }
 }
 
+/// When a time-out takes place, if it does: not before what was read before it, which may still be waiting.
+fn timer_at(due: Option<Timestamp>, now: Timestamp, waiting_since: Option<Timestamp>) -> Option<Timestamp> {
+    let t = waiting_since.map_or(now, |waiting| waiting.min(now));
+    due.filter(|&due| due <= t).map(|_| t)
+}
+
 /// Waits for the end of a recording that was stopped, and says whether it is whole.
 fn whole(recording: Recording) -> Result<(), String> {
     let Recording { recorder, name, job, .. } = recording;
@@ -319,5 +340,22 @@ fn answer(reply: Option<Reply>, result: Result<Option<Value>, String>) {
         (Some(reply), Err(sentence)) => reply.error("failed", sentence),
         (None, Ok(_)) => {}
         (None, Err(sentence)) => tracing::error!("{sentence}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_read_before_a_time_out_comes_before_it() {
+        let ms = |ms: i64| Timestamp::from_nanos(ms * 1_000_000);
+        assert_eq!(timer_at(None, ms(50), None), None);
+        assert_eq!(timer_at(Some(ms(40)), ms(39), None), None, "not due");
+        assert_eq!(timer_at(Some(ms(40)), ms(41), None), Some(ms(41)));
+        // The thread is late by 10 ms, and bytes of before the time-out wait in the queue: they go first.
+        assert_eq!(timer_at(Some(ms(40)), ms(50), Some(ms(38))), None);
+        // Bytes of after it do not; the time-out is entered before them in the log.
+        assert_eq!(timer_at(Some(ms(40)), ms(50), Some(ms(45))), Some(ms(45)));
     }
 }

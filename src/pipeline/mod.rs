@@ -215,6 +215,9 @@ impl Pipeline {
     fn line(&mut self, device: DeviceIndex, event: &LineEvent, say: &mut impl FnMut(Output<'_>)) {
         let now = self.now;
         let Some(owner) = self.devices.get_mut(usize::from(device)) else { return };
+        if matches!(event, LineEvent::Opened { modem_lines: true }) {
+            self.sources[owner.source_range()].iter_mut().for_each(Source::know_wire);
+        }
         owner.session.get_mut().handle_line(now, event);
         self.drain(device, say);
     }
