@@ -39,11 +39,14 @@ struct Progress {
     rest_until_s: Option<f64>,
 }
 
+/// Exercise, channel and whether it was too much; and whether it was an anomaly.
+type HintKey = (usize, Option<(usize, bool)>, bool);
+
 /// What was last said while moving.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Hinted {
-    /// Exercise, channel and whether it was too much; and whether it was an anomaly.
-    what: Option<(usize, Option<(usize, bool)>, bool)>,
+    /// None: nothing, or that what was said is over.
+    what: Option<HintKey>,
     t_s: f64,
 }
 
