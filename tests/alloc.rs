@@ -117,7 +117,7 @@ fn curl(stage_file: &Stage, scenario: &Scenario) -> Exercise {
     let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
     let channels = ["s0-0_x_m", "s0-0_z_m", "s0-0_up_x"].map(str::to_owned).to_vec();
     let options = Options { name: "curl".into(), repetitions: 5, channels: Some(channels) };
-    teach(&stream, &options).unwrap().exercise
+    teach(&stream, &options).expect("repetitions that were made").exercise
 }
 
 /// Timers apart: the server of the SlimeVR trackers speaks to each of them twice a second.
