@@ -10,6 +10,7 @@ use std::cell::Cell;
 use posed::input::{Entry, Input};
 use posed::output::Output;
 use posed::pipeline::Pipeline;
+use posed::stage::Keyframes;
 use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::scenario::{DeviceScenario, Scenario};
 use rig::{Rig, stage};
@@ -53,7 +54,8 @@ static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn a_warm_pipeline_does_not_allocate() {
-    let stage_file = stage(&[2, 1]);
+    let mut stage_file = stage(&[2, 1]);
+    stage_file.keyframes = Some(Keyframes { sensors: None, window: 20, false_alarms_per_min: 60.0 });
     let flock =
         |name: &str, burst_ms| DeviceScenario { name: name.into(), burst_ms, ..DeviceScenario::default() };
     let scenario = Scenario { devices: vec![flock("d0", 16.0), flock("d1", 0.0)], ..Scenario::default() };

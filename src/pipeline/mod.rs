@@ -7,6 +7,7 @@
 
 mod device;
 mod inertial;
+mod keyframes;
 mod magnetic;
 mod sensor;
 mod session;
@@ -25,6 +26,7 @@ use crate::noise::TrackerNoise;
 use crate::output::{Estimate, Outcome, OutcomeKind, Output, SensorEstimate};
 use crate::stage::Stage;
 use device::{Device, owner};
+use keyframes::Keyframes;
 use sensor::Sensor;
 use source::Source;
 pub use status::{ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
@@ -75,6 +77,8 @@ pub struct Pipeline {
     frames: Assembler,
     room_transmitter: Isometry3<f64>,
     estimate: Estimate,
+    /// Absent where the stage does not ask for them.
+    keyframes: Option<Keyframes>,
     models_refused: u64,
 }
 
@@ -128,6 +132,7 @@ impl Pipeline {
                 sensors: vec![SensorEstimate::default(); stage.sensors.len()],
                 ..Estimate::default()
             },
+            keyframes: Keyframes::new(stage)?,
             models_refused: 0,
         })
     }
@@ -274,12 +279,15 @@ impl Pipeline {
     }
 
     fn close_frames(&mut self, say: &mut impl FnMut(Output<'_>)) {
-        let Self { frames, sensors, estimate, room_transmitter, now, .. } = self;
+        let Self { frames, sensors, estimate, room_transmitter, now, keyframes, .. } = self;
         while let Some(frame) = frames.poll(*now) {
             estimate_frame(frame, sensors, room_transmitter, estimate);
             say(Output::Estimate(estimate));
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, say);
+            }
+            if let Some(keyframes) = keyframes {
+                keyframes.frame(estimate, say);
             }
         }
     }

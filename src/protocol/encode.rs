@@ -5,11 +5,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::message::{Fault, FieldChange, FieldEvent, Jobs, Status};
+use super::message::{Fault, FieldChange, FieldEvent, Jobs, KeyPose, Status};
 use super::sensors::{SensorsBody, TruthBody};
 use super::{Names, Stamp, Topic, View, round};
 use crate::input::Truth;
-use crate::output::{Estimate, Outcome, OutcomeKind, Output};
+use crate::output::{Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output};
 
 /// How messages are written; chosen by the websocket sub-protocol.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -60,6 +60,7 @@ impl<'a> Payload<'a> {
             Self::Outcome(outcome) => match outcome.what {
                 OutcomeKind::Fault { .. } => Topic::Faults,
                 OutcomeKind::ModelSwapped(_) => Topic::Field,
+                OutcomeKind::KeyPose(_) => Topic::Keyframes,
             },
         }
     }
@@ -82,6 +83,13 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
                     let sensor = names.sensor(*sensor).to_owned();
                     let fault = Fault { t_s, event_id, t_valid_s, sensor, cause: *cause, active: *active };
                     write(encoding, &fault, out);
+                }
+                OutcomeKind::KeyPose(event) => {
+                    let sensor = names.sensor(event.sensor).to_owned();
+                    let KeyPoseEvent { phase, corner, .. } = *event;
+                    let score = round::to(1e3, event.score);
+                    let key = KeyPose { t_s, event_id, t_valid_s, sensor, phase, score, corner };
+                    write(encoding, &key, out);
                 }
                 OutcomeKind::ModelSwapped(model) => {
                     let change = FieldChange::ModelSwapped { model: model.clone() };

@@ -142,7 +142,8 @@ mod tests {
     use super::*;
     use crate::input::{Model, Truth, TruthSensor};
     use crate::output::{
-        Estimate, FaultCause, Outcome, OutcomeKind, PoseEstimate, SensorEstimate, SensorState,
+        Estimate, FaultCause, KeyPoseEvent, Outcome, OutcomeKind, Phase, PoseEstimate, SensorEstimate,
+        SensorState,
     };
     use crate::protocol::{Jobs, ServerMessage, Status};
     use crate::stage::Sensor;
@@ -202,6 +203,8 @@ mod tests {
         let names = Names::new(&stage());
         let model = Model::Transmitter { position_m: [0.0; 3], orientation_wxyz: [1.0, 0.0, 0.0, 0.0] };
         let swapped = Outcome { what: OutcomeKind::ModelSwapped(model), ..fault(true) };
+        let event = KeyPoseEvent { sensor: 0, phase: Phase::Confirmed, score: 31.0, corner: true };
+        let key = Outcome { what: OutcomeKind::KeyPose(event), ..fault(true) };
         let sensors = vec![TruthSensor {
             sensor: 1,
             position_m: [0.0; 3],
@@ -216,6 +219,7 @@ mod tests {
             Payload::Truth(&truth),
             Payload::Outcome(&fault),
             Payload::Outcome(&swapped),
+            Payload::Outcome(&key),
             Payload::Status(&status),
             Payload::Jobs(&jobs),
         ] {

@@ -9,9 +9,11 @@
 mod acceptance;
 mod cli;
 mod daemon;
+mod faults;
 mod field;
 mod inertial;
 mod keyframes;
+mod keyframes_live;
 mod motion_commands;
 mod page;
 mod pipeline;

@@ -369,16 +369,20 @@ impl Distributor {
             written(&Payload::Outcome(outcome), &stamp, &self.names, &view, &mut self.scratch)
         };
         let event = Event { stamp, json: body(Encoding::Json), message_pack: body(Encoding::MessagePack) };
-        let (key, holds) = match &outcome.what {
-            OutcomeKind::Fault { sensor, cause, active } => (Key::Fault(*sensor, *cause), *active),
-            OutcomeKind::ModelSwapped(Model::Transmitter { .. }) => (Key::Transmitter, true),
+        // What holds until something else is said is told to who subscribes later.
+        let state = match &outcome.what {
+            OutcomeKind::Fault { sensor, cause, active } => Some((Key::Fault(*sensor, *cause), *active)),
+            OutcomeKind::ModelSwapped(Model::Transmitter { .. }) => Some((Key::Transmitter, true)),
             OutcomeKind::ModelSwapped(Model::TrackerNoise { device, .. }) => {
-                (Key::TrackerNoise(device.clone()), true)
+                Some((Key::TrackerNoise(device.clone()), true))
             }
+            OutcomeKind::KeyPose(_) => None,
         };
-        self.current.retain(|(other, _)| *other != key);
-        if holds {
-            self.current.push((key, event.clone()));
+        if let Some((key, holds)) = state {
+            self.current.retain(|(other, _)| *other != key);
+            if holds {
+                self.current.push((key, event.clone()));
+            }
         }
         self.events.push_back(event);
         let too_old = self.newest_us.saturating_sub(EVENT_AGE_US);

@@ -7,6 +7,7 @@
 mod body;
 mod devices;
 mod drivers;
+mod keyframes;
 mod server;
 
 use std::ops::Range;
@@ -29,6 +30,7 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
     if let (Some(recording), Some(folder)) = (root.item("recording"), folder) {
         server::recording_folder(&recording, folder, notes);
     }
+    keyframes::check(&root, notes);
     body::check(&root, notes);
 }
 
