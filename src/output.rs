@@ -170,6 +170,33 @@ pub enum OutcomeKind {
     ModelSwapped(Model),
     /// Something happened with an exercise.
     Exercise(ExerciseOutcome),
+    /// A sensor's motion changed.
+    KeyPose(KeyPoseEvent),
+}
+
+/// A frame at which a sensor's motion changes; the outcome's `t_valid` is that of the frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct KeyPoseEvent {
+    /// Which sensor.
+    pub sensor: SensorIndex,
+    /// Whether it is for good.
+    pub phase: Phase,
+    /// The statistic there.
+    pub score: f64,
+    /// Whether the velocity changes at once, within a frame or two.
+    pub corner: bool,
+}
+
+/// How sure an event is that can be taken back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// Probably so; will be confirmed or withdrawn.
+    Provisional,
+    /// So, for good.
+    Confirmed,
+    /// Said too early.
+    Withdrawn,
 }
 
 /// Why a sensor's pose is not simply good.

@@ -12,7 +12,7 @@ use posed::motion::exercise::{Exercise, Options, Stream, teach};
 use posed::output::{Outcome, OutcomeKind, Output};
 use posed::pipeline::Pipeline;
 use posed::signals;
-use posed::stage::Stage;
+use posed::stage::{Keyframes, Stage};
 use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
@@ -57,7 +57,8 @@ static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn a_warm_pipeline_does_not_allocate() {
-    let stage_file = stage(&[2, 1]);
+    let mut stage_file = stage(&[2, 1]);
+    stage_file.keyframes = Some(Keyframes { sensors: None, window: 20, false_alarms_per_min: 60.0 });
     let flock =
         |name: &str, burst_ms| DeviceScenario { name: name.into(), burst_ms, ..DeviceScenario::default() };
     let scenario = Scenario { devices: vec![flock("d0", 16.0), flock("d1", 0.0)], ..Scenario::default() };

@@ -8,6 +8,7 @@
 mod device;
 mod exercise;
 mod inertial;
+mod keyframes;
 mod magnetic;
 mod sensor;
 mod session;
@@ -28,6 +29,7 @@ use crate::stage::Stage;
 use device::{Device, owner};
 pub use exercise::DEFAULT_SUBJECT;
 use exercise::ExerciseStage;
+use keyframes::Keyframes;
 use sensor::Sensor;
 use source::Source;
 pub use status::{ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
@@ -79,6 +81,8 @@ pub struct Pipeline {
     room_transmitter: Isometry3<f64>,
     estimate: Estimate,
     exercise: ExerciseStage,
+    /// Absent where the stage does not ask for them.
+    keyframes: Option<Keyframes>,
     models_refused: u64,
     requests_refused: u64,
 }
@@ -134,6 +138,7 @@ impl Pipeline {
                 ..Estimate::default()
             },
             exercise: ExerciseStage::new(stage.sensors.iter().map(|sensor| sensor.name.as_str())),
+            keyframes: Keyframes::new(stage)?,
             models_refused: 0,
             requests_refused: 0,
         })
@@ -286,12 +291,15 @@ impl Pipeline {
     }
 
     fn close_frames(&mut self, say: &mut impl FnMut(Output<'_>)) {
-        let Self { frames, sensors, estimate, room_transmitter, now, exercise, .. } = self;
+        let Self { frames, sensors, estimate, room_transmitter, now, keyframes, exercise, .. } = self;
         while let Some(frame) = frames.poll(*now) {
             estimate_frame(frame, sensors, room_transmitter, estimate);
             say(Output::Estimate(estimate));
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, say);
+            }
+            if let Some(keyframes) = keyframes {
+                keyframes.frame(estimate, say);
             }
             exercise.frame(estimate, &mut |outcome| say(Output::Outcome(outcome)));
         }

@@ -5,11 +5,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::message::{ExerciseEvent, Fault, FieldChange, FieldEvent, Jobs, Status};
+use super::message::{ExerciseEvent, Fault, FieldChange, FieldEvent, Jobs, KeyPose, Status};
 use super::sensors::{SensorsBody, TruthBody};
 use super::{Names, Stamp, Topic, View, exercise, round};
 use crate::input::{Model, Truth};
-use crate::output::{Estimate, Outcome, OutcomeKind, Output};
+use crate::output::{Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output};
 
 /// How messages are written; chosen by the websocket sub-protocol.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -63,6 +63,7 @@ impl<'a> Payload<'a> {
                     Topic::Exercise
                 }
                 OutcomeKind::ModelSwapped(_) => Topic::Field,
+                OutcomeKind::KeyPose(_) => Topic::Keyframes,
             },
         }
     }
@@ -94,6 +95,13 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
                     let change = exercise::change(&outcome.what);
                     let subject = Some(outcome.subject.to_string());
                     write(encoding, &ExerciseEvent { t_s, event_id, t_valid_s, subject, change }, out);
+                }
+                OutcomeKind::KeyPose(event) => {
+                    let sensor = names.sensor(event.sensor).to_owned();
+                    let KeyPoseEvent { phase, corner, .. } = *event;
+                    let score = round::to(1e3, event.score);
+                    let key = KeyPose { t_s, event_id, t_valid_s, sensor, phase, score, corner };
+                    write(encoding, &key, out);
                 }
                 OutcomeKind::ModelSwapped(model) => {
                     let change = FieldChange::ModelSwapped { model: model.clone() };

@@ -143,8 +143,8 @@ mod tests {
     use crate::input::{Model, Truth, TruthSensor};
     use crate::motion::exercise::{EventKind, Feedback, Reason, Remark};
     use crate::output::{
-        Estimate, ExerciseOutcome, ExerciseState, ExerciseWhat, FaultCause, Outcome, OutcomeKind,
-        PoseEstimate, Repetition, SensorEstimate, SensorState,
+        Estimate, ExerciseOutcome, ExerciseState, ExerciseWhat, FaultCause, KeyPoseEvent, Outcome,
+        OutcomeKind, Phase, PoseEstimate, Repetition, SensorEstimate, SensorState,
     };
     use crate::protocol::{Jobs, ServerMessage, Status};
     use crate::stage::Sensor;
@@ -239,6 +239,8 @@ mod tests {
             let what = OutcomeKind::Exercise(ExerciseOutcome { subject: "a".into(), what });
             Outcome { what, ..fault(true) }
         });
+        let event = KeyPoseEvent { sensor: 0, phase: Phase::Confirmed, score: 31.0, corner: true };
+        let key = Outcome { what: OutcomeKind::KeyPose(event), ..fault(true) };
         let sensors = vec![TruthSensor {
             sensor: 1,
             position_m: [0.0; 3],
@@ -254,6 +256,7 @@ mod tests {
             Payload::Truth(&truth),
             Payload::Outcome(&fault),
             Payload::Outcome(&swapped),
+            Payload::Outcome(&key),
             Payload::Status(&status),
             Payload::Jobs(&jobs),
         ]

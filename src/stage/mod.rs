@@ -10,6 +10,7 @@
 mod body;
 mod check;
 mod driver;
+mod keyframes;
 mod port;
 mod problem;
 mod rules;
@@ -24,6 +25,7 @@ use serde::{Deserialize, Serialize};
 pub use body::{Body, BodySegment, Calibration, JointKind, Mounting, SEGMENTS, Skeleton};
 pub use check::{Report, check, check_in, check_table};
 pub use driver::{Driver, TimeBase};
+pub use keyframes::Keyframes;
 pub use port::{PortAddress, PortAddressError};
 pub use problem::{LoadError, Problem, Problems};
 
@@ -52,6 +54,8 @@ pub struct Stage {
     pub sensors: Vec<Sensor>,
     /// The body that wears the sensors; absent: nobody does.
     pub body: Option<Body>,
+    /// Key poses, live; absent: they are not looked for.
+    pub keyframes: Option<Keyframes>,
     /// Websocket, page and metrics.
     #[serde(default)]
     pub server: Server,

@@ -376,30 +376,34 @@ impl Distributor {
             written(&Payload::Outcome(outcome), &stamp, &self.names, &view, &mut self.scratch)
         };
         let event = Event { stamp, json: body(Encoding::Json), message_pack: body(Encoding::MessagePack) };
-        let (key, holds) = match &outcome.what {
-            OutcomeKind::Fault { sensor, cause, active } => (Key::Fault(*sensor, *cause), *active),
-            OutcomeKind::ModelSwapped(Model::Transmitter { .. }) => (Key::Transmitter, true),
+        // What holds until something else is said is told to who subscribes later.
+        let state = match &outcome.what {
+            OutcomeKind::Fault { sensor, cause, active } => Some((Key::Fault(*sensor, *cause), *active)),
+            OutcomeKind::ModelSwapped(Model::Transmitter { .. }) => Some((Key::Transmitter, true)),
             OutcomeKind::ModelSwapped(Model::TrackerNoise { device, .. }) => {
-                (Key::TrackerNoise(device.clone()), true)
+                Some((Key::TrackerNoise(device.clone()), true))
             }
             OutcomeKind::ModelSwapped(Model::Exercise { exercise }) => {
-                (Key::Exercise(exercise.name.clone()), true)
+                Some((Key::Exercise(exercise.name.clone()), true))
             }
             OutcomeKind::Exercise(ExerciseOutcome { subject, what }) => match what {
                 ExerciseWhat::State(_) => {
                     // It holds all counts so far.
                     self.current.retain(|(key, _)| !matches!(key, Key::Count(of, _) if of == subject));
-                    (Key::Subject(subject.clone()), true)
+                    Some((Key::Subject(subject.clone()), true))
                 }
                 ExerciseWhat::Repetition(repetition) if repetition.kind == EventKind::Counted => {
-                    (Key::Count(subject.clone(), repetition.exercise.clone()), true)
+                    Some((Key::Count(subject.clone(), repetition.exercise.clone()), true))
                 }
-                ExerciseWhat::Repetition(_) | ExerciseWhat::Hint(_) => return self.keep(event),
+                ExerciseWhat::Repetition(_) | ExerciseWhat::Hint(_) => None,
             },
+            OutcomeKind::KeyPose(_) => None,
         };
-        self.current.retain(|(other, _)| *other != key);
-        if holds {
-            self.current.push((key, event.clone()));
+        if let Some((key, holds)) = state {
+            self.current.retain(|(other, _)| *other != key);
+            if holds {
+                self.current.push((key, event.clone()));
+            }
         }
         self.keep(event)
     }

@@ -242,6 +242,7 @@ impl Server {
         let mut topics = vec![Topic::Status, Topic::Sensors, Topic::Faults, Topic::Field, Topic::Jobs];
         // Whatever is tracked can be taught and counted.
         topics.extend((!stage.sensors.is_empty()).then_some(Topic::Exercise));
+        topics.extend(stage.keyframes.is_some().then_some(Topic::Keyframes));
         topics.extend(config.more_topics);
         topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
         topics.sort();

@@ -8,6 +8,7 @@ mod faults;
 mod field;
 mod hello;
 mod jobs;
+mod keyframes;
 mod reply;
 mod sensors;
 mod status;
@@ -21,6 +22,7 @@ pub use self::faults::Fault;
 pub use self::field::{FieldChange, FieldEvent};
 pub use self::hello::{Hello, HelloSensor};
 pub use self::jobs::{Job, JobState, Jobs};
+pub use self::keyframes::KeyPose;
 pub use self::reply::{ErrorReply, OkReply};
 pub use self::sensors::{Measured, Quality, SensorEntry, Sensors};
 pub use self::status::{
@@ -48,6 +50,8 @@ pub enum ServerMessage {
     Jobs(Data<Jobs>),
     /// A fault began or ended.
     Faults(Data<Fault>),
+    /// A sensor's motion changed.
+    Keyframes(Data<KeyPose>),
     /// A model of the field changed.
     Field(Data<FieldEvent>),
     /// A repetition, or what belongs to it.

@@ -7,6 +7,7 @@
 mod body;
 mod devices;
 mod drivers;
+mod keyframes;
 mod models;
 mod server;
 
@@ -33,6 +34,7 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
     if let (Some(models), Some(folder)) = (root.item("models"), folder) {
         models::check(&models, folder, notes);
     }
+    keyframes::check(&root, notes);
     body::check(&root, notes);
 }
 
