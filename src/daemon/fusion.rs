@@ -129,6 +129,7 @@ impl Fusion {
         if let Some(recorder) = &mut recorder {
             recorder.entry(entry);
         }
+        let mut estimated = Timestamp::ZERO;
         pipeline.push(entry, &mut |output| {
             match output {
                 Output::Transmit { device, bytes } => {
@@ -147,6 +148,7 @@ impl Fusion {
                         models.push(model.clone());
                     }
                 }
+                Output::Named => health.named(clock.now().seconds_since(estimated)),
                 Output::Truth(_) => {}
             }
             let Some(payload) = Payload::of(&output) else { return };
@@ -159,6 +161,8 @@ impl Fusion {
                 }
                 None => publisher.skip(&payload),
             }
+            // What comes next is the work on segments.
+            estimated = clock.now();
         });
     }
 

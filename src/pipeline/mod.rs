@@ -8,6 +8,7 @@
 mod device;
 mod inertial;
 mod magnetic;
+mod naming;
 mod sensor;
 mod session;
 mod source;
@@ -25,6 +26,7 @@ use crate::noise::TrackerNoise;
 use crate::output::{Estimate, Outcome, OutcomeKind, Output, SensorEstimate};
 use crate::stage::Stage;
 use device::{Device, owner};
+use naming::Naming;
 use sensor::Sensor;
 use source::Source;
 pub use status::{ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
@@ -76,6 +78,8 @@ pub struct Pipeline {
     room_transmitter: Isometry3<f64>,
     estimate: Estimate,
     models_refused: u64,
+    /// Boxed: most stages have none.
+    naming: Option<Box<Naming>>,
 }
 
 impl Pipeline {
@@ -129,6 +133,7 @@ impl Pipeline {
                 ..Estimate::default()
             },
             models_refused: 0,
+            naming: None,
         })
     }
 
@@ -156,6 +161,7 @@ impl Pipeline {
                 }
             }
             Input::Model(model) => self.swap(model, say),
+            Input::Network(bytes) => self.name_with(bytes),
             Input::Truth(truth) => say(Output::Truth(truth)),
         }
         self.close_frames(say);
@@ -274,13 +280,24 @@ impl Pipeline {
     }
 
     fn close_frames(&mut self, say: &mut impl FnMut(Output<'_>)) {
-        let Self { frames, sensors, estimate, room_transmitter, now, .. } = self;
+        let Self { frames, sensors, estimate, room_transmitter, now, naming, .. } = self;
         while let Some(frame) = frames.poll(*now) {
             estimate_frame(frame, sensors, room_transmitter, estimate);
             say(Output::Estimate(estimate));
+            if let Some(naming) = naming {
+                naming.push(estimate, say);
+            }
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, say);
             }
+        }
+    }
+
+    fn name_with(&mut self, bytes: &[u8]) {
+        match Naming::new(bytes, self.sensors.iter().map(Sensor::name)) {
+            Ok(naming) => self.naming = Some(Box::new(naming)),
+            // Whoever sends one has looked first, to say what is wrong.
+            Err(_) => self.models_refused += 1,
         }
     }
 

@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::message::{Fault, FieldChange, FieldEvent, Jobs, Status};
+use super::message::{Fault, FieldChange, FieldEvent, Jobs, SegmentBody, Status};
 use super::sensors::{SensorsBody, TruthBody};
 use super::{Names, Stamp, Topic, View, round};
 use crate::input::Truth;
@@ -45,6 +45,7 @@ impl<'a> Payload<'a> {
             Output::Truth(truth) => Some(Self::Truth(truth)),
             Output::Transmit { .. }
             | Output::SetRts { .. }
+            | Output::Named
             | Output::Device { .. }
             | Output::Warning { .. } => None,
         }
@@ -60,6 +61,7 @@ impl<'a> Payload<'a> {
             Self::Outcome(outcome) => match outcome.what {
                 OutcomeKind::Fault { .. } => Topic::Faults,
                 OutcomeKind::ModelSwapped(_) => Topic::Field,
+                OutcomeKind::Segment(_) => Topic::Segments,
             },
         }
     }
@@ -82,6 +84,19 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
                     let sensor = names.sensor(*sensor).to_owned();
                     let fault = Fault { t_s, event_id, t_valid_s, sensor, cause: *cause, active: *active };
                     write(encoding, &fault, out);
+                }
+                OutcomeKind::Segment(segment) => {
+                    let body = SegmentBody {
+                        t_s,
+                        event_id,
+                        t_valid_s,
+                        event: segment.event,
+                        segment: segment.segment,
+                        label: segment.label.clone(),
+                        confidence: round::to(1e3, segment.confidence),
+                        delay_s: round::to(1e3, segment.delay_s),
+                    };
+                    write(encoding, &body, out);
                 }
                 OutcomeKind::ModelSwapped(model) => {
                     let change = FieldChange::ModelSwapped { model: model.clone() };

@@ -25,8 +25,8 @@ mod typescript;
 pub use encode::{Encoding, Payload};
 pub use message::{
     Data, DeviceStatus, ErrorReply, Fault, FieldChange, FieldEvent, Hello, HelloSensor, Job, JobState, Jobs,
-    LinkState, Measured, OkReply, Problem, Quality, RecordingStatus, ReplayStatus, SensorEntry, SensorStatus,
-    Sensors, ServerMessage, StageLatency, Status, TruthEntry, Truths,
+    LinkState, Measured, OkReply, Problem, Quality, RecordingStatus, ReplayStatus, SegmentBody, SensorEntry,
+    SensorStatus, Sensors, ServerMessage, StageLatency, Status, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use publisher::{Counters, Publisher, PublisherState, Stamp};

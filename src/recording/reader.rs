@@ -102,6 +102,7 @@ enum Kind {
     Line(DeviceIndex),
     Timer,
     Model,
+    Network,
     Truth,
     Transmitted(DeviceIndex),
     Message(Arc<str>),
@@ -214,6 +215,7 @@ impl<R: Read> Reader<R> {
             Kind::Line(device) => Input::Line { device, event: self.unpack(data, "line event")? },
             Kind::Timer => Input::Timer,
             Kind::Model => Input::Model(self.unpack(data, "model")?),
+            Kind::Network => Input::Network(message.data.into_owned()),
             Kind::Truth => Input::Truth(self.unpack(data, "truth")?),
         };
         let found = message.sequence;
@@ -242,6 +244,7 @@ impl<R: Read> Reader<R> {
             Some("line") => Kind::Line(device()?),
             Some("timer") => Kind::Timer,
             Some("model") => Kind::Model,
+            Some("network") => Kind::Network,
             Some("truth") => Kind::Truth,
             Some("transmitted") => Kind::Transmitted(device()?),
             Some("message") => {

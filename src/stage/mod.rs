@@ -52,6 +52,8 @@ pub struct Stage {
     pub sensors: Vec<Sensor>,
     /// The body that wears the sensors; absent: nobody does.
     pub body: Option<Body>,
+    /// What names the segments of the motion; absent: nothing does.
+    pub segments: Option<Segments>,
     /// Websocket, page and metrics.
     #[serde(default)]
     pub server: Server,
@@ -88,6 +90,9 @@ impl Stage {
         if let Some(tls) = &mut stage.server.tls {
             tls.certificate = folder.join(&tls.certificate);
             tls.key = folder.join(&tls.key);
+        }
+        if let Some(segments) = &mut stage.segments {
+            segments.model = folder.join(&segments.model);
         }
         let recordings = stage.recording.folder.get_or_insert_with(|| PathBuf::from("recordings"));
         *recordings = folder.join(&*recordings);
@@ -197,6 +202,14 @@ pub struct Sensor {
 
 fn default_magnetometer() -> bool {
     true
+}
+
+/// Segments of the motion, named by a trained network.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Segments {
+    /// The model that `posed segments train` wrote; its joints are sensors, by name.
+    pub model: PathBuf,
 }
 
 /// Websocket, page and metrics.

@@ -18,6 +18,7 @@ mod pipeline;
 mod reference;
 #[path = "../rig/mod.rs"]
 mod rig;
+mod segments;
 mod server;
 mod simulated;
 mod stages;

@@ -89,6 +89,7 @@ enum Key {
     Fault(SensorIndex, FaultCause),
     Transmitter,
     TrackerNoise(String),
+    Segment,
 }
 
 impl Distributor {
@@ -371,6 +372,8 @@ impl Distributor {
         let event = Event { stamp, json: body(Encoding::Json), message_pack: body(Encoding::MessagePack) };
         let (key, holds) = match &outcome.what {
             OutcomeKind::Fault { sensor, cause, active } => (Key::Fault(*sensor, *cause), *active),
+            // The newest word on what is being done.
+            OutcomeKind::Segment(_) => (Key::Segment, true),
             OutcomeKind::ModelSwapped(Model::Transmitter { .. }) => (Key::Transmitter, true),
             OutcomeKind::ModelSwapped(Model::TrackerNoise { device, .. }) => {
                 (Key::TrackerNoise(device.clone()), true)

@@ -8,6 +8,7 @@ mod field;
 mod hello;
 mod jobs;
 mod reply;
+mod segments;
 mod sensors;
 mod status;
 mod truth;
@@ -20,6 +21,7 @@ pub use self::field::{FieldChange, FieldEvent};
 pub use self::hello::{Hello, HelloSensor};
 pub use self::jobs::{Job, JobState, Jobs};
 pub use self::reply::{ErrorReply, OkReply};
+pub use self::segments::SegmentBody;
 pub use self::sensors::{Measured, Quality, SensorEntry, Sensors};
 pub use self::status::{
     DeviceStatus, LinkState, Problem, RecordingStatus, ReplayStatus, SensorStatus, StageLatency, Status,
@@ -48,6 +50,8 @@ pub enum ServerMessage {
     Faults(Data<Fault>),
     /// A model of the field changed.
     Field(Data<FieldEvent>),
+    /// A segment of the motion begins.
+    Segments(Data<SegmentBody>),
 }
 
 /// What every data message starts with, and its body.

@@ -29,6 +29,9 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
     if let (Some(recording), Some(folder)) = (root.item("recording"), folder) {
         server::recording_folder(&recording, folder, notes);
     }
+    if let (Some(segments), Some(folder)) = (root.item("segments"), folder) {
+        server::segments_model(&segments, folder, notes);
+    }
     body::check(&root, notes);
 }
 

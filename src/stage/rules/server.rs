@@ -106,6 +106,16 @@ pub(super) fn recording_folder(recording: &Item<'_, '_>, folder: &Path, notes: &
     }
 }
 
+/// The model is read when the daemon starts.
+pub(super) fn segments_model(segments: &Item<'_, '_>, folder: &Path, notes: &mut Notes<'_>) {
+    let Some(path) = segments.text("model") else { return };
+    let full = folder.join(path.value);
+    if !full.is_file() {
+        let message = format!("there is no file `{}`", full.display());
+        notes.problem(&path.at, "model", message, "name a model that `posed segments train` wrote");
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::loopback;
