@@ -47,6 +47,8 @@ pub enum Input {
     Model(Model),
     /// A client asks for something that changes what the pipeline does.
     Request(Request),
+    /// A trained network of segments is swapped in: its file in full. None or an unusable one changes nothing.
+    Network(#[serde(with = "serde_bytes_compat")] Vec<u8>),
     /// Ground truth from a simulator, passed through to the `truth` topic.
     Truth(Truth),
 }
@@ -176,14 +178,14 @@ pub struct TruthSensor {
 }
 
 /// Byte strings as MessagePack `bin` rather than as arrays of numbers.
-mod serde_bytes_compat {
+pub(crate) mod serde_bytes_compat {
     use serde::{Deserializer, Serializer, de};
 
-    pub(super) fn serialize<S: Serializer>(bytes: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
+    pub(crate) fn serialize<S: Serializer>(bytes: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
         serializer.serialize_bytes(bytes)
     }
 
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<u8>, D::Error> {
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<u8>, D::Error> {
         struct Bytes;
         impl<'de> de::Visitor<'de> for Bytes {
             type Value = Vec<u8>;

@@ -45,6 +45,8 @@ pub enum Output<'a> {
         /// The sentence.
         text: &'a str,
     },
+    /// The network of segments has seen the frame of the last [`Output::Estimate`]: what happened since then was its work.
+    Named,
     /// Ground truth, passed through.
     Truth(&'a Truth),
 }
@@ -172,6 +174,8 @@ pub enum OutcomeKind {
     Exercise(ExerciseOutcome),
     /// A sensor's motion changed.
     KeyPose(KeyPoseEvent),
+    /// A segment of the motion begins; `t_valid` is when.
+    Segment(Segment),
 }
 
 /// A frame at which a sensor's motion changes; the outcome's `t_valid` is that of the frame.
@@ -196,6 +200,33 @@ pub enum Phase {
     /// So, for good.
     Confirmed,
     /// Said too early.
+    Withdrawn,
+}
+
+/// What is said of a segment.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Segment {
+    /// What is said.
+    pub event: SegmentEvent,
+    /// Number of the segment, from 1.
+    pub segment: u64,
+    /// What it shows.
+    pub label: String,
+    /// Probability of the label at the segment's first frame, 0 to 1.
+    pub confidence: f64,
+    /// How long after its beginning a segment is confirmed at the latest, s.
+    pub delay_s: f64,
+}
+
+/// What is said of a segment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SegmentEvent {
+    /// It seems to begin.
+    Provisional,
+    /// It did.
+    Confirmed,
+    /// It did not.
     Withdrawn,
 }
 

@@ -193,3 +193,35 @@ fn memory_stays_flat_however_long_it_runs() {
     let (least, most) = (state[1..].iter().min().unwrap(), state[1..].iter().max().unwrap());
     assert!(most - least < 4096, "{state:?}");
 }
+
+/// The network of segments on a stream: features, one column per layer, minimum durations.
+#[test]
+fn a_warm_labeller_does_not_allocate() {
+    use posed::motion::segments::{Labeller, Options, Sequence, Trainer};
+    let mut sequence = Sequence { joints: 3, ..Sequence::default() };
+    for frame in 0..1200_u32 {
+        let t_s = f64::from(frame) / 60.0;
+        sequence.t_s.push(t_s);
+        for joint in [0.0, 1.0, 2.0] {
+            sequence.positions_m.push(Some([(t_s + joint).sin(), joint, (2.0 * t_s).cos() * joint]));
+        }
+        sequence.classes.push(Some((frame / 300 % 2) as u16));
+    }
+    let joints = ["hand_l", "hand_r", "head"].map(str::to_owned).to_vec();
+    let labels = ["a", "b"].map(str::to_owned);
+    let options = Options { filters: vec![8, 8, 16], ..Options::default() };
+    let trainer = Trainer::new(options, joints, &labels, vec![sequence.clone()]).unwrap();
+    // Random weights flicker: every path of the decoder is walked.
+    let model = trainer.model(&labels, Vec::new());
+    let mut labeller = Labeller::new(&model);
+    let mut ticks = 0;
+    let mut before = 0;
+    for (frame, t_s) in sequence.t_s.iter().enumerate() {
+        if frame == 600 {
+            before = ALLOCATIONS.with(Cell::get);
+        }
+        labeller.push(&model, *t_s, sequence.positions(frame), &mut |_| ticks += 1);
+    }
+    assert!(ticks > 500, "{ticks}");
+    assert_eq!(ALLOCATIONS.with(Cell::get) - before, 0);
+}

@@ -168,6 +168,7 @@ impl Fusion {
         if let Some(recorder) = &mut recorder {
             recorder.entry(entry);
         }
+        let mut estimated = Timestamp::ZERO;
         pipeline.push(entry, &mut |output| {
             match output {
                 Output::Transmit { device, bytes } => {
@@ -189,6 +190,7 @@ impl Fusion {
                         models.push(model.clone());
                     }
                 }
+                Output::Named => health.named(clock.now().seconds_since(estimated)),
                 Output::Truth(_) => {}
             }
             let Some(payload) = Payload::of(&output) else { return };
@@ -201,6 +203,8 @@ impl Fusion {
                 }
                 None => publisher.skip(&payload),
             }
+            // What comes next is the work on segments.
+            estimated = clock.now();
         });
     }
 

@@ -26,7 +26,7 @@ pub mod server;
 mod service;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use posed_drivers::port::Port;
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -45,6 +45,7 @@ use self::recent::Recent;
 use self::server::{BindError, Server};
 use self::service::Service;
 use crate::input::{Entry, Input};
+use crate::motion::segments::Model;
 use crate::pipeline::{Pipeline, PipelineError};
 use crate::protocol::{Fields, Publisher, Status, Topic};
 use crate::stage::Stage;
@@ -101,6 +102,9 @@ pub enum StartError {
     /// The recording asked for.
     #[error("{0}")]
     Record(String),
+    /// The model of segments.
+    #[error("{0}")]
+    Segments(String),
     /// A thread could not be made.
     #[error("the system gives no thread: {0}")]
     Thread(std::io::Error),
@@ -143,6 +147,7 @@ impl Daemon {
         let mut config = server::Config::new(&folder, clock.epoch_utc_ns());
         config.listen = listen;
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
+        config.more_topics.extend(stage.segments.is_some().then_some(Topic::Segments));
         let (server, hub, pending) = Server::bind(&stage, config)?;
         let mut service = Service::start(server);
         let jobs = Jobs::new(clock, hub.clone());
@@ -157,6 +162,11 @@ impl Daemon {
             let (inbox, shutdown) = (inbox.clone(), service.down());
             let device = device as u16;
             ports.push(Some(PortTask { device, clock, inbox, commands: receiver, shutdown }));
+        }
+        if let Some(segments) = &stage.segments {
+            // First of all entries: every recording of this run holds it, and every replay begins with it.
+            let input = Input::Network(network(&stage, &segments.model).map_err(StartError::Segments)?);
+            inbox.push(Event::Entry(Entry { t: clock.now(), input }));
         }
         let mut fusion = Fusion {
             clock,
@@ -235,4 +245,13 @@ impl Daemon {
         self.inbox.push(Event::Command(Command::Shutdown));
         self.service.shutdown(self.fusion).await;
     }
+}
+
+/// Reads the model of segments; the sentence says why it does not serve this stage.
+fn network(stage: &Stage, path: &Path) -> Result<Vec<u8>, String> {
+    let bytes = std::fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+    let model = Model::from_bytes(&bytes).map_err(|error| error.to_string());
+    let names = stage.sensors.iter().map(|sensor| sensor.name.as_str());
+    let fits = model.and_then(|model| model.columns(names));
+    fits.map_err(|what| format!("{}: {what}", path.display())).map(|_| bytes)
 }

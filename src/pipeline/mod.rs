@@ -10,6 +10,7 @@ mod exercise;
 mod inertial;
 mod keyframes;
 mod magnetic;
+mod naming;
 mod sensor;
 mod session;
 mod source;
@@ -30,6 +31,7 @@ use device::{Device, owner};
 pub use exercise::DEFAULT_SUBJECT;
 use exercise::ExerciseStage;
 use keyframes::Keyframes;
+use naming::Naming;
 use sensor::Sensor;
 use source::Source;
 pub use status::{ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
@@ -85,6 +87,8 @@ pub struct Pipeline {
     keyframes: Option<Keyframes>,
     models_refused: u64,
     requests_refused: u64,
+    /// Boxed: most stages have none.
+    naming: Option<Box<Naming>>,
 }
 
 impl Pipeline {
@@ -141,6 +145,7 @@ impl Pipeline {
             keyframes: Keyframes::new(stage)?,
             models_refused: 0,
             requests_refused: 0,
+            naming: None,
         })
     }
 
@@ -169,6 +174,7 @@ impl Pipeline {
             }
             Input::Model(model) => self.swap(model, say),
             Input::Request(request) => self.request(request, say),
+            Input::Network(bytes) => self.name_with(bytes),
             Input::Truth(truth) => say(Output::Truth(truth)),
         }
         self.close_frames(say);
@@ -291,10 +297,13 @@ impl Pipeline {
     }
 
     fn close_frames(&mut self, say: &mut impl FnMut(Output<'_>)) {
-        let Self { frames, sensors, estimate, room_transmitter, now, keyframes, exercise, .. } = self;
+        let Self { frames, sensors, estimate, room_transmitter, now, keyframes, exercise, naming, .. } = self;
         while let Some(frame) = frames.poll(*now) {
             estimate_frame(frame, sensors, room_transmitter, estimate);
             say(Output::Estimate(estimate));
+            if let Some(naming) = naming {
+                naming.push(estimate, say);
+            }
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, say);
             }
@@ -302,6 +311,14 @@ impl Pipeline {
                 keyframes.frame(estimate, say);
             }
             exercise.frame(estimate, &mut |outcome| say(Output::Outcome(outcome)));
+        }
+    }
+
+    fn name_with(&mut self, bytes: &[u8]) {
+        match Naming::new(bytes, self.sensors.iter().map(Sensor::name)) {
+            Ok(naming) => self.naming = Some(Box::new(naming)),
+            // Whoever sends one has looked first, to say what is wrong.
+            Err(_) => self.models_refused += 1,
         }
     }
 

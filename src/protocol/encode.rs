@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::message::{ExerciseEvent, Fault, FieldChange, FieldEvent, Jobs, KeyPose, Status};
+use super::message::{ExerciseEvent, Fault, FieldChange, FieldEvent, Jobs, KeyPose, SegmentBody, Status};
 use super::sensors::{SensorsBody, TruthBody};
 use super::{Names, Stamp, Topic, View, exercise, round};
 use crate::input::{Model, Truth};
@@ -45,6 +45,7 @@ impl<'a> Payload<'a> {
             Output::Truth(truth) => Some(Self::Truth(truth)),
             Output::Transmit { .. }
             | Output::SetRts { .. }
+            | Output::Named
             | Output::Device { .. }
             | Output::Warning { .. } => None,
         }
@@ -64,6 +65,7 @@ impl<'a> Payload<'a> {
                 }
                 OutcomeKind::ModelSwapped(_) => Topic::Field,
                 OutcomeKind::KeyPose(_) => Topic::Keyframes,
+                OutcomeKind::Segment(_) => Topic::Segments,
             },
         }
     }
@@ -102,6 +104,19 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
                     let score = round::to(1e3, event.score);
                     let key = KeyPose { t_s, event_id, t_valid_s, sensor, phase, score, corner };
                     write(encoding, &key, out);
+                }
+                OutcomeKind::Segment(segment) => {
+                    let body = SegmentBody {
+                        t_s,
+                        event_id,
+                        t_valid_s,
+                        event: segment.event,
+                        segment: segment.segment,
+                        label: segment.label.clone(),
+                        confidence: round::to(1e3, segment.confidence),
+                        delay_s: round::to(1e3, segment.delay_s),
+                    };
+                    write(encoding, &body, out);
                 }
                 OutcomeKind::ModelSwapped(model) => {
                     let change = FieldChange::ModelSwapped { model: model.clone() };

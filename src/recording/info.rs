@@ -129,6 +129,7 @@ fn topic(item: &Item, devices: &[String]) -> String {
             Input::Timer => "/input/timer".to_owned(),
             Input::Model(_) => "/input/model".to_owned(),
             Input::Request(_) => "/input/request".to_owned(),
+            Input::Network(_) => "/input/network".to_owned(),
             Input::Truth(_) => "/input/truth".to_owned(),
         },
     }

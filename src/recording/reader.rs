@@ -103,6 +103,7 @@ enum Kind {
     Timer,
     Model,
     Request,
+    Network,
     Truth,
     Transmitted(DeviceIndex),
     Message(Arc<str>),
@@ -216,6 +217,7 @@ impl<R: Read> Reader<R> {
             Kind::Timer => Input::Timer,
             Kind::Model => Input::Model(self.unpack(data, "model")?),
             Kind::Request => Input::Request(self.unpack(data, "request")?),
+            Kind::Network => Input::Network(message.data.into_owned()),
             Kind::Truth => Input::Truth(self.unpack(data, "truth")?),
         };
         let found = message.sequence;
@@ -245,6 +247,7 @@ impl<R: Read> Reader<R> {
             Some("timer") => Kind::Timer,
             Some("model") => Kind::Model,
             Some("request") => Kind::Request,
+            Some("network") => Kind::Network,
             Some("truth") => Kind::Truth,
             Some("transmitted") => Kind::Transmitted(device()?),
             Some("message") => {

@@ -56,6 +56,8 @@ pub struct Stage {
     pub body: Option<Body>,
     /// Key poses, live; absent: they are not looked for.
     pub keyframes: Option<Keyframes>,
+    /// What names the segments of the motion; absent: nothing does.
+    pub segments: Option<Segments>,
     /// Websocket, page and metrics.
     #[serde(default)]
     pub server: Server,
@@ -101,6 +103,9 @@ impl Stage {
         }
         let exercises = stage.models.exercise_folder.get_or_insert_with(|| PathBuf::from("exercises"));
         *exercises = folder.join(&*exercises);
+        if let Some(segments) = &mut stage.segments {
+            segments.model = folder.join(&segments.model);
+        }
         let recordings = stage.recording.folder.get_or_insert_with(|| PathBuf::from("recordings"));
         *recordings = folder.join(&*recordings);
         Ok(stage)
@@ -209,6 +214,14 @@ pub struct Sensor {
 
 fn default_magnetometer() -> bool {
     true
+}
+
+/// Segments of the motion, named by a trained network.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Segments {
+    /// The model that `posed segments train` wrote; its joints are sensors, by name.
+    pub model: PathBuf,
 }
 
 /// Websocket, page and metrics.

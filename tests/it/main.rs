@@ -22,6 +22,7 @@ mod pipeline;
 mod reference;
 #[path = "../rig/mod.rs"]
 mod rig;
+mod segments;
 mod server;
 mod simulated;
 mod stages;

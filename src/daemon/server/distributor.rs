@@ -96,6 +96,7 @@ enum Key {
     Subject(Name),
     /// The newest count since then.
     Count(Name, Name),
+    Segment,
 }
 
 impl Distributor {
@@ -379,6 +380,8 @@ impl Distributor {
         // What holds until something else is said is told to who subscribes later.
         let state = match &outcome.what {
             OutcomeKind::Fault { sensor, cause, active } => Some((Key::Fault(*sensor, *cause), *active)),
+            // The newest word on what is being done.
+            OutcomeKind::Segment(_) => Some((Key::Segment, true)),
             OutcomeKind::ModelSwapped(Model::Transmitter { .. }) => Some((Key::Transmitter, true)),
             OutcomeKind::ModelSwapped(Model::TrackerNoise { device, .. }) => {
                 Some((Key::TrackerNoise(device.clone()), true))

@@ -10,6 +10,7 @@ mod hello;
 mod jobs;
 mod keyframes;
 mod reply;
+mod segments;
 mod sensors;
 mod status;
 mod truth;
@@ -24,6 +25,7 @@ pub use self::hello::{Hello, HelloSensor};
 pub use self::jobs::{Job, JobState, Jobs};
 pub use self::keyframes::KeyPose;
 pub use self::reply::{ErrorReply, OkReply};
+pub use self::segments::SegmentBody;
 pub use self::sensors::{Measured, Quality, SensorEntry, Sensors};
 pub use self::status::{
     DeviceStatus, LinkState, Problem, RecordingStatus, ReplayStatus, SensorStatus, StageLatency, Status,
@@ -56,6 +58,8 @@ pub enum ServerMessage {
     Field(Data<FieldEvent>),
     /// A repetition, or what belongs to it.
     Exercise(Data<ExerciseEvent>),
+    /// A segment of the motion begins.
+    Segments(Data<SegmentBody>),
 }
 
 /// What every data message starts with, and its body.

@@ -35,6 +35,9 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
         models::check(&models, folder, notes);
     }
     keyframes::check(&root, notes);
+    if let (Some(segments), Some(folder)) = (root.item("segments"), folder) {
+        server::segments_model(&segments, folder, notes);
+    }
     body::check(&root, notes);
 }
 

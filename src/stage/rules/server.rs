@@ -96,6 +96,16 @@ fn pem(tls: &Item<'_, '_>, key: &str, block: &str, folder: &Path, notes: &mut No
     }
 }
 
+/// The model is read when the daemon starts.
+pub(super) fn segments_model(segments: &Item<'_, '_>, folder: &Path, notes: &mut Notes<'_>) {
+    let Some(path) = segments.text("model") else { return };
+    let full = folder.join(path.value);
+    if !full.is_file() {
+        let message = format!("there is no file `{}`", full.display());
+        notes.problem(&path.at, "model", message, "name a model that `posed segments train` wrote");
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::loopback;
