@@ -447,6 +447,28 @@ export type Judged = {
   t_start_s: number;
 };
 
+/** What every data message starts with, and its body. */
+export type KeyPoseMessage = {
+  /** Whether the velocity changes at once rather than gently. */
+  corner: boolean;
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** Stage-wide number of the event, from 1. */
+  event_id: number;
+  /** Whether it is for good. */
+  phase: Phase;
+  /** How clear the change is: without unit, comparable between sensors. */
+  score: number;
+  /** Which sensor. */
+  sensor: string;
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Stream time at which it was decided, s; rises strictly (by 1 µs between events of one frame). */
+  t_s: number;
+  /** Capture time of the key pose, s: the same in all events about one key pose. */
+  t_valid_s: number;
+};
+
 /** What a device's link does. */
 export type LinkState = "streaming" | "connecting" | "silent" | "failed";
 
@@ -511,6 +533,9 @@ export type OkReply = {
   result?: unknown;
 };
 
+/** How sure an event is that can be taken back. */
+export type Phase = "provisional" | "confirmed" | "withdrawn";
+
 /** A pose: the named frame in the room. */
 export type Pose = {
   /** Unit quaternion, scalar first. */
@@ -567,6 +592,33 @@ export type RequestId = number | string;
 
 /** What a client may do. */
 export type Role = "watch" | "operate";
+
+/** What is said of a segment. */
+export type SegmentEvent = "provisional" | "confirmed" | "withdrawn";
+
+/** What every data message starts with, and its body. */
+export type SegmentMessage = {
+  /** The network's probability of the label at the segment's first frame, 0 to 1; 0 of a withdrawn one. */
+  confidence: number;
+  /** How long after its beginning a segment is confirmed at the latest, s. */
+  delay_s: number;
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** What is said of the segment. */
+  event: SegmentEvent;
+  /** Stage-wide number of the event, from 1. */
+  event_id: number;
+  /** What it shows. */
+  label: string;
+  /** Number of the segment, from 1: all events of one segment carry it. It ends where the next confirmed one begins. */
+  segment: number;
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Stream time at which it was decided, s; rises strictly (by 1 µs between events of one frame). */
+  t_s: number;
+  /** Capture time at which the segment begins, s; of a confirmed one it may differ a little from the provisional one's. */
+  t_valid_s: number;
+};
 
 /** One sensor in one frame. `name` and `state` are always there; the others as `fields` asks for. */
 export type SensorEntry = {
@@ -642,10 +694,14 @@ export type ServerMessage = Hello & {
   type: "jobs";
 } | FaultMessage & {
   type: "faults";
+} | KeyPoseMessage & {
+  type: "keyframes";
 } | FieldEventMessage & {
   type: "field";
 } | ExerciseEventMessage & {
   type: "exercise";
+} | SegmentMessage & {
+  type: "segments";
 };
 
 /** Which segments a body has. */
