@@ -33,7 +33,7 @@ pub fn offset(first: &[(f64, f64)], second: &[(f64, f64)]) -> Option<Offset> {
     let start_s = first.first()?.0.max(second.first()?.0);
     let end_s = first.last()?.0.min(second.last()?.0);
     let steps = ((end_s - start_s) / GRID_S).floor();
-    if !(steps * GRID_S >= LEAST_S) {
+    if steps.is_nan() || steps * GRID_S < LEAST_S {
         return None;
     }
     let a = resample(first, start_s, steps as usize);

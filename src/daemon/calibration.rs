@@ -15,7 +15,7 @@ use super::jobs::Jobs;
 use super::server::Reply;
 use crate::atomic_file::AtomicFile;
 use crate::field::{Anchor, FieldMap, PoleRun, Prepared, solve};
-use crate::input::{Entry, FieldRequest, Input, Model, SensorIndex};
+use crate::input::{Entry, Input, Model, Request};
 use crate::protocol::AnchorSpec;
 use crate::stage::Stage;
 
@@ -80,26 +80,20 @@ impl Calibration {
     }
 
     /// Begins to collect.
-    pub(super) fn start(&self, sensors: &[String], spacing_m: f64, reply: Reply) {
-        let index = |name: &String| self.sensors.iter().position(|sensor| sensor == name);
-        let indices: Option<Vec<SensorIndex>> =
-            sensors.iter().map(|name| index(name).map(|index| index as SensorIndex)).collect();
+    pub(super) fn start(&self, sensors: Vec<String>, spacing_m: f64, reply: Reply) {
         let twice = (1..sensors.len()).any(|k| sensors[..k].contains(&sensors[k]));
-        match indices {
-            _ if sensors.len() < 3 || twice => {
-                reply.error(
-                    "bad_request",
-                    "sensors: name three or more, each once, in their order along the pole",
-                );
-            }
-            _ if !(spacing_m.is_finite() && spacing_m > 0.0) => {
-                reply.error("bad_request", "spacing_m: give the measured distance, above 0");
-            }
-            None => reply.error("bad_request", "sensors: this stage has no sensor of one of these names"),
-            Some(sensors) => {
-                self.request(FieldRequest::Start { sensors, spacing_m });
-                reply.ok(None);
-            }
+        if sensors.len() < 3 || twice {
+            reply.error(
+                "bad_request",
+                "sensors: name three or more, each once, in their order along the pole",
+            );
+        } else if !(spacing_m.is_finite() && spacing_m > 0.0) {
+            reply.error("bad_request", "spacing_m: give the measured distance, above 0");
+        } else if let Some(name) = sensors.iter().find(|name| !self.sensors.contains(name)) {
+            reply.error("bad_request", format!("sensors: this stage has no sensor {name:?}"));
+        } else {
+            self.request(Request::FieldStart { sensors, spacing_m });
+            reply.ok(None);
         }
     }
 
@@ -108,7 +102,7 @@ impl Calibration {
         if let Some((other, _)) = self.lock().asked.replace((reply, anchors)) {
             other.error("failed", "another client has ended the run");
         }
-        self.request(FieldRequest::Finish);
+        self.request(Request::FieldFinish {});
     }
 
     /// Solves a run on a thread of its own.
@@ -252,8 +246,8 @@ impl Calibration {
         self.push(Input::Model(Model::Field { version, map }));
     }
 
-    fn request(&self, request: FieldRequest) {
-        self.push(Input::Field(request));
+    fn request(&self, request: Request) {
+        self.push(Input::Request(request));
     }
 
     fn push(&self, input: Input) {

@@ -197,9 +197,14 @@ impl Player {
             | Call::FieldStart { .. }
             | Call::FieldFinish { .. }
             | Call::FieldAccept {}
-            | Call::FieldRollback {} => Err((
+            | Call::FieldRollback {}
+            | Call::ExerciseList {}
+            | Call::ExerciseTeach { .. }
+            | Call::ExerciseSelect { .. }
+            | Call::ExerciseReset { .. } => Err((
                 "replay",
-                "this daemon replays a recording; recording and models belong to a live stage".into(),
+                "this daemon replays a recording; recording, models and exercises belong to a live stage"
+                    .into(),
             )),
             Call::JobCancel { job } => {
                 self.jobs.cancel(job).map(|()| None).map_err(|sentence| ("no_such_job", sentence))

@@ -5,6 +5,8 @@
 //! sensor is (they only gate), ask for the time, allocate per sample.
 
 pub mod ahrs;
+pub mod aided;
+pub mod align;
 pub mod body;
 pub mod chain;
 mod half;

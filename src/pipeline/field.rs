@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::sensor::Sensor;
 use crate::faults::{MeasuredPose, Prediction};
 use crate::field::{Corrector, Guide, PoleRun, Prepared, Seen, Warning, Watch, WatchSettings};
-use crate::input::FieldRequest;
+use crate::input::Request;
 use crate::output::{Estimate, FieldNews, Outcome, OutcomeKind, Output};
 use crate::stage::Stage;
 
@@ -95,29 +95,34 @@ impl Field {
         Some(watch.doubt_m2(range_m))
     }
 
-    /// Carries out a request; the end of a run hands its recording out.
-    pub(super) fn request(
+    /// Carries out a request about the field; the end of a run hands its recording out. False for any other request, and
+    /// for a pole that this stage does not have.
+    pub(super) fn request<'a>(
         &mut self,
-        request: &FieldRequest,
-        names: &[&str],
+        request: &Request,
+        names: impl Iterator<Item = &'a str> + Clone,
         say: &mut impl FnMut(Output<'_>),
-    ) {
+    ) -> bool {
         match request {
-            FieldRequest::Start { sensors, spacing_m } => {
-                let sensors: Vec<usize> = sensors.iter().map(|sensor| usize::from(*sensor)).collect();
-                let known: Option<Vec<String>> =
-                    sensors.iter().map(|sensor| names.get(*sensor).map(|name| (*name).to_owned())).collect();
-                self.collecting = known
-                    .filter(|_| spacing_m.is_finite() && *spacing_m > 0.0)
-                    .map(|names| Collecting { sensors, guide: Guide::new(names, *spacing_m) });
+            Request::FieldStart { sensors, spacing_m } => {
+                let index = |name: &String| names.clone().position(|known| known == name);
+                let Some(indices) = sensors.iter().map(index).collect::<Option<Vec<usize>>>() else {
+                    return false;
+                };
+                if !(spacing_m.is_finite() && *spacing_m > 0.0) {
+                    return false;
+                }
+                let guide = Guide::new(sensors.clone(), *spacing_m);
+                self.collecting = Some(Collecting { sensors: indices, guide });
             }
-            FieldRequest::Finish => {
+            Request::FieldFinish {} => {
                 let collected = self.collecting.take();
                 let nothing = PoleRun { sensors: Vec::new(), spacing_m: 0.0, frames: Vec::new() };
                 say(Output::PoleRun(collected.as_ref().map_or(&nothing, |collected| collected.guide.run())));
             }
-            FieldRequest::Cancel => self.collecting = None,
+            Request::ExerciseSelect { .. } | Request::ExerciseReset { .. } => return false,
         }
+        true
     }
 
     /// Takes a closed frame, after all sensors were estimated.

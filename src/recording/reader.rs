@@ -102,7 +102,8 @@ enum Kind {
     Line(DeviceIndex),
     Timer,
     Model,
-    Field,
+    Request,
+    Network,
     Truth,
     Transmitted(DeviceIndex),
     Message(Arc<str>),
@@ -215,7 +216,8 @@ impl<R: Read> Reader<R> {
             Kind::Line(device) => Input::Line { device, event: self.unpack(data, "line event")? },
             Kind::Timer => Input::Timer,
             Kind::Model => Input::Model(self.unpack(data, "model")?),
-            Kind::Field => Input::Field(self.unpack(data, "field request")?),
+            Kind::Request => Input::Request(self.unpack(data, "request")?),
+            Kind::Network => Input::Network(message.data.into_owned()),
             Kind::Truth => Input::Truth(self.unpack(data, "truth")?),
         };
         let found = message.sequence;
@@ -244,7 +246,8 @@ impl<R: Read> Reader<R> {
             Some("line") => Kind::Line(device()?),
             Some("timer") => Kind::Timer,
             Some("model") => Kind::Model,
-            Some("field") => Kind::Field,
+            Some("request") => Kind::Request,
+            Some("network") => Kind::Network,
             Some("truth") => Kind::Truth,
             Some("transmitted") => Kind::Transmitted(device()?),
             Some("message") => {

@@ -13,7 +13,7 @@ use posed_drivers::Timestamp;
 use super::compare::{Comparison, Difference, is_replayed};
 use super::header::Header;
 use super::reader::{Ending, Item, Message, ReadError, Reader};
-use crate::input::{DeviceIndex, Entry, FieldRequest, Input, SensorIndex};
+use crate::input::{DeviceIndex, Entry, Input, SensorIndex};
 use crate::stage::Stage;
 
 /// What can be replayed: the pipeline with its publisher.
@@ -56,12 +56,7 @@ impl Mapping {
                 of.sensor = mapped.unwrap_or(of.sensor);
                 mapped.is_some()
             }),
-            Input::Field(FieldRequest::Start { sensors, .. }) => {
-                for sensor in sensors {
-                    *sensor = self.sensors.get(usize::from(*sensor)).copied().flatten()?;
-                }
-            }
-            Input::Timer | Input::Model(_) | Input::Field(_) => {}
+            Input::Timer | Input::Model(_) | Input::Request(_) | Input::Network(_) => {}
         }
         Some(entry)
     }

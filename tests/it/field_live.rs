@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use posed::field::{FieldMap, FieldNoise, Prepared, fit_known};
-use posed::input::{FieldRequest, Input, Model};
+use posed::input::{Input, Model, Request};
 use posed::output::{Estimate, FieldNews, OutcomeKind, Output, SensorState};
 use posed::pipeline::Pipeline;
 use posed::stage::Stage;
@@ -92,7 +92,8 @@ fn given_a_map_every_pose_is_corrected_from_the_next_frame_on() {
 fn given_a_guided_run_the_pole_is_collected_and_handed_out() {
     let mut rig = rig(&stage(&[4]));
     rig.run_until(2.0);
-    rig.push(Input::Field(FieldRequest::Start { sensors: vec![0, 1, 2, 3], spacing_m: 0.3 }));
+    let sensors = (0..4).map(|bird| format!("s0-{bird}")).collect();
+    rig.push(Input::Request(Request::FieldStart { sensors, spacing_m: 0.3 }));
     rig.run_until(6.0);
     let progress: Vec<_> = rig
         .said
@@ -109,7 +110,7 @@ fn given_a_guided_run_the_pole_is_collected_and_handed_out() {
     let last = progress.last().unwrap();
     assert!(last.instants > 60 && !last.hint.is_empty(), "{last:?}");
     let mut runs = Vec::new();
-    let finish = posed::input::Entry { t: rig.now, input: Input::Field(FieldRequest::Finish) };
+    let finish = posed::input::Entry { t: rig.now, input: Input::Request(Request::FieldFinish {}) };
     for _ in 0..2 {
         rig.pipeline.push(&finish, &mut |output| {
             if let Output::PoleRun(run) = output {

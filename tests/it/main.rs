@@ -7,18 +7,23 @@
 )]
 
 mod acceptance;
+mod body;
 mod cli;
 mod daemon;
+mod exercise;
+mod faults;
 mod field;
 mod field_live;
 mod inertial;
 mod keyframes;
+mod keyframes_live;
 mod motion_commands;
 mod page;
 mod pipeline;
 mod reference;
 #[path = "../rig/mod.rs"]
 mod rig;
+mod segments;
 mod server;
 mod simulated;
 mod stages;

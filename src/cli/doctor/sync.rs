@@ -100,10 +100,10 @@ async fn wait(time: Duration) {
 /// The stage of a recording, and the angular speeds of its sensors by name, from their raw records.
 fn read(recording: &Path) -> Result<(Stage, BTreeMap<String, Speed>), Error> {
     let failed = |error| Error::Failed(format!("cannot read {}: {error}", recording.display()));
-    let mut reader = Reader::open(recording).map_err(failed)?;
+    let reader = Reader::open(recording).map_err(failed)?;
     let stage = Stage::parse(&reader.header().stage_toml).map_err(Error::failed)?;
     let mut measured: BTreeMap<String, Vec<Measured>> = BTreeMap::new();
-    while let Some(item) = reader.next() {
+    for item in reader {
         let Item::Message(message) = item.map_err(failed)? else { continue };
         if &*message.topic != "sensors" {
             continue;

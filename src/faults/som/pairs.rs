@@ -158,7 +158,10 @@ impl Pairs {
                 any = true;
             }
         }
-        while any {
+        if !any {
+            return;
+        }
+        loop {
             let worst = (0..wrong_m.len()).max_by(|a, b| wrong_m[*a].total_cmp(&wrong_m[*b]));
             let Some(worst) = worst.filter(|worst| wrong_m[*worst] > 1e-9) else { return };
             bad(worst);

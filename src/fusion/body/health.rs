@@ -12,7 +12,7 @@ use crate::fusion::ahrs::ImuSample;
 const SILENT_S: f64 = 0.5;
 /// The same numbers for so long are a dead unit, s: noise changes the last bit of a live one.
 const FROZEN_S: f64 = 0.3;
-/// For so long after it a number that is none, or a saturated one, is told of, s.
+/// For so long after it a number that is none, a saturated one or a misfit is told of, s.
 const TOLD_S: f64 = 1.0;
 /// 98 % of 16 g and of 2000 deg/s, the widest ranges of the usual units.
 const ACCEL_RANGE_M_S2: f64 = 0.98 * 16.0 * 9.80665;
@@ -24,12 +24,14 @@ const HEADING_RAD: f64 = 0.7;
 /// Part of the squared rate that no joint allows: above it the sensor turns in ways its segment cannot. Skin and blows
 /// make some; a strap turned by 30 degrees makes a quarter.
 const IMPOSSIBLE: f64 = 0.15;
-/// Time over which that part is taken, s.
+/// Part of the forces that no healthy sensor has disbelieved: steps and blows are over sooner.
+const GATED: f64 = 0.35;
+/// Time over which these parts are taken, s.
 const IMPOSSIBLE_TAU_S: f64 = 0.4;
 /// Below this rate it says nothing, rad/s.
 const SLOW_RAD_S: f64 = 0.3;
 /// For so long must a disagreement last, s.
-const MISFIT_S: f64 = 0.3;
+const MISFIT_S: f64 = 0.2;
 
 /// What is wrong with a worn sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -56,9 +58,12 @@ pub(super) struct Watch {
     /// Squared rates, low-passed: what no joint allows, and all.
     impossible: f64,
     turning: f64,
+    /// Part of the forces that was not believed, low-passed.
+    gated: f64,
     /// Time since the last such sample; starts as long ago as can be.
     since_broken_s: Option<f64>,
     since_saturated_s: Option<f64>,
+    since_misfit_s: Option<f64>,
     last: Option<ImuSample>,
 }
 
@@ -70,7 +75,7 @@ pub(super) fn usable(sample: &ImuSample) -> bool {
 impl Watch {
     /// One sample, or none.
     pub(super) fn sample(&mut self, sample: Option<&ImuSample>, dt_s: f64) {
-        for since in [&mut self.since_broken_s, &mut self.since_saturated_s] {
+        for since in [&mut self.since_broken_s, &mut self.since_saturated_s, &mut self.since_misfit_s] {
             *since = since.map(|s| s + dt_s).filter(|s| *s < TOLD_S);
         }
         let Some(sample) = sample else {
@@ -92,9 +97,11 @@ impl Watch {
         }
     }
 
-    /// What the limb made of the gyro: the rate, rad/s, and the part of it that the joints do not allow.
-    pub(super) fn gyro(&mut self, rate_rad_s: f64, impossible_rad_s: f64, dt_s: f64) {
+    /// What the limb made of a sample: the rate, rad/s, the part of it that the joints do not allow, and whether the force
+    /// was not believed.
+    pub(super) fn innovation(&mut self, rate_rad_s: f64, impossible_rad_s: f64, gated: bool, dt_s: f64) {
         let gain = dt_s / (IMPOSSIBLE_TAU_S + dt_s);
+        self.gated += gain * (f64::from(gated) - self.gated);
         self.impossible += gain * (impossible_rad_s.min(rate_rad_s).powi(2) - self.impossible);
         self.turning += gain * (rate_rad_s.powi(2) - self.turning);
     }
@@ -111,8 +118,13 @@ impl Watch {
             let tilt = (own.inverse() * Vector3::z()).angle(&(body.inverse() * Vector3::z()));
             tilt > TILT_RAD || (magnetometer && own.angle_to(&body) > HEADING_RAD)
         });
-        let apart = apart || self.impossible > IMPOSSIBLE * self.turning.max(SLOW_RAD_S * SLOW_RAD_S);
+        let apart = apart
+            || self.gated > GATED
+            || self.impossible > IMPOSSIBLE * self.turning.max(SLOW_RAD_S * SLOW_RAD_S);
         self.misfit_s = if apart { self.misfit_s + dt_s } else { (self.misfit_s - dt_s).max(0.0) }.min(1.0);
+        if self.misfit_s >= MISFIT_S {
+            self.since_misfit_s = Some(0.0);
+        }
     }
 
     /// The gravest of what is wrong.
@@ -125,7 +137,7 @@ impl Watch {
             Some(SensorFault::Frozen)
         } else if self.since_saturated_s.is_some() {
             Some(SensorFault::Saturated)
-        } else if self.misfit_s >= MISFIT_S {
+        } else if self.since_misfit_s.is_some() {
             Some(SensorFault::Misfit)
         } else {
             None

@@ -11,8 +11,8 @@
 use nalgebra::{Isometry3, SMatrix, SVector, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
+use super::joint_rotation;
 use super::skeleton::{SEGMENTS, Segment, Skeleton, upright};
-use super::{joint_angles, joint_rotation};
 use crate::geometry::so3;
 
 /// Unknowns: pelvis 6, spine 3, per limb 3 + 2 (arm) or 3 + 1 (leg).
@@ -121,7 +121,8 @@ impl Follower {
     /// From the tracker nearest to the hips, so that the first step is a small one.
     fn start(&mut self, trackers: &[Tracked], first: &Tracked) {
         let trunk = [Segment::Pelvis, Segment::Torso];
-        let near = trunk.iter().find_map(|segment| trackers.iter().find(|t| t.segment == *segment)).unwrap_or(first);
+        let near =
+            trunk.iter().find_map(|segment| trackers.iter().find(|t| t.segment == *segment)).unwrap_or(first);
         let room_from_segment = near.room_from_sensor * near.segment_from_sensor.inverse();
         // Upright, turned as that segment is.
         let yaw = super::yaw_from_upright(&room_from_segment.rotation);
@@ -204,7 +205,7 @@ impl Joints {
     fn orientations(&self) -> [UnitQuaternion<f64>; SEGMENTS] {
         let mut all = [self.pelvis; SEGMENTS];
         for (segment, ball) in BALLS.into_iter().zip(&self.balls) {
-            let parent = segment.parent().map_or(Segment::Pelvis, |parent| parent);
+            let parent = segment.parent().unwrap_or(Segment::Pelvis);
             all[segment.index()] = all[parent.index()] * ball;
         }
         let hinges: [(Segment, Segment, &[f64]); 4] = [
@@ -256,7 +257,7 @@ impl Joints {
 /// Elbow and knee angles, for a test of the hinges.
 #[cfg(test)]
 pub(super) fn hinge_angle(figure: &Figure, segment: Segment) -> f64 {
-    let parent = segment.parent().map_or(Segment::Pelvis, |parent| parent);
+    let parent = segment.parent().unwrap_or(Segment::Pelvis);
     let q = figure.orientations[parent.index()].inverse() * figure.orientations[segment.index()];
-    joint_angles(segment, &q)[0]
+    super::joint_angles(segment, &q)[0]
 }

@@ -17,6 +17,7 @@
 mod angles;
 pub mod calibrate;
 mod health;
+mod inverse;
 mod limbs;
 pub mod places;
 mod skeleton;
@@ -28,6 +29,7 @@ use serde::{Deserialize, Serialize};
 
 pub use angles::{ANGLE_NAMES, ANGLES, angles, joint_angles, joint_rotation, of_joint};
 pub use health::SensorFault;
+pub use inverse::{Figure, Follower, Tracked};
 pub use skeleton::{Limb, SEGMENTS, Segment, Skeleton, upright};
 
 use super::ahrs::{Ahrs, ImuSample, Params};
@@ -166,7 +168,7 @@ impl BodyFilter {
 
     /// Takes the samples of one time, `dt_s` after the ones before. A time that does not rise changes nothing.
     pub fn push(&mut self, samples: &BodySamples, dt_s: f64) -> &BodyEstimate {
-        if !(dt_s > 0.0 && dt_s.is_finite()) {
+        if !dt_s.is_finite() || dt_s <= 0.0 {
             return &self.estimate;
         }
         for (sensor, sample) in self.sensors.iter_mut().zip(samples) {
@@ -189,7 +191,7 @@ impl BodyFilter {
                 {
                     // The filter lets the joints' rates go where the gyros say: what is left, it cannot explain.
                     let left = nis.sqrt() * filter.gyro_noise_rad_s();
-                    sensor.watch.gyro(sample.gyro_rad_s.norm(), left, dt_s);
+                    sensor.watch.innovation(sample.gyro_rad_s.norm(), left, report.accel_gated, dt_s);
                 }
             }
         }

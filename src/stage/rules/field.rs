@@ -1,13 +1,11 @@
-//! The sensors that watch over the field, and the map to begin with.
-
-use std::path::Path;
+//! The sensors that watch over the field.
 
 use toml::de::DeValue;
 
 use super::super::problem::Notes;
 use super::{Item, suggest};
 
-pub(super) fn check(root: &Item<'_, '_>, folder: Option<&Path>, notes: &mut Notes<'_>) {
+pub(super) fn check(root: &Item<'_, '_>, notes: &mut Notes<'_>) {
     let sensors = root.items("sensor");
     let names: Vec<&str> = sensors.iter().filter_map(|sensor| Some(sensor.text("name")?.value)).collect();
     if let Some(field) = root.item("field") {
@@ -25,14 +23,6 @@ pub(super) fn check(root: &Item<'_, '_>, folder: Option<&Path>, notes: &mut Note
                 }
                 name => known(name.as_str(), one.span(), key, &names, notes),
             });
-        }
-    }
-    let map = root.item("models").and_then(|models| models.text("field"));
-    if let (Some(map), Some(folder)) = (map, folder) {
-        let full = folder.join(map.value);
-        if let Err(reason) = crate::field::FieldMap::read(&full) {
-            let mend = "write the path of a map that `posed field solve` made";
-            notes.problem(&map.at, "field", reason, mend);
         }
     }
 }
