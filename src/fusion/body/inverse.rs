@@ -11,8 +11,8 @@
 use nalgebra::{Isometry3, SMatrix, SVector, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::skeleton::{SEGMENTS, Segment, Skeleton, upright};
 use super::joint_rotation;
+use super::skeleton::{SEGMENTS, Segment, Skeleton, upright};
 use crate::geometry::so3;
 
 /// Unknowns: pelvis 6, spine 3, per limb 3 + 2 (arm) or 3 + 1 (leg).
