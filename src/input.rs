@@ -6,6 +6,7 @@ use posed_drivers::{LineEvent, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use crate::geometry;
+use crate::motion::exercise::Exercise;
 
 /// Index of a device in the stage file's `[[device]]` list.
 pub type DeviceIndex = u16;
@@ -44,6 +45,10 @@ pub enum Input {
     Timer,
     /// A model is swapped in, in full.
     Model(Model),
+    /// A client asks for something that changes what the pipeline does.
+    Request(Request),
+    /// A trained network of segments is swapped in: its file in full. None or an unusable one changes nothing.
+    Network(#[serde(with = "serde_bytes_compat")] Vec<u8>),
     /// Ground truth from a simulator, passed through to the `truth` topic.
     Truth(Truth),
 }
@@ -70,6 +75,43 @@ pub enum Model {
         /// Rotation standard deviation at `r0_m`, rad (grows with r^3).
         sigma_rotation_rad: f64,
     },
+    /// A taught exercise; it takes the place of the one of its name.
+    Exercise {
+        /// The exercise, as in its file.
+        exercise: Box<Exercise>,
+    },
+}
+
+/// What clients ask of the pipeline.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Request {
+    /// Counts these exercises from 0 for a subject, and no others.
+    ExerciseSelect {
+        /// Who moves.
+        subject: String,
+        /// Names of exercises that were loaded; none ends the counting.
+        exercises: Vec<String>,
+        /// How much is to be done.
+        plan: Plan,
+    },
+    /// Counts a subject's exercises from 0 again.
+    ExerciseReset {
+        /// Who moves.
+        subject: String,
+    },
+}
+
+/// How much of an exercise is to be done.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Plan {
+    /// Repetitions of a set; absent: one set without end.
+    pub repetitions: Option<u32>,
+    /// Sets of each exercise; absent: no end.
+    pub sets: Option<u32>,
+    /// Rest after a set, s.
+    pub rest_s: f64,
 }
 
 impl Model {
@@ -78,6 +120,7 @@ impl Model {
         match (self, newer) {
             (Self::Transmitter { .. }, Self::Transmitter { .. }) => true,
             (Self::TrackerNoise { device, .. }, Self::TrackerNoise { device: of, .. }) => device == of,
+            (Self::Exercise { exercise }, Self::Exercise { exercise: newer }) => exercise.name == newer.name,
             _ => false,
         }
     }
@@ -106,6 +149,7 @@ impl Model {
                     return Err(format!("{key}: give a positive number, not {value}"));
                 }
             }
+            Self::Exercise { exercise } => exercise.check().map_err(|error| error.to_string())?,
         }
         Ok(())
     }
@@ -134,14 +178,14 @@ pub struct TruthSensor {
 }
 
 /// Byte strings as MessagePack `bin` rather than as arrays of numbers.
-mod serde_bytes_compat {
+pub(crate) mod serde_bytes_compat {
     use serde::{Deserializer, Serializer, de};
 
-    pub(super) fn serialize<S: Serializer>(bytes: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
+    pub(crate) fn serialize<S: Serializer>(bytes: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
         serializer.serialize_bytes(bytes)
     }
 
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<u8>, D::Error> {
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<u8>, D::Error> {
         struct Bytes;
         impl<'de> de::Visitor<'de> for Bytes {
             type Value = Vec<u8>;

@@ -1,8 +1,13 @@
 //! What the pipeline says: estimates and outcomes, before anyone turns them into messages.
 
+mod exercise;
+
 use posed_drivers::{State, Timestamp};
 use serde::{Deserialize, Serialize};
 
+pub use self::exercise::{
+    ExerciseOutcome, ExerciseProgress, ExerciseState, ExerciseWhat, LiveHint, Repetition,
+};
 use crate::input::{DeviceIndex, Model, SensorIndex, Truth};
 
 /// One output of `Pipeline::push`; borrowed, valid during the call.
@@ -40,6 +45,8 @@ pub enum Output<'a> {
         /// The sentence.
         text: &'a str,
     },
+    /// The network of segments has seen the frame of the last [`Output::Estimate`]: what happened since then was its work.
+    Named,
     /// Ground truth, passed through.
     Truth(&'a Truth),
 }
@@ -163,6 +170,64 @@ pub enum OutcomeKind {
     },
     /// A model was swapped in.
     ModelSwapped(Model),
+    /// Something happened with an exercise.
+    Exercise(ExerciseOutcome),
+    /// A sensor's motion changed.
+    KeyPose(KeyPoseEvent),
+    /// A segment of the motion begins; `t_valid` is when.
+    Segment(Segment),
+}
+
+/// A frame at which a sensor's motion changes; the outcome's `t_valid` is that of the frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct KeyPoseEvent {
+    /// Which sensor.
+    pub sensor: SensorIndex,
+    /// Whether it is for good.
+    pub phase: Phase,
+    /// The statistic there.
+    pub score: f64,
+    /// Whether the velocity changes at once, within a frame or two.
+    pub corner: bool,
+}
+
+/// How sure an event is that can be taken back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// Probably so; will be confirmed or withdrawn.
+    Provisional,
+    /// So, for good.
+    Confirmed,
+    /// Said too early.
+    Withdrawn,
+}
+
+/// What is said of a segment.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Segment {
+    /// What is said.
+    pub event: SegmentEvent,
+    /// Number of the segment, from 1.
+    pub segment: u64,
+    /// What it shows.
+    pub label: String,
+    /// Probability of the label at the segment's first frame, 0 to 1.
+    pub confidence: f64,
+    /// How long after its beginning a segment is confirmed at the latest, s.
+    pub delay_s: f64,
+}
+
+/// What is said of a segment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SegmentEvent {
+    /// It seems to begin.
+    Provisional,
+    /// It did.
+    Confirmed,
+    /// It did not.
+    Withdrawn,
 }
 
 /// Why a sensor's pose is not simply good.

@@ -7,12 +7,15 @@ mod rig;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-use posed::input::{Entry, Input};
-use posed::output::Output;
+use posed::input::{Entry, Input, Model};
+use posed::motion::exercise::{Exercise, Options, Stream, teach};
+use posed::output::{Outcome, OutcomeKind, Output};
 use posed::pipeline::Pipeline;
-use posed::stage::Stage;
+use posed::signals;
+use posed::stage::{Keyframes, Stage};
 use posed_simulator::faults::{Bytes, Fault};
-use posed_simulator::scenario::{DeviceScenario, Scenario};
+use posed_simulator::motion::{Curl, Motion};
+use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
 use rig::{Rig, stage};
 
 struct Counting;
@@ -54,28 +57,68 @@ static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn a_warm_pipeline_does_not_allocate() {
-    let stage_file = stage(&[2, 1]);
+    let mut stage_file = stage(&[2, 1]);
+    stage_file.keyframes = Some(Keyframes { sensors: None, window: 20, false_alarms_per_min: 60.0 });
     let flock =
         |name: &str, burst_ms| DeviceScenario { name: name.into(), burst_ms, ..DeviceScenario::default() };
     let scenario = Scenario { devices: vec![flock("d0", 16.0), flock("d1", 0.0)], ..Scenario::default() };
-    let mut rig = Rig::new(&stage_file, &scenario);
+    let exercise = curl(&stage_file, &scenario);
+    let mut rig = Rig::new(&stage_file, &curling(None, scenario));
+    rig.push(Input::Model(Model::Exercise { exercise: Box::new(exercise) }));
     rig.run_until(12.0);
 
     let mut pipeline = Pipeline::new(&stage_file).unwrap();
     let warm = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 6.0);
-    let mut frames = 0;
+    let (mut frames, mut exercise) = (0, 0);
     let mut feed = |pipeline: &mut Pipeline, log: &[Entry]| {
         for entry in log {
-            pipeline.push(entry, &mut |output| frames += u64::from(matches!(output, Output::Estimate(_))));
+            pipeline.push(entry, &mut |output| match output {
+                Output::Estimate(_) => frames += 1,
+                Output::Outcome(Outcome { what: OutcomeKind::Exercise(_), .. }) => exercise += 1,
+                _ => {}
+            });
         }
+        exercise
     };
-    feed(&mut pipeline, &rig.log[..warm]);
+    let before_warm = feed(&mut pipeline, &rig.log[..warm]);
     let bytes = rig.log[warm..].iter().filter(|entry| matches!(entry.input, Input::Bytes { .. })).count();
     let before = ALLOCATIONS.with(Cell::get);
-    feed(&mut pipeline, &rig.log[warm..]);
+    let events = feed(&mut pipeline, &rig.log[warm..]) - before_warm;
     let allocations = ALLOCATIONS.with(Cell::get) - before;
     assert!(frames > 500 && bytes > 500, "{frames} frames from {bytes} chunks");
-    assert_eq!(allocations, 0, "in {frames} frames");
+    assert!(events > 3, "only {events} events of the exercise");
+    assert_eq!(allocations, 0, "in {frames} frames with {events} events");
+}
+
+/// The first sensor on a forearm that curls, so many times.
+fn curling(repetitions: Option<u32>, scenario: Scenario) -> Scenario {
+    let curl = Curl { start_s: 2.5, period_s: 1.4, pause_s: 0.2, repetitions, ..Curl::default() };
+    let forearm = SensorScenario {
+        name: "s0-0".into(),
+        body: "arm".into(),
+        segment: Some("forearm".into()),
+        offset_m: [0.0, -0.18, 0.04],
+        mount_quat_wxyz: [1.0, 0.0, 0.0, 0.0],
+    };
+    let arm = BodySpec { name: "arm".into(), motion: Motion::Curl(curl) };
+    Scenario { bodies: vec![arm], sensors: vec![forearm], ..scenario }
+}
+
+/// That curl, taught from five repetitions.
+fn curl(stage_file: &Stage, scenario: &Scenario) -> Exercise {
+    let mut rig = Rig::new(stage_file, &curling(Some(5), scenario.clone()));
+    rig.run_until(13.0);
+    let (mut t_s, mut values, mut row) = (Vec::new(), Vec::new(), Vec::new());
+    for estimate in rig.estimates() {
+        t_s.push(estimate.t_valid.as_secs_f64());
+        signals::write(estimate, &mut row);
+        values.extend_from_slice(&row);
+    }
+    let columns = signals::columns(stage_file.sensors.iter().map(|sensor| sensor.name.as_str()));
+    let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
+    let channels = ["s0-0_x_m", "s0-0_z_m", "s0-0_up_x"].map(str::to_owned).to_vec();
+    let options = Options { name: "curl".into(), repetitions: 5, channels: Some(channels) };
+    teach(&stream, &options).expect("repetitions that were made").exercise
 }
 
 /// Timers apart: the server of the SlimeVR trackers speaks to each of them twice a second.
@@ -149,4 +192,36 @@ fn memory_stays_flat_however_long_it_runs() {
     assert!(most - least < 16_384, "{live:?}");
     let (least, most) = (state[1..].iter().min().unwrap(), state[1..].iter().max().unwrap());
     assert!(most - least < 4096, "{state:?}");
+}
+
+/// The network of segments on a stream: features, one column per layer, minimum durations.
+#[test]
+fn a_warm_labeller_does_not_allocate() {
+    use posed::motion::segments::{Labeller, Options, Sequence, Trainer};
+    let mut sequence = Sequence { joints: 3, ..Sequence::default() };
+    for frame in 0..1200_u32 {
+        let t_s = f64::from(frame) / 60.0;
+        sequence.t_s.push(t_s);
+        for joint in [0.0, 1.0, 2.0] {
+            sequence.positions_m.push(Some([(t_s + joint).sin(), joint, (2.0 * t_s).cos() * joint]));
+        }
+        sequence.classes.push(Some((frame / 300 % 2) as u16));
+    }
+    let joints = ["hand_l", "hand_r", "head"].map(str::to_owned).to_vec();
+    let labels = ["a", "b"].map(str::to_owned);
+    let options = Options { filters: vec![8, 8, 16], ..Options::default() };
+    let trainer = Trainer::new(options, joints, &labels, vec![sequence.clone()]).unwrap();
+    // Random weights flicker: every path of the decoder is walked.
+    let model = trainer.model(&labels, Vec::new());
+    let mut labeller = Labeller::new(&model);
+    let mut ticks = 0;
+    let mut before = 0;
+    for (frame, t_s) in sequence.t_s.iter().enumerate() {
+        if frame == 600 {
+            before = ALLOCATIONS.with(Cell::get);
+        }
+        labeller.push(&model, *t_s, sequence.positions(frame), &mut |_| ticks += 1);
+    }
+    assert!(ticks > 500, "{ticks}");
+    assert_eq!(ALLOCATIONS.with(Cell::get) - before, 0);
 }

@@ -1,6 +1,18 @@
 // Messages of the posed websocket. Generated from the Rust types by `posed schema --typescript`; do not edit.
 
-/** Requests for the daemon. All but `replay.list` need the role `operate`. */
+/** A repetition that is not judged. */
+export type Begun = {
+  /** Repetitions counted since it was selected or reset; only rises. */
+  count: number;
+  /** The exercise. */
+  exercise: string;
+  /** Repetitions of the set. */
+  set_count: number;
+  /** Beginning of the repetition, s. */
+  t_start_s: number;
+};
+
+/** Requests for the daemon. All but `replay.list` and `exercise.list` need the role `operate`. */
 export type Call = {
   /** The reply carries it. */
   id: RequestId;
@@ -36,6 +48,46 @@ export type Call = {
 } | {
   /** The reply carries it. */
   id: RequestId;
+  type: "exercise.list";
+} | {
+  /** Only these channels; absent: those that do the same in every repetition. */
+  channels?: string[] | null;
+  /** The reply carries it. */
+  id: RequestId;
+  /** The repetitions lie in the last so many seconds; absent: they are about to be done, and the job ends once they were done and the subject rests. */
+  last_s?: number | null;
+  /** Name of the exercise: 1 to 64 letters, digits, spaces, `-` and `_`. */
+  name: string;
+  /** How many repetitions it is taught from; 3 to 10 are good. */
+  repetitions: number;
+  /** Only these sensors, by name; absent: all. */
+  sensors?: string[] | null;
+  /** Who moves; absent: `default`. */
+  subject?: string | null;
+  type: "exercise.teach";
+} | {
+  /** Their names; none ends the counting. */
+  exercises: string[];
+  /** The reply carries it. */
+  id: RequestId;
+  /** Repetitions of a set; absent: one set without end. */
+  repetitions?: number | null;
+  /** Rest after a set, s; absent: none. */
+  rest_s?: number | null;
+  /** Sets of each exercise; absent: no end. */
+  sets?: number | null;
+  /** Who moves; absent: `default`. */
+  subject?: string | null;
+  type: "exercise.select";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** Who moves; absent: `default`. */
+  subject?: string | null;
+  type: "exercise.reset";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
   /** Its number. */
   job: number;
   type: "job.cancel";
@@ -49,6 +101,26 @@ export type Call = {
 
 /** Everything a client can send. */
 export type ClientMessage = Feed | Call;
+
+/** How a repetition differed from the taught ones. */
+export type Deviation = {
+  /** The channel that deviated most. */
+  channel: string;
+  /** Duration of each fifth of the movement, the taught one being 1. */
+  fifth_tempo: [number, number, number, number, number];
+  /** Log dimensionless jerk above the taught one; 0.7 is twice the jerk. */
+  jerk: number;
+  /** Where in the movement: 0 is the beginning, 1 the end. */
+  phase: number;
+  /** Range of the channel, the taught one being 1. */
+  range: number;
+  /** Its deviation, in the channel's unit; positive is more than taught. */
+  size: number;
+  /** The same in standard deviations of the taught movement. */
+  size_sd: number;
+  /** Duration, the taught median being 1. */
+  tempo: number;
+};
 
 /** Health of a device. Counts never go back. */
 export type DeviceStatus = {
@@ -75,6 +147,16 @@ export type DeviceStatus = {
 /** What to do with messages for which a client is too slow. Either way the oldest goes first and is counted. */
 export type DropPolicy = "latest" | "queue";
 
+/** Durations of repetitions, s. */
+export type Durations = {
+  /** Longest. */
+  longest_s: number;
+  /** Median. */
+  median_s: number;
+  /** Shortest. */
+  shortest_s: number;
+};
+
 /** Reply to a request that was not carried out. */
 export type ErrorReply = {
   /** For programs: `bad_message`, `bad_request`, `unknown_type`, `unknown_sensor`, `forbidden`, `busy`, ... */
@@ -83,6 +165,108 @@ export type ErrorReply = {
   id: RequestId | null;
   /** For people: what was wrong and what would be right, in one sentence. */
   message: string;
+};
+
+/** A taught exercise. */
+export type Exercise = {
+  /** The channels it looks at, as `channels` names them. */
+  channels: string[];
+  /** Durations of the taught repetitions. */
+  durations: Durations;
+  /** `posed-exercise`. */
+  format: string;
+  /** What a repetition must be like to count. */
+  gate: Gate;
+  /** Log dimensionless jerk of the taught repetitions. */
+  log_jerk: number;
+  /** Values and velocities of the channels, in this order. */
+  movement: Movement;
+  /** Name, as in events. */
+  name: string;
+  /** Frames per second of the model. */
+  rate_hz: number;
+  /** Counts how often an exercise of this name was taught, from 1. */
+  revision?: number;
+  /** Version of the format. */
+  version: number;
+};
+
+/** What every data message starts with, and its body. */
+export type ExerciseEventMessage = {
+  /** The channels it looks at. */
+  channels: string[];
+  /** Median duration of a repetition, s. */
+  duration_s: number;
+  event: "loaded";
+  /** Its name. */
+  exercise: string;
+  /** How often an exercise of this name was taught. */
+  revision: number;
+} | {
+  event: "state";
+  /** How far the subject is. */
+  state: ExerciseState;
+} | Begun & {
+  event: "started";
+} | Begun & {
+  event: "provisional";
+} | Begun & {
+  event: "withdrawn";
+} | Judged & {
+  event: "counted";
+} | Judged & {
+  event: "rejected";
+} | {
+  /** For half a second the movement has been likelier to be something else. */
+  anomaly: boolean;
+  event: "hint";
+  /** Its name; null, like the rest: what was said before is over. */
+  exercise: string | null;
+  /** Where in the movement: 0 is the beginning, 1 the end. */
+  phase: number | null;
+  /** In words. */
+  sentence: string | null;
+} & {
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** Stage-wide number of the event, from 1. */
+  event_id: number;
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Who moves; null where it concerns all. */
+  subject: string | null;
+  /** Stream time at which it was decided, s; rises strictly (by 1 µs between events of one frame). */
+  t_s: number;
+  /** Capture time it speaks of, s: of a repetition its end. */
+  t_valid_s: number;
+};
+
+/** How far a subject is with an exercise. */
+export type ExerciseProgress = {
+  /** Repetitions since it was selected or reset. */
+  count: number;
+  /** All sets are complete. */
+  done: boolean;
+  /** Name of the exercise. */
+  exercise: string;
+  /** End of the rest that goes on, s; null: none. */
+  rest_until_s: number | null;
+  /** Number of the set, from 1. */
+  set: number;
+  /** Repetitions of that set. */
+  set_count: number;
+};
+
+/** Exercises of a subject, and how far it is. */
+export type ExerciseState = {
+  /** The exercises that are counted. */
+  exercises: ExerciseProgress[];
+  /** Repetitions of a set; null: one set without end. */
+  repetitions: number | null;
+  /** Rest after a set, s. */
+  rest_s: number;
+  /** Sets of each exercise; null: no end. */
+  sets: number | null;
 };
 
 /** Why a sensor's pose is not simply good. */
@@ -158,6 +342,30 @@ export type FieldEventMessage = {
   t_valid_s: number;
 };
 
+/** What a repetition must be like to count; see `judge`. */
+export type Gate = {
+  /** Least and greatest duration, the taught one being 1. */
+  duration: [number, number];
+  /** Least mean log ratio in the worst fifth. */
+  fifth_log_ratio: number;
+  /** Least and greatest size of the movement, the taught one being 1. */
+  gain: [number, number];
+  /** Least correlation with the taught movement. */
+  likeness: number;
+  /** Least mean log ratio of exercise and background, per frame. */
+  mean_log_ratio: number;
+  /** Least share of the states visited. */
+  visited: number;
+};
+
+/** Means and standard deviations of Gaussians with one variance per channel, `[channel][state]`. */
+export type Gaussians = {
+  /** Mean, in the channel's unit (velocities: per second). */
+  mean: number[][];
+  /** Standard deviation, in the same. */
+  sd: number[][];
+};
+
 /** Who speaks, and what there is. */
 export type Hello = {
   /** The stage's epoch: UTC in RFC 3339 with nanoseconds. */
@@ -200,6 +408,8 @@ export type Job = {
   progress: number | null;
   /** Expected time to its end, s; null where unknown. */
   remaining_s: number | null;
+  /** What came of it, where it is more than a sentence: of `exercise.teach` where the repetitions were seen. */
+  result?: unknown;
   /** How it stands. */
   state: JobState;
 };
@@ -217,6 +427,46 @@ export type JobsMessage = {
   seq: number;
   /** Host time, s; rises strictly. */
   t_s: number;
+};
+
+/** A repetition that is judged. */
+export type Judged = {
+  /** Repetitions counted since it was selected or reset, with this one; only rises. */
+  count: number;
+  /** The numbers behind the sentence. */
+  deviation: Deviation | null;
+  /** The exercise. */
+  exercise: string;
+  /** Why it does not count; null where it does. */
+  reason: Reason | null;
+  /** What deviated most, in words; null where all was as taught. */
+  sentence: string | null;
+  /** Repetitions of the set, with this one. */
+  set_count: number;
+  /** Beginning of the repetition, s. */
+  t_start_s: number;
+};
+
+/** What every data message starts with, and its body. */
+export type KeyPoseMessage = {
+  /** Whether the velocity changes at once rather than gently. */
+  corner: boolean;
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** Stage-wide number of the event, from 1. */
+  event_id: number;
+  /** Whether it is for good. */
+  phase: Phase;
+  /** How clear the change is: without unit, comparable between sensors. */
+  score: number;
+  /** Which sensor. */
+  sensor: string;
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Stream time at which it was decided, s; rises strictly (by 1 µs between events of one frame). */
+  t_s: number;
+  /** Capture time of the key pose, s: the same in all events about one key pose. */
+  t_valid_s: number;
 };
 
 /** What a device's link does. */
@@ -259,6 +509,20 @@ export type Model = {
   sigma_radial_m: number;
   /** Rotation standard deviation at `r0_m`, rad (grows with r^3). */
   sigma_rotation_rad: number;
+} | {
+  /** The exercise, as in its file. */
+  exercise: Exercise;
+  kind: "exercise";
+};
+
+/** What is known about an exercise's movement. */
+export type Movement = {
+  /** Half the range of each channel's mean. */
+  amplitude: number[];
+  /** Background: state 0 is rest, 1 is any movement. */
+  background: Gaussians;
+  /** The states in order. */
+  states: Gaussians;
 };
 
 /** Reply to a request that was carried out. */
@@ -268,6 +532,9 @@ export type OkReply = {
   /** What was asked for, where the request asks for something. */
   result?: unknown;
 };
+
+/** How sure an event is that can be taken back. */
+export type Phase = "provisional" | "confirmed" | "withdrawn";
 
 /** A pose: the named frame in the room. */
 export type Pose = {
@@ -290,6 +557,9 @@ export type Quality = {
   /** Root mean square of the expected rotation error, rad. */
   sigma_rotation_rad: number;
 };
+
+/** Why a repetition does not count. */
+export type Reason = "too_fast" | "too_slow" | "too_small" | "too_large" | "different" | "incomplete" | "too_soon";
 
 /** A recording in progress. */
 export type RecordingStatus = {
@@ -322,6 +592,33 @@ export type RequestId = number | string;
 
 /** What a client may do. */
 export type Role = "watch" | "operate";
+
+/** What is said of a segment. */
+export type SegmentEvent = "provisional" | "confirmed" | "withdrawn";
+
+/** What every data message starts with, and its body. */
+export type SegmentMessage = {
+  /** The network's probability of the label at the segment's first frame, 0 to 1; 0 of a withdrawn one. */
+  confidence: number;
+  /** How long after its beginning a segment is confirmed at the latest, s. */
+  delay_s: number;
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** What is said of the segment. */
+  event: SegmentEvent;
+  /** Stage-wide number of the event, from 1. */
+  event_id: number;
+  /** What it shows. */
+  label: string;
+  /** Number of the segment, from 1: all events of one segment carry it. It ends where the next confirmed one begins. */
+  segment: number;
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Stream time at which it was decided, s; rises strictly (by 1 µs between events of one frame). */
+  t_s: number;
+  /** Capture time at which the segment begins, s; of a confirmed one it may differ a little from the provisional one's. */
+  t_valid_s: number;
+};
 
 /** One sensor in one frame. `name` and `state` are always there; the others as `fields` asks for. */
 export type SensorEntry = {
@@ -397,8 +694,14 @@ export type ServerMessage = Hello & {
   type: "jobs";
 } | FaultMessage & {
   type: "faults";
+} | KeyPoseMessage & {
+  type: "keyframes";
 } | FieldEventMessage & {
   type: "field";
+} | ExerciseEventMessage & {
+  type: "exercise";
+} | SegmentMessage & {
+  type: "segments";
 };
 
 /** Which segments a body has. */

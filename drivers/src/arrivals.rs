@@ -60,6 +60,7 @@ impl Arrivals {
             t_previous_read: read.t_previous_read,
             bytes_after: read_end.saturating_sub(place + 1).min(u32::MAX.into()) as u32,
             cycle_bytes_before: 0,
+            split: false,
         })
     }
 }

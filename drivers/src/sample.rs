@@ -69,6 +69,9 @@ pub struct Arrival {
     /// Bytes that the device sent in the same measurement cycle in front of this record
     /// (the records of lower addresses), whether or not they arrived intact.
     pub cycle_bytes_before: u32,
+    /// Whether the read ended within the record, the rest of which came later: proof that bytes take their time.
+    /// Drivers that do not look say no.
+    pub split: bool,
 }
 
 /// The device's own idea of when a record was measured.

@@ -29,6 +29,7 @@ struct Unit {
     cycle: u32,
     out: Vec<(Timestamp, Vec<u8>)>,
     commands_seen: Vec<Command>,
+    revision: [u8; 2],
 }
 
 impl Unit {
@@ -54,6 +55,7 @@ impl Unit {
             cycle: 0,
             out: Vec::new(),
             commands_seen: Vec::new(),
+            revision: [3, 67],
         }
     }
 
@@ -116,7 +118,8 @@ impl Unit {
                     | u16::from(self.format.status_code()) << 1;
                 answer(8, status.to_le_bytes().to_vec());
             }
-            Command::Examine(1) => answer(8, vec![3, 67]),
+            Command::Examine(1) => answer(8, self.revision.to_vec()),
+            Command::Examine(26) if self.revision >= [3, 71] => answer(9, vec![0x57, 0x14]),
             Command::Examine(7) => answer(8, vec![0x4D, 0x67]),
             Command::Examine(10) => {
                 answer(8, vec![self.error]);
@@ -256,6 +259,18 @@ fn a_flock_of_two_is_set_up_and_streams() {
     assert!(bench.session.records_settling() > 0);
     assert!((bench.session.rate_hz().unwrap() - 103.3).abs() < 0.01);
     assert!(bench.unit.commands_seen.contains(&Command::Change { parameter: 0x32, data: vec![2] }));
+}
+
+#[test]
+fn sensors_have_the_serial_numbers_that_newer_firmware_tells() {
+    for (unit, wanted) in [(Unit::flock(2), &[1, 2][..]), (Unit::alone(), &[0])] {
+        let mut bench = Bench::new(Settings::default(), wanted, Unit { revision: [3, 71], ..unit });
+        bench.open(false);
+        bench.run(3.0);
+        assert_eq!(bench.session.state(), &State::Streaming);
+        let serials: Vec<_> = bench.session.sensors().iter().map(|sensor| sensor.serial.as_deref()).collect();
+        assert_eq!(serials, vec![Some("5207"); wanted.len()]);
+    }
 }
 
 #[test]

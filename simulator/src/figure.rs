@@ -261,9 +261,9 @@ mod tests {
         };
         for frame in 1..FIGURE.frames {
             assert!(p(frame, 2).z > p(frame, 0).z && p(frame, 0).z > p(frame, 11).z);
-            for sensor in 0..SENSORS.len() {
+            for (sensor, name) in SENSORS.iter().enumerate() {
                 let step = (p(frame, sensor) - p(frame - 1, sensor)).norm();
-                assert!(step < 0.15 && p(frame, sensor).x > 0.2, "{frame} {}: {step}", SENSORS[sensor]);
+                assert!(step < 0.15 && p(frame, sensor).x > 0.2, "{frame} {name}: {step}");
             }
         }
         // Thigh and pelvis keep their distance within the swing of the leg, as bones do.

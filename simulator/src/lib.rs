@@ -11,6 +11,7 @@
 //! the processor allows ([`stage::VirtualStage`]). This package uses the drivers' encoders and never
 //! `posed`: truth does not come from the code under test.
 
+pub mod actions;
 pub mod body;
 mod chassis;
 pub mod device;

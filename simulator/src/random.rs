@@ -15,6 +15,8 @@ pub(crate) enum Purpose {
     Device(usize),
     /// Mounting and errors of the n-th sensor that a person wears.
     Wearer(usize),
+    /// A sequence of actions.
+    Actions,
 }
 
 /// A seeded generator of uniform and normal numbers.
@@ -33,6 +35,7 @@ impl Random {
             Purpose::Faults(n) => (2, n),
             Purpose::Device(n) => (3, n),
             Purpose::Wearer(n) => (32, n),
+            Purpose::Actions => (33, 0),
         };
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
         generator.set_stream((kind << 32) | index as u64);

@@ -132,7 +132,7 @@ fn at_100_hz(faults: Vec<Fault>) -> DeviceScenario {
 fn a_pair_streams_within_seconds_and_tells_the_truth() {
     let mut pair = Pair::new(&[1, 2], Format::PositionQuaternion, at_100_hz(vec![]));
     pair.run_until(seconds(5.0));
-    let rejected_at_start = pair.session.counters().rejected;
+    assert!(pair.session.records_settling() > 0, "the first half second is bad");
     pair.run_until(seconds(10.0));
     assert_eq!(pair.session.state(), &State::Streaming);
     let first_s = pair.samples[0].0.as_secs_f64();
@@ -140,7 +140,7 @@ fn a_pair_streams_within_seconds_and_tells_the_truth() {
     let expected = 2.0 * 100.0 * (10.0 - first_s);
     assert!((pair.samples.len() as f64 - expected).abs() < 4.0, "{} of {expected}", pair.samples.len());
     assert_eq!(pair.wrong(3e-3, 0.01), 0);
-    assert_eq!(pair.session.counters().rejected, rejected_at_start, "only the first half second is bad");
+    assert_eq!(pair.session.counters().rejected, 0, "a bad start is no fault of the line");
 }
 
 #[test]

@@ -8,13 +8,11 @@ use serde::Serialize;
 use super::{Error, output, print_json, tell};
 use posed::geometry;
 use posed::motion::keyframes::path::{Deviation, ScrewPath, Spline};
+use posed::motion::keyframes::track::{BRIDGED_FRAMES, bridge};
 use posed::motion::keyframes::{
     HingeSettings, KeyPose, Method, PaperSettings, Trace, detect_with_trace, picture,
 };
 use posed::table::{PoseRow, Poses, TableWriter};
-
-/// Missing frames up to this many are bridged by a straight motion; a longer gap ends the motion.
-const BRIDGED_FRAMES: usize = 5;
 
 /// Where to look, and how.
 #[derive(clap::Args)]
@@ -201,12 +199,8 @@ impl Stretch {
     fn push(&mut self, tick: usize, pose: Isometry3<f64>, row: usize) {
         let missing = tick - self.end();
         let last = self.poses[self.poses.len() - 1];
-        for k in 1..=missing {
-            let share = k as f64 / (missing + 1) as f64;
-            let position = last.translation.vector.lerp(&pose.translation.vector, share);
-            let turn = geometry::so3::log(&(last.rotation.inverse() * pose.rotation)) * share;
-            let rotation = last.rotation * geometry::so3::exp(&turn);
-            self.poses.push(Isometry3::from_parts(position.into(), rotation));
+        for pose in bridge(&last, &pose, missing) {
+            self.poses.push(pose);
             self.rows.push(None);
         }
         self.poses.push(pose);

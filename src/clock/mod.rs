@@ -3,9 +3,9 @@
 //! What comes in: samples in the order of their arrival. What goes out: one [`Stamp`] per sample. What it
 //! never does: read a clock; assume that bytes come in at the line's pace; let `t_valid` run backwards.
 //!
-//! The device measures cycle `x` at `t(x) = a + P x`. One read tells two things: the record's first byte was
-//! on the host's side at or before `t_read`, a bound that delays of any kind cannot break, and not before
-//! `t_previous_read`, since a read delivers all there is. A burst adapter makes both loose, but their phases
+//! The device measures cycle `x` at `t(x) = a + P x`. One read tells two things: its bytes were on the host's
+//! side at or before `t_read`, a bound that delays of any kind cannot break, and the first of them not before
+//! `t_previous_read`, since a read delivers all there is ([`reads`]). A burst adapter makes both loose, but their phases
 //! differ from cycle to cycle, and over a [`Window`] the gap between the bounds closes: `P` is a robust fit,
 //! `a` the middle of the gap, the stated uncertainty its width. Where reads follow the bytes closely the lower
 //! bound says nothing (nothing came since the last cycle), and the usual lateness takes its place.
@@ -15,20 +15,24 @@
 //! right from the first second on, and lost cycles cost nothing.
 //!
 //! Cycles that leave no trace on the wire make the driver's count fall behind. The same bounds show it: a
-//! cycle cannot have been read before it was measured, nor have waited through an earlier read.
+//! cycle cannot have been read before it was measured, nor have waited through an earlier read. The first is
+//! proof. The second may be a host that stamped the earlier read late, so it is believed on [`Trial`]: times follow at
+//! once, but count and window only when [`CONFIRMED`] reads agree, and none that contradicts has come before.
 
 mod arrival;
 mod interval;
 pub mod offset;
+mod reads;
 mod window;
 
-use posed_drivers::{Arrival, DeviceTime, Sample, Timestamp};
+use posed_drivers::{DeviceTime, Sample, Timestamp};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
 pub use arrival::ArrivalClock;
 use interval::Interval;
-use window::{Evidence, Fit, Nominal, Window};
+use reads::{Evidence, Reads};
+use window::{Fit, Nominal, Window};
 
 /// Uncertainty that remains when the bounds meet: stamps and adapters are not better than this, s.
 const SIGMA_FLOOR_S: f64 = 1e-4;
@@ -39,10 +43,16 @@ const SLEW: f64 = 0.05;
 /// So many of the latest [`INCONSISTENT_SPAN`] cycles outside their bounds mean another phase: start again.
 const INCONSISTENT_LIMIT: u32 = 32;
 const INCONSISTENT_SPAN: u32 = 64;
-/// Bytes that a UART may keep to itself.
-const FIFO_BYTES: f64 = 16.0;
+/// Bytes that a UART may keep to itself, beyond those that the bounds allow for.
+const FIFO_BYTES: f64 = 9.0;
 /// By how much less than whole cycles a read may be late and still mean that they are missing, s.
 const LATE_BY_LESS_S: f64 = 5e-5;
+/// Share of a period by which the bounds of a window may contradict each other.
+const CONTRADICTION: f64 = 0.4;
+/// Reads that must agree on cycles that left no trace.
+const CONFIRMED: u32 = 3;
+/// Cycles after which a suspicion that was neither confirmed nor refuted is dropped.
+const TRIAL_CYCLES: u32 = 64;
 /// How far a device's counter may be off, as a share: crystals are within 100 ppm, ceramic resonators within 0.5 %.
 const CRYSTAL: f64 = 1e-3;
 /// Period of a device that counts and has not said its rate, s.
@@ -78,6 +88,7 @@ pub struct Clock {
     settings: Settings,
     /// Period to believe until the data speak, s.
     nominal_period_s: Option<f64>,
+    reads: Reads,
     window: Window,
     fit: Option<Fit>,
     origin: Option<Origin>,
@@ -85,11 +96,10 @@ pub struct Clock {
     interval: Interval,
     /// Cycles that the driver's count is behind (Cycle only).
     renumbered: i64,
+    trial: Option<Trial>,
     last: Option<Cycle>,
     /// Bytes that usually follow in the chunk of a cycle's first record.
     usual_bytes_after: u32,
-    /// Stamp of the latest read that came later than usual.
-    late_read: Option<Timestamp>,
     inconsistent: u32,
     inconsistent_seen: u32,
 }
@@ -123,6 +133,18 @@ impl Origin {
     }
 }
 
+/// A suspicion that cycles have left no trace.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Trial {
+    /// How many.
+    shift: i64,
+    /// Reads that say so, and the latest of them.
+    agreeing: u32,
+    t_read: Timestamp,
+    /// Cycles since it began.
+    cycles: u32,
+}
+
 /// The latest cycle.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Cycle {
@@ -140,14 +162,15 @@ impl Clock {
         Self {
             settings,
             nominal_period_s: None,
+            reads: Reads::new(),
             window: Window::new(),
             fit: None,
             origin: None,
             interval: Interval::default(),
             renumbered: 0,
+            trial: None,
             last: None,
             usual_bytes_after: 0,
-            late_read: None,
             inconsistent: 0,
             inconsistent_seen: 0,
         }
@@ -160,6 +183,12 @@ impl Clock {
         self.nominal_period_s = period.filter(|period| *period < 60.0).or(self.nominal_period_s);
     }
 
+    /// The line has a wire on which bytes take their time; without this word the clock finds out, where it can.
+    pub fn know_wire(&mut self) {
+        self.reads.know_wire();
+        self.window.know_wire();
+    }
+
     /// Forgets the phase: the device or its line began anew. The period is kept as the nominal one.
     pub fn restart(&mut self) {
         if let Some(period) = self.period_s() {
@@ -170,8 +199,8 @@ impl Clock {
         self.origin = None;
         self.interval = Interval::default();
         self.renumbered = 0;
+        self.trial = None;
         self.usual_bytes_after = 0;
-        self.late_read = None;
         self.inconsistent = 0;
         self.inconsistent_seen = 0;
         // `last` stays: time goes on rising over a restart.
@@ -206,94 +235,111 @@ impl Clock {
         if self.last.is_some_and(|last| raw < last.raw) {
             self.restart();
         }
+        if self.reads.push(&sample.arrival) {
+            self.window.know_wire();
+        }
         let known = self.origin.is_some();
         let nominal = self.nominal_period_s;
         let origin = *self.origin.get_or_insert_with(|| Origin::new(sample, raw, nominal));
         let begins_cycle = !known || self.last.is_none_or(|last| raw != last.raw);
-        let mut x = origin.x(raw) + self.renumbered as f64;
-        let mut evidence = self.evidence(&sample.arrival, origin, x);
-        if begins_cycle && self.fit.is_some() && self.window.is_settled() {
-            let shift = self.check(&evidence, !counted);
+        let count = origin.x(raw);
+        let byte_s = self.settings.byte_time_s;
+        let mut evidence =
+            self.reads.evidence(&sample.arrival, origin.t, count + self.renumbered as f64, byte_s);
+        if begins_cycle && self.fit.is_some_and(|fit| self.window.may_judge(fit.prompt)) {
+            self.check(&evidence, !counted);
             if self.fit.is_none() {
                 // The check found another phase and started again.
                 return self.push(sample);
             }
-            self.renumbered += shift;
-            x += shift as f64;
-            evidence.x = x;
         }
-        // Not twice in a row: a count that is behind makes every read look late, and needs the lower bound.
-        if let Some(fit) = &self.fit
-            && !self.follows_late_read(&sample.arrival)
-            && evidence.upper - fit.line(x) > fit.upper + fit.lateness + TOLERANCE_S
+        let tried = self.trial.map_or(0, |trial| trial.shift);
+        let x = count + (self.renumbered + tried) as f64;
+        evidence.x = x;
+        if self.trial.is_some() {
+            // Evidence of a count that may be wrong would bend the line.
+        } else if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S)
+            || self.fit.is_none()
         {
-            self.late_read = Some(sample.arrival.t_read);
-        }
-        if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S) || self.fit.is_none() {
             let nominal = origin.counted_s.map(Nominal::Counted).or(nominal.map(Nominal::Told));
             self.fit = self.window.fit(nominal);
+            if !counted && self.fit.is_some_and(|fit| fit.crossing > CONTRADICTION * fit.period_s) {
+                // A cycle was lost before the line was firm enough to show it, or the device has changed its phase.
+                self.restart();
+                return self.push(sample);
+            }
         } else if let Some(fit) = &mut self.fit {
             fit.tighten(&evidence);
         }
         if begins_cycle { self.begin_cycle(raw, x, origin, known, &evidence) } else { self.repeat() }
     }
 
-    /// The bounds that one arrival sets to the capture time of its cycle, relative to the origin.
-    fn evidence(&self, arrival: &Arrival, origin: Origin, x: f64) -> Evidence {
-        let byte_s = self.settings.byte_time_s;
-        // The first byte itself takes its time on the line, after those of the lower addresses.
-        let wire_s = f64::from(arrival.cycle_bytes_before + 1) * byte_s;
-        let upper = arrival.t_read.seconds_since(origin.t) - wire_s;
-        // A late reader takes all that an adapter has sent, but its stamp is younger than the adapter's last
-        // burst: what came since may already have waited for the next.
-        let slack_s = self.fit.filter(|_| self.follows_late_read(arrival)).map_or(0.0, |fit| fit.lateness);
-        Evidence {
-            x,
-            upper,
-            lower: arrival.t_previous_read.map(|t| t.seconds_since(origin.t) - wire_s - slack_s),
-            paced: upper - f64::from(arrival.bytes_after) * byte_s,
-            bytes_after: arrival.bytes_after,
-        }
-    }
-
-    fn follows_late_read(&self, arrival: &Arrival) -> bool {
-        self.late_read.is_some() && arrival.t_previous_read == self.late_read
-    }
-
-    /// Holds a cycle's bounds against the model; says by how many cycles the count is behind (negative: ahead).
-    fn check(&mut self, evidence: &Evidence, may_renumber: bool) -> i64 {
-        let Some(fit) = self.fit else { return 0 };
+    /// Holds a cycle's bounds against the model, and puts the count right where they contradict it.
+    fn check(&mut self, evidence: &Evidence, may_renumber: bool) {
+        let Some(fit) = self.fit else { return };
         let period = fit.period_s;
         let tolerance = TOLERANCE_S.min(0.3 * period);
         let late = evidence.upper - fit.line(evidence.x);
-        let early = evidence.lower.map(|lower| lower - fit.line(evidence.x));
         // Bytes may have lain in a UART's buffer while the earlier read took place.
         let early_tolerance = (TOLERANCE_S + FIFO_BYTES * self.settings.byte_time_s).min(0.3 * period);
-        let prompt = fit.lateness < 0.4 * period;
-        let shift = if late < fit.lower - tolerance {
-            // Read before it was measured: the count is ahead.
-            -(((fit.lower - tolerance - late) / period).ceil())
-        } else if early.is_some_and(|early| early > fit.upper + early_tolerance) {
+        let early = evidence.lower.map_or(f64::NEG_INFINITY, |lower| lower - fit.line(evidence.x));
+        let usual = fit.prompt && late <= fit.upper + fit.lateness + tolerance;
+        let mut inconsistent = fit.prompt && !usual;
+        if late < fit.lower - tolerance {
+            // Read before it was measured: a shift was wrong, or the line is.
+            let ahead = ((fit.lower - tolerance - late) / period).ceil() as i64;
+            inconsistent = self.renumbered < ahead;
+            self.renumber(if inconsistent { 0 } else { -ahead });
+        } else if early > fit.upper + early_tolerance {
             // It would have waited through an earlier read: the count is behind, if a whole number fits.
-            let n = ((early.unwrap_or(0.0) - fit.upper - tolerance) / period).ceil();
-            if late - n * period >= fit.lower - tolerance { n } else { f64::NAN }
-        } else if prompt && late > fit.upper + 0.5 * period {
+            let n = ((early - fit.upper - tolerance) / period).ceil();
+            let fits = late - n * period >= fit.lower - tolerance;
+            inconsistent = !fits || !may_renumber;
+            if fits && may_renumber {
+                self.suspect(n as i64, evidence.t_read);
+            }
+        } else if fit.prompt && late > fit.upper + 0.5 * period {
             // Late by whole periods on a prompt line, with nothing queued behind it: cycles are missing. A
             // late reader would have found the following cycles in the same chunk.
             let n = ((late - fit.upper) / period).round();
             let rest = late - n * period;
             // A host that was late by a little less than a cycle would have found no more either.
             let fits = rest >= fit.upper - LATE_BY_LESS_S && rest <= fit.upper + fit.lateness + tolerance;
-            if fits && evidence.bytes_after <= self.usual_bytes_after { n } else { 0.0 }
-        } else {
-            if prompt && late <= fit.upper + fit.lateness + tolerance {
-                self.usual_bytes_after = self.usual_bytes_after.max(evidence.bytes_after);
+            if fits && evidence.bytes_after <= self.usual_bytes_after {
+                inconsistent = !may_renumber;
+                self.renumber(if may_renumber { n as i64 } else { 0 });
             }
-            0.0
-        };
-        let off_phase = prompt && shift == 0.0 && late > fit.upper + fit.lateness + tolerance;
-        self.count_consistency(shift.is_nan() || off_phase || (shift != 0.0 && !may_renumber));
-        if shift.is_nan() || !may_renumber { 0 } else { shift as i64 }
+        } else if usual {
+            self.usual_bytes_after = self.usual_bytes_after.max(evidence.bytes_after);
+        }
+        if let Some(trial) = &mut self.trial {
+            trial.cycles += 1;
+            let refuted = late - trial.shift as f64 * period < fit.lower - tolerance;
+            if refuted || trial.cycles > TRIAL_CYCLES {
+                self.trial = None;
+            } else if trial.agreeing >= CONFIRMED {
+                let shift = trial.shift;
+                self.renumber(shift);
+            }
+        }
+        self.count_consistency(inconsistent);
+    }
+
+    fn renumber(&mut self, shift: i64) {
+        self.renumbered += shift;
+        self.trial = None;
+    }
+
+    /// One more read says that at least so many cycles left no trace.
+    fn suspect(&mut self, shift: i64, t_read: Timestamp) {
+        let begun = Trial { shift, agreeing: 1, t_read, cycles: 0 };
+        let trial = self.trial.get_or_insert(begun);
+        if shift > trial.shift {
+            *trial = begun;
+        } else if trial.t_read != t_read {
+            trial.agreeing += 1;
+            trial.t_read = t_read;
+        }
     }
 
     fn count_consistency(&mut self, inconsistent: bool) {

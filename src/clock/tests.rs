@@ -1,6 +1,6 @@
 //! The clock on simulated lines with known truth.
 
-use posed_drivers::Measurement;
+use posed_drivers::{Arrival, Measurement};
 
 use super::*;
 
@@ -14,19 +14,32 @@ impl Random {
     }
 }
 
+/// How bytes come in, but for bursts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Delivery {
+    /// So many bytes at a time, each when the last of them has come over the wire.
+    Fifo(u32),
+    /// A whole cycle, when its last byte has come over the wire.
+    Cycle,
+    /// A whole cycle at once, without a wire.
+    AtOnce,
+}
+
 /// A device on a line, and how its bytes reach the host.
 struct Line {
     rate_hz: f64,
     drift_ppm: f64,
     birds: u32,
     record_bytes: u32,
-    /// Bytes reach the host at the line's pace; else a whole cycle at once.
-    paced: bool,
+    delivery: Delivery,
+    /// The port has modem lines, so the clock is told that there is a wire.
+    wire: bool,
     burst_s: Option<f64>,
     /// Share of cycles that leave no trace.
     lost: f64,
-    /// Share of reads that come late, by up to 50 ms.
+    /// Share of reads that come late, by up to `delay_s`.
     delayed: f64,
+    delay_s: f64,
     phase_s: f64,
     seconds: f64,
 }
@@ -38,10 +51,12 @@ impl Default for Line {
             drift_ppm: 0.0,
             birds: 1,
             record_bytes: 15,
-            paced: true,
+            delivery: Delivery::Fifo(1),
+            wire: false,
             burst_s: None,
             lost: 0.0,
             delayed: 0.0,
+            delay_s: 0.05,
             phase_s: 0.0,
             seconds: 20.0,
         }
@@ -77,8 +92,13 @@ impl Line {
                 lost += 1;
                 continue;
             }
-            for i in 0..self.birds * self.record_bytes {
-                let pace = if self.paced { f64::from(i + 1) * BYTE_S } else { BYTE_S };
+            let cycle_bytes = self.birds * self.record_bytes;
+            for i in 0..cycle_bytes {
+                let pace = match self.delivery {
+                    Delivery::Fifo(n) => f64::from(((i / n + 1) * n).min(cycle_bytes)) * BYTE_S,
+                    Delivery::Cycle => f64::from(cycle_bytes) * BYTE_S,
+                    Delivery::AtOnce => BYTE_S,
+                };
                 let first = (i % self.record_bytes == 0).then(|| {
                     records.push((i / self.record_bytes, count, t));
                     records.len() - 1
@@ -91,14 +111,20 @@ impl Line {
             }
             count += 1;
         }
-        let mut samples = Vec::new();
+        let mut samples: Vec<(Sample, f64)> = Vec::new();
         let mut previous = None;
         let mut at = 0;
         while at < bytes.len() {
             // A reader wakes a little after the first byte, sometimes much later, and takes all there is.
-            let delay = if random.uniform() < self.delayed { 0.05 * random.uniform() } else { 0.0 };
+            let delay = if random.uniform() < self.delayed { self.delay_s * random.uniform() } else { 0.0 };
             let t_read = bytes[at].0 + 2e-5 + 8e-5 * random.uniform().powi(4) + delay;
             let end = at + bytes[at..].partition_point(|byte| byte.0 <= t_read);
+            // A read that does not begin with a first byte goes on with the last record.
+            if bytes[at].1.is_none()
+                && let Some((sample, _)) = samples.last_mut()
+            {
+                sample.arrival.split = true;
+            }
             for (i, byte) in bytes[at..end].iter().enumerate() {
                 let Some(record) = byte.1 else { continue };
                 let (bird, cycle, truth) = records[record];
@@ -107,6 +133,7 @@ impl Line {
                     t_previous_read: previous.map(Timestamp::from_secs_f64),
                     bytes_after: (end - at - 1 - i) as u32,
                     cycle_bytes_before: bird * self.record_bytes,
+                    split: false,
                 };
                 let measurement =
                     Measurement::Pose { position_m: None, orientation_wxyz: None, button: None };
@@ -123,6 +150,9 @@ impl Line {
         let (samples, lost) = self.samples(seed);
         let mut clock = Clock::new(Settings { byte_time_s: BYTE_S, measurement_delay_s: 0.0 });
         clock.set_nominal_rate_hz(Some(103.3));
+        if self.wire {
+            clock.know_wire();
+        }
         let mut last = None;
         let (mut n, mut within, mut covered, mut worst, mut sigma, mut skipped) =
             (0.0, 0.0, 0.0, 0.0f64, 0.0, 0);
@@ -183,8 +213,42 @@ impl Line {
 fn a_prompt_line_is_timed_to_the_byte() {
     Line::default().check("paced");
     Line { birds: 2, ..Line::default() }.check("paced, two birds");
-    // A whole record at once: nothing shows at which of its bytes, and the model must not pretend to know.
-    Line { paced: false, ..Line::default() }.check("record at once");
+    Line { birds: 8, record_bytes: 13, delivery: Delivery::Fifo(8), ..Line::default() }
+        .check("eight birds, by 8 bytes");
+}
+
+#[test]
+fn a_cycle_in_one_piece_is_timed_over_the_wire_it_came_by() {
+    for birds in [1, 2, 8] {
+        let line = Line { birds, record_bytes: 13, delivery: Delivery::Cycle, wire: true, ..Line::default() };
+        line.check(&format!("cycle in one piece, {birds} birds"));
+    }
+}
+
+#[test]
+fn where_nothing_shows_a_wire_the_stated_uncertainty_covers_both() {
+    for delivery in [Delivery::Cycle, Delivery::AtOnce] {
+        // One record: the doubt is within the millisecond.
+        Line { delivery, ..Line::default() }.check(&format!("one bird, {delivery:?}"));
+        for (birds, burst_s) in [(2, None), (8, None), (2, Some(0.016))] {
+            let outcome = Line { birds, record_bytes: 13, delivery, burst_s, ..Line::default() }.run(3);
+            let (worst_ms, sigma_ms) = (outcome.worst_s * 1e3, outcome.mean_sigma_s * 1e3);
+            println!(
+                "{delivery:?}, {birds} birds, burst {burst_s:?}: worst {worst_ms:.2} ms, sigma {sigma_ms:.2} ms"
+            );
+            assert!(outcome.covered >= 0.95, "{delivery:?}, {birds} birds: {}", outcome.covered);
+        }
+    }
+}
+
+#[test]
+fn pieces_that_a_uart_keeps_do_not_move_the_capture_time_under_bursts() {
+    for (birds, record_bytes, pieces) in [(1, 15, 8), (2, 15, 8), (8, 13, 8), (8, 13, 14)] {
+        let delivery = Delivery::Fifo(pieces);
+        let line =
+            Line { birds, record_bytes, delivery, burst_s: Some(0.016), rate_hz: 103.3, ..Line::default() };
+        line.check(&format!("bursts, {birds} birds, by {pieces} bytes"));
+    }
 }
 
 #[test]
@@ -220,5 +284,26 @@ fn a_late_reader_does_not_move_the_capture_time() {
         let line = Line { burst_s, delayed: 0.01, drift_ppm: 50.0, birds: 2, ..Line::default() };
         line.check(&format!("late, burst {burst_s:?}"));
         Line { lost: 0.01, ..line }.check(&format!("late and lost, burst {burst_s:?}"));
+    }
+}
+
+#[test]
+fn a_host_that_is_often_late_makes_no_cycles_under_bursts() {
+    for (birds, record_bytes) in [(2, 15), (8, 13)] {
+        for delayed in [0.02, 0.1] {
+            let line = Line {
+                burst_s: Some(0.016),
+                delayed,
+                delay_s: 0.02,
+                drift_ppm: 50.0,
+                birds,
+                record_bytes,
+                rate_hz: 103.3,
+                ..Line::default()
+            };
+            line.check(&format!("bursts, {birds} birds, {delayed} late"));
+            let skipped = line.run(1).skipped;
+            assert!(skipped <= 6, "{skipped} cycles that never were");
+        }
     }
 }

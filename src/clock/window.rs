@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::reads::Evidence;
 use super::{CRYSTAL, SIGMA_FLOOR_S};
 
 /// Cycles in one block.
@@ -10,6 +11,8 @@ const BLOCK_CYCLES: u32 = 8;
 const BLOCKS: usize = 384;
 /// From so many blocks on the fitted period is better than a nominal one.
 const SETTLED_BLOCKS: usize = 6;
+/// From so many on it is good enough under bursts to tell one cycle from the next.
+const FIRM_BLOCKS: usize = 12;
 /// Share of blocks whose lower bound may be wrong: a late reader stamps it late.
 const TRIMMED: f64 = 0.15;
 
@@ -18,22 +21,9 @@ const PERIOD_RANGE_S: std::ops::Range<f64> = 1e-4..60.0;
 /// One block in so many is taken to be free of delays by the host.
 const UNDISTURBED: usize = 8;
 /// Candidate periods on either side of the first estimate.
-const GRID: i32 = 8;
+const GRID: usize = 8;
 /// Inflation of the spread between bounds, so that two sigmas hold also for simulated bursts in step with the cycles.
 const STILL_PHASES: f64 = 1.8;
-
-/// What one arrival says of the capture time of cycle `x`; seconds from the clock's origin.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Evidence {
-    pub(super) x: f64,
-    /// Not later than this.
-    pub(super) upper: f64,
-    /// Not before this.
-    pub(super) lower: Option<f64>,
-    /// Not later than this, if the bytes of the chunk came at the line's pace.
-    pub(super) paced: f64,
-    pub(super) bytes_after: u32,
-}
 
 /// What is known of the period before the data speak, s.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,7 +57,8 @@ struct Block {
     cycles: u32,
     samples: f64,
     sum_x: f64,
-    sum_upper: f64,
+    sum_paced: f64,
+    sum_prompt: f64,
     upper: Point,
     lower: Option<Point>,
     paced: Point,
@@ -88,6 +79,10 @@ pub(super) struct Fit {
     /// How late a read usually is at most, s: twice the mean, and what pacing, if there were any, would take
     /// off the upper bound.
     pub(super) lateness: f64,
+    /// Reads follow the bytes closely.
+    pub(super) prompt: bool,
+    /// By how much the bounds of the window contradict each other whatever the line, s.
+    pub(super) crossing: f64,
 }
 
 impl Fit {
@@ -135,9 +130,21 @@ impl Window {
         self.sums = [0.0; 5];
     }
 
+    /// Bytes have turned out to take their time on a wire.
+    pub(super) fn know_wire(&mut self) {
+        for block in &mut self.blocks {
+            block.upper = block.paced;
+        }
+    }
+
     /// Whether the period comes from the data.
     pub(super) fn is_settled(&self) -> bool {
         self.blocks.len() > SETTLED_BLOCKS
+    }
+
+    /// Whether the line is firm enough to doubt the count of cycles by it: bursts need more cycles for that.
+    pub(super) fn may_judge(&self, prompt: bool) -> bool {
+        self.blocks.len() > if prompt { SETTLED_BLOCKS } else { FIRM_BLOCKS }
     }
 
     /// Adds one arrival; says whether it is time to fit again.
@@ -172,7 +179,8 @@ impl Window {
             block.cycles += u32::from(begins_cycle);
             block.samples += 1.0;
             block.sum_x += evidence.x;
-            block.sum_upper += evidence.upper;
+            block.sum_paced += evidence.paced;
+            block.sum_prompt += evidence.prompt;
             let offset = |point: &Point| point.t - period * point.x;
             let upper = Point { x: evidence.x, t: evidence.upper };
             if offset(&upper) < offset(&block.upper) {
@@ -206,7 +214,8 @@ impl Window {
             cycles: 1,
             samples: 1.0,
             sum_x: x,
-            sum_upper: evidence.upper,
+            sum_paced: evidence.paced,
+            sum_prompt: evidence.prompt,
             upper: Point { x, t: evidence.upper },
             lower: lower.map(|t| Point { x, t }),
             paced: Point { x, t: evidence.paced },
@@ -234,19 +243,23 @@ impl Window {
         let offset = |point: &Point| point.t - base.t - period_s * (point.x - base.x);
         let (upper, bound) = self.bounds(period_s, base);
         let paced = self.blocks.iter().map(|block| offset(&block.paced)).fold(f64::INFINITY, f64::min);
-        self.scratch.clear();
-        self.scratch.extend(self.blocks.iter().map(|block| {
-            let mean = Point { x: block.sum_x / block.samples, t: block.sum_upper / block.samples };
-            offset(&mean)
-        }));
-        let lateness = |usual: f64| 2.0 * (usual - upper).max(0.0) + (upper - paced).max(0.0);
-        let median = lateness(nth(&mut self.scratch, self.blocks.len() / 2, false)?);
+        // A read is late by up to twice the mean; and nobody knows yet whether bytes take their time.
+        let mut lateness = |sum: fn(&Block) -> f64, n: usize| {
+            self.scratch.clear();
+            self.scratch.extend(self.blocks.iter().map(|block| {
+                offset(&Point { x: block.sum_x / block.samples, t: sum(block) / block.samples })
+            }));
+            let usual = nth(&mut self.scratch, n, false)?;
+            Some(2.0 * (usual - paced).max(0.0) + (upper - paced).max(0.0))
+        };
+        let middle = self.blocks.len() / 2;
+        let prompt = lateness(|block| block.sum_prompt, middle)? < 0.5 * period_s;
+        let median = lateness(|block| block.sum_paced, middle)?;
         let bursts = bound > upper - median;
         // On a prompt line the blocks that fared best speak: a host that is late now and then says nothing of how
         // late reads usually are.
         let undisturbed = self.blocks.len() / UNDISTURBED;
-        let prompt = median < 0.5 * period_s;
-        let lateness = if prompt { lateness(nth(&mut self.scratch, undisturbed, false)?) } else { median };
+        let lateness = if prompt { lateness(|block| block.sum_paced, undisturbed)? } else { median };
         let lower = bound.max(upper - lateness);
         // Bounds that cross by a little, from an imperfect slope, share the error.
         let (lower, upper) = if lower > upper { (upper, lower) } else { (lower, upper) };
@@ -260,6 +273,8 @@ impl Window {
             middle: 0.5 * (upper + lower),
             sigma: (half * half / 3.0 + SIGMA_FLOOR_S * SIGMA_FLOOR_S).sqrt(),
             lateness,
+            prompt,
+            crossing: 0.0,
         };
         Some(if settled && bursts { self.posterior(first, base, nominal) } else { first })
     }
@@ -280,16 +295,23 @@ impl Window {
     /// Mean and spread of all lines between the bounds, each as likely as any other.
     ///
     /// With bursts in step with the cycles the middles of the blocks jump by whole phases and least squares
-    /// follows the jumps; what the bounds allow as a whole is honest about it.
+    /// follows the jumps; what the bounds allow as a whole is honest about it. Where they allow no line at all,
+    /// bytes were kept for longer than the lower bounds admit, and those give way.
     fn posterior(&mut self, first: Fit, base: Point, nominal: Option<Nominal>) -> Fit {
         let Some(oldest) = self.blocks.get(self.next % self.blocks.len()) else { return first };
         let span = (base.x - oldest.upper.x).max(1.0);
         let reach = (2.0 * (first.upper - first.lower) + 1e-3) / span;
-        let (mut weight, mut period, mut mean, mut square) = (0.0, 0.0, 0.0, 0.0);
-        for i in -GRID..=GRID {
-            let candidate = Nominal::limit(nominal, first.period_s + reach * f64::from(i) / f64::from(GRID));
+        let candidates: [(f64, f64, f64); 2 * GRID + 1] = std::array::from_fn(|i| {
+            let candidate = Nominal::limit(nominal, first.period_s + reach * (i as f64 / GRID as f64 - 1.0));
             let (upper, bound) = self.bounds(candidate, base);
-            let lower = bound.max(upper - first.lateness);
+            (candidate, upper, bound.max(upper - first.lateness))
+        });
+        let most =
+            candidates.iter().map(|&(_, upper, lower)| upper - lower).fold(f64::NEG_INFINITY, f64::max);
+        let crossing = (-most).max(0.0);
+        let (mut weight, mut period, mut mean, mut square) = (0.0, 0.0, 0.0, 0.0);
+        for (candidate, upper, lower) in candidates {
+            let lower = lower - crossing;
             let room = upper - lower + SIGMA_FLOOR_S;
             if room > 0.0 {
                 let middle = 0.5 * (upper + lower);
@@ -299,7 +321,7 @@ impl Window {
                 square += room * (middle * middle + room * room / 12.0);
             }
         }
-        if weight <= 0.0 {
+        if weight.is_nan() || weight <= 0.0 {
             return first;
         }
         let (period_s, middle) = (period / weight, mean / weight);
@@ -308,10 +330,10 @@ impl Window {
         }
         let variance = (square / weight - middle * middle).max(0.0);
         let (upper, bound) = self.bounds(period_s, base);
-        let lower = bound.max(upper - first.lateness).min(middle);
+        let lower = (bound - crossing).max(upper - first.lateness).min(middle);
         // Phases that stand still give less than independent bounds would; the factor covers it.
         let sigma = STILL_PHASES * (variance + SIGMA_FLOOR_S * SIGMA_FLOOR_S).sqrt();
-        Fit { period_s, upper: upper.max(middle), lower, middle, sigma, ..first }
+        Fit { period_s, upper: upper.max(middle), lower, middle, sigma, crossing, ..first }
     }
 
     /// Period from the first cycles, by least squares and the nominal one.

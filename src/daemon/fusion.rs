@@ -15,13 +15,15 @@ use super::health::Health;
 use super::inbox::{Event, Inbox};
 use super::jobs::{Job, Jobs};
 use super::ports::PortCommand;
+use super::recent::{Excerpt, Recent};
 use super::recorder::{Recorder, RecorderState};
 use super::server::{Hub, Reply};
-use crate::input::{Entry, Input, Model};
+use crate::input::{Entry, Input, Model, Request};
 use crate::output::{OutcomeKind, Output};
 use crate::pipeline::Pipeline;
 use crate::protocol::{Payload, Publisher, Status, schema};
 use crate::recording::{Header, Snapshot};
+use crate::signals;
 
 /// The queue into the fusion thread.
 pub type FusionInbox = Inbox<Command>;
@@ -34,6 +36,10 @@ const STATUS_INTERVAL: Duration = Duration::from_secs(1);
 const STATUS_MIN_INTERVAL: Duration = Duration::from_millis(100);
 /// Distance of two looks at a recording that is being ended.
 const ENDING_INTERVAL: Duration = Duration::from_millis(20);
+/// A wake-up that is later than this shows a host with too much to do.
+const LATE_WAKE: Duration = Duration::from_millis(1);
+/// How long its port tasks then have to bring what they should have read.
+const READERS_FIRST: Duration = Duration::from_millis(2);
 
 /// What the fusion thread can be asked between two entries.
 #[derive(Debug)]
@@ -49,6 +55,26 @@ pub enum Command {
     StopRecording {
         /// Who wants to know.
         reply: Option<Reply>,
+    },
+    /// Hands a request to the pipeline, if it can be carried out.
+    Request {
+        /// The request.
+        request: Request,
+        /// Models that it needs, swapped in before where the pipeline lacks them.
+        models: Vec<Model>,
+        /// Who wants to know.
+        reply: Option<Reply>,
+    },
+    /// Swaps a model in.
+    LoadModel(Model),
+    /// Copies what was tracked lately.
+    Recent {
+        /// After this time, s.
+        from_s: f64,
+        /// Only of these sensors; absent: all.
+        sensors: Option<Vec<String>>,
+        /// Where the copy goes.
+        to: std::sync::mpsc::Sender<Excerpt>,
     },
     /// A job was cancelled; it may be one of this thread.
     LookAtJobs,
@@ -82,6 +108,8 @@ pub(super) struct Fusion {
     pub(super) begun: bool,
     /// Models swapped in so far, the newest of each kind last.
     pub(super) models: Vec<Model>,
+    /// What exercises are taught from.
+    pub(super) recent: Recent,
     /// What every recording of this run begins with.
     pub(super) recording_header: Header,
 }
@@ -97,15 +125,15 @@ impl Fusion {
                 wake = wake.min(self.clock.now() + ENDING_INTERVAL);
                 self.take_ended();
             }
-            match self.inbox.pop_until(Some(self.clock.instant(wake))) {
+            match self.next_event(wake) {
                 Some(Event::Entry(entry)) => self.step(&entry),
                 Some(Event::Command(Command::Shutdown)) => break,
                 Some(Event::Command(command)) => self.command(command),
                 None => {}
             }
             let now = self.clock.now();
-            if self.pipeline.poll_timeout().is_some_and(|timeout| timeout <= now) {
-                self.step(&Entry { t: now, input: Input::Timer });
+            if let Some(t) = timer_at(self.pipeline.poll_timeout(), now, self.inbox.waiting_since()) {
+                self.step(&Entry { t, input: Input::Timer });
             }
             if now >= next_status || self.health.changed_since_status(now, STATUS_MIN_INTERVAL) {
                 next_status = now + STATUS_INTERVAL;
@@ -121,14 +149,26 @@ impl Fusion {
         }
     }
 
+    /// The next event, or `None` at `wake`.
+    fn next_event(&self, wake: Timestamp) -> Option<Event<Command>> {
+        self.inbox.pop_until(Some(self.clock.instant(wake))).or_else(|| {
+            // A host that wakes this thread late has kept the port tasks waiting too. What they bring was there
+            // before the time-out, and must not make a frame miss it.
+            let now = self.clock.now();
+            let late = now > wake + LATE_WAKE;
+            late.then(|| self.inbox.pop_until(Some(self.clock.instant(now + READERS_FIRST)))).flatten()
+        })
+    }
+
     /// One entry through recording and pipeline.
     fn step(&mut self, entry: &Entry) {
         self.begun = true;
-        let Self { pipeline, publisher, hub, ports, health, recording, clock, models, .. } = self;
+        let Self { pipeline, publisher, hub, ports, health, recording, clock, models, recent, .. } = self;
         let mut recorder = recording.as_mut().map(|recording| &mut recording.recorder);
         if let Some(recorder) = &mut recorder {
             recorder.entry(entry);
         }
+        let mut estimated = Timestamp::ZERO;
         pipeline.push(entry, &mut |output| {
             match output {
                 Output::Transmit { device, bytes } => {
@@ -140,13 +180,17 @@ impl Fusion {
                 Output::SetRts { device, asserted } => send(ports, device, PortCommand::SetRts(asserted)),
                 Output::Device { device, state } => health.device_changed(device, state),
                 Output::Warning { device, text } => health.warn(device, text),
-                Output::Estimate(estimate) => health.estimate(clock.now().seconds_since(entry.t), estimate),
+                Output::Estimate(estimate) => {
+                    health.estimate(clock.now().seconds_since(entry.t), estimate);
+                    recent.push(estimate);
+                }
                 Output::Outcome(outcome) => {
                     if let OutcomeKind::ModelSwapped(model) = &outcome.what {
                         models.retain(|old| !old.replaced_by(model));
                         models.push(model.clone());
                     }
                 }
+                Output::Named => health.named(clock.now().seconds_since(estimated)),
                 Output::Truth(_) => {}
             }
             let Some(payload) = Payload::of(&output) else { return };
@@ -159,6 +203,8 @@ impl Fusion {
                 }
                 None => publisher.skip(&payload),
             }
+            // What comes next is the work on segments.
+            estimated = clock.now();
         });
     }
 
@@ -173,6 +219,22 @@ impl Fusion {
                 Some(recording) => self.stop_recording(recording, reply),
                 None => answer(reply, Err("nothing is being recorded".to_owned())),
             },
+            Command::Request { request, models, reply } => {
+                let done = self.request(request, models);
+                answer(reply, done.map(|()| None));
+            }
+            Command::LoadModel(model) => {
+                self.step(&Entry { t: self.clock.now(), input: Input::Model(model) })
+            }
+            Command::Recent { from_s, sensors, to } => {
+                // Behind the name of a sensor the columns differ.
+                let columns = sensors.map(|names| signals::columns(names.iter().map(String::as_str)));
+                let wanted = |column: &str| {
+                    columns.as_ref().is_none_or(|columns| columns.iter().any(|wanted| wanted == column))
+                };
+                // A job that has ended meanwhile does not want it any more.
+                let _ = to.send(self.recent.after(from_s, wanted));
+            }
             Command::LookAtJobs => {
                 if let Some(recording) = self.recording.take_if(|recording| recording.job.is_cancelled()) {
                     self.stop_recording(recording, None);
@@ -180,6 +242,18 @@ impl Fusion {
             }
             Command::Shutdown => {}
         }
+    }
+
+    /// A request through the log, with the models that it needs.
+    fn request(&mut self, request: Request, models: Vec<Model>) -> Result<(), String> {
+        for model in models {
+            if !self.models.iter().any(|known| known.replaced_by(&model)) {
+                self.step(&Entry { t: self.clock.now(), input: Input::Model(model) });
+            }
+        }
+        self.pipeline.check_request(&request)?;
+        self.step(&Entry { t: self.clock.now(), input: Input::Request(request) });
+        Ok(())
     }
 
     fn stop_recording(&mut self, mut recording: Recording, reply: Option<Reply>) {
@@ -240,6 +314,12 @@ impl Fusion {
     }
 }
 
+/// When a time-out takes place, if it does: not before what was read before it, which may still be waiting.
+fn timer_at(due: Option<Timestamp>, now: Timestamp, waiting_since: Option<Timestamp>) -> Option<Timestamp> {
+    let t = waiting_since.map_or(now, |waiting| waiting.min(now));
+    due.filter(|&due| due <= t).map(|_| t)
+}
+
 /// Waits for the end of a recording that was stopped, and says whether it is whole.
 fn whole(recording: Recording) -> Result<(), String> {
     let Recording { recorder, name, job, .. } = recording;
@@ -264,5 +344,22 @@ fn answer(reply: Option<Reply>, result: Result<Option<Value>, String>) {
         (Some(reply), Err(sentence)) => reply.error("failed", sentence),
         (None, Ok(_)) => {}
         (None, Err(sentence)) => tracing::error!("{sentence}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_read_before_a_time_out_comes_before_it() {
+        let ms = |ms: i64| Timestamp::from_nanos(ms * 1_000_000);
+        assert_eq!(timer_at(None, ms(50), None), None);
+        assert_eq!(timer_at(Some(ms(40)), ms(39), None), None, "not due");
+        assert_eq!(timer_at(Some(ms(40)), ms(41), None), Some(ms(41)));
+        // The thread is late by 10 ms, and bytes of before the time-out wait in the queue: they go first.
+        assert_eq!(timer_at(Some(ms(40)), ms(50), Some(ms(38))), None);
+        // Bytes of after it do not; the time-out is entered before them in the log.
+        assert_eq!(timer_at(Some(ms(40)), ms(50), Some(ms(45))), Some(ms(45)));
     }
 }

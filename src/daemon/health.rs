@@ -24,6 +24,8 @@ pub(super) struct Health {
     read_to_estimate: Latency,
     /// Capture of a frame to its estimate, s.
     capture_to_estimate: Latency,
+    /// Work of the network of segments per frame, s; absent without one.
+    segments: Option<Latency>,
     recording_failure: Option<String>,
     changed: bool,
     last_status: Timestamp,
@@ -49,9 +51,17 @@ impl Health {
             sensors: stage.sensors.iter().map(|sensor| sensor.name.clone()).collect(),
             read_to_estimate: Latency::new("read to estimate"),
             capture_to_estimate: Latency::new("capture to estimate"),
+            segments: stage.segments.is_some().then(|| Latency::new("segments")),
             recording_failure: None,
             changed: true,
             last_status: Timestamp::ZERO,
+        }
+    }
+
+    /// The network of segments took so long for a frame.
+    pub(super) fn named(&mut self, seconds: f64) {
+        if let Some(segments) = &mut self.segments {
+            segments.add(seconds);
         }
     }
 
@@ -150,7 +160,11 @@ impl Health {
             t_s: now.as_secs_f64(),
             devices: self.devices.iter().zip(&pipeline.devices).map(device).collect(),
             sensors: self.sensors.iter().zip(&pipeline.sensors).map(sensor).collect(),
-            latency: vec![self.read_to_estimate.take(), self.capture_to_estimate.take()],
+            latency: [&mut self.read_to_estimate, &mut self.capture_to_estimate]
+                .into_iter()
+                .chain(&mut self.segments)
+                .map(Latency::take)
+                .collect(),
             recording: recording.map(|recording| RecordingStatus {
                 name: recording.name.clone(),
                 bytes: recording.recorder.bytes_written(),

@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-use posed_drivers::LineEvent;
+use posed_drivers::{LineEvent, Timestamp};
 
 use crate::input::{Entry, Input};
 
@@ -80,6 +80,14 @@ impl<C> Inbox<C> {
         }
     }
 
+    /// Stamp of the oldest entry that waits.
+    pub fn waiting_since(&self) -> Option<Timestamp> {
+        self.lock().iter().find_map(|event| match event {
+            Event::Entry(entry) => Some(entry.t),
+            Event::Command(_) => None,
+        })
+    }
+
     fn lock(&self) -> MutexGuard<'_, VecDeque<Event<C>>> {
         // A panic elsewhere cannot leave the queue half-changed: every change is one call.
         self.shared.queue.lock().unwrap_or_else(PoisonError::into_inner)
@@ -115,7 +123,6 @@ fn drop_oldest_chunk<C>(queue: &mut VecDeque<Event<C>>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posed_drivers::Timestamp;
 
     fn chunk(device: u16, n: i64, len: usize) -> Event<()> {
         let input = Input::Bytes { device, bytes: vec![0; len] };

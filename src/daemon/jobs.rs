@@ -67,6 +67,7 @@ impl Jobs {
                 progress: None,
                 remaining_s: None,
                 message: None,
+                result: None,
             },
             begun: self.clock.now(),
             cancelled: Arc::clone(&cancelled),
@@ -143,6 +144,11 @@ impl Job {
                 fraction.filter(|fraction| *fraction > 0.0).map(|fraction| passed_s * (1.0 / fraction - 1.0));
             listed.job.message = message;
         });
+    }
+
+    /// What came of it, for programs; said when it ends.
+    pub(super) fn result(&self, result: serde_json::Value) {
+        self.jobs.change(self.number, |listed, _| listed.job.result = Some(result));
     }
 
     /// Ends it with its outcome, or with the reason why there is none.

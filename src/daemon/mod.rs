@@ -16,15 +16,17 @@ mod health;
 pub mod inbox;
 mod jobs;
 mod limits;
+pub mod models;
 mod playback;
 mod player;
 pub mod ports;
+mod recent;
 pub mod recorder;
 pub mod server;
 mod service;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use posed_drivers::port::Port;
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -39,8 +41,11 @@ use self::health::Health;
 use self::inbox::{Event, Inbox};
 use self::jobs::Jobs;
 use self::ports::{Place, PortTask};
+use self::recent::Recent;
 use self::server::{BindError, Server};
 use self::service::Service;
+use crate::input::{Entry, Input};
+use crate::motion::segments::Model;
 use crate::pipeline::{Pipeline, PipelineError};
 use crate::protocol::{Fields, Publisher, Status, Topic};
 use crate::stage::Stage;
@@ -91,9 +96,15 @@ pub enum StartError {
     /// The pipeline.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
+    /// A model that the stage file names.
+    #[error("{0}")]
+    Model(String),
     /// The recording asked for.
     #[error("{0}")]
     Record(String),
+    /// The model of segments.
+    #[error("{0}")]
+    Segments(String),
     /// A thread could not be made.
     #[error("the system gives no thread: {0}")]
     Thread(std::io::Error),
@@ -132,9 +143,11 @@ impl Daemon {
     pub fn start_without_ports(options: Options) -> Result<Self, StartError> {
         let Options { stage, stage_toml, folder, listen, record, truth, clock } = options;
         limits::raise();
+        let models = models::load(&stage).map_err(StartError::Model)?;
         let mut config = server::Config::new(&folder, clock.epoch_utc_ns());
         config.listen = listen;
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
+        config.more_topics.extend(stage.segments.is_some().then_some(Topic::Segments));
         let (server, hub, pending) = Server::bind(&stage, config)?;
         let mut service = Service::start(server);
         let jobs = Jobs::new(clock, hub.clone());
@@ -150,6 +163,11 @@ impl Daemon {
             let device = device as u16;
             ports.push(Some(PortTask { device, clock, inbox, commands: receiver, shutdown }));
         }
+        if let Some(segments) = &stage.segments {
+            // First of all entries: every recording of this run holds it, and every replay begins with it.
+            let input = Input::Network(network(&stage, &segments.model).map_err(StartError::Segments)?);
+            inbox.push(Event::Entry(Entry { t: clock.now(), input }));
+        }
         let mut fusion = Fusion {
             clock,
             inbox: inbox.clone(),
@@ -164,8 +182,14 @@ impl Daemon {
             ending: Vec::new(),
             begun: false,
             models: Vec::new(),
+            recent: Recent::new(stage.sensors.iter().map(|sensor| sensor.name.as_str())),
             recording_header: crate::recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
         };
+        for model in models {
+            // Before anything else, and in the log.
+            let input = Input::Model(model);
+            inbox.push(Event::Entry(Entry { t: clock.now(), input }));
+        }
         if let Some(path) = record {
             fusion.start_recording(path).map_err(StartError::Record)?;
         }
@@ -221,4 +245,13 @@ impl Daemon {
         self.inbox.push(Event::Command(Command::Shutdown));
         self.service.shutdown(self.fusion).await;
     }
+}
+
+/// Reads the model of segments; the sentence says why it does not serve this stage.
+fn network(stage: &Stage, path: &Path) -> Result<Vec<u8>, String> {
+    let bytes = std::fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+    let model = Model::from_bytes(&bytes).map_err(|error| error.to_string());
+    let names = stage.sensors.iter().map(|sensor| sensor.name.as_str());
+    let fits = model.and_then(|model| model.columns(names));
+    fits.map_err(|what| format!("{}: {what}", path.display())).map(|_| bytes)
 }

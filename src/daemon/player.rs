@@ -191,9 +191,16 @@ impl Player {
                 self.playing.set_speed(speed, self.clock.now());
                 Ok(None)
             }
-            Call::RecordStart { .. } | Call::RecordStop {} | Call::ModelLoad { .. } => Err((
+            Call::RecordStart { .. }
+            | Call::RecordStop {}
+            | Call::ModelLoad { .. }
+            | Call::ExerciseList {}
+            | Call::ExerciseTeach { .. }
+            | Call::ExerciseSelect { .. }
+            | Call::ExerciseReset { .. } => Err((
                 "replay",
-                "this daemon replays a recording; recording and models belong to a live stage".into(),
+                "this daemon replays a recording; recording, models and exercises belong to a live stage"
+                    .into(),
             )),
             Call::JobCancel { job } => {
                 self.jobs.cancel(job).map(|()| None).map_err(|sentence| ("no_such_job", sentence))

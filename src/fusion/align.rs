@@ -209,10 +209,10 @@ fn lever(
     for k in (half..samples.len() - half).step_by((half / 4).max(1)) {
         let mut force = Vector3::zeros();
         let mut turned = Matrix3::zeros();
-        for j in k - half + 1..k + half {
+        for (j, sample) in samples.iter().enumerate().take(k + half).skip(k - half + 1) {
             let weight = (half - j.abs_diff(k)) as f64 * dt_s * dt_s;
-            let a = samples[j].level_from_imu;
-            force += (a * samples[j].force_m_s2 - Vector3::z() * GRAVITY_M_S2) * weight;
+            let a = sample.level_from_imu;
+            force += (a * sample.force_m_s2 - Vector3::z() * GRAVITY_M_S2) * weight;
             turned += a.to_rotation_matrix().into_inner() * weight;
         }
         let bend = place(k + half) - place(k) * 2.0 + place(k - half);

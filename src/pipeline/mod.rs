@@ -6,8 +6,11 @@
 //! a snapshot goes on as if nothing had happened.
 
 mod device;
+mod exercise;
 mod inertial;
+mod keyframes;
 mod magnetic;
+mod naming;
 mod sensor;
 mod session;
 mod source;
@@ -20,11 +23,15 @@ use thiserror::Error;
 
 use crate::frame::{Assembler, Frame};
 use crate::geometry;
-use crate::input::{DeviceIndex, Entry, Input, Model, SensorIndex};
+use crate::input::{DeviceIndex, Entry, Input, Model, Request, SensorIndex};
 use crate::noise::TrackerNoise;
 use crate::output::{Estimate, Outcome, OutcomeKind, Output, SensorEstimate};
 use crate::stage::Stage;
 use device::{Device, owner};
+pub use exercise::DEFAULT_SUBJECT;
+use exercise::ExerciseStage;
+use keyframes::Keyframes;
+use naming::Naming;
 use sensor::Sensor;
 use source::Source;
 pub use status::{ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
@@ -75,7 +82,13 @@ pub struct Pipeline {
     frames: Assembler,
     room_transmitter: Isometry3<f64>,
     estimate: Estimate,
+    exercise: ExerciseStage,
+    /// Absent where the stage does not ask for them.
+    keyframes: Option<Keyframes>,
     models_refused: u64,
+    requests_refused: u64,
+    /// Boxed: most stages have none.
+    naming: Option<Box<Naming>>,
 }
 
 impl Pipeline {
@@ -128,7 +141,11 @@ impl Pipeline {
                 sensors: vec![SensorEstimate::default(); stage.sensors.len()],
                 ..Estimate::default()
             },
+            exercise: ExerciseStage::new(stage.sensors.iter().map(|sensor| sensor.name.as_str())),
+            keyframes: Keyframes::new(stage)?,
             models_refused: 0,
+            requests_refused: 0,
+            naming: None,
         })
     }
 
@@ -156,6 +173,8 @@ impl Pipeline {
                 }
             }
             Input::Model(model) => self.swap(model, say),
+            Input::Request(request) => self.request(request, say),
+            Input::Network(bytes) => self.name_with(bytes),
             Input::Truth(truth) => say(Output::Truth(truth)),
         }
         self.close_frames(say);
@@ -200,12 +219,16 @@ impl Pipeline {
                 })
                 .collect(),
             models_refused: self.models_refused,
+            requests_refused: self.requests_refused,
         }
     }
 
     fn line(&mut self, device: DeviceIndex, event: &LineEvent, say: &mut impl FnMut(Output<'_>)) {
         let now = self.now;
         let Some(owner) = self.devices.get_mut(usize::from(device)) else { return };
+        if matches!(event, LineEvent::Opened { modem_lines: true }) {
+            self.sources[owner.source_range()].iter_mut().for_each(Source::know_wire);
+        }
         owner.session.get_mut().handle_line(now, event);
         self.drain(device, say);
     }
@@ -274,13 +297,28 @@ impl Pipeline {
     }
 
     fn close_frames(&mut self, say: &mut impl FnMut(Output<'_>)) {
-        let Self { frames, sensors, estimate, room_transmitter, now, .. } = self;
+        let Self { frames, sensors, estimate, room_transmitter, now, keyframes, exercise, naming, .. } = self;
         while let Some(frame) = frames.poll(*now) {
             estimate_frame(frame, sensors, room_transmitter, estimate);
             say(Output::Estimate(estimate));
+            if let Some(naming) = naming {
+                naming.push(estimate, say);
+            }
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, say);
             }
+            if let Some(keyframes) = keyframes {
+                keyframes.frame(estimate, say);
+            }
+            exercise.frame(estimate, &mut |outcome| say(Output::Outcome(outcome)));
+        }
+    }
+
+    fn name_with(&mut self, bytes: &[u8]) {
+        match Naming::new(bytes, self.sensors.iter().map(Sensor::name)) {
+            Ok(naming) => self.naming = Some(Box::new(naming)),
+            // Whoever sends one has looked first, to say what is wrong.
+            Err(_) => self.models_refused += 1,
         }
     }
 
@@ -297,6 +335,23 @@ impl Pipeline {
             t_decided: t,
             what: OutcomeKind::ModelSwapped(model.clone()),
         }));
+        if let Model::Exercise { .. } = model {
+            self.exercise.loaded(&self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
+        }
+    }
+
+    /// Whether a request can be carried out now; [`Input::Request`] then does.
+    ///
+    /// # Errors
+    /// A sentence about what stands against it.
+    pub fn check_request(&self, request: &Request) -> Result<(), String> {
+        self.exercise.check(request)
+    }
+
+    fn request(&mut self, request: &Request, say: &mut impl FnMut(Output<'_>)) {
+        let done =
+            self.exercise.request(request, &self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
+        self.requests_refused += u64::from(!done);
     }
 
     /// Takes a model whose numbers are right; false where it speaks of nothing that is here.
@@ -321,6 +376,7 @@ impl Pipeline {
                 }
                 true
             }
+            Model::Exercise { exercise } => self.exercise.load(exercise),
         }
     }
 }

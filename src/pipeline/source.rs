@@ -33,6 +33,13 @@ impl Source {
         }
     }
 
+    /// The device is on a port with modem lines: its bytes come over a wire.
+    pub(super) fn know_wire(&mut self) {
+        if let Self::Cycles(clock) = self {
+            clock.know_wire();
+        }
+    }
+
     /// The device or its line began anew, and claims this rate.
     pub(super) fn restart(&mut self, rate_hz: Option<f64>) {
         if let Self::Cycles(clock) = self {

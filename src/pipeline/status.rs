@@ -11,6 +11,8 @@ pub struct PipelineStatus {
     pub sensors: Vec<SensorStatus>,
     /// Models that were not swapped in: not finite, or of an unknown device.
     pub models_refused: u64,
+    /// Requests that could not be carried out.
+    pub requests_refused: u64,
 }
 
 /// One device.

@@ -119,6 +119,7 @@ fn samples_without_sense_are_never_good() {
             t_previous_read: Some(now),
             bytes_after: u32::MAX,
             cycle_bytes_before: (k % 7) as u32 * 1_000_000,
+            split: k % 5 == 0,
         };
         let sample = Sample {
             address: 1 + (k % 2) as u16,
@@ -138,4 +139,86 @@ fn samples_without_sense_are_never_good() {
         });
     }
     assert_eq!(good, 0);
+}
+
+/// A model of two joints with random weights, as a file.
+fn random_model(joints: [&str; 2]) -> Vec<u8> {
+    use crate::motion::segments::{Options, Sequence, Trainer};
+    let mut sequence = Sequence { joints: 2, ..Sequence::default() };
+    for frame in 0..90 {
+        let t_s = f64::from(frame) / 30.0;
+        sequence.t_s.push(t_s);
+        sequence.positions_m.extend([Some([t_s.sin(), 0.5, 0.0]), Some([0.0, -0.5, t_s.cos()])]);
+        sequence.classes.push(Some(u16::from(frame > 45)));
+    }
+    let options = Options { filters: vec![8, 8], wait_s: 0.5, ..Options::default() };
+    let labels = ["rest", "wave"].map(str::to_owned);
+    let trainer = Trainer::new(options, joints.map(str::to_owned).to_vec(), &labels, vec![sequence]).unwrap();
+    trainer.model(&labels, Vec::new()).to_bytes().unwrap()
+}
+
+#[test]
+fn a_network_of_other_sensors_is_refused() {
+    let mut pipeline = Pipeline::new(&stage(STAGE)).unwrap();
+    for bytes in [b"no model".to_vec(), random_model(["nobody", "no_one"])] {
+        let input = Input::Network(bytes);
+        pipeline.push(&Entry { t: Timestamp::ZERO, input }, &mut |output| panic!("{output:?}"));
+    }
+    assert_eq!(pipeline.status().models_refused, 2);
+    assert!(pipeline.naming.is_none());
+}
+
+/// Every segment that is provisional is confirmed or withdrawn once, confirmed ones rise, and none comes later than
+/// is stated; a restored pipeline goes on with the same events.
+#[test]
+fn segments_are_announced_and_decided() {
+    use crate::output::{PoseEstimate, Segment, SegmentEvent, SensorState};
+    let mut naming = naming::Naming::new(&random_model(["a", "b"]), ["a", "b"].into_iter()).unwrap();
+    let mut estimate = Estimate { sensors: vec![SensorEstimate::default(); 2], ..Estimate::default() };
+    let mut events: Vec<(f64, f64, Segment)> = Vec::new();
+    for frame in 0..1500_u32 {
+        let t_s = f64::from(frame) / 60.0;
+        estimate.t_valid = Timestamp::from_secs_f64(t_s);
+        let wild = if frame / 200 % 2 == 0 { 0.2 } else { 3.0 };
+        for (index, sensor) in estimate.sensors.iter_mut().enumerate() {
+            let side = index as f64 - 0.5;
+            let position_m = Some([(wild * 9.0 * t_s).sin() * wild, side, (7.0 * t_s).cos() * wild * side]);
+            *sensor = SensorEstimate {
+                state: SensorState::Ok,
+                pose: Some(PoseEstimate {
+                    position_m,
+                    orientation_wxyz: [1.0, 0.0, 0.0, 0.0],
+                    velocity_m_s: None,
+                    angular_velocity_rad_s: [0.0; 3],
+                    covariance: [0.0; 21],
+                    sigma_m: None,
+                }),
+                ..SensorEstimate::default()
+            };
+        }
+        naming.push(&estimate, &mut |output| {
+            if let Output::Outcome(Outcome { t_valid, what: OutcomeKind::Segment(segment), .. }) = output {
+                events.push((t_s, t_valid.as_secs_f64(), segment.clone()));
+            }
+        });
+        if frame == 700 {
+            naming = rmp_serde::from_slice(&rmp_serde::to_vec_named(&naming).unwrap()).unwrap();
+        }
+    }
+    let of = |event: SegmentEvent| events.iter().filter(move |(.., segment)| segment.event == event);
+    assert!(
+        of(SegmentEvent::Provisional).count() > 0 && of(SegmentEvent::Confirmed).count() > 0,
+        "{events:?}"
+    );
+    let mut last = f64::NEG_INFINITY;
+    for (said_s, start_s, segment) in of(SegmentEvent::Confirmed) {
+        assert!(*start_s > last && said_s - start_s <= segment.delay_s + 1.0 / 24.0 + 1e-6, "{events:?}");
+        last = *start_s;
+    }
+    for (.., segment) in of(SegmentEvent::Provisional) {
+        let ends = events.iter().filter(|(.., other)| {
+            other.segment == segment.segment && other.event != SegmentEvent::Provisional
+        });
+        assert!(ends.count() <= 1, "{segment:?}: {events:?}");
+    }
 }

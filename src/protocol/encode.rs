@@ -5,11 +5,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::message::{Fault, FieldChange, FieldEvent, Jobs, Status};
+use super::message::{ExerciseEvent, Fault, FieldChange, FieldEvent, Jobs, KeyPose, SegmentBody, Status};
 use super::sensors::{SensorsBody, TruthBody};
-use super::{Names, Stamp, Topic, View, round};
-use crate::input::Truth;
-use crate::output::{Estimate, Outcome, OutcomeKind, Output};
+use super::{Names, Stamp, Topic, View, exercise, round};
+use crate::input::{Model, Truth};
+use crate::output::{Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output};
 
 /// How messages are written; chosen by the websocket sub-protocol.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -45,6 +45,7 @@ impl<'a> Payload<'a> {
             Output::Truth(truth) => Some(Self::Truth(truth)),
             Output::Transmit { .. }
             | Output::SetRts { .. }
+            | Output::Named
             | Output::Device { .. }
             | Output::Warning { .. } => None,
         }
@@ -59,7 +60,12 @@ impl<'a> Payload<'a> {
             Self::Jobs(_) => Topic::Jobs,
             Self::Outcome(outcome) => match outcome.what {
                 OutcomeKind::Fault { .. } => Topic::Faults,
+                OutcomeKind::ModelSwapped(Model::Exercise { .. }) | OutcomeKind::Exercise(_) => {
+                    Topic::Exercise
+                }
                 OutcomeKind::ModelSwapped(_) => Topic::Field,
+                OutcomeKind::KeyPose(_) => Topic::Keyframes,
+                OutcomeKind::Segment(_) => Topic::Segments,
             },
         }
     }
@@ -82,6 +88,35 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
                     let sensor = names.sensor(*sensor).to_owned();
                     let fault = Fault { t_s, event_id, t_valid_s, sensor, cause: *cause, active: *active };
                     write(encoding, &fault, out);
+                }
+                OutcomeKind::ModelSwapped(Model::Exercise { exercise }) => {
+                    let change = exercise::loaded(exercise);
+                    write(encoding, &ExerciseEvent { t_s, event_id, t_valid_s, subject: None, change }, out);
+                }
+                OutcomeKind::Exercise(outcome) => {
+                    let change = exercise::change(&outcome.what);
+                    let subject = Some(outcome.subject.to_string());
+                    write(encoding, &ExerciseEvent { t_s, event_id, t_valid_s, subject, change }, out);
+                }
+                OutcomeKind::KeyPose(event) => {
+                    let sensor = names.sensor(event.sensor).to_owned();
+                    let KeyPoseEvent { phase, corner, .. } = *event;
+                    let score = round::to(1e3, event.score);
+                    let key = KeyPose { t_s, event_id, t_valid_s, sensor, phase, score, corner };
+                    write(encoding, &key, out);
+                }
+                OutcomeKind::Segment(segment) => {
+                    let body = SegmentBody {
+                        t_s,
+                        event_id,
+                        t_valid_s,
+                        event: segment.event,
+                        segment: segment.segment,
+                        label: segment.label.clone(),
+                        confidence: round::to(1e3, segment.confidence),
+                        delay_s: round::to(1e3, segment.delay_s),
+                    };
+                    write(encoding, &body, out);
                 }
                 OutcomeKind::ModelSwapped(model) => {
                     let change = FieldChange::ModelSwapped { model: model.clone() };

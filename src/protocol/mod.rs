@@ -12,6 +12,7 @@
 //! covariances four significant digits, rates 1e-3 Hz. Both encodings carry the rounded number.
 
 pub mod encode;
+mod exercise;
 mod message;
 mod names;
 mod publisher;
@@ -24,9 +25,10 @@ mod typescript;
 
 pub use encode::{Encoding, Payload};
 pub use message::{
-    Data, DeviceStatus, ErrorReply, Fault, FieldChange, FieldEvent, Hello, HelloSensor, Job, JobState, Jobs,
-    LinkState, Measured, OkReply, Problem, Quality, RecordingStatus, ReplayStatus, SensorEntry, SensorStatus,
-    Sensors, ServerMessage, StageLatency, Status, TruthEntry, Truths,
+    Begun, Data, Deviation, DeviceStatus, ErrorReply, ExerciseChange, ExerciseEvent, Fault, FieldChange,
+    FieldEvent, Hello, HelloSensor, Job, JobState, Jobs, Judged, KeyPose, LinkState, Measured, OkReply,
+    Problem, Quality, RecordingStatus, ReplayStatus, SegmentBody, SensorEntry, SensorStatus, Sensors,
+    ServerMessage, StageLatency, Status, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use publisher::{Counters, Publisher, PublisherState, Stamp};

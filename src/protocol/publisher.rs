@@ -141,8 +141,10 @@ impl Publisher {
 mod tests {
     use super::*;
     use crate::input::{Model, Truth, TruthSensor};
+    use crate::motion::exercise::{EventKind, Feedback, Reason, Remark};
     use crate::output::{
-        Estimate, FaultCause, Outcome, OutcomeKind, PoseEstimate, SensorEstimate, SensorState,
+        Estimate, ExerciseOutcome, ExerciseState, ExerciseWhat, FaultCause, KeyPoseEvent, Outcome,
+        OutcomeKind, Phase, PoseEstimate, Repetition, SensorEstimate, SensorState,
     };
     use crate::protocol::{Jobs, ServerMessage, Status};
     use crate::stage::Sensor;
@@ -187,6 +189,31 @@ mod tests {
         Outcome { t_valid: t, t_decided: t, what }
     }
 
+    /// A repetition with all that can be said of one.
+    fn counted() -> Repetition {
+        let feedback = Feedback {
+            channel: 0,
+            deviation: -22.04999,
+            deviation_sd: -2.0,
+            phase: 0.5,
+            rms_sd: 1.0,
+            range: 0.8,
+            tempo: 1.0,
+            fifth_tempo: [1.0; 5],
+            jerk: 0.0,
+        };
+        Repetition {
+            exercise: "curl".into(),
+            kind: EventKind::Counted,
+            count: 3,
+            set_count: 3,
+            t_start_s: 1.0,
+            reason: Some(Reason::TooSmall),
+            feedback: Some(("elbow_deg".into(), feedback)),
+            remark: Some(Remark::Jerky),
+        }
+    }
+
     fn text(publisher: &mut Publisher, payload: &Payload<'_>) -> String {
         String::from_utf8(publisher.publish(payload).2.to_vec()).unwrap()
     }
@@ -202,6 +229,18 @@ mod tests {
         let names = Names::new(&stage());
         let model = Model::Transmitter { position_m: [0.0; 3], orientation_wxyz: [1.0, 0.0, 0.0, 0.0] };
         let swapped = Outcome { what: OutcomeKind::ModelSwapped(model), ..fault(true) };
+        let exercise = [
+            ExerciseWhat::State(ExerciseState::default()),
+            ExerciseWhat::Hint(None),
+            ExerciseWhat::Repetition(counted()),
+            ExerciseWhat::Repetition(Repetition { kind: EventKind::Withdrawn, ..counted() }),
+        ]
+        .map(|what| {
+            let what = OutcomeKind::Exercise(ExerciseOutcome { subject: "a".into(), what });
+            Outcome { what, ..fault(true) }
+        });
+        let event = KeyPoseEvent { sensor: 0, phase: Phase::Confirmed, score: 31.0, corner: true };
+        let key = Outcome { what: OutcomeKind::KeyPose(event), ..fault(true) };
         let sensors = vec![TruthSensor {
             sensor: 1,
             position_m: [0.0; 3],
@@ -211,14 +250,19 @@ mod tests {
         let truth = Truth { t_valid: Timestamp::ZERO, sensors };
         let (estimate, fault, status, jobs) = (estimate(0), fault(true), Status::default(), Jobs::default());
         let mut counters = Counters::default();
+        let exercise = exercise.iter().map(Payload::Outcome);
         for payload in [
             Payload::Estimate(&estimate),
             Payload::Truth(&truth),
             Payload::Outcome(&fault),
             Payload::Outcome(&swapped),
+            Payload::Outcome(&key),
             Payload::Status(&status),
             Payload::Jobs(&jobs),
-        ] {
+        ]
+        .into_iter()
+        .chain(exercise)
+        {
             let stamp = counters.stamp(&payload);
             let write = |encoding| {
                 let (mut body, mut message) = (Vec::new(), Vec::new());

@@ -63,7 +63,7 @@ pub enum Feed {
     },
 }
 
-/// Requests for the daemon. All but `replay.list` need the role `operate`.
+/// Requests for the daemon. All but `replay.list` and `exercise.list` need the role `operate`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "type", deny_unknown_fields)]
 pub enum Call {
@@ -98,6 +98,56 @@ pub enum Call {
         /// Multiple of real time; 0 pauses.
         speed: Speed,
     },
+    /// Names the exercises that can be selected: those in the stage's folder.
+    #[serde(rename = "exercise.list")]
+    ExerciseList {},
+    /// Teaches an exercise from what is tracked; a job. The exercise is kept as a file, loaded, and counted for the
+    /// subject from then on.
+    #[serde(rename = "exercise.teach")]
+    ExerciseTeach {
+        /// Name of the exercise: 1 to 64 letters, digits, spaces, `-` and `_`.
+        name: String,
+        /// How many repetitions it is taught from; 3 to 10 are good.
+        repetitions: u32,
+        /// The repetitions lie in the last so many seconds; absent: they are about to be done, and the job ends once
+        /// they were done and the subject rests.
+        #[serde(default)]
+        last_s: Option<f64>,
+        /// Only these sensors, by name; absent: all.
+        #[serde(default)]
+        sensors: Option<Vec<String>>,
+        /// Only these channels; absent: those that do the same in every repetition.
+        #[serde(default)]
+        channels: Option<Vec<String>>,
+        /// Who moves; absent: `default`.
+        #[serde(default)]
+        subject: Option<String>,
+    },
+    /// Counts exercises from 0 for a subject, and no others.
+    #[serde(rename = "exercise.select")]
+    ExerciseSelect {
+        /// Their names; none ends the counting.
+        exercises: Vec<String>,
+        /// Repetitions of a set; absent: one set without end.
+        #[serde(default)]
+        repetitions: Option<u32>,
+        /// Sets of each exercise; absent: no end.
+        #[serde(default)]
+        sets: Option<u32>,
+        /// Rest after a set, s; absent: none.
+        #[serde(default)]
+        rest_s: Option<f64>,
+        /// Who moves; absent: `default`.
+        #[serde(default)]
+        subject: Option<String>,
+    },
+    /// Counts a subject's exercises from 0 again.
+    #[serde(rename = "exercise.reset")]
+    ExerciseReset {
+        /// Who moves; absent: `default`.
+        #[serde(default)]
+        subject: Option<String>,
+    },
     /// Cancels a job.
     #[serde(rename = "job.cancel")]
     JobCancel {
@@ -115,7 +165,7 @@ pub enum Call {
 impl Call {
     /// Whether it needs the role `operate`.
     pub fn changes_something(&self) -> bool {
-        !matches!(self, Self::ReplayList {})
+        !matches!(self, Self::ReplayList {} | Self::ExerciseList {})
     }
 }
 
@@ -170,13 +220,17 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 8] = [
+const CALLS: [&str; 12] = [
     "record.start",
     "record.stop",
     "replay.list",
     "replay.open",
     "replay.seek",
     "replay.speed",
+    "exercise.list",
+    "exercise.teach",
+    "exercise.select",
+    "exercise.reset",
     "job.cancel",
     "model.load",
 ];
@@ -287,6 +341,10 @@ mod tests {
             r#"{"type":"replay.speed","id":1,"speed":"max"}"#,
             r#"{"type":"replay.speed","id":1,"speed":0.5}"#,
             r#"{"type":"job.cancel","id":1,"job":3}"#,
+            r#"{"type":"exercise.list","id":1}"#,
+            r#"{"type":"exercise.teach","id":1,"name":"curl","repetitions":5,"last_s":30,"sensors":["a"]}"#,
+            r#"{"type":"exercise.select","id":1,"exercises":["curl"],"repetitions":10,"sets":3,"rest_s":60}"#,
+            r#"{"type":"exercise.reset","id":1,"subject":"a"}"#,
             r#"{"type":"model.load","id":1,"model":{"kind":"transmitter","position_m":[0,0,1],"orientation_wxyz":[1,0,0,0]}}"#,
         ] {
             let request = json(text).unwrap_or_else(|error| panic!("{text}: {error:?}"));

@@ -5,7 +5,7 @@
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
 
-use super::message::{Data, Fault, FieldEvent, Jobs, Sensors, Status, Truths};
+use super::message::{Data, ExerciseEvent, Fault, FieldEvent, Jobs, KeyPose, Sensors, Status, Truths};
 use super::{Call, Feed, RequestId, ServerMessage, Topic, typescript};
 
 /// JSON Schema (draft 2020-12) of `ServerMessage` and `ClientMessage`.
@@ -52,7 +52,9 @@ pub fn of_topic(topic: Topic) -> Option<String> {
         Topic::Jobs => generator.root_schema_for::<Data<Jobs>>(),
         Topic::Faults => generator.root_schema_for::<Data<Fault>>(),
         Topic::Field => generator.root_schema_for::<Data<FieldEvent>>(),
-        Topic::Body | Topic::Keyframes | Topic::Segments | Topic::Exercise => return None,
+        Topic::Exercise => generator.root_schema_for::<Data<ExerciseEvent>>(),
+        Topic::Keyframes => generator.root_schema_for::<Data<KeyPose>>(),
+        Topic::Body | Topic::Segments => return None,
     };
     let mut schema = schema.to_value();
     let properties = schema.as_object_mut()?.entry("properties").or_insert_with(|| json!({}));

@@ -128,6 +128,8 @@ fn topic(item: &Item, devices: &[String]) -> String {
             Input::Line { device, .. } => format!("/input/{}/line", name(*device)),
             Input::Timer => "/input/timer".to_owned(),
             Input::Model(_) => "/input/model".to_owned(),
+            Input::Request(_) => "/input/request".to_owned(),
+            Input::Network(_) => "/input/network".to_owned(),
             Input::Truth(_) => "/input/truth".to_owned(),
         },
     }

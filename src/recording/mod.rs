@@ -14,7 +14,8 @@
 //! | `/input/DEVICE/bytes` | raw | a chunk as read |
 //! | `/input/DEVICE/line` | MessagePack | a [`LineEvent`](posed_drivers::LineEvent) |
 //! | `/input/timer` | empty | a deadline has passed |
-//! | `/input/model`, `/input/truth` | MessagePack | a model in full, ground truth |
+//! | `/input/network` | bytes | a trained network's file |
+//! | `/input/model`, `/input/request`, `/input/truth` | MessagePack | a model in full, what a client asked, ground truth |
 //! | `/output/DEVICE/bytes` | raw | what was transmitted |
 //! | `/posed/TOPIC` | JSON | a message as the websocket publishes it at the full rate |
 //!

@@ -102,6 +102,8 @@ enum Kind {
     Line(DeviceIndex),
     Timer,
     Model,
+    Request,
+    Network,
     Truth,
     Transmitted(DeviceIndex),
     Message(Arc<str>),
@@ -214,6 +216,8 @@ impl<R: Read> Reader<R> {
             Kind::Line(device) => Input::Line { device, event: self.unpack(data, "line event")? },
             Kind::Timer => Input::Timer,
             Kind::Model => Input::Model(self.unpack(data, "model")?),
+            Kind::Request => Input::Request(self.unpack(data, "request")?),
+            Kind::Network => Input::Network(message.data.into_owned()),
             Kind::Truth => Input::Truth(self.unpack(data, "truth")?),
         };
         let found = message.sequence;
@@ -242,6 +246,8 @@ impl<R: Read> Reader<R> {
             Some("line") => Kind::Line(device()?),
             Some("timer") => Kind::Timer,
             Some("model") => Kind::Model,
+            Some("request") => Kind::Request,
+            Some("network") => Kind::Network,
             Some("truth") => Kind::Truth,
             Some("transmitted") => Kind::Transmitted(device()?),
             Some("message") => {

@@ -56,7 +56,7 @@ impl Mapping {
                 of.sensor = mapped.unwrap_or(of.sensor);
                 mapped.is_some()
             }),
-            Input::Timer | Input::Model(_) => {}
+            Input::Timer | Input::Model(_) | Input::Request(_) | Input::Network(_) => {}
         }
         Some(entry)
     }

@@ -178,6 +178,11 @@ impl<W: Write> Writer<W> {
                 pack(rmp_serde::encode::write_named(&mut scratch, model))?;
                 (Place::Stage("/input/model", "model"), &scratch)
             }
+            Input::Request(request) => {
+                pack(rmp_serde::encode::write_named(&mut scratch, request))?;
+                (Place::Stage("/input/request", "request"), &scratch)
+            }
+            Input::Network(bytes) => (Place::Stage("/input/network", "network"), bytes),
             Input::Truth(truth) => {
                 pack(rmp_serde::encode::write_named(&mut scratch, truth))?;
                 (Place::Stage("/input/truth", "truth"), &scratch)

@@ -10,6 +10,7 @@
 mod body;
 mod check;
 mod driver;
+mod keyframes;
 mod port;
 mod problem;
 mod rules;
@@ -24,6 +25,7 @@ use serde::{Deserialize, Serialize};
 pub use body::{Body, BodySegment, Calibration, JointKind, Mounting, SEGMENTS, Skeleton};
 pub use check::{Report, check, check_in, check_table};
 pub use driver::{Driver, TimeBase};
+pub use keyframes::Keyframes;
 pub use port::{PortAddress, PortAddressError};
 pub use problem::{LoadError, Problem, Problems};
 
@@ -52,9 +54,16 @@ pub struct Stage {
     pub sensors: Vec<Sensor>,
     /// The body that wears the sensors; absent: nobody does.
     pub body: Option<Body>,
+    /// Key poses, live; absent: they are not looked for.
+    pub keyframes: Option<Keyframes>,
+    /// What names the segments of the motion; absent: nothing does.
+    pub segments: Option<Segments>,
     /// Websocket, page and metrics.
     #[serde(default)]
     pub server: Server,
+    /// Models that are loaded at the start.
+    #[serde(default)]
+    pub models: Models,
     /// Where recordings go and come from.
     #[serde(default)]
     pub recording: Recording,
@@ -88,6 +97,14 @@ impl Stage {
         if let Some(tls) = &mut stage.server.tls {
             tls.certificate = folder.join(&tls.certificate);
             tls.key = folder.join(&tls.key);
+        }
+        for exercise in &mut stage.models.exercises {
+            *exercise = folder.join(&*exercise);
+        }
+        let exercises = stage.models.exercise_folder.get_or_insert_with(|| PathBuf::from("exercises"));
+        *exercises = folder.join(&*exercises);
+        if let Some(segments) = &mut stage.segments {
+            segments.model = folder.join(&segments.model);
         }
         let recordings = stage.recording.folder.get_or_insert_with(|| PathBuf::from("recordings"));
         *recordings = folder.join(&*recordings);
@@ -199,6 +216,14 @@ fn default_magnetometer() -> bool {
     true
 }
 
+/// Segments of the motion, named by a trained network.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Segments {
+    /// The model that `posed segments train` wrote; its joints are sensors, by name.
+    pub model: PathBuf,
+}
+
 /// Websocket, page and metrics.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -246,6 +271,17 @@ pub struct Tls {
     pub certificate: PathBuf,
     /// PEM file with the private key.
     pub key: PathBuf,
+}
+
+/// Models that are loaded at the start; relative paths begin at the stage file.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Models {
+    /// Files of taught exercises; all of them are counted until a client selects others.
+    #[serde(default)]
+    pub exercises: Vec<PathBuf>,
+    /// The one folder that `exercise.teach` writes to and `exercise.select` looks in; absent: `exercises` beside the stage file.
+    pub exercise_folder: Option<PathBuf>,
 }
 
 /// Where recordings live.

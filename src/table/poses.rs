@@ -7,6 +7,7 @@ use serde::Deserialize;
 use super::{TableError, TableReader, TableWriter, intern};
 use crate::output::SensorState;
 use crate::recording::{Item, ReadError, Reader};
+use crate::signals;
 
 /// Poses of one or several sensors, in the order of the file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -113,8 +114,7 @@ impl Poses {
     pub(crate) fn append_message(&mut self, json: &[u8], which: Which) -> Result<(), ReadError> {
         let message = SensorsMessage::parse(json)?;
         for sensor in message.sensors {
-            let usable =
-                matches!(sensor.state, SensorState::Ok | SensorState::Repaired | SensorState::Extrapolated);
+            let usable = signals::is_usable(sensor.state);
             let posed = sensor.position_m.is_some() || sensor.orientation_wxyz.is_some();
             if posed && (usable || which == Which::All) {
                 let index = self.intern(&sensor.name);
@@ -243,21 +243,21 @@ fn unit(wxyz: [f64; 4]) -> Option<[f64; 4]> {
 
 /// What a table needs of a `sensors` message.
 #[derive(Deserialize)]
-struct SensorsMessage {
-    t_s: f64,
-    sensors: Vec<SensorEntry>,
+pub(super) struct SensorsMessage {
+    pub(super) t_s: f64,
+    pub(super) sensors: Vec<SensorEntry>,
 }
 
 #[derive(Deserialize)]
-struct SensorEntry {
-    name: String,
-    state: SensorState,
-    position_m: Option<[f64; 3]>,
-    orientation_wxyz: Option<[f64; 4]>,
+pub(super) struct SensorEntry {
+    pub(super) name: String,
+    pub(super) state: SensorState,
+    pub(super) position_m: Option<[f64; 3]>,
+    pub(super) orientation_wxyz: Option<[f64; 4]>,
 }
 
 impl SensorsMessage {
-    fn parse(json: &[u8]) -> Result<Self, ReadError> {
+    pub(super) fn parse(json: &[u8]) -> Result<Self, ReadError> {
         serde_json::from_slice(json)
             .map_err(|error| ReadError::NotARecording(format!("a `sensors` message cannot be read: {error}")))
     }

@@ -1,8 +1,11 @@
-//! Streams of exercises: `t` (or a rate) and any named numeric columns.
+//! Streams of exercises: `t` (or a rate) and any named numeric columns, from CSV or from a recording.
 
 use std::path::Path;
 
+use super::poses::SensorsMessage;
 use super::{Clock, TableError, TableReader, TableWriter};
+use crate::recording::{Item, Reader};
+use crate::signals;
 
 /// Named channels over time.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -50,6 +53,36 @@ impl Streams {
             streams.t_s.push(clock.t_s(&table, streams.t_s.len())?);
             for column in &indices {
                 streams.values.push(table.number(*column)?);
+            }
+        }
+        Ok(streams)
+    }
+
+    /// Reads what the live stage sees, of every frame of a recording: the columns of [`signals::columns`].
+    ///
+    /// # Errors
+    /// The recording is damaged, or is none.
+    pub fn read_recording(path: &Path) -> Result<Self, TableError> {
+        let failed = |source| TableError::Recording { file: path.display().to_string(), source };
+        let reader = Reader::open(path).map_err(failed)?;
+        let sensors = reader.header().sensors.clone();
+        let mut streams =
+            Self { columns: signals::columns(sensors.iter().map(String::as_str)), ..Self::default() };
+        for item in reader {
+            let Item::Message(message) = item.map_err(failed)? else { continue };
+            if &*message.topic != "sensors" {
+                continue;
+            }
+            let message = SensorsMessage::parse(&message.json).map_err(failed)?;
+            streams.t_s.push(message.t_s);
+            for name in &sensors {
+                let usable = |entry: &&super::poses::SensorEntry| {
+                    entry.name == *name && signals::is_usable(entry.state)
+                };
+                let entry = message.sensors.iter().find(usable);
+                let position_m = entry.and_then(|entry| entry.position_m);
+                let orientation_wxyz = entry.and_then(|entry| entry.orientation_wxyz);
+                signals::append(position_m, orientation_wxyz, &mut streams.values);
             }
         }
         Ok(streams)

@@ -10,6 +10,7 @@ import { HealthView } from "./views/health";
 import { ReplayView } from "./views/replay";
 import { RunsView } from "./views/runs";
 import { StageView } from "./views/stage";
+import { TrainerView } from "./views/trainer";
 
 /** Data older than this are shown as old. */
 const STALE_MS = 1500;
@@ -30,6 +31,7 @@ const link = new Link(
 const context = { model, link };
 const views: View[] = [
   new StageView(context),
+  new TrainerView(context),
   new HealthView(context),
   new RunsView(context),
   new AnalysisView(context),

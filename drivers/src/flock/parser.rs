@@ -73,6 +73,8 @@ struct Piece {
     t_read: Timestamp,
     t_previous_read: Option<Timestamp>,
     bytes_after: u32,
+    /// A later read went on with it.
+    split: bool,
     /// Published already; what still comes is stray.
     published: bool,
 }
@@ -162,9 +164,12 @@ impl Splitter {
                 self.piece.t_read = now;
                 self.piece.t_previous_read = self.t_last_read;
                 self.piece.bytes_after = (bytes.len() - i - 1) as u32;
+                self.piece.split = false;
             } else if self.piece.len == 0 || self.piece.published {
                 self.skip(1);
                 continue;
+            } else if i == 0 {
+                self.piece.split = true;
             }
             self.piece.len += 1;
             if self.piece.bytes.len() <= MAX_LEN {
@@ -315,6 +320,7 @@ impl Splitter {
                         t_previous_read: self.piece.t_previous_read,
                         bytes_after: self.piece.bytes_after,
                         cycle_bytes_before: self.bytes_before(index) as u32,
+                        split: self.piece.split,
                     },
                     t_device: DeviceTime::Cycle(cycle),
                     measurement: Measurement::Pose {

@@ -14,6 +14,8 @@ use super::wire::{BirdStatus, Command, Range, Scale, Shape, UnitStatus};
 /// Quiet time on either side of auto-configuration, as the maker's guide says. Others wait twice as long; here
 /// a question answered, with the birds running, shows that the unit is done.
 const AUTO_CONFIG_QUIET_MS: u64 = 300;
+/// First revision that tells the serial numbers of sensors.
+const SENSOR_SERIAL_SINCE: (u8, u8) = (3, 71);
 /// Gap after a command that sets something.
 const SET_GAP_MS: u64 = 10;
 /// One thing to do.
@@ -34,6 +36,8 @@ pub(super) enum Action {
     ReadError,
     /// Ask for the measurement rate.
     ReadRate,
+    /// Ask for the serial number of this bird's sensor; 0 for a stand-alone unit.
+    ReadSerial(u8),
     /// Start the stream, or the polls.
     Start,
 }
@@ -98,6 +102,12 @@ pub(super) fn plan(settings: &Settings, wanted: &[u8], findings: &Findings) -> R
     }
     send(&mut plan, change(parameter::GROUP_MODE, &[u8::from(group)]), None, SET_GAP_MS);
     plan.actions.push_back(Action::ReadError);
+    // Firmware that does not know the parameter gives no answer.
+    if findings.revision >= SENSOR_SERIAL_SINCE {
+        let there = findings.sensors();
+        let birds = wanted.iter().filter(|address| there.contains(address));
+        plan.actions.extend(birds.map(|&address| Action::ReadSerial(address)));
+    }
     // Auto-configured birds run, and have said so.
     let auto_configured = group && !configured;
     let asleep = findings.status.has(BirdStatus::ASLEEP);

@@ -1,5 +1,7 @@
 //! Orientations of the device in any of its forms, as a unit quaternion from sensor to a z-up frame.
 
+use crate::flock::wire::rotation;
+
 /// Axes of the frame in which a device gives orientation and velocity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -37,40 +39,9 @@ pub(super) fn from_quaternion(q: [f64; 4], axes: Axes) -> Option<[f64; 4]> {
 
 /// Brings the rows of a rotation matrix from sensor to `axes` into a unit quaternion, as above.
 pub(super) fn from_matrix(m: [[f64; 3]; 3], axes: Axes) -> Option<[f64; 4]> {
-    for i in 0..3 {
-        for j in 0..3 {
-            let dot: f64 = (0..3).map(|k| m[i][k] * m[j][k]).sum();
-            if !(-TOLERANCE..=TOLERANCE).contains(&(dot - f64::from(u8::from(i == j)))) {
-                return None;
-            }
-        }
-    }
-    let cross_z = [m[0][1] * m[1][2] - m[0][2] * m[1][1], m[0][2] * m[1][0] - m[0][0] * m[1][2]];
-    let determinant =
-        cross_z[0] * m[2][0] + cross_z[1] * m[2][1] + (m[0][0] * m[1][1] - m[0][1] * m[1][0]) * m[2][2];
-    if determinant < 0.0 {
-        return None;
-    }
-    // Of the four quaternion components, begin with the greatest: its square is at least a quarter.
-    let trace = m[0][0] + m[1][1] + m[2][2];
-    let squares =
-        [1.0 + trace, 1.0 + 2.0 * m[0][0] - trace, 1.0 + 2.0 * m[1][1] - trace, 1.0 + 2.0 * m[2][2] - trace];
-    let largest = (1..4).fold(0, |best, k| if squares[k] > squares[best] { k } else { best });
-    let difference = [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]];
-    let mut q = [0.0; 4];
-    q[largest] = squares[largest];
-    for axis in 0..3 {
-        let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
-        if largest == 0 {
-            q[axis + 1] = difference[axis];
-        } else if largest == axis + 1 {
-            q[0] = difference[axis];
-            q[next + 1] = m[next][axis] + m[axis][next];
-            q[last + 1] = m[last][axis] + m[axis][last];
-        }
-    }
-    let norm = q.iter().map(|value| value * value).sum::<f64>().sqrt();
-    from_quaternion(q.map(|value| value / norm), axes)
+    let m = std::array::from_fn(|i| m[i / 3][i % 3]);
+    let is_rotation = rotation::orthonormality_error(m) <= TOLERANCE;
+    is_rotation.then(|| from_quaternion(rotation::from_matrix(m), axes)).flatten()
 }
 
 /// Brings roll, pitch, yaw in degrees (rotations about z, then y, then x) into a unit quaternion, as above.

@@ -5,10 +5,11 @@
 use std::path::PathBuf;
 
 use posed::motion::exercise::{Counter, Event, EventKind, Exercise, columns_of};
-use posed::table::{Streams, TableError, TableReader, TableWriter};
+use posed::table::{TableError, TableWriter};
 use serde::Serialize;
 
 use super::super::{Error, print, print_json};
+use super::read;
 
 /// Columns of the events.
 const COLUMNS: [&str; 8] = ["t", "t_start", "t_decided", "exercise", "event", "count", "reason", "feedback"];
@@ -22,8 +23,8 @@ pub(crate) struct Args {
     /// Taught exercises; several compete.
     #[arg(required = true, value_name = "EXERCISE.json")]
     exercises: Vec<PathBuf>,
-    /// The recording: CSV with a column `t` (s) and the columns the exercises were taught with.
-    #[arg(long = "in", value_name = "STREAM.csv")]
+    /// The recording: CSV with a column `t` (s) and the columns the exercises were taught with, or `.mcap`.
+    #[arg(long = "in", value_name = "STREAM.csv|REC.mcap")]
     input: PathBuf,
     /// Write the events to this file.
     #[arg(short, long, value_name = "EVENTS.csv")]
@@ -53,17 +54,16 @@ struct Counted {
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
-    let exercises: Vec<Exercise> = args.exercises.iter().map(read).collect::<Result<_, _>>()?;
-    let header = TableReader::open(&args.input).map_err(Error::failed)?;
-    let mut needed: Vec<String> = Vec::new();
-    for exercise in &exercises {
-        let columns = columns_of(&exercise.channels, header.columns()).map_err(|channel| {
-            let file = args.input.display();
-            Error::Failed(format!("{file}: exercise `{}` needs the channel `{channel}`", exercise.name))
-        })?;
-        needed.extend(columns.into_iter().filter(|column| !needed.contains(column)).collect::<Vec<_>>());
-    }
-    let streams = Streams::from_table(header, Some(&needed), args.rate_hz).map_err(Error::failed)?;
+    let exercises: Vec<Exercise> = args.exercises.iter().map(load).collect::<Result<_, _>>()?;
+    let streams = read(&args.input, args.rate_hz, |columns| {
+        let mut needed: Vec<String> = Vec::new();
+        for exercise in &exercises {
+            let of = columns_of(&exercise.channels, columns)
+                .map_err(|channel| format!("exercise `{}` needs the channel `{channel}`", exercise.name))?;
+            needed.extend(of.into_iter().filter(|column| !needed.contains(column)).collect::<Vec<_>>());
+        }
+        Ok(Some(needed))
+    })?;
     let mut counter = Counter::new(exercises, &streams.columns).map_err(Error::failed)?;
     let mut events: Vec<Event> = Vec::new();
     for (index, t_s) in streams.t_s.iter().enumerate() {
@@ -94,7 +94,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     print(&counted.iter().map(line).collect::<String>())
 }
 
-fn read(path: &PathBuf) -> Result<Exercise, Error> {
+fn load(path: &PathBuf) -> Result<Exercise, Error> {
     let text = std::fs::read_to_string(path).map_err(|error| Error::file("read", path, &error))?;
     Exercise::from_json(&text).map_err(|error| Error::Failed(format!("{}: {error}", path.display())))
 }

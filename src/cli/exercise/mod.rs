@@ -6,6 +6,10 @@ mod teach;
 
 use clap::Subcommand;
 
+use std::path::Path;
+
+use posed::table::{Streams, TableReader};
+
 use super::Error;
 
 /// What to do with exercises.
@@ -25,6 +29,24 @@ enum Command {
     Teach(teach::Args),
     /// Counts repetitions of taught exercises in a recording.
     Count(count::Args),
+}
+
+/// Reads a recording (`.mcap`), or of a CSV file the columns that `needed` chooses among those that are there (none:
+/// all).
+fn read(
+    path: &Path,
+    rate_hz: Option<f64>,
+    needed: impl FnOnce(&[String]) -> Result<Option<Vec<String>>, String>,
+) -> Result<Streams, Error> {
+    let lacks = |sentence: String| Error::Failed(format!("{}: {sentence}", path.display()));
+    if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")) {
+        let streams = Streams::read_recording(path).map_err(Error::failed)?;
+        needed(&streams.columns).map_err(lacks)?;
+        return Ok(streams);
+    }
+    let table = TableReader::open(path).map_err(Error::failed)?;
+    let columns = needed(table.columns()).map_err(lacks)?;
+    Streams::from_table(table, columns.as_deref(), rate_hz).map_err(Error::failed)
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {

@@ -3,11 +3,10 @@
 use std::path::PathBuf;
 
 use posed::motion::exercise::{Options, Refusal, Report, Stream, columns_of, teach};
-use posed::table::{Streams, TableReader};
 use serde::Serialize;
 
 use super::super::{Error, output, print, print_json};
-use super::picture;
+use super::{picture, read};
 
 /// What to learn, and from what.
 #[derive(clap::Args)]
@@ -16,7 +15,7 @@ use super::picture;
     Exit code 1 if the example is refused; the reason says what was seen instead."
 )]
 pub(crate) struct Args {
-    /// The recording: CSV with a column `t` (s) and numeric columns; rest a moment before and after.
+    /// The recording: CSV with a column `t` (s) and numeric columns, or `.mcap`; rest a moment before and after.
     stream: PathBuf,
     /// Name of the exercise, as in events.
     #[arg(long)]
@@ -57,14 +56,12 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     if args.name.trim().is_empty() {
         return Err(Error::Usage("--name must not be empty".to_owned()));
     }
-    let table = TableReader::open(&args.stream).map_err(Error::failed)?;
-    let columns = match &args.columns {
-        Some(channels) => Some(columns_of(channels, table.columns()).map_err(|channel| {
-            Error::Failed(format!("{}: there is no channel `{channel}`", args.stream.display()))
-        })?),
-        None => None,
-    };
-    let streams = Streams::from_table(table, columns.as_deref(), args.rate_hz).map_err(Error::failed)?;
+    let streams = read(&args.stream, args.rate_hz, |columns| match &args.columns {
+        Some(channels) => columns_of(channels, columns)
+            .map(Some)
+            .map_err(|channel| format!("there is no channel `{channel}`")),
+        None => Ok(None),
+    })?;
     let stream = Stream { columns: &streams.columns, t_s: &streams.t_s, values: &streams.values };
     let options = Options {
         name: args.name.trim().to_owned(),

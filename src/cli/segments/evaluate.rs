@@ -65,7 +65,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let mut bands = Vec::new();
     let mut times = Vec::new();
     for ((name, mut file), truth) in files.into_iter().zip(truths) {
-        files::fits(&name, &file, &card.preparation)?;
+        files::fits(&name, &file, &model)?;
         file.frames.iter_mut().for_each(|frame| frame.label = None);
         let sequence = Sequence::new(&file, &card.preparation.joints, &card.labels).map_err(Error::Failed)?;
         let named: Vec<u16> = label(&model, &sequence).into_iter().map(|frame| frame.0).collect();

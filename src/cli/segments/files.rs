@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use posed::motion::segments::Preparation;
+use posed::motion::segments::Model;
 use posed::table::{Poses, SegmentLabels, SequenceFrame, SequenceOptions, Sequences, Unit, Up};
 
 use super::super::{Error, tell};
@@ -130,16 +130,12 @@ fn of_poses(poses: &Poses) -> Sequences {
 }
 
 /// Refuses a file that lacks most of the model's joints or is in another unit; tells of joints that are missing.
-pub(super) fn fits(name: &str, file: &Sequences, preparation: &Preparation) -> Result<(), Error> {
+pub(super) fn fits(name: &str, file: &Sequences, model: &Model) -> Result<(), Error> {
+    let preparation = &model.card.preparation;
+    let joints = file.joints.iter().map(String::as_str);
+    model.columns(joints).map_err(|what| Error::Failed(format!("{name}: {what}")))?;
     let missing: Vec<&str> =
         preparation.joints.iter().filter(|joint| !file.joints.contains(joint)).map(String::as_str).collect();
-    if 2 * missing.len() > preparation.joints.len() {
-        return Err(Error::Failed(format!(
-            "{name}: expected the joints {}, found {}",
-            preparation.joints.join(", "),
-            file.joints.join(", ")
-        )));
-    }
     if !missing.is_empty() {
         tell(&format!("{name}: goes without {}, which the model knows", missing.join(", ")));
     }

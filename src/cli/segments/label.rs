@@ -58,7 +58,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     if file.frames.is_empty() {
         return Err(Error::Failed(format!("{name}: there are no frames")));
     }
-    files::fits(&name, &file, &card.preparation)?;
+    files::fits(&name, &file, &model)?;
     let mut unlabelled = file.clone();
     unlabelled.frames.iter_mut().for_each(|frame| frame.label = None);
     let sequence =

@@ -4,6 +4,7 @@ mod bench;
 mod elan;
 mod evaluate;
 mod files;
+mod generate;
 mod label;
 mod train;
 
@@ -34,6 +35,8 @@ enum Command {
     Label(label::Args),
     /// Says how well a model names labelled sequences.
     Evaluate(evaluate::Args),
+    /// Makes up labelled sequences of a person who walks, turns, picks and places.
+    Generate(generate::Args),
     /// Times a network with random weights: whole sequences, streaming, learning.
     Bench(bench::Args),
 }
@@ -43,6 +46,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         Command::Train(args) => train::run(args),
         Command::Label(args) => label::run(args),
         Command::Evaluate(args) => evaluate::run(args),
+        Command::Generate(args) => generate::run(args),
         Command::Bench(args) => bench::run(args),
     }
 }

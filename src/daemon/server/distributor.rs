@@ -11,7 +11,9 @@ use super::hub::Item;
 use super::metrics::Metrics;
 use super::outbox::{Outbox, Outgoing};
 use crate::input::{Model, SensorIndex};
-use crate::output::{FaultCause, OutcomeKind};
+use crate::motion::exercise::EventKind;
+use crate::name::Name;
+use crate::output::{ExerciseOutcome, ExerciseWhat, FaultCause, OutcomeKind};
 use crate::protocol::{
     Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload, Problem,
     RequestId, ServerMessage, Stamp, Topic, View, encode,
@@ -41,7 +43,7 @@ pub(super) struct Distributor {
     views: Vec<SharedView>,
     last: [Option<(Stamp, Item)>; Topic::COUNT],
     events: VecDeque<Event>,
-    /// Events that still hold: faults that have not ended, the newest model of each kind.
+    /// Events that still hold: faults that have not ended, the newest model of each kind, counts.
     current: Vec<(Key, Event)>,
     newest_us: i64,
     /// Connections refused as of the last status.
@@ -89,6 +91,12 @@ enum Key {
     Fault(SensorIndex, FaultCause),
     Transmitter,
     TrackerNoise(String),
+    Exercise(String),
+    /// What a subject does.
+    Subject(Name),
+    /// The newest count since then.
+    Count(Name, Name),
+    Segment,
 }
 
 impl Distributor {
@@ -369,17 +377,42 @@ impl Distributor {
             written(&Payload::Outcome(outcome), &stamp, &self.names, &view, &mut self.scratch)
         };
         let event = Event { stamp, json: body(Encoding::Json), message_pack: body(Encoding::MessagePack) };
-        let (key, holds) = match &outcome.what {
-            OutcomeKind::Fault { sensor, cause, active } => (Key::Fault(*sensor, *cause), *active),
-            OutcomeKind::ModelSwapped(Model::Transmitter { .. }) => (Key::Transmitter, true),
+        // What holds until something else is said is told to who subscribes later.
+        let state = match &outcome.what {
+            OutcomeKind::Fault { sensor, cause, active } => Some((Key::Fault(*sensor, *cause), *active)),
+            // The newest word on what is being done.
+            OutcomeKind::Segment(_) => Some((Key::Segment, true)),
+            OutcomeKind::ModelSwapped(Model::Transmitter { .. }) => Some((Key::Transmitter, true)),
             OutcomeKind::ModelSwapped(Model::TrackerNoise { device, .. }) => {
-                (Key::TrackerNoise(device.clone()), true)
+                Some((Key::TrackerNoise(device.clone()), true))
             }
+            OutcomeKind::ModelSwapped(Model::Exercise { exercise }) => {
+                Some((Key::Exercise(exercise.name.clone()), true))
+            }
+            OutcomeKind::Exercise(ExerciseOutcome { subject, what }) => match what {
+                ExerciseWhat::State(_) => {
+                    // It holds all counts so far.
+                    self.current.retain(|(key, _)| !matches!(key, Key::Count(of, _) if of == subject));
+                    Some((Key::Subject(subject.clone()), true))
+                }
+                ExerciseWhat::Repetition(repetition) if repetition.kind == EventKind::Counted => {
+                    Some((Key::Count(subject.clone(), repetition.exercise.clone()), true))
+                }
+                ExerciseWhat::Repetition(_) | ExerciseWhat::Hint(_) => None,
+            },
+            OutcomeKind::KeyPose(_) => None,
         };
-        self.current.retain(|(other, _)| *other != key);
-        if holds {
-            self.current.push((key, event.clone()));
+        if let Some((key, holds)) = state {
+            self.current.retain(|(other, _)| *other != key);
+            if holds {
+                self.current.push((key, event.clone()));
+            }
         }
+        self.keep(event)
+    }
+
+    /// Keeps an event for those who resume.
+    fn keep(&mut self, event: Event) -> Option<Item> {
         self.events.push_back(event);
         let too_old = self.newest_us.saturating_sub(EVENT_AGE_US);
         while self.events.len() > self.limits.events
@@ -452,7 +485,7 @@ mod tests {
     use posed_drivers::Timestamp;
 
     use super::*;
-    use crate::output::Estimate;
+    use crate::output::{Estimate, Outcome};
     use crate::stage::Stage;
 
     fn distributor(limits: &Limits) -> Distributor {
@@ -486,6 +519,56 @@ mod tests {
     fn frame(distributor: &mut Distributor, t_us: i64) {
         let t_valid = Timestamp::from_nanos(t_us * 1000);
         distributor.publish(Item::Estimate(Estimate { t_valid, ..Estimate::default() }));
+    }
+
+    #[test]
+    fn who_subscribes_late_is_told_the_state_and_the_newest_counts() {
+        use crate::output::{ExerciseState, Repetition};
+        let limits = Limits::default();
+        let mut distributor = distributor(&limits);
+        let mut say = |subject: &str, what| {
+            let what = OutcomeKind::Exercise(ExerciseOutcome { subject: subject.into(), what });
+            let t = Timestamp::ZERO;
+            distributor.publish(Item::Outcome(Box::new(Outcome { t_valid: t, t_decided: t, what })));
+        };
+        let state = || ExerciseWhat::State(ExerciseState::default());
+        let repetition = |kind, count| {
+            let (exercise, set_count) = ("curl".into(), count as u32);
+            let (reason, feedback, remark) = (None, None, None);
+            let t_start_s = 0.0;
+            ExerciseWhat::Repetition(Repetition {
+                exercise,
+                kind,
+                count,
+                set_count,
+                t_start_s,
+                reason,
+                feedback,
+                remark,
+            })
+        };
+        say("a", state());
+        say("a", repetition(EventKind::Counted, 1));
+        say("b", state());
+        say("b", repetition(EventKind::Counted, 1));
+        say("b", repetition(EventKind::Counted, 2));
+        say("b", repetition(EventKind::Provisional, 2));
+        say("a", state());
+        let outbox = connect(&mut distributor, 1, &limits);
+        let feed = Feed::Subscribe {
+            topics: vec![Topic::Exercise],
+            max_rate_hz: None,
+            sensors: None,
+            fields: None,
+            drop: None,
+        };
+        distributor.handle(Command::Feed { client: 1, id: RequestId::Number(1), feed });
+        let told: Vec<_> = received(&outbox)
+            .into_iter()
+            .skip(1)
+            .map(|message| format!("{} {} {}", message["subject"], message["event"], message["count"]))
+            .collect();
+        assert_eq!(told, [r#""b" "state" null"#, r#""b" "counted" 2"#, r#""a" "state" null"#]);
     }
 
     fn received(outbox: &Outbox) -> Vec<serde_json::Value> {

@@ -1,6 +1,7 @@
 //! What `/metrics` says, in the text format of Prometheus.
 
 use std::sync::Mutex;
+use std::sync::atomic::AtomicU64;
 
 use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
@@ -31,6 +32,7 @@ pub(super) struct Metrics {
     device_bytes_skipped: Family<Labels, Gauge>,
     sensor_lost: Family<Labels, Gauge>,
     problems: Gauge,
+    latency: Family<Labels, Gauge<f64, AtomicU64>>,
 }
 
 impl Metrics {
@@ -57,6 +59,8 @@ impl Metrics {
             all.register("device_bytes_skipped", "Bytes of no record and no answer", skipped);
             all.register("sensor_lost", "Expected samples not published as ok", metrics.sensor_lost.clone());
             all.register("problems", "Problems named on the status topic", metrics.problems.clone());
+            let latency = "How long a stage of the flow takes; of `segments` the processor time per frame";
+            all.register_with_unit("latency", latency, Unit::Seconds, metrics.latency.clone());
             *metrics.registry.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = all;
         }
         metrics
@@ -84,6 +88,12 @@ impl Metrics {
         for sensor in &status.sensors {
             let labels = vec![("sensor", sensor.name.clone())];
             self.sensor_lost.get_or_create(&labels).set(signed(sensor.lost));
+        }
+        for stage in &status.latency {
+            for (quantile, ms) in [("0.5", stage.p50_ms), ("0.99", stage.p99_ms), ("1", stage.max_ms)] {
+                let labels = vec![("stage", stage.stage.clone()), ("quantile", quantile.to_owned())];
+                self.latency.get_or_create(&labels).set(ms * 1e-3);
+            }
         }
         self.problems.set(signed(status.problems.len() as u64));
     }

@@ -240,6 +240,9 @@ impl Server {
         let (call_sender, calls) = mpsc::channel(64);
         let (shutdown, shutdown_seen) = watch::channel(false);
         let mut topics = vec![Topic::Status, Topic::Sensors, Topic::Faults, Topic::Field, Topic::Jobs];
+        // Whatever is tracked can be taught and counted.
+        topics.extend((!stage.sensors.is_empty()).then_some(Topic::Exercise));
+        topics.extend(stage.keyframes.is_some().then_some(Topic::Keyframes));
         topics.extend(config.more_topics);
         topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
         topics.sort();

@@ -20,7 +20,7 @@ const MEMORY_FRAMES: u32 = 30;
 const BLIND_STEPS: f64 = 10.0;
 /// A sensor that jumped is believed again once it has been where the others allow it for so many frames, or soon if
 /// it was not there before.
-const BELIEVED_FRAMES: u32 = 150;
+const BELIEVED_FRAMES: u32 = 75;
 const BELIEVED_SOON_FRAMES: u32 = 15;
 /// For so many frames after a jump, smaller steps may take it back too.
 const YOUNG_FRAMES: u32 = 3;

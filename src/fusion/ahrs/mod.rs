@@ -150,7 +150,8 @@ impl Ahrs {
         self.q_level_sensor = integrate(self.q_level_sensor, rate, dt_s);
         self.rate_rad_s = rate;
         self.coasted_s = 0.0;
-        let rotation = rotation_matrix(&self.q_level_sensor);
+        let rotation = self.q_level_sensor.to_rotation_matrix();
+        let rotation = rotation.matrix();
         let force = rotation * sample.accel_m_s2;
         let w = &mut self.window;
         w.duration_s += dt_s;
@@ -300,19 +301,4 @@ fn integrate(q: UnitQuaternion<f64>, rate: Vector3<f64>, dt_s: f64) -> UnitQuate
     let s = 1.0 - h2 * (1.0 / 6.0 - h2 * (1.0 / 120.0 - h2 * (1.0 / 5040.0)));
     let step = Quaternion::new(c, s * half.x, s * half.y, s * half.z);
     UnitQuaternion::new_unchecked(q.into_inner() * step)
-}
-
-fn rotation_matrix(q: &UnitQuaternion<f64>) -> Matrix3<f64> {
-    let (w, x, y, z) = (q.w, q.i, q.j, q.k);
-    Matrix3::new(
-        1.0 - 2.0 * (y * y + z * z),
-        2.0 * (x * y - w * z),
-        2.0 * (x * z + w * y),
-        2.0 * (x * y + w * z),
-        1.0 - 2.0 * (x * x + z * z),
-        2.0 * (y * z - w * x),
-        2.0 * (x * z - w * y),
-        2.0 * (y * z + w * x),
-        1.0 - 2.0 * (x * x + y * y),
-    )
 }

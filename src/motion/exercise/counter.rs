@@ -11,8 +11,9 @@ use serde::{Deserialize, Serialize};
 use super::align::trim;
 use super::channels::Binding;
 use super::exercise::Exercise;
-use super::feedback::{Feedback, describe};
+use super::feedback::{Feedback, Remark, describe};
 use super::frames::{Differentiator, Frame, Resampler};
+use super::hint::{Follower, Hint};
 use super::hmm::LogRatio;
 use super::judge::{Measures, Reason, judge, measure};
 use super::network::{Network, Place};
@@ -75,6 +76,8 @@ pub struct Event {
     pub measures: Option<Measures>,
     /// What deviated most, of a counted or rejected repetition.
     pub feedback: Option<Feedback>,
+    /// What to say of it; none where all was as taught.
+    pub remark: Option<Remark>,
 }
 
 /// Why exercises cannot be counted on a stream.
@@ -112,6 +115,7 @@ struct Watched {
     pending: Option<[u64; 2]>,
     /// Last frame of the repetition that was counted last.
     counted_until: Option<u64>,
+    follower: Follower,
 }
 
 /// Counts exercises. See the module.
@@ -141,6 +145,7 @@ struct Counting {
     emitted: Vec<(u64, u16)>,
     /// Path of the repetition that is judged.
     path: Vec<u16>,
+    hint: Option<Hint>,
 }
 
 impl Counter {
@@ -204,6 +209,11 @@ impl Counter {
         }
     }
 
+    /// What deviates just now, where a repetition seems to be going on.
+    pub fn hint(&self) -> Option<Hint> {
+        self.counting.hint
+    }
+
     /// Samples left out because they came too late or had no time.
     pub fn late(&self) -> u64 {
         self.resampler.late()
@@ -233,6 +243,7 @@ impl Counting {
                     count: 0,
                     pending: None,
                     counted_until: None,
+                    follower: Follower::new(rate_hz, width),
                     exercise,
                 }
             })
@@ -249,6 +260,7 @@ impl Counting {
             open: None,
             emitted: Vec::with_capacity(2 * bound + 8),
             path: Vec::with_capacity(capacity),
+            hint: None,
         }
     }
 
@@ -289,9 +301,31 @@ impl Counting {
         self.viterbi.push(&self.log_density, &mut |frame, state| emitted.push((frame, state as u16)));
         self.walk(t_s, each);
         self.look_ahead(t_s, each);
+        self.hint = self.follow(slot);
+    }
+
+    /// What deviates in the repetition that the best path is in.
+    fn follow(&mut self, slot: usize) -> Option<Hint> {
+        let best = self.viterbi.best()?;
+        let place = self.network.place(best);
+        let mut hint = None;
+        for (index, watched) in self.watched.iter_mut().enumerate() {
+            match place {
+                Place::Within { exercise, state } if exercise == index => {
+                    let width = 2 * watched.channels.len();
+                    let observation = &watched.observations[slot * width..(slot + 1) * width];
+                    let log_ratio = self.log_density[best];
+                    let Watched { follower, exercise, .. } = watched;
+                    hint = Some(follower.follow(exercise, index, state, observation, log_ratio));
+                }
+                _ => watched.follower.leave(),
+            }
+        }
+        hint
     }
 
     fn finish(&mut self, each: &mut impl FnMut(Event)) {
+        self.hint = None;
         let t_s = self.t_s(self.viterbi.frames());
         let emitted = &mut self.emitted;
         self.viterbi.finish(&mut |frame, state| emitted.push((frame, state as u16)));
@@ -383,6 +417,8 @@ impl Counting {
         event.measures = judged.map(|(measures, _)| measures);
         if let Some((measures, span)) = judged {
             event.feedback = self.feedback(exercise, start, span, &measures);
+            let taught = &self.watched[exercise].exercise;
+            event.remark = event.feedback.and_then(|feedback| feedback.remark(taught));
         }
         each(event);
     }
@@ -493,7 +529,7 @@ impl Counting {
 
     fn event(&self, exercise: usize, kind: EventKind, [t_start_s, t_s]: [f64; 2], t_decided_s: f64) -> Event {
         let count = self.watched[exercise].count;
-        let (reason, measures, feedback) = (None, None, None);
-        Event { t_s, t_start_s, t_decided_s, exercise, kind, count, reason, measures, feedback }
+        let (reason, measures, feedback, remark) = (None, None, None, None);
+        Event { t_s, t_start_s, t_decided_s, exercise, kind, count, reason, measures, feedback, remark }
     }
 }

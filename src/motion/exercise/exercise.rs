@@ -13,7 +13,7 @@ const FORMAT: &str = "posed-exercise";
 const VERSION: u32 = 1;
 
 /// A taught exercise.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Exercise {
     /// `posed-exercise`.
@@ -22,6 +22,10 @@ pub struct Exercise {
     pub version: u32,
     /// Name, as in events.
     pub name: String,
+    /// Counts how often an exercise of this name was taught, from 1.
+    #[serde(default = "first")]
+    #[schemars(range(min = 1))]
+    pub revision: u32,
     /// Frames per second of the model.
     pub rate_hz: f64,
     /// The channels it looks at, as `channels` names them.
@@ -36,8 +40,12 @@ pub struct Exercise {
     pub gate: Gate,
 }
 
+fn first() -> u32 {
+    1
+}
+
 /// Durations of repetitions, s.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Durations {
     /// Shortest.
@@ -49,7 +57,7 @@ pub struct Durations {
 }
 
 /// What a repetition must be like to count; see `judge`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Gate {
     /// Least mean log ratio of exercise and background, per frame.
@@ -97,7 +105,8 @@ impl Exercise {
         gate: Gate,
     ) -> Self {
         let (format, version) = (FORMAT.to_owned(), VERSION);
-        Self { format, version, name, rate_hz, channels, movement, durations, log_jerk: 0.0, gate }
+        let revision = first();
+        Self { format, version, name, revision, rate_hz, channels, movement, durations, log_jerk: 0.0, gate }
     }
 
     /// Reads a file's text.
@@ -134,7 +143,14 @@ impl Exercise {
         self.movement.states.mean.first().map_or(0, Vec::len)
     }
 
-    fn check(&self) -> Result<(), ExerciseError> {
+    /// Whether its parts fit together.
+    ///
+    /// # Errors
+    /// The first one that does not.
+    pub fn check(&self) -> Result<(), ExerciseError> {
+        if self.format != FORMAT || self.version != VERSION {
+            return Err(ExerciseError::Version { format: self.format.clone(), version: self.version });
+        }
         let width = 2 * self.channels.len();
         let fits = |gaussians: &Gaussians, states: usize| {
             [&gaussians.mean, &gaussians.sd]
@@ -147,6 +163,7 @@ impl Exercise {
         };
         let Movement { states, background, amplitude } = &self.movement;
         let Durations { shortest_s, median_s, longest_s } = self.durations;
+        let [fast, slow] = self.gate.duration;
         if self.name.is_empty() {
             Err(ExerciseError::Damaged("it has no name"))
         } else if self.channels.is_empty() || amplitude.len() != width {
@@ -160,6 +177,8 @@ impl Exercise {
             || amplitude.iter().any(|value| value.is_nan() || *value <= 0.0)
         {
             Err(ExerciseError::Damaged("a standard deviation or an amplitude is not above 0"))
+        } else if !(fast >= 0.0 && fast <= slow && slow <= 10.0) {
+            Err(ExerciseError::Damaged("the gate's durations are not in order"))
         } else if !(1.0..=1000.0).contains(&self.rate_hz) {
             Err(ExerciseError::Damaged("the frame rate is not between 1 and 1000 Hz"))
         } else if !(shortest_s > 0.0 && shortest_s <= median_s && median_s <= longest_s && longest_s < 600.0)

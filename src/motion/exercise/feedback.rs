@@ -11,7 +11,7 @@ use super::judge::Measures;
 /// Deviations are means over this share of the movement: shorter ones are noise or alignment.
 const WINDOW: f64 = 0.12;
 /// Least deviation worth a word, in standard deviations of the state.
-const WORTH_A_WORD: f64 = 1.2;
+pub(super) const WORTH_A_WORD: f64 = 1.2;
 /// Tempo within these bounds is as taught.
 const SAME_TEMPO: [f64; 2] = [0.75, 1.35];
 /// Log dimensionless jerk above the taught one that is worth a word.
@@ -131,47 +131,136 @@ pub(super) fn log_jerk<'a>(rows: impl Iterator<Item = &'a [f64]> + Clone, exerci
     if jerk > 0.0 && fastest > 0.0 { (duration_s.powi(3) * jerk / fastest).ln() } else { 0.0 }
 }
 
+/// A deviation in words, as far as they do not depend on the channel's name.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Remark {
+    /// A channel deviates somewhere in the movement.
+    Deviation {
+        /// Index of the channel.
+        channel: usize,
+        /// How much, in the channel's unit; positive is more than taught.
+        deviation: f64,
+        /// In which way.
+        way: Way,
+        /// Where in the movement.
+        place: Place,
+    },
+    /// Slower or faster; the duration, the taught one being 1.
+    Tempo(f64),
+    /// Less smooth.
+    Jerky,
+}
+
+/// In which way a channel deviates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Way {
+    /// Beyond the turning point.
+    TooFar,
+    /// Not as far as the turning point.
+    Short,
+    /// A larger value elsewhere.
+    TooHigh,
+    /// A smaller value elsewhere.
+    TooLow,
+}
+
+/// Where in the movement, seen from the turning point of the channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Place {
+    /// Its first tenth.
+    Start,
+    /// Before the turning point.
+    WayUp,
+    /// Around the turning point.
+    Top,
+    /// After the turning point.
+    WayBack,
+    /// Its last tenth.
+    End,
+}
+
 impl Feedback {
-    /// One sentence for the person who moves; `None` where all was as taught.
-    pub fn sentence(&self, exercise: &Exercise) -> Option<String> {
+    /// What to say; `None` where all was as taught.
+    pub fn remark(&self, exercise: &Exercise) -> Option<Remark> {
         if self.deviation_sd.abs() >= WORTH_A_WORD {
-            let (name, unit, factor) = words(exercise.channels.get(self.channel)?);
-            let mean = exercise.movement.states.mean.get(self.channel)?;
-            let turn = turning_point(mean);
-            let outward = (mean[turn] - mean[0]).signum();
-            let turn_phase = (turn as f64 + 0.5) / mean.len() as f64;
-            let size = amount(self.deviation.abs() * factor);
-            let at_turn = (self.phase - turn_phase).abs() <= TURN;
-            let way = match (at_turn, self.deviation * outward > 0.0, self.deviation > 0.0) {
-                (true, true, _) => "too far",
-                (true, false, _) => "short",
-                (false, _, true) => "too high",
-                (false, _, false) => "too low",
-            };
-            return Some(format!("{name} {size}{unit} {way} {}", self.place(turn_phase)));
-        }
-        if self.tempo > SAME_TEMPO[1] {
-            Some(format!("slower than taught: {:.1} times the duration", self.tempo))
-        } else if self.tempo < SAME_TEMPO[0] {
-            Some(format!("faster than taught: {:.1} times the duration", self.tempo))
-        } else if self.jerk > JERKY {
-            Some("less smooth than taught".to_owned())
+            Remark::deviation(exercise, self.channel, self.deviation, self.phase)
+        } else if !(SAME_TEMPO[0]..=SAME_TEMPO[1]).contains(&self.tempo) {
+            Some(Remark::Tempo(self.tempo))
         } else {
-            None
+            (self.jerk > JERKY).then_some(Remark::Jerky)
         }
     }
 
-    fn place(&self, turn: f64) -> &'static str {
-        if (self.phase - turn).abs() <= TURN {
-            "at the top"
-        } else if self.phase < 0.1 {
-            "at the start"
-        } else if self.phase > 0.9 {
-            "at the end"
-        } else if self.phase < turn {
-            "on the way up"
+    /// One sentence for the person who moves; `None` where all was as taught.
+    pub fn sentence(&self, exercise: &Exercise) -> Option<String> {
+        let channel = exercise.channels.get(self.channel)?;
+        self.remark(exercise).map(|remark| remark.sentence(channel))
+    }
+}
+
+impl Remark {
+    /// That a channel deviates at a phase of the movement.
+    pub(super) fn deviation(exercise: &Exercise, channel: usize, deviation: f64, phase: f64) -> Option<Self> {
+        let mean = exercise.movement.states.mean.get(channel)?;
+        let turn = turning_point(mean);
+        let outward = (mean[turn] - mean[0]).signum();
+        let turn_phase = (turn as f64 + 0.5) / mean.len() as f64;
+        let place = if (phase - turn_phase).abs() <= TURN {
+            Place::Top
+        } else if phase < 0.1 {
+            Place::Start
+        } else if phase > 0.9 {
+            Place::End
+        } else if phase < turn_phase {
+            Place::WayUp
         } else {
-            "on the way back"
+            Place::WayBack
+        };
+        let way = match (place == Place::Top, deviation * outward > 0.0, deviation > 0.0) {
+            (true, true, _) => Way::TooFar,
+            (true, false, _) => Way::Short,
+            (false, _, true) => Way::TooHigh,
+            (false, _, false) => Way::TooLow,
+        };
+        Some(Self::Deviation { channel, deviation, way, place })
+    }
+
+    /// One sentence for the person who moves; `channel` is the name of the channel it speaks of.
+    pub fn sentence(&self, channel: &str) -> String {
+        match *self {
+            Self::Deviation { deviation, way, place, .. } => {
+                let (name, unit, factor) = words(channel);
+                let size = amount(deviation.abs() * factor);
+                format!("{name} {size}{unit} {} {}", way.words(), place.words())
+            }
+            Self::Tempo(tempo) if tempo > 1.0 => {
+                format!("slower than taught: {tempo:.1} times the duration")
+            }
+            Self::Tempo(tempo) => format!("faster than taught: {tempo:.1} times the duration"),
+            Self::Jerky => "less smooth than taught".to_owned(),
+        }
+    }
+}
+
+impl Way {
+    fn words(self) -> &'static str {
+        match self {
+            Self::TooFar => "too far",
+            Self::Short => "short",
+            Self::TooHigh => "too high",
+            Self::TooLow => "too low",
+        }
+    }
+}
+
+impl Place {
+    fn words(self) -> &'static str {
+        match self {
+            Self::Start => "at the start",
+            Self::WayUp => "on the way up",
+            Self::Top => "at the top",
+            Self::WayBack => "on the way back",
+            Self::End => "at the end",
         }
     }
 }
@@ -196,6 +285,10 @@ fn words(channel: &str) -> (String, &'static str, f64) {
         (name, " degrees", 180.0 / std::f64::consts::PI)
     } else if let Some(name) = channel.strip_suffix("_m") {
         (name, " cm", 100.0)
+    } else if let Some((name, axis)) = channel.rsplit_once("up_") {
+        // A component of the vertical in sensor axes: about the angle by which that axis is lifted.
+        let tilt = format!("{} tilt of {axis}", name.trim_end_matches('_').replace('_', " "));
+        return (tilt.trim_start().to_owned(), " degrees", 180.0 / std::f64::consts::PI);
     } else {
         (channel, "", 1.0)
     };

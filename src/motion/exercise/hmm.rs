@@ -27,7 +27,7 @@ const FRAMES_PER_STATE: f64 = 2.0;
 const FEWEST_STATES: usize = 6;
 
 /// Means and standard deviations of Gaussians with one variance per channel, `[channel][state]`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Gaussians {
     /// Mean, in the channel's unit (velocities: per second).
     pub mean: Vec<Vec<f64>>,
@@ -36,7 +36,7 @@ pub struct Gaussians {
 }
 
 /// What is known about an exercise's movement.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Movement {
     /// The states in order.
     pub states: Gaussians,

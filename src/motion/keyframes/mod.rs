@@ -16,6 +16,7 @@ mod paper;
 pub mod path;
 mod peaks;
 pub mod picture;
+pub mod track;
 mod window;
 
 use nalgebra::Isometry3;

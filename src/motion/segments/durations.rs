@@ -60,6 +60,11 @@ impl Decoder {
         self.viterbi.push(&self.log_density, &mut |frame, state| say(frame, usize::from(class[state])));
     }
 
+    /// Class in which the best path ends now; `None` before the first frame.
+    pub fn best(&self) -> Option<usize> {
+        self.viterbi.best().map(|state| usize::from(self.class[state]))
+    }
+
     /// Ends the stream and says the classes of the frames that are left.
     pub fn finish(&mut self, say: &mut impl FnMut(u64, usize)) {
         let class = &self.class;

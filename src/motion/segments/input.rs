@@ -14,7 +14,7 @@ use super::joints;
 /// Time constant of the facing direction, s.
 const FACING_S: f64 = 0.3;
 /// Time constant of the mean speeds, s.
-const ENERGY_S: f64 = 0.5;
+const SPEEDS_S: f64 = 0.5;
 /// Smallest scale of a feature, as a share of the root mean square scale of its kind: what hardly moves in the
 /// training set is not blown up to the size of what does.
 const FLOOR: f64 = 0.3;
@@ -48,17 +48,17 @@ pub struct Preparation {
 pub struct Features {
     /// Axes turned to where the body faces.
     pub facing: bool,
-    /// Velocities beside the positions, and the mean one.
+    /// Velocities beside the positions.
     pub velocities: bool,
-    /// Mean speeds of the last half second beside the velocities: how much moves, whatever its rhythm.
-    pub energy: bool,
+    /// Mean speeds of the last half second: how much moves, whatever its rhythm.
+    pub speeds: bool,
     /// Joint rows of the paper's image: the joints resized to so many rows; absent: one row per joint.
     pub rows: Option<usize>,
 }
 
 impl Features {
     /// What the default model sees.
-    pub const BODY: Self = Self { facing: true, velocities: true, energy: true, rows: None };
+    pub const BODY: Self = Self { facing: true, velocities: false, speeds: true, rows: None };
 }
 
 /// What is remembered from frame to frame.
@@ -68,7 +68,7 @@ pub struct Memory {
     left: [f64; 2],
     /// Joints of the frame before, in the room.
     last: Vec<Position>,
-    energy: Vec<f32>,
+    speeds: Vec<f32>,
     raw: Vec<f32>,
     features: Vec<f32>,
 }
@@ -114,10 +114,11 @@ impl Preparation {
                 .map(|index| (mean(&squares, index) - mean(&sum, index).powi(2)).max(0.0).sqrt())
                 .collect();
             preparation.offset = (0..raw).map(|index| mean(&sum, index) as f32).collect();
-            // Positions, velocities and the centre's motion each have a floor of their own.
-            let parts = [0, positions, 2 * positions, 2 * positions + 3, 3 * positions + 3, raw];
-            for pair in parts.windows(2) {
-                let part = &deviation[pair[0].min(raw)..pair[1].min(raw)];
+            // Positions, velocities, speeds and the centre's each have a floor of their own.
+            let mut rest = deviation.as_slice();
+            for size in [positions, positions, 3, positions, 3] {
+                let (part, others) = rest.split_at(size.min(rest.len()));
+                rest = others;
                 let square = part.iter().map(|d| d * d).sum::<f64>() / part.len().max(1) as f64;
                 let floor = (FLOOR * square.sqrt()).max(1e-9);
                 preparation.scale.extend(part.iter().map(|d| (1.0 / d.max(floor)) as f32));
@@ -149,11 +150,8 @@ impl Preparation {
 
     fn raw_features(&self) -> usize {
         let positions = 3 * self.joints.len();
-        match (self.features.velocities, self.features.energy) {
-            (false, _) => positions,
-            (true, false) => 2 * positions + 3,
-            (true, true) => 3 * positions + 6,
-        }
+        let Features { velocities, speeds, .. } = self.features;
+        positions + (positions + 3) * (usize::from(velocities) + usize::from(speeds))
     }
 
     /// Features of the next frame, given its positions in the order of `joints`.
@@ -203,7 +201,8 @@ impl Preparation {
         for position in positions {
             memory.raw.extend(turned(less(*position, centre)).map(|value| value as f32));
         }
-        if self.features.velocities {
+        if self.features.velocities || self.features.speeds {
+            let first = memory.raw.len();
             memory.last.resize(positions.len(), None);
             // Joint by joint, so that a joint that comes and goes moves no other.
             for (position, last) in positions.iter().zip(&memory.last) {
@@ -220,19 +219,19 @@ impl Preparation {
             let velocity = sum.map(|sum| if both > 0.0 { sum / both * self.rate_hz } else { f64::NAN });
             memory.raw.extend(turned(velocity).map(|value| value as f32));
             memory.last.copy_from_slice(positions);
-        }
-        if self.features.velocities && self.features.energy {
-            let keep = (-1.0 / (ENERGY_S * self.rate_hz)).exp() as f32;
-            let first = 3 * positions.len();
-            let count = memory.raw.len() - first;
-            memory.energy.resize(count, 0.0);
-            for (index, mean) in memory.energy.iter_mut().enumerate() {
-                let speed = memory.raw[first + index].abs();
-                if speed.is_finite() {
-                    *mean = keep * *mean + (1.0 - keep) * speed;
+            let keep = (-1.0 / (SPEEDS_S * self.rate_hz)).exp() as f32;
+            memory.speeds.resize(memory.raw.len() - first, 0.0);
+            for (mean, velocity) in memory.speeds.iter_mut().zip(&memory.raw[first..]) {
+                if velocity.is_finite() {
+                    *mean = keep * *mean + (1.0 - keep) * velocity.abs();
                 }
             }
-            memory.raw.extend_from_slice(&memory.energy);
+            if !self.features.velocities {
+                memory.raw.truncate(first);
+            }
+            if self.features.speeds {
+                memory.raw.extend_from_slice(&memory.speeds);
+            }
         }
     }
 

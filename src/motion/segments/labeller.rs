@@ -39,11 +39,10 @@ pub struct Labeller {
     last_s: Option<f64>,
     last: Vec<Position>,
     tick: Vec<Position>,
-    /// Time of the first tick, and number of the next ones: to sample, to score, to decide.
+    /// Time of the first tick, and number of the next ones: to sample, to score.
     start_s: f64,
     sampled: u64,
     scored: u64,
-    decided: u64,
     /// Probabilities of the ticks that are not decided, a slot each.
     probabilities: Vec<f32>,
     buffer: Vec<f32>,
@@ -71,7 +70,6 @@ impl Labeller {
             start_s: 0.0,
             sampled: 0,
             scored: 0,
-            decided: 0,
             probabilities: vec![0.0; slots as usize * card.labels.len()],
             buffer: Vec::with_capacity(card.labels.len()),
             slots,
@@ -138,16 +136,15 @@ impl Labeller {
             self.buffer.extend_from_slice(scores);
             self.score(model, say);
         });
-        let Self { decoder, probabilities, decided, slots, start_s, .. } = self;
+        let Self { decoder, probabilities, slots, start_s, .. } = self;
         let rate_hz = model.card.preparation.rate_hz;
         decoder.finish(&mut |tick, class| {
             say(decision(tick, class, *start_s, rate_hz, probabilities, *slots, model.card.labels.len()));
-            *decided = tick + 1;
         });
         let (stream, decoder) = (*self.fresh).clone();
         (self.stream, self.decoder) = (stream, decoder);
         self.memory = Memory::default();
-        (self.sampled, self.scored, self.decided) = (0, 0, 0);
+        (self.sampled, self.scored) = (0, 0);
     }
 
     /// Takes the scores in `buffer` for the next tick.
@@ -155,9 +152,14 @@ impl Labeller {
         let classes = model.card.labels.len();
         let rate_hz = model.card.preparation.rate_hz;
         softmax(&mut self.buffer);
-        let class = best(&self.buffer);
         let slot = (self.scored % self.slots) as usize * classes;
         self.probabilities[slot..slot + classes].copy_from_slice(&self.buffer);
+        let Self { decoder, buffer, probabilities, slots, start_s, .. } = self;
+        decoder.push(buffer, &mut |tick, class| {
+            say(decision(tick, class, *start_s, rate_hz, probabilities, *slots, classes));
+        });
+        // Provisional is what the best path says of its end: one odd frame changes nothing.
+        let class = self.decoder.best().unwrap_or_else(|| best(&self.buffer));
         say(Tick {
             t_s: self.start_s + self.scored as f64 / rate_hz,
             class: class as u16,
@@ -165,11 +167,6 @@ impl Labeller {
             provisional: true,
         });
         self.scored += 1;
-        let Self { decoder, buffer, probabilities, decided, slots, start_s, .. } = self;
-        decoder.push(buffer, &mut |tick, class| {
-            say(decision(tick, class, *start_s, rate_hz, probabilities, *slots, classes));
-            *decided = tick + 1;
-        });
     }
 }
 

@@ -19,12 +19,32 @@ const KEY: &str = "posed-segments";
 pub(super) const VERSION: u32 = 1;
 
 /// A model: everything that labelling needs.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "File", into = "File")]
 pub struct Model {
     /// What the metadata of the file says.
     pub card: Card,
     /// The network.
     pub network: Network<f32>,
+}
+
+/// A model as its file, inside other data.
+#[derive(Clone, Serialize, Deserialize)]
+struct File(#[serde(with = "crate::input::serde_bytes_compat")] Vec<u8>);
+
+impl From<Model> for File {
+    fn from(model: Model) -> Self {
+        // Only a file beyond all memory cannot be made; an empty one is refused when it is read.
+        Self(model.to_bytes().unwrap_or_default())
+    }
+}
+
+impl TryFrom<File> for Model {
+    type Error = ModelError;
+
+    fn try_from(file: File) -> Result<Self, ModelError> {
+        Self::from_bytes(&file.0)
+    }
 }
 
 /// All of a model but its weights.
@@ -85,6 +105,24 @@ pub enum ModelError {
 }
 
 impl Model {
+    /// Place of each of the model's joints among `names`; a joint may be missing.
+    ///
+    /// # Errors
+    /// One sentence: most joints are missing.
+    pub fn columns<'a>(
+        &self,
+        names: impl Iterator<Item = &'a str> + Clone,
+    ) -> Result<Vec<Option<usize>>, String> {
+        let joints = &self.card.preparation.joints;
+        let place = |joint: &String| names.clone().position(|name| name == joint);
+        let columns: Vec<Option<usize>> = joints.iter().map(place).collect();
+        if 2 * columns.iter().flatten().count() < joints.len() {
+            let names: Vec<&str> = names.collect();
+            return Err(format!("expected the joints {}, found {}", joints.join(", "), names.join(", ")));
+        }
+        Ok(columns)
+    }
+
     /// The file's bytes.
     ///
     /// # Errors

@@ -27,6 +27,9 @@ pub struct Job {
     pub remaining_s: Option<f64>,
     /// Outcome or reason of failure, in one sentence.
     pub message: Option<String>,
+    /// What came of it, where it is more than a sentence: of `exercise.teach` where the repetitions were seen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub result: Option<serde_json::Value>,
 }
 
 /// How a job stands.

@@ -3,11 +3,14 @@
 //! `sensors` and `truth` are written from borrowed frames by [`super::encode`]; the types here describe the result, and a
 //! test reads every written message back through them. Times are seconds since the stage's epoch.
 
+mod exercise;
 mod faults;
 mod field;
 mod hello;
 mod jobs;
+mod keyframes;
 mod reply;
+mod segments;
 mod sensors;
 mod status;
 mod truth;
@@ -15,11 +18,14 @@ mod truth;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use self::exercise::{Begun, Deviation, ExerciseChange, ExerciseEvent, Judged};
 pub use self::faults::Fault;
 pub use self::field::{FieldChange, FieldEvent};
 pub use self::hello::{Hello, HelloSensor};
 pub use self::jobs::{Job, JobState, Jobs};
+pub use self::keyframes::KeyPose;
 pub use self::reply::{ErrorReply, OkReply};
+pub use self::segments::SegmentBody;
 pub use self::sensors::{Measured, Quality, SensorEntry, Sensors};
 pub use self::status::{
     DeviceStatus, LinkState, Problem, RecordingStatus, ReplayStatus, SensorStatus, StageLatency, Status,
@@ -46,8 +52,14 @@ pub enum ServerMessage {
     Jobs(Data<Jobs>),
     /// A fault began or ended.
     Faults(Data<Fault>),
+    /// A sensor's motion changed.
+    Keyframes(Data<KeyPose>),
     /// A model of the field changed.
     Field(Data<FieldEvent>),
+    /// A repetition, or what belongs to it.
+    Exercise(Data<ExerciseEvent>),
+    /// A segment of the motion begins.
+    Segments(Data<SegmentBody>),
 }
 
 /// What every data message starts with, and its body.

@@ -7,6 +7,8 @@
 mod body;
 mod devices;
 mod drivers;
+mod keyframes;
+mod models;
 mod server;
 
 use std::ops::Range;
@@ -27,7 +29,14 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
         server::check(&server, folder, notes);
     }
     if let (Some(recording), Some(folder)) = (root.item("recording"), folder) {
-        server::recording_folder(&recording, folder, notes);
+        folder_key(&recording, "folder", folder, notes);
+    }
+    if let (Some(models), Some(folder)) = (root.item("models"), folder) {
+        models::check(&models, folder, notes);
+    }
+    keyframes::check(&root, notes);
+    if let (Some(segments), Some(folder)) = (root.item("segments"), folder) {
+        server::segments_model(&segments, folder, notes);
     }
     body::check(&root, notes);
 }
@@ -36,6 +45,16 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
 pub(super) fn check_parsed(document: &Spanned<DeTable<'_>>, stage: &Stage, notes: &mut Notes<'_>) {
     let root = Item { header: document.span(), table: document.get_ref() };
     drivers::check(&root, stage, notes);
+}
+
+/// A folder to write to may be missing, it is then made; but it may not be a file.
+fn folder_key(table: &Item<'_, '_>, key: &str, folder: &Path, notes: &mut Notes<'_>) {
+    let Some(path) = table.text(key) else { return };
+    let full = folder.join(path.value);
+    if path.value.is_empty() || full.is_file() {
+        let message = format!("`{}` is no folder", full.display());
+        notes.problem(&path.at, key, message, "name a folder; it is made if it is not there");
+    }
 }
 
 /// A table with the place of its header.

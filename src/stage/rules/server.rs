@@ -96,13 +96,13 @@ fn pem(tls: &Item<'_, '_>, key: &str, block: &str, folder: &Path, notes: &mut No
     }
 }
 
-/// The folder of recordings may be missing, it is then made; but it may not be a file.
-pub(super) fn recording_folder(recording: &Item<'_, '_>, folder: &Path, notes: &mut Notes<'_>) {
-    let Some(path) = recording.text("folder") else { return };
+/// The model is read when the daemon starts.
+pub(super) fn segments_model(segments: &Item<'_, '_>, folder: &Path, notes: &mut Notes<'_>) {
+    let Some(path) = segments.text("model") else { return };
     let full = folder.join(path.value);
-    if path.value.is_empty() || full.is_file() {
-        let message = format!("`{}` is no folder", full.display());
-        notes.problem(&path.at, "folder", message, "name a folder; it is made if it is not there");
+    if !full.is_file() {
+        let message = format!("there is no file `{}`", full.display());
+        notes.problem(&path.at, "model", message, "name a model that `posed segments train` wrote");
     }
 }
 

@@ -111,8 +111,8 @@ fn cases(what: &str, burst_ms: f64, sleepy: Option<(f64, f64)>, may_be_wrong: us
 
 #[test]
 fn bursts_and_drift_leave_times_within_a_millisecond() {
-    // Bursts in step with the cycles (16 and 10 ms) leave 2 ms between the bounds of a unit with one record a cycle:
-    // one of the 27 runs is wrong by 1.4 ms.
+    // Bursts in step with the cycles (16 and 10 ms) leave 2 ms between the bounds of a unit with one record a cycle
+    // until the drift has moved them on: one of the 27 runs is in doubt for some seconds, and says so.
     cases("bursts of 16 ms", 16.0, None, 1);
 }
 
@@ -123,6 +123,11 @@ fn a_host_that_is_late_leaves_times_within_a_millisecond() {
 
 #[test]
 fn bursts_and_a_late_host_leave_times_within_a_millisecond() {
-    // The same one, and one whose sigma says that it has lost its phase.
-    cases("bursts of 16 ms, reads up to 5 ms late", 16.0, Some((0.002, 5.0)), 2);
+    // The same one.
+    cases("bursts of 16 ms, reads up to 5 ms late", 16.0, Some((0.002, 5.0)), 1);
+}
+
+#[test]
+fn bursts_and_a_host_that_is_often_late_leave_times_within_a_millisecond() {
+    cases("bursts of 16 ms, 5 % of reads up to 20 ms late", 16.0, Some((0.05, 20.0)), 1);
 }

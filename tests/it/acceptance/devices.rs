@@ -53,6 +53,8 @@ fn the_bad_first_half_second_is_not_published() {
     let cycles = cycles(&rig, 0);
     let disturbed = cycles.iter().filter(|cycle| cycle.sensors[0].class == Class::Disturbed).count();
     assert!(disturbed > 40, "the simulated birds start badly: {disturbed}");
+    let counters = rig.pipeline.status().devices[0].counters;
+    assert_eq!((counters.rejected, counters.bytes_skipped), (0, 0), "a bad start is no fault of the line");
     let first_s = back_after(&rig, 0, 0.0);
     println!("from the opening of the port to the first pose: {first_s:.2} s (the unit boots for 1 s)");
 }

@@ -4,6 +4,7 @@
 
 mod connections;
 mod environment;
+mod exercises;
 mod plug;
 pub(crate) mod process;
 mod recordings;

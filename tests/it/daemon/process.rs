@@ -151,7 +151,8 @@ pub(crate) fn one_device(folder: &Path, port: &str, more: &str) -> PathBuf {
 /// Runs a command that must succeed.
 pub(crate) fn succeed<I: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = I>) {
     let output = posed(args);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let said = [output.stdout, output.stderr].concat();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&said));
 }
 
 /// Holds a recording against its own replay in every way there is: byte for byte.

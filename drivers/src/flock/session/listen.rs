@@ -10,7 +10,8 @@ use crate::flock::wire::{Scale, Shape, Tolerance};
 use crate::sample::Timestamp;
 use crate::session::{Output, SensorInfo, State};
 
-use super::{FlockSession, Phase, Streaming};
+use super::stream::Streaming;
+use super::{FlockSession, Phase};
 
 /// Longest silence without a word: the other program may ask the unit as seldom as it likes.
 const SILENCE: Duration = Duration::from_secs(2);

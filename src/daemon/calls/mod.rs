@@ -3,6 +3,8 @@
 //! In: calls that the server has read and whose role it has checked. Out: commands and models for the fusion thread,
 //! answers. Nothing here waits for the fusion thread: it answers by itself when it has carried a command out.
 
+mod exercise;
+
 use std::path::{Path, PathBuf};
 
 use tokio::sync::{mpsc, watch};
@@ -11,9 +13,11 @@ use super::clock::StageClock;
 use super::fusion::{Command, FusionInbox};
 use super::inbox::Event;
 use super::jobs::Jobs;
+use super::models::{self, Library};
 use super::ports::ended;
 use super::server::{PendingCall, Reply};
-use crate::input::{Entry, Input, Model};
+use crate::input::{Entry, Input, Model, Plan, Request};
+use crate::pipeline::DEFAULT_SUBJECT;
 use crate::protocol::Call;
 use crate::stage::Stage;
 
@@ -24,6 +28,7 @@ const NAME_BYTES: usize = 128;
 pub(super) struct Calls {
     stage: Stage,
     recordings: PathBuf,
+    exercises: Library,
     clock: StageClock,
     inbox: FusionInbox,
     jobs: Jobs,
@@ -38,7 +43,9 @@ impl Calls {
         jobs: Jobs,
     ) -> Self {
         let recordings = stage.recording.folder.clone().unwrap_or_else(|| folder.join("recordings"));
-        Self { stage: stage.clone(), recordings, clock, inbox, jobs }
+        let exercises = stage.models.exercise_folder.clone().unwrap_or_else(|| folder.join("exercises"));
+        let exercises = Library::new(exercises);
+        Self { stage: stage.clone(), recordings, exercises, clock, inbox, jobs }
     }
 
     /// Until shutdown.
@@ -80,6 +87,22 @@ impl Calls {
                 "live",
                 "this daemon tracks a live stage; open a recording with `posed replay FILE`, which serves it to clients",
             ),
+            Call::ExerciseList {} => match self.exercises.list() {
+                Ok(list) => reply.ok(Some(serde_json::json!({ "exercises": list }))),
+                Err(sentence) => reply.error("failed", sentence),
+            },
+            Call::ExerciseTeach { name, repetitions, last_s, sensors, channels, subject } => {
+                let lesson = exercise::Lesson { name, repetitions, last_s, sensors, channels, subject };
+                self.teach(lesson, reply);
+            }
+            Call::ExerciseSelect { exercises, repetitions, sets, rest_s, subject } => {
+                let plan = Plan { repetitions, sets, rest_s: rest_s.unwrap_or(0.0) };
+                self.select(exercises, plan, subject, reply);
+            }
+            Call::ExerciseReset { subject } => {
+                let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
+                self.request(Request::ExerciseReset { subject }, Vec::new(), reply);
+            }
             Call::JobCancel { job } => match self.jobs.cancel(job) {
                 Ok(()) => {
                     self.inbox.push(Event::Command(Command::LookAtJobs));
@@ -131,6 +154,9 @@ impl Calls {
             && !self.stage.devices.iter().any(|known| &known.name == device)
         {
             return Err(format!("device: this stage has no device {device:?}"));
+        }
+        if let Model::Exercise { exercise } = model {
+            models::check_exercise(&self.stage, exercise)?;
         }
         Ok(())
     }

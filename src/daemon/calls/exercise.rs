@@ -1,0 +1,261 @@
+//! Exercises: selecting, and teaching from what is tracked.
+//!
+//! Teaching is a job on a thread of its own. It asks the fusion thread for the newest seconds, and what it has learned
+//! goes the way of every model and request: through the input log.
+
+use std::sync::mpsc;
+use std::time::Duration;
+
+use serde_json::json;
+
+use super::super::fusion::{Command, FusionInbox};
+use super::super::inbox::Event;
+use super::super::jobs::Job;
+use super::super::models::Library;
+use super::super::recent::Excerpt;
+use super::super::server::Reply;
+use super::Calls;
+use crate::input::{Model, Plan, Request};
+use crate::motion::exercise::{Exercise, Options, Refusal, Report, Stream, teach};
+use crate::pipeline::DEFAULT_SUBJECT;
+
+/// Longest time that repetitions may take, s.
+const LONGEST_S: f64 = 120.0;
+/// The fusion thread answers at once, or is no more.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Distance of two looks at whether the repetitions were done.
+const LOOK_INTERVAL: Duration = Duration::from_millis(500);
+/// Who has moved so little for so long rests, s; as a share of the variance while moving.
+const REST_S: f64 = 1.5;
+const REST_VARIANCE: f64 = 0.02;
+
+/// What to teach.
+#[derive(Clone, Debug)]
+pub(super) struct Lesson {
+    pub(super) name: String,
+    pub(super) repetitions: u32,
+    pub(super) last_s: Option<f64>,
+    pub(super) sensors: Option<Vec<String>>,
+    pub(super) channels: Option<Vec<String>>,
+    pub(super) subject: Option<String>,
+}
+
+impl Calls {
+    /// Counts exercises; those that are not loaded come from the folder.
+    pub(super) fn select(&self, exercises: Vec<String>, plan: Plan, subject: Option<String>, reply: Reply) {
+        let mut kept = Vec::new();
+        for name in &exercises {
+            match self.exercises.newest(name) {
+                Ok(Some(exercise)) => kept.push(Model::Exercise { exercise: Box::new(exercise) }),
+                Ok(None) => {}
+                Err(sentence) => return reply.error("failed", sentence),
+            }
+        }
+        let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
+        self.request(Request::ExerciseSelect { subject, exercises, plan }, kept, reply);
+    }
+
+    /// Hands a request to the pipeline; `models` are swapped in before if it lacks them.
+    pub(super) fn request(&self, request: Request, models: Vec<Model>, reply: Reply) {
+        self.inbox.push(Event::Command(Command::Request { request, models, reply: Some(reply) }));
+    }
+
+    /// Begins to teach.
+    pub(super) fn teach(&self, lesson: Lesson, reply: Reply) {
+        if let Err(sentence) = self.check_lesson(&lesson) {
+            return reply.error("bad_request", sentence);
+        }
+        let job = self.jobs.begin("exercise.teach");
+        let number = job.number();
+        let classroom = Classroom { lesson, inbox: self.inbox.clone(), library: self.exercises.clone() };
+        let from_s = self.clock.now().as_secs_f64();
+        #[expect(clippy::disallowed_methods, reason = "a long job has a thread of its own")]
+        let thread =
+            std::thread::Builder::new().name("teach".into()).spawn(move || classroom.run(job, from_s));
+        match thread {
+            Ok(_) => reply.ok(Some(json!({ "job": number }))),
+            Err(error) => reply.error("failed", format!("the system gives no thread: {error}")),
+        }
+    }
+
+    fn check_lesson(&self, lesson: &Lesson) -> Result<(), String> {
+        Library::check_name(&lesson.name)?;
+        if !(2..=100).contains(&lesson.repetitions) {
+            return Err("repetitions: give 2 to 100; 3 to 10 are good".into());
+        }
+        if lesson.last_s.is_some_and(|last_s| !(1.0..=LONGEST_S).contains(&last_s)) {
+            return Err(format!("last_s: give 1 to {LONGEST_S:.0} seconds"));
+        }
+        if self.stage.sensors.is_empty() {
+            return Err("this stage has no sensors to teach from".into());
+        }
+        let known = |name: &String| self.stage.sensors.iter().any(|sensor| sensor.name == *name);
+        match lesson.sensors.iter().flatten().find(|name| !known(name)) {
+            Some(name) => Err(format!("sensors: this stage has no sensor {name:?}")),
+            None => Ok(()),
+        }
+    }
+}
+
+/// A lesson at work.
+struct Classroom {
+    lesson: Lesson,
+    inbox: FusionInbox,
+    library: Library,
+}
+
+impl Classroom {
+    fn run(self, job: Job, asked_s: f64) {
+        let outcome = match self.lesson.last_s {
+            Some(last_s) => self.taught(&job, asked_s - last_s),
+            None => self.watch(&job, asked_s),
+        };
+        let outcome = outcome.and_then(|(exercise, report)| self.keep(exercise, &report));
+        job.end(outcome);
+    }
+
+    /// Waits until the repetitions were done.
+    #[expect(clippy::disallowed_methods, reason = "a job may sleep on its own thread")]
+    fn watch(&self, job: &Job, from_s: f64) -> Result<(Exercise, Report), String> {
+        let announced = self.lesson.repetitions;
+        let mut refusal = format!("saw no {announced} repetitions in {LONGEST_S:.0} s");
+        job.progress(None, Some(format!("do {announced} repetitions, then rest")));
+        loop {
+            std::thread::sleep(LOOK_INTERVAL);
+            if job.is_cancelled() {
+                return Err("cancelled; nothing was taught".into());
+            }
+            let excerpt = self.excerpt(from_s)?;
+            if rests(&excerpt) {
+                match self.learn(&excerpt) {
+                    Ok(lesson) => return Ok(lesson),
+                    Err((error, report)) => {
+                        if let Some(report) = report {
+                            job.result(json!({ "report": report }));
+                        }
+                        job.progress(None, Some(format!("not yet: {error}")));
+                        refusal = error;
+                    }
+                }
+            }
+            // Counted by what was tracked: a stage that stands still waits.
+            let span_s = excerpt.t_s.last().map_or(0.0, |last| last - from_s);
+            if span_s > LONGEST_S - 1.0 {
+                return Err(refusal);
+            }
+        }
+    }
+
+    fn taught(&self, job: &Job, from_s: f64) -> Result<(Exercise, Report), String> {
+        let excerpt = self.excerpt(from_s)?;
+        self.learn(&excerpt).map_err(|(error, report)| {
+            if let Some(report) = report {
+                job.result(json!({ "report": report }));
+            }
+            error
+        })
+    }
+
+    /// What was tracked after a time.
+    fn excerpt(&self, from_s: f64) -> Result<Excerpt, String> {
+        let (to, from) = mpsc::channel();
+        let sensors = self.lesson.sensors.clone();
+        self.inbox.push(Event::Command(Command::Recent { from_s, sensors, to }));
+        from.recv_timeout(PATIENCE).map_err(|_| "the daemon ends".to_owned())
+    }
+
+    fn learn(&self, excerpt: &Excerpt) -> Result<(Exercise, Report), (String, Option<Report>)> {
+        let stream = Stream { columns: &excerpt.columns, t_s: &excerpt.t_s, values: &excerpt.values };
+        let options = Options {
+            name: self.lesson.name.trim().to_owned(),
+            repetitions: self.lesson.repetitions as usize,
+            channels: self.lesson.channels.clone(),
+        };
+        match teach(&stream, &options) {
+            Ok(lesson) => Ok((lesson.exercise, lesson.report)),
+            Err(refusal) => {
+                let sentence = refusal.to_string();
+                let Refusal::Count { report, .. } = refusal else { return Err((sentence, None)) };
+                Err((sentence, Some(report)))
+            }
+        }
+    }
+
+    /// Keeps the exercise, loads it, and has it counted.
+    fn keep(&self, mut exercise: Exercise, report: &Report) -> Result<String, String> {
+        self.library.keep(&mut exercise)?;
+        let sentence = format!(
+            "saw {} of {} repetitions of {}, {:.0} % alike",
+            report.repetitions.len(),
+            report.announced,
+            exercise.name,
+            100.0 * report.quality
+        );
+        let subject = self.lesson.subject.clone().unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
+        let exercises = vec![exercise.name.clone()];
+        self.inbox.push(Event::Command(Command::LoadModel(Model::Exercise { exercise: Box::new(exercise) })));
+        let request = Request::ExerciseSelect { subject, exercises, plan: Plan::default() };
+        self.inbox.push(Event::Command(Command::Request { request, models: Vec::new(), reply: None }));
+        let remarks = report.remarks.iter().map(|remark| format!("; {remark}"));
+        Ok(std::iter::once(sentence).chain(remarks).collect())
+    }
+}
+
+/// Whether the newest second and a half of an excerpt is rest, and there was movement before it.
+fn rests(excerpt: &Excerpt) -> bool {
+    let width = excerpt.columns.len();
+    let Some(last) = excerpt.t_s.last() else { return false };
+    let rest = excerpt.t_s.partition_point(|t_s| *t_s < last - REST_S);
+    if width == 0 || rest == 0 {
+        return false;
+    }
+    let (mut all, mut newest) = (0.0, 0.0);
+    for column in 0..width {
+        let column_from = |row: usize| {
+            let values = excerpt.values.iter().skip(row * width + column).step_by(width);
+            variance(values.copied().flatten())
+        };
+        let (whole, end) = (column_from(0), column_from(rest));
+        // Each channel in its own unit: the share of its movement that goes on.
+        if whole > 0.0 {
+            all += whole / (whole + NOISE_VARIANCE);
+            newest += end / (whole + NOISE_VARIANCE);
+        }
+    }
+    all > 0.0 && newest < REST_VARIANCE * all
+}
+
+/// Movements of a millimetre, or of a thousandth of a turn, are none.
+const NOISE_VARIANCE: f64 = 1e-6;
+
+fn variance(values: impl Iterator<Item = f64>) -> f64 {
+    let (mut n, mut sum, mut square) = (0.0, 0.0, 0.0);
+    for value in values {
+        n += 1.0;
+        sum += value;
+        square += value * value;
+    }
+    if n > 1.0 { (square / n - (sum / n).powi(2)).max(0.0) } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn excerpt(moving_s: f64, resting_s: f64) -> Excerpt {
+        let rows = (100.0 * (moving_s + resting_s)) as usize;
+        let t_s: Vec<f64> = (0..rows).map(|row| row as f64 / 100.0).collect();
+        let value = |t: &f64| if *t < moving_s { 0.2 * (3.0 * t).sin() } else { 0.0002 * (40.0 * t).sin() };
+        let values = t_s.iter().flat_map(|t| [Some(value(t)), Some(0.5), None]).collect();
+        Excerpt { columns: ["x", "still", "lost"].map(str::to_owned).to_vec(), t_s, values }
+    }
+
+    #[test]
+    fn rest_after_movement_is_told_from_movement_and_from_rest_alone() {
+        assert!(rests(&excerpt(8.0, 2.0)));
+        assert!(!rests(&excerpt(8.0, 0.5)));
+        assert!(!rests(&excerpt(10.0, 0.0)));
+        assert!(!rests(&excerpt(0.0, 10.0)));
+        assert!(!rests(&Excerpt::default()));
+    }
+}

@@ -1,0 +1,123 @@
+//! Model files: those that a stage loads at its start, and the folder of taught exercises.
+//!
+//! In: paths. Out: models for the pipeline. Exercises are kept as `NAME-REVISION.json`: teaching one again writes a new
+//! file, and the old one stays. Never: a file half written, or one written over.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::atomic_file::AtomicFile;
+use crate::input::Model;
+use crate::motion::exercise::{Exercise, columns_of};
+use crate::signals;
+use crate::stage::Stage;
+
+/// Longest name of an exercise, bytes.
+const NAME_BYTES: usize = 64;
+
+/// The models that a stage file names.
+///
+/// # Errors
+/// A file cannot be read, is none, or does not fit the stage.
+pub fn load(stage: &Stage) -> Result<Vec<Model>, String> {
+    stage
+        .models
+        .exercises
+        .iter()
+        .map(|path| {
+            let exercise = read_exercise(path)?;
+            check_exercise(stage, &exercise).map_err(|error| format!("{}: {error}", path.display()))?;
+            Ok(Model::Exercise { exercise: Box::new(exercise) })
+        })
+        .collect()
+}
+
+/// Whether a stage has what an exercise looks at.
+pub(super) fn check_exercise(stage: &Stage, exercise: &Exercise) -> Result<(), String> {
+    let columns = signals::columns(stage.sensors.iter().map(|sensor| sensor.name.as_str()));
+    let name = &exercise.name;
+    let lacks =
+        |channel| format!("exercise {name:?} needs the channel `{channel}`, which this stage does not have");
+    columns_of(&exercise.channels, &columns).map(drop).map_err(lacks)
+}
+
+fn read_exercise(path: &Path) -> Result<Exercise, String> {
+    let text =
+        std::fs::read_to_string(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+    Exercise::from_json(&text).map_err(|error| format!("{}: {error}", path.display()))
+}
+
+/// The folder of taught exercises.
+#[derive(Clone, Debug)]
+pub(super) struct Library {
+    folder: PathBuf,
+}
+
+/// An exercise in the folder.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub(super) struct Kept {
+    /// Its name.
+    pub(super) name: String,
+    /// The newest revision.
+    pub(super) revision: u32,
+}
+
+impl Library {
+    pub(super) fn new(folder: PathBuf) -> Self {
+        Self { folder }
+    }
+
+    /// Whether an exercise can have this name, which is also that of its file.
+    pub(super) fn check_name(name: &str) -> Result<(), String> {
+        let plain = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | ' ');
+        let good = !name.trim().is_empty() && name.len() <= NAME_BYTES && name.chars().all(plain);
+        if good { Ok(()) } else { Err("name: give 1 to 64 letters, digits, spaces, '-' and '_'".into()) }
+    }
+
+    /// The newest revision of every exercise, by name; none where there is no folder yet.
+    pub(super) fn list(&self) -> Result<Vec<Kept>, String> {
+        let entries = match std::fs::read_dir(&self.folder) {
+            Ok(entries) => entries,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(error) => return Err(format!("cannot read the folder {}: {error}", self.folder.display())),
+        };
+        let mut all: Vec<Kept> = entries
+            .filter_map(|entry| {
+                let file = entry.ok()?.file_name().into_string().ok()?;
+                let (name, revision) = file.strip_suffix(".json")?.rsplit_once('-')?;
+                Some(Kept { name: name.to_owned(), revision: revision.parse().ok()? })
+            })
+            .collect();
+        all.sort_by(|a, b| a.name.cmp(&b.name).then(b.revision.cmp(&a.revision)));
+        all.dedup_by(|older, newer| older.name == newer.name);
+        Ok(all)
+    }
+
+    /// The newest revision of an exercise; `None` if there is none of this name.
+    pub(super) fn newest(&self, name: &str) -> Result<Option<Exercise>, String> {
+        match self.list()?.into_iter().find(|kept| kept.name == name) {
+            Some(kept) => read_exercise(&self.path(&kept)).map(Some),
+            None => Ok(None),
+        }
+    }
+
+    /// Keeps an exercise under the next revision of its name, which it gets.
+    pub(super) fn keep(&self, exercise: &mut Exercise) -> Result<(), String> {
+        let known = self.list()?.into_iter().find(|kept| kept.name == exercise.name);
+        exercise.revision = known.map_or(0, |kept| kept.revision) + 1;
+        let path = self.path(&Kept { name: exercise.name.clone(), revision: exercise.revision });
+        let text = exercise.to_json().map_err(|error| error.to_string())?;
+        let write = || {
+            std::fs::create_dir_all(&self.folder)?;
+            let mut file = AtomicFile::create(&path)?;
+            std::io::Write::write_all(&mut file, text.as_bytes())?;
+            file.commit()
+        };
+        write().map_err(|error| format!("cannot write {}: {error}", path.display()))
+    }
+
+    fn path(&self, kept: &Kept) -> PathBuf {
+        self.folder.join(format!("{}-{:03}.json", kept.name, kept.revision))
+    }
+}

@@ -1,0 +1,111 @@
+//! The last two minutes of what was tracked, for teaching an exercise from them.
+//!
+//! In: estimates, on the fusion thread. Out: a copy of the newest seconds. Its memory is bounded; with very many
+//! sensors it reaches less far back.
+
+use std::collections::VecDeque;
+
+use crate::output::Estimate;
+use crate::signals;
+
+/// How far it reaches back at most, s.
+const LONGEST_S: f64 = 120.0;
+/// Memory for the values, bytes.
+const MOST_BYTES: usize = 32 << 20;
+
+/// The newest rows of signals.
+#[derive(Debug)]
+pub(super) struct Recent {
+    columns: Vec<String>,
+    row: Vec<Option<f64>>,
+    t_s: VecDeque<f64>,
+    /// Row by row; NaN where there is no value.
+    values: VecDeque<f64>,
+}
+
+/// A copy of some seconds.
+#[derive(Clone, Debug, Default)]
+pub struct Excerpt {
+    /// Names of the columns.
+    pub columns: Vec<String>,
+    /// Times, s.
+    pub t_s: Vec<f64>,
+    /// Values, row by row.
+    pub values: Vec<Option<f64>>,
+}
+
+impl Recent {
+    /// For a stage with these sensors.
+    pub(super) fn new<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Self {
+        let columns = signals::columns(sensors);
+        Self { columns, row: Vec::new(), t_s: VecDeque::new(), values: VecDeque::new() }
+    }
+
+    pub(super) fn push(&mut self, estimate: &Estimate) {
+        let width = self.columns.len();
+        if width == 0 {
+            return;
+        }
+        signals::write(estimate, &mut self.row);
+        let now = estimate.t_valid.as_secs_f64();
+        while self.t_s.front().is_some_and(|oldest| *oldest < now - LONGEST_S)
+            || (self.t_s.len() + 1) * width * size_of::<f64>() > MOST_BYTES
+        {
+            self.t_s.pop_front();
+            self.values.drain(..width);
+        }
+        self.t_s.push_back(now);
+        self.values.extend(self.row.iter().map(|value| value.unwrap_or(f64::NAN)));
+    }
+
+    /// The rows after `from_s`, and the columns among them that `wanted` accepts.
+    pub(super) fn after(&self, from_s: f64, wanted: impl Fn(&str) -> bool) -> Excerpt {
+        let width = self.columns.len();
+        let chosen: Vec<usize> = (0..width).filter(|column| wanted(&self.columns[*column])).collect();
+        let first = self.t_s.partition_point(|t_s| *t_s <= from_s);
+        let value = |row: usize, column: usize| Some(self.values[row * width + column]);
+        Excerpt {
+            columns: chosen.iter().map(|column| self.columns[*column].clone()).collect(),
+            t_s: self.t_s.range(first..).copied().collect(),
+            values: (first..self.t_s.len())
+                .flat_map(|row| chosen.iter().map(move |column| (row, *column)))
+                .map(|(row, column)| value(row, column).filter(|value| !value.is_nan()))
+                .collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use posed_drivers::Timestamp;
+
+    use super::*;
+    use crate::output::{PoseEstimate, SensorEstimate, SensorState};
+
+    fn estimate(t_s: f64) -> Estimate {
+        let pose = PoseEstimate {
+            position_m: Some([t_s, 0.0, 0.0]),
+            orientation_wxyz: [1.0, 0.0, 0.0, 0.0],
+            velocity_m_s: Some([0.0; 3]),
+            angular_velocity_rad_s: [0.0; 3],
+            covariance: [0.0; 21],
+            sigma_m: Some(0.0),
+        };
+        let good = SensorEstimate { state: SensorState::Ok, pose: Some(pose), measured: None };
+        let t_valid = Timestamp::from_secs_f64(t_s);
+        Estimate { t_valid, sensors: vec![SensorEstimate::default(), good], ..Estimate::default() }
+    }
+
+    #[test]
+    fn it_forgets_what_is_old_and_gives_the_columns_asked_for() {
+        let mut recent = Recent::new(["a", "b"]);
+        for second in 0..200 {
+            recent.push(&estimate(f64::from(second)));
+        }
+        assert_eq!(recent.t_s.len() as f64, LONGEST_S + 1.0);
+        let excerpt = recent.after(196.5, |column| column == "b_x_m" || column == "a_x_m");
+        assert_eq!(excerpt.columns, ["a_x_m", "b_x_m"]);
+        assert_eq!(excerpt.t_s, [197.0, 198.0, 199.0]);
+        assert_eq!(excerpt.values, [None, Some(197.0), None, Some(198.0), None, Some(199.0)]);
+    }
+}

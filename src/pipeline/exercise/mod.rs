@@ -1,0 +1,167 @@
+//! The exercise stage: counts taught exercises in what the stage tracks.
+//!
+//! What comes in: estimates, exercises, and what clients ask. What goes out: outcomes of the subjects' repetitions. What
+//! it never does: cost anything while nobody counts. An exercise that is loaded is counted for the subject
+//! [`DEFAULT_SUBJECT`] until that subject selects its own.
+
+mod subject;
+
+use serde::{Deserialize, Serialize};
+
+use self::subject::Subject;
+use crate::input::{Plan, Request};
+use crate::motion::exercise::{Counter, Exercise};
+use crate::name::Name;
+use crate::output::{Estimate, Outcome};
+use crate::signals;
+
+/// Who moves unless a client says otherwise.
+pub const DEFAULT_SUBJECT: &str = "default";
+/// Subjects at a time.
+const SUBJECTS: usize = 64;
+/// Exercises that one subject can be counted in at once, and longest set.
+const SELECTED: usize = 32;
+const LONGEST_SET: u32 = 10_000;
+/// Longest name of a subject, bytes.
+const NAME_BYTES: usize = 64;
+
+/// All exercises and who does them.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct ExerciseStage {
+    columns: Vec<String>,
+    row: Vec<Option<f64>>,
+    /// The newest of each name.
+    library: Vec<Exercise>,
+    subjects: Vec<Subject>,
+}
+
+impl ExerciseStage {
+    /// For a stage with these sensors.
+    pub(super) fn new<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Self {
+        let columns = signals::columns(sensors);
+        let row = Vec::with_capacity(columns.len());
+        Self { columns, row, library: Vec::new(), subjects: Vec::new() }
+    }
+
+    /// Takes an exercise; false where the stage lacks one of its channels.
+    pub(super) fn load(&mut self, exercise: &Exercise) -> bool {
+        if Counter::new(vec![exercise.clone()], &self.columns).is_err() {
+            return false;
+        }
+        match self.library.iter_mut().find(|known| known.name == exercise.name) {
+            Some(known) => known.clone_from(exercise),
+            None => self.library.push(exercise.clone()),
+        }
+        true
+    }
+
+    /// Counts what is loaded for the default subject, if that one has not selected anything.
+    pub(super) fn loaded(&mut self, estimate: &Estimate, say: &mut impl FnMut(&Outcome)) {
+        if self.subjects.iter().any(|subject| subject.name() == DEFAULT_SUBJECT && subject.has_selected()) {
+            return;
+        }
+        // Exercises of other frame rates have to be selected alone.
+        let rate_hz = self.library.first().map(|exercise| exercise.rate_hz);
+        let fitting = self.library.iter().filter(|exercise| Some(exercise.rate_hz) == rate_hz);
+        let names: Vec<String> = fitting.take(SELECTED).map(|exercise| exercise.name.clone()).collect();
+        self.select(DEFAULT_SUBJECT, &names, Plan::default(), false, estimate, say);
+    }
+
+    /// Whether a request can be carried out.
+    ///
+    /// # Errors
+    /// A sentence about what stands against it.
+    pub(super) fn check(&self, request: &Request) -> Result<(), String> {
+        match request {
+            Request::ExerciseSelect { subject, exercises, plan } => {
+                let known = self.subjects.iter().any(|known| known.name() == subject);
+                if subject.is_empty() || subject.len() > NAME_BYTES {
+                    return Err(format!("subject: give a name of 1 to {NAME_BYTES} bytes"));
+                }
+                if !known && self.subjects.len() >= SUBJECTS {
+                    return Err(format!("subject: there are {SUBJECTS} subjects already"));
+                }
+                if exercises.len() > SELECTED {
+                    return Err(format!("exercises: at most {SELECTED} at once"));
+                }
+                let in_range = |count: Option<u32>| count.is_none_or(|n| (1..=LONGEST_SET).contains(&n));
+                if !in_range(plan.repetitions) || !in_range(plan.sets) {
+                    return Err(format!("repetitions, sets: give 1 to {LONGEST_SET}"));
+                }
+                if !(0.0..=3600.0).contains(&plan.rest_s) {
+                    return Err("rest_s: give 0 to 3600 seconds".into());
+                }
+                if exercises.is_empty() { Ok(()) } else { self.counter(exercises).map(drop) }
+            }
+            Request::ExerciseReset { subject } => {
+                let known = self.subjects.iter().any(|known| known.name() == subject);
+                if known { Ok(()) } else { Err(format!("subject: nothing is counted for {subject:?}")) }
+            }
+        }
+    }
+
+    /// Carries out a request; one that cannot be is not.
+    pub(super) fn request(
+        &mut self,
+        request: &Request,
+        estimate: &Estimate,
+        say: &mut impl FnMut(&Outcome),
+    ) -> bool {
+        if self.check(request).is_err() {
+            return false;
+        }
+        match request {
+            Request::ExerciseSelect { subject, exercises, plan } => {
+                self.select(subject, exercises, *plan, true, estimate, say);
+            }
+            Request::ExerciseReset { subject } => {
+                if let Some(known) = self.subjects.iter_mut().find(|known| known.name() == subject) {
+                    known.reset(estimate.t_valid, say);
+                }
+            }
+        }
+        true
+    }
+
+    /// Follows a frame.
+    pub(super) fn frame(&mut self, estimate: &Estimate, say: &mut impl FnMut(&Outcome)) {
+        if self.subjects.is_empty() {
+            return;
+        }
+        signals::write(estimate, &mut self.row);
+        for subject in &mut self.subjects {
+            subject.frame(estimate.t_valid, &self.row, say);
+        }
+    }
+
+    fn counter(&self, names: &[String]) -> Result<Counter, String> {
+        let mut exercises = Vec::with_capacity(names.len());
+        for name in names {
+            if exercises.iter().any(|known: &Exercise| known.name == *name) {
+                return Err(format!("exercises: {name:?} stands there twice"));
+            }
+            let known = self.library.iter().find(|exercise| exercise.name == *name);
+            exercises
+                .push(known.cloned().ok_or_else(|| format!("exercises: no exercise {name:?} is loaded"))?);
+        }
+        Counter::new(exercises, &self.columns).map_err(|error| error.to_string())
+    }
+
+    fn select(
+        &mut self,
+        subject: &str,
+        names: &[String],
+        plan: Plan,
+        explicit: bool,
+        estimate: &Estimate,
+        say: &mut impl FnMut(&Outcome),
+    ) {
+        let counter = if names.is_empty() { None } else { self.counter(names).ok() };
+        let new = Subject::new(Name::from(subject), counter, plan, explicit);
+        new.say_state(estimate.t_valid, say);
+        match self.subjects.iter_mut().find(|known| known.name() == subject) {
+            Some(known) => *known = new,
+            None => self.subjects.push(new),
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! Key poses, live: a track per watched sensor.
+//!
+//! What comes in: closed frames. What goes out: an outcome per provisional, confirmed or withdrawn key pose. What it
+//! never does: look at poses that may not be used as good. What is said agrees with `posed keyframes` on a recording.
+
+use nalgebra::Isometry3;
+use posed_drivers::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use super::PipelineError;
+use crate::geometry;
+use crate::input::SensorIndex;
+use crate::motion::keyframes::track::Track;
+use crate::motion::keyframes::{Detector, Event, HingeSettings, Method};
+use crate::output::{
+    Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output, Phase, SensorEstimate, SensorState,
+};
+use crate::stage::{self, Stage};
+
+/// Frames whose mean interval is taken for the stage's, where the file does not say it.
+const MEASURED_FRAMES: u32 = 30;
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Keyframes {
+    settings: HingeSettings,
+    watched: Vec<SensorIndex>,
+    /// Absent where the stage file does not say a rate, until it is measured.
+    tracks: Vec<Track>,
+    first: Option<Timestamp>,
+    seen: u32,
+    /// Times of the latest frames, the newest at `frames % len`.
+    times: Vec<Timestamp>,
+    frames: u64,
+}
+
+impl Keyframes {
+    /// `None` where the stage does not ask for key poses.
+    pub(super) fn new(stage: &Stage) -> Result<Option<Self>, PipelineError> {
+        let Some(stage::Keyframes { sensors, window, false_alarms_per_min }) = &stage.keyframes else {
+            return Ok(None);
+        };
+        let index = |name: &String| {
+            let found = stage.sensors.iter().position(|sensor| sensor.name == *name);
+            found
+                .map(|index| index as SensorIndex)
+                .ok_or(PipelineError::Value { key: "keyframes.sensors", expected: "names of sensors" })
+        };
+        let watched = match sensors {
+            Some(names) => names.iter().map(index).collect::<Result<_, _>>()?,
+            None => (0..stage.sensors.len() as SensorIndex).collect(),
+        };
+        let settings = HingeSettings {
+            window: usize::from(*window),
+            false_alarms_per_min: *false_alarms_per_min,
+            frame_rate_hz: stage.frame_rate_hz.unwrap_or(0.0),
+            orientation: true,
+        };
+        let mut keyframes = Self {
+            settings,
+            watched,
+            tracks: Vec::new(),
+            first: None,
+            seen: 0,
+            times: Vec::new(),
+            frames: 0,
+        };
+        if stage.frame_rate_hz.is_some() {
+            keyframes.begin();
+        }
+        Ok(Some(keyframes))
+    }
+
+    /// Makes the tracks, now that the rate is known.
+    fn begin(&mut self) {
+        let track = Track::new(Detector::new(Method::Hinge(self.settings)));
+        self.times = vec![Timestamp::ZERO; track.reach_frames() + 1];
+        self.tracks = vec![track; self.watched.len()];
+    }
+
+    /// Takes a closed frame.
+    pub(super) fn frame(&mut self, estimate: &Estimate, say: &mut impl FnMut(Output<'_>)) {
+        let now = estimate.t_valid;
+        if self.times.is_empty() {
+            let first = *self.first.get_or_insert(now);
+            if self.seen < MEASURED_FRAMES {
+                self.seen += 1;
+                return;
+            }
+            let span_s = now.seconds_since(first);
+            self.settings.frame_rate_hz = f64::from(self.seen) / span_s.max(1e-3);
+            self.begin();
+        }
+        let count = self.times.len() as u64;
+        self.times[(self.frames % count) as usize] = now;
+        self.frames += 1;
+        for (sensor, track) in self.watched.iter().zip(&mut self.tracks) {
+            let pose = estimate.sensors.get(usize::from(*sensor)).and_then(usable);
+            let times = &self.times;
+            track.push(pose.as_ref(), &mut |event| {
+                let (phase, key) = match event {
+                    Event::Provisional(key) => (Phase::Provisional, key),
+                    Event::Confirmed(key) => (Phase::Confirmed, key),
+                    Event::Withdrawn(key) => (Phase::Withdrawn, key),
+                };
+                let event = KeyPoseEvent { sensor: *sensor, phase, score: key.score, corner: key.corner };
+                let what = OutcomeKind::KeyPose(event);
+                let t_valid = times[(key.frame % count) as usize];
+                say(Output::Outcome(&Outcome { t_valid, t_decided: now, what }));
+            });
+        }
+    }
+}
+
+/// The pose of a sensor, if it may be used as good; without a position or an orientation, that part stays put.
+fn usable(sensor: &SensorEstimate) -> Option<Isometry3<f64>> {
+    let good = matches!(sensor.state, SensorState::Ok | SensorState::Repaired | SensorState::Extrapolated);
+    let pose = sensor.pose.as_ref().filter(|_| good)?;
+    geometry::isometry(pose.position_m.unwrap_or_default(), pose.orientation_wxyz)
+}

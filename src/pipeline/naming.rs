@@ -1,0 +1,159 @@
+//! Segments live: positions of the stage's sensors in, beginnings of segments out.
+//!
+//! What comes in: the frames' estimates. What goes out: a segment as soon as it seems to begin (`provisional`), and later
+//! that it did (`confirmed`) or did not (`withdrawn`). What it never does: take back what it confirmed.
+
+use std::collections::VecDeque;
+
+use posed_drivers::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use crate::input::SensorIndex;
+use crate::motion::segments::{Labeller, Model, Position, Tick};
+use crate::output::{Estimate, Outcome, OutcomeKind, Output, Segment, SegmentEvent, SensorState};
+
+/// Segments that may wait for their confirmation; more are withdrawn, the oldest first.
+const OPEN: usize = 64;
+/// A provisional segment is given up so long after the last time at which it could have been confirmed, s.
+const GRACE_S: f64 = 0.5;
+
+/// A model at work on a stage's sensors.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Naming {
+    model: Model,
+    labeller: Labeller,
+    /// The sensor that stands for each of the model's joints.
+    sensors: Vec<Option<SensorIndex>>,
+    positions: Vec<Position>,
+    /// Said as provisional, neither confirmed nor withdrawn.
+    open: VecDeque<Open>,
+    /// Numbers given to segments so far.
+    segments: u64,
+    /// Class and time of the last tick: provisional, confirmed.
+    last: [Option<(u16, f64)>; 2],
+}
+
+/// A provisional segment.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Open {
+    segment: u64,
+    class: u16,
+    start_s: f64,
+}
+
+impl Naming {
+    /// A model file at work on sensors of these names.
+    ///
+    /// # Errors
+    /// One sentence: the bytes are no model, or most of its joints are no sensors here.
+    pub(super) fn new<'a>(
+        model: &[u8],
+        names: impl Iterator<Item = &'a str> + Clone,
+    ) -> Result<Self, String> {
+        let model = Model::from_bytes(model).map_err(|error| error.to_string())?;
+        let sensors = model.columns(names)?;
+        Ok(Self {
+            labeller: Labeller::new(&model),
+            positions: vec![None; sensors.len()],
+            sensors: sensors.into_iter().map(|sensor| sensor.map(|index| index as SensorIndex)).collect(),
+            model,
+            open: VecDeque::with_capacity(OPEN),
+            segments: 0,
+            last: [None; 2],
+        })
+    }
+
+    /// Takes the next frame.
+    pub(super) fn push(&mut self, estimate: &Estimate, say: &mut impl FnMut(Output<'_>)) {
+        for (position, sensor) in self.positions.iter_mut().zip(&self.sensors) {
+            let sensor = sensor.and_then(|sensor| estimate.sensors.get(usize::from(sensor)));
+            let good = sensor.filter(|sensor| {
+                use SensorState::{Extrapolated, Ok, Repaired};
+                matches!(sensor.state, Ok | Repaired | Extrapolated)
+            });
+            *position = good.and_then(|sensor| sensor.pose.as_ref()).and_then(|pose| pose.position_m);
+        }
+        let Self { model, labeller, positions, open, segments, last, .. } = self;
+        let mut events = Events { model, open, segments, last, t_decided: estimate.t_valid, say };
+        labeller.push(model, estimate.t_valid.as_secs_f64(), positions, &mut |tick| events.take(tick));
+        say(Output::Named);
+    }
+}
+
+/// From ticks to events, during one frame.
+struct Events<'a, F> {
+    model: &'a Model,
+    open: &'a mut VecDeque<Open>,
+    segments: &'a mut u64,
+    last: &'a mut [Option<(u16, f64)>; 2],
+    t_decided: Timestamp,
+    say: &'a mut F,
+}
+
+impl<F: FnMut(Output<'_>)> Events<'_, F> {
+    fn take(&mut self, tick: Tick) {
+        let which = usize::from(!tick.provisional);
+        // After a gap everything begins anew.
+        let gap = 1.5 / self.model.card.preparation.rate_hz;
+        let goes_on =
+            self.last[which].is_some_and(|(class, t_s)| class == tick.class && tick.t_s - t_s < gap);
+        self.last[which] = Some((tick.class, tick.t_s));
+        match (tick.provisional, goes_on) {
+            (true, true) => {}
+            (true, false) => {
+                if self.open.len() == OPEN
+                    && let Some(oldest) = self.open.pop_front()
+                {
+                    self.withdraw(oldest);
+                }
+                let segment = self.number();
+                self.open.push_back(Open { segment, class: tick.class, start_s: tick.t_s });
+                self.event(SegmentEvent::Provisional, segment, tick.class, tick.t_s, tick.confidence);
+            }
+            (false, false) => {
+                // Borders move a little until they are final: the class and the order tell which one it is.
+                let near = self.model.card.decision.wait_s + GRACE_S;
+                let same = |open: &Open| open.class == tick.class && (open.start_s - tick.t_s).abs() <= near;
+                let segment = match self.open.iter().position(same) {
+                    Some(at) => {
+                        for _ in 0..at {
+                            if let Some(open) = self.open.pop_front() {
+                                self.withdraw(open);
+                            }
+                        }
+                        self.open.pop_front().map(|open| open.segment)
+                    }
+                    None => None,
+                };
+                let segment = segment.unwrap_or_else(|| self.number());
+                self.event(SegmentEvent::Confirmed, segment, tick.class, tick.t_s, tick.confidence);
+            }
+            (false, true) => {
+                let near = self.model.card.decision.wait_s + GRACE_S;
+                while let Some(open) =
+                    self.open.front().copied().filter(|open| open.start_s + near < tick.t_s)
+                {
+                    self.open.pop_front();
+                    self.withdraw(open);
+                }
+            }
+        }
+    }
+
+    fn number(&mut self) -> u64 {
+        *self.segments += 1;
+        *self.segments
+    }
+
+    fn withdraw(&mut self, open: Open) {
+        self.event(SegmentEvent::Withdrawn, open.segment, open.class, open.start_s, 0.0);
+    }
+
+    fn event(&mut self, event: SegmentEvent, segment: u64, class: u16, start_s: f64, confidence: f64) {
+        let label = self.model.card.labels[usize::from(class)].clone();
+        let delay_s = Labeller::delay_s(self.model);
+        let what = OutcomeKind::Segment(Segment { event, segment, label, confidence, delay_s });
+        let t_valid = Timestamp::from_secs_f64(start_s);
+        (self.say)(Output::Outcome(&Outcome { t_valid, t_decided: self.t_decided, what }));
+    }
+}

@@ -1,0 +1,66 @@
+//! What the stage tracks, as a stream of named columns: what exercises are taught from and counted in.
+//!
+//! What comes in: an estimate. What goes out: one row of numbers, none where a sensor has no pose that may be used.
+//! What it never does: hand out a coasting or a suspect pose. Live, in recordings and in files the columns have the
+//! same names, so an exercise taught in one is counted in the others.
+
+use crate::output::{Estimate, SensorState};
+
+/// Columns of one sensor, behind its name: position in the room (m) and orientation (sensor to room).
+const PARTS: [&str; 7] = ["_x_m", "_y_m", "_z_m", "_qw", "_qx", "_qy", "_qz"];
+
+/// Names of the columns of these sensors: `NAME_x_m, NAME_y_m, NAME_z_m, NAME_qw, NAME_qx, NAME_qy, NAME_qz` each.
+pub fn columns<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Vec<String> {
+    let of = |name: &str| PARTS.map(|part| format!("{name}{part}"));
+    sensors.into_iter().flat_map(of).collect()
+}
+
+/// Appends one sensor's values, in the order of [`columns`]; an inertial sensor has no position.
+pub(crate) fn append(
+    position_m: Option<[f64; 3]>,
+    orientation_wxyz: Option<[f64; 4]>,
+    row: &mut Vec<Option<f64>>,
+) {
+    row.extend(position_m.map_or([None; 3], |position| position.map(Some)));
+    row.extend(orientation_wxyz.map_or([None; 4], |orientation| orientation.map(Some)));
+}
+
+/// Writes the values of all sensors of an estimate to `row`, in the order of [`columns`].
+pub fn write(estimate: &Estimate, row: &mut Vec<Option<f64>>) {
+    row.clear();
+    for sensor in &estimate.sensors {
+        let pose = sensor.pose.filter(|_| is_usable(sensor.state));
+        append(pose.and_then(|pose| pose.position_m), pose.map(|pose| pose.orientation_wxyz), row);
+    }
+}
+
+/// Whether a pose in this state may be used as good.
+pub(crate) fn is_usable(state: SensorState) -> bool {
+    matches!(state, SensorState::Ok | SensorState::Repaired | SensorState::Extrapolated)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::output::{PoseEstimate, SensorEstimate};
+
+    #[test]
+    fn a_row_has_a_value_per_column_and_none_of_a_suspect_pose() {
+        let pose = PoseEstimate {
+            position_m: Some([1.0, 2.0, 3.0]),
+            orientation_wxyz: [1.0, 0.0, 0.0, 0.0],
+            velocity_m_s: Some([0.0; 3]),
+            angular_velocity_rad_s: [0.0; 3],
+            covariance: [0.0; 21],
+            sigma_m: Some(0.0),
+        };
+        let sensor = |state| SensorEstimate { state, pose: Some(pose), measured: None };
+        let sensors = vec![sensor(SensorState::Ok), sensor(SensorState::Suspect)];
+        let mut row = vec![None];
+        write(&Estimate { sensors, ..Estimate::default() }, &mut row);
+        let columns = columns(["left", "right"]);
+        assert_eq!(columns.len(), row.len());
+        assert_eq!((columns[2].as_str(), row[2]), ("left_z_m", Some(3.0)));
+        assert_eq!((columns[10].as_str(), row[10]), ("right_qw", None));
+    }
+}

@@ -1,0 +1,275 @@
+//! Exercises live: taught from tracked poses, counted in the pipeline, replayed, and the same from a file.
+
+use std::path::Path;
+use std::sync::LazyLock;
+
+use posed::input::{Entry, Input, Model, Plan, Request};
+use posed::motion::exercise::{EventKind, Exercise, Options, Stream, teach};
+use posed::output::{Estimate, ExerciseState, ExerciseWhat, OutcomeKind, Repetition};
+use posed::pipeline::Pipeline;
+use posed::recording::{Header, Machine, Replayable, Writer};
+use posed::signals;
+use posed_simulator::motion::{Curl, Motion};
+use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
+
+use crate::cli::posed;
+use crate::rig::{Rig, Said, replay, stage};
+
+/// A forearm and an upper arm that curl so many times.
+fn scenario(seed: u64, repetitions: u32, period_s: f64) -> Scenario {
+    let curl = Curl {
+        shoulder_m: [0.45, -0.1, 0.1],
+        start_s: 3.0,
+        period_s,
+        pause_s: 0.4,
+        repetitions: Some(repetitions),
+        ..Curl::default()
+    };
+    let sensor = |name: &str, segment: &str, along_m: f64| SensorScenario {
+        name: name.into(),
+        body: "arm".into(),
+        segment: Some(segment.into()),
+        offset_m: [0.0, along_m, 0.04],
+        mount_quat_wxyz: [1.0, 0.0, 0.0, 0.0],
+    };
+    Scenario {
+        seed,
+        bodies: vec![BodySpec { name: "arm".into(), motion: Motion::Curl(curl) }],
+        sensors: vec![sensor("s0-0", "upper_arm", -0.15), sensor("s0-1", "forearm", -0.18)],
+        devices: vec![DeviceScenario { name: "d0".into(), boot_ms: 0.0, ..DeviceScenario::default() }],
+        ..Scenario::default()
+    }
+}
+
+fn rows<'a>(estimates: impl Iterator<Item = &'a Estimate>) -> (Vec<String>, Vec<f64>, Vec<Option<f64>>) {
+    let (mut t_s, mut values, mut row) = (Vec::new(), Vec::new(), Vec::new());
+    for estimate in estimates {
+        t_s.push(estimate.t_valid.as_secs_f64());
+        signals::write(estimate, &mut row);
+        values.extend_from_slice(&row);
+    }
+    (signals::columns(["s0-0", "s0-1"]), t_s, values)
+}
+
+/// Taught once for all tests, from five curls of three seconds.
+pub(crate) static CURL: LazyLock<Exercise> = LazyLock::new(|| {
+    let mut rig = Rig::new(&stage(&[2]), &scenario(1, 5, 3.0));
+    rig.run_until(22.0);
+    let (columns, t_s, values) = rows(rig.estimates());
+    let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
+    let options = Options { name: "curl".into(), repetitions: 5, channels: None };
+    teach(&stream, &options).unwrap().exercise
+});
+
+fn load() -> Input {
+    Input::Model(Model::Exercise { exercise: Box::new(CURL.clone()) })
+}
+
+fn select(plan: Plan) -> Input {
+    let (subject, exercises) = ("patient".to_owned(), vec!["curl".to_owned()]);
+    Input::Request(Request::ExerciseSelect { subject, exercises, plan })
+}
+
+/// Somebody else, at another pace; the exercise is loaded at the start.
+fn session(repetitions: u32) -> Rig {
+    let mut rig = Rig::new(&stage(&[2]), &scenario(2, repetitions, 2.6));
+    rig.push(load());
+    rig
+}
+
+fn outcomes(said: &[Said]) -> impl Iterator<Item = (&str, &ExerciseWhat)> {
+    said.iter().filter_map(|said| match said {
+        Said::Outcome(outcome) => match &outcome.what {
+            OutcomeKind::Exercise(exercise) => Some((&*exercise.subject, &exercise.what)),
+            _ => None,
+        },
+        _ => None,
+    })
+}
+
+fn repetitions<'a>(said: &'a [Said], subject: &str) -> Vec<&'a Repetition> {
+    outcomes(said)
+        .filter(|(of, _)| *of == subject)
+        .filter_map(|(_, what)| if let ExerciseWhat::Repetition(it) = what { Some(it) } else { None })
+        .collect()
+}
+
+fn counts(said: &[Said], subject: &str) -> Vec<u64> {
+    let counted = |it: &&Repetition| it.kind == EventKind::Counted;
+    repetitions(said, subject).into_iter().filter(counted).map(|it| it.count).collect()
+}
+
+fn states(said: &[Said], subject: &str) -> Vec<ExerciseState> {
+    outcomes(said)
+        .filter(|(of, _)| *of == subject)
+        .filter_map(
+            |(_, what)| if let ExerciseWhat::State(state) = what { Some(state.clone()) } else { None },
+        )
+        .collect()
+}
+
+#[test]
+fn what_is_loaded_is_counted_in_order_and_provisional_before_it_counts() {
+    let mut rig = session(6);
+    rig.run_until(24.0);
+    assert_eq!(counts(&rig.said, "default"), [1, 2, 3, 4, 5, 6]);
+    let kinds: Vec<EventKind> = repetitions(&rig.said, "default").iter().map(|it| it.kind).collect();
+    let provisional = kinds.iter().filter(|kind| **kind == EventKind::Provisional).count();
+    assert!(provisional >= 5 && !kinds.contains(&EventKind::Rejected), "{kinds:?}");
+    let mut last = 0.0;
+    for it in repetitions(&rig.said, "default").iter().filter(|it| it.kind == EventKind::Counted) {
+        assert!(it.t_start_s > last && it.t_start_s > 2.5, "{it:?}");
+        last = it.t_start_s;
+    }
+}
+
+#[test]
+fn sets_rests_and_subjects_are_kept_apart() {
+    let mut rig = session(7);
+    rig.run_until(1.0);
+    rig.push(select(Plan { repetitions: Some(3), sets: Some(2), rest_s: 2.0 }));
+    rig.run_until(10.8);
+    assert_eq!(counts(&rig.said, "patient"), [1, 2]);
+    rig.push(Input::Request(Request::ExerciseReset { subject: "patient".into() }));
+    rig.run_until(27.0);
+    assert_eq!(counts(&rig.said, "default"), [1, 2, 3, 4, 5, 6, 7]);
+    let counted = repetitions(&rig.said, "patient");
+    let sets: Vec<u32> =
+        counted.iter().filter(|it| it.kind == EventKind::Counted).map(|it| it.set_count).collect();
+    assert_eq!(sets, [1, 2, 1, 2, 3, 1, 2], "reset after two, then a set of three");
+    let states = states(&rig.said, "patient");
+    let progress = |state: &ExerciseState| {
+        let one = &state.exercises[0];
+        (one.count, one.set, one.set_count, one.rest_until_s.is_some(), one.done)
+    };
+    let seen: Vec<_> = states.iter().map(progress).collect();
+    assert_eq!(
+        seen,
+        [(0, 1, 0, false, false), (0, 1, 0, false, false), (3, 1, 3, true, false), (3, 1, 3, false, false)],
+        "selected, reset, set complete, rest over"
+    );
+}
+
+#[test]
+fn requests_without_sense_are_refused_and_change_nothing() {
+    let mut rig = session(1);
+    let refused = [
+        Request::ExerciseSelect {
+            subject: "a".into(),
+            exercises: vec!["squat".into()],
+            plan: Plan::default(),
+        },
+        Request::ExerciseSelect {
+            subject: "a".into(),
+            exercises: vec!["curl".into(); 2],
+            plan: Plan::default(),
+        },
+        Request::ExerciseSelect { subject: String::new(), exercises: Vec::new(), plan: Plan::default() },
+        Request::ExerciseSelect {
+            subject: "a".into(),
+            exercises: vec!["curl".into()],
+            plan: Plan { rest_s: f64::NAN, ..Plan::default() },
+        },
+        Request::ExerciseReset { subject: "a".into() },
+    ];
+    let before = rig.said.len();
+    for (index, request) in refused.into_iter().enumerate() {
+        assert!(rig.pipeline.check_request(&request).is_err(), "{request:?}");
+        rig.push(Input::Request(request));
+        assert_eq!(rig.pipeline.status().requests_refused, index as u64 + 1);
+    }
+    // An exercise of another stage.
+    let mut foreign = CURL.clone();
+    foreign.channels[0] = "knee_flexion_deg".into();
+    rig.push(Input::Model(Model::Exercise { exercise: Box::new(foreign) }));
+    assert_eq!((rig.pipeline.status().models_refused, rig.said.len()), (1, before));
+}
+
+#[test]
+fn the_log_says_the_same_again_from_any_snapshot() {
+    let mut rig = session(4);
+    let mut snapshots = Vec::new();
+    // At rest, within repetitions, and while one is provisional.
+    for until_s in [0.5, 2.0, 4.4, 5.9, 6.3, 8.0, 9.1] {
+        rig.run_until(until_s);
+        if until_s == 2.0 {
+            rig.push(select(Plan { repetitions: Some(2), sets: None, rest_s: 1.0 }));
+        }
+        snapshots.push((rig.pipeline.snapshot(), rig.log.len(), rig.said.len()));
+    }
+    rig.run_until(16.0);
+    assert!(counts(&rig.said, "patient").len() >= 3);
+    let stage = stage(&[2]);
+    assert_eq!(replay(&mut Pipeline::new(&stage).unwrap(), &rig.log), rig.said);
+    for (snapshot, entries, said) in snapshots {
+        let mut restored = Pipeline::restore(&stage, &snapshot).unwrap();
+        assert_eq!(replay(&mut restored, &rig.log[entries..]), rig.said[said..], "from entry {entries}");
+        assert_eq!(restored.snapshot(), rig.pipeline.snapshot(), "from entry {entries}");
+    }
+}
+
+/// The log of a session as a recording, with the messages that follow from it; those of `exercise` besides.
+fn record(path: &Path, log: &[Entry], stage_toml: &str) -> Vec<serde_json::Value> {
+    let stage = posed::stage::Stage::parse(stage_toml).unwrap();
+    let header = Header::new(&stage, stage_toml, 0);
+    let (_, mut machine) = Machine::as_recorded(&header).unwrap();
+    let mut writer = Writer::new(std::fs::File::create(path).unwrap(), header).unwrap();
+    let mut exercise = Vec::new();
+    for entry in log {
+        writer.entry(entry).unwrap();
+        machine.push(entry, &mut |topic, t, json| {
+            writer.message(topic, t, json).unwrap();
+            if topic == "exercise" {
+                exercise.push(serde_json::from_slice(json).unwrap());
+            }
+        });
+    }
+    writer.finish("the end").unwrap();
+    exercise
+}
+
+#[test]
+fn counting_and_teaching_from_the_recording_is_what_was_live() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).into_os_string();
+    std::fs::write(path("curl.json"), CURL.to_json().unwrap()).unwrap();
+    let text = toml::to_string(&stage(&[2])).unwrap().replace("\"none\"", "\"/dev/none\"");
+    let mut rig = session(6);
+    rig.run_until(24.0);
+    let live = record(path("take.mcap").as_ref(), &rig.log, &text);
+    let (take, events) = (path("take.mcap"), path("events.csv"));
+    let command: Vec<std::ffi::OsString> =
+        vec!["exercise".into(), "count".into(), path("curl.json"), "--in".into(), take, "-o".into(), events];
+    let output = posed(command);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let csv = std::fs::read_to_string(path("events.csv")).unwrap();
+    let offline: Vec<(f64, f64, String, f64)> = csv
+        .lines()
+        .skip(1)
+        .map(|line| {
+            let cells: Vec<&str> = line.split(',').collect();
+            let number = |cell: usize| cells[cell].parse::<f64>().unwrap();
+            (number(0), number(1), cells[4].to_owned(), number(5))
+        })
+        .collect();
+    let words = ["started", "provisional", "counted", "rejected", "withdrawn"];
+    let streamed: Vec<(f64, f64, String, f64)> = live
+        .iter()
+        .filter(|event| words.contains(&event["event"].as_str().unwrap()))
+        .map(|event| {
+            let number = |key: &str| event[key].as_f64().unwrap();
+            let word = event["event"].as_str().unwrap().to_owned();
+            (number("t_valid_s"), number("t_start_s"), word, number("count"))
+        })
+        .collect();
+    assert!(streamed.iter().filter(|event| event.2 == "counted").count() == 6);
+    // The end of a file is an end, that of a stream is not: only then a last repetition is certain.
+    assert_eq!(offline[..streamed.len()], streamed);
+    assert!(live.iter().any(|event| event["event"] == "loaded" && event["exercise"] == "curl"));
+
+    let command: Vec<std::ffi::OsString> =
+        ["exercise", "teach", "--name", "again", "--repetitions", "6", "-o"].map(Into::into).into();
+    let output = posed(command.into_iter().chain([path("again.json"), path("take.mcap")]));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Exercise::from_json(&std::fs::read_to_string(path("again.json")).unwrap()).unwrap();
+}

@@ -1,0 +1,94 @@
+//! `posed segments` from file to file.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::{Command, Output};
+
+fn posed(folder: &Path, words: &str) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_posed"))
+        .current_dir(folder)
+        .args(words.split_whitespace())
+        .output()
+        .unwrap()
+}
+
+fn ok(folder: &Path, words: &str) -> serde_json::Value {
+    let output = posed(folder, words);
+    assert!(output.status.success(), "{words}: {}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap_or_default()
+}
+
+/// Two hands and a head, y up, in metres at 30 Hz: one hand or the other is lifted, 3 s each.
+fn write_sequence(path: &Path, seed: u32, labelled: bool) -> Vec<&'static str> {
+    let mut text = String::from("head_x,head_y,head_z,hand_l_x,hand_l_y,hand_l_z,hand_r_x,hand_r_y,hand_r_z");
+    text += if labelled { ",label\n" } else { "\n" };
+    let mut labels = Vec::new();
+    for frame in 0..900_u32 {
+        let label = if (frame / 90 + seed) % 2 == 0 { "left up" } else { "right up" };
+        let swing = 0.1 * (f64::from(frame + 7 * seed) * 0.37).sin();
+        let lift = |wanted: &str| if label == wanted { 1.4 + swing } else { 0.9 };
+        let walk = 0.01 * f64::from(frame);
+        let (left, right) = (lift("left up"), lift("right up"));
+        write!(text, "{walk},1.7,0,{walk},{left},-0.3,{walk},{right},0.3").unwrap();
+        text += &if labelled { format!(",{label}\n") } else { "\n".to_owned() };
+        labels.push(label);
+    }
+    std::fs::write(path, text).unwrap();
+    labels
+}
+
+#[test]
+fn a_folder_is_learned_a_file_is_labelled_and_the_labels_are_learned_from() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let (train, again) = (folder.join("train"), folder.join("again"));
+    std::fs::create_dir(&train).unwrap();
+    std::fs::create_dir(&again).unwrap();
+    write_sequence(&train.join("a.csv"), 0, true);
+    write_sequence(&train.join("b.csv"), 1, true);
+    let truth = write_sequence(&again.join("new.csv"), 3, false);
+
+    let options = "--rate-hz 30 --filters 8,8,16 --epochs 12 --json";
+    let summary = ok(folder, &format!("segments train train {options} -o m.safetensors"));
+    assert_eq!(summary["labels"], serde_json::json!(["left up", "right up"]));
+    assert!(!folder.join("m.safetensors.training").exists());
+    let judged = ok(folder, "segments evaluate m.safetensors train --rate-hz 30 --picture bands.svg --json");
+    assert!(judged["accuracy"].as_f64().unwrap() > 90.0, "{judged}");
+    assert!(std::fs::read_to_string(folder.join("bands.svg")).unwrap().contains("left up"));
+
+    ok(folder, "segments label m.safetensors again/new.csv --rate-hz 30 -o again/new.labels.csv");
+    let labels = std::fs::read_to_string(again.join("new.labels.csv")).unwrap();
+    assert!(labels.starts_with("frame,t,label,confidence\n"));
+    let named: Vec<&str> = labels.lines().skip(1).map(|line| line.split(',').nth(2).unwrap()).collect();
+    assert_eq!(named.len(), truth.len());
+    let right = named.iter().zip(&truth).filter(|(named, truth)| named == truth).count();
+    assert!(right > 800, "{right}");
+    // Both kinds of label files are taken, beside a sequence without labels of its own.
+    let judged = ok(folder, "segments evaluate m.safetensors again --rate-hz 30 --json");
+    assert!(judged["accuracy"].as_f64().unwrap() > 99.9, "{judged}");
+    std::fs::remove_file(again.join("new.labels.csv")).unwrap();
+    ok(folder, "segments label m.safetensors again/new.csv --rate-hz 30 -o again/new.eaf");
+    let judged = ok(folder, "segments evaluate m.safetensors again --rate-hz 30 --json");
+    assert!(judged["accuracy"].as_f64().unwrap() > 99.9, "{judged}");
+}
+
+#[test]
+fn wrong_files_are_refused_with_the_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    write_sequence(&folder.join("a.csv"), 0, true);
+    ok(folder, "segments train a.csv --rate-hz 30 --filters 4 --epochs 1 --json -o m.safetensors");
+    let refused = |words: &str, reason: &str| {
+        let output = posed(folder, words);
+        assert_eq!(output.status.code(), Some(1), "{words}");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(said.contains(reason), "{said}");
+    };
+    refused("segments label m.safetensors a.csv --rate-hz 30 --unit mm -o l.csv", "--unit");
+    refused("segments label a.csv a.csv --rate-hz 30 -o l.csv", "no model");
+    write_sequence(&folder.join("b.csv"), 0, false);
+    refused("segments train b.csv --rate-hz 30 -o n.safetensors", "no frame has a label");
+    std::fs::write(folder.join("c.csv"), "foot_x,foot_y,foot_z,label\n0,0,0,x\n0,0,1,y\n").unwrap();
+    refused("segments evaluate m.safetensors c.csv --rate-hz 30", "expected the joints head");
+    assert!(!folder.join("l.csv").exists() && !folder.join("n.safetensors").exists());
+}

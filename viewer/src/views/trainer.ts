@@ -1,0 +1,140 @@
+// Trainer: teach an exercise, choose what is counted, see the count as bars, and one sentence after each repetition.
+
+import { acting, el, setText } from "../dom";
+import type { ExerciseEventMessage, ExerciseProgress, ExerciseState } from "../protocol";
+import type { Context, View } from "../view";
+
+/** Bars that are shown where a set has no end. */
+const OPEN_BARS = 10;
+
+export class TrainerView implements View {
+  readonly id = "trainer";
+  readonly title = "Trainer";
+  readonly element: HTMLElement;
+  private readonly says = el("p", { class: "says", role: "alert" });
+  private readonly counts = el("div", { class: "counts" });
+  private readonly sentence = el("p", { id: "feedback", class: "sentence", role: "status" });
+  private readonly hint = el("p", { id: "hint", class: "quiet", role: "status" });
+  private readonly name = el("input", { id: "teach-name", required: true, maxlength: 64, placeholder: "curl" });
+  private readonly repetitions = el("input", { id: "teach-repetitions", type: "number", min: 3, max: 10, value: 5 });
+  private readonly choice = el("fieldset", { id: "exercises" });
+  private readonly target = el("input", { id: "target", type: "number", min: 1, max: 100, placeholder: "open" });
+  private readonly sets = el("input", { id: "sets", type: "number", min: 1, max: 20, placeholder: "open" });
+  private readonly rest = el("input", { id: "rest", type: "number", min: 0, max: 600, value: 30 });
+  private state: ExerciseState | null = null;
+  /** Repetitions whose end is not confirmed yet, by exercise. */
+  private readonly provisional = new Set<string>();
+  private changed = true;
+
+  constructor(private readonly context: Context) {
+    const { link, model } = context;
+    const teach = el("form", { class: "row" },
+      el("label", {}, "Name ", this.name), el("label", {}, "Repetitions ", this.repetitions),
+      el("button", { id: "teach", class: "primary" }, "Teach: begin now, rest afterwards"));
+    teach.addEventListener("submit", acting(this.says, () => link.request({
+      type: "exercise.teach", name: this.name.value.trim(), repetitions: Number(this.repetitions.value),
+    })));
+    const select = el("form", {}, this.choice, el("div", { class: "row" },
+      el("label", {}, "Repetitions of a set ", this.target), el("label", {}, "Sets ", this.sets),
+      el("label", {}, "Rest, s ", this.rest), el("button", { id: "select", class: "primary" }, "Count these")));
+    select.addEventListener("submit", acting(this.says, () => this.select()));
+    const reset = el("button", { id: "reset", onclick: acting(this.says, () => link.request({ type: "exercise.reset" })) }, "From zero");
+    this.element = el("div", {}, this.counts, this.sentence, this.hint, reset, this.says,
+      el("h2", {}, "What is counted"), select, el("h2", {}, "Teach an exercise"), teach);
+    model.listen((message) => {
+      if (message.type === "exercise") this.take(message);
+      else if (message.type === "hello") void this.refresh();
+    });
+  }
+
+  shown(): void {
+    this.changed = true;
+    void this.refresh();
+  }
+
+  draw(): void {
+    const rests = this.state?.exercises.some(({ rest_until_s }) => rest_until_s !== null) ?? false;
+    if (!this.changed && !rests) return;
+    this.changed = false;
+    const exercises = this.state?.exercises ?? [];
+    while (this.counts.children.length > exercises.length) this.counts.lastElementChild!.remove();
+    exercises.forEach((progress, index) => {
+      let row = this.counts.children[index];
+      if (!row) this.counts.append((row = el("section", {}, el("h2"), el("div", { class: "bars" }), el("p", { class: "quiet" }))));
+      this.drawProgress(row, progress);
+    });
+    if (exercises.length === 0) setText(this.sentence, "Nothing is being counted. Choose an exercise below, or teach one.");
+  }
+
+  private drawProgress(row: Element, progress: ExerciseProgress): void {
+    const [title, bars, words] = [row.children[0]!, row.children[1]!, row.children[2]!];
+    setText(title, `${progress.exercise}: ${progress.count}`);
+    const length = Math.max(this.state?.repetitions ?? OPEN_BARS, progress.set_count);
+    while (bars.children.length < length) bars.append(el("span"));
+    while (bars.children.length > length) bars.lastElementChild!.remove();
+    [...bars.children].forEach((bar, index) => {
+      const pending = index === progress.set_count && this.provisional.has(progress.exercise);
+      bar.className = index < progress.set_count ? "done" : pending ? "pending" : "";
+    });
+    bars.setAttribute("role", "img");
+    bars.setAttribute("aria-label", `${progress.set_count} of ${this.state?.repetitions ?? "any number"}`);
+    const now_s = this.context.model.sensors?.t_s ?? 0;
+    const left_s = progress.rest_until_s === null ? 0 : Math.max(0, progress.rest_until_s - now_s);
+    const set = this.state?.sets ? `set ${progress.set} of ${this.state.sets}` : `set ${progress.set}`;
+    setText(words, progress.done ? "all sets done" : left_s > 0 ? `rest for ${Math.ceil(left_s)} s` : set);
+  }
+
+  private take(message: ExerciseEventMessage): void {
+    this.changed = true;
+    switch (message.event) {
+      case "state":
+        this.state = message.state;
+        break;
+      case "loaded":
+        void this.refresh();
+        break;
+      case "started":
+        setText(this.hint, "");
+        break;
+      case "provisional":
+        this.provisional.add(message.exercise);
+        break;
+      case "withdrawn":
+        this.provisional.delete(message.exercise);
+        break;
+      case "counted":
+      case "rejected": {
+        this.provisional.delete(message.exercise);
+        const counted = message.event === "counted";
+        const progress = this.state?.exercises.find(({ exercise }) => exercise === message.exercise);
+        if (progress) Object.assign(progress, { count: message.count, set_count: message.set_count });
+        setText(this.sentence, message.sentence ?? (counted ? "As taught." : "That one did not count."));
+        this.sentence.className = `sentence ${counted && message.sentence === null ? "good" : "care"}`;
+        break;
+      }
+      case "hint":
+        setText(this.hint, message.sentence ?? "");
+        break;
+    }
+  }
+
+  private select(): Promise<unknown> {
+    const exercises = [...this.choice.querySelectorAll("input:checked")].map((box) => (box as HTMLInputElement).value);
+    const number = (input: HTMLInputElement) => (input.value === "" ? null : Number(input.value));
+    return this.context.link.request({
+      type: "exercise.select", exercises,
+      repetitions: number(this.target), sets: number(this.sets), rest_s: number(this.rest),
+    });
+  }
+
+  private async refresh(): Promise<void> {
+    try {
+      const { exercises } = (await this.context.link.request({ type: "exercise.list" })) as { exercises: string[] };
+      const chosen = new Set(this.state?.exercises.map(({ exercise }) => exercise));
+      const row = (name: string) => el("label", {}, el("input", { type: "checkbox", value: name, checked: chosen.has(name) }), ` ${name} `);
+      this.choice.replaceChildren(el("legend", {}, "Exercises"), ...(exercises.length ? exercises.map(row) : ["none are taught yet"]));
+    } catch {
+      // Not connected yet, or a replay: the greeting or the next look asks again.
+    }
+  }
+}
