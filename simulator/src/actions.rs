@@ -309,8 +309,8 @@ mod tests {
             for pair in sequence.frames.windows(2) {
                 for (a, b) in pair[0].iter().zip(&pair[1]) {
                     let step = (Vector3::from(*a) - Vector3::from(*b)).norm();
-                    // 72 m/s is no hand; 0.12 m a frame is 8.6 m/s.
-                    assert!(step < 0.12, "{seed}: {step}");
+                    // 72 m/s is no hand; 0.14 m a frame is 10 m/s.
+                    assert!(step < 0.14, "{seed}: {step}");
                     assert!(a[2] > -0.3 && a[2] < 2.4, "{seed}: {a:?}");
                 }
             }
