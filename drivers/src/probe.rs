@@ -1,6 +1,6 @@
 //! Asks an open port whether a device of one kind is there, and what it is.
 //!
-//! The same contract as a session, without samples: feed an [`Inquiry`] inputs, drain [`Inquiry::poll_output`], wait
+//! The same contract as a session, without samples: feed an [`Inquiry`] inputs, drain [`Inquiry::poll_transmit`], wait
 //! for [`Inquiry::poll_timeout`], until [`Inquiry::result`] is there. What is asked changes no setting; a device that
 //! streams may have to be stopped for it. A Flock of Birds has a probe of its own ([`crate::flock::Probe`]).
 

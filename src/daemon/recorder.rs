@@ -20,6 +20,8 @@ use crate::recording::{Header, WriteError, Writer};
 
 /// How often everything so far is brought to the disk: half of what may be lost.
 const FLUSH_EVERY: Duration = Duration::from_millis(500);
+/// How long a flush waits for the messages of the last entry.
+const ENTRY_GRACE: Duration = Duration::from_millis(20);
 /// Things that may wait for the disk: minutes of a large stage.
 const QUEUE_ITEMS: usize = 1 << 16;
 /// Bytes that may wait for the disk.
@@ -229,23 +231,35 @@ fn run(
     shared: &Shared,
 ) -> Result<(), WriteError> {
     let mut next_flush = Instant::now() + FLUSH_EVERY;
+    // Whether messages of the last entry may still come: what a crash leaves should not end between the two.
+    let mut open = false;
     loop {
         match receiver.recv_deadline(next_flush) {
             Ok(job) => {
                 shared.queued.fetch_sub(job.size(), Ordering::Relaxed);
+                let begins = matches!(job, Job::Entry(_));
+                if begins && Instant::now() >= next_flush {
+                    writer.flush()?;
+                    sync()?;
+                    next_flush = Instant::now() + FLUSH_EVERY;
+                }
+                open = begins;
                 match job {
                     Job::Entry(entry) => writer.entry(&entry)?,
                     Job::Message { topic, t, json } => writer.message(topic, t, &json)?,
                     Job::Transmitted { device, t, bytes } => writer.transmitted(device, t, &bytes)?,
                 }
             }
-            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Timeout) if open => {
+                open = false;
+                next_flush = Instant::now() + ENTRY_GRACE;
+            }
+            Err(RecvTimeoutError::Timeout) => {
+                writer.flush()?;
+                sync()?;
+                next_flush = Instant::now() + FLUSH_EVERY;
+            }
             Err(RecvTimeoutError::Disconnected) => break,
-        }
-        if Instant::now() >= next_flush {
-            writer.flush()?;
-            sync()?;
-            next_flush = Instant::now() + FLUSH_EVERY;
         }
     }
     let reason = match &*shared.state() {

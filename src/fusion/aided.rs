@@ -228,17 +228,22 @@ impl Aided {
         covariance.fixed_view_mut::<3, 3>(P, P).copy_from(&pose.position_cov_m2);
         let (gyro_bias, accel_bias) =
             self.state.as_ref().map_or((Vector3::zeros(), Vector3::zeros()), |s| (s.gyro_bias, s.accel_bias));
-        let latest_s = self.last_sample.map_or(t_s, |(last, _)| last.max(t_s));
-        self.state = Some(State {
-            t_s: latest_s,
+        let mut state = State {
+            t_s,
             position_m: pose.room_from_sensor.translation.vector - q * p.lever_m,
             velocity_m_s: Vector3::zeros(),
             q,
             gyro_bias,
             accel_bias,
             covariance,
-        });
+        };
         self.history.clear();
+        // The pose is as old as it is: its unknown velocity counts from its own time.
+        if let Some((latest_s, sample)) = self.last_sample.filter(|(latest_s, _)| *latest_s > t_s) {
+            self.history.push_back((state.clone(), sample, latest_s));
+            state.advance(p, &sample, latest_s);
+        }
+        self.state = Some(state);
         self.last_used_s = t_s;
         self.gated = 0;
         Taken::Used

@@ -205,10 +205,10 @@ pub struct Sensor {
     #[schemars(length(min = 1, max = 64))]
     pub serial: Option<String>,
     /// Whether the heading of an inertial sensor follows its magnetometer; without, it starts at 0 and drifts.
-    #[serde(default = "default_magnetometer")]
+    #[serde(default = "default_magnetometer", skip_serializing_if = "is_default_magnetometer")]
     pub magnetometer: bool,
     /// How far an inertial sensor's rate gyro lags behind its time stamps, ms.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = 0.0, max = 100.0))]
     pub gyro_delay_ms: f64,
     /// The body segment it sits on; absent: its name, if that is a segment's.
@@ -217,6 +217,15 @@ pub struct Sensor {
     pub mount_quat_wxyz: Option<[f64; 4]>,
     /// Position on the segment, in the segment's frame with its origin at the proximal joint, m.
     pub offset_m: Option<[f64; 3]>,
+}
+
+/// A key that was not written is not written back: not every driver's sensors may have it.
+fn is_default_magnetometer(value: &bool) -> bool {
+    *value == default_magnetometer()
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 fn default_magnetometer() -> bool {

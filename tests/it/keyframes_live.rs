@@ -33,14 +33,15 @@ fn curling() -> (Stage, Rig) {
 }
 
 fn key_poses(said: &[Said]) -> Vec<(&Outcome, &KeyPoseEvent)> {
-    let key = |said| match said {
-        &Said::Outcome(ref outcome) => match &outcome.what {
-            OutcomeKind::KeyPose(event) => Some((outcome, event)),
+    said.iter()
+        .filter_map(|said| match said {
+            Said::Outcome(outcome) => match &outcome.what {
+                OutcomeKind::KeyPose(event) => Some((outcome, event)),
+                _ => None,
+            },
             _ => None,
-        },
-        _ => None,
-    };
-    said.iter().filter_map(key).collect()
+        })
+        .collect()
 }
 
 #[test]

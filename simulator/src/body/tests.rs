@@ -1,5 +1,7 @@
 //! The simulator's kinematics against the poses by hand that `posed`'s are held against too.
 
+use nalgebra::{Rotation3, UnitQuaternion};
+
 use super::*;
 
 fn posture(angles: &str) -> Posture {
@@ -91,13 +93,14 @@ fn rates_add_up_to_the_turn() {
     let (_, first) = wearer.step();
     let index = 5;
     let mount = wearer.mounting(index).0;
-    let mut turned = nalgebra::Rotation3::from_matrix_unchecked(first.body[index].axes);
+    let orientation = |axes| UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
+    let mut turned = orientation(first.body[index].axes);
     let mut last = first;
     for _ in 0..3000 {
         let (samples, truth) = wearer.step();
-        turned *= nalgebra::Rotation3::from_scaled_axis(mount * samples[index].gyro_rad_s * 1e-3);
+        turned *= UnitQuaternion::from_scaled_axis(mount * samples[index].gyro_rad_s * 1e-3);
         last = truth;
     }
-    let off = nalgebra::Rotation3::from_matrix_unchecked(last.body[index].axes).angle_to(&turned);
+    let off = orientation(last.body[index].axes).angle_to(&turned);
     assert!(off < 2e-3, "{off} rad");
 }

@@ -216,9 +216,10 @@ impl Wearer {
             let points = times.each_ref().map(|body| body[index].origin_m + body[index].axes * unit.offset_m);
             let bend = (points[1] + points[3]) * 16.0 - points[0] - points[4] - points[2] * 30.0;
             let accel = bend / (12.0 * STEP_S * STEP_S);
+            // By way of the quaternion: a matrix' angle is the arc cosine of its trace, which rounding takes over one.
             let turn = |a: usize, b: usize| {
-                Rotation3::from_matrix_unchecked(times[a][index].axes.transpose() * times[b][index].axes)
-                    .scaled_axis()
+                let turn = times[a][index].axes.transpose() * times[b][index].axes;
+                UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(turn)).scaled_axis()
             };
             let rate = (turn(1, 3) * 8.0 - turn(0, 4)) / (12.0 * STEP_S);
             let axes = times[2][index].axes;

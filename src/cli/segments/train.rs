@@ -189,7 +189,7 @@ fn train(trainer: &mut Trainer, aside: &Path) -> Result<Epoch, Error> {
             last.held_out.map_or(String::new(), |(_, right)| format!(", held out {:.1} %", 100.0 * right));
         bar.set_message(format!("loss {:.3}, right {:.1} %{held_out}", last.loss, 100.0 * last.accuracy));
         bar.set_position(u64::from(last.number));
-        if last.number % ASIDE_EVERY == 0 && !trainer.is_done() {
+        if last.number.is_multiple_of(ASIDE_EVERY) && !trainer.is_done() {
             let bytes = trainer.checkpoint();
             output::replace(aside, |file| file.write_all(&bytes))?;
         }
