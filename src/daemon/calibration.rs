@@ -34,6 +34,8 @@ pub(super) struct Calibration {
     /// The map that the stage file names.
     given: Option<PathBuf>,
     state: Arc<Mutex<State>>,
+    /// Who changes versions holds it: they are told apart by files.
+    files: Arc<Mutex<()>>,
 }
 
 #[derive(Debug, Default)]
@@ -62,6 +64,7 @@ impl Calibration {
             folder: folder.join("field-maps").join(name),
             given: stage.models.field.clone(),
             state: Arc::default(),
+            files: Arc::default(),
         }
     }
 
@@ -135,6 +138,7 @@ impl Calibration {
         let thread = std::thread::Builder::new().name("field".into()).spawn(move || {
             let solution = solve(run, &anchors, &mut |share| job.progress(Some(share), None));
             let report = solution.report;
+            job.result(serde_json::json!({ "report": report }));
             let outcome = match solution.map.filter(|_| report.accepted && !job.is_cancelled()) {
                 Some(map) => {
                     let map = Prepared::new(map);
@@ -166,8 +170,9 @@ impl Calibration {
         }
     }
 
-    /// Keeps the last calibration as the newest version and uses it.
+    /// Keeps the last calibration as the newest version and uses it. Writes files: not for an asynchronous task.
     pub(super) fn accept(&self) -> Result<u32, String> {
+        let _files = self.files.lock().unwrap_or_else(PoisonError::into_inner);
         let candidate = self.lock().candidate.take();
         let map = match candidate {
             None => return Err("there is no calibration to accept; field.finish makes one".into()),
@@ -188,8 +193,9 @@ impl Calibration {
         Ok(version)
     }
 
-    /// Goes back one version.
+    /// Goes back one version. Reads a map and makes it fast: not for an asynchronous task.
     pub(super) fn rollback(&self) -> Result<u32, String> {
+        let _files = self.files.lock().unwrap_or_else(PoisonError::into_inner);
         let active = self.active();
         if active == 0 {
             return Err("no version is in use that was accepted here".into());

@@ -19,15 +19,26 @@ const REPORT_S: f64 = 1.0;
 /// Longest run, frames: ten minutes.
 const MOST_FRAMES: usize = 20_000;
 
+/// Instants without which the solver would not begin, with room for those that it will not believe.
+const LEAST_INSTANTS: usize = 300;
+
 /// How far a run is.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Progress {
+    /// False once the run has ended: it is the last of its reports.
+    pub collecting: bool,
+    /// The pole's sensors in their order along it.
+    pub sensors: Vec<String>,
     /// Time since the first reading, s.
     pub seconds: f64,
     /// Instants with readings of three sensors or more.
     pub instants: usize,
     /// Share of the 20 cm cells inside the hull that the pole came near, 0 to 1.
     pub covered: f64,
+    /// Share of the four pairs of opposite octants in which the pole was held, 0 to 1.
+    pub directions: f64,
+    /// Middles of cells inside the hull that it did not come near, at most 60, transmitter frame, m.
+    pub unvisited_m: Vec<[f64; 3]>,
     /// Rms distance of the last second's readings from a straight pole of the stated spacing, m: what there is to correct.
     pub residual_m: f64,
     /// What to do next; empty when there is enough.
@@ -76,7 +87,7 @@ impl Guide {
         let reported = *self.reported_s.get_or_insert(t_s);
         if t_s >= reported + REPORT_S {
             self.reported_s = Some(t_s);
-            say(self.progress());
+            say(self.progress(true));
         }
     }
 
@@ -90,9 +101,11 @@ impl Guide {
         self.readings += points.len() as f64;
     }
 
-    fn progress(&mut self) -> Progress {
+    /// How far it is; `collecting`: whether it goes on.
+    pub fn progress(&mut self, collecting: bool) -> Progress {
         let residual_m = (self.squares / self.readings.max(1.0)).sqrt();
         (self.squares, self.readings) = (0.0, 0.0);
+        let instants = self.run.frames.len();
         let frames = &self.run.frames;
         let seconds = match (frames.first(), frames.last()) {
             (Some(first), Some(last)) => last.t_s - first.t_s,
@@ -100,14 +113,28 @@ impl Guide {
         };
         let points: Vec<Vector3<f64>> =
             self.thin.readings().map(|(_, _, reading)| reading.position_m).collect();
-        let (covered, hint) = match Hull::new(points.iter()) {
-            None => (0.0, "no sensor of the pole is seen".to_owned()),
-            Some(hull) => {
-                let (covered, reasons) = coverage::judge(&self.thin, &hull);
-                (covered, reasons.into_iter().next().map_or(String::new(), |reason| reason.text))
-            }
+        let coverage = Hull::new(points.iter()).map(|hull| coverage::look(&self.thin, &hull));
+        let hint = match &coverage {
+            None if instants == 0 => "wave the pole: none of its sensors is seen yet".to_owned(),
+            None => "wave the pole".to_owned(),
+            Some(coverage) => match coverage.reasons.first() {
+                Some(reason) => reason.text.clone(),
+                None if instants < LEAST_INSTANTS => "go on waving the pole".to_owned(),
+                None => String::new(),
+            },
         };
-        Progress { seconds, instants: frames.len(), covered, residual_m, hint }
+        let coverage = coverage.unwrap_or_default();
+        Progress {
+            collecting,
+            sensors: self.run.sensors.clone(),
+            seconds,
+            instants,
+            covered: coverage.cells,
+            directions: coverage.directions,
+            unvisited_m: coverage.unvisited_m.into_iter().map(Into::into).collect(),
+            residual_m,
+            hint,
+        }
     }
 
     /// The recording so far.

@@ -24,8 +24,8 @@ pub const VERSION: u32 = 1;
 const STEP_M: f64 = 0.08;
 const COARSE_STEP_M: f64 = 0.25;
 /// Where the grid is off the model by more than this, beside metal, the model itself is asked: m, and share of the noise.
-const ROUGH_M: f64 = 1e-4;
-const ROUGH_SHARE: f64 = 0.04;
+const ROUGH_M: f64 = 1.5e-4;
+const ROUGH_SHARE: f64 = 0.06;
 /// Outside the hull a model still holds for this, m, farther if it is of metal alone; then the correction fades to its
 /// value at the hull over the next.
 const KEEP_M: f64 = 0.1;
@@ -132,6 +132,9 @@ pub struct Corrector {
     noise: FieldNoise,
 }
 
+/// What is stated is a little less than the expected rms, so that two sigmas hold 90 to 99 % whatever the noise is
+/// like: 97.3 % of a disc and 98.7 % of a ball, where the bare rms would hold 98.2 and 99.3 %.
+const STATED: f64 = 0.95;
 /// Where a corrected position may be farther off than this, nothing was calibrated, m.
 const LARGEST_SIGMA_M: f64 = 0.05;
 
@@ -289,7 +292,7 @@ impl Corrector {
         // Outside nobody has looked: a tenth of the way is as good a guess as any.
         let guess = 0.1 * outside_m.max(0.0);
         let variance_m2 = variance_m2 + guess * guess;
-        let sigma_m = variance_m2.sqrt();
+        let sigma_m = STATED * variance_m2.sqrt();
         let map_sigma_m = (variance_m2 - noise_m2).max(0.0).sqrt();
         let extrapolated = outside_m > 0.0 || sigma_m > LARGEST_SIGMA_M;
         Corrected { position_m: self.position(z), sigma_m, map_sigma_m, extrapolated }

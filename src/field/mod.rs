@@ -12,6 +12,7 @@
 //! model of the metal, for which the transmitter is where it is.
 
 mod anchors;
+mod arrows;
 pub mod cascade;
 mod coverage;
 mod estimate;
@@ -20,6 +21,7 @@ mod grid;
 mod guide;
 mod hull;
 mod known;
+mod limbs;
 mod map;
 pub mod model;
 mod noise;
@@ -37,10 +39,12 @@ mod trust;
 mod watch;
 
 pub use anchors::{Anchor, LEAST_ANCHORS, rigid};
+pub use arrows::arrows;
 pub use grid::Shape;
 pub use guide::{Guide, Progress};
 pub use hull::Hull;
 pub use known::{fit_known, refit_known};
+pub use limbs::{Bone, Joint, Limbs, solve_limbs};
 pub use map::{Aligned, Corrected, Corrector, FieldMap, Uncertainty, VERSION};
 pub use noise::FieldNoise;
 pub use outliers::{Reason as RejectReason, Rejected, reject};

@@ -100,6 +100,7 @@ impl Field {
     pub(super) fn request<'a>(
         &mut self,
         request: &Request,
+        t: Timestamp,
         names: impl Iterator<Item = &'a str> + Clone,
         say: &mut impl FnMut(Output<'_>),
     ) -> bool {
@@ -112,11 +113,15 @@ impl Field {
                 if !(spacing_m.is_finite() && *spacing_m > 0.0) {
                     return false;
                 }
-                let guide = Guide::new(sensors.clone(), *spacing_m);
+                let mut guide = Guide::new(sensors.clone(), *spacing_m);
+                tell(t, FieldNews::Progress(guide.progress(true)), say);
                 self.collecting = Some(Collecting { sensors: indices, guide });
             }
             Request::FieldFinish {} => {
-                let collected = self.collecting.take();
+                let mut collected = self.collecting.take();
+                if let Some(Collecting { guide, .. }) = &mut collected {
+                    tell(t, FieldNews::Progress(guide.progress(false)), say);
+                }
                 let nothing = PoleRun { sensors: Vec::new(), spacing_m: 0.0, frames: Vec::new() };
                 say(Output::PoleRun(collected.as_ref().map_or(&nothing, |collected| collected.guide.run())));
             }
@@ -134,23 +139,28 @@ impl Field {
         say: &mut impl FnMut(Output<'_>),
     ) {
         let t = estimate.t_valid;
-        let mut tell = |news: FieldNews| {
-            let what = OutcomeKind::Field(news);
-            say(Output::Outcome(&Outcome { t_valid: t, t_decided: t, what }));
-        };
         let Self { watch, collecting, .. } = self;
         if let Some(watch) = watch {
             let seen = |index: usize| seen(index, estimate, sensors, room);
-            watch.push(t.as_secs_f64(), seen, &mut |warning: Warning| tell(FieldNews::Warning(warning)));
+            watch.push(t.as_secs_f64(), seen, &mut |warning: Warning| {
+                tell(t, FieldNews::Warning(warning), say);
+            });
         }
         let disturbed = watch.as_ref().is_some_and(Watch::is_disturbed);
         if let Some(Collecting { sensors: along, guide }) = collecting
             && !disturbed
         {
             let reading = |slot: usize| sensors.get(along[slot])?.pole_reading(t);
-            guide.push(t.as_secs_f64(), reading, &mut |progress| tell(FieldNews::Progress(progress)));
+            guide.push(t.as_secs_f64(), reading, &mut |progress| {
+                tell(t, FieldNews::Progress(progress), say);
+            });
         }
     }
+}
+
+fn tell(t: Timestamp, news: FieldNews, say: &mut impl FnMut(Output<'_>)) {
+    let what = OutcomeKind::Field(news);
+    say(Output::Outcome(&Outcome { t_valid: t, t_decided: t, what }));
 }
 
 /// Where the watch sees a sensor: in the transmitter frame, where the map is.

@@ -356,7 +356,9 @@ impl Pipeline {
     }
 
     fn request(&mut self, request: &Request, say: &mut impl FnMut(Output<'_>)) {
-        let field = self.field.request(request, self.sensors.iter().map(Sensor::name), say);
+        // It speaks of the frame before it.
+        let t = self.estimate.t_valid;
+        let field = self.field.request(request, t, self.sensors.iter().map(Sensor::name), say);
         let done = field
             || self.exercise.request(request, &self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
         self.requests_refused += u64::from(!done);

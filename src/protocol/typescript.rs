@@ -47,12 +47,22 @@ fn type_of(schema: &Value, indent: &str) -> String {
     // A tagged variant is an object beside a reference or a union: both hold.
     if parts.len() > 1 {
         for part in &mut parts {
-            if part.contains(" | ") && !part.starts_with('{') {
+            if is_union(part) {
                 *part = format!("({part})");
             }
         }
     }
     parts.join(" & ")
+}
+
+/// Whether a type is a union at its outermost level, where `&` would bind closer.
+fn is_union(text: &str) -> bool {
+    let mut depth = 0;
+    let comment = |line: &&str| line.trim_start().starts_with("/**");
+    text.lines().filter(|line| !comment(line)).flat_map(str::chars).any(|c| {
+        depth += i32::from(matches!(c, '{' | '(' | '[')) - i32::from(matches!(c, '}' | ')' | ']'));
+        c == '|' && depth == 0
+    })
 }
 
 fn plain(kind: &str, schema: &Map<String, Value>, indent: &str) -> String {

@@ -2,7 +2,9 @@
 //!
 //! Positions are in the transmitter frame: a map is that of one transmitter where it stands.
 
+mod collect;
 mod correct;
+mod limbs;
 mod show;
 mod solve;
 

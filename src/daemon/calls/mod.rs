@@ -92,8 +92,8 @@ impl Calls {
             ),
             Call::FieldStart { sensors, spacing_m } => self.calibration.start(sensors, spacing_m, reply),
             Call::FieldFinish { anchors } => self.calibration.finish(anchors, reply),
-            Call::FieldAccept {} => answer(reply, self.calibration.accept()),
-            Call::FieldRollback {} => answer(reply, self.calibration.rollback()),
+            Call::FieldAccept {} => self.with_files(reply, Calibration::accept),
+            Call::FieldRollback {} => self.with_files(reply, Calibration::rollback),
             Call::ExerciseList {} => match self.exercises.list() {
                 Ok(list) => reply.ok(Some(serde_json::json!({ "exercises": list }))),
                 Err(sentence) => reply.error("failed", sentence),
@@ -118,6 +118,15 @@ impl Calls {
                 Err(sentence) => reply.error("no_such_job", sentence),
             },
         }
+    }
+
+    /// Changes the version of the field's map where it keeps nobody waiting, and says which is in use then.
+    fn with_files(&self, reply: Reply, change: fn(&Calibration) -> Result<u32, String>) {
+        let calibration = self.calibration.clone();
+        tokio::task::spawn_blocking(move || match change(&calibration) {
+            Ok(version) => reply.ok(Some(serde_json::json!({ "version": version }))),
+            Err(sentence) => reply.error("failed", sentence),
+        });
     }
 
     /// A new file in the one folder for recordings.
@@ -170,14 +179,6 @@ impl Calls {
             models::check_exercise(&self.stage, exercise)?;
         }
         Ok(())
-    }
-}
-
-/// Says which version of the field's map is in use now, or why none.
-fn answer(reply: Reply, version: Result<u32, String>) {
-    match version {
-        Ok(version) => reply.ok(Some(serde_json::json!({ "version": version }))),
-        Err(sentence) => reply.error("failed", sentence),
     }
 }
 

@@ -392,7 +392,9 @@ impl Distributor {
                 Some((Key::TrackerNoise(device.clone()), true))
             }
             OutcomeKind::ModelSwapped(Model::Field { .. }) => Some((Key::FieldMap, true)),
-            OutcomeKind::Field(FieldNews::Progress(_)) => Some((Key::FieldProgress, true)),
+            OutcomeKind::Field(FieldNews::Progress(progress)) => {
+                Some((Key::FieldProgress, progress.collecting))
+            }
             OutcomeKind::Field(FieldNews::Warning(Warning::Disturbed { cause, sensors, active, .. })) => {
                 Some((Key::Disturbed(*cause, *sensors), *active))
             }
@@ -413,6 +415,10 @@ impl Distributor {
             },
             OutcomeKind::KeyPose(_) => None,
         };
+        if matches!(state, Some((Key::FieldMap, _))) {
+            // What watches over the field begins anew with each map.
+            self.current.retain(|(key, _)| !matches!(key, Key::Disturbed(..) | Key::Drifted));
+        }
         if let Some((key, holds)) = state {
             self.current.retain(|(other, _)| *other != key);
             if holds {

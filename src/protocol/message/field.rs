@@ -3,10 +3,13 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::field::{Cause, Progress, Warning};
+use crate::field::{Cause, Progress, Warning, arrows};
 use crate::input::{Model, SensorIndex};
 use crate::output::FieldNews;
 use crate::protocol::{Names, round};
+
+/// Arrows that a client is given of a map.
+const ARROWS: usize = 150;
 
 /// Body of `field`: an event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -37,10 +40,16 @@ pub enum FieldChange {
         version: u32,
         /// What it is made of; null: poses are not corrected.
         map: Option<String>,
-        /// Rms of the residuals that were held out when it was made, m.
+        /// Rms distance from straight poles when it was made, m: without correction, and with it; null without a map.
+        raw_m: Option<f64>,
+        /// See `raw_m`.
+        residual_m: Option<f64>,
+        /// The same on blocks that were held out, m.
         heldout_m: Option<f64>,
         /// Rms at the anchors, m; null without three.
         anchors_m: Option<f64>,
+        /// What it does: pairs of a reading and its corrected place all over the calibrated volume, transmitter frame, m.
+        arrows_m: Vec<[[f64; 3]; 2]>,
     },
     /// Metal or the mains disturb the field, or do so no longer. Meanwhile poses are less certain and nothing is learnt.
     Disturbed {
@@ -78,8 +87,14 @@ impl FieldChange {
         Self::MapSwapped {
             version: *version,
             map: report.map(|report| report.model.clone()),
+            raw_m: report.and_then(|report| finite(report.raw_m)),
+            residual_m: report.and_then(|report| finite(report.residual_m)),
             heldout_m: report.and_then(|report| finite(report.heldout_m)),
             anchors_m: report.and_then(|report| report.anchors_m).and_then(finite),
+            arrows_m: map.as_ref().map_or_else(Vec::new, |map| {
+                let place = |p: [f64; 3]| p.map(|x| round::to(round::POSITION, x));
+                arrows(map, ARROWS).into_iter().map(|arrow| arrow.map(place)).collect()
+            }),
         }
     }
 
@@ -108,6 +123,7 @@ impl FieldChange {
                 progress: Progress {
                     seconds: round::to(1e1, progress.seconds),
                     covered: round::to(1e3, progress.covered),
+                    unvisited_m: progress.unvisited_m.iter().map(|p| p.map(|x| round::to(1e2, x))).collect(),
                     residual_m: length(progress.residual_m),
                     ..progress.clone()
                 },
