@@ -231,7 +231,7 @@ export type Exercise = {
 };
 
 /** What every data message starts with, and its body. */
-export type ExerciseEventMessage = {
+export type ExerciseEventMessage = ({
   /** The channels it looks at. */
   channels: string[];
   /** Median duration of a repetition, s. */
@@ -265,7 +265,7 @@ export type ExerciseEventMessage = {
   phase: number | null;
   /** In words. */
   sentence: string | null;
-} & {
+}) & {
   /** Data messages of all topics that were dropped for this client so far. */
   dropped: number;
   /** Stage-wide number of the event, from 1. */
@@ -364,7 +364,7 @@ export type Feed = {
 export type Field = "name" | "state" | "device" | "position_m" | "orientation_wxyz" | "sigma_m" | "measured" | "covariance" | "velocity" | "quality";
 
 /** What every data message starts with, and its body. */
-export type FieldEventMessage = {
+export type FieldEventMessage = ({
   event: "model_swapped";
   /** The model, in full. */
   model: Model;
@@ -404,7 +404,7 @@ export type FieldEventMessage = {
   event: "calibrating";
   /** Where it is. */
   progress: Progress;
-} & {
+}) & {
   /** Data messages of all topics that were dropped for this client so far. */
   dropped: number;
   /** Stage-wide number of the event, from 1. */

@@ -1,7 +1,7 @@
 //! A guided run with the pole: what has been collected, and what to do next.
 //!
 //! What comes in: what each sensor of the pole read at each frame. What goes out: once a second how far it is and what
-//! to do next, and at the end the recording for [`super::solve`]. What it never does: solve, or use what is not believed.
+//! to do next, and at the end the recording for [`super::solve()`]. What it never does: solve, or use what is not believed.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
