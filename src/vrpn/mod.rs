@@ -154,7 +154,7 @@ pub fn fuzz_client(data: &[u8]) {
     let (mut messages, mut peer, mut answer) = (wire::Messages::default(), Peer::default(), Vec::new());
     for piece in data.chunks(100) {
         messages.push(piece);
-        while let Ok(Some(message)) = messages.next() {
+        while let Ok(Some(message)) = messages.find() {
             if peer.take(message, &publisher, &mut answer).is_err() {
                 return;
             }
@@ -217,7 +217,7 @@ mod tests {
             let mut messages = wire::Messages::default();
             messages.push(&bytes);
             said.clear();
-            while let Some(message) = messages.next().unwrap() {
+            while let Some(message) = messages.find().unwrap() {
                 said.push((message.kind, message.payload.to_vec()));
             }
             said.clone()

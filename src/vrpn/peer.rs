@@ -60,7 +60,7 @@ mod tests {
         let mut messages = wire::Messages::default();
         messages.push(&said);
         let mut out = Vec::new();
-        while let Some(message) = messages.next().unwrap() {
+        while let Some(message) = messages.find().unwrap() {
             peer.take(message, &publisher, &mut out).unwrap();
         }
         let mut pong = Vec::new();

@@ -102,7 +102,7 @@ impl Messages {
     ///
     /// # Errors
     /// A length that no message has; nothing behind it can be understood.
-    pub fn next(&mut self) -> Result<Option<Message<'_>>, Refused> {
+    pub fn find(&mut self) -> Result<Option<Message<'_>>, Refused> {
         let pending = &self.buffer[self.start..];
         let Some(header) = pending.first_chunk::<HEADER>() else { return Ok(None) };
         let word =
@@ -309,7 +309,7 @@ mod tests {
             let mut back = Vec::new();
             for piece in bytes.chunks(cut) {
                 messages.push(piece);
-                while let Some(message) = messages.next().unwrap() {
+                while let Some(message) = messages.find().unwrap() {
                     prop_assert_eq!(message.kind, system::TYPE);
                     back.push(message.description().unwrap());
                 }
@@ -321,7 +321,7 @@ mod tests {
         fn any_bytes_are_messages_or_refused(bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
             let mut messages = Messages::default();
             messages.push(&bytes);
-            while let Ok(Some(message)) = messages.next() {
+            while let Ok(Some(message)) = messages.find() {
                 let _ = message.description();
             }
         }

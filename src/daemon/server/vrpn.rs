@@ -280,7 +280,7 @@ impl Connection {
                     let Ok(read @ 1..) = read else { return Ok(()) };
                     messages.push(&bytes[..read]);
                     let mut answer = Vec::new();
-                    while let Some(message) = messages.next()? {
+                    while let Some(message) = messages.find()? {
                         peer.take(message, &self.shared.publisher, &mut answer)?;
                     }
                     write(&mut stream, &answer).await?;

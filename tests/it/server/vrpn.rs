@@ -35,7 +35,7 @@ impl Client {
     /// Number of the sender, type, payload; `None` at the end of the connection.
     async fn next(&mut self) -> Option<(i32, i32, Vec<u8>)> {
         loop {
-            if let Some(message) = self.messages.next().unwrap() {
+            if let Some(message) = self.messages.find().unwrap() {
                 return Some((message.sender, message.kind, message.payload.to_vec()));
             }
             let mut bytes = [0; 65536];
