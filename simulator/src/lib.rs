@@ -16,6 +16,7 @@ pub mod body;
 mod chassis;
 pub mod device;
 mod fastrak;
+pub mod exercises;
 pub mod faults;
 pub mod figure;
 pub mod flock;
