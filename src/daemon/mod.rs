@@ -235,6 +235,11 @@ impl Daemon {
         self.service.address()
     }
 
+    /// The address for VRPN clients, if the stage wants them.
+    pub fn vrpn_address(&self) -> Option<SocketAddr> {
+        self.service.vrpn_address()
+    }
+
     /// What to open in a browser.
     pub fn url(&self) -> &str {
         self.service.url()

@@ -65,6 +65,8 @@ pub struct Stage {
     /// Websocket, page and metrics.
     #[serde(default)]
     pub server: Server,
+    /// Programs that speak VRPN; absent: they are not served.
+    pub vrpn: Option<Vrpn>,
     /// Models that are loaded at the start.
     #[serde(default)]
     pub models: Models,
@@ -287,6 +289,17 @@ pub struct Tls {
     pub certificate: PathBuf,
     /// PEM file with the private key.
     pub key: PathBuf,
+}
+
+/// Programs that speak VRPN: every sensor is a tracker of its own name.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Vrpn {
+    /// Address to listen on, TCP and UDP; absent: 127.0.0.1:3883. VRPN knows no tokens: who reaches the address sees all poses.
+    pub listen: Option<String>,
+    /// Whether other computers may ask to be called back, as most VRPN programs do; without, they need `tcp://` in the name of the tracker.
+    #[serde(default)]
+    pub call_back: bool,
 }
 
 /// Models that are loaded at the start; relative paths begin at the stage file.

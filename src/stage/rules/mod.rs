@@ -29,6 +29,9 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
     if let Some(server) = root.item("server") {
         server::check(&server, folder, notes);
     }
+    if let Some(vrpn) = root.item("vrpn") {
+        server::check_vrpn(&vrpn, notes);
+    }
     if let (Some(recording), Some(folder)) = (root.item("recording"), folder) {
         folder_key(&recording, "folder", folder, notes);
     }
