@@ -8,7 +8,7 @@
 )]
 
 use posed::input::{Entry, Input};
-use posed::output::{Estimate, Outcome, Output};
+use posed::output::{Body, Estimate, Outcome, Output};
 use posed::pipeline::Pipeline;
 use posed::stage::Stage;
 use posed_drivers::{LineEvent, Timestamp};
@@ -45,6 +45,7 @@ pub(crate) fn simulate(stage: &Stage, scenario: &Scenario) -> VirtualStage {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Said {
     Estimate(Estimate),
+    Body(Body),
     Outcome(Outcome),
     State(u16, posed_drivers::State),
     Warning(u16, String),
@@ -203,6 +204,7 @@ impl Rig {
 pub(crate) fn keep(output: &Output<'_>) -> Option<Said> {
     match output {
         Output::Estimate(estimate) => Some(Said::Estimate((*estimate).clone())),
+        Output::Body(body) => Some(Said::Body((*body).clone())),
         Output::Outcome(outcome) => Some(Said::Outcome((*outcome).clone())),
         Output::Device { device, state } => Some(Said::State(*device, (*state).clone())),
         Output::Warning { device, text } => Some(Said::Warning(*device, (*text).to_owned())),

@@ -6,6 +6,7 @@
 
 mod bvh;
 mod file;
+mod person;
 mod scripted;
 mod spline;
 
@@ -17,6 +18,7 @@ use serde::{Deserialize, Serialize};
 
 pub use bvh::{Bvh, BvhError};
 pub use file::{Ending, File, FileError, Tracks, Up};
+pub use person::Person;
 pub(crate) use scripted::quaternion;
 pub use scripted::{Curl, Orbit, Screw, Still, Walk};
 
@@ -34,6 +36,8 @@ pub enum Motion {
     Curl(Curl),
     /// Walks around an ellipse: pelvis, torso and both legs.
     Walk(Walk),
+    /// A whole person, as body-worn sensors know one.
+    Person(Person),
     /// Poses from a CSV file or joints from a BVH file.
     File(File),
 }
@@ -77,6 +81,11 @@ impl Motion {
             Self::Walk(walk) => {
                 above_zero("step_m", walk.step_m)?;
                 finite("center_m", &walk.center_m)
+            }
+            Self::Person(person) => {
+                above_zero("height_m", person.height_m)?;
+                finite("heading_deg", &[person.heading_deg])?;
+                finite("position_m", &person.position_m)
             }
             Self::File(file) => {
                 above_zero("speed", file.speed)?;
@@ -122,6 +131,7 @@ impl Body {
             Motion::Still(_) | Motion::Orbit(_) | Motion::Screw(_) => vec!["body"],
             Motion::Curl(_) => Curl::SEGMENTS.to_vec(),
             Motion::Walk(_) => Walk::SEGMENTS.to_vec(),
+            Motion::Person(_) => Person::SEGMENTS.to_vec(),
             Motion::File(_) => self.tracks.iter().flat_map(|tracks| tracks.names()).collect(),
         }
     }
@@ -137,6 +147,7 @@ impl Body {
             Motion::Screw(screw) => screw.pose(t_s),
             Motion::Curl(curl) => curl.pose(segment, t_s),
             Motion::Walk(walk) => walk.pose(segment, t_s),
+            Motion::Person(person) => person.pose(segment, t_s),
             Motion::File(_) => {
                 self.tracks.as_ref().map_or_else(Isometry3::identity, |tracks| tracks.pose(segment, t_s))
             }
@@ -178,6 +189,7 @@ mod tests {
             Motion::Screw(Screw::default()),
             Motion::Curl(Curl { repetitions: Some(2), ..Curl::default() }),
             Motion::Walk(Walk::default()),
+            Motion::Person(Person { activity: crate::body::Activity::Squats, ..Person::default() }),
         ];
         motions.into_iter().map(|motion| Body::new(motion, Path::new(".")).unwrap()).collect()
     }

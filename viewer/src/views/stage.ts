@@ -2,11 +2,12 @@
 
 import { Group } from "three";
 import { el, setText } from "../dom";
+import { BODY_LOOKS, BodyFigure } from "../scene/body";
 import { Scene, quaternion, vector } from "../scene/scene";
 import { transmitter } from "../scene/transmitter";
 import { LOOKS, Sensors } from "../scene/sensors";
 import { Truth } from "../scene/truth";
-import type { Pose } from "../protocol";
+import type { FigureMessage, Pose } from "../protocol";
 import type { Context, View } from "../view";
 
 export class StageView implements View {
@@ -14,8 +15,10 @@ export class StageView implements View {
   readonly title = "Stage";
   readonly element = el("div");
   private readonly summary = el("p", { id: "summary" });
+  private readonly bodySummary = el("p", { id: "body-summary" });
   private scene: Scene | null = null;
   private readonly sensors: Sensors;
+  private readonly body = new BodyFigure();
   private readonly truth = new Truth();
   private readonly transmitter: Group = transmitter();
   private drawn = -1;
@@ -23,17 +26,19 @@ export class StageView implements View {
   constructor(private readonly context: Context) {
     this.sensors = new Sensors(context.model);
     try {
-      this.scene = new Scene();
+      this.scene = new Scene("the room with its sensors and the body; the tables under Health and the curves under Analysis say the same in numbers");
     } catch {
       this.element.append(el("p", {}, "This browser has no WebGL, which the picture needs. Health shows the same in numbers."));
       return;
     }
-    this.scene.scene.add(this.transmitter, this.sensors.group, this.truth.group);
+    // So that the switch hides what a message would show.
+    const figure = new Group().add(this.body.group);
+    this.scene.scene.add(this.transmitter, this.sensors.group, figure, this.truth.group);
     context.model.listen((message) => {
       if (message.type === "hello") this.placeTransmitter(message.transmitter);
       else if (message.type === "field" && message.model.kind === "transmitter") this.placeTransmitter(message.model);
     });
-    const legend = LOOKS.map(({ sign, words, colour }) => {
+    const legend = [...LOOKS, ...Object.values(BODY_LOOKS)].map(({ sign, words, colour }) => {
       const mark = el("span", {}, `${sign} `);
       mark.style.color = `#${colour.toString(16).padStart(6, "0")}`;
       return el("li", {}, mark, words);
@@ -50,7 +55,8 @@ export class StageView implements View {
     this.element.append(
       this.scene.canvas,
       el("aside", {},
-        el("h2", {}, "Sensors"), this.summary,
+        el("h2", {}, "Sensors"), this.summary, this.bodySummary,
+        layer("body", figure, true),
         layer("names", this.sensors.labels, true),
         layer("trails", this.sensors.trails, true),
         layer("uncertainty, two sigma", this.sensors.sigma, true),
@@ -58,6 +64,14 @@ export class StageView implements View {
         el("button", { onclick: () => this.scene?.reset() }, "Camera back"),
         el("ul", { class: "legend", "aria-label": "What the shapes mean" }, ...legend)),
     );
+  }
+
+  private drawBody(body: FigureMessage): void {
+    this.body.update(body, this.context.model.hello?.height_m ?? null);
+    const good = body.segments.filter(({ state }) => state === "ok").length;
+    const heading = body.heading === "held" ? `, heading held for ${body.heading_held_s.toFixed(0)} s` : "";
+    const place = body.placed === "trackers" ? "" : body.placed === "held" ? ", place as last seen" : ", place not known";
+    setText(this.bodySummary, `body: ${good} of ${body.segments.length} segments measured${heading}${place}`);
   }
 
   private placeTransmitter({ position_m, orientation_wxyz }: Pose): void {
@@ -79,6 +93,7 @@ export class StageView implements View {
       const good = model.sensors.sensors.filter(({ state }) => state === "ok" || state === "repaired").length;
       setText(this.summary, `${good} of ${model.sensors.sensors.length} are good`);
     }
+    if (changed && model.body) this.drawBody(model.body);
     if (changed && model.truth) this.truth.update(model.truth);
     this.scene?.render(changed);
   }
