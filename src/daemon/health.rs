@@ -284,7 +284,7 @@ mod tests {
         let health = Health::new(&Stage::parse("name = \"A\"\n").unwrap());
         let clock = StageClock::with_utc(|| UTC_NS.load(Ordering::Relaxed));
         UTC_NS.fetch_add(7_200_000_000_000, Ordering::Relaxed);
-        let problems = health.problems(&clock);
+        let problems = health.problems(&clock, None);
         assert_eq!((problems.len(), problems[0].code.as_str()), (1, "wall_clock"));
         assert!(problems[0].message.contains("restart posed"), "{}", problems[0].message);
     }

@@ -116,7 +116,7 @@ fn bodies(rig: &Rig) -> Vec<&Body> {
     rig.said
         .iter()
         .filter_map(|said| match said {
-            Said::Body(body) => Some(body),
+            Said::Body(body) => Some(&**body),
             _ => None,
         })
         .collect()
@@ -312,7 +312,7 @@ fn angles_are_columns_of_exercises() {
     let (mut row, mut most) = (Vec::new(), f64::MIN);
     for said in &rig.said {
         match said {
-            Said::Body(news) => body = Some(news),
+            Said::Body(news) => body = Some(&**news),
             Said::Estimate(estimate) => {
                 signals::write(estimate, &mut row);
                 angles.append(body, estimate, &mut row);

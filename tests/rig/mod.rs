@@ -45,7 +45,7 @@ pub(crate) fn simulate(stage: &Stage, scenario: &Scenario) -> VirtualStage {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Said {
     Estimate(Estimate),
-    Body(Body),
+    Body(Box<Body>),
     Outcome(Outcome),
     State(u16, posed_drivers::State),
     Warning(u16, String),
@@ -204,7 +204,7 @@ impl Rig {
 pub(crate) fn keep(output: &Output<'_>) -> Option<Said> {
     match output {
         Output::Estimate(estimate) => Some(Said::Estimate((*estimate).clone())),
-        Output::Body(body) => Some(Said::Body((*body).clone())),
+        Output::Body(body) => Some(Said::Body(Box::new((*body).clone()))),
         Output::Outcome(outcome) => Some(Said::Outcome((*outcome).clone())),
         Output::Device { device, state } => Some(Said::State(*device, (*state).clone())),
         Output::Warning { device, text } => Some(Said::Warning(*device, (*text).to_owned())),
