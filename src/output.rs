@@ -1,10 +1,12 @@
 //! What the pipeline says: estimates and outcomes, before anyone turns them into messages.
 
+mod body;
 mod exercise;
 
 use posed_drivers::{State, Timestamp};
 use serde::{Deserialize, Serialize};
 
+pub use self::body::{Body, BodySegment, Placed, SegmentState};
 pub use self::exercise::{
     ExerciseOutcome, ExerciseProgress, ExerciseState, ExerciseWhat, LiveHint, Repetition,
 };
@@ -28,6 +30,8 @@ pub enum Output<'a> {
         /// `true` = asserted.
         asserted: bool,
     },
+    /// There is news of the body; comes before the estimate of its frame.
+    Body(&'a Body),
     /// A frame has closed: poses of all sensors at one time.
     Estimate(&'a Estimate),
     /// Something happened that no client may miss.

@@ -5,6 +5,7 @@
 //! input, then all outputs are drained; the same entries give the same outputs, and a pipeline restored from
 //! a snapshot goes on as if nothing had happened.
 
+mod body;
 mod device;
 mod exercise;
 mod field;
@@ -28,6 +29,8 @@ use crate::input::{DeviceIndex, Entry, Input, Model, Request, SensorIndex};
 use crate::noise::TrackerNoise;
 use crate::output::{Estimate, Outcome, OutcomeKind, Output, SensorEstimate};
 use crate::stage::Stage;
+use body::BodyStage;
+pub use body::worn;
 use device::{Device, owner};
 pub use exercise::DEFAULT_SUBJECT;
 use exercise::ExerciseStage;
@@ -36,7 +39,7 @@ use keyframes::Keyframes;
 use naming::Naming;
 use sensor::Sensor;
 use source::Source;
-pub use status::{ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
+pub use status::{BodyStatus, ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
 
 /// A stage file that no pipeline can be made of, or a snapshot that does not fit it.
 #[derive(Debug, Error)]
@@ -56,6 +59,12 @@ pub enum PipelineError {
         device: String,
         /// What the driver expects.
         source: posed_drivers::flock::SettingsError,
+    },
+    /// Two IMUs sit on one segment.
+    #[error("sensors {:?} and {:?} sit on the same segment: give each a `segment` of its own", sensors[0], sensors[1])]
+    Worn {
+        /// The two.
+        sensors: [String; 2],
     },
     /// A number that the pipeline cannot work with.
     #[error("{key}: expected {expected}")]
@@ -86,6 +95,8 @@ pub struct Pipeline {
     field: Field,
     estimate: Estimate,
     exercise: ExerciseStage,
+    /// Absent where nobody wears the sensors. Boxed: most stages have none.
+    body: Option<Box<BodyStage>>,
     /// Absent where the stage does not ask for them.
     keyframes: Option<Keyframes>,
     models_refused: u64,
@@ -145,7 +156,8 @@ impl Pipeline {
                 sensors: vec![SensorEstimate::default(); stage.sensors.len()],
                 ..Estimate::default()
             },
-            exercise: ExerciseStage::new(stage.sensors.iter().map(|sensor| sensor.name.as_str())),
+            exercise: ExerciseStage::new(stage),
+            body: BodyStage::new(stage)?.map(Box::new),
             keyframes: Keyframes::new(stage)?,
             models_refused: 0,
             requests_refused: 0,
@@ -222,6 +234,10 @@ impl Pipeline {
                     sensor.status(device.counted(index, &self.sensors).as_ref())
                 })
                 .collect(),
+            body: self
+                .body
+                .as_ref()
+                .map(|body| BodyStatus { mounted: body.is_mounted(), faults: body.faults().collect() }),
             models_refused: self.models_refused,
             requests_refused: self.requests_refused,
         }
@@ -298,13 +314,29 @@ impl Pipeline {
 
     fn close_frames(&mut self, say: &mut impl FnMut(Output<'_>)) {
         let Self {
-            frames, sensors, estimate, room_transmitter, now, field, keyframes, exercise, naming, ..
+            frames,
+            sensors,
+            estimate,
+            room_transmitter,
+            now,
+            field,
+            keyframes,
+            exercise,
+            naming,
+            body,
+            ..
         } = self;
         while let Some(frame) = frames.poll(*now) {
             estimate_frame(frame, sensors, field, room_transmitter, estimate);
+            if let Some(body) = body
+                && let Some(body) = body.frame(frame, estimate)
+            {
+                say(Output::Body(body));
+            }
+            let body = body.as_ref().and_then(|body| body.latest());
             say(Output::Estimate(estimate));
             if let Some(naming) = naming {
-                naming.push(estimate, say);
+                naming.push(estimate, body, say);
             }
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, say);
@@ -313,12 +345,13 @@ impl Pipeline {
             if let Some(keyframes) = keyframes {
                 keyframes.frame(estimate, say);
             }
-            exercise.frame(estimate, &mut |outcome| say(Output::Outcome(outcome)));
+            exercise.frame(estimate, body, &mut |outcome| say(Output::Outcome(outcome)));
         }
     }
 
     fn name_with(&mut self, bytes: &[u8]) {
-        match Naming::new(bytes, self.sensors.iter().map(Sensor::name)) {
+        let segments = self.body.is_some();
+        match Naming::new(bytes, self.sensors.iter().map(Sensor::name), segments) {
             Ok(naming) => self.naming = Some(Box::new(naming)),
             // Whoever sends one has looked first, to say what is wrong.
             Err(_) => self.models_refused += 1,
