@@ -5,6 +5,7 @@
 use posed_drivers::{LineEvent, Timestamp};
 use serde::{Deserialize, Serialize};
 
+use crate::faults::som::Network;
 use crate::geometry;
 use crate::motion::exercise::Exercise;
 
@@ -80,6 +81,12 @@ pub enum Model {
         /// The exercise, as in its file.
         exercise: Box<Exercise>,
     },
+    /// A map of faults; it takes the place of the one before. Clients send none: it is longer than a message may be.
+    #[schemars(skip)]
+    Faults {
+        /// The network, as in its file.
+        network: Box<Network>,
+    },
 }
 
 /// What clients ask of the pipeline.
@@ -121,6 +128,7 @@ impl Model {
             (Self::Transmitter { .. }, Self::Transmitter { .. }) => true,
             (Self::TrackerNoise { device, .. }, Self::TrackerNoise { device: of, .. }) => device == of,
             (Self::Exercise { exercise }, Self::Exercise { exercise: newer }) => exercise.name == newer.name,
+            (Self::Faults { .. }, Self::Faults { .. }) => true,
             _ => false,
         }
     }
@@ -150,6 +158,8 @@ impl Model {
                 }
             }
             Self::Exercise { exercise } => exercise.check().map_err(|error| error.to_string())?,
+            // Read from its file, it holds together; whether it is of these sensors, the pipeline knows.
+            Self::Faults { .. } => {}
         }
         Ok(())
     }

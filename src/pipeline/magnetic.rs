@@ -8,11 +8,12 @@ use posed_drivers::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::sensor::{MOVING_M_S, MOVING_RAD_S};
+use crate::faults::som::rules::Class;
 use crate::faults::{Detector, Label, MeasuredPose};
 use crate::fusion::{Track, Tracker, Tuning, Verdict};
 use crate::geometry;
 use crate::noise::TrackerNoise;
-use crate::output::{FaultCause, Measured, PoseEstimate, SensorState};
+use crate::output::{FaultCause, Measured, PoseEstimate, Repair, SensorState};
 
 /// Variance of an orientation of which nothing is known, rad^2.
 const UNKNOWN_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
@@ -39,11 +40,13 @@ impl Magnetic {
         self.tracker.set_interval_s(interval_s);
     }
 
+    /// Takes a record. How far it can be trusted, what is wrong with it, and what was done about that.
     pub(super) fn measure(
         &mut self,
         measured: &Measured,
         others_move: bool,
-    ) -> (SensorState, Option<FaultCause>) {
+        by_map: Option<Class>,
+    ) -> (SensorState, Option<FaultCause>, Option<Repair>) {
         let t: Timestamp = measured.t_valid;
         let pose = MeasuredPose {
             position_m: measured.position_m.map(Vector3::from),
@@ -51,15 +54,22 @@ impl Magnetic {
         };
         let finite = pose.position_m.is_none_or(|position| position.iter().all(|value| value.is_finite()));
         if !finite || (pose.orientation.is_none() && measured.orientation_wxyz.is_some()) {
-            return (SensorState::Suspect, Some(FaultCause::Gate));
+            return (SensorState::Suspect, Some(FaultCause::Gate), None);
         }
         let expected = self.tracker.expectation(t);
-        let checked = self.detector.check(&pose, expected.as_ref(), self.tracker.noise(), others_move);
+        let noise = self.tracker.noise();
+        let checked = self.detector.check(&pose, expected.as_ref(), noise, others_move, by_map);
         match (self.tracker.push(t, &checked), checked.label) {
-            (Verdict::Good, Label::Mirrored) => (SensorState::Repaired, Some(FaultCause::Hemisphere)),
-            (Verdict::Good, _) => (SensorState::Ok, None),
-            (_, Label::Stuck) => (SensorState::Stuck, Some(FaultCause::Stuck)),
-            (_, _) => (SensorState::Suspect, Some(FaultCause::Gate)),
+            (Verdict::Good, Label::Mirrored) => {
+                (SensorState::Repaired, Some(FaultCause::Hemisphere), Some(Repair::Mirrored))
+            }
+            (_, Label::Disputed) => (SensorState::Suspect, Some(FaultCause::Hemisphere), None),
+            // Why, the map says once it has said it often enough.
+            (_, Label::Withheld) => (SensorState::Suspect, None, Some(Repair::Bridged)),
+            (Verdict::Good, _) => (SensorState::Ok, None, None),
+            (_, Label::Stuck) => (SensorState::Stuck, Some(FaultCause::Stuck), None),
+            (_, Label::Mirrored) => (SensorState::Suspect, Some(FaultCause::Gate), Some(Repair::Mirrored)),
+            (_, _) => (SensorState::Suspect, Some(FaultCause::Gate), None),
         }
     }
 

@@ -25,10 +25,10 @@ mod typescript;
 
 pub use encode::{Encoding, Payload};
 pub use message::{
-    Begun, Data, Deviation, DeviceStatus, ErrorReply, ExerciseChange, ExerciseEvent, Fault, FieldChange,
-    FieldEvent, Hello, HelloSensor, Job, JobState, Jobs, Judged, KeyPose, LinkState, Measured, OkReply,
-    Problem, Quality, RecordingStatus, ReplayStatus, SegmentBody, SensorEntry, SensorStatus, Sensors,
-    ServerMessage, StageLatency, Status, TruthEntry, Truths,
+    Begun, Data, Deviation, DeviceStatus, ErrorReply, ExerciseChange, ExerciseEvent, Fault, FaultChange,
+    FieldChange, FieldEvent, Hello, HelloSensor, Job, JobState, Jobs, Judged, KeyPose, LinkState, Measured,
+    OkReply, Problem, Quality, RecordingStatus, ReplayStatus, SegmentBody, SensorEntry, SensorStatus,
+    Sensors, ServerMessage, StageLatency, Status, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use publisher::{Counters, Publisher, PublisherState, Stamp};

@@ -12,6 +12,7 @@ mod cli;
 mod daemon;
 mod exercise;
 mod faults;
+mod faults_live;
 mod field;
 mod inertial;
 mod keyframes;

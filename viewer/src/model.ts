@@ -1,7 +1,7 @@
 // What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
 // Bounded: it never grows over hours.
 
-import type { FaultMessage, Hello, JobsMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
+import type { FaultEvent, FaultMap, Hello, JobsMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
 
 /** Seconds of history for curves. */
 export const HISTORY_S = 20;
@@ -42,7 +42,8 @@ export class Model {
   truth: TruthsMessage | null = null;
   status: StatusMessage | null = null;
   jobs: JobsMessage | null = null;
-  faults: FaultMessage[] = [];
+  faults: FaultEvent[] = [];
+  faultMap: FaultMap | null = null;
   readonly history = new Map<string, History>();
   /** Browser time of the newest frame, ms. */
   lastFrameMs = -Infinity;
@@ -62,6 +63,7 @@ export class Model {
         this.hello = message;
         this.history.clear();
         this.truth = null;
+        this.faultMap = null;
         break;
       case "sensors":
         this.takeSensors(message);
@@ -76,7 +78,11 @@ export class Model {
         this.jobs = message;
         break;
       case "faults":
-        this.faults.push(message);
+        if (message.event === "map") {
+          this.faultMap = message;
+          break;
+        }
+        this.faults.push(message as FaultEvent);
         if (this.faults.length > EVENTS) this.faults.shift();
         break;
     }

@@ -92,6 +92,7 @@ enum Key {
     Transmitter,
     TrackerNoise(String),
     Exercise(String),
+    FaultsMap,
     /// What a subject does.
     Subject(Name),
     /// The newest count since then.
@@ -389,6 +390,7 @@ impl Distributor {
             OutcomeKind::ModelSwapped(Model::Exercise { exercise }) => {
                 Some((Key::Exercise(exercise.name.clone()), true))
             }
+            OutcomeKind::ModelSwapped(Model::Faults { .. }) => Some((Key::FaultsMap, true)),
             OutcomeKind::Exercise(ExerciseOutcome { subject, what }) => match what {
                 ExerciseWhat::State(_) => {
                     // It holds all counts so far.

@@ -37,6 +37,8 @@ pub(super) struct File {
     usual_distance: f64,
     usual_distances_m: Vec<f64>,
     epochs: usize,
+    #[serde(default)]
+    revision: u32,
     /// Absent: positions are taken as they are.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     body: Option<Body>,
@@ -58,6 +60,7 @@ impl From<Network> for File {
             usual_distance: network.usual_distance,
             usual_distances_m: network.usual_distances_m,
             epochs: network.epochs,
+            revision: network.revision,
             body: network.body,
             rules: network.rules,
         }
@@ -96,6 +99,11 @@ impl TryFrom<File> for Network {
         if file.usual_distances_m.len() != sensors || !chains.eq(file.neurons.iter().map(Vec::len)) {
             return wrong("there should be one class per neuron and one usual distance per sensor");
         }
+        let weights = file.layer1.weights.iter().flatten().flatten();
+        let distances = file.usual_distances_m.iter().chain([&file.usual_distance]);
+        if !weights.chain(cells.iter().copied().flatten()).chain(distances).all(|value| value.is_finite()) {
+            return wrong("all weights and distances should be finite");
+        }
         let chain = |weights: &Vec<[f64; 3]>| Map {
             rows: 1,
             columns: weights.len(),
@@ -118,6 +126,7 @@ impl TryFrom<File> for Network {
             body: file.body,
             rules: file.rules,
             epochs: file.epochs,
+            revision: file.revision,
         })
     }
 }

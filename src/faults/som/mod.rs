@@ -74,6 +74,8 @@ pub struct Network {
     rules: Rules,
     /// Passes of the second layer's training.
     pub epochs: usize,
+    /// Which state of a stage's network this is; counted up when it is learnt anew or a cell is renamed.
+    pub revision: u32,
 }
 
 /// Why a network cannot be used.
@@ -94,6 +96,14 @@ pub enum NetworkError {
         expected: usize,
         /// So many are there.
         found: usize,
+    },
+    /// There is no such cell.
+    #[error("expected a row below {rows} and a column below {columns}")]
+    Cell {
+        /// Rows of the map.
+        rows: usize,
+        /// Columns of the map.
+        columns: usize,
     },
     /// The file does not hold together.
     #[error("not a network: {0}")]
@@ -138,6 +148,7 @@ impl Network {
             usual_distance: 0.0,
             rules,
             epochs: 0,
+            revision: 0,
         };
         let mut seen = frames.clone();
         for (k, size_of_body) in sizes.iter().enumerate() {
@@ -243,6 +254,43 @@ impl Network {
     /// Rows and columns of the second layer.
     pub fn size(&self) -> (usize, usize) {
         (self.map.rows, self.map.columns)
+    }
+
+    /// Gives a cell another class.
+    ///
+    /// # Errors
+    /// There is no such cell.
+    pub fn name_cell(&mut self, row: usize, column: usize, class: Class) -> Result<(), NetworkError> {
+        let (rows, columns) = self.size();
+        if row >= rows || column >= columns {
+            return Err(NetworkError::Cell { rows, columns });
+        }
+        self.cells[row * columns + column] = class;
+        Ok(())
+    }
+
+    /// Whether a watch of `self` can go on with `other`: they differ in nothing but names of cells.
+    pub fn is_renamed(&self, other: &Self) -> bool {
+        let Self { sensors, body, chains, neurons, usual_distances_m, map, usual_distance, rules, .. } = self;
+        *sensors == other.sensors
+            && *body == other.body
+            && *chains == other.chains
+            && *neurons == other.neurons
+            && *usual_distances_m == other.usual_distances_m
+            && *map == other.map
+            && *usual_distance == other.usual_distance
+            && *rules == other.rules
+    }
+
+    /// Whether these are its sensors, in any order.
+    ///
+    /// # Errors
+    /// They are not.
+    pub fn check_sensors(&self, sensors: &[&str]) -> Result<(), NetworkError> {
+        let same = sensors.len() == self.sensors.len()
+            && self.sensors.iter().all(|own| sensors.contains(&own.as_str()));
+        let error = || NetworkError::Sensors { expected: self.sensors.join(","), found: sensors.join(",") };
+        if same { Ok(()) } else { Err(error()) }
     }
 
     /// Takes a recording's sensors in the network's order.

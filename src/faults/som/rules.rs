@@ -23,11 +23,17 @@ const JUMP_LARGEST: f64 = 1.5;
 const JUMP_USUAL: f64 = 4.0;
 const SMALLEST_JUMP_M: f64 = 0.04;
 
+/// Heads are so far above feet, at least, where names tell which side is clean, m.
+const UPRIGHT_M: f64 = 0.1;
+
 /// Shares of the distances that are taken for faults, at first and then, at either end.
 const RANGES_LEAVE_OUT: [f64; 2] = [0.02, 0.003];
 
 /// What is the matter with one sensor, or with a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema,
+)]
+#[schemars(rename = "FaultClass")]
 #[serde(rename_all = "lowercase")]
 pub enum Class {
     /// Nothing is known against it.
@@ -41,7 +47,8 @@ pub enum Class {
 }
 
 /// Why.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[schemars(rename = "LabelCause")]
 #[serde(rename_all = "lowercase")]
 pub enum Cause {
     /// Nothing is the matter.
@@ -272,8 +279,8 @@ fn upside_down(frames: &Frames, sides: &[bool]) -> bool {
     let (mut up, mut down) = (0, 0);
     for k in 0..frames.len() {
         if let (Some(high), Some(low)) = (mean(k, &high), mean(k, &low)) {
-            up += usize::from(high > low);
-            down += usize::from(high < low);
+            up += usize::from(high - low > UPRIGHT_M);
+            down += usize::from(low - high > UPRIGHT_M);
         }
     }
     down > up

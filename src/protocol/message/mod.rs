@@ -19,7 +19,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use self::exercise::{Begun, Deviation, ExerciseChange, ExerciseEvent, Judged};
-pub use self::faults::Fault;
+pub use self::faults::{Fault, FaultChange};
 pub use self::field::{FieldChange, FieldEvent};
 pub use self::hello::{Hello, HelloSensor};
 pub use self::jobs::{Job, JobState, Jobs};
@@ -50,7 +50,7 @@ pub enum ServerMessage {
     Truth(Data<Truths>),
     /// All jobs, running and lately ended.
     Jobs(Data<Jobs>),
-    /// A fault began or ended.
+    /// A fault began or ended, or the map of faults changed.
     Faults(Data<Fault>),
     /// A sensor's motion changed.
     Keyframes(Data<KeyPose>),

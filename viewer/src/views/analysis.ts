@@ -1,10 +1,11 @@
-// Analysis: curves of one sensor, and the events as they come.
+// Analysis: curves of one sensor, the map of faults, and the events as they come.
 
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { type Cell, Table, el } from "../dom";
 import { HISTORY_S, History } from "../model";
 import type { Context, View } from "../view";
+import { FaultsPanel } from "./faults";
 
 /** Curves are drawn so often; numbers move faster than eyes. */
 const DRAW_MS = 100;
@@ -22,11 +23,13 @@ export class AnalysisView implements View {
   private readonly choice = el("select", { id: "sensor-choice", "aria-label": "Sensor" });
   private readonly curves = el("div", { class: "curves" });
   private readonly faults = new Table("faults", "Faults, newest first", [["Stage time, s"], ["Sensor", "word"], ["Cause", "word"], [""]]);
+  private readonly map: FaultsPanel;
   private plots: uPlot[] = [];
   private lastDraw = -Infinity;
 
   constructor(private readonly context: Context) {
-    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.faults.element);
+    this.map = new FaultsPanel(context);
+    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.map.element, this.faults.element);
     addEventListener("resize", () => this.resize());
   }
 
@@ -41,6 +44,7 @@ export class AnalysisView implements View {
     this.drawChoice();
     const history = this.context.model.history.get(this.choice.value);
     if (history) this.drawCurves(history);
+    this.map.draw();
     this.faults.fill(this.context.model.faults.slice(-40).reverse().map((fault): Cell[] => [
       [fault.t_s.toFixed(2)], [fault.sensor, "word"], [fault.cause, "word"],
       [fault.active ? "began" : "ended", `word ${fault.active ? "care" : "good"}`],

@@ -77,7 +77,8 @@ export class StageView implements View {
     if (changed && model.sensors) {
       this.sensors.update(model.sensors.sensors);
       const good = model.sensors.sensors.filter(({ state }) => state === "ok" || state === "repaired").length;
-      setText(this.summary, `${good} of ${model.sensors.sensors.length} are good`);
+      const label = model.sensors.fault?.label ?? "clean";
+      setText(this.summary, `${good} of ${model.sensors.sensors.length} are good${label === "clean" ? "" : `; the frame is ${label}`}`);
     }
     if (changed && model.truth) this.truth.update(model.truth);
     this.scene?.render(changed);
