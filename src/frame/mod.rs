@@ -82,6 +82,8 @@ pub struct Frame {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct Tick {
     t: Timestamp,
+    /// The device whose cycle it is; `None` for a tick of the grid, or between the cycles of two devices.
+    device: Option<usize>,
     by_model: bool,
     left_out: u64,
 }
@@ -108,14 +110,20 @@ impl Sensor {
         t: Timestamp,
         own_interval_s: Option<f64>,
     ) -> u32 {
-        let Some(period_s) = device.period_s().filter(|_| device.is_running()) else { return 0 };
         let newest = samples.iter().rev().find(|sample| !sample.late).map(|sample| sample.measured.t_valid);
+        // Nothing is expected of a device that has stopped; what it had said before still counts.
+        let Some(period_s) = device.period_s().filter(|_| device.is_running() || newest.is_some()) else {
+            return 0;
+        };
         if let Some(interval_s) = own_interval_s {
-            // Ticks since then that were not its own: it was away while others measured.
+            // Ticks since then that were not its own: it was away while others measured, or its cycles fell between
+            // the ticks of the one that kept the clock before.
             let away_s = self.accounted.map_or(0.0, |before| t.seconds_since(before) - interval_s);
             let away = (away_s / period_s).round().max(0.0) as u32;
+            let between = samples.iter().filter(|sample| !sample.late).count().saturating_sub(1) as u32;
             self.accounted = Some(t);
-            return away + u32::from(samples.is_empty() && period_s < 1.5 * interval_s);
+            return away.saturating_sub(between)
+                + u32::from(samples.is_empty() && period_s < 1.5 * interval_s);
         }
         let (missed, accounted) = match (newest, self.accounted) {
             (Some(newest), None) => (0, Some(newest)),
@@ -145,6 +153,8 @@ pub struct Assembler {
     reference: Option<usize>,
     pending: VecDeque<Tick>,
     last_scheduled: Option<Timestamp>,
+    /// The device of that tick.
+    scheduled_by: Option<usize>,
     last_closed: Option<Timestamp>,
     sigma_t_s: f64,
     /// Ticks of the grid left out before the next one.
@@ -177,6 +187,7 @@ impl Assembler {
             reference: None,
             pending: VecDeque::with_capacity(64),
             last_scheduled: None,
+            scheduled_by: None,
             last_closed: None,
             sigma_t_s: 0.0,
             left_out: 0,
@@ -198,7 +209,7 @@ impl Assembler {
             self.choose_reference(now);
             if self.grid_s.is_none() && self.reference == Some(index) {
                 self.sigma_t_s = stamp.sigma_s;
-                self.schedule_cycle(stamp.t_valid, period_s);
+                self.schedule_cycle(index, stamp.t_valid, period_s);
             } else if let Some(grid_s) = self.grid_s {
                 self.sigma_t_s = stamp.sigma_s;
                 self.anchor_grid(stamp.t_valid, grid_s);
@@ -255,7 +266,7 @@ impl Assembler {
     }
 
     /// A tick at a cycle of the reference device, and those of the cycles lost before it.
-    fn schedule_cycle(&mut self, t: Timestamp, period_s: Option<f64>) {
+    fn schedule_cycle(&mut self, device: usize, t: Timestamp, period_s: Option<f64>) {
         let Some(period_s) = period_s else { return };
         let mut left_out = 0;
         if let Some(last) = self.last_scheduled {
@@ -266,18 +277,20 @@ impl Assembler {
             let missed = (gap_s / period_s).round() as u32 - 1;
             if gap_s <= COAST_S {
                 let step = Duration::from_secs_f64(gap_s / f64::from(missed + 1));
+                let lost = self.scheduled_by.filter(|before| *before == device);
                 for i in 1..=missed {
-                    self.schedule(Tick { t: last + step * i, by_model: true, left_out: 0 });
+                    self.schedule(Tick { t: last + step * i, device: lost, by_model: true, left_out: 0 });
                 }
             } else {
                 left_out = u64::from(missed);
             }
         }
-        self.schedule(Tick { t, by_model: false, left_out });
+        self.schedule(Tick { t, device: Some(device), by_model: false, left_out });
     }
 
     fn schedule(&mut self, tick: Tick) {
         self.last_scheduled = Some(tick.t);
+        self.scheduled_by = tick.device;
         self.pending.push_back(tick);
     }
 
@@ -302,7 +315,8 @@ impl Assembler {
         let t = last + Duration::from_secs_f64(device.period_s()?);
         let alive = t.seconds_since(device.latest()?) <= COAST_S && device.is_running();
         let due = t + Duration::from_secs_f64(device.lag_s() + self.wait_s);
-        alive.then_some((Tick { t, by_model: true, left_out: 0 }, due))
+        let device = self.reference.filter(|_| self.scheduled_by == self.reference);
+        alive.then_some((Tick { t, device, by_model: true, left_out: 0 }, due))
     }
 
     /// Where the grid begins, at first and after a silence.
@@ -326,7 +340,7 @@ impl Assembler {
         (t.seconds_since(latest) <= COAST_S).then_some(())?;
         // Due once the fastest device has gone past it; the deadline sees to those that have not.
         let due = if latest >= t { now } else { self.deadline(t, now).map_or(t, |deadline| deadline.max(t)) };
-        Some((Tick { t, by_model: false, left_out: self.left_out }, due))
+        Some((Tick { t, device: None, by_model: false, left_out: self.left_out }, due))
     }
 
     /// How long a tick waits for its sensors; `None` if all have said what they have to say.
@@ -369,7 +383,7 @@ impl Assembler {
                 slot.samples.push(*sample);
                 sensor.queue.pop_front();
             }
-            let is_clock = self.grid_s.is_none() && self.reference == Some(sensor.device);
+            let is_clock = tick.device == Some(sensor.device);
             let device = &self.devices[sensor.device];
             slot.missed = sensor.missed(device, &slot.samples, tick.t, is_clock.then_some(interval_s));
         }

@@ -252,11 +252,7 @@ impl Pipeline {
                     self.state_changed(device);
                     say(Output::Device { device, state: self.devices[index].session.get().state() });
                 }
-                SessionOutput::Sample(sample) => {
-                    self.sample(device, &sample);
-                    // A chunk may hold several cycles: each frame closes as soon as it can.
-                    self.close_frames(say);
-                }
+                SessionOutput::Sample(sample) => self.sample(device, &sample),
             }
         }
     }

@@ -126,11 +126,14 @@ pub struct Found {
 /// Cuts a stream of bytes into packets.
 ///
 /// Packets have neither mark nor checksum. A header must be possible and its records must fill the body, as far
-/// as it has come; else it gives up one byte, and a wrong length holds up little.
+/// as it has come; else it gives up one byte, and a wrong length holds up little. Where bytes of a body were lost, its
+/// end is the begin of the next packet: if nothing can begin behind it, that one is looked for in it.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Packets {
     buffer: Vec<u8>,
     start: usize,
+    /// The packet that ends at `start`, if one does: its number, and where its body begins.
+    before: Option<(u16, usize)>,
     origin: u64,
     bytes_skipped: u64,
 }
@@ -138,9 +141,11 @@ pub struct Packets {
 impl Packets {
     /// Takes more bytes.
     pub fn push(&mut self, bytes: &[u8]) {
-        self.buffer.drain(..self.start);
-        self.origin += self.start as u64;
-        self.start = 0;
+        let done = self.before.map_or(self.start, |(_, body)| body);
+        self.buffer.drain(..done);
+        self.origin += done as u64;
+        self.start -= done;
+        self.before = self.before.map(|(number, _)| (number, 0));
         self.buffer.extend_from_slice(bytes);
     }
 
@@ -153,6 +158,10 @@ impl Packets {
             let parsed = Header::parse(head)
                 .filter(|(header, len)| !header.has_records() || may_be_records(body(*len), *len));
             let Some((header, len)) = parsed else {
+                if let Some(place) = self.before.take().and_then(|before| self.begun_in(before)) {
+                    self.start = place;
+                    continue;
+                }
                 self.start += 1;
                 self.bytes_skipped += 1;
                 continue;
@@ -163,8 +172,17 @@ impl Packets {
             let place = self.origin + self.start as u64;
             let body = (self.start + HEADER, self.start + HEADER + len);
             self.start = body.1;
+            self.before = Some((header.sequence, body.0));
             return Some(Found { place, header, body });
         }
+    }
+
+    /// Where in the body of a packet the packet after it begins, if it does.
+    fn begun_in(&self, (number, body): (u16, usize)) -> Option<usize> {
+        (body..self.start).rev().find(|place| {
+            let head = self.buffer[*place..].first_chunk().and_then(Header::parse);
+            head.is_some_and(|(header, _)| header.has_records() && header.sequence == number.wrapping_add(1))
+        })
     }
 
     /// The body of a packet.
@@ -176,6 +194,7 @@ impl Packets {
     pub fn interrupt(&mut self) {
         self.bytes_skipped += (self.buffer.len() - self.start) as u64;
         self.start = self.buffer.len();
+        self.before = None;
     }
 
     /// Bytes of no packet.

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use super::frame::{Frame, Framer};
 use super::message::{self, MASTER};
 use super::setup::{Progress, Setup};
-use super::stream::{Outcome, Plan, Stream};
+use super::stream::{Outcome, Plan, Stream, Unit};
 use crate::arrivals::Arrivals;
 use crate::flock::SettingsError;
 use crate::outbox::Outbox;
@@ -75,6 +75,8 @@ pub struct XbusSession {
     /// Bytes dropped in front of the session; the framer counts the others.
     dropped: u64,
     sensors: Vec<SensorInfo>,
+    /// All trackers that a scan has found, at the address of the first one.
+    known: Vec<Unit>,
     losses: Vec<Loss>,
     /// When data last came, of this stream or an earlier one.
     last_data: Option<Timestamp>,
@@ -121,6 +123,7 @@ impl XbusSession {
             outbox: Outbox::new(),
             dropped: 0,
             sensors: Vec::new(),
+            known: Vec::new(),
             losses: Vec::new(),
             last_data: None,
             rate_hz: None,
@@ -208,6 +211,7 @@ impl XbusSession {
         {
             unit.address = 0;
         }
+        self.keep_addresses(&mut plan.units);
         for &address in &self.wanted {
             if !plan.units.iter().any(|unit| unit.address == address) {
                 let there = plan.units.len();
@@ -230,6 +234,26 @@ impl XbusSession {
             .collect();
         let silent_at = now + silence(stream.rate_hz());
         self.phase = Phase::Streaming { stream, silent_at, refused: 0 };
+    }
+
+    /// A scan numbers what it finds along the chain. Without a tracker that died in its middle those behind it
+    /// would be taken for one another, so each keeps the address that it had before.
+    fn keep_addresses(&mut self, units: &mut [Unit]) {
+        let known = |unit: &Unit| self.known.iter().find(|known| known.device_id == unit.device_id).copied();
+        let mut taken: Vec<u16> = units.iter().filter_map(known).map(|known| known.address).collect();
+        for unit in units.iter_mut() {
+            let own = known(unit).map(|known| known.address);
+            unit.address = own.unwrap_or_else(|| {
+                let places = std::iter::once(unit.address).chain(1..);
+                let free = places.into_iter().find(|place| !taken.contains(place)).unwrap_or(unit.address);
+                taken.push(free);
+                free
+            });
+        }
+        for unit in units.iter() {
+            self.known.retain(|known| known.device_id != unit.device_id && known.address != unit.address);
+            self.known.push(*unit);
+        }
     }
 
     fn stream_message(

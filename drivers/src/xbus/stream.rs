@@ -12,7 +12,7 @@ use crate::sample::{Arrival, DeviceTime, Measurement, Sample};
 use crate::session::{Loss, SensorInfo};
 
 /// A tracker.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Unit {
     pub(super) address: u16,
     pub(super) device_id: u64,

@@ -69,6 +69,41 @@ fn worked_examples() {
 }
 
 #[test]
+fn a_body_that_lost_bytes_costs_the_packet_after_it_nothing() {
+    let pose = Pose { position_m: Some([0.1, 0.2, 0.3]), orientation_wxyz: Some([0.5, 0.5, 0.5, 0.5]) };
+    let packet = |sequence: u16| {
+        let mut body = Vec::new();
+        for address in [2, 3] {
+            let format = Format::PositionQuaternion;
+            wire::encode_record(address, format, pose, 3.0, QuaternionSense::Direct, None, &mut body);
+        }
+        let mut bytes = Vec::new();
+        Header { sequence, kind: kind::DATA_PACKET, ..Header::default() }.encode(&body, &mut bytes);
+        bytes
+    };
+    // From the words of the last record; what is lost before them makes another record of the rest.
+    let words = wire::HEADER + 16 + 2;
+    for (lost, count) in [(words, 1), (words + 3, 2), (packet(0).len() - 1, 1), (packet(0).len() - 9, 9)] {
+        let mut bytes = packet(7);
+        bytes.drain(lost..lost + count);
+        bytes.extend(packet(8));
+        bytes.extend(packet(9));
+        for size in [1, 5, bytes.len()] {
+            let mut packets = Packets::default();
+            let mut numbers = Vec::new();
+            for piece in bytes.chunks(size) {
+                packets.push(piece);
+                while let Some(found) = packets.find() {
+                    assert_eq!(packets.body(found).len(), 32);
+                    numbers.push(found.header.sequence);
+                }
+            }
+            assert_eq!(numbers, [7, 8, 9], "{count} lost at {lost}, {size} at a time");
+        }
+    }
+}
+
+#[test]
 fn bad_data_are_not_used_and_records_must_fill_their_packet() {
     let record = |bytes: &[u8]| {
         wire::records(bytes).map(|mut records| records.next().unwrap().pose(3.0, QuaternionSense::Vendor))

@@ -221,6 +221,25 @@ fn a_tracker_that_is_gone_fails_its_periods_until_the_chain_is_scanned_again() {
 }
 
 #[test]
+fn without_a_tracker_in_the_middle_those_behind_it_stay_who_they_are() {
+    let dies = Fault::BirdDies { address: 2, at_s: 4.0, duration_s: Some(4.0) };
+    let mut pair = chain(with(vec![dies, Fault::PowerCycle { at_s: 9.0 }]));
+    pair.run_until(3.9);
+    let serial = |pair: &Pair<XbusSession>, address: u16| {
+        let sensors = pair.session.sensors();
+        sensors.iter().find(|sensor| sensor.address == address).and_then(|sensor| sensor.serial.clone())
+    };
+    let (second, third) = (serial(&pair, 2), serial(&pair, 3));
+    assert!(second.is_some() && third.is_some() && second != third);
+    pair.run_until(7.9);
+    assert_eq!((serial(&pair, 2), serial(&pair, 3)), (None, third.clone()));
+    pair.forget();
+    pair.run_until(14.0);
+    assert_eq!((serial(&pair, 2), serial(&pair, 3)), (second, third));
+    assert!(pair.samples_of(2).len() > 100 && pair.samples_of(3).len() > 200);
+}
+
+#[test]
 fn a_brown_out_in_mid_stream_is_followed_by_a_new_set_up() {
     for personality in [Personality::Chain, Personality::Mti, Personality::Mtx] {
         let device = with(vec![Fault::PowerCycle { at_s: 4.0 }]);
