@@ -210,7 +210,7 @@ export type Exercise = {
 };
 
 /** What every data message starts with, and its body. */
-export type ExerciseEventMessage = {
+export type ExerciseEventMessage = ({
   /** The channels it looks at. */
   channels: string[];
   /** Median duration of a repetition, s. */
@@ -244,7 +244,7 @@ export type ExerciseEventMessage = {
   phase: number | null;
   /** In words. */
   sentence: string | null;
-} & {
+}) & {
   /** Data messages of all topics that were dropped for this client so far. */
   dropped: number;
   /** Stage-wide number of the event, from 1. */
@@ -294,7 +294,7 @@ export type FaultCause = "hemisphere" | "stuck" | "gate" | "missing" | "jump" | 
 export type FaultClass = "clean" | "inverted" | "anomalous" | "unknown";
 
 /** What every data message starts with, and its body. */
-export type FaultMessage = {
+export type FaultMessage = ({
   /** Whether it began or ended. */
   active: boolean;
   /** What is wrong with it. */
@@ -316,7 +316,7 @@ export type FaultMessage = {
   sensors: string[];
   /** A frame that is farther from its cell than this is unusual. */
   usual_distance: number;
-} & {
+}) & {
   /** Data messages of all topics that were dropped for this client so far. */
   dropped: number;
   /** Stage-wide number of the event, from 1. */

@@ -47,12 +47,25 @@ fn type_of(schema: &Value, indent: &str) -> String {
     // A tagged variant is an object beside a reference or a union: both hold.
     if parts.len() > 1 {
         for part in &mut parts {
-            if part.contains(" | ") && !part.starts_with('{') {
+            if is_union(part) {
                 *part = format!("({part})");
             }
         }
     }
     parts.join(" & ")
+}
+
+/// Whether a type is a choice at its outermost level, not only within an object.
+fn is_union(part: &str) -> bool {
+    let mut depth = 0;
+    part.char_indices().any(|(at, c)| {
+        depth += match c {
+            '{' | '(' | '[' => 1,
+            '}' | ')' | ']' => -1,
+            _ => 0,
+        };
+        depth == 0 && part[at..].starts_with(" | ")
+    })
 }
 
 fn plain(kind: &str, schema: &Map<String, Value>, indent: &str) -> String {

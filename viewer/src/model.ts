@@ -82,7 +82,7 @@ export class Model {
           this.faultMap = message;
           break;
         }
-        this.faults.push(message as FaultEvent);
+        this.faults.push(message);
         if (this.faults.length > EVENTS) this.faults.shift();
         break;
     }
