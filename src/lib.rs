@@ -27,3 +27,4 @@ pub mod signals;
 pub mod stage;
 pub mod svg;
 pub mod table;
+pub mod vrpn;

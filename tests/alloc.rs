@@ -10,16 +10,17 @@ use std::cell::Cell;
 use posed::faults::som::frames::Frames;
 use posed::faults::som::map::Training;
 use posed::faults::som::{Network, Size};
+use posed::field::Prepared;
 use posed::input::{Entry, Input, Model};
 use posed::motion::exercise::{Exercise, Options, Stream, teach};
 use posed::output::{Outcome, OutcomeKind, Output};
 use posed::pipeline::{Pipeline, raw_positions};
 use posed::signals;
-use posed::stage::{Keyframes, Stage};
+use posed::stage::{FieldWatch, Keyframes, Stage};
 use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
-use rig::{Rig, stage};
+use rig::{Rig, field_map, stage};
 
 struct Counting;
 
@@ -61,6 +62,12 @@ static ALLOCATOR: Counting = Counting;
 #[test]
 fn a_warm_pipeline_does_not_allocate() {
     let mut stage_file = stage(&[2, 1]);
+    let named = |sensor: &str| sensor.to_owned();
+    stage_file.field = Some(FieldWatch {
+        witnesses: vec![named("s1-0")],
+        rigid_pairs: vec![["s0-0", "s0-1"].map(named)],
+        mains_hz: None,
+    });
     stage_file.keyframes = Some(Keyframes { sensors: None, window: 20, false_alarms_per_min: 60.0 });
     let flock =
         |name: &str, burst_ms| DeviceScenario { name: name.into(), burst_ms, ..DeviceScenario::default() };
@@ -69,6 +76,7 @@ fn a_warm_pipeline_does_not_allocate() {
     let mut rig = Rig::new(&stage_file, &curling(None, scenario.clone()));
     rig.push(Input::Model(Model::Exercise { exercise: Box::new(exercise) }));
     rig.push(Input::Model(Model::Faults { network: Box::new(faults(&stage_file, &scenario)) }));
+    rig.push(Input::Model(Model::Field { version: 1, map: Some(Prepared::new(field_map())) }));
     rig.run_until(12.0);
 
     let mut pipeline = Pipeline::new(&stage_file).unwrap();

@@ -2,7 +2,8 @@
 //!
 //! A frame of a pole knows nothing but that its sensors stand in a row at known distances. Its five unknown numbers
 //! (place and direction) are fitted to the corrected readings, and what remains is its residual; so no pose is needed,
-//! and a residual carries exactly what the pole can see: straightness, spacing and length.
+//! and a residual carries exactly what the pole can see: straightness, spacing and length. The same holds for two
+//! sensors on either side of a joint of a body: the joint's place is unknown, but both must put it there.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
 use rayon::prelude::*;
@@ -35,6 +36,19 @@ enum Kind {
     Pole,
     /// One reading at a known place.
     Known(Vector3<f64>),
+    /// Two sensors on segments that meet in a joint, and from each its way to the joint, m.
+    Joint([Vector3<f64>; 2]),
+}
+
+impl Kind {
+    /// Numbers that a group finds for itself.
+    fn own(self) -> usize {
+        match self {
+            Self::Pole => 5,
+            Self::Known(_) => 0,
+            Self::Joint(_) => 3,
+        }
+    }
 }
 
 /// Readings, how they hang together, and how much each is worth.
@@ -123,6 +137,28 @@ impl Problem {
         self.groups.push(Group { start, end: start + 1, fold: fold % self.folds, kind: Kind::Known(place) });
     }
 
+    /// Adds both sensors at a joint: each reading with its way to the joint, turned as the sensor was, m.
+    pub(crate) fn push_joint(
+        &mut self,
+        fold: usize,
+        readings: [(Vector3<f64>, Vector3<f64>); 2],
+        noise: &FieldNoise,
+    ) {
+        let start = self.z.len();
+        for (z, _) in &readings {
+            self.z.push(*z);
+            self.offsets.push(0.0);
+            self.whiteners.push(noise.whitener(z));
+        }
+        let kind = Kind::Joint(readings.map(|(_, way)| way));
+        self.groups.push(Group { start, end: start + 2, fold: fold % self.folds, kind });
+    }
+
+    /// The same readings with another noise.
+    pub(crate) fn with_noise(&self, noise: &FieldNoise) -> Self {
+        Self { whiteners: self.z.iter().map(|z| noise.whitener(z)).collect(), ..self.clone() }
+    }
+
     /// Every `stride`th group.
     pub(crate) fn thinned(&self, stride: usize) -> Self {
         let mut thin = Self::new(self.folds);
@@ -181,9 +217,7 @@ impl Problem {
                     residuals[filled + 3 * k + axis] = scratch.residual[3 * k + axis];
                 }
             }
-            if group.kind == Kind::Pole {
-                project(&mut rows, filled, 3 * count, &scratch.pose);
-            }
+            project(&mut rows, filled, 3 * count, &scratch.pose, group.kind.own());
             filled += 3 * count;
         }
         flush(&mut normal, &rows, &residuals, filled);
@@ -217,7 +251,7 @@ impl Problem {
                 scratch.y[k] = evaluator.correct(&self.z[index]);
             }
             self.residual(group, &mut scratch);
-            let freedom = if group.kind == Kind::Pole { 1.0 - 5.0 / (3.0 * count as f64) } else { 1.0 };
+            let freedom = 1.0 - group.kind.own() as f64 / (3.0 * count as f64);
             squares.extend(
                 (0..count).map(|k| (self.z[group.start + k], scratch.difference[k].norm_squared(), freedom)),
             );
@@ -235,8 +269,8 @@ impl Problem {
                 scratch.y[k] = evaluator.correct(&self.z[index]);
             }
             self.residual(group, &mut scratch);
-            if group.kind != Kind::Pole {
-                scratch.pose.fill(0.0);
+            for column in group.kind.own()..5 {
+                scratch.pose.column_mut(column).fill(0.0);
             }
             each(group.start, group.end - group.start, &scratch);
         }
@@ -256,6 +290,7 @@ impl Problem {
                 scratch.residual.fixed_rows_mut::<3>(0).copy_from(&residual);
             }
             Kind::Pole => scratch.fit_pole(whiteners, &self.offsets[group.start..group.end]),
+            Kind::Joint(ways) => scratch.fit_joint(whiteners, &ways),
         }
     }
 }
@@ -275,9 +310,9 @@ fn whiten_columns(rows: &mut DMatrix<f64>, column: usize, whitener: &Matrix3<f64
     }
 }
 
-/// Takes out of `count` columns from `start` on what the pose of the pole can explain.
-fn project(rows: &mut DMatrix<f64>, start: usize, count: usize, pose: &PoseBasis) {
-    for basis in 0..5 {
+/// Takes out of `count` columns from `start` on what the first `own` columns of the pose can explain.
+fn project(rows: &mut DMatrix<f64>, start: usize, count: usize, pose: &PoseBasis, own: usize) {
+    for basis in 0..own {
         let q = pose.column(basis);
         for parameter in 0..rows.nrows() {
             let mut dot = 0.0;
@@ -364,16 +399,10 @@ impl Scratch {
                 self.pose.fixed_view_mut::<3, 2>(3 * k, 3).copy_from(&(w * side * offsets[k]));
             }
             let used = 3 * count;
-            let step = orthonormalise(&mut self.pose, used, &self.residual);
+            let step = orthonormalise(&mut self.pose, used, 5, &self.residual);
             let Some(step) = step else { return };
             if round == 3 {
-                // What is left after the last step is the residual.
-                for basis in 0..5 {
-                    let dot: f64 = (0..used).map(|k| self.pose[(k, basis)] * self.residual[k]).sum();
-                    for k in 0..used {
-                        self.residual[k] -= dot * self.pose[(k, basis)];
-                    }
-                }
+                self.leave(used, 5);
                 return;
             }
             middle += step.fixed_rows::<3>(0);
@@ -382,10 +411,44 @@ impl Scratch {
         }
     }
 
+    /// Finds the joint between its two sensors. How far they are apart counts, robustly, not the half of each.
+    fn fit_joint(&mut self, whiteners: &[Matrix3<f64>], ways: &[Vector3<f64>; 2]) {
+        let ends = [0, 1].map(|k| self.y[k] + ways[k]);
+        let middle = (ends[0] + ends[1]) / 2.0;
+        for k in 0..2 {
+            self.difference[k] = ends[k] - middle;
+            self.whitener[k] = whiteners[k];
+            self.residual.fixed_rows_mut::<3>(3 * k).copy_from(&(whiteners[k] * self.difference[k]));
+            self.pose.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(&whiteners[k]);
+        }
+        if orthonormalise(&mut self.pose, 6, 3, &self.residual).is_some() {
+            self.leave(6, 3);
+        }
+        let size = self.residual.fixed_rows::<6>(0).norm();
+        (self.loss, self.bounded) = (huber_loss(size), bounded_loss(size));
+        let weight = huber_weight(size).sqrt();
+        for k in 0..2 {
+            self.whitener[k] *= weight;
+            for axis in 0..3 {
+                self.residual[3 * k + axis] *= weight;
+            }
+        }
+    }
+
+    /// Leaves in the residual what the pose cannot explain.
+    fn leave(&mut self, used: usize, own: usize) {
+        for basis in 0..own {
+            let dot: f64 = (0..used).map(|k| self.pose[(k, basis)] * self.residual[k]).sum();
+            for k in 0..used {
+                self.residual[k] -= dot * self.pose[(k, basis)];
+            }
+        }
+    }
+
     fn tally(&self, count: usize, group: &Group, normal: &mut Normal) {
         normal.cost += self.loss;
         normal.bounded += self.bounded;
-        normal.freedoms += 3.0 * count as f64 - if group.kind == Kind::Pole { 5.0 } else { 0.0 };
+        normal.freedoms += (3 * count - group.kind.own()) as f64;
         normal.square_m2 += self.difference[..count].iter().map(Vector3::norm_squared).sum::<f64>();
         normal.readings += count as f64;
     }
@@ -411,15 +474,17 @@ pub(crate) fn side_basis(along: &Vector3<f64>) -> SMatrix<f64, 3, 2> {
     SMatrix::<f64, 3, 2>::from_columns(&[first, along.cross(&first)])
 }
 
-/// Gram-Schmidt in place; returns the least-squares solution of `pose x = residual`, or `None` if it has none.
+/// Gram-Schmidt of the first `own` columns in place; returns the least-squares solution of `pose x = residual`, or `None` if it has none.
 fn orthonormalise(
     pose: &mut PoseBasis,
     used: usize,
+    own: usize,
     residual: &SVector<f64, { 3 * MAX_SENSORS }>,
 ) -> Option<SVector<f64, 5>> {
-    let mut triangle = SMatrix::<f64, 5, 5>::zeros();
+    // Columns that are not there stand for nothing.
+    let mut triangle = SMatrix::<f64, 5, 5>::identity();
     let mut projected = SVector::<f64, 5>::zeros();
-    for column in 0..5 {
+    for column in 0..own {
         for earlier in 0..column {
             let dot: f64 = (0..used).map(|k| pose[(k, column)] * pose[(k, earlier)]).sum();
             triangle[(earlier, column)] = dot;

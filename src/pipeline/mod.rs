@@ -8,6 +8,7 @@
 mod device;
 mod exercise;
 mod faults_map;
+mod field;
 mod inertial;
 mod keyframes;
 mod magnetic;
@@ -34,6 +35,7 @@ pub use exercise::DEFAULT_SUBJECT;
 use exercise::ExerciseStage;
 use faults_map::FaultsMap;
 pub use faults_map::{raw_positions, upright};
+use field::Field;
 use keyframes::Keyframes;
 use naming::Naming;
 use sensor::Sensor;
@@ -85,6 +87,7 @@ pub struct Pipeline {
     sensors: Vec<Sensor>,
     frames: Assembler,
     room_transmitter: Isometry3<f64>,
+    field: Field,
     estimate: Estimate,
     exercise: ExerciseStage,
     /// Absent where the stage does not ask for them.
@@ -143,6 +146,7 @@ impl Pipeline {
             devices,
             sources,
             room_transmitter,
+            field: Field::new(stage),
             estimate: Estimate {
                 sensors: vec![SensorEstimate::default(); stage.sensors.len()],
                 ..Estimate::default()
@@ -306,6 +310,7 @@ impl Pipeline {
             estimate,
             room_transmitter,
             now,
+            field,
             keyframes,
             exercise,
             naming,
@@ -314,7 +319,7 @@ impl Pipeline {
         } = self;
         while let Some(frame) = frames.poll(*now) {
             estimate.fault = faults.as_mut().map(|faults| faults.frame(frame, room_transmitter));
-            estimate_frame(frame, sensors, room_transmitter, faults.as_deref(), estimate);
+            estimate_frame(frame, sensors, field, room_transmitter, faults.as_deref(), estimate);
             say(Output::Estimate(estimate));
             if let Some(naming) = naming {
                 naming.push(estimate, say);
@@ -322,6 +327,7 @@ impl Pipeline {
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, say);
             }
+            field.frame(estimate, sensors, room_transmitter, say);
             if let Some(keyframes) = keyframes {
                 keyframes.frame(estimate, say);
             }
@@ -364,8 +370,11 @@ impl Pipeline {
     }
 
     fn request(&mut self, request: &Request, say: &mut impl FnMut(Output<'_>)) {
-        let done =
-            self.exercise.request(request, &self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
+        // It speaks of the frame before it.
+        let t = self.estimate.t_valid;
+        let field = self.field.request(request, t, self.sensors.iter().map(Sensor::name), say);
+        let done = field
+            || self.exercise.request(request, &self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
         self.requests_refused += u64::from(!done);
     }
 
@@ -389,6 +398,10 @@ impl Pipeline {
                 for sensor in self.sensors.iter_mut().filter(|sensor| usize::from(sensor.device()) == owner) {
                     sensor.set_noise(noise);
                 }
+                true
+            }
+            Model::Field { map, .. } => {
+                self.field.swap(map.clone());
                 true
             }
             Model::Exercise { exercise } => self.exercise.load(exercise),
@@ -417,6 +430,7 @@ impl Pipeline {
 fn estimate_frame(
     frame: &Frame,
     sensors: &mut [Sensor],
+    field: &Field,
     room: &Isometry3<f64>,
     faults: Option<&FaultsMap>,
     estimate: &mut Estimate,
@@ -431,7 +445,7 @@ fn estimate_frame(
     for (index, ((sensor, slot), out)) in slots.enumerate() {
         let others_move = moving > usize::from(sensor.is_moving());
         let advice = faults.and_then(|faults| faults.advice(index));
-        *out = sensor.estimate(slot, frame, others_move, room, advice);
+        *out = sensor.estimate(slot, frame, others_move, field, room, advice);
     }
 }
 

@@ -1,14 +1,16 @@
 //! One sensor: what its samples are worth, where it is, what was lost, which fault began or ended.
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 use posed_drivers::{Loss, Measurement, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use super::SensorStatus;
 use super::faults_map::Advice;
+use super::field::Field;
 use super::inertial::Inertial;
 use super::magnetic::Magnetic;
 use crate::faults::som::rules::Class;
+use crate::field::PoleReading;
 use crate::frame::{Frame, FrameSensor};
 use crate::input::{DeviceIndex, SensorIndex};
 use crate::noise::TrackerNoise;
@@ -148,11 +150,15 @@ impl Sensor {
         slot: &FrameSensor,
         frame: &Frame,
         others_move: bool,
+        field: &Field,
         room: &Isometry3<f64>,
         advice: Option<&Advice>,
     ) -> SensorEstimate {
         self.state = SensorState::Missing;
         let mut repair = None;
+        if let Kind::Magnetic(magnetic) = &mut self.kind {
+            magnetic.begin_frame();
+        }
         // Where nothing was due, nothing is wrong that was not wrong before.
         if slot.expected() {
             self.fault = Some(FaultCause::Missing);
@@ -161,7 +167,7 @@ impl Sensor {
             let (state, fault) = match &mut self.kind {
                 Kind::Magnetic(magnetic) => {
                     let by_map = advice.map(|advice| advice.class);
-                    let (state, fault, done) = magnetic.measure(&sample.measured, others_move, by_map);
+                    let (state, fault, done) = magnetic.measure(&sample.measured, others_move, by_map, field);
                     repair = done;
                     (state, fault)
                 }
@@ -172,7 +178,8 @@ impl Sensor {
         }
         if let Some(advice) = advice.filter(|_| !slot.samples.is_empty()) {
             // What is followed for want of a prediction is still not good.
-            if advice.class == Class::Anomalous && matches!(self.state, SensorState::Ok | SensorState::Late) {
+            let good = matches!(self.state, SensorState::Ok | SensorState::Late | SensorState::Extrapolated);
+            if advice.class == Class::Anomalous && good {
                 self.state = SensorState::Suspect;
             }
             self.fault = advice.lasting.or(self.fault);
@@ -201,6 +208,23 @@ impl Sensor {
             measured: slot.samples.last().map(|sample| sample.measured),
             fault,
         }
+    }
+
+    fn magnetic(&self) -> Option<&Magnetic> {
+        match &self.kind {
+            Kind::Magnetic(magnetic) => Some(magnetic),
+            Kind::Inertial(_) => None,
+        }
+    }
+
+    /// Position of the newest believed record of this frame in the transmitter frame, corrected, m.
+    pub(super) fn corrected_m(&self) -> Option<Vector3<f64>> {
+        self.magnetic()?.corrected_m()
+    }
+
+    /// The newest believed record of this frame as the device said it, carried along to `t`.
+    pub(super) fn pole_reading(&self, t: Timestamp) -> Option<PoleReading> {
+        self.magnetic()?.pole_reading(t)
     }
 
     fn count(&mut self, slot: &FrameSensor, frame: &Frame) {

@@ -10,6 +10,7 @@
 mod body;
 mod check;
 mod driver;
+mod field;
 mod keyframes;
 mod port;
 mod problem;
@@ -27,6 +28,7 @@ use crate::faults::som::Network;
 pub use body::{Body, BodySegment, Calibration, JointKind, Mounting, SEGMENTS, Skeleton};
 pub use check::{Report, check, check_in, check_table};
 pub use driver::{Driver, TimeBase};
+pub use field::FieldWatch;
 pub use keyframes::Keyframes;
 pub use port::{PortAddress, PortAddressError};
 pub use problem::{LoadError, Problem, Problems};
@@ -54,6 +56,8 @@ pub struct Stage {
     /// Sensors; everything published keeps their order.
     #[serde(default, rename = "sensor")]
     pub sensors: Vec<Sensor>,
+    /// What watches over the tracker's field; absent: nothing does.
+    pub field: Option<FieldWatch>,
     /// The body that wears the sensors; absent: nobody does.
     pub body: Option<Body>,
     /// Key poses, live; absent: they are not looked for.
@@ -63,6 +67,8 @@ pub struct Stage {
     /// Websocket, page and metrics.
     #[serde(default)]
     pub server: Server,
+    /// Programs that speak VRPN; absent: they are not served.
+    pub vrpn: Option<Vrpn>,
     /// Models that are loaded at the start.
     #[serde(default)]
     pub models: Models,
@@ -102,6 +108,9 @@ impl Stage {
         if let Some(tls) = &mut stage.server.tls {
             tls.certificate = folder.join(&tls.certificate);
             tls.key = folder.join(&tls.key);
+        }
+        if let Some(map) = &mut stage.models.field {
+            *map = folder.join(&*map);
         }
         for exercise in &mut stage.models.exercises {
             *exercise = folder.join(&*exercise);
@@ -309,6 +318,17 @@ pub struct Tls {
     pub key: PathBuf,
 }
 
+/// Programs that speak VRPN: every sensor is a tracker of its own name.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Vrpn {
+    /// Address to listen on, TCP and UDP; absent: 127.0.0.1:3883. VRPN knows no tokens: who reaches the address sees all poses.
+    pub listen: Option<String>,
+    /// Whether other computers may ask to be called back, as most VRPN programs do; without, they need `tcp://` in the name of the tracker.
+    #[serde(default)]
+    pub call_back: bool,
+}
+
 /// Models that are loaded at the start; relative paths begin at the stage file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -322,6 +342,8 @@ pub struct Models {
     pub faults: Option<PathBuf>,
     /// The one folder that `faults.train` and `faults.name_cell` write to; absent: `faults` beside the stage file.
     pub faults_folder: Option<PathBuf>,
+    /// A map of the field, as `posed field solve` writes it; used until `field.accept` has brought a newer one.
+    pub field: Option<PathBuf>,
 }
 
 /// What is done about faults of magnetic sensors.

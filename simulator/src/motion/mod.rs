@@ -6,6 +6,7 @@
 
 mod bvh;
 mod file;
+mod pole;
 mod scripted;
 mod spline;
 
@@ -17,6 +18,7 @@ use serde::{Deserialize, Serialize};
 
 pub use bvh::{Bvh, BvhError};
 pub use file::{Ending, File, FileError, Tracks, Up};
+pub use pole::Pole;
 pub(crate) use scripted::quaternion;
 pub use scripted::{Curl, Orbit, Screw, Still, Walk};
 
@@ -34,6 +36,8 @@ pub enum Motion {
     Curl(Curl),
     /// Walks around an ellipse: pelvis, torso and both legs.
     Walk(Walk),
+    /// A pole with sensors, waved through a box: for calibrating a field.
+    Pole(Pole),
     /// Poses from a CSV file or joints from a BVH file.
     File(File),
 }
@@ -78,6 +82,12 @@ impl Motion {
                 above_zero("step_m", walk.step_m)?;
                 finite("center_m", &walk.center_m)
             }
+            Self::Pole(pole) => {
+                above_zero("period_s", pole.period_s)?;
+                above_zero("turn_period_s", pole.turn_period_s)?;
+                finite("center_m", &pole.center_m)?;
+                finite("reach_m", &pole.reach_m)
+            }
             Self::File(file) => {
                 above_zero("speed", file.speed)?;
                 above_zero("unit_m", file.unit_m.unwrap_or(1.0))
@@ -120,6 +130,7 @@ impl Body {
     pub fn segments(&self) -> Vec<&str> {
         match &self.motion {
             Motion::Still(_) | Motion::Orbit(_) | Motion::Screw(_) => vec!["body"],
+            Motion::Pole(_) => vec!["pole"],
             Motion::Curl(_) => Curl::SEGMENTS.to_vec(),
             Motion::Walk(_) => Walk::SEGMENTS.to_vec(),
             Motion::File(_) => self.tracks.iter().flat_map(|tracks| tracks.names()).collect(),
@@ -137,6 +148,7 @@ impl Body {
             Motion::Screw(screw) => screw.pose(t_s),
             Motion::Curl(curl) => curl.pose(segment, t_s),
             Motion::Walk(walk) => walk.pose(segment, t_s),
+            Motion::Pole(pole) => pole.pose(t_s),
             Motion::File(_) => {
                 self.tracks.as_ref().map_or_else(Isometry3::identity, |tracks| tracks.pose(segment, t_s))
             }
@@ -178,6 +190,7 @@ mod tests {
             Motion::Screw(Screw::default()),
             Motion::Curl(Curl { repetitions: Some(2), ..Curl::default() }),
             Motion::Walk(Walk::default()),
+            Motion::Pole(Pole::default()),
         ];
         motions.into_iter().map(|motion| Body::new(motion, Path::new(".")).unwrap()).collect()
     }

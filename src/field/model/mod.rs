@@ -138,6 +138,11 @@ impl Model {
         (!self.sources.is_empty()).then(|| Metal::new(&self.sources))
     }
 
+    /// Whether it is of metal and nothing else: then it knows where the transmitter is.
+    pub(crate) fn is_metal_alone(&self) -> bool {
+        self.polynomial.is_none() && self.local.is_none() && !self.sources.is_empty()
+    }
+
     /// Ready to be asked.
     pub(crate) fn evaluator(&self) -> Evaluator<'_> {
         Evaluator { model: self, metal: self.metal() }
