@@ -144,6 +144,16 @@ impl Rules {
         self.habits.len() == sensors && self.pairs.fit(sensors)
     }
 
+    /// The sensor from which the distance of this one varies least.
+    pub(super) fn nearest(&self, sensor: usize) -> Option<usize> {
+        self.pairs.nearest(sensor)
+    }
+
+    /// Longest usual step of each sensor, m a frame.
+    pub(super) fn usual_steps_m(&self) -> Vec<f64> {
+        self.habits.iter().map(|habit| habit.step_m).collect()
+    }
+
     /// A labeller that has seen nothing.
     pub fn labeller(&self) -> Labeller {
         let sensors = self.habits.len();
@@ -152,6 +162,17 @@ impl Rules {
 
     /// Labels the next frame (three numbers a sensor, NaN where missing) into `labels`.
     pub fn label(&self, labeller: &mut Labeller, frame: &[f64], labels: &mut [(Class, Cause)]) {
+        self.label_beside(labeller, frame, &[], labels);
+    }
+
+    /// As [`Rules::label`]; `content` says of which sensors the map found nothing unusual in the frame before, if any.
+    pub(super) fn label_beside(
+        &self,
+        labeller: &mut Labeller,
+        frame: &[f64],
+        content: &[bool],
+        labels: &mut [(Class, Cause)],
+    ) {
         let moving = labeller.sensors.iter().filter(|memory| memory.moved).count();
         let habits = self.habits.iter().zip(labeller.sensors.iter_mut().zip(labels.iter_mut()));
         for (sensor, (habit, (memory, label))) in habits.enumerate() {
@@ -188,7 +209,7 @@ impl Rules {
                 && let Some(p) = memories[sensor].here()
             {
                 let fits = self.pairs.allow(size, sensor, p, |other| believed(memories, labels, other));
-                memories[sensor].judge(fits);
+                memories[sensor].judge(fits, content.get(sensor) == Some(&true));
             }
         }
     }
