@@ -170,21 +170,21 @@ impl Network {
         }
         // How unusual each sensor is on average, and then how much more than that the worst one is.
         let mut ratios = vec![0.0; frames.len() * sensors];
-        let mut means = vec![(0.0, 0.0); sensors];
+        let mut means = vec![(0.0, 0.0f64); sensors];
         for k in 0..frames.len() {
-            for sensor in 0..sensors {
+            for (sensor, mean) in means.iter_mut().enumerate() {
                 let look = network.look(sensor, seen.frame(k), [0.0; 2]);
                 let at = k * sensors + sensor;
                 (indices[at], ratios[at]) = (look.index, look.ratio);
                 if labels.sensors[at].0 == Class::Clean {
-                    means[sensor] = (means[sensor].0 + look.ratio, means[sensor].1 + 1.0);
+                    *mean = (mean.0 + look.ratio, mean.1 + 1.0);
                 }
             }
         }
         let clean = (0..frames.len()).filter(|k| labels.frames[*k].0 == Class::Clean);
         let more = |k: usize| {
             let row = ratios[k * sensors..(k + 1) * sensors].iter().zip(&means);
-            row.map(|(ratio, (sum, count))| ratio - sum / f64::max(*count, 1.0)).fold(0.0, f64::max)
+            row.map(|(ratio, (sum, count))| ratio - sum / count.max(1.0)).fold(0.0, f64::max)
         };
         let mut ratios: Vec<f64> = clean.map(more).collect();
         network.usual_ratio = rules::quantile(&mut ratios, USUAL_SHARE);
