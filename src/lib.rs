@@ -16,6 +16,7 @@ pub mod frame;
 pub mod fusion;
 pub mod geometry;
 pub mod input;
+pub mod layout;
 pub mod motion;
 pub mod name;
 pub mod noise;

@@ -1,10 +1,12 @@
 //! What the pipeline says: estimates and outcomes, before anyone turns them into messages.
 
+mod body;
 mod exercise;
 
 use posed_drivers::{State, Timestamp};
 use serde::{Deserialize, Serialize};
 
+pub use self::body::{Body, BodySegment, Placed, SegmentState};
 pub use self::exercise::{
     ExerciseOutcome, ExerciseProgress, ExerciseState, ExerciseWhat, LiveHint, Repetition,
 };
@@ -29,6 +31,8 @@ pub enum Output<'a> {
         /// `true` = asserted.
         asserted: bool,
     },
+    /// There is news of the body; comes before the estimate of its frame.
+    Body(&'a Body),
     /// A frame has closed: poses of all sensors at one time.
     Estimate(&'a Estimate),
     /// Something happened that no client may miss.
@@ -67,7 +71,7 @@ pub struct Estimate {
     /// Standard deviation of `t_valid` itself, s.
     pub sigma_t_s: f64,
     /// What the map of faults says of the frame; absent where the stage has none.
-    pub fault: Option<FrameFault>,
+    pub fault: Option<FrameLabel>,
     /// One per sensor of the stage file, in its order.
     pub sensors: Vec<SensorEstimate>,
 }
@@ -104,12 +108,12 @@ pub struct SensorEstimate {
     /// The raw record, in device axes, where one arrived.
     pub measured: Option<Measured>,
     /// What the map of faults says of it; absent where the stage has none, or not for this sensor.
-    pub fault: Option<SensorFault>,
+    pub fault: Option<SensorLabel>,
 }
 
 /// What the map of faults says of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
-pub struct FrameFault {
+pub struct FrameLabel {
     /// Rules and map together: inverted if most sensors are, anomalous if any is not clean.
     pub label: Class,
     /// Why; `none` where it is clean.
@@ -122,7 +126,7 @@ pub struct FrameFault {
 
 /// What the map of faults says of a sensor in a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
-pub struct SensorFault {
+pub struct SensorLabel {
     /// Rules and map together.
     pub label: Class,
     /// Why; `none` where it is clean.

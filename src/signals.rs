@@ -4,7 +4,12 @@
 //! What it never does: hand out a coasting or a suspect pose. Live, in recordings and in files the columns have the
 //! same names, so an exercise taught in one is counted in the others.
 
-use crate::output::{Estimate, SensorState};
+use crate::layout::BodyLayout;
+use crate::output::{Body, Estimate, SensorState};
+use crate::stage::Stage;
+
+/// A body older than this against the estimate's time is none, s.
+pub(crate) const BODY_AGE_S: f64 = 0.05;
 
 /// Columns of one sensor, behind its name: position in the room (m) and orientation (sensor to room).
 const PARTS: [&str; 7] = ["_x_m", "_y_m", "_z_m", "_qw", "_qx", "_qy", "_qz"];
@@ -13,6 +18,13 @@ const PARTS: [&str; 7] = ["_x_m", "_y_m", "_z_m", "_qw", "_qx", "_qy", "_qz"];
 pub fn columns<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Vec<String> {
     let of = |name: &str| PARTS.map(|part| format!("{name}{part}"));
     sensors.into_iter().flat_map(of).collect()
+}
+
+/// Names of all columns of a stage: those of its sensors, then the angles of its body.
+pub fn columns_of(stage: &Stage) -> Vec<String> {
+    let mut columns = columns(stage.sensors.iter().map(|sensor| sensor.name.as_str()));
+    columns.extend(BodyLayout::of(stage).iter().flat_map(BodyLayout::columns));
+    columns
 }
 
 /// Appends one sensor's values, in the order of [`columns`]; an inertial sensor has no position.
@@ -31,6 +43,25 @@ pub fn write(estimate: &Estimate, row: &mut Vec<Option<f64>>) {
     for sensor in &estimate.sensors {
         let pose = sensor.pose.filter(|_| is_usable(sensor.state));
         append(pose.and_then(|pose| pose.position_m), pose.map(|pose| pose.orientation_wxyz), row);
+    }
+}
+
+/// The body's part of the columns of a stage: which angles there are.
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct BodyColumns(Vec<usize>);
+
+impl BodyColumns {
+    /// Of a stage; none without a body.
+    pub fn of(stage: &Stage) -> Self {
+        Self(BodyLayout::of(stage).map_or_else(Vec::new, |layout| layout.shown_angles))
+    }
+
+    /// Appends the body's angles, degrees, to what [`write`] wrote of the estimate; none where the body is older than it by
+    /// more than 50 ms.
+    pub fn append(&self, body: Option<&Body>, estimate: &Estimate, row: &mut Vec<Option<f64>>) {
+        let fresh = |body: &&Body| estimate.t_valid.seconds_since(body.t_valid) <= BODY_AGE_S;
+        let body = body.filter(fresh);
+        row.extend(self.0.iter().map(|angle| Some(body?.angles_rad[*angle]?.to_degrees())));
     }
 }
 

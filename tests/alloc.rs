@@ -150,6 +150,39 @@ fn curl(stage_file: &Stage, scenario: &Scenario) -> Exercise {
     teach(&stream, &options).expect("repetitions that were made").exercise
 }
 
+/// Ten IMUs and two trackers on a person, as in the demo; and the figure from trackers alone.
+#[test]
+fn a_warm_body_does_not_allocate() {
+    use serde::Deserialize;
+    let demo = Stage::parse(include_str!("../config/demo.toml")).unwrap();
+    let scenario = Scenario::deserialize(demo.simulation.clone().unwrap()).unwrap();
+    let mut trackers = demo.clone();
+    trackers.sensors.retain(|sensor| sensor.device == "flock");
+    trackers.devices.retain(|device| device.name == "flock");
+    let mut alone = scenario.clone();
+    alone.sensors.retain(|sensor| !sensor.name.starts_with("imu_"));
+    alone.devices.retain(|device| device.name == "flock");
+    for (stage_file, scenario) in [(demo, scenario), (trackers, alone)] {
+        let mut rig = Rig::new(&stage_file, &scenario);
+        rig.run_until(6.0);
+        let mut pipeline = Pipeline::new(&stage_file).unwrap();
+        let warm = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 4.0);
+        let mut bodies = 0;
+        let mut feed = |pipeline: &mut Pipeline, log: &[Entry]| {
+            for entry in log {
+                pipeline.push(entry, &mut |output| bodies += u64::from(matches!(output, Output::Body(_))));
+            }
+            bodies
+        };
+        let before_warm = feed(&mut pipeline, &rig.log[..warm]);
+        let before = ALLOCATIONS.with(Cell::get);
+        let bodies = feed(&mut pipeline, &rig.log[warm..]) - before_warm;
+        let allocations = ALLOCATIONS.with(Cell::get) - before;
+        assert!(bodies > 150, "{bodies}");
+        assert_eq!(allocations, 0, "in {bodies} bodies");
+    }
+}
+
 /// Timers apart: the server of the SlimeVR trackers speaks to each of them twice a second.
 #[test]
 fn a_warm_pipeline_of_many_devices_does_not_allocate_for_what_it_reads() {

@@ -49,7 +49,8 @@ impl Session {
         let side = if draw(0.0, 1.0) < 0.5 { -1.0 } else { 1.0 };
         let environment = Environment {
             spheres: vec![Sphere {
-                center_m: Vector3::new(draw(1.7, 2.1), side * draw(0.9, 1.2), draw(-0.2, 0.5)),
+                // Out of arm's reach.
+                center_m: Vector3::new(draw(1.9, 2.3), side * draw(1.2, 1.5), draw(-0.2, 0.5)),
                 radius_m: draw(0.12, 0.18),
                 response: 2.0,
             }],

@@ -225,6 +225,10 @@ impl Fusion {
                 }
                 Output::PoleRun(run) => calibration.solve(run),
                 Output::Named => health.named(clock.now().seconds_since(estimated)),
+                Output::Body(body) => {
+                    health.body(body);
+                    recent.body(body);
+                }
                 Output::Truth(_) => {}
             }
             let Some(payload) = Payload::of(&output) else { return };

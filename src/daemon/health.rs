@@ -4,9 +4,10 @@ use posed_drivers::{State, Timestamp};
 
 use super::clock::StageClock;
 use super::fusion::Recording;
+use crate::fusion::body::SensorFault;
 use crate::input::DeviceIndex;
-use crate::output::Estimate;
-use crate::pipeline::PipelineStatus;
+use crate::output::{Body, Estimate};
+use crate::pipeline::{BodyStatus, PipelineStatus};
 use crate::protocol::{DeviceStatus, Problem, RecordingStatus, SensorStatus, StageLatency, Status};
 use crate::stage::Stage;
 use std::time::Duration;
@@ -26,6 +27,8 @@ pub(super) struct Health {
     capture_to_estimate: Latency,
     /// Work of the network of segments per frame, s; absent without one.
     segments: Option<Latency>,
+    /// What is wrong with each segment's sensor.
+    body: Vec<Option<SensorFault>>,
     recording_failure: Option<String>,
     changed: bool,
     last_status: Timestamp,
@@ -52,6 +55,7 @@ impl Health {
             read_to_estimate: Latency::new("read to estimate"),
             capture_to_estimate: Latency::new("capture to estimate"),
             segments: stage.segments.is_some().then(|| Latency::new("segments")),
+            body: Vec::new(),
             recording_failure: None,
             changed: true,
             last_status: Timestamp::ZERO,
@@ -69,6 +73,16 @@ impl Health {
     pub(super) fn estimate(&mut self, after_read_s: f64, estimate: &Estimate) {
         self.read_to_estimate.add(after_read_s);
         self.capture_to_estimate.add(after_read_s + estimate.t_closed.seconds_since(estimate.t_valid));
+    }
+
+    /// News of the body: a sensor that falls ill is told at once.
+    pub(super) fn body(&mut self, body: &Body) {
+        let faults = body.segments.iter().map(|segment| segment.fault);
+        if !faults.clone().eq(self.body.iter().copied()) {
+            self.body.clear();
+            self.body.extend(faults);
+            self.changed = true;
+        }
     }
 
     /// A link's state changed.
@@ -171,19 +185,30 @@ impl Health {
                 started_s: recording.started.as_secs_f64(),
             }),
             replay: None,
-            problems: self.problems(clock),
+            problems: self.problems(clock, pipeline.body.as_ref()),
             // The server knows and fills it in.
             clients: 0,
         }
     }
 
-    fn problems(&self, clock: &StageClock) -> Vec<Problem> {
+    fn problems(&self, clock: &StageClock, body: Option<&BodyStatus>) -> Vec<Problem> {
         let problem = |code: &str, message: String| Problem { code: code.to_owned(), message };
         let mut problems = Vec::new();
         for device in &self.devices {
             problems.extend(
                 device.warnings.iter().map(|text| problem("device", format!("{}: {text}", device.name))),
             );
+        }
+        if let Some(body) = body {
+            if !body.mounted {
+                let sentence = "nobody knows how the body's sensors sit: set mounting = \"given\" with `mount_quat_wxyz` \
+                                for each";
+                problems.push(problem("body", sentence.to_owned()));
+            }
+            problems.extend(body.faults.iter().map(|(sensor, segment, fault)| {
+                let name = self.sensors.get(usize::from(*sensor)).map_or("", String::as_str);
+                problem("body", format!("{segment}: the sensor {name} {}", said(*fault)))
+            }));
         }
         if let Some(reason) = &self.recording_failure {
             problems.push(problem("recording", format!("recording ended: {reason}")));
@@ -235,6 +260,19 @@ impl Latency {
     }
 }
 
+/// What a sensor on the body does that it should not, and what to do.
+fn said(fault: SensorFault) -> &'static str {
+    match fault {
+        SensorFault::Silent => "sends nothing: see to its battery and cable",
+        SensorFault::NotFinite => "sends numbers that are none",
+        SensorFault::Frozen => "repeats itself: switch it off and on",
+        SensorFault::Saturated => "is at the end of its range",
+        SensorFault::Misfit => {
+            "does not move as its segment can: its strap has slipped, or it is swapped with another"
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -246,7 +284,7 @@ mod tests {
         let health = Health::new(&Stage::parse("name = \"A\"\n").unwrap());
         let clock = StageClock::with_utc(|| UTC_NS.load(Ordering::Relaxed));
         UTC_NS.fetch_add(7_200_000_000_000, Ordering::Relaxed);
-        let problems = health.problems(&clock);
+        let problems = health.problems(&clock, None);
         assert_eq!((problems.len(), problems[0].code.as_str()), (1, "wall_clock"));
         assert!(problems[0].message.contains("restart posed"), "{}", problems[0].message);
     }

@@ -49,6 +49,7 @@ use self::recent::Recent;
 use self::server::{BindError, Server};
 use self::service::Service;
 use crate::input::{Entry, Input};
+use crate::layout::BodyLayout;
 use crate::motion::segments::Model;
 use crate::pipeline::{Pipeline, PipelineError};
 use crate::protocol::{Fields, Publisher, Status, Topic};
@@ -189,7 +190,7 @@ impl Daemon {
             ending: Vec::new(),
             begun: false,
             models: Vec::new(),
-            recent: Recent::new(stage.sensors.iter().map(|sensor| sensor.name.as_str())),
+            recent: Recent::new(&stage),
             positions: RecentPositions::new(&stage),
             recording_header: crate::recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
         };
@@ -264,7 +265,9 @@ impl Daemon {
 fn network(stage: &Stage, path: &Path) -> Result<Vec<u8>, String> {
     let bytes = std::fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
     let model = Model::from_bytes(&bytes).map_err(|error| error.to_string());
+    let segments = BodyLayout::of(stage).map_or_else(Vec::new, |layout| layout.segments);
     let names = stage.sensors.iter().map(|sensor| sensor.name.as_str());
+    let names = names.chain(segments.iter().map(|segment| segment.name));
     let fits = model.and_then(|model| model.columns(names));
     fits.map_err(|what| format!("{}: {what}", path.display())).map(|_| bytes)
 }

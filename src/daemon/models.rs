@@ -35,7 +35,7 @@ pub fn load(stage: &Stage) -> Result<Vec<Model>, String> {
 
 /// Whether a stage has what an exercise looks at.
 pub(super) fn check_exercise(stage: &Stage, exercise: &Exercise) -> Result<(), String> {
-    let columns = signals::columns(stage.sensors.iter().map(|sensor| sensor.name.as_str()));
+    let columns = signals::columns_of(stage);
     let name = &exercise.name;
     let lacks =
         |channel| format!("exercise {name:?} needs the channel `{channel}`, which this stage does not have");

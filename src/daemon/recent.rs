@@ -5,8 +5,9 @@
 
 use std::collections::VecDeque;
 
-use crate::output::Estimate;
-use crate::signals;
+use crate::output::{Body, Estimate};
+use crate::signals::{self, BodyColumns};
+use crate::stage::Stage;
 
 /// How far it reaches back at most, s.
 const LONGEST_S: f64 = 120.0;
@@ -17,6 +18,9 @@ const MOST_BYTES: usize = 32 << 20;
 #[derive(Debug)]
 pub(super) struct Recent {
     columns: Vec<String>,
+    angles: BodyColumns,
+    /// The newest body, without its segments.
+    body: Option<Body>,
     row: Vec<Option<f64>>,
     t_s: VecDeque<f64>,
     /// Row by row; NaN where there is no value.
@@ -35,10 +39,16 @@ pub struct Excerpt {
 }
 
 impl Recent {
-    /// For a stage with these sensors.
-    pub(super) fn new<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Self {
-        let columns = signals::columns(sensors);
-        Self { columns, row: Vec::new(), t_s: VecDeque::new(), values: VecDeque::new() }
+    /// For a stage.
+    pub(super) fn new(stage: &Stage) -> Self {
+        let (columns, angles) = (signals::columns_of(stage), BodyColumns::of(stage));
+        Self { columns, angles, body: None, row: Vec::new(), t_s: VecDeque::new(), values: VecDeque::new() }
+    }
+
+    /// The body, which comes before the estimate of its frame.
+    pub(super) fn body(&mut self, body: &Body) {
+        let Body { t_valid, heading, placed, angles_rad, .. } = *body;
+        self.body = Some(Body { t_valid, heading, placed, segments: Vec::new(), angles_rad });
     }
 
     pub(super) fn push(&mut self, estimate: &Estimate) {
@@ -47,6 +57,7 @@ impl Recent {
             return;
         }
         signals::write(estimate, &mut self.row);
+        self.angles.append(self.body.as_ref(), estimate, &mut self.row);
         let now = estimate.t_valid.as_secs_f64();
         while self.t_s.front().is_some_and(|oldest| *oldest < now - LONGEST_S)
             || (self.t_s.len() + 1) * width * size_of::<f64>() > MOST_BYTES
@@ -98,7 +109,8 @@ mod tests {
 
     #[test]
     fn it_forgets_what_is_old_and_gives_the_columns_asked_for() {
-        let mut recent = Recent::new(["a", "b"]);
+        let stage = "name = \"s\"\n[[sensor]]\nname = \"a\"\ndevice = \"d\"\naddress = 1\n[[sensor]]\nname = \"b\"\ndevice = \"d\"\naddress = 2";
+        let mut recent = Recent::new(&toml::from_str(stage).unwrap());
         for second in 0..200 {
             recent.push(&estimate(f64::from(second)));
         }

@@ -4,8 +4,8 @@
 //! measured bone. What goes out: a map, as from the pole. What it never does: take a scale from the readings.
 //!
 //! Both sensors at a joint must put it in the same place. Where the joint lies as seen from each sensor is unknown but
-//! constant; it is fitted in turns with the map, and so are the orientations, which the same metal bends. Skin moves by
-//! a centimetre: expect millimetres where a pole gives tenths.
+//! constant; it is fitted in turns with the map. The same metal that shifts a sensor turns it, and with it the way to its
+//! joint: both are fitted at once. Skin moves by a centimetre: expect millimetres where a pole gives tenths.
 
 use nalgebra::{DMatrix, DVector, Matrix3, UnitQuaternion, Vector3};
 
@@ -28,9 +28,9 @@ const BLOCK_S: f64 = 4.0;
 const FOLDS: usize = 10;
 /// Pairs of readings at joints that are enough.
 const ENOUGH: usize = 7000;
-/// Turns between offsets, orientations and map; the basis is chosen anew in some.
-const TURNS: usize = 12;
-const CHOOSE_EVERY: usize = 4;
+/// Turns between offsets and map; the basis is chosen anew in some.
+const TURNS: usize = 6;
+const CHOOSE_EVERY: usize = 3;
 /// Least and first gap at a joint that is expected whatever the map, per axis, m: skin moves.
 const LEAST_GAP_M: f64 = 3e-4;
 const FIRST_GAP_M: f64 = 5e-3;
@@ -130,7 +130,7 @@ pub fn solve_limbs(run: PoleRun, limbs: &Limbs, progress: &mut dyn FnMut(f64)) -
         fit_ways(&looks, &corrected, limbs, gap_m, &mut ways);
         gap_m = typical_gap(&looks, &corrected, &ways).clamp(LEAST_GAP_M, 4.0 * FIRST_GAP_M);
         let weighting = FieldNoise { floor_m: noise.floor_m.hypot(gap_m), ..noise };
-        let problem = problem_of(&looks, &corrected, &ways, &weighting);
+        let problem = problem_of(&looks, &ways, &weighting);
         raw.get_or_insert_with(|| problem.clone());
         if turn == TURNS || turn % CHOOSE_EVERY == 0 {
             chosen = Selection::new(&problem).choose(&mut |_| {});
@@ -326,15 +326,10 @@ fn add_bones(
     }
 }
 
-fn problem_of(
-    looks: &[Look],
-    corrected: &[Corrected],
-    ways: &[[Vector3<f64>; 2]],
-    noise: &FieldNoise,
-) -> Problem {
+fn problem_of(looks: &[Look], ways: &[[Vector3<f64>; 2]], noise: &FieldNoise) -> Problem {
     let mut problem = Problem::new(FOLDS);
-    for (look, corrected) in looks.iter().zip(corrected) {
-        let way = |k: usize| corrected.turn[k] * ways[look.joint][k];
+    for look in looks {
+        let way = |k: usize| look.q[k] * ways[look.joint][k];
         problem.push_joint(look.fold, [(look.z[0], way(0)), (look.z[1], way(1))], noise);
     }
     problem

@@ -24,8 +24,8 @@ pub const VERSION: u32 = 1;
 const STEP_M: f64 = 0.08;
 const COARSE_STEP_M: f64 = 0.25;
 /// Where the grid is off the model by more than this, beside metal, the model itself is asked: m, and share of the noise.
-const ROUGH_M: f64 = 1.5e-4;
-const ROUGH_SHARE: f64 = 0.06;
+const ROUGH_M: f64 = 1e-4;
+const ROUGH_SHARE: f64 = 0.04;
 /// Outside the hull a model still holds for this, m, farther if it is of metal alone; then the correction fades to its
 /// value at the hull over the next.
 const KEEP_M: f64 = 0.1;

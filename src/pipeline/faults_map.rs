@@ -10,7 +10,7 @@ use crate::faults::som::rules::{Cause, Class};
 use crate::faults::som::{Network, NetworkError, Watch};
 use crate::frame::Frame;
 use crate::input::SensorIndex;
-use crate::output::{Estimate, FaultCause, FrameFault};
+use crate::output::{Estimate, FaultCause, FrameLabel};
 
 /// A fault is published once this many of the last five frames have it.
 const LASTS: u32 = 3;
@@ -102,7 +102,7 @@ impl FaultsMap {
     }
 
     /// Labels a frame; `room` is where the transmitter stands.
-    pub(super) fn frame(&mut self, frame: &Frame, room: &Isometry3<f64>) -> FrameFault {
+    pub(super) fn frame(&mut self, frame: &Frame, room: &Isometry3<f64>) -> FrameLabel {
         for (sensor, p) in self.order.iter().zip(self.positions_m.chunks_exact_mut(3)) {
             let newest = frame.sensors.get(usize::from(*sensor)).and_then(|slot| slot.samples.last());
             let position_m = newest.and_then(|sample| sample.measured.position_m);
@@ -114,7 +114,7 @@ impl FaultsMap {
                 advice.take(verdict.sensors[index], verdict.distances_m[index]);
             }
         }
-        FrameFault {
+        FrameLabel {
             label: verdict.class,
             cause: verdict.cause,
             distance: verdict.winner.map(|winner| winner.distance),

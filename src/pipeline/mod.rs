@@ -5,6 +5,7 @@
 //! input, then all outputs are drained; the same entries give the same outputs, and a pipeline restored from
 //! a snapshot goes on as if nothing had happened.
 
+mod body;
 mod device;
 mod exercise;
 mod faults_map;
@@ -30,6 +31,8 @@ use crate::input::{DeviceIndex, Entry, Input, Model, Request, SensorIndex};
 use crate::noise::TrackerNoise;
 use crate::output::{Estimate, Outcome, OutcomeKind, Output, SensorEstimate};
 use crate::stage::Stage;
+use body::BodyStage;
+pub use body::worn;
 use device::{Device, owner};
 pub use exercise::DEFAULT_SUBJECT;
 use exercise::ExerciseStage;
@@ -40,7 +43,7 @@ use keyframes::Keyframes;
 use naming::Naming;
 use sensor::Sensor;
 use source::Source;
-pub use status::{ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
+pub use status::{BodyStatus, ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
 
 /// A stage file that no pipeline can be made of, or a snapshot that does not fit it.
 #[derive(Debug, Error)]
@@ -60,6 +63,12 @@ pub enum PipelineError {
         device: String,
         /// What the driver expects.
         source: posed_drivers::flock::SettingsError,
+    },
+    /// Two IMUs sit on one segment.
+    #[error("sensors {:?} and {:?} sit on the same segment: give each a `segment` of its own", sensors[0], sensors[1])]
+    Worn {
+        /// The two.
+        sensors: [String; 2],
     },
     /// A number that the pipeline cannot work with.
     #[error("{key}: expected {expected}")]
@@ -90,6 +99,8 @@ pub struct Pipeline {
     field: Field,
     estimate: Estimate,
     exercise: ExerciseStage,
+    /// Absent where nobody wears the sensors. Boxed: most stages have none.
+    body: Option<Box<BodyStage>>,
     /// Absent where the stage does not ask for them.
     keyframes: Option<Keyframes>,
     models_refused: u64,
@@ -151,7 +162,8 @@ impl Pipeline {
                 sensors: vec![SensorEstimate::default(); stage.sensors.len()],
                 ..Estimate::default()
             },
-            exercise: ExerciseStage::new(stage.sensors.iter().map(|sensor| sensor.name.as_str())),
+            exercise: ExerciseStage::new(stage),
+            body: BodyStage::new(stage)?.map(Box::new),
             keyframes: Keyframes::new(stage)?,
             models_refused: 0,
             requests_refused: 0,
@@ -229,6 +241,10 @@ impl Pipeline {
                     sensor.status(device.counted(index, &self.sensors).as_ref())
                 })
                 .collect(),
+            body: self
+                .body
+                .as_ref()
+                .map(|body| BodyStatus { mounted: body.is_mounted(), faults: body.faults().collect() }),
             models_refused: self.models_refused,
             requests_refused: self.requests_refused,
         }
@@ -314,15 +330,22 @@ impl Pipeline {
             keyframes,
             exercise,
             naming,
+            body,
             faults,
             ..
         } = self;
         while let Some(frame) = frames.poll(*now) {
             estimate.fault = faults.as_mut().map(|faults| faults.frame(frame, room_transmitter));
             estimate_frame(frame, sensors, field, room_transmitter, faults.as_deref(), estimate);
+            if let Some(body) = body
+                && let Some(body) = body.frame(frame, estimate)
+            {
+                say(Output::Body(body));
+            }
+            let body = body.as_ref().and_then(|body| body.latest());
             say(Output::Estimate(estimate));
             if let Some(naming) = naming {
-                naming.push(estimate, say);
+                naming.push(estimate, body, say);
             }
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, say);
@@ -331,12 +354,13 @@ impl Pipeline {
             if let Some(keyframes) = keyframes {
                 keyframes.frame(estimate, say);
             }
-            exercise.frame(estimate, &mut |outcome| say(Output::Outcome(outcome)));
+            exercise.frame(estimate, body, &mut |outcome| say(Output::Outcome(outcome)));
         }
     }
 
     fn name_with(&mut self, bytes: &[u8]) {
-        match Naming::new(bytes, self.sensors.iter().map(Sensor::name)) {
+        let segments = self.body.is_some();
+        match Naming::new(bytes, self.sensors.iter().map(Sensor::name), segments) {
             Ok(naming) => self.naming = Some(Box::new(naming)),
             // Whoever sends one has looked first, to say what is wrong.
             Err(_) => self.models_refused += 1,

@@ -8,9 +8,11 @@ use std::collections::VecDeque;
 use posed_drivers::Timestamp;
 use serde::{Deserialize, Serialize};
 
+use crate::fusion::body::Segment;
 use crate::input::SensorIndex;
 use crate::motion::segments::{Labeller, Model, Position, Tick};
-use crate::output::{Estimate, Outcome, OutcomeKind, Output, Segment, SegmentEvent, SensorState};
+use crate::output::{self, Body, Estimate, Outcome, OutcomeKind, Output, SegmentEvent};
+use crate::signals::is_usable;
 
 /// Segments that may wait for their confirmation; more are withdrawn, the oldest first.
 const OPEN: usize = 64;
@@ -22,8 +24,8 @@ const GRACE_S: f64 = 0.5;
 pub(super) struct Naming {
     model: Model,
     labeller: Labeller,
-    /// The sensor that stands for each of the model's joints.
-    sensors: Vec<Option<SensorIndex>>,
+    /// What stands for each of the model's joints.
+    joints: Vec<Joint>,
     positions: Vec<Position>,
     /// Said as provisional, neither confirmed nor withdrawn.
     open: VecDeque<Open>,
@@ -31,6 +33,13 @@ pub(super) struct Naming {
     segments: u64,
     /// Class and time of the last tick: provisional, confirmed.
     last: [Option<(u16, f64)>; 2],
+}
+
+/// What stands for a joint of the model: a sensor, or the origin of a segment of the body where the sensor has no place.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Joint {
+    sensor: Option<SensorIndex>,
+    segment: Option<usize>,
 }
 
 /// A provisional segment.
@@ -42,20 +51,27 @@ struct Open {
 }
 
 impl Naming {
-    /// A model file at work on sensors of these names.
+    /// A model file at work on sensors of these names, and on the body's segments where there are some.
     ///
     /// # Errors
     /// One sentence: the bytes are no model, or most of its joints are no sensors here.
     pub(super) fn new<'a>(
         model: &[u8],
         names: impl Iterator<Item = &'a str> + Clone,
+        body: bool,
     ) -> Result<Self, String> {
         let model = Model::from_bytes(model).map_err(|error| error.to_string())?;
-        let sensors = model.columns(names)?;
+        let segments = Segment::ALL.map(Segment::name).into_iter().filter(|_| body);
+        let _ = model.columns(names.clone().chain(segments))?;
+        let joint = |name: &String| Joint {
+            sensor: names.clone().position(|known| known == name).map(|index| index as SensorIndex),
+            segment: Segment::named(name).map(Segment::index).filter(|_| body),
+        };
+        let joints: Vec<Joint> = model.card.preparation.joints.iter().map(joint).collect();
         Ok(Self {
             labeller: Labeller::new(&model),
-            positions: vec![None; sensors.len()],
-            sensors: sensors.into_iter().map(|sensor| sensor.map(|index| index as SensorIndex)).collect(),
+            positions: vec![None; joints.len()],
+            joints,
             model,
             open: VecDeque::with_capacity(OPEN),
             segments: 0,
@@ -64,14 +80,18 @@ impl Naming {
     }
 
     /// Takes the next frame.
-    pub(super) fn push(&mut self, estimate: &Estimate, say: &mut impl FnMut(Output<'_>)) {
-        for (position, sensor) in self.positions.iter_mut().zip(&self.sensors) {
-            let sensor = sensor.and_then(|sensor| estimate.sensors.get(usize::from(sensor)));
-            let good = sensor.filter(|sensor| {
-                use SensorState::{Extrapolated, Ok, Repaired};
-                matches!(sensor.state, Ok | Repaired | Extrapolated)
-            });
-            *position = good.and_then(|sensor| sensor.pose.as_ref()).and_then(|pose| pose.position_m);
+    pub(super) fn push(
+        &mut self,
+        estimate: &Estimate,
+        body: Option<&Body>,
+        say: &mut impl FnMut(Output<'_>),
+    ) {
+        for (position, joint) in self.positions.iter_mut().zip(&self.joints) {
+            let sensor = joint.sensor.and_then(|sensor| estimate.sensors.get(usize::from(sensor)));
+            let pose =
+                sensor.filter(|sensor| is_usable(sensor.state)).and_then(|sensor| sensor.pose.as_ref());
+            let segment = || body?.segments[joint.segment?].position_m;
+            *position = pose.and_then(|pose| pose.position_m).or_else(segment);
         }
         let Self { model, labeller, positions, open, segments, last, .. } = self;
         let mut events = Events { model, open, segments, last, t_decided: estimate.t_valid, say };
@@ -152,7 +172,7 @@ impl<F: FnMut(Output<'_>)> Events<'_, F> {
     fn event(&mut self, event: SegmentEvent, segment: u64, class: u16, start_s: f64, confidence: f64) {
         let label = self.model.card.labels[usize::from(class)].clone();
         let delay_s = Labeller::delay_s(self.model);
-        let what = OutcomeKind::Segment(Segment { event, segment, label, confidence, delay_s });
+        let what = OutcomeKind::Segment(output::Segment { event, segment, label, confidence, delay_s });
         let t_valid = Timestamp::from_secs_f64(start_s);
         (self.say)(Output::Outcome(&Outcome { t_valid, t_decided: self.t_decided, what }));
     }

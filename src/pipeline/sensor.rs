@@ -15,7 +15,7 @@ use crate::frame::{Frame, FrameSensor};
 use crate::input::{DeviceIndex, SensorIndex};
 use crate::noise::TrackerNoise;
 use crate::output::{
-    FaultCause, Measured, Outcome, OutcomeKind, Output, PoseEstimate, SensorEstimate, SensorFault,
+    FaultCause, Measured, Outcome, OutcomeKind, Output, PoseEstimate, SensorEstimate, SensorLabel,
     SensorState,
 };
 use crate::stage;
@@ -196,7 +196,7 @@ impl Sensor {
         // What is changed and may not be published is absent; the raw record is there all the same.
         let pose = pose.filter(|_| repair.is_none() || self.repairs);
         let repair = repair.filter(|_| pose.is_some());
-        let fault = advice.map(|advice| SensorFault {
+        let fault = advice.map(|advice| SensorLabel {
             label: advice.class,
             cause: advice.cause,
             distance_m: advice.distance_m,

@@ -2,6 +2,9 @@
 
 use posed_drivers::{Counters, State};
 
+use crate::fusion::body::SensorFault;
+use crate::input::SensorIndex;
+
 /// Counts and measured rates; a copy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PipelineStatus {
@@ -9,10 +12,21 @@ pub struct PipelineStatus {
     pub devices: Vec<DeviceStatus>,
     /// In the stage's order.
     pub sensors: Vec<SensorStatus>,
+    /// The body; absent where nobody wears the sensors.
+    pub body: Option<BodyStatus>,
     /// Models that were not swapped in: not finite, or of an unknown device.
     pub models_refused: u64,
     /// Requests that could not be carried out.
     pub requests_refused: u64,
+}
+
+/// The body.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BodyStatus {
+    /// Whether it is known how the sensors sit; without, there is no body.
+    pub mounted: bool,
+    /// Sensors that are ill, with their segments.
+    pub faults: Vec<(SensorIndex, &'static str, SensorFault)>,
 }
 
 /// One device.

@@ -173,7 +173,7 @@ fn a_network_of_other_sensors_is_refused() {
 #[test]
 fn segments_are_announced_and_decided() {
     use crate::output::{PoseEstimate, Segment, SegmentEvent, SensorState};
-    let mut naming = naming::Naming::new(&random_model(["a", "b"]), ["a", "b"].into_iter()).unwrap();
+    let mut naming = naming::Naming::new(&random_model(["a", "b"]), ["a", "b"].into_iter(), false).unwrap();
     let mut estimate = Estimate { sensors: vec![SensorEstimate::default(); 2], ..Estimate::default() };
     let mut events: Vec<(f64, f64, Segment)> = Vec::new();
     for frame in 0..1500_u32 {
@@ -196,7 +196,7 @@ fn segments_are_announced_and_decided() {
                 ..SensorEstimate::default()
             };
         }
-        naming.push(&estimate, &mut |output| {
+        naming.push(&estimate, None, &mut |output| {
             if let Output::Outcome(Outcome { t_valid, what: OutcomeKind::Segment(segment), .. }) = output {
                 events.push((t_s, t_valid.as_secs_f64(), segment.clone()));
             }

@@ -5,13 +5,14 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::body::FigureBody;
 use super::message::{
     ExerciseEvent, Fault, FaultChange, FieldChange, FieldEvent, Jobs, KeyPose, SegmentBody, Status,
 };
 use super::sensors::{SensorsBody, TruthBody};
 use super::{Names, Stamp, Topic, View, exercise, round};
 use crate::input::{Model, Truth};
-use crate::output::{Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output};
+use crate::output::{Body, Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output};
 
 /// How messages are written; chosen by the websocket sub-protocol.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -28,6 +29,8 @@ pub enum Encoding {
 pub enum Payload<'a> {
     /// To `sensors`.
     Estimate(&'a Estimate),
+    /// To `body`.
+    Body(&'a Body),
     /// To `truth`.
     Truth(&'a Truth),
     /// To the topic of the event.
@@ -43,6 +46,7 @@ impl<'a> Payload<'a> {
     pub fn of(output: &Output<'a>) -> Option<Self> {
         match *output {
             Output::Estimate(estimate) => Some(Self::Estimate(estimate)),
+            Output::Body(body) => Some(Self::Body(body)),
             Output::Outcome(outcome) => Some(Self::Outcome(outcome)),
             Output::Truth(truth) => Some(Self::Truth(truth)),
             Output::Transmit { .. }
@@ -58,6 +62,7 @@ impl<'a> Payload<'a> {
     pub fn topic(&self) -> Topic {
         match self {
             Self::Estimate(_) => Topic::Sensors,
+            Self::Body(_) => Topic::Body,
             Self::Truth(_) => Topic::Truth,
             Self::Status(_) => Topic::Status,
             Self::Jobs(_) => Topic::Jobs,
@@ -80,6 +85,7 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
     let encoding = view.encoding;
     match *payload {
         Payload::Estimate(estimate) => write(encoding, &SensorsBody { stamp, estimate, names, view }, out),
+        Payload::Body(body) => write(encoding, &FigureBody { stamp, body, names }, out),
         Payload::Truth(truth) => write(encoding, &TruthBody { stamp, truth, names, view }, out),
         Payload::Status(status) => write(encoding, &rounded_status(status, stamp), out),
         Payload::Jobs(jobs) => write(encoding, &rounded_jobs(jobs, stamp), out),

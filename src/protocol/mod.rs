@@ -9,8 +9,10 @@
 //!
 //! # Resolution of numbers
 //! Positions and their sigma 1e-5 m and 1e-6 m, quaternions 1e-6, times 1e-6 s, velocities 1e-4 m/s and 1e-4 rad/s,
+//! angles 1e-3 degrees,
 //! covariances four significant digits, rates 1e-3 Hz. Both encodings carry the rounded number.
 
+mod body;
 pub mod encode;
 mod exercise;
 mod message;
@@ -26,9 +28,10 @@ mod typescript;
 pub use encode::{Encoding, Payload};
 pub use message::{
     Begun, Data, Deviation, DeviceStatus, ErrorReply, ExerciseChange, ExerciseEvent, Fault, FaultChange,
-    FieldChange, FieldEvent, Hello, HelloSensor, Job, JobState, Jobs, Judged, KeyPose, LinkState, Measured,
-    OkReply, Problem, Quality, RecordingStatus, ReplayStatus, SegmentBody, SensorEntry, SensorStatus,
-    Sensors, ServerMessage, StageLatency, Status, TruthEntry, Truths,
+    FieldChange, FieldEvent, Figure, HeadingSource, Hello, HelloSensor, Job, JobState, Jobs, JointEntry,
+    Judged, KeyPose, LinkState, Measured, OkReply, Problem, Quality, RecordingStatus, ReplayStatus,
+    SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage, StageLatency, Status,
+    TruthEntry, Truths,
 };
 pub use names::Names;
 pub use publisher::{Counters, Publisher, PublisherState, Stamp};

@@ -1,6 +1,7 @@
 //! Names of a stage's sensors and devices, in the order of their indices.
 
 use crate::input::{DeviceIndex, SensorIndex};
+use crate::layout::BodyLayout;
 use crate::stage::Stage;
 
 /// Names as messages carry them.
@@ -8,6 +9,7 @@ use crate::stage::Stage;
 pub struct Names {
     devices: Vec<String>,
     sensors: Vec<SensorName>,
+    body: Option<BodyLayout>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -26,7 +28,13 @@ impl Names {
         Self {
             devices: stage.devices.iter().map(|device| device.name.clone()).collect(),
             sensors: stage.sensors.iter().map(sensor).collect(),
+            body: BodyLayout::of(stage),
         }
+    }
+
+    /// The body's segments, where the sensors are worn.
+    pub fn body(&self) -> Option<&BodyLayout> {
+        self.body.as_ref()
     }
 
     /// A device's name.

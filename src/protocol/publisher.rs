@@ -45,6 +45,7 @@ impl Counters {
         let topic = payload.topic();
         let t_us = match payload {
             Payload::Estimate(estimate) => microseconds(estimate.t_valid),
+            Payload::Body(body) => microseconds(body.t_valid),
             Payload::Truth(truth) => microseconds(truth.t_valid),
             Payload::Outcome(outcome) => microseconds(outcome.t_decided),
             Payload::Status(status) => microseconds(Timestamp::from_secs_f64(status.t_s)),
@@ -140,11 +141,13 @@ impl Publisher {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fusion::body::{ANGLES, Heading, SEGMENTS, Segment, SensorFault};
     use crate::input::{Model, Truth, TruthSensor};
     use crate::motion::exercise::{EventKind, Feedback, Reason, Remark};
     use crate::output::{
-        Estimate, ExerciseOutcome, ExerciseState, ExerciseWhat, FaultCause, KeyPoseEvent, Outcome,
-        OutcomeKind, Phase, PoseEstimate, Repetition, SensorEstimate, SensorState,
+        Body, BodySegment, Estimate, ExerciseOutcome, ExerciseState, ExerciseWhat, FaultCause, KeyPoseEvent,
+        Outcome, OutcomeKind, Phase, Placed, PoseEstimate, Repetition, SegmentState, SensorEstimate,
+        SensorState,
     };
     use crate::protocol::{Jobs, ServerMessage, Status};
     use crate::stage::Sensor;
@@ -163,6 +166,8 @@ mod tests {
             gyro_delay_ms: 0.0,
         };
         stage.sensors = vec![sensor("left", 1), sensor("ri\"ght", 2)];
+        stage.sensors[0].segment = Some("forearm_r".into());
+        stage.body = Some(toml::from_str("height_m = 1.8").unwrap());
         stage
     }
 
@@ -181,6 +186,30 @@ mod tests {
             sensors: vec![left, SensorEstimate::default()],
             ..Estimate::default()
         }
+    }
+
+    /// An arm whose forearm's sensor is dead.
+    fn figure() -> Body {
+        let mut body = Body {
+            t_valid: Timestamp::from_nanos(2_000_000),
+            heading: Heading::Held(1.25),
+            placed: Placed::Trackers,
+            segments: vec![BodySegment::default(); SEGMENTS],
+            angles_rad: [None; ANGLES],
+        };
+        let shown = BodySegment {
+            state: SegmentState::Ok,
+            position_m: Some([0.0, 1.0, 2.0]),
+            orientation_wxyz: Some([1.0, 0.0, 0.0, 0.0]),
+            sigma_rad: 0.01,
+            fault: None,
+        };
+        body.segments[Segment::UpperArmR.index()] = shown;
+        let fault = Some(SensorFault::Silent);
+        body.segments[Segment::ForearmR.index()] =
+            BodySegment { state: SegmentState::Suspect, fault, ..shown };
+        body.angles_rad[8] = Some(1.0);
+        body
     }
 
     fn fault(active: bool) -> Outcome {
@@ -249,11 +278,13 @@ mod tests {
             class: "clean".into(),
         }];
         let truth = Truth { t_valid: Timestamp::ZERO, sensors };
+        let body = figure();
         let (estimate, fault, status, jobs) = (estimate(0), fault(true), Status::default(), Jobs::default());
         let mut counters = Counters::default();
         let exercise = exercise.iter().map(Payload::Outcome);
         for payload in [
             Payload::Estimate(&estimate),
+            Payload::Body(&body),
             Payload::Truth(&truth),
             Payload::Outcome(&fault),
             Payload::Outcome(&swapped),

@@ -9,6 +9,8 @@ pub(super) const SIGMA: f64 = 1e6;
 pub(super) const QUATERNION: f64 = 1e6;
 /// Steps per unit of a velocity (m/s or rad/s).
 pub(super) const VELOCITY: f64 = 1e4;
+/// Steps per degree of an angle.
+pub(super) const DEGREES: f64 = 1e3;
 /// Steps per hertz of a rate.
 pub(super) const RATE: f64 = 1e3;
 

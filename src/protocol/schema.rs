@@ -5,7 +5,9 @@
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
 
-use super::message::{Data, ExerciseEvent, Fault, FieldEvent, Jobs, KeyPose, Sensors, Status, Truths};
+use super::message::{
+    Data, ExerciseEvent, Fault, FieldEvent, Figure, Jobs, KeyPose, Sensors, Status, Truths,
+};
 use super::{Call, Feed, RequestId, ServerMessage, Topic, typescript};
 
 /// JSON Schema (draft 2020-12) of `ServerMessage` and `ClientMessage`.
@@ -54,7 +56,8 @@ pub fn of_topic(topic: Topic) -> Option<String> {
         Topic::Field => generator.root_schema_for::<Data<FieldEvent>>(),
         Topic::Exercise => generator.root_schema_for::<Data<ExerciseEvent>>(),
         Topic::Keyframes => generator.root_schema_for::<Data<KeyPose>>(),
-        Topic::Body | Topic::Segments => return None,
+        Topic::Body => generator.root_schema_for::<Data<Figure>>(),
+        Topic::Segments => return None,
     };
     let mut schema = schema.to_value();
     let properties = schema.as_object_mut()?.entry("properties").or_insert_with(|| json!({}));

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize as DeriveSerialize};
 use super::message::{Measured, Quality};
 use super::{Encoding, Names, Stamp, Topic, round};
 use crate::input::{SensorIndex, Truth, TruthSensor};
-use crate::output::{self, Estimate, FrameFault, PoseEstimate, SensorEstimate, SensorFault, SensorState};
+use crate::output::{self, Estimate, FrameLabel, PoseEstimate, SensorEstimate, SensorLabel, SensorState};
 
 /// Something that a `sensors` entry can say; name and state are always said.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, DeriveSerialize, Deserialize, JsonSchema)]
@@ -122,7 +122,7 @@ impl Serialize for SensorsBody<'_> {
             body.serialize_field("sigma_t_s", &round::significant(self.estimate.sigma_t_s))?;
         }
         if let Some(fault) = fault {
-            body.serialize_field("fault", &FrameFault { distance: fault.distance.map(distance), ..fault })?;
+            body.serialize_field("fault", &FrameLabel { distance: fault.distance.map(distance), ..fault })?;
         }
         body.serialize_field("sensors", &Entries(self))?;
         body.end()
@@ -216,7 +216,7 @@ impl Serialize for Entry<'_> {
         }
         if let Some(fault) = fault {
             let distance_m = fault.distance_m.map(distance);
-            entry.serialize_field("fault", &SensorFault { distance_m, ..fault })?;
+            entry.serialize_field("fault", &SensorLabel { distance_m, ..fault })?;
         }
         entry.end()
     }

@@ -69,7 +69,10 @@ fn plain(kind: &str, schema: &Map<String, Value>, indent: &str) -> String {
     match kind {
         "integer" | "number" => "number".into(),
         "array" => array(schema, indent),
-        "object" => "Record<string, unknown>".into(),
+        "object" => match schema.get("additionalProperties") {
+            Some(values @ Value::Object(_)) => format!("Record<string, {}>", type_of(values, indent)),
+            _ => "Record<string, unknown>".into(),
+        },
         "string" | "boolean" | "null" => kind.into(),
         _ => "unknown".into(),
     }

@@ -60,6 +60,11 @@ impl Driver {
         matches!(self, Self::Xbus(_) | Self::XImu3(_) | Self::SlimeVr(_))
     }
 
+    /// Whether the sensors of an inertial driver measure the magnetic field.
+    pub fn measures_field(&self) -> bool {
+        matches!(self, Self::Xbus(_) | Self::XImu3(_))
+    }
+
     /// Which clock times the sensor at `address`; equal values share one.
     pub fn time_base(&self, address: u16) -> TimeBase {
         match self {

@@ -66,9 +66,9 @@ mod tests {
         let mut pong = Vec::new();
         wire::message(From { sender: 1, kind: PONG, utc_ns: 0 }, &[], &mut pong);
         assert_eq!(out, pong);
-        let log = Message { sender: 3, kind: system::LOG, payload: &[] };
+        let log = Message { utc_ns: 0, sender: 3, kind: system::LOG, payload: &[] };
         assert_eq!(peer.take(log, &publisher, &mut out), Err(Refused::Log));
-        let bad = Message { sender: 2000, kind: system::TYPE, payload: &[0, 0, 0, 2, b'x', 0] };
+        let bad = Message { utc_ns: 0, sender: 2000, kind: system::TYPE, payload: &[0, 0, 0, 2, b'x', 0] };
         assert_eq!(peer.take(bad, &publisher, &mut out), Err(Refused::Malformed));
     }
 }

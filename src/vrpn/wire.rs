@@ -56,6 +56,8 @@ pub fn check_greeting(bytes: &[u8; 24]) -> Result<(), Refused> {
 /// One message of a client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Message<'a> {
+    /// When it was true: UTC, ns since 1970.
+    pub utc_ns: i64,
     /// Number of the sender, by the client's own count.
     pub sender: i32,
     /// Number of the type, by the client's own count; negative for [`system`] messages.
@@ -115,7 +117,8 @@ impl Messages {
         if pending.len() < whole {
             return Ok(None);
         }
-        let message = Message { sender: word(12), kind: word(16), payload: &pending[HEADER..length] };
+        let utc_ns = i64::from(word(4) as u32) * 1_000_000_000 + i64::from(word(8)) * 1000;
+        let message = Message { utc_ns, sender: word(12), kind: word(16), payload: &pending[HEADER..length] };
         self.start += whole;
         Ok(Some(message))
     }

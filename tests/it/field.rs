@@ -176,6 +176,43 @@ fn given_a_person_in_place_of_the_pole_bones_keep_their_length() {
 }
 
 #[test]
+fn given_the_command_a_session_is_solved_by_its_bones() {
+    use std::fmt::Write;
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let session = Session::new(2, 25.0);
+    let run = session.run(750);
+    let mut csv = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");
+    let mut stage = String::from(
+        "name = \"Body\"\n[body]\n[[device]]\nname = \"flock\"\ndriver = \"flock-of-birds\"\nport = \"/dev/none\"\n",
+    );
+    for (address, name) in run.sensors.iter().enumerate() {
+        let address = address + 2;
+        write!(stage, "[[sensor]]\nname = \"{name}\"\ndevice = \"flock\"\naddress = {address}\n").unwrap();
+    }
+    for frame in &run.frames {
+        for (name, reading) in run.sensors.iter().zip(&frame.readings) {
+            let (p, q) = (reading.unwrap().position_m, reading.unwrap().orientation.unwrap());
+            let t = frame.t_s;
+            writeln!(csv, "{t},{name},{},{},{},{},{},{},{}", p.x, p.y, p.z, q.w, q.i, q.j, q.k).unwrap();
+        }
+    }
+    std::fs::write(path("session.csv"), csv).unwrap();
+    std::fs::write(path("stage.toml"), stage).unwrap();
+    let (session_csv, stage, field, out) =
+        (path("session.csv"), path("stage.toml"), path("field.json"), path("out.csv"));
+    let solve = ["field", "solve", &session_csv, "--body", &stage, "-o", &field, "--json"];
+    let bone = format!("upper_arm_r={}", session.build.upper_arm_m);
+    let solved = posed(solve.iter().copied().chain(["--bone", &bone, "--corrected", &out]));
+    assert_eq!(solved.status.code(), Some(0), "{}", String::from_utf8_lossy(&solved.stderr));
+    assert_eq!(json(&solved)["accepted"], true);
+    assert_eq!(std::fs::read_to_string(out).unwrap().lines().count(), 750 * 6 + 1);
+    let refused = posed(solve);
+    assert_eq!(refused.status.code(), Some(1));
+    assert_eq!(json(&refused)["reasons"][0]["code"], "spacing");
+}
+
+#[test]
 fn given_real_recordings_without_a_pole_no_map_is_accepted() {
     let path = Path::new("../shared/data/magnetic-plus/WaterTankBottomTranslationTrackerBuffer.csv.gz");
     if !path.exists() {

@@ -6,11 +6,13 @@ use posed::geometry;
 use posed::input::{Entry, Input, Model, Request};
 use posed::output::{Estimate, FieldNews, Outcome, OutcomeKind, Output, SensorState};
 use posed::pipeline::Pipeline;
+use posed::recording::{Header, Writer};
 use posed::stage::{FieldWatch, Stage};
 use posed_simulator::motion::{Motion, Still};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Material, MetalSpec, Scenario, SensorScenario};
 use serde::Deserialize;
 
+use crate::cli::posed;
 use crate::rig::{Rig, Said, field_map, replay, stage};
 
 fn rig(stage: &Stage) -> Rig {
@@ -152,12 +154,41 @@ fn off_m(rig: &Rig, stage: &Stage, skip: usize) -> [f64; 2] {
     squares.map(|square| (square / count).sqrt())
 }
 
+/// The commands make the same map of the same log, and correct what was measured as the pipeline does.
+fn from_the_recording(rig: &Rig, stage_toml: &str, map: &FieldMap) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let header = Header::new(&Stage::parse(stage_toml).unwrap(), stage_toml, 0);
+    let mut writer = Writer::new(std::fs::File::create(path("take.mcap")).unwrap(), header).unwrap();
+    rig.log.iter().for_each(|entry| writer.entry(entry).unwrap());
+    writer.finish("the end").unwrap();
+    let (take, field, out) = (path("take.mcap"), path("field.json"), path("out.csv"));
+    let solved = posed(["field", "solve", &take, "--spacing-m", "0.15", "-o", &field, "--corrected", &out]);
+    assert!(solved.status.success(), "{}", String::from_utf8_lossy(&solved.stderr));
+    assert_eq!(FieldMap::read(field.as_ref()).unwrap(), *map);
+    let corrector = map.corrector();
+    let good = rig.estimates().flat_map(|estimate| &estimate.sensors).filter(|s| s.state == SensorState::Ok);
+    let expected: Vec<Vector3<f64>> = good
+        .filter_map(|sensor| Some(corrector.position(&Vector3::from(sensor.measured?.position_m?))))
+        .collect();
+    let csv = std::fs::read_to_string(out).unwrap();
+    let corrected: Vec<Vector3<f64>> = csv
+        .lines()
+        .skip(1)
+        .map(|line| {
+            let cells: Vec<&str> = line.split(',').collect();
+            Vector3::from_fn(|axis, _| cells[2 + axis].parse().unwrap())
+        })
+        .collect();
+    assert_eq!(corrected, expected);
+}
+
 #[test]
 fn given_the_stage_with_a_pole_its_guided_run_makes_a_map_that_brings_poses_to_the_truth() {
-    let stage = Stage::parse(include_str!("../../config/field-pole.toml")).unwrap();
+    let stage_toml = include_str!("../../config/field-pole.toml");
+    let stage = Stage::parse(stage_toml).unwrap();
     let scenario = Scenario::deserialize(stage.simulation.clone().unwrap()).unwrap();
     let mut rig = Rig::new(&stage, &scenario);
-    rig.run_until(2.0);
     let sensors = stage.sensors.iter().map(|sensor| sensor.name.clone()).collect();
     rig.push(Input::Request(Request::FieldStart { sensors, spacing_m: 0.15 }));
     rig.run_until(22.0);
@@ -179,11 +210,12 @@ fn given_the_stage_with_a_pole_its_guided_run_makes_a_map_that_brings_poses_to_t
     });
     let solution = solve(run.unwrap(), &[], &mut |_| {});
     assert!(solution.report.accepted, "{:?}", solution.report);
+    let map = solution.map.unwrap();
+    from_the_recording(&rig, stage_toml, &map);
     rig.forget();
-    rig.push(swap(1, solution.map));
+    rig.push(swap(1, Some(map)));
     rig.run_until(27.0);
     let [after, corrected] = off_m(&rig, &stage, 50);
-    println!("{before} {uncorrected} {after} {corrected} {:?}", solution.report.model);
     assert!(before > 5e-3 && after > 5e-3 && uncorrected > 5e-3);
     assert!(corrected < 0.25 * after, "{after} {corrected}");
 }

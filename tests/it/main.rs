@@ -8,6 +8,7 @@
 
 mod acceptance;
 mod body;
+mod body_live;
 mod cli;
 mod daemon;
 mod exercise;

@@ -198,7 +198,7 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
     let posed = Posed::start(["demo"]);
     let mut browser = Browser::open(&format!("http://{}/#health", posed.address)).await;
     browser.until(LIVE).await;
-    // Three sensors; positions change.
+    // Three magnetic sensors, ten IMUs; positions change.
     let before = browser.row("sensors", 2).await;
     assert_eq!((before[0].as_str(), before.len()), ("wand", 12));
     browser
@@ -219,9 +219,20 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
         assert!(lost.parse::<u64>().is_ok() && sensor[2].parse::<f64>().is_ok(), "{sensor:?}");
     }
     browser.click("tab-stage-view").await;
-    browser.until("document.getElementById('summary').textContent === '3 of 3 are good'").await;
+    browser.until("document.getElementById('summary').textContent === '13 of 13 are good'").await;
+    browser
+        .until("document.getElementById('body-summary').textContent === 'body: 10 of 10 segments measured'")
+        .await;
     browser.until(PAINTED).await;
     browser.picture("stage").await;
+    // The therapist's picture, and the angles behind it.
+    browser.click("tab-trainer").await;
+    browser.until(&PAINTED.replace("#stage-view", "#avatar")).await;
+    browser.picture("trainer").await;
+    browser.click("tab-analysis").await;
+    browser.until("document.getElementById('joint-choice').options.length === 9").await;
+    browser.until("document.querySelectorAll('.joint canvas').length === 1").await;
+    browser.click("tab-stage-view").await;
     posed.signal("STOP");
     browser.until(DATA_OLD).await;
     posed.signal("CONT");

@@ -10,7 +10,7 @@
 use nalgebra::Vector3;
 use posed::field::{FieldMap, FieldNoise, fit_known};
 use posed::input::{Entry, Input};
-use posed::output::{Estimate, Outcome, Output};
+use posed::output::{Body, Estimate, Outcome, Output};
 use posed::pipeline::Pipeline;
 use posed::stage::Stage;
 use posed_drivers::{LineEvent, Timestamp};
@@ -60,6 +60,7 @@ pub(crate) fn simulate(stage: &Stage, scenario: &Scenario) -> VirtualStage {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Said {
     Estimate(Estimate),
+    Body(Box<Body>),
     Outcome(Outcome),
     State(u16, posed_drivers::State),
     Warning(u16, String),
@@ -218,6 +219,7 @@ impl Rig {
 pub(crate) fn keep(output: &Output<'_>) -> Option<Said> {
     match output {
         Output::Estimate(estimate) => Some(Said::Estimate((*estimate).clone())),
+        Output::Body(body) => Some(Said::Body(Box::new((*body).clone()))),
         Output::Outcome(outcome) => Some(Said::Outcome((*outcome).clone())),
         Output::Device { device, state } => Some(Said::State(*device, (*state).clone())),
         Output::Warning { device, text } => Some(Said::Warning(*device, (*text).to_owned())),

@@ -1,7 +1,7 @@
 // What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
 // Bounded: it never grows over hours.
 
-import type { FaultEvent, FaultMap, Hello, JobsMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
+import type { FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
 
 /** Seconds of history for curves. */
 export const HISTORY_S = 20;
@@ -36,15 +36,50 @@ export class History {
   }
 }
 
+/** The last rows of a joint's angles: t and one column per angle. */
+export class Angles {
+  readonly names: string[];
+  private readonly width: number;
+  private readonly rows: Float64Array;
+  private next = 0;
+  length = 0;
+
+  constructor(names: string[]) {
+    this.names = names;
+    this.width = names.length + 1;
+    this.rows = new Float64Array(HISTORY_ROWS * this.width);
+  }
+
+  push(t_s: number, angles_deg: Record<string, number | null>): void {
+    const row = this.next * this.width;
+    this.rows[row] = t_s;
+    this.names.forEach((name, i) => (this.rows[row + 1 + i] = angles_deg[name] ?? NaN));
+    this.next = (this.next + 1) % HISTORY_ROWS;
+    this.length = Math.min(this.length + 1, HISTORY_ROWS);
+  }
+
+  /** A column, oldest first; 0 is the time. */
+  column(index: number): Float64Array {
+    const out = new Float64Array(this.length);
+    for (let i = 0; i < this.length; i++) {
+      out[i] = this.rows[((this.next - this.length + i + HISTORY_ROWS) % HISTORY_ROWS) * this.width + index]!;
+    }
+    return out;
+  }
+}
+
 export class Model {
   hello: Hello | null = null;
   sensors: SensorsMessage | null = null;
+  body: FigureMessage | null = null;
   truth: TruthsMessage | null = null;
   status: StatusMessage | null = null;
   jobs: JobsMessage | null = null;
   faults: FaultEvent[] = [];
   faultMap: FaultMap | null = null;
   readonly history = new Map<string, History>();
+  /** By joint. */
+  readonly angles = new Map<string, Angles>();
   /** Browser time of the newest frame, ms. */
   lastFrameMs = -Infinity;
   /** Rises with every message, so that views see whether there is something to draw. */
@@ -62,11 +97,16 @@ export class Model {
       case "hello":
         this.hello = message;
         this.history.clear();
+        this.angles.clear();
+        this.body = null;
         this.truth = null;
         this.faultMap = null;
         break;
       case "sensors":
         this.takeSensors(message);
+        break;
+      case "body":
+        this.takeBody(message);
         break;
       case "truth":
         this.truth = message;
@@ -87,6 +127,16 @@ export class Model {
         break;
     }
     this.listeners.forEach((listener) => listener(message));
+  }
+
+  private takeBody(message: FigureMessage): void {
+    if (this.body !== null && message.t_s < this.body.t_s) this.angles.clear();
+    this.body = message;
+    for (const { name, angles_deg } of message.joints) {
+      let angles = this.angles.get(name);
+      if (!angles) this.angles.set(name, (angles = new Angles(Object.keys(angles_deg))));
+      angles.push(message.t_s, angles_deg);
+    }
   }
 
   private takeSensors(message: SensorsMessage): void {

@@ -3,11 +3,13 @@
 //! Every angle is a smooth function of time (four continuous derivatives), so that rates and forces exist.
 
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use super::kinematics::{Build, Posture};
 
 /// What is done after the calibration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "kebab-case")]
 pub enum Activity {
     /// Walks in a wide circle, 0.9 steps of each leg a second.
     Walking,
@@ -17,6 +19,8 @@ pub enum Activity {
     Curls,
     /// Squats with the arms held forward.
     Squats,
+    /// Holds an N-pose and a T-pose in turn, three seconds each: what a guided calibration asks for.
+    Poses,
 }
 
 /// A span of the script, named as in a stage file.
@@ -176,7 +180,16 @@ impl Script {
                 p.pelvis[1] = 0.35 * down;
                 p.spine[0] = 0.3 * down;
                 p.pelvis_m.z -= 0.42 * down;
-                p.pelvis_m.x -= 0.15 * down;
+                let (s, c) = p.pelvis[0].sin_cos();
+                p.pelvis_m -= Vector3::new(c, s, 0.0) * (0.15 * down);
+            }
+            Activity::Poses => {
+                const ROUND_S: f64 = 2.0 * (POSE_S + CHANGE_S);
+                let at = t.rem_euclid(ROUND_S);
+                let raised = step((at - POSE_S) / CHANGE_S) - step((at - ROUND_S + CHANGE_S) / CHANGE_S);
+                for side in 0..2 {
+                    p.shoulder[side][1] = raised * std::f64::consts::FRAC_PI_2;
+                }
             }
         }
     }

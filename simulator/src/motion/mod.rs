@@ -6,6 +6,7 @@
 
 mod bvh;
 mod file;
+mod person;
 mod pole;
 mod scripted;
 mod spline;
@@ -18,6 +19,7 @@ use serde::{Deserialize, Serialize};
 
 pub use bvh::{Bvh, BvhError};
 pub use file::{Ending, File, FileError, Tracks, Up};
+pub use person::Person;
 pub use pole::Pole;
 pub(crate) use scripted::quaternion;
 pub use scripted::{Curl, Orbit, Screw, Still, Walk};
@@ -38,6 +40,8 @@ pub enum Motion {
     Walk(Walk),
     /// A pole with sensors, waved through a box: for calibrating a field.
     Pole(Pole),
+    /// A whole person, as body-worn sensors know one.
+    Person(Person),
     /// Poses from a CSV file or joints from a BVH file.
     File(File),
 }
@@ -88,6 +92,11 @@ impl Motion {
                 finite("center_m", &pole.center_m)?;
                 finite("reach_m", &pole.reach_m)
             }
+            Self::Person(person) => {
+                above_zero("height_m", person.height_m)?;
+                finite("heading_deg", &[person.heading_deg])?;
+                finite("position_m", &person.position_m)
+            }
             Self::File(file) => {
                 above_zero("speed", file.speed)?;
                 above_zero("unit_m", file.unit_m.unwrap_or(1.0))
@@ -133,6 +142,7 @@ impl Body {
             Motion::Pole(_) => vec!["pole"],
             Motion::Curl(_) => Curl::SEGMENTS.to_vec(),
             Motion::Walk(_) => Walk::SEGMENTS.to_vec(),
+            Motion::Person(_) => Person::SEGMENTS.to_vec(),
             Motion::File(_) => self.tracks.iter().flat_map(|tracks| tracks.names()).collect(),
         }
     }
@@ -149,6 +159,7 @@ impl Body {
             Motion::Curl(curl) => curl.pose(segment, t_s),
             Motion::Walk(walk) => walk.pose(segment, t_s),
             Motion::Pole(pole) => pole.pose(t_s),
+            Motion::Person(person) => person.pose(segment, t_s),
             Motion::File(_) => {
                 self.tracks.as_ref().map_or_else(Isometry3::identity, |tracks| tracks.pose(segment, t_s))
             }
@@ -191,6 +202,7 @@ mod tests {
             Motion::Curl(Curl { repetitions: Some(2), ..Curl::default() }),
             Motion::Walk(Walk::default()),
             Motion::Pole(Pole::default()),
+            Motion::Person(Person { activity: crate::body::Activity::Squats, ..Person::default() }),
         ];
         motions.into_iter().map(|motion| Body::new(motion, Path::new(".")).unwrap()).collect()
     }

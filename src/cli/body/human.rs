@@ -1,6 +1,6 @@
 //! `posed body solve` of the human skeleton: calibrates, runs the live filter over the file, writes angles or an animation.
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use posed::animation::{self, Animation};
 use posed::fusion::ahrs::ImuSample;
 use posed::fusion::body::calibrate::{Block, Kind, Recorded, calibrate};
@@ -8,7 +8,8 @@ use posed::fusion::body::{
     ANGLE_NAMES, BodyEstimate, BodyFilter, BodyParams, Heading, SEGMENTS, Segment, SensorFault, Skeleton,
     Worn, of_joint,
 };
-use posed::geometry::{orientation_from_wxyz, orientation_to_wxyz};
+use posed::geometry::orientation_to_wxyz;
+use posed::pipeline;
 use posed::stage::{Body, Mounting, Sensor, Stage};
 use posed::table::{Imu, TableError, TableWriter};
 
@@ -79,6 +80,9 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body) -> Result<(), Erro
     };
 
     let mut filter = BodyFilter::new(&skeleton, &worn, &BodyParams::default());
+    if recording.iter().any(|(_, samples)| samples.iter().flatten().any(|sample| sample.mag.is_some())) {
+        filter.await_field();
+    }
     let nominal_s = match recording.as_slice() {
         [first, .., last] => (last.0 - first.0) / (recording.len() - 1) as f64,
         _ => 0.01,
@@ -182,17 +186,13 @@ fn given(
     let mut worn = [None; SEGMENTS];
     for segment in Segment::ALL.into_iter().filter(|segment| present[segment.index()]) {
         let sensor = sensors[segment.index()];
-        let mount = sensor.and_then(|sensor| sensor.mount_quat_wxyz).and_then(orientation_from_wxyz);
-        let q_segment_sensor: UnitQuaternion<f64> = mount.ok_or_else(|| {
+        let given = sensor.and_then(|sensor| pipeline::worn(sensor, segment, skeleton));
+        worn[segment.index()] = Some(given.ok_or_else(|| {
             Error::Failed(format!(
                 "the sensor on `{}` has no `mount_quat_wxyz` in the stage file: give one, or set mounting = \"calibrate\"",
                 segment.name()
             ))
-        })?;
-        let offset_m = sensor
-            .and_then(|sensor| sensor.offset_m)
-            .map_or_else(|| skeleton.usual_sensor_m(segment), Vector3::from);
-        worn[segment.index()] = Some(Worn { q_segment_sensor, offset_m, heading_rad: None });
+        })?);
     }
     Ok(worn)
 }

@@ -96,6 +96,7 @@ pub(super) async fn serve(
         stage: shared.greeting.stage.clone(),
         epoch_utc: shared.greeting.epoch_utc.clone(),
         skeleton: shared.greeting.skeleton,
+        height_m: shared.greeting.height_m,
         transmitter: shared.greeting.transmitter,
         topics: shared.greeting.topics.clone(),
         sensors: shared.hello_sensors(),

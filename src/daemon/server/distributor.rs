@@ -198,7 +198,7 @@ impl Distributor {
         self.counters.rewind();
         self.newest_us = i64::MIN;
         self.current.clear();
-        let states = [Topic::Sensors, Topic::Truth];
+        let states = [Topic::Sensors, Topic::Body, Topic::Truth];
         for topic in states {
             self.last[topic.index()] = None;
         }

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 
 use crate::input::Truth;
-use crate::output::{Estimate, Outcome, Output};
+use crate::output::{Body, Estimate, Outcome, Output};
 use crate::protocol::{Jobs, Payload, Status};
 
 /// Items that wait for the server; a healthy server has none or one.
@@ -18,6 +18,7 @@ const SPARES: usize = 8;
 #[derive(Debug)]
 pub(super) enum Item {
     Estimate(Estimate),
+    Body(Box<Body>),
     Truth(Box<Truth>),
     Outcome(Box<Outcome>),
     Status(Box<Status>),
@@ -31,6 +32,7 @@ impl Item {
     pub(super) fn payload(&self) -> Option<Payload<'_>> {
         Some(match self {
             Self::Estimate(estimate) => Payload::Estimate(estimate),
+            Self::Body(body) => Payload::Body(body),
             Self::Truth(truth) => Payload::Truth(truth),
             Self::Outcome(outcome) => Payload::Outcome(outcome),
             Self::Status(status) => Payload::Status(status),
@@ -68,10 +70,11 @@ struct Queue {
 }
 
 impl Hub {
-    /// Publishes what clients are told of an output: estimates, outcomes, truth; the others are nothing to them.
+    /// Publishes what clients are told of an output: estimates, the body, outcomes, truth; the others are nothing to them.
     pub fn publish(&self, output: &Output<'_>) {
         match Payload::of(output) {
             Some(Payload::Estimate(estimate)) => self.publish_estimate(estimate),
+            Some(Payload::Body(body)) => self.push(Item::Body(Box::new(body.clone()))),
             Some(Payload::Truth(truth)) => self.push(Item::Truth(Box::new(truth.clone()))),
             Some(Payload::Outcome(outcome)) => self.push(Item::Outcome(Box::new(outcome.clone()))),
             Some(Payload::Status(_) | Payload::Jobs(_)) | None => {}

@@ -216,6 +216,7 @@ struct Greeting {
     stage: String,
     epoch_utc: String,
     skeleton: Option<Skeleton>,
+    height_m: Option<f64>,
     transmitter: Pose,
     topics: Vec<Topic>,
 }
@@ -259,6 +260,7 @@ impl Server {
         let mut topics = vec![Topic::Status, Topic::Sensors, Topic::Faults, Topic::Field, Topic::Jobs];
         // Whatever is tracked can be taught and counted.
         topics.extend((!stage.sensors.is_empty()).then_some(Topic::Exercise));
+        topics.extend(names.body().is_some().then_some(Topic::Body));
         topics.extend(stage.keyframes.is_some().then_some(Topic::Keyframes));
         topics.extend(config.more_topics);
         topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
@@ -281,6 +283,7 @@ impl Server {
                 stage: stage.name.clone(),
                 epoch_utc: rfc3339(config.epoch_utc_ns),
                 skeleton: stage.body.as_ref().map(|body| body.skeleton),
+                height_m: stage.body.as_ref().and_then(|body| body.height_m),
                 transmitter: stage.transmitter.pose_in_room.unwrap_or(Pose::IDENTITY),
                 topics,
             },

@@ -152,6 +152,10 @@ impl Heading {
         self.offset_rad
     }
 
+    pub(super) fn begun(&self) -> bool {
+        self.unit > 0.0
+    }
+
     pub(super) fn disturbed(&self) -> bool {
         self.disturbed
     }

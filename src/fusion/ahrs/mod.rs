@@ -227,6 +227,11 @@ impl Ahrs {
         self.rest.at_rest()
     }
 
+    /// Whether a field has given the heading.
+    pub fn has_field(&self) -> bool {
+        self.heading.begun()
+    }
+
     /// Whether the field is told to differ from the earth's at present.
     pub fn magnetic_disturbance(&self) -> bool {
         self.heading.disturbed()

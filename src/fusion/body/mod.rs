@@ -40,6 +40,18 @@ use limbs::LimbFilter;
 /// Samples of the whole body at one time, by [`Segment::index`].
 pub type BodySamples = [Option<ImuSample>; SEGMENTS];
 
+/// Without a sample for so long the last rate goes on, s; then the segment holds still.
+const HOLD_S: f64 = 0.1;
+/// A sample so long after the one before says nothing of the turn between, s.
+const GAP_S: f64 = 0.05;
+/// What such a sample stands for, s.
+const GAP_STEP_S: f64 = 0.01;
+/// After so long the sensor may have been turned, s.
+const AWAY_S: f64 = 0.5;
+
+/// For so long a heading that is to come from the field is waited for, s.
+const FIELD_S: f64 = 1.0;
+
 /// How one sensor sits on its segment.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Worn {
@@ -128,6 +140,11 @@ struct Sensor {
     worn: Worn,
     ahrs: Ahrs,
     started: bool,
+    /// Time since its last sample, s, and what that one stood for.
+    behind_s: f64,
+    step_s: f64,
+    /// For so long a field is still waited for, s.
+    patience_s: f64,
     /// Whether its samples carry a field.
     magnetometer: bool,
     /// From its level frame to the room, where it has no magnetometer.
@@ -135,13 +152,20 @@ struct Sensor {
     watch: Watch,
 }
 
+/// Rate, rad/s, and specific force, m/s², of a segment in its axes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct Motion {
+    rate_rad_s: Vector3<f64>,
+    force_m_s2: Vector3<f64>,
+}
+
 /// The filters of a body.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BodyFilter {
     sensors: [Option<Sensor>; SEGMENTS],
     limbs: [LimbFilter; 4],
-    /// Last rate of torso and pelvis, segment axes, rad/s, for their angular acceleration.
-    last_rates: [Option<Vector3<f64>>; 2],
+    /// Last motion of torso and pelvis, for their angular acceleration and for a lost sample.
+    last_motions: [Option<Motion>; 2],
     held_s: f64,
     estimate: BodyEstimate,
 }
@@ -153,6 +177,9 @@ impl BodyFilter {
             worn,
             ahrs: Ahrs::new(params.ahrs.clone()),
             started: false,
+            behind_s: 0.0,
+            step_s: 0.0,
+            patience_s: 0.0,
             magnetometer: false,
             heading: UnitQuaternion::identity(),
             watch: Watch::default(),
@@ -160,25 +187,37 @@ impl BodyFilter {
         Self {
             sensors: worn.map(|worn| worn.map(sensor)),
             limbs: Limb::ALL.map(|limb| LimbFilter::new(limb, skeleton, worn, &params.limb)),
-            last_rates: [None; 2],
+            last_motions: [None; 2],
             held_s: 0.0,
             estimate: BodyEstimate::default(),
         }
     }
 
+    /// Lets every sensor wait for a field, for a second at most: compasses are slower than gyros, and limbs that begin with a
+    /// heading of chance find no way back.
+    pub fn await_field(&mut self) {
+        self.sensors.iter_mut().flatten().for_each(|sensor| sensor.patience_s = FIELD_S);
+    }
+
     /// Takes the samples of one time, `dt_s` after the ones before. A time that does not rise changes nothing.
     pub fn push(&mut self, samples: &BodySamples, dt_s: f64) -> &BodyEstimate {
+        self.push_aged(samples, &[0.0; SEGMENTS], dt_s)
+    }
+
+    /// As [`Self::push`], for sensors that do not measure at the same time: `ages_s` says how long before the time of the
+    /// estimate each sample was taken, s.
+    pub fn push_aged(&mut self, samples: &BodySamples, ages_s: &[f64; SEGMENTS], dt_s: f64) -> &BodyEstimate {
         if !dt_s.is_finite() || dt_s <= 0.0 {
             return &self.estimate;
         }
-        for (sensor, sample) in self.sensors.iter_mut().zip(samples) {
+        for ((sensor, sample), age_s) in self.sensors.iter_mut().zip(samples).zip(ages_s) {
             if let Some(sensor) = sensor {
-                sensor.push(sample.as_ref(), dt_s);
+                sensor.push(sample.as_ref(), *age_s, dt_s);
             }
         }
         let orientations =
             self.sensors.each_ref().map(|sensor| sensor.as_ref().and_then(Sensor::orientation));
-        let bases = [Segment::Torso, Segment::Pelvis].map(|trunk| self.base(trunk, samples, dt_s));
+        let bases = [Segment::Torso, Segment::Pelvis].map(|trunk| self.base(trunk, samples));
         for (limb, filter) in Limb::ALL.into_iter().zip(&mut self.limbs) {
             let [trunk, upper, lower] = limb.segments();
             let sensors = [&self.sensors[upper.index()], &self.sensors[lower.index()]];
@@ -205,22 +244,27 @@ impl BodyFilter {
     }
 
     /// Motion of torso or pelvis, which its limbs hang on.
-    fn base(&mut self, trunk: Segment, samples: &BodySamples, dt_s: f64) -> Base {
-        let slot = &mut self.last_rates[trunk.index()];
+    fn base(&mut self, trunk: Segment, samples: &BodySamples) -> Base {
+        let last = &mut self.last_motions[trunk.index()];
         let Some(sensor) = &self.sensors[trunk.index()] else { return Base::room() };
         let Some(q_room_base) = sensor.orientation() else { return Base::room() };
-        let gravity = q_room_base.inverse() * Vector3::z() * super::limb::GRAVITY_M_S2;
+        let known = Base { q_room_base, rate_sigma: 0.01, force_sigma: 0.2, ..Base::room() };
         let Some(sample) = samples[trunk.index()].filter(health::usable) else {
-            // Nothing from the trunk: it stands, as far as anybody knows.
-            *slot = None;
-            return Base { q_room_base, force_m_s2: gravity, ..Base::room() };
+            *last = last.filter(|_| sensor.behind_s <= HOLD_S);
+            let gravity = q_room_base.inverse() * Vector3::z() * super::limb::GRAVITY_M_S2;
+            return match *last {
+                Some(Motion { rate_rad_s, force_m_s2 }) => Base { rate_rad_s, force_m_s2, ..known },
+                // Nothing from the trunk for long: it stands, as far as anybody knows.
+                None => Base { force_m_s2: gravity, ..known },
+            };
         };
         let mount = &sensor.worn.q_segment_sensor;
         let rate_rad_s = mount * (sample.gyro_rad_s - sensor.ahrs.bias_rad_s());
-        let accel_rad_s2 = slot.map_or_else(Vector3::zeros, |last| (rate_rad_s - last) / dt_s);
-        *slot = Some(rate_rad_s);
+        let accel_rad_s2 =
+            last.map_or_else(Vector3::zeros, |last| (rate_rad_s - last.rate_rad_s) / sensor.step_s);
         let force_m_s2 = mount * sample.accel_m_s2;
-        Base { q_room_base, rate_rad_s, accel_rad_s2, force_m_s2, rate_sigma: 0.01, force_sigma: 0.2 }
+        *last = Some(Motion { rate_rad_s, force_m_s2 });
+        Base { rate_rad_s, accel_rad_s2, force_m_s2, ..known }
     }
 
     fn publish(&mut self, own: &[Option<UnitQuaternion<f64>>; SEGMENTS], bases: &[Base; 2], dt_s: f64) {
@@ -265,14 +309,24 @@ impl BodyFilter {
 }
 
 impl Sensor {
-    fn push(&mut self, sample: Option<&ImuSample>, dt_s: f64) {
+    fn push(&mut self, sample: Option<&ImuSample>, age_s: f64, dt_s: f64) {
         self.watch.sample(sample, dt_s);
-        let Some(sample) = sample.filter(|sample| health::usable(sample)) else {
-            self.ahrs.coast(dt_s);
-            return;
-        };
+        self.behind_s += dt_s;
+        let Some(sample) = sample.filter(|sample| health::usable(sample)) else { return };
+        let since_s = (self.behind_s - age_s).max(1e-4);
+        self.behind_s = age_s;
+        self.step_s = since_s;
+        if since_s > GAP_S {
+            self.step_s = GAP_STEP_S;
+            if since_s > AWAY_S && self.started {
+                self.ahrs.resume();
+            } else {
+                self.ahrs.coast((since_s - GAP_STEP_S).min(HOLD_S));
+            }
+        }
+        self.patience_s -= self.step_s;
         self.magnetometer |= sample.mag.is_some();
-        self.ahrs.push(sample, dt_s);
+        self.ahrs.push(sample, self.step_s);
         if !self.started {
             self.started = true;
             if !self.magnetometer {
@@ -292,7 +346,11 @@ impl Sensor {
         } else {
             self.heading * self.ahrs.orientation_6d()
         };
-        self.started.then(|| q_room_sensor * self.worn.q_segment_sensor.inverse())
+        // Since its last sample it went on turning as it did.
+        let ahead_s = self.behind_s.min(HOLD_S);
+        let turn = UnitQuaternion::from_scaled_axis(self.ahrs.rate_rad_s() * ahead_s);
+        let waits = self.patience_s > 0.0 && !self.ahrs.has_field();
+        (self.started && !waits).then(|| q_room_sensor * turn * self.worn.q_segment_sensor.inverse())
     }
 
     /// What a compass in the sensor would say, sensor axes: north, if the heading is believed at all.

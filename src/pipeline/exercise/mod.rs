@@ -12,8 +12,9 @@ use self::subject::Subject;
 use crate::input::{Plan, Request};
 use crate::motion::exercise::{Counter, Exercise};
 use crate::name::Name;
-use crate::output::{Estimate, Outcome};
-use crate::signals;
+use crate::output::{Body, Estimate, Outcome};
+use crate::signals::{self, BodyColumns};
+use crate::stage::Stage;
 
 /// Who moves unless a client says otherwise.
 pub const DEFAULT_SUBJECT: &str = "default";
@@ -29,6 +30,7 @@ const NAME_BYTES: usize = 64;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct ExerciseStage {
     columns: Vec<String>,
+    body: BodyColumns,
     row: Vec<Option<f64>>,
     /// The newest of each name.
     library: Vec<Exercise>,
@@ -36,11 +38,11 @@ pub(super) struct ExerciseStage {
 }
 
 impl ExerciseStage {
-    /// For a stage with these sensors.
-    pub(super) fn new<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Self {
-        let columns = signals::columns(sensors);
+    /// For a stage with its sensors and its body.
+    pub(super) fn new(stage: &Stage) -> Self {
+        let columns = signals::columns_of(stage);
         let row = Vec::with_capacity(columns.len());
-        Self { columns, row, library: Vec::new(), subjects: Vec::new() }
+        Self { columns, body: BodyColumns::of(stage), row, library: Vec::new(), subjects: Vec::new() }
     }
 
     /// Takes an exercise; false where the stage lacks one of its channels.
@@ -128,11 +130,12 @@ impl ExerciseStage {
     }
 
     /// Follows a frame.
-    pub(super) fn frame(&mut self, estimate: &Estimate, say: &mut impl FnMut(&Outcome)) {
+    pub(super) fn frame(&mut self, estimate: &Estimate, body: Option<&Body>, say: &mut impl FnMut(&Outcome)) {
         if self.subjects.is_empty() {
             return;
         }
         signals::write(estimate, &mut self.row);
+        self.body.append(body, estimate, &mut self.row);
         for subject in &mut self.subjects {
             subject.frame(estimate.t_valid, &self.row, say);
         }

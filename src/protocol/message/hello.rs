@@ -17,6 +17,8 @@ pub struct Hello {
     pub epoch_utc: String,
     /// The body's skeleton; null on a stage without a body.
     pub skeleton: Option<Skeleton>,
+    /// Height of the person who wears the sensors, m: gives the lengths of the segments; null where it is not known.
+    pub height_m: Option<f64>,
     /// Topics that this stage publishes.
     pub topics: Vec<Topic>,
     /// The stage's sensors, in the order of the `sensors` message.

@@ -3,6 +3,7 @@
 //! `sensors` and `truth` are written from borrowed frames by [`super::encode`]; the types here describe the result, and a
 //! test reads every written message back through them. Times are seconds since the stage's epoch.
 
+mod body;
 mod exercise;
 mod faults;
 mod field;
@@ -18,6 +19,7 @@ mod truth;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use self::body::{Figure, HeadingSource, JointEntry, SegmentEntry};
 pub use self::exercise::{Begun, Deviation, ExerciseChange, ExerciseEvent, Judged};
 pub use self::faults::{Fault, FaultChange};
 pub use self::field::{FieldChange, FieldEvent};
@@ -46,6 +48,8 @@ pub enum ServerMessage {
     Status(Data<Status>),
     /// Poses of one frame.
     Sensors(Data<Sensors>),
+    /// Segments and joints at one time.
+    Body(Data<Figure>),
     /// Ground truth of one instant.
     Truth(Data<Truths>),
     /// All jobs, running and lately ended.

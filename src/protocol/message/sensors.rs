@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::output::{FrameFault, SensorFault, SensorState};
+use crate::output::{FrameLabel, SensorLabel, SensorState};
 
 /// Body of `sensors`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -18,7 +18,7 @@ pub struct Sensors {
     pub sigma_t_s: Option<f64>,
     /// What the map of faults says of the frame (field `fault`).
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub fault: Option<FrameFault>,
+    pub fault: Option<FrameLabel>,
     /// The subscribed sensors, in the stage file's order.
     pub sensors: Vec<SensorEntry>,
 }
@@ -60,7 +60,7 @@ pub struct SensorEntry {
     pub quality: Option<Quality>,
     /// What the map of faults says of it; absent where the stage has none, or not for this sensor.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub fault: Option<SensorFault>,
+    pub fault: Option<SensorLabel>,
 }
 
 /// A raw record in device axes.

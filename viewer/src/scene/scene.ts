@@ -11,8 +11,8 @@ export class Scene {
   private readonly controls: OrbitControls;
   private moved = true;
 
-  /** Throws where the browser has no WebGL. */
-  constructor() {
+  /** `says` is what those hear who do not see it. Throws where the browser has no WebGL. */
+  constructor(says: string) {
     // The picture is kept between frames, so that it can be copied.
     this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
@@ -30,7 +30,7 @@ export class Scene {
     this.scene.add(grid);
     this.canvas.tabIndex = 0;
     this.canvas.setAttribute("role", "img");
-    this.canvas.setAttribute("aria-label", "the room with its sensors; the table under Health says the same in numbers");
+    this.canvas.setAttribute("aria-label", says);
   }
 
   get canvas(): HTMLCanvasElement {
@@ -39,8 +39,13 @@ export class Scene {
 
   /** Back to where the camera began; otherwise it stays where it was put. */
   reset(): void {
-    this.camera.position.set(1.7, -1.5, 1.75);
-    this.controls.target.set(0.3, 0, 1.0);
+    this.look(new THREE.Vector3(-1.9, -2.0, 1.8), new THREE.Vector3(0.45, -0.05, 0.85));
+  }
+
+  /** Puts the camera somewhere. */
+  look(from: THREE.Vector3, at: THREE.Vector3): void {
+    this.camera.position.copy(from);
+    this.controls.target.copy(at);
     this.controls.update();
   }
 

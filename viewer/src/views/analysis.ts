@@ -4,6 +4,7 @@ import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { type Cell, Table, el } from "../dom";
 import { HISTORY_S, History } from "../model";
+import { JointCurves, axisLook } from "./joints";
 import type { Context, View } from "../view";
 import { FaultsPanel } from "./faults";
 
@@ -24,12 +25,13 @@ export class AnalysisView implements View {
   private readonly curves = el("div", { class: "curves" });
   private readonly faults = new Table("faults", "Faults, newest first", [["Stage time, s"], ["Sensor", "word"], ["Cause", "word"], [""]]);
   private readonly map: FaultsPanel;
+  private readonly joints = new JointCurves();
   private plots: uPlot[] = [];
   private lastDraw = -Infinity;
 
   constructor(private readonly context: Context) {
     this.map = new FaultsPanel(context);
-    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.map.element, this.faults.element);
+    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.joints.element, this.map.element, this.faults.element);
     addEventListener("resize", () => this.resize());
   }
 
@@ -45,6 +47,7 @@ export class AnalysisView implements View {
     const history = this.context.model.history.get(this.choice.value);
     if (history) this.drawCurves(history);
     this.map.draw();
+    this.joints.draw(this.context.model.angles);
     this.faults.fill(this.context.model.faults.slice(-40).reverse().map((fault): Cell[] => [
       [fault.t_s.toFixed(2)], [fault.sensor, "word"], [fault.cause, "word"],
       [fault.active ? "began" : "ended", `word ${fault.active ? "care" : "good"}`],
@@ -82,8 +85,7 @@ export class AnalysisView implements View {
   }
 
   private makePlots(): void {
-    const ink = getComputedStyle(document.body).color;
-    const axis = { stroke: ink, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
+    const axis = axisLook();
     this.plots = CURVES.map(({ title, unit, series }) => {
       const holder = el("section", { class: "curve", "aria-label": `${title}, ${unit}` }, el("h2", {}, `${title}, ${unit}`));
       this.curves.append(holder);
@@ -98,6 +100,7 @@ export class AnalysisView implements View {
   }
 
   private resize(): void {
+    this.joints.resize();
     for (const plot of this.plots) {
       const width = plot.root.parentElement?.clientWidth ?? 0;
       if (width > 0) plot.setSize({ width, height: 180 });

@@ -33,7 +33,7 @@ export class Calibration {
   private readonly hint = el("p", { id: "field-hint", class: "sentence", role: "status" });
   private readonly anchorSensor = el("select", { id: "anchor-sensor", "aria-label": "sensor on the point" });
   private readonly anchorPlace = [0, 1, 2].map((axis) =>
-    el("input", { type: "number", step: "any", required: true, size: 6, id: `anchor-${"xyz"[axis]}`, "aria-label": `${"xyz"[axis]} of the point, m` }));
+    el("input", { type: "number", step: "any", required: true, placeholder: "xyz"[axis]!, id: `anchor-${"xyz"[axis]}`, "aria-label": `${"xyz"[axis]} of the point, m` }));
   private readonly anchorList = el("ul", { id: "anchors", "aria-label": "Surveyed points" });
   private readonly finish = el("button", { id: "field-finish", class: "primary" }, "Solve");
   private readonly outcome = el("section", { id: "field-outcome", hidden: true });
@@ -50,6 +50,7 @@ export class Calibration {
   private job: Job | null = null;
   /** Number of the job whose map was taken, so that it is not offered twice. */
   private taken = 0;
+  private operated = false;
   private changed = true;
 
   constructor(private readonly context: Context) {
@@ -89,10 +90,10 @@ export class Calibration {
   }
 
   draw(): void {
-    if (!this.changed) return;
-    this.changed = false;
     const { hello, status } = this.context.model;
     const operates = hello?.role === "operate" && !status?.replay;
+    if (!this.changed && operates === this.operated) return;
+    [this.changed, this.operated] = [false, operates];
     this.drawMap(operates);
     this.drawRun(operates);
     this.drawOutcome(operates);
@@ -159,6 +160,7 @@ export class Calibration {
     setText(this.inUse, !map || map.map === null ? "Poses are the tracker's own: no map is in use."
       : `Map ${map.version || "of the stage file"} is in use: ${map.map}; ${mm(map.raw_m)} mm off a straight pole before, ${mm(map.heldout_m)} mm held out`
         + (map.anchors_m === null ? "." : `, ${mm(map.anchors_m)} mm at surveyed points.`));
+    this.rollback.hidden = !map || map.version === 0;
     this.rollback.disabled = !operates || !map || map.version === 0;
     const disturbed = this.disturbed.size ? [`Disturbed now: ${[...this.disturbed.values()].join("; ")}. Poses are less certain.`] : [];
     const said = [...disturbed, ...(this.drifted ? [this.drifted] : [])].join(" ");

@@ -2,12 +2,13 @@
 
 import { Group, Matrix4 } from "three";
 import { el, setText } from "../dom";
+import { BODY_LOOKS, BodyFigure } from "../scene/body";
 import { FieldScene } from "../scene/field";
 import { Scene, quaternion, vector } from "../scene/scene";
 import { transmitter } from "../scene/transmitter";
 import { LOOKS, Sensors } from "../scene/sensors";
 import { Truth } from "../scene/truth";
-import type { Pose, SensorState } from "../protocol";
+import type { FigureMessage, Pose, SensorState } from "../protocol";
 import type { Context, View } from "../view";
 
 export class StageView implements View {
@@ -15,8 +16,10 @@ export class StageView implements View {
   readonly title = "Stage";
   readonly element = el("div");
   private readonly summary = el("p", { id: "summary" });
+  private readonly bodySummary = el("p", { id: "body-summary" });
   private scene: Scene | null = null;
   private readonly sensors: Sensors;
+  private readonly body = new BodyFigure();
   private readonly truth = new Truth();
   private readonly transmitter: Group = transmitter();
   private readonly field = new FieldScene();
@@ -27,13 +30,15 @@ export class StageView implements View {
   constructor(private readonly context: Context) {
     this.sensors = new Sensors(context.model);
     try {
-      this.scene = new Scene();
+      this.scene = new Scene("the room with its sensors and the body; the tables under Health and the curves under Analysis say the same in numbers");
     } catch {
       this.element.append(el("p", {}, "This browser has no WebGL, which the picture needs. Health shows the same in numbers."));
       return;
     }
     this.transmitter.add(this.field.group);
-    this.scene.scene.add(this.transmitter, this.sensors.group, this.truth.group);
+    // So that the switch hides what a message would show.
+    const figure = new Group().add(this.body.group);
+    this.scene.scene.add(this.transmitter, this.sensors.group, figure, this.truth.group);
     context.model.listen((message) => {
       if (message.type === "hello") {
         this.placeTransmitter(message.transmitter);
@@ -43,7 +48,7 @@ export class StageView implements View {
         this.field.take(message);
       }
     });
-    const legend = LOOKS.map(({ sign, words, colour }) => {
+    const legend = [...LOOKS, ...Object.values(BODY_LOOKS)].map(({ sign, words, colour }) => {
       const mark = el("span", {}, `${sign} `);
       mark.style.color = `#${colour.toString(16).padStart(6, "0")}`;
       return el("li", {}, mark, words);
@@ -60,7 +65,8 @@ export class StageView implements View {
     this.element.append(
       this.scene.canvas,
       el("aside", {},
-        el("h2", {}, "Sensors"), this.summary,
+        el("h2", {}, "Sensors"), this.summary, this.bodySummary,
+        layer("body", figure, true),
         layer("names", this.sensors.labels, true),
         layer("trails", this.sensors.trails, true),
         layer("uncertainty, two sigma", this.sensors.sigma, true),
@@ -70,6 +76,14 @@ export class StageView implements View {
         el("button", { onclick: () => this.scene?.reset() }, "Camera back"),
         el("ul", { class: "legend", "aria-label": "What the shapes mean" }, ...legend)),
     );
+  }
+
+  private drawBody(body: FigureMessage): void {
+    this.body.update(body, this.context.model.hello?.height_m ?? null);
+    const good = body.segments.filter(({ state }) => state === "ok").length;
+    const heading = body.heading === "held" ? `, heading held for ${body.heading_held_s.toFixed(0)} s` : "";
+    const place = body.placed === "trackers" ? "" : body.placed === "held" ? ", place as last seen" : ", place not known";
+    setText(this.bodySummary, `body: ${good} of ${body.segments.length} segments measured${heading}${place}`);
   }
 
   private placeTransmitter({ position_m, orientation_wxyz }: Pose): void {
@@ -98,6 +112,7 @@ export class StageView implements View {
         + (fault && fault.label !== "clean" ? `; the frame is ${fault.label}` : ""));
       setText(this.arrowsLabel, this.field.hasMap ? `arrows ${this.field.magnified.toFixed(0)} times as long` : "");
     }
+    if (changed && model.body) this.drawBody(model.body);
     if (changed && model.truth) this.truth.update(model.truth);
     this.scene?.render(changed);
   }

@@ -1,6 +1,9 @@
 // Trainer: teach an exercise, choose what is counted, see the count as bars, and one sentence after each repetition.
 
+import { Vector3 } from "three";
 import { acting, el, setText } from "../dom";
+import { BodyFigure } from "../scene/body";
+import { Scene } from "../scene/scene";
 import type { ExerciseEventMessage, ExerciseProgress, ExerciseState } from "../protocol";
 import type { Context, View } from "../view";
 
@@ -21,6 +24,10 @@ export class TrainerView implements View {
   private readonly target = el("input", { id: "target", type: "number", min: 1, max: 100, placeholder: "open" });
   private readonly sets = el("input", { id: "sets", type: "number", min: 1, max: 20, placeholder: "open" });
   private readonly rest = el("input", { id: "rest", type: "number", min: 0, max: 600, value: 30 });
+  private readonly stand = el("div", { id: "avatar", class: "avatar", hidden: true });
+  private readonly avatar = new BodyFigure();
+  private scene: Scene | null = null;
+  private drawn = -1;
   private state: ExerciseState | null = null;
   /** Repetitions whose end is not confirmed yet, by exercise. */
   private readonly provisional = new Set<string>();
@@ -39,7 +46,7 @@ export class TrainerView implements View {
       el("label", {}, "Rest, s ", this.rest), el("button", { id: "select", class: "primary" }, "Count these")));
     select.addEventListener("submit", acting(this.says, () => this.select()));
     const reset = el("button", { id: "reset", onclick: acting(this.says, () => link.request({ type: "exercise.reset" })) }, "From zero");
-    this.element = el("div", {}, this.counts, this.sentence, this.hint, reset, this.says,
+    this.element = el("div", {}, this.stand, this.counts, this.sentence, this.hint, reset, this.says,
       el("h2", {}, "What is counted"), select, el("h2", {}, "Teach an exercise"), teach);
     model.listen((message) => {
       if (message.type === "exercise") this.take(message);
@@ -49,10 +56,12 @@ export class TrainerView implements View {
 
   shown(): void {
     this.changed = true;
+    this.drawn = -1;
     void this.refresh();
   }
 
   draw(): void {
+    this.drawAvatar();
     const rests = this.state?.exercises.some(({ rest_until_s }) => rest_until_s !== null) ?? false;
     if (!this.changed && !rests) return;
     this.changed = false;
@@ -64,6 +73,29 @@ export class TrainerView implements View {
       this.drawProgress(row, progress);
     });
     if (exercises.length === 0) setText(this.sentence, "Nothing is being counted. Choose an exercise below, or teach one.");
+  }
+
+  /** The person from the front, once there is one. */
+  private drawAvatar(): void {
+    const { body, hello, version } = this.context.model;
+    this.stand.hidden = body === null;
+    if (body === null) return;
+    const changed = this.drawn !== version;
+    this.drawn = version;
+    if (changed) this.avatar.update(body, hello?.height_m ?? null);
+    if (this.scene === null && !this.stand.hasChildNodes()) {
+      try {
+        this.scene = new Scene("the person who wears the sensors; Analysis shows the joint angles in numbers");
+        this.scene.scene.add(this.avatar.group);
+        this.stand.append(this.scene.canvas);
+        const { hips, facing } = this.avatar;
+        const ahead = new Vector3(Math.cos(facing + 0.35), Math.sin(facing + 0.35), 0.12).multiplyScalar(2.9);
+        this.scene.look(ahead.add(hips), hips);
+      } catch {
+        this.stand.append(el("p", {}, "This browser has no WebGL, which the picture needs."));
+      }
+    }
+    this.scene?.render(changed);
   }
 
   private drawProgress(row: Element, progress: ExerciseProgress): void {

@@ -1,0 +1,81 @@
+//! The simulated wearer of [`crate::body`] as a body that any device's sensors can ride on.
+
+use nalgebra::{Isometry3, Rotation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::body::{Activity, Build, SEGMENT_NAMES, Script};
+
+/// A whole person who stands, calibrates, moves.
+///
+/// Segments: `torso`, `pelvis`, `upper_arm_r`, `forearm_r`, `thigh_r`, `shank_r` and `_l`, with the axes and origins of the stage
+/// file's human skeleton.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Person {
+    /// What the person does: `walking`, `reaching`, `curls`, `squats`, or `poses` (N-pose and T-pose in turn, 3 s each).
+    pub activity: Activity,
+    /// Whether a calibration comes first: poses and movements, 88 s.
+    pub calibration: bool,
+    /// Body height, m.
+    pub height_m: f64,
+    /// Where the person stands at first: the floor between the feet, room, m.
+    pub position_m: [f64; 3],
+    /// Where the person looks at first: 0 is along room x, counter-clockwise positive, degrees.
+    pub heading_deg: f64,
+}
+
+impl Default for Person {
+    fn default() -> Self {
+        Self {
+            activity: Activity::Curls,
+            calibration: false,
+            height_m: 1.75,
+            position_m: [0.0; 3],
+            heading_deg: 0.0,
+        }
+    }
+}
+
+impl Person {
+    pub(super) const SEGMENTS: [&'static str; 10] = SEGMENT_NAMES;
+
+    pub(super) fn pose(&self, segment: usize, t_s: f64) -> Isometry3<f64> {
+        let build = Build::of_height(self.height_m);
+        let script = Script {
+            activity: self.activity,
+            calibration: self.calibration,
+            facing: self.heading_deg.to_radians(),
+        };
+        let mut posture = script.at(t_s, &build);
+        posture.pelvis_m += Vector3::from(self.position_m);
+        let placement = posture.place(&build)[segment];
+        let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(placement.axes));
+        Isometry3::from_parts(placement.origin_m.into(), turn)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_person_stands_where_it_is_put_and_looks_where_it_is_told() {
+        let person = Person { position_m: [1.0, 2.0, 0.5], heading_deg: 90.0, ..Person::default() };
+        let pelvis = person.pose(1, -1.0);
+        assert!((pelvis.rotation * Vector3::x() - Vector3::y()).norm() < 1e-12, "forward");
+        assert!((pelvis.rotation * Vector3::y() - Vector3::z()).norm() < 1e-12, "upright");
+        assert!((pelvis.translation.vector.xy() - nalgebra::Vector2::new(1.0, 2.0)).norm() < 1e-12);
+        // Ankles at their height over the floor.
+        let shank = person.pose(5, -1.0) * nalgebra::Point3::new(0.0, -0.246 * 1.75, 0.0);
+        assert!((shank.z - 0.5 - 0.039 * 1.75).abs() < 0.005, "{shank}");
+    }
+
+    #[test]
+    fn poses_take_turns() {
+        let person = Person { activity: Activity::Poses, ..Person::default() };
+        let hangs = |t_s: f64| (person.pose(2, t_s).rotation * Vector3::y()).z;
+        for round in [0.0, 10.0, 20.0] {
+            assert!(hangs(round + 1.5) > 0.999_999 && hangs(round + 6.5).abs() < 1e-6, "{round}");
+        }
+    }
+}

@@ -1,0 +1,109 @@
+//! What a stage's body is made of, by name: its segments and joints, their angles, and which sensor sits where.
+//!
+//! In: a stage. Out: names and indices that the pipeline, messages and exercises share. It knows no measurement.
+
+use std::ops::Range;
+
+use crate::fusion::body::{ANGLE_NAMES, SEGMENTS, Segment, of_joint};
+use crate::input::SensorIndex;
+use crate::stage::{self, Stage};
+
+/// Names and places of a stage's body.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BodyLayout {
+    /// Segments, in the order in which [`crate::output::Body`] has them.
+    pub segments: Vec<SegmentLayout>,
+    /// Angles that the sensors can show, by their index in [`crate::output::Body::angles_rad`].
+    pub shown_angles: Vec<usize>,
+}
+
+/// One segment and the joint above it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SegmentLayout {
+    /// Its name.
+    pub name: &'static str,
+    /// Index of the segment it hangs on.
+    pub parent: Option<usize>,
+    /// The joint's angles, by their index in [`crate::output::Body::angles_rad`].
+    pub angles: Range<usize>,
+    /// The sensor that is asked first about it: an IMU, else a tracker.
+    pub sensor: Option<SensorIndex>,
+}
+
+/// Who sits on the body's segments.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Wearers {
+    /// The IMU on each segment.
+    pub imus: [Option<SensorIndex>; SEGMENTS],
+    /// Magnetic trackers, each with its segment.
+    pub trackers: Vec<(SensorIndex, Segment)>,
+}
+
+impl Wearers {
+    /// The sensors of a stage that sit on segments of the human skeleton.
+    ///
+    /// # Errors
+    /// Two IMUs on one segment: their names.
+    pub fn of(stage: &Stage) -> Result<Self, [String; 2]> {
+        let mut wearers = Self::default();
+        for (index, sensor) in (0..).zip(&stage.sensors) {
+            let Some(segment) = segment_of(sensor) else { continue };
+            let device = stage.devices.iter().find(|device| device.name == sensor.device);
+            if !device.is_some_and(|device| device.driver.is_inertial()) {
+                wearers.trackers.push((index, segment));
+            } else if let Some(first) = wearers.imus[segment.index()].replace(index) {
+                return Err([stage.sensors[usize::from(first)].name.clone(), sensor.name.clone()]);
+            }
+        }
+        Ok(wearers)
+    }
+}
+
+/// Where a sensor sits: as it says itself, else by its name.
+pub fn segment_of(sensor: &stage::Sensor) -> Option<Segment> {
+    Segment::named(sensor.segment.as_ref().unwrap_or(&sensor.name))
+}
+
+impl BodyLayout {
+    /// Of a stage whose human body wears sensors; `None` without.
+    pub fn of(stage: &Stage) -> Option<Self> {
+        let body = stage.body.as_ref()?;
+        if body.skeleton != stage::Skeleton::Human {
+            return None;
+        }
+        let wearers = Wearers::of(stage).ok()?;
+        let tracker =
+            |segment| wearers.trackers.iter().find(|(_, at)| *at == segment).map(|(index, _)| *index);
+        let segments: Vec<SegmentLayout> = Segment::ALL
+            .into_iter()
+            .map(|segment| SegmentLayout {
+                name: segment.name(),
+                parent: segment.parent().map(Segment::index),
+                angles: of_joint(segment),
+                sensor: wearers.imus[segment.index()].or_else(|| tracker(segment)),
+            })
+            .collect();
+        if segments.iter().all(|segment| segment.sensor.is_none()) {
+            return None;
+        }
+        // Trackers alone show the whole figure, IMUs what lies between two of them.
+        let imus = wearers.imus.iter().any(Option::is_some);
+        let shown = |segment: &&SegmentLayout| {
+            segment.parent.is_some_and(|parent| {
+                !imus || (segment.sensor.is_some() && segments[parent].sensor.is_some())
+            })
+        };
+        let shown_angles = segments.iter().filter(shown).flat_map(|segment| segment.angles.clone()).collect();
+        Some(Self { segments, shown_angles })
+    }
+
+    /// Columns of the angles for exercises: `elbow_r_flexion_deg` and so on, as `posed body solve` writes them.
+    pub fn columns(&self) -> impl Iterator<Item = String> {
+        self.shown_angles.iter().map(|angle| format!("{}_deg", ANGLE_NAMES[*angle]))
+    }
+}
+
+/// The joint and the angle that a name of [`ANGLE_NAMES`] is made of: `elbow_r` and `flexion`.
+pub fn joint_and_angle(name: &'static str) -> (&'static str, &'static str) {
+    name.rsplit_once('_').unwrap_or((name, name))
+}

@@ -1,0 +1,66 @@
+//! The body at one time, as the pipeline says it.
+
+use posed_drivers::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use crate::fusion::body::{ANGLES, Heading, SensorFault};
+
+/// Segments and joint angles at one time; the order of both is that of [`crate::layout::BodyLayout`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Body {
+    /// Capture time of the newest sample in it.
+    pub t_valid: Timestamp,
+    /// Where its heading comes from.
+    pub heading: Heading,
+    /// Where its position comes from.
+    pub placed: Placed,
+    /// One per segment.
+    pub segments: Vec<BodySegment>,
+    /// Joint angles, rad; `None` where a segment beside the joint is not known.
+    pub angles_rad: [Option<f64>; ANGLES],
+}
+
+/// One segment.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct BodySegment {
+    /// How far to trust it.
+    pub state: SegmentState,
+    /// What is wrong with its sensor.
+    pub fault: Option<SensorFault>,
+    /// Its origin in the room, m.
+    pub position_m: Option<[f64; 3]>,
+    /// Segment to room.
+    pub orientation_wxyz: Option<[f64; 4]>,
+    /// Root mean square of its expected error about an axis, rad; of limbs, relative to the trunk.
+    pub sigma_rad: f64,
+}
+
+/// How far a segment can be trusted; the later, the less.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum SegmentState {
+    /// Its sensor shows it.
+    Ok,
+    /// No sensor of its own: it follows from its neighbours.
+    Inferred,
+    /// Its sensor is ill: the segment goes on by its neighbours and by what was last measured.
+    Suspect,
+    /// Nothing shows it.
+    #[default]
+    Missing,
+}
+
+/// Where a body's position comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Placed {
+    /// From nothing: it stands above the room's origin.
+    #[default]
+    Origin,
+    /// From magnetic trackers on the body.
+    Trackers,
+    /// From trackers that are silent now: it stands where they last were.
+    Held,
+}

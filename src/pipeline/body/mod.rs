@@ -1,0 +1,289 @@
+//! The body, live: from worn IMUs, from magnetic trackers, or from both.
+//!
+//! What comes in: closed frames and their estimates. What goes out: segments, joint angles and their health at the time of
+//! the newest sample. IMUs alone stand above the room's origin; trackers on the same body say where it is, and trackers alone
+//! show the whole figure. What it never does: publish a body before it knows how its sensors sit.
+
+mod epochs;
+
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use self::epochs::{Epoch, Epochs};
+use super::PipelineError;
+use crate::frame::Frame;
+use crate::fusion::body::{
+    BodyEstimate, BodyFilter, BodyParams, Figure, Follower, Heading, SEGMENTS, Segment, SensorFault,
+    Skeleton, Tracked, Worn, angles,
+};
+use crate::geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
+use crate::input::SensorIndex;
+use crate::layout::Wearers;
+use crate::output::{Body, BodySegment, Estimate, Placed, SegmentState};
+use crate::signals::is_usable;
+use crate::stage::{self, Mounting, Stage};
+
+/// Expected error of a segment that trackers show, and of one between them, rad.
+const TRACKED_RAD: f64 = 0.05;
+const BETWEEN_RAD: f64 = 0.15;
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct BodyStage {
+    skeleton: Skeleton,
+    wearing: [Option<SensorIndex>; SEGMENTS],
+    trackers: Vec<WornTracker>,
+    epochs: Epochs,
+    solver: Solver,
+    /// The hips' mid-point where trackers last saw it, m.
+    pelvis_m: Option<Vector3<f64>>,
+    tracked: Vec<Tracked>,
+    out: Body,
+}
+
+/// A magnetic tracker on the body.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct WornTracker {
+    sensor: SensorIndex,
+    segment: Segment,
+    /// Sensor to segment; beside IMUs only its place counts.
+    segment_from_sensor: Isometry3<f64>,
+}
+
+/// How the body is found.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+enum Solver {
+    /// It is not known how the sensors sit.
+    Waiting,
+    Imus(Box<BodyFilter>),
+    Trackers(Box<Follower>),
+}
+
+impl BodyStage {
+    /// `None` where nobody wears the stage's sensors.
+    pub(super) fn new(stage: &Stage) -> Result<Option<Self>, PipelineError> {
+        let Some(body) = &stage.body else { return Ok(None) };
+        if body.skeleton != stage::Skeleton::Human {
+            return Ok(None);
+        }
+        let wearers = Wearers::of(stage).map_err(|sensors| PipelineError::Worn { sensors })?;
+        if wearers == Wearers::default() {
+            return Ok(None);
+        }
+        let height_m = body.height_m.filter(|height_m| height_m.is_finite() && *height_m > 0.0);
+        let height_m = height_m
+            .ok_or(PipelineError::Value { key: "body.height_m", expected: "the person's height, m" })?;
+        let skeleton = Skeleton::from_height(height_m);
+        let given = body.mounting == Mounting::Given;
+        let mut trackers = Vec::with_capacity(wearers.trackers.len());
+        let mut turns_known = true;
+        for (index, segment) in &wearers.trackers {
+            let sensor = &stage.sensors[usize::from(*index)];
+            let turn = sensor.mount_quat_wxyz.and_then(orientation_from_wxyz);
+            turns_known &= turn.is_some();
+            let place_m = sensor.offset_m.map_or_else(|| skeleton.usual_sensor_m(*segment), Vector3::from);
+            let segment_from_sensor = Isometry3::from_parts(place_m.into(), turn.unwrap_or_default());
+            trackers.push(WornTracker { sensor: *index, segment: *segment, segment_from_sensor });
+        }
+        let imus = wearers.imus;
+        let field = imus.iter().flatten().all(|index| has_field(stage, *index));
+        let solver = if imus.iter().any(Option::is_some) {
+            if given {
+                Solver::imus(&skeleton, &mounting(stage, &imus, &skeleton)?, field)
+            } else {
+                Solver::Waiting
+            }
+        } else if turns_known {
+            Solver::Trackers(Box::new(Follower::new(skeleton)))
+        } else {
+            Solver::Waiting
+        };
+        Ok(Some(Self {
+            skeleton,
+            wearing: Segment::ALL.map(|segment| {
+                let tracker = wearers.trackers.iter().find(|(_, at)| *at == segment);
+                imus[segment.index()].or(tracker.map(|(index, _)| *index))
+            }),
+            tracked: Vec::with_capacity(trackers.len()),
+            trackers,
+            epochs: Epochs::new(imus, field),
+            solver,
+            pelvis_m: None,
+            out: Body {
+                t_valid: Default::default(),
+                heading: Heading::Unknown,
+                placed: Placed::Origin,
+                segments: vec![BodySegment::default(); SEGMENTS],
+                angles_rad: Default::default(),
+            },
+        }))
+    }
+
+    /// Takes a closed frame; the body, if there is news of it.
+    pub(super) fn frame(&mut self, frame: &Frame, estimate: &Estimate) -> Option<&Body> {
+        match &mut self.solver {
+            Solver::Waiting => return None,
+            Solver::Imus(filter) => {
+                let mut t = None;
+                self.epochs.frame(frame, |Epoch { t: at, dt_s, samples, ages_s }| {
+                    filter.push_aged(samples, ages_s, *dt_s);
+                    t = Some(*at);
+                });
+                self.out.t_valid = t?;
+                let found = filter.estimate().clone();
+                self.place(&found, estimate);
+            }
+            Solver::Trackers(follower) => {
+                self.tracked.clear();
+                for worn in &self.trackers {
+                    let seen = estimate.sensors.get(usize::from(worn.sensor)).filter(|s| is_usable(s.state));
+                    let pose = seen.and_then(|seen| seen.pose.as_ref());
+                    let Some(pose) = pose.and_then(|pose| isometry(pose.position_m?, pose.orientation_wxyz))
+                    else {
+                        continue;
+                    };
+                    let WornTracker { segment, segment_from_sensor, .. } = *worn;
+                    self.tracked.push(Tracked { segment, room_from_sensor: pose, segment_from_sensor });
+                }
+                let figure = follower.push(&self.tracked)?;
+                self.out.t_valid = estimate.t_valid;
+                self.follow(&figure);
+            }
+        }
+        Some(&self.out)
+    }
+
+    /// The latest body; none before the first.
+    pub(super) fn latest(&self) -> Option<&Body> {
+        (self.out.segments.iter().any(|segment| segment.state != SegmentState::Missing)).then_some(&self.out)
+    }
+
+    /// Whether it is known how the sensors sit.
+    pub(super) fn is_mounted(&self) -> bool {
+        !matches!(self.solver, Solver::Waiting)
+    }
+
+    /// What is wrong with the sensors on it.
+    pub(super) fn faults(&self) -> impl Iterator<Item = (SensorIndex, &'static str, SensorFault)> {
+        let ill = |segment: Segment| {
+            let fault = self.out.segments[segment.index()].fault?;
+            Some((self.wearing[segment.index()]?, segment.name(), fault))
+        };
+        Segment::ALL.into_iter().filter_map(ill)
+    }
+
+    /// Fills in what IMUs show.
+    fn place(&mut self, found: &BodyEstimate, estimate: &Estimate) {
+        let all = found.completed();
+        let from_hips = self.skeleton.origins_m(&all, Vector3::zeros());
+        let standing_m = self.skeleton.standing_m(&all);
+        let (mut sum, mut count) = (Vector3::zeros(), 0.0);
+        for worn in &self.trackers {
+            let index = worn.segment.index();
+            let seen = estimate.sensors.get(usize::from(worn.sensor)).filter(|s| is_usable(s.state));
+            let pose = seen.and_then(|seen| seen.pose.as_ref());
+            if let Some(position_m) = pose.and_then(|pose| pose.position_m)
+                && found.orientations[index].is_some()
+            {
+                let place = from_hips[index] + all[index] * worn.segment_from_sensor.translation.vector;
+                sum += Vector3::from(position_m) - place;
+                count += 1.0;
+            }
+        }
+        if count > 0.0 {
+            self.pelvis_m = Some(sum / count);
+        }
+        let (pelvis_m, placed) = match self.pelvis_m {
+            Some(pelvis_m) if count > 0.0 => (pelvis_m, Placed::Trackers),
+            Some(pelvis_m) => (pelvis_m, Placed::Held),
+            None => (standing_m, Placed::Origin),
+        };
+        self.out.placed = placed;
+        self.out.heading = found.heading;
+        self.out.angles_rad = found.angles_rad;
+        for (index, out) in self.out.segments.iter_mut().enumerate() {
+            let shown = found.orientations[index];
+            let fault = found.faults[index];
+            let state = match (shown, fault) {
+                (None, _) => SegmentState::Missing,
+                (Some(_), Some(_)) => SegmentState::Suspect,
+                (Some(_), None) if self.wearing[index].is_none() => SegmentState::Inferred,
+                (Some(_), None) => SegmentState::Ok,
+            };
+            *out = BodySegment {
+                state,
+                fault,
+                position_m: shown.map(|_| (pelvis_m + from_hips[index]).into()),
+                orientation_wxyz: shown.as_ref().map(orientation_to_wxyz),
+                sigma_rad: found.sigma_rad[index],
+            };
+        }
+    }
+
+    /// Fills in what trackers alone show.
+    fn follow(&mut self, figure: &Figure) {
+        let origins = self.skeleton.origins_m(&figure.orientations, figure.pelvis_m);
+        self.out.placed = Placed::Trackers;
+        self.out.heading = Heading::Field;
+        self.out.angles_rad = angles(&figure.orientations.map(Some));
+        for segment in Segment::ALL {
+            let index = segment.index();
+            let seen = self.tracked.iter().any(|tracked| tracked.segment == segment);
+            let worn = self.trackers.iter().any(|tracker| tracker.segment == segment);
+            let (state, fault) = match (seen, worn) {
+                (true, _) => (SegmentState::Ok, None),
+                (false, true) => (SegmentState::Suspect, Some(SensorFault::Silent)),
+                (false, false) => (SegmentState::Inferred, None),
+            };
+            self.out.segments[index] = BodySegment {
+                state,
+                fault,
+                position_m: Some(origins[index].into()),
+                orientation_wxyz: Some(orientation_to_wxyz(&figure.orientations[index])),
+                sigma_rad: if seen { TRACKED_RAD } else { BETWEEN_RAD },
+            };
+        }
+    }
+}
+
+impl Solver {
+    fn imus(skeleton: &Skeleton, worn: &[Option<Worn>; SEGMENTS], field: bool) -> Self {
+        let mut filter = BodyFilter::new(skeleton, worn, &BodyParams::default());
+        if field {
+            filter.await_field();
+        }
+        Self::Imus(Box::new(filter))
+    }
+}
+
+/// How a sensor sits on its segment, as the stage file says; `None` where it does not say how it is turned.
+pub fn worn(sensor: &stage::Sensor, segment: Segment, skeleton: &Skeleton) -> Option<Worn> {
+    let q_segment_sensor: UnitQuaternion<f64> = orientation_from_wxyz(sensor.mount_quat_wxyz?)?;
+    let offset_m = sensor.offset_m.map_or_else(|| skeleton.usual_sensor_m(segment), Vector3::from);
+    Some(Worn { q_segment_sensor, offset_m, heading_rad: None })
+}
+
+/// The mountings that a stage file gives.
+fn mounting(
+    stage: &Stage,
+    imus: &[Option<SensorIndex>; SEGMENTS],
+    skeleton: &Skeleton,
+) -> Result<[Option<Worn>; SEGMENTS], PipelineError> {
+    let mut all = [None; SEGMENTS];
+    for segment in Segment::ALL {
+        let Some(index) = imus[segment.index()] else { continue };
+        let worn = worn(&stage.sensors[usize::from(index)], segment, skeleton);
+        let lacks = PipelineError::Value {
+            key: "sensor.mount_quat_wxyz",
+            expected: "a quaternion for each sensor on the body, since its mounting is given",
+        };
+        all[segment.index()] = Some(worn.ok_or(lacks)?);
+    }
+    Ok(all)
+}
+
+/// Whether a sensor measures a field that its heading may follow.
+fn has_field(stage: &Stage, index: SensorIndex) -> bool {
+    let sensor = &stage.sensors[usize::from(index)];
+    let device = stage.devices.iter().find(|device| device.name == sensor.device);
+    sensor.magnetometer && device.is_some_and(|device| device.driver.measures_field())
+}

@@ -1,0 +1,136 @@
+//! The body of `body`, written straight from the pipeline's.
+
+use serde::ser::{Serialize, SerializeMap, SerializeSeq, SerializeStruct, Serializer};
+
+use super::message::HeadingSource;
+use super::{Names, Stamp, round};
+use crate::fusion::body::{ANGLE_NAMES, Heading};
+use crate::layout::{SegmentLayout, joint_and_angle};
+use crate::output::{Body, BodySegment, SegmentState};
+
+/// Body of `body`.
+pub(super) struct FigureBody<'a> {
+    pub(super) stamp: &'a Stamp,
+    pub(super) body: &'a Body,
+    pub(super) names: &'a Names,
+}
+
+impl FigureBody<'_> {
+    fn layout(&self) -> &[SegmentLayout] {
+        self.names.body().map_or(&[], |layout| &layout.segments)
+    }
+}
+
+impl Serialize for FigureBody<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let (source, held_s) = match self.body.heading {
+            Heading::Unknown => (HeadingSource::Unknown, 0.0),
+            Heading::Field => (HeadingSource::Field, 0.0),
+            Heading::Held(held_s) => (HeadingSource::Held, held_s),
+        };
+        let mut figure = serializer.serialize_struct("Figure", 6)?;
+        figure.serialize_field("t_s", &self.stamp.t_s())?;
+        figure.serialize_field("heading", &source)?;
+        figure.serialize_field("heading_held_s", &round::to(round::RATE, held_s))?;
+        figure.serialize_field("placed", &self.body.placed)?;
+        figure.serialize_field("segments", &Segments(self))?;
+        figure.serialize_field("joints", &Joints(self))?;
+        figure.end()
+    }
+}
+
+struct Segments<'a>(&'a FigureBody<'a>);
+
+impl Serialize for Segments<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let layout = self.0.layout();
+        let mut entries = serializer.serialize_seq(Some(layout.len()))?;
+        for (layout, segment) in layout.iter().zip(&self.0.body.segments) {
+            entries.serialize_element(&Segment { layout, segment, names: self.0.names })?;
+        }
+        entries.end()
+    }
+}
+
+struct Segment<'a> {
+    layout: &'a SegmentLayout,
+    segment: &'a BodySegment,
+    names: &'a Names,
+}
+
+impl Serialize for Segment<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let Self { layout, segment, names } = self;
+        let mut entry = serializer.serialize_struct("SegmentEntry", 7)?;
+        entry.serialize_field("name", layout.name)?;
+        entry.serialize_field("state", &segment.state)?;
+        entry.serialize_field("position_m", &segment.position_m.map(|p| round::each(round::POSITION, p)))?;
+        let orientation = segment.orientation_wxyz.map(|q| round::each(round::QUATERNION, q));
+        entry.serialize_field("orientation_wxyz", &orientation)?;
+        entry.serialize_field("sigma_deg", &degrees(segment.sigma_rad))?;
+        entry.serialize_field("sensor", &layout.sensor.map(|sensor| names.sensor(sensor)))?;
+        entry.serialize_field("fault", &segment.fault)?;
+        entry.end()
+    }
+}
+
+struct Joints<'a>(&'a FigureBody<'a>);
+
+impl Serialize for Joints<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let FigureBody { body, .. } = self.0;
+        let layout = self.0.layout();
+        let joints = layout.iter().filter(|segment| segment.parent.is_some()).count();
+        let mut entries = serializer.serialize_seq(Some(joints))?;
+        for (below, segment) in layout.iter().zip(&body.segments) {
+            let Some(parent) = below.parent else { continue };
+            // The worse of the two; of equals the one below, which moves.
+            let (above, over) = (&layout[parent], &body.segments[parent]);
+            let (worse, why) = if over.state > segment.state { (over, above) } else { (segment, below) };
+            let because = (worse.state != SegmentState::Ok).then_some(why.name);
+            entries.serialize_element(&Joint { below, body, state: worse.state, because, segment, over })?;
+        }
+        entries.end()
+    }
+}
+
+struct Joint<'a> {
+    below: &'a SegmentLayout,
+    body: &'a Body,
+    state: SegmentState,
+    because: Option<&'static str>,
+    segment: &'a BodySegment,
+    over: &'a BodySegment,
+}
+
+impl Serialize for Joint<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let first = ANGLE_NAMES[self.below.angles.start];
+        let mut entry = serializer.serialize_struct("JointEntry", 5)?;
+        entry.serialize_field("name", joint_and_angle(first).0)?;
+        entry.serialize_field("state", &self.state)?;
+        entry.serialize_field("because", &self.because)?;
+        entry.serialize_field("angles_deg", &Angles(self))?;
+        let sigma_rad = self.segment.sigma_rad.max(self.over.sigma_rad);
+        entry.serialize_field("sigma_deg", &degrees(sigma_rad))?;
+        entry.end()
+    }
+}
+
+struct Angles<'a>(&'a Joint<'a>);
+
+impl Serialize for Angles<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let range = self.0.below.angles.clone();
+        let mut map = serializer.serialize_map(Some(range.len()))?;
+        for index in range {
+            let angle = self.0.body.angles_rad[index].map(degrees);
+            map.serialize_entry(joint_and_angle(ANGLE_NAMES[index]).1, &angle)?;
+        }
+        map.end()
+    }
+}
+
+fn degrees(radians: f64) -> f64 {
+    round::to(round::DEGREES, radians.to_degrees())
+}

@@ -1,0 +1,364 @@
+//! The body as the pipeline says it: a simulated person who wears virtual devices.
+
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use posed::fusion::ahrs::ImuSample;
+use posed::fusion::body::{
+    ANGLE_NAMES, BodyFilter, BodyParams, Heading, SEGMENTS, Segment, SensorFault, Skeleton, Worn, angles,
+};
+use posed::input::{Entry, Input};
+use posed::output::{Body, Placed, SegmentState};
+use posed::pipeline::Pipeline;
+use posed::signals::{self, BodyColumns};
+use posed::stage::Stage;
+use posed_simulator::body::Activity;
+use posed_simulator::faults::Fault;
+use posed_simulator::inertial::ImuClass;
+use posed_simulator::motion::{Motion, Person};
+use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
+
+use crate::rig::{Rig, Said, keep, replay};
+
+const HEIGHT_M: f64 = 1.8;
+
+/// How the sensor of a segment sits, w, x, y, z: each another way.
+fn mount(segment: Segment) -> UnitQuaternion<f64> {
+    let k = segment.index() as f64;
+    UnitQuaternion::from_scaled_axis(Vector3::new((1.3 * k).sin(), (2.1 * k).cos(), (0.7 * k).sin()) * 1.5)
+}
+
+fn wxyz(q: &UnitQuaternion<f64>) -> [f64; 4] {
+    [q.w, q.i, q.j, q.k]
+}
+
+/// Somebody who wears a device's sensors on these segments.
+struct Worn10 {
+    stage: Stage,
+    scenario: Scenario,
+    segments: Vec<Segment>,
+}
+
+fn worn(device: &str, segments: &[Segment], address: impl Fn(u16) -> u16, person: Person) -> Worn10 {
+    let mut text = format!(
+        "name = \"person\"\n[[device]]\nname = \"worn\"\n{device}\n[body]\nheight_m = {HEIGHT_M}\nmounting = \"given\"\n"
+    );
+    let skeleton = Skeleton::from_height(HEIGHT_M);
+    let mut sensors = Vec::new();
+    for (index, segment) in (1..).zip(segments) {
+        let offset_m: [f64; 3] = (skeleton.usual_sensor_m(*segment) + Vector3::new(0.02, 0.01, 0.03)).into();
+        let mount_quat_wxyz = wxyz(&mount(*segment));
+        let name = format!("on_{}", segment.name());
+        text += &format!(
+            "[[sensor]]\nname = \"{name}\"\ndevice = \"worn\"\naddress = {}\nsegment = \"{}\"\n\
+             mount_quat_wxyz = {mount_quat_wxyz:?}\noffset_m = {offset_m:?}\n",
+            address(index),
+            segment.name(),
+        );
+        sensors.push(SensorScenario {
+            name,
+            body: "person".into(),
+            segment: Some(segment.name().into()),
+            offset_m,
+            mount_quat_wxyz,
+        });
+    }
+    let body = BodySpec { name: "person".into(), motion: Motion::Person(person) };
+    let devices = vec![DeviceScenario {
+        name: "worn".into(),
+        boot_ms: 0.0,
+        imu: ImuClass::Ideal,
+        ..DeviceScenario::default()
+    }];
+    let stage = Stage::parse(&text).unwrap_or_else(|problems| panic!("{problems}"));
+    Worn10 {
+        stage,
+        scenario: Scenario { bodies: vec![body], sensors, devices, ..Scenario::default() },
+        segments: segments.to_vec(),
+    }
+}
+
+const XBUS: &str = "driver = \"xbus\"\nport = \"/dev/none\"\nbaud = 921600\nrate_hz = 100.0";
+
+const X_IMU3: &str = "driver = \"x-imu3\"\nport = \"/dev/none\"\nbaud = 2000000";
+
+fn squatting() -> Person {
+    Person { activity: Activity::Squats, height_m: HEIGHT_M, heading_deg: 40.0, ..Person::default() }
+}
+
+impl Worn10 {
+    fn run(&self, seconds: f64) -> Rig {
+        let mut rig = Rig::new(&self.stage, &self.scenario);
+        rig.run_until(seconds);
+        rig
+    }
+
+    /// True segments at a time: from the truth of the sensors on them.
+    fn truth(&self, rig: &Rig, t_s: f64) -> [Option<Isometry3<f64>>; SEGMENTS] {
+        let mut found = [None; SEGMENTS];
+        let mut nearest = [f64::INFINITY; SEGMENTS];
+        for cycle in &rig.truth {
+            let off_s = (cycle.t.as_secs_f64() - t_s).abs();
+            for row in &cycle.sensors {
+                let segment = self.segments[row.sensor];
+                if off_s < nearest[segment.index()] {
+                    nearest[segment.index()] = off_s;
+                    let offset: Translation3<f64> =
+                        Vector3::from(self.scenario.sensors[row.sensor].offset_m).into();
+                    let worn = Isometry3::from_parts(offset, mount(segment));
+                    found[segment.index()] = Some(row.pose * worn.inverse());
+                }
+            }
+        }
+        found
+    }
+}
+
+fn bodies(rig: &Rig) -> Vec<&Body> {
+    rig.said
+        .iter()
+        .filter_map(|said| match said {
+            Said::Body(body) => Some(&**body),
+            _ => None,
+        })
+        .collect()
+}
+
+fn q(body: &Body, segment: Segment) -> UnitQuaternion<f64> {
+    let [w, i, j, k] = body.segments[segment.index()].orientation_wxyz.unwrap();
+    UnitQuaternion::from_quaternion(Quaternion::new(w, i, j, k))
+}
+
+/// The largest root mean square error of an angle of elbows, knees, hips and shoulders, and of a segment, degrees.
+fn errors(worn: &Worn10, rig: &Rig, from_s: f64) -> (f64, f64) {
+    let names = ["elbow_r_flexion", "elbow_l_flexion", "knee_r_flexion", "knee_l_flexion", "hip_r_flexion"];
+    let mut sums = [0.0; 5];
+    let mut turns = [0.0; SEGMENTS];
+    let mut count = 0.0;
+    for body in bodies(rig).iter().filter(|body| body.t_valid.as_secs_f64() > from_s).step_by(20) {
+        let truth = worn.truth(rig, body.t_valid.as_secs_f64());
+        let expected = angles(&truth.map(|pose| pose.map(|pose| pose.rotation)));
+        for (sum, name) in sums.iter_mut().zip(names) {
+            let index = ANGLE_NAMES.iter().position(|known| *known == name).unwrap();
+            let (Some(got), Some(expected)) = (body.angles_rad[index], expected[index]) else { continue };
+            *sum += (got - expected).powi(2);
+        }
+        for (segment, truth) in Segment::ALL.into_iter().zip(&truth) {
+            let Some(truth) = truth else { continue };
+            turns[segment.index()] += q(body, segment).angle_to(&truth.rotation).powi(2);
+        }
+        count += 1.0;
+    }
+    assert!(count > 5.0, "{count} bodies");
+    let worst = |sums: &[f64]| f64::sqrt(sums.iter().copied().fold(0.0, f64::max) / count).to_degrees();
+    (worst(&sums), worst(&turns))
+}
+
+#[test]
+fn ten_trackers_of_a_chain_show_a_person_who_squats() {
+    let worn = worn(XBUS, &Segment::ALL, |n| n, squatting());
+    let rig = worn.run(9.0);
+    let all = bodies(&rig);
+    assert!(all.len() > 700, "{} bodies in 9 s", all.len());
+    assert!(all.windows(2).all(|pair| pair[0].t_valid < pair[1].t_valid));
+    let (angle_deg, turn_deg) = errors(&worn, &rig, 4.0);
+    assert!(angle_deg < 2.0 && turn_deg < 4.0, "angles {angle_deg:.2}, segments {turn_deg:.2} degrees");
+    let last = all.last().unwrap();
+    assert!(last.segments.iter().all(|segment| segment.state == SegmentState::Ok), "{last:?}");
+    assert_eq!((last.heading, last.placed), (Heading::Field, Placed::Origin));
+    // Feet on the floor, below the origin; the head end up.
+    let z = |segment: Segment| last.segments[segment.index()].position_m.unwrap()[2];
+    assert!(z(Segment::ShankR) < z(Segment::ThighR) && z(Segment::Pelvis) < z(Segment::Torso), "{last:?}");
+    assert!((0.3..0.6).contains(&z(Segment::ShankR)), "{last:?}");
+}
+
+/// The filter that `posed body solve` runs over a file, over the records of the same run.
+#[test]
+fn live_and_offline_say_the_same() {
+    let worn = worn(XBUS, &Segment::ALL, |n| n, squatting());
+    let rig = worn.run(4.0);
+    let sits = |segment: Segment, offset_m: [f64; 3]| Worn {
+        q_segment_sensor: mount(segment),
+        offset_m: offset_m.into(),
+        heading_rad: None,
+    };
+    let all: Vec<_> = worn.segments.iter().zip(&worn.scenario.sensors).collect();
+    let all = Segment::ALL.map(|segment| {
+        all.iter().find(|(at, _)| **at == segment).map(|(_, sensor)| sits(segment, sensor.offset_m))
+    });
+    let mut filter = BodyFilter::new(&Skeleton::from_height(HEIGHT_M), &all, &BodyParams::default());
+    filter.await_field();
+    let mut last_s = None;
+    let offline: Vec<_> = rig
+        .estimates()
+        .filter_map(|estimate| {
+            let sample = |segment: Segment| {
+                let inertial = estimate.sensors[segment.index()].measured?.inertial?;
+                Some(ImuSample {
+                    gyro_rad_s: inertial.angular_rate_rad_s?.into(),
+                    accel_m_s2: inertial.specific_force_m_s2?.into(),
+                    mag: inertial.magnetic_field.map(Vector3::from),
+                })
+            };
+            let samples = Segment::ALL.map(sample);
+            samples.iter().any(Option::is_some).then_some(())?;
+            let t_s = estimate.t_valid.as_secs_f64();
+            let dt_s = last_s.map_or(0.01, |last| t_s - last);
+            last_s = Some(t_s);
+            Some(filter.push(&samples, dt_s).clone())
+        })
+        .collect();
+    let live = bodies(&rig);
+    assert_eq!(live.len(), offline.len());
+    for (live, offline) in live.iter().zip(&offline) {
+        for (got, expected) in live.angles_rad.iter().zip(&offline.angles_rad) {
+            let off = got.zip(*expected).map_or(0.0, |(a, b)| (a - b).abs());
+            assert!(got.is_some() == expected.is_some() && off < 1e-9, "{off}");
+        }
+    }
+}
+
+#[test]
+fn a_replay_that_begins_in_the_middle_says_the_same_body() {
+    let worn = worn(XBUS, &Segment::ALL, |n| n, squatting());
+    let rig = worn.run(4.0);
+    let middle = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 2.3);
+    let mut pipeline = Pipeline::new(&worn.stage).unwrap();
+    let before = replay(&mut pipeline, &rig.log[..middle]).len();
+    let mut restored = Pipeline::restore(&worn.stage, &pipeline.snapshot()).unwrap();
+    assert_eq!(replay(&mut restored, &rig.log[middle..]), rig.said[before..]);
+}
+
+#[test]
+fn units_with_clocks_of_their_own_and_units_that_only_tell_their_orientation_show_it_too() {
+    let arm = [Segment::Torso, Segment::UpperArmR, Segment::ForearmR];
+    let reaching = Person { activity: Activity::Curls, ..squatting() };
+    for (device, address, limits) in [
+        (X_IMU3, (|n| n + 40) as fn(u16) -> u16, (3.0, 5.0)),
+        ("driver = \"slimevr\"\nport = \"udp://0.0.0.0:6969\"", |n| n, (6.0, 180.0)),
+    ] {
+        let worn = worn(device, &arm, address, reaching.clone());
+        let rig = worn.run(8.0);
+        let (angle_deg, turn_deg) = errors(&worn, &rig, 4.0);
+        assert!(
+            angle_deg < limits.0 && turn_deg < limits.1,
+            "{device}: {angle_deg:.2}, {turn_deg:.2} degrees"
+        );
+    }
+}
+
+#[test]
+fn trackers_alone_show_the_whole_figure_and_where_it_is() {
+    let segments = [
+        Segment::Torso,
+        Segment::Pelvis,
+        Segment::ForearmR,
+        Segment::ForearmL,
+        Segment::ShankR,
+        Segment::ShankL,
+    ];
+    let device = "driver = \"motionstar\"\nport = \"tcp://127.0.0.1:6000\"";
+    let person = Person { position_m: [1.2, 0.0, -0.9], heading_deg: 180.0, ..squatting() };
+    let mut worn = worn(device, &segments, |n| n, person.clone());
+    worn.scenario.max_range_m = Some(3.0);
+    let rig = worn.run(8.0);
+    let (angle_deg, turn_deg) = errors(&worn, &rig, 4.0);
+    assert!(angle_deg < 6.0 && turn_deg < 6.0, "angles {angle_deg:.2}, segments {turn_deg:.2} degrees");
+    let last = *bodies(&rig).last().unwrap();
+    assert_eq!(last.placed, Placed::Trackers);
+    let state = |segment: Segment| last.segments[segment.index()].state;
+    assert_eq!(
+        [state(Segment::ForearmR), state(Segment::UpperArmR)],
+        [SegmentState::Ok, SegmentState::Inferred]
+    );
+    let truth = worn.truth(&rig, last.t_valid.as_secs_f64())[Segment::Pelvis.index()].unwrap();
+    let place = Vector3::from(last.segments[Segment::Pelvis.index()].position_m.unwrap());
+    assert!((place - truth.translation.vector).norm() < 0.03, "{place} is not {truth}");
+}
+
+#[test]
+fn a_dead_sensor_is_named_within_a_second_and_the_rest_keeps_moving() {
+    let mut worn = worn(X_IMU3, &Segment::ALL, |n| n + 40, squatting());
+    let address = 41 + Segment::ForearmL.index() as u16;
+    worn.scenario.devices[0].faults = vec![Fault::BirdDies { address, at_s: 4.0, duration_s: None }];
+    let rig = worn.run(7.0);
+    let fault = |body: &&&Body| body.segments[Segment::ForearmL.index()].fault == Some(SensorFault::Silent);
+    let all = bodies(&rig);
+    let named = all.iter().find(fault).expect("it is named");
+    let named_s = named.t_valid.as_secs_f64();
+    assert!((4.0..6.5).contains(&named_s), "{named_s}");
+    assert_eq!(named.segments[Segment::ForearmL.index()].state, SegmentState::Suspect);
+    let status = rig.pipeline.status().body.unwrap();
+    let told: Vec<_> = status.faults.iter().map(|(_, segment, fault)| (*segment, *fault)).collect();
+    assert_eq!(told, [("forearm_l", SensorFault::Silent)]);
+    let knee = ANGLE_NAMES.iter().position(|name| *name == "knee_r_flexion").unwrap();
+    let after: Vec<f64> = all
+        .iter()
+        .filter(|body| body.t_valid > named.t_valid)
+        .filter_map(|body| body.angles_rad[knee])
+        .collect();
+    assert!(after.len() > 50);
+    let moved =
+        after.iter().copied().fold(f64::MIN, f64::max) - after.iter().copied().fold(f64::MAX, f64::min);
+    assert!(moved > 0.3, "{moved}");
+}
+
+#[test]
+fn angles_are_columns_of_exercises() {
+    let worn = worn(XBUS, &Segment::ALL, |n| n, squatting());
+    let columns = signals::columns_of(&worn.stage);
+    let knee = columns.iter().position(|name| name == "knee_r_flexion_deg").unwrap();
+    let rig = worn.run(3.0);
+    let angles = BodyColumns::of(&worn.stage);
+    let mut body = None;
+    let (mut row, mut most) = (Vec::new(), f64::MIN);
+    for said in &rig.said {
+        match said {
+            Said::Body(news) => body = Some(&**news),
+            Said::Estimate(estimate) => {
+                signals::write(estimate, &mut row);
+                angles.append(body, estimate, &mut row);
+                assert_eq!(row.len(), columns.len());
+                most = most.max(row[knee].unwrap_or(f64::MIN));
+            }
+            _ => {}
+        }
+    }
+    assert!((30.0..110.0).contains(&most), "{most} degrees");
+}
+
+#[test]
+fn nobody_is_shown_before_the_mounting_is_known() {
+    let mut worn = worn(XBUS, &Segment::ALL, |n| n, squatting());
+    worn.stage.body.as_mut().unwrap().mounting = posed::stage::Mounting::Calibrate;
+    let rig = worn.run(2.0);
+    assert!(rig.estimates().count() > 50 && bodies(&rig).is_empty());
+    assert!(!rig.pipeline.status().body.unwrap().mounted);
+    // Two sensors on one segment are refused.
+    worn.stage.sensors[0].segment = Some("pelvis".into());
+    let refused = Pipeline::new(&worn.stage).unwrap_err().to_string();
+    assert!(refused.contains("\"on_torso\" and \"on_pelvis\" sit on the same segment"), "{refused}");
+}
+
+/// The stage that newcomers see: a body at once, where the trackers on it say.
+#[test]
+fn the_demo_shows_a_body_that_stands_where_it_stands() {
+    use serde::Deserialize;
+    let stage = Stage::parse(include_str!("../../config/demo.toml")).unwrap();
+    let scenario = Scenario::deserialize(stage.simulation.clone().unwrap()).unwrap();
+    let mut rig = Rig::new(&stage, &scenario);
+    rig.run_until(6.0);
+    let first_s = bodies(&rig)[0].t_valid.as_secs_f64();
+    assert!(first_s < 2.0, "{first_s}");
+    let last = *bodies(&rig).last().unwrap();
+    assert_eq!(last.placed, Placed::Trackers);
+    let [x, y, z] = last.segments[Segment::Pelvis.index()].position_m.unwrap();
+    assert!((x - 0.85).hypot(y + 0.35) < 0.08 && (0.85..1.0).contains(&z), "{x} {y} {z}");
+    let forward = q(last, Segment::Pelvis) * Vector3::x();
+    assert!((forward + Vector3::x()).norm() < 0.15, "{forward}");
+    assert!(last.segments.iter().all(|segment| segment.state == SegmentState::Ok), "{last:?}");
+    assert_eq!(rig.pipeline.status().body.unwrap().faults, []);
+    // A stream of entries without sense does not disturb it.
+    let entry = Entry { t: rig.now, input: Input::Timer };
+    let mut said = Vec::new();
+    rig.pipeline.push(&entry, &mut |output| said.extend(keep(&output)));
+    assert!(said.iter().all(|said| !matches!(said, Said::Body(_))));
+}

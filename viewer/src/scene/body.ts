@@ -1,0 +1,178 @@
+// The body in 3-D: simple solids per segment; where a sensor is ill, a mark of another shape and colour with its reason.
+
+import * as THREE from "three";
+import type { FigureMessage, SegmentEntry, SegmentState } from "../protocol";
+import { label, quaternion, vector } from "./scene";
+
+/** Lengths in parts of the height, as the daemon has them (docs/body.md). */
+const TRUNK = 0.288;
+const SHOULDER = 0.129;
+const HIP = 0.0955;
+const UPPER_ARM = 0.186;
+const FOREARM = 0.146;
+const THIGH = 0.245;
+const SHANK = 0.246;
+const USUAL_HEIGHT_M = 1.75;
+
+/** How a segment looks by its state: colour, opacity and whether it is a net all say the same. */
+export const BODY_LOOKS: Record<SegmentState, { words: string; sign: string; colour: number; opacity: number; net: boolean }> = {
+  ok: { words: "segment, measured", sign: "▮", colour: 0x6f94b8, opacity: 1, net: false },
+  inferred: { words: "segment, from its neighbours", sign: "▯", colour: 0x6f94b8, opacity: 0.55, net: false },
+  suspect: { words: "segment, its sensor is ill", sign: "◆", colour: 0xd98e04, opacity: 0.9, net: false },
+  missing: { words: "segment, not shown by anything", sign: "▒", colour: 0x888888, opacity: 0.35, net: true },
+};
+const ILL = 0xb3261e;
+
+/** Parents first; where the joint sits in the parent and in the segment itself. */
+type Place = { parent: string | null; inParent: [number, number, number]; inOwn: [number, number, number] };
+const PLACES: Record<string, Place> = {
+  pelvis: { parent: null, inParent: [0, 0, 0], inOwn: [0, 0, 0] },
+  torso: { parent: "pelvis", inParent: [0, 0, 0], inOwn: [0, -TRUNK / 2, 0] },
+};
+for (const [side, z] of [["r", 1], ["l", -1]] as const) {
+  PLACES[`upper_arm_${side}`] = { parent: "torso", inParent: [0, TRUNK / 2, z * SHOULDER], inOwn: [0, 0, 0] };
+  PLACES[`forearm_${side}`] = { parent: `upper_arm_${side}`, inParent: [0, -UPPER_ARM, 0], inOwn: [0, 0, 0] };
+  PLACES[`thigh_${side}`] = { parent: "pelvis", inParent: [0, 0, z * HIP], inOwn: [0, 0, 0] };
+  PLACES[`shank_${side}`] = { parent: `thigh_${side}`, inParent: [0, -THIGH, 0], inOwn: [0, 0, 0] };
+}
+
+function ball(x: number, y: number, z: number, size: [number, number, number]): THREE.BufferGeometry {
+  return new THREE.SphereGeometry(1, 24, 16).scale(...size).translate(x, y, z);
+}
+
+/** A limb from its joint downwards, with the joint as a ball. */
+function limb(radius: number, length: number): THREE.BufferGeometry[] {
+  const tube = new THREE.CylinderGeometry(radius, radius * 0.75, length, 20).translate(0, -length / 2, 0);
+  return [tube, ball(0, 0, 0, [radius * 1.15, radius * 1.15, radius * 1.15])];
+}
+
+/** Solids of a segment in its axes (x forward, y up, z right), in parts of the height. */
+function solids(name: string): THREE.BufferGeometry[] {
+  switch (name.replace(/_[rl]$/, "")) {
+    case "torso":
+      return [
+        ball(0, 0.055, 0, [0.062, 0.105, 0.112]),
+        ball(0, -0.07, 0, [0.052, 0.08, 0.08]),
+        new THREE.CylinderGeometry(0.025, 0.028, 0.06, 16).translate(0, TRUNK / 2 + 0.02, 0),
+        ball(0.01, TRUNK / 2 + 0.105, 0, [0.052, 0.066, 0.046]),
+        // The nose: which way it looks.
+        new THREE.ConeGeometry(0.012, 0.03, 12).rotateZ(-Math.PI / 2).translate(0.072, TRUNK / 2 + 0.1, 0),
+      ];
+    case "pelvis":
+      return [ball(0, 0.01, 0, [0.056, 0.055, 0.092])];
+    case "upper_arm":
+      return limb(0.026, UPPER_ARM);
+    case "forearm":
+      return [...limb(0.021, FOREARM), ball(0, -FOREARM - 0.035, 0, [0.022, 0.045, 0.011])];
+    case "thigh":
+      return limb(0.043, THIGH);
+    case "shank":
+      return [...limb(0.031, SHANK), new THREE.BoxGeometry(0.13, 0.034, 0.05).translate(0.038, -SHANK - 0.02, 0)];
+    default:
+      return [];
+  }
+}
+
+interface Part {
+  group: THREE.Group;
+  meshes: THREE.Mesh[];
+  state: SegmentState | null;
+}
+
+export class BodyFigure {
+  readonly group = new THREE.Group();
+  /** The hips, room, m. */
+  readonly hips = new THREE.Vector3();
+  /** Which way the hips look, rad from room x. */
+  facing = 0;
+  private readonly materials: Record<SegmentState, THREE.Material>;
+  private readonly parts = new Map<string, Part>();
+  private readonly marks: { mesh: THREE.Mesh; words: THREE.Sprite | null; said: string }[] = [];
+  private readonly offset = new THREE.Vector3();
+
+  constructor() {
+    const material = (state: SegmentState) => {
+      const { colour, opacity, net } = BODY_LOOKS[state];
+      return new THREE.MeshStandardMaterial({ color: colour, roughness: 0.65, transparent: opacity < 1, opacity, wireframe: net });
+    };
+    this.materials = { ok: material("ok"), inferred: material("inferred"), suspect: material("suspect"), missing: material("missing") };
+    for (const name of Object.keys(PLACES)) {
+      const group = new THREE.Group();
+      const meshes = solids(name).map((geometry) => new THREE.Mesh(geometry, this.materials.missing));
+      group.add(...meshes);
+      this.group.add(group);
+      this.parts.set(name, { group, meshes, state: null });
+    }
+    this.group.visible = false;
+  }
+
+  update({ segments }: FigureMessage, height_m: number | null): void {
+    const scale = height_m ?? USUAL_HEIGHT_M;
+    this.group.visible = true;
+    const byName = new Map(segments.map((segment) => [segment.name, segment]));
+    let marked = 0;
+    for (const [name, { parent, inParent, inOwn }] of Object.entries(PLACES)) {
+      const part = this.parts.get(name)!;
+      const segment = byName.get(name);
+      const state = segment?.state ?? "missing";
+      if (state !== part.state) {
+        part.state = state;
+        for (const mesh of part.meshes) mesh.material = this.materials[state];
+      }
+      const above = parent === null ? null : this.parts.get(parent)!.group;
+      if (segment?.orientation_wxyz) quaternion(segment.orientation_wxyz, part.group.quaternion);
+      else if (above) part.group.quaternion.copy(above.quaternion);
+      else this.upright(part.group.quaternion, byName.get("torso"));
+      if (segment?.position_m) vector(segment.position_m, part.group.position);
+      else if (above) {
+        // Straight on from its parent: where it would hang.
+        part.group.position.copy(above.position).add(this.offset.set(...inParent).multiplyScalar(scale).applyQuaternion(above.quaternion));
+        part.group.position.sub(this.offset.set(...inOwn).multiplyScalar(scale).applyQuaternion(part.group.quaternion));
+      } else this.below(part.group, byName.get("torso"), scale);
+      part.group.scale.setScalar(scale);
+      if (segment && segment.state === "suspect") this.mark(marked++, part.group, segment);
+    }
+    this.marks.forEach(({ mesh, words }, i) => {
+      mesh.visible = i < marked;
+      if (words) words.visible = i < marked;
+    });
+    const pelvis = this.parts.get("pelvis")!.group;
+    this.hips.copy(pelvis.position);
+    this.offset.set(1, 0, 0).applyQuaternion(pelvis.quaternion);
+    this.facing = Math.atan2(this.offset.y, this.offset.x);
+  }
+
+  /** A pelvis that nothing shows: as the torso, or upright. */
+  private upright(into: THREE.Quaternion, torso: SegmentEntry | undefined): void {
+    if (torso?.orientation_wxyz) quaternion(torso.orientation_wxyz, into);
+    else into.set(Math.SQRT1_2, 0, 0, Math.SQRT1_2);
+  }
+
+  private below(pelvis: THREE.Group, torso: SegmentEntry | undefined, scale: number): void {
+    if (torso?.position_m) {
+      vector(torso.position_m, pelvis.position);
+      pelvis.position.sub(this.offset.set(0, (TRUNK / 2) * scale, 0).applyQuaternion(pelvis.quaternion));
+    } else pelvis.position.set(0, 0, 0.53 * scale);
+  }
+
+  /** An octahedron with the reason at the segment's joint. */
+  private mark(index: number, at: THREE.Group, { name, fault }: SegmentEntry): void {
+    let mark = this.marks[index];
+    if (!mark) {
+      const mesh = new THREE.Mesh(new THREE.OctahedronGeometry(0.06), new THREE.MeshStandardMaterial({ color: ILL, roughness: 0.4 }));
+      this.group.add(mesh);
+      this.marks.push((mark = { mesh, words: null, said: "" }));
+    }
+    mark.mesh.position.copy(at.position);
+    const said = `${name}: ${(fault ?? "ill").replaceAll("_", " ")}`;
+    if (said !== mark.said) {
+      mark.words?.removeFromParent();
+      mark.words?.material.map?.dispose();
+      mark.words?.material.dispose();
+      mark.words = label(said, getComputedStyle(document.body).color);
+      mark.said = said;
+      this.group.add(mark.words);
+    }
+    mark.words?.position.copy(at.position);
+  }
+}
