@@ -5,6 +5,7 @@
 use posed_drivers::{LineEvent, Timestamp};
 use serde::{Deserialize, Serialize};
 
+use crate::faults::som::Network;
 use crate::field::Prepared;
 use crate::geometry;
 use crate::motion::exercise::Exercise;
@@ -89,6 +90,12 @@ pub enum Model {
         /// The exercise, as in its file.
         exercise: Box<Exercise>,
     },
+    /// A map of faults; it takes the place of the one before. Clients send none: it is longer than a message may be.
+    #[schemars(skip)]
+    Faults {
+        /// The network, as in its file.
+        network: Box<Network>,
+    },
 }
 
 /// What clients ask of the pipeline.
@@ -140,6 +147,7 @@ impl Model {
             (Self::TrackerNoise { device, .. }, Self::TrackerNoise { device: of, .. }) => device == of,
             (Self::Field { .. }, Self::Field { .. }) => true,
             (Self::Exercise { exercise }, Self::Exercise { exercise: newer }) => exercise.name == newer.name,
+            (Self::Faults { .. }, Self::Faults { .. }) => true,
             _ => false,
         }
     }
@@ -174,6 +182,8 @@ impl Model {
                 }
             }
             Self::Exercise { exercise } => exercise.check().map_err(|error| error.to_string())?,
+            // Read from its file, it holds together; whether it is of these sensors, the pipeline knows.
+            Self::Faults { .. } => {}
         }
         Ok(())
     }

@@ -10,6 +10,7 @@ pub use self::body::{Body, BodySegment, Placed, SegmentState};
 pub use self::exercise::{
     ExerciseOutcome, ExerciseProgress, ExerciseState, ExerciseWhat, LiveHint, Repetition,
 };
+use crate::faults::som::rules::{Cause, Class};
 use crate::field::{PoleRun, Progress, Warning};
 use crate::input::{DeviceIndex, Model, SensorIndex, Truth};
 
@@ -69,6 +70,8 @@ pub struct Estimate {
     pub t_closed: Timestamp,
     /// Standard deviation of `t_valid` itself, s.
     pub sigma_t_s: f64,
+    /// What the map of faults says of the frame; absent where the stage has none.
+    pub fault: Option<FrameLabel>,
     /// One per sensor of the stage file, in its order.
     pub sensors: Vec<SensorEstimate>,
 }
@@ -104,6 +107,44 @@ pub struct SensorEstimate {
     pub pose: Option<PoseEstimate>,
     /// The raw record, in device axes, where one arrived.
     pub measured: Option<Measured>,
+    /// What the map of faults says of it; absent where the stage has none, or not for this sensor.
+    pub fault: Option<SensorLabel>,
+}
+
+/// What the map of faults says of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+pub struct FrameLabel {
+    /// Rules and map together: inverted if most sensors are, anomalous if any is not clean.
+    pub label: Class,
+    /// Why; `none` where it is clean.
+    pub cause: Cause,
+    /// Distance of the frame from its cell, in shares of a chain; null where no sensor is there.
+    pub distance: Option<f64>,
+    /// The cell that wins: row times columns plus column; null where no sensor is there.
+    pub cell: Option<u32>,
+}
+
+/// What the map of faults says of a sensor in a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+pub struct SensorLabel {
+    /// Rules and map together.
+    pub label: Class,
+    /// Why; `none` where it is clean.
+    pub cause: Cause,
+    /// Distance from the nearest place where it was in training, m; null where it is missing.
+    pub distance_m: Option<f64>,
+    /// How the published pose differs from the record; null where it does not.
+    pub repair: Option<Repair>,
+}
+
+/// How a published pose came about that is not the record's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Repair {
+    /// Mirrored back through the transmitter.
+    Mirrored,
+    /// Predicted from the records before; the sensor's state is not that of a good one.
+    Bridged,
 }
 
 /// A filtered pose with its uncertainty; room frame.
@@ -170,7 +211,7 @@ pub enum OutcomeKind {
     Fault {
         /// Which sensor.
         sensor: SensorIndex,
-        /// `hemisphere`, `stuck`, `gate`, `missing`.
+        /// Which fault.
         cause: FaultCause,
         /// Began or ended.
         active: bool,
@@ -260,4 +301,12 @@ pub enum FaultCause {
     Gate,
     /// No record.
     Missing,
+    /// A jump that no motion makes.
+    Jump,
+    /// A distance to another sensor that joints do not allow.
+    Bone,
+    /// The map of faults knows such frames as bad.
+    Map,
+    /// Far from all that was seen when the map of faults was learnt.
+    Distance,
 }

@@ -7,11 +7,14 @@ mod rig;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
+use posed::faults::som::frames::Frames;
+use posed::faults::som::map::Training;
+use posed::faults::som::{Network, Size};
 use posed::field::Prepared;
 use posed::input::{Entry, Input, Model};
 use posed::motion::exercise::{Exercise, Options, Stream, teach};
 use posed::output::{Outcome, OutcomeKind, Output};
-use posed::pipeline::Pipeline;
+use posed::pipeline::{Pipeline, raw_positions};
 use posed::signals;
 use posed::stage::{FieldWatch, Keyframes, Stage};
 use posed_simulator::faults::{Bytes, Fault};
@@ -70,8 +73,9 @@ fn a_warm_pipeline_does_not_allocate() {
         |name: &str, burst_ms| DeviceScenario { name: name.into(), burst_ms, ..DeviceScenario::default() };
     let scenario = Scenario { devices: vec![flock("d0", 16.0), flock("d1", 0.0)], ..Scenario::default() };
     let exercise = curl(&stage_file, &scenario);
-    let mut rig = Rig::new(&stage_file, &curling(None, scenario));
+    let mut rig = Rig::new(&stage_file, &curling(None, scenario.clone()));
     rig.push(Input::Model(Model::Exercise { exercise: Box::new(exercise) }));
+    rig.push(Input::Model(Model::Faults { network: Box::new(faults(&stage_file, &scenario)) }));
     rig.push(Input::Model(Model::Field { version: 1, map: Some(Prepared::new(field_map())) }));
     rig.run_until(12.0);
 
@@ -81,7 +85,10 @@ fn a_warm_pipeline_does_not_allocate() {
     let mut feed = |pipeline: &mut Pipeline, log: &[Entry]| {
         for entry in log {
             pipeline.push(entry, &mut |output| match output {
-                Output::Estimate(_) => frames += 1,
+                Output::Estimate(estimate) => {
+                    frames += 1;
+                    assert!(estimate.fault.is_some());
+                }
                 Output::Outcome(Outcome { what: OutcomeKind::Exercise(_), .. }) => exercise += 1,
                 _ => {}
             });
@@ -96,6 +103,20 @@ fn a_warm_pipeline_does_not_allocate() {
     assert!(frames > 500 && bytes > 500, "{frames} frames from {bytes} chunks");
     assert!(events > 3, "only {events} events of the exercise");
     assert_eq!(allocations, 0, "in {frames} frames with {events} events");
+}
+
+/// A map of faults of this stage's own movements.
+fn faults(stage_file: &Stage, scenario: &Scenario) -> Network {
+    let mut rig = Rig::new(stage_file, &curling(None, scenario.clone()));
+    rig.run_until(8.0);
+    let sensors = stage_file.sensors.iter().map(|sensor| sensor.name.clone()).collect();
+    let mut frames = Frames { sensors, ..Frames::default() };
+    for estimate in rig.estimates().filter(|estimate| estimate.t_valid.as_secs_f64() > 4.0) {
+        frames.t_s.push(estimate.t_valid.as_secs_f64());
+        raw_positions(estimate, &[0, 1, 2], |p| frames.positions_m.extend(p));
+    }
+    let training = Training { epochs: 4, ..Training::default() };
+    Network::train(&frames, Size { neurons: 11, side: 5 }, &training).expect("frames").0
 }
 
 /// The first sensor on a forearm that curls, so many times.

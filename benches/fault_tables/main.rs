@@ -2,7 +2,8 @@
 //!
 //! Trained on one scripted session (5 min, 15 sensors, half of it bad), tested on other sessions and bodies; then, where
 //! `../shared/data/cmu-labelled` is there, on motion captures with faults put in, trained on one and tested on others.
-//! Recall of frames that are inverted or anomalous, and the share of clean frames that are called bad.
+//! Recall of frames that are inverted or anomalous, the share of clean frames that are called bad, and of each kind of
+//! anomalous frames the share that is found.
 #![expect(clippy::print_stdout, reason = "the table is what it is for")]
 
 use std::path::Path;
@@ -23,13 +24,13 @@ impl Table {
         self.0[truth as usize][said as usize] += 1;
     }
 
-    fn line(&self, name: &str) {
+    fn line(&self, name: &str) -> String {
         let share = |class: Class| {
             let row = &self.0[class as usize];
             row[class as usize] as f64 / row.iter().sum::<usize>().max(1) as f64
         };
         let (inverted, anomalous) = (share(Class::Inverted), share(Class::Anomalous));
-        println!("| {name} | {inverted:.3} | {anomalous:.3} | {:.4} |", 1.0 - share(Class::Clean));
+        format!("| {name} | {inverted:.3} | {anomalous:.3} | {:.4} |", 1.0 - share(Class::Clean))
     }
 }
 
@@ -50,17 +51,33 @@ fn classes(truth: &[Truth], sensors: usize) -> Vec<Class> {
     truth.chunks_exact(sensors).map(frame).collect()
 }
 
+/// What was done to a frame: to most of its sensors, or to the first that is hit.
+fn kinds(truth: &[Truth], sensors: usize) -> Vec<Truth> {
+    let first = |row: &[Truth]| row.iter().copied().find(|truth| *truth != Truth::Clean);
+    truth.chunks_exact(sensors).map(|row| first(row).unwrap_or(Truth::Clean)).collect()
+}
+
 struct Session {
     frames: Frames,
     classes: Vec<Class>,
+    kinds: Vec<Truth>,
+}
+
+/// What was said of frames, by who said it: rules alone, map alone, both.
+#[derive(Default)]
+struct Tables {
+    by_class: [Table; 3],
+    /// Bad frames of each kind, and how many of them each called bad.
+    by_kind: [[usize; 4]; 4],
 }
 
 impl Session {
     fn new(sensors: Vec<String>, mut positions_m: Vec<f64>, rate_hz: f64, seed: u64, share: f64) -> Self {
         let truth = inject(&mut positions_m, sensors.len(), rate_hz, seed, share, &Fault::ALL);
         let classes = classes(&truth, sensors.len());
+        let kinds = kinds(&truth, sensors.len());
         let t_s = (0..classes.len()).map(|k| k as f64 / rate_hz).collect();
-        Self { frames: Frames { sensors, t_s, positions_m }, classes }
+        Self { frames: Frames { sensors, t_s, positions_m }, classes, kinds }
     }
 
     fn of_figure(seed: u64, height_m: f64, frames: usize, share: f64) -> Self {
@@ -78,23 +95,41 @@ impl Session {
         Some(network)
     }
 
-    /// Rules alone, map alone, both.
-    fn test(&self, network: &Network, tables: &mut [Table; 3]) {
+    fn test(&self, network: &Network, tables: &mut Tables) {
         let Ok(frames) = network.adapt(&self.frames) else { return };
-        let mut watch = network.watch();
-        for (k, truth) in self.classes.iter().enumerate() {
+        let (mut watch, mut labeller) = (network.watch(), network.rules().labeller());
+        let mut labels = vec![(Class::Unknown, Cause::Missing); frames.sensors.len()];
+        for (k, (truth, kind)) in self.classes.iter().zip(&self.kinds).enumerate() {
+            network.rules().label(&mut labeller, frames.frame(k), &mut labels);
             let verdict = watch.push(network, frames.frame(k));
-            for (table, said) in tables.iter_mut().zip([verdict.by_rules, verdict.by_map, verdict.class]) {
+            let said = [frame_class(&labels).0, verdict.by_map, verdict.class];
+            for (table, said) in tables.by_class.iter_mut().zip(said) {
                 table.add(*truth, said);
+            }
+            let kind = match (truth, kind) {
+                (Class::Anomalous, Truth::Inverted) => 0,
+                (Class::Anomalous, Truth::Stuck) => 1,
+                (Class::Anomalous, Truth::Jump) => 2,
+                (Class::Anomalous, Truth::Disturbed) => 3,
+                _ => continue,
+            };
+            let counts = &mut tables.by_kind[kind];
+            counts[0] += 1;
+            for (count, said) in counts[1..].iter_mut().zip(said) {
+                *count += usize::from(said == Class::Anomalous);
             }
         }
     }
 }
 
-fn print(title: &str, tables: &[Table; 3]) {
-    println!("\n| {title} | inverted | anomalous | false |\n|---|---|---|---|");
-    for (table, name) in tables.iter().zip(["rules alone", "map alone", "both"]) {
-        table.line(name);
+fn print(title: &str, tables: &Tables) {
+    println!("\n| {title} | inverted | anomalous | false | one inverted | frozen | jump | pull |");
+    println!("|---|---|---|---|---|---|---|---|");
+    for (who, (table, name)) in tables.by_class.iter().zip(["rules alone", "map alone", "both"]).enumerate() {
+        let share = |counts: &[usize; 4]| counts[who + 1] as f64 / counts[0].max(1) as f64;
+        let kinds: Vec<String> =
+            tables.by_kind.iter().map(|counts| format!(" {:.2} |", share(counts))).collect();
+        println!("{}{}", table.line(name), kinds.concat());
     }
 }
 
@@ -133,12 +168,12 @@ impl Noise {
 
 fn main() {
     if let Some(network) = Session::of_figure(1, 1.78, 18_000, 0.5).train() {
-        let mut same = [Table::default(); 3];
+        let mut same = Tables::default();
         for seed in 100..104 {
             Session::of_figure(seed, 1.78, 6000, 0.4).test(&network, &mut same);
         }
         print("other sessions of the same person", &same);
-        let mut other = [Table::default(); 3];
+        let mut other = Tables::default();
         for (seed, height_m) in (110..).zip([1.6, 1.7, 1.85, 1.9]) {
             Session::of_figure(seed, height_m, 6000, 0.4).test(&network, &mut other);
         }
@@ -146,7 +181,7 @@ fn main() {
     }
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/cmu-labelled");
     let names = ["13_29", "13_30", "14_20"];
-    let mut tables = [Table::default(); 3];
+    let mut tables = Tables::default();
     for name in names {
         let path = |name: &str| folder.join(format!("{name}.csv.gz"));
         let Some(training) = capture(&path(name), 5, 0.5) else {

@@ -124,6 +124,24 @@ export type Call = {
 } | {
   /** The reply carries it. */
   id: RequestId;
+  /** From the last so many seconds; absent: from all that is remembered, five minutes at most. */
+  last_s?: number | null;
+  /** From a recording instead: a name that `replay.list` gave. */
+  recording?: string | null;
+  type: "faults.train";
+} | {
+  /** What frames of this cell are. */
+  class: FaultClass;
+  /** Column, from 0. */
+  column: number;
+  /** The reply carries it. */
+  id: RequestId;
+  /** Row, from 0. */
+  row: number;
+  type: "faults.name_cell";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
   /** Its number. */
   job: number;
   type: "job.cancel";
@@ -309,20 +327,39 @@ export type ExerciseState = {
 };
 
 /** Why a sensor's pose is not simply good. */
-export type FaultCause = "hemisphere" | "stuck" | "gate" | "missing";
+export type FaultCause = "hemisphere" | "stuck" | "gate" | "missing" | "jump" | "bone" | "map" | "distance";
+
+/** What is the matter with one sensor, or with a frame. */
+export type FaultClass = "clean" | "inverted" | "anomalous" | "unknown";
 
 /** What every data message starts with, and its body. */
-export type FaultMessage = {
+export type FaultMessage = ({
   /** Whether it began or ended. */
   active: boolean;
   /** What is wrong with it. */
   cause: FaultCause;
+  event: "fault";
+  /** Which sensor. */
+  sensor: string;
+} | {
+  /** Class of each cell, row by row. */
+  cells: FaultClass[];
+  /** Columns of the map. */
+  columns: number;
+  event: "map";
+  /** Counted up by `faults.train` and `faults.name_cell`. */
+  revision: number;
+  /** Rows of the map. */
+  rows: number;
+  /** The sensors that it knows. */
+  sensors: string[];
+  /** A frame that is farther from its cell than this is unusual. */
+  usual_distance: number;
+}) & {
   /** Data messages of all topics that were dropped for this client so far. */
   dropped: number;
   /** Stage-wide number of the event, from 1. */
   event_id: number;
-  /** Which sensor. */
-  sensor: string;
   /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
   seq: number;
   /** Stream time at which it was decided, s; rises strictly (by 1 µs between events of one frame). */
@@ -361,7 +398,7 @@ export type Feed = {
 };
 
 /** Something that a `sensors` entry can say; name and state are always said. */
-export type Field = "name" | "state" | "device" | "position_m" | "orientation_wxyz" | "sigma_m" | "measured" | "covariance" | "velocity" | "quality";
+export type Field = "name" | "state" | "device" | "position_m" | "orientation_wxyz" | "sigma_m" | "measured" | "covariance" | "velocity" | "quality" | "fault";
 
 /** What every data message starts with, and its body. */
 export type FieldEventMessage = ({
@@ -415,6 +452,18 @@ export type FieldEventMessage = ({
   t_s: number;
   /** Capture time it speaks of, s. */
   t_valid_s: number;
+};
+
+/** What the map of faults says of a frame. */
+export type FrameLabel = {
+  /** Why; `none` where it is clean. */
+  cause: LabelCause;
+  /** The cell that wins: row times columns plus column; null where no sensor is there. */
+  cell: number | null;
+  /** Distance of the frame from its cell, in shares of a chain; null where no sensor is there. */
+  distance: number | null;
+  /** Rules and map together: inverted if most sensors are, anomalous if any is not clean. */
+  label: FaultClass;
 };
 
 /** What every data message starts with, and its body. */
@@ -583,6 +632,9 @@ export type KeyPoseMessage = {
   t_valid_s: number;
 };
 
+/** Why. */
+export type LabelCause = "none" | "flip" | "frozen" | "jump" | "bone" | "map" | "distance" | "missing";
+
 /** What a device's link does. */
 export type LinkState = "streaming" | "connecting" | "silent" | "failed";
 
@@ -716,6 +768,9 @@ export type RecordingStatus = {
   started_s: number;
 };
 
+/** How a published pose came about that is not the record's. */
+export type Repair = "mirrored" | "bridged";
+
 /** A recording being replayed. After `replay.open` and `replay.seek` the times of all other topics start anew. */
 export type ReplayStatus = {
   /** Stage time at which it begins, s. */
@@ -794,6 +849,8 @@ export type SensorEntry = {
   covariance?: number[] | null;
   /** Its device's name. */
   device?: string | null;
+  /** What the map of faults says of it; absent where the stage has none, or not for this sensor. */
+  fault?: SensorLabel | null;
   /** The raw record, unfiltered, in device axes; null where none arrived. */
   measured?: Measured | null;
   /** Its name. */
@@ -810,6 +867,18 @@ export type SensorEntry = {
   state: SensorState;
   /** Velocity in the room, m/s; null where there is no position. */
   velocity_m_s?: [number, number, number] | null;
+};
+
+/** What the map of faults says of a sensor in a frame. */
+export type SensorLabel = {
+  /** Why; `none` where it is clean. */
+  cause: LabelCause;
+  /** Distance from the nearest place where it was in training, m; null where it is missing. */
+  distance_m: number | null;
+  /** Rules and map together. */
+  label: FaultClass;
+  /** How the published pose differs from the record; null where it does not. */
+  repair: Repair | null;
 };
 
 /** What is wrong with a worn sensor. */
@@ -834,6 +903,8 @@ export type SensorStatus = {
 export type SensorsMessage = {
   /** Data messages of all topics that were dropped for this client so far. */
   dropped: number;
+  /** What the map of faults says of the frame (field `fault`). */
+  fault?: FrameLabel | null;
   /** Number of the frame (field `quality`). */
   frame?: number | null;
   /** The subscribed sensors, in the stage file's order. */

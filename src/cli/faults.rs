@@ -11,7 +11,8 @@ use posed::faults::som::map::{Rule, Training, Width};
 use posed::faults::som::rules::{Cause, Class};
 use posed::faults::som::study::{self, Report};
 use posed::faults::som::{Labels, Network, Size, picture};
-use posed::table::{Poses, TableError, TableWriter};
+use posed::recording::positions;
+use posed::table::{PoseColumns, PoseRow, PoseWriter, Poses, TableError, TableWriter};
 
 /// Layer sizes of the paper's study.
 const STUDIED_NEURONS: [usize; 5] = [11, 21, 31, 41, 51];
@@ -122,6 +123,9 @@ struct DetectArgs {
     /// Where to draw the map and the distance over time.
     #[arg(long, value_name = "PICTURE.svg")]
     picture: Option<PathBuf>,
+    /// Where to write the positions with inverted ones mirrored back and anomalous ones left out.
+    #[arg(long, value_name = "POSES.csv")]
+    repaired: Option<PathBuf>,
     /// Print a summary as one JSON object.
     #[arg(long)]
     json: bool,
@@ -146,7 +150,12 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     }
 }
 
+/// Positions of a table, or the raw ones of a recording: its poses have been repaired already.
 fn read(path: &Path) -> Result<Frames, Error> {
+    if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")) {
+        let read = positions::read(path);
+        return read.map_err(|error| Error::failed(format!("{}: {error}", path.display())));
+    }
     Ok(Frames::of(&Poses::read(path).map_err(Error::failed)?))
 }
 
@@ -248,6 +257,9 @@ fn detect(args: &DetectArgs) -> Result<(), Error> {
         let text = picture::draw(&title, network.size(), &network.cells, &drawn);
         output::replace(path, |file| file.write_all(text.as_bytes()))?;
     }
+    if let Some(path) = &args.repaired {
+        write_repaired(path, &frames, &labels).map_err(Error::failed)?;
+    }
     let summary =
         Detected { frames: frames.len(), classes: Counts::of(labels.frames.iter().map(|label| label.0)) };
     if args.json {
@@ -276,7 +288,8 @@ fn write_labels(
             table.text(class.name())?;
             table.text(cause.name())?;
             table.number(distance)?;
-            table.text("0")?;
+            // Of a sensor: its mirror image is where it was. Of the frame: that of all that are inverted.
+            table.text(if class == Class::Inverted { "1" } else { "0" })?;
             table.end_row()
         };
         for (sensor, name) in frames.sensors.iter().enumerate() {
@@ -284,6 +297,26 @@ fn write_labels(
             row(name, labels.sensors[at], distances.map_or(f64::NAN, |distances| distances.1[at]))?;
         }
         row("*", labels.frames[k], distances.map_or(f64::NAN, |distances| distances.0[k]))?;
+    }
+    table.finish()
+}
+
+/// What is left once inverted positions are mirrored back and anomalous ones are gone.
+fn write_repaired(path: &Path, frames: &Frames, labels: &Labels) -> Result<(), TableError> {
+    let columns = PoseColumns { sensor: true, ..PoseColumns::default() };
+    let mut table = PoseWriter::create(path, columns)?;
+    let sensors = frames.sensors.len();
+    for (k, t_s) in frames.t_s.iter().enumerate() {
+        for (sensor, p) in frames.frame(k).chunks_exact(3).enumerate() {
+            let sign = match labels.sensors[k * sensors + sensor].0 {
+                Class::Clean => 1.0,
+                Class::Inverted => -1.0,
+                Class::Anomalous | Class::Unknown => continue,
+            };
+            let position_m = Some([sign * p[0], sign * p[1], sign * p[2]]);
+            let row = PoseRow { t_s: *t_s, sensor, position_m, orientation_wxyz: None, state: None };
+            table.row(&frames.sensors[sensor], &row)?;
+        }
     }
     table.finish()
 }

@@ -16,9 +16,12 @@ use super::health::Health;
 use super::inbox::{Event, Inbox};
 use super::jobs::{Job, Jobs};
 use super::ports::PortCommand;
+use super::positions::RecentPositions;
 use super::recent::{Excerpt, Recent};
 use super::recorder::{Recorder, RecorderState};
 use super::server::{Hub, Reply};
+use crate::faults::som::Network;
+use crate::faults::som::frames::Frames;
 use crate::input::{Entry, Input, Model, Request};
 use crate::output::{OutcomeKind, Output};
 use crate::pipeline::Pipeline;
@@ -77,6 +80,18 @@ pub enum Command {
         /// Where the copy goes.
         to: std::sync::mpsc::Sender<Excerpt>,
     },
+    /// Copies the raw positions of the newest seconds.
+    Positions {
+        /// So many; absent: all that is remembered.
+        last_s: Option<f64>,
+        /// Where the copy goes.
+        to: std::sync::mpsc::Sender<Frames>,
+    },
+    /// Copies the map of faults in use.
+    Faults {
+        /// Where the copy goes.
+        to: std::sync::mpsc::Sender<Option<Box<Network>>>,
+    },
     /// A job was cancelled; it may be one of this thread.
     LookAtJobs,
     /// Ends the thread.
@@ -112,6 +127,8 @@ pub(super) struct Fusion {
     pub(super) models: Vec<Model>,
     /// What exercises are taught from.
     pub(super) recent: Recent,
+    /// What maps of faults are learnt from.
+    pub(super) positions: RecentPositions,
     /// What every recording of this run begins with.
     pub(super) recording_header: Header,
 }
@@ -175,6 +192,7 @@ impl Fusion {
             clock,
             models,
             recent,
+            positions,
             calibration,
             ..
         } = self;
@@ -197,6 +215,7 @@ impl Fusion {
                 Output::Estimate(estimate) => {
                     health.estimate(clock.now().seconds_since(entry.t), estimate);
                     recent.push(estimate);
+                    positions.push(estimate);
                 }
                 Output::Outcome(outcome) => {
                     if let OutcomeKind::ModelSwapped(model) = &outcome.what {
@@ -253,6 +272,16 @@ impl Fusion {
                 };
                 // A job that has ended meanwhile does not want it any more.
                 let _ = to.send(self.recent.after(from_s, wanted));
+            }
+            Command::Positions { last_s, to } => {
+                let _ = to.send(self.positions.newest(last_s, self.pipeline.room_transmitter()));
+            }
+            Command::Faults { to } => {
+                let network = self.models.iter().find_map(|model| match model {
+                    Model::Faults { network } => Some(network.clone()),
+                    _ => None,
+                });
+                let _ = to.send(network);
             }
             Command::LookAtJobs => {
                 if let Some(recording) = self.recording.take_if(|recording| recording.job.is_cancelled()) {

@@ -21,6 +21,7 @@ pub mod models;
 mod playback;
 mod player;
 pub mod ports;
+mod positions;
 mod recent;
 pub mod recorder;
 pub mod server;
@@ -43,6 +44,7 @@ use self::health::Health;
 use self::inbox::{Event, Inbox};
 use self::jobs::Jobs;
 use self::ports::{Place, PortTask};
+use self::positions::RecentPositions;
 use self::recent::Recent;
 use self::server::{BindError, Server};
 use self::service::Service;
@@ -189,6 +191,7 @@ impl Daemon {
             begun: false,
             models: Vec::new(),
             recent: Recent::new(&stage),
+            positions: RecentPositions::new(&stage),
             recording_header: crate::recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
         };
         for model in models {

@@ -1,7 +1,7 @@
 //! Model files: those that a stage loads at its start, and the folder of taught exercises.
 //!
-//! In: paths. Out: models for the pipeline. Exercises are kept as `NAME-REVISION.json`: teaching one again writes a new
-//! file, and the old one stays. Never: a file half written, or one written over.
+//! In: paths. Out: models for the pipeline. What is taught or learnt is kept as `NAME-REVISION.json`: doing so again writes
+//! a new file, and the old one stays. Never: a file half written, or one written over.
 
 use std::path::{Path, PathBuf};
 
@@ -21,16 +21,16 @@ const NAME_BYTES: usize = 64;
 /// # Errors
 /// A file cannot be read, is none, or does not fit the stage.
 pub fn load(stage: &Stage) -> Result<Vec<Model>, String> {
-    stage
-        .models
-        .exercises
-        .iter()
-        .map(|path| {
-            let exercise = read_exercise(path)?;
-            check_exercise(stage, &exercise).map_err(|error| format!("{}: {error}", path.display()))?;
-            Ok(Model::Exercise { exercise: Box::new(exercise) })
-        })
-        .collect()
+    let faults = stage.models.faults.iter().map(|path| {
+        let network = stage.read_faults(path)?;
+        Ok(Model::Faults { network: Box::new(network) })
+    });
+    let exercises = stage.models.exercises.iter().map(|path| {
+        let exercise = read_exercise(path)?;
+        check_exercise(stage, &exercise).map_err(|error| format!("{}: {error}", path.display()))?;
+        Ok(Model::Exercise { exercise: Box::new(exercise) })
+    });
+    faults.chain(exercises).collect()
 }
 
 /// Whether a stage has what an exercise looks at.
@@ -48,19 +48,26 @@ fn read_exercise(path: &Path) -> Result<Exercise, String> {
     Exercise::from_json(&text).map_err(|error| format!("{}: {error}", path.display()))
 }
 
-/// The folder of taught exercises.
+/// A folder of models with revisions: taught exercises, or maps of faults.
 #[derive(Clone, Debug)]
 pub(super) struct Library {
     folder: PathBuf,
 }
 
-/// An exercise in the folder.
+/// A model in the folder.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Kept {
     /// Its name.
     pub(super) name: String,
     /// The newest revision.
     pub(super) revision: u32,
+}
+
+impl Kept {
+    /// Name of its file.
+    pub(super) fn file(&self) -> String {
+        format!("{}-{:03}.json", self.name, self.revision)
+    }
 }
 
 impl Library {
@@ -104,10 +111,20 @@ impl Library {
 
     /// Keeps an exercise under the next revision of its name, which it gets.
     pub(super) fn keep(&self, exercise: &mut Exercise) -> Result<(), String> {
-        let known = self.list()?.into_iter().find(|kept| kept.name == exercise.name);
-        exercise.revision = known.map_or(0, |kept| kept.revision) + 1;
-        let path = self.path(&Kept { name: exercise.name.clone(), revision: exercise.revision });
-        let text = exercise.to_json().map_err(|error| error.to_string())?;
+        let kept = self.next(&exercise.name)?;
+        exercise.revision = kept.revision;
+        self.write(&kept, &exercise.to_json().map_err(|error| error.to_string())?)
+    }
+
+    /// The next revision of a name.
+    pub(super) fn next(&self, name: &str) -> Result<Kept, String> {
+        let known = self.list()?.into_iter().find(|kept| kept.name == name);
+        Ok(Kept { name: name.to_owned(), revision: known.map_or(0, |kept| kept.revision) + 1 })
+    }
+
+    /// Writes a revision's file, whole or not at all.
+    pub(super) fn write(&self, kept: &Kept, text: &str) -> Result<(), String> {
+        let path = self.path(kept);
         let write = || {
             std::fs::create_dir_all(&self.folder)?;
             let mut file = AtomicFile::create(&path)?;
@@ -118,6 +135,6 @@ impl Library {
     }
 
     fn path(&self, kept: &Kept) -> PathBuf {
-        self.folder.join(format!("{}-{:03}.json", kept.name, kept.revision))
+        self.folder.join(kept.file())
     }
 }

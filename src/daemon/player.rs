@@ -201,7 +201,9 @@ impl Player {
             | Call::ExerciseList {}
             | Call::ExerciseTeach { .. }
             | Call::ExerciseSelect { .. }
-            | Call::ExerciseReset { .. } => Err((
+            | Call::ExerciseReset { .. }
+            | Call::FaultsTrain { .. }
+            | Call::FaultsNameCell { .. } => Err((
                 "replay",
                 "this daemon replays a recording; recording, models and exercises belong to a live stage"
                     .into(),

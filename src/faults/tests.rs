@@ -30,10 +30,10 @@ fn what_was_expected_is_clean_and_a_quaternions_sign_is_no_fault() {
     let prediction = expected(Vector3::new(0.4, 0.1, -0.2));
     let mut pose = measured(&prediction);
     let mut detector = Detector::default();
-    assert_eq!(detector.check(&pose, Some(&prediction), &NOISE, false).label, Label::Clean);
+    assert_eq!(detector.check(&pose, Some(&prediction), &NOISE, false, None).label, Label::Clean);
     let negative = -prediction.orientation.into_inner();
     pose.orientation = Some(UnitQuaternion::new_unchecked(negative));
-    assert_eq!(detector.check(&pose, Some(&prediction), &NOISE, false).label, Label::Clean);
+    assert_eq!(detector.check(&pose, Some(&prediction), &NOISE, false, None).label, Label::Clean);
 }
 
 #[test]
@@ -44,11 +44,11 @@ fn mirrored_positions_are_mirrored_back_each_by_its_own_prediction() {
         for mirror in [Mirror::Point, Mirror::Vertical] {
             let mut detector = Detector::default();
             let pose = mirror.apply(&measured(&prediction));
-            let checked = detector.check(&pose, Some(&prediction), &NOISE, false);
+            let checked = detector.check(&pose, Some(&prediction), &NOISE, false, None);
             assert_eq!((checked.label, checked.pose), (Label::Mirrored, measured(&prediction)));
             // Without a prediction it is still there.
             let moved = MeasuredPose { position_m: pose.position_m.map(|p| p * 1.01), ..pose };
-            let checked = detector.check(&moved, None, &NOISE, false);
+            let checked = detector.check(&moved, None, &NOISE, false, None);
             assert_eq!((checked.label, checked.pose), (Label::Mirrored, mirror.apply(&moved)));
         }
     }
@@ -59,7 +59,7 @@ fn a_mirrored_position_with_another_orientation_is_an_outlier() {
     let prediction = expected(Vector3::new(0.4, 0.1, -0.2));
     let turned = prediction.orientation * so3::exp(&Vector3::new(0.0, 0.5, 0.0));
     let pose = MeasuredPose { position_m: Some(-prediction.position_m), orientation: Some(turned) };
-    let checked = Detector::default().check(&pose, Some(&prediction), &NOISE, false);
+    let checked = Detector::default().check(&pose, Some(&prediction), &NOISE, false, None);
     assert_eq!(checked, Checked { pose, label: Label::Outlier });
 }
 
@@ -70,7 +70,7 @@ fn a_sensor_that_was_moving_is_suspect_at_the_first_repetition_and_stuck_at_the_
     let labels: Vec<_> = (0..7)
         .map(|k| {
             let prediction = expected(Vector3::new(0.4 + 0.005 * f64::from(k), 0.1, -0.2));
-            detector.check(&frozen, Some(&prediction), &NOISE, false).label
+            detector.check(&frozen, Some(&prediction), &NOISE, false, None).label
         })
         .collect();
     use Label::{Clean, Repeated, Stuck};
@@ -83,15 +83,15 @@ fn a_sensor_at_rest_may_repeat_itself_until_others_move_unless_it_is_used_to() {
     let pose = measured(&prediction);
     let mut detector = Detector::default();
     for _ in 0..20 {
-        assert_eq!(detector.check(&pose, Some(&prediction), &NOISE, false).label, Label::Clean);
+        assert_eq!(detector.check(&pose, Some(&prediction), &NOISE, false, None).label, Label::Clean);
     }
-    assert_eq!(detector.check(&pose, Some(&prediction), &NOISE, true).label, Label::Stuck);
+    assert_eq!(detector.check(&pose, Some(&prediction), &NOISE, true, None).label, Label::Stuck);
 
     let mut habitual = Detector::default();
     for _ in 0..200 {
-        habitual.check(&pose, Some(&prediction), &NOISE, false);
+        habitual.check(&pose, Some(&prediction), &NOISE, false, None);
     }
-    assert_eq!(habitual.check(&pose, Some(&prediction), &NOISE, true).label, Label::Clean);
+    assert_eq!(habitual.check(&pose, Some(&prediction), &NOISE, true, None).label, Label::Clean);
 }
 
 #[test]

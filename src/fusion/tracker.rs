@@ -21,7 +21,7 @@ pub enum Verdict {
     Good,
     /// Outside its gate, or not yet confirmed by others.
     Suspect,
-    /// Not used: the detector said that it repeats itself.
+    /// Not used: the detector said that it repeats itself, or is to be bridged.
     Dropped,
 }
 
@@ -83,7 +83,7 @@ impl Tracker {
     /// Takes a checked measurement at its own capture time.
     pub fn push(&mut self, t: Timestamp, checked: &Checked) -> Verdict {
         let pose = &checked.pose;
-        if matches!(checked.label, Label::Repeated | Label::Stuck) {
+        if matches!(checked.label, Label::Repeated | Label::Stuck | Label::Withheld) {
             return Verdict::Dropped;
         }
         let Some(mut track) = self.at(t) else {

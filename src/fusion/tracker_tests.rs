@@ -38,7 +38,7 @@ fn push(
     pose: &MeasuredPose,
 ) -> (Label, Verdict) {
     let expected = tracker.expectation(t);
-    let checked = detector.check(pose, expected.as_ref(), tracker.noise(), true);
+    let checked = detector.check(pose, expected.as_ref(), tracker.noise(), true, None);
     (checked.label, tracker.push(t, &checked))
 }
 

@@ -9,12 +9,13 @@ use serde::{Deserialize, Serialize};
 
 use super::field::{Field, ahead_s};
 use super::sensor::{MOVING_M_S, MOVING_RAD_S};
+use crate::faults::som::rules::Class;
 use crate::faults::{Checked, Detector, Label, MeasuredPose};
 use crate::field::PoleReading;
 use crate::fusion::{Track, Tracker, Tuning, Verdict};
 use crate::geometry;
 use crate::noise::TrackerNoise;
-use crate::output::{FaultCause, Measured, PoseEstimate, SensorState};
+use crate::output::{FaultCause, Measured, PoseEstimate, Repair, SensorState};
 
 /// Variance of an orientation of which nothing is known, rad^2.
 const UNKNOWN_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
@@ -74,13 +75,15 @@ impl Magnetic {
         Some(PoleReading { position_m, orientation: reading.raw.orientation })
     }
 
-    /// Faults see what the device says, the filter what the field makes of it.
+    /// Takes a record. How far it can be trusted, what is wrong with it, and what was done about that. Faults see what
+    /// the device says, the filter what the field makes of it.
     pub(super) fn measure(
         &mut self,
         measured: &Measured,
         others_move: bool,
+        by_map: Option<Class>,
         field: &Field,
-    ) -> (SensorState, Option<FaultCause>) {
+    ) -> (SensorState, Option<FaultCause>, Option<Repair>) {
         let t: Timestamp = measured.t_valid;
         let pose = MeasuredPose {
             position_m: measured.position_m.map(Vector3::from),
@@ -88,17 +91,19 @@ impl Magnetic {
         };
         let finite = pose.position_m.is_none_or(|position| position.iter().all(|value| value.is_finite()));
         if !finite || (pose.orientation.is_none() && measured.orientation_wxyz.is_some()) {
-            return (SensorState::Suspect, Some(FaultCause::Gate));
+            return (SensorState::Suspect, Some(FaultCause::Gate), None);
         }
         let expected = self.tracker.expectation(t).map(|expected| field.uncorrected(expected));
-        let checked = self.detector.check(&pose, expected.as_ref(), self.tracker.noise(), others_move);
+        let noise = self.tracker.noise();
+        let checked = self.detector.check(&pose, expected.as_ref(), noise, others_move, by_map);
         let corrected = field.correct(&checked.pose);
         let range_m = checked.pose.position_m.map_or(0.0, |position| position.norm());
         let disturbance_m2 = field.doubt_m2(range_m);
         let map_m2 = corrected.sigma_m * corrected.sigma_m + 3.0 * disturbance_m2.unwrap_or(0.0);
         self.tracker.set_doubt(map_m2 / 3.0, disturbance_m2.is_some());
         let verdict = self.tracker.push(t, &Checked { pose: corrected.pose, label: checked.label });
-        if verdict == Verdict::Good {
+        let doubted = by_map == Some(Class::Anomalous) || checked.label == Label::Disputed;
+        if verdict == Verdict::Good && !doubted {
             self.map_sigma_m = map_m2.sqrt();
             self.reading = Some(Reading {
                 t,
@@ -108,11 +113,17 @@ impl Magnetic {
             });
         }
         match (verdict, checked.label) {
-            (Verdict::Good, Label::Mirrored) => (SensorState::Repaired, Some(FaultCause::Hemisphere)),
-            (Verdict::Good, _) if corrected.extrapolated => (SensorState::Extrapolated, None),
-            (Verdict::Good, _) => (SensorState::Ok, None),
-            (_, Label::Stuck) => (SensorState::Stuck, Some(FaultCause::Stuck)),
-            (_, _) => (SensorState::Suspect, Some(FaultCause::Gate)),
+            (Verdict::Good, Label::Mirrored) => {
+                (SensorState::Repaired, Some(FaultCause::Hemisphere), Some(Repair::Mirrored))
+            }
+            (_, Label::Disputed) => (SensorState::Suspect, Some(FaultCause::Hemisphere), None),
+            // Why, the map says once it has said it often enough.
+            (_, Label::Withheld) => (SensorState::Suspect, None, Some(Repair::Bridged)),
+            (Verdict::Good, _) if corrected.extrapolated => (SensorState::Extrapolated, None, None),
+            (Verdict::Good, _) => (SensorState::Ok, None, None),
+            (_, Label::Stuck) => (SensorState::Stuck, Some(FaultCause::Stuck), None),
+            (_, Label::Mirrored) => (SensorState::Suspect, Some(FaultCause::Gate), Some(Repair::Mirrored)),
+            (_, _) => (SensorState::Suspect, Some(FaultCause::Gate), None),
         }
     }
 

@@ -8,6 +8,7 @@
 mod body;
 mod device;
 mod exercise;
+mod faults_map;
 mod field;
 mod inertial;
 mod keyframes;
@@ -23,6 +24,7 @@ use posed_drivers::{LineEvent, Sample, Timestamp, session::Output as SessionOutp
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::faults::som::Network;
 use crate::frame::{Assembler, Frame};
 use crate::geometry;
 use crate::input::{DeviceIndex, Entry, Input, Model, Request, SensorIndex};
@@ -34,6 +36,8 @@ pub use body::worn;
 use device::{Device, owner};
 pub use exercise::DEFAULT_SUBJECT;
 use exercise::ExerciseStage;
+use faults_map::FaultsMap;
+pub use faults_map::{raw_positions, upright};
 use field::Field;
 use keyframes::Keyframes;
 use naming::Naming;
@@ -103,6 +107,7 @@ pub struct Pipeline {
     requests_refused: u64,
     /// Boxed: most stages have none.
     naming: Option<Box<Naming>>,
+    faults: Option<Box<FaultsMap>>,
 }
 
 impl Pipeline {
@@ -145,7 +150,8 @@ impl Pipeline {
                 .iter()
                 .zip(&owners)
                 .map(|(sensor, &device)| {
-                    Sensor::new(sensor, device, &stage.devices[usize::from(device)].driver)
+                    let driver = &stage.devices[usize::from(device)].driver;
+                    Sensor::new(sensor, device, driver, stage.faults.repair)
                 })
                 .collect(),
             devices,
@@ -162,6 +168,7 @@ impl Pipeline {
             models_refused: 0,
             requests_refused: 0,
             naming: None,
+            faults: None,
         })
     }
 
@@ -324,10 +331,12 @@ impl Pipeline {
             exercise,
             naming,
             body,
+            faults,
             ..
         } = self;
         while let Some(frame) = frames.poll(*now) {
-            estimate_frame(frame, sensors, field, room_transmitter, estimate);
+            estimate.fault = faults.as_mut().map(|faults| faults.frame(frame, room_transmitter));
+            estimate_frame(frame, sensors, field, room_transmitter, faults.as_deref(), estimate);
             if let Some(body) = body
                 && let Some(body) = body.frame(frame, estimate)
             {
@@ -420,7 +429,24 @@ impl Pipeline {
                 true
             }
             Model::Exercise { exercise } => self.exercise.load(exercise),
+            Model::Faults { network } => self.watch_faults(network),
         }
+    }
+
+    fn watch_faults(&mut self, network: &Network) -> bool {
+        if self.faults.as_mut().is_some_and(|faults| faults.rename(network)) {
+            return true;
+        }
+        let sensors = self.sensors.iter().map(|sensor| (sensor.name(), sensor.is_magnetic()));
+        let made = FaultsMap::new(network, sensors);
+        let accepted = made.is_ok();
+        self.faults = made.ok().map(Box::new).or(self.faults.take());
+        accepted
+    }
+
+    /// Where the transmitter stands in the room.
+    pub fn room_transmitter(&self) -> &Isometry3<f64> {
+        &self.room_transmitter
     }
 }
 
@@ -430,6 +456,7 @@ fn estimate_frame(
     sensors: &mut [Sensor],
     field: &Field,
     room: &Isometry3<f64>,
+    faults: Option<&FaultsMap>,
     estimate: &mut Estimate,
 ) {
     estimate.frame = frame.number;
@@ -438,9 +465,11 @@ fn estimate_frame(
     estimate.sigma_t_s = frame.sigma_t_s;
     // Motion in the previous frame: an explicit argument to the stuck test, like the prediction.
     let moving = sensors.iter().filter(|sensor| sensor.is_moving()).count();
-    for ((sensor, slot), out) in sensors.iter_mut().zip(&frame.sensors).zip(&mut estimate.sensors) {
+    let slots = sensors.iter_mut().zip(&frame.sensors).zip(&mut estimate.sensors);
+    for (index, ((sensor, slot), out)) in slots.enumerate() {
         let others_move = moving > usize::from(sensor.is_moving());
-        *out = sensor.estimate(slot, frame, others_move, field, room);
+        let advice = faults.and_then(|faults| faults.advice(index));
+        *out = sensor.estimate(slot, frame, others_move, field, room, advice);
     }
 }
 

@@ -5,15 +5,18 @@ use posed_drivers::{Loss, Measurement, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use super::SensorStatus;
+use super::faults_map::Advice;
 use super::field::Field;
 use super::inertial::Inertial;
 use super::magnetic::Magnetic;
+use crate::faults::som::rules::Class;
 use crate::field::PoleReading;
 use crate::frame::{Frame, FrameSensor};
 use crate::input::{DeviceIndex, SensorIndex};
 use crate::noise::TrackerNoise;
 use crate::output::{
-    FaultCause, Measured, Outcome, OutcomeKind, Output, PoseEstimate, SensorEstimate, SensorState,
+    FaultCause, Measured, Outcome, OutcomeKind, Output, PoseEstimate, SensorEstimate, SensorLabel,
+    SensorState,
 };
 use crate::stage;
 
@@ -42,6 +45,8 @@ pub(super) struct Sensor {
     /// The cause that has last been published.
     published: Option<FaultCause>,
     moving: bool,
+    /// Whether what was changed may be published.
+    repairs: bool,
     samples: u64,
     /// Records that came in and were not published as `ok`, and those that the frames miss.
     unpublished: u64,
@@ -50,7 +55,12 @@ pub(super) struct Sensor {
 }
 
 impl Sensor {
-    pub(super) fn new(sensor: &stage::Sensor, device: DeviceIndex, driver: &stage::Driver) -> Self {
+    pub(super) fn new(
+        sensor: &stage::Sensor,
+        device: DeviceIndex,
+        driver: &stage::Driver,
+        repairs: bool,
+    ) -> Self {
         let kind = if driver.is_inertial() {
             Kind::Inertial(Box::new(Inertial::new(sensor.magnetometer, sensor.gyro_delay_ms * 1e-3)))
         } else {
@@ -65,6 +75,7 @@ impl Sensor {
             fault: None,
             published: None,
             moving: false,
+            repairs,
             samples: 0,
             unpublished: 0,
             missed: 0,
@@ -86,6 +97,11 @@ impl Sensor {
 
     pub(super) fn is_moving(&self) -> bool {
         self.moving
+    }
+
+    /// Whether it is one of a magnetic tracker.
+    pub(super) fn is_magnetic(&self) -> bool {
+        matches!(self.kind, Kind::Magnetic(_))
     }
 
     pub(super) fn set_noise(&mut self, noise: TrackerNoise) {
@@ -127,7 +143,8 @@ impl Sensor {
         }
     }
 
-    /// Takes the frame's samples, each at its own time, and says where the sensor is at the frame's time.
+    /// Takes the frame's samples, each at its own time, and says where the sensor is at the frame's time; `advice` is
+    /// what the map of faults says of it.
     pub(super) fn estimate(
         &mut self,
         slot: &FrameSensor,
@@ -135,8 +152,10 @@ impl Sensor {
         others_move: bool,
         field: &Field,
         room: &Isometry3<f64>,
+        advice: Option<&Advice>,
     ) -> SensorEstimate {
         self.state = SensorState::Missing;
+        let mut repair = None;
         if let Kind::Magnetic(magnetic) = &mut self.kind {
             magnetic.begin_frame();
         }
@@ -146,11 +165,27 @@ impl Sensor {
         }
         for sample in &slot.samples {
             let (state, fault) = match &mut self.kind {
-                Kind::Magnetic(magnetic) => magnetic.measure(&sample.measured, others_move, field),
+                Kind::Magnetic(magnetic) => {
+                    let by_map = advice.map(|advice| advice.class);
+                    let (state, fault, done) = magnetic.measure(&sample.measured, others_move, by_map, field);
+                    repair = done;
+                    (state, fault)
+                }
                 Kind::Inertial(inertial) => inertial.measure(&sample.measured),
             };
             self.state = if sample.late && state == SensorState::Ok { SensorState::Late } else { state };
             self.fault = fault;
+        }
+        if let Some(advice) = advice.filter(|_| !slot.samples.is_empty()) {
+            // What is followed for want of a prediction is still not good.
+            let good = matches!(self.state, SensorState::Ok | SensorState::Late | SensorState::Extrapolated);
+            if advice.class == Class::Anomalous && good {
+                self.state = SensorState::Suspect;
+            }
+            self.fault = advice.lasting.or(self.fault);
+        }
+        if repair.is_some() && !self.repairs {
+            self.state = SensorState::Suspect;
         }
         self.count(slot, frame);
         let pose: Option<PoseEstimate>;
@@ -158,10 +193,20 @@ impl Sensor {
             Kind::Magnetic(magnetic) => magnetic.at(frame.t_valid, room),
             Kind::Inertial(inertial) => inertial.at(frame.t_valid),
         };
+        // What is changed and may not be published is absent; the raw record is there all the same.
+        let pose = pose.filter(|_| repair.is_none() || self.repairs);
+        let repair = repair.filter(|_| pose.is_some());
+        let fault = advice.map(|advice| SensorLabel {
+            label: advice.class,
+            cause: advice.cause,
+            distance_m: advice.distance_m,
+            repair,
+        });
         SensorEstimate {
             state: self.state,
             pose,
             measured: slot.samples.last().map(|sample| sample.measured),
+            fault,
         }
     }
 

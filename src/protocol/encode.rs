@@ -6,7 +6,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::body::FigureBody;
-use super::message::{ExerciseEvent, Fault, FieldChange, FieldEvent, Jobs, KeyPose, SegmentBody, Status};
+use super::message::{
+    ExerciseEvent, Fault, FaultChange, FieldChange, FieldEvent, Jobs, KeyPose, SegmentBody, Status,
+};
 use super::sensors::{SensorsBody, TruthBody};
 use super::{Names, Stamp, Topic, View, exercise, round};
 use crate::input::{Model, Truth};
@@ -69,6 +71,7 @@ impl<'a> Payload<'a> {
                 OutcomeKind::ModelSwapped(Model::Exercise { .. }) | OutcomeKind::Exercise(_) => {
                     Topic::Exercise
                 }
+                OutcomeKind::ModelSwapped(Model::Faults { .. }) => Topic::Faults,
                 OutcomeKind::ModelSwapped(_) | OutcomeKind::Field(_) => Topic::Field,
                 OutcomeKind::KeyPose(_) => Topic::Keyframes,
                 OutcomeKind::Segment(_) => Topic::Segments,
@@ -93,8 +96,20 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
             match &outcome.what {
                 OutcomeKind::Fault { sensor, cause, active } => {
                     let sensor = names.sensor(*sensor).to_owned();
-                    let fault = Fault { t_s, event_id, t_valid_s, sensor, cause: *cause, active: *active };
-                    write(encoding, &fault, out);
+                    let change = FaultChange::Fault { sensor, cause: *cause, active: *active };
+                    write(encoding, &Fault { t_s, event_id, t_valid_s, change }, out);
+                }
+                OutcomeKind::ModelSwapped(Model::Faults { network }) => {
+                    let (rows, columns) = network.size();
+                    let change = FaultChange::Map {
+                        revision: network.revision,
+                        sensors: network.sensors.clone(),
+                        rows,
+                        columns,
+                        cells: network.cells.clone(),
+                        usual_distance: round::significant(network.usual_distance),
+                    };
+                    write(encoding, &Fault { t_s, event_id, t_valid_s, change }, out);
                 }
                 OutcomeKind::ModelSwapped(Model::Exercise { exercise }) => {
                     let change = exercise::loaded(exercise);

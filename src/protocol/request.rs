@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::{Encoding, Field, Topic};
+use crate::faults::som::rules::Class;
 use crate::input::Model;
 
 /// What a client calls its request; replies carry it.
@@ -169,6 +170,26 @@ pub enum Call {
         #[serde(default)]
         subject: Option<String>,
     },
+    /// Learns a map of faults; a job. It is kept as a file, and takes the place of the one in use.
+    #[serde(rename = "faults.train")]
+    FaultsTrain {
+        /// From the last so many seconds; absent: from all that is remembered, five minutes at most.
+        #[serde(default)]
+        last_s: Option<f64>,
+        /// From a recording instead: a name that `replay.list` gave.
+        #[serde(default)]
+        recording: Option<String>,
+    },
+    /// Gives a cell of the map of faults another class; kept as a file.
+    #[serde(rename = "faults.name_cell")]
+    FaultsNameCell {
+        /// Row, from 0.
+        row: usize,
+        /// Column, from 0.
+        column: usize,
+        /// What frames of this cell are.
+        class: Class,
+    },
     /// Cancels a job.
     #[serde(rename = "job.cancel")]
     JobCancel {
@@ -257,7 +278,7 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 16] = [
+const CALLS: [&str; 18] = [
     "record.start",
     "record.stop",
     "replay.list",
@@ -272,6 +293,8 @@ const CALLS: [&str; 16] = [
     "exercise.teach",
     "exercise.select",
     "exercise.reset",
+    "faults.train",
+    "faults.name_cell",
     "job.cancel",
     "model.load",
 ];
@@ -390,6 +413,9 @@ mod tests {
             r#"{"type":"exercise.teach","id":1,"name":"curl","repetitions":5,"last_s":30,"sensors":["a"]}"#,
             r#"{"type":"exercise.select","id":1,"exercises":["curl"],"repetitions":10,"sets":3,"rest_s":60}"#,
             r#"{"type":"exercise.reset","id":1,"subject":"a"}"#,
+            r#"{"type":"faults.train","id":1,"last_s":120}"#,
+            r#"{"type":"faults.train","id":1,"recording":"a.mcap"}"#,
+            r#"{"type":"faults.name_cell","id":1,"row":0,"column":3,"class":"clean"}"#,
             r#"{"type":"model.load","id":1,"model":{"kind":"transmitter","position_m":[0,0,1],"orientation_wxyz":[1,0,0,0]}}"#,
         ] {
             let request = json(text).unwrap_or_else(|error| panic!("{text}: {error:?}"));

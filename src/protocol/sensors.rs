@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize as DeriveSerialize};
 use super::message::{Measured, Quality};
 use super::{Encoding, Names, Stamp, Topic, round};
 use crate::input::{SensorIndex, Truth, TruthSensor};
-use crate::output::{self, Estimate, PoseEstimate, SensorEstimate, SensorState};
+use crate::output::{self, Estimate, FrameLabel, PoseEstimate, SensorEstimate, SensorLabel, SensorState};
 
 /// Something that a `sensors` entry can say; name and state are always said.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, DeriveSerialize, Deserialize, JsonSchema)]
@@ -34,6 +34,8 @@ pub enum Field {
     Velocity,
     /// Expected rotation error; for the frame its number and the standard deviation of its time.
     Quality,
+    /// What the map of faults says of the sensor and of the frame; absent where the stage has none.
+    Fault,
 }
 
 /// A set of [`Field`]s.
@@ -49,7 +51,7 @@ impl Fields {
 
     /// Everything there is: what a recording holds.
     pub fn all() -> Self {
-        let more = [Field::Measured, Field::Covariance, Field::Velocity, Field::Quality];
+        let more = [Field::Measured, Field::Covariance, Field::Velocity, Field::Quality, Field::Fault];
         Self(Self::default().0 | Self::of(&more).0)
     }
 
@@ -111,15 +113,25 @@ pub(super) struct SensorsBody<'a> {
 impl Serialize for SensorsBody<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let quality = self.view.fields.has(Field::Quality);
-        let mut body = serializer.serialize_struct("Sensors", if quality { 4 } else { 2 })?;
+        let fault = self.estimate.fault.filter(|_| self.view.fields.has(Field::Fault));
+        let length = if quality { 4 } else { 2 } + usize::from(fault.is_some());
+        let mut body = serializer.serialize_struct("Sensors", length)?;
         body.serialize_field("t_s", &self.stamp.t_s())?;
         if quality {
             body.serialize_field("frame", &self.estimate.frame)?;
             body.serialize_field("sigma_t_s", &round::significant(self.estimate.sigma_t_s))?;
         }
+        if let Some(fault) = fault {
+            body.serialize_field("fault", &FrameLabel { distance: fault.distance.map(distance), ..fault })?;
+        }
         body.serialize_field("sensors", &Entries(self))?;
         body.end()
     }
+}
+
+/// Distances of faults, m or shares of a chain.
+fn distance(value: f64) -> f64 {
+    round::to(round::VELOCITY, value)
 }
 
 struct Entries<'a>(&'a SensorsBody<'a>);
@@ -137,7 +149,7 @@ impl Serialize for Entries<'_> {
             }
             Some(chosen) => {
                 const NOTHING: SensorEstimate =
-                    SensorEstimate { state: SensorState::Missing, pose: None, measured: None };
+                    SensorEstimate { state: SensorState::Missing, pose: None, measured: None, fault: None };
                 for &sensor in chosen {
                     let values = estimate.sensors.get(usize::from(sensor)).unwrap_or(&NOTHING);
                     entries.serialize_element(&entry(sensor, values))?;
@@ -158,7 +170,9 @@ struct Entry<'a> {
 impl Serialize for Entry<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let has = |field| self.fields.has(field);
-        let length = self.fields.0.count_ones() as usize + usize::from(has(Field::Velocity));
+        let fault = self.values.fault.filter(|_| has(Field::Fault));
+        let length = self.fields.0.count_ones() as usize + usize::from(has(Field::Velocity))
+            - usize::from(has(Field::Fault) && fault.is_none());
         // A pose that is no number is no pose, whatever came before: it is shown as absent and not to be trusted.
         let broken = self.values.pose.as_ref().is_some_and(|pose| !is_finite(pose));
         let pose = if broken { None } else { self.values.pose.as_ref() };
@@ -199,6 +213,10 @@ impl Serialize for Entry<'_> {
         }
         if has(Field::Quality) {
             entry.serialize_field("quality", &pose.map(quality))?;
+        }
+        if let Some(fault) = fault {
+            let distance_m = fault.distance_m.map(distance);
+            entry.serialize_field("fault", &SensorLabel { distance_m, ..fault })?;
         }
         entry.end()
     }

@@ -27,6 +27,7 @@ pub mod compare;
 pub mod export;
 pub mod info;
 pub mod outline;
+pub mod positions;
 pub mod reader;
 mod records;
 pub mod repair;

@@ -74,7 +74,7 @@ fn report(text: &str, folder: Option<&Path>) -> (Option<Stage>, Report) {
     if !notes.has_problems() {
         match toml::from_str(text) {
             Ok(parsed) => {
-                rules::check_parsed(&document, &parsed, &mut notes);
+                rules::check_parsed(&document, folder, &parsed, &mut notes);
                 stage = Some(parsed).filter(|_| !notes.has_problems());
             }
             Err(error) => {

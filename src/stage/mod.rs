@@ -23,6 +23,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::faults::som::Network;
+
 pub use body::{Body, BodySegment, Calibration, JointKind, Mounting, SEGMENTS, Skeleton};
 pub use check::{Report, check, check_in, check_table};
 pub use driver::{Driver, TimeBase};
@@ -70,6 +72,9 @@ pub struct Stage {
     /// Models that are loaded at the start.
     #[serde(default)]
     pub models: Models,
+    /// What is done about faults.
+    #[serde(default)]
+    pub faults: Faults,
     /// Where recordings go and come from.
     #[serde(default)]
     pub recording: Recording,
@@ -110,6 +115,11 @@ impl Stage {
         for exercise in &mut stage.models.exercises {
             *exercise = folder.join(&*exercise);
         }
+        if let Some(faults) = &mut stage.models.faults {
+            *faults = folder.join(&*faults);
+        }
+        let faults = stage.models.faults_folder.get_or_insert_with(|| PathBuf::from("faults"));
+        *faults = folder.join(&*faults);
         let exercises = stage.models.exercise_folder.get_or_insert_with(|| PathBuf::from("exercises"));
         *exercises = folder.join(&*exercises);
         if let Some(segments) = &mut stage.segments {
@@ -118,6 +128,23 @@ impl Stage {
         let recordings = stage.recording.folder.get_or_insert_with(|| PathBuf::from("recordings"));
         *recordings = folder.join(&*recordings);
         Ok(stage)
+    }
+
+    /// Names of the sensors of magnetic trackers, in their order.
+    pub fn magnetic_sensors(&self) -> Vec<&str> {
+        let magnetic = |sensor: &&Sensor| {
+            let device = self.devices.iter().find(|device| device.name == sensor.device);
+            device.is_some_and(|device| !device.driver.is_inertial())
+        };
+        self.sensors.iter().filter(magnetic).map(|sensor| sensor.name.as_str()).collect()
+    }
+
+    /// Reads a map of faults for this stage.
+    ///
+    /// # Errors
+    /// One sentence: it cannot be read, is none, or knows other sensors than the stage's magnetic ones.
+    pub fn read_faults(&self, path: &Path) -> Result<Network, String> {
+        rules::models::read_faults(path, self)
     }
 }
 
@@ -311,8 +338,31 @@ pub struct Models {
     pub exercises: Vec<PathBuf>,
     /// The one folder that `exercise.teach` writes to and `exercise.select` looks in; absent: `exercises` beside the stage file.
     pub exercise_folder: Option<PathBuf>,
+    /// The map of faults that `posed faults train` or `faults.train` wrote; it knows the stage's magnetic sensors, by name.
+    pub faults: Option<PathBuf>,
+    /// The one folder that `faults.train` and `faults.name_cell` write to; absent: `faults` beside the stage file.
+    pub faults_folder: Option<PathBuf>,
     /// A map of the field, as `posed field solve` writes it; used until `field.accept` has brought a newer one.
     pub field: Option<PathBuf>,
+}
+
+/// What is done about faults of magnetic sensors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Faults {
+    /// Whether poses are published that were mirrored back or that bridge a short fault; without, there is none then.
+    #[serde(default = "default_repair")]
+    pub repair: bool,
+}
+
+impl Default for Faults {
+    fn default() -> Self {
+        Self { repair: default_repair() }
+    }
+}
+
+fn default_repair() -> bool {
+    true
 }
 
 /// Where recordings live.

@@ -109,6 +109,11 @@ impl Publisher {
             FaultCause::Stuck => "the device repeats its last words",
             FaultCause::Gate => "the pose is not where it can be, and is not sent",
             FaultCause::Missing => "nothing arrives",
+            FaultCause::Jump => "it jumped as no motion does, and is not sent",
+            FaultCause::Bone => "it is where joints do not allow it, and is not sent",
+            FaultCause::Map | FaultCause::Distance => {
+                "it is where the map of faults has not seen it, and is not sent"
+            }
         };
         let sentence = if active { what.to_owned() } else { format!("over: {what}") };
         let from = From { sender: i32::from(sensor), kind: TEXT, utc_ns: self.utc_ns(outcome.t_valid) };
@@ -199,7 +204,7 @@ mod tests {
             button: Some(button),
             inertial: None,
         };
-        let sensor = SensorEstimate { state, pose: Some(pose), measured: Some(measured) };
+        let sensor = SensorEstimate { state, pose: Some(pose), measured: Some(measured), fault: None };
         Estimate { t_valid: Timestamp::from_secs_f64(t_s), sensors: vec![sensor], ..Estimate::default() }
     }
 

@@ -13,6 +13,7 @@ mod cli;
 mod daemon;
 mod exercise;
 mod faults;
+mod faults_live;
 mod field;
 mod field_live;
 mod inertial;

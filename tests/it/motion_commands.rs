@@ -56,7 +56,8 @@ fn faults_are_trained_and_found_and_other_sensors_are_refused() {
     let train = "faults train poses.csv -o FAULTS.json --labels auto.csv --neurons 11 --side 5 --epochs 5";
     let output = posed(folder.path(), train);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let detect = "faults detect FAULTS.json poses.csv -o labels.csv --picture map.svg --json";
+    let detect =
+        "faults detect FAULTS.json poses.csv -o labels.csv --picture map.svg --repaired good.csv --json";
     let output = posed(folder.path(), detect);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -64,6 +65,10 @@ fn faults_are_trained_and_found_and_other_sensors_are_refused() {
     let labels = std::fs::read_to_string(folder.path().join("labels.csv")).unwrap();
     assert!(labels.starts_with("t,frame,sensor,label,cause,distance,repaired\n"));
     assert_eq!(labels.lines().count(), 3001);
+    // What is clean is written as it was.
+    let clean = labels.lines().skip(1).filter(|row| !row.contains(",*,") && row.contains(",clean,")).count();
+    let good = std::fs::read_to_string(folder.path().join("good.csv")).unwrap();
+    assert_eq!(good.lines().count(), 1 + clean);
     let poses = std::fs::read_to_string(folder.path().join("poses.csv")).unwrap();
     std::fs::write(folder.path().join("other.csv"), poses.replace(",b,", ",c,")).unwrap();
     let output = posed(folder.path(), "faults detect FAULTS.json other.csv -o none.csv");

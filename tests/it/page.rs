@@ -347,3 +347,33 @@ async fn the_field_is_calibrated_in_the_browser_and_the_stage_shows_what_the_map
     drop(browser);
     assert_eq!(posed.end("INT").await.code(), Some(0));
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_map_of_faults_is_learnt_and_a_cell_named_in_the_browser() {
+    if std::env::var_os("POSED_TEST_BROWSER").is_none() {
+        println!("skipped: set POSED_TEST_BROWSER to drive the page in Chromium");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let stage = two_devices(folder.path(), "");
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut browser = Browser::open(&format!("http://{}/#health", posed.address)).await;
+    browser.until(LIVE).await;
+    // Three seconds are enough to learn from.
+    browser.until("parseFloat(document.getElementById('frame').textContent.split(' ')[2]) > 4.5").await;
+    browser.click("tab-analysis").await;
+    browser.until("document.getElementById('fault-map').parentElement.hidden").await;
+    browser.click("faults-train").await;
+    browser.until("document.getElementById('fault-map').children.length === 441").await;
+    browser.until("document.querySelectorAll('#fault-map .winner').length === 1").await;
+    let label = browser.row("fault-labels", 1).await;
+    assert_eq!((label[0].as_str(), label.len()), ("of two", 5));
+    browser.value("document.getElementById('fault-map').children[0].click()").await;
+    browser.value("document.getElementById('cell-class').value = 'anomalous'").await;
+    browser.click("name-cell").await;
+    browser.until("document.getElementById('fault-map').children[0].classList.contains('anomalous')").await;
+    browser.picture("faults").await;
+    assert_eq!(browser.complaints, Vec::<String>::new());
+    drop(browser);
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+}

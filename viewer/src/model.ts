@@ -1,7 +1,7 @@
 // What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
 // Bounded: it never grows over hours.
 
-import type { FaultMessage, FigureMessage, Hello, JobsMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
+import type { FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
 
 /** Seconds of history for curves. */
 export const HISTORY_S = 20;
@@ -75,7 +75,8 @@ export class Model {
   truth: TruthsMessage | null = null;
   status: StatusMessage | null = null;
   jobs: JobsMessage | null = null;
-  faults: FaultMessage[] = [];
+  faults: FaultEvent[] = [];
+  faultMap: FaultMap | null = null;
   readonly history = new Map<string, History>();
   /** By joint. */
   readonly angles = new Map<string, Angles>();
@@ -99,6 +100,7 @@ export class Model {
         this.angles.clear();
         this.body = null;
         this.truth = null;
+        this.faultMap = null;
         break;
       case "sensors":
         this.takeSensors(message);
@@ -116,6 +118,10 @@ export class Model {
         this.jobs = message;
         break;
       case "faults":
+        if (message.event === "map") {
+          this.faultMap = message;
+          break;
+        }
         this.faults.push(message);
         if (this.faults.length > EVENTS) this.faults.shift();
         break;

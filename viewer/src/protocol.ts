@@ -2,7 +2,11 @@
 
 export type * from "../../docs/schema/posed.v1";
 
-import type { SensorState } from "../../docs/schema/posed.v1";
+import type { FaultMessage, SensorState } from "../../docs/schema/posed.v1";
+
+/** A fault of a sensor that began or ended, and a map of faults that was swapped in. */
+export type FaultEvent = Extract<FaultMessage, { event: "fault" }>;
+export type FaultMap = Extract<FaultMessage, { event: "map" }>;
 
 export type Vec3 = [number, number, number];
 export type Quat = [number, number, number, number];

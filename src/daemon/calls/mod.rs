@@ -4,6 +4,7 @@
 //! answers. Nothing here waits for the fusion thread: it answers by itself when it has carried a command out.
 
 mod exercise;
+mod faults;
 
 use std::path::{Path, PathBuf};
 
@@ -30,6 +31,7 @@ pub(super) struct Calls {
     stage: Stage,
     recordings: PathBuf,
     exercises: Library,
+    faults: Library,
     clock: StageClock,
     inbox: FusionInbox,
     jobs: Jobs,
@@ -48,7 +50,9 @@ impl Calls {
         let recordings = stage.recording.folder.clone().unwrap_or_else(|| folder.join("recordings"));
         let exercises = stage.models.exercise_folder.clone().unwrap_or_else(|| folder.join("exercises"));
         let exercises = Library::new(exercises);
-        Self { stage: stage.clone(), recordings, exercises, clock, inbox, jobs, calibration }
+        let faults = stage.models.faults_folder.clone().unwrap_or_else(|| folder.join("faults"));
+        let faults = Library::new(faults);
+        Self { stage: stage.clone(), recordings, exercises, faults, clock, inbox, jobs, calibration }
     }
 
     /// Until shutdown.
@@ -110,6 +114,8 @@ impl Calls {
                 let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
                 self.request(Request::ExerciseReset { subject }, Vec::new(), reply);
             }
+            Call::FaultsTrain { last_s, recording } => self.train_faults(last_s, recording, reply),
+            Call::FaultsNameCell { row, column, class } => self.name_cell(row, column, class, reply),
             Call::JobCancel { job } => match self.jobs.cancel(job) {
                 Ok(()) => {
                     self.inbox.push(Event::Command(Command::LookAtJobs));
@@ -177,6 +183,9 @@ impl Calls {
         }
         if let Model::Exercise { exercise } = model {
             models::check_exercise(&self.stage, exercise)?;
+        }
+        if let Model::Faults { network } = model {
+            network.check_sensors(&self.stage.magnetic_sensors()).map_err(|error| error.to_string())?;
         }
         Ok(())
     }

@@ -97,6 +97,7 @@ enum Key {
     Disturbed(Cause, [usize; 2]),
     Drifted,
     Exercise(String),
+    FaultsMap,
     /// What a subject does.
     Subject(Name),
     /// The newest count since then.
@@ -402,6 +403,7 @@ impl Distributor {
             OutcomeKind::ModelSwapped(Model::Exercise { exercise }) => {
                 Some((Key::Exercise(exercise.name.clone()), true))
             }
+            OutcomeKind::ModelSwapped(Model::Faults { .. }) => Some((Key::FaultsMap, true)),
             OutcomeKind::Exercise(ExerciseOutcome { subject, what }) => match what {
                 ExerciseWhat::State(_) => {
                     // It holds all counts so far.

@@ -84,9 +84,9 @@ impl Hub {
     /// Publishes a frame; copies it into memory that earlier frames have left.
     pub fn publish_estimate(&self, estimate: &Estimate) {
         let mut memory = self.lock().spares.pop().map(|spare| spare.sensors).unwrap_or_default();
-        let Estimate { frame, t_valid, t_closed, sigma_t_s, ref sensors } = *estimate;
+        let Estimate { frame, t_valid, t_closed, sigma_t_s, fault, ref sensors } = *estimate;
         memory.clone_from(sensors);
-        let copy = Estimate { frame, t_valid, t_closed, sigma_t_s, sensors: memory };
+        let copy = Estimate { frame, t_valid, t_closed, sigma_t_s, fault, sensors: memory };
         self.push(Item::Estimate(copy));
     }
 

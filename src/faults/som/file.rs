@@ -3,11 +3,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::body::Body;
+use super::habits::{Link, Motion, Places};
 use super::map::Map;
 use super::rules::{Class, Rules};
 use super::{Network, NetworkError};
 
-const FORMAT: &str = "posed faults 2";
+const FORMAT: &str = "posed faults 3";
 
 /// The first layer: a chain per sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -32,11 +33,16 @@ pub(super) struct File {
     layer2: Layer2,
     /// Row by row; may be edited by hand.
     cells: Vec<Vec<Class>>,
-    /// Per sensor, neuron by neuron.
+    /// Per sensor, neuron by neuron; the spreads in m.
     neurons: Vec<Vec<Class>>,
+    spreads_m: Vec<Vec<f64>>,
     usual_distance: f64,
-    usual_distances_m: Vec<f64>,
+    usual_ratio: f64,
+    links: Vec<Option<Link>>,
+    motion: Motion,
     epochs: usize,
+    #[serde(default)]
+    revision: u32,
     /// Absent: positions are taken as they are.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     body: Option<Body>,
@@ -45,19 +51,24 @@ pub(super) struct File {
 
 impl From<Network> for File {
     fn from(network: Network) -> Self {
-        let chain = |chain: &Map| chain.weights.chunks_exact(3).map(|w| [w[0], w[1], w[2]]).collect();
+        let chain =
+            |places: &Places| places.chain.weights.chunks_exact(3).map(|w| [w[0], w[1], w[2]]).collect();
         let cells: Vec<Vec<f64>> =
             network.map.weights.chunks_exact(network.map.dimension).map(<[f64]>::to_vec).collect();
         Self {
             format: FORMAT.to_owned(),
-            layer1: Layer1 { weights: network.chains.iter().map(chain).collect() },
+            layer1: Layer1 { weights: network.places.iter().map(chain).collect() },
             layer2: Layer2 { weights: cells.chunks(network.map.columns).map(<[_]>::to_vec).collect() },
             cells: network.cells.chunks(network.map.columns).map(<[_]>::to_vec).collect(),
             sensors: network.sensors,
-            neurons: network.neurons,
+            neurons: network.places.iter().map(|places| places.classes.clone()).collect(),
+            spreads_m: network.places.into_iter().map(|places| places.spreads_m).collect(),
             usual_distance: network.usual_distance,
-            usual_distances_m: network.usual_distances_m,
+            usual_ratio: network.usual_ratio,
+            links: network.links,
+            motion: network.motion,
             epochs: network.epochs,
+            revision: network.revision,
             body: network.body,
             rules: network.rules,
         }
@@ -71,7 +82,7 @@ impl TryFrom<File> for Network {
         let wrong = |what| Err(NetworkError::File(what));
         let sensors = file.sensors.len();
         if file.format != FORMAT {
-            return wrong("its `format` is not `posed faults 2`; train it again");
+            return wrong("its `format` is not `posed faults 3`; train it again");
         }
         if sensors == 0 || file.layer1.weights.len() != sensors {
             return wrong("layer1 should have one chain per sensor");
@@ -92,18 +103,39 @@ impl TryFrom<File> for Network {
         if !file.rules.fits(sensors) || file.body.as_ref().is_some_and(|body| !body.fits(sensors)) {
             return wrong("the rules are of other sensors");
         }
-        let chains = file.layer1.weights.iter().map(Vec::len);
-        if file.usual_distances_m.len() != sensors || !chains.eq(file.neurons.iter().map(Vec::len)) {
-            return wrong("there should be one class per neuron and one usual distance per sensor");
+        if file.neurons.len() != sensors || file.spreads_m.len() != sensors {
+            return wrong("there should be classes and spreads of the neurons of each sensor");
         }
-        let chain = |weights: &Vec<[f64; 3]>| Map {
+        let chain = |weights: &[[f64; 3]]| Map {
             rows: 1,
             columns: weights.len(),
             dimension: 3,
             weights: weights.iter().flatten().copied().collect(),
         };
+        let neurons = file.neurons.into_iter().zip(file.spreads_m);
+        let places: Vec<Places> = file
+            .layer1
+            .weights
+            .iter()
+            .zip(neurons)
+            .map(|(weights, (classes, spreads_m))| Places { chain: chain(weights), classes, spreads_m })
+            .collect();
+        let links = file.links.iter().flatten().all(|link| link.fits(sensors));
+        if !places.iter().all(Places::fits) || file.links.len() != sensors || !links {
+            return wrong("there should be a class, a spread and finite weights for each neuron");
+        }
+        if !file.motion.fits(sensors) {
+            return wrong("the motion is that of other sensors");
+        }
+        let distances = [&file.usual_distance, &file.usual_ratio];
+        if !cells.iter().copied().flatten().chain(distances).all(|value| value.is_finite()) {
+            return wrong("all weights and distances should be finite");
+        }
         Ok(Self {
-            chains: file.layer1.weights.iter().map(chain).collect(),
+            places,
+            links: file.links,
+            motion: file.motion,
+            usual_ratio: file.usual_ratio,
             map: Map {
                 rows,
                 columns,
@@ -112,12 +144,11 @@ impl TryFrom<File> for Network {
             },
             cells: classes,
             sensors: file.sensors,
-            neurons: file.neurons,
             usual_distance: file.usual_distance,
-            usual_distances_m: file.usual_distances_m,
             body: file.body,
             rules: file.rules,
             epochs: file.epochs,
+            revision: file.revision,
         })
     }
 }

@@ -35,6 +35,16 @@ impl Frames {
         frames
     }
 
+    /// Appends a frame: three numbers a sensor, NaN where missing.
+    ///
+    /// # Panics
+    /// `positions_m` does not hold three numbers a sensor.
+    pub fn push(&mut self, t_s: f64, positions_m: &[f64]) {
+        assert_eq!(positions_m.len(), 3 * self.sensors.len());
+        self.t_s.push(t_s);
+        self.positions_m.extend_from_slice(positions_m);
+    }
+
     /// Number of frames.
     pub fn len(&self) -> usize {
         self.t_s.len()

@@ -22,6 +22,8 @@ const BLIND_STEPS: f64 = 10.0;
 /// it was not there before.
 const BELIEVED_FRAMES: u32 = 75;
 const BELIEVED_SOON_FRAMES: u32 = 15;
+/// Or where the map finds nothing unusual there either: two judges need less time than one.
+const BELIEVED_BY_BOTH_FRAMES: u32 = 30;
 /// For so many frames after a jump, smaller steps may take it back too.
 const YOUNG_FRAMES: u32 = 3;
 /// It is back where this share of the jump, or less, is left.
@@ -63,6 +65,8 @@ struct Away {
     /// Frames in a row in which the others allowed it, and frames before those in which they did not.
     fitting: u32,
     unfitting: u32,
+    /// Of the former, those in a row in which the map was content too.
+    content: u32,
 }
 
 impl Memory {
@@ -121,17 +125,19 @@ impl Memory {
         self.away.is_some()
     }
 
-    /// Takes in whether a sensor that jumped is where the others allow it.
-    pub(super) fn judge(&mut self, fits: bool) {
+    /// Takes in whether a sensor that jumped is where the others allow it, and whether the map finds nothing unusual
+    /// there either: two judges need less time than one.
+    pub(super) fn judge(&mut self, fits: bool, content: bool) {
         let Some(away) = &mut self.away else { return };
         if !fits {
             away.unfitting += 1;
-            away.fitting = 0;
+            (away.fitting, away.content) = (0, 0);
             return;
         }
         away.fitting += 1;
+        away.content = if content { away.content + 1 } else { 0 };
         let came_back = away.unfitting > away.fitting && away.fitting >= BELIEVED_SOON_FRAMES;
-        if came_back || away.fitting >= BELIEVED_FRAMES {
+        if came_back || away.content >= BELIEVED_BY_BOTH_FRAMES || away.fitting >= BELIEVED_FRAMES {
             self.away = None;
         }
     }
@@ -159,8 +165,12 @@ impl Memory {
             let back = self.away.is_some_and(|away| norm(total) < BACK_SHARE * norm(away.by));
             let old = self.away.unwrap_or_default();
             self.left = (jumped && !back).then_some(expected);
-            self.away =
-                (!back).then_some(Away { by: total, fitting: if jumped { 0 } else { old.fitting }, ..old });
+            self.away = (!back).then_some(Away {
+                by: total,
+                fitting: if jumped { 0 } else { old.fitting },
+                content: if jumped { 0 } else { old.content },
+                ..old
+            });
         }
         self.step = if jumped || flipped || blind > 0 {
             [0.0; 3]

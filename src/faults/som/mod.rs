@@ -9,6 +9,7 @@
 mod body;
 mod file;
 pub mod frames;
+mod habits;
 pub mod map;
 mod memory;
 mod pairs;
@@ -22,6 +23,7 @@ use serde::{Deserialize, Serialize};
 use body::Body;
 use file::File;
 use frames::Frames;
+use habits::{Link, Motion, Place, Places};
 use map::{Map, Training};
 use memory::Point;
 use rules::{Cause, Class, Labeller, Rules, frame_class};
@@ -29,14 +31,10 @@ pub use watch::{Verdict, Watch};
 
 /// A cell has a class if this share of its training frames has it.
 const CLEAR_SHARE: f64 = 0.6;
-/// The same of a neuron: faults are rare for one sensor, so a few that look clean must not name it.
-const NEURON_SHARE: f64 = 0.9;
 /// Share of the training's clean frames whose distance from their cell is usual.
 const USUAL_SHARE: f64 = 0.995;
-/// What is farther from its neuron or cell than that, so many times, was never seen.
+/// What is farther from its cell than that, so many times, was never seen.
 const FARTHER: f64 = 1.25;
-/// Sensors are never put on twice in the same way, m.
-const WORN_M: f64 = 0.05;
 
 /// Sizes of the two layers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -61,11 +59,12 @@ pub struct Network {
     pub sensors: Vec<String>,
     /// The figure's axes, if positions are looked at in these.
     body: Option<Body>,
-    chains: Vec<Map>,
-    /// Per sensor, class of each neuron.
-    neurons: Vec<Vec<Class>>,
-    /// Per sensor, largest usual distance from its neuron, m.
-    usual_distances_m: Vec<f64>,
+    /// Per sensor: where it is in these axes, and where it is beside another, if there is one.
+    places: Vec<Places>,
+    links: Vec<Option<Link>>,
+    motion: Motion,
+    /// The largest distance from a neuron, in its spreads, that any sensor has in a usual frame.
+    usual_ratio: f64,
     map: Map,
     /// Class of each cell, row by row.
     pub cells: Vec<Class>,
@@ -74,6 +73,8 @@ pub struct Network {
     rules: Rules,
     /// Passes of the second layer's training.
     pub epochs: usize,
+    /// Which state of a stage's network this is; counted up when it is learnt anew or a cell is renamed.
+    pub revision: u32,
 }
 
 /// Why a network cannot be used.
@@ -94,6 +95,14 @@ pub enum NetworkError {
         expected: usize,
         /// So many are there.
         found: usize,
+    },
+    /// There is no such cell.
+    #[error("expected a row below {rows} and a column below {columns}")]
+    Cell {
+        /// Rows of the map.
+        rows: usize,
+        /// Columns of the map.
+        columns: usize,
     },
     /// The file does not hold together.
     #[error("not a network: {0}")]
@@ -130,31 +139,58 @@ impl Network {
         let mut network = Self {
             sensors: frames.sensors.clone(),
             body: training.body.then(|| Body::learn(sensors, &places)).flatten(),
-            chains: Vec::new(),
-            neurons: Vec::new(),
-            usual_distances_m: Vec::new(),
+            places: Vec::new(),
+            links: Vec::new(),
+            motion: Motion::learn(
+                &frames.positions_m,
+                rules.usual_steps_m(),
+                |k, sensor| labels.sensors[k * sensors + sensor].0,
+                training,
+            ),
+            usual_ratio: 0.0,
             map: Map { rows: 0, columns: 0, dimension: 0, weights: Vec::new() },
             cells: Vec::new(),
             usual_distance: 0.0,
             rules,
             epochs: 0,
+            revision: 0,
         };
         let mut seen = frames.clone();
         for (k, size_of_body) in sizes.iter().enumerate() {
             network.see(frames.frame(k), *size_of_body, seen.frame_mut(k));
         }
         let mut indices = vec![f64::NAN; frames.len() * sensors];
-        let mut strange = vec![false; frames.len()];
         for sensor in 0..sensors {
-            let data = seen.sensor(sensor);
-            let mut chain = Map::along_principal_axes(1, size.neurons, 3, &data);
-            chain.train(&data, training);
-            network.chains.push(chain);
-            network.name_neurons(sensor, &data, &labels, &mut indices);
-            for (strange, p) in strange.iter_mut().zip(data.chunks_exact(3)) {
-                *strange |= network.is_strange(sensor, p);
+            let classes: Vec<Class> =
+                labels.sensors.iter().skip(sensor).step_by(sensors).map(|label| label.0).collect();
+            let places = Places::learn(size.neurons, &seen.sensor(sensor), &classes, training);
+            network.places.push(places);
+            let link = |other| Link::learn((sensor, other), &seen.positions_m, sensors, &classes, training);
+            network.links.push(network.rules.nearest(sensor).map(link));
+        }
+        // How unusual each sensor is on average, and then how much more than that the worst one is.
+        let mut ratios = vec![0.0; frames.len() * sensors];
+        let mut means = vec![(0.0, 0.0f64); sensors];
+        for k in 0..frames.len() {
+            for (sensor, mean) in means.iter_mut().enumerate() {
+                let look = network.look(sensor, seen.frame(k), [0.0; 2]);
+                let at = k * sensors + sensor;
+                (indices[at], ratios[at]) = (look.index, look.ratio);
+                if labels.sensors[at].0 == Class::Clean {
+                    *mean = (mean.0 + look.ratio, mean.1 + 1.0);
+                }
             }
         }
+        let clean = (0..frames.len()).filter(|k| labels.frames[*k].0 == Class::Clean);
+        let more = |k: usize| {
+            let row = ratios[k * sensors..(k + 1) * sensors].iter().zip(&means);
+            row.map(|(ratio, (sum, count))| ratio - sum / count.max(1.0)).fold(0.0, f64::max)
+        };
+        let mut ratios: Vec<f64> = clean.map(more).collect();
+        network.usual_ratio = rules::quantile(&mut ratios, USUAL_SHARE);
+        let strange: Vec<bool> = (0..frames.len())
+            .map(|k| (0..sensors).any(|sensor| network.is_strange(sensor, seen.frame(k))))
+            .collect();
         network.map = Map::along_principal_axes(size.side, size.side, sensors, &indices);
         network.epochs = network.map.train(&indices, training);
         network.name_cells(&indices, &labels.frames, &strange);
@@ -169,36 +205,28 @@ impl Network {
         }
     }
 
-    /// What the second layer is told of a winner of the first.
-    fn index(&self, sensor: usize, cell: usize) -> f64 {
-        cell as f64 / self.chains[sensor].columns as f64
+    /// What the first layer says of a sensor in a frame as the map sees it; `worn_m` is what sensors that were put on
+    /// anew may be off, in the figure's axes and beside each other.
+    fn look(&self, sensor: usize, seen: &[f64], worn_m: [f64; 2]) -> Look {
+        let places = &self.places[sensor];
+        let place = places.place(&seen[3 * sensor..3 * sensor + 3]);
+        let link = self.links[sensor].as_ref().and_then(|link| link.place(seen, sensor));
+        let ratio = |place: Option<Place>, worn_m| place.map_or(0.0, |place| place.ratio(worn_m));
+        let Some(at) = place else {
+            return Look { index: f64::NAN, class: Class::Unknown, distance_m: f64::NAN, ratio: 0.0 };
+        };
+        Look {
+            index: at.neuron as f64 / places.classes.len() as f64,
+            class: at.class,
+            distance_m: at.distance_m,
+            ratio: ratio(place, worn_m[0]).max(ratio(link, worn_m[1])),
+        }
     }
 
     /// Whether the first layer finds a sensor where it never was, or only when something was wrong.
-    fn is_strange(&self, sensor: usize, p: &[f64]) -> bool {
-        self.chains[sensor].winner(p).is_some_and(|winner| {
-            self.neurons[sensor][winner.cell] == Class::Anomalous
-                || winner.distance > self.usual_distances_m[sensor]
-        })
-    }
-
-    /// Each neuron takes the class of the clear majority of its frames; fills in the sensor's indices.
-    fn name_neurons(&mut self, sensor: usize, data: &[f64], labels: &Labels, indices: &mut [f64]) {
-        let sensors = self.sensors.len();
-        let chain = &self.chains[sensor];
-        let mut counts = vec![[0u32; 4]; chain.columns];
-        let mut distances = Vec::new();
-        for (k, p) in data.chunks_exact(3).enumerate() {
-            let Some(winner) = chain.winner(p) else { continue };
-            let class = labels.sensors[k * sensors + sensor].0;
-            counts[winner.cell][class as usize] += 1;
-            if class == Class::Clean {
-                distances.push(winner.distance);
-            }
-            indices[k * sensors + sensor] = self.index(sensor, winner.cell);
-        }
-        self.usual_distances_m.push(FARTHER * rules::quantile(&mut distances, USUAL_SHARE) + WORN_M);
-        self.neurons.push(counts.iter().map(|counts| majority(counts, NEURON_SHARE)).collect());
+    fn is_strange(&self, sensor: usize, seen: &[f64]) -> bool {
+        let look = self.look(sensor, seen, [Places::WORN_M, Link::WORN_M]);
+        look.class == Class::Anomalous || look.ratio > self.usual_ratio
     }
 
     /// Each cell takes the class of the clear majority of its frames; an unused one that of the nearest used
@@ -245,6 +273,44 @@ impl Network {
         (self.map.rows, self.map.columns)
     }
 
+    /// Gives a cell another class.
+    ///
+    /// # Errors
+    /// There is no such cell.
+    pub fn name_cell(&mut self, row: usize, column: usize, class: Class) -> Result<(), NetworkError> {
+        let (rows, columns) = self.size();
+        if row >= rows || column >= columns {
+            return Err(NetworkError::Cell { rows, columns });
+        }
+        self.cells[row * columns + column] = class;
+        Ok(())
+    }
+
+    /// Whether a watch of `self` can go on with `other`: they differ in nothing but names of cells.
+    pub fn is_renamed(&self, other: &Self) -> bool {
+        let Self { sensors, body, places, links, motion, usual_ratio, map, usual_distance, rules, .. } = self;
+        *sensors == other.sensors
+            && *body == other.body
+            && *places == other.places
+            && *links == other.links
+            && *motion == other.motion
+            && *usual_ratio == other.usual_ratio
+            && *map == other.map
+            && *usual_distance == other.usual_distance
+            && *rules == other.rules
+    }
+
+    /// Whether these are its sensors, in any order.
+    ///
+    /// # Errors
+    /// They are not.
+    pub fn check_sensors(&self, sensors: &[&str]) -> Result<(), NetworkError> {
+        let same = sensors.len() == self.sensors.len()
+            && self.sensors.iter().all(|own| sensors.contains(&own.as_str()));
+        let error = || NetworkError::Sensors { expected: self.sensors.join(","), found: sensors.join(",") };
+        if same { Ok(()) } else { Err(error()) }
+    }
+
     /// Takes a recording's sensors in the network's order.
     ///
     /// # Errors
@@ -256,10 +322,27 @@ impl Network {
         })
     }
 
+    /// What it knows without its map.
+    pub fn rules(&self) -> &Rules {
+        &self.rules
+    }
+
     /// A watch over a stream of this network's sensors.
     pub fn watch(&self) -> Watch {
         Watch::new(self)
     }
+}
+
+/// What the first layer says of a sensor.
+#[derive(Clone, Copy, Debug)]
+struct Look {
+    /// What the second layer is told: the winning neuron, as a share of the chain.
+    index: f64,
+    class: Class,
+    /// From the winner, m.
+    distance_m: f64,
+    /// How unusual its place is, in the figure's axes or beside another sensor, in spreads.
+    ratio: f64,
 }
 
 /// The class of the clear majority.

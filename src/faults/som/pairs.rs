@@ -126,6 +126,13 @@ impl Pairs {
         self.ranges.is_empty()
     }
 
+    /// The sensor from which the distance of this one varies least.
+    pub(super) fn nearest(&self, sensor: usize) -> Option<usize> {
+        let of = self.ranges.iter().filter(|range| range.a == sensor || range.b == sensor);
+        let best = of.min_by(|x, y| (x.high_m - x.low_m).total_cmp(&(y.high_m - y.low_m)))?;
+        Some(best.a + best.b - sensor)
+    }
+
     pub(super) fn fit(&self, sensors: usize) -> bool {
         self.ranges.iter().all(|range| range.a < sensors && range.b < sensors)
     }

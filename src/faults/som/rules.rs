@@ -23,11 +23,17 @@ const JUMP_LARGEST: f64 = 1.5;
 const JUMP_USUAL: f64 = 4.0;
 const SMALLEST_JUMP_M: f64 = 0.04;
 
+/// Heads are so far above feet, at least, where names tell which side is clean, m.
+const UPRIGHT_M: f64 = 0.1;
+
 /// Shares of the distances that are taken for faults, at first and then, at either end.
 const RANGES_LEAVE_OUT: [f64; 2] = [0.02, 0.003];
 
 /// What is the matter with one sensor, or with a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema,
+)]
+#[schemars(rename = "FaultClass")]
 #[serde(rename_all = "lowercase")]
 pub enum Class {
     /// Nothing is known against it.
@@ -41,7 +47,8 @@ pub enum Class {
 }
 
 /// Why.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[schemars(rename = "LabelCause")]
 #[serde(rename_all = "lowercase")]
 pub enum Cause {
     /// Nothing is the matter.
@@ -137,6 +144,16 @@ impl Rules {
         self.habits.len() == sensors && self.pairs.fit(sensors)
     }
 
+    /// The sensor from which the distance of this one varies least.
+    pub(super) fn nearest(&self, sensor: usize) -> Option<usize> {
+        self.pairs.nearest(sensor)
+    }
+
+    /// Longest usual step of each sensor, m a frame.
+    pub(super) fn usual_steps_m(&self) -> Vec<f64> {
+        self.habits.iter().map(|habit| habit.step_m).collect()
+    }
+
     /// A labeller that has seen nothing.
     pub fn labeller(&self) -> Labeller {
         let sensors = self.habits.len();
@@ -145,6 +162,17 @@ impl Rules {
 
     /// Labels the next frame (three numbers a sensor, NaN where missing) into `labels`.
     pub fn label(&self, labeller: &mut Labeller, frame: &[f64], labels: &mut [(Class, Cause)]) {
+        self.label_beside(labeller, frame, &[], labels);
+    }
+
+    /// As [`Rules::label`]; `content` says of which sensors the map found nothing unusual in the frame before, if any.
+    pub(super) fn label_beside(
+        &self,
+        labeller: &mut Labeller,
+        frame: &[f64],
+        content: &[bool],
+        labels: &mut [(Class, Cause)],
+    ) {
         let moving = labeller.sensors.iter().filter(|memory| memory.moved).count();
         let habits = self.habits.iter().zip(labeller.sensors.iter_mut().zip(labels.iter_mut()));
         for (sensor, (habit, (memory, label))) in habits.enumerate() {
@@ -181,7 +209,7 @@ impl Rules {
                 && let Some(p) = memories[sensor].here()
             {
                 let fits = self.pairs.allow(size, sensor, p, |other| believed(memories, labels, other));
-                memories[sensor].judge(fits);
+                memories[sensor].judge(fits, content.get(sensor) == Some(&true));
             }
         }
     }
@@ -272,8 +300,8 @@ fn upside_down(frames: &Frames, sides: &[bool]) -> bool {
     let (mut up, mut down) = (0, 0);
     for k in 0..frames.len() {
         if let (Some(high), Some(low)) = (mean(k, &high), mean(k, &low)) {
-            up += usize::from(high > low);
-            down += usize::from(high < low);
+            up += usize::from(high - low > UPRIGHT_M);
+            down += usize::from(low - high > UPRIGHT_M);
         }
     }
     down > up

@@ -59,7 +59,7 @@ pub fn measure(network: &Network, frames: &Frames, classes: &[Class]) -> Report 
     }
     let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
     Report {
-        neurons: network.chains.first().map_or(0, |chain| chain.columns),
+        neurons: network.places.first().map_or(0, |places| places.classes.len()),
         side: rows,
         used: cells.len(),
         used_share: share(cells.len(), counts.len()),

@@ -145,7 +145,7 @@ fn a_network_survives_its_file_and_refuses_other_sensors() {
     let text = serde_json::to_string(&network).unwrap();
     assert_eq!(serde_json::from_str::<Network>(&text).unwrap(), network);
     for (from, to) in
-        [("posed faults 2", "posed faults 9"), ("\"pelvis\",", ""), ("\"layer1\"", "\"layer9\"")]
+        [("posed faults 3", "posed faults 9"), ("\"pelvis\",", ""), ("\"layer1\"", "\"layer9\"")]
     {
         assert!(serde_json::from_str::<Network>(&text.replace(from, to)).is_err(), "{from}");
     }

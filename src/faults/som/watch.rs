@@ -5,6 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Network;
+use super::habits::{Link, Places, Steps};
 use super::map::Winner;
 use super::rules::{Cause, Class, Labeller, frame_class};
 
@@ -13,6 +14,10 @@ const DEBOUNCE: u32 = 3;
 /// A map that is discontent with more than this share of so many frames has not seen these movements: rules decide.
 const NOVELTY: f64 = 0.015;
 const MEMORY_FRAMES: f64 = 1000.0;
+/// The map is content with a sensor below this share of what is unusual.
+const CONTENT: f64 = 0.5;
+/// Least weight of a frame in how unusual a sensor is on average.
+const WORN_WEIGHT: f64 = 0.002;
 const RECENT: u8 = 0b1_1111;
 
 /// Labels a stream of frames: rules and map together.
@@ -23,6 +28,12 @@ pub struct Watch {
     seen: Vec<f64>,
     indices: Vec<f64>,
     by_rules: Vec<(Class, Cause)>,
+    steps: Steps,
+    /// Per sensor: the map found nothing unusual in the latest frame.
+    content: Vec<bool>,
+    /// Per sensor, how unusual its places are on average: how it is put on in this session.
+    worn: Vec<f64>,
+    frames: u32,
     labels: Vec<(Class, Cause)>,
     distances_m: Vec<f64>,
     /// Per sensor, one bit for each of the last five frames: the map calls it anomalous.
@@ -41,7 +52,7 @@ pub struct Verdict<'a> {
     pub class: Class,
     /// Why.
     pub cause: Cause,
-    /// What the rules alone say.
+    /// What the rules say; the map's only part in it is how soon a sensor that jumped is believed again.
     pub by_rules: Class,
     /// What the map alone says.
     pub by_map: Class,
@@ -62,6 +73,10 @@ impl Watch {
             seen: vec![f64::NAN; 3 * sensors],
             indices: vec![f64::NAN; sensors],
             by_rules: nothing.clone(),
+            steps: Steps::new(sensors),
+            content: vec![false; sensors],
+            worn: vec![0.0; sensors],
+            frames: 0,
             labels: nothing,
             distances_m: vec![f64::NAN; sensors],
             recent: vec![0; sensors],
@@ -73,21 +88,30 @@ impl Watch {
 
     /// Labels the next frame: three numbers a sensor, in the network's order, NaN where missing.
     pub fn push(&mut self, network: &Network, frame: &[f64]) -> Verdict<'_> {
-        network.rules.label(&mut self.labeller, frame, &mut self.by_rules);
+        network.rules.label_beside(&mut self.labeller, frame, &self.content, &mut self.by_rules);
+        network.motion.follow(&mut self.steps, frame);
         network.see(frame, self.labeller.size(), &mut self.seen);
         let mut strange = false;
         for sensor in 0..network.sensors.len() {
-            let winner = network.chains[sensor].winner(&self.seen[3 * sensor..3 * sensor + 3]);
-            let (class, distance) = winner.map_or((Class::Unknown, f64::NAN), |winner| {
-                (network.neurons[sensor][winner.cell], winner.distance)
-            });
-            self.indices[sensor] = winner.map_or(f64::NAN, |winner| network.index(sensor, winner.cell));
-            self.distances_m[sensor] = distance;
-            let bad = class == Class::Anomalous || distance > network.usual_distances_m[sensor];
+            let look = network.look(sensor, &self.seen, [Places::WORN_M, Link::WORN_M]);
+            self.indices[sensor] = look.index;
+            self.distances_m[sensor] = look.distance_m;
+            let off = self.worn[sensor];
+            // A sensor on a neuron of inverted frames, in a figure that is not, is wrong too.
+            let bad = matches!(look.class, Class::Anomalous | Class::Inverted)
+                || look.ratio - off > network.usual_ratio
+                || network.motion.class(&self.steps, sensor) == Class::Anomalous;
+            let content = look.ratio - off < CONTENT * network.usual_ratio;
+            self.content[sensor] = !bad && content && look.class == Class::Clean;
+            if self.by_rules[sensor].0 == Class::Clean {
+                let weight = WORN_WEIGHT.max(1.0 / f64::from(self.frames + 1));
+                self.worn[sensor] += weight * (look.ratio - self.worn[sensor]);
+            }
             let recent = &mut self.recent[sensor];
             *recent = (*recent << 1 | u8::from(bad)) & RECENT;
             strange |= lasts(*recent);
         }
+        self.frames = self.frames.saturating_add(1);
         let winner = network.map.winner_from(&self.indices, self.guess);
         self.guess = winner.map_or(0, |winner| winner.cell);
         let cell = winner.map_or(Class::Unknown, |winner| network.cells[winner.cell]);

@@ -1,8 +1,9 @@
-//! Topic `faults`: events of sensors' faults.
+//! Topic `faults`: events of sensors' faults, and the map that tells them.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::faults::som::rules::Class;
 use crate::output::FaultCause;
 
 /// Body of `faults`: an event.
@@ -14,10 +15,37 @@ pub struct Fault {
     pub event_id: u64,
     /// Capture time it speaks of, s.
     pub t_valid_s: f64,
-    /// Which sensor.
-    pub sensor: String,
-    /// What is wrong with it.
-    pub cause: FaultCause,
-    /// Whether it began or ended.
-    pub active: bool,
+    /// What happened.
+    #[serde(flatten)]
+    pub change: FaultChange,
+}
+
+/// What happened to a sensor, or to the map of faults.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum FaultChange {
+    /// A fault began or ended.
+    Fault {
+        /// Which sensor.
+        sensor: String,
+        /// What is wrong with it.
+        cause: FaultCause,
+        /// Whether it began or ended.
+        active: bool,
+    },
+    /// A map of faults was swapped in, or one of its cells has another name.
+    Map {
+        /// Counted up by `faults.train` and `faults.name_cell`.
+        revision: u32,
+        /// The sensors that it knows.
+        sensors: Vec<String>,
+        /// Rows of the map.
+        rows: usize,
+        /// Columns of the map.
+        columns: usize,
+        /// Class of each cell, row by row.
+        cells: Vec<Class>,
+        /// A frame that is farther from its cell than this is unusual.
+        usual_distance: f64,
+    },
 }

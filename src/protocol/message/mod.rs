@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::body::{Figure, HeadingSource, JointEntry, SegmentEntry};
 pub use self::exercise::{Begun, Deviation, ExerciseChange, ExerciseEvent, Judged};
-pub use self::faults::Fault;
+pub use self::faults::{Fault, FaultChange};
 pub use self::field::{FieldChange, FieldEvent};
 pub use self::hello::{Hello, HelloSensor};
 pub use self::jobs::{Job, JobState, Jobs};
@@ -54,7 +54,7 @@ pub enum ServerMessage {
     Truth(Data<Truths>),
     /// All jobs, running and lately ended.
     Jobs(Data<Jobs>),
-    /// A fault began or ended.
+    /// A fault began or ended, or the map of faults changed.
     Faults(Data<Fault>),
     /// A sensor's motion changed.
     Keyframes(Data<KeyPose>),

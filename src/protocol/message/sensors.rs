@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::output::SensorState;
+use crate::output::{FrameLabel, SensorLabel, SensorState};
 
 /// Body of `sensors`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -16,6 +16,9 @@ pub struct Sensors {
     /// Standard deviation of the capture time itself, s (field `quality`).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sigma_t_s: Option<f64>,
+    /// What the map of faults says of the frame (field `fault`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fault: Option<FrameLabel>,
     /// The subscribed sensors, in the stage file's order.
     pub sensors: Vec<SensorEntry>,
 }
@@ -55,6 +58,9 @@ pub struct SensorEntry {
     /// More on how good the pose is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quality: Option<Quality>,
+    /// What the map of faults says of it; absent where the stage has none, or not for this sensor.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fault: Option<SensorLabel>,
 }
 
 /// A raw record in device axes.

@@ -9,7 +9,7 @@ mod devices;
 mod drivers;
 mod field;
 mod keyframes;
-mod models;
+pub(super) mod models;
 mod server;
 
 use std::ops::Range;
@@ -47,8 +47,16 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
 }
 
 /// Applies the rules that need the typed stage, once all others hold.
-pub(super) fn check_parsed(document: &Spanned<DeTable<'_>>, stage: &Stage, notes: &mut Notes<'_>) {
+pub(super) fn check_parsed(
+    document: &Spanned<DeTable<'_>>,
+    folder: Option<&Path>,
+    stage: &Stage,
+    notes: &mut Notes<'_>,
+) {
     let root = Item { header: document.span(), table: document.get_ref() };
+    if let (Some(models), Some(folder)) = (root.item("models"), folder) {
+        models::check_faults(&models, folder, stage, notes);
+    }
     drivers::check(&root, stage, notes);
 }
 

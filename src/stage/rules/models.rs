@@ -3,8 +3,10 @@
 use std::fs;
 use std::path::Path;
 
+use super::super::Stage;
 use super::super::problem::Notes;
 use super::Item;
+use crate::faults::som::Network;
 
 /// Looks at every file that `[models]` names.
 pub(super) fn check(models: &Item<'_, '_>, folder: &Path, notes: &mut Notes<'_>) {
@@ -27,11 +29,35 @@ pub(super) fn check(models: &Item<'_, '_>, folder: &Path, notes: &mut Notes<'_>)
         }
     }
     super::folder_key(models, "exercise_folder", folder, notes);
+    super::folder_key(models, "faults_folder", folder, notes);
     if let Some(map) = models.text("field")
         && let Err(reason) = crate::field::FieldMap::read(&folder.join(map.value))
     {
         notes.problem(&map.at, "field", reason, "name a map that `posed field solve` wrote");
     }
+}
+
+/// Looks at the map of faults, which has to be of the stage's magnetic sensors.
+pub(super) fn check_faults(models: &Item<'_, '_>, folder: &Path, stage: &Stage, notes: &mut Notes<'_>) {
+    let Some(path) = models.text("faults") else { return };
+    let full = folder.join(path.value);
+    if let Err(message) = read_faults(&full, stage) {
+        let mend = "name a file that `posed faults train` or `faults.train` wrote for these sensors";
+        notes.problem(&path.at, "faults", message, mend);
+    }
+}
+
+/// Reads a map of faults for a stage.
+///
+/// # Errors
+/// One sentence: it cannot be read, is none, or knows other sensors than the stage's magnetic ones.
+pub(in crate::stage) fn read_faults(path: &Path, stage: &Stage) -> Result<Network, String> {
+    let text = fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+    let network: Network =
+        serde_json::from_slice(&text).map_err(|error| format!("{}: {error}", path.display()))?;
+    let fits = network.check_sensors(&stage.magnetic_sensors());
+    fits.map_err(|error| format!("{}: {error}", path.display()))?;
+    Ok(network)
 }
 
 /// The `format` that a JSON file says it has.

@@ -5,6 +5,7 @@
 mod connections;
 mod environment;
 mod exercises;
+mod faults;
 mod plug;
 pub(crate) mod process;
 mod recordings;

@@ -145,8 +145,10 @@ pub(crate) fn estimate(frame: u64) -> Estimate {
             button: None,
             inertial: None,
         }),
+        fault: None,
     };
     Estimate {
+        fault: None,
         frame,
         t_valid,
         t_closed: t_valid,

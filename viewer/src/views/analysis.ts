@@ -1,4 +1,4 @@
-// Analysis: curves of one sensor, and the events as they come.
+// Analysis: curves of one sensor, the map of faults, and the events as they come.
 
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
@@ -6,6 +6,7 @@ import { type Cell, Table, el } from "../dom";
 import { HISTORY_S, History } from "../model";
 import { JointCurves, axisLook } from "./joints";
 import type { Context, View } from "../view";
+import { FaultsPanel } from "./faults";
 
 /** Curves are drawn so often; numbers move faster than eyes. */
 const DRAW_MS = 100;
@@ -23,12 +24,14 @@ export class AnalysisView implements View {
   private readonly choice = el("select", { id: "sensor-choice", "aria-label": "Sensor" });
   private readonly curves = el("div", { class: "curves" });
   private readonly faults = new Table("faults", "Faults, newest first", [["Stage time, s"], ["Sensor", "word"], ["Cause", "word"], [""]]);
+  private readonly map: FaultsPanel;
   private readonly joints = new JointCurves();
   private plots: uPlot[] = [];
   private lastDraw = -Infinity;
 
   constructor(private readonly context: Context) {
-    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.joints.element, this.faults.element);
+    this.map = new FaultsPanel(context);
+    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.joints.element, this.map.element, this.faults.element);
     addEventListener("resize", () => this.resize());
   }
 
@@ -43,6 +46,7 @@ export class AnalysisView implements View {
     this.drawChoice();
     const history = this.context.model.history.get(this.choice.value);
     if (history) this.drawCurves(history);
+    this.map.draw();
     this.joints.draw(this.context.model.angles);
     this.faults.fill(this.context.model.faults.slice(-40).reverse().map((fault): Cell[] => [
       [fault.t_s.toFixed(2)], [fault.sensor, "word"], [fault.cause, "word"],

@@ -1,10 +1,15 @@
 // Health: what each device and sensor does, how long each stage of the flow takes, and what to do next.
 
 import { type Cell, Table, el, num, setText } from "../dom";
-import { trustOf } from "../protocol";
+import { type SensorEntry, trustOf } from "../protocol";
 import type { Context, View } from "../view";
 
 const LINK_CLASS = { streaming: "good", connecting: "care", silent: "care", failed: "bad" } as const;
+
+/** A sensor's state, and what the map of faults says of it. */
+function faulty({ state, fault }: SensorEntry): string {
+  return !fault || fault.cause === "none" || fault.cause === "missing" ? state : `${state}: ${fault.label}, ${fault.cause}`;
+}
 
 export class HealthView implements View {
   readonly id = "health";
@@ -55,7 +60,7 @@ export class HealthView implements View {
         Array.from({ length: n }, (_, i) => [num(values?.[i], 4)]);
       return [
         [sensor.name],
-        [sensor.state, `word ${trustOf(sensor.state)}`],
+        [faulty(sensor), `word ${trustOf(sensor.state)}`],
         ...numbers(sensor.position_m, 3),
         ...numbers(sensor.orientation_wxyz, 4),
         [num(sensor.sigma_m == null ? null : sensor.sigma_m * 1000, 2)],

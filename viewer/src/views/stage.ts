@@ -102,13 +102,14 @@ export class StageView implements View {
     this.drawn = model.version;
     if (changed && model.sensors) {
       this.sensors.update(model.sensors.sensors);
-      const { sensors } = model.sensors;
+      const { sensors, fault } = model.sensors;
       this.transmitter.updateMatrixWorld();
       this.field.update(sensors, this.toTransmitter.copy(this.transmitter.matrixWorld).invert());
       const count = (...states: SensorState[]) => sensors.filter(({ state }) => states.includes(state)).length;
       const outside = count("extrapolated");
       setText(this.summary, `${count("ok", "repaired")} of ${sensors.length} are good`
-        + (this.field.hasMap ? `, corrected by the map${outside ? `; ${outside} outside of it` : ""}` : ""));
+        + (this.field.hasMap ? `, corrected by the map${outside ? `; ${outside} outside of it` : ""}` : "")
+        + (fault && fault.label !== "clean" ? `; the frame is ${fault.label}` : ""));
       setText(this.arrowsLabel, this.field.hasMap ? `arrows ${this.field.magnified.toFixed(0)} times as long` : "");
     }
     if (changed && model.body) this.drawBody(model.body);
