@@ -342,6 +342,26 @@ export type FieldEventMessage = {
   t_valid_s: number;
 };
 
+/** What every data message starts with, and its body. */
+export type FigureMessage = {
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** Where the heading comes from. */
+  heading: HeadingSource;
+  /** For how long it has been held without a field that is believed, s; 0 otherwise. */
+  heading_held_s: number;
+  /** The joints between them. */
+  joints: JointEntry[];
+  /** Where the position comes from. */
+  placed: Placed;
+  /** The segments, parents and children by the skeleton of the stage. */
+  segments: SegmentEntry[];
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Capture time of the newest sample in it, s; rises strictly. */
+  t_s: number;
+};
+
 /** What a repetition must be like to count; see `judge`. */
 export type Gate = {
   /** Least and greatest duration, the taught one being 1. */
@@ -366,10 +386,15 @@ export type Gaussians = {
   sd: number[][];
 };
 
+/** Where a body's heading comes from. */
+export type HeadingSource = "unknown" | "field" | "held";
+
 /** Who speaks, and what there is. */
 export type Hello = {
   /** The stage's epoch: UTC in RFC 3339 with nanoseconds. */
   epoch_utc: string;
+  /** Height of the person who wears the sensors, m: gives the lengths of the segments; null where it is not known. */
+  height_m: number | null;
   /** Number of the newest event, 0 before the first: what a client that starts now has not missed. */
   last_event_id: number;
   /** What this client may do. */
@@ -427,6 +452,20 @@ export type JobsMessage = {
   seq: number;
   /** Host time, s; rises strictly. */
   t_s: number;
+};
+
+/** A joint. */
+export type JointEntry = {
+  /** Its angles by name, degrees; null where a segment beside it is not known. */
+  angles_deg: Record<string, number | null>;
+  /** The segment whose sensor is ill or missing, if any: why the joint is not `ok`. */
+  because: string | null;
+  /** Its name. */
+  name: string;
+  /** Root mean square of the expected error of one angle, degrees. */
+  sigma_deg: number;
+  /** How far to trust it: as the worse of the segments beside it. */
+  state: SegmentState;
 };
 
 /** A repetition that is judged. */
@@ -536,6 +575,9 @@ export type OkReply = {
 /** How sure an event is that can be taken back. */
 export type Phase = "provisional" | "confirmed" | "withdrawn";
 
+/** Where a body's position comes from. */
+export type Placed = "origin" | "trackers" | "held";
+
 /** A pose: the named frame in the room. */
 export type Pose = {
   /** Unit quaternion, scalar first. */
@@ -593,6 +635,24 @@ export type RequestId = number | string;
 /** What a client may do. */
 export type Role = "watch" | "operate";
 
+/** A segment. */
+export type SegmentEntry = {
+  /** What is wrong with that sensor; null where nothing is. */
+  fault: SensorFault | null;
+  /** Its name. */
+  name: string;
+  /** Segment to room, unit quaternion, scalar first; null where nothing shows it. */
+  orientation_wxyz: [number, number, number, number] | null;
+  /** Its origin in the room, m; null where nothing shows it. */
+  position_m: [number, number, number] | null;
+  /** Its sensor; null where it wears none. */
+  sensor: string | null;
+  /** Root mean square of its expected error about an axis, degrees; of limbs, against the trunk. */
+  sigma_deg: number;
+  /** How far to trust it. */
+  state: SegmentState;
+};
+
 /** What is said of a segment. */
 export type SegmentEvent = "provisional" | "confirmed" | "withdrawn";
 
@@ -620,6 +680,9 @@ export type SegmentMessage = {
   t_valid_s: number;
 };
 
+/** How far a segment can be trusted; the later, the less. */
+export type SegmentState = "ok" | "inferred" | "suspect" | "missing";
+
 /** One sensor in one frame. `name` and `state` are always there; the others as `fields` asks for. */
 export type SensorEntry = {
   /** Angular velocity in sensor axes, rad/s. */
@@ -645,6 +708,9 @@ export type SensorEntry = {
   /** Velocity in the room, m/s; null where there is no position. */
   velocity_m_s?: [number, number, number] | null;
 };
+
+/** What is wrong with a worn sensor. */
+export type SensorFault = "silent" | "not_finite" | "frozen" | "saturated" | "misfit";
 
 /** How far a sensor's pose can be trusted. */
 export type SensorState = "ok" | "suspect" | "missing" | "late" | "stuck" | "repaired" | "extrapolated";
@@ -688,6 +754,8 @@ export type ServerMessage = Hello & {
   type: "status";
 } | SensorsMessage & {
   type: "sensors";
+} | FigureMessage & {
+  type: "body";
 } | TruthsMessage & {
   type: "truth";
 } | JobsMessage & {
