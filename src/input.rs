@@ -5,6 +5,7 @@
 use posed_drivers::{LineEvent, Timestamp};
 use serde::{Deserialize, Serialize};
 
+use crate::field::Prepared;
 use crate::geometry;
 use crate::motion::exercise::Exercise;
 
@@ -75,6 +76,14 @@ pub enum Model {
         /// Rotation standard deviation at `r0_m`, rad (grows with r^3).
         sigma_rotation_rad: f64,
     },
+    /// Where metal bends the field: what a file of `posed field solve` holds.
+    Field {
+        /// Number of the map on its stage, from 1; 0 is none.
+        version: u32,
+        /// The map; null takes the present one away.
+        #[schemars(with = "Option<serde_json::Map<String, serde_json::Value>>")]
+        map: Option<Prepared>,
+    },
     /// A taught exercise; it takes the place of the one of its name.
     Exercise {
         /// The exercise, as in its file.
@@ -100,6 +109,15 @@ pub enum Request {
         /// Who moves.
         subject: String,
     },
+    /// Begins to collect what a pole's sensors read, to calibrate the field; what was collected before is forgotten.
+    FieldStart {
+        /// The sensors by name, in their order along the pole.
+        sensors: Vec<String>,
+        /// Measured distance between neighbours, m.
+        spacing_m: f64,
+    },
+    /// Ends that: the recording goes to the solver.
+    FieldFinish {},
 }
 
 /// How much of an exercise is to be done.
@@ -120,6 +138,7 @@ impl Model {
         match (self, newer) {
             (Self::Transmitter { .. }, Self::Transmitter { .. }) => true,
             (Self::TrackerNoise { device, .. }, Self::TrackerNoise { device: of, .. }) => device == of,
+            (Self::Field { .. }, Self::Field { .. }) => true,
             (Self::Exercise { exercise }, Self::Exercise { exercise: newer }) => exercise.name == newer.name,
             _ => false,
         }
@@ -147,6 +166,11 @@ impl Model {
                 ];
                 if let Some((key, value)) = numbers.into_iter().find(|(_, v)| !(v.is_finite() && **v > 0.0)) {
                     return Err(format!("{key}: give a positive number, not {value}"));
+                }
+            }
+            Self::Field { map, .. } => {
+                if let Some(map) = map {
+                    map.map().check().map_err(|reason| format!("map: {reason}"))?;
                 }
             }
             Self::Exercise { exercise } => exercise.check().map_err(|error| error.to_string())?,

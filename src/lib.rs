@@ -28,3 +28,4 @@ pub mod signals;
 pub mod stage;
 pub mod svg;
 pub mod table;
+pub mod vrpn;

@@ -10,6 +10,7 @@ pub use self::body::{Body, BodySegment, Placed, SegmentState};
 pub use self::exercise::{
     ExerciseOutcome, ExerciseProgress, ExerciseState, ExerciseWhat, LiveHint, Repetition,
 };
+use crate::field::{PoleRun, Progress, Warning};
 use crate::input::{DeviceIndex, Model, SensorIndex, Truth};
 
 /// One output of `Pipeline::push`; borrowed, valid during the call.
@@ -49,6 +50,8 @@ pub enum Output<'a> {
         /// The sentence.
         text: &'a str,
     },
+    /// A guided calibration has ended: what its pole was seen to do, empty if none was under way.
+    PoleRun(&'a PoleRun),
     /// The network of segments has seen the frame of the last [`Output::Estimate`]: what happened since then was its work.
     Named,
     /// Ground truth, passed through.
@@ -180,6 +183,17 @@ pub enum OutcomeKind {
     KeyPose(KeyPoseEvent),
     /// A segment of the motion begins; `t_valid` is when.
     Segment(Segment),
+    /// The field is disturbed, or has drifted, or a guided calibration goes on.
+    Field(FieldNews),
+}
+
+/// What there is to say of the field.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum FieldNews {
+    /// A disturbance began or ended, or the field has drifted.
+    Warning(Warning),
+    /// How far a guided calibration is.
+    Progress(Progress),
 }
 
 /// A frame at which a sensor's motion changes; the outcome's `t_valid` is that of the frame.

@@ -7,16 +7,17 @@ mod rig;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
+use posed::field::Prepared;
 use posed::input::{Entry, Input, Model};
 use posed::motion::exercise::{Exercise, Options, Stream, teach};
 use posed::output::{Outcome, OutcomeKind, Output};
 use posed::pipeline::Pipeline;
 use posed::signals;
-use posed::stage::{Keyframes, Stage};
+use posed::stage::{FieldWatch, Keyframes, Stage};
 use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
-use rig::{Rig, stage};
+use rig::{Rig, field_map, stage};
 
 struct Counting;
 
@@ -58,6 +59,12 @@ static ALLOCATOR: Counting = Counting;
 #[test]
 fn a_warm_pipeline_does_not_allocate() {
     let mut stage_file = stage(&[2, 1]);
+    let named = |sensor: &str| sensor.to_owned();
+    stage_file.field = Some(FieldWatch {
+        witnesses: vec![named("s1-0")],
+        rigid_pairs: vec![["s0-0", "s0-1"].map(named)],
+        mains_hz: None,
+    });
     stage_file.keyframes = Some(Keyframes { sensors: None, window: 20, false_alarms_per_min: 60.0 });
     let flock =
         |name: &str, burst_ms| DeviceScenario { name: name.into(), burst_ms, ..DeviceScenario::default() };
@@ -65,6 +72,7 @@ fn a_warm_pipeline_does_not_allocate() {
     let exercise = curl(&stage_file, &scenario);
     let mut rig = Rig::new(&stage_file, &curling(None, scenario));
     rig.push(Input::Model(Model::Exercise { exercise: Box::new(exercise) }));
+    rig.push(Input::Model(Model::Field { version: 1, map: Some(Prepared::new(field_map())) }));
     rig.run_until(12.0);
 
     let mut pipeline = Pipeline::new(&stage_file).unwrap();

@@ -1,10 +1,13 @@
 //! How well the field is calibrated, and what it costs: `cargo bench --bench field`.
 //!
 //! `-- --seeds 5` sets the number of seeds of the table of scenes; `-- --map` compares the map alone instead, and with
-//! `--export DIR` writes the readings and targets that `benches/peers/field` gives to other libraries.
+//! `--export DIR` writes the readings and targets that `benches/peers/field` gives to other libraries; `-- --body` solves
+//! sessions of simulated people.
 
+mod body;
 mod map;
 mod scenes;
+mod session;
 mod table;
 
 fn main() {
@@ -13,7 +16,9 @@ fn main() {
         let at = arguments.iter().position(|argument| argument == name)?;
         arguments.get(at + 1).cloned()
     };
-    if arguments.iter().any(|argument| argument == "--map") {
+    if arguments.iter().any(|argument| argument == "--body") {
+        body::run();
+    } else if arguments.iter().any(|argument| argument == "--map") {
         map::run(after("--export").as_deref().map(std::path::Path::new));
     } else {
         let seeds = after("--seeds").and_then(|text| text.parse().ok()).unwrap_or(5);

@@ -8,13 +8,21 @@ use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::Message;
 
 use super::clients::{Socket, connect, subscribe};
+use super::vrpn;
 
 pub(crate) fn run(kind: &str, url: &str) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     runtime.expect("a runtime").block_on(async {
+        if let Some(address) = url.strip_prefix("vrpn://") {
+            match kind {
+                "stalled" => vrpn::stall(address).await,
+                "flood" => vrpn::flood(address).await,
+                _ => half_greetings(url, b"vrpn: ver. 0").await,
+            }
+        }
         match kind {
             "stalled" => stall(url).await,
-            "greeting" => half_greetings(url).await,
+            "greeting" => half_greetings(url, b"GET /ws HTTP/1.1\r\nHost: local").await,
             "flood" => flood(url).await,
             "slow" => slow(url).await,
             "crowd" => crowd(url).await,
@@ -35,12 +43,12 @@ async fn stall(url: &str) {
     std::future::pending::<()>().await;
 }
 
-async fn half_greetings(url: &str) {
+async fn half_greetings(url: &str, half: &[u8]) {
     loop {
         let mut streams = Vec::new();
         for _ in 0..50 {
             if let Ok(mut stream) = TcpStream::connect(address(url)).await {
-                let _ = stream.write_all(b"GET /ws HTTP/1.1\r\nHost: local").await;
+                let _ = stream.write_all(half).await;
                 streams.push(stream);
             }
         }
@@ -93,7 +101,8 @@ async fn crowd(url: &str) {
 
 /// `HOST:PORT` of a websocket address.
 fn address(url: &str) -> &str {
-    url.trim_start_matches("ws://").split('/').next().unwrap_or(url)
+    let rest = url.split_once("://").map_or(url, |(_, rest)| rest);
+    rest.split('/').next().unwrap_or(rest)
 }
 
 #[expect(clippy::disallowed_methods, reason = "this program owns its clock")]

@@ -10,7 +10,7 @@ use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream};
 
-use super::Args;
+use super::{Args, vrpn};
 
 /// Time before the measurement begins, s.
 pub(crate) const WARM_UP_S: f64 = 1.0;
@@ -54,12 +54,49 @@ impl Report {
 }
 
 /// What one client saw: latencies in microseconds.
-struct Seen {
+pub(crate) struct Seen {
     latency_us: Histogram<u64>,
     bytes: u64,
     /// Longest time between two messages.
     gap: Duration,
     dropped: u64,
+    begins: Instant,
+    ends: Instant,
+    last: Option<Instant>,
+}
+
+impl Seen {
+    #[expect(clippy::disallowed_methods, reason = "this program owns its clock")]
+    pub(crate) fn new(seconds: f64) -> Self {
+        let begins = Instant::now() + Duration::from_secs_f64(WARM_UP_S);
+        Self {
+            latency_us: Histogram::new(3).expect("three digits"),
+            bytes: 0,
+            gap: Duration::ZERO,
+            dropped: 0,
+            begins,
+            ends: begins + Duration::from_secs_f64(seconds),
+            last: None,
+        }
+    }
+
+    /// A frame that was true at this UTC has come, with so many bytes; whether there are enough of them.
+    #[expect(clippy::disallowed_methods, reason = "this program owns its clock")]
+    pub(crate) fn frame(&mut self, utc_s: f64, bytes: usize) -> bool {
+        let utc = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let now = Instant::now();
+        if now < self.begins {
+            return false;
+        }
+        let latency_us = (utc.as_secs_f64() - utc_s) * 1e6;
+        self.latency_us.record(latency_us.max(1.0) as u64).expect("it grows by itself");
+        self.bytes += bytes as u64;
+        if let Some(last) = self.last {
+            self.gap = self.gap.max(now - last);
+        }
+        self.last = Some(now);
+        now >= self.ends
+    }
 }
 
 pub(crate) type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
@@ -70,9 +107,14 @@ pub(crate) fn run(args: &Args, url: &str) -> Report {
     runtime.expect("a runtime").block_on(async {
         let mut tasks = Vec::new();
         for _ in 0..args.clients {
+            let seconds = args.seconds;
+            if let Some(address) = url.strip_prefix("vrpn://") {
+                let (stream, last) = (vrpn::connect(address).await, i32::from(args.sensors) - 1);
+                tasks.push(tokio::spawn(async move { vrpn::listen(stream, last, seconds).await }));
+                continue;
+            }
             let (mut socket, epoch_s) = connect(url, args.msgpack).await;
             subscribe(&mut socket).await;
-            let seconds = args.seconds;
             tasks.push(tokio::spawn(async move { listen(socket, epoch_s, seconds).await }));
         }
         let mut all = Histogram::<u64>::new(3).expect("three digits");
@@ -122,17 +164,8 @@ pub(crate) async fn subscribe(socket: &mut Socket) {
     socket.send(Message::Text(request.into())).await.expect("a connection");
 }
 
-#[expect(clippy::disallowed_methods, reason = "this program owns its clock")]
 async fn listen(mut socket: Socket, epoch_s: f64, seconds: f64) -> Seen {
-    let mut seen = Seen {
-        latency_us: Histogram::new(3).expect("three digits"),
-        bytes: 0,
-        gap: Duration::ZERO,
-        dropped: 0,
-    };
-    let begins = Instant::now() + Duration::from_secs_f64(WARM_UP_S);
-    let ends = begins + Duration::from_secs_f64(seconds);
-    let mut last: Option<Instant> = None;
+    let mut seen = Seen::new(seconds);
     loop {
         let (t_s, dropped, bytes) = match socket.next().await {
             Some(Ok(Message::Text(text))) => match json_head(&text) {
@@ -146,20 +179,8 @@ async fn listen(mut socket: Socket, epoch_s: f64, seconds: f64) -> Seen {
             Some(Ok(_)) => continue,
             other => panic!("the server ended it: {other:?}"),
         };
-        let utc = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let now = Instant::now();
-        if now < begins {
-            continue;
-        }
-        let latency_us = (utc.as_secs_f64() - epoch_s - t_s) * 1e6;
-        seen.latency_us.record(latency_us.max(1.0) as u64).expect("it grows by itself");
-        seen.bytes += bytes as u64;
         seen.dropped = dropped;
-        if let Some(last) = last {
-            seen.gap = seen.gap.max(now - last);
-        }
-        last = Some(now);
-        if now >= ends {
+        if seen.frame(epoch_s + t_s, bytes) {
             return seen;
         }
     }

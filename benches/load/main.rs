@@ -3,6 +3,7 @@
 //! ```text
 //! cargo bench --bench load                                  all scenarios, 100 sensors x 100 Hz x 100 clients
 //! cargo bench --bench load -- --sensors 8 --clients 1 --scenario quiet
+//! cargo bench --bench load -- --vrpn                        VRPN clients instead of websockets
 //! cargo bench --bench load -- --url ws://127.0.0.1:8787/ws  clients only, at a running daemon
 //! ```
 //! The server runs in this process, fed by a thread in the place of the fusion thread; the clients run in a second process
@@ -13,6 +14,7 @@
 mod bullies;
 mod clients;
 mod serve;
+mod vrpn;
 
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -38,6 +40,9 @@ struct Args {
     /// One scenario instead of all: quiet, stalled, greeting, flood, slow, crowd.
     #[arg(long)]
     scenario: Option<String>,
+    /// VRPN clients instead of websockets.
+    #[arg(long)]
+    vrpn: bool,
     /// MessagePack instead of JSON.
     #[arg(long)]
     msgpack: bool,
@@ -77,7 +82,13 @@ fn scenarios(args: &Args) {
         args.rate_hz,
         args.clients,
         args.seconds,
-        if args.msgpack { "MessagePack" } else { "JSON" }
+        if args.vrpn {
+            "VRPN"
+        } else if args.msgpack {
+            "MessagePack"
+        } else {
+            "JSON"
+        }
     );
     println!(
         "{:<9} {:>9} {:>8} {:>7} {:>7} {:>7} {:>7} {:>8} {:>7} {:>7} {:>7}  load",
@@ -95,6 +106,9 @@ fn scenarios(args: &Args) {
     );
     for (name, what) in SCENARIOS {
         if args.scenario.as_deref().is_some_and(|only| only != name) {
+            continue;
+        }
+        if args.vrpn && !["quiet", "stalled", "greeting", "flood"].contains(&name) {
             continue;
         }
         let served = args.url.is_none().then(|| serve::start(args));
@@ -126,6 +140,7 @@ fn child(args: &Args, role: &str, url: &str) -> Child {
     command.args(["--role", role, "--url", url]).stdout(Stdio::piped());
     command.args(["--clients", &args.clients.to_string(), "--seconds", &args.seconds.to_string()]);
     command.args(["--rate-hz", &args.rate_hz.to_string()]);
+    command.args(["--sensors", &args.sensors.to_string()]);
     if args.msgpack {
         command.arg("--msgpack");
     }

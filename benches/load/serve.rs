@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use posed::daemon::server::{Config, Hub, Server};
 use posed::output::{Estimate, PoseEstimate, SensorEstimate, SensorState};
-use posed::stage::{Sensor, Stage};
+use posed::stage::{Sensor, Stage, Vrpn};
 use posed_drivers::Timestamp;
 use tokio::sync::oneshot;
 
@@ -38,6 +38,7 @@ pub(crate) fn start(args: &Args) -> Served {
         };
         stage.sensors.push(sensor);
     }
+    stage.vrpn = args.vrpn.then(|| Vrpn { listen: Some("127.0.0.1:0".into()), call_back: false });
     let (ready, started) = std::sync::mpsc::channel();
     let (stop, stopped) = oneshot::channel();
     let server = std::thread::spawn(move || {
@@ -45,17 +46,21 @@ pub(crate) fn start(args: &Args) -> Served {
         runtime.expect("a runtime").block_on(async {
             let config = Config { listen: Some("127.0.0.1:0".into()), ..Config::new(Path::new("."), 0) };
             let (server, hub, _calls) = Server::bind(&stage, config).expect("a port");
-            ready.send((server.address(), hub)).expect("who started this");
+            let url = match server.vrpn_address() {
+                Some(address) => format!("vrpn://{address}"),
+                None => format!("ws://{}/ws", server.address()),
+            };
+            ready.send((url, hub)).expect("who started this");
             server.run(async { _ = stopped.await }).await;
         });
     });
-    let (address, hub) = started.recv().expect("a server");
+    let (url, hub) = started.recv().expect("a server");
     let ends = Arc::new(AtomicBool::new(false));
     let frames = {
         let (ends, rate_hz, sensors) = (Arc::clone(&ends), args.rate_hz, args.sensors);
         std::thread::spawn(move || publish(&hub, rate_hz, sensors, &ends))
     };
-    Served { url: format!("ws://{address}/ws"), stop: Some(stop), ends, threads: vec![server, frames] }
+    Served { url, stop: Some(stop), ends, threads: vec![server, frames] }
 }
 
 impl Drop for Served {

@@ -1,5 +1,19 @@
 // Messages of the posed websocket. Generated from the Rust types by `posed schema --typescript`; do not edit.
 
+/** A surveyed point that a sensor of the pole stood on. */
+export type AnchorSpec = {
+  /** For messages. */
+  name: string;
+  /** The point in the transmitter frame, m. */
+  position_m: [number, number, number];
+  /** The sensor, by name. */
+  sensor: string;
+  /** Until when, stream time, s. */
+  t_end: number;
+  /** From when, stream time, s. */
+  t_start: number;
+};
+
 /** A repetition that is not judged. */
 export type Begun = {
   /** Repetitions counted since it was selected or reset; only rises. */
@@ -45,6 +59,28 @@ export type Call = {
   /** Multiple of real time; 0 pauses. */
   speed: Speed;
   type: "replay.speed";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** The pole's sensors by name, in their order along it. */
+  sensors: string[];
+  /** Measured distance between neighbours, m. */
+  spacing_m: number;
+  type: "field.start";
+} | {
+  /** Surveyed points that a sensor of the pole stood on meanwhile; three or more make positions absolute. */
+  anchors?: AnchorSpec[];
+  /** The reply carries it. */
+  id: RequestId;
+  type: "field.finish";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  type: "field.accept";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  type: "field.rollback";
 } | {
   /** The reply carries it. */
   id: RequestId;
@@ -98,6 +134,9 @@ export type Call = {
   model: Model;
   type: "model.load";
 };
+
+/** What tells of a disturbance. */
+export type Cause = "witness" | "rigid_pair" | "hum";
 
 /** Everything a client can send. */
 export type ClientMessage = Feed | Call;
@@ -192,7 +231,7 @@ export type Exercise = {
 };
 
 /** What every data message starts with, and its body. */
-export type ExerciseEventMessage = {
+export type ExerciseEventMessage = ({
   /** The channels it looks at. */
   channels: string[];
   /** Median duration of a repetition, s. */
@@ -226,7 +265,7 @@ export type ExerciseEventMessage = {
   phase: number | null;
   /** In words. */
   sentence: string | null;
-} & {
+}) & {
   /** Data messages of all topics that were dropped for this client so far. */
   dropped: number;
   /** Stage-wide number of the event, from 1. */
@@ -325,11 +364,47 @@ export type Feed = {
 export type Field = "name" | "state" | "device" | "position_m" | "orientation_wxyz" | "sigma_m" | "measured" | "covariance" | "velocity" | "quality";
 
 /** What every data message starts with, and its body. */
-export type FieldEventMessage = {
+export type FieldEventMessage = ({
   event: "model_swapped";
   /** The model, in full. */
   model: Model;
-} & {
+} | {
+  /** Rms at the anchors, m; null without three. */
+  anchors_m: number | null;
+  /** What it does: pairs of a reading and its corrected place all over the calibrated volume, transmitter frame, m. */
+  arrows_m: ([[number, number, number], [number, number, number]])[];
+  event: "map_swapped";
+  /** The same on blocks that were held out, m. */
+  heldout_m: number | null;
+  /** What it is made of; null: poses are not corrected. */
+  map: string | null;
+  /** Rms distance from straight poles when it was made, m: without correction, and with it; null without a map. */
+  raw_m: number | null;
+  /** See `raw_m`. */
+  residual_m: number | null;
+  /** Its number on this stage, 0 for none. */
+  version: number;
+} | {
+  /** Began or ended. */
+  active: boolean;
+  /** What tells of it. */
+  cause: Cause;
+  /** How far off they are, m. */
+  deviation_m: number;
+  event: "disturbed";
+  /** The witness, or the pair. */
+  sensors: string[];
+} | {
+  /** How far off they have stayed, m. */
+  deviation_m: number;
+  event: "drifted";
+  /** The witness, or the pair. */
+  sensors: string[];
+} | {
+  event: "calibrating";
+  /** Where it is. */
+  progress: Progress;
+}) & {
   /** Data messages of all topics that were dropped for this client so far. */
   dropped: number;
   /** Stage-wide number of the event, from 1. */
@@ -549,6 +624,12 @@ export type Model = {
   /** Rotation standard deviation at `r0_m`, rad (grows with r^3). */
   sigma_rotation_rad: number;
 } | {
+  kind: "field";
+  /** The map; null takes the present one away. */
+  map?: Record<string, unknown> | null;
+  /** Number of the map on its stage, from 1; 0 is none. */
+  version: number;
+} | {
   /** The exercise, as in its file. */
   exercise: Exercise;
   kind: "exercise";
@@ -556,7 +637,7 @@ export type Model = {
 
 /** What is known about an exercise's movement. */
 export type Movement = {
-  /** Half the range of each channel's mean. */
+  /** Half the range of the mean of the largest channel of each channel's kind. */
   amplitude: number[];
   /** Background: state 0 is rest, 1 is any movement. */
   background: Gaussians;
@@ -592,6 +673,28 @@ export type Problem = {
   code: string;
   /** For people: what to do, in one sentence. */
   message: string;
+};
+
+/** How far a run is. */
+export type Progress = {
+  /** False once the run has ended: it is the last of its reports. */
+  collecting: boolean;
+  /** Share of the 20 cm cells inside the hull that the pole came near, 0 to 1. */
+  covered: number;
+  /** Share of the four pairs of opposite octants in which the pole was held, 0 to 1. */
+  directions: number;
+  /** What to do next; empty when there is enough. */
+  hint: string;
+  /** Instants with readings of three sensors or more. */
+  instants: number;
+  /** Rms distance of the last second's readings from a straight pole of the stated spacing, m: what there is to correct. */
+  residual_m: number;
+  /** Time since the first reading, s. */
+  seconds: number;
+  /** The pole's sensors in their order along it. */
+  sensors: string[];
+  /** Middles of cells inside the hull that it did not come near, at most 60, transmitter frame, m. */
+  unvisited_m: ([number, number, number])[];
 };
 
 /** How good a pose is. */

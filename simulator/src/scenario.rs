@@ -142,6 +142,10 @@ pub struct MetalSpec {
     pub radius_m: f64,
     /// What it is made of.
     pub material: Material,
+    /// When it is brought in, s; absent: it was there from the beginning.
+    pub from_s: Option<f64>,
+    /// When it is taken away, s; absent: never.
+    pub until_s: Option<f64>,
 }
 
 /// A body in motion.
@@ -290,6 +294,9 @@ impl Scenario {
         positive("duration_s", self.duration_s.unwrap_or(1.0))?;
         for metal in &self.metal {
             positive("metal.radius_m", metal.radius_m)?;
+            not_negative("metal.from_s", metal.from_s.unwrap_or(0.0))?;
+            positive("metal.until_s", metal.until_s.unwrap_or(1.0) - metal.from_s.unwrap_or(0.0))
+                .map_err(|_| invalid("metal.until_s", "should be later than from_s"))?;
         }
         if let Some(floor) = &self.floor
             && !(0.0..=1.0).contains(&floor.strength)

@@ -68,6 +68,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         }
         let daemon = Daemon::start(options).map_err(Error::failed)?;
         let _ = inbox.set(daemon.inbox());
+        watch::announce(daemon.vrpn_address())?;
         let ended = watch::until_end(daemon.url(), daemon.status(), duration_s).await;
         let stopped =
             host.stop().await.map_err(|error| Error::Failed(format!("a virtual device failed: {error}")));

@@ -45,6 +45,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let options = Options { listen: args.listen, record: args.record, ..Options::new(stage, text, folder) };
     runtime()?.block_on(async {
         let daemon = Daemon::start(options).map_err(Error::failed)?;
+        watch::announce(daemon.vrpn_address())?;
         let ended = watch::until_end(daemon.url(), daemon.status(), None).await;
         daemon.shutdown().await;
         ended

@@ -1,6 +1,7 @@
 //! What a running daemon shows in the terminal: one clear line with the address, then one that lives.
 
 use std::io::{self, IsTerminal};
+use std::net::SocketAddr;
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -38,6 +39,11 @@ pub(crate) async fn until_end(
         line.finish_and_clear();
     }
     Ok(())
+}
+
+/// Says where programs that speak VRPN find the sensors, if the stage serves them.
+pub(crate) fn announce(vrpn: Option<SocketAddr>) -> Result<(), Error> {
+    vrpn.map_or(Ok(()), |address| print(&format!("VRPN programs find every sensor as NAME@{address}\n")))
 }
 
 fn spinner() -> Result<ProgressBar, Error> {

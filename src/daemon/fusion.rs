@@ -10,6 +10,7 @@ use posed_drivers::Timestamp;
 use serde_json::{Value, json};
 use tokio::sync::{mpsc, watch};
 
+use super::calibration::Calibration;
 use super::clock::StageClock;
 use super::health::Health;
 use super::inbox::{Event, Inbox};
@@ -98,6 +99,7 @@ pub(super) struct Fusion {
     pub(super) publisher: Publisher,
     pub(super) hub: Hub,
     pub(super) jobs: Jobs,
+    pub(super) calibration: Calibration,
     pub(super) ports: Vec<mpsc::Sender<PortCommand>>,
     pub(super) health: Health,
     pub(super) status: watch::Sender<Status>,
@@ -163,7 +165,19 @@ impl Fusion {
     /// One entry through recording and pipeline.
     fn step(&mut self, entry: &Entry) {
         self.begun = true;
-        let Self { pipeline, publisher, hub, ports, health, recording, clock, models, recent, .. } = self;
+        let Self {
+            pipeline,
+            publisher,
+            hub,
+            ports,
+            health,
+            recording,
+            clock,
+            models,
+            recent,
+            calibration,
+            ..
+        } = self;
         let mut recorder = recording.as_mut().map(|recording| &mut recording.recorder);
         if let Some(recorder) = &mut recorder {
             recorder.entry(entry);
@@ -190,6 +204,7 @@ impl Fusion {
                         models.push(model.clone());
                     }
                 }
+                Output::PoleRun(run) => calibration.solve(run),
                 Output::Named => health.named(clock.now().seconds_since(estimated)),
                 Output::Body(body) => {
                     health.body(body);

@@ -8,6 +8,7 @@
 //! Ports push what they read into one [`inbox`]; the [`fusion`] thread takes it from there, records it, pushes it
 //! through the pipeline and hands the outputs on. What clients ask for is carried out by [`calls`].
 
+mod calibration;
 pub mod calls;
 pub mod clock;
 pub mod find;
@@ -34,6 +35,7 @@ use tokio::sync::{mpsc, watch};
 
 pub use self::playback::{Playback, PlaybackError};
 
+use self::calibration::Calibration;
 use self::calls::Calls;
 use self::clock::StageClock;
 use self::fusion::{Command, Fusion, FusionInbox, INBOX_CAPACITY};
@@ -164,6 +166,8 @@ impl Daemon {
             let device = device as u16;
             ports.push(Some(PortTask { device, clock, inbox, commands: receiver, shutdown }));
         }
+        let calibration = Calibration::new(&stage, &folder, clock, inbox.clone(), jobs.clone());
+        calibration.begin().map_err(StartError::Model)?;
         if let Some(segments) = &stage.segments {
             // First of all entries: every recording of this run holds it, and every replay begins with it.
             let input = Input::Network(network(&stage, &segments.model).map_err(StartError::Segments)?);
@@ -176,6 +180,7 @@ impl Daemon {
             publisher: Publisher::new(&stage, Fields::all()),
             hub,
             jobs: jobs.clone(),
+            calibration: calibration.clone(),
             ports: commands,
             health: Health::new(&stage),
             status: status_sender,
@@ -200,7 +205,7 @@ impl Daemon {
             .spawn(move || fusion.run())
             .map_err(StartError::Thread)?;
 
-        let calls = Calls::new(&stage, folder, clock, inbox.clone(), jobs);
+        let calls = Calls::new(&stage, folder, clock, inbox.clone(), jobs, calibration);
         service.spawn(calls.run(pending, service.down()));
         Ok(Self { clock, service, inbox, status, ports, fusion })
     }
@@ -229,6 +234,11 @@ impl Daemon {
     /// The address the server listens on.
     pub fn address(&self) -> SocketAddr {
         self.service.address()
+    }
+
+    /// The address for VRPN clients, if the stage wants them.
+    pub fn vrpn_address(&self) -> Option<SocketAddr> {
+        self.service.vrpn_address()
     }
 
     /// What to open in a browser.

@@ -194,6 +194,10 @@ impl Player {
             Call::RecordStart { .. }
             | Call::RecordStop {}
             | Call::ModelLoad { .. }
+            | Call::FieldStart { .. }
+            | Call::FieldFinish { .. }
+            | Call::FieldAccept {}
+            | Call::FieldRollback {}
             | Call::ExerciseList {}
             | Call::ExerciseTeach { .. }
             | Call::ExerciseSelect { .. }

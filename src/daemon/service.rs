@@ -17,6 +17,7 @@ const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(4);
 /// A server that runs, the tasks around it, and the switch that ends them.
 pub(super) struct Service {
     address: SocketAddr,
+    vrpn_address: Option<SocketAddr>,
     url: String,
     shutdown: watch::Sender<bool>,
     tasks: JoinSet<()>,
@@ -25,15 +26,19 @@ pub(super) struct Service {
 impl Service {
     /// Serves clients. Needs a tokio runtime.
     pub(super) fn start(server: Server) -> Self {
-        let (address, url) = (server.address(), server.url());
+        let (address, vrpn_address, url) = (server.address(), server.vrpn_address(), server.url());
         let (shutdown, mut down) = watch::channel(false);
         let mut tasks = JoinSet::new();
         tasks.spawn(server.run(async move { ended(&mut down).await }));
-        Self { address, url, shutdown, tasks }
+        Self { address, vrpn_address, url, shutdown, tasks }
     }
 
     pub(super) fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    pub(super) fn vrpn_address(&self) -> Option<SocketAddr> {
+        self.vrpn_address
     }
 
     pub(super) fn url(&self) -> &str {

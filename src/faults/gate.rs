@@ -25,6 +25,8 @@ pub struct Prediction {
     pub position_noise_scale: f64,
     /// The same for the rotation.
     pub rotation_noise_scale: f64,
+    /// What the field's map leaves of a measured position, per axis, m^2.
+    pub position_doubt_m2: f64,
     /// An innovation longer than this is not believed on one record's word, m: after a gap the gate is wide,
     /// and a flipped bit may fall inside.
     pub reach_m: f64,
@@ -57,7 +59,9 @@ impl Prediction {
 
     /// Covariance of a position innovation, m^2.
     pub fn position_innovation_m2(&self, noise: &TrackerNoise, position_m: &Vector3<f64>) -> Matrix3<f64> {
-        self.position_m2 + noise.position_m2(position_m) * self.position_noise_scale
+        self.position_m2
+            + noise.position_m2(position_m) * self.position_noise_scale
+            + Matrix3::identity() * self.position_doubt_m2
     }
 
     /// Covariance of a rotation innovation, rad^2.

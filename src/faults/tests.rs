@@ -15,6 +15,7 @@ fn expected(position_m: Vector3<f64>) -> Prediction {
         rotation_rad2: Matrix3::identity() * 1e-5,
         position_noise_scale: 1.0,
         rotation_noise_scale: 1.0,
+        position_doubt_m2: 0.0,
         reach_m: 0.02,
         reach_rad: 0.08,
     }

@@ -24,8 +24,40 @@ const LEAST_OCTANT: f64 = 0.01;
 /// Fewest frames.
 const LEAST_FRAMES: usize = 100;
 
-/// Share of the cells covered, and what is missing.
-pub(crate) fn judge(run: &PoleRun, hull: &Hull) -> (f64, Vec<Reason>) {
+/// Most places that are named as unvisited.
+const MOST_UNVISITED: usize = 60;
+
+/// Where the pole has been.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Coverage {
+    /// Share of the cells inside the hull that a reading came near.
+    pub(crate) cells: f64,
+    /// Share of the four pairs of opposite octants in which the pole was held.
+    pub(crate) directions: f64,
+    /// Middles of cells that none came near, m; not more than [`MOST_UNVISITED`], spread over all of them.
+    pub(crate) unvisited_m: Vec<Vector3<f64>>,
+    /// What is missing, the first thing first.
+    pub(crate) reasons: Vec<Reason>,
+}
+
+/// Whether a whole recording has been everywhere.
+pub(crate) fn judge(run: &PoleRun, hull: &Hull) -> Coverage {
+    let usable = run.frames.iter().filter(|frame| frame.readings.iter().flatten().count() >= 3).count();
+    if usable < LEAST_FRAMES {
+        let text = format!("only {usable} usable instants; wave the pole for a minute");
+        let reasons = vec![Reason { code: Code::Coverage, text }];
+        return Coverage { reasons, ..Coverage::default() };
+    }
+    look(run, hull)
+}
+
+/// Share of the cells inside the hull that a reading came near.
+pub(crate) fn visited(run: &PoleRun, hull: &Hull) -> f64 {
+    cells(run, hull).0
+}
+
+/// Where the pole has been so far, and where it should go.
+pub(crate) fn look(run: &PoleRun, hull: &Hull) -> Coverage {
     let mut reasons = Vec::new();
     let mut say = |code, text: String| reasons.push(Reason { code, text });
     let (mut middles, mut directions) = (Vec::new(), Vec::new());
@@ -39,12 +71,7 @@ pub(crate) fn judge(run: &PoleRun, hull: &Hull) -> (f64, Vec<Reason>) {
             directions.push(along);
         }
     }
-    if middles.len() < LEAST_FRAMES {
-        let text = format!("only {} usable instants; wave the pole for a minute", middles.len());
-        say(Code::Coverage, text);
-        return (0.0, reasons);
-    }
-    let count = middles.len() as f64;
+    let count = (middles.len() as f64).max(1.0);
     let mean = middles.iter().sum::<Vector3<f64>>() / count;
     let spread =
         middles.iter().fold(Matrix3::zeros(), |s, m| s + (m - mean) * (m - mean).transpose() / count);
@@ -79,20 +106,23 @@ pub(crate) fn judge(run: &PoleRun, hull: &Hull) -> (f64, Vec<Reason>) {
             say(Code::Excitation, format!("the pole was never held along {}", text_of(&axis.normalize())));
         }
     }
-    let (covered, empty) = cells(run, hull);
-    if covered < LEAST_COVERED {
+    let held = octants.iter().filter(|seen| **seen as f64 >= LEAST_OCTANT * count && **seen > 0).count();
+    let (cells, empty) = cells(run, hull);
+    if cells < LEAST_COVERED {
+        let near = empty.iter().sum::<Vector3<f64>>() / empty.len().max(1) as f64;
         say(
             Code::Coverage,
             format!(
                 "only {:.0} % of the volume was visited; go near x = {:.1} m, y = {:.1} m, z = {:.1} m",
-                100.0 * covered,
-                empty.x,
-                empty.y,
-                empty.z
+                100.0 * cells,
+                near.x,
+                near.y,
+                near.z
             ),
         );
     }
-    (covered, reasons)
+    let unvisited_m = empty.iter().step_by(empty.len().div_ceil(MOST_UNVISITED).max(1)).copied().collect();
+    Coverage { cells, directions: held as f64 / octants.len() as f64, unvisited_m, reasons }
 }
 
 /// Smallest eigenvalue and its axis.
@@ -112,8 +142,8 @@ fn text_of(axis: &Vector3<f64>) -> String {
     format!("({:.1}, {:.1}, {:.1})", axis.x, axis.y, axis.z)
 }
 
-/// Share of the cells inside the hull that a reading came near, and the middle of those that none did.
-fn cells(run: &PoleRun, hull: &Hull) -> (f64, Vector3<f64>) {
+/// Share of the cells inside the hull that a reading came near, and those that none did.
+fn cells(run: &PoleRun, hull: &Hull) -> (f64, Vec<Vector3<f64>>) {
     let [low, high] = hull.bounds_m();
     let step = CELL_M.max(((high - low).iter().product::<f64>() / 8000.0).cbrt());
     let counts = (high - low).map(|x| (x / step).ceil() as usize + 1);
@@ -137,20 +167,17 @@ fn cells(run: &PoleRun, hull: &Hull) -> (f64, Vector3<f64>) {
             }
         }
     }
-    let (mut inside, mut covered, mut empty) = (0.0, 0.0, Vector3::zeros());
+    let (mut covered, mut empty) = (0usize, Vec::new());
     for (index, near) in near.iter().enumerate() {
         let place = at(index);
         if hull.outside_m(&place) < -INSIDE_M {
-            inside += 1.0;
             if *near {
-                covered += 1.0;
+                covered += 1;
             } else {
-                empty += place;
+                empty.push(place);
             }
         }
     }
-    if inside == 0.0 {
-        return (1.0, Vector3::zeros());
-    }
-    (covered / inside, if covered < inside { empty / (inside - covered) } else { empty })
+    let inside = covered + empty.len();
+    (if inside == 0 { 1.0 } else { covered as f64 / inside as f64 }, empty)
 }

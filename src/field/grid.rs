@@ -78,10 +78,10 @@ impl Grid {
     }
 
     /// Compares the spline with what it stands for at the middle of each cell, and remembers the cells where its first
-    /// three numbers are off by more than `tolerance`. `exact` answers where it can be compared.
+    /// three numbers are off by more than the `tolerance` there. `exact` answers where it can be compared.
     pub(crate) fn mark_rough(
         &mut self,
-        tolerance: f64,
+        tolerance: impl Fn(&Vector3<f64>) -> f64 + Sync,
         exact: impl Fn(&Vector3<f64>, f64) -> Option<Vector3<f64>> + Sync,
     ) {
         let half = Vector3::repeat(0.5 * self.shape.step_m);
@@ -91,7 +91,8 @@ impl Grid {
             .map(|index| {
                 let place = this.shape.place(index) + half;
                 let [x, y, z, other] = this.cubic(&place);
-                exact(&place, other).is_some_and(|exact| (exact - Vector3::new(x, y, z)).norm() > tolerance)
+                exact(&place, other)
+                    .is_some_and(|exact| (exact - Vector3::new(x, y, z)).norm() > tolerance(&place))
             })
             .collect();
         self.rough = rough;

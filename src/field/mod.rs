@@ -12,13 +12,16 @@
 //! model of the metal, for which the transmitter is where it is.
 
 mod anchors;
+mod arrows;
 pub mod cascade;
 mod coverage;
 mod estimate;
 mod fit;
 mod grid;
+mod guide;
 mod hull;
 mod known;
+mod limbs;
 mod map;
 pub mod model;
 mod noise;
@@ -26,22 +29,29 @@ mod orientation;
 mod outliers;
 mod picture;
 mod pole;
+mod prepared;
 mod problem;
 mod report;
 mod search;
 mod select;
 mod solve;
 mod trust;
+mod watch;
 
 pub use anchors::{Anchor, LEAST_ANCHORS, rigid};
+pub use arrows::arrows;
 pub use grid::Shape;
+pub use guide::{Guide, Progress};
 pub use hull::Hull;
 pub use known::{fit_known, refit_known};
+pub use limbs::{Bone, Joint, Limbs, solve_limbs};
 pub use map::{Aligned, Corrected, Corrector, FieldMap, Uncertainty, VERSION};
 pub use noise::FieldNoise;
 pub use outliers::{Reason as RejectReason, Rejected, reject};
 pub use picture::svg;
 pub use pole::{PoleError, PoleFrame, PoleReading, PoleRun};
+pub use prepared::Prepared;
 pub use problem::MAX_SENSORS;
 pub use report::{Code, Reason, Report, Tried};
 pub use solve::{Solution, solve};
+pub use watch::{Cause, Seen, Warning, Watch, WatchSettings};

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::problem::{MAX_SENSORS, line};
 
 /// One sensor at one time, as measured.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoleReading {
     /// Position in the transmitter frame, m.
     pub position_m: Vector3<f64>,
@@ -19,7 +19,7 @@ pub struct PoleReading {
 }
 
 /// All sensors at one time.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoleFrame {
     /// Time, s.
     pub t_s: f64,
@@ -28,7 +28,7 @@ pub struct PoleFrame {
 }
 
 /// A recording of the pole.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoleRun {
     /// Names of the sensors in the order along the pole.
     pub sensors: Vec<String>,
@@ -75,10 +75,21 @@ impl PoleRun {
         spacing_m: f64,
         rows: impl IntoIterator<Item = (f64, usize, PoleReading)>,
     ) -> Result<Self, PoleError> {
+        let run = Self::grouped(sensors, spacing_m, rows)?;
+        run.check_order()?;
+        Ok(run)
+    }
+
+    /// Groups readings by time, whatever the sensors sit on.
+    ///
+    /// # Errors
+    /// The spacing is no length.
+    pub fn grouped(
+        sensors: Vec<String>,
+        spacing_m: f64,
+        rows: impl IntoIterator<Item = (f64, usize, PoleReading)>,
+    ) -> Result<Self, PoleError> {
         let count = sensors.len();
-        if !(3..=MAX_SENSORS).contains(&count) {
-            return Err(PoleError::Sensors(count));
-        }
         if !(spacing_m.is_finite() && spacing_m > 0.0) {
             return Err(PoleError::Spacing(spacing_m));
         }
@@ -98,9 +109,7 @@ impl PoleRun {
                 }
             }
         }
-        let run = Self { sensors, spacing_m, frames };
-        run.check_order()?;
-        Ok(run)
+        Ok(Self { sensors, spacing_m, frames })
     }
 
     /// Place of sensor `index` along the pole from its middle, m.
@@ -128,8 +137,14 @@ impl PoleRun {
     }
 
     /// Asks each frame where along its own main direction each sensor stands, and compares the medians.
-    fn check_order(&self) -> Result<(), PoleError> {
+    ///
+    /// # Errors
+    /// Another order, or no instant that could say it.
+    pub fn check_order(&self) -> Result<(), PoleError> {
         let count = self.sensors.len();
+        if !(3..=MAX_SENSORS).contains(&count) {
+            return Err(PoleError::Sensors(count));
+        }
         let mut places: Vec<Vec<f64>> = vec![Vec::new(); count];
         for frame in &self.frames {
             let known: Vec<(usize, Vector3<f64>)> = frame

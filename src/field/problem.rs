@@ -2,13 +2,16 @@
 //!
 //! A frame of a pole knows nothing but that its sensors stand in a row at known distances. Its five unknown numbers
 //! (place and direction) are fitted to the corrected readings, and what remains is its residual; so no pose is needed,
-//! and a residual carries exactly what the pole can see: straightness, spacing and length.
+//! and a residual carries exactly what the pole can see: straightness, spacing and length. The same holds for two
+//! sensors on either side of a joint of a body: the joint's place is unknown, but both must put it there.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
 use rayon::prelude::*;
 
+use super::model::metal::{Metal, SOURCE_PARAMETERS};
 use super::model::{Evaluator, Model};
 use super::noise::FieldNoise;
+use super::orientation::by_metal;
 
 /// Most sensors on one pole.
 pub const MAX_SENSORS: usize = 24;
@@ -19,6 +22,8 @@ const HUBER: f64 = 3.0;
 const BOUND: f64 = 8.0;
 /// Rows that are gathered before they are multiplied out.
 const CHUNK_ROWS: usize = 768;
+/// Step of the differences by which a way to a joint turns with a source, m and its strength.
+const STEP: f64 = 1e-5;
 
 /// One group of readings that are judged together.
 #[derive(Clone, Debug)]
@@ -35,6 +40,20 @@ enum Kind {
     Pole,
     /// One reading at a known place.
     Known(Vector3<f64>),
+    /// Two sensors on segments that meet in a joint, and from each its way to the joint, turned as the sensor was
+    /// measured, m. The model's metal turns it on.
+    Joint([Vector3<f64>; 2]),
+}
+
+impl Kind {
+    /// Numbers that a group finds for itself.
+    fn own(self) -> usize {
+        match self {
+            Self::Pole => 5,
+            Self::Known(_) => 0,
+            Self::Joint(_) => 3,
+        }
+    }
 }
 
 /// Readings, how they hang together, and how much each is worth.
@@ -123,6 +142,28 @@ impl Problem {
         self.groups.push(Group { start, end: start + 1, fold: fold % self.folds, kind: Kind::Known(place) });
     }
 
+    /// Adds both sensors at a joint: each reading with its way to the joint, turned as the sensor was measured, m.
+    pub(crate) fn push_joint(
+        &mut self,
+        fold: usize,
+        readings: [(Vector3<f64>, Vector3<f64>); 2],
+        noise: &FieldNoise,
+    ) {
+        let start = self.z.len();
+        for (z, _) in &readings {
+            self.z.push(*z);
+            self.offsets.push(0.0);
+            self.whiteners.push(noise.whitener(z));
+        }
+        let kind = Kind::Joint(readings.map(|(_, way)| way));
+        self.groups.push(Group { start, end: start + 2, fold: fold % self.folds, kind });
+    }
+
+    /// The same readings with another noise.
+    pub(crate) fn with_noise(&self, noise: &FieldNoise) -> Self {
+        Self { whiteners: self.z.iter().map(|z| noise.whitener(z)).collect(), ..self.clone() }
+    }
+
     /// Every `stride`th group.
     pub(crate) fn thinned(&self, stride: usize) -> Self {
         let mut thin = Self::new(self.folds);
@@ -158,6 +199,10 @@ impl Problem {
         let mut filled = 0;
         let mut derivatives = vec![0.0; 3 * parameters];
         let mut scratch = Scratch::default();
+        let joints = self.groups.iter().any(|group| matches!(group.kind, Kind::Joint(_)));
+        let sources = if joints { evaluator.sources() } else { 0 };
+        let moved: Vec<Metal> =
+            (0..SOURCE_PARAMETERS * sources).map(|parameter| evaluator.moved(parameter, STEP)).collect();
         for group in self.groups.iter().filter(|group| group.fold == fold) {
             let count = group.end - group.start;
             if filled + 3 * count > CHUNK_ROWS {
@@ -166,7 +211,16 @@ impl Problem {
             }
             for (k, index) in (group.start..group.end).enumerate() {
                 derivatives.fill(0.0);
-                scratch.y[k] = evaluator.with_derivatives(&self.z[index], &mut derivatives);
+                let z = &self.z[index];
+                scratch.y[k] = evaluator.with_derivatives(z, &mut derivatives);
+                if let Kind::Joint(ways) = &group.kind {
+                    scratch.shift[k] = turned(evaluator.metal(), z, &scratch.y[k], &ways[k]);
+                    for (change, metal) in derivatives.chunks_exact_mut(3).zip(&moved) {
+                        let y = scratch.y[k] + Vector3::from_column_slice(change) * STEP;
+                        let turn = (turned(Some(metal), z, &y, &ways[k]) - scratch.shift[k]) / STEP;
+                        change.iter_mut().zip(turn.iter()).for_each(|(change, turn)| *change += turn);
+                    }
+                }
                 for parameter in 0..parameters {
                     for axis in 0..3 {
                         rows[(parameter, filled + 3 * k + axis)] = derivatives[3 * parameter + axis];
@@ -181,9 +235,7 @@ impl Problem {
                     residuals[filled + 3 * k + axis] = scratch.residual[3 * k + axis];
                 }
             }
-            if group.kind == Kind::Pole {
-                project(&mut rows, filled, 3 * count, &scratch.pose);
-            }
+            project(&mut rows, filled, 3 * count, &scratch.pose, group.kind.own());
             filled += 3 * count;
         }
         flush(&mut normal, &rows, &residuals, filled);
@@ -196,9 +248,7 @@ impl Problem {
         let mut normal = Normal::zero(0);
         let mut scratch = Scratch::default();
         for group in self.groups.iter().filter(|group| group.fold == fold) {
-            for (k, index) in (group.start..group.end).enumerate() {
-                scratch.y[k] = evaluator.correct(&self.z[index]);
-            }
+            self.correct(&evaluator, group, &mut scratch);
             self.residual(group, &mut scratch);
             scratch.tally(group.end - group.start, group, &mut normal);
         }
@@ -213,11 +263,9 @@ impl Problem {
         let mut squares = Vec::new();
         for group in self.groups.iter().filter(|group| group.fold == fold) {
             let count = group.end - group.start;
-            for (k, index) in (group.start..group.end).enumerate() {
-                scratch.y[k] = evaluator.correct(&self.z[index]);
-            }
+            self.correct(&evaluator, group, &mut scratch);
             self.residual(group, &mut scratch);
-            let freedom = if group.kind == Kind::Pole { 1.0 - 5.0 / (3.0 * count as f64) } else { 1.0 };
+            let freedom = 1.0 - group.kind.own() as f64 / (3.0 * count as f64);
             squares.extend(
                 (0..count).map(|k| (self.z[group.start + k], scratch.difference[k].norm_squared(), freedom)),
             );
@@ -231,14 +279,23 @@ impl Problem {
         let evaluator = model.evaluator();
         let mut scratch = Scratch::default();
         for group in &self.groups {
-            for (k, index) in (group.start..group.end).enumerate() {
-                scratch.y[k] = evaluator.correct(&self.z[index]);
-            }
+            self.correct(&evaluator, group, &mut scratch);
             self.residual(group, &mut scratch);
-            if group.kind != Kind::Pole {
-                scratch.pose.fill(0.0);
+            for column in group.kind.own()..5 {
+                scratch.pose.column_mut(column).fill(0.0);
             }
             each(group.start, group.end - group.start, &scratch);
+        }
+    }
+
+    /// Corrects the readings of a group, and turns the ways to a joint.
+    fn correct(&self, evaluator: &Evaluator<'_>, group: &Group, scratch: &mut Scratch) {
+        for (k, index) in (group.start..group.end).enumerate() {
+            let z = &self.z[index];
+            scratch.y[k] = evaluator.correct(z);
+            if let Kind::Joint(ways) = &group.kind {
+                scratch.shift[k] = turned(evaluator.metal(), z, &scratch.y[k], &ways[k]);
+            }
         }
     }
 
@@ -256,8 +313,14 @@ impl Problem {
                 scratch.residual.fixed_rows_mut::<3>(0).copy_from(&residual);
             }
             Kind::Pole => scratch.fit_pole(whiteners, &self.offsets[group.start..group.end]),
+            Kind::Joint(_) => scratch.fit_joint(whiteners),
         }
     }
+}
+
+/// A vector that was turned as a sensor was measured, turned as it was: the metal undone.
+fn turned(metal: Option<&Metal>, z: &Vector3<f64>, y: &Vector3<f64>, way: &Vector3<f64>) -> Vector3<f64> {
+    metal.map_or(*way, |metal| by_metal(metal, z, y) * way)
 }
 
 /// Rotates and scales three columns by a symmetric 3x3 matrix.
@@ -275,9 +338,9 @@ fn whiten_columns(rows: &mut DMatrix<f64>, column: usize, whitener: &Matrix3<f64
     }
 }
 
-/// Takes out of `count` columns from `start` on what the pose of the pole can explain.
-fn project(rows: &mut DMatrix<f64>, start: usize, count: usize, pose: &PoseBasis) {
-    for basis in 0..5 {
+/// Takes out of `count` columns from `start` on what the first `own` columns of the pose can explain.
+fn project(rows: &mut DMatrix<f64>, start: usize, count: usize, pose: &PoseBasis, own: usize) {
+    for basis in 0..own {
         let q = pose.column(basis);
         for parameter in 0..rows.nrows() {
             let mut dot = 0.0;
@@ -318,6 +381,8 @@ type PoseBasis = SMatrix<f64, { 3 * MAX_SENSORS }, 5>;
 #[derive(Clone, Debug)]
 pub(crate) struct Scratch {
     pub(crate) y: [Vector3<f64>; MAX_SENSORS],
+    /// From both sensors to their joint, m.
+    shift: [Vector3<f64>; 2],
     /// Reading minus pole, m.
     difference: [Vector3<f64>; MAX_SENSORS],
     /// Whiteners with the robust weights in them.
@@ -334,6 +399,7 @@ impl Default for Scratch {
     fn default() -> Self {
         Self {
             y: [Vector3::zeros(); MAX_SENSORS],
+            shift: [Vector3::zeros(); 2],
             difference: [Vector3::zeros(); MAX_SENSORS],
             whitener: [Matrix3::identity(); MAX_SENSORS],
             residual: SVector::zeros(),
@@ -364,16 +430,10 @@ impl Scratch {
                 self.pose.fixed_view_mut::<3, 2>(3 * k, 3).copy_from(&(w * side * offsets[k]));
             }
             let used = 3 * count;
-            let step = orthonormalise(&mut self.pose, used, &self.residual);
+            let step = orthonormalise(&mut self.pose, used, 5, &self.residual);
             let Some(step) = step else { return };
             if round == 3 {
-                // What is left after the last step is the residual.
-                for basis in 0..5 {
-                    let dot: f64 = (0..used).map(|k| self.pose[(k, basis)] * self.residual[k]).sum();
-                    for k in 0..used {
-                        self.residual[k] -= dot * self.pose[(k, basis)];
-                    }
-                }
+                self.leave(used, 5);
                 return;
             }
             middle += step.fixed_rows::<3>(0);
@@ -382,10 +442,44 @@ impl Scratch {
         }
     }
 
+    /// Finds the joint between its two sensors. How far they are apart counts, robustly, not the half of each.
+    fn fit_joint(&mut self, whiteners: &[Matrix3<f64>]) {
+        let ends = [0, 1].map(|k| self.y[k] + self.shift[k]);
+        let middle = (ends[0] + ends[1]) / 2.0;
+        for k in 0..2 {
+            self.difference[k] = ends[k] - middle;
+            self.whitener[k] = whiteners[k];
+            self.residual.fixed_rows_mut::<3>(3 * k).copy_from(&(whiteners[k] * self.difference[k]));
+            self.pose.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(&whiteners[k]);
+        }
+        if orthonormalise(&mut self.pose, 6, 3, &self.residual).is_some() {
+            self.leave(6, 3);
+        }
+        let size = self.residual.fixed_rows::<6>(0).norm();
+        (self.loss, self.bounded) = (huber_loss(size), bounded_loss(size));
+        let weight = huber_weight(size).sqrt();
+        for k in 0..2 {
+            self.whitener[k] *= weight;
+            for axis in 0..3 {
+                self.residual[3 * k + axis] *= weight;
+            }
+        }
+    }
+
+    /// Leaves in the residual what the pose cannot explain.
+    fn leave(&mut self, used: usize, own: usize) {
+        for basis in 0..own {
+            let dot: f64 = (0..used).map(|k| self.pose[(k, basis)] * self.residual[k]).sum();
+            for k in 0..used {
+                self.residual[k] -= dot * self.pose[(k, basis)];
+            }
+        }
+    }
+
     fn tally(&self, count: usize, group: &Group, normal: &mut Normal) {
         normal.cost += self.loss;
         normal.bounded += self.bounded;
-        normal.freedoms += 3.0 * count as f64 - if group.kind == Kind::Pole { 5.0 } else { 0.0 };
+        normal.freedoms += (3 * count - group.kind.own()) as f64;
         normal.square_m2 += self.difference[..count].iter().map(Vector3::norm_squared).sum::<f64>();
         normal.readings += count as f64;
     }
@@ -411,15 +505,17 @@ pub(crate) fn side_basis(along: &Vector3<f64>) -> SMatrix<f64, 3, 2> {
     SMatrix::<f64, 3, 2>::from_columns(&[first, along.cross(&first)])
 }
 
-/// Gram-Schmidt in place; returns the least-squares solution of `pose x = residual`, or `None` if it has none.
+/// Gram-Schmidt of the first `own` columns in place; returns the least-squares solution of `pose x = residual`, or `None` if it has none.
 fn orthonormalise(
     pose: &mut PoseBasis,
     used: usize,
+    own: usize,
     residual: &SVector<f64, { 3 * MAX_SENSORS }>,
 ) -> Option<SVector<f64, 5>> {
-    let mut triangle = SMatrix::<f64, 5, 5>::zeros();
+    // Columns that are not there stand for nothing.
+    let mut triangle = SMatrix::<f64, 5, 5>::identity();
     let mut projected = SVector::<f64, 5>::zeros();
-    for column in 0..5 {
+    for column in 0..own {
         for earlier in 0..column {
             let dot: f64 = (0..used).map(|k| pose[(k, column)] * pose[(k, earlier)]).sum();
             triangle[(earlier, column)] = dot;
@@ -438,4 +534,43 @@ fn orthonormalise(
         projected[column] = (0..used).map(|k| pose[(k, column)] * residual[k]).sum();
     }
     triangle.solve_upper_triangular(&projected)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::field::model::{Kind as SourceKind, Source};
+
+    /// What the gradient of the cost says is what the cost does, of joints whose ways turn with the metal.
+    #[test]
+    fn the_gradient_of_joints_is_a_difference() {
+        let sources = vec![
+            Source { kind: SourceKind::Plane, position_m: [0.1, -0.05, -1.2], strength: 0.06 },
+            Source { kind: SourceKind::Object, position_m: [2.2, 1.3, 0.3], strength: 0.004 },
+        ];
+        let model = Model { sources, ..Model::default() };
+        let noise = FieldNoise { sigma_signal: 1e-4, floor_m: 0.01 };
+        let mut problem = Problem::new(1);
+        for k in 0..20 {
+            let t = f64::from(k);
+            let z = Vector3::new(1.2 + 0.3 * t.sin(), 0.4 * t.cos(), 0.3 + 0.2 * (0.7 * t).sin());
+            let ways = [Vector3::new(0.1, -0.2, 0.1), Vector3::new(-0.1, 0.1 * t.sin(), 0.2)];
+            problem.push_joint(0, [(z, ways[0]), (z + Vector3::new(0.2, 0.1, -0.1), ways[1])], &noise);
+        }
+        let values = model.values();
+        let gradient = &problem.normals(&model)[0].gradient;
+        for k in 0..values.len() {
+            let at = |sign: f64| {
+                let mut moved = values.clone();
+                moved[k] += sign * 1e-5;
+                problem.cost_of(&model.with_values(&moved), 0).cost
+            };
+            let difference = (at(1.0) - at(-1.0)) / 2e-5;
+            let expected = 2.0 * gradient[k];
+            assert!(
+                (difference - expected).abs() < 2e-3 * (1.0 + expected.abs()),
+                "{k}: {difference} {expected}"
+            );
+        }
+    }
 }

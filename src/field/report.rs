@@ -68,3 +68,18 @@ pub struct Report {
     /// Candidates in the order in which they were tried.
     pub tried: Vec<Tried>,
 }
+
+impl Report {
+    /// Of a calibration of which nothing is known yet.
+    pub(crate) fn unknown() -> Self {
+        let unknown = f64::NAN;
+        Self {
+            residual_m: unknown,
+            heldout_m: unknown,
+            raw_m: unknown,
+            noise_m: unknown,
+            model: "identity".into(),
+            ..Self::default()
+        }
+    }
+}

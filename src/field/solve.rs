@@ -29,7 +29,7 @@ const FOLDS: usize = 10;
 /// noise is a few micrometres, from outweighing all others.
 const MODEL_FLOOR_M: f64 = 3e-4;
 /// Held-out improvement (of the root of the loss) below which a map is not worth having.
-const LEAST_IMPROVEMENT: f64 = 0.2;
+pub(crate) const LEAST_IMPROVEMENT: f64 = 0.2;
 /// Largest believable correction, m, and largest share of places where it may fold.
 const LARGEST_CORRECTION_M: f64 = 0.3;
 const MOST_FOLDED: f64 = 0.02;
@@ -57,29 +57,15 @@ pub fn solve(mut run: PoleRun, anchors: &[Anchor], progress: &mut dyn FnMut(f64)
     let rejected = reject(&mut run, &raw_noise);
     let noise = estimate::noise(&run);
     let points: Vec<Vector3<f64>> = run.readings().map(|(_, _, reading)| reading.position_m).collect();
-    let mut report = Report {
-        accepted: false,
-        reasons: Vec::new(),
-        warnings: Vec::new(),
-        residual_m: f64::NAN,
-        heldout_m: f64::NAN,
-        raw_m: f64::NAN,
-        noise_m: f64::NAN,
-        anchors_m: None,
-        model: "identity".into(),
-        readings: points.len(),
-        rejected: rejected.len(),
-        covered: 0.0,
-        tried: Vec::new(),
-    };
+    let mut report = Report { readings: points.len(), rejected: rejected.len(), ..Report::unknown() };
     let Some(hull) = Hull::new(points.iter()) else {
         let text = "no instant with four believable sensors".to_owned();
         report.reasons.push(Reason { code: Code::Coverage, text });
         return Solution { map: None, report, polynomials: Vec::new(), rejected };
     };
-    let (covered, reasons) = coverage::judge(&run, &hull);
-    report.covered = covered;
-    report.reasons.extend(reasons);
+    let coverage = coverage::judge(&run, &hull);
+    report.covered = coverage.cells;
+    report.reasons.extend(coverage.reasons);
     progress(0.05);
     let weighting = FieldNoise { floor_m: noise.floor_m.hypot(MODEL_FLOOR_M), ..noise };
     let problem = problem_of(&run, &weighting);
@@ -109,7 +95,7 @@ pub fn solve(mut run: PoleRun, anchors: &[Anchor], progress: &mut dyn FnMut(f64)
     let scale = Polynomial::new(0, &Vector3::from(hull.center_m), half_extent(&hull));
     let rotation = orientation::fit(&run, &model, &scale);
     progress(0.85);
-    let absolute = model.polynomial.is_none() && model.local.is_none() && !model.sources.is_empty();
+    let absolute = model.is_metal_alone();
     let uncertainty = uncertainty(&problem, &model, &candidate.held_out, &hull, &noise, absolute);
     let typical_m = {
         let mut sigmas = uncertainty.sigma_m.clone();
@@ -148,18 +134,7 @@ pub fn solve(mut run: PoleRun, anchors: &[Anchor], progress: &mut dyn FnMut(f64)
     } else {
         report.warnings.push("no three anchors: positions are right up to a rigid motion only".into());
     }
-    let folded = trust::folded(&model, &hull);
-    let mut lengths: Vec<f64> = points.par_iter().map(|z| (evaluator.correct(z) - z).norm()).collect();
-    lengths.sort_by(f64::total_cmp);
-    let largest_m = lengths[lengths.len() * 99 / 100];
-    if largest_m > LARGEST_CORRECTION_M || folded > MOST_FOLDED {
-        let text = format!(
-            "the map is not believable: corrections up to {:.0} mm, and space folds at {:.0} % of the places",
-            1e3 * largest_m,
-            100.0 * folded
-        );
-        report.reasons.push(Reason { code: Code::Improvement, text });
-    }
+    report.reasons.extend(unbelievable(&model, &hull, &points));
     report.accepted = report.reasons.is_empty();
     drop(evaluator);
     let map = FieldMap {
@@ -176,6 +151,23 @@ pub fn solve(mut run: PoleRun, anchors: &[Anchor], progress: &mut dyn FnMut(f64)
     };
     progress(1.0);
     Solution { map: Some(map), report, polynomials, rejected }
+}
+
+/// Why a map cannot be right, whatever the held-out blocks say of it.
+pub(crate) fn unbelievable(model: &Model, hull: &Hull, points: &[Vector3<f64>]) -> Option<Reason> {
+    let evaluator = model.evaluator();
+    let folded = trust::folded(model, hull);
+    let mut lengths: Vec<f64> = points.par_iter().map(|z| (evaluator.correct(z) - z).norm()).collect();
+    lengths.sort_by(f64::total_cmp);
+    let largest_m = lengths[lengths.len() * 99 / 100];
+    (largest_m > LARGEST_CORRECTION_M || folded > MOST_FOLDED).then(|| Reason {
+        code: Code::Improvement,
+        text: format!(
+            "the map is not believable: corrections up to {:.0} mm, and space folds at {:.0} % of the places",
+            1e3 * largest_m,
+            100.0 * folded
+        ),
+    })
 }
 
 /// Frames in blocks of two seconds, dealt out to the folds.
@@ -202,7 +194,7 @@ fn half_extent(hull: &Hull) -> f64 {
 }
 
 /// How far the models that were fitted without a block disagree (jackknife), and what none of them explains nearby.
-fn uncertainty(
+pub(crate) fn uncertainty(
     problem: &Problem,
     model: &Model,
     held_out: &HeldOut,

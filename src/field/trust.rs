@@ -168,6 +168,8 @@ pub(crate) fn folded(model: &Model, hull: &Hull) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Isometry3;
+
     use super::*;
     use crate::field::map::{Aligned, Uncertainty, VERSION, coarse};
     use crate::field::model::{Polynomial, Source};
@@ -228,6 +230,11 @@ mod tests {
         let sigma = |p: Vector3<f64>| corrector.correct(&metal.reading(&p));
         assert!(!sigma(Vector3::new(1.0, 0.0, 0.8)).extrapolated);
         assert!(sigma(Vector3::new(1.0, 0.0, 0.8)).sigma_m < 0.02);
+        let place = Vector3::new(1.1, -0.3, 0.9);
+        let turned = Isometry3::new(Vector3::new(3.0, -1.0, 0.5), Vector3::new(0.3, 1.2, -0.7));
+        let elsewhere = FieldMap { alignment: Aligned::from(&turned), ..map.clone() }.corrector();
+        let seen = elsewhere.reading(&(turned * nalgebra::Point3::from(place)).coords);
+        assert!((seen - metal.reading(&place)).norm() < 2e-4, "{seen}");
         // Ten centimetres beside the surface: what is read there is read elsewhere too.
         let beside = sigma(Vector3::new(1.21, -1.39, 1.30));
         assert!(beside.extrapolated && beside.sigma_m > 0.05, "{beside:?}");

@@ -26,6 +26,10 @@ pub struct Tuning {
     pub noise_scale_max: f64,
     /// Nominal interval of the measurements, s.
     pub interval_s: f64,
+    /// What the field's map leaves of a measured position, per axis, m^2: joins its noise.
+    pub position_doubt_m2: f64,
+    /// The field is disturbed: nothing is learnt about the noise.
+    pub disturbed: bool,
 }
 
 impl Default for Tuning {
@@ -38,6 +42,8 @@ impl Default for Tuning {
             angular_velocity_rad_s: 6.0,
             noise_scale_max: 1000.0,
             interval_s: 0.01,
+            position_doubt_m2: 0.0,
+            disturbed: false,
         }
     }
 }
@@ -184,6 +190,7 @@ impl Track {
             rotation_rad2: self.rotation.error(),
             position_noise_scale: self.adaptation.position_noise.scale(),
             rotation_noise_scale: self.adaptation.rotation_noise.scale(),
+            position_doubt_m2: tuning.position_doubt_m2,
             reach_m: REACH_M * stretch,
             reach_rad: REACH_RAD * stretch,
         }
@@ -196,7 +203,8 @@ impl Track {
         let learnt = &mut self.adaptation;
         if let Some(position) = &pose.position_m {
             let innovation = expected.position_innovation(position);
-            let r = noise.position_m2(&self.position_m) * expected.position_noise_scale;
+            let r = noise.position_m2(&self.position_m) * expected.position_noise_scale
+                + Matrix3::identity() * tuning.position_doubt_m2;
             let nis = squared_distance(&(self.translation.error() + r), &innovation) / 3.0;
             let along = innovation.dot(&learnt.last_innovation_m);
             adapt(&mut learnt.acceleration2, tuning.acceleration_m_s2, nis, along);
@@ -227,7 +235,7 @@ impl Track {
     fn learn_noise(&mut self, pose: &MeasuredPose, noise: &TrackerNoise, tuning: &Tuning) {
         let learnt = &mut self.adaptation;
         let steps = self.t.seconds_since(learnt.last_t) / tuning.interval_s;
-        if (steps - 1.0).abs() > IN_STEP {
+        if (steps - 1.0).abs() > IN_STEP || tuning.disturbed {
             learnt.position_noise.interrupt();
             learnt.rotation_noise.interrupt();
         } else {

@@ -63,6 +63,12 @@ impl Tracker {
         self.tuning.interval_s = interval_s.clamp(1e-3, 0.2);
     }
 
+    /// Tells what the field leaves of the next measurement's position, per axis, m^2, and whether it is disturbed.
+    pub fn set_doubt(&mut self, position_doubt_m2: f64, disturbed: bool) {
+        self.tuning.position_doubt_m2 = position_doubt_m2;
+        self.tuning.disturbed = disturbed;
+    }
+
     /// What is expected of a measurement at `t`; `None` while nothing is tracked.
     pub fn expectation(&self, t: Timestamp) -> Option<Prediction> {
         self.at(t).map(|track| track.expectation(&self.tuning))

@@ -1,14 +1,16 @@
 //! One magnetic sensor through faults and fusion.
 //!
-//! What comes in: raw records in the transmitter's frame. What goes out: how far each can be trusted, and the
+//! What comes in: raw records in the transmitter's frame, and the field that corrects them. What goes out: how far each can be trusted, and the
 //! filtered pose in the room.
 
 use nalgebra::{Isometry3, Matrix3, Vector3};
 use posed_drivers::Timestamp;
 use serde::{Deserialize, Serialize};
 
+use super::field::{Field, ahead_s};
 use super::sensor::{MOVING_M_S, MOVING_RAD_S};
-use crate::faults::{Detector, Label, MeasuredPose};
+use crate::faults::{Checked, Detector, Label, MeasuredPose};
+use crate::field::PoleReading;
 use crate::fusion::{Track, Tracker, Tuning, Verdict};
 use crate::geometry;
 use crate::noise::TrackerNoise;
@@ -17,10 +19,23 @@ use crate::output::{FaultCause, Measured, PoseEstimate, SensorState};
 /// Variance of an orientation of which nothing is known, rad^2.
 const UNKNOWN_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
 
+/// A record that was believed; transmitter frame.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Reading {
+    t: Timestamp,
+    raw: MeasuredPose,
+    corrected_m: Option<Vector3<f64>>,
+    velocity_m_s: Vector3<f64>,
+}
+
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Magnetic {
     detector: Detector,
     tracker: Tracker,
+    /// What the field leaves of the latest believed position, 3-D rms, m.
+    map_sigma_m: f64,
+    /// The newest record of this frame that was believed.
+    reading: Option<Reading>,
 }
 
 impl Magnetic {
@@ -28,6 +43,8 @@ impl Magnetic {
         Self {
             detector: Detector::default(),
             tracker: Tracker::new(TrackerNoise::default(), Tuning::default()),
+            map_sigma_m: 0.0,
+            reading: None,
         }
     }
 
@@ -39,10 +56,30 @@ impl Magnetic {
         self.tracker.set_interval_s(interval_s);
     }
 
+    /// Forgets the frame before.
+    pub(super) fn begin_frame(&mut self) {
+        self.reading = None;
+    }
+
+    /// Position of the newest believed record of this frame, corrected, m.
+    pub(super) fn corrected_m(&self) -> Option<Vector3<f64>> {
+        self.reading?.corrected_m
+    }
+
+    /// The newest believed record of this frame as the device said it, carried along to `t`: the sensors of a pole are
+    /// read one after the other.
+    pub(super) fn pole_reading(&self, t: Timestamp) -> Option<PoleReading> {
+        let reading = self.reading?;
+        let position_m = reading.raw.position_m? + reading.velocity_m_s * ahead_s(reading.t, t);
+        Some(PoleReading { position_m, orientation: reading.raw.orientation })
+    }
+
+    /// Faults see what the device says, the filter what the field makes of it.
     pub(super) fn measure(
         &mut self,
         measured: &Measured,
         others_move: bool,
+        field: &Field,
     ) -> (SensorState, Option<FaultCause>) {
         let t: Timestamp = measured.t_valid;
         let pose = MeasuredPose {
@@ -53,10 +90,26 @@ impl Magnetic {
         if !finite || (pose.orientation.is_none() && measured.orientation_wxyz.is_some()) {
             return (SensorState::Suspect, Some(FaultCause::Gate));
         }
-        let expected = self.tracker.expectation(t);
+        let expected = self.tracker.expectation(t).map(|expected| field.uncorrected(expected));
         let checked = self.detector.check(&pose, expected.as_ref(), self.tracker.noise(), others_move);
-        match (self.tracker.push(t, &checked), checked.label) {
+        let corrected = field.correct(&checked.pose);
+        let range_m = checked.pose.position_m.map_or(0.0, |position| position.norm());
+        let disturbance_m2 = field.doubt_m2(range_m);
+        let map_m2 = corrected.sigma_m * corrected.sigma_m + 3.0 * disturbance_m2.unwrap_or(0.0);
+        self.tracker.set_doubt(map_m2 / 3.0, disturbance_m2.is_some());
+        let verdict = self.tracker.push(t, &Checked { pose: corrected.pose, label: checked.label });
+        if verdict == Verdict::Good {
+            self.map_sigma_m = map_m2.sqrt();
+            self.reading = Some(Reading {
+                t,
+                raw: checked.pose,
+                corrected_m: corrected.pose.position_m,
+                velocity_m_s: self.tracker.at(t).map_or(Vector3::zeros(), |track| *track.velocity_m_s()),
+            });
+        }
+        match (verdict, checked.label) {
             (Verdict::Good, Label::Mirrored) => (SensorState::Repaired, Some(FaultCause::Hemisphere)),
+            (Verdict::Good, _) if corrected.extrapolated => (SensorState::Extrapolated, None),
             (Verdict::Good, _) => (SensorState::Ok, None),
             (_, Label::Stuck) => (SensorState::Stuck, Some(FaultCause::Stuck)),
             (_, _) => (SensorState::Suspect, Some(FaultCause::Gate)),
@@ -67,7 +120,7 @@ impl Magnetic {
     pub(super) fn at(&self, t: Timestamp, room: &Isometry3<f64>) -> (Option<PoseEstimate>, bool) {
         let track = self.tracker.at(t);
         let moving = track.as_ref().is_some_and(is_moving);
-        (track.and_then(|track| in_room(&track, room)), moving)
+        (track.and_then(|track| in_room(&track, room, self.map_sigma_m)), moving)
     }
 }
 
@@ -76,11 +129,13 @@ fn is_moving(track: &Track) -> bool {
 }
 
 /// A track in the room. Formats without a position have no pose; without an orientation it is the
-/// identity, and its covariance says that nothing is known of it.
-fn in_room(track: &Track, room: &Isometry3<f64>) -> Option<PoseEstimate> {
+/// identity, and its covariance says that nothing is known of it. What a map leaves does not average out: it is added to
+/// what the filter knows.
+fn in_room(track: &Track, room: &Isometry3<f64>, map_sigma_m: f64) -> Option<PoseEstimate> {
     let position_m = room.transform_point(&(*track.position_m()?).into()).coords;
     let turn = room.rotation.to_rotation_matrix();
-    let position_m2 = turn.matrix() * track.position_m2() * turn.matrix().transpose();
+    let position_m2 = turn.matrix() * track.position_m2() * turn.matrix().transpose()
+        + Matrix3::identity() * (map_sigma_m * map_sigma_m / 3.0);
     let (orientation, rotation_rad2, rate) = match track.orientation() {
         Some(orientation) => {
             (room.rotation * orientation, track.rotation_rad2(), *track.angular_velocity_rad_s())

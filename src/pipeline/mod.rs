@@ -8,6 +8,7 @@
 mod body;
 mod device;
 mod exercise;
+mod field;
 mod inertial;
 mod keyframes;
 mod magnetic;
@@ -33,6 +34,7 @@ pub use body::worn;
 use device::{Device, owner};
 pub use exercise::DEFAULT_SUBJECT;
 use exercise::ExerciseStage;
+use field::Field;
 use keyframes::Keyframes;
 use naming::Naming;
 use sensor::Sensor;
@@ -90,6 +92,7 @@ pub struct Pipeline {
     sensors: Vec<Sensor>,
     frames: Assembler,
     room_transmitter: Isometry3<f64>,
+    field: Field,
     estimate: Estimate,
     exercise: ExerciseStage,
     /// Absent where nobody wears the sensors. Boxed: most stages have none.
@@ -148,6 +151,7 @@ impl Pipeline {
             devices,
             sources,
             room_transmitter,
+            field: Field::new(stage),
             estimate: Estimate {
                 sensors: vec![SensorEstimate::default(); stage.sensors.len()],
                 ..Estimate::default()
@@ -310,10 +314,20 @@ impl Pipeline {
 
     fn close_frames(&mut self, say: &mut impl FnMut(Output<'_>)) {
         let Self {
-            frames, sensors, estimate, room_transmitter, now, keyframes, exercise, naming, body, ..
+            frames,
+            sensors,
+            estimate,
+            room_transmitter,
+            now,
+            field,
+            keyframes,
+            exercise,
+            naming,
+            body,
+            ..
         } = self;
         while let Some(frame) = frames.poll(*now) {
-            estimate_frame(frame, sensors, room_transmitter, estimate);
+            estimate_frame(frame, sensors, field, room_transmitter, estimate);
             if let Some(body) = body
                 && let Some(body) = body.frame(frame, estimate)
             {
@@ -327,6 +341,7 @@ impl Pipeline {
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, say);
             }
+            field.frame(estimate, sensors, room_transmitter, say);
             if let Some(keyframes) = keyframes {
                 keyframes.frame(estimate, say);
             }
@@ -370,8 +385,11 @@ impl Pipeline {
     }
 
     fn request(&mut self, request: &Request, say: &mut impl FnMut(Output<'_>)) {
-        let done =
-            self.exercise.request(request, &self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
+        // It speaks of the frame before it.
+        let t = self.estimate.t_valid;
+        let field = self.field.request(request, t, self.sensors.iter().map(Sensor::name), say);
+        let done = field
+            || self.exercise.request(request, &self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
         self.requests_refused += u64::from(!done);
     }
 
@@ -397,13 +415,23 @@ impl Pipeline {
                 }
                 true
             }
+            Model::Field { map, .. } => {
+                self.field.swap(map.clone());
+                true
+            }
             Model::Exercise { exercise } => self.exercise.load(exercise),
         }
     }
 }
 
 /// Checks, filters and publishes all sensors of a frame.
-fn estimate_frame(frame: &Frame, sensors: &mut [Sensor], room: &Isometry3<f64>, estimate: &mut Estimate) {
+fn estimate_frame(
+    frame: &Frame,
+    sensors: &mut [Sensor],
+    field: &Field,
+    room: &Isometry3<f64>,
+    estimate: &mut Estimate,
+) {
     estimate.frame = frame.number;
     estimate.t_valid = frame.t_valid;
     estimate.t_closed = frame.t_closed;
@@ -412,7 +440,7 @@ fn estimate_frame(frame: &Frame, sensors: &mut [Sensor], room: &Isometry3<f64>, 
     let moving = sensors.iter().filter(|sensor| sensor.is_moving()).count();
     for ((sensor, slot), out) in sensors.iter_mut().zip(&frame.sensors).zip(&mut estimate.sensors) {
         let others_move = moving > usize::from(sensor.is_moving());
-        *out = sensor.estimate(slot, frame, others_move, room);
+        *out = sensor.estimate(slot, frame, others_move, field, room);
     }
 }
 

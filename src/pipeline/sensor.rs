@@ -1,12 +1,14 @@
 //! One sensor: what its samples are worth, where it is, what was lost, which fault began or ended.
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 use posed_drivers::{Loss, Measurement, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use super::SensorStatus;
+use super::field::Field;
 use super::inertial::Inertial;
 use super::magnetic::Magnetic;
+use crate::field::PoleReading;
 use crate::frame::{Frame, FrameSensor};
 use crate::input::{DeviceIndex, SensorIndex};
 use crate::noise::TrackerNoise;
@@ -131,16 +133,20 @@ impl Sensor {
         slot: &FrameSensor,
         frame: &Frame,
         others_move: bool,
+        field: &Field,
         room: &Isometry3<f64>,
     ) -> SensorEstimate {
         self.state = SensorState::Missing;
+        if let Kind::Magnetic(magnetic) = &mut self.kind {
+            magnetic.begin_frame();
+        }
         // Where nothing was due, nothing is wrong that was not wrong before.
         if slot.expected() {
             self.fault = Some(FaultCause::Missing);
         }
         for sample in &slot.samples {
             let (state, fault) = match &mut self.kind {
-                Kind::Magnetic(magnetic) => magnetic.measure(&sample.measured, others_move),
+                Kind::Magnetic(magnetic) => magnetic.measure(&sample.measured, others_move, field),
                 Kind::Inertial(inertial) => inertial.measure(&sample.measured),
             };
             self.state = if sample.late && state == SensorState::Ok { SensorState::Late } else { state };
@@ -157,6 +163,23 @@ impl Sensor {
             pose,
             measured: slot.samples.last().map(|sample| sample.measured),
         }
+    }
+
+    fn magnetic(&self) -> Option<&Magnetic> {
+        match &self.kind {
+            Kind::Magnetic(magnetic) => Some(magnetic),
+            Kind::Inertial(_) => None,
+        }
+    }
+
+    /// Position of the newest believed record of this frame in the transmitter frame, corrected, m.
+    pub(super) fn corrected_m(&self) -> Option<Vector3<f64>> {
+        self.magnetic()?.corrected_m()
+    }
+
+    /// The newest believed record of this frame as the device said it, carried along to `t`.
+    pub(super) fn pole_reading(&self, t: Timestamp) -> Option<PoleReading> {
+        self.magnetic()?.pole_reading(t)
     }
 
     fn count(&mut self, slot: &FrameSensor, frame: &Frame) {

@@ -51,6 +51,7 @@ impl<'a> Payload<'a> {
             | Output::SetRts { .. }
             | Output::Named
             | Output::Device { .. }
+            | Output::PoleRun(_)
             | Output::Warning { .. } => None,
         }
     }
@@ -68,7 +69,7 @@ impl<'a> Payload<'a> {
                 OutcomeKind::ModelSwapped(Model::Exercise { .. }) | OutcomeKind::Exercise(_) => {
                     Topic::Exercise
                 }
-                OutcomeKind::ModelSwapped(_) => Topic::Field,
+                OutcomeKind::ModelSwapped(_) | OutcomeKind::Field(_) => Topic::Field,
                 OutcomeKind::KeyPose(_) => Topic::Keyframes,
                 OutcomeKind::Segment(_) => Topic::Segments,
             },
@@ -125,7 +126,11 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
                     write(encoding, &body, out);
                 }
                 OutcomeKind::ModelSwapped(model) => {
-                    let change = FieldChange::ModelSwapped { model: model.clone() };
+                    let change = FieldChange::swapped(model);
+                    write(encoding, &FieldEvent { t_s, event_id, t_valid_s, change }, out);
+                }
+                OutcomeKind::Field(news) => {
+                    let change = FieldChange::news(news, names);
                     write(encoding, &FieldEvent { t_s, event_id, t_valid_s, change }, out);
                 }
             }

@@ -35,7 +35,8 @@ pub use message::{
 pub use names::Names;
 pub use publisher::{Counters, Publisher, PublisherState, Stamp};
 pub use request::{
-    Call, DropPolicy, Feed, ParseError, Request, RequestId, Speed, SpeedWord, fuzz_client_message, parse,
+    AnchorSpec, Call, DropPolicy, Feed, ParseError, Request, RequestId, Speed, SpeedWord,
+    fuzz_client_message, parse,
 };
 pub use sensors::{Field, Fields, View};
 pub use topic::Topic;

@@ -98,6 +98,27 @@ pub enum Call {
         /// Multiple of real time; 0 pauses.
         speed: Speed,
     },
+    /// Begins a guided calibration of the field: wave the pole, and follow what the topic `field` says.
+    #[serde(rename = "field.start")]
+    FieldStart {
+        /// The pole's sensors by name, in their order along it.
+        sensors: Vec<String>,
+        /// Measured distance between neighbours, m.
+        spacing_m: f64,
+    },
+    /// Ends the guided calibration and solves it, as a job.
+    #[serde(rename = "field.finish")]
+    FieldFinish {
+        /// Surveyed points that a sensor of the pole stood on meanwhile; three or more make positions absolute.
+        #[serde(default)]
+        anchors: Vec<AnchorSpec>,
+    },
+    /// Uses the map of the last calibration from the next frame on, and keeps it as the stage's newest version.
+    #[serde(rename = "field.accept")]
+    FieldAccept {},
+    /// Goes back to the version before; to no map before the first.
+    #[serde(rename = "field.rollback")]
+    FieldRollback {},
     /// Names the exercises that can be selected: those in the stage's folder.
     #[serde(rename = "exercise.list")]
     ExerciseList {},
@@ -169,6 +190,22 @@ impl Call {
     }
 }
 
+/// A surveyed point that a sensor of the pole stood on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AnchorSpec {
+    /// For messages.
+    pub name: String,
+    /// The sensor, by name.
+    pub sensor: String,
+    /// From when, stream time, s.
+    pub t_start: f64,
+    /// Until when, stream time, s.
+    pub t_end: f64,
+    /// The point in the transmitter frame, m.
+    pub position_m: [f64; 3],
+}
+
 /// What to do with messages for which a client is too slow. Either way the oldest goes first and is counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -220,13 +257,17 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 12] = [
+const CALLS: [&str; 16] = [
     "record.start",
     "record.stop",
     "replay.list",
     "replay.open",
     "replay.seek",
     "replay.speed",
+    "field.start",
+    "field.finish",
+    "field.accept",
+    "field.rollback",
     "exercise.list",
     "exercise.teach",
     "exercise.select",
@@ -340,6 +381,10 @@ mod tests {
             r#"{"type":"replay.seek","id":1,"t_s":3}"#,
             r#"{"type":"replay.speed","id":1,"speed":"max"}"#,
             r#"{"type":"replay.speed","id":1,"speed":0.5}"#,
+            r#"{"type":"field.start","id":1,"sensors":["a","b","c"],"spacing_m":0.3}"#,
+            r#"{"type":"field.finish","id":1,"anchors":[{"name":"p","sensor":"a","t_start":1,"t_end":2,"position_m":[1,0,0]}]}"#,
+            r#"{"type":"field.accept","id":1}"#,
+            r#"{"type":"field.rollback","id":1}"#,
             r#"{"type":"job.cancel","id":1,"job":3}"#,
             r#"{"type":"exercise.list","id":1}"#,
             r#"{"type":"exercise.teach","id":1,"name":"curl","repetitions":5,"last_s":30,"sensors":["a"]}"#,

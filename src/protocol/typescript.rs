@@ -47,12 +47,22 @@ fn type_of(schema: &Value, indent: &str) -> String {
     // A tagged variant is an object beside a reference or a union: both hold.
     if parts.len() > 1 {
         for part in &mut parts {
-            if part.contains(" | ") && !part.starts_with('{') {
+            if is_union(part) {
                 *part = format!("({part})");
             }
         }
     }
     parts.join(" & ")
+}
+
+/// Whether a type is a union at its outermost level, where `&` would bind closer.
+fn is_union(text: &str) -> bool {
+    let mut depth = 0;
+    let comment = |line: &&str| line.trim_start().starts_with("/**");
+    text.lines().filter(|line| !comment(line)).flat_map(str::chars).any(|c| {
+        depth += i32::from(matches!(c, '{' | '(' | '[')) - i32::from(matches!(c, '}' | ')' | ']'));
+        c == '|' && depth == 0
+    })
 }
 
 fn plain(kind: &str, schema: &Map<String, Value>, indent: &str) -> String {
@@ -100,5 +110,24 @@ fn union(options: impl Iterator<Item = String>) -> String {
 fn push_comment(schema: &Value, indent: &str, out: &mut String) {
     if let Some(text) = schema.get("description").and_then(Value::as_str) {
         let _ = writeln!(out, "{indent}/** {} */", text.split_whitespace().collect::<Vec<_>>().join(" "));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn a_union_beside_an_object_is_taken_as_one() {
+        let option = |name: &str| json!({"properties": {"event": {"const": name}}, "required": ["event"]});
+        let schema = json!({
+            "oneOf": [option("a"), option("b")],
+            "properties": {"t_s": {"type": "number"}},
+            "required": ["t_s"]
+        });
+        let text: String = type_of(&schema, "").split_whitespace().collect();
+        assert_eq!(text, r#"({event:"a";}|{event:"b";})&{t_s:number;}"#);
     }
 }

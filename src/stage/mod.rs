@@ -10,6 +10,7 @@
 mod body;
 mod check;
 mod driver;
+mod field;
 mod keyframes;
 mod port;
 mod problem;
@@ -25,6 +26,7 @@ use serde::{Deserialize, Serialize};
 pub use body::{Body, BodySegment, Calibration, JointKind, Mounting, SEGMENTS, Skeleton};
 pub use check::{Report, check, check_in, check_table};
 pub use driver::{Driver, TimeBase};
+pub use field::FieldWatch;
 pub use keyframes::Keyframes;
 pub use port::{PortAddress, PortAddressError};
 pub use problem::{LoadError, Problem, Problems};
@@ -52,6 +54,8 @@ pub struct Stage {
     /// Sensors; everything published keeps their order.
     #[serde(default, rename = "sensor")]
     pub sensors: Vec<Sensor>,
+    /// What watches over the tracker's field; absent: nothing does.
+    pub field: Option<FieldWatch>,
     /// The body that wears the sensors; absent: nobody does.
     pub body: Option<Body>,
     /// Key poses, live; absent: they are not looked for.
@@ -61,6 +65,8 @@ pub struct Stage {
     /// Websocket, page and metrics.
     #[serde(default)]
     pub server: Server,
+    /// Programs that speak VRPN; absent: they are not served.
+    pub vrpn: Option<Vrpn>,
     /// Models that are loaded at the start.
     #[serde(default)]
     pub models: Models,
@@ -97,6 +103,9 @@ impl Stage {
         if let Some(tls) = &mut stage.server.tls {
             tls.certificate = folder.join(&tls.certificate);
             tls.key = folder.join(&tls.key);
+        }
+        if let Some(map) = &mut stage.models.field {
+            *map = folder.join(&*map);
         }
         for exercise in &mut stage.models.exercises {
             *exercise = folder.join(&*exercise);
@@ -282,6 +291,17 @@ pub struct Tls {
     pub key: PathBuf,
 }
 
+/// Programs that speak VRPN: every sensor is a tracker of its own name.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Vrpn {
+    /// Address to listen on, TCP and UDP; absent: 127.0.0.1:3883. VRPN knows no tokens: who reaches the address sees all poses.
+    pub listen: Option<String>,
+    /// Whether other computers may ask to be called back, as most VRPN programs do; without, they need `tcp://` in the name of the tracker.
+    #[serde(default)]
+    pub call_back: bool,
+}
+
 /// Models that are loaded at the start; relative paths begin at the stage file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -291,6 +311,8 @@ pub struct Models {
     pub exercises: Vec<PathBuf>,
     /// The one folder that `exercise.teach` writes to and `exercise.select` looks in; absent: `exercises` beside the stage file.
     pub exercise_folder: Option<PathBuf>,
+    /// A map of the field, as `posed field solve` writes it; used until `field.accept` has brought a newer one.
+    pub field: Option<PathBuf>,
 }
 
 /// Where recordings live.

@@ -4,9 +4,16 @@
 #[allow(dead_code, reason = "the bench uses the rest")]
 mod scenes;
 
+#[path = "../../benches/field/session.rs"]
+mod session;
+
+use std::path::Path;
+
 use nalgebra::Vector3;
-use posed::field::{Anchor, Code, PoleReading, PoleRun, RejectReason, rigid, solve};
+use posed::field::{Anchor, Code, PoleReading, PoleRun, RejectReason, rigid, solve, solve_limbs};
+use posed::table::TableReader;
 use scenes::{Run, SENSORS, SPACING_M, scenes};
+use session::{Reading, Session};
 
 use crate::cli::{json, posed};
 
@@ -144,4 +151,96 @@ fn given_the_commands_a_file_is_solved_corrected_and_drawn() {
     // A file of another kind is named, not believed.
     std::fs::write(path("other.json"), "{}").unwrap();
     assert_eq!(posed(["field", "show", &path("other.json"), "-o", &path("x.svg")]).status.code(), Some(1));
+}
+
+#[test]
+fn given_a_person_in_place_of_the_pole_bones_keep_their_length() {
+    let session = Session::new(1, 40.0);
+    let limbs = session.limbs();
+    let solution = solve_limbs(session.run(900), &limbs, &mut |_| {});
+    assert!(solution.report.accepted, "{:?}", solution.report);
+    let corrector = solution.map.unwrap().corrector();
+    let raw_m = session.bones_m(900..1200, |reading| (reading.z, reading.q));
+    let solved_m = session.bones_m(900..1200, |reading: &Reading| {
+        (corrector.position(&reading.z), corrector.orientation(&reading.z, &reading.q))
+    });
+    assert!(raw_m > 5e-3 && solved_m < 0.5 * raw_m, "{raw_m} {solved_m}");
+    let raw_m = session.aligned_m(900..1200, |reading| reading.z);
+    let solved_m = session.aligned_m(900..1200, |reading| corrector.position(&reading.z));
+    assert!(raw_m > 5e-3 && solved_m < 0.6 * raw_m, "{raw_m} {solved_m}");
+    // Without a measured bone there is no scale, and none is taken from the readings.
+    let mut unmeasured = limbs;
+    unmeasured.bones.iter_mut().for_each(|bone| bone.length_m = None);
+    let solution = solve_limbs(session.run(900), &unmeasured, &mut |_| {});
+    assert!(solution.report.reasons.iter().any(|reason| reason.code == Code::Spacing));
+}
+
+#[test]
+fn given_the_command_a_session_is_solved_by_its_bones() {
+    use std::fmt::Write;
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let session = Session::new(2, 25.0);
+    let run = session.run(750);
+    let mut csv = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");
+    let mut stage = String::from(
+        "name = \"Body\"\n[body]\n[[device]]\nname = \"flock\"\ndriver = \"flock-of-birds\"\nport = \"/dev/none\"\n",
+    );
+    for (address, name) in run.sensors.iter().enumerate() {
+        let address = address + 2;
+        write!(stage, "[[sensor]]\nname = \"{name}\"\ndevice = \"flock\"\naddress = {address}\n").unwrap();
+    }
+    for frame in &run.frames {
+        for (name, reading) in run.sensors.iter().zip(&frame.readings) {
+            let (p, q) = (reading.unwrap().position_m, reading.unwrap().orientation.unwrap());
+            let t = frame.t_s;
+            writeln!(csv, "{t},{name},{},{},{},{},{},{},{}", p.x, p.y, p.z, q.w, q.i, q.j, q.k).unwrap();
+        }
+    }
+    std::fs::write(path("session.csv"), csv).unwrap();
+    std::fs::write(path("stage.toml"), stage).unwrap();
+    let (session_csv, stage, field, out) =
+        (path("session.csv"), path("stage.toml"), path("field.json"), path("out.csv"));
+    let solve = ["field", "solve", &session_csv, "--body", &stage, "-o", &field, "--json"];
+    let bone = format!("upper_arm_r={}", session.build.upper_arm_m);
+    let solved = posed(solve.iter().copied().chain(["--bone", &bone, "--corrected", &out]));
+    assert_eq!(solved.status.code(), Some(0), "{}", String::from_utf8_lossy(&solved.stderr));
+    assert_eq!(json(&solved)["accepted"], true);
+    assert_eq!(std::fs::read_to_string(out).unwrap().lines().count(), 750 * 6 + 1);
+    let refused = posed(solve);
+    assert_eq!(refused.status.code(), Some(1));
+    assert_eq!(json(&refused)["reasons"][0]["code"], "spacing");
+}
+
+#[test]
+fn given_real_recordings_without_a_pole_no_map_is_accepted() {
+    let path = Path::new("../shared/data/magnetic-plus/WaterTankBottomTranslationTrackerBuffer.csv.gz");
+    if !path.exists() {
+        println!("skipped: {} is not there", path.display());
+        return;
+    }
+    let names = ["probe", "reference", "stylus"];
+    let mut table = TableReader::open(path).unwrap();
+    let [t] = table.require(["t"]).unwrap();
+    let columns = names.map(|name| {
+        let [x, y, z] = ["x", "y", "z"].map(|axis| format!("{name}_{axis}"));
+        table.require([x.as_str(), y.as_str(), z.as_str()]).unwrap()
+    });
+    let mut rows = Vec::new();
+    while table.next_row().unwrap() {
+        let t_s = table.required_number(t).unwrap();
+        for (sensor, columns) in columns.into_iter().enumerate() {
+            if let Some(mm) = table.vector(columns).unwrap() {
+                rows.push((
+                    t_s,
+                    sensor,
+                    PoleReading { position_m: Vector3::from(mm) / 1e3, orientation: None },
+                ));
+            }
+        }
+    }
+    assert!(rows.len() > 10_000);
+    let run = PoleRun::grouped(names.map(String::from).to_vec(), 0.15, rows).unwrap();
+    // So the landmarks of the same tracker stay as exact as they are.
+    assert!(run.check_order().is_err() || !solve(run, &[], &mut |_| {}).report.accepted);
 }

@@ -295,3 +295,55 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     drop(browser);
     assert_eq!(replay.end("INT").await.code(), Some(0));
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_field_is_calibrated_in_the_browser_and_the_stage_shows_what_the_map_does() {
+    if std::env::var_os("POSED_TEST_BROWSER").is_none() {
+        println!("skipped: set POSED_TEST_BROWSER to drive the page in Chromium");
+        return;
+    }
+    // Maps are kept beside the stage file.
+    let folder = tempfile::tempdir().unwrap();
+    let stage = folder.path().join("pole.toml");
+    std::fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/config/field-pole.toml"), &stage).unwrap();
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
+    browser.until(LIVE).await;
+    let text = |id: &str| format!("document.getElementById('{id}').textContent");
+    browser.until(&format!("{}.startsWith('Poses are the tracker')", text("field-map"))).await;
+    let sensors = browser.value("document.getElementById('field-sensors').value").await;
+    assert_eq!(sensors, "pole-1, pole-2, pole-3, pole-4, pole-5");
+    browser.value("document.getElementById('field-spacing').value = '0.15'").await;
+    browser.click("field-start").await;
+    // It says what to do until there is enough.
+    browser.until("!document.getElementById('field-run').hidden").await;
+    browser.until("document.getElementById('field-hint').className.includes('care')").await;
+    browser.until("document.getElementById('field-cells').value > 0.5").await;
+    browser.until("document.getElementById('field-hint').className.includes('good')").await;
+    assert_eq!(browser.value("document.getElementById('field-directions').value").await, 1.0);
+    browser.picture("calibration").await;
+    browser.click("field-finish").await;
+    browser.until("!document.getElementById('field-outcome').hidden").await;
+    assert_eq!(browser.value("document.getElementById('field-verdict').className").await, "good");
+    let figure = async |browser: &mut Browser, row: usize| {
+        let cells = browser.row("field-figures", row).await;
+        cells[1].parse::<f64>().unwrap_or_else(|_| panic!("{cells:?}"))
+    };
+    let before_mm = figure(&mut browser, 0).await;
+    let held_out_mm = figure(&mut browser, 2).await;
+    assert!(before_mm > 1.0 && held_out_mm < 0.5 * before_mm, "{before_mm} {held_out_mm}");
+    browser.click("field-accept").await;
+    browser.until(&format!("{}.startsWith('Map 1 is in use')", text("field-map"))).await;
+    browser.until("document.getElementById('field-accept').disabled").await;
+    browser.click("tab-stage-view").await;
+    browser.until(&format!("{}.includes('corrected by the map')", text("summary"))).await;
+    browser.until(&format!("/^arrows [0-9]+ times/.test({})", text("field-arrows"))).await;
+    browser.until(PAINTED).await;
+    browser.picture("field").await;
+    browser.click("tab-runs").await;
+    browser.click("field-rollback").await;
+    browser.until(&format!("{}.startsWith('Poses are the tracker')", text("field-map"))).await;
+    assert_eq!(browser.complaints, Vec::<String>::new());
+    drop(browser);
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+}

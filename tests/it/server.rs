@@ -5,3 +5,4 @@ mod access;
 mod feed;
 pub(crate) mod harness;
 mod limits;
+mod vrpn;

@@ -1,10 +1,12 @@
 // The websocket: connects, asks for every topic the stage has, reconnects by itself, and asks for what was missed.
 
-import type { Call, Feed, Hello, ServerMessage } from "./protocol";
+import type { Call, Feed, Field, Hello, ServerMessage } from "./protocol";
 
 const RETRY_MS = [500, 1000, 2000, 5000];
 /** Frames per second that a screen can use. */
 const DRAWN_HZ = 60;
+/** What the views show of each sensor. */
+const FIELDS: Field[] = ["device", "position_m", "orientation_wxyz", "sigma_m", "measured"];
 const TOKEN_KEY = "posed.token";
 
 export type LinkState = "connecting" | "open" | "lost" | "unauthorised";
@@ -85,7 +87,7 @@ export class Link {
     const rest = hello.topics.filter((topic) => !(states as string[]).includes(topic));
     const ignore = () => undefined;
     this.request({ type: "subscribe", topics: rest }).catch(ignore);
-    this.request({ type: "subscribe", topics: states, max_rate_hz: DRAWN_HZ }).catch(ignore);
+    this.request({ type: "subscribe", topics: states, max_rate_hz: DRAWN_HZ, fields: FIELDS }).catch(ignore);
     // A daemon that was started anew counts from one again.
     if (this.lastEvent > hello.last_event_id) this.lastEvent = 0;
     if (this.lastEvent > 0) this.request({ type: "resume", after: this.lastEvent }).catch(ignore);

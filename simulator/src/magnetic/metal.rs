@@ -61,7 +61,7 @@ impl Sphere {
     ///
     /// Induced moments (in units of the source's): q a^3 / 2 K(centre). Inside the metal the field is
     /// taken as that of the nearest point of the surface.
-    fn field(&self, p_m: &Vector3<f64>) -> Matrix3<f64> {
+    pub(super) fn field(&self, p_m: &Vector3<f64>) -> Matrix3<f64> {
         let moments = self.response * self.radius_m.powi(3) / 2.0 * field_matrix(&self.center_m);
         let mut from_center = p_m - self.center_m;
         let distance_m = from_center.norm();

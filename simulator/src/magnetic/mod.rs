@@ -15,4 +15,4 @@ mod tracker;
 pub use dipole::{Solution, field_matrix, signal_matrix, solve};
 pub use metal::{Environment, Excitation, Floor, Sphere, conductor_response, iron_response};
 pub(crate) use station::{Scene, Station};
-pub use tracker::{Hum, Reading, Signal, Tracker};
+pub use tracker::{Hum, Passing, Reading, Signal, Tracker};

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Matrix3, Vector3};
 
 use super::dipole::{Solution, signal_matrix, solve};
-use super::metal::Environment;
+use super::metal::{Environment, Sphere};
 use crate::random::Random;
 
 /// A stray field of the mains, the same for all sensors.
@@ -17,11 +17,24 @@ pub struct Hum {
     pub phase_rad: f64,
 }
 
+/// A metal object that is there for a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Passing {
+    /// The object.
+    pub sphere: Sphere,
+    /// From when on, s.
+    pub from_s: f64,
+    /// Until when, s.
+    pub until_s: f64,
+}
+
 /// The physical part of a tracker: source, metal, noise, limits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tracker {
     /// Metal around the transmitter.
     pub environment: Environment,
+    /// Metal that comes and goes.
+    pub passing: Vec<Passing>,
     /// Standard deviation of each of the nine signals, in units of mu0 m / 4 pi (1/m^3).
     ///
     /// It gives r^4 s / sqrt(54) along the ray and sqrt(5) / 3 r^4 s across it.
@@ -79,7 +92,12 @@ impl Tracker {
             let signal = if too_near { Signal::Saturated } else { Signal::Weak };
             return Reading { solution: None, distortion_m: Vector3::zeros(), mirrored, signal };
         }
-        let mut signals = signal_matrix(&self.environment.field(&p_m), &pose.rotation);
+        let mut field = self.environment.field(&p_m);
+        for passing in self.passing.iter().filter(|passing| (passing.from_s..passing.until_s).contains(&t_s))
+        {
+            field += passing.sphere.field(&p_m);
+        }
+        let mut signals = signal_matrix(&field, &pose.rotation);
         if let Some(hum) = &self.hum {
             let phase = std::f64::consts::TAU * hum.frequency_hz * t_s + hum.phase_rad;
             let stray = pose.rotation.inverse() * (hum.amplitude * phase.sin());
@@ -108,6 +126,7 @@ mod tests {
     fn tracker() -> Tracker {
         Tracker {
             environment: Environment::default(),
+            passing: Vec::new(),
             sigma_signal: 0.0,
             hum: None,
             max_range_m: 1.2,
@@ -130,6 +149,17 @@ mod tests {
         assert!((b.position_m - Vector3::new(0.01, -0.5, -0.2)).norm() < 1e-9);
         assert!(a.orientation.angle_to(&b.orientation) < 1e-6);
         assert!(beyond.distortion_m.norm() < 1e-9, "being mirrored is no distortion");
+    }
+
+    #[test]
+    fn passing_metal_bends_the_field_only_while_it_is_there() {
+        let sphere = Sphere { center_m: Vector3::new(0.8, 0.4, 0.0), radius_m: 0.1, response: 2.0 };
+        let passing = vec![Passing { sphere, from_s: 2.0, until_s: 3.0 }];
+        let tracker = Tracker { passing, ..tracker() };
+        let off_m =
+            [1.9, 2.0, 2.9, 3.0].map(|t_s| measure(&tracker, t_s, [0.9, 0.0, 0.0]).distortion_m.norm());
+        assert!(off_m[0] == off_m[3] && off_m[1] == off_m[2], "{off_m:?}");
+        assert!(off_m[0] < 1e-9 && off_m[1] > 1e-3, "{off_m:?}");
     }
 
     #[test]

@@ -7,6 +7,7 @@
 mod bvh;
 mod file;
 mod person;
+mod pole;
 mod scripted;
 mod spline;
 
@@ -19,6 +20,7 @@ use serde::{Deserialize, Serialize};
 pub use bvh::{Bvh, BvhError};
 pub use file::{Ending, File, FileError, Tracks, Up};
 pub use person::Person;
+pub use pole::Pole;
 pub(crate) use scripted::quaternion;
 pub use scripted::{Curl, Orbit, Screw, Still, Walk};
 
@@ -36,6 +38,8 @@ pub enum Motion {
     Curl(Curl),
     /// Walks around an ellipse: pelvis, torso and both legs.
     Walk(Walk),
+    /// A pole with sensors, waved through a box: for calibrating a field.
+    Pole(Pole),
     /// A whole person, as body-worn sensors know one.
     Person(Person),
     /// Poses from a CSV file or joints from a BVH file.
@@ -81,6 +85,12 @@ impl Motion {
             Self::Walk(walk) => {
                 above_zero("step_m", walk.step_m)?;
                 finite("center_m", &walk.center_m)
+            }
+            Self::Pole(pole) => {
+                above_zero("period_s", pole.period_s)?;
+                above_zero("turn_period_s", pole.turn_period_s)?;
+                finite("center_m", &pole.center_m)?;
+                finite("reach_m", &pole.reach_m)
             }
             Self::Person(person) => {
                 above_zero("height_m", person.height_m)?;
@@ -129,6 +139,7 @@ impl Body {
     pub fn segments(&self) -> Vec<&str> {
         match &self.motion {
             Motion::Still(_) | Motion::Orbit(_) | Motion::Screw(_) => vec!["body"],
+            Motion::Pole(_) => vec!["pole"],
             Motion::Curl(_) => Curl::SEGMENTS.to_vec(),
             Motion::Walk(_) => Walk::SEGMENTS.to_vec(),
             Motion::Person(_) => Person::SEGMENTS.to_vec(),
@@ -147,6 +158,7 @@ impl Body {
             Motion::Screw(screw) => screw.pose(t_s),
             Motion::Curl(curl) => curl.pose(segment, t_s),
             Motion::Walk(walk) => walk.pose(segment, t_s),
+            Motion::Pole(pole) => pole.pose(t_s),
             Motion::Person(person) => person.pose(segment, t_s),
             Motion::File(_) => {
                 self.tracks.as_ref().map_or_else(Isometry3::identity, |tracks| tracks.pose(segment, t_s))
@@ -189,6 +201,7 @@ mod tests {
             Motion::Screw(Screw::default()),
             Motion::Curl(Curl { repetitions: Some(2), ..Curl::default() }),
             Motion::Walk(Walk::default()),
+            Motion::Pole(Pole::default()),
             Motion::Person(Person { activity: crate::body::Activity::Squats, ..Person::default() }),
         ];
         motions.into_iter().map(|motion| Body::new(motion, Path::new(".")).unwrap()).collect()

@@ -6,12 +6,12 @@ use std::time::Duration;
 use nalgebra::{Isometry3, Unit, Vector3};
 use posed_drivers::flock::wire::Addressing;
 
-use super::{ExcitationSpec, Material, Scenario, ScenarioError, SensorSpec, StageSpec, invalid};
+use super::{ExcitationSpec, Material, MetalSpec, Scenario, ScenarioError, SensorSpec, StageSpec, invalid};
 use crate::device::Sensor;
 use crate::flock::{FlockConfig, UnitConfig};
 use crate::line::LineConfig;
 use crate::magnetic::{
-    Environment, Excitation, Floor, Hum, Sphere, Tracker, conductor_response, iron_response,
+    Environment, Excitation, Floor, Hum, Passing, Sphere, Tracker, conductor_response, iron_response,
 };
 use crate::motion::{Body, Motion, Orbit, quaternion};
 
@@ -31,10 +31,17 @@ impl Scenario {
             Material::Copper => conductor_response(excitation, 5.8e7, radius_m),
             Material::Conductor => -1.0,
         };
-        let spheres = self.metal.iter().map(|metal| Sphere {
+        let sphere = |metal: &MetalSpec| Sphere {
             center_m: (transmitter_from_room * nalgebra::Point3::from(metal.center_m)).coords,
             radius_m: metal.radius_m,
             response: response(metal.material, metal.radius_m),
+        };
+        let passes = |metal: &&MetalSpec| metal.from_s.is_some() || metal.until_s.is_some();
+        let spheres = self.metal.iter().filter(|metal| !passes(metal)).map(sphere);
+        let passing = self.metal.iter().filter(passes).map(|metal| Passing {
+            sphere: sphere(metal),
+            from_s: metal.from_s.unwrap_or(0.0),
+            until_s: metal.until_s.unwrap_or(f64::INFINITY),
         });
         let floor = self.floor.map(|floor| {
             let height_m = room_from_transmitter.translation.z - floor.z_m;
@@ -47,6 +54,7 @@ impl Scenario {
         });
         Tracker {
             environment: Environment { spheres: spheres.collect(), floor },
+            passing: passing.collect(),
             sigma_signal: self.sigma_signal_per_m3,
             hum: self.hum.map(|hum| Hum {
                 frequency_hz: hum.frequency_hz,

@@ -1,18 +1,18 @@
 //! `posed field correct`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
 use posed::field::Corrector;
 use posed::geometry::{orientation_from_wxyz, orientation_to_wxyz};
 use posed::table::{Poses, TableError, TableWriter};
 
-use super::{Error, print_json, read_map, tell};
+use super::{Error, collect, print_json, read_map, tell};
 
 /// A map, and the poses to correct.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  posed field correct field.json poses.csv -o corrected.csv\n\n\
-    The poses are in the transmitter frame. Columns added: sigma_m (expected rms 3-D error) and extrapolated (0/1).")]
+    The poses are in the transmitter frame; of a recording it takes what the devices said. Columns added: sigma_m (expected rms 3-D error) and extrapolated (0/1).")]
 pub(crate) struct Args {
     /// The map.
     field: PathBuf,
@@ -27,15 +27,14 @@ pub(crate) struct Args {
 }
 
 #[derive(Default, serde::Serialize)]
-struct Summary {
+pub(super) struct Summary {
     rows: usize,
     extrapolated: usize,
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let corrector = read_map(&args.field)?.corrector();
-    let poses = Poses::read(&args.poses).map_err(Error::failed)?;
-    let summary = write(&corrector, &poses, &args.output).map_err(Error::failed)?;
+    let summary = write_corrected(&corrector, &args.poses, &args.output)?;
     if args.json {
         return print_json(&summary);
     }
@@ -43,7 +42,17 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     Ok(())
 }
 
-fn write(corrector: &Corrector, poses: &Poses, path: &std::path::Path) -> Result<Summary, TableError> {
+/// Corrects a file of poses into another.
+pub(super) fn write_corrected(corrector: &Corrector, from: &Path, to: &Path) -> Result<Summary, Error> {
+    let poses = if collect::is_recording(from) {
+        collect::measured(from)?
+    } else {
+        Poses::read(from).map_err(Error::failed)?
+    };
+    write(corrector, &poses, to).map_err(Error::failed)
+}
+
+fn write(corrector: &Corrector, poses: &Poses, path: &Path) -> Result<Summary, TableError> {
     let named = poses.sensors.iter().any(|name| !name.is_empty());
     let turned = poses.rows.iter().any(|row| row.orientation_wxyz.is_some());
     let mut columns = vec!["t"];

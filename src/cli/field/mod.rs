@@ -2,13 +2,15 @@
 //!
 //! Positions are in the transmitter frame: a map is that of one transmitter where it stands.
 
+mod collect;
 mod correct;
+mod limbs;
 mod show;
 mod solve;
 
 use std::path::Path;
 
-use posed::field::{FieldMap, VERSION};
+use posed::field::FieldMap;
 
 use super::{Error, output, print, print_json, tell};
 
@@ -43,16 +45,5 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 
 /// Reads a map.
 fn read_map(path: &Path) -> Result<FieldMap, Error> {
-    let text = std::fs::read_to_string(path).map_err(|error| Error::file("read", path, &error))?;
-    let map: FieldMap = serde_json::from_str(&text)
-        .map_err(|error| Error::Failed(format!("{} is no field map: {error}", path.display())))?;
-    if map.version != VERSION {
-        let found = map.version;
-        return Err(Error::Failed(format!(
-            "{} is of version {found}; this program reads {VERSION}",
-            path.display()
-        )));
-    }
-    map.check().map_err(|reason| Error::Failed(format!("{} is no field map: {reason}", path.display())))?;
-    Ok(map)
+    FieldMap::read(path).map_err(Error::Failed)
 }

@@ -4,28 +4,43 @@ use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use nalgebra::Vector3;
-use posed::field::{Anchor, PoleReading, PoleRun, Rejected, Report, solve};
+use posed::field::{Anchor, PoleReading, PoleRun, Rejected, Report, solve, solve_limbs};
 use posed::geometry::orientation_from_wxyz;
+use posed::stage::Stage;
 use posed::table::{Poses, TableReader, TableWriter};
 
-use super::{Error, output, print, print_json, tell};
+use super::{Error, collect, limbs, output, print, print_json, tell};
 
 /// A recording of the pole, and what is known of it.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  posed field solve pole.csv --spacing-m 0.3 --anchors anchors.csv -o field.json\n\n\
+    after_help = "Examples:\n  posed field solve pole.csv --spacing-m 0.3 --anchors anchors.csv -o field.json\n  \
+    posed field solve session.mcap --body stage.toml -o field.json --corrected session.csv\n\n\
     POLE: poses (t,sensor,x,y,z and, for orientations, qw,qx,qy,qz) in the transmitter frame; the order of first \
-    appearance is the order along the pole.\nAnchors: name,sensor,t_start,t_end,x,y,z."
+    appearance is the order along the pole. Of a recording it takes what the devices said.\n\
+    Anchors: name,sensor,t_start,t_end,x,y,z."
 )]
 pub(crate) struct Args {
-    /// Poses of the pole's sensors, `.csv`, `.csv.gz` or a recording.
+    /// Poses of the pole's sensors, or of those that a person wears: `.csv`, `.csv.gz` or a recording.
     pole: PathBuf,
     /// Measured distance between neighbouring sensors, m; never estimated.
-    #[arg(long, value_name = "D")]
-    spacing_m: f64,
+    #[arg(long, value_name = "D", required_unless_present = "body")]
+    spacing_m: Option<f64>,
+    /// The pole's sensors in their order along it, where a recording holds others too.
+    #[arg(long, value_name = "A,B,C", value_delimiter = ',', conflicts_with = "body")]
+    sensors: Vec<String>,
+    /// Instead of a pole: the stage file whose [body] wears the sensors.
+    #[arg(long, value_name = "STAGE.toml", conflicts_with = "spacing_m")]
+    body: Option<PathBuf>,
+    /// A measured bone, joint to joint, in place of the body's height; may be repeated.
+    #[arg(long, value_name = "SEGMENT=M", value_parser = super::limbs::measured, requires = "body")]
+    bone: Vec<super::limbs::Measured>,
     /// Surveyed points that a sensor stood on: three or more make positions absolute.
-    #[arg(long, value_name = "CSV")]
+    #[arg(long, value_name = "CSV", conflicts_with = "body")]
     anchors: Option<PathBuf>,
+    /// Write the session corrected, as `posed field correct` does.
+    #[arg(long, value_name = "CSV")]
+    corrected: Option<PathBuf>,
     /// Where to write the map; nothing is written when it is refused.
     #[arg(short, long, value_name = "FIELD.json")]
     output: PathBuf,
@@ -38,19 +53,22 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
-    if !(args.spacing_m.is_finite() && args.spacing_m > 0.0) {
-        return Err(Error::Usage(format!("--spacing-m must be a length above 0, not {}", args.spacing_m)));
+    if let Some(spacing_m) = args.spacing_m
+        && !(spacing_m.is_finite() && spacing_m > 0.0)
+    {
+        return Err(Error::Usage(format!("--spacing-m must be a length above 0, not {spacing_m}")));
     }
-    let poses = Poses::read(&args.pole).map_err(Error::failed)?;
-    let rows = poses.rows.iter().filter_map(|row| {
-        let reading = PoleReading {
-            position_m: Vector3::from(row.position_m?),
-            orientation: row.orientation_wxyz.and_then(orientation_from_wxyz),
-        };
-        Some((row.t_s, row.sensor, reading))
+    let body = args.body.as_deref().map(|path| {
+        let stage = Stage::load(path).map_err(Error::failed)?;
+        limbs::of_stage(&stage, &args.bone)
     });
-    let run = PoleRun::new(poses.sensors.clone(), args.spacing_m, rows)
-        .map_err(|error| Error::Failed(format!("{}: {error}", args.pole.display())))?;
+    let body = body.transpose()?;
+    let named = body.as_ref().map_or(args.sensors.as_slice(), |(names, _)| names);
+    // A body has no spacing; nobody looks at this one.
+    let run = read_run(&args.pole, named, args.spacing_m.unwrap_or(1.0))?;
+    if body.is_none() {
+        run.check_order().map_err(|error| Error::Failed(format!("{}: {error}", args.pole.display())))?;
+    }
     let anchors = match &args.anchors {
         Some(path) => read_anchors(path, &run.sensors)?,
         None => Vec::new(),
@@ -60,7 +78,11 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         bar.set_style(style);
     }
     let sensors = run.sensors.clone();
-    let solution = solve(run, &anchors, &mut |share| bar.set_position((1000.0 * share) as u64));
+    let mut progress = |share| bar.set_position((1000.0 * share) as u64);
+    let solution = match &body {
+        Some((_, limbs)) => solve_limbs(run, limbs, &mut progress),
+        None => solve(run, &anchors, &mut progress),
+    };
     bar.finish_and_clear();
     if let Some(path) = &args.rejected {
         write_rejected(path, &sensors, &solution.rejected)?;
@@ -72,6 +94,9 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
             file.write_all(b"\n")
         })?;
     }
+    if let (true, Some(map), Some(path)) = (report.accepted, &solution.map, &args.corrected) {
+        super::correct::write_corrected(&map.corrector(), &args.pole, path)?;
+    }
     if args.json {
         print_json(report)?;
     } else {
@@ -81,6 +106,29 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         }
     }
     if report.accepted { Ok(()) } else { Err(Error::Told) }
+}
+
+/// The readings of `sensors` (all, if none are named): of a table grouped by time, of a recording as live.
+fn read_run(path: &Path, sensors: &[String], spacing_m: f64) -> Result<PoleRun, Error> {
+    if collect::is_recording(path) {
+        return collect::run(path, sensors, spacing_m);
+    }
+    let poses = Poses::read(path).map_err(Error::failed)?;
+    let names = if sensors.is_empty() { poses.sensors.clone() } else { sensors.to_vec() };
+    if let Some(name) = names.iter().find(|name| !poses.sensors.contains(name)) {
+        return Err(Error::Failed(format!("{} has no sensor {name:?}", path.display())));
+    }
+    let index: Vec<Option<usize>> =
+        poses.sensors.iter().map(|name| names.iter().position(|known| known == name)).collect();
+    let rows = poses.rows.iter().filter_map(|row| {
+        let reading = PoleReading {
+            position_m: Vector3::from(row.position_m?),
+            orientation: row.orientation_wxyz.and_then(orientation_from_wxyz),
+        };
+        Some((row.t_s, index[row.sensor]?, reading))
+    });
+    PoleRun::grouped(names, spacing_m, rows)
+        .map_err(|error| Error::Failed(format!("{}: {error}", path.display())))
 }
 
 /// The report for a person.

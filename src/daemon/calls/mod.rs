@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use tokio::sync::{mpsc, watch};
 
+use super::calibration::Calibration;
 use super::clock::StageClock;
 use super::fusion::{Command, FusionInbox};
 use super::inbox::Event;
@@ -32,6 +33,7 @@ pub(super) struct Calls {
     clock: StageClock,
     inbox: FusionInbox,
     jobs: Jobs,
+    calibration: Calibration,
 }
 
 impl Calls {
@@ -41,11 +43,12 @@ impl Calls {
         clock: StageClock,
         inbox: FusionInbox,
         jobs: Jobs,
+        calibration: Calibration,
     ) -> Self {
         let recordings = stage.recording.folder.clone().unwrap_or_else(|| folder.join("recordings"));
         let exercises = stage.models.exercise_folder.clone().unwrap_or_else(|| folder.join("exercises"));
         let exercises = Library::new(exercises);
-        Self { stage: stage.clone(), recordings, exercises, clock, inbox, jobs }
+        Self { stage: stage.clone(), recordings, exercises, clock, inbox, jobs, calibration }
     }
 
     /// Until shutdown.
@@ -87,6 +90,10 @@ impl Calls {
                 "live",
                 "this daemon tracks a live stage; open a recording with `posed replay FILE`, which serves it to clients",
             ),
+            Call::FieldStart { sensors, spacing_m } => self.calibration.start(sensors, spacing_m, reply),
+            Call::FieldFinish { anchors } => self.calibration.finish(anchors, reply),
+            Call::FieldAccept {} => self.with_files(reply, Calibration::accept),
+            Call::FieldRollback {} => self.with_files(reply, Calibration::rollback),
             Call::ExerciseList {} => match self.exercises.list() {
                 Ok(list) => reply.ok(Some(serde_json::json!({ "exercises": list }))),
                 Err(sentence) => reply.error("failed", sentence),
@@ -111,6 +118,15 @@ impl Calls {
                 Err(sentence) => reply.error("no_such_job", sentence),
             },
         }
+    }
+
+    /// Changes the version of the field's map where it keeps nobody waiting, and says which is in use then.
+    fn with_files(&self, reply: Reply, change: fn(&Calibration) -> Result<u32, String>) {
+        let calibration = self.calibration.clone();
+        tokio::task::spawn_blocking(move || match change(&calibration) {
+            Ok(version) => reply.ok(Some(serde_json::json!({ "version": version }))),
+            Err(sentence) => reply.error("failed", sentence),
+        });
     }
 
     /// A new file in the one folder for recordings.
@@ -150,6 +166,10 @@ impl Calls {
 
     fn check_model(&self, model: &Model) -> Result<(), String> {
         model.check()?;
+        if let Model::Field { map: Some(map), .. } = model {
+            // Here is time to make it fast; the fusion thread has none.
+            map.corrector();
+        }
         if let Model::TrackerNoise { device, .. } = model
             && !self.stage.devices.iter().any(|known| &known.name == device)
         {

@@ -10,10 +10,11 @@ use super::Limits;
 use super::hub::Item;
 use super::metrics::Metrics;
 use super::outbox::{Outbox, Outgoing};
+use crate::field::{Cause, Warning};
 use crate::input::{Model, SensorIndex};
 use crate::motion::exercise::EventKind;
 use crate::name::Name;
-use crate::output::{ExerciseOutcome, ExerciseWhat, FaultCause, OutcomeKind};
+use crate::output::{ExerciseOutcome, ExerciseWhat, FaultCause, FieldNews, OutcomeKind};
 use crate::protocol::{
     Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload, Problem,
     RequestId, ServerMessage, Stamp, Topic, View, encode,
@@ -91,6 +92,10 @@ enum Key {
     Fault(SensorIndex, FaultCause),
     Transmitter,
     TrackerNoise(String),
+    FieldMap,
+    FieldProgress,
+    Disturbed(Cause, [usize; 2]),
+    Drifted,
     Exercise(String),
     /// What a subject does.
     Subject(Name),
@@ -386,6 +391,14 @@ impl Distributor {
             OutcomeKind::ModelSwapped(Model::TrackerNoise { device, .. }) => {
                 Some((Key::TrackerNoise(device.clone()), true))
             }
+            OutcomeKind::ModelSwapped(Model::Field { .. }) => Some((Key::FieldMap, true)),
+            OutcomeKind::Field(FieldNews::Progress(progress)) => {
+                Some((Key::FieldProgress, progress.collecting))
+            }
+            OutcomeKind::Field(FieldNews::Warning(Warning::Disturbed { cause, sensors, active, .. })) => {
+                Some((Key::Disturbed(*cause, *sensors), *active))
+            }
+            OutcomeKind::Field(FieldNews::Warning(Warning::Drifted { .. })) => Some((Key::Drifted, true)),
             OutcomeKind::ModelSwapped(Model::Exercise { exercise }) => {
                 Some((Key::Exercise(exercise.name.clone()), true))
             }
@@ -402,6 +415,10 @@ impl Distributor {
             },
             OutcomeKind::KeyPose(_) => None,
         };
+        if matches!(state, Some((Key::FieldMap, _))) {
+            // What watches over the field begins anew with each map.
+            self.current.retain(|(key, _)| !matches!(key, Key::Disturbed(..) | Key::Drifted));
+        }
         if let Some((key, holds)) = state {
             self.current.retain(|(other, _)| *other != key);
             if holds {

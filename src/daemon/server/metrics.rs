@@ -25,6 +25,8 @@ pub(super) struct Metrics {
     pub(super) dropped: Counter,
     pub(super) bytes: Counter,
     pub(super) requests: Counter,
+    pub(super) vrpn_clients: Gauge,
+    pub(super) vrpn_dropped: Counter,
     refused: Family<Labels, Counter>,
     device_streaming: Family<Labels, Gauge>,
     device_records: Family<Labels, Gauge>,
@@ -51,6 +53,9 @@ impl Metrics {
             );
             all.register_with_unit("sent", "Payload sent to clients", Unit::Bytes, metrics.bytes.clone());
             all.register("requests", "Messages received from clients", metrics.requests.clone());
+            all.register("vrpn_clients", "Connected VRPN clients", metrics.vrpn_clients.clone());
+            let dropped = metrics.vrpn_dropped.clone();
+            all.register("vrpn_frames_dropped", "Frames dropped for slow VRPN clients", dropped);
             all.register("connections_refused", "Connections refused or cut", metrics.refused.clone());
             all.register("device_streaming", "1 while records come in", metrics.device_streaming.clone());
             all.register("device_records", "Records accepted", metrics.device_records.clone());

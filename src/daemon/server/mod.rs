@@ -1,4 +1,4 @@
-//! The server: websocket, page, metrics, health.
+//! The server: websocket, page, metrics, health, VRPN.
 //!
 //! In: frames, events, status from the fusion thread through a [`Hub`], connections from a socket. Out: messages to
 //! clients, their [`PendingCall`]s to the daemon. Never: anything that makes the fusion thread, or one client, wait for another.
@@ -20,6 +20,7 @@ mod metrics;
 mod outbox;
 mod tls;
 mod viewer;
+mod vrpn;
 
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::{Path, PathBuf};
@@ -33,8 +34,10 @@ use self::access::Access;
 use self::distributor::{Command, Distributor};
 use self::listen::Slots;
 use self::metrics::Metrics;
+use self::vrpn::{Outlet, Vrpn};
 use crate::protocol::{Counters, HelloSensor, Names, Topic};
 use crate::stage::{Pose, Skeleton, Stage};
+use crate::vrpn::Publisher;
 
 pub use self::client::{PendingCall, Reply};
 pub use self::hub::Hub;
@@ -56,6 +59,8 @@ pub struct Config {
     pub more_topics: Vec<Topic>,
     /// Numbers given out before; those of a recording when one is replayed.
     pub counters: Counters,
+    /// Whether the VRPN server of the stage file is started: not for a replay, beside which the stage itself may run.
+    pub vrpn: bool,
     /// What one client, and all together, may take.
     pub limits: Limits,
 }
@@ -69,6 +74,7 @@ impl Config {
             epoch_utc_ns,
             more_topics: Vec::new(),
             counters: Counters::default(),
+            vrpn: true,
             limits: Limits::default(),
         }
     }
@@ -161,6 +167,16 @@ pub enum BindError {
         /// What the system said.
         error: std::io::Error,
     },
+    /// The address for VRPN clients is taken, or none.
+    #[error(
+        "cannot listen on {listen} for VRPN clients: {error}; is a VRPN server running? choose another port in [vrpn]"
+    )]
+    Vrpn {
+        /// As given.
+        listen: String,
+        /// What the system said.
+        error: std::io::Error,
+    },
     /// Certificate or key do not serve.
     #[error(transparent)]
     Tls(#[from] TlsError),
@@ -173,6 +189,7 @@ pub struct Server {
     tls: Option<tokio_rustls::TlsAcceptor>,
     shared: Arc<Shared>,
     distributor: Distributor,
+    vrpn: Option<(Vrpn, Outlet)>,
     hub: Hub,
     commands: mpsc::Receiver<Command>,
     shutdown: watch::Sender<bool>,
@@ -281,15 +298,30 @@ impl Server {
             next_client: 0.into(),
         });
         let hub = Hub::default();
+        let vrpn = match stage.vrpn.as_ref().filter(|_| config.vrpn) {
+            None => None,
+            Some(settings) => {
+                let names = stage.sensors.iter().map(|sensor| sensor.name.as_str());
+                let publisher = Publisher::new(names, config.epoch_utc_ns);
+                let bound = Vrpn::bind(settings, publisher, &limits, Arc::clone(&metrics));
+                Some(bound.map_err(|(listen, error)| BindError::Vrpn { listen, error })?)
+            }
+        };
         let distributor = Distributor::new(names, limits, metrics, config.counters);
+        let hub_in = hub.clone();
         let server =
-            Self { listener, address, tls, shared, distributor, hub: hub.clone(), commands, shutdown };
+            Self { listener, address, tls, shared, distributor, vrpn, hub: hub_in, commands, shutdown };
         Ok((server, hub, calls))
     }
 
     /// The address it listens on.
     pub fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// The address for VRPN clients, if the stage wants them.
+    pub fn vrpn_address(&self) -> Option<SocketAddr> {
+        self.vrpn.as_ref().and_then(|(vrpn, _)| vrpn.address().ok())
     }
 
     /// What to open in a browser.
@@ -304,8 +336,10 @@ impl Server {
 
     /// Serves until `shutdown` resolves; then tells every client goodbye (1001) and returns within the shutdown timeout.
     pub async fn run(self, shutdown: impl Future<Output = ()>) {
-        let Self { listener, tls, shared, distributor, hub, commands, shutdown: tell, .. } = self;
-        let distributing = tokio::spawn(distribute(distributor, hub, commands, Arc::clone(&shared)));
+        let Self { listener, tls, shared, distributor, vrpn, hub, commands, shutdown: tell, .. } = self;
+        let (vrpn, outlet) = vrpn.unzip();
+        let distributing = tokio::spawn(distribute(distributor, outlet, hub, commands, Arc::clone(&shared)));
+        let others = vrpn.map(|vrpn| tokio::spawn(vrpn.run(tell.subscribe())));
         tokio::select! {
             () = listen::accept(&listener, tls.as_ref(), &shared) => {}
             () = shutdown => {}
@@ -314,12 +348,17 @@ impl Server {
         tell.send_replace(true);
         let _ = tokio::time::timeout(shared.limits.shutdown_timeout, shared.slots.all_free()).await;
         distributing.abort();
+        if let Some(others) = others {
+            // Told at the same time, and bounded by itself.
+            let _ = others.await;
+        }
     }
 }
 
 /// Feeds the distributor, one thing at a time; frames before commands.
 async fn distribute(
     mut distributor: Distributor,
+    mut outlet: Option<Outlet>,
     hub: Hub,
     mut commands: mpsc::Receiver<Command>,
     shared: Arc<Shared>,
@@ -331,6 +370,9 @@ async fn distribute(
                 hub::Item::Estimate(_) => _ = shared.metrics.frames.inc(),
                 hub::Item::Status(status) => shared.metrics.take(status),
                 _ => {}
+            }
+            if let Some(outlet) = &mut outlet {
+                outlet.publish(&item);
             }
             if let Some(replaced) = distributor.publish(item) {
                 hub.recycle(replaced);

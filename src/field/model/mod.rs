@@ -138,6 +138,11 @@ impl Model {
         (!self.sources.is_empty()).then(|| Metal::new(&self.sources))
     }
 
+    /// Whether it is of metal and nothing else: then it knows where the transmitter is.
+    pub(crate) fn is_metal_alone(&self) -> bool {
+        self.polynomial.is_none() && self.local.is_none() && !self.sources.is_empty()
+    }
+
     /// Ready to be asked.
     pub(crate) fn evaluator(&self) -> Evaluator<'_> {
         Evaluator { model: self, metal: self.metal() }
@@ -151,6 +156,27 @@ pub(crate) struct Evaluator<'a> {
 }
 
 impl Evaluator<'_> {
+    /// The metal, if there is any.
+    pub(crate) fn metal(&self) -> Option<&Metal> {
+        self.metal.as_ref()
+    }
+
+    /// How many sources it has.
+    pub(crate) fn sources(&self) -> usize {
+        self.model.sources.len()
+    }
+
+    /// The metal with one number of a source moved by `step`: position (0 to 2), then strength, by source.
+    pub(crate) fn moved(&self, parameter: usize, step: f64) -> Metal {
+        let mut sources = self.model.sources.clone();
+        let source = &mut sources[parameter / SOURCE_PARAMETERS];
+        match parameter % SOURCE_PARAMETERS {
+            3 => source.strength += step,
+            axis => source.position_m[axis] += step,
+        }
+        Metal::new(&sources)
+    }
+
     /// The corrected position of reading `z`. Beside a source, where the metal leaves no answer, the reading stands.
     pub(crate) fn correct(&self, z: &Vector3<f64>) -> Vector3<f64> {
         self.model.correct_in(self.metal.as_ref(), z)

@@ -99,6 +99,9 @@ impl ExerciseStage {
                 let known = self.subjects.iter().any(|known| known.name() == subject);
                 if known { Ok(()) } else { Err(format!("subject: nothing is counted for {subject:?}")) }
             }
+            Request::FieldStart { .. } | Request::FieldFinish {} => {
+                Err("this is no request about exercises".into())
+            }
         }
     }
 
@@ -121,6 +124,7 @@ impl ExerciseStage {
                     known.reset(estimate.t_valid, say);
                 }
             }
+            Request::FieldStart { .. } | Request::FieldFinish {} => {}
         }
         true
     }

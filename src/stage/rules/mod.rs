@@ -7,6 +7,7 @@
 mod body;
 mod devices;
 mod drivers;
+mod field;
 mod keyframes;
 mod models;
 mod server;
@@ -28,6 +29,9 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
     if let Some(server) = root.item("server") {
         server::check(&server, folder, notes);
     }
+    if let Some(vrpn) = root.item("vrpn") {
+        server::check_vrpn(&vrpn, notes);
+    }
     if let (Some(recording), Some(folder)) = (root.item("recording"), folder) {
         folder_key(&recording, "folder", folder, notes);
     }
@@ -38,6 +42,7 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
     if let (Some(segments), Some(folder)) = (root.item("segments"), folder) {
         server::segments_model(&segments, folder, notes);
     }
+    field::check(&root, notes);
     body::check(&root, notes);
 }
 

@@ -27,6 +27,11 @@ pub(super) fn check(models: &Item<'_, '_>, folder: &Path, notes: &mut Notes<'_>)
         }
     }
     super::folder_key(models, "exercise_folder", folder, notes);
+    if let Some(map) = models.text("field")
+        && let Err(reason) = crate::field::FieldMap::read(&folder.join(map.value))
+    {
+        notes.problem(&map.at, "field", reason, "name a map that `posed field solve` wrote");
+    }
 }
 
 /// The `format` that a JSON file says it has.

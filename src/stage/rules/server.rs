@@ -59,6 +59,16 @@ pub(super) fn check(server: &Item<'_, '_>, folder: Option<&Path>, notes: &mut No
     }
 }
 
+/// The address for VRPN clients.
+pub(super) fn check_vrpn(vrpn: &Item<'_, '_>, notes: &mut Notes<'_>) {
+    let Some(listen) = vrpn.text("listen") else { return };
+    if loopback(listen.value).is_none() {
+        let message = format!("`{}` is no address to listen on", listen.value);
+        let mend = "write \"ADDRESS:PORT\", such as \"127.0.0.1:3883\" or \"0.0.0.0:3883\"";
+        notes.problem(&listen.at, "listen", message, mend);
+    }
+}
+
 /// Whether an address to listen on is this machine's own; `None` if it is no address.
 fn loopback(listen: &str) -> Option<bool> {
     if let Ok(address) = listen.parse::<SocketAddr>() {

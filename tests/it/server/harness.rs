@@ -52,6 +52,7 @@ pub(crate) fn stage(extra: &str) -> Stage {
 pub(crate) struct Running {
     pub(crate) address: SocketAddr,
     pub(crate) url: String,
+    pub(crate) vrpn: Option<SocketAddr>,
     pub(crate) hub: Hub,
     pub(crate) calls: mpsc::Receiver<PendingCall>,
     stop: Option<oneshot::Sender<()>>,
@@ -64,12 +65,12 @@ pub(crate) fn config() -> Config {
 
 pub(crate) fn start(stage: &Stage, config: Config) -> Running {
     let (server, hub, calls) = Server::bind(stage, config).unwrap();
-    let (address, url) = (server.address(), server.url());
+    let (address, vrpn, url) = (server.address(), server.vrpn_address(), server.url());
     let (stop, stopped) = oneshot::channel();
     let task = tokio::spawn(server.run(async {
         let _ = stopped.await;
     }));
-    Running { address, url, hub, calls, stop: Some(stop), task }
+    Running { address, url, vrpn, hub, calls, stop: Some(stop), task }
 }
 
 impl Running {

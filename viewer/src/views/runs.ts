@@ -3,6 +3,7 @@
 import { acting, el, num, setText } from "../dom";
 import type { Job } from "../protocol";
 import type { Context, View } from "../view";
+import { Calibration } from "./calibration";
 
 export class RunsView implements View {
   readonly id = "runs";
@@ -15,10 +16,12 @@ export class RunsView implements View {
   private readonly recording = el("p", { id: "recording", class: "quiet", role: "status" });
   private readonly jobs = el("ul", { id: "jobs", "aria-label": "Jobs" });
   private readonly noJobs = el("p", { class: "quiet" }, "Nothing is running and nothing was run yet.");
+  private readonly calibration: Calibration;
   private rows = new Map<number, JobRow>();
 
   constructor(private readonly context: Context) {
     const { link } = context;
+    this.calibration = new Calibration(context);
     this.start.addEventListener("click", acting(this.says, () => {
       const name = this.name.value.trim();
       return link.request(name === "" ? { type: "record.start" } : { type: "record.start", name });
@@ -28,11 +31,17 @@ export class RunsView implements View {
       el("h2", {}, "Recording"),
       el("div", { class: "row" }, el("label", {}, "Name ", this.name), this.start, this.stop),
       this.recording, this.says,
+      this.calibration.element,
       el("h2", {}, "Jobs"), this.noJobs, this.jobs,
     );
   }
 
+  shown(): void {
+    this.calibration.shown();
+  }
+
   draw(_now: number, fresh: boolean): void {
+    this.calibration.draw();
     if (!fresh) return;
     const { status, jobs, hello } = this.context.model;
     const recording = status?.recording ?? null;

@@ -1,13 +1,14 @@
 // Stage: the room in 3-D, and beside it what the shapes mean.
 
-import { Group } from "three";
+import { Group, Matrix4 } from "three";
 import { el, setText } from "../dom";
 import { BODY_LOOKS, BodyFigure } from "../scene/body";
+import { FieldScene } from "../scene/field";
 import { Scene, quaternion, vector } from "../scene/scene";
 import { transmitter } from "../scene/transmitter";
 import { LOOKS, Sensors } from "../scene/sensors";
 import { Truth } from "../scene/truth";
-import type { FigureMessage, Pose } from "../protocol";
+import type { FigureMessage, Pose, SensorState } from "../protocol";
 import type { Context, View } from "../view";
 
 export class StageView implements View {
@@ -21,6 +22,9 @@ export class StageView implements View {
   private readonly body = new BodyFigure();
   private readonly truth = new Truth();
   private readonly transmitter: Group = transmitter();
+  private readonly field = new FieldScene();
+  private readonly arrowsLabel = el("span", { id: "field-arrows" });
+  private readonly toTransmitter = new Matrix4();
   private drawn = -1;
 
   constructor(private readonly context: Context) {
@@ -31,12 +35,18 @@ export class StageView implements View {
       this.element.append(el("p", {}, "This browser has no WebGL, which the picture needs. Health shows the same in numbers."));
       return;
     }
+    this.transmitter.add(this.field.group);
     // So that the switch hides what a message would show.
     const figure = new Group().add(this.body.group);
     this.scene.scene.add(this.transmitter, this.sensors.group, figure, this.truth.group);
     context.model.listen((message) => {
-      if (message.type === "hello") this.placeTransmitter(message.transmitter);
-      else if (message.type === "field" && message.model.kind === "transmitter") this.placeTransmitter(message.model);
+      if (message.type === "hello") {
+        this.placeTransmitter(message.transmitter);
+        this.field.forget();
+      } else if (message.type === "field") {
+        if (message.event === "model_swapped" && message.model.kind === "transmitter") this.placeTransmitter(message.model);
+        this.field.take(message);
+      }
     });
     const legend = [...LOOKS, ...Object.values(BODY_LOOKS)].map(({ sign, words, colour }) => {
       const mark = el("span", {}, `${sign} `);
@@ -61,6 +71,8 @@ export class StageView implements View {
         layer("trails", this.sensors.trails, true),
         layer("uncertainty, two sigma", this.sensors.sigma, true),
         layer("truth of the simulation", this.truth.group, true),
+        layer("corrections, from where the tracker said", this.field.corrections, true),
+        layer("what the map of the field does", this.field.arrows, true), this.arrowsLabel,
         el("button", { onclick: () => this.scene?.reset() }, "Camera back"),
         el("ul", { class: "legend", "aria-label": "What the shapes mean" }, ...legend)),
     );
@@ -90,8 +102,14 @@ export class StageView implements View {
     this.drawn = model.version;
     if (changed && model.sensors) {
       this.sensors.update(model.sensors.sensors);
-      const good = model.sensors.sensors.filter(({ state }) => state === "ok" || state === "repaired").length;
-      setText(this.summary, `${good} of ${model.sensors.sensors.length} are good`);
+      const { sensors } = model.sensors;
+      this.transmitter.updateMatrixWorld();
+      this.field.update(sensors, this.toTransmitter.copy(this.transmitter.matrixWorld).invert());
+      const count = (...states: SensorState[]) => sensors.filter(({ state }) => states.includes(state)).length;
+      const outside = count("extrapolated");
+      setText(this.summary, `${count("ok", "repaired")} of ${sensors.length} are good`
+        + (this.field.hasMap ? `, corrected by the map${outside ? `; ${outside} outside of it` : ""}` : ""));
+      setText(this.arrowsLabel, this.field.hasMap ? `arrows ${this.field.magnified.toFixed(0)} times as long` : "");
     }
     if (changed && model.body) this.drawBody(model.body);
     if (changed && model.truth) this.truth.update(model.truth);

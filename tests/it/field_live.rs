@@ -1,0 +1,278 @@
+//! The field in the live pipeline: correction, watch and guided run on virtual Flocks.
+
+use nalgebra::Vector3;
+use posed::field::{FieldMap, Prepared, Warning, solve};
+use posed::geometry;
+use posed::input::{Entry, Input, Model, Request};
+use posed::output::{Estimate, FieldNews, Outcome, OutcomeKind, Output, SensorState};
+use posed::pipeline::Pipeline;
+use posed::recording::{Header, Writer};
+use posed::stage::{FieldWatch, Stage};
+use posed_simulator::motion::{Motion, Still};
+use posed_simulator::scenario::{BodySpec, DeviceScenario, Material, MetalSpec, Scenario, SensorScenario};
+use serde::Deserialize;
+
+use crate::cli::posed;
+use crate::rig::{Rig, Said, field_map, replay, stage};
+
+fn rig(stage: &Stage) -> Rig {
+    let devices = vec![DeviceScenario { name: "d0".into(), ..DeviceScenario::default() }];
+    Rig::new(stage, &Scenario { devices, ..Scenario::default() })
+}
+
+fn swap(version: u32, map: Option<FieldMap>) -> Input {
+    Input::Model(Model::Field { version, map: map.map(Prepared::new) })
+}
+
+/// Largest distance of published positions from what `of` makes of the measured ones, among good ones.
+fn farthest_m<'a>(
+    estimates: impl Iterator<Item = &'a Estimate>,
+    of: impl Fn(&Vector3<f64>) -> Vector3<f64>,
+) -> (usize, f64) {
+    let mut worst = (0, 0.0_f64);
+    for sensor in estimates.flat_map(|estimate| &estimate.sensors) {
+        let (SensorState::Ok, Some(pose), Some(measured)) = (sensor.state, &sensor.pose, &sensor.measured)
+        else {
+            continue;
+        };
+        let z = Vector3::from(measured.position_m.unwrap());
+        worst.0 += 1;
+        worst.1 = worst.1.max((Vector3::from(pose.position_m.unwrap()) - of(&z)).norm());
+    }
+    worst
+}
+
+#[test]
+fn given_a_map_every_pose_is_corrected_from_the_next_frame_on() {
+    let mut stage = stage(&[3]);
+    // A watch with much to say: this witness does move.
+    stage.field = Some(FieldWatch { witnesses: vec!["s0-2".into()], ..FieldWatch::default() });
+    let mut rig = rig(&stage);
+    rig.run_until(4.0);
+    let before = rig.estimates().count();
+    let map = field_map();
+    let corrector = map.corrector();
+    rig.push(swap(1, Some(map.clone())));
+    rig.run_until(6.5);
+    let (good, raw_m) = farthest_m(rig.estimates().take(before).skip(100), |z| *z);
+    assert!(good > 100 && raw_m < 0.01, "{good} {raw_m}");
+    // A swap moves all poses at once: the filters need a few records to believe it.
+    let corrected = || rig.estimates().skip(before + 30);
+    let (good, corrected_m) = farthest_m(corrected(), |z| corrector.position(z));
+    let moved_m = farthest_m(corrected(), |z| *z).1;
+    assert!(good > 400 && corrected_m < 0.01 && moved_m > 0.008, "{good} {corrected_m} {moved_m}");
+    let sigma = corrected().flat_map(|e| &e.sensors).find_map(|sensor| sensor.pose).unwrap().sigma_m.unwrap();
+    assert!(sigma.is_finite() && sigma > 0.0);
+    let swapped = rig.said.iter().any(|said| {
+        matches!(said, Said::Outcome(outcome)
+            if matches!(outcome.what, OutcomeKind::ModelSwapped(Model::Field { version: 1, .. })))
+    });
+    assert!(swapped);
+    // Going on from a snapshot says the same.
+    let half = rig.log.len() / 2 + rig.log.len() / 4;
+    let mut pipeline = Pipeline::new(&stage).unwrap();
+    replay(&mut pipeline, &rig.log[..half]);
+    let mut restored = Pipeline::restore(&stage, &pipeline.snapshot()).unwrap();
+    assert_eq!(replay(&mut restored, &rig.log[half..]), replay(&mut pipeline, &rig.log[half..]));
+    // Taken away, poses are the tracker's own again.
+    rig.forget();
+    rig.push(swap(0, None));
+    rig.run_until(7.5);
+    let (good, raw_m) = farthest_m(rig.estimates().skip(30), |z| *z);
+    assert!(good > 100 && raw_m < 0.01, "{good} {raw_m}");
+}
+
+#[test]
+fn given_a_guided_run_the_pole_is_collected_and_handed_out() {
+    let stage = stage(&[4]);
+    let mut rig = rig(&stage);
+    rig.run_until(2.0);
+    let sensors = (0..4).map(|bird| format!("s0-{bird}")).collect();
+    rig.push(Input::Request(Request::FieldStart { sensors, spacing_m: 0.3 }));
+    rig.run_until(6.0);
+    let progress: Vec<_> = rig
+        .said
+        .iter()
+        .filter_map(|said| match said {
+            Said::Outcome(outcome) => match &outcome.what {
+                OutcomeKind::Field(FieldNews::Progress(progress)) => Some(progress.clone()),
+                _ => None,
+            },
+            _ => None,
+        })
+        .collect();
+    // One when it begins, then one a second.
+    assert!((4..=5).contains(&progress.len()), "{progress:?}");
+    let last = progress.last().unwrap();
+    assert!(last.collecting && last.instants > 60 && !last.hint.is_empty(), "{last:?}");
+    // A replay that begins in the middle of the run goes on collecting.
+    let half = rig.log.len() * 3 / 4;
+    let mut pipeline = Pipeline::new(&stage).unwrap();
+    replay(&mut pipeline, &rig.log[..half]);
+    let mut restored = Pipeline::restore(&stage, &pipeline.snapshot()).unwrap();
+    assert_eq!(replay(&mut restored, &rig.log[half..]), replay(&mut pipeline, &rig.log[half..]));
+    let mut runs = Vec::new();
+    let finish = Entry { t: rig.now, input: Input::Request(Request::FieldFinish {}) };
+    for _ in 0..2 {
+        rig.pipeline.push(&finish, &mut |output| {
+            if let Output::PoleRun(run) = output {
+                runs.push(run.clone());
+            }
+        });
+    }
+    assert!(runs[0].frames.len() >= last.instants && runs[0].sensors.len() == 4);
+    assert!(runs[1].frames.is_empty(), "what was handed out is gone");
+}
+
+/// Rms distance from the truth, m: of the records as measured, and of what is published.
+fn off_m(rig: &Rig, stage: &Stage, skip: usize) -> [f64; 2] {
+    let placed = stage.transmitter.pose_in_room.as_ref().unwrap();
+    let room = geometry::isometry(placed.position_m, placed.orientation_wxyz).unwrap();
+    let (mut squares, mut count) = ([0.0; 2], 0.0);
+    for estimate in rig.estimates().skip(skip) {
+        let next = rig.truth.partition_point(|cycle| cycle.t < estimate.t_valid);
+        if next == 0 || next == rig.truth.len() {
+            continue;
+        }
+        let [a, b] = [&rig.truth[next - 1], &rig.truth[next]];
+        let share = estimate.t_valid.seconds_since(a.t) / b.t.seconds_since(a.t);
+        for (index, sensor) in estimate.sensors.iter().enumerate() {
+            let (SensorState::Ok, Some(pose), Some(measured)) =
+                (sensor.state, &sensor.pose, &sensor.measured)
+            else {
+                continue;
+            };
+            let [p, q] = [a, b].map(|cycle| cycle.sensors[index].pose.translation.vector);
+            let truth = p.lerp(&q, share);
+            let raw = room.transform_point(&measured.position_m.unwrap().into()).coords;
+            squares[0] += (raw - truth).norm_squared();
+            squares[1] += (Vector3::from(pose.position_m.unwrap()) - truth).norm_squared();
+            count += 1.0;
+        }
+    }
+    assert!(count > 500.0, "{count}");
+    squares.map(|square| (square / count).sqrt())
+}
+
+/// The commands make the same map of the same log, and correct what was measured as the pipeline does.
+fn from_the_recording(rig: &Rig, stage_toml: &str, map: &FieldMap) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let header = Header::new(&Stage::parse(stage_toml).unwrap(), stage_toml, 0);
+    let mut writer = Writer::new(std::fs::File::create(path("take.mcap")).unwrap(), header).unwrap();
+    rig.log.iter().for_each(|entry| writer.entry(entry).unwrap());
+    writer.finish("the end").unwrap();
+    let (take, field, out) = (path("take.mcap"), path("field.json"), path("out.csv"));
+    let solved = posed(["field", "solve", &take, "--spacing-m", "0.15", "-o", &field, "--corrected", &out]);
+    assert!(solved.status.success(), "{}", String::from_utf8_lossy(&solved.stderr));
+    assert_eq!(FieldMap::read(field.as_ref()).unwrap(), *map);
+    let corrector = map.corrector();
+    let good = rig.estimates().flat_map(|estimate| &estimate.sensors).filter(|s| s.state == SensorState::Ok);
+    let expected: Vec<Vector3<f64>> = good
+        .filter_map(|sensor| Some(corrector.position(&Vector3::from(sensor.measured?.position_m?))))
+        .collect();
+    let csv = std::fs::read_to_string(out).unwrap();
+    let corrected: Vec<Vector3<f64>> = csv
+        .lines()
+        .skip(1)
+        .map(|line| {
+            let cells: Vec<&str> = line.split(',').collect();
+            Vector3::from_fn(|axis, _| cells[2 + axis].parse().unwrap())
+        })
+        .collect();
+    assert_eq!(corrected, expected);
+}
+
+#[test]
+fn given_the_stage_with_a_pole_its_guided_run_makes_a_map_that_brings_poses_to_the_truth() {
+    let stage_toml = include_str!("../../config/field-pole.toml");
+    let stage = Stage::parse(stage_toml).unwrap();
+    let scenario = Scenario::deserialize(stage.simulation.clone().unwrap()).unwrap();
+    let mut rig = Rig::new(&stage, &scenario);
+    let sensors = stage.sensors.iter().map(|sensor| sensor.name.clone()).collect();
+    rig.push(Input::Request(Request::FieldStart { sensors, spacing_m: 0.15 }));
+    rig.run_until(22.0);
+    let [before, uncorrected] = off_m(&rig, &stage, 500);
+    let last = rig.said.iter().rev().find_map(|said| match said {
+        Said::Outcome(Outcome { what: OutcomeKind::Field(FieldNews::Progress(progress)), .. }) => {
+            Some(progress)
+        }
+        _ => None,
+    });
+    let last = last.unwrap();
+    assert!(last.hint.is_empty() && last.covered > 0.7 && last.directions == 1.0, "{last:?}");
+    let mut run = None;
+    let finish = Entry { t: rig.now, input: Input::Request(Request::FieldFinish {}) };
+    rig.pipeline.push(&finish, &mut |output| {
+        if let Output::PoleRun(collected) = output {
+            run = Some(collected.clone());
+        }
+    });
+    let solution = solve(run.unwrap(), &[], &mut |_| {});
+    assert!(solution.report.accepted, "{:?}", solution.report);
+    let map = solution.map.unwrap();
+    from_the_recording(&rig, stage_toml, &map);
+    rig.forget();
+    rig.push(swap(1, Some(map)));
+    rig.run_until(27.0);
+    let [after, corrected] = off_m(&rig, &stage, 50);
+    assert!(before > 5e-3 && after > 5e-3 && uncorrected > 5e-3);
+    assert!(corrected < 0.25 * after, "{after} {corrected}");
+}
+
+#[test]
+fn given_steel_that_is_brought_in_the_witness_tells_of_it_within_half_a_second() {
+    let brought_s = 60.0;
+    let mut stage = stage(&[3]);
+    stage.field = Some(FieldWatch { witnesses: vec!["s0-2".into()], ..FieldWatch::default() });
+    let metal = MetalSpec {
+        center_m: [0.9, 0.5, 0.0],
+        radius_m: 0.1,
+        material: Material::Iron,
+        from_s: Some(brought_s),
+        until_s: Some(brought_s + 5.0),
+    };
+    let lamp = BodySpec {
+        name: "lamp".into(),
+        motion: Motion::Still(Still { position_m: [0.7, 0.1, 0.1], ..Still::default() }),
+    };
+    let sensor = SensorScenario {
+        name: "s0-2".into(),
+        body: "lamp".into(),
+        segment: None,
+        offset_m: [0.0; 3],
+        mount_quat_wxyz: [1.0, 0.0, 0.0, 0.0],
+    };
+    let devices = vec![DeviceScenario { name: "d0".into(), ..DeviceScenario::default() }];
+    let scenario = Scenario {
+        devices,
+        metal: vec![metal],
+        bodies: vec![lamp],
+        sensors: vec![sensor],
+        ..Scenario::default()
+    };
+    let mut rig = Rig::new(&stage, &scenario);
+    rig.run_until(brought_s + 10.0);
+    let said: Vec<(f64, bool)> = rig
+        .said
+        .iter()
+        .filter_map(|said| match said {
+            Said::Outcome(Outcome {
+                t_decided,
+                what: OutcomeKind::Field(FieldNews::Warning(Warning::Disturbed { active, .. })),
+                ..
+            }) => Some((t_decided.as_secs_f64(), *active)),
+            _ => None,
+        })
+        .collect();
+    let [(began_s, true), (ended_s, false)] = said[..] else { panic!("{said:?}") };
+    assert!((brought_s..brought_s + 0.5).contains(&began_s), "{said:?}");
+    assert!((brought_s + 5.0..brought_s + 8.0).contains(&ended_s), "{said:?}");
+    // Meanwhile poses are less certain.
+    let sigma_m = |from: f64| {
+        let near = |e: &&Estimate| (from..from + 1.0).contains(&e.t_valid.as_secs_f64());
+        let poses = rig.estimates().filter(near).filter_map(|e| e.sensors[0].pose?.sigma_m);
+        poses.fold(0.0, f64::max)
+    };
+    assert!(sigma_m(brought_s + 3.0) > 2.0 * sigma_m(brought_s - 3.0));
+}
