@@ -454,18 +454,6 @@ export type FieldEventMessage = ({
   t_valid_s: number;
 };
 
-/** What the map of faults says of a frame. */
-export type FrameLabel = {
-  /** Why; `none` where it is clean. */
-  cause: LabelCause;
-  /** The cell that wins: row times columns plus column; null where no sensor is there. */
-  cell: number | null;
-  /** Distance of the frame from its cell, in shares of a chain; null where no sensor is there. */
-  distance: number | null;
-  /** Rules and map together: inverted if most sensors are, anomalous if any is not clean. */
-  label: FaultClass;
-};
-
 /** What every data message starts with, and its body. */
 export type FigureMessage = {
   /** Data messages of all topics that were dropped for this client so far. */
@@ -484,6 +472,18 @@ export type FigureMessage = {
   seq: number;
   /** Capture time of the newest sample in it, s; rises strictly. */
   t_s: number;
+};
+
+/** What the map of faults says of a frame. */
+export type FrameLabel = {
+  /** Why; `none` where it is clean. */
+  cause: LabelCause;
+  /** The cell that wins: row times columns plus column; null where no sensor is there. */
+  cell: number | null;
+  /** Distance of the frame from its cell, in shares of a chain; null where no sensor is there. */
+  distance: number | null;
+  /** Rules and map together: inverted if most sensors are, anomalous if any is not clean. */
+  label: FaultClass;
 };
 
 /** What a repetition must be like to count; see `judge`. */
@@ -869,6 +869,9 @@ export type SensorEntry = {
   velocity_m_s?: [number, number, number] | null;
 };
 
+/** What is wrong with a worn sensor. */
+export type SensorFault = "silent" | "not_finite" | "frozen" | "saturated" | "misfit";
+
 /** What the map of faults says of a sensor in a frame. */
 export type SensorLabel = {
   /** Why; `none` where it is clean. */
@@ -880,9 +883,6 @@ export type SensorLabel = {
   /** How the published pose differs from the record; null where it does not. */
   repair: Repair | null;
 };
-
-/** What is wrong with a worn sensor. */
-export type SensorFault = "silent" | "not_finite" | "frozen" | "saturated" | "misfit";
 
 /** How far a sensor's pose can be trusted. */
 export type SensorState = "ok" | "suspect" | "missing" | "late" | "stuck" | "repaired" | "extrapolated";
