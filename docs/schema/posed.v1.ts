@@ -598,7 +598,7 @@ export type Model = {
 
 /** What is known about an exercise's movement. */
 export type Movement = {
-  /** Half the range of each channel's mean. */
+  /** Half the range of the mean of the largest channel of each channel's kind. */
   amplitude: number[];
   /** Background: state 0 is rest, 1 is any movement. */
   background: Gaussians;

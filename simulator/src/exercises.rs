@@ -216,8 +216,7 @@ impl Day {
             let leaked: f64 = (0..WIDTH).map(|column| self.person.leak[row][column] * angles[column]).sum();
             let drift = 1.5 * (TAU * t_s / 47.0 + self.drift_phase[row]).sin();
             // Unsteady hands: noise with a memory of a tenth of a second.
-            self.tremor[row] =
-                0.9 * self.tremor[row] + 0.44 * self.person.tremor_deg * self.random.normal();
+            self.tremor[row] = 0.9 * self.tremor[row] + 0.44 * self.person.tremor_deg * self.random.normal();
             let noise = self.person.noise_deg * self.random.normal();
             let value = leaked + self.offset_deg[row] + drift + self.tremor[row] + noise;
             self.recording.angles_deg.push(value);
@@ -240,7 +239,9 @@ impl Day {
         let (at, phase) = (self.now_deg, self.between(0.0, TAU));
         for sample in 0..(seconds * RATE_HZ) as usize {
             let sway = 1.2 * ((TAU * 0.3 * sample as f64 / RATE_HZ + phase).sin() - phase.sin());
-            self.sample(std::array::from_fn(|angle| at[angle] + sway * if angle % 2 == 0 { 1.0 } else { -0.5 }));
+            self.sample(std::array::from_fn(|angle| {
+                at[angle] + sway * if angle % 2 == 0 { 1.0 } else { -0.5 }
+            }));
         }
         self.now_deg = at;
     }
@@ -273,9 +274,7 @@ impl Day {
             let way = match variant {
                 Variant::Partly(share) => whole * share,
                 Variant::WrongPhase if angle != largest => -whole,
-                Variant::Short { angle: short, by_deg } if angle == short => {
-                    whole - whole.signum() * by_deg
-                }
+                Variant::Short { angle: short, by_deg } if angle == short => whole - whole.signum() * by_deg,
                 _ => whole,
             };
             low[angle] + way
@@ -360,6 +359,8 @@ impl Day {
                     let times = 1 + self.between(0.0, 5.0) as usize;
                     for _ in 0..times {
                         let variant = match kind {
+                            // A single joint has no phase to others.
+                            5 if exercise.main_angles().count() < 2 => Variant::Partly(0.5),
                             3 => Variant::Partly(0.5),
                             4 => Variant::Partly(self.between(0.15, 0.45)),
                             _ => Variant::WrongPhase,

@@ -194,6 +194,7 @@ mod tests {
         let feedback = Feedback {
             channel: 0,
             deviation: -22.04999,
+            share: -0.4,
             deviation_sd: -2.0,
             phase: 0.5,
             rms_sd: 1.0,

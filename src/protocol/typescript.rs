@@ -109,3 +109,22 @@ fn push_comment(schema: &Value, indent: &str, out: &mut String) {
         let _ = writeln!(out, "{indent}/** {} */", text.split_whitespace().collect::<Vec<_>>().join(" "));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn a_union_beside_an_object_is_taken_as_one() {
+        let option = |name: &str| json!({"properties": {"event": {"const": name}}, "required": ["event"]});
+        let schema = json!({
+            "oneOf": [option("a"), option("b")],
+            "properties": {"t_s": {"type": "number"}},
+            "required": ["t_s"]
+        });
+        let text: String = type_of(&schema, "").split_whitespace().collect();
+        assert_eq!(text, r#"({event:"a";}|{event:"b";})&{t_s:number;}"#);
+    }
+}

@@ -4,11 +4,12 @@ use std::path::Path;
 use std::sync::LazyLock;
 
 use posed::input::{Entry, Input, Model, Plan, Request};
-use posed::motion::exercise::{EventKind, Exercise, Options, Stream, teach};
+use posed::motion::exercise::{Counter, EventKind, Exercise, Options, Stream, teach};
 use posed::output::{Estimate, ExerciseState, ExerciseWhat, OutcomeKind, Repetition};
 use posed::pipeline::Pipeline;
 use posed::recording::{Header, Machine, Replayable, Writer};
 use posed::signals;
+use posed_simulator::exercises::{self, Day, Exercise as Training, Person, Variant};
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
 
@@ -208,6 +209,57 @@ fn the_log_says_the_same_again_from_any_snapshot() {
     }
 }
 
+/// Joint angles of a simulated person as a stream.
+fn angles(recording: &exercises::Recording) -> (Vec<String>, Vec<f64>, Vec<Option<f64>>) {
+    let columns = exercises::ANGLES.map(str::to_owned).to_vec();
+    let rows = recording.angles_deg.len() / columns.len();
+    let t_s = (0..rows).map(|row| row as f64 / exercises::RATE_HZ).collect();
+    (columns, t_s, recording.angles_deg.iter().map(|value| Some(*value)).collect())
+}
+
+/// Counts and sentences of a recording.
+fn count(exercise: &Exercise, recording: &exercises::Recording) -> (usize, Vec<String>) {
+    let (columns, t_s, values) = angles(recording);
+    let mut counter = Counter::new(vec![exercise.clone()], &columns).unwrap();
+    let (mut counted, mut sentences) = (0, Vec::new());
+    for (row, t_s) in values.chunks(columns.len()).zip(&t_s) {
+        counter.push(*t_s, row, &mut |event| {
+            counted += usize::from(event.kind == EventKind::Counted);
+            sentences.extend(event.feedback.and_then(|feedback| feedback.sentence(exercise)));
+        });
+    }
+    (counted, sentences)
+}
+
+#[test]
+fn simulated_people_are_counted_corrected_and_otherwise_left_alone() {
+    for seed in [500, 501] {
+        let person = Person::new(seed);
+        let mut day = Day::new(&person, 0);
+        day.set(Training::Squat, 5, Variant::Right);
+        let (columns, t_s, values) = angles(&day.finish());
+        let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
+        let options = Options { name: "squat".into(), repetitions: 5, channels: None };
+        let squat = teach(&stream, &options).unwrap().exercise;
+
+        let mut day = Day::new(&person, 1);
+        day.set(Training::Squat, 9, Variant::Right);
+        assert_eq!(count(&squat, &day.finish()).0, 9, "person {seed}");
+
+        let mut day = Day::new(&person, 2);
+        day.other(60.0);
+        assert_eq!(count(&squat, &day.finish()).0, 0, "person {seed}: other movement");
+
+        let mut day = Day::new(&person, 3);
+        day.set(Training::Squat, 8, Variant::Short { angle: 5, by_deg: 25.0 });
+        let (_, sentences) = count(&squat, &day.finish());
+        let named = |sentence: &&String| {
+            sentence.starts_with("knee flexion") && sentence.ends_with("short at the top")
+        };
+        assert!(sentences.iter().filter(named).count() >= 6, "person {seed}: {sentences:?}");
+    }
+}
+
 /// The log of a session as a recording, with the messages that follow from it; those of `exercise` besides.
 fn record(path: &Path, log: &[Entry], stage_toml: &str) -> Vec<serde_json::Value> {
     let stage = posed::stage::Stage::parse(stage_toml).unwrap();
@@ -226,6 +278,15 @@ fn record(path: &Path, log: &[Entry], stage_toml: &str) -> Vec<serde_json::Value
     }
     writer.finish("the end").unwrap();
     exercise
+}
+
+/// The messages of `exercise` in a session of six curls.
+pub(crate) fn live_messages() -> Vec<serde_json::Value> {
+    let folder = tempfile::tempdir().unwrap();
+    let text = toml::to_string(&stage(&[2])).unwrap().replace("\"none\"", "\"/dev/none\"");
+    let mut rig = session(6);
+    rig.run_until(24.0);
+    record(&folder.path().join("take.mcap"), &rig.log, &text)
 }
 
 #[test]

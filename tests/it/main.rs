@@ -27,3 +27,4 @@ mod segments;
 mod server;
 mod simulated;
 mod stages;
+mod trainer;

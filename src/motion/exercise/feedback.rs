@@ -10,12 +10,14 @@ use super::judge::Measures;
 
 /// Deviations are means over this share of the movement: shorter ones are noise or alignment.
 const WINDOW: f64 = 0.12;
-/// Least deviation worth a word, in standard deviations of the state.
-pub(super) const WORTH_A_WORD: f64 = 1.2;
+/// Least deviation worth a word, half the taught range of the largest channel of its kind being 1.
+pub(super) const WORTH_A_WORD: f64 = 0.16;
 /// Tempo within these bounds is as taught.
 const SAME_TEMPO: [f64; 2] = [0.75, 1.35];
 /// Log dimensionless jerk above the taught one that is worth a word.
 const JERKY: f64 = 1.5;
+/// Channels that move less than this, the largest of their kind being 1, have no turning point worth a word.
+const TURNING: f64 = 0.3;
 /// Half width of the turning point, as a share of the movement.
 const TURN: f64 = 0.15;
 
@@ -26,6 +28,8 @@ pub struct Feedback {
     pub channel: usize,
     /// Its deviation there, in the channel's unit; positive is more than taught.
     pub deviation: f64,
+    /// The same, half the taught range of the largest channel of its kind being 1.
+    pub share: f64,
     /// The same in standard deviations of the taught movement.
     pub deviation_sd: f64,
     /// Where in the movement: 0 is the beginning, 1 the end.
@@ -51,7 +55,7 @@ pub(super) fn describe<'a>(
     let states = exercise.states();
     let gaussians = &exercise.movement.states;
     let half = (0.5 * WINDOW * states as f64).max(1.0);
-    let mut worst: Option<Feedback> = None;
+    let mut worst: Option<(Feedback, (bool, f64))> = None;
     for channel in 0..exercise.channels.len() {
         let (mean, sd) = (&gaussians.mean[channel], &gaussians.sd[channel]);
         let there = rows
@@ -67,7 +71,7 @@ pub(super) fn describe<'a>(
             (taught_low, taught_high) = (taught_low.min(mean[state]), taught_high.max(mean[state]));
         }
         // The largest mean deviation over a window of states.
-        let mut peak = (0.0_f64, 0.0, 0.0);
+        let (mut peak, mut turned) = ((0.0, 0.0_f64, 0.0), false);
         for centre in 0..states {
             let (mut weight, mut sum, mut sum_sd) = (0.0, 0.0, 0.0);
             for (value, state) in there.clone() {
@@ -77,15 +81,25 @@ pub(super) fn describe<'a>(
                     sum_sd += (value - mean[state]) / sd[state];
                 }
             }
-            if weight > 0.0 && (sum_sd / weight).abs() > peak.0.abs() {
+            if weight > 0.0 && (sum / weight).abs() > peak.1.abs() {
                 peak = (sum_sd / weight, sum / weight, (centre as f64 + 0.5) / states as f64);
             }
         }
+        // How far the turn is from the taught one does not depend on the alignment: it comes first.
+        if let Some((turn, off)) = at_turn(exercise, channel, there.clone())
+            && off.abs() >= WORTH_A_WORD * exercise.movement.amplitude[channel]
+        {
+            peak = (off / sd[turn], off, (turn as f64 + 0.5) / states as f64);
+            turned = true;
+        }
         let (deviation_sd, deviation, phase) = peak;
-        if n > 0.0 && worst.is_none_or(|worst| deviation_sd.abs() > worst.deviation_sd.abs()) {
-            worst = Some(Feedback {
+        let share = deviation / exercise.movement.amplitude[channel];
+        let rank = (turned, share.abs());
+        if n > 0.0 && worst.is_none_or(|(_, worst)| rank > worst) {
+            let feedback = Feedback {
                 channel,
                 deviation,
+                share,
                 deviation_sd,
                 phase,
                 rms_sd: f64::sqrt(square / n),
@@ -94,15 +108,36 @@ pub(super) fn describe<'a>(
                 fifth_tempo: [0.0; 5],
                 jerk: log_jerk(rows.clone().map(|(observation, _)| observation), exercise)
                     - exercise.log_jerk,
-            });
+            };
+            worst = Some((feedback, rank));
         }
     }
-    let mut feedback = worst?;
+    let (mut feedback, _) = worst?;
     for (_, state) in rows {
         feedback.fifth_tempo[(5 * state / states).min(4)] +=
             5.0 / (exercise.durations.median_s * exercise.rate_hz);
     }
     Some(feedback)
+}
+
+/// The state in which a channel turns, and how far beyond the taught turn it went; none of a channel that hardly moves.
+fn at_turn(
+    exercise: &Exercise,
+    channel: usize,
+    values: impl Iterator<Item = (f64, usize)> + Clone,
+) -> Option<(usize, f64)> {
+    let mean = &exercise.movement.states.mean[channel];
+    let (turn, reach) = turning_point(exercise, channel);
+    if reach.abs() < 2.0 * TURNING * exercise.movement.amplitude[channel] {
+        return None;
+    }
+    let outward = reach.signum();
+    // Three frames at a time: one alone may be noise.
+    let later = values.clone().skip(1);
+    let latest = values.clone().skip(2);
+    let smooth = values.zip(later).zip(latest).map(|((a, b), c)| outward * (a.0 + b.0 + c.0) / 3.0);
+    let farthest = smooth.fold(f64::NEG_INFINITY, f64::max);
+    farthest.is_finite().then(|| (turn, outward * (farthest - outward * mean[turn])))
 }
 
 /// Log dimensionless jerk (Hogan & Sternad 2009) of all channels, each in units of its amplitude.
@@ -182,7 +217,7 @@ pub enum Place {
 impl Feedback {
     /// What to say; `None` where all was as taught.
     pub fn remark(&self, exercise: &Exercise) -> Option<Remark> {
-        if self.deviation_sd.abs() >= WORTH_A_WORD {
+        if self.share.abs() >= WORTH_A_WORD {
             Remark::deviation(exercise, self.channel, self.deviation, self.phase)
         } else if !(SAME_TEMPO[0]..=SAME_TEMPO[1]).contains(&self.tempo) {
             Some(Remark::Tempo(self.tempo))
@@ -202,8 +237,8 @@ impl Remark {
     /// That a channel deviates at a phase of the movement.
     pub(super) fn deviation(exercise: &Exercise, channel: usize, deviation: f64, phase: f64) -> Option<Self> {
         let mean = exercise.movement.states.mean.get(channel)?;
-        let turn = turning_point(mean);
-        let outward = (mean[turn] - mean[0]).signum();
+        let (turn, reach) = turning_point(exercise, channel);
+        let outward = reach.signum();
         let turn_phase = (turn as f64 + 0.5) / mean.len() as f64;
         let place = if (phase - turn_phase).abs() <= TURN {
             Place::Top
@@ -265,16 +300,16 @@ impl Place {
     }
 }
 
-/// The state in which a channel is farthest from where it begins.
-fn turning_point(mean: &[f64]) -> usize {
-    let first = mean.first().copied().unwrap_or(0.0);
-    let mut farthest = (0, 0.0);
-    for (state, value) in mean.iter().enumerate() {
-        if (value - first).abs() > farthest.1 {
-            farthest = (state, (value - first).abs());
+/// The state in which a channel is farthest from rest, and how far.
+fn turning_point(exercise: &Exercise, channel: usize) -> (usize, f64) {
+    let rest = exercise.movement.background.mean[channel][0];
+    let mut farthest = (0, 0.0_f64);
+    for (state, value) in exercise.movement.states.mean[channel].iter().enumerate() {
+        if (value - rest).abs() > farthest.1.abs() {
+            farthest = (state, value - rest);
         }
     }
-    farthest.0
+    farthest
 }
 
 /// A channel's name in words, its unit with a space before it, and the factor from its unit to that one.

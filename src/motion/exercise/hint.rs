@@ -21,8 +21,8 @@ pub struct Hint {
     pub exercise: usize,
     /// Index of the channel that deviates most.
     pub channel: usize,
-    /// Its deviation in standard deviations of the taught movement, low-passed.
-    pub deviation_sd: f64,
+    /// Its deviation, half the taught range of the largest channel of its kind being 1, low-passed.
+    pub share: f64,
     /// The same in the channel's unit.
     pub deviation: f64,
     /// Where in the movement: 0 is the beginning, 1 the end.
@@ -34,7 +34,7 @@ pub struct Hint {
 impl Hint {
     /// What to say of the channel; `None` where its deviation is not worth a word.
     pub fn remark(&self, exercise: &Exercise) -> Option<Remark> {
-        let worth = self.deviation_sd.abs() >= WORTH_A_WORD;
+        let worth = self.share.abs() >= WORTH_A_WORD;
         if worth { Remark::deviation(exercise, self.channel, self.deviation, self.phase) } else { None }
     }
 }
@@ -43,7 +43,7 @@ impl Hint {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Follower {
     rate_hz: f64,
-    /// Low-passed deviation of each channel, standard deviations and its own unit.
+    /// Low-passed deviation of each channel, as a share and in its own unit.
     smooth: Vec<[f64; 2]>,
     /// Frames for which the background has been likelier.
     below: f64,
@@ -74,13 +74,13 @@ impl Follower {
         log_ratio: f64,
     ) -> Hint {
         self.inside = true;
-        let share = 1.0 - (-1.0 / (SMOOTH_S * self.rate_hz)).exp();
+        let weight = 1.0 - (-1.0 / (SMOOTH_S * self.rate_hz)).exp();
         let gaussians = &exercise.movement.states;
         for (channel, smooth) in self.smooth.iter_mut().enumerate() {
             let off = observation[channel] - gaussians.mean[channel][state];
             if off.is_finite() {
-                smooth[0] += share * (off / gaussians.sd[channel][state] - smooth[0]);
-                smooth[1] += share * (off - smooth[1]);
+                smooth[0] += weight * (off / exercise.movement.amplitude[channel] - smooth[0]);
+                smooth[1] += weight * (off - smooth[1]);
             }
         }
         self.below = if log_ratio < 0.0 { self.below + 1.0 } else { 0.0 };
@@ -90,11 +90,11 @@ impl Follower {
                 worst = channel;
             }
         }
-        let [deviation_sd, deviation] = self.smooth.get(worst).copied().unwrap_or_default();
+        let [share, deviation] = self.smooth.get(worst).copied().unwrap_or_default();
         Hint {
             exercise: index,
             channel: worst,
-            deviation_sd,
+            share,
             deviation,
             phase: (state as f64 + 0.5) / exercise.states() as f64,
             anomaly: self.below >= ANOMALY_S * self.rate_hz,

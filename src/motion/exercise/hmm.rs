@@ -10,11 +10,16 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::kinds::largest;
+
 /// Frames that the pooled variance counts for.
 const POOLED_FRAMES: f64 = 4.0;
 /// Least standard deviation of a state as a share of the channel's amplitude: values, which shift with posture and the
 /// place of the sensor, and velocities, which do not.
 const FLOOR: [f64; 2] = [0.3, 0.2];
+/// Least amplitude that a channel is taken for, as a share of the largest of its kind: so much of that one a
+/// misplaced sensor mixes into it, and posture shifts it as far.
+const LEAST_SHARE: f64 = 0.33;
 /// Standard deviation of the wide background as a share of the channel's amplitude.
 const WIDE: f64 = 1.0;
 /// Least standard deviation of the resting background as a share of the channel's amplitude.
@@ -42,7 +47,7 @@ pub struct Movement {
     pub states: Gaussians,
     /// Background: state 0 is rest, 1 is any movement.
     pub background: Gaussians,
-    /// Half the range of each channel's mean.
+    /// Half the range of the mean of the largest channel of each channel's kind.
     pub amplitude: Vec<f64>,
 }
 
@@ -168,57 +173,81 @@ pub(super) fn equal_parts(segments: &[std::ops::Range<usize>], states: usize) ->
 
 /// Estimates a movement from aligned repetitions.
 ///
-/// `observations` has `width` values per frame, NaN where there is none; `alignments` gives the frames and states
+/// `observations` has the values and velocities of `kinds.len()` channels per frame, NaN where there is none; `kinds` are
+/// their kinds; `alignments` gives the frames and states
 /// of each repetition; `idle` the frames that belong to none.
 pub(super) fn estimate(
     observations: &[f64],
-    width: usize,
+    kinds: &[usize],
     states: usize,
     alignments: &[Vec<(usize, usize)>],
     idle: &[usize],
 ) -> Movement {
-    let mut model = Movement {
-        states: Gaussians { mean: Vec::new(), sd: Vec::new() },
-        background: Gaussians { mean: Vec::new(), sd: Vec::new() },
-        amplitude: Vec::new(),
-    };
-    for channel in 0..width {
-        let value = |frame: usize| observations[frame * width + channel];
+    let width = 2 * kinds.len();
+    let courses: Vec<Course> =
+        (0..width).map(|channel| Course::new(observations, width, channel, states, alignments)).collect();
+    let sizes: Vec<f64> = courses.iter().map(|course| course.amplitude).collect();
+    let (values, velocities) = sizes.split_at(width / 2);
+    let amplitude = [largest(kinds, values), largest(kinds, velocities)].concat();
+    let empty = || Gaussians { mean: Vec::new(), sd: Vec::new() };
+    let mut model = Movement { states: empty(), background: empty(), amplitude };
+    for (channel, course) in courses.into_iter().enumerate() {
+        let Course { mean, variance, low, high, .. } = course;
+        let size = course.amplitude.max(LEAST_SHARE * model.amplitude[channel]);
+        let floor = (FLOOR[usize::from(2 * channel >= width)] * size).powi(2);
+        let sd = variance.iter().map(|variance| (variance + floor).sqrt()).collect();
+        let rest = spread(idle.iter().map(|frame| observations[frame * width + channel]));
+        let (rest_mean, rest_sd) = rest.unwrap_or_else(|| (0.5 * (mean[0] + mean[states - 1]), size));
+        model.background.mean.push(vec![rest_mean, 0.5 * (low + high)]);
+        model.background.sd.push(vec![rest_sd.max(REST_FLOOR * size), WIDE * size]);
+        model.states.mean.push(mean);
+        model.states.sd.push(sd);
+    }
+    model
+}
+
+/// What a channel does in the repetitions.
+struct Course {
+    /// Mean and variance in each state, the variance shrunk towards the pooled one.
+    mean: Vec<f64>,
+    variance: Vec<f64>,
+    low: f64,
+    high: f64,
+    /// Half the range of the mean; of a channel that stands still the width of its noise, so that it has no say.
+    amplitude: f64,
+}
+
+impl Course {
+    fn new(
+        observations: &[f64],
+        width: usize,
+        channel: usize,
+        states: usize,
+        alignments: &[Vec<(usize, usize)>],
+    ) -> Self {
+        let cells = || {
+            let cell = |(frame, state): &(usize, usize)| (observations[frame * width + channel], *state);
+            alignments.iter().flatten().map(cell).filter(|(value, _)| value.is_finite())
+        };
         let mut moments = vec![(0.0, 0.0); states];
-        for (frame, state) in alignments.iter().flatten() {
-            if value(*frame).is_finite() {
-                moments[*state].0 += 1.0;
-                moments[*state].1 += value(*frame);
-            }
+        for (value, state) in cells() {
+            moments[state].0 += 1.0;
+            moments[state].1 += value;
         }
         let mean = fill(moments.iter().map(|(n, sum)| (*n > 0.0).then(|| sum / n)).collect());
         let mut squares = vec![0.0; states];
-        for (frame, state) in alignments.iter().flatten() {
-            if value(*frame).is_finite() {
-                squares[*state] += (value(*frame) - mean[*state]).powi(2);
-            }
+        for (value, state) in cells() {
+            squares[state] += (value - mean[state]).powi(2);
         }
         let frames: f64 = moments.iter().map(|(n, _)| n).sum();
         let pooled = squares.iter().sum::<f64>() / frames.max(1.0);
         let (low, high) = range(&mean);
-        // A channel that stands still keeps a width of its noise, so that it has no say.
+        let shrunk =
+            |(square, (n, _)): (&f64, &(f64, f64))| (square + POOLED_FRAMES * pooled) / (n + POOLED_FRAMES);
+        let variance = squares.iter().zip(&moments).map(shrunk).collect();
         let amplitude = (0.5 * (high - low)).max(2.0 * pooled.sqrt()).max(1e-9);
-        let floor = (FLOOR[usize::from(2 * channel >= width)] * amplitude).powi(2);
-        let sd = squares
-            .iter()
-            .zip(&moments)
-            .map(|(square, (n, _))| ((square + POOLED_FRAMES * pooled) / (n + POOLED_FRAMES) + floor).sqrt())
-            .collect();
-        let (rest_mean, rest_sd) = spread(idle.iter().map(|frame| value(*frame)))
-            .unwrap_or_else(|| (0.5 * (mean[0] + mean[states - 1]), amplitude));
-        let middle = 0.5 * (low + high);
-        model.background.mean.push(vec![rest_mean, middle]);
-        model.background.sd.push(vec![rest_sd.max(REST_FLOOR * amplitude), WIDE * amplitude]);
-        model.states.mean.push(mean);
-        model.states.sd.push(sd);
-        model.amplitude.push(amplitude);
+        Self { mean, variance, low, high, amplitude }
     }
-    model
 }
 
 /// Fills states that no frame fell into from their neighbours.
@@ -294,7 +323,7 @@ mod tests {
         // Channel 0 climbs 0, 1, .. 11 in every repetition, channel 1 stands still.
         let observations: Vec<f64> = (0..36).flat_map(|frame| [f64::from(frame % 12), 5.0]).collect();
         let alignments = equal_parts(&[0..12, 12..24, 24..36], 6);
-        let movement = estimate(&observations, 2, 6, &alignments, &[]);
+        let movement = estimate(&observations, &[0], 6, &alignments, &[]);
         assert_eq!(movement.states.mean[0], [0.5, 2.5, 4.5, 6.5, 8.5, 10.5]);
         assert_eq!(movement.amplitude[0], 5.0);
         let ratio = LogRatio::new(&movement);

@@ -7,7 +7,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::exercise::{Durations, Gate};
-use super::hmm::{LogRatio, Movement, WORST};
+use super::hmm::{LogRatio, Movement, WORST, range};
 
 /// Measures of one repetition.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -83,6 +83,7 @@ pub(super) fn measure<'a>(
     }
     let worst = fifths.iter().filter(|fifth| fifth.1 > 0.0).map(|fifth| fifth.0 / fifth.1);
     let (mut along, mut taught, mut done) = (0.0, 0.0, 0.0);
+    let (mut reached, mut whole) = (0.0, 0.0);
     for channel in 0..channels {
         let (mean, sd) = (&movement.states.mean[channel], &movement.states.sd[channel]);
         // A glitch, or a channel that has gone elsewhere, has no say here either.
@@ -101,6 +102,14 @@ pub(super) fn measure<'a>(
             xx += value * value;
             yy += expected * expected;
         }
+        // A path around the turning point would find the rest of the movement in full size.
+        let (low, high) = range(mean);
+        let passed = frames.clone().map(|(_, state)| mean[state]);
+        let (lowest, highest) =
+            passed.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), mean| (l.min(mean), h.max(mean)));
+        let weight = (high - low) / movement.amplitude[channel].powi(2);
+        whole += weight * (high - low);
+        reached += weight * (highest - lowest).max(0.0);
         if n > 0.0 {
             let scale = movement.amplitude[channel].powi(-2);
             along += scale * (xy - x * y / n);
@@ -112,7 +121,7 @@ pub(super) fn measure<'a>(
         duration_s: count as f64 / rate_hz,
         mean_log_ratio: sum / count as f64,
         fifth_log_ratio: worst.fold(f64::INFINITY, f64::min),
-        gain: if taught > 0.0 { along / taught } else { 0.0 },
+        gain: if taught > 0.0 && whole > 0.0 { (done / taught).sqrt() * reached / whole } else { 0.0 },
         likeness: if taught > 0.0 && done > 0.0 { along / (taught * done).sqrt() } else { 0.0 },
         visited: visited as f64 / states as f64,
     }

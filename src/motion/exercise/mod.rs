@@ -15,6 +15,7 @@
 mod align;
 mod channels;
 mod counter;
+mod counting;
 #[expect(
     clippy::module_inception,
     reason = "the file is about the taught exercise, the folder about exercises"
@@ -25,9 +26,11 @@ mod frames;
 mod hint;
 mod hmm;
 mod judge;
+mod kinds;
 mod material;
 mod motif;
 mod network;
+mod passage;
 mod psd;
 mod teach;
 #[cfg(test)]

@@ -15,6 +15,7 @@ use super::exercise::{Durations, Exercise, Gate};
 use super::feedback::log_jerk;
 use super::hmm::{LogRatio, Movement, equal_parts, estimate, range, states_for};
 use super::judge::{Measures, measure};
+use super::kinds::{kinds, largest};
 use super::material::{Material, RATE_HZ, Stream};
 use super::motif::motifs;
 use super::psd::{periods, repeatability};
@@ -33,6 +34,8 @@ const ROUNDS: usize = 2;
 const LAST_ROUNDS: usize = 3;
 /// A channel is used if this much of its variance within repetitions is the same in all of them.
 const LEAST_COMMON: f64 = 0.25;
+/// A channel is used if it moves so much, the largest of its kind being 1.
+const LEAST_MOVED: f64 = 0.15;
 
 /// Frames per second while hypotheses are compared.
 const SEARCH_HZ: f64 = 12.5;
@@ -42,6 +45,8 @@ const UNEVEN: [f64; 2] = [0.55, 1.7];
 const LEAST_ALIKE: f64 = 0.5;
 /// Least log ratio per frame of a repetition that counts, the taught median being 1: other days are less alike.
 const LEAST_RATIO: f64 = 0.15;
+/// Least size of a repetition that counts, the taught one being 1: half a movement is none.
+const LEAST_GAIN: f64 = 0.66;
 /// Least correlation of a repetition of an example with their mean.
 const LEAST_LIKENESS: f64 = 0.6;
 
@@ -232,11 +237,12 @@ fn refine(
     }
     let material = all.only(&chosen);
     let width = 2 * material.width();
+    let kinds = kinds(&material.channels);
     let mut hypothesis = None;
     for _ in 0..rounds {
         let movement = estimate(
             &material.observations,
-            width,
+            &kinds,
             states,
             &alignments,
             &idle(&alignments, material.frames()),
@@ -290,7 +296,8 @@ fn steadiness(material: &Material, found: &[Repetition], states: usize) -> f64 {
     covered.sqrt() * at_rest * complete
 }
 
-/// The repetitions that are like most of them, and the mean over them of the log ratio per frame.
+/// The repetitions that are like most of them, and the middle between the mean and the least of their log ratios per
+/// frame.
 fn alike(material: &Material, movement: &Movement, found: Vec<Repetition>) -> (Vec<Repetition>, f64) {
     let ratio = LogRatio::new(movement);
     let (states, width) = (ratio.states(), 2 * material.width());
@@ -308,7 +315,7 @@ fn alike(material: &Material, movement: &Movement, found: Vec<Repetition>) -> (V
         .collect();
     let middle = |value: fn(&Measures) -> f64| median(measured.iter().map(value)).unwrap_or(0.0);
     let (duration_s, log_ratio) = (middle(|m| m.duration_s), middle(|m| m.mean_log_ratio));
-    let (mut sum, mut kept) = (0.0, Vec::with_capacity(found.len()));
+    let (mut sum, mut least, mut kept) = (0.0, f64::INFINITY, Vec::with_capacity(found.len()));
     for (repetition, measures) in found.into_iter().zip(&measured) {
         if (UNEVEN[0]..=UNEVEN[1]).contains(&(measures.duration_s / duration_s))
             && measures.mean_log_ratio > LEAST_ALIKE * log_ratio
@@ -316,11 +323,13 @@ fn alike(material: &Material, movement: &Movement, found: Vec<Repetition>) -> (V
             && measures.likeness > LEAST_LIKENESS
         {
             sum += measures.mean_log_ratio;
+            least = least.min(measures.mean_log_ratio);
             kept.push(repetition);
         }
     }
-    let mean = sum / kept.len().max(1) as f64;
-    (kept, mean)
+    // One that is unlike the others is more likely half of something else than one of them.
+    let mean = if kept.is_empty() { 0.0 } else { sum / kept.len() as f64 };
+    (kept, 0.5 * (mean + least.min(mean)))
 }
 
 /// Frames that belong to no repetition.
@@ -345,9 +354,10 @@ fn without_still_channels(all: &Material) -> Material {
     all.only(&moving)
 }
 
-/// Channels that do the same in every repetition: the mean course explains most of their variance.
+/// Channels that do the same in every repetition, and enough of it: the mean course explains most of their variance.
 fn common_channels(all: &Material, states: usize, alignments: &[Vec<(usize, usize)>]) -> Vec<usize> {
     let width = all.width();
+    let mut moved = Vec::with_capacity(width);
     let mut common: Vec<(f64, usize)> = (0..width)
         .map(|channel| {
             let cells = alignments.iter().flatten().filter_map(|(frame, state)| {
@@ -367,9 +377,12 @@ fn common_channels(all: &Material, states: usize, alignments: &[Vec<(usize, usiz
             let within: f64 =
                 moments.iter().filter(|(n, _)| *n > 0.0).map(|(n, sum)| sum * sum / n).sum::<f64>();
             let between = within - sum * sum / f64::max(n, 1.0);
+            moved.push((between / f64::max(n, 1.0)).max(0.0).sqrt());
             (if total > 1e-12 * square { between / total } else { 0.0 }, channel)
         })
         .collect();
+    let most = largest(&kinds(&all.channels), &moved);
+    common.retain(|(_, channel)| moved[*channel] >= LEAST_MOVED * most[*channel]);
     common.sort_by(|a, b| b.0.total_cmp(&a.0));
     let best = common.first().map_or(0.0, |(share, _)| *share);
     let mut chosen: Vec<usize> = common
@@ -439,11 +452,12 @@ fn against_the_others(material: &Material, hypothesis: &Hypothesis) -> Vec<Measu
     let states = hypothesis.movement.states.mean[0].len();
     let alignments: Vec<_> = hypothesis.found.iter().map(|repetition| repetition.path.clone()).collect();
     let idle = idle(&alignments, material.frames());
+    let kinds = kinds(&material.channels);
     (0..alignments.len())
         .map(|left_out| {
             let mut others = alignments.clone();
             let path = others.remove(left_out);
-            let movement = estimate(&material.observations, width, states, &others, &idle);
+            let movement = estimate(&material.observations, &kinds, states, &others, &idle);
             let ratio = LogRatio::new(&movement);
             let rows =
                 path.iter().map(|(frame, state)| (&material.observations[frame * width..][..width], *state));
@@ -460,7 +474,8 @@ fn gate_of(measures: &[Measures]) -> Gate {
     Gate {
         mean_log_ratio: LEAST_RATIO * log_ratio,
         fifth_log_ratio: (lowest(|m| m.fifth_log_ratio) - 3.0).min(-log_ratio),
-        gain: [0.62, 1.7],
+        // What was taught as a repetition is one, however small.
+        gain: [LEAST_GAIN.min(0.85 * lowest(|m| m.gain)), 1.7],
         likeness: (lowest(|m| m.likeness) - 0.15).clamp(0.6, 0.75),
         duration: [0.4, 2.5],
         visited: 0.45,

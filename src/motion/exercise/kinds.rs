@@ -1,0 +1,55 @@
+//! Which channels measure the same kind of quantity.
+//!
+//! What comes in: names of channels. What goes out: for each the number of its kind. Channels of one kind share a
+//! unit, so their sizes can be compared: a joint that turns by five degrees says little beside one that turns by a
+//! hundred, and what a misplaced sensor mixes into it is as large. What it never does: look at values.
+
+/// Number of each channel's kind, in the order of their first appearance.
+pub(super) fn kinds(channels: &[String]) -> Vec<usize> {
+    let mut names: Vec<&str> = Vec::new();
+    channels
+        .iter()
+        .map(|channel| {
+            let name = kind(channel);
+            names.iter().position(|known| *known == name).unwrap_or_else(|| {
+                names.push(name);
+                names.len() - 1
+            })
+        })
+        .collect()
+}
+
+/// The unit at the end of a name; else what is left of it without its axis.
+fn kind(channel: &str) -> &str {
+    if let Some(unit) = ["_deg", "_rad", "_m"].into_iter().find(|unit| channel.ends_with(unit)) {
+        return unit;
+    }
+    // The vertical of any sensor is a vertical.
+    if ["up_x", "up_y", "up_z"].iter().any(|up| channel.ends_with(up)) {
+        return "up_";
+    }
+    channel.strip_suffix(['x', 'y', 'z']).filter(|rest| !rest.is_empty()).unwrap_or(channel)
+}
+
+/// For each value the largest one of its kind.
+pub(super) fn largest(kinds: &[usize], values: &[f64]) -> Vec<f64> {
+    let of = |kind: usize| {
+        let same = kinds.iter().zip(values).filter(|(other, _)| **other == kind);
+        same.map(|(_, value)| *value).fold(0.0, f64::max)
+    };
+    kinds.iter().map(|kind| of(*kind)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn axes_and_joints_are_of_one_kind_and_units_are_kept_apart() {
+        let names =
+            ["elbow_flexion_deg", "gx", "gz", "knee_deg", "ax", "left_up_x", "right_up_z", "left_x_m", "x"];
+        let kinds = kinds(&names.map(str::to_owned));
+        assert_eq!(kinds, [0, 1, 1, 0, 2, 3, 3, 4, 5]);
+        assert_eq!(largest(&[0, 1, 0], &[2.0, 5.0, 3.0]), [3.0, 5.0, 3.0]);
+    }
+}
