@@ -56,7 +56,7 @@ impl BodyColumns {
         Self(BodyLayout::of(stage).map_or_else(Vec::new, |layout| layout.shown_angles))
     }
 
-    /// Appends the body's angles, degrees, to what [`write`] wrote of the estimate; none where the body is older than it by
+    /// Appends the body's angles, degrees, to what [`write()`] wrote of the estimate; none where the body is older than it by
     /// more than 50 ms.
     pub fn append(&self, body: Option<&Body>, estimate: &Estimate, row: &mut Vec<Option<f64>>) {
         let fresh = |body: &&Body| estimate.t_valid.seconds_since(body.t_valid) <= BODY_AGE_S;
