@@ -85,6 +85,11 @@ pub enum Model {
         #[schemars(with = "Option<serde_json::Map<String, serde_json::Value>>")]
         map: Option<Prepared>,
     },
+    /// How the body's sensors sit, as a calibration found it.
+    Mounting {
+        /// One per sensor on the body.
+        sensors: Vec<MountedSensor>,
+    },
     /// A taught exercise; it takes the place of the one of its name.
     Exercise {
         /// The exercise, as in its file.
@@ -96,6 +101,18 @@ pub enum Model {
         /// The network, as in its file.
         network: Box<Network>,
     },
+}
+
+/// How one sensor sits on its segment.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MountedSensor {
+    /// The sensor, by name.
+    pub sensor: String,
+    /// Turns sensor coordinates into segment coordinates.
+    pub mount_quat_wxyz: [f64; 4],
+    /// Where it sits, segment frame, m.
+    pub offset_m: [f64; 3],
 }
 
 /// What clients ask of the pipeline.
@@ -144,6 +161,7 @@ impl Model {
     pub fn replaced_by(&self, newer: &Self) -> bool {
         match (self, newer) {
             (Self::Transmitter { .. }, Self::Transmitter { .. }) => true,
+            (Self::Mounting { .. }, Self::Mounting { .. }) => true,
             (Self::TrackerNoise { device, .. }, Self::TrackerNoise { device: of, .. }) => device == of,
             (Self::Field { .. }, Self::Field { .. }) => true,
             (Self::Exercise { exercise }, Self::Exercise { exercise: newer }) => exercise.name == newer.name,
@@ -179,6 +197,17 @@ impl Model {
             Self::Field { map, .. } => {
                 if let Some(map) = map {
                     map.map().check().map_err(|reason| format!("map: {reason}"))?;
+                }
+            }
+            Self::Mounting { sensors } => {
+                let good = |sensor: &MountedSensor| {
+                    geometry::isometry(sensor.offset_m, sensor.mount_quat_wxyz).is_some()
+                };
+                if let Some(bad) = sensors.iter().find(|sensor| !good(sensor)) {
+                    return Err(format!(
+                        "sensors: give {:?} finite numbers and a quaternion that is not zero",
+                        bad.sensor
+                    ));
                 }
             }
             Self::Exercise { exercise } => exercise.check().map_err(|error| error.to_string())?,

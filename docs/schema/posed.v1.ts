@@ -140,6 +140,12 @@ export type Call = {
   row: number;
   type: "faults.name_cell";
 } | {
+  /** How much is asked for; absent: `full`. */
+  how?: Thoroughness | null;
+  /** The reply carries it. */
+  id: RequestId;
+  type: "body.calibrate";
+} | {
   /** The reply carries it. */
   id: RequestId;
   /** Its number. */
@@ -682,9 +688,23 @@ export type Model = {
   /** Number of the map on its stage, from 1; 0 is none. */
   version: number;
 } | {
+  kind: "mounting";
+  /** One per sensor on the body. */
+  sensors: MountedSensor[];
+} | {
   /** The exercise, as in its file. */
   exercise: Exercise;
   kind: "exercise";
+};
+
+/** How one sensor sits on its segment. */
+export type MountedSensor = {
+  /** Turns sensor coordinates into segment coordinates. */
+  mount_quat_wxyz: [number, number, number, number];
+  /** Where it sits, segment frame, m. */
+  offset_m: [number, number, number];
+  /** The sensor, by name. */
+  sensor: string;
 };
 
 /** What is known about an exercise's movement. */
@@ -990,6 +1010,9 @@ export type StatusMessage = {
   /** Host time, s; rises strictly. */
   t_s: number;
 };
+
+/** How much is done. */
+export type Thoroughness = "quick" | "full";
 
 /** A topic; its name is the `type` of its messages. */
 export type Topic = "status" | "sensors" | "body" | "faults" | "keyframes" | "segments" | "exercise" | "field" | "jobs" | "truth";

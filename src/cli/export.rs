@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
+use posed::animation;
 use posed::recording::export::{self, Frame};
+use posed::recording::movement;
 
 use super::progress::Progress;
 use super::{Error, print, print_json};
@@ -11,11 +13,12 @@ use super::{Error, print, print_json};
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  posed export take-1.mcap --to csv -o poses.csv\n  \
     posed export take-1.mcap --to csv --frame transmitter -o poses.csv.gz\n  \
-    posed export take-1.mcap --to jsonl -o messages.jsonl")]
+    posed export take-1.mcap --to jsonl -o messages.jsonl\n  \
+    posed export take-1.mcap --to bvh -o take-1.bvh")]
 pub(crate) struct Args {
     /// The recording.
     recording: PathBuf,
-    /// csv: filtered poses with their state. jsonl: every published message, one on each line.
+    /// csv: filtered poses with their state. jsonl: every published message, one on each line. bvh, trc, glb: the body.
     #[arg(long, value_enum)]
     to: Format,
     /// The file to write; csv is zipped where it ends in .gz.
@@ -24,7 +27,7 @@ pub(crate) struct Args {
     /// Axes of the poses in a csv file.
     #[arg(long, value_enum, default_value = "room")]
     frame: Frame,
-    /// Print one JSON object: rows.
+    /// Print one JSON object: rows (of an animation its frames).
     #[arg(long)]
     json: bool,
 }
@@ -33,21 +36,31 @@ pub(crate) struct Args {
 enum Format {
     Jsonl,
     Csv,
+    Bvh,
+    Trc,
+    Glb,
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let Args { recording, to, output, frame, json } = args;
     let mut progress = Progress::over(&recording, "exporting");
-    let rows = match to {
-        Format::Jsonl if frame != Frame::Room => {
-            return Err(Error::Usage(
-                "--frame is for --to csv; messages are written as they were published".into(),
-            ));
-        }
-        Format::Jsonl => export::jsonl(&recording, &output, |bytes| progress.at(bytes)),
-        Format::Csv => export::csv(&recording, &output, frame, |bytes| progress.at(bytes)),
+    if frame != Frame::Room && to != Format::Csv {
+        return Err(Error::Usage("--frame is for --to csv; everything else is in the room's axes".into()));
+    }
+    let mut body = |format| {
+        movement::animation(&recording, &output, format, |bytes| progress.at(bytes)).map_err(Error::failed)
     };
-    let rows = rows.map_err(Error::failed)?;
+    let rows = match to {
+        Format::Bvh => body(animation::Format::Bvh)?,
+        Format::Trc => body(animation::Format::Trc)?,
+        Format::Glb => body(animation::Format::Glb)?,
+        Format::Jsonl => {
+            export::jsonl(&recording, &output, |bytes| progress.at(bytes)).map_err(Error::failed)?
+        }
+        Format::Csv => {
+            export::csv(&recording, &output, frame, |bytes| progress.at(bytes)).map_err(Error::failed)?
+        }
+    };
     drop(progress);
     if json {
         print_json(&serde_json::json!({ "rows": rows }))

@@ -20,8 +20,10 @@ use super::positions::RecentPositions;
 use super::recent::{Excerpt, Recent};
 use super::recorder::{Recorder, RecorderState};
 use super::server::{Hub, Reply};
+use super::worn::Worn;
 use crate::faults::som::Network;
 use crate::faults::som::frames::Frames;
+use crate::fusion::body::calibrate::Recorded;
 use crate::input::{Entry, Input, Model, Request};
 use crate::output::{OutcomeKind, Output};
 use crate::pipeline::Pipeline;
@@ -92,6 +94,8 @@ pub enum Command {
         /// Where the copy goes.
         to: std::sync::mpsc::Sender<Option<Box<Network>>>,
     },
+    /// Sends the samples of the worn IMUs, until nobody takes them any more.
+    WatchBody(std::sync::mpsc::SyncSender<Recorded>),
     /// A job was cancelled; it may be one of this thread.
     LookAtJobs,
     /// Ends the thread.
@@ -129,6 +133,8 @@ pub(super) struct Fusion {
     pub(super) recent: Recent,
     /// What maps of faults are learnt from.
     pub(super) positions: RecentPositions,
+    /// Who calibrates the body, if anybody.
+    pub(super) worn: Worn,
     /// What every recording of this run begins with.
     pub(super) recording_header: Header,
 }
@@ -193,6 +199,7 @@ impl Fusion {
             models,
             recent,
             positions,
+            worn,
             calibration,
             ..
         } = self;
@@ -215,6 +222,7 @@ impl Fusion {
                 Output::Estimate(estimate) => {
                     health.estimate(clock.now().seconds_since(entry.t), estimate);
                     recent.push(estimate);
+                    worn.frame(estimate);
                     positions.push(estimate);
                 }
                 Output::Outcome(outcome) => {
@@ -283,6 +291,7 @@ impl Fusion {
                 });
                 let _ = to.send(network);
             }
+            Command::WatchBody(to) => self.worn.watch(to),
             Command::LookAtJobs => {
                 if let Some(recording) = self.recording.take_if(|recording| recording.job.is_cancelled()) {
                     self.stop_recording(recording, None);

@@ -201,8 +201,8 @@ impl Health {
         }
         if let Some(body) = body {
             if !body.mounted {
-                let sentence = "nobody knows how the body's sensors sit: set mounting = \"given\" with `mount_quat_wxyz` \
-                                for each";
+                let sentence = "nobody knows how the body's sensors sit: calibrate the body (page: Runs; request \
+                                `body.calibrate`), or set mounting = \"given\" with `mount_quat_wxyz` for each";
                 problems.push(problem("body", sentence.to_owned()));
             }
             problems.extend(body.faults.iter().map(|(sensor, segment, fault)| {

@@ -26,6 +26,7 @@ mod recent;
 pub mod recorder;
 pub mod server;
 mod service;
+mod worn;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -48,6 +49,7 @@ use self::positions::RecentPositions;
 use self::recent::Recent;
 use self::server::{BindError, Server};
 use self::service::Service;
+use self::worn::Worn;
 use crate::input::{Entry, Input};
 use crate::layout::BodyLayout;
 use crate::motion::segments::Model;
@@ -191,6 +193,7 @@ impl Daemon {
             begun: false,
             models: Vec::new(),
             recent: Recent::new(&stage),
+            worn: Worn::new(&stage),
             positions: RecentPositions::new(&stage),
             recording_header: crate::recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
         };

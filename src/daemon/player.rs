@@ -203,9 +203,10 @@ impl Player {
             | Call::ExerciseSelect { .. }
             | Call::ExerciseReset { .. }
             | Call::FaultsTrain { .. }
-            | Call::FaultsNameCell { .. } => Err((
+            | Call::FaultsNameCell { .. }
+            | Call::BodyCalibrate { .. } => Err((
                 "replay",
-                "this daemon replays a recording; recording, models and exercises belong to a live stage"
+                "this daemon replays a recording; recording, models, exercises and calibrations belong to a live stage"
                     .into(),
             )),
             Call::JobCancel { job } => {

@@ -32,7 +32,7 @@ use crate::noise::TrackerNoise;
 use crate::output::{Estimate, Outcome, OutcomeKind, Output, SensorEstimate};
 use crate::stage::Stage;
 use body::BodyStage;
-pub use body::worn;
+pub use body::{ImuRecords, all_have_field, worn};
 use device::{Device, owner};
 pub use exercise::DEFAULT_SUBJECT;
 use exercise::ExerciseStage;
@@ -427,6 +427,13 @@ impl Pipeline {
             Model::Field { map, .. } => {
                 self.field.swap(map.clone());
                 true
+            }
+            Model::Mounting { sensors: mounted } => {
+                let Self { body, sensors, .. } = self;
+                let index = |name: &str| {
+                    sensors.iter().position(|sensor| sensor.name() == name).map(|index| index as SensorIndex)
+                };
+                body.as_mut().is_some_and(|body| body.mount(mounted, index))
             }
             Model::Exercise { exercise } => self.exercise.load(exercise),
             Model::Faults { network } => self.watch_faults(network),

@@ -9,6 +9,7 @@ use serde_json::Value;
 
 use super::{Encoding, Field, Topic};
 use crate::faults::som::rules::Class;
+use crate::fusion::body::guide::Thoroughness;
 use crate::input::Model;
 
 /// What a client calls its request; replies carry it.
@@ -190,6 +191,14 @@ pub enum Call {
         /// What frames of this cell are.
         class: Class,
     },
+    /// Finds how the body's sensors sit, from poses and movements that the job's message asks for one after the other; a job. It
+    /// notices by itself when each was done, and swaps the mounting in if it is good to five degrees.
+    #[serde(rename = "body.calibrate")]
+    BodyCalibrate {
+        /// How much is asked for; absent: `full`.
+        #[serde(default)]
+        how: Option<Thoroughness>,
+    },
     /// Cancels a job.
     #[serde(rename = "job.cancel")]
     JobCancel {
@@ -278,7 +287,7 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 18] = [
+const CALLS: [&str; 19] = [
     "record.start",
     "record.stop",
     "replay.list",
@@ -293,6 +302,7 @@ const CALLS: [&str; 18] = [
     "exercise.teach",
     "exercise.select",
     "exercise.reset",
+    "body.calibrate",
     "faults.train",
     "faults.name_cell",
     "job.cancel",

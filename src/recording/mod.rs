@@ -36,6 +36,7 @@ pub mod writer;
 
 mod header;
 pub mod machine;
+pub mod movement;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]

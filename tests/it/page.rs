@@ -377,3 +377,55 @@ async fn a_map_of_faults_is_learnt_and_a_cell_named_in_the_browser() {
     drop(browser);
     assert_eq!(posed.end("INT").await.code(), Some(0));
 }
+
+/// Ten IMUs of a chain on somebody who holds the two poses in turn, and nobody knows how they sit.
+fn posing(folder: &Path) -> std::path::PathBuf {
+    let mut text = String::from(
+        "name = \"posing\"\n[body]\nheight_m = 1.7\n[[device]]\nname = \"chain\"\ndriver = \"xbus\"\nport = \"auto\"\n\
+         baud = 921600\n[simulation]\n[[simulation.body]]\nname = \"person\"\n[simulation.body.motion]\nkind = \"person\"\n\
+         activity = \"poses\"\nheight_m = 1.7\n[[simulation.device]]\nname = \"chain\"\nboot_ms = 0.0\n",
+    );
+    for (index, segment) in posed::stage::SEGMENTS.iter().enumerate() {
+        let turn = 0.4 * index as f64;
+        let (sin, cos) = turn.sin_cos();
+        text += &format!(
+            "[[sensor]]\nname = \"{segment}\"\ndevice = \"chain\"\naddress = {}\n[[simulation.sensor]]\nname = \"{segment}\"\n\
+             body = \"person\"\nsegment = \"{segment}\"\nmount_quat_wxyz = [{cos}, {}, 0.0, {}]\n",
+            index + 1,
+            0.6 * sin,
+            0.8 * sin,
+        );
+    }
+    let path = folder.join("posing.toml");
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_body_is_calibrated_in_the_browser_and_then_stands() {
+    if std::env::var_os("POSED_TEST_BROWSER").is_none() {
+        println!("skipped: set POSED_TEST_BROWSER to drive the page in Chromium");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let stage = posing(folder.path());
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
+    browser.until("document.getElementById('problems').textContent.includes('calibrate the body')").await;
+    browser.value("document.getElementById('calibrate-how').value = 'quick'").await;
+    browser.click("calibrate").await;
+    browser
+        .until("document.getElementById('prompt').textContent.startsWith('2 of 2: Raise both arms')")
+        .await;
+    browser.until("document.getElementById('prompt').textContent.includes('mounting is known')").await;
+    browser.until("document.getElementById('mounting').rows.length === 10").await;
+    browser.picture("calibration").await;
+    browser.click("tab-stage-view").await;
+    browser
+        .until("document.getElementById('body-summary').textContent.startsWith('body: 10 of 10 segments measured')")
+        .await;
+    browser.until("document.getElementById('problems').hidden").await;
+    assert_eq!(browser.complaints, Vec::<String>::new());
+    drop(browser);
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+}

@@ -3,6 +3,7 @@
 //! In: calls that the server has read and whose role it has checked. Out: commands and models for the fusion thread,
 //! answers. Nothing here waits for the fusion thread: it answers by itself when it has carried a command out.
 
+mod body;
 mod exercise;
 mod faults;
 
@@ -116,6 +117,7 @@ impl Calls {
             }
             Call::FaultsTrain { last_s, recording } => self.train_faults(last_s, recording, reply),
             Call::FaultsNameCell { row, column, class } => self.name_cell(row, column, class, reply),
+            Call::BodyCalibrate { how } => self.calibrate_body(how.unwrap_or_default(), reply),
             Call::JobCancel { job } => match self.jobs.cancel(job) {
                 Ok(()) => {
                     self.inbox.push(Event::Command(Command::LookAtJobs));
@@ -180,6 +182,13 @@ impl Calls {
             && !self.stage.devices.iter().any(|known| &known.name == device)
         {
             return Err(format!("device: this stage has no device {device:?}"));
+        }
+        if let Model::Mounting { sensors } = model
+            && let Some(unknown) = sensors
+                .iter()
+                .find(|mounted| !self.stage.sensors.iter().any(|known| known.name == mounted.sensor))
+        {
+            return Err(format!("sensors: this stage has no sensor {:?}", unknown.sensor));
         }
         if let Model::Exercise { exercise } = model {
             models::check_exercise(&self.stage, exercise)?;

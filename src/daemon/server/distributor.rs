@@ -91,6 +91,7 @@ struct Event {
 enum Key {
     Fault(SensorIndex, FaultCause),
     Transmitter,
+    Mounting,
     TrackerNoise(String),
     FieldMap,
     FieldProgress,
@@ -389,6 +390,7 @@ impl Distributor {
             // The newest word on what is being done.
             OutcomeKind::Segment(_) => Some((Key::Segment, true)),
             OutcomeKind::ModelSwapped(Model::Transmitter { .. }) => Some((Key::Transmitter, true)),
+            OutcomeKind::ModelSwapped(Model::Mounting { .. }) => Some((Key::Mounting, true)),
             OutcomeKind::ModelSwapped(Model::TrackerNoise { device, .. }) => {
                 Some((Key::TrackerNoise(device.clone()), true))
             }

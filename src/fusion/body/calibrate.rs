@@ -23,6 +23,8 @@ use crate::geometry::so3;
 
 /// A pose in which a sensor turns faster than this, root mean square about its mean, was not held, rad/s.
 const HELD_RAD_S: f64 = 0.2;
+/// A gyro that says more than this in a pose that is held has a bias, rad/s: nobody turns so on the spot for seconds.
+const BIAS_RAD_S: f64 = 0.035;
 /// A mounting whose directions disagree by more is to be repeated, degrees.
 pub const REPEAT_DEG: f64 = 5.0;
 /// And by more than this it is refused, degrees.
@@ -386,6 +388,12 @@ impl Session<'_> {
                 return Err(wrong("has no samples then"));
             }
             let mean = rates.iter().sum::<Vector3<f64>>() / rates.len() as f64;
+            if mean.norm() > BIAS_RAD_S {
+                return Err(wrong(
+                    "turns by more than 2 degrees per second at rest: its gyro has a bias that no filter here corrects; run \
+                     `posed imu calibrate` on the unit first",
+                ));
+            }
             let moved =
                 rates.iter().map(|rate| (rate - mean).norm_squared()).sum::<f64>() / rates.len() as f64;
             if moved.sqrt() > HELD_RAD_S {

@@ -16,6 +16,7 @@
 
 mod angles;
 pub mod calibrate;
+pub mod guide;
 mod health;
 mod inverse;
 mod limbs;

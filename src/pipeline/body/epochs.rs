@@ -36,10 +36,16 @@ pub(super) struct Epoch {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Epochs {
     imus: [Option<SensorIndex>; SEGMENTS],
-    /// Whether all sensors have magnetometers; a body of which some lack them is solved without.
-    field: bool,
     frame: Option<Timestamp>,
     last: Option<Timestamp>,
+    records: ImuRecords,
+}
+
+/// From records of worn IMUs to samples.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct ImuRecords {
+    /// Whether all sensors have magnetometers; a body of which some lack them is solved without.
+    field: bool,
     sensors: [Last; SEGMENTS],
 }
 
@@ -53,7 +59,17 @@ struct Last {
 
 impl Epochs {
     pub(super) fn new(imus: [Option<SensorIndex>; SEGMENTS], field: bool) -> Self {
-        Self { imus, field, frame: None, last: None, sensors: [Last::default(); SEGMENTS] }
+        Self { imus, frame: None, last: None, records: ImuRecords::new(field) }
+    }
+
+    /// The IMU on each segment.
+    pub(super) fn imus(&self) -> &[Option<SensorIndex>; SEGMENTS] {
+        &self.imus
+    }
+
+    /// Whether all of them have magnetometers.
+    pub(super) fn field(&self) -> bool {
+        self.records.field
     }
 
     /// Takes a frame, and says its epochs in order.
@@ -102,20 +118,27 @@ impl Epochs {
         let mut epoch = Epoch { t, dt_s, samples: [None; SEGMENTS], ages_s: [0.0; SEGMENTS] };
         for (segment, record) in newest.iter().enumerate() {
             let Some(record) = record else { continue };
-            let before = self.sensors[segment].t;
-            if before.is_some_and(|before| record.measured.t_valid <= before) {
-                continue;
-            }
-            epoch.samples[segment] = self.sample(segment, &record.measured);
+            epoch.samples[segment] = self.records.sample(segment, &record.measured);
             epoch.ages_s[segment] = t.seconds_since(record.measured.t_valid);
         }
         Some(epoch)
     }
+}
 
-    /// What a record says of rate and force; a unit that only tells its orientation shows them by its change.
-    fn sample(&mut self, segment: usize, measured: &Measured) -> Option<ImuSample> {
+impl ImuRecords {
+    /// Of a body that has a magnetometer in every sensor, or none that counts.
+    pub fn new(field: bool) -> Self {
+        Self { field, sensors: [Last::default(); SEGMENTS] }
+    }
+
+    /// What a record of the sensor on a segment says of rate and force; a unit that only tells its orientation shows them by its
+    /// change. `None` for a record that is no later than the one before.
+    pub fn sample(&mut self, segment: usize, measured: &Measured) -> Option<ImuSample> {
         let last = &mut self.sensors[segment];
         let since_s = last.t.map(|before| measured.t_valid.seconds_since(before));
+        if since_s.is_some_and(|since_s| since_s <= 0.0) {
+            return None;
+        }
         last.t = Some(measured.t_valid);
         let inertial = measured.inertial?;
         if let (Some(gyro), Some(accel)) = (inertial.angular_rate_rad_s, inertial.specific_force_m_s2) {

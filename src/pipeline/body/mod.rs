@@ -9,6 +9,7 @@ mod epochs;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
+pub use self::epochs::ImuRecords;
 use self::epochs::{Epoch, Epochs};
 use super::PipelineError;
 use crate::frame::Frame;
@@ -17,7 +18,7 @@ use crate::fusion::body::{
     Skeleton, Tracked, Worn, angles,
 };
 use crate::geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
-use crate::input::SensorIndex;
+use crate::input::{MountedSensor, SensorIndex};
 use crate::layout::Wearers;
 use crate::output::{Body, BodySegment, Estimate, Placed, SegmentState};
 use crate::signals::is_usable;
@@ -85,7 +86,7 @@ impl BodyStage {
             trackers.push(WornTracker { sensor: *index, segment: *segment, segment_from_sensor });
         }
         let imus = wearers.imus;
-        let field = imus.iter().flatten().all(|index| has_field(stage, *index));
+        let field = all_have_field(stage, &imus);
         let solver = if imus.iter().any(Option::is_some) {
             if given {
                 Solver::imus(&skeleton, &mounting(stage, &imus, &skeleton)?, field)
@@ -150,6 +151,50 @@ impl BodyStage {
             }
         }
         Some(&self.out)
+    }
+
+    /// Takes how the sensors sit; `index` finds one by its name. False where one of them is not on the body, or one of the body
+    /// is left out.
+    pub(super) fn mount(
+        &mut self,
+        sensors: &[MountedSensor],
+        index: impl Fn(&str) -> Option<SensorIndex>,
+    ) -> bool {
+        let mut all = [None; SEGMENTS];
+        let mut trackers = self.trackers.clone();
+        let mut tracked = 0;
+        for mounted in sensors {
+            let (Some(sensor), Some(pose)) =
+                (index(&mounted.sensor), isometry(mounted.offset_m, mounted.mount_quat_wxyz))
+            else {
+                return false;
+            };
+            let segment = self.epochs.imus().iter().position(|imu| *imu == Some(sensor));
+            let tracker = trackers.iter_mut().find(|tracker| tracker.sensor == sensor);
+            if let Some(segment) = segment {
+                let offset_m = pose.translation.vector;
+                all[segment] = Some(Worn { q_segment_sensor: pose.rotation, offset_m, heading_rad: None });
+            } else if let Some(tracker) = tracker {
+                tracker.segment_from_sensor = pose;
+                tracked += 1;
+            } else {
+                return false;
+            }
+        }
+        let imus = self.epochs.imus();
+        if imus.iter().zip(&all).any(|(imu, worn)| imu.is_some() != worn.is_some()) {
+            return false;
+        }
+        if imus.iter().any(Option::is_some) {
+            self.solver = Solver::imus(&self.skeleton, &all, self.epochs.field());
+        } else if tracked == trackers.len() {
+            self.solver = Solver::Trackers(Box::new(Follower::new(self.skeleton)));
+        } else {
+            return false;
+        }
+        self.trackers = trackers;
+        self.pelvis_m = None;
+        true
     }
 
     /// The latest body; none before the first.
@@ -281,7 +326,11 @@ fn mounting(
     Ok(all)
 }
 
-/// Whether a sensor measures a field that its heading may follow.
+/// Whether all of these sensors measure a field that their heading may follow.
+pub fn all_have_field(stage: &Stage, imus: &[Option<SensorIndex>; SEGMENTS]) -> bool {
+    imus.iter().flatten().all(|index| has_field(stage, *index))
+}
+
 fn has_field(stage: &Stage, index: SensorIndex) -> bool {
     let sensor = &stage.sensors[usize::from(index)];
     let device = stage.devices.iter().find(|device| device.name == sensor.device);

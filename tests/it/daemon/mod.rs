@@ -2,6 +2,7 @@
 //!
 //! Nothing here asserts how fast something is; waits are generous and end with a line number.
 
+mod body;
 mod connections;
 mod environment;
 mod exercises;

@@ -1,6 +1,6 @@
 // Runs: what the operator starts and ends while the stage is live.
 
-import { acting, el, num, setText } from "../dom";
+import { type Cell, Table, acting, el, num, setText } from "../dom";
 import type { Job } from "../protocol";
 import type { Context, View } from "../view";
 import { Calibration } from "./calibration";
@@ -14,6 +14,12 @@ export class RunsView implements View {
   private readonly start = el("button", { id: "record-start", class: "primary" }, "Record");
   private readonly stop = el("button", { id: "record-stop" }, "Stop");
   private readonly recording = el("p", { id: "recording", class: "quiet", role: "status" });
+  private readonly how = el("select", { id: "calibrate-how", "aria-label": "How much" },
+    el("option", { value: "full" }, "poses, elbows and knees"), el("option", { value: "quick" }, "two poses only"));
+  private readonly calibrate = el("button", { id: "calibrate", class: "primary" }, "Calibrate the body");
+  private readonly prompt = el("p", { id: "prompt", class: "sentence", role: "status" });
+  private readonly quality = new Table("mounting", "How well each sensor's mounting shows", [["Segment"], ["Disagreement, degrees"]]);
+  private readonly body = el("section", { hidden: true });
   private readonly jobs = el("ul", { id: "jobs", "aria-label": "Jobs" });
   private readonly noJobs = el("p", { class: "quiet" }, "Nothing is running and nothing was run yet.");
   private readonly calibration: Calibration;
@@ -27,10 +33,15 @@ export class RunsView implements View {
       return link.request(name === "" ? { type: "record.start" } : { type: "record.start", name });
     }));
     this.stop.addEventListener("click", acting(this.says, () => link.request({ type: "record.stop" })));
+    this.calibrate.addEventListener("click", acting(this.says, () =>
+      link.request({ type: "body.calibrate", how: this.how.value === "quick" ? "quick" : "full" })));
+    this.quality.element.hidden = true;
+    this.body.append(el("h2", {}, "Body"),
+      el("div", { class: "row" }, el("label", {}, "What is done ", this.how), this.calibrate), this.prompt, this.quality.element);
     this.element = el("div", {},
       el("h2", {}, "Recording"),
       el("div", { class: "row" }, el("label", {}, "Name ", this.name), this.start, this.stop),
-      this.recording, this.says,
+      this.recording, this.says, this.body,
       this.calibration.element,
       el("h2", {}, "Jobs"), this.noJobs, this.jobs,
     );
@@ -53,7 +64,23 @@ export class RunsView implements View {
       : hello?.role === "watch" ? "watching only: an operator's token can record"
       : status?.replay ? "this is a replay; recordings belong to a live stage"
       : "not recording");
+    this.body.hidden = hello?.skeleton !== "human" || !!status?.replay;
+    const calibrations = jobs?.jobs.filter(({ kind }) => kind === "body.calibrate") ?? [];
+    this.drawCalibration(calibrations[calibrations.length - 1], operates);
     this.drawJobs(jobs?.jobs ?? []);
+  }
+
+  /** What to do next, large; then how well it went. */
+  private drawCalibration(job: Job | undefined, operates: boolean): void {
+    const running = job?.state === "running";
+    this.calibrate.disabled = !operates || running;
+    setText(this.prompt, job?.message ?? "Shows how each sensor sits on its segment; needed where the stage file does not say it.");
+    this.prompt.className = `sentence ${job?.state === "failed" ? "bad" : job?.state === "done" ? "good" : ""}`;
+    const quality = (job?.result as { quality_deg?: Record<string, number> } | null | undefined)?.quality_deg;
+    this.quality.element.hidden = running || !quality;
+    this.quality.fill(Object.entries(quality ?? {}).map(([segment, degrees]): Cell[] => [
+      [segment], [num(degrees, 1), degrees > 5 ? "bad" : "good"],
+    ]));
   }
 
   private drawJobs(jobs: Job[]): void {

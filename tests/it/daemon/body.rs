@@ -1,0 +1,68 @@
+//! The body over the websocket, in a recording, and as an animation.
+
+use std::fs;
+
+use serde_json::{Value, json};
+
+use super::process::{Posed, ok, refused, until};
+use crate::cli::posed;
+
+fn segment<'a>(body: &'a Value, name: &str) -> &'a Value {
+    body["segments"].as_array().unwrap().iter().find(|segment| segment["name"] == name).unwrap()
+}
+
+fn z_m(body: &Value, name: &str) -> f64 {
+    segment(body, name)["position_m"][2].as_f64().unwrap()
+}
+
+#[tokio::test]
+async fn the_demo_s_body_stands_moves_and_is_exported_from_its_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("take.mcap");
+    let posed_demo = Posed::start(["demo", "--record", recording.to_str().unwrap()]);
+    let mut client = posed_demo.subscriber(&["body"]).await;
+    let mut flexions = Vec::new();
+    let mut last = Value::Null;
+    // The trackers speak later than the IMUs: first the body stands at the origin.
+    while flexions.len() < 150 || last["placed"] != "trackers" {
+        last = until(&mut client, "a body", |message| message["type"] == "body").await;
+        let joints = last["joints"].as_array().unwrap();
+        let elbow = joints.iter().find(|joint| joint["name"] == "elbow_r").unwrap();
+        flexions.extend(elbow["angles_deg"]["flexion"].as_f64());
+    }
+    assert_eq!((&last["placed"], &last["heading"]), (&json!("trackers"), &json!("field")), "{last}");
+    assert_eq!(last["segments"].as_array().unwrap().len(), 10);
+    assert_eq!(segment(&last, "forearm_r")["sensor"], "imu_forearm_r");
+    assert!(
+        z_m(&last, "shank_r") < z_m(&last, "thigh_r") && z_m(&last, "pelvis") < z_m(&last, "torso"),
+        "{last}"
+    );
+    let range = |f: fn(f64, f64) -> f64| flexions.iter().copied().reduce(f).unwrap();
+    assert!(range(f64::max) - range(f64::min) > 20.0, "{flexions:?}");
+    // Its mounting is given, but somebody may find it anew; and only by poses that are held.
+    let job = ok(&mut client, json!({"type": "body.calibrate", "id": 7, "how": "quick"})).await;
+    ok(&mut client, json!({"type": "job.cancel", "id": 8, "job": job["job"]})).await;
+    assert_eq!(posed_demo.end("INT").await.code(), Some(0));
+
+    for to in ["bvh", "trc", "glb"] {
+        let output = folder.path().join(format!("take.{to}"));
+        let args = ["export", recording.to_str().unwrap(), "--to", to, "-o", output.to_str().unwrap()];
+        let done = posed(args);
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        assert!(fs::metadata(&output).unwrap().len() > 1000);
+    }
+    let bvh = fs::read_to_string(folder.path().join("take.bvh")).unwrap();
+    let frames = bvh.lines().find_map(|line| line.strip_prefix("Frames: ")).unwrap();
+    assert!(bvh.starts_with("HIERARCHY") && frames.trim().parse::<u32>().unwrap() >= 150, "{frames} frames");
+}
+
+#[tokio::test]
+async fn a_stage_without_a_body_has_none_to_calibrate() {
+    let folder = tempfile::tempdir().unwrap();
+    let stage = super::process::two_devices(folder.path(), "");
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut client = posed.client().await;
+    let (code, sentence) = refused(&mut client, json!({"type": "body.calibrate", "id": 1})).await;
+    assert!(code == "no_body" && sentence.contains("no human [body]"), "{code}: {sentence}");
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+}
