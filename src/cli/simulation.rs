@@ -70,7 +70,7 @@ mod tests {
     fn every_problem_of_the_simulation_has_its_line() {
         let line = |text: &str| 1 + DEMO.lines().position(|line| line.starts_with(text)).unwrap();
         let text = DEMO.replace("seed = 7 ", "sede = 7 ").replace("kind = \"person\"", "kind = \"persons\"");
-        let kind = 1 + DEMO.lines().position(|line| line.contains("\"person\"")).unwrap();
+        let kind = line("kind = \"person\"");
         assert_eq!(problems_of(&text), [(line("seed"), "sede".into()), (kind, "kind".into())]);
         // What the simulator alone can tell points at the table.
         let text = DEMO.replace("body = \"circle\"", "body = \"square\"");
