@@ -82,7 +82,7 @@ impl Watch {
             recent: vec![0; sensors],
             recent_frame: 0,
             guess: 0,
-            alone: 0.0,
+            alone: 1.5 * NOVELTY,
         }
     }
 
