@@ -15,7 +15,7 @@ use posed_drivers::Timestamp;
 
 use self::wire::{From, system};
 use crate::geometry;
-use crate::output::{Estimate, FaultCause, Outcome, OutcomeKind, PoseEstimate, SensorEstimate, SensorState};
+use crate::output::{Estimate, FaultCause, Outcome, OutcomeKind, PoseEstimate, SensorEstimate};
 
 pub use self::peer::Peer;
 pub use self::wire::Refused;
@@ -94,7 +94,7 @@ impl Publisher {
             let from = |kind| From { sender, kind, utc_ns };
             tracker.button(sensor, from(BUTTON), out);
             match sensor.pose {
-                Some(pose) if is_good(sensor.state) => tracker.pose(t, &pose, from, out),
+                Some(pose) if sensor.state.is_usable() => tracker.pose(t, &pose, from, out),
                 _ => tracker.before = None,
             }
         }
@@ -168,11 +168,6 @@ pub fn fuzz_client(data: &[u8]) {
     assert_eq!(answer.len() % wire::HEADER, 0);
 }
 
-/// Whether programs may take a pose for good.
-fn is_good(state: SensorState) -> bool {
-    matches!(state, SensorState::Ok | SensorState::Repaired | SensorState::Extrapolated)
-}
-
 fn turn_wxyz(rate_rad_s: Vector3<f64>) -> [f64; 4] {
     geometry::orientation_to_wxyz(&UnitQuaternion::from_scaled_axis(rate_rad_s * TURN_S))
 }
@@ -180,7 +175,7 @@ fn turn_wxyz(rate_rad_s: Vector3<f64>) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::output::Measured;
+    use crate::output::{Measured, SensorState};
 
     fn doubles(payload: &[u8]) -> Vec<f64> {
         payload[8..].as_chunks().0.iter().map(|bytes| f64::from_be_bytes(*bytes)).collect()
