@@ -66,15 +66,16 @@ fn number<T: DeserializeOwned>(text: &str) -> Result<T, String> {
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
-    let table = args.output.as_deref().map(Table::of).transpose()?;
+    let file = args.output.as_deref().map(|path| Table::of(path).map(|table| (path, table))).transpose()?;
+    let target = Target { file, json: args.json };
     match args.driver {
-        Driver::FlockOfBirds => flock(&args, table),
-        Driver::XImu3 => decode_x_imu3::run(&args.file, args.output.as_deref(), table, args.json),
-        Driver::Xbus => decode_xbus::run(&args.file, args.output.as_deref(), table, args.json),
+        Driver::FlockOfBirds => flock(&args, target),
+        Driver::XImu3 => decode_x_imu3::run(&args.file, target),
+        Driver::Xbus => decode_xbus::run(&args.file, target),
     }
 }
 
-fn flock(args: &Args, table: Option<Table>) -> Result<(), Error> {
+fn flock(args: &Args, target: Target<'_>) -> Result<(), Error> {
     let file = std::fs::read(&args.file).map_err(|error| Error::file("read", &args.file, &error))?;
     let options =
         Options { format: args.format, range: args.range_in, quaternion_sense: args.quaternion_sense };
@@ -83,26 +84,59 @@ fn flock(args: &Args, table: Option<Table>) -> Result<(), Error> {
     for warning in &decoded.warnings {
         tracing::warn!("{warning}");
     }
-    match (&args.output, table) {
-        (Some(path), Some(Table::Recording)) => {
-            decode_recording::write(path, &file, &decoded, args.quaternion_sense)?;
-        }
-        (Some(path), Some(table)) => output::replace(path, |file| {
-            table.write(file, |file| csv(&decoded.records, file), |file| json_lines(&decoded.records, file))
-        })?,
-        _ if !args.json => {
-            let mut text = Vec::new();
-            csv(&decoded.records, &mut text).map_err(Error::failed)?;
-            print(&String::from_utf8_lossy(&text))?;
-        }
-        _ => {}
+    if let Some((path, Table::Recording)) = target.file {
+        decode_recording::write(path, &file, &decoded, args.quaternion_sense)?;
+    } else {
+        let records = &decoded.records;
+        target.write(|file| csv(records, file), |file| json_lines(records, file))?;
     }
     let summary = Summary::of(&decoded);
-    if args.json {
-        return print_json(&summary);
+    target.tell(&summary, &summary.sentence())
+}
+
+/// Where records and their summary go.
+#[derive(Clone, Copy)]
+pub(super) struct Target<'a> {
+    pub(super) file: Option<(&'a Path, Table)>,
+    json: bool,
+}
+
+impl Target<'_> {
+    /// Refuses a recording, for captures that cannot become one.
+    pub(super) fn check_no_recording(&self, capture: &str) -> Result<(), Error> {
+        if matches!(self.file, Some((_, Table::Recording))) {
+            return Err(Error::Usage(format!(
+                "{capture} carries no times of arrival to record; end the output in .csv, .csv.gz or .jsonl"
+            )));
+        }
+        Ok(())
     }
-    tell(&summary.sentence());
-    Ok(())
+
+    /// Writes the records into the file; without one, and unless a summary is asked for, as a table to stdout.
+    pub(super) fn write(
+        &self,
+        csv: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+        json_lines: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> Result<(), Error> {
+        if let Some((path, table)) = self.file {
+            return output::replace(path, |file| table.write(file, csv, json_lines));
+        }
+        if !self.json {
+            let mut text = Vec::new();
+            csv(&mut text).map_err(Error::failed)?;
+            print(&String::from_utf8_lossy(&text))?;
+        }
+        Ok(())
+    }
+
+    /// Says what there was, as was asked for.
+    pub(super) fn tell(&self, summary: &impl Serialize, sentence: &str) -> Result<(), Error> {
+        if self.json {
+            return print_json(summary);
+        }
+        tell(sentence);
+        Ok(())
+    }
 }
 
 /// The forms in which records are written.
@@ -134,7 +168,7 @@ impl Table {
     }
 
     /// Writes in this form, given what writes a table and what writes lines.
-    pub(super) fn write(
+    fn write(
         self,
         file: &mut dyn Write,
         csv: impl FnOnce(&mut dyn Write) -> io::Result<()>,
@@ -151,6 +185,47 @@ impl Table {
             Self::Recording => Err(io::Error::other("a recording holds bytes, not records")),
         }
     }
+}
+
+/// The columns of a table of IMUs.
+const IMU_COLUMNS: [&str; 15] =
+    ["t", "sensor", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz", "qw", "qx", "qy", "qz"];
+
+/// One row of a table of IMUs; what is absent is an empty cell.
+pub(super) struct ImuRow {
+    pub(super) t_s: Option<f64>,
+    pub(super) sensor: String,
+    pub(super) specific_force_m_s2: Option<[f64; 3]>,
+    pub(super) angular_rate_rad_s: Option<[f64; 3]>,
+    pub(super) magnetic_field: Option<[f64; 3]>,
+    pub(super) orientation_wxyz: Option<[f64; 4]>,
+}
+
+/// A table of IMUs.
+pub(super) fn imu_csv(rows: impl Iterator<Item = ImuRow>, file: &mut dyn Write) -> io::Result<()> {
+    let mut table = csv::Writer::from_writer(file);
+    table.write_record(IMU_COLUMNS)?;
+    for row in rows {
+        table.write_field(row.t_s.map(|t| t.to_string()).unwrap_or_default())?;
+        table.write_field(row.sensor)?;
+        let vectors = [row.specific_force_m_s2, row.angular_rate_rad_s, row.magnetic_field];
+        let numbers =
+            vectors.into_iter().flat_map(|vector| vector.map_or([None; 3], |vector| vector.map(Some)));
+        for number in numbers.chain(row.orientation_wxyz.map_or([None; 4], |q| q.map(Some))) {
+            table.write_field(number.map(|number| number.to_string()).unwrap_or_default())?;
+        }
+        table.write_record(None::<&[u8]>)?;
+    }
+    table.flush()
+}
+
+/// One line of JSON for each.
+pub(super) fn lines_of<T: Serialize>(records: &[T], file: &mut dyn Write) -> io::Result<()> {
+    for record in records {
+        serde_json::to_writer(&mut *file, record)?;
+        file.write_all(b"\n")?;
+    }
+    Ok(())
 }
 
 fn csv(records: &[CapturedRecord], file: &mut dyn Write) -> io::Result<()> {
