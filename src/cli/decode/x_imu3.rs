@@ -8,8 +8,8 @@ use posed_drivers::x_imu3::data;
 use posed_drivers::x_imu3::wire::{self, Lines};
 use serde::Serialize;
 
-use super::Error;
-use super::decode::{ImuRow, Target, imu_csv, lines_of};
+use super::super::Error;
+use super::target::{ImuRow, Target, imu_csv, lines_of};
 
 /// One inertial message, with what came since the one before.
 #[derive(Clone, Debug, Serialize)]

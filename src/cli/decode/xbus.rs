@@ -5,8 +5,8 @@ use std::path::Path;
 
 use posed_drivers::xbus::capture::{self, Record};
 
-use super::Error;
-use super::decode::{ImuRow, Target, imu_csv, lines_of};
+use super::super::Error;
+use super::target::{ImuRow, Target, imu_csv, lines_of};
 
 /// Decodes `file`, writes what was asked for, and says the summary.
 pub(super) fn run(file: &Path, target: Target<'_>) -> Result<(), Error> {
