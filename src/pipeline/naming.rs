@@ -12,7 +12,6 @@ use crate::fusion::body::Segment;
 use crate::input::SensorIndex;
 use crate::motion::segments::{Labeller, Model, Position, Tick};
 use crate::output::{self, Body, Estimate, Outcome, OutcomeKind, Output, SegmentEvent};
-use crate::signals::is_usable;
 
 /// Segments that may wait for their confirmation; more are withdrawn, the oldest first.
 const OPEN: usize = 64;
@@ -89,7 +88,7 @@ impl Naming {
         for (position, joint) in self.positions.iter_mut().zip(&self.joints) {
             let sensor = joint.sensor.and_then(|sensor| estimate.sensors.get(usize::from(sensor)));
             let pose =
-                sensor.filter(|sensor| is_usable(sensor.state)).and_then(|sensor| sensor.pose.as_ref());
+                sensor.filter(|sensor| sensor.state.is_usable()).and_then(|sensor| sensor.pose.as_ref());
             let segment = || body?.segments[joint.segment?].position_m;
             *position = pose.and_then(|pose| pose.position_m).or_else(segment);
         }
