@@ -33,6 +33,7 @@ mod keyframes;
 mod orient;
 mod output;
 mod progress;
+mod rehearsal;
 mod replay;
 mod replay_pty;
 mod run;

@@ -70,6 +70,12 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
     browser.click("tab-analysis").await;
     browser.until("document.getElementById('joint-choice').options.length === 9").await;
     browser.until("document.querySelectorAll('.joint canvas').length === 1").await;
+    // The demo has learnt a map of faults, and watches the wand for key poses.
+    browser.until("document.querySelectorAll('#fault-map .cell').length === 441").await;
+    browser.until("document.querySelectorAll('#fault-map .cell.clean').length > 20").await;
+    browser.until("document.querySelectorAll('#fault-map .winner').length === 1").await;
+    browser.value("document.getElementById('sensor-choice').value = 'wand'").await;
+    browser.until("document.querySelectorAll('#change-curve:not([hidden]) canvas').length === 1").await;
     browser.click("tab-stage-view").await;
     posed.signal("STOP");
     browser.until(DATA_OLD).await;

@@ -1,4 +1,4 @@
-// Analysis: curves of one sensor, the map of faults, and the events as they come.
+// Analysis: curves of one sensor, where its motion changes, the map of faults, and the events as they come.
 
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
@@ -6,6 +6,7 @@ import { type Cell, Table, el } from "../dom";
 import { HISTORY_S, History } from "../model";
 import { JointCurves, axisLook } from "./joints";
 import type { Context, View } from "../view";
+import { ChangeCurve } from "./changes";
 import { FaultsPanel } from "./faults";
 
 /** Curves are drawn so often; numbers move faster than eyes. */
@@ -25,13 +26,14 @@ export class AnalysisView implements View {
   private readonly curves = el("div", { class: "curves" });
   private readonly faults = new Table("faults", "Faults, newest first", [["Stage time, s"], ["Sensor", "word"], ["Cause", "word"], [""]]);
   private readonly map: FaultsPanel;
+  private readonly changes = new ChangeCurve();
   private readonly joints = new JointCurves();
   private plots: uPlot[] = [];
   private lastDraw = -Infinity;
 
   constructor(private readonly context: Context) {
     this.map = new FaultsPanel(context);
-    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.joints.element, this.map.element, this.faults.element);
+    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.changes.element, this.joints.element, this.map.element, this.faults.element);
     addEventListener("resize", () => this.resize());
   }
 
@@ -46,6 +48,8 @@ export class AnalysisView implements View {
     this.drawChoice();
     const history = this.context.model.history.get(this.choice.value);
     if (history) this.drawCurves(history);
+    const { changes, keyPoses } = this.context.model;
+    this.changes.draw(changes.get(this.choice.value), keyPoses.filter(({ sensor }) => sensor === this.choice.value));
     this.map.draw();
     this.joints.draw(this.context.model.angles);
     this.faults.fill(this.context.model.faults.slice(-40).reverse().map((fault): Cell[] => [
@@ -101,6 +105,7 @@ export class AnalysisView implements View {
 
   private resize(): void {
     this.joints.resize();
+    this.changes.resize();
     for (const plot of this.plots) {
       const width = plot.root.parentElement?.clientWidth ?? 0;
       if (width > 0) plot.setSize({ width, height: 180 });
