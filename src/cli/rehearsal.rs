@@ -8,18 +8,18 @@ use std::path::Path;
 use posed::faults::som::frames::Frames;
 use posed::faults::som::map::Training;
 use posed::faults::som::{Network, Size};
-use posed::input::{Entry, Input, LineEvent};
+use posed::input::{Entry, Input};
 use posed::output::Output;
 use posed::pipeline::{Pipeline, raw_positions, upright};
 use posed::stage::Stage;
-use posed_drivers::Timestamp;
+use posed_drivers::{LineEvent, Timestamp};
 use posed_simulator::figure::{Fault, inject};
 use posed_simulator::stage::Output as Virtual;
 
 use super::{Error, simulation};
 
-/// How long it takes, in the stage's own time, s.
-const LENGTH_S: f64 = 45.0;
+/// How long it takes, in the stage's own time, s: once through what the demo does.
+const LENGTH_S: f64 = 65.0;
 /// Share of the frames that get a fault.
 const BAD_SHARE: f64 = 0.4;
 

@@ -1,7 +1,7 @@
 // What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
 // Bounded: it never grows over hours.
 
-import type { Change, FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, KeyPoseMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
+import type { Change, FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, KeyPoseMessage, SegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
 
 /** Seconds of history for curves. */
 export const HISTORY_S = 20;
@@ -77,6 +77,8 @@ export class Model {
   jobs: JobsMessage | null = null;
   faults: FaultEvent[] = [];
   faultMap: FaultMap | null = null;
+  /** What was said of segments of the motion and not taken back, by beginning. */
+  segments: SegmentMessage[] = [];
   readonly history = new Map<string, History>();
   /** By joint. */
   readonly angles = new Map<string, Series>();
@@ -107,6 +109,7 @@ export class Model {
         this.body = null;
         this.truth = null;
         this.faultMap = null;
+        this.segments = [];
         break;
       case "sensors":
         this.takeSensors(message);
@@ -135,8 +138,18 @@ export class Model {
         this.faults.push(message);
         if (this.faults.length > EVENTS) this.faults.shift();
         break;
+      case "segments":
+        this.takeSegment(message);
+        break;
     }
     this.listeners.forEach((listener) => listener(message));
+  }
+
+  private takeSegment(message: SegmentMessage): void {
+    const rewound = message.t_s < (this.segments.at(-1)?.t_s ?? -Infinity);
+    const others = rewound ? [] : this.segments.filter(({ segment }) => segment !== message.segment);
+    if (message.event !== "withdrawn") others.push(message);
+    this.segments = others.sort((a, b) => a.t_valid_s - b.t_valid_s).slice(-EVENTS);
   }
 
   private takeBody(message: FigureMessage): void {

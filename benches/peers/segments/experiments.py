@@ -7,7 +7,7 @@ usage: experiments.py WORK [--posed PATH] [--only NETWORK ...]      runs what is
 `posed` trains the paper's network (`segments train --paper`, 19 rows); the others need tensorflow-cpu (PyPI). All learn from the same
 files: 70 sequences of `posed segments generate`, fold k tests ten of them; noise replaces labels in the training
 files by any of the ten at random, a mask takes frames out of learning. All stop early: a tenth of the training frames
-is held out (blocks of 2 s in posed, whole sequences in Keras), patience 5, at most 25 epochs, Adam 1e-3, one sequence per step.
+is held out (blocks of 2 s in posed, whole sequences in Keras), patience 10, at most 25 epochs, Adam 1e-3, one sequence per step.
 """
 import argparse
 import csv
@@ -22,7 +22,7 @@ import sys
 import tempfile
 import time
 
-SEQUENCES, FOLDS, EPOCHS, PATIENCE = 70, 7, 25, 5
+SEQUENCES, FOLDS, EPOCHS, PATIENCE = 70, 7, 25, 10
 PEERS = ["ed-tcn", "dilated-tcn", "bi-lstm"]
 PAPER_NOISE = [90.81, 90.99, 90.75, 91.20, 91.13, 91.04, 92.99, 90.11, 89.55, 81.18, 11.24]
 

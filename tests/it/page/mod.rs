@@ -70,6 +70,10 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
     browser.click("tab-analysis").await;
     browser.until("document.getElementById('joint-choice').options.length === 9").await;
     browser.until("document.querySelectorAll('.joint canvas').length === 1").await;
+    // What the person does has a name, if only so it seems.
+    browser.until("document.querySelectorAll('#segments-provisional .segment, #segments-confirmed .segment').length > 0").await;
+    browser.value("document.getElementById('segments-title').scrollIntoView()").await;
+    browser.picture("segments").await;
     // The demo has learnt a map of faults, and watches the wand for key poses.
     browser.until("document.querySelectorAll('#fault-map .cell').length === 441").await;
     browser.until("document.querySelectorAll('#fault-map .cell.clean').length > 20").await;

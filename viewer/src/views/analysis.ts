@@ -1,4 +1,5 @@
-// Analysis: curves of one sensor, where its motion changes, the map of faults, and the events as they come.
+// Analysis: curves of one sensor and one joint, where the motion changes, its segments, the map of faults, and the events as
+// they come.
 
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
@@ -8,6 +9,7 @@ import { JointCurves, axisLook } from "./joints";
 import type { Context, View } from "../view";
 import { ChangeCurve } from "./changes";
 import { FaultsPanel } from "./faults";
+import { SegmentsPanel } from "./segments";
 
 /** Curves are drawn so often; numbers move faster than eyes. */
 const DRAW_MS = 100;
@@ -27,13 +29,15 @@ export class AnalysisView implements View {
   private readonly faults = new Table("faults", "Faults, newest first", [["Stage time, s"], ["Sensor", "word"], ["Cause", "word"], [""]]);
   private readonly map: FaultsPanel;
   private readonly changes = new ChangeCurve();
+  private readonly segments: SegmentsPanel;
   private readonly joints = new JointCurves();
   private plots: uPlot[] = [];
   private lastDraw = -Infinity;
 
   constructor(private readonly context: Context) {
     this.map = new FaultsPanel(context);
-    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.changes.element, this.joints.element, this.map.element, this.faults.element);
+    this.segments = new SegmentsPanel(context);
+    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.changes.element, this.joints.element, this.segments.element, this.map.element, this.faults.element);
     addEventListener("resize", () => this.resize());
   }
 
@@ -50,6 +54,7 @@ export class AnalysisView implements View {
     if (history) this.drawCurves(history);
     const { changes, keyPoses } = this.context.model;
     this.changes.draw(changes.get(this.choice.value), keyPoses.filter(({ sensor }) => sensor === this.choice.value));
+    this.segments.draw();
     this.map.draw();
     this.joints.draw(this.context.model.angles);
     this.faults.fill(this.context.model.faults.slice(-40).reverse().map((fault): Cell[] => [
