@@ -83,18 +83,17 @@ def by_ruptures(search, penalty):
     return detect
 
 
-def by_sst(threshold):
+def sst_score(x):
+    """Of the whole motion: it sees more of the future than the others."""
     transform = SST(N, n_windows=N, lag=N, rank=3, method="naive")
+    return np.sum([transform.transform(x[:, c]) for c in range(3)], axis=0)
 
-    def detect(x):
-        score = np.sum([transform.transform(x[:, c]) for c in range(3)], axis=0)
-        peaks = [
-            i for i in range(N, len(score) - N)
-            if score[i] > threshold and score[i] == score[i - N : i + N + 1].max()
-        ]
-        return peaks
 
-    return detect
+def by_sst(score, threshold):
+    return [
+        i for i in range(N, len(score) - N)
+        if score[i] > threshold and score[i] == score[i - N : i + N + 1].max()
+    ]
 
 
 def ours(binary, x):
@@ -132,9 +131,10 @@ def main():
         best = min(penalties, key=lambda p: total(errors(online(make(p), x, step)) for x in training))
         found = [errors(online(make(best), x, step)) for x in tests]
         print(f"{name},{best},{sum(f for f, _ in found)},{sum(m for _, m in found)}", flush=True)
-    thresholds = [0.05, 0.2, 0.5, 1.0, 1.5, 2.0]
-    best = min(thresholds, key=lambda t: total(errors(by_sst(t)(x)) for x in training))
-    found = [errors(by_sst(best)(x)) for x in tests]
+    thresholds = [0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 1.5, 2.0]
+    scores = [sst_score(x) for x in training]
+    best = min(thresholds, key=lambda t: total(errors(by_sst(score, t)) for score in scores))
+    found = [errors(by_sst(sst_score(x), best)) for x in tests]
     print(f"SST (offline),{best},{sum(f for f, _ in found)},{sum(m for _, m in found)}")
 
 
