@@ -34,6 +34,7 @@ mod man;
 mod orient;
 mod output;
 mod progress;
+mod rehearsal;
 mod replay;
 mod replay_pty;
 mod run;

@@ -74,6 +74,12 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
     browser.until("document.querySelectorAll('#segments-provisional .segment, #segments-confirmed .segment').length > 0").await;
     browser.value("document.getElementById('segments-title').scrollIntoView()").await;
     browser.picture("segments").await;
+    // The demo has learnt a map of faults, and watches the wand for key poses.
+    browser.until("document.querySelectorAll('#fault-map .cell').length === 441").await;
+    browser.until("document.querySelectorAll('#fault-map .cell.clean').length > 20").await;
+    browser.until("document.querySelectorAll('#fault-map .winner').length === 1").await;
+    browser.value("document.getElementById('sensor-choice').value = 'wand'").await;
+    browser.until("document.querySelectorAll('#change-curve:not([hidden]) canvas').length === 1").await;
     browser.click("tab-stage-view").await;
     posed.signal("STOP");
     browser.until(DATA_OLD).await;
