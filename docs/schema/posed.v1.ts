@@ -48,6 +48,14 @@ export type Call = {
   name: string;
   type: "replay.open";
 } | {
+  /** Up to six channels; absent: only their names are answered. */
+  columns?: string[];
+  /** The reply carries it. */
+  id: RequestId;
+  /** A name that `replay.list` gave. */
+  name: string;
+  type: "replay.track";
+} | {
   /** The reply carries it. */
   id: RequestId;
   /** Seconds since the recording's epoch. */
