@@ -83,8 +83,64 @@ struct Prepared {
     kind: Kind,
     position: Vector3<f64>,
     strength: f64,
+    /// Moments at strength one, at full strength, and derivatives of these by the position.
+    unit: Matrix3<f64>,
     moments: Matrix3<f64>,
     gradient: [Matrix3<f64>; 3],
+}
+
+/// A source seen from a place: its field is `near v' - moments / r^3`, where `near` is `3 from / r^5`.
+struct View {
+    from: Vector3<f64>,
+    near: Vector3<f64>,
+    v: Vector3<f64>,
+    inverse_r2: f64,
+    inverse_r3: f64,
+}
+
+impl Prepared {
+    fn view(&self, p: &Vector3<f64>) -> View {
+        let from = p - self.position;
+        let inverse_r2 = 1.0 / from.norm_squared();
+        let inverse_r3 = inverse_r2 * inverse_r2.sqrt();
+        let near = from * (3.0 * inverse_r3 * inverse_r2);
+        View { from, near, v: self.moments.tr_mul(&from), inverse_r2, inverse_r3 }
+    }
+
+    /// Adds `share` of the field.
+    fn add_field(&self, p: &Vector3<f64>, share: f64, total: &mut Matrix3<f64>) {
+        let View { near, v, inverse_r3, .. } = self.view(p);
+        let (near, thin) = (near * share, inverse_r3 * share);
+        for column in 0..3 {
+            for row in 0..3 {
+                total[(row, column)] += near[row] * v[column] - self.moments[(row, column)] * thin;
+            }
+        }
+    }
+
+    /// Derivatives of the field by the place.
+    fn by_place(&self, view: &View) -> [Matrix3<f64>; 3] {
+        let View { from, near, v, inverse_r2, inverse_r3 } = view;
+        let steep = 3.0 * inverse_r3 * inverse_r2;
+        let mut radial = self.moments * steep;
+        for column in 0..3 {
+            let v = 5.0 * inverse_r2 * v[column];
+            for row in 0..3 {
+                radial[(row, column)] -= near[row] * v;
+            }
+        }
+        [0, 1, 2].map(|l| {
+            let mut change = radial * from[l];
+            for column in 0..3 {
+                change[(l, column)] += steep * v[column];
+                let moment = self.moments[(l, column)];
+                for row in 0..3 {
+                    change[(row, column)] += near[row] * moment;
+                }
+            }
+            change
+        })
+    }
 }
 
 /// A place found for a reading.
@@ -102,8 +158,9 @@ impl Metal {
             kind: source.kind,
             position: source.position(),
             strength: source.strength,
-            moments: source.moments(),
-            gradient: source.moments_gradient(),
+            unit: source.moments(),
+            moments: source.moments() * source.strength,
+            gradient: source.moments_gradient().map(|gradient| gradient * source.strength),
         };
         Self { sources: sources.iter().map(prepare).collect() }
     }
@@ -116,9 +173,7 @@ impl Metal {
     /// The same if the metal answers with `share` of its strength.
     fn field_of(&self, p: &Vector3<f64>, share: f64) -> Matrix3<f64> {
         let mut total = field(p);
-        for source in &self.sources {
-            total += field(&(p - source.position)) * source.moments * (source.strength * share);
-        }
+        self.sources.iter().for_each(|source| source.add_field(p, share, &mut total));
         total
     }
 
@@ -131,9 +186,8 @@ impl Metal {
     fn gradient(&self, p: &Vector3<f64>, share: f64) -> [Matrix3<f64>; 3] {
         let mut total = field_gradient(p);
         for source in &self.sources {
-            let moments = source.moments * (source.strength * share);
-            for (sum, gradient) in total.iter_mut().zip(field_gradient(&(p - source.position))) {
-                *sum += gradient * moments;
+            for (sum, change) in total.iter_mut().zip(source.by_place(&source.view(p))) {
+                *sum += change * share;
             }
         }
         total
@@ -153,22 +207,35 @@ impl Metal {
 
     /// The place near `guess` where the device reports `z` if the metal answers with `share` of its strength.
     ///
-    /// Chords with the Jacobian at the first guess: it changes little over a correction, and a field costs a tenth of it.
+    /// Newton's method with one Jacobian, which Broyden's updates keep true: a field costs a tenth of it.
     fn correct_from(&self, z: &Vector3<f64>, guess: Vector3<f64>, share: f64) -> Option<Vector3<f64>> {
         let mut p = guess;
         let mut inverse = Matrix3::identity();
+        let mut last = (Vector3::zeros(), Vector3::zeros());
         for round in 0..24 {
             let b = self.field_of(&p, share);
             let reading = solve(&b, &p);
+            let missed = z - reading.position;
             if round % 8 == 1 {
                 inverse = self.jacobian(&p, &reading.derivative(&b), share).try_inverse()?;
+            } else if round > 1 {
+                let (step, before) = last;
+                let back = inverse * (before - missed);
+                let along = step.dot(&back);
+                if along > 0.1 * step.norm_squared() {
+                    inverse += (step - back) * (step.transpose() * inverse) / along;
+                }
             }
-            let step = inverse * (z - reading.position);
+            let mut step = inverse * missed;
             let length = step.norm();
             if !length.is_finite() {
                 return None;
             }
-            p += if length > LONGEST_STEP_M { step * (LONGEST_STEP_M / length) } else { step };
+            if length > LONGEST_STEP_M {
+                step *= LONGEST_STEP_M / length;
+            }
+            p += step;
+            last = (step, missed);
             if length < PRECISION_M {
                 return Some(p);
             }
@@ -197,14 +264,15 @@ impl Metal {
     /// Derivatives of the place by all parameters, source by source: position, then strength.
     pub(crate) fn parameters(&self, place: &Place, mut each: impl FnMut(usize, Vector3<f64>)) {
         for (index, source) in self.sources.iter().enumerate() {
-            let from = place.p - source.position;
-            let k = field(&from);
-            let gradient = field_gradient(&from);
-            for (l, (by_moments, by_place)) in source.gradient.iter().zip(&gradient).enumerate() {
-                let change = (k * by_moments - by_place * source.moments) * source.strength;
+            let view = source.view(&place.p);
+            let View { from, near, inverse_r3, .. } = &view;
+            let field_of =
+                |moments: &Matrix3<f64>| near * moments.tr_mul(from).transpose() - moments * *inverse_r3;
+            for (l, (moved, by_place)) in source.gradient.iter().zip(source.by_place(&view)).enumerate() {
+                let change = field_of(moved) - by_place;
                 each(SOURCE_PARAMETERS * index + l, times(&place.by_field, &change));
             }
-            each(SOURCE_PARAMETERS * index + 3, times(&place.by_field, &(k * source.moments)));
+            each(SOURCE_PARAMETERS * index + 3, times(&place.by_field, &field_of(&source.unit)));
         }
     }
 
