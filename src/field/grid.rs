@@ -86,7 +86,7 @@ impl Grid {
         Self { shape, values, spline, details: Vec::new(), patches: Vec::new() }
     }
 
-    /// Compares the spline with what it stands for at the middle of each cell. A cell in which its first three numbers are
+    /// Compares the spline with what it stands for in each cell. A cell in which its first three numbers are
     /// off by more than the `tolerance` (where there is one) gets a patch; one in which a patch is too, is remembered as torn.
     pub(crate) fn refine(
         &mut self,
@@ -102,7 +102,12 @@ impl Grid {
                 let within = |place: [f64; 3]| low + Vector3::from(place) * step;
                 let middle = within([0.5; 3]);
                 let tolerance = tolerance(&middle)?;
-                if far(&this.cubic(&middle), &exact(&middle)) <= tolerance {
+                let off = |place: &Vector3<f64>| far(&this.cubic(place), &exact(place));
+                // Where the middle is nearly too bad, other places may be.
+                let first = off(&middle);
+                let smooth = first < 0.25 * tolerance
+                    || first <= tolerance && TRIED.into_iter().all(|place| off(&within(place)) <= tolerance);
+                if smooth {
                     return None;
                 }
                 let patch = Patch::new(|place| exact(&within(place)));

@@ -200,8 +200,8 @@ impl FieldMap {
         let physical = self.model.polynomial.is_none() && self.model.local.is_none();
         let keep_m = if physical { KEEP_METAL_M } else { KEEP_M };
         let shape = Shape::around(&self.hull.bounds_m(), keep_m + FADE_M + STEP_M, STEP_M);
-        let evaluator = self.model.evaluator();
-        let correction = |z: &Vector3<f64>| evaluator.correct(z) - z;
+        let metal = self.model.metal();
+        let correction = |z: &Vector3<f64>| self.model.answer_in(metal.as_ref(), z, None) - z;
         let mut positions = Grid::new(shape.clone(), |z| {
             let outside = self.hull.outside_m(z);
             let share = ((outside - keep_m) / FADE_M).clamp(0.0, 1.0);
@@ -215,12 +215,12 @@ impl FieldMap {
             }
             [change.x, change.y, change.z, outside]
         });
-        let metal = self.model.metal();
         if metal.is_some() {
-            // Outside nobody asks for a tenth of a millimetre.
+            // Farther outside nobody asks for a tenth of a millimetre.
             let tolerance = |z: &Vector3<f64>| {
                 let rough_m = ROUGH_M.max(ROUGH_SHARE * self.noise.mean_square_m2(z).sqrt());
-                (self.hull.outside_m(z) <= 0.0).then_some(rough_m)
+                let outside = self.hull.outside_m(z);
+                (outside <= keep_m).then_some(if outside > KEEP_M { 10.0 * rough_m } else { rough_m })
             };
             positions.refine(tolerance, |z| {
                 let change = correction(z);
@@ -232,7 +232,7 @@ impl FieldMap {
             let z_in = self.hull.inward(z);
             let mut turn = UnitQuaternion::identity();
             if let Some(metal) = &metal {
-                turn = by_metal(metal, &z_in, &evaluator.correct(&z_in));
+                turn = by_metal(metal, &z_in, &(z_in + correction(&z_in)));
             }
             if let Some(rotation) = &self.rotation {
                 turn = so3::exp(&rotation.at(&z_in)) * turn;
@@ -261,10 +261,11 @@ impl Corrector {
     /// The corrected position before the alignment, and how far outside the hull the reading is, m.
     pub(crate) fn unaligned(&self, z: &Vector3<f64>) -> (Vector3<f64>, f64) {
         let ([x, y, w, outside], sound) = self.positions.fine(z);
+        let p = z + Vector3::new(x, y, w);
         if !sound {
-            return (self.model.correct_in(self.metal.as_ref(), z), outside);
+            return (self.model.answer_in(self.metal.as_ref(), z, Some(p)), outside);
         }
-        (z + Vector3::new(x, y, w), outside)
+        (p, outside)
     }
 
     fn align(&self, p: Vector3<f64>) -> Vector3<f64> {

@@ -52,6 +52,22 @@ pub(crate) fn solve(field: &Matrix3<f64>, hint: &Vector3<f64>) -> Reading {
     for _ in 0..5 {
         power *= power;
     }
+    reading(gram, trace, &power, hint)
+}
+
+/// The same where metal is so near that two eigenvalues are nearly alike: the 1024th power.
+pub(crate) fn solve_closely(field: &Matrix3<f64>, hint: &Vector3<f64>) -> Reading {
+    let gram = field.transpose() * field;
+    let trace = gram.trace();
+    let mut power = gram / trace;
+    for _ in 0..10 {
+        power *= power;
+        power /= power.trace();
+    }
+    reading(gram, trace, &power, hint)
+}
+
+fn reading(gram: Matrix3<f64>, trace: f64, power: &Matrix3<f64>, hint: &Vector3<f64>) -> Reading {
     let mut u = power * hint;
     u /= u.norm();
     let r = (6.0 / trace).cbrt().sqrt();

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::dipole::{field, field_gradient, solve};
+use super::dipole::{field, field_gradient, solve, solve_closely};
 
 /// What a secondary source stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -33,6 +33,13 @@ const LONGEST_STEP_M: f64 = 0.1;
 const FARTHEST_M: f64 = 0.5;
 /// Steps in which metal is switched on where a place is hard to find.
 const FOLLOWING_STEPS: u32 = 8;
+
+/// A place with such a spread of readings around it has no rival that is likelier.
+const PLAIN: std::ops::Range<f64> = 0.3..2.0;
+/// A place that was found must read so, m.
+const READ_M: f64 = 1e-5;
+/// How far around a reading its place is looked for, m.
+const AROUND_M: [f64; 3] = [0.1, 0.2, 0.35];
 
 /// Parameters of one source: position and strength.
 pub(crate) const SOURCE_PARAMETERS: usize = 4;
@@ -205,6 +212,35 @@ impl Metal {
         found.filter(|p| (p - z).norm() < FARTHEST_M)
     }
 
+    /// As [`Metal::correct`]. Where that finds nothing, or a place around which space is folded, it looks from `guess`, and
+    /// without one from all around the reading. Of several places the likeliest is taken: the one around which the most
+    /// places read nearly the same.
+    pub(crate) fn find(&self, z: &Vector3<f64>, guess: Option<Vector3<f64>>) -> Option<Vector3<f64>> {
+        let right = |p: &Vector3<f64>| {
+            (p - z).norm() < FARTHEST_M
+                && self.surface(p) > 0.0
+                && (solve_closely(&self.field(p), p).position - z).norm() < READ_M
+        };
+        let from = |guess: Vector3<f64>| self.correct_from(z, guess, 1.0).filter(right);
+        let plain = self.correct(z).filter(right).map(|p| (self.spread(&p), p));
+        if let Some((spread, p)) = plain
+            && PLAIN.contains(&spread)
+        {
+            return Some(p);
+        }
+        let around = AROUND_M.into_iter().flat_map(|far| directions().map(move |way| z + way * far));
+        let starts = around.filter(|_| guess.is_none()).chain(guess);
+        let others = starts.filter_map(from).map(|p| (self.spread(&p), p));
+        plain.into_iter().chain(others).min_by(|a, b| a.0.abs().total_cmp(&b.0.abs())).map(|(_, p)| p)
+    }
+
+    /// The volume over which readings spread around a place, against the volume of their places; negative where they are
+    /// turned inside out.
+    fn spread(&self, p: &Vector3<f64>) -> f64 {
+        let b = self.field(p);
+        self.jacobian(p, &solve(&b, p).derivative(&b), 1.0).determinant()
+    }
+
     /// The place near `guess` where the device reports `z` if the metal answers with `share` of its strength.
     ///
     /// Newton's method with one Jacobian, which Broyden's updates keep true: a field costs a tenth of it.
@@ -292,6 +328,12 @@ impl Metal {
     pub(crate) fn clearance(&self, p: &Vector3<f64>) -> f64 {
         self.sources.iter().map(|source| (p - source.position).norm()).fold(f64::INFINITY, f64::min)
     }
+}
+
+/// Along the edges and diagonals of a cube.
+fn directions() -> impl Iterator<Item = Vector3<f64>> {
+    let ways = (0..27).map(|k| Vector3::from([k % 3, k / 3 % 3, k / 9].map(|n| f64::from(n) - 1.0)));
+    ways.filter_map(|way| way.try_normalize(0.5))
 }
 
 /// A linear map of a matrix, taken column by column.
