@@ -219,8 +219,7 @@ impl FieldMap {
             // Farther outside nobody asks for a tenth of a millimetre.
             let tolerance = |z: &Vector3<f64>| {
                 let rough_m = ROUGH_M.max(ROUGH_SHARE * self.noise.mean_square_m2(z).sqrt());
-                let outside = self.hull.outside_m(z);
-                (outside <= keep_m).then_some(if outside > KEEP_M { 10.0 * rough_m } else { rough_m })
+                (self.hull.outside_m(z) <= KEEP_M).then_some(rough_m)
             };
             positions.refine(tolerance, |z| {
                 let change = correction(z);

@@ -9,7 +9,9 @@ use rayon::prelude::*;
 use super::fit::{Fit, fit};
 use super::model::metal::{Metal, times};
 use super::model::{Kind, Model, Source};
+use super::orientation::turning;
 use super::problem::Problem;
+use crate::geometry::so3;
 
 /// Spacing of the candidates for objects, m, and how far outside the readings they may stand.
 const STEP_M: f64 = 0.3;
@@ -100,8 +102,15 @@ fn see(problem: &Problem, model: &Model) -> Vec<Row> {
     problem.each_residual(model, |start, count, scratch| {
         let seen: Option<Vec<Seen>> = (0..count)
             .map(|k| {
-                let place = metal.place(&problem.z[start + k])?;
-                Some(Seen { place: place.p, whitened: scratch.whitener[k] * place.by_field })
+                let z = &problem.z[start + k];
+                let place = metal.place(z)?;
+                let mut by_field = place.by_field;
+                // A source moves a joint by moving its sensor and by turning the way from there.
+                let way = scratch.shift.get(k).filter(|way| **way != Vector3::zeros());
+                if let Some(way) = way {
+                    by_field -= so3::hat(way) * turning(&metal, z, &place)?;
+                }
+                Some(Seen { place: place.p, whitened: scratch.whitener[k] * by_field })
             })
             .collect();
         if let Some(seen) = seen {

@@ -190,7 +190,7 @@ impl Metal {
     }
 
     /// Derivatives of the field by the place.
-    fn gradient(&self, p: &Vector3<f64>, share: f64) -> [Matrix3<f64>; 3] {
+    pub(crate) fn gradient(&self, p: &Vector3<f64>, share: f64) -> [Matrix3<f64>; 3] {
         let mut total = field_gradient(p);
         for source in &self.sources {
             for (sum, change) in total.iter_mut().zip(source.by_place(&source.view(p))) {
