@@ -116,6 +116,19 @@ pub struct SensorEstimate {
     pub measured: Option<Measured>,
     /// What the map of faults says of it; absent where the stage has none, or not for this sensor.
     pub fault: Option<SensorLabel>,
+    /// The statistic of key poses; absent where they are not looked for, or not yet.
+    pub change: Option<Change>,
+}
+
+/// The statistic of key poses of a sensor at an earlier frame: it needs the frames around it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Change {
+    /// Capture time of the frame that it speaks of.
+    pub t_valid: Timestamp,
+    /// How clear a change of motion there would be: without unit, comparable between sensors.
+    pub score: f64,
+    /// What a peak must exceed to be a key pose.
+    pub threshold: f64,
 }
 
 /// What the map of faults says of a frame.

@@ -207,6 +207,7 @@ impl Sensor {
             pose,
             measured: slot.samples.last().map(|sample| sample.measured),
             fault,
+            change: None,
         }
     }
 
