@@ -109,6 +109,8 @@ pub struct SensorEstimate {
     pub measured: Option<Measured>,
     /// What the map of faults says of it; absent where the stage has none, or not for this sensor.
     pub fault: Option<SensorLabel>,
+    /// No record of this frame is in the pose: the IMU that is fastened to the sensor carries it on.
+    pub carried: bool,
 }
 
 /// What the map of faults says of a frame.

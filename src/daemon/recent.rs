@@ -102,7 +102,13 @@ mod tests {
             covariance: [0.0; 21],
             sigma_m: Some(0.0),
         };
-        let good = SensorEstimate { state: SensorState::Ok, pose: Some(pose), measured: None, fault: None };
+        let good = SensorEstimate {
+            state: SensorState::Ok,
+            pose: Some(pose),
+            measured: None,
+            fault: None,
+            carried: false,
+        };
         let t_valid = Timestamp::from_secs_f64(t_s);
         Estimate { t_valid, sensors: vec![SensorEstimate::default(), good], ..Estimate::default() }
     }

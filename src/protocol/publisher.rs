@@ -180,7 +180,13 @@ mod tests {
             covariance: [1e-6; 21],
             sigma_m: Some(1e-3),
         };
-        let left = SensorEstimate { state: SensorState::Ok, pose: Some(pose), measured: None, fault: None };
+        let left = SensorEstimate {
+            state: SensorState::Ok,
+            pose: Some(pose),
+            measured: None,
+            fault: None,
+            carried: false,
+        };
         Estimate {
             t_valid: Timestamp::from_nanos(t_ns),
             sensors: vec![left, SensorEstimate::default()],

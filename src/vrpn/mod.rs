@@ -204,7 +204,8 @@ mod tests {
             button: Some(button),
             inertial: None,
         };
-        let sensor = SensorEstimate { state, pose: Some(pose), measured: Some(measured), fault: None };
+        let sensor =
+            SensorEstimate { state, pose: Some(pose), measured: Some(measured), fault: None, carried: false };
         Estimate { t_valid: Timestamp::from_secs_f64(t_s), sensors: vec![sensor], ..Estimate::default() }
     }
 

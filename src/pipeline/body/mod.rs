@@ -136,7 +136,10 @@ impl BodyStage {
             Solver::Trackers(follower) => {
                 self.tracked.clear();
                 for worn in &self.trackers {
-                    let seen = estimate.sensors.get(usize::from(worn.sensor)).filter(|s| is_usable(s.state));
+                    let seen = estimate
+                        .sensors
+                        .get(usize::from(worn.sensor))
+                        .filter(|s| is_usable(s.state) || s.carried);
                     let pose = seen.and_then(|seen| seen.pose.as_ref());
                     let Some(pose) = pose.and_then(|pose| isometry(pose.position_m?, pose.orientation_wxyz))
                     else {
@@ -224,7 +227,8 @@ impl BodyStage {
         let (mut sum, mut count) = (Vector3::zeros(), 0.0);
         for worn in &self.trackers {
             let index = worn.segment.index();
-            let seen = estimate.sensors.get(usize::from(worn.sensor)).filter(|s| is_usable(s.state));
+            let seen =
+                estimate.sensors.get(usize::from(worn.sensor)).filter(|s| is_usable(s.state) || s.carried);
             let pose = seen.and_then(|seen| seen.pose.as_ref());
             if let Some(position_m) = pose.and_then(|pose| pose.position_m)
                 && found.orientations[index].is_some()

@@ -8,9 +8,18 @@
 //! sensor from IMU: linear in the matrices X and Y', then refined on the group. Lever: the second difference of the
 //! position over some tenths of a second is the specific force weighed by a triangle, so that no noise is differentiated twice.
 
-use nalgebra::{Isometry3, Matrix3, Matrix6, SMatrix, Translation3, UnitQuaternion, Vector3, Vector6};
+pub mod guide;
+mod recording;
+#[cfg(test)]
+mod tests;
+
+use nalgebra::{
+    Isometry3, Matrix3, Matrix6, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6,
+};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+
+pub use recording::{Found, Recording, align_recording};
 
 use super::limb::GRAVITY_M_S2;
 use crate::geometry::so3::{exp, log};
@@ -46,8 +55,8 @@ pub struct AnchorPoint {
 /// What was found.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Alignment {
-    /// The transmitter in the room; without anchors its origin is the room's, and with a level frame of unknown heading yaw
-    /// is that frame's.
+    /// The transmitter in the room; without anchors its origin is the room's. With neither heading nor two anchors its x axis, seen
+    /// from above, is the room's.
     pub room_from_transmitter: Isometry3<f64>,
     /// Turns the IMU's coordinates into the magnetic sensor's.
     pub q_sensor_imu: UnitQuaternion<f64>,
@@ -80,6 +89,9 @@ pub enum AlignError {
     /// It did not move.
     #[error("the sensor's turning does not show its lever: shake it, with fast turns")]
     Still,
+    /// Fewer than three anchors, or all on a line.
+    #[error("without an IMU it takes three anchors or more that are not on one line")]
+    Anchors,
 }
 
 /// Aligns; `heading` says whether the IMU's level frame is the room's in heading too.
@@ -95,17 +107,22 @@ pub fn align(
         return Err(AlignError::TooShort { found: samples.len(), needed: MIN_SAMPLES });
     }
     let (x, y) = rotations(samples)?;
-    let (x, y, residual_rad) = refine(samples, x, y);
-    let (lever_m, accel_bias_m_s2, residual_m) = lever(samples, &x)?;
+    let (x, y, drift_rad_s, residual_rad) = refine(samples, x, y);
+    let middle_s = middle_s(samples);
+    let still: Vec<BothSample> = samples
+        .iter()
+        .map(|sample| BothSample {
+            level_from_imu: about_z(-drift_rad_s * (sample.t_s - middle_s)) * sample.level_from_imu,
+            ..*sample
+        })
+        .collect();
+    let (lever_m, accel_bias_m_s2, residual_m) = lever(&still, &x)?;
+    let x = if heading { x } else { facing(&x) * x };
     let mut room = Isometry3::from_parts(Translation3::identity(), x);
     let mut anchors_m = 0.0;
     if !anchors.is_empty() {
         room = anchor(anchors, &x, heading);
-        let squares: f64 = anchors
-            .iter()
-            .map(|a| (room.transform_point(&a.transmitter_m.into()).coords - a.room_m).norm_squared())
-            .sum();
-        anchors_m = (squares / anchors.len() as f64).sqrt();
+        anchors_m = left_m(anchors, &room);
     }
     Ok(Alignment {
         room_from_transmitter: room,
@@ -160,38 +177,94 @@ fn rotations(samples: &[BothSample]) -> Result<(UnitQuaternion<f64>, UnitQuatern
     Ok((project(x), project(y_t).inverse()))
 }
 
-/// Gauss-Newton on both rotations, with Huber's weights.
+/// Gauss-Newton on both rotations and the rate at which the level frame drifts about the vertical, with Huber's weights: X, Y,
+/// drift in rad/s, and what is left in rad.
 fn refine(
     samples: &[BothSample],
     mut x: UnitQuaternion<f64>,
     mut y: UnitQuaternion<f64>,
-) -> (UnitQuaternion<f64>, UnitQuaternion<f64>, f64) {
+) -> (UnitQuaternion<f64>, UnitQuaternion<f64>, f64, f64) {
     const HUBER_RAD: f64 = 0.05;
-    let mut residual = 0.0;
+    let middle_s = middle_s(samples);
+    let (mut drift_rad_s, mut residual) = (0.0, 0.0);
     for _ in 0..10 {
-        let (mut gradient, mut normal) = (Vector6::zeros(), Matrix6::zeros());
+        let (mut gradient, mut normal) = (SVector::<f64, 7>::zeros(), SMatrix::<f64, 7, 7>::zeros());
         residual = 0.0;
         for sample in samples {
-            // A = X M Y exp(r); X grows from the left, Y from the right.
-            let predicted = x * sample.transmitter_from_sensor.rotation * y;
+            // A = Z(t) X M Y exp(r); X grows from the left, Y from the right, Z turns about the vertical.
+            let since_s = sample.t_s - middle_s;
+            let drift = about_z(drift_rad_s * since_s);
+            let predicted = drift * x * sample.transmitter_from_sensor.rotation * y;
             let r = log(&(predicted.inverse() * sample.level_from_imu));
             residual += r.norm_squared();
             let weight = (HUBER_RAD / r.norm()).min(1.0);
-            let mut rows = SMatrix::<f64, 3, 6>::zeros();
-            let by_x = predicted.inverse().to_rotation_matrix().into_inner();
+            let back = predicted.inverse();
+            let by_x = (back * drift).to_rotation_matrix().into_inner();
+            let mut rows = SMatrix::<f64, 3, 7>::zeros();
             rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_x);
             rows.fixed_view_mut::<3, 3>(0, 3).copy_from(&Matrix3::identity());
+            rows.fixed_view_mut::<3, 1>(0, 6).copy_from(&(back * Vector3::z() * since_s));
             gradient += rows.transpose() * r * weight;
             normal += rows.transpose() * rows * weight;
         }
         let Some(step) = normal.cholesky().map(|c| c.solve(&gradient)) else { break };
         x = exp(&step.fixed_rows::<3>(0).into_owned()) * x;
         y *= exp(&step.fixed_rows::<3>(3).into_owned());
+        drift_rad_s += step[6];
         if step.norm() < 1e-10 {
             break;
         }
     }
-    (x, y, (residual / samples.len() as f64).sqrt())
+    (x, y, drift_rad_s, (residual / samples.len() as f64).sqrt())
+}
+
+fn about_z(angle_rad: f64) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad)
+}
+
+fn middle_s(samples: &[BothSample]) -> f64 {
+    samples.first().zip(samples.last()).map_or(0.0, |(first, last)| 0.5 * (first.t_s + last.t_s))
+}
+
+/// The turn about the vertical that brings the transmitter's x axis, or its y axis where that one stands upright, to where the
+/// room's is.
+fn facing(x: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+    let (a, b) = (x * Vector3::x(), x * Vector3::y());
+    about_z(if a.x.hypot(a.y) > 0.3 { -a.y.atan2(a.x) } else { b.x.atan2(b.y) })
+}
+
+/// How a transmitter stands by anchors alone, and what is left of them, m, root mean square.
+///
+/// # Errors
+/// Fewer than three of them, or all on a line.
+pub fn stand(anchors: &[AnchorPoint]) -> Result<(Isometry3<f64>, f64), AlignError> {
+    let n = anchors.len() as f64;
+    let from = anchors.iter().map(|a| a.transmitter_m).sum::<Vector3<f64>>() / n;
+    let to = anchors.iter().map(|a| a.room_m).sum::<Vector3<f64>>() / n;
+    let sum: Matrix3<f64> =
+        anchors.iter().map(|a| (a.room_m - to) * (a.transmitter_m - from).transpose()).sum();
+    let svd = sum.svd(true, true);
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Err(AlignError::Anchors) };
+    let mut values: Vec<f64> = svd.singular_values.iter().copied().collect();
+    values.sort_by(f64::total_cmp);
+    // The second direction: a centimetre at least.
+    if anchors.len() < 3 || values[1].is_nan() || values[1] < 1e-4 * n {
+        return Err(AlignError::Anchors);
+    }
+    // A mirror image is undone in the direction that says least.
+    let least = svd.singular_values.imin();
+    let mirrored = (u * v_t).determinant().signum();
+    let sign = Vector3::from_fn(|i, _| if i == least { mirrored } else { 1.0 });
+    let rotation = UnitQuaternion::from_matrix(&(u * Matrix3::from_diagonal(&sign) * v_t));
+    let room = Isometry3::from_parts(Translation3::from(to - rotation * from), rotation);
+    Ok((room, left_m(anchors, &room)))
+}
+
+/// Root mean square of what a pose leaves of the anchors, m.
+fn left_m(anchors: &[AnchorPoint], room: &Isometry3<f64>) -> f64 {
+    let off =
+        |a: &AnchorPoint| (room.transform_point(&a.transmitter_m.into()).coords - a.room_m).norm_squared();
+    (anchors.iter().map(off).sum::<f64>() / anchors.len() as f64).sqrt()
 }
 
 /// Lever and accelerometer bias, linear in the second differences of the IMU's position.
@@ -252,128 +325,4 @@ fn anchor(anchors: &[AnchorPoint], x: &UnitQuaternion<f64>, heading: bool) -> Is
     let yaw = if known { 0.0 } else { sine.atan2(cosine) };
     let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
     Isometry3::from_parts(Translation3::from(to - yaw * from), yaw * x)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    type V = Vector3<f64>;
-
-    struct Waved {
-        room_from_transmitter: Isometry3<f64>,
-        q_sensor_imu: UnitQuaternion<f64>,
-        lever_m: V,
-    }
-
-    impl Waved {
-        /// A transmitter tilted by ten degrees.
-        fn new() -> Self {
-            let tilt = exp(&V::new(10_f64.to_radians(), 0.0, 0.0));
-            Self {
-                room_from_transmitter: Isometry3::from_parts(
-                    Translation3::new(0.4, -0.2, 0.9),
-                    exp(&V::new(0.0, 0.0, 0.7)) * tilt,
-                ),
-                q_sensor_imu: exp(&V::new(0.9, -1.4, 0.3)),
-                lever_m: V::new(0.021, -0.013, 0.034),
-            }
-        }
-
-        /// Sensor in the room.
-        fn pose(t: f64, turning: f64) -> Isometry3<f64> {
-            let turn = V::new((1.9 * t).sin(), (1.3 * t + 0.4).cos(), 0.9 * (2.7 * t).sin()) * turning;
-            let place = V::new(0.3 * (1.1 * t).sin(), 0.2 * (1.7 * t).cos(), 1.0 + 0.15 * (2.3 * t).sin());
-            Isometry3::from_parts(place.into(), exp(&turn))
-        }
-
-        /// Forty seconds at 100 Hz with 0.5 mm, 0.3 degrees and a bias.
-        fn samples(&self, turning: f64, noise: f64) -> Vec<BothSample> {
-            let mut state = 7_u64;
-            let mut random = || {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                // Uniform of variance 1.
-                ((state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5) * 12_f64.sqrt() * noise
-            };
-            let imu = |t: f64| {
-                let sensor = Self::pose(t, turning);
-                sensor.transform_point(&self.lever_m.into()).coords
-            };
-            (0..4000)
-                .map(|k| {
-                    let t_s = 0.01 * f64::from(k);
-                    let h = 1e-3;
-                    let accel = (imu(t_s + h) + imu(t_s - h) - imu(t_s) * 2.0) / (h * h);
-                    let room_from_sensor = Self::pose(t_s, turning);
-                    let mut pose = self.room_from_transmitter.inverse() * room_from_sensor;
-                    pose.translation.vector += V::from_fn(|_, _| 5e-4 * random());
-                    pose.rotation *= exp(&V::from_fn(|_, _| 0.005 * random()));
-                    let level_from_imu = room_from_sensor.rotation * self.q_sensor_imu;
-                    let force = level_from_imu.inverse() * (accel + V::z() * GRAVITY_M_S2);
-                    BothSample {
-                        t_s,
-                        transmitter_from_sensor: pose,
-                        level_from_imu: level_from_imu * exp(&V::from_fn(|_, _| 0.01 * random())),
-                        force_m_s2: force
-                            + V::new(0.03, -0.02, 0.04) * noise
-                            + V::from_fn(|_, _| 0.03 * random()),
-                    }
-                })
-                .collect()
-        }
-    }
-
-    #[test]
-    fn a_tilted_transmitter_is_found_within_half_a_degree_and_five_millimetres() {
-        let waved = Waved::new();
-        let anchors =
-            [V::new(0.3, 0.1, 0.2), V::new(-0.4, 0.5, 0.1), V::new(0.1, -0.6, 0.5)].map(|transmitter_m| {
-                let room_m = waved.room_from_transmitter.transform_point(&transmitter_m.into()).coords;
-                AnchorPoint { transmitter_m, room_m: room_m + V::new(0.001, -0.001, 0.001) }
-            });
-        let found = align(&waved.samples(1.0, 1.0), &anchors, true).unwrap();
-        let off = found.room_from_transmitter.rotation.angle_to(&waved.room_from_transmitter.rotation);
-        assert!(off.to_degrees() < 0.5, "room: {} degrees", off.to_degrees());
-        let off = found.q_sensor_imu.angle_to(&waved.q_sensor_imu).to_degrees();
-        assert!(off < 0.5, "IMU: {off} degrees");
-        let off = (found.lever_m - waved.lever_m).norm();
-        assert!(off < 5e-3, "lever: {off} m");
-        let place = found.room_from_transmitter.translation.vector;
-        let off = (place - waved.room_from_transmitter.translation.vector).norm();
-        assert!(off < 5e-3, "transmitter: {off} m");
-        assert!(
-            (found.accel_bias_m_s2 - V::new(0.03, -0.02, 0.04)).norm() < 0.02,
-            "{:?}",
-            found.accel_bias_m_s2
-        );
-        assert!(found.residual_rad > 0.005 && found.residual_rad < 0.03);
-    }
-
-    #[test]
-    fn without_noise_it_is_exact_and_anchors_give_the_heading() {
-        let waved = Waved::new();
-        let mut samples = waved.samples(1.0, 0.0);
-        // A level frame of its own heading.
-        let own = exp(&V::new(0.0, 0.0, -1.1));
-        for sample in &mut samples {
-            sample.level_from_imu = own * sample.level_from_imu;
-        }
-        let anchors = [V::new(0.3, 0.1, 0.2), V::new(-0.4, 0.5, 0.1)].map(|transmitter_m| AnchorPoint {
-            transmitter_m,
-            room_m: waved.room_from_transmitter.transform_point(&transmitter_m.into()).coords,
-        });
-        let found = align(&samples, &anchors, false).unwrap();
-        let (off, expected) = (found.room_from_transmitter, waved.room_from_transmitter);
-        assert!(off.rotation.angle_to(&expected.rotation) < 1e-7);
-        assert!((off.translation.vector - expected.translation.vector).norm() < 1e-7);
-        assert!((found.lever_m - waved.lever_m).norm() < 2e-4, "{:?}", found.lever_m);
-        assert!(found.anchors_m < 1e-7);
-    }
-
-    #[test]
-    fn what_does_not_turn_is_refused() {
-        let waved = Waved::new();
-        assert_eq!(align(&waved.samples(0.0, 0.0), &[], true), Err(AlignError::OneAxis));
-        assert!(matches!(align(&waved.samples(1.0, 0.0)[..50], &[], true), Err(AlignError::TooShort { .. })));
-    }
 }
