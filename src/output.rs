@@ -97,6 +97,13 @@ pub enum SensorState {
     Extrapolated,
 }
 
+impl SensorState {
+    /// Whether a pose in this state may be used as good.
+    pub fn is_usable(self) -> bool {
+        matches!(self, Self::Ok | Self::Repaired | Self::Extrapolated)
+    }
+}
+
 /// One sensor in one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SensorEstimate {

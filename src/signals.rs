@@ -5,7 +5,7 @@
 //! same names, so an exercise taught in one is counted in the others.
 
 use crate::layout::BodyLayout;
-use crate::output::{Body, Estimate, SensorState};
+use crate::output::{Body, Estimate};
 use crate::stage::Stage;
 
 /// A body older than this against the estimate's time is none, s.
@@ -41,7 +41,7 @@ pub(crate) fn append(
 pub fn write(estimate: &Estimate, row: &mut Vec<Option<f64>>) {
     row.clear();
     for sensor in &estimate.sensors {
-        let pose = sensor.pose.filter(|_| is_usable(sensor.state));
+        let pose = sensor.pose.filter(|_| sensor.state.is_usable());
         append(pose.and_then(|pose| pose.position_m), pose.map(|pose| pose.orientation_wxyz), row);
     }
 }
@@ -65,14 +65,10 @@ impl BodyColumns {
     }
 }
 
-/// Whether a pose in this state may be used as good.
-pub(crate) fn is_usable(state: SensorState) -> bool {
-    matches!(state, SensorState::Ok | SensorState::Repaired | SensorState::Extrapolated)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::output::SensorState;
     use crate::output::{PoseEstimate, SensorEstimate};
 
     #[test]

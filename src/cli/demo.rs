@@ -22,6 +22,9 @@ use super::{Error, simulation, watch};
 /// The stage that is built in.
 const STAGE: &str = include_str!("../../config/demo.toml");
 
+/// Names what the person of that stage does.
+const MOVES: &[u8] = include_bytes!("../../config/demo-moves.safetensors");
+
 /// What to show.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  posed demo\n\nThen open the address that it prints; Ctrl-C ends it.")]
@@ -38,20 +41,28 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
+    let ports = tempfile::Builder::new()
+        .prefix("posed-")
+        .tempdir()
+        .map_err(|error| Error::Failed(format!("cannot make a folder for the ports: {error}")))?;
     let (stage, text, folder) = match &args.stage {
         Some(path) => {
             let text = std::fs::read_to_string(path).map_err(|error| Error::file("read", path, &error))?;
             let folder = path.parent().unwrap_or(Path::new("")).to_owned();
             (Stage::load(path).map_err(Error::failed)?, text, folder)
         }
-        None => (Stage::parse(STAGE).map_err(Error::failed)?, STAGE.to_owned(), PathBuf::new()),
+        None => {
+            let mut stage = Stage::parse(STAGE).map_err(Error::failed)?;
+            if let Some(segments) = &mut stage.segments {
+                segments.model = ports.path().join("moves.safetensors");
+                std::fs::write(&segments.model, MOVES)
+                    .map_err(|error| Error::file("write", &segments.model, &error))?;
+            }
+            (stage, STAGE.to_owned(), PathBuf::new())
+        }
     };
     let duration_s = simulation::scenario(&stage)?.duration_s;
     let devices = simulation::virtual_stage(&stage, &folder)?;
-    let ports = tempfile::Builder::new()
-        .prefix("posed-")
-        .tempdir()
-        .map_err(|error| Error::Failed(format!("cannot make a folder for the ports: {error}")))?;
     let mut options = Options::new(stage, text, folder);
     options.listen = args.listen;
     options.record = args.record;

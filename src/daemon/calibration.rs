@@ -54,14 +54,12 @@ impl Calibration {
         inbox: FusionInbox,
         jobs: Jobs,
     ) -> Self {
-        let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
-        let name: String = stage.name.chars().map(plain).collect();
         Self {
             clock,
             inbox,
             jobs,
             sensors: stage.sensors.iter().map(|sensor| sensor.name.clone()).collect(),
-            folder: folder.join("field-maps").join(name),
+            folder: folder.join("field-maps").join(stage.file_name()),
             given: stage.models.field.clone(),
             state: Arc::default(),
             files: Arc::default(),
@@ -132,10 +130,7 @@ impl Calibration {
             return;
         };
         let (this, run) = (self.clone(), run.clone());
-        let job = self.jobs.begin("field.finish");
-        let number = job.number();
-        #[expect(clippy::disallowed_methods, reason = "the daemon owns its long jobs")]
-        let thread = std::thread::Builder::new().name("field".into()).spawn(move || {
+        self.jobs.run("field.finish", reply, move |job| {
             let solution = solve(run, &anchors, &mut |share| job.progress(Some(share), None));
             let report = solution.report;
             job.result(serde_json::json!({ "report": report }));
@@ -162,12 +157,8 @@ impl Calibration {
             });
             let said = said.map_err(Clone::clone);
             this.lock().candidate = Some(outcome);
-            job.end(said);
+            said
         });
-        match thread {
-            Ok(_) => reply.ok(Some(serde_json::json!({ "job": number }))),
-            Err(error) => reply.error("failed", format!("the system gives no thread: {error}")),
-        }
     }
 
     /// Keeps the last calibration as the newest version and uses it. Writes files: not for an asynchronous task.

@@ -4,6 +4,7 @@
 //! the outputs on: bytes to ports, poses and events to the [`Hub`]. None of those can make it wait.
 
 use std::path::PathBuf;
+use std::sync::mpsc as std_mpsc;
 use std::time::Duration;
 
 use posed_drivers::Timestamp;
@@ -33,6 +34,18 @@ use crate::signals;
 
 /// The queue into the fusion thread.
 pub type FusionInbox = Inbox<Command>;
+
+/// The fusion thread answers at once, or is no more.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+impl FusionInbox {
+    /// Sends a command that is answered with a value, and waits for it: not for an asynchronous task.
+    pub(super) fn ask<T>(&self, command: impl FnOnce(std_mpsc::Sender<T>) -> Command) -> Result<T, String> {
+        let (to, from) = std_mpsc::channel();
+        self.push(Event::Command(command(to)));
+        from.recv_timeout(PATIENCE).map_err(|_| "the daemon ends".to_owned())
+    }
+}
 
 /// Chunks that wait at most: at 1000 reads per second, four seconds of a stalled machine.
 pub(super) const INBOX_CAPACITY: usize = 4096;
@@ -80,22 +93,22 @@ pub enum Command {
         /// Only of these sensors; absent: all.
         sensors: Option<Vec<String>>,
         /// Where the copy goes.
-        to: std::sync::mpsc::Sender<Excerpt>,
+        to: std_mpsc::Sender<Excerpt>,
     },
     /// Copies the raw positions of the newest seconds.
     Positions {
         /// So many; absent: all that is remembered.
         last_s: Option<f64>,
         /// Where the copy goes.
-        to: std::sync::mpsc::Sender<Frames>,
+        to: std_mpsc::Sender<Frames>,
     },
     /// Copies the map of faults in use.
     Faults {
         /// Where the copy goes.
-        to: std::sync::mpsc::Sender<Option<Box<Network>>>,
+        to: std_mpsc::Sender<Option<Box<Network>>>,
     },
     /// Sends the samples of the worn IMUs, until nobody takes them any more.
-    WatchBody(std::sync::mpsc::SyncSender<Recorded>),
+    WatchBody(std_mpsc::SyncSender<Recorded>),
     /// A job was cancelled; it may be one of this thread.
     LookAtJobs,
     /// Ends the thread.

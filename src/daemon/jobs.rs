@@ -10,7 +10,7 @@ use std::time::Duration;
 use posed_drivers::Timestamp;
 
 use super::clock::StageClock;
-use super::server::Hub;
+use super::server::{Hub, Reply};
 use crate::protocol::{self, JobState};
 
 /// Jobs that have ended and are still listed.
@@ -74,6 +74,26 @@ impl Jobs {
         });
         self.publish(&mut list);
         Job { jobs: self.clone(), number, cancelled }
+    }
+
+    /// Begins a job on a thread of its own, answers with its number, and ends it with what `work` returns.
+    pub(super) fn run(
+        &self,
+        kind: &str,
+        reply: Reply,
+        work: impl FnOnce(&Job) -> Result<String, String> + Send + 'static,
+    ) {
+        let job = self.begin(kind);
+        let number = job.number();
+        #[expect(clippy::disallowed_methods, reason = "a long job has a thread of its own")]
+        let thread = std::thread::Builder::new().name(kind.to_owned()).spawn(move || {
+            let outcome = work(&job);
+            job.end(outcome);
+        });
+        match thread {
+            Ok(_) => reply.ok(Some(serde_json::json!({ "job": number }))),
+            Err(error) => reply.error("failed", format!("the system gives no thread: {error}")),
+        }
     }
 
     /// Tells a job to end.

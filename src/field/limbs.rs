@@ -21,7 +21,7 @@ use super::pole::{PoleRun, median};
 use super::problem::Problem;
 use super::report::{Code, Reason, Report};
 use super::select::{Chosen, Selection};
-use super::solve::{LEAST_IMPROVEMENT, Solution, unbelievable, uncertainty};
+use super::solve::{Solution, unbelievable, uncertainty};
 
 /// Held-out blocks: of this length, s, dealt out to this many folds.
 const BLOCK_S: f64 = 4.0;
@@ -153,15 +153,7 @@ pub fn solve_limbs(run: PoleRun, limbs: &Limbs, progress: &mut dyn FnMut(f64)) -
             report.residual_m = candidate.fit.rms_m();
             report.heldout_m = candidate.held_out.rms_m;
             report.noise_m = gap_m;
-            let improvement = 1.0 - (candidate.held_out.score() / raw_score).sqrt();
-            if improvement.is_nan() || improvement < LEAST_IMPROVEMENT {
-                let text = format!(
-                    "held-out joints fit only {:.0} % better (less than {:.0} %): there is little to correct here",
-                    100.0 * improvement.max(0.0),
-                    100.0 * LEAST_IMPROVEMENT
-                );
-                report.reasons.push(Reason { code: Code::Improvement, text });
-            }
+            report.judge_improvement(candidate.held_out.score(), raw_score, "joints fit");
             let absolute = model.is_metal_alone();
             let uncertainty = uncertainty(&problem, &model, &candidate.held_out, &hull, &noise, absolute);
             report.reasons.extend(unbelievable(&model, &hull, &points));

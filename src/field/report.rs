@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Held-out improvement (of the root of the loss) below which a map is not worth having.
+const LEAST_IMPROVEMENT: f64 = 0.2;
+
 /// Why a calibration is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -70,6 +73,19 @@ pub struct Report {
 }
 
 impl Report {
+    /// Refuses a map that makes too little better: mean square errors with and without it, and of what they are.
+    pub(super) fn judge_improvement(&mut self, with_map: f64, without: f64, what: &str) {
+        let improvement = 1.0 - (with_map / without).sqrt();
+        if improvement.is_nan() || improvement < LEAST_IMPROVEMENT {
+            let text = format!(
+                "held-out {what} only {:.0} % better (less than {:.0} %): there is little to correct here",
+                100.0 * improvement.max(0.0),
+                100.0 * LEAST_IMPROVEMENT
+            );
+            self.reasons.push(Reason { code: Code::Improvement, text });
+        }
+    }
+
     /// Of a calibration of which nothing is known yet.
     pub(crate) fn unknown() -> Self {
         let unknown = f64::NAN;

@@ -28,8 +28,6 @@ const FOLDS: usize = 10;
 /// What no candidate is expected to explain, per axis, m. It keeps the readings nearest to the transmitter, whose
 /// noise is a few micrometres, from outweighing all others.
 const MODEL_FLOOR_M: f64 = 3e-4;
-/// Held-out improvement (of the root of the loss) below which a map is not worth having.
-pub(crate) const LEAST_IMPROVEMENT: f64 = 0.2;
 /// Largest believable correction, m, and largest share of places where it may fold.
 const LARGEST_CORRECTION_M: f64 = 0.3;
 const MOST_FOLDED: f64 = 0.02;
@@ -82,15 +80,7 @@ pub fn solve(mut run: PoleRun, anchors: &[Anchor], progress: &mut dyn FnMut(f64)
     report.residual_m = candidate.fit.rms_m();
     report.heldout_m = candidate.held_out.rms_m;
     report.noise_m = expected_rms_m(&points, &noise, run.sensors.len());
-    let improvement = 1.0 - (candidate.held_out.score() / raw_score).sqrt();
-    if improvement.is_nan() || improvement < LEAST_IMPROVEMENT {
-        let text = format!(
-            "held-out readings get only {:.0} % better (less than {:.0} %): there is little to correct here",
-            100.0 * improvement.max(0.0),
-            100.0 * LEAST_IMPROVEMENT
-        );
-        report.reasons.push(Reason { code: Code::Improvement, text });
-    }
+    report.judge_improvement(candidate.held_out.score(), raw_score, "readings get");
     let model = candidate.fit.model.clone();
     let scale = Polynomial::new(0, &Vector3::from(hull.center_m), half_extent(&hull));
     let rotation = orientation::fit(&run, &model, &scale);

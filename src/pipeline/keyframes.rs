@@ -12,9 +12,7 @@ use crate::geometry;
 use crate::input::SensorIndex;
 use crate::motion::keyframes::track::Track;
 use crate::motion::keyframes::{Detector, Event, HingeSettings, Method};
-use crate::output::{
-    Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output, Phase, SensorEstimate, SensorState,
-};
+use crate::output::{Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output, Phase, SensorEstimate};
 use crate::stage::{self, Stage};
 
 /// Frames whose mean interval is taken for the stage's, where the file does not say it.
@@ -113,7 +111,6 @@ impl Keyframes {
 
 /// The pose of a sensor, if it may be used as good; without a position or an orientation, that part stays put.
 fn usable(sensor: &SensorEstimate) -> Option<Isometry3<f64>> {
-    let good = matches!(sensor.state, SensorState::Ok | SensorState::Repaired | SensorState::Extrapolated);
-    let pose = sensor.pose.as_ref().filter(|_| good)?;
+    let pose = sensor.pose.as_ref().filter(|_| sensor.state.is_usable())?;
     geometry::isometry(pose.position_m.unwrap_or_default(), pose.orientation_wxyz)
 }

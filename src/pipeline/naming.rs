@@ -12,7 +12,6 @@ use crate::fusion::body::Segment;
 use crate::input::SensorIndex;
 use crate::motion::segments::{Labeller, Model, Position, Tick};
 use crate::output::{self, Body, Estimate, Outcome, OutcomeKind, Output, SegmentEvent};
-use crate::signals::is_usable;
 
 /// Segments that may wait for their confirmation; more are withdrawn, the oldest first.
 const OPEN: usize = 64;
@@ -35,7 +34,7 @@ pub(super) struct Naming {
     last: [Option<(u16, f64)>; 2],
 }
 
-/// What stands for a joint of the model: a sensor, or the origin of a segment of the body where the sensor has no place.
+/// What stands for a joint of the model: the origin of a segment of the body, or a sensor where the body has no such place.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Joint {
     sensor: Option<SensorIndex>,
@@ -89,9 +88,9 @@ impl Naming {
         for (position, joint) in self.positions.iter_mut().zip(&self.joints) {
             let sensor = joint.sensor.and_then(|sensor| estimate.sensors.get(usize::from(sensor)));
             let pose =
-                sensor.filter(|sensor| is_usable(sensor.state)).and_then(|sensor| sensor.pose.as_ref());
-            let segment = || body?.segments[joint.segment?].position_m;
-            *position = pose.and_then(|pose| pose.position_m).or_else(segment);
+                sensor.filter(|sensor| sensor.state.is_usable()).and_then(|sensor| sensor.pose.as_ref());
+            let segment = joint.segment.and_then(|segment| body?.segments[segment].position_m);
+            *position = segment.or_else(|| pose?.position_m);
         }
         let Self { model, labeller, positions, open, segments, last, .. } = self;
         let mut events = Events { model, open, segments, last, t_decided: estimate.t_valid, say };

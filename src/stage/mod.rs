@@ -132,6 +132,12 @@ impl Stage {
         Ok(stage)
     }
 
+    /// The stage's name as part of the name of a file: small letters, digits and hyphens.
+    pub fn file_name(&self) -> String {
+        let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
+        self.name.chars().map(plain).collect()
+    }
+
     /// Names of the sensors of magnetic trackers, in their order.
     pub fn magnetic_sensors(&self) -> Vec<&str> {
         let magnetic = |sensor: &&Sensor| {

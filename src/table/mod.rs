@@ -8,6 +8,7 @@
 
 mod error;
 mod imu;
+mod joints;
 mod labels;
 mod poses;
 mod reader;

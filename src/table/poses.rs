@@ -7,7 +7,6 @@ use serde::Deserialize;
 use super::{TableError, TableReader, TableWriter, intern};
 use crate::output::SensorState;
 use crate::recording::{Item, ReadError, Reader};
-use crate::signals;
 
 /// Poses of one or several sensors, in the order of the file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -114,7 +113,7 @@ impl Poses {
     pub(crate) fn append_message(&mut self, json: &[u8], which: Which) -> Result<(), ReadError> {
         let message = SensorsMessage::parse(json)?;
         for sensor in message.sensors {
-            let usable = signals::is_usable(sensor.state);
+            let usable = sensor.state.is_usable();
             let posed = sensor.position_m.is_some() || sensor.orientation_wxyz.is_some();
             if posed && (usable || which == Which::All) {
                 let index = self.intern(&sensor.name);

@@ -89,9 +89,8 @@ impl Streams {
             let message = SensorsMessage::parse(&message.json).map_err(failed)?;
             streams.t_s.push(message.t_s);
             for name in &sensors {
-                let usable = |entry: &&super::poses::SensorEntry| {
-                    entry.name == *name && signals::is_usable(entry.state)
-                };
+                let usable =
+                    |entry: &&super::poses::SensorEntry| entry.name == *name && entry.state.is_usable();
                 let entry = message.sensors.iter().find(usable);
                 let position_m = entry.and_then(|entry| entry.position_m);
                 let orientation_wxyz = entry.and_then(|entry| entry.orientation_wxyz);

@@ -10,12 +10,14 @@
 mod peer;
 pub mod wire;
 
+use std::sync::Arc;
+
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_drivers::Timestamp;
 
 use self::wire::{From, system};
 use crate::geometry;
-use crate::output::{Estimate, FaultCause, Outcome, OutcomeKind, PoseEstimate, SensorEstimate, SensorState};
+use crate::output::{Estimate, FaultCause, Outcome, OutcomeKind, PoseEstimate, SensorEstimate};
 
 pub use self::peer::Peer;
 pub use self::wire::Refused;
@@ -43,38 +45,41 @@ const TEXT: i32 = 4;
 const PING: &str = TYPES[5];
 const PONG: i32 = 6;
 
-/// Turns frames into messages.
-#[derive(Clone, Debug)]
-pub struct Publisher {
+/// What there is on a stage; it never changes.
+#[derive(Debug)]
+pub struct Catalogue {
     epoch_utc_ns: i64,
+    /// By number.
+    names: Vec<String>,
+}
+
+/// Turns frames into messages.
+#[derive(Debug)]
+pub struct Publisher {
+    catalogue: Arc<Catalogue>,
     trackers: Vec<Tracker>,
 }
 
-/// One sensor.
-#[derive(Clone, Debug)]
+/// What was told of one sensor.
+#[derive(Clone, Debug, Default)]
 struct Tracker {
-    name: String,
     /// Time, velocity and rate (room axes) of the frame before.
     before: Option<(Timestamp, Vector3<f64>, Vector3<f64>)>,
     pressed: bool,
 }
 
-impl Publisher {
-    /// For sensors of these names on a stage whose epoch is `epoch_utc_ns`. Names are cut to what clients take.
+impl Catalogue {
+    /// Of sensors of these names on a stage whose epoch is `epoch_utc_ns`. Names are cut to what clients take.
     pub fn new<'a>(names: impl IntoIterator<Item = &'a str>, epoch_utc_ns: i64) -> Self {
-        let tracker = |name: &str| Tracker {
-            name: name[..name.floor_char_boundary(wire::MAX_NAME)].to_owned(),
-            before: None,
-            pressed: false,
-        };
-        Self { epoch_utc_ns, trackers: names.into_iter().map(tracker).collect() }
+        let cut = |name: &str| name[..name.floor_char_boundary(wire::MAX_NAME)].to_owned();
+        Self { epoch_utc_ns, names: names.into_iter().map(cut).collect() }
     }
 
     /// What every connection begins with, after the greetings: who speaks, and of what.
     pub fn descriptions(&self) -> Vec<u8> {
         let mut out = Vec::new();
-        for (number, tracker) in (0..).zip(&self.trackers) {
-            wire::description(system::SENDER, number, &tracker.name, self.epoch_utc_ns, &mut out);
+        for (number, name) in (0..).zip(&self.names) {
+            wire::description(system::SENDER, number, name, self.epoch_utc_ns, &mut out);
         }
         for (number, name) in (0..).zip(TYPES) {
             wire::description(system::TYPE, number, name, self.epoch_utc_ns, &mut out);
@@ -84,17 +89,34 @@ impl Publisher {
 
     /// Number of the tracker of this name.
     fn number(&self, name: &str) -> Option<i32> {
-        self.trackers.iter().position(|tracker| tracker.name == name).map(|at| at as i32)
+        self.names.iter().position(|known| known == name).map(|at| at as i32)
+    }
+
+    fn utc_ns(&self, t: Timestamp) -> i64 {
+        self.epoch_utc_ns.saturating_add(t.as_nanos())
+    }
+}
+
+impl Publisher {
+    /// For what there is on a stage.
+    pub fn new(catalogue: Catalogue) -> Self {
+        let trackers = vec![Tracker::default(); catalogue.names.len()];
+        Self { catalogue: Arc::new(catalogue), trackers }
+    }
+
+    /// What there is.
+    pub fn catalogue(&self) -> Arc<Catalogue> {
+        Arc::clone(&self.catalogue)
     }
 
     /// Appends the messages of a frame.
     pub fn frame(&mut self, estimate: &Estimate, out: &mut Vec<u8>) {
-        let (t, utc_ns) = (estimate.t_valid, self.utc_ns(estimate.t_valid));
+        let (t, utc_ns) = (estimate.t_valid, self.catalogue.utc_ns(estimate.t_valid));
         for (sender, (tracker, sensor)) in (0..).zip(self.trackers.iter_mut().zip(&estimate.sensors)) {
             let from = |kind| From { sender, kind, utc_ns };
             tracker.button(sensor, from(BUTTON), out);
             match sensor.pose {
-                Some(pose) if is_good(sensor.state) => tracker.pose(t, &pose, from, out),
+                Some(pose) if sensor.state.is_usable() => tracker.pose(t, &pose, from, out),
                 _ => tracker.before = None,
             }
         }
@@ -103,7 +125,7 @@ impl Publisher {
     /// Appends the sentence of an outcome, if it has one.
     pub fn outcome(&self, outcome: &Outcome, out: &mut Vec<u8>) {
         let OutcomeKind::Fault { sensor, cause, active } = outcome.what else { return };
-        let Some(tracker) = self.trackers.get(usize::from(sensor)) else { return };
+        let Some(name) = self.catalogue.names.get(usize::from(sensor)) else { return };
         let what = match cause {
             FaultCause::Hemisphere => "mirrored through the transmitter, and mirrored back",
             FaultCause::Stuck => "the device repeats its last words",
@@ -116,12 +138,9 @@ impl Publisher {
             }
         };
         let sentence = if active { what.to_owned() } else { format!("over: {what}") };
-        let from = From { sender: i32::from(sensor), kind: TEXT, utc_ns: self.utc_ns(outcome.t_valid) };
-        wire::text(from, &format!("{}: {sentence}", tracker.name), active, out);
-    }
-
-    fn utc_ns(&self, t: Timestamp) -> i64 {
-        self.epoch_utc_ns.saturating_add(t.as_nanos())
+        let from =
+            From { sender: i32::from(sensor), kind: TEXT, utc_ns: self.catalogue.utc_ns(outcome.t_valid) };
+        wire::text(from, &format!("{name}: {sentence}"), active, out);
     }
 }
 
@@ -155,22 +174,17 @@ impl Tracker {
 /// What the fuzz target does with any bytes: answers have whole messages.
 #[doc(hidden)]
 pub fn fuzz_client(data: &[u8]) {
-    let publisher = Publisher::new(["left", "right"], 0);
+    let catalogue = Catalogue::new(["left", "right"], 0);
     let (mut messages, mut peer, mut answer) = (wire::Messages::default(), Peer::default(), Vec::new());
     for piece in data.chunks(100) {
         messages.push(piece);
         while let Ok(Some(message)) = messages.find() {
-            if peer.take(message, &publisher, &mut answer).is_err() {
+            if peer.take(message, &catalogue, &mut answer).is_err() {
                 return;
             }
         }
     }
     assert_eq!(answer.len() % wire::HEADER, 0);
-}
-
-/// Whether programs may take a pose for good.
-fn is_good(state: SensorState) -> bool {
-    matches!(state, SensorState::Ok | SensorState::Repaired | SensorState::Extrapolated)
 }
 
 fn turn_wxyz(rate_rad_s: Vector3<f64>) -> [f64; 4] {
@@ -180,7 +194,7 @@ fn turn_wxyz(rate_rad_s: Vector3<f64>) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::output::Measured;
+    use crate::output::{Measured, SensorState};
 
     fn doubles(payload: &[u8]) -> Vec<f64> {
         payload[8..].as_chunks().0.iter().map(|bytes| f64::from_be_bytes(*bytes)).collect()
@@ -211,7 +225,7 @@ mod tests {
 
     #[test]
     fn a_frame_is_a_pose_a_velocity_and_what_has_changed() {
-        let mut publisher = Publisher::new(["hand"], 1_000_000_000);
+        let mut publisher = Publisher::new(Catalogue::new(["hand"], 1_000_000_000));
         let mut said = Vec::new();
         let mut tell = |publisher: &mut Publisher, estimate: &Estimate| {
             let mut bytes = Vec::new();
@@ -249,7 +263,7 @@ mod tests {
 
     #[test]
     fn faults_are_sentences() {
-        let publisher = Publisher::new(["hand"], 0);
+        let publisher = Publisher::new(Catalogue::new(["hand"], 0));
         let what = OutcomeKind::Fault { sensor: 0, cause: FaultCause::Missing, active: true };
         let outcome = Outcome { t_valid: Timestamp::ZERO, t_decided: Timestamp::ZERO, what };
         let mut bytes = Vec::new();

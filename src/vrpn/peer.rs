@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::wire::{self, From, Message, Refused, system};
-use super::{PING, PONG, Publisher};
+use super::{Catalogue, PING, PONG};
 
 /// One client: its numbers for types and senders, which have nothing to do with ours.
 #[derive(Clone, Debug, Default)]
@@ -20,7 +20,7 @@ impl Peer {
     pub fn take(
         &mut self,
         message: Message<'_>,
-        publisher: &Publisher,
+        catalogue: &Catalogue,
         out: &mut Vec<u8>,
     ) -> Result<(), Refused> {
         match message.kind {
@@ -29,9 +29,9 @@ impl Peer {
             system::LOG => return Err(Refused::Log),
             kind if self.types.get(&kind).is_some_and(|name| name == PING) => {
                 // A name that is not here gets no answer, so that the client's operator is warned.
-                let asked = self.senders.get(&message.sender).and_then(|name| publisher.number(name));
+                let asked = self.senders.get(&message.sender).and_then(|name| catalogue.number(name));
                 if let Some(sender) = asked {
-                    let from = From { sender, kind: PONG, utc_ns: publisher.epoch_utc_ns };
+                    let from = From { sender, kind: PONG, utc_ns: catalogue.epoch_utc_ns };
                     wire::message(from, &[], out);
                 }
             }
@@ -47,7 +47,7 @@ mod tests {
 
     #[test]
     fn pings_of_known_trackers_are_answered_and_logs_refused() {
-        let publisher = Publisher::new(["a", "b"], 0);
+        let catalogue = Catalogue::new(["a", "b"], 0);
         let mut peer = Peer::default();
         let mut said = Vec::new();
         wire::description(system::SENDER, 7, "b", 0, &mut said);
@@ -61,14 +61,14 @@ mod tests {
         messages.push(&said);
         let mut out = Vec::new();
         while let Some(message) = messages.find().unwrap() {
-            peer.take(message, &publisher, &mut out).unwrap();
+            peer.take(message, &catalogue, &mut out).unwrap();
         }
         let mut pong = Vec::new();
         wire::message(From { sender: 1, kind: PONG, utc_ns: 0 }, &[], &mut pong);
         assert_eq!(out, pong);
         let log = Message { utc_ns: 0, sender: 3, kind: system::LOG, payload: &[] };
-        assert_eq!(peer.take(log, &publisher, &mut out), Err(Refused::Log));
+        assert_eq!(peer.take(log, &catalogue, &mut out), Err(Refused::Log));
         let bad = Message { utc_ns: 0, sender: 2000, kind: system::TYPE, payload: &[0, 0, 0, 2, b'x', 0] };
-        assert_eq!(peer.take(bad, &publisher, &mut out), Err(Refused::Malformed));
+        assert_eq!(peer.take(bad, &catalogue, &mut out), Err(Refused::Malformed));
     }
 }

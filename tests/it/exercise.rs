@@ -1,20 +1,19 @@
 //! Exercises live: taught from tracked poses, counted in the pipeline, replayed, and the same from a file.
 
-use std::path::Path;
 use std::sync::LazyLock;
 
-use posed::input::{Entry, Input, Model, Plan, Request};
+use posed::input::{Input, Model, Plan, Request};
 use posed::motion::exercise::{Counter, EventKind, Exercise, Options, Stream, teach};
 use posed::output::{Estimate, ExerciseState, ExerciseWhat, OutcomeKind, Repetition};
 use posed::pipeline::Pipeline;
-use posed::recording::{Header, Machine, Replayable, Writer};
+
 use posed::signals;
 use posed_simulator::exercises::{self, Day, Exercise as Training, Person, Variant};
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
 
 use crate::cli::posed;
-use crate::rig::{Rig, Said, replay, stage};
+use crate::rig::{Rig, Said, record, replay, stage};
 
 /// A forearm and an upper arm that curl so many times.
 fn scenario(seed: u64, repetitions: u32, period_s: f64) -> Scenario {
@@ -260,33 +259,13 @@ fn simulated_people_are_counted_corrected_and_otherwise_left_alone() {
     }
 }
 
-/// The log of a session as a recording, with the messages that follow from it; those of `exercise` besides.
-fn record(path: &Path, log: &[Entry], stage_toml: &str) -> Vec<serde_json::Value> {
-    let stage = posed::stage::Stage::parse(stage_toml).unwrap();
-    let header = Header::new(&stage, stage_toml, 0);
-    let (_, mut machine) = Machine::as_recorded(&header).unwrap();
-    let mut writer = Writer::new(std::fs::File::create(path).unwrap(), header).unwrap();
-    let mut exercise = Vec::new();
-    for entry in log {
-        writer.entry(entry).unwrap();
-        machine.push(entry, &mut |topic, t, json| {
-            writer.message(topic, t, json).unwrap();
-            if topic == "exercise" {
-                exercise.push(serde_json::from_slice(json).unwrap());
-            }
-        });
-    }
-    writer.finish("the end").unwrap();
-    exercise
-}
-
 /// The messages of `exercise` in a session of six curls.
 pub(crate) fn live_messages() -> Vec<serde_json::Value> {
     let folder = tempfile::tempdir().unwrap();
     let text = toml::to_string(&stage(&[2])).unwrap().replace("\"none\"", "\"/dev/none\"");
     let mut rig = session(6);
     rig.run_until(24.0);
-    record(&folder.path().join("take.mcap"), &rig.log, &text)
+    record(&folder.path().join("take.mcap"), &rig.log, &text, "exercise")
 }
 
 #[test]
@@ -297,7 +276,7 @@ fn counting_and_teaching_from_the_recording_is_what_was_live() {
     let text = toml::to_string(&stage(&[2])).unwrap().replace("\"none\"", "\"/dev/none\"");
     let mut rig = session(6);
     rig.run_until(24.0);
-    let live = record(path("take.mcap").as_ref(), &rig.log, &text);
+    let live = record(path("take.mcap").as_ref(), &rig.log, &text, "exercise");
     let (take, events) = (path("take.mcap"), path("events.csv"));
     let command: Vec<std::ffi::OsString> =
         vec!["exercise".into(), "count".into(), path("curl.json"), "--in".into(), take, "-o".into(), events];

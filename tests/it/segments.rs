@@ -4,6 +4,13 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use posed::input::Input;
+use posed::stage::Stage;
+use posed_simulator::scenario::Scenario;
+use serde::Deserialize;
+
+use crate::rig::{Rig, record};
+
 fn posed(folder: &Path, words: &str) -> Output {
     Command::new(env!("CARGO_BIN_EXE_posed"))
         .current_dir(folder)
@@ -91,4 +98,36 @@ fn wrong_files_are_refused_with_the_reason() {
     std::fs::write(folder.join("c.csv"), "foot_x,foot_y,foot_z,label\n0,0,0,x\n0,0,1,y\n").unwrap();
     refused("segments evaluate m.safetensors c.csv --rate-hz 30", "expected the joints head");
     assert!(!folder.join("l.csv").exists() && !folder.join("n.safetensors").exists());
+}
+
+/// The demo's person curls from 0 to 20 s, squats from 24 to 38 s, reaches from 42 to 56 s.
+#[test]
+fn the_demo_is_named_live_and_from_its_recording_alike() {
+    let (toml, model) =
+        (include_str!("../../config/demo.toml"), include_bytes!("../../config/demo-moves.safetensors"));
+    let stage = Stage::parse(toml).unwrap();
+    let mut rig = Rig::new(&stage, &Scenario::deserialize(stage.simulation.clone().unwrap()).unwrap());
+    rig.push(Input::Network(model.to_vec()));
+    rig.run_until(62.0);
+    let folder = tempfile::tempdir().unwrap();
+    let live = record(&folder.path().join("take.mcap"), &rig.log, toml, "segments");
+    let confirmed: Vec<(&str, f64)> = live
+        .iter()
+        .filter(|message| message["event"] == "confirmed")
+        .map(|message| (message["label"].as_str().unwrap(), message["t_valid_s"].as_f64().unwrap()))
+        .collect();
+    for (label, start_s) in [("squats", 24.0), ("standing", 38.0), ("reaching", 42.0), ("standing", 56.0)] {
+        let near = |(named, t_s): &(&str, f64)| *named == label && (t_s - start_s).abs() < 1.8;
+        assert!(confirmed.iter().any(near), "{label}: {confirmed:?}");
+    }
+    assert!(confirmed.iter().any(|(label, t_s)| *label == "curls" && *t_s < 12.0), "{confirmed:?}");
+    std::fs::write(folder.path().join("moves.safetensors"), model).unwrap();
+    let named = ok(folder.path(), "segments label moves.safetensors take.mcap -o take.labels.csv --json");
+    let segments = named["segments"].as_array().unwrap();
+    for (label, start_s) in confirmed.iter().skip(1) {
+        let same = |segment: &serde_json::Value| {
+            segment["label"] == *label && (segment["t_start_s"].as_f64().unwrap() - start_s).abs() < 0.1
+        };
+        assert!(segments.iter().any(same), "{label} at {start_s}: {segments:?}");
+    }
 }

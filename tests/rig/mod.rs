@@ -7,11 +7,14 @@
     reason = "shared by several tests, none of which uses all of it"
 )]
 
+use std::path::Path;
+
 use nalgebra::Vector3;
 use posed::field::{FieldMap, FieldNoise, fit_known};
 use posed::input::{Entry, Input};
 use posed::output::{Body, Estimate, Outcome, Output};
 use posed::pipeline::Pipeline;
+use posed::recording::{Header, Machine, Replayable, Writer};
 use posed::stage::Stage;
 use posed_drivers::{LineEvent, Timestamp};
 use posed_simulator::scenario::{Scenario, StageSpec};
@@ -54,6 +57,31 @@ pub(crate) fn field_map() -> FieldMap {
 pub(crate) fn simulate(stage: &Stage, scenario: &Scenario) -> VirtualStage {
     let spec = StageSpec::of(stage).unwrap();
     VirtualStage::new(&spec, scenario, ".".as_ref()).unwrap()
+}
+
+/// The log of a session as a recording, with the messages that follow from it; those of one topic besides.
+pub(crate) fn record(
+    path: &Path,
+    log: &[Entry],
+    stage_toml: &str,
+    topic_kept: &str,
+) -> Vec<serde_json::Value> {
+    let stage = Stage::parse(stage_toml).unwrap();
+    let header = Header::new(&stage, stage_toml, 0);
+    let (_, mut machine) = Machine::as_recorded(&header).unwrap();
+    let mut writer = Writer::new(std::fs::File::create(path).unwrap(), header).unwrap();
+    let mut kept = Vec::new();
+    for entry in log {
+        writer.entry(entry).unwrap();
+        machine.push(entry, &mut |topic, t, json| {
+            writer.message(topic, t, json).unwrap();
+            if topic == topic_kept {
+                kept.push(serde_json::from_slice(json).unwrap());
+            }
+        });
+    }
+    writer.finish("the end").unwrap();
+    kept
 }
 
 /// What the pipeline said of the tracking.

@@ -1,7 +1,7 @@
 // What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
 // Bounded: it never grows over hours.
 
-import type { FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
+import type { FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, SegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
 
 /** Seconds of history for curves. */
 export const HISTORY_S = 20;
@@ -77,6 +77,8 @@ export class Model {
   jobs: JobsMessage | null = null;
   faults: FaultEvent[] = [];
   faultMap: FaultMap | null = null;
+  /** What was said of segments of the motion and not taken back, by beginning. */
+  segments: SegmentMessage[] = [];
   readonly history = new Map<string, History>();
   /** By joint. */
   readonly angles = new Map<string, Angles>();
@@ -101,6 +103,7 @@ export class Model {
         this.body = null;
         this.truth = null;
         this.faultMap = null;
+        this.segments = [];
         break;
       case "sensors":
         this.takeSensors(message);
@@ -125,8 +128,18 @@ export class Model {
         this.faults.push(message);
         if (this.faults.length > EVENTS) this.faults.shift();
         break;
+      case "segments":
+        this.takeSegment(message);
+        break;
     }
     this.listeners.forEach((listener) => listener(message));
+  }
+
+  private takeSegment(message: SegmentMessage): void {
+    const rewound = message.t_s < (this.segments.at(-1)?.t_s ?? -Infinity);
+    const others = rewound ? [] : this.segments.filter(({ segment }) => segment !== message.segment);
+    if (message.event !== "withdrawn") others.push(message);
+    this.segments = others.sort((a, b) => a.t_valid_s - b.t_valid_s).slice(-EVENTS);
   }
 
   private takeBody(message: FigureMessage): void {

@@ -7,6 +7,7 @@
 //! its own and never uses `posed`'s.
 
 mod kinematics;
+pub mod programme;
 mod script;
 #[cfg(test)]
 mod tests;

@@ -21,7 +21,16 @@ pub enum Activity {
     Squats,
     /// Holds an N-pose and a T-pose in turn, three seconds each: what a guided calibration asks for.
     Poses,
+    /// Curls, squats and reaches in turn, with rests between: a minute, again and again.
+    Workout,
 }
+
+/// What a workout consists of: each for so long, s, and a rest after it.
+const WORKOUT: [(Activity, f64); 3] =
+    [(Activity::Curls, 20.0), (Activity::Squats, 14.0), (Activity::Reaching, 14.0)];
+const REST_S: f64 = 4.0;
+/// Movements come and go within this time, s.
+const RAMP_S: f64 = 3.0;
 
 /// A span of the script, named as in a stage file.
 #[derive(Clone, Debug, PartialEq)]
@@ -111,15 +120,23 @@ impl Script {
         }
         let t = t_s - self.activity_s();
         if t > 0.0 {
-            self.act(&mut posture, t, step(t / 3.0));
+            self.activity.act(&mut posture, t, step(t / RAMP_S));
         }
         posture
     }
+}
 
-    fn act(&self, p: &mut Posture, t: f64, grow: f64) {
+impl Activity {
+    /// How far a movement of this duration has come, from 0 to 1 and back to 0.
+    pub(super) fn swell(t: f64, duration_s: f64) -> f64 {
+        step(t / RAMP_S).min(step((duration_s - t) / RAMP_S))
+    }
+
+    /// Adds what is done after a time `t` in s, in size `grow`.
+    pub(super) fn act(self, p: &mut Posture, t: f64, grow: f64) {
         let wave = |hz: f64, phase: f64| (std::f64::consts::TAU * hz * t + phase).sin();
         let rise = |hz: f64, phase: f64| 0.5 - 0.5 * (std::f64::consts::TAU * hz * t + phase).cos();
-        match self.activity {
+        match self {
             Activity::Walking => {
                 const HZ: f64 = 0.9;
                 p.pelvis[0] += grow * 0.25 * t;
@@ -189,6 +206,16 @@ impl Script {
                 let raised = step((at - POSE_S) / CHANGE_S) - step((at - ROUND_S + CHANGE_S) / CHANGE_S);
                 for side in 0..2 {
                     p.shoulder[side][1] = raised * std::f64::consts::FRAC_PI_2;
+                }
+            }
+            Activity::Workout => {
+                let round_s: f64 = WORKOUT.iter().map(|(_, duration_s)| duration_s + REST_S).sum();
+                let mut at = t.rem_euclid(round_s);
+                for (activity, duration_s) in WORKOUT {
+                    if (0.0..duration_s).contains(&at) {
+                        activity.act(p, at, Self::swell(at, duration_s));
+                    }
+                    at -= duration_s + REST_S;
                 }
             }
         }

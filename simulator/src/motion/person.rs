@@ -12,7 +12,8 @@ use crate::body::{Activity, Build, SEGMENT_NAMES, Script};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Person {
-    /// What the person does: `walking`, `reaching`, `curls`, `squats`, or `poses` (N-pose and T-pose in turn, 3 s each).
+    /// What the person does: `walking`, `reaching`, `curls`, `squats`, `poses` (N-pose and T-pose in
+    /// turn, 3 s each), or `workout` (curls, squats and reaches in turn, a minute).
     pub activity: Activity,
     /// Whether a calibration comes first: poses and movements, 88 s.
     pub calibration: bool,

@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 use posed::motion::segments::Model;
-use posed::table::{Poses, SegmentLabels, SequenceFrame, SequenceOptions, Sequences, Unit, Up};
+use posed::table::{SegmentLabels, SequenceOptions, Sequences, Unit, Up};
 
 use super::super::{Error, tell};
 use super::elan;
@@ -26,10 +26,10 @@ pub(super) struct Reading {
 }
 
 impl Reading {
-    /// Reads a sequence, or the usable poses of a recording (`.mcap`): sensors are its joints.
+    /// Reads a sequence, or a recording (`.mcap`): its sensors and the segments of its body are the joints.
     pub(super) fn read(&self, path: &Path) -> Result<Sequences, Error> {
         if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")) {
-            return Ok(of_poses(&Poses::read(path).map_err(Error::failed)?));
+            return Sequences::read_recording(path).map_err(Error::failed);
         }
         let options = SequenceOptions { rate_hz: self.rate_hz, unit: self.unit, up: self.up };
         let mut sequences = Sequences::read(path, &options).map_err(Error::failed)?;
@@ -112,21 +112,6 @@ fn correct(path: &Path, sequences: &mut Sequences) -> Result<(), Error> {
         frame.label = row.label;
     }
     Ok(())
-}
-
-/// Frames of a recording: rows of one time.
-fn of_poses(poses: &Poses) -> Sequences {
-    let joints = poses.sensors.len();
-    let mut sequences = Sequences { joints: poses.sensors.clone(), ..Sequences::default() };
-    for row in &poses.rows {
-        if sequences.frames.last().is_none_or(|frame| frame.t_s != row.t_s) {
-            sequences.frames.push(SequenceFrame { t_s: row.t_s, ..SequenceFrame::default() });
-            sequences.positions_m.resize(sequences.frames.len() * joints, None);
-        }
-        let first = (sequences.frames.len() - 1) * joints;
-        sequences.positions_m[first + row.sensor] = row.position_m;
-    }
-    sequences
 }
 
 /// Refuses a file that lacks most of the model's joints or is in another unit; tells of joints that are missing.

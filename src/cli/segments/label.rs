@@ -20,7 +20,8 @@ use super::{elan, load};
 pub(crate) struct Args {
     /// The model.
     model: PathBuf,
-    /// The sequence: CSV with NAME_x,NAME_y,NAME_z per joint, or a recording (.mcap) with the model's sensors.
+    /// The sequence: CSV with NAME_x,NAME_y,NAME_z per joint, or a recording (.mcap) with the model's
+    /// joints as sensors or segments of a body.
     sequence: PathBuf,
     /// Write the labels here: `.csv`, or `.eaf` for ELAN.
     #[arg(short, long, value_name = "LABELS.csv")]

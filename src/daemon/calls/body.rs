@@ -37,15 +37,8 @@ impl Calls {
             Ok(worn) => worn,
             Err(sentence) => return reply.error("no_body", sentence),
         };
-        let job = self.jobs.begin("body.calibrate");
-        let number = job.number();
         let session = Session { worn, how, inbox: self.inbox.clone() };
-        #[expect(clippy::disallowed_methods, reason = "a long job has a thread of its own")]
-        let thread = std::thread::Builder::new().name("calibrate".into()).spawn(move || session.run(job));
-        match thread {
-            Ok(_) => reply.ok(Some(json!({ "job": number }))),
-            Err(error) => reply.error("failed", format!("the system gives no thread: {error}")),
-        }
+        self.jobs.run("body.calibrate", reply, move |job| session.run(job));
     }
 
     /// Who sits where; a sentence where there is nobody to calibrate.
@@ -83,11 +76,11 @@ struct Session {
 }
 
 impl Session {
-    fn run(self, job: Job) {
+    fn run(self, job: &Job) -> Result<String, String> {
         let (to, samples) = sync_channel(WAITING);
         self.inbox.push(Event::Command(Command::WatchBody(to)));
-        let outcome = self.guided(&job, &samples).and_then(|guide| self.solve(&job, &guide));
-        job.end(outcome);
+        let guide = self.guided(job, &samples)?;
+        self.solve(job, &guide)
     }
 
     /// Until everything was done.

@@ -3,7 +3,6 @@
 //! Teaching is a job on a thread of its own. It asks the fusion thread for the newest seconds, and what it has learned
 //! goes the way of every model and request: through the input log.
 
-use std::sync::mpsc;
 use std::time::Duration;
 
 use serde_json::json;
@@ -21,8 +20,6 @@ use crate::pipeline::DEFAULT_SUBJECT;
 
 /// Longest time that repetitions may take, s.
 const LONGEST_S: f64 = 120.0;
-/// The fusion thread answers at once, or is no more.
-const PATIENCE: Duration = Duration::from_secs(10);
 /// Distance of two looks at whether the repetitions were done.
 const LOOK_INTERVAL: Duration = Duration::from_millis(500);
 /// Who has moved so little for so long rests, s; as a share of the variance while moving.
@@ -65,17 +62,9 @@ impl Calls {
         if let Err(sentence) = self.check_lesson(&lesson) {
             return reply.error("bad_request", sentence);
         }
-        let job = self.jobs.begin("exercise.teach");
-        let number = job.number();
         let classroom = Classroom { lesson, inbox: self.inbox.clone(), library: self.exercises.clone() };
         let from_s = self.clock.now().as_secs_f64();
-        #[expect(clippy::disallowed_methods, reason = "a long job has a thread of its own")]
-        let thread =
-            std::thread::Builder::new().name("teach".into()).spawn(move || classroom.run(job, from_s));
-        match thread {
-            Ok(_) => reply.ok(Some(json!({ "job": number }))),
-            Err(error) => reply.error("failed", format!("the system gives no thread: {error}")),
-        }
+        self.jobs.run("exercise.teach", reply, move |job| classroom.run(job, from_s));
     }
 
     fn check_lesson(&self, lesson: &Lesson) -> Result<(), String> {
@@ -105,13 +94,12 @@ struct Classroom {
 }
 
 impl Classroom {
-    fn run(self, job: Job, asked_s: f64) {
-        let outcome = match self.lesson.last_s {
-            Some(last_s) => self.taught(&job, asked_s - last_s),
-            None => self.watch(&job, asked_s),
-        };
-        let outcome = outcome.and_then(|(exercise, report)| self.keep(exercise, &report));
-        job.end(outcome);
+    fn run(self, job: &Job, asked_s: f64) -> Result<String, String> {
+        let (exercise, report) = match self.lesson.last_s {
+            Some(last_s) => self.taught(job, asked_s - last_s),
+            None => self.watch(job, asked_s),
+        }?;
+        self.keep(exercise, &report)
     }
 
     /// Waits until the repetitions were done.
@@ -158,10 +146,8 @@ impl Classroom {
 
     /// What was tracked after a time.
     fn excerpt(&self, from_s: f64) -> Result<Excerpt, String> {
-        let (to, from) = mpsc::channel();
         let sensors = self.lesson.sensors.clone();
-        self.inbox.push(Event::Command(Command::Recent { from_s, sensors, to }));
-        from.recv_timeout(PATIENCE).map_err(|_| "the daemon ends".to_owned())
+        self.inbox.ask(|to| Command::Recent { from_s, sensors, to })
     }
 
     fn learn(&self, excerpt: &Excerpt) -> Result<(Exercise, Report), (String, Option<Report>)> {

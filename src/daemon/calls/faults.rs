@@ -1,11 +1,10 @@
 //! The map of faults: learning it from what was tracked or recorded, and naming its cells.
 //!
-//! Learning is a job on a thread of its own, and so is naming, which writes a file. What comes of it goes the way of every
+//! Learning is a job on a thread of its own; naming a cell writes a file and keeps no task waiting either. What comes of it goes the way of every
 //! model: through the input log, swapped in between two frames.
 
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError, mpsc};
-use std::time::Duration;
+use std::sync::{Mutex, PoisonError};
 
 use serde_json::json;
 
@@ -24,8 +23,6 @@ use crate::recording::positions;
 
 /// Fewer frames tell nothing of how a body moves.
 const FEWEST_FRAMES: usize = 300;
-/// The fusion thread answers at once, or is no more.
-const PATIENCE: Duration = Duration::from_secs(10);
 /// Under this name networks are kept in their folder.
 const NAME: &str = "faults";
 
@@ -56,34 +53,18 @@ impl Calls {
             Ok(None) => Source::Live { last_s },
             Err(sentence) => return reply.error("bad_request", sentence),
         };
-        let job = self.jobs.begin("faults.train");
-        let number = job.number();
         let workshop = self.workshop();
         let names: Vec<String> = self.stage.magnetic_sensors().into_iter().map(str::to_owned).collect();
-        #[expect(clippy::disallowed_methods, reason = "a long job has a thread of its own")]
-        let thread = std::thread::Builder::new().name("faults".into()).spawn(move || {
-            let outcome = workshop.train(&job, source, &names);
-            job.end(outcome);
-        });
-        match thread {
-            Ok(_) => reply.ok(Some(json!({ "job": number }))),
-            Err(error) => reply.error("failed", format!("the system gives no thread: {error}")),
-        }
+        self.jobs.run("faults.train", reply, move |job| workshop.train(job, source, &names));
     }
 
     /// Gives a cell another class.
     pub(super) fn name_cell(&self, row: usize, column: usize, class: Class, reply: Reply) {
         let workshop = self.workshop();
-        #[expect(clippy::disallowed_methods, reason = "who writes a file has a thread of its own")]
-        let thread = std::thread::Builder::new().name("faults".into()).spawn(move || {
-            match workshop.name_cell(row, column, class) {
-                Ok(kept) => reply.ok(Some(json!({ "revision": kept.revision, "file": kept.file() }))),
-                Err(sentence) => reply.error("failed", sentence),
-            }
+        tokio::task::spawn_blocking(move || match workshop.name_cell(row, column, class) {
+            Ok(kept) => reply.ok(Some(json!({ "revision": kept.revision, "file": kept.file() }))),
+            Err(sentence) => reply.error("failed", sentence),
         });
-        if let Err(error) = thread {
-            tracing::error!("the system gives no thread: {error}");
-        }
     }
 
     fn workshop(&self) -> Workshop {
@@ -109,7 +90,7 @@ enum Source {
 impl Workshop {
     fn train(&self, job: &Job, source: Source, sensors: &[String]) -> Result<String, String> {
         let frames = match source {
-            Source::Live { last_s } => self.ask(|to| Command::Positions { last_s, to })?,
+            Source::Live { last_s } => self.inbox.ask(|to| Command::Positions { last_s, to })?,
             Source::Recording(path) => {
                 job.progress(None, Some("reading the recording".into()));
                 positions::read(&path).map_err(|error| error.to_string())?
@@ -135,7 +116,7 @@ impl Workshop {
 
     fn name_cell(&self, row: usize, column: usize, class: Class) -> Result<Kept, String> {
         let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-        let network = self.ask(|to| Command::Faults { to })?;
+        let network = self.inbox.ask(|to| Command::Faults { to })?;
         let mut network = network.ok_or("this stage has no map of faults; `faults.train` learns one")?;
         network.name_cell(row, column, class).map_err(|error| error.to_string())?;
         let kept = self.keep(&mut network)?;
@@ -154,12 +135,6 @@ impl Workshop {
 
     fn load(&self, network: Network) {
         self.inbox.push(Event::Command(Command::LoadModel(Model::Faults { network: Box::new(network) })));
-    }
-
-    fn ask<T>(&self, command: impl FnOnce(mpsc::Sender<T>) -> Command) -> Result<T, String> {
-        let (to, from) = mpsc::channel();
-        self.inbox.push(Event::Command(command(to)));
-        from.recv_timeout(PATIENCE).map_err(|_| "the daemon ends".to_owned())
     }
 }
 

@@ -155,12 +155,7 @@ impl Calls {
             }
             None => {
                 let utc = i128::from(self.clock.epoch_utc_ns()) + i128::from(self.clock.now().as_nanos());
-                let stage: String = self
-                    .stage
-                    .name
-                    .chars()
-                    .map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' })
-                    .collect();
+                let stage = self.stage.file_name();
                 match jiff::Timestamp::from_nanosecond(utc) {
                     Ok(utc) => format!("{stage}-{}.mcap", utc.strftime("%Y%m%d-%H%M%S")),
                     Err(error) => return Err(format!("the computer's clock is out of range: {error}")),

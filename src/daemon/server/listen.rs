@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
-use std::net::IpAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -29,18 +29,7 @@ pub(super) async fn accept(listener: &TcpListener, tls: Option<&TlsAcceptor>, sh
     let refusals = Arc::new(tokio::sync::Semaphore::new(REFUSALS));
     let app = http::router(Arc::clone(shared));
     loop {
-        let (stream, address) = match listener.accept().await {
-            Ok(accepted) => accepted,
-            Err(error) => {
-                let gone = matches!(error.kind(), ErrorKind::ConnectionAborted | ErrorKind::ConnectionReset);
-                if !gone {
-                    // Out of descriptors, most likely: connections end, and then it goes on.
-                    tracing::warn!(%error, "cannot accept connections for a moment");
-                    let _ = timeout(Duration::from_millis(100), std::future::pending::<()>()).await;
-                }
-                continue;
-            }
-        };
+        let (stream, address) = next(listener).await;
         let slot = match shared.slots.take(address.ip()) {
             Ok(slot) => slot,
             Err(reason) => {
@@ -57,10 +46,6 @@ pub(super) async fn accept(listener: &TcpListener, tls: Option<&TlsAcceptor>, sh
                 continue;
             }
         };
-        // A frame must not wait for the acknowledgement of the one before it.
-        if let Err(error) = stream.set_nodelay(true) {
-            tracing::debug!(%error, "TCP_NODELAY");
-        }
         let slot = Arc::new(slot);
         let app = app.clone().layer(Extension(Arc::clone(&slot)));
         let shared = Arc::clone(shared);
@@ -76,6 +61,28 @@ pub(super) async fn accept(listener: &TcpListener, tls: Option<&TlsAcceptor>, sh
             }
             drop(slot);
         });
+    }
+}
+
+/// The next connection, which hands over what is written without waiting for more.
+pub(super) async fn next(listener: &TcpListener) -> (TcpStream, SocketAddr) {
+    loop {
+        match listener.accept().await {
+            Ok((stream, address)) => {
+                // A frame must not wait for the acknowledgement of the one before it.
+                if let Err(error) = stream.set_nodelay(true) {
+                    tracing::debug!(%error, "TCP_NODELAY");
+                }
+                return (stream, address);
+            }
+            Err(error)
+                if matches!(error.kind(), ErrorKind::ConnectionAborted | ErrorKind::ConnectionReset) => {}
+            Err(error) => {
+                // Out of descriptors, most likely: connections end, and then it goes on.
+                tracing::warn!(%error, "cannot accept connections for a moment");
+                let _ = timeout(Duration::from_millis(100), std::future::pending::<()>()).await;
+            }
+        }
     }
 }
 

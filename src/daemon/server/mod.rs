@@ -37,7 +37,7 @@ use self::metrics::Metrics;
 use self::vrpn::{Outlet, Vrpn};
 use crate::protocol::{Counters, HelloSensor, Names, Topic};
 use crate::stage::{Pose, Skeleton, Stage};
-use crate::vrpn::Publisher;
+use crate::vrpn::{Catalogue, Publisher};
 
 pub use self::client::{PendingCall, Reply};
 pub use self::hub::Hub;
@@ -302,7 +302,7 @@ impl Server {
             None => None,
             Some(settings) => {
                 let names = stage.sensors.iter().map(|sensor| sensor.name.as_str());
-                let publisher = Publisher::new(names, config.epoch_utc_ns);
+                let publisher = Publisher::new(Catalogue::new(names, config.epoch_utc_ns));
                 let bound = Vrpn::bind(settings, publisher, &limits, Arc::clone(&metrics));
                 Some(bound.map_err(|(listen, error)| BindError::Vrpn { listen, error })?)
             }

@@ -14,12 +14,12 @@ use tokio::sync::{Notify, Semaphore, watch};
 use tokio::time::timeout;
 
 use super::hub::Item;
-use super::listen::Slots;
+use super::listen::{self, Slots};
 use super::metrics::Metrics;
 use super::{Limits, bind_first};
 use crate::daemon::ports::ended;
 use crate::stage;
-use crate::vrpn::{Peer, Publisher, Refused, wire};
+use crate::vrpn::{Catalogue, Peer, Publisher, Refused, wire};
 
 /// Where it listens unless the stage file says otherwise.
 const DEFAULT_LISTEN: &str = "127.0.0.1:3883";
@@ -45,7 +45,7 @@ pub(super) struct Vrpn {
 
 /// What the connections share.
 struct Shared {
-    publisher: Publisher,
+    catalogue: Arc<Catalogue>,
     clients: Mutex<Vec<Arc<Waiting>>>,
     latest: usize,
 }
@@ -83,7 +83,7 @@ impl Vrpn {
         };
         let (tcp, udp) = bind().map_err(|error| (listen.to_owned(), error))?;
         let shared = Arc::new(Shared {
-            publisher: publisher.clone(),
+            catalogue: publisher.catalogue(),
             clients: Mutex::default(),
             latest: limits.latest_messages,
         });
@@ -117,16 +117,9 @@ impl Vrpn {
     /// Takes the connections of clients that come.
     async fn accept(&self, down: &watch::Receiver<bool>) {
         loop {
-            match self.tcp.accept().await {
-                Ok((stream, address)) => {
-                    if let Some(connection) = self.connection(address.ip()) {
-                        tokio::spawn(connection.serve(stream, down.clone()));
-                    }
-                }
-                Err(error) => {
-                    tracing::debug!(%error, "cannot accept a VRPN connection");
-                    let _ = timeout(Duration::from_millis(100), std::future::pending::<()>()).await;
-                }
+            let (stream, address) = listen::next(&self.tcp).await;
+            if let Some(connection) = self.connection(address.ip()) {
+                tokio::spawn(connection.serve(stream, down.clone()));
             }
         }
     }
@@ -160,6 +153,7 @@ impl Vrpn {
                 let called = timeout(GREETING_TIMEOUT, TcpStream::connect(target)).await;
                 drop(permit);
                 if let Ok(Ok(stream)) = called {
+                    let _ = stream.set_nodelay(true);
                     connection.serve(stream, down).await;
                 }
                 drop(place);
@@ -185,14 +179,17 @@ impl Vrpn {
 impl Outlet {
     /// Tells all clients, if it is something to them.
     pub(super) fn publish(&mut self, item: &Item) {
+        let clients = self.shared.clients();
+        if clients.is_empty() {
+            return;
+        }
         self.scratch.clear();
         match item {
             Item::Estimate(estimate) => self.publisher.frame(estimate, &mut self.scratch),
             Item::Outcome(outcome) => self.publisher.outcome(outcome, &mut self.scratch),
             _ => return,
         }
-        let clients = self.shared.clients();
-        if self.scratch.is_empty() || clients.is_empty() {
+        if self.scratch.is_empty() {
             return;
         }
         let bytes: Arc<[u8]> = self.scratch.as_slice().into();
@@ -238,13 +235,8 @@ struct Connection {
 
 impl Connection {
     async fn serve(self, stream: TcpStream, mut down: watch::Receiver<bool>) {
-        let served = async {
-            // A frame must not wait for the acknowledgement of the one before it.
-            let _ = stream.set_nodelay(true);
-            self.talk(stream).await
-        };
         let end = tokio::select! {
-            end = served => end,
+            end = self.talk(stream) => end,
             () = ended(&mut down) => return,
         };
         match end {
@@ -269,7 +261,7 @@ impl Connection {
             Ok(Err(_)) => return Err(End::Gone),
             Err(_) => return Err(End::Silent),
         }
-        write(&mut stream, &self.shared.publisher.descriptions()).await?;
+        write(&mut stream, &self.shared.catalogue.descriptions()).await?;
         let present = Present::enter(&self.shared, &self.metrics);
         let (mut messages, mut peer) = (wire::Messages::default(), Peer::default());
         let mut bytes = [0; 4096];
@@ -281,7 +273,7 @@ impl Connection {
                     messages.push(&bytes[..read]);
                     let mut answer = Vec::new();
                     while let Some(message) = messages.find()? {
-                        peer.take(message, &self.shared.publisher, &mut answer)?;
+                        peer.take(message, &self.shared.catalogue, &mut answer)?;
                     }
                     write(&mut stream, &answer).await?;
                 }

@@ -21,7 +21,6 @@ use crate::geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
 use crate::input::{MountedSensor, SensorIndex};
 use crate::layout::Wearers;
 use crate::output::{Body, BodySegment, Estimate, Placed, SegmentState};
-use crate::signals::is_usable;
 use crate::stage::{self, Mounting, Stage};
 
 /// Expected error of a segment that trackers show, and of one between them, rad.
@@ -136,10 +135,7 @@ impl BodyStage {
             Solver::Trackers(follower) => {
                 self.tracked.clear();
                 for worn in &self.trackers {
-                    let seen = estimate
-                        .sensors
-                        .get(usize::from(worn.sensor))
-                        .filter(|s| is_usable(s.state) || s.carried);
+                    let seen = estimate.sensors.get(usize::from(worn.sensor)).filter(|s| s.state.is_usable() || s.carried);
                     let pose = seen.and_then(|seen| seen.pose.as_ref());
                     let Some(pose) = pose.and_then(|pose| isometry(pose.position_m?, pose.orientation_wxyz))
                     else {
@@ -227,8 +223,7 @@ impl BodyStage {
         let (mut sum, mut count) = (Vector3::zeros(), 0.0);
         for worn in &self.trackers {
             let index = worn.segment.index();
-            let seen =
-                estimate.sensors.get(usize::from(worn.sensor)).filter(|s| is_usable(s.state) || s.carried);
+            let seen = estimate.sensors.get(usize::from(worn.sensor)).filter(|s| s.state.is_usable() || s.carried);
             let pose = seen.and_then(|seen| seen.pose.as_ref());
             if let Some(position_m) = pose.and_then(|pose| pose.position_m)
                 && found.orientations[index].is_some()

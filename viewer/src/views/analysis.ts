@@ -1,4 +1,4 @@
-// Analysis: curves of one sensor, the map of faults, and the events as they come.
+// Analysis: curves of one sensor and one joint, segments of the motion, the map of faults, and the events as they come.
 
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
@@ -7,6 +7,7 @@ import { HISTORY_S, History } from "../model";
 import { JointCurves, axisLook } from "./joints";
 import type { Context, View } from "../view";
 import { FaultsPanel } from "./faults";
+import { SegmentsPanel } from "./segments";
 
 /** Curves are drawn so often; numbers move faster than eyes. */
 const DRAW_MS = 100;
@@ -25,13 +26,15 @@ export class AnalysisView implements View {
   private readonly curves = el("div", { class: "curves" });
   private readonly faults = new Table("faults", "Faults, newest first", [["Stage time, s"], ["Sensor", "word"], ["Cause", "word"], [""]]);
   private readonly map: FaultsPanel;
+  private readonly segments: SegmentsPanel;
   private readonly joints = new JointCurves();
   private plots: uPlot[] = [];
   private lastDraw = -Infinity;
 
   constructor(private readonly context: Context) {
     this.map = new FaultsPanel(context);
-    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.joints.element, this.map.element, this.faults.element);
+    this.segments = new SegmentsPanel(context);
+    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.joints.element, this.segments.element, this.map.element, this.faults.element);
     addEventListener("resize", () => this.resize());
   }
 
@@ -46,6 +49,7 @@ export class AnalysisView implements View {
     this.drawChoice();
     const history = this.context.model.history.get(this.choice.value);
     if (history) this.drawCurves(history);
+    this.segments.draw();
     this.map.draw();
     this.joints.draw(this.context.model.angles);
     this.faults.fill(this.context.model.faults.slice(-40).reverse().map((fault): Cell[] => [

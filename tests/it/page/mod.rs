@@ -1,181 +1,20 @@
-//! The page in a real browser, driven over its DevTools websocket.
+//! The page in a real browser.
 //!
 //! Runs where `POSED_TEST_BROWSER` is set, and fails there without Chromium. With `POSED_BLESS` it also takes the
 //! picture in `docs/pictures/`.
 
-use std::io::{BufRead, BufReader};
+mod browser;
+
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
-use std::time::Duration;
 
-use futures_util::{SinkExt, StreamExt};
-use serde_json::{Value, json};
-use tokio::net::TcpStream;
-use tokio_tungstenite::tungstenite::Message;
-use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
+use crate::daemon::process::{Posed, two_devices};
+use browser::Browser;
 
-use crate::daemon::process::{PATIENCE, Posed, two_devices};
-
-/// A headless browser with one page, and all it has complained about.
-struct Browser {
-    child: Child,
-    socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
-    session: Option<String>,
-    next_id: u64,
-    complaints: Vec<String>,
-    _profile: tempfile::TempDir,
-}
-
-impl Browser {
-    async fn open(url: &str) -> Self {
-        let profile = tempfile::tempdir().unwrap();
-        let mut child = Command::new("chromium")
-            .args(["--headless=new", "--no-sandbox", "--disable-background-networking"])
-            // WebGL by software.
-            .args(["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"])
-            .args(["--no-first-run", "--disable-dev-shm-usage", "--remote-debugging-port=0"])
-            .args(["--window-size=1200,800", "--hide-scrollbars"])
-            .arg(format!("--user-data-dir={}", profile.path().display()))
-            .arg("about:blank")
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("POSED_TEST_BROWSER is set, so chromium must be installed");
-        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
-        let address = lines
-            .find_map(|line| line.unwrap().strip_prefix("DevTools listening on ").map(str::to_owned))
-            .expect("the browser says where it listens");
-        // What it says later must go somewhere.
-        tokio::task::spawn_blocking(move || lines.for_each(drop));
-        let (socket, _) = connect_async(address).await.unwrap();
-        let mut browser =
-            Self { child, socket, session: None, next_id: 0, complaints: Vec::new(), _profile: profile };
-        let target = browser.call("Target.createTarget", json!({"url": "about:blank"})).await;
-        let attach = json!({"targetId": target["targetId"], "flatten": true});
-        let session = browser.call("Target.attachToTarget", attach).await;
-        browser.session = session["sessionId"].as_str().map(str::to_owned);
-        for domain in ["Runtime.enable", "Log.enable", "Page.enable"] {
-            browser.call(domain, json!({})).await;
-        }
-        browser.call("Page.navigate", json!({"url": url})).await;
-        browser
-    }
-
-    /// Calls a method of the protocol; what the page complains about meanwhile is kept.
-    async fn call(&mut self, method: &str, params: Value) -> Value {
-        self.next_id += 1;
-        let mut request = json!({"id": self.next_id, "method": method, "params": params});
-        if let Some(session) = &self.session {
-            request["sessionId"] = json!(session);
-        }
-        self.socket.send(Message::text(request.to_string())).await.unwrap();
-        loop {
-            let received = tokio::time::timeout(PATIENCE, self.socket.next()).await;
-            let Message::Text(text) = received.expect("the browser answers").unwrap().unwrap() else {
-                continue;
-            };
-            let message: Value = serde_json::from_str(&text).unwrap();
-            match message["method"].as_str() {
-                Some("Runtime.exceptionThrown") => self.complaints.push(message["params"].to_string()),
-                // Refused by the content security policy, missing files and the like.
-                Some("Log.entryAdded") if message["params"]["entry"]["level"] == "error" => {
-                    self.complaints.push(message["params"]["entry"].to_string());
-                }
-                Some("Runtime.consoleAPICalled")
-                    if ["error", "assert"].contains(&message["params"]["type"].as_str().unwrap()) =>
-                {
-                    self.complaints.push(message["params"].to_string());
-                }
-                _ => {}
-            }
-            if message["id"] == self.next_id {
-                assert!(message["error"].is_null(), "{method}: {message}");
-                return message["result"].clone();
-            }
-        }
-    }
-
-    /// The value of an expression on the page.
-    async fn value(&mut self, expression: &str) -> Value {
-        let params = json!({"expression": expression, "returnByValue": true});
-        self.call("Runtime.evaluate", params).await["result"]["value"].clone()
-    }
-
-    /// The texts of one row of a table.
-    async fn row(&mut self, table: &str, row: usize) -> Vec<String> {
-        let cells = format!(
-            "[...(document.getElementById('{table}').rows[{row}]?.cells ?? [])].map((c) => c.textContent)"
-        );
-        serde_json::from_value(self.value(&cells).await).unwrap()
-    }
-
-    /// Waits until an expression on the page is true.
-    #[expect(clippy::disallowed_methods, reason = "a page cannot be waited for, only asked")]
-    async fn until(&mut self, expression: &str) {
-        let looked = async {
-            while self.value(expression).await != true {
-                tokio::time::sleep(Duration::from_millis(100)).await;
-            }
-        };
-        if tokio::time::timeout(PATIENCE, looked).await.is_err() {
-            let text = self.value("document.body.innerText").await;
-            panic!("{expression} never came; the page says: {text}");
-        }
-    }
-
-    async fn click(&mut self, id: &str) {
-        self.value(&format!("document.getElementById('{id}').click()")).await;
-    }
-
-    /// A picture for the documentation, where they are being made anew.
-    async fn picture(&mut self, name: &str) {
-        if std::env::var_os("POSED_BLESS").is_none() {
-            return;
-        }
-        // So that curves and trails have something to show.
-        browser_pause().await;
-        let shot = self.call("Page.captureScreenshot", json!({"format": "png"})).await;
-        let bytes = base64(shot["data"].as_str().unwrap());
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/pictures");
-        std::fs::create_dir_all(&folder).unwrap();
-        std::fs::write(folder.join(format!("{name}.png")), bytes).unwrap();
-    }
-}
-
-impl Drop for Browser {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-#[expect(clippy::disallowed_methods, reason = "a picture wants a few seconds of stream behind it")]
-async fn browser_pause() {
-    tokio::time::sleep(Duration::from_secs(6)).await;
-}
-
-/// Bytes of a text in base64.
-fn base64(text: &str) -> Vec<u8> {
-    let digit = |c: u8| match c {
-        b'A'..=b'Z' => u32::from(c - b'A'),
-        b'a'..=b'z' => u32::from(c - b'a') + 26,
-        b'0'..=b'9' => u32::from(c - b'0') + 52,
-        b'+' => 62,
-        _ => 63,
-    };
-    let digits: Vec<u8> = text.bytes().filter(|&c| c != b'=').collect();
-    let mut bytes = Vec::with_capacity(digits.len() * 3 / 4);
-    for group in digits.chunks(4) {
-        let bits = group.iter().fold(0, |bits, &c| bits << 6 | digit(c)) << (6 * (4 - group.len()));
-        bytes.extend_from_slice(&bits.to_be_bytes()[1..group.len()]);
-    }
-    bytes
-}
-
-#[test]
-fn base64_is_read() {
-    assert_eq!(base64("cG9zZWQ="), b"posed");
-    assert_eq!(base64("+/8A"), [0xFB, 0xFF, 0x00]);
+/// The page has complained about nothing, and the daemon ends as it should.
+async fn done(browser: Browser, posed: Posed) {
+    assert_eq!(browser.complaints, Vec::<String>::new());
+    drop(browser);
+    assert_eq!(posed.end("INT").await.code(), Some(0));
 }
 
 const DATA_OLD: &str = "document.body.classList.contains('stale') \
@@ -191,8 +30,7 @@ const PAINTED: &str = "(() => { const from = document.querySelector('#stage-view
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_page_lives_says_when_data_are_old_and_lives_again() {
-    if std::env::var_os("POSED_TEST_BROWSER").is_none() {
-        println!("skipped: set POSED_TEST_BROWSER to drive the page in Chromium");
+    if !browser::is_wanted() {
         return;
     }
     let posed = Posed::start(["demo"]);
@@ -232,20 +70,21 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
     browser.click("tab-analysis").await;
     browser.until("document.getElementById('joint-choice').options.length === 9").await;
     browser.until("document.querySelectorAll('.joint canvas').length === 1").await;
+    // What the person does has a name, if only so it seems.
+    browser.until("document.querySelectorAll('#segments-provisional .segment, #segments-confirmed .segment').length > 0").await;
+    browser.value("document.getElementById('segments-title').scrollIntoView()").await;
+    browser.picture("segments").await;
     browser.click("tab-stage-view").await;
     posed.signal("STOP");
     browser.until(DATA_OLD).await;
     posed.signal("CONT");
     browser.until(LIVE).await;
-    assert_eq!(browser.complaints, Vec::<String>::new());
-    drop(browser);
-    assert_eq!(posed.end("INT").await.code(), Some(0));
+    done(browser, posed).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_browser() {
-    if std::env::var_os("POSED_TEST_BROWSER").is_none() {
-        println!("skipped: set POSED_TEST_BROWSER to drive the page in Chromium");
+    if !browser::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -268,9 +107,7 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser.click("record-stop").await;
     browser.until("document.getElementById('jobs').textContent.includes('take.mcap is complete')").await;
     browser.picture("runs").await;
-    assert_eq!(browser.complaints, Vec::<String>::new());
-    drop(browser);
-    assert_eq!(posed.end("INT").await.code(), Some(0));
+    done(browser, posed).await;
 
     let recording = folder.path().join("recordings/take.mcap");
     let replay = Posed::start(["replay", recording.to_str().unwrap()]);
@@ -291,15 +128,12 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser.value(seek).await;
     browser.until("document.getElementById('link').textContent === 'live'").await;
     browser.picture("replay").await;
-    assert_eq!(browser.complaints, Vec::<String>::new());
-    drop(browser);
-    assert_eq!(replay.end("INT").await.code(), Some(0));
+    done(browser, replay).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_field_is_calibrated_in_the_browser_and_the_stage_shows_what_the_map_does() {
-    if std::env::var_os("POSED_TEST_BROWSER").is_none() {
-        println!("skipped: set POSED_TEST_BROWSER to drive the page in Chromium");
+    if !browser::is_wanted() {
         return;
     }
     // Maps are kept beside the stage file.
@@ -343,15 +177,12 @@ async fn the_field_is_calibrated_in_the_browser_and_the_stage_shows_what_the_map
     browser.click("tab-runs").await;
     browser.click("field-rollback").await;
     browser.until(&format!("{}.startsWith('Poses are the tracker')", text("field-map"))).await;
-    assert_eq!(browser.complaints, Vec::<String>::new());
-    drop(browser);
-    assert_eq!(posed.end("INT").await.code(), Some(0));
+    done(browser, posed).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_map_of_faults_is_learnt_and_a_cell_named_in_the_browser() {
-    if std::env::var_os("POSED_TEST_BROWSER").is_none() {
-        println!("skipped: set POSED_TEST_BROWSER to drive the page in Chromium");
+    if !browser::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -373,9 +204,7 @@ async fn a_map_of_faults_is_learnt_and_a_cell_named_in_the_browser() {
     browser.click("name-cell").await;
     browser.until("document.getElementById('fault-map').children[0].classList.contains('anomalous')").await;
     browser.picture("faults").await;
-    assert_eq!(browser.complaints, Vec::<String>::new());
-    drop(browser);
-    assert_eq!(posed.end("INT").await.code(), Some(0));
+    done(browser, posed).await;
 }
 
 /// Ten IMUs of a chain on somebody who holds the two poses in turn, and nobody knows how they sit.
@@ -403,8 +232,7 @@ fn posing(folder: &Path) -> std::path::PathBuf {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_body_is_calibrated_in_the_browser_and_then_stands() {
-    if std::env::var_os("POSED_TEST_BROWSER").is_none() {
-        println!("skipped: set POSED_TEST_BROWSER to drive the page in Chromium");
+    if !browser::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -419,13 +247,11 @@ async fn a_body_is_calibrated_in_the_browser_and_then_stands() {
         .await;
     browser.until("document.getElementById('prompt').textContent.includes('mounting is known')").await;
     browser.until("document.getElementById('mounting').rows.length === 10").await;
-    browser.picture("calibration").await;
+    browser.picture("mounting").await;
     browser.click("tab-stage-view").await;
     browser
         .until("document.getElementById('body-summary').textContent.startsWith('body: 10 of 10 segments measured')")
         .await;
     browser.until("document.getElementById('problems').hidden").await;
-    assert_eq!(browser.complaints, Vec::<String>::new());
-    drop(browser);
-    assert_eq!(posed.end("INT").await.code(), Some(0));
+    done(browser, posed).await;
 }

@@ -15,7 +15,7 @@ use posed_drivers::flock::capture::{CapturedRecord, Decoded, log};
 use posed_drivers::flock::wire::{QuaternionSense, Range};
 use posed_drivers::{LineEvent, Timestamp};
 
-use super::{Error, output, tell};
+use super::super::{Error, output, tell};
 
 /// A unit's own rate at power-up, Hz; for captures without times.
 const RATE_HZ: f64 = 103.3;

@@ -8,11 +8,8 @@ use posed_drivers::x_imu3::data;
 use posed_drivers::x_imu3::wire::{self, Lines};
 use serde::Serialize;
 
-use super::decode::Table;
-use super::{Error, output, print, print_json, tell};
-
-const COLUMNS: [&str; 15] =
-    ["t", "sensor", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz", "qw", "qx", "qy", "qz"];
+use super::super::Error;
+use super::target::{ImuRow, Target, imu_csv, lines_of};
 
 /// One inertial message, with what came since the one before.
 #[derive(Clone, Debug, Serialize)]
@@ -35,13 +32,8 @@ struct Summary {
 }
 
 /// Decodes `file`, writes what was asked for, and says the summary.
-pub(super) fn run(file: &Path, output: Option<&Path>, table: Option<Table>, json: bool) -> Result<(), Error> {
-    if table == Some(Table::Recording) {
-        return Err(Error::Usage(
-            "an x-IMU3 capture carries no times of arrival to record; end the output in .csv, .csv.gz or .jsonl"
-                .into(),
-        ));
-    }
+pub(super) fn run(file: &Path, target: Target<'_>) -> Result<(), Error> {
+    target.check_no_recording("an x-IMU3 capture")?;
     let bytes = std::fs::read(file).map_err(|error| Error::file("read", file, &error))?;
     let (records, summary) = decode(&bytes);
     if records.is_empty() {
@@ -50,23 +42,9 @@ pub(super) fn run(file: &Path, output: Option<&Path>, table: Option<Table>, json
             file.display()
         )));
     }
-    match (output, table) {
-        (Some(path), Some(table)) => output::replace(path, |file| {
-            table.write(file, |file| csv(&records, file), |file| json_lines(&records, file))
-        })?,
-        _ if !json => {
-            let mut text = Vec::new();
-            csv(&records, &mut text).map_err(Error::failed)?;
-            print(&String::from_utf8_lossy(&text))?;
-        }
-        _ => {}
-    }
-    if json {
-        return print_json(&summary);
-    }
+    target.write(|file| csv(&records, file), |file| lines_of(&records, file))?;
     let Summary { records, rejected, bytes_skipped } = summary;
-    tell(&format!("{records} records, {rejected} rejected, {bytes_skipped} bytes skipped"));
-    Ok(())
+    target.tell(&summary, &format!("{records} records, {rejected} rejected, {bytes_skipped} bytes skipped"))
 }
 
 fn decode(bytes: &[u8]) -> (Vec<Record>, Summary) {
@@ -129,32 +107,15 @@ fn decode(bytes: &[u8]) -> (Vec<Record>, Summary) {
 
 /// One row per inertial message.
 fn csv(records: &[Record], file: &mut dyn Write) -> io::Result<()> {
-    let mut table = csv::Writer::from_writer(file);
-    table.write_record(COLUMNS)?;
-    for record in records {
-        table.write_field(record.t_s.to_string())?;
-        table.write_field(format!("unit-{}", record.address))?;
-        let vectors =
-            [Some(record.specific_force_m_s2), Some(record.angular_rate_rad_s), record.magnetic_field];
-        let numbers = vectors.into_iter().flat_map(|vector| match vector {
-            Some(values) => values.map(Some),
-            None => [None; 3],
-        });
-        for number in numbers.chain(record.orientation_wxyz.map_or([None; 4], |q| q.map(Some))) {
-            table.write_field(number.map(|number| number.to_string()).unwrap_or_default())?;
-        }
-        table.write_record(None::<&[u8]>)?;
-    }
-    table.flush()
-}
-
-/// Every record in full.
-fn json_lines(records: &[Record], file: &mut dyn Write) -> io::Result<()> {
-    for record in records {
-        serde_json::to_writer(&mut *file, record)?;
-        file.write_all(b"\n")?;
-    }
-    Ok(())
+    let row = |record: &Record| ImuRow {
+        t_s: Some(record.t_s),
+        sensor: format!("unit-{}", record.address),
+        specific_force_m_s2: Some(record.specific_force_m_s2),
+        angular_rate_rad_s: Some(record.angular_rate_rad_s),
+        magnetic_field: record.magnetic_field,
+        orientation_wxyz: record.orientation_wxyz,
+    };
+    imu_csv(records.iter().map(row), file)
 }
 
 #[cfg(test)]

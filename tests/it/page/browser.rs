@@ -1,0 +1,185 @@
+//! Chromium with one page, driven over its DevTools websocket.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use futures_util::{SinkExt, StreamExt};
+use serde_json::{Value, json};
+use tokio::net::TcpStream;
+use tokio_tungstenite::tungstenite::Message;
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
+
+use crate::daemon::process::PATIENCE;
+
+/// Whether the page is to be driven; says so where it is not.
+pub(super) fn is_wanted() -> bool {
+    let wanted = std::env::var_os("POSED_TEST_BROWSER").is_some();
+    if !wanted {
+        println!("skipped: set POSED_TEST_BROWSER to drive the page in Chromium");
+    }
+    wanted
+}
+
+/// A headless browser with one page, and all it has complained about.
+pub(super) struct Browser {
+    child: Child,
+    socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
+    session: Option<String>,
+    next_id: u64,
+    pub(super) complaints: Vec<String>,
+    _profile: tempfile::TempDir,
+}
+
+impl Browser {
+    pub(super) async fn open(url: &str) -> Self {
+        let profile = tempfile::tempdir().unwrap();
+        let mut child = Command::new("chromium")
+            .args(["--headless=new", "--no-sandbox", "--disable-background-networking"])
+            // WebGL by software.
+            .args(["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"])
+            .args(["--no-first-run", "--disable-dev-shm-usage", "--remote-debugging-port=0"])
+            .args(["--window-size=1200,800", "--hide-scrollbars"])
+            .arg(format!("--user-data-dir={}", profile.path().display()))
+            .arg("about:blank")
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("POSED_TEST_BROWSER is set, so chromium must be installed");
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+        let address = lines
+            .find_map(|line| line.unwrap().strip_prefix("DevTools listening on ").map(str::to_owned))
+            .expect("the browser says where it listens");
+        // What it says later must go somewhere.
+        tokio::task::spawn_blocking(move || lines.for_each(drop));
+        let (socket, _) = connect_async(address).await.unwrap();
+        let mut browser =
+            Self { child, socket, session: None, next_id: 0, complaints: Vec::new(), _profile: profile };
+        let target = browser.call("Target.createTarget", json!({"url": "about:blank"})).await;
+        let attach = json!({"targetId": target["targetId"], "flatten": true});
+        let session = browser.call("Target.attachToTarget", attach).await;
+        browser.session = session["sessionId"].as_str().map(str::to_owned);
+        for domain in ["Runtime.enable", "Log.enable", "Page.enable"] {
+            browser.call(domain, json!({})).await;
+        }
+        browser.call("Page.navigate", json!({"url": url})).await;
+        browser
+    }
+
+    /// Calls a method of the protocol; what the page complains about meanwhile is kept.
+    async fn call(&mut self, method: &str, params: Value) -> Value {
+        self.next_id += 1;
+        let mut request = json!({"id": self.next_id, "method": method, "params": params});
+        if let Some(session) = &self.session {
+            request["sessionId"] = json!(session);
+        }
+        self.socket.send(Message::text(request.to_string())).await.unwrap();
+        loop {
+            let received = tokio::time::timeout(PATIENCE, self.socket.next()).await;
+            let Message::Text(text) = received.expect("the browser answers").unwrap().unwrap() else {
+                continue;
+            };
+            let message: Value = serde_json::from_str(&text).unwrap();
+            match message["method"].as_str() {
+                Some("Runtime.exceptionThrown") => self.complaints.push(message["params"].to_string()),
+                // Refused by the content security policy, missing files and the like.
+                Some("Log.entryAdded") if message["params"]["entry"]["level"] == "error" => {
+                    self.complaints.push(message["params"]["entry"].to_string());
+                }
+                Some("Runtime.consoleAPICalled")
+                    if ["error", "assert"].contains(&message["params"]["type"].as_str().unwrap()) =>
+                {
+                    self.complaints.push(message["params"].to_string());
+                }
+                _ => {}
+            }
+            if message["id"] == self.next_id {
+                assert!(message["error"].is_null(), "{method}: {message}");
+                return message["result"].clone();
+            }
+        }
+    }
+
+    /// The value of an expression on the page.
+    pub(super) async fn value(&mut self, expression: &str) -> Value {
+        let params = json!({"expression": expression, "returnByValue": true});
+        self.call("Runtime.evaluate", params).await["result"]["value"].clone()
+    }
+
+    /// The texts of one row of a table.
+    pub(super) async fn row(&mut self, table: &str, row: usize) -> Vec<String> {
+        let cells = format!(
+            "[...(document.getElementById('{table}').rows[{row}]?.cells ?? [])].map((c) => c.textContent)"
+        );
+        serde_json::from_value(self.value(&cells).await).unwrap()
+    }
+
+    /// Waits until an expression on the page is true.
+    #[expect(clippy::disallowed_methods, reason = "a page cannot be waited for, only asked")]
+    pub(super) async fn until(&mut self, expression: &str) {
+        let looked = async {
+            while self.value(expression).await != true {
+                tokio::time::sleep(Duration::from_millis(100)).await;
+            }
+        };
+        if tokio::time::timeout(PATIENCE, looked).await.is_err() {
+            let text = self.value("document.body.innerText").await;
+            panic!("{expression} never came; the page says: {text}");
+        }
+    }
+
+    pub(super) async fn click(&mut self, id: &str) {
+        self.value(&format!("document.getElementById('{id}').click()")).await;
+    }
+
+    /// A picture for the documentation, where they are being made anew.
+    pub(super) async fn picture(&mut self, name: &str) {
+        if std::env::var_os("POSED_BLESS").is_none() {
+            return;
+        }
+        // So that curves and trails have something to show.
+        browser_pause().await;
+        let shot = self.call("Page.captureScreenshot", json!({"format": "png"})).await;
+        let bytes = base64(shot["data"].as_str().unwrap());
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/pictures");
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(folder.join(format!("{name}.png")), bytes).unwrap();
+    }
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[expect(clippy::disallowed_methods, reason = "a picture wants a few seconds of stream behind it")]
+async fn browser_pause() {
+    tokio::time::sleep(Duration::from_secs(6)).await;
+}
+
+/// Bytes of a text in base64.
+fn base64(text: &str) -> Vec<u8> {
+    let digit = |c: u8| match c {
+        b'A'..=b'Z' => u32::from(c - b'A'),
+        b'a'..=b'z' => u32::from(c - b'a') + 26,
+        b'0'..=b'9' => u32::from(c - b'0') + 52,
+        b'+' => 62,
+        _ => 63,
+    };
+    let digits: Vec<u8> = text.bytes().filter(|&c| c != b'=').collect();
+    let mut bytes = Vec::with_capacity(digits.len() * 3 / 4);
+    for group in digits.chunks(4) {
+        let bits = group.iter().fold(0, |bits, &c| bits << 6 | digit(c)) << (6 * (4 - group.len()));
+        bytes.extend_from_slice(&bits.to_be_bytes()[1..group.len()]);
+    }
+    bytes
+}
+
+#[test]
+fn base64_is_read() {
+    assert_eq!(base64("cG9zZWQ="), b"posed");
+    assert_eq!(base64("+/8A"), [0xFB, 0xFF, 0x00]);
+}
