@@ -32,6 +32,7 @@ pub(crate) fn start(args: &Args) -> Served {
             segment: None,
             mount_quat_wxyz: None,
             offset_m: None,
+            imu: None,
             serial: None,
             magnetometer: true,
             gyro_delay_ms: 0.0,

@@ -22,6 +22,8 @@ use crate::stage::Stage;
 /// What an alignment of half a degree and some millimetres leaves, m and rad: joins the tracker's noise.
 const LEFT_M: f64 = 1e-3;
 const LEFT_RAD: f64 = 5e-3;
+/// An IMU that was heard so lately is there, s.
+const FRESH_S: f64 = 0.05;
 /// Biases of units that nobody has calibrated (standard deviations), rad/s and m/s².
 const BIASES: [f64; 2] = [0.02, 0.2];
 
@@ -105,10 +107,14 @@ impl Fastened {
                     filter.magnetic(&pose);
                 }
             }
-            if let Some(pose) = filter.at(frame.t_valid.as_secs_f64()) {
-                let out = &mut estimate.sensors[sensor];
+            let t_s = frame.t_valid.as_secs_f64();
+            let out = &mut estimate.sensors[sensor];
+            if let Some(pose) = filter.at(t_s) {
                 out.pose = Some(published(&pose));
                 out.carried = believed.is_none();
+            } else if believed.is_none() && filter.imu_s().is_some_and(|imu_s| t_s - imu_s < FRESH_S) {
+                // The tracker alone would go on as it last moved; who has an IMU knows better.
+                out.pose = None;
             }
         }
     }

@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::faults::som::Network;
 
-pub use body::{Body, BodySegment, Calibration, JointKind, Mounting, SEGMENTS, Skeleton};
+pub use body::{Body, BodySegment, Calibration, JointKind, Lengths, Mounting, SEGMENTS, Skeleton};
 pub use check::{Report, check, check_in, check_table};
 pub use driver::{Driver, TimeBase};
 pub use fastened::FastenedImu;

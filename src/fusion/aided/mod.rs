@@ -378,12 +378,17 @@ impl State {
         let keep = SMatrix::<f64, N, N>::identity() - gain * h;
         let p = keep * self.covariance * keep.transpose() + gain * noise * gain.transpose();
         self.covariance = (p + p.transpose()) * 0.5;
+        self.add(&dx);
+        true
+    }
+
+    /// Adds an error state.
+    fn add(&mut self, dx: &SVector<f64, N>) {
         let part = |at: usize| Vector3::new(dx[at], dx[at + 1], dx[at + 2]);
         self.position_m += part(P);
         self.velocity_m_s += part(V);
         self.q = UnitQuaternion::new_normalize((self.q * exp(&part(R))).into_inner());
         self.gyro_bias += part(BG);
         self.accel_bias += part(BA);
-        true
     }
 }

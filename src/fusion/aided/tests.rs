@@ -2,6 +2,20 @@ use super::*;
 
 type V3 = Vector3<f64>;
 
+impl State {
+    /// The error state by which this one differs from another.
+    fn minus(&self, other: &Self) -> SVector<f64, N> {
+        let mut dx = SVector::<f64, N>::zeros();
+        let mut put = |at: usize, part: V3| dx.fixed_rows_mut::<3>(at).copy_from(&part);
+        put(P, self.position_m - other.position_m);
+        put(V, self.velocity_m_s - other.velocity_m_s);
+        put(R, log(&(other.q.inverse() * self.q)));
+        put(BG, self.gyro_bias - other.gyro_bias);
+        put(BA, self.accel_bias - other.accel_bias);
+        dx
+    }
+}
+
 struct Normal(u64);
 
 impl Normal {
@@ -199,4 +213,65 @@ fn clocks_that_differ_are_tolerated_where_the_offset_is_known() {
     assert!(used > 280 && gated <= 3, "{used} used, {gated} turned away");
     let (p, r) = scene.error(6.0);
     assert!(p.norm() < 2.0 * SIGMA_M && r.norm() < SIGMA_RAD, "{} m, {} rad", p.norm(), r.norm());
+}
+
+/// 95 % of the mean of 50 chi squared variables with 15 degrees of freedom.
+const MEAN_OF_50: (f64, f64) = (13.52, 16.55);
+
+#[test]
+fn in_a_matched_model_all_fifteen_errors_are_as_large_as_it_says() {
+    const RUNS: u64 = 50;
+    const STEPS: usize = 400;
+    let mut sums = vec![0.0; STEPS];
+    for run in 0..RUNS {
+        let mut scene = Scene::new(7000 + 31 * run);
+        let params = scene.filter.params;
+        let pose = scene.pose(0.0);
+        scene.filter.magnetic(&pose);
+        // The truth begins where the filter stands, as far off as it says.
+        let mut truth = scene.filter.state.clone().unwrap();
+        let root = (truth.covariance + SMatrix::<f64, N, N>::identity() * 1e-16).cholesky().unwrap().l();
+        let off = root * SVector::<f64, N>::from_fn(|_, _| scene.normal.vector(1.0).x);
+        truth.add(&off);
+        for (k, sum) in sums.iter_mut().enumerate() {
+            let t = 0.01 * (k + 1) as f64;
+            let step = 0.1;
+            // What the sensor would say without noise, and what it says.
+            let turn = V3::new((1.3 * t).sin(), (2.1 * t).cos(), 0.7 * (1.7 * t).sin());
+            let force = truth.q.inverse()
+                * (V3::new((3.0 * t).sin(), (2.0 * t).cos(), (2.6 * t).sin()) * 2.0 + V3::z() * GRAVITY_M_S2);
+            let clean = ImuSample {
+                gyro_rad_s: turn + truth.gyro_bias,
+                accel_m_s2: force + truth.accel_bias,
+                mag: None,
+            };
+            truth.advance(&params, &clean, t);
+            truth.gyro_bias += scene.normal.vector(params.bias_walks[0] * step);
+            truth.accel_bias += scene.normal.vector(params.bias_walks[1] * step);
+            let noisy = ImuSample {
+                gyro_rad_s: clean.gyro_rad_s + scene.normal.vector(params.gyro_density / step),
+                accel_m_s2: clean.accel_m_s2 + scene.normal.vector(params.accel_density / step),
+                mag: None,
+            };
+            scene.filter.imu(t, &noisy);
+            if k % 2 == 0 {
+                let mut room_from_sensor = Isometry3::from_parts(truth.position_m.into(), truth.q)
+                    * Isometry3::from_parts(params.lever_m.into(), params.q_imu_sensor);
+                room_from_sensor.translation.vector += scene.normal.vector(SIGMA_M);
+                room_from_sensor.rotation *= exp(&scene.normal.vector(SIGMA_RAD));
+                let pose = MagneticPose { t_s: t, room_from_sensor, ..pose };
+                scene.filter.magnetic(&pose);
+            }
+            let state = scene.filter.state.as_ref().unwrap();
+            let e = truth.minus(state);
+            *sum += e.dot(&state.covariance.cholesky().unwrap().solve(&e));
+        }
+    }
+    let inside =
+        sums.iter().filter(|sum| (MEAN_OF_50.0..MEAN_OF_50.1).contains(&(**sum / RUNS as f64))).count();
+    assert!(
+        inside * 10 >= STEPS * 9,
+        "{inside} of {STEPS} steps inside; mean {}",
+        sums.iter().sum::<f64>() / (RUNS as usize * STEPS) as f64
+    );
 }

@@ -4,31 +4,33 @@
 //! specific force at the same times; optionally anchors, places whose position in the room is known. Out: room from transmitter,
 //! rotation and lever arm between the two, each with its residual. It never returns what the movement did not show.
 //!
-//! Rotations: `X M(t) Y = A(t)` for all t, with M the sensor's and A the IMU's orientation, X room from transmitter and Y
-//! sensor from IMU: linear in the matrices X and Y', then refined on the group. Lever: the second difference of the
-//! position over some tenths of a second is the specific force weighed by a triangle, so that no noise is differentiated twice.
+//! With M the sensor's orientation in the transmitter's axes, A the IMU's in a level frame, X room from transmitter and Y sensor from IMU:
+//! - Y: over some tenths of a second both turn alike, `log(M1' M2) = Y log(A1' A2)`, which no tilt of A can falsify.
+//! - Gravity, lever and the accelerometer's bias: the second difference of the position over some tenths of a second is the
+//!   specific force weighed by a triangle, so that no noise is differentiated twice. With the force turned by M Y all nine unknowns
+//!   are linear, and the bias, which turns with the sensor, is told from gravity, which does not.
+//! - X: its tilt by that gravity, its heading by A (where that has one) or by anchors.
 
 pub mod guide;
 mod recording;
 #[cfg(test)]
 mod tests;
 
-use nalgebra::{
-    Isometry3, Matrix3, Matrix6, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6,
-};
+use nalgebra::{Isometry3, Matrix3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 pub use recording::{Found, Recording, align_recording};
 
-use super::limb::GRAVITY_M_S2;
-use crate::geometry::so3::{exp, log};
+use crate::geometry::so3::log;
 
 /// Half width of the second differences, s.
 const HALF_S: f64 = 0.2;
-/// Fewest samples, and least turn in each of two directions, rad.
+/// A turn that fits worse than this counts for less, rad.
+const HUBER_RAD: f64 = 0.05;
+/// Fewest samples, and least turn within half a second difference in each of two directions, root mean square, rad.
 const MIN_SAMPLES: usize = 200;
-const MIN_TURN_RAD: f64 = 0.3;
+const MIN_TURN_RAD: f64 = 0.05;
 
 /// One time of a sensor that has both.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -106,18 +108,11 @@ pub fn align(
     if samples.len() < MIN_SAMPLES {
         return Err(AlignError::TooShort { found: samples.len(), needed: MIN_SAMPLES });
     }
-    let (x, y) = rotations(samples)?;
-    let (x, y, drift_rad_s, residual_rad) = refine(samples, x, y);
-    let middle_s = middle_s(samples);
-    let still: Vec<BothSample> = samples
-        .iter()
-        .map(|sample| BothSample {
-            level_from_imu: about_z(-drift_rad_s * (sample.t_s - middle_s)) * sample.level_from_imu,
-            ..*sample
-        })
-        .collect();
-    let (lever_m, accel_bias_m_s2, residual_m) = lever(&still, &x)?;
-    let x = if heading { x } else { facing(&x) * x };
+    let (y, residual_rad) = fastened(samples)?;
+    let Forces { gravity_m_s2, lever_m, accel_bias_m_s2, residual_m } = forces(samples, &y)?;
+    let tilt = UnitQuaternion::rotation_between(&gravity_m_s2, &Vector3::z())
+        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+    let x = if heading { north(samples, &tilt, &y) * tilt } else { facing(&tilt) * tilt };
     let mut room = Isometry3::from_parts(Translation3::identity(), x);
     let mut anchors_m = 0.0;
     if !anchors.is_empty() {
@@ -135,95 +130,71 @@ pub fn align(
     })
 }
 
-/// X and Y of `X M Y = A` from the null space of `X M - A Y'`, linear in 18 numbers.
-fn rotations(samples: &[BothSample]) -> Result<(UnitQuaternion<f64>, UnitQuaternion<f64>), AlignError> {
-    let first = &samples[0];
-    let mut spread = Matrix3::zeros();
-    let mut normal = SMatrix::<f64, 18, 18>::zeros();
-    for sample in samples {
-        let turn = log(&(first.level_from_imu.inverse() * sample.level_from_imu));
-        spread += turn * turn.transpose() / samples.len() as f64;
-        let m = sample.transmitter_from_sensor.rotation.to_rotation_matrix().into_inner();
-        let a = sample.level_from_imu.to_rotation_matrix().into_inner();
-        for i in 0..3 {
-            for j in 0..3 {
-                // (X M)_ij - (A Y')_ij, with X and Y' row by row.
-                let mut row = SMatrix::<f64, 18, 1>::zeros();
-                for k in 0..3 {
-                    row[3 * i + k] += m[(k, j)];
-                    row[9 + 3 * k + j] -= a[(i, k)];
-                }
-                normal += row * row.transpose();
-            }
-        }
-    }
-    let mut turns: Vec<f64> = spread.symmetric_eigenvalues().iter().copied().collect();
-    turns.sort_by(f64::total_cmp);
-    if turns[1].is_nan() || turns[1] < MIN_TURN_RAD.powi(2) / 4.0 {
+/// Y, and the root mean square of what it leaves of the turns, rad.
+fn fastened(samples: &[BothSample]) -> Result<(UnitQuaternion<f64>, f64), AlignError> {
+    let half = half(samples);
+    let turns: Vec<[Vector3<f64>; 2]> = samples
+        .windows(half + 1)
+        .map(|part| {
+            let (a, b) = (&part[0], &part[half]);
+            let sensor = a.transmitter_from_sensor.rotation.inverse() * b.transmitter_from_sensor.rotation;
+            [log(&sensor), log(&(a.level_from_imu.inverse() * b.level_from_imu))]
+        })
+        .collect();
+    let n = turns.len() as f64;
+    let spread: Matrix3<f64> = turns.iter().map(|[_, imu]| imu * imu.transpose() / n).sum();
+    let mut values: Vec<f64> = spread.symmetric_eigenvalues().iter().copied().collect();
+    values.sort_by(f64::total_cmp);
+    if values[1].is_nan() || values[1] < MIN_TURN_RAD.powi(2) {
         return Err(AlignError::OneAxis);
     }
-    let eigen = normal.symmetric_eigen();
-    let least = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
-    let block = |at: usize| Matrix3::from_fn(|i, j| least[at + 3 * i + j]);
-    let (x, y_t) = (block(0), block(9));
-    // The null vector has any sign and length; both rotations have determinant 1.
-    let sign = x.determinant().signum();
-    let project = |m: Matrix3<f64>| {
-        let svd = (m * sign).svd(true, true);
-        let (u, v_t) = (svd.u.unwrap_or_else(Matrix3::identity), svd.v_t.unwrap_or_else(Matrix3::identity));
-        UnitQuaternion::from_matrix(&(u * v_t))
-    };
-    // X M = A Y' with Y' = Y^-1.
-    Ok((project(x), project(y_t).inverse()))
+    let mut y = UnitQuaternion::identity();
+    let mut squares = 0.0;
+    // Once over all, and once with those for less that fit badly: a record that was not, a knock.
+    for pass in 0..2 {
+        let sum: Matrix3<f64> = turns
+            .iter()
+            .map(|[sensor, imu]| {
+                let off = (sensor - y * imu).norm();
+                sensor * imu.transpose() * if pass == 0 { 1.0 } else { (HUBER_RAD / off).min(1.0) }
+            })
+            .sum();
+        y = rotation_of(&sum).unwrap_or(y);
+        squares = turns.iter().map(|[sensor, imu]| (sensor - y * imu).norm_squared()).sum();
+    }
+    Ok((y, (squares / n).sqrt()))
 }
 
-/// Gauss-Newton on both rotations and the rate at which the level frame drifts about the vertical, with Huber's weights: X, Y,
-/// drift in rad/s, and what is left in rad.
-fn refine(
-    samples: &[BothSample],
-    mut x: UnitQuaternion<f64>,
-    mut y: UnitQuaternion<f64>,
-) -> (UnitQuaternion<f64>, UnitQuaternion<f64>, f64, f64) {
-    const HUBER_RAD: f64 = 0.05;
-    let middle_s = middle_s(samples);
-    let (mut drift_rad_s, mut residual) = (0.0, 0.0);
-    for _ in 0..10 {
-        let (mut gradient, mut normal) = (SVector::<f64, 7>::zeros(), SMatrix::<f64, 7, 7>::zeros());
-        residual = 0.0;
-        for sample in samples {
-            // A = Z(t) X M Y exp(r); X grows from the left, Y from the right, Z turns about the vertical.
-            let since_s = sample.t_s - middle_s;
-            let drift = about_z(drift_rad_s * since_s);
-            let predicted = drift * x * sample.transmitter_from_sensor.rotation * y;
-            let r = log(&(predicted.inverse() * sample.level_from_imu));
-            residual += r.norm_squared();
-            let weight = (HUBER_RAD / r.norm()).min(1.0);
-            let back = predicted.inverse();
-            let by_x = (back * drift).to_rotation_matrix().into_inner();
-            let mut rows = SMatrix::<f64, 3, 7>::zeros();
-            rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_x);
-            rows.fixed_view_mut::<3, 3>(0, 3).copy_from(&Matrix3::identity());
-            rows.fixed_view_mut::<3, 1>(0, 6).copy_from(&(back * Vector3::z() * since_s));
-            gradient += rows.transpose() * r * weight;
-            normal += rows.transpose() * rows * weight;
-        }
-        let Some(step) = normal.cholesky().map(|c| c.solve(&gradient)) else { break };
-        x = exp(&step.fixed_rows::<3>(0).into_owned()) * x;
-        y *= exp(&step.fixed_rows::<3>(3).into_owned());
-        drift_rad_s += step[6];
-        if step.norm() < 1e-10 {
-            break;
-        }
-    }
-    (x, y, drift_rad_s, (residual / samples.len() as f64).sqrt())
+/// So many samples are half of a second difference.
+fn half(samples: &[BothSample]) -> usize {
+    let dt_s = (samples[samples.len() - 1].t_s - samples[0].t_s) / (samples.len() - 1) as f64;
+    ((HALF_S / dt_s).round() as usize).max(2)
+}
+
+/// The rotation that is nearest to `sum` (of `to from'`); `None` where there is none.
+fn rotation_of(sum: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
+    let svd = sum.svd(true, true);
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    // A mirror image is undone in the direction that says least.
+    let least = svd.singular_values.imin();
+    let mirrored = (u * v_t).determinant().signum();
+    let sign = Vector3::from_fn(|i, _| if i == least { mirrored } else { 1.0 });
+    Some(UnitQuaternion::from_matrix(&(u * Matrix3::from_diagonal(&sign) * v_t)))
 }
 
 fn about_z(angle_rad: f64) -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad)
 }
 
-fn middle_s(samples: &[BothSample]) -> f64 {
-    samples.first().zip(samples.last()).map_or(0.0, |(first, last)| 0.5 * (first.t_s + last.t_s))
+/// The turn about the vertical that makes the tilted transmitter's heading the IMU's, on average.
+fn north(samples: &[BothSample], tilt: &UnitQuaternion<f64>, y: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+    let turn = |sample: &BothSample| {
+        let q = sample.level_from_imu * (tilt * sample.transmitter_from_sensor.rotation * y).inverse();
+        let angle = 2.0 * q.k.atan2(q.w);
+        Vector3::new(angle.cos(), angle.sin(), 0.0)
+    };
+    let sum: Vector3<f64> = samples.iter().map(turn).sum();
+    about_z(sum.y.atan2(sum.x))
 }
 
 /// The turn about the vertical that brings the transmitter's x axis, or its y axis where that one stands upright, to where the
@@ -243,19 +214,13 @@ pub fn stand(anchors: &[AnchorPoint]) -> Result<(Isometry3<f64>, f64), AlignErro
     let to = anchors.iter().map(|a| a.room_m).sum::<Vector3<f64>>() / n;
     let sum: Matrix3<f64> =
         anchors.iter().map(|a| (a.room_m - to) * (a.transmitter_m - from).transpose()).sum();
-    let svd = sum.svd(true, true);
-    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Err(AlignError::Anchors) };
-    let mut values: Vec<f64> = svd.singular_values.iter().copied().collect();
+    let mut values: Vec<f64> = sum.singular_values().iter().copied().collect();
     values.sort_by(f64::total_cmp);
     // The second direction: a centimetre at least.
     if anchors.len() < 3 || values[1].is_nan() || values[1] < 1e-4 * n {
         return Err(AlignError::Anchors);
     }
-    // A mirror image is undone in the direction that says least.
-    let least = svd.singular_values.imin();
-    let mirrored = (u * v_t).determinant().signum();
-    let sign = Vector3::from_fn(|i, _| if i == least { mirrored } else { 1.0 });
-    let rotation = UnitQuaternion::from_matrix(&(u * Matrix3::from_diagonal(&sign) * v_t));
+    let rotation = rotation_of(&sum).ok_or(AlignError::Anchors)?;
     let room = Isometry3::from_parts(Translation3::from(to - rotation * from), rotation);
     Ok((room, left_m(anchors, &room)))
 }
@@ -267,32 +232,43 @@ fn left_m(anchors: &[AnchorPoint], room: &Isometry3<f64>) -> f64 {
     (anchors.iter().map(off).sum::<f64>() / anchors.len() as f64).sqrt()
 }
 
-/// Lever and accelerometer bias, linear in the second differences of the IMU's position.
-fn lever(
-    samples: &[BothSample],
-    x: &UnitQuaternion<f64>,
-) -> Result<(Vector3<f64>, Vector3<f64>, f64), AlignError> {
-    let dt_s = (samples[samples.len() - 1].t_s - samples[0].t_s) / (samples.len() - 1) as f64;
-    let half = ((HALF_S / dt_s).round() as usize).max(2);
-    let rotation =
-        |k: usize| (x * samples[k].transmitter_from_sensor.rotation).to_rotation_matrix().into_inner();
-    let place = |k: usize| x * samples[k].transmitter_from_sensor.translation.vector;
-    let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
+/// What the forces show, transmitter's axes.
+struct Forces {
+    gravity_m_s2: Vector3<f64>,
+    /// From the magnetic sensor to the IMU, magnetic sensor's axes.
+    lever_m: Vector3<f64>,
+    /// IMU axes.
+    accel_bias_m_s2: Vector3<f64>,
+    residual_m: f64,
+}
+
+/// Gravity, lever and accelerometer bias, linear in the second differences of the IMU's position.
+fn forces(samples: &[BothSample], y: &UnitQuaternion<f64>) -> Result<Forces, AlignError> {
+    type Normal = SMatrix<f64, 9, 9>;
+    let half = half(samples);
+    let dt_s = HALF_S / half as f64;
+    let turn =
+        |sample: &BothSample| sample.transmitter_from_sensor.rotation.to_rotation_matrix().into_inner();
+    let place = |k: usize| samples[k].transmitter_from_sensor.translation.vector;
+    let y = y.to_rotation_matrix().into_inner();
+    let (mut normal, mut right) = (Normal::zeros(), SVector::<f64, 9>::zeros());
     let mut rows_of = Vec::new();
     for k in (half..samples.len() - half).step_by((half / 4).max(1)) {
-        let mut force = Vector3::zeros();
-        let mut turned = Matrix3::zeros();
+        let (mut force, mut turned, mut time_s2) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
         for (j, sample) in samples.iter().enumerate().take(k + half).skip(k - half + 1) {
             let weight = (half - j.abs_diff(k)) as f64 * dt_s * dt_s;
-            let a = sample.level_from_imu;
-            force += (a * sample.force_m_s2 - Vector3::z() * GRAVITY_M_S2) * weight;
-            turned += a.to_rotation_matrix().into_inner() * weight;
+            let axes = turn(sample) * y;
+            force += axes * sample.force_m_s2 * weight;
+            turned += axes * weight;
+            time_s2 += weight;
         }
+        // bend + (second difference of M) lever = force - turned bias - time gravity
         let bend = place(k + half) - place(k) * 2.0 + place(k - half);
-        let by_lever = rotation(k + half) - rotation(k) * 2.0 + rotation(k - half);
-        let mut rows = SMatrix::<f64, 3, 6>::zeros();
+        let by_lever = turn(&samples[k + half]) - turn(&samples[k]) * 2.0 + turn(&samples[k - half]);
+        let mut rows = SMatrix::<f64, 3, 9>::zeros();
         rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_lever);
         rows.fixed_view_mut::<3, 3>(0, 3).copy_from(&turned);
+        rows.fixed_view_mut::<3, 3>(0, 6).copy_from(&(Matrix3::identity() * time_s2));
         let value = force - bend;
         normal += rows.transpose() * rows;
         right += rows.transpose() * value;
@@ -305,8 +281,13 @@ fn lever(
     }
     let found = normal.cholesky().map(|c| c.solve(&right)).ok_or(AlignError::Still)?;
     let squares: f64 = rows_of.iter().map(|(rows, value)| (rows * found - value).norm_squared()).sum();
-    let residual_m = (squares / rows_of.len() as f64).sqrt();
-    Ok((found.fixed_rows::<3>(0).into(), found.fixed_rows::<3>(3).into(), residual_m))
+    let part = |at: usize| Vector3::new(found[at], found[at + 1], found[at + 2]);
+    Ok(Forces {
+        lever_m: part(0),
+        accel_bias_m_s2: part(3),
+        gravity_m_s2: part(6),
+        residual_m: (squares / rows_of.len() as f64).sqrt(),
+    })
 }
 
 /// Turn about the vertical (where the heading is not known) and place from anchors; the tilt stays gravity's.

@@ -7,7 +7,7 @@
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use super::super::ahrs::{Ahrs, ImuSample, Params};
-use super::{AlignError, Alignment, AnchorPoint, BothSample, about_z, align, refine, rotations};
+use super::{AlignError, Alignment, AnchorPoint, BothSample, MIN_SAMPLES, about_z, align, fastened};
 
 /// Step of the common times, s.
 const STEP_S: f64 = 0.01;
@@ -17,8 +17,6 @@ const GAP_S: f64 = 0.06;
 const LARGEST_OFFSET_S: f64 = 0.1;
 const COARSE_S: f64 = 0.01;
 const FINE_S: f64 = 5e-5;
-/// Every so-manieth sample does for the clocks.
-const SPARSE: usize = 4;
 /// Share of the time in which the field must be believed for its heading to count.
 const BELIEVED: f64 = 0.8;
 
@@ -53,9 +51,11 @@ pub fn align_recording(
 ) -> Result<Found, AlignError> {
     let (oriented, heading) = oriented(&recording.imu, magnetometer);
     let misfit = |offset_s: f64| -> Result<f64, AlignError> {
-        let samples: Vec<_> = both(recording, &oriented, offset_s).into_iter().step_by(SPARSE).collect();
-        let (x, y) = rotations(&samples)?;
-        Ok(refine(&samples, x, y).3)
+        let samples = both(recording, &oriented, offset_s);
+        if samples.len() < MIN_SAMPLES {
+            return Err(AlignError::TooShort { found: samples.len(), needed: MIN_SAMPLES });
+        }
+        Ok(fastened(&samples)?.1)
     };
     let mut best = (f64::INFINITY, 0.0);
     let steps = (LARGEST_OFFSET_S / COARSE_S) as i32;

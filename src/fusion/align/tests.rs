@@ -1,4 +1,6 @@
 use super::*;
+use crate::fusion::limb::GRAVITY_M_S2;
+use crate::geometry::so3::exp;
 
 type V = Vector3<f64>;
 
