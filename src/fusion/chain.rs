@@ -1,8 +1,8 @@
 //! A custom skeleton of hinges, solved without magnetometers and with the mounting found from the movement.
 //!
 //! In: the segments with their parents, and a recording of one IMU per segment. Out: per epoch the orientation of
-//! every segment and the angle of every hinge. Offline: the axes, the headings and the tilt are found
-//! from the whole movement.
+//! every segment and the angle of every hinge. Offline in one respect only: the axes are found from the whole movement
+//! first; the filters then run forward and never look ahead.
 //!
 //! Zero is the posture in which the recording begins (its first quarter of a second) and bending from there is positive; in that
 //! posture all segment frames are parallel, x and z of the root level and z as near to its first hinge's axis as that allows.
@@ -127,47 +127,25 @@ fn steps_s(epochs: &[Epoch]) -> Vec<f64> {
     std::iter::once(nominal_s).take(epochs.len()).chain(rest).collect()
 }
 
-/// One sensor's orientations in its level frame: tilt from all of the recording, heading from the gyro alone.
-///
-/// The filter runs over the recording forward and, with all rates turned round, backward; what each knows of the vertical at a
-/// time comes from other samples, and their mean is better than either. Both run twice: the second time they begin with the gyro bias
+/// One sensor's orientations in its level frame, twice over the recording: the second run begins with the gyro bias
 /// and the tilt that the first one found.
 fn level_orientations(epochs: &[Epoch], steps_s: &[f64], index: usize) -> Vec<UnitQuaternion<f64>> {
-    let samples = epochs.iter().zip(steps_s).map(|(epoch, dt_s)| (epoch.samples[index], *dt_s));
-    let forward = twice(samples.clone());
-    // Backward a sample leads to the one before it: its rate, turned round, over the step behind it.
-    let back = samples.rev().map(|(sample, dt_s)| {
-        (sample.map(|sample| ImuSample { gyro_rad_s: -sample.gyro_rad_s, ..sample }), dt_s)
-    });
-    let mut backward = twice(back);
-    backward.reverse();
-    // What the backward filter says at a sample holds before that sample's step: it is the forward one's of the epoch before.
-    backward.rotate_left(1);
-    if let (Some(last), Some(end)) = (backward.last_mut(), forward.last()) {
-        *last = *end;
-    }
-    let mean = |(f, b): (UnitQuaternion<f64>, UnitQuaternion<f64>)| {
-        let up = f.inverse() * Vector3::z() + b.inverse() * Vector3::z();
-        let level = UnitQuaternion::rotation_between(&(f * up), &Vector3::z());
-        level.map_or(f, |level| level * f)
-    };
-    forward.into_iter().zip(backward).map(mean).collect()
-}
-
-/// The second of two runs.
-fn twice(samples: impl Iterator<Item = (Option<ImuSample>, f64)> + Clone) -> Vec<UnitQuaternion<f64>> {
     // The delay of the sensors' low-pass is not known here, and between equal sensors it cancels.
-    let mut filter = Ahrs::new(Params { gyro_delay_s: 0.0, ..Params::default() });
-    let push = |filter: &mut Ahrs, (sample, dt_s): (Option<ImuSample>, f64)| {
-        match sample {
-            Some(sample) => _ = filter.push(&ImuSample { mag: None, ..sample }, dt_s),
-            None => filter.coast(dt_s),
-        }
-        filter.orientation_6d()
+    let params = Params { gyro_delay_s: 0.0, ..Params::default() };
+    let mut filter = Ahrs::new(params);
+    let run = |filter: &mut Ahrs| -> Vec<UnitQuaternion<f64>> {
+        let push = |(epoch, dt_s): (&Epoch, &f64)| {
+            match epoch.samples[index] {
+                Some(sample) => _ = filter.push(&ImuSample { mag: None, ..sample }, *dt_s),
+                None => filter.coast(*dt_s),
+            }
+            filter.orientation_6d()
+        };
+        epochs.iter().zip(steps_s).map(push).collect()
     };
-    samples.clone().for_each(|sample| _ = push(&mut filter, sample));
+    run(&mut filter);
     filter.restart();
-    samples.map(|sample| push(&mut filter, sample)).collect()
+    run(&mut filter)
 }
 
 /// Angle and heading over time of one hinge.

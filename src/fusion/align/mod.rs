@@ -108,7 +108,7 @@ pub fn align(
     if samples.len() < MIN_SAMPLES {
         return Err(AlignError::TooShort { found: samples.len(), needed: MIN_SAMPLES });
     }
-    let (y, residual_rad) = fastened(samples)?;
+    let (y, residual_rad) = fastened(samples, 1)?;
     let Forces { gravity_m_s2, lever_m, accel_bias_m_s2, residual_m } = forces(samples, &y)?;
     let tilt = UnitQuaternion::rotation_between(&gravity_m_s2, &Vector3::z())
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
@@ -130,11 +130,12 @@ pub fn align(
     })
 }
 
-/// Y, and the root mean square of what it leaves of the turns, rad.
-fn fastened(samples: &[BothSample]) -> Result<(UnitQuaternion<f64>, f64), AlignError> {
+/// Y, and the root mean square of what it leaves of the turns, rad; from every `step`-th of them.
+fn fastened(samples: &[BothSample], step: usize) -> Result<(UnitQuaternion<f64>, f64), AlignError> {
     let half = half(samples);
     let turns: Vec<[Vector3<f64>; 2]> = samples
         .windows(half + 1)
+        .step_by(step)
         .map(|part| {
             let (a, b) = (&part[0], &part[half]);
             let sensor = a.transmitter_from_sensor.rotation.inverse() * b.transmitter_from_sensor.rotation;

