@@ -118,6 +118,19 @@ pub struct SensorEstimate {
     pub fault: Option<SensorLabel>,
     /// No record of this frame is in the pose: the IMU that is fastened to the sensor carries it on.
     pub carried: bool,
+    /// The statistic of key poses; absent where they are not looked for, or not yet.
+    pub change: Option<Change>,
+}
+
+/// The statistic of key poses of a sensor at an earlier frame: it needs the frames around it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Change {
+    /// Capture time of the frame that it speaks of.
+    pub t_valid: Timestamp,
+    /// How clear a change of motion there would be: without unit, comparable between sensors.
+    pub score: f64,
+    /// What a peak must exceed to be a key pose.
+    pub threshold: f64,
 }
 
 /// What the map of faults says of a frame.

@@ -1,10 +1,11 @@
 //! How well the field is calibrated, and what it costs: `cargo bench --bench field`.
 //!
-//! `-- --seeds 5` sets the number of seeds of the table of scenes; `-- --map` compares the map alone instead, and with
+//! `-- --seeds 5` sets the number of seeds of the table of scenes, `--scene NAME` asks for one of them; `-- --map` compares the map alone instead, and with
 //! `--export DIR` writes the readings and targets that `benches/peers/field` gives to other libraries; `-- --body` solves
 //! sessions of simulated people.
 
 mod body;
+mod cpu;
 mod map;
 mod scenes;
 mod session;
@@ -19,7 +20,7 @@ fn main() {
     if arguments.iter().any(|argument| argument == "--body") {
         body::run();
     } else if arguments.iter().any(|argument| argument == "--map") {
-        map::run(after("--export").as_deref().map(std::path::Path::new));
+        map::run(after("--export").as_deref().map(std::path::Path::new), after("--scene").as_deref());
     } else {
         let seeds = after("--seeds").and_then(|text| text.parse().ok()).unwrap_or(5);
         table::run(seeds, after("--scene").as_deref());

@@ -106,5 +106,12 @@ fn sensor(phase: f64) -> SensorEstimate {
         covariance: [1e-7; 21],
         sigma_m: Some(0.001 + 0.0005 * s),
     };
-    SensorEstimate { state: SensorState::Ok, pose: Some(pose), measured: None, fault: None, carried: false }
+    SensorEstimate {
+        state: SensorState::Ok,
+        pose: Some(pose),
+        measured: None,
+        fault: None,
+        change: None,
+        carried: false,
+    }
 }

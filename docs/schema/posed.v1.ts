@@ -48,6 +48,14 @@ export type Call = {
   name: string;
   type: "replay.open";
 } | {
+  /** Up to six channels; absent: only their names are answered. */
+  columns?: string[];
+  /** The reply carries it. */
+  id: RequestId;
+  /** A name that `replay.list` gave. */
+  name: string;
+  type: "replay.track";
+} | {
   /** The reply carries it. */
   id: RequestId;
   /** Seconds since the recording's epoch. */
@@ -169,6 +177,16 @@ export type Call = {
 
 /** What tells of a disturbance. */
 export type Cause = "witness" | "rigid_pair" | "hum";
+
+/** The statistic of key poses: it speaks of an earlier frame, since it needs the frames around it. */
+export type Change = {
+  /** How clear a change of motion there would be: without unit, comparable between sensors. */
+  score: number;
+  /** Capture time of the frame that it speaks of, s. */
+  t_s: number;
+  /** What a peak must exceed to be a key pose. */
+  threshold: number;
+};
 
 /** Everything a client can send. */
 export type ClientMessage = Feed | Call;
@@ -412,7 +430,7 @@ export type Feed = {
 };
 
 /** Something that a `sensors` entry can say; name and state are always said. */
-export type Field = "name" | "state" | "device" | "position_m" | "orientation_wxyz" | "sigma_m" | "measured" | "covariance" | "velocity" | "quality" | "fault";
+export type Field = "name" | "state" | "device" | "position_m" | "orientation_wxyz" | "sigma_m" | "measured" | "covariance" | "velocity" | "quality" | "fault" | "change";
 
 /** What every data message starts with, and its body. */
 export type FieldEventMessage = ({
@@ -893,6 +911,8 @@ export type SegmentState = "ok" | "inferred" | "suspect" | "missing";
 export type SensorEntry = {
   /** Angular velocity in sensor axes, rad/s. */
   angular_velocity_rad_s?: [number, number, number] | null;
+  /** The statistic of key poses; absent where they are not looked for, or not of this sensor. */
+  change?: Change | null;
   /** Covariance of (position in room, m; rotation error in sensor axes, rad): the 21 numbers of the upper triangle of the 6 x 6 matrix, row by row. */
   covariance?: number[] | null;
   /** Its device's name. */

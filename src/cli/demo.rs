@@ -1,7 +1,7 @@
 //! `posed demo`: a simulated stage, the daemon and the page in one process.
 //!
 //! The devices are virtual, everything else is what `posed run` does: the driver opens a pseudo-terminal and talks to
-//! a unit that does not know it is not one.
+//! a unit that does not know it is not one. The map of faults is learnt at the start, from a rehearsal.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
@@ -17,7 +17,7 @@ use posed_simulator::stage::{Event, Output};
 use posed_simulator::truth::TruthCycle;
 
 use super::run::runtime;
-use super::{Error, simulation, watch};
+use super::{Error, rehearsal, simulation, watch};
 
 /// The stage that is built in.
 const STAGE: &str = include_str!("../../config/demo.toml");
@@ -45,7 +45,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         .prefix("posed-")
         .tempdir()
         .map_err(|error| Error::Failed(format!("cannot make a folder for the ports: {error}")))?;
-    let (stage, text, folder) = match &args.stage {
+    let (mut stage, text, folder) = match &args.stage {
         Some(path) => {
             let text = std::fs::read_to_string(path).map_err(|error| Error::file("read", path, &error))?;
             let folder = path.parent().unwrap_or(Path::new("")).to_owned();
@@ -63,6 +63,14 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     };
     let duration_s = simulation::scenario(&stage)?.duration_s;
     let devices = simulation::virtual_stage(&stage, &folder)?;
+    if args.stage.is_none()
+        && let Some(network) = rehearsal::learn_faults(&stage, &folder)?
+    {
+        let path = ports.path().join("faults.json");
+        let text = serde_json::to_vec(&network).map_err(Error::failed)?;
+        std::fs::write(&path, text).map_err(|error| Error::file("write", &path, &error))?;
+        stage.models.faults = Some(path);
+    }
     let mut options = Options::new(stage, text, folder);
     options.listen = args.listen;
     options.record = args.record;

@@ -328,8 +328,7 @@ struct Studied {
 
 fn study(args: &StudyArgs) -> Result<(), Error> {
     let frames = read(&args.poses)?;
-    let rules = posed::faults::som::rules::Rules::learn(&frames);
-    let labels = posed::faults::som::label_all(&rules, &frames);
+    let (_, labels) = posed::faults::som::rules::Rules::learn(&frames);
     let classes: Vec<Class> = labels.frames.iter().map(|label| label.0).collect();
     let bar = ProgressBar::new((STUDIED_NEURONS.len() * STUDIED_SIDES.len()) as u64);
     if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} sizes, {eta} left") {

@@ -30,14 +30,17 @@ mod field;
 mod imu;
 mod info;
 mod keyframes;
+mod man;
 mod orient;
 mod output;
 mod progress;
+mod rehearsal;
 mod replay;
 mod replay_pty;
 mod run;
 mod schema;
 mod segments;
+mod service;
 mod simulate;
 mod simulation;
 mod watch;
@@ -100,6 +103,8 @@ enum Command {
     Field(field::Args),
     /// Writes the completion script of a shell.
     Completions(completions::Args),
+    /// Writes the manual pages.
+    Man(man::Args),
     /// Prints the JSON Schema of all websocket messages.
     Schema(schema::Args),
 }
@@ -125,6 +130,7 @@ impl Command {
             Self::Body(args) => body::run(args),
             Self::Field(args) => field::run(args),
             Self::Completions(args) => completions::run(args),
+            Self::Man(args) => man::run(args),
             Self::Schema(args) => schema::run(args),
         }
     }
@@ -180,12 +186,16 @@ fn start_log(filter: &str) -> Result<(), Error> {
     let filter = tracing_subscriber::EnvFilter::try_new(filter).map_err(|error| {
         Error::Usage(format!("--log {filter}: {error}; give a level such as `info` or `warn,posed=debug`"))
     })?;
-    tracing_subscriber::fmt()
+    let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(io::stderr)
         .with_ansi(io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none())
-        .with_target(false)
-        .init();
+        .with_target(false);
+    // The journal has the time already.
+    match std::env::var_os("JOURNAL_STREAM") {
+        Some(_) => log.without_time().init(),
+        None => log.init(),
+    }
     Ok(())
 }
 

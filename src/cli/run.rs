@@ -20,6 +20,10 @@ pub(crate) struct Args {
     /// Address for the page and the websocket, in place of the stage's; anything but loopback needs a token in the stage.
     #[arg(long, value_name = "HOST:PORT")]
     listen: Option<String>,
+    /// Where recordings, maps of the field and of faults, and taught exercises are kept unless the stage file says otherwise;
+    /// absent: beside the stage file.
+    #[arg(long, value_name = "FOLDER")]
+    data: Option<PathBuf>,
     /// Another port for a device than the stage file says; may be given for several.
     #[arg(long = "port", value_name = "DEVICE=PORT", value_parser = port)]
     ports: Vec<(String, String)>,
@@ -42,7 +46,9 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         }
     }
     let folder = args.stage.parent().unwrap_or(Path::new("")).to_owned();
-    let options = Options { listen: args.listen, record: args.record, ..Options::new(stage, text, folder) };
+    let data = args.data.unwrap_or_else(|| folder.clone());
+    let options =
+        Options { listen: args.listen, record: args.record, data, ..Options::new(stage, text, folder) };
     runtime()?.block_on(async {
         let daemon = Daemon::start(options).map_err(Error::failed)?;
         watch::announce(daemon.vrpn_address())?;

@@ -9,6 +9,7 @@ use posed::protocol::{LinkState, Status};
 use tokio::sync::watch;
 
 use super::end::End;
+use super::service::Manager;
 use super::{Error, print};
 
 /// Prints the address, then keeps a status line up to date until the end. The line goes to stderr, and only where
@@ -21,20 +22,24 @@ pub(crate) async fn until_end(
     let mut end = End::new(duration_s)?;
     print(&format!("posed is running: open {url} (Ctrl-C ends it)\n"))?;
     let line = io::stderr().is_terminal().then(spinner).transpose()?;
+    let mut manager = Manager::ready();
     loop {
         tokio::select! {
             () = end.wait() => break,
-            changed = status.changed(), if line.is_some() => {
+            changed = status.changed() => {
                 if changed.is_err() {
                     // The daemon's thread is gone: there is nothing left to watch.
                     break;
                 }
+                let status = status.borrow_and_update();
+                manager.alive(|| in_words(&status));
                 if let Some(line) = &line {
-                    line.set_message(in_words(&status.borrow_and_update()));
+                    line.set_message(in_words(&status));
                 }
             }
         }
     }
+    manager.stopping();
     if let Some(line) = line {
         line.finish_and_clear();
     }

@@ -26,6 +26,7 @@ mod recent;
 pub mod recorder;
 pub mod server;
 mod service;
+mod track;
 mod waved;
 mod worn;
 
@@ -71,6 +72,8 @@ pub struct Options {
     pub stage_toml: String,
     /// Folder that relative paths of the stage file start from.
     pub folder: PathBuf,
+    /// Where recordings, maps and exercises are kept unless the stage file says otherwise.
+    pub data: PathBuf,
     /// `HOST:PORT` instead of the stage file's.
     pub listen: Option<String>,
     /// Record into this file from the start.
@@ -82,11 +85,12 @@ pub struct Options {
 }
 
 impl Options {
-    /// For a stage in `folder`, with everything else as the stage file says.
+    /// For a stage in `folder`, which also takes what is kept, with everything else as the stage file says.
     pub fn new(stage: Stage, stage_toml: String, folder: PathBuf) -> Self {
         Self {
             stage,
             stage_toml,
+            data: folder.clone(),
             folder,
             listen: None,
             record: None,
@@ -150,7 +154,7 @@ impl Daemon {
     /// # Errors
     /// As for [`Daemon::start`].
     pub fn start_without_ports(options: Options) -> Result<Self, StartError> {
-        let Options { stage, stage_toml, folder, listen, record, truth, clock } = options;
+        let Options { stage, stage_toml, folder, data, listen, record, truth, clock } = options;
         limits::raise();
         let models = models::load(&stage).map_err(StartError::Model)?;
         let mut config = server::Config::new(&folder, clock.epoch_utc_ns());
@@ -172,7 +176,7 @@ impl Daemon {
             let device = device as u16;
             ports.push(Some(PortTask { device, clock, inbox, commands: receiver, shutdown }));
         }
-        let calibration = Calibration::new(&stage, &folder, clock, inbox.clone(), jobs.clone());
+        let calibration = Calibration::new(&stage, &data, clock, inbox.clone(), jobs.clone());
         calibration.begin().map_err(StartError::Model)?;
         if let Some(segments) = &stage.segments {
             // First of all entries: every recording of this run holds it, and every replay begins with it.
@@ -214,7 +218,7 @@ impl Daemon {
             .spawn(move || fusion.run())
             .map_err(StartError::Thread)?;
 
-        let calls = Calls::new(&stage, folder, clock, inbox.clone(), jobs, calibration);
+        let calls = Calls::new(&stage, data, clock, inbox.clone(), jobs, calibration);
         service.spawn(calls.run(pending, service.down()));
         Ok(Self { clock, service, inbox, status, ports, fusion })
     }

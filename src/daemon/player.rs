@@ -16,6 +16,7 @@ use super::clock::StageClock;
 use super::health::Health;
 use super::jobs::{Job, Jobs};
 use super::server::{Hub, PendingCall};
+use super::track;
 use crate::input::Entry;
 use crate::pipeline::Pipeline;
 use crate::protocol::{Call, ReplayStatus, Status};
@@ -121,6 +122,9 @@ impl Player {
             let wake = due.map_or(next_status, |due| due.min(next_status));
             let wait = Duration::try_from_secs_f64(wake.seconds_since(now)).unwrap_or_default();
             match self.commands.recv_timeout(wait) {
+                Ok(Command::Call(PendingCall { call: Call::ReplayTrack { name, columns }, reply })) => {
+                    track::answer(&self.folder, &name, columns, reply);
+                }
                 Ok(Command::Call(PendingCall { call, reply })) => {
                     match self.carry_out(call) {
                         Ok(result) => reply.ok(result),
@@ -191,6 +195,8 @@ impl Player {
                 self.playing.set_speed(speed, self.clock.now());
                 Ok(None)
             }
+            // Not for this thread: it is answered when the recording is read.
+            Call::ReplayTrack { .. } => Err(("replay", "tracks are read aside".into())),
             Call::RecordStart { .. }
             | Call::RecordStop {}
             | Call::ModelLoad { .. }

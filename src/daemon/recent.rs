@@ -108,6 +108,7 @@ mod tests {
             measured: None,
             fault: None,
             carried: false,
+            change: None,
         };
         let t_valid = Timestamp::from_secs_f64(t_s);
         Estimate { t_valid, sensors: vec![SensorEstimate::default(), good], ..Estimate::default() }

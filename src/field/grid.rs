@@ -4,6 +4,14 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::patch::Patch;
+
+/// Cells without a patch: where the spline is good, and where nothing smooth is.
+const SPLINE: u16 = u16::MAX;
+const TORN: u16 = u16::MAX - 1;
+/// Where a patch is compared in its cell.
+const TRIED: [[f64; 3]; 5] =
+    [[0.4, 0.6, 0.35], [0.1, 0.1, 0.9], [0.9, 0.1, 0.1], [0.1, 0.9, 0.1], [0.9, 0.9, 0.9]];
 /// Most nodes of a grid: a larger stage gets a coarser one.
 const MOST_NODES: f64 = 150_000.0;
 
@@ -57,8 +65,9 @@ pub(crate) struct Grid {
     shape: Shape,
     values: Vec<[f32; 4]>,
     spline: Vec<[f32; 4]>,
-    /// Cells in which the spline is no good, by their lowest node; empty where nobody asked.
-    rough: Vec<bool>,
+    /// What to ask in the cell above each node: [`SPLINE`], [`TORN`] or a patch; empty where nobody compared.
+    details: Vec<u16>,
+    patches: Vec<Patch>,
 }
 
 impl Grid {
@@ -74,36 +83,65 @@ impl Grid {
             .map(|index| at(index, &shape.place(index)).map(|x| x as f32))
             .collect();
         let spline = coefficients(&shape, &values);
-        Self { shape, values, spline, rough: Vec::new() }
+        Self { shape, values, spline, details: Vec::new(), patches: Vec::new() }
     }
 
-    /// Compares the spline with what it stands for at the middle of each cell, and remembers the cells where its first
-    /// three numbers are off by more than the `tolerance` there. `exact` answers where it can be compared.
-    pub(crate) fn mark_rough(
+    /// Compares the spline with what it stands for in each cell. A cell in which its first three numbers are
+    /// off by more than the `tolerance` (where there is one) gets a patch; one in which a patch is too, is remembered as torn.
+    pub(crate) fn refine(
         &mut self,
-        tolerance: impl Fn(&Vector3<f64>) -> f64 + Sync,
-        exact: impl Fn(&Vector3<f64>, f64) -> Option<Vector3<f64>> + Sync,
+        tolerance: impl Fn(&Vector3<f64>) -> Option<f64> + Sync,
+        exact: impl Fn(&Vector3<f64>) -> [f64; 4] + Sync,
     ) {
-        let half = Vector3::repeat(0.5 * self.shape.step_m);
+        let step = self.shape.step_m;
         let this = &*self;
-        let rough = (0..this.shape.len())
+        let refined: Vec<Option<Option<Patch>>> = (0..this.shape.len())
             .into_par_iter()
             .map(|index| {
-                let place = this.shape.place(index) + half;
-                let [x, y, z, other] = this.cubic(&place);
-                exact(&place, other)
-                    .is_some_and(|exact| (exact - Vector3::new(x, y, z)).norm() > tolerance(&place))
+                let low = this.shape.place(index);
+                let within = |place: [f64; 3]| low + Vector3::from(place) * step;
+                let middle = within([0.5; 3]);
+                let tolerance = tolerance(&middle)?;
+                let off = |place: &Vector3<f64>| far(&this.cubic(place), &exact(place));
+                // Where the middle is nearly too bad, other places may be.
+                let first = off(&middle);
+                let smooth = first < 0.25 * tolerance
+                    || first <= tolerance && TRIED.into_iter().all(|place| off(&within(place)) <= tolerance);
+                if smooth {
+                    return None;
+                }
+                let patch = Patch::new(|place| exact(&within(place)));
+                let holds = |place: [f64; 3]| {
+                    let found = patch.at(place.map(|x| x as f32)).map(f64::from);
+                    far(&found, &exact(&within(place))) <= tolerance
+                };
+                Some(TRIED.into_iter().all(holds).then_some(patch))
             })
             .collect();
-        self.rough = rough;
+        self.details = vec![SPLINE; refined.len()];
+        for (detail, refined) in self.details.iter_mut().zip(refined) {
+            match refined {
+                None => {}
+                Some(Some(patch)) if self.patches.len() < usize::from(TORN) => {
+                    *detail = self.patches.len() as u16;
+                    self.patches.push(patch);
+                }
+                Some(_) => *detail = TORN,
+            }
+        }
     }
 
-    /// Whether the spline is no good around `p`.
+    /// As [`Grid::cubic`], but from the patch where there is one; and whether that is right, which it is not where the
+    /// function is torn.
     #[inline]
-    pub(crate) fn is_rough(&self, p: &Vector3<f64>) -> bool {
-        let ([i, j, k], _) = self.cell(p, 1);
+    pub(crate) fn fine(&self, p: &Vector3<f64>) -> ([f64; 4], bool) {
+        let ([i, j, k], rest) = self.cell(p, 1);
         let [nx, ny, _] = self.shape.counts;
-        self.rough.get((k * ny + j) * nx + i).copied().unwrap_or(false)
+        let detail = self.details.get((k * ny + j) * nx + i).copied().unwrap_or(SPLINE);
+        match self.patches.get(usize::from(detail)) {
+            Some(patch) => (patch.at(rest).map(f64::from), true),
+            None => (self.cubic(p), detail != TORN),
+        }
     }
 
     /// A grid of one number.
@@ -111,7 +149,7 @@ impl Grid {
         let values = (0..shape.len())
             .map(|k| [0.0, 0.0, 0.0, numbers.get(k).copied().unwrap_or(0.0) as f32])
             .collect::<Vec<_>>();
-        Self { shape, values, spline: Vec::new(), rough: Vec::new() }
+        Self { shape, values, spline: Vec::new(), details: Vec::new(), patches: Vec::new() }
     }
 
     /// Node to the lower side along each axis, and how far beyond it, in steps.
@@ -185,6 +223,11 @@ impl Grid {
         }
         sum.map(f64::from)
     }
+}
+
+/// Distance of the first three numbers.
+fn far(a: &[f64; 4], b: &[f64; 4]) -> f64 {
+    Vector3::from_fn(|k, _| a[k] - b[k]).norm()
 }
 
 /// Weights of the uniform cubic B-spline.

@@ -73,7 +73,7 @@ pub fn refit_known(
 impl Model {
     /// The corrected position of a reading, m, without grid or alignment.
     pub fn correct(&self, reading_m: &Vector3<f64>) -> Vector3<f64> {
-        self.evaluator().correct(reading_m)
+        self.answer_in(self.metal().as_ref(), reading_m, None)
     }
 }
 

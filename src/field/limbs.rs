@@ -20,7 +20,7 @@ use super::orientation::by_metal;
 use super::pole::{PoleRun, median};
 use super::problem::Problem;
 use super::report::{Code, Reason, Report};
-use super::select::{Chosen, Selection};
+use super::select::{Candidate, Chosen, Selection, beats};
 use super::solve::{Solution, unbelievable, uncertainty};
 
 /// Held-out blocks: of this length, s, dealt out to this many folds.
@@ -120,66 +120,116 @@ pub fn solve_limbs(run: PoleRun, limbs: &Limbs, progress: &mut dyn FnMut(f64)) -
             format!("only {:.0} % of the volume was visited; move about in it", 100.0 * report.covered);
         report.reasons.push(Reason { code: Code::Coverage, text });
     }
+    // Where the joints lie makes up for part of what a model lacks, and a model is chosen for them: metal must find its own.
+    let smooth = follow(&looks, limbs, &noise, false, &mut |share| progress(0.45 * share));
+    let metal = follow(&looks, limbs, &noise, true, &mut |share| progress(0.45 + 0.45 * share));
+    let Some(followed) = better(smooth, metal, &noise) else {
+        return refuse(report, Code::Improvement, "the readings fit no body at all");
+    };
+    let Followed { chosen: Chosen { candidate, tried, polynomials }, problem, raw, gap_m } = followed;
+    let model = candidate.fit.model.clone();
+    let raw = raw.with_noise(&weighting(&noise, gap_m));
+    let before = fit(&raw, &Model::default(), 0);
+    let before = before.and_then(|fitted| fitted.held_out(&raw).map(|held| (fitted, held)));
+    let raw_score = before.as_ref().map_or(f64::NAN, |(_, held)| held.score());
+    report.raw_m = before.map_or(f64::NAN, |(fitted, _)| fitted.rms_m());
+    report.tried = tried;
+    report.model = model.describe();
+    report.residual_m = candidate.fit.rms_m();
+    report.heldout_m = candidate.held_out.rms_m;
+    report.noise_m = gap_m;
+    report.judge_improvement(candidate.held_out.score(), raw_score, "joints fit");
+    let absolute = model.is_metal_alone();
+    let uncertainty = uncertainty(&problem, &model, &candidate.held_out, &hull, &noise, absolute);
+    report.reasons.extend(unbelievable(&model, &hull, &points));
+    report.warnings.push(if absolute {
+        "from a body: absolute position rests on the model of the metal alone".into()
+    } else {
+        "from a body: positions are right up to a rigid motion only".into()
+    });
+    report.accepted = report.reasons.is_empty();
+    progress(1.0);
+    let map = FieldMap {
+        version: VERSION,
+        sensors: run.sensors,
+        spacing_m: 0.0,
+        model,
+        rotation: None,
+        noise,
+        alignment: Aligned::default(),
+        hull,
+        uncertainty,
+        report: report.clone(),
+    };
+    Solution { map: Some(map), report, polynomials, rejected: Vec::new() }
+}
+
+/// Where turns between joints and map have led.
+struct Followed {
+    chosen: Chosen,
+    problem: Problem,
+    /// The same joints as they lay before there was a map.
+    raw: Problem,
+    gap_m: f64,
+}
+
+fn weighting(noise: &FieldNoise, gap_m: f64) -> FieldNoise {
+    FieldNoise { floor_m: noise.floor_m.hypot(gap_m), ..*noise }
+}
+
+/// Fits joints and map in turns; the map of any kind, or of metal alone.
+fn follow(
+    looks: &[Look],
+    limbs: &Limbs,
+    noise: &FieldNoise,
+    metal_only: bool,
+    progress: &mut dyn FnMut(f64),
+) -> Option<Followed> {
     let mut gap_m = FIRST_GAP_M;
     let mut model = Model::default();
     let mut ways = vec![[Vector3::zeros(); 2]; limbs.joints.len()];
-    let mut chosen: Option<Chosen> = None;
     let mut raw: Option<Problem> = None;
     for turn in 0..=TURNS {
-        let corrected = correct(&looks, &model);
-        fit_ways(&looks, &corrected, limbs, gap_m, &mut ways);
-        gap_m = typical_gap(&looks, &corrected, &ways).clamp(LEAST_GAP_M, 4.0 * FIRST_GAP_M);
-        let weighting = FieldNoise { floor_m: noise.floor_m.hypot(gap_m), ..noise };
-        let problem = problem_of(&looks, &ways, &weighting);
-        raw.get_or_insert_with(|| problem.clone());
+        let corrected = correct(looks, &model);
+        fit_ways(looks, &corrected, limbs, gap_m, &mut ways);
+        gap_m = typical_gap(looks, &corrected, &ways).clamp(LEAST_GAP_M, 4.0 * FIRST_GAP_M);
+        let problem = problem_of(looks, &ways, &weighting(noise, gap_m));
+        let raw = raw.get_or_insert_with(|| problem.clone());
         if turn == TURNS || turn % CHOOSE_EVERY == 0 {
-            chosen = Selection::new(&problem).choose(&mut |_| {});
-            let Some(chosen) = &chosen else { break };
-            model = chosen.candidate.fit.model.clone();
+            let selection = Selection::new(&problem);
+            let selection = if metal_only { selection.metal_only() } else { selection };
+            let chosen = selection.choose(&mut |_| {})?;
+            if turn == TURNS {
+                let raw = raw.clone();
+                return Some(Followed { chosen, problem, raw, gap_m });
+            }
+            model = chosen.candidate.fit.model;
         } else if let Some(fitted) = fit(&problem, &model, 3) {
             model = fitted.model;
         }
-        progress(0.9 * (turn + 1) as f64 / (TURNS + 1) as f64);
-        if turn == TURNS
-            && let (Some(Chosen { candidate, tried, polynomials }), Some(raw)) = (chosen.take(), &raw)
-        {
-            let raw = raw.with_noise(&weighting);
-            let before = fit(&raw, &Model::default(), 0);
-            let before = before.and_then(|fitted| fitted.held_out(&raw).map(|held| (fitted, held)));
-            let raw_score = before.as_ref().map_or(f64::NAN, |(_, held)| held.score());
-            report.raw_m = before.map_or(f64::NAN, |(fitted, _)| fitted.rms_m());
-            report.tried = tried;
-            report.model = model.describe();
-            report.residual_m = candidate.fit.rms_m();
-            report.heldout_m = candidate.held_out.rms_m;
-            report.noise_m = gap_m;
-            report.judge_improvement(candidate.held_out.score(), raw_score, "joints fit");
-            let absolute = model.is_metal_alone();
-            let uncertainty = uncertainty(&problem, &model, &candidate.held_out, &hull, &noise, absolute);
-            report.reasons.extend(unbelievable(&model, &hull, &points));
-            report.warnings.push(if absolute {
-                "from a body: absolute position rests on the model of the metal alone".into()
-            } else {
-                "from a body: positions are right up to a rigid motion only".into()
-            });
-            report.accepted = report.reasons.is_empty();
-            progress(1.0);
-            let map = FieldMap {
-                version: VERSION,
-                sensors: run.sensors,
-                spacing_m: 0.0,
-                model,
-                rotation: None,
-                noise,
-                alignment: Aligned::default(),
-                hull,
-                uncertainty,
-                report: report.clone(),
-            };
-            return Solution { map: Some(map), report, polynomials, rejected: Vec::new() };
-        }
+        progress((turn + 1) as f64 / (TURNS + 1) as f64);
     }
-    refuse(report, Code::Improvement, "the readings fit no body at all")
+    None
+}
+
+/// The one of two whose held-out joints fit better, each with its own joints, all gaps worth the same.
+fn better(smooth: Option<Followed>, metal: Option<Followed>, noise: &FieldNoise) -> Option<Followed> {
+    let (smooth, metal) = match (smooth, metal) {
+        (Some(smooth), Some(metal)) => (smooth, metal),
+        (smooth, metal) => return smooth.or(metal),
+    };
+    let weighting = weighting(noise, smooth.gap_m.min(metal.gap_m));
+    let judge = |followed: &Followed| {
+        let problem = followed.problem.with_noise(&weighting);
+        let fit = fit(&problem, &followed.chosen.candidate.fit.model, 2)?;
+        let held_out = fit.held_out(&problem)?;
+        Some(Candidate { fit, held_out })
+    };
+    let metal_wins = match (judge(&smooth), judge(&metal)) {
+        (Some(smooth), Some(metal)) => !beats(&smooth, &metal),
+        (smooth, _) => smooth.is_none(),
+    };
+    Some(if metal_wins { metal } else { smooth })
 }
 
 /// All looks at joints, thinned out evenly.

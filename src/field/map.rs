@@ -23,7 +23,8 @@ pub const VERSION: u32 = 1;
 /// Nodes of the grid of corrections, m apart, and of the uncertainty.
 const STEP_M: f64 = 0.08;
 const COARSE_STEP_M: f64 = 0.25;
-/// Where the grid is off the model by more than this, beside metal, the model itself is asked: m, and share of the noise.
+/// Where the grid is off the model by more than this, beside metal, it gets patches, and where these are too the model
+/// itself is asked: m, and share of the noise.
 const ROUGH_M: f64 = 1e-4;
 const ROUGH_SHARE: f64 = 0.04;
 /// Outside the hull a model still holds for this, m, farther if it is of metal alone; then the correction fades to its
@@ -199,29 +200,38 @@ impl FieldMap {
         let physical = self.model.polynomial.is_none() && self.model.local.is_none();
         let keep_m = if physical { KEEP_METAL_M } else { KEEP_M };
         let shape = Shape::around(&self.hull.bounds_m(), keep_m + FADE_M + STEP_M, STEP_M);
-        let evaluator = self.model.evaluator();
-        let correction = |z: &Vector3<f64>| evaluator.correct(z) - z;
+        let metal = self.model.metal();
+        let correction = |z: &Vector3<f64>| self.model.answer_in(metal.as_ref(), z, None) - z;
         let mut positions = Grid::new(shape.clone(), |z| {
             let outside = self.hull.outside_m(z);
-            let mut change = correction(&self.hull.inward(z));
-            if outside < keep_m + FADE_M {
-                let share = ((outside - keep_m) / FADE_M).max(0.0);
-                let share = share * share * (3.0 - 2.0 * share);
-                change = change * share + correction(z) * (1.0 - share);
+            let share = ((outside - keep_m) / FADE_M).clamp(0.0, 1.0);
+            let share = share * share * (3.0 - 2.0 * share);
+            let mut change = Vector3::zeros();
+            if share > 0.0 {
+                change += correction(&self.hull.inward(z)) * share;
+            }
+            if share < 1.0 {
+                change += correction(z) * (1.0 - share);
             }
             [change.x, change.y, change.z, outside]
         });
-        let metal = self.model.metal();
         if metal.is_some() {
-            let tolerance = |z: &Vector3<f64>| ROUGH_M.max(ROUGH_SHARE * self.noise.mean_square_m2(z).sqrt());
-            positions.mark_rough(tolerance, |z, outside| (outside <= keep_m).then(|| correction(z)));
+            // Farther outside nobody asks for a tenth of a millimetre.
+            let tolerance = |z: &Vector3<f64>| {
+                let rough_m = ROUGH_M.max(ROUGH_SHARE * self.noise.mean_square_m2(z).sqrt());
+                (self.hull.outside_m(z) <= KEEP_M).then_some(rough_m)
+            };
+            positions.refine(tolerance, |z| {
+                let change = correction(z);
+                [change.x, change.y, change.z, self.hull.outside_m(z)]
+            });
         }
         let sigma = trust::sigma(self, &positions, &shape, metal.as_ref());
         let rotations = Grid::by_index(shape, |index, z| {
             let z_in = self.hull.inward(z);
             let mut turn = UnitQuaternion::identity();
             if let Some(metal) = &metal {
-                turn = by_metal(metal, &z_in, &evaluator.correct(&z_in));
+                turn = by_metal(metal, &z_in, &(z_in + correction(&z_in)));
             }
             if let Some(rotation) = &self.rotation {
                 turn = so3::exp(&rotation.at(&z_in)) * turn;
@@ -247,19 +257,23 @@ impl FieldMap {
 }
 
 impl Corrector {
-    /// The corrected position before the alignment.
-    pub(crate) fn unaligned(&self, z: &Vector3<f64>) -> Vector3<f64> {
-        let [x, y, w, outside] = self.positions.cubic(z);
-        if outside <= self.keep_m && self.positions.is_rough(z) {
-            return self.model.correct_in(self.metal.as_ref(), z);
+    /// The corrected position before the alignment, and how far outside the hull the reading is, m.
+    pub(crate) fn unaligned(&self, z: &Vector3<f64>) -> (Vector3<f64>, f64) {
+        let ([x, y, w, outside], sound) = self.positions.fine(z);
+        let p = z + Vector3::new(x, y, w);
+        if !sound {
+            return (self.model.answer_in(self.metal.as_ref(), z, Some(p)), outside);
         }
-        z + Vector3::new(x, y, w)
+        (p, outside)
+    }
+
+    fn align(&self, p: Vector3<f64>) -> Vector3<f64> {
+        if self.aligned { self.turn * p + Vector3::from(self.alignment.position_m) } else { p }
     }
 
     /// The corrected position alone.
     pub fn position(&self, z: &Vector3<f64>) -> Vector3<f64> {
-        let p = self.unaligned(z);
-        if self.aligned { self.turn * p + Vector3::from(self.alignment.position_m) } else { p }
+        self.align(self.unaligned(z).0)
     }
 
     /// What a sensor at `p` would read: the inverse of [`Corrector::position`], m.
@@ -273,14 +287,14 @@ impl Corrector {
         };
         let mut z = unaligned;
         for _ in 0..3 {
-            z -= self.unaligned(&z) - unaligned;
+            z -= self.unaligned(&z).0 - unaligned;
         }
         z
     }
 
     /// Corrects a position, and says how far to trust it.
     pub fn correct(&self, z: &Vector3<f64>) -> Corrected {
-        let outside = self.positions.cubic(z)[3];
+        let (unaligned, outside) = self.unaligned(z);
         let mut variance_m2 = self.rotations.trilinear(z)[3].powi(2);
         let noise_m2 = self.noise.mean_square_m2(z);
         let beyond = self.positions.beyond(z);
@@ -295,7 +309,7 @@ impl Corrector {
         let sigma_m = STATED * variance_m2.sqrt();
         let map_sigma_m = (variance_m2 - noise_m2).max(0.0).sqrt();
         let extrapolated = outside_m > 0.0 || sigma_m > LARGEST_SIGMA_M;
-        Corrected { position_m: self.position(z), sigma_m, map_sigma_m, extrapolated }
+        Corrected { position_m: self.align(unaligned), sigma_m, map_sigma_m, extrapolated }
     }
 
     /// The corrected orientation of a sensor that reads `z` and `orientation` (sensor to transmitter).

@@ -27,6 +27,7 @@ pub mod model;
 mod noise;
 mod orientation;
 mod outliers;
+mod patch;
 mod picture;
 mod pole;
 mod prepared;

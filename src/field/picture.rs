@@ -44,7 +44,7 @@ pub fn svg(map: &FieldMap) -> String {
                 if map.hull.outside_m(&z) > 0.0 {
                     continue;
                 }
-                let correction = corrector.unaligned(&z) - z;
+                let correction = corrector.unaligned(&z).0 - z;
                 let corrected = corrector.correct(&z);
                 cells.push(Cell {
                     right_m: z[right] - low[right],

@@ -164,10 +164,11 @@ impl Problem {
         Self { whiteners: self.z.iter().map(|z| noise.whitener(z)).collect(), ..self.clone() }
     }
 
-    /// Every `stride`th group.
+    /// One group of each `stride`, not always the same one of them: joints come in turns.
     pub(crate) fn thinned(&self, stride: usize) -> Self {
         let mut thin = Self::new(self.folds);
-        for group in self.groups.iter().step_by(stride.max(1)) {
+        for (index, chunk) in self.groups.chunks(stride.max(1)).enumerate() {
+            let group = &chunk[index % chunk.len()];
             let start = thin.z.len();
             thin.z.extend(&self.z[group.start..group.end]);
             thin.offsets.extend(&self.offsets[group.start..group.end]);
@@ -279,6 +280,7 @@ impl Problem {
         let evaluator = model.evaluator();
         let mut scratch = Scratch::default();
         for group in &self.groups {
+            scratch.shift = [Vector3::zeros(); 2];
             self.correct(&evaluator, group, &mut scratch);
             self.residual(group, &mut scratch);
             for column in group.kind.own()..5 {
@@ -381,8 +383,8 @@ type PoseBasis = SMatrix<f64, { 3 * MAX_SENSORS }, 5>;
 #[derive(Clone, Debug)]
 pub(crate) struct Scratch {
     pub(crate) y: [Vector3<f64>; MAX_SENSORS],
-    /// From both sensors to their joint, m.
-    shift: [Vector3<f64>; 2],
+    /// From both sensors to their joint, m; zero without one.
+    pub(crate) shift: [Vector3<f64>; 2],
     /// Reading minus pole, m.
     difference: [Vector3<f64>; MAX_SENSORS],
     /// Whiteners with the robust weights in them.

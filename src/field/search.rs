@@ -9,7 +9,9 @@ use rayon::prelude::*;
 use super::fit::{Fit, fit};
 use super::model::metal::{Metal, times};
 use super::model::{Kind, Model, Source};
+use super::orientation::turning;
 use super::problem::Problem;
+use crate::geometry::so3;
 
 /// Spacing of the candidates for objects, m, and how far outside the readings they may stand.
 const STEP_M: f64 = 0.3;
@@ -19,6 +21,10 @@ const NEAREST_M: f64 = 0.15;
 /// Strongest believable object, m^3: iron of 0.6 m; and plane.
 const STRONGEST_OBJECT_M3: f64 = 0.2;
 const STRONGEST_PLANE: f64 = 1.2;
+/// All candidates are asked about every so many-th row; so many of the best about all; so many starts are fitted out.
+const SIFTING: usize = 3;
+const PROMISING: usize = 200;
+const CONTENDERS: usize = 2;
 /// Image distances that are tried, m.
 const IMAGES_M: [f64; 8] = [0.4, 0.6, 0.9, 1.3, 1.8, 2.4, 3.2, 4.5];
 
@@ -37,9 +43,11 @@ struct Row {
 /// The model with one more source, fitted; the best of a few starts. `None` if none helps.
 pub(crate) fn add_source(problem: &Problem, model: &Model, passes: usize) -> Option<Fit> {
     let rows = see(problem, model);
-    let mut found: Vec<(f64, Source)> =
-        candidates(problem).into_par_iter().filter_map(|candidate| gain(&rows, candidate)).collect();
-    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let few: Vec<&Row> = rows.iter().step_by(SIFTING).collect();
+    let mut found = ranked(&few, candidates(problem));
+    found.truncate(PROMISING);
+    let rows: Vec<&Row> = rows.iter().collect();
+    let found = ranked(&rows, found.into_iter().map(|(_, source)| source).collect());
     let mut starts: Vec<Source> = Vec::new();
     for kind in [Kind::Plane, Kind::Object] {
         let most = if kind == Kind::Plane { 2 } else { 3 };
@@ -53,15 +61,28 @@ pub(crate) fn add_source(problem: &Problem, model: &Model, passes: usize) -> Opt
             }
         }
     }
-    let fits: Vec<Option<Fit>> = starts
-        .par_iter()
-        .map(|start| {
-            let mut model = model.clone();
-            model.sources.push(*start);
-            fit(problem, &model, passes).filter(|fit| believable(&fit.model))
-        })
-        .collect();
-    fits.into_iter().flatten().min_by(|a, b| a.total.cost.total_cmp(&b.total.cost))
+    let begun = starts.par_iter().map(|start| {
+        let mut model = model.clone();
+        model.sources.push(*start);
+        fit(problem, &model, passes.div_ceil(3))
+    });
+    let mut begun: Vec<Fit> = begun.collect::<Vec<_>>().into_iter().flatten().collect();
+    begun.sort_by(|a, b| a.total.cost.total_cmp(&b.total.cost));
+    begun.truncate(CONTENDERS);
+    let ended = begun.par_iter().map(|start| {
+        let rest = passes - passes.div_ceil(3);
+        fit(problem, &start.model, rest).filter(|fit| believable(&fit.model))
+    });
+    let ended: Vec<Option<Fit>> = ended.collect();
+    ended.into_iter().flatten().min_by(|a, b| a.total.cost.total_cmp(&b.total.cost))
+}
+
+/// Candidates by how much each would explain, the best first.
+fn ranked(rows: &[&Row], candidates: Vec<Source>) -> Vec<(f64, Source)> {
+    let mut found: Vec<(f64, Source)> =
+        candidates.into_par_iter().filter_map(|candidate| gain(rows, candidate)).collect();
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    found
 }
 
 /// Whether all sources are of a size that metal can have.
@@ -81,8 +102,15 @@ fn see(problem: &Problem, model: &Model) -> Vec<Row> {
     problem.each_residual(model, |start, count, scratch| {
         let seen: Option<Vec<Seen>> = (0..count)
             .map(|k| {
-                let place = metal.place(&problem.z[start + k])?;
-                Some(Seen { place: place.p, whitened: scratch.whitener[k] * place.by_field })
+                let z = &problem.z[start + k];
+                let place = metal.place(z)?;
+                let mut by_field = place.by_field;
+                // A source moves a joint by moving its sensor and by turning the way from there.
+                let way = scratch.shift.get(k).filter(|way| **way != Vector3::zeros());
+                if let Some(way) = way {
+                    by_field -= so3::hat(way) * turning(&metal, z, &place)?;
+                }
+                Some(Seen { place: place.p, whitened: scratch.whitener[k] * by_field })
             })
             .collect();
         if let Some(seen) = seen {
@@ -95,7 +123,7 @@ fn see(problem: &Problem, model: &Model) -> Vec<Row> {
 }
 
 /// How much of the squared residual a candidate of the best strength takes away.
-fn gain(rows: &[Row], candidate: Source) -> Option<(f64, Source)> {
+fn gain(rows: &[&Row], candidate: Source) -> Option<(f64, Source)> {
     let position = Vector3::from(candidate.position_m);
     let prepared = Unit::new(&candidate);
     let (mut cross, mut square) = (0.0_f64, 0.0_f64);

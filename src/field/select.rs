@@ -49,6 +49,7 @@ pub(crate) struct Selection<'a> {
     best: Option<Candidate>,
     tried: Vec<Tried>,
     polynomials: Vec<Model>,
+    metal_only: bool,
 }
 
 impl<'a> Selection<'a> {
@@ -64,7 +65,13 @@ impl<'a> Selection<'a> {
             best: None,
             tried: Vec::new(),
             polynomials: Vec::new(),
+            metal_only: false,
         }
+    }
+
+    /// Leaves out all that is not metal.
+    pub(crate) fn metal_only(self) -> Self {
+        Self { metal_only: true, ..self }
     }
 
     /// The chosen model, fitted to everything; `None` if not even the identity could be judged.
@@ -72,6 +79,20 @@ impl<'a> Selection<'a> {
         self.consider(&Model::default(), 0);
         let metal = self.metal(progress);
         progress(0.6);
+        if !self.metal_only {
+            self.smooth(metal, progress);
+        }
+        let best = self.best.take()?;
+        let model = best.fit.model.clone();
+        let fitted = fit(self.problem, &model, 4)?;
+        let held_out = fitted.held_out(self.problem)?;
+        progress(1.0);
+        let Self { tried, polynomials, .. } = self;
+        Some(Chosen { candidate: Candidate { fit: fitted, held_out }, tried, polynomials })
+    }
+
+    /// Polynomials, alone and beside the best of metal alone, and bumps beside the best of all.
+    fn smooth(&mut self, metal: Option<(f64, Model)>, progress: &mut dyn FnMut(f64)) {
         self.polynomials(metal.as_ref().map_or(f64::INFINITY, |(score, _)| *score));
         progress(0.75);
         if let Some((_, metal)) = metal {
@@ -84,13 +105,6 @@ impl<'a> Selection<'a> {
         if let Some(best) = self.best.as_ref().filter(|best| best.held_out.score() > 1.0) {
             self.local(&best.fit.model.clone());
         }
-        let best = self.best.take()?;
-        let model = best.fit.model.clone();
-        let fitted = fit(self.problem, &model, 4)?;
-        let held_out = fitted.held_out(self.problem)?;
-        progress(1.0);
-        let Self { tried, polynomials, .. } = self;
-        Some(Chosen { candidate: Candidate { fit: fitted, held_out }, tried, polynomials })
     }
 
     /// Polynomials of rising degree; the dear ones only where metal alone did not explain far more already.
@@ -168,7 +182,7 @@ impl<'a> Selection<'a> {
 
 /// Whether a candidate is better than the best so far: the simpler of two keeps its place unless the other one wins by
 /// more than one standard error of the differences between the blocks.
-fn beats(candidate: &Candidate, best: &Candidate) -> bool {
+pub(crate) fn beats(candidate: &Candidate, best: &Candidate) -> bool {
     let differences: Vec<f64> =
         candidate.held_out.scores.iter().zip(&best.held_out.scores).map(|(a, b)| a - b).collect();
     let n = differences.len() as f64;

@@ -91,9 +91,9 @@ fn undecided(map: &FieldMap, metal: &Metal, shape: &Shape) -> Vec<f64> {
             return None;
         }
         let z = metal.reading(&place);
-        let found = map.model.correct_in(Some(metal), &z);
+        let found = map.model.answer_in(Some(metal), &z, None);
         // A polynomial or bumps beside the metal have no reading of their own: what they add is no doubt.
-        let rest = found - metal.correct(&z).unwrap_or(z);
+        let rest = found - metal.find(&z, None).unwrap_or(z);
         Some((z, (found - rest - place).norm_squared()))
     };
     let mut sums = vec![Sheets::default(); shape.len()];
@@ -111,7 +111,7 @@ fn undecided(map: &FieldMap, metal: &Metal, shape: &Shape) -> Vec<f64> {
         .map(|(index, sheets)| {
             let z = shape.place(index);
             let answered =
-                map.hull.outside_m(&z) > 0.0 || metal.correct(&z).is_some_and(|p| metal.surface(&p) > 0.0);
+                map.hull.outside_m(&z) > 0.0 || metal.find(&z, None).is_some_and(|p| metal.surface(&p) > 0.0);
             sheets.mean_square_m2() + if answered { 0.0 } else { NO_ANSWER_M * NO_ANSWER_M }
         })
         .collect()

@@ -1,7 +1,8 @@
 //! Key poses, live: a track per watched sensor.
 //!
-//! What comes in: closed frames. What goes out: an outcome per provisional, confirmed or withdrawn key pose. What it
-//! never does: look at poses that may not be used as good. What is said agrees with `posed keyframes` on a recording.
+//! What comes in: closed frames. What goes out: the statistic of each watched sensor, and an outcome per provisional,
+//! confirmed or withdrawn key pose. What it never does: look at poses that may not be used as good. What is said agrees
+//! with `posed keyframes` on a recording.
 
 use nalgebra::Isometry3;
 use posed_drivers::Timestamp;
@@ -12,11 +13,14 @@ use crate::geometry;
 use crate::input::SensorIndex;
 use crate::motion::keyframes::track::Track;
 use crate::motion::keyframes::{Detector, Event, HingeSettings, Method};
-use crate::output::{Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output, Phase, SensorEstimate};
+use crate::output::{Change, Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output, Phase, SensorEstimate};
 use crate::stage::{self, Stage};
 
 /// Frames whose mean interval is taken for the stage's, where the file does not say it.
 const MEASURED_FRAMES: u32 = 30;
+
+/// Room for the events of one frame; more than enough, as a sensor has three at most.
+const EVENTS: usize = 256;
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Keyframes {
@@ -29,6 +33,8 @@ pub(super) struct Keyframes {
     /// Times of the latest frames, the newest at `frames % len`.
     times: Vec<Timestamp>,
     frames: u64,
+    /// What became known with the latest frame, and of which time.
+    events: Vec<(Timestamp, KeyPoseEvent)>,
 }
 
 impl Keyframes {
@@ -61,6 +67,7 @@ impl Keyframes {
             seen: 0,
             times: Vec::new(),
             frames: 0,
+            events: Vec::with_capacity(EVENTS),
         };
         if stage.frame_rate_hz.is_some() {
             keyframes.begin();
@@ -75,8 +82,8 @@ impl Keyframes {
         self.tracks = vec![track; self.watched.len()];
     }
 
-    /// Takes a closed frame.
-    pub(super) fn frame(&mut self, estimate: &Estimate, say: &mut impl FnMut(Output<'_>)) {
+    /// Takes a closed frame, and gives it the statistic of each sensor.
+    pub(super) fn frame(&mut self, estimate: &mut Estimate) {
         let now = estimate.t_valid;
         if self.times.is_empty() {
             let first = *self.first.get_or_insert(now);
@@ -91,20 +98,34 @@ impl Keyframes {
         let count = self.times.len() as u64;
         self.times[(self.frames % count) as usize] = now;
         self.frames += 1;
-        for (sensor, track) in self.watched.iter().zip(&mut self.tracks) {
-            let pose = estimate.sensors.get(usize::from(*sensor)).and_then(usable);
-            let times = &self.times;
-            track.push(pose.as_ref(), &mut |event| {
+        let Self { watched, tracks, times, events, .. } = self;
+        let time = |frame: u64| times[(frame % count) as usize];
+        for (sensor, track) in watched.iter().zip(tracks) {
+            let Some(estimate) = estimate.sensors.get_mut(usize::from(*sensor)) else { continue };
+            let pose = usable(estimate);
+            let trace = track.push(pose.as_ref(), &mut |event| {
                 let (phase, key) = match event {
                     Event::Provisional(key) => (Phase::Provisional, key),
                     Event::Confirmed(key) => (Phase::Confirmed, key),
                     Event::Withdrawn(key) => (Phase::Withdrawn, key),
                 };
                 let event = KeyPoseEvent { sensor: *sensor, phase, score: key.score, corner: key.corner };
-                let what = OutcomeKind::KeyPose(event);
-                let t_valid = times[(key.frame % count) as usize];
-                say(Output::Outcome(&Outcome { t_valid, t_decided: now, what }));
+                events.push((time(key.frame), event));
             });
+            let change = trace.zip(track.threshold()).map(|(trace, threshold)| Change {
+                t_valid: time(trace.frame),
+                score: trace.score.value,
+                threshold,
+            });
+            estimate.change = change;
+        }
+    }
+
+    /// Says what became known with the frame.
+    pub(super) fn outcomes(&mut self, estimate: &Estimate, say: &mut impl FnMut(Output<'_>)) {
+        for (t_valid, event) in self.events.drain(..) {
+            let what = OutcomeKind::KeyPose(event);
+            say(Output::Outcome(&Outcome { t_valid, t_decided: estimate.t_valid, what }));
         }
     }
 }

@@ -349,6 +349,9 @@ impl Pipeline {
                 say(Output::Body(body));
             }
             let body = body.as_ref().and_then(|body| body.latest());
+            if let Some(keyframes) = keyframes {
+                keyframes.frame(estimate);
+            }
             say(Output::Estimate(estimate));
             if let Some(naming) = naming {
                 naming.push(estimate, body, say);
@@ -358,7 +361,7 @@ impl Pipeline {
             }
             field.frame(estimate, sensors, room_transmitter, say);
             if let Some(keyframes) = keyframes {
-                keyframes.frame(estimate, say);
+                keyframes.outcomes(estimate, say);
             }
             exercise.frame(estimate, body, &mut |outcome| say(Output::Outcome(outcome)));
         }

@@ -208,6 +208,7 @@ impl Sensor {
             measured: slot.samples.last().map(|sample| sample.measured),
             fault,
             carried: false,
+            change: None,
         }
     }
 

@@ -27,11 +27,11 @@ mod typescript;
 
 pub use encode::{Encoding, Payload};
 pub use message::{
-    Begun, Data, Deviation, DeviceStatus, ErrorReply, ExerciseChange, ExerciseEvent, Fault, FaultChange,
-    FieldChange, FieldEvent, Figure, HeadingSource, Hello, HelloSensor, Job, JobState, Jobs, JointEntry,
-    Judged, KeyPose, LinkState, Measured, OkReply, Problem, Quality, RecordingStatus, ReplayStatus,
-    SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage, StageLatency, Status,
-    TruthEntry, Truths,
+    Begun, Change, Data, Deviation, DeviceStatus, ErrorReply, ExerciseChange, ExerciseEvent, Fault,
+    FaultChange, FieldChange, FieldEvent, Figure, HeadingSource, Hello, HelloSensor, Job, JobState, Jobs,
+    JointEntry, Judged, KeyPose, LinkState, Measured, OkReply, Problem, Quality, RecordingStatus,
+    ReplayStatus, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage, StageLatency,
+    Status, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use publisher::{Counters, Publisher, PublisherState, Stamp};

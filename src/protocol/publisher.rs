@@ -187,6 +187,7 @@ mod tests {
             measured: None,
             fault: None,
             carried: false,
+            change: None,
         };
         Estimate {
             t_valid: Timestamp::from_nanos(t_ns),

@@ -88,6 +88,15 @@ pub enum Call {
         /// A name that `replay.list` gave.
         name: String,
     },
+    /// Reads a few channels of a whole recording, to compare runs; answered when it is read.
+    #[serde(rename = "replay.track")]
+    ReplayTrack {
+        /// A name that `replay.list` gave.
+        name: String,
+        /// Up to six channels; absent: only their names are answered.
+        #[serde(default)]
+        columns: Vec<String>,
+    },
     /// Goes to a time in the open recording.
     #[serde(rename = "replay.seek")]
     ReplaySeek {
@@ -227,7 +236,7 @@ pub enum Call {
 impl Call {
     /// Whether it needs the role `operate`.
     pub fn changes_something(&self) -> bool {
-        !matches!(self, Self::ReplayList {} | Self::ExerciseList {})
+        !matches!(self, Self::ReplayList {} | Self::ReplayTrack { .. } | Self::ExerciseList {})
     }
 }
 
@@ -308,10 +317,11 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 20] = [
+const CALLS: [&str; 21] = [
     "record.start",
     "record.stop",
     "replay.list",
+    "replay.track",
     "replay.open",
     "replay.seek",
     "replay.speed",
@@ -432,6 +442,7 @@ mod tests {
             r#"{"type":"record.start","id":1}"#,
             r#"{"type":"record.stop","id":1}"#,
             r#"{"type":"replay.list","id":1}"#,
+            r#"{"type":"replay.track","id":1,"name":"a.mcap","columns":["a.x"]}"#,
             r#"{"type":"replay.open","id":1,"name":"a.mcap"}"#,
             r#"{"type":"replay.seek","id":1,"t_s":3}"#,
             r#"{"type":"replay.speed","id":1,"speed":"max"}"#,

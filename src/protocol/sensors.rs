@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::ser::{Serialize, SerializeSeq, SerializeStruct, Serializer};
 use serde::{Deserialize, Serialize as DeriveSerialize};
 
-use super::message::{Measured, Quality};
+use super::message::{Change, Measured, Quality};
 use super::{Encoding, Names, Stamp, Topic, round};
 use crate::input::{SensorIndex, Truth, TruthSensor};
 use crate::output::{self, Estimate, FrameLabel, PoseEstimate, SensorEstimate, SensorLabel, SensorState};
@@ -36,6 +36,8 @@ pub enum Field {
     Quality,
     /// What the map of faults says of the sensor and of the frame; absent where the stage has none.
     Fault,
+    /// The statistic of key poses of the sensor; absent where they are not looked for.
+    Change,
 }
 
 /// A set of [`Field`]s.
@@ -51,7 +53,14 @@ impl Fields {
 
     /// Everything there is: what a recording holds.
     pub fn all() -> Self {
-        let more = [Field::Measured, Field::Covariance, Field::Velocity, Field::Quality, Field::Fault];
+        let more = [
+            Field::Measured,
+            Field::Covariance,
+            Field::Velocity,
+            Field::Quality,
+            Field::Fault,
+            Field::Change,
+        ];
         Self(Self::default().0 | Self::of(&more).0)
     }
 
@@ -154,6 +163,7 @@ impl Serialize for Entries<'_> {
                     measured: None,
                     fault: None,
                     carried: false,
+                    change: None,
                 };
                 for &sensor in chosen {
                     let values = estimate.sensors.get(usize::from(sensor)).unwrap_or(&NOTHING);
@@ -176,8 +186,10 @@ impl Serialize for Entry<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let has = |field| self.fields.has(field);
         let fault = self.values.fault.filter(|_| has(Field::Fault));
+        let change = self.values.change.filter(|_| has(Field::Change));
         let length = self.fields.0.count_ones() as usize + usize::from(has(Field::Velocity))
-            - usize::from(has(Field::Fault) && fault.is_none());
+            - usize::from(has(Field::Fault) && fault.is_none())
+            - usize::from(has(Field::Change) && change.is_none());
         // A pose that is no number is no pose, whatever came before: it is shown as absent and not to be trusted.
         let broken = self.values.pose.as_ref().is_some_and(|pose| !is_finite(pose));
         let pose = if broken { None } else { self.values.pose.as_ref() };
@@ -223,7 +235,18 @@ impl Serialize for Entry<'_> {
             let distance_m = fault.distance_m.map(distance);
             entry.serialize_field("fault", &SensorLabel { distance_m, ..fault })?;
         }
+        if let Some(change) = change {
+            entry.serialize_field("change", &self::change(&change))?;
+        }
         entry.end()
+    }
+}
+
+fn change(change: &output::Change) -> Change {
+    Change {
+        t_s: round::seconds(super::publisher::microseconds(change.t_valid)),
+        score: round::to(1e3, change.score),
+        threshold: round::to(1e3, change.threshold),
     }
 }
 

@@ -120,15 +120,14 @@ impl Stage {
         if let Some(faults) = &mut stage.models.faults {
             *faults = folder.join(&*faults);
         }
-        let faults = stage.models.faults_folder.get_or_insert_with(|| PathBuf::from("faults"));
-        *faults = folder.join(&*faults);
-        let exercises = stage.models.exercise_folder.get_or_insert_with(|| PathBuf::from("exercises"));
-        *exercises = folder.join(&*exercises);
         if let Some(segments) = &mut stage.segments {
             segments.model = folder.join(&segments.model);
         }
-        let recordings = stage.recording.folder.get_or_insert_with(|| PathBuf::from("recordings"));
-        *recordings = folder.join(&*recordings);
+        let Self { models, recording, .. } = &mut stage;
+        let kept = [&mut models.faults_folder, &mut models.exercise_folder, &mut recording.folder];
+        for kept in kept.into_iter().flatten() {
+            *kept = folder.join(&*kept);
+        }
         Ok(stage)
     }
 

@@ -12,6 +12,7 @@ mod joints;
 mod labels;
 mod poses;
 mod reader;
+mod recorded;
 mod sequences;
 mod streams;
 #[cfg(test)]
@@ -23,6 +24,7 @@ pub use imu::{Imu, ImuRow};
 pub use labels::{SegmentLabel, SegmentLabels};
 pub use poses::{PoseColumns, PoseRow, PoseWriter, Poses, Which};
 pub use reader::TableReader;
+pub use recorded::RecordedStreams;
 pub use sequences::{SequenceFrame, SequenceOptions, Sequences, Unit, Up};
 pub use streams::Streams;
 pub use writer::TableWriter;

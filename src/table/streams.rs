@@ -1,17 +1,9 @@
 //! Streams of exercises: `t` (or a rate) and any named numeric columns, from CSV or from a recording.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
-use serde::Deserialize;
-
-use super::poses::SensorsMessage;
+use super::recorded::RecordedStreams;
 use super::{Clock, TableError, TableReader, TableWriter};
-use crate::fusion::body::ANGLE_NAMES;
-use crate::layout::{BodyLayout, joint_and_angle};
-use crate::recording::{Item, ReadError, Reader};
-use crate::signals;
-use crate::stage::Stage;
 
 /// Named channels over time.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -64,40 +56,16 @@ impl Streams {
         Ok(streams)
     }
 
-    /// Reads what the live stage sees, of every frame of a recording: the columns of [`signals::columns`].
+    /// Reads what the live stage sees, of every frame of a recording: the columns of [`crate::signals::columns`].
     ///
     /// # Errors
     /// The recording is damaged, or is none.
     pub fn read_recording(path: &Path) -> Result<Self, TableError> {
-        let failed = |source| TableError::Recording { file: path.display().to_string(), source };
-        let reader = Reader::open(path).map_err(failed)?;
-        let sensors = reader.header().sensors.clone();
-        let layout = Stage::parse(&reader.header().stage_toml).ok().and_then(|stage| BodyLayout::of(&stage));
-        let mut columns = signals::columns(sensors.iter().map(String::as_str));
-        columns.extend(layout.iter().flat_map(BodyLayout::columns));
-        let angles = layout.map_or_else(Vec::new, |layout| layout.shown_angles);
-        let mut streams = Self { columns, ..Self::default() };
-        let mut body: Option<BodyMessage> = None;
-        for item in reader {
-            let Item::Message(message) = item.map_err(failed)? else { continue };
-            if &*message.topic == "body" && !angles.is_empty() {
-                body = Some(BodyMessage::parse(&message.json).map_err(failed)?);
-            }
-            if &*message.topic != "sensors" {
-                continue;
-            }
-            let message = SensorsMessage::parse(&message.json).map_err(failed)?;
-            streams.t_s.push(message.t_s);
-            for name in &sensors {
-                let usable =
-                    |entry: &&super::poses::SensorEntry| entry.name == *name && entry.state.is_usable();
-                let entry = message.sensors.iter().find(usable);
-                let position_m = entry.and_then(|entry| entry.position_m);
-                let orientation_wxyz = entry.and_then(|entry| entry.orientation_wxyz);
-                signals::append(position_m, orientation_wxyz, &mut streams.values);
-            }
-            let fresh = body.as_ref().filter(|body| message.t_s - body.t_s <= signals::BODY_AGE_S);
-            streams.values.extend(angles.iter().map(|angle| fresh?.angle_deg(ANGLE_NAMES[*angle])));
+        let mut recording = RecordedStreams::open(path)?;
+        let mut streams = Self { columns: recording.columns().to_vec(), ..Self::default() };
+        while let Some(t_s) = recording.next_row()? {
+            streams.t_s.push(t_s);
+            streams.values.extend_from_slice(recording.row());
         }
         Ok(streams)
     }
@@ -124,32 +92,5 @@ impl Streams {
             table.end_row()?;
         }
         table.finish()
-    }
-}
-
-/// What streams need of a `body` message.
-#[derive(Deserialize)]
-struct BodyMessage {
-    t_s: f64,
-    joints: Vec<Joint>,
-}
-
-#[derive(Deserialize)]
-struct Joint {
-    name: String,
-    angles_deg: BTreeMap<String, Option<f64>>,
-}
-
-impl BodyMessage {
-    fn parse(json: &[u8]) -> Result<Self, ReadError> {
-        serde_json::from_slice(json)
-            .map_err(|error| ReadError::NotARecording(format!("a `body` message cannot be read: {error}")))
-    }
-
-    /// The angle of that name, degrees.
-    fn angle_deg(&self, name: &'static str) -> Option<f64> {
-        let (joint, angle) = joint_and_angle(name);
-        let joint = self.joints.iter().find(|known| known.name == joint)?;
-        joint.angles_deg.get(angle).copied().flatten()
     }
 }

@@ -7,11 +7,8 @@ mod scenes;
 #[path = "../../benches/field/session.rs"]
 mod session;
 
-use std::path::Path;
-
 use nalgebra::Vector3;
 use posed::field::{Anchor, Code, PoleReading, PoleRun, RejectReason, rigid, solve, solve_limbs};
-use posed::table::TableReader;
 use scenes::{Run, SENSORS, SPACING_M, scenes};
 use session::{Reading, Session};
 
@@ -68,23 +65,28 @@ fn given_a_pure_scale_error_a_polynomial_of_degree_one_is_enough() {
     let square: f64 =
         pairs.iter().map(|(a, b)| (motion.rotation * a + motion.translation.vector - b).norm_squared()).sum();
     assert!((square / pairs.len() as f64).sqrt() < 2e-4);
-    // A spacing that is a millimetre off makes a map that is as smooth: only anchors can tell.
-    let wrong = pole(&run, 900, SPACING_M + 0.001);
-    let anchors: Vec<Anchor> = [30, 300, 600, 850]
-        .into_iter()
-        .map(|k| Anchor {
-            name: k.to_string(),
-            sensor: 2,
-            t_s: [run.t_s[k], run.t_s[k]],
-            position_m: run.frames[k][2].p,
-        })
-        .collect();
-    let solution = solve(wrong, &anchors, &mut |_| {});
-    assert!(
-        solution.report.reasons.iter().any(|reason| reason.code == Code::Spacing),
-        "{:?}",
-        solution.report
-    );
+}
+
+#[test]
+fn given_anchors_a_spacing_that_is_a_millimetre_off_is_told_and_a_right_one_is_not() {
+    for name in ["scale 1.02", "floor, low transmitter"] {
+        let run = scene(name).run(3);
+        let anchors: Vec<Anchor> = [30, 300, 600, 850]
+            .into_iter()
+            .map(|k| Anchor {
+                name: k.to_string(),
+                sensor: 2,
+                t_s: [run.t_s[k], run.t_s[k]],
+                position_m: run.frames[k][2].p,
+            })
+            .collect();
+        for (wrong_m, expected) in [(0.001, true), (-0.001, true), (0.0, false)] {
+            // Without anchors a wrong one makes a map that is as smooth.
+            let solution = solve(pole(&run, 600, SPACING_M + wrong_m), &anchors, &mut |_| {});
+            let told = solution.report.reasons.iter().any(|reason| reason.code == Code::Spacing);
+            assert_eq!(told, expected, "{name}, {wrong_m} m: {:?}", solution.report);
+        }
+    }
 }
 
 #[test]
@@ -210,37 +212,4 @@ fn given_the_command_a_session_is_solved_by_its_bones() {
     let refused = posed(solve);
     assert_eq!(refused.status.code(), Some(1));
     assert_eq!(json(&refused)["reasons"][0]["code"], "spacing");
-}
-
-#[test]
-fn given_real_recordings_without_a_pole_no_map_is_accepted() {
-    let path = Path::new("../shared/data/magnetic-plus/WaterTankBottomTranslationTrackerBuffer.csv.gz");
-    if !path.exists() {
-        println!("skipped: {} is not there", path.display());
-        return;
-    }
-    let names = ["probe", "reference", "stylus"];
-    let mut table = TableReader::open(path).unwrap();
-    let [t] = table.require(["t"]).unwrap();
-    let columns = names.map(|name| {
-        let [x, y, z] = ["x", "y", "z"].map(|axis| format!("{name}_{axis}"));
-        table.require([x.as_str(), y.as_str(), z.as_str()]).unwrap()
-    });
-    let mut rows = Vec::new();
-    while table.next_row().unwrap() {
-        let t_s = table.required_number(t).unwrap();
-        for (sensor, columns) in columns.into_iter().enumerate() {
-            if let Some(mm) = table.vector(columns).unwrap() {
-                rows.push((
-                    t_s,
-                    sensor,
-                    PoleReading { position_m: Vector3::from(mm) / 1e3, orientation: None },
-                ));
-            }
-        }
-    }
-    assert!(rows.len() > 10_000);
-    let run = PoleRun::grouped(names.map(String::from).to_vec(), 0.15, rows).unwrap();
-    // So the landmarks of the same tracker stay as exact as they are.
-    assert!(run.check_order().is_err() || !solve(run, &[], &mut |_| {}).report.accepted);
 }

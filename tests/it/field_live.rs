@@ -1,14 +1,14 @@
 //! The field in the live pipeline: correction, watch and guided run on virtual Flocks.
 
 use nalgebra::Vector3;
-use posed::field::{FieldMap, Prepared, Warning, solve};
+use posed::field::{Cause, FieldMap, Prepared, Warning, solve};
 use posed::geometry;
 use posed::input::{Entry, Input, Model, Request};
 use posed::output::{Estimate, FieldNews, Outcome, OutcomeKind, Output, SensorState};
 use posed::pipeline::Pipeline;
 use posed::recording::{Header, Writer};
 use posed::stage::{FieldWatch, Stage};
-use posed_simulator::motion::{Motion, Still};
+use posed_simulator::motion::{Motion, Orbit, Still};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Material, MetalSpec, Scenario, SensorScenario};
 use serde::Deserialize;
 
@@ -220,14 +220,36 @@ fn given_the_stage_with_a_pole_its_guided_run_makes_a_map_that_brings_poses_to_t
     assert!(corrected < 0.25 * after, "{after} {corrected}");
 }
 
+/// Minutes of motion before steel is brought in: `POSED_WATCH_MINUTES=30` runs the half hour.
+fn quiet_minutes() -> u32 {
+    std::env::var("POSED_WATCH_MINUTES").ok().and_then(|text| text.parse().ok()).unwrap_or(1)
+}
+
+/// What was said of disturbances so far: when, by what, and whether it began. Forgets all else.
+fn disturbances(rig: &mut Rig, news: &mut Vec<(f64, Cause, bool)>) {
+    news.extend(rig.said.iter().filter_map(|said| match said {
+        Said::Outcome(Outcome {
+            t_decided,
+            what: OutcomeKind::Field(FieldNews::Warning(Warning::Disturbed { cause, active, .. })),
+            ..
+        }) => Some((t_decided.as_secs_f64(), *cause, *active)),
+        _ => None,
+    }));
+    rig.forget();
+}
+
 #[test]
-fn given_steel_that_is_brought_in_the_witness_tells_of_it_within_half_a_second() {
-    let brought_s = 60.0;
+fn given_steel_that_is_brought_in_witness_and_pair_tell_of_it_within_half_a_second() {
+    let brought_s = 60.0 * f64::from(quiet_minutes());
     let mut stage = stage(&[3]);
-    stage.field = Some(FieldWatch { witnesses: vec!["s0-2".into()], ..FieldWatch::default() });
+    stage.field = Some(FieldWatch {
+        witnesses: vec!["s0-2".into()],
+        rigid_pairs: vec![["s0-0".into(), "s0-1".into()]],
+        ..FieldWatch::default()
+    });
     let metal = MetalSpec {
         center_m: [0.9, 0.5, 0.0],
-        radius_m: 0.1,
+        radius_m: 0.12,
         material: Material::Iron,
         from_s: Some(brought_s),
         until_s: Some(brought_s + 5.0),
@@ -236,43 +258,62 @@ fn given_steel_that_is_brought_in_the_witness_tells_of_it_within_half_a_second()
         name: "lamp".into(),
         motion: Motion::Still(Still { position_m: [0.7, 0.1, 0.1], ..Still::default() }),
     };
-    let sensor = SensorScenario {
-        name: "s0-2".into(),
-        body: "lamp".into(),
+    let racket = BodySpec {
+        name: "racket".into(),
+        motion: Motion::Orbit(Orbit {
+            center_m: [0.6, 0.2, 0.2],
+            radius_m: [0.08, 0.1, 0.06],
+            ..Orbit::default()
+        }),
+    };
+    let sensor = |name: &str, body: &str, x_m: f64| SensorScenario {
+        name: name.into(),
+        body: body.into(),
         segment: None,
-        offset_m: [0.0; 3],
+        offset_m: [x_m, 0.0, 0.0],
         mount_quat_wxyz: [1.0, 0.0, 0.0, 0.0],
     };
     let devices = vec![DeviceScenario { name: "d0".into(), ..DeviceScenario::default() }];
     let scenario = Scenario {
         devices,
         metal: vec![metal],
-        bodies: vec![lamp],
-        sensors: vec![sensor],
+        bodies: vec![lamp, racket],
+        sensors: vec![
+            sensor("s0-0", "racket", -0.1),
+            sensor("s0-1", "racket", 0.1),
+            sensor("s0-2", "lamp", 0.0),
+        ],
         ..Scenario::default()
     };
     let mut rig = Rig::new(&stage, &scenario);
-    rig.run_until(brought_s + 10.0);
-    let said: Vec<(f64, bool)> = rig
-        .said
-        .iter()
-        .filter_map(|said| match said {
-            Said::Outcome(Outcome {
-                t_decided,
-                what: OutcomeKind::Field(FieldNews::Warning(Warning::Disturbed { active, .. })),
-                ..
-            }) => Some((t_decided.as_secs_f64(), *active)),
+    let mut news = Vec::new();
+    for minute in 1..=quiet_minutes() {
+        rig.run_until(60.0 * f64::from(minute) - 4.0);
+        disturbances(&mut rig, &mut news);
+    }
+    rig.run_until(brought_s);
+    // What poses are worth before and while the steel is there.
+    let sigma_m = |said: &[Said]| {
+        let poses = said.iter().filter_map(|said| match said {
+            Said::Estimate(estimate) => estimate.sensors[0].pose?.sigma_m,
             _ => None,
-        })
-        .collect();
-    let [(began_s, true), (ended_s, false)] = said[..] else { panic!("{said:?}") };
-    assert!((brought_s..brought_s + 0.5).contains(&began_s), "{said:?}");
-    assert!((brought_s + 5.0..brought_s + 8.0).contains(&ended_s), "{said:?}");
-    // Meanwhile poses are less certain.
-    let sigma_m = |from: f64| {
-        let near = |e: &&Estimate| (from..from + 1.0).contains(&e.t_valid.as_secs_f64());
-        let poses = rig.estimates().filter(near).filter_map(|e| e.sensors[0].pose?.sigma_m);
+        });
         poses.fold(0.0, f64::max)
     };
-    assert!(sigma_m(brought_s + 3.0) > 2.0 * sigma_m(brought_s - 3.0));
+    let before_m = sigma_m(&rig.said);
+    disturbances(&mut rig, &mut news);
+    assert!(news.is_empty(), "no false alarm: {news:?}");
+    rig.run_until(brought_s + 4.0);
+    let while_m = sigma_m(&rig.said);
+    disturbances(&mut rig, &mut news);
+    rig.run_until(brought_s + 12.0);
+    disturbances(&mut rig, &mut news);
+    for cause in [Cause::Witness, Cause::RigidPair] {
+        let began = news.iter().find(|(_, of, active)| *of == cause && *active);
+        assert!(began.is_some_and(|(t, ..)| (brought_s..brought_s + 0.5).contains(t)), "{cause:?}: {news:?}");
+        let last = news.iter().rfind(|(_, of, _)| *of == cause);
+        let ended = brought_s + 5.0..brought_s + 8.0;
+        assert!(last.is_some_and(|(t, _, active)| !active && ended.contains(t)), "{cause:?}: {news:?}");
+    }
+    assert!(while_m > 2.0 * before_m, "{before_m} {while_m}");
 }

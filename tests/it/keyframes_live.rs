@@ -2,7 +2,7 @@
 
 use nalgebra::Isometry3;
 use posed::geometry;
-use posed::motion::keyframes::{HingeSettings, Method, detect};
+use posed::motion::keyframes::{HingeSettings, Method, detect_with_trace};
 use posed::output::{KeyPoseEvent, Outcome, OutcomeKind, Phase, SensorState};
 use posed::pipeline::Pipeline;
 use posed::stage::{Keyframes, Stage};
@@ -66,7 +66,17 @@ fn they_are_those_of_the_offline_detector_and_late_by_the_stated_delay() {
         })
         .collect();
     let ending = poses.len() as u64;
-    let offline: Vec<_> = detect(method, &poses)
+    let (keys, trace) = detect_with_trace(method, &poses);
+    // The statistic speaks of an earlier frame, and is what the whole motion gives.
+    let statistic: Vec<_> = estimates.iter().filter_map(|estimate| estimate.sensors[0].change).collect();
+    let of_whole: Vec<_> = trace
+        .iter()
+        .map(|trace| (estimates[begin + trace.frame as usize].t_valid, trace.score.value))
+        .collect();
+    assert_eq!(statistic.iter().map(|change| (change.t_valid, change.score)).collect::<Vec<_>>(), of_whole);
+    assert!(keys.iter().all(|key| key.score > statistic[0].threshold));
+    assert!(estimates.iter().all(|estimate| estimate.sensors[1].change.is_none()));
+    let offline: Vec<_> = keys
         .into_iter()
         // What the end of a file decides, a stream has not decided yet.
         .filter(|key| key.frame + 2 * u64::from(WINDOW) < ending)

@@ -17,6 +17,7 @@ mod faults;
 mod faults_live;
 mod field;
 mod field_live;
+mod field_real;
 mod inertial;
 mod keyframes;
 mod keyframes_live;

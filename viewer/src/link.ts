@@ -6,7 +6,7 @@ const RETRY_MS = [500, 1000, 2000, 5000];
 /** Frames per second that a screen can use. */
 const DRAWN_HZ = 60;
 /** What the views show of each sensor. */
-const FIELDS: Field[] = ["device", "position_m", "orientation_wxyz", "sigma_m", "measured", "fault"];
+const FIELDS: Field[] = ["device", "position_m", "orientation_wxyz", "sigma_m", "measured", "fault", "change"];
 const TOKEN_KEY = "posed.token";
 
 export type LinkState = "connecting" | "open" | "lost" | "unauthorised";

@@ -1,7 +1,7 @@
 // What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
 // Bounded: it never grows over hours.
 
-import type { FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, SegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
+import type { Change, FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, KeyPoseMessage, SegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
 
 /** Seconds of history for curves. */
 export const HISTORY_S = 20;
@@ -36,8 +36,8 @@ export class History {
   }
 }
 
-/** The last rows of a joint's angles: t and one column per angle. */
-export class Angles {
+/** The last rows of named numbers, oldest overwritten: t and one column per name. */
+export class Series {
   readonly names: string[];
   private readonly width: number;
   private readonly rows: Float64Array;
@@ -50,10 +50,10 @@ export class Angles {
     this.rows = new Float64Array(HISTORY_ROWS * this.width);
   }
 
-  push(t_s: number, angles_deg: Record<string, number | null>): void {
+  push(t_s: number, values: Record<string, number | null>): void {
     const row = this.next * this.width;
     this.rows[row] = t_s;
-    this.names.forEach((name, i) => (this.rows[row + 1 + i] = angles_deg[name] ?? NaN));
+    this.names.forEach((name, i) => (this.rows[row + 1 + i] = values[name] ?? NaN));
     this.next = (this.next + 1) % HISTORY_ROWS;
     this.length = Math.min(this.length + 1, HISTORY_ROWS);
   }
@@ -81,7 +81,11 @@ export class Model {
   segments: SegmentMessage[] = [];
   readonly history = new Map<string, History>();
   /** By joint. */
-  readonly angles = new Map<string, Angles>();
+  readonly angles = new Map<string, Series>();
+  /** By sensor: the statistic of key poses, and what a peak of it must exceed. */
+  readonly changes = new Map<string, Series>();
+  /** Confirmed ones. */
+  keyPoses: KeyPoseMessage[] = [];
   /** Browser time of the newest frame, ms. */
   lastFrameMs = -Infinity;
   /** Rises with every message, so that views see whether there is something to draw. */
@@ -100,6 +104,8 @@ export class Model {
         this.hello = message;
         this.history.clear();
         this.angles.clear();
+        this.changes.clear();
+        this.keyPoses = [];
         this.body = null;
         this.truth = null;
         this.faultMap = null;
@@ -113,6 +119,10 @@ export class Model {
         break;
       case "truth":
         this.truth = message;
+        break;
+      case "keyframes":
+        if (message.phase === "confirmed") this.keyPoses.push(message);
+        if (this.keyPoses.length > EVENTS) this.keyPoses.shift();
         break;
       case "status":
         this.status = message;
@@ -147,17 +157,28 @@ export class Model {
     this.body = message;
     for (const { name, angles_deg } of message.joints) {
       let angles = this.angles.get(name);
-      if (!angles) this.angles.set(name, (angles = new Angles(Object.keys(angles_deg))));
+      if (!angles) this.angles.set(name, (angles = new Series(Object.keys(angles_deg))));
       angles.push(message.t_s, angles_deg);
     }
+  }
+
+  private takeChange(name: string, { t_s, score, threshold }: Change): void {
+    let series = this.changes.get(name);
+    if (!series) this.changes.set(name, (series = new Series(["score", "threshold"])));
+    series.push(t_s, { score, threshold });
   }
 
   private takeSensors(message: SensorsMessage): void {
     const rewound = this.sensors !== null && message.t_s < this.sensors.t_s;
     this.sensors = message;
     this.lastFrameMs = performance.now();
-    if (rewound) this.history.forEach((history) => history.clear());
-    for (const { name, position_m, sigma_m } of message.sensors) {
+    if (rewound) {
+      this.history.forEach((history) => history.clear());
+      this.changes.clear();
+      this.keyPoses = [];
+    }
+    for (const { name, position_m, sigma_m, change } of message.sensors) {
+      if (change) this.takeChange(name, change);
       if (!position_m) continue;
       let history = this.history.get(name);
       if (!history) this.history.set(name, (history = new History()));

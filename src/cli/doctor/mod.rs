@@ -3,11 +3,12 @@
 //! Ports are asked side by side, each at one rate after the other, and none for longer than [`LIMIT`]. A unit that
 //! streams is stopped by the question; nothing else is changed.
 
+mod installation;
 mod probe;
 mod stage;
 mod sync;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -44,7 +45,8 @@ pub(crate) struct Args {
     /// How long the stage is run for --sync.
     #[arg(long, value_name = "SECONDS", default_value_t = 20.0, requires = "sync")]
     sync_s: f64,
-    /// Print one JSON object: ports, each with port, driver, revision, sensors, problem and mend.
+    /// Print one JSON object: ports, each with port, driver, revision, sensors, problem and mend; installation, each with check,
+    /// problem and mend.
     #[arg(long)]
     json: bool,
 }
@@ -59,6 +61,8 @@ fn kind(word: &str) -> Result<Kind, String> {
 #[derive(Serialize)]
 struct Report {
     ports: Vec<PortReport>,
+    /// What of this computer was looked at; empty where a port was named.
+    installation: Vec<installation::Finding>,
 }
 
 /// What was found at one port.
@@ -126,7 +130,11 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         ports.extend(network);
         ports
     });
-    let report = Report { ports };
+    let installation = match args.port {
+        None => installation::look(Path::new("/"), &posed_drivers::port::list()),
+        Some(_) => Vec::new(),
+    };
+    let report = Report { ports, installation };
     progress.finish_and_clear();
 
     if args.json {
@@ -148,6 +156,18 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 impl Report {
     /// For people: one paragraph per port.
     fn sentences(&self) -> String {
+        self.of_ports() + &self.of_installation()
+    }
+
+    fn of_installation(&self) -> String {
+        let wrong =
+            self.installation.iter().filter_map(|finding| Some((finding.problem.as_ref()?, &finding.mend)));
+        wrong
+            .map(|(problem, mend)| format!("{problem}\n    mend: {}\n", mend.as_deref().unwrap_or_default()))
+            .collect()
+    }
+
+    fn of_ports(&self) -> String {
         if self.ports.is_empty() {
             return "There is no serial port on this machine, and no unit announces itself on the network; plug in the \
                     adapter, or name a port: posed doctor tcp://HOST:PORT\n"
@@ -222,9 +242,15 @@ mod tests {
             mend: Some("check the cable".into()),
             ..PortReport::default()
         };
-        let text = Report { ports: vec![found, silent] }.sentences();
+        let installation = vec![installation::Finding {
+            check: "latency",
+            problem: Some("the adapter of ttyUSB0 collects bytes for 16 ms".into()),
+            mend: Some("plug it in again".into()),
+        }];
+        let text = Report { ports: vec![found, silent], installation }.sentences();
         let expected = "/dev/ttyUSB0\n    Flock of Birds (6DFOB), revision 3.67, 115200 baud, 103.3 Hz\n    \
-                        birds at addresses 1, 2\n/dev/ttyS0\n    nothing answers\n    mend: check the cable\n";
+                        birds at addresses 1, 2\n/dev/ttyS0\n    nothing answers\n    mend: check the cable\n\
+                        the adapter of ttyUSB0 collects bytes for 16 ms\n    mend: plug it in again\n";
         assert_eq!(text, expected);
     }
 }

@@ -20,6 +20,7 @@ use super::jobs::Jobs;
 use super::models::{self, Library};
 use super::ports::ended;
 use super::server::{PendingCall, Reply};
+use super::track;
 use crate::input::{Entry, Input, Model, Plan, Request};
 use crate::pipeline::DEFAULT_SUBJECT;
 use crate::protocol::Call;
@@ -92,6 +93,7 @@ impl Calls {
                 Ok(names) => reply.ok(Some(serde_json::json!({ "recordings": names }))),
                 Err(sentence) => reply.error("failed", sentence),
             },
+            Call::ReplayTrack { name, columns } => track::answer(&self.recordings, &name, columns, reply),
             Call::ReplayOpen { .. } | Call::ReplaySeek { .. } | Call::ReplaySpeed { .. } => reply.error(
                 "live",
                 "this daemon tracks a live stage; open a recording with `posed replay FILE`, which serves it to clients",

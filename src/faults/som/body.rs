@@ -6,7 +6,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::frames::Frames;
 use super::memory::Point;
+use super::rules::{Cause, Class};
 
 /// Fewer sensors than this have no axes of their own.
 const FEWEST: usize = 4;
@@ -26,20 +28,25 @@ pub(super) struct Body {
 }
 
 impl Body {
-    /// Learns from frames of positions on the clean side; `None` for few sensors.
-    pub(super) fn learn(sensors: usize, frames: &[Vec<Option<Point>>]) -> Option<Self> {
-        let first = frames.iter().find(|frame| frame.iter().all(Option::is_some))?;
+    /// Learns from frames and the labels of their sensors; `None` for few sensors.
+    pub(super) fn learn(frames: &Frames, labels: &[(Class, Cause)]) -> Option<Self> {
+        let sensors = frames.sensors.len();
+        let clean = |k: usize, sensor: usize| labels[k * sensors + sensor].0 == Class::Clean;
+        let first = (0..frames.len()).find(|k| (0..sensors).all(|sensor| clean(*k, sensor)))?;
         if sensors < FEWEST {
             return None;
         }
-        let mut body =
-            Self { place_m: first.iter().copied().flatten().collect(), spread_m: vec![1.0; sensors] };
-        let mut turned = vec![f64::NAN; 3 * sensors];
+        let place_m = frames.frame(first).chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+        let mut body = Self { place_m, spread_m: vec![1.0; sensors] };
+        let (mut known, mut turned) = (vec![f64::NAN; 3 * sensors], vec![f64::NAN; 3 * sensors]);
         for _ in 0..LEARNING_ROUNDS {
             let mut sums = vec![[0.0; 5]; sensors];
-            for frame in frames {
-                let raw: Vec<f64> = frame.iter().flat_map(|p| p.unwrap_or([f64::NAN; 3])).collect();
-                body.turn(&raw, 1.0, &mut turned);
+            for k in 0..frames.len() {
+                known.copy_from_slice(frames.frame(k));
+                (0..sensors)
+                    .filter(|sensor| !clean(k, *sensor))
+                    .for_each(|s| known[3 * s..3 * s + 3].fill(f64::NAN));
+                body.turn(&known, 1.0, &mut turned);
                 for (sum, p) in sums.iter_mut().zip(turned.chunks_exact(3)) {
                     if !p[0].is_nan() {
                         (0..3).for_each(|c| sum[c] += p[c]);

@@ -8,7 +8,7 @@ use super::map::Map;
 use super::rules::{Class, Rules};
 use super::{Network, NetworkError};
 
-const FORMAT: &str = "posed faults 3";
+const FORMAT: &str = "posed faults 4";
 
 /// The first layer: a chain per sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -82,7 +82,7 @@ impl TryFrom<File> for Network {
         let wrong = |what| Err(NetworkError::File(what));
         let sensors = file.sensors.len();
         if file.format != FORMAT {
-            return wrong("its `format` is not `posed faults 3`; train it again");
+            return wrong("its `format` is not `posed faults 4`; train it again");
         }
         if sensors == 0 || file.layer1.weights.len() != sensors {
             return wrong("layer1 should have one chain per sensor");

@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::map::{Map, Training};
+use super::map::{Map, Rule, Training};
 use super::rules::Class;
 
 /// A neuron has a class if this share of its training frames has it: faults are rare for one sensor, so a few that look
@@ -118,7 +118,7 @@ impl Link {
         let rows = frames.chunks_exact(3 * sensors);
         let data: Vec<f64> = rows.flat_map(|row| beside(row, sensor, other)).collect();
         let neurons = training_neurons(&data);
-        Self { other, places: Places::learn(neurons, &data, classes, training) }
+        Self { other, places: Places::learn(neurons, &data, classes, &beside_the_papers(training)) }
     }
 
     /// The nearest neuron to where a sensor is in a frame.
@@ -137,6 +137,14 @@ impl Link {
 impl Places {
     /// What a sensor that was put on anew may be off, m.
     pub(super) const WORN_M: f64 = WORN_M;
+}
+
+/// Chains that are not the paper's are trained by the batch rule, whatever the rule of the others.
+fn beside_the_papers(training: &Training) -> Training {
+    match training.rule {
+        Rule::Batch => *training,
+        Rule::Paper => Training { seed: training.seed, ..Training::default() },
+    }
 }
 
 /// As many as for positions, whatever the sizes of the map: this layer is not the paper's.
@@ -177,7 +185,7 @@ impl Motion {
             }
         }
         let mut chain = Map::along_principal_axes(1, 41, 2, &data);
-        chain.train(&data, training);
+        chain.train(&data, &beside_the_papers(training));
         let mut counts = vec![[0u32; 4]; 41];
         for (row, class) in data.chunks_exact(2).zip(&truth) {
             if let Some(winner) = chain.winner(row) {

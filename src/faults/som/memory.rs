@@ -13,17 +13,17 @@ use super::rules::{Cause, Class};
 /// A mirror image must be so many times nearer than the position itself.
 const FLIP_RATIO: f64 = 0.3;
 /// Equal positions in a row that are frozen.
-const FROZEN_FRAMES: u32 = 5;
+pub(super) const FROZEN_FRAMES: u32 = 5;
 /// A sensor that was missing for longer has no memory of its side.
 const MEMORY_FRAMES: u32 = 30;
 /// What a sensor may have moved while it was missing or frozen, at most, in steps.
 const BLIND_STEPS: f64 = 10.0;
 /// A sensor that jumped is believed again once it has been where the others allow it for so many frames, or soon if
 /// it was not there before.
-const BELIEVED_FRAMES: u32 = 75;
+const BELIEVED_FRAMES: u32 = 50;
 const BELIEVED_SOON_FRAMES: u32 = 15;
 /// Or where the map finds nothing unusual there either: two judges need less time than one.
-const BELIEVED_BY_BOTH_FRAMES: u32 = 30;
+const BELIEVED_BY_BOTH_FRAMES: u32 = 10;
 /// For so many frames after a jump, smaller steps may take it back too.
 const YOUNG_FRAMES: u32 = 3;
 /// It is back where this share of the jump, or less, is left.

@@ -10,6 +10,8 @@ mod body;
 mod file;
 pub mod frames;
 mod habits;
+mod hindsight;
+mod learning;
 pub mod map;
 mod memory;
 mod pairs;
@@ -25,14 +27,13 @@ use file::File;
 use frames::Frames;
 use habits::{Link, Motion, Place, Places};
 use map::{Map, Training};
-use memory::Point;
-use rules::{Cause, Class, Labeller, Rules, frame_class};
+use rules::{Cause, Class, Rules};
 pub use watch::{Verdict, Watch};
 
 /// A cell has a class if this share of its training frames has it.
 const CLEAR_SHARE: f64 = 0.6;
 /// Share of the training's clean frames whose distance from their cell is usual.
-const USUAL_SHARE: f64 = 0.995;
+const USUAL_SHARE: f64 = 0.998;
 /// What is farther from its cell than that, so many times, was never seen.
 const FARTHER: f64 = 1.25;
 
@@ -109,7 +110,7 @@ pub enum NetworkError {
     File(&'static str),
 }
 
-/// What the rules say of a whole recording: per frame, and per frame and sensor.
+/// What is told of a whole recording with hindsight: per frame, and per frame and sensor.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Labels {
     /// Frame by frame.
@@ -128,17 +129,10 @@ impl Network {
             return Err(NetworkError::Frames { expected: 10, found: frames.len() });
         }
         let sensors = frames.sensors.len();
-        let rules = Rules::learn(frames);
-        let mut labels = Labels::default();
-        let mut places: Vec<Vec<Option<Point>>> = Vec::with_capacity(frames.len());
-        let mut sizes = Vec::with_capacity(frames.len());
-        label_each(&rules, frames, &mut labels, |labeller| {
-            places.push(labeller.places());
-            sizes.push(labeller.size());
-        });
+        let (rules, labels) = Rules::learn(frames);
         let mut network = Self {
             sensors: frames.sensors.clone(),
-            body: training.body.then(|| Body::learn(sensors, &places)).flatten(),
+            body: training.body.then(|| Body::learn(frames, &labels.sensors)).flatten(),
             places: Vec::new(),
             links: Vec::new(),
             motion: Motion::learn(
@@ -156,8 +150,8 @@ impl Network {
             revision: 0,
         };
         let mut seen = frames.clone();
-        for (k, size_of_body) in sizes.iter().enumerate() {
-            network.see(frames.frame(k), *size_of_body, seen.frame_mut(k));
+        for k in 0..frames.len() {
+            network.see(frames.frame(k), 1.0, seen.frame_mut(k));
         }
         let mut indices = vec![f64::NAN; frames.len() * sensors];
         for sensor in 0..sensors {
@@ -352,25 +346,6 @@ fn majority(counts: &[u32; 4], share: f64) -> Class {
     let best = classes.into_iter().max_by_key(|class| counts[*class as usize]);
     best.filter(|class| total > 0 && f64::from(counts[*class as usize]) >= share * f64::from(total))
         .unwrap_or(Class::Unknown)
-}
-
-/// What the rules say of a whole recording.
-pub fn label_all(rules: &Rules, frames: &Frames) -> Labels {
-    let mut labels = Labels::default();
-    label_each(rules, frames, &mut labels, |_| {});
-    labels
-}
-
-/// Labels a whole recording, and shows the labeller after each frame.
-fn label_each(rules: &Rules, frames: &Frames, labels: &mut Labels, mut after: impl FnMut(&Labeller)) {
-    let mut labeller = rules.labeller();
-    let mut row = vec![(Class::Unknown, Cause::Missing); frames.sensors.len()];
-    for k in 0..frames.len() {
-        rules.label(&mut labeller, frames.frame(k), &mut row);
-        labels.frames.push(frame_class(&row));
-        labels.sensors.extend_from_slice(&row);
-        after(&labeller);
-    }
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Labels without an operator: what physics says about positions.
 //!
 //! What comes in: frames of positions. What goes out: a label and a cause per sensor. What is learnt from a
-//! recording before that ([`Rules::learn`], no labels needed) is how far apart sensors can be, how they move, and
+//! recording before that ([`super::learning`], no labels needed) is how far apart sensors can be, how they move, and
 //! which is the clean side of the transmitter. What it never does: look at the future.
 //!
 //! A whole figure that flips keeps all its mutual distances, so those alone would never see it: flips are events.
@@ -10,24 +10,8 @@ use std::cell::Cell;
 
 use serde::{Deserialize, Serialize};
 
-use super::frames::Frames;
-use super::memory::{Habit, Memory, Point, distance, turned};
+use super::memory::{Habit, Memory, Point};
 use super::pairs::{Pairs, Size};
-
-/// In a recording, a step whose mirror image is so many times shorter is a flip; shorter steps are motion, m.
-const FLIP_RATIO: f64 = 0.3;
-const SMALLEST_FLIP_M: f64 = 0.1;
-/// A deviation from a steady motion is a jump beyond so many times the largest usual one, or the usual one, and
-/// never below this, m.
-const JUMP_LARGEST: f64 = 1.5;
-const JUMP_USUAL: f64 = 4.0;
-const SMALLEST_JUMP_M: f64 = 0.04;
-
-/// Heads are so far above feet, at least, where names tell which side is clean, m.
-const UPRIGHT_M: f64 = 0.1;
-
-/// Shares of the distances that are taken for faults, at first and then, at either end.
-const RANGES_LEAVE_OUT: [f64; 2] = [0.02, 0.003];
 
 /// What is the matter with one sensor, or with a frame.
 #[derive(
@@ -112,31 +96,8 @@ pub struct Labeller {
 }
 
 impl Rules {
-    /// Learns from a recording without labels.
-    pub fn learn(frames: &Frames) -> Self {
-        let sensors = frames.sensors.len();
-        let sides = sides(frames);
-        let here = |frame: usize, sensor: usize| {
-            Some(turned(position(frames.frame(frame), sensor)?, sides[frame * sensors + sensor]))
-        };
-        let habits = (0..sensors).map(|sensor| habit(frames.len(), |frame| here(frame, sensor))).collect();
-        let mut rules = Self { habits, pairs: Pairs::default() };
-        // Ranges are learnt from what is left once all that jumps, flips and freezes is gone, and then once more
-        // without what is outside of these.
-        let mut labels = vec![(Class::Unknown, Cause::Missing); sensors];
-        let mut places: Vec<Option<Point>> = Vec::with_capacity(frames.len() * sensors);
-        for outside in RANGES_LEAVE_OUT {
-            let mut labeller = rules.labeller();
-            places.clear();
-            for k in 0..frames.len() {
-                rules.label(&mut labeller, frames.frame(k), &mut labels);
-                let cells = Cell::from_mut(&mut labels[..]).as_slice_of_cells();
-                places.extend((0..sensors).map(|sensor| believed(&labeller.sensors, cells, sensor)));
-            }
-            let place = |k: usize, sensor: usize| places[k * sensors + sensor];
-            rules.pairs = Pairs::learn(sensors, frames.len(), outside, place);
-        }
-        rules
+    pub(super) fn new(habits: Vec<Habit>, pairs: Pairs) -> Self {
+        Self { habits, pairs }
     }
 
     /// Whether these are the rules of so many sensors.
@@ -222,89 +183,10 @@ fn believed(memories: &[Memory], labels: &[Cell<(Class, Cause)>], sensor: usize)
 }
 
 impl Labeller {
-    /// Where each sensor is, on the clean side.
-    pub(super) fn places(&self) -> Vec<Option<Point>> {
-        self.sensors.iter().map(Memory::here).collect()
-    }
-
     /// Size of this body over that of the training's, as far as it is known.
     pub fn size(&self) -> f64 {
         self.size.value()
     }
-}
-
-/// How a sensor moves, from a recording of it on its clean side.
-fn habit(frames: usize, here: impl Fn(usize) -> Option<Point>) -> Habit {
-    let mut steps: Vec<f64> = (1..frames).filter_map(|k| Some(distance(here(k)?, here(k - 1)?))).collect();
-    let bend = |k: usize| {
-        let (a, b, c) = (here(k - 2)?, here(k - 1)?, here(k)?);
-        Some(distance(c, std::array::from_fn(|axis| 2.0 * b[axis] - a[axis])))
-    };
-    let mut bends: Vec<f64> = (2..frames).filter_map(bend).collect();
-    let largest = JUMP_LARGEST * quantile(&mut bends, 0.995);
-    let usual = JUMP_USUAL * quantile(&mut bends, 0.95);
-    let axis = |c: usize| median(&mut (0..frames).filter_map(|k| Some(here(k)?[c])).collect::<Vec<_>>());
-    Habit {
-        jump_m: largest.min(usual).max(SMALLEST_JUMP_M),
-        step_m: quantile(&mut steps, 0.95),
-        home_m: [axis(0), axis(1), axis(2)],
-    }
-}
-
-/// Which positions of a recording are on the wrong side: a sensor's side changes with each flip, and the side on
-/// which it is longer is the clean one. The figure's own upward axis decides where the names tell it.
-fn sides(frames: &Frames) -> Vec<bool> {
-    let sensors = frames.sensors.len();
-    let mut sides = vec![false; frames.len() * sensors];
-    for sensor in 0..sensors {
-        let mut last: Option<[f64; 3]> = None;
-        let (mut inverted, mut count, mut total) = (false, 0usize, 0usize);
-        for k in 0..frames.len() {
-            let Some(p) = position(frames.frame(k), sensor) else { continue };
-            if let Some(last) = last {
-                let (step, mirrored) = (distance(p, last), distance(turned(p, true), last));
-                inverted ^= step > SMALLEST_FLIP_M && mirrored < FLIP_RATIO * step;
-            }
-            last = Some(p);
-            sides[k * sensors + sensor] = inverted;
-            count += usize::from(inverted);
-            total += 1;
-        }
-        if 2 * count > total {
-            (0..frames.len()).for_each(|k| sides[k * sensors + sensor] ^= true);
-        }
-    }
-    if upside_down(frames, &sides) {
-        sides.iter_mut().for_each(|side| *side = !*side);
-    }
-    sides
-}
-
-/// Whether heads are below feet in most frames, where sensors are named after segments.
-fn upside_down(frames: &Frames, sides: &[bool]) -> bool {
-    let named = |words: &[&str]| -> Vec<usize> {
-        let is = |name: &String| words.iter().any(|word| name.to_lowercase().contains(word));
-        (0..frames.sensors.len()).filter(|sensor| is(&frames.sensors[*sensor])).collect()
-    };
-    let (high, low) =
-        (named(&["head", "torso", "thorax"]), named(&["pelvis", "root", "foot", "shank", "toes"]));
-    let sensors = frames.sensors.len();
-    let mean = |k: usize, group: &[usize]| {
-        let z = |sensor: &usize| {
-            let p = position(frames.frame(k), *sensor)?;
-            Some(if sides[k * sensors + sensor] { -p[2] } else { p[2] })
-        };
-        let heights: Vec<f64> = group.iter().filter_map(z).collect();
-        (!heights.is_empty()).then(|| heights.iter().sum::<f64>() / heights.len() as f64)
-    };
-    let (mut up, mut down) = (0, 0);
-    for k in 0..frames.len() {
-        if let (Some(high), Some(low)) = (mean(k, &high), mean(k, &low)) {
-            up += usize::from(high - low > UPRIGHT_M);
-            down += usize::from(low - high > UPRIGHT_M);
-        }
-    }
-    down > up
 }
 
 /// What a frame is: inverted if most of its sensors are, anomalous if any is not clean.
@@ -320,13 +202,9 @@ pub fn frame_class(labels: &[(Class, Cause)]) -> (Class, Cause) {
     }
 }
 
-fn position(frame: &[f64], sensor: usize) -> Option<[f64; 3]> {
+pub(super) fn position(frame: &[f64], sensor: usize) -> Option<[f64; 3]> {
     let p = &frame[3 * sensor..3 * sensor + 3];
     p.iter().all(|value| value.is_finite()).then(|| [p[0], p[1], p[2]])
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    quantile(values, 0.5)
 }
 
 /// A quantile of some values; 0 of none.

@@ -82,7 +82,7 @@ impl Watch {
             recent: vec![0; sensors],
             recent_frame: 0,
             guess: 0,
-            alone: 0.0,
+            alone: 1.5 * NOVELTY,
         }
     }
 
@@ -98,7 +98,7 @@ impl Watch {
             self.distances_m[sensor] = look.distance_m;
             let off = self.worn[sensor];
             // A sensor on a neuron of inverted frames, in a figure that is not, is wrong too.
-            let bad = matches!(look.class, Class::Anomalous | Class::Inverted)
+            let bad = matches!(look.class, Class::Anomalous)
                 || look.ratio - off > network.usual_ratio
                 || network.motion.class(&self.steps, sensor) == Class::Anomalous;
             let content = look.ratio - off < CONTENT * network.usual_ratio;

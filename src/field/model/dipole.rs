@@ -44,18 +44,33 @@ pub(crate) struct Reading {
 /// Solves the pure dipole model: range from the trace of `B'B`, direction from its leading eigenvector.
 ///
 /// `hint` is near the solution. The leading eigenvalue is about four times the others, so that the 32nd power of
-/// the matrix leaves nothing else.
+/// the matrix leaves nothing else; it is at least a third of the trace, so that nothing vanishes.
 pub(crate) fn solve(field: &Matrix3<f64>, hint: &Vector3<f64>) -> Reading {
     let gram = field.transpose() * field;
     let trace = gram.trace();
     let mut power = gram / trace;
     for _ in 0..5 {
         power *= power;
+    }
+    reading(gram, trace, &power, hint)
+}
+
+/// The same where metal is so near that two eigenvalues are nearly alike: the 1024th power.
+pub(crate) fn solve_closely(field: &Matrix3<f64>, hint: &Vector3<f64>) -> Reading {
+    let gram = field.transpose() * field;
+    let trace = gram.trace();
+    let mut power = gram / trace;
+    for _ in 0..10 {
+        power *= power;
         power /= power.trace();
     }
+    reading(gram, trace, &power, hint)
+}
+
+fn reading(gram: Matrix3<f64>, trace: f64, power: &Matrix3<f64>, hint: &Vector3<f64>) -> Reading {
     let mut u = power * hint;
     u /= u.norm();
-    let r = (6.0 / trace).powf(1.0 / 6.0);
+    let r = (6.0 / trace).cbrt().sqrt();
     Reading { position: u * r, gram, u, r }
 }
 

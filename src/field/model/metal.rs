@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::dipole::{field, field_gradient, solve};
+use super::dipole::{field, field_gradient, solve, solve_closely};
 
 /// What a secondary source stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -33,6 +33,13 @@ const LONGEST_STEP_M: f64 = 0.1;
 const FARTHEST_M: f64 = 0.5;
 /// Steps in which metal is switched on where a place is hard to find.
 const FOLLOWING_STEPS: u32 = 8;
+
+/// A place with such a spread of readings around it has no rival that is likelier.
+const PLAIN: std::ops::Range<f64> = 0.3..2.0;
+/// A place that was found must read so, m.
+const READ_M: f64 = 1e-5;
+/// How far around a reading its place is looked for, m.
+const AROUND_M: [f64; 3] = [0.1, 0.2, 0.35];
 
 /// Parameters of one source: position and strength.
 pub(crate) const SOURCE_PARAMETERS: usize = 4;
@@ -83,8 +90,64 @@ struct Prepared {
     kind: Kind,
     position: Vector3<f64>,
     strength: f64,
+    /// Moments at strength one, at full strength, and derivatives of these by the position.
+    unit: Matrix3<f64>,
     moments: Matrix3<f64>,
     gradient: [Matrix3<f64>; 3],
+}
+
+/// A source seen from a place: its field is `near v' - moments / r^3`, where `near` is `3 from / r^5`.
+struct View {
+    from: Vector3<f64>,
+    near: Vector3<f64>,
+    v: Vector3<f64>,
+    inverse_r2: f64,
+    inverse_r3: f64,
+}
+
+impl Prepared {
+    fn view(&self, p: &Vector3<f64>) -> View {
+        let from = p - self.position;
+        let inverse_r2 = 1.0 / from.norm_squared();
+        let inverse_r3 = inverse_r2 * inverse_r2.sqrt();
+        let near = from * (3.0 * inverse_r3 * inverse_r2);
+        View { from, near, v: self.moments.tr_mul(&from), inverse_r2, inverse_r3 }
+    }
+
+    /// Adds `share` of the field.
+    fn add_field(&self, p: &Vector3<f64>, share: f64, total: &mut Matrix3<f64>) {
+        let View { near, v, inverse_r3, .. } = self.view(p);
+        let (near, thin) = (near * share, inverse_r3 * share);
+        for column in 0..3 {
+            for row in 0..3 {
+                total[(row, column)] += near[row] * v[column] - self.moments[(row, column)] * thin;
+            }
+        }
+    }
+
+    /// Derivatives of the field by the place.
+    fn by_place(&self, view: &View) -> [Matrix3<f64>; 3] {
+        let View { from, near, v, inverse_r2, inverse_r3 } = view;
+        let steep = 3.0 * inverse_r3 * inverse_r2;
+        let mut radial = self.moments * steep;
+        for column in 0..3 {
+            let v = 5.0 * inverse_r2 * v[column];
+            for row in 0..3 {
+                radial[(row, column)] -= near[row] * v;
+            }
+        }
+        [0, 1, 2].map(|l| {
+            let mut change = radial * from[l];
+            for column in 0..3 {
+                change[(l, column)] += steep * v[column];
+                let moment = self.moments[(l, column)];
+                for row in 0..3 {
+                    change[(row, column)] += near[row] * moment;
+                }
+            }
+            change
+        })
+    }
 }
 
 /// A place found for a reading.
@@ -102,8 +165,9 @@ impl Metal {
             kind: source.kind,
             position: source.position(),
             strength: source.strength,
-            moments: source.moments(),
-            gradient: source.moments_gradient(),
+            unit: source.moments(),
+            moments: source.moments() * source.strength,
+            gradient: source.moments_gradient().map(|gradient| gradient * source.strength),
         };
         Self { sources: sources.iter().map(prepare).collect() }
     }
@@ -116,9 +180,7 @@ impl Metal {
     /// The same if the metal answers with `share` of its strength.
     fn field_of(&self, p: &Vector3<f64>, share: f64) -> Matrix3<f64> {
         let mut total = field(p);
-        for source in &self.sources {
-            total += field(&(p - source.position)) * source.moments * (source.strength * share);
-        }
+        self.sources.iter().for_each(|source| source.add_field(p, share, &mut total));
         total
     }
 
@@ -128,12 +190,11 @@ impl Metal {
     }
 
     /// Derivatives of the field by the place.
-    fn gradient(&self, p: &Vector3<f64>, share: f64) -> [Matrix3<f64>; 3] {
+    pub(crate) fn gradient(&self, p: &Vector3<f64>, share: f64) -> [Matrix3<f64>; 3] {
         let mut total = field_gradient(p);
         for source in &self.sources {
-            let moments = source.moments * (source.strength * share);
-            for (sum, gradient) in total.iter_mut().zip(field_gradient(&(p - source.position))) {
-                *sum += gradient * moments;
+            for (sum, change) in total.iter_mut().zip(source.by_place(&source.view(p))) {
+                *sum += change * share;
             }
         }
         total
@@ -151,24 +212,66 @@ impl Metal {
         found.filter(|p| (p - z).norm() < FARTHEST_M)
     }
 
+    /// As [`Metal::correct`]. Where that finds nothing, or a place around which space is folded, it looks from `guess`, and
+    /// without one from all around the reading. Of several places the likeliest is taken: the one around which the most
+    /// places read nearly the same.
+    pub(crate) fn find(&self, z: &Vector3<f64>, guess: Option<Vector3<f64>>) -> Option<Vector3<f64>> {
+        let right = |p: &Vector3<f64>| {
+            (p - z).norm() < FARTHEST_M
+                && self.surface(p) > 0.0
+                && (solve_closely(&self.field(p), p).position - z).norm() < READ_M
+        };
+        let from = |guess: Vector3<f64>| self.correct_from(z, guess, 1.0).filter(right);
+        let plain = self.correct(z).filter(right).map(|p| (self.spread(&p), p));
+        if let Some((spread, p)) = plain
+            && PLAIN.contains(&spread)
+        {
+            return Some(p);
+        }
+        let around = AROUND_M.into_iter().flat_map(|far| directions().map(move |way| z + way * far));
+        let starts = around.filter(|_| guess.is_none()).chain(guess);
+        let others = starts.filter_map(from).map(|p| (self.spread(&p), p));
+        plain.into_iter().chain(others).min_by(|a, b| a.0.abs().total_cmp(&b.0.abs())).map(|(_, p)| p)
+    }
+
+    /// The volume over which readings spread around a place, against the volume of their places; negative where they are
+    /// turned inside out.
+    fn spread(&self, p: &Vector3<f64>) -> f64 {
+        let b = self.field(p);
+        self.jacobian(p, &solve(&b, p).derivative(&b), 1.0).determinant()
+    }
+
     /// The place near `guess` where the device reports `z` if the metal answers with `share` of its strength.
     ///
-    /// Chords with the Jacobian at the first guess: it changes little over a correction, and a field costs a tenth of it.
+    /// Newton's method with one Jacobian, which Broyden's updates keep true: a field costs a tenth of it.
     fn correct_from(&self, z: &Vector3<f64>, guess: Vector3<f64>, share: f64) -> Option<Vector3<f64>> {
         let mut p = guess;
         let mut inverse = Matrix3::identity();
+        let mut last = (Vector3::zeros(), Vector3::zeros());
         for round in 0..24 {
             let b = self.field_of(&p, share);
             let reading = solve(&b, &p);
+            let missed = z - reading.position;
             if round % 8 == 1 {
                 inverse = self.jacobian(&p, &reading.derivative(&b), share).try_inverse()?;
+            } else if round > 1 {
+                let (step, before) = last;
+                let back = inverse * (before - missed);
+                let along = step.dot(&back);
+                if along > 0.1 * step.norm_squared() {
+                    inverse += (step - back) * (step.transpose() * inverse) / along;
+                }
             }
-            let step = inverse * (z - reading.position);
+            let mut step = inverse * missed;
             let length = step.norm();
             if !length.is_finite() {
                 return None;
             }
-            p += if length > LONGEST_STEP_M { step * (LONGEST_STEP_M / length) } else { step };
+            if length > LONGEST_STEP_M {
+                step *= LONGEST_STEP_M / length;
+            }
+            p += step;
+            last = (step, missed);
             if length < PRECISION_M {
                 return Some(p);
             }
@@ -197,14 +300,15 @@ impl Metal {
     /// Derivatives of the place by all parameters, source by source: position, then strength.
     pub(crate) fn parameters(&self, place: &Place, mut each: impl FnMut(usize, Vector3<f64>)) {
         for (index, source) in self.sources.iter().enumerate() {
-            let from = place.p - source.position;
-            let k = field(&from);
-            let gradient = field_gradient(&from);
-            for (l, (by_moments, by_place)) in source.gradient.iter().zip(&gradient).enumerate() {
-                let change = (k * by_moments - by_place * source.moments) * source.strength;
+            let view = source.view(&place.p);
+            let View { from, near, inverse_r3, .. } = &view;
+            let field_of =
+                |moments: &Matrix3<f64>| near * moments.tr_mul(from).transpose() - moments * *inverse_r3;
+            for (l, (moved, by_place)) in source.gradient.iter().zip(source.by_place(&view)).enumerate() {
+                let change = field_of(moved) - by_place;
                 each(SOURCE_PARAMETERS * index + l, times(&place.by_field, &change));
             }
-            each(SOURCE_PARAMETERS * index + 3, times(&place.by_field, &(k * source.moments)));
+            each(SOURCE_PARAMETERS * index + 3, times(&place.by_field, &field_of(&source.unit)));
         }
     }
 
@@ -224,6 +328,12 @@ impl Metal {
     pub(crate) fn clearance(&self, p: &Vector3<f64>) -> f64 {
         self.sources.iter().map(|source| (p - source.position).norm()).fold(f64::INFINITY, f64::min)
     }
+}
+
+/// Along the edges and diagonals of a cube.
+fn directions() -> impl Iterator<Item = Vector3<f64>> {
+    let ways = (0..27).map(|k| Vector3::from([k % 3, k / 3 % 3, k / 9].map(|n| f64::from(n) - 1.0)));
+    ways.filter_map(|way| way.try_normalize(0.5))
 }
 
 /// A linear map of a matrix, taken column by column.

@@ -122,7 +122,26 @@ impl Model {
 
     /// The corrected position of reading `z` among metal that was prepared before.
     pub(crate) fn correct_in(&self, metal: Option<&Metal>, z: &Vector3<f64>) -> Vector3<f64> {
-        let place = metal.and_then(|metal| metal.correct(z).filter(|p| metal.clearance(p) > CLEARANCE_M));
+        self.correct_by(metal, z, |metal| metal.correct(z))
+    }
+
+    /// The same, at any price: from a `guess` or from all around where the first try finds nothing.
+    pub(crate) fn answer_in(
+        &self,
+        metal: Option<&Metal>,
+        z: &Vector3<f64>,
+        guess: Option<Vector3<f64>>,
+    ) -> Vector3<f64> {
+        self.correct_by(metal, z, |metal| metal.find(z, guess))
+    }
+
+    fn correct_by(
+        &self,
+        metal: Option<&Metal>,
+        z: &Vector3<f64>,
+        place: impl Fn(&Metal) -> Option<Vector3<f64>>,
+    ) -> Vector3<f64> {
+        let place = metal.and_then(|metal| place(metal).filter(|p| metal.clearance(p) > CLEARANCE_M));
         let mut y = place.unwrap_or(*z);
         if let Some(polynomial) = &self.polynomial {
             y += polynomial.at(z);

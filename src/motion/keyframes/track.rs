@@ -6,7 +6,7 @@
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
-use super::{Detector, Event, KeyPose};
+use super::{Detector, Event, KeyPose, Trace};
 use crate::geometry::so3;
 
 /// Missing frames up to this many are bridged; a longer gap ends the motion.
@@ -31,8 +31,9 @@ impl Track {
         Self { fresh: detector.clone(), detector, last: None, missing: 0, frames: 0, start: 0 }
     }
 
-    /// Takes the next frame; frames of events count from the stream's first.
-    pub fn push(&mut self, pose: Option<&Isometry3<f64>>, say: &mut impl FnMut(Event)) {
+    /// Takes the next frame; gives the statistic at an earlier one, if there is a new value. Frames of events and of the
+    /// statistic count from the stream's first.
+    pub fn push(&mut self, pose: Option<&Isometry3<f64>>, say: &mut impl FnMut(Event)) -> Option<Trace> {
         let now = self.frames;
         self.frames += 1;
         let Some(pose) = pose else {
@@ -40,7 +41,7 @@ impl Track {
             if self.missing == BRIDGED_FRAMES + 1 && self.last.take().is_some() {
                 self.detector.finish(&mut in_stream(self.start, now, say));
             }
-            return;
+            return None;
         };
         match self.last {
             Some(last) => {
@@ -53,9 +54,15 @@ impl Track {
                 self.start = now;
             }
         }
-        self.detector.push(pose, &mut in_stream(self.start, now, say));
+        let trace = self.detector.push(pose, &mut in_stream(self.start, now, say));
         self.last = Some(*pose);
         self.missing = 0;
+        trace.map(|trace| Trace { frame: self.start + trace.frame, ..trace })
+    }
+
+    /// What a peak of the statistic must exceed; absent where it depends on the motion.
+    pub fn threshold(&self) -> Option<f64> {
+        self.fresh.threshold()
     }
 
     /// How many frames back an event may speak of.

@@ -28,7 +28,7 @@ pub use self::jobs::{Job, JobState, Jobs};
 pub use self::keyframes::KeyPose;
 pub use self::reply::{ErrorReply, OkReply};
 pub use self::segments::SegmentBody;
-pub use self::sensors::{Measured, Quality, SensorEntry, Sensors};
+pub use self::sensors::{Change, Measured, Quality, SensorEntry, Sensors};
 pub use self::status::{
     DeviceStatus, LinkState, Problem, RecordingStatus, ReplayStatus, SensorStatus, StageLatency, Status,
 };

@@ -61,6 +61,20 @@ pub struct SensorEntry {
     /// What the map of faults says of it; absent where the stage has none, or not for this sensor.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fault: Option<SensorLabel>,
+    /// The statistic of key poses; absent where they are not looked for, or not of this sensor.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub change: Option<Change>,
+}
+
+/// The statistic of key poses: it speaks of an earlier frame, since it needs the frames around it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Change {
+    /// Capture time of the frame that it speaks of, s.
+    pub t_s: f64,
+    /// How clear a change of motion there would be: without unit, comparable between sensors.
+    pub score: f64,
+    /// What a peak must exceed to be a key pose.
+    pub threshold: f64,
 }
 
 /// A raw record in device axes.

@@ -143,7 +143,24 @@ async fn a_replay_is_steered_over_the_websocket() {
     until(&mut client, "the other one", |message| message["replay"]["name"] == "b.mcap").await;
     until(&mut client, "its poses", pose_in(0.0, 4.1)).await;
 
+    // Two runs side by side: channels of a whole recording at once.
+    let columns = ok(&mut client, json!({"type": "replay.track", "name": "a.mcap"})).await["columns"].take();
+    let x = columns[0].as_str().unwrap().to_owned();
+    let track =
+        ok(&mut client, json!({"type": "replay.track", "name": "a.mcap", "columns": [x, "no such"]})).await;
+    let (t_s, values) = (track["t_s"].as_array().unwrap(), track["values"].as_array().unwrap());
+    assert!(t_s.len() > 1000 && t_s.len() == values.len() && t_s.len() <= 2000, "{}", t_s.len());
+    assert!(t_s.last().unwrap().as_f64().unwrap() > 13.0);
+    assert!(values.iter().all(|row| row[1].is_null()) && values[500][0].is_f64());
+
     for (request, code, words) in [
+        (json!({"type": "replay.track", "name": "../a.mcap"}), "not_found", "replay.list"),
+        (json!({"type": "replay.track", "name": "broken.mcap"}), "failed", "no recording of posed"),
+        (
+            json!({"type": "replay.track", "name": "a.mcap", "columns": vec!["x"; 7]}),
+            "bad_request",
+            "6 at most",
+        ),
         (json!({"type": "replay.open", "name": "c.mcap"}), "not_found", "replay.list"),
         (json!({"type": "replay.open", "name": "../a.mcap"}), "not_found", "replay.list"),
         (json!({"type": "replay.open", "name": "broken.mcap"}), "failed", "no recording of posed"),

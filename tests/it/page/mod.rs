@@ -74,6 +74,12 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
     browser.until("document.querySelectorAll('#segments-provisional .segment, #segments-confirmed .segment').length > 0").await;
     browser.value("document.getElementById('segments-title').scrollIntoView()").await;
     browser.picture("segments").await;
+    // The demo has learnt a map of faults, and watches the wand for key poses.
+    browser.until("document.querySelectorAll('#fault-map .cell').length === 441").await;
+    browser.until("document.querySelectorAll('#fault-map .cell.clean').length > 20").await;
+    browser.until("document.querySelectorAll('#fault-map .winner').length === 1").await;
+    browser.value("document.getElementById('sensor-choice').value = 'wand'").await;
+    browser.until("document.querySelectorAll('#change-curve:not([hidden]) canvas').length === 1").await;
     browser.click("tab-stage-view").await;
     posed.signal("STOP");
     browser.until(DATA_OLD).await;
@@ -128,6 +134,15 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser.value(seek).await;
     browser.until("document.getElementById('link').textContent === 'live'").await;
     browser.picture("replay").await;
+    // The recording and a copy of it lie on one another, unless one is shifted.
+    browser.until("document.getElementById('compare-channel').options.length > 6").await;
+    browser.value("document.getElementById('compare-channel').value = 'of two_x_m'").await;
+    browser.click("compare").await;
+    browser.until("document.getElementById('compare-verdict').textContent.includes(': 0.0000 apart')").await;
+    browser.value("const shift = document.getElementById('compare-shift'); shift.value = 0.5; shift.dispatchEvent(new Event('input'))").await;
+    browser
+        .until("/: 0\\.[0-9]*[1-9][0-9]* apart/.test(document.getElementById('compare-verdict').textContent)")
+        .await;
     done(browser, replay).await;
 }
 

@@ -147,6 +147,7 @@ pub(crate) fn estimate(frame: u64) -> Estimate {
         }),
         fault: None,
         carried: false,
+        change: None,
     };
     Estimate {
         fault: None,

@@ -1,4 +1,5 @@
-// Analysis: curves of one sensor and one joint, segments of the motion, the map of faults, and the events as they come.
+// Analysis: curves of one sensor and one joint, where the motion changes, its segments, the map of faults, and the events as
+// they come.
 
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
@@ -6,6 +7,7 @@ import { type Cell, Table, el } from "../dom";
 import { HISTORY_S, History } from "../model";
 import { JointCurves, axisLook } from "./joints";
 import type { Context, View } from "../view";
+import { ChangeCurve } from "./changes";
 import { FaultsPanel } from "./faults";
 import { SegmentsPanel } from "./segments";
 
@@ -26,6 +28,7 @@ export class AnalysisView implements View {
   private readonly curves = el("div", { class: "curves" });
   private readonly faults = new Table("faults", "Faults, newest first", [["Stage time, s"], ["Sensor", "word"], ["Cause", "word"], [""]]);
   private readonly map: FaultsPanel;
+  private readonly changes = new ChangeCurve();
   private readonly segments: SegmentsPanel;
   private readonly joints = new JointCurves();
   private plots: uPlot[] = [];
@@ -34,7 +37,7 @@ export class AnalysisView implements View {
   constructor(private readonly context: Context) {
     this.map = new FaultsPanel(context);
     this.segments = new SegmentsPanel(context);
-    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.joints.element, this.segments.element, this.map.element, this.faults.element);
+    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.changes.element, this.joints.element, this.segments.element, this.map.element, this.faults.element);
     addEventListener("resize", () => this.resize());
   }
 
@@ -49,6 +52,8 @@ export class AnalysisView implements View {
     this.drawChoice();
     const history = this.context.model.history.get(this.choice.value);
     if (history) this.drawCurves(history);
+    const { changes, keyPoses } = this.context.model;
+    this.changes.draw(changes.get(this.choice.value), keyPoses.filter(({ sensor }) => sensor === this.choice.value));
     this.segments.draw();
     this.map.draw();
     this.joints.draw(this.context.model.angles);
@@ -105,6 +110,7 @@ export class AnalysisView implements View {
 
   private resize(): void {
     this.joints.resize();
+    this.changes.resize();
     for (const plot of this.plots) {
       const width = plot.root.parentElement?.clientWidth ?? 0;
       if (width > 0) plot.setSize({ width, height: 180 });

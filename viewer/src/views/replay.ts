@@ -1,7 +1,8 @@
-// Replay: open a recording of the daemon's folder, go to any time in it, change the speed.
+// Replay: open a recording of the daemon's folder, go to any time in it, change the speed, compare two of them.
 
 import { acting, el, setText } from "../dom";
 import type { Context, View } from "../view";
+import { ComparePanel } from "./compare";
 
 const SPEEDS: [string, number | "max"][] = [["pause", 0], ["¼ ×", 0.25], ["1 ×", 1], ["4 ×", 4], ["as fast as it goes", "max"]];
 
@@ -16,10 +17,12 @@ export class ReplayView implements View {
   private readonly steer = el("div", { hidden: true });
   private readonly live = el("p", { class: "quiet" });
   private readonly name = el("h2", {}, "Replay");
+  private readonly compare: ComparePanel;
   private scrubbing = false;
 
   constructor(private readonly context: Context) {
     const { link } = context;
+    this.compare = new ComparePanel(context);
     const seek = () => link.request({ type: "replay.seek", t_s: Number(this.slider.value) });
     this.slider.addEventListener("pointerdown", () => (this.scrubbing = true));
     this.slider.addEventListener("change", acting(this.says, () => {
@@ -35,7 +38,7 @@ export class ReplayView implements View {
     );
     const again = el("button", { onclick: acting(this.says, () => this.refresh()) }, "Look again");
     this.element = el("div", {}, this.name, this.live, this.steer, this.says,
-      el("h2", {}, "Recordings in the folder"), this.list, again);
+      el("h2", {}, "Recordings in the folder"), this.list, again, this.compare.element);
     context.model.listen((message) => {
       if (message.type === "hello" && !this.element.hidden) this.shown();
     });
@@ -76,5 +79,6 @@ export class ReplayView implements View {
       return el("li", { class: "row" }, name, open);
     };
     this.list.replaceChildren(...(recordings.length ? recordings.map(row) : [el("li", { class: "quiet" }, "none yet")]));
+    await this.compare.offer(recordings);
   }
 }

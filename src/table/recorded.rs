@@ -1,0 +1,119 @@
+//! What a live stage saw of every frame of a recording, row by row.
+//!
+//! What comes in: a recording. What goes out: the columns of [`signals::columns`] and of the body, and a row per frame. Only the
+//! newest row is kept.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::TableError;
+use super::poses::{SensorEntry, SensorsMessage};
+use crate::fusion::body::ANGLE_NAMES;
+use crate::layout::{BodyLayout, joint_and_angle};
+use crate::recording::{Item, ReadError, Reader};
+use crate::signals;
+use crate::stage::Stage;
+
+/// A recording as named channels over time.
+pub struct RecordedStreams {
+    path: PathBuf,
+    reader: Reader<BufReader<File>>,
+    sensors: Vec<String>,
+    /// Of the body, by their index in [`ANGLE_NAMES`].
+    angles: Vec<usize>,
+    columns: Vec<String>,
+    row: Vec<Option<f64>>,
+    body: Option<BodyMessage>,
+}
+
+impl RecordedStreams {
+    /// Opens a recording.
+    ///
+    /// # Errors
+    /// It is damaged, or is none.
+    pub fn open(path: &Path) -> Result<Self, TableError> {
+        let reader = Reader::open(path)
+            .map_err(|source| TableError::Recording { file: path.display().to_string(), source })?;
+        let sensors = reader.header().sensors.clone();
+        let layout = Stage::parse(&reader.header().stage_toml).ok().and_then(|stage| BodyLayout::of(&stage));
+        let mut columns = signals::columns(sensors.iter().map(String::as_str));
+        columns.extend(layout.iter().flat_map(BodyLayout::columns));
+        let angles = layout.map_or_else(Vec::new, |layout| layout.shown_angles);
+        let row = Vec::with_capacity(columns.len());
+        Ok(Self { path: path.to_owned(), reader, sensors, angles, columns, row, body: None })
+    }
+
+    /// Names of the channels.
+    pub fn columns(&self) -> &[String] {
+        &self.columns
+    }
+
+    /// Values of the newest row, in the order of the columns.
+    pub fn row(&self) -> &[Option<f64>] {
+        &self.row
+    }
+
+    /// Goes on to the next row; its time in s, or `None` at the end.
+    ///
+    /// # Errors
+    /// The recording is damaged.
+    pub fn next_row(&mut self) -> Result<Option<f64>, TableError> {
+        self.next().map_err(|source| TableError::Recording { file: self.path.display().to_string(), source })
+    }
+
+    fn next(&mut self) -> Result<Option<f64>, ReadError> {
+        for item in self.reader.by_ref() {
+            let Item::Message(message) = item? else { continue };
+            if &*message.topic == "body" && !self.angles.is_empty() {
+                self.body = Some(BodyMessage::parse(&message.json)?);
+            }
+            if &*message.topic != "sensors" {
+                continue;
+            }
+            let message = SensorsMessage::parse(&message.json)?;
+            self.row.clear();
+            for name in &self.sensors {
+                let usable = |entry: &&SensorEntry| entry.name == *name && entry.state.is_usable();
+                let entry = message.sensors.iter().find(usable);
+                let position_m = entry.and_then(|entry| entry.position_m);
+                let orientation_wxyz = entry.and_then(|entry| entry.orientation_wxyz);
+                signals::append(position_m, orientation_wxyz, &mut self.row);
+            }
+            let fresh = self.body.as_ref().filter(|body| message.t_s - body.t_s <= signals::BODY_AGE_S);
+            self.row.extend(self.angles.iter().map(|angle| fresh?.angle_deg(ANGLE_NAMES[*angle])));
+            return Ok(Some(message.t_s));
+        }
+        Ok(None)
+    }
+}
+
+/// What streams need of a `body` message.
+#[derive(Deserialize)]
+struct BodyMessage {
+    t_s: f64,
+    joints: Vec<Joint>,
+}
+
+#[derive(Deserialize)]
+struct Joint {
+    name: String,
+    angles_deg: BTreeMap<String, Option<f64>>,
+}
+
+impl BodyMessage {
+    fn parse(json: &[u8]) -> Result<Self, ReadError> {
+        serde_json::from_slice(json)
+            .map_err(|error| ReadError::NotARecording(format!("a `body` message cannot be read: {error}")))
+    }
+
+    /// The angle of that name, degrees.
+    fn angle_deg(&self, name: &'static str) -> Option<f64> {
+        let (joint, angle) = joint_and_angle(name);
+        let joint = self.joints.iter().find(|known| known.name == joint)?;
+        joint.angles_deg.get(angle).copied().flatten()
+    }
+}
