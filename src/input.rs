@@ -90,6 +90,17 @@ pub enum Model {
         /// One per sensor on the body.
         sensors: Vec<MountedSensor>,
     },
+    /// How an IMU sits on the magnetic sensor that it is fastened to, as `stage.align` found it.
+    FastenedImu {
+        /// The magnetic sensor, by name.
+        sensor: String,
+        /// Turns the IMU's coordinates into the magnetic sensor's.
+        quat_wxyz: [f64; 4],
+        /// From the magnetic sensor to the IMU, the magnetic sensor's axes, m.
+        offset_m: [f64; 3],
+        /// Capture time of a magnetic record on the IMU's clock minus the one it is given, s.
+        clock_offset_s: f64,
+    },
     /// A taught exercise; it takes the place of the one of its name.
     Exercise {
         /// The exercise, as in its file.
@@ -162,6 +173,7 @@ impl Model {
         match (self, newer) {
             (Self::Transmitter { .. }, Self::Transmitter { .. }) => true,
             (Self::Mounting { .. }, Self::Mounting { .. }) => true,
+            (Self::FastenedImu { sensor, .. }, Self::FastenedImu { sensor: of, .. }) => sensor == of,
             (Self::TrackerNoise { device, .. }, Self::TrackerNoise { device: of, .. }) => device == of,
             (Self::Field { .. }, Self::Field { .. }) => true,
             (Self::Exercise { exercise }, Self::Exercise { exercise: newer }) => exercise.name == newer.name,
@@ -208,6 +220,11 @@ impl Model {
                         "sensors: give {:?} finite numbers and a quaternion that is not zero",
                         bad.sensor
                     ));
+                }
+            }
+            Self::FastenedImu { quat_wxyz, offset_m, clock_offset_s, .. } => {
+                if geometry::isometry(*offset_m, *quat_wxyz).is_none() || !clock_offset_s.is_finite() {
+                    return Err("offset_m, quat_wxyz, clock_offset_s: give finite numbers and a quaternion that is not zero".into());
                 }
             }
             Self::Exercise { exercise } => exercise.check().map_err(|error| error.to_string())?,

@@ -4,7 +4,7 @@
 
 use std::ops::Range;
 
-use crate::fusion::body::{ANGLE_NAMES, SEGMENTS, Segment, of_joint};
+use crate::fusion::body::{ANGLE_NAMES, SEGMENTS, Segment, Skeleton, of_joint};
 use crate::input::SensorIndex;
 use crate::stage::{self, Stage};
 
@@ -59,6 +59,23 @@ impl Wearers {
     }
 }
 
+/// The lengths of a stage's body: by its height, and what was measured in its place. `None` without a height.
+pub fn skeleton_of(body: &stage::Body) -> Option<Skeleton> {
+    let height_m = body.height_m.filter(|height_m| height_m.is_finite() && *height_m > 0.0)?;
+    let by_height = Skeleton::from_height(height_m);
+    let measured = body.lengths_m.unwrap_or_default();
+    Some(Skeleton {
+        shoulder_half_m: measured.shoulders.map_or(by_height.shoulder_half_m, |width_m| 0.5 * width_m),
+        hip_half_m: measured.hips.map_or(by_height.hip_half_m, |width_m| 0.5 * width_m),
+        trunk_m: measured.trunk.unwrap_or(by_height.trunk_m),
+        upper_arm_m: measured.upper_arm.unwrap_or(by_height.upper_arm_m),
+        forearm_m: measured.forearm.unwrap_or(by_height.forearm_m),
+        thigh_m: measured.thigh.unwrap_or(by_height.thigh_m),
+        shank_m: measured.shank.unwrap_or(by_height.shank_m),
+        foot_m: measured.ankle.unwrap_or(by_height.foot_m),
+    })
+}
+
 /// Where a sensor sits: as it says itself, else by its name.
 pub fn segment_of(sensor: &stage::Sensor) -> Option<Segment> {
     Segment::named(sensor.segment.as_ref().unwrap_or(&sensor.name))
@@ -106,4 +123,22 @@ impl BodyLayout {
 /// The joint and the angle that a name of [`ANGLE_NAMES`] is made of: `elbow_r` and `flexion`.
 pub fn joint_and_angle(name: &'static str) -> (&'static str, &'static str) {
     name.rsplit_once('_').unwrap_or((name, name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn measured_lengths_take_the_place_of_those_of_the_height() {
+        let text = "name = \"a\"\n[body]\nheight_m = 2.0\nlengths_m = { thigh = 0.41, shoulders = 0.4 }";
+        let skeleton = skeleton_of(Stage::parse(text).unwrap().body.as_ref().unwrap()).unwrap();
+        let by_height = Skeleton::from_height(2.0);
+        assert_eq!((skeleton.thigh_m, skeleton.shoulder_half_m), (0.41, 0.2));
+        assert_eq!(
+            Skeleton { thigh_m: by_height.thigh_m, shoulder_half_m: by_height.shoulder_half_m, ..skeleton },
+            by_height
+        );
+        assert!(Stage::parse(&text.replace("0.41", "4.1")).is_err());
+    }
 }

@@ -116,6 +116,8 @@ pub struct SensorEstimate {
     pub measured: Option<Measured>,
     /// What the map of faults says of it; absent where the stage has none, or not for this sensor.
     pub fault: Option<SensorLabel>,
+    /// No record of this frame is in the pose: the IMU that is fastened to the sensor carries it on.
+    pub carried: bool,
     /// The statistic of key poses; absent where they are not looked for, or not yet.
     pub change: Option<Change>,
 }

@@ -81,8 +81,14 @@ mod tests {
             covariance: [0.0; 21],
             sigma_m: Some(0.0),
         };
-        let sensor =
-            |state| SensorEstimate { state, pose: Some(pose), measured: None, fault: None, change: None };
+        let sensor = |state| SensorEstimate {
+            state,
+            pose: Some(pose),
+            measured: None,
+            fault: None,
+            change: None,
+            carried: false,
+        };
         let sensors = vec![sensor(SensorState::Ok), sensor(SensorState::Suspect)];
         let mut row = vec![None];
         write(&Estimate { sensors, ..Estimate::default() }, &mut row);

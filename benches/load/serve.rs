@@ -32,6 +32,7 @@ pub(crate) fn start(args: &Args) -> Served {
             segment: None,
             mount_quat_wxyz: None,
             offset_m: None,
+            imu: None,
             serial: None,
             magnetometer: true,
             gyro_delay_ms: 0.0,
@@ -105,5 +106,12 @@ fn sensor(phase: f64) -> SensorEstimate {
         covariance: [1e-7; 21],
         sigma_m: Some(0.001 + 0.0005 * s),
     };
-    SensorEstimate { state: SensorState::Ok, pose: Some(pose), measured: None, fault: None, change: None }
+    SensorEstimate {
+        state: SensorState::Ok,
+        pose: Some(pose),
+        measured: None,
+        fault: None,
+        change: None,
+        carried: false,
+    }
 }

@@ -154,6 +154,14 @@ export type Call = {
   id: RequestId;
   type: "body.calibrate";
 } | {
+  /** Surveyed points of the room that the sensor is held at, in this order; three or more where no IMU is fastened to it. */
+  anchors?: RoomPoint[];
+  /** The reply carries it. */
+  id: RequestId;
+  /** The magnetic sensor, by name; absent: the first that has an IMU, else the first. */
+  sensor?: string | null;
+  type: "stage.align";
+} | {
   /** The reply carries it. */
   id: RequestId;
   /** Its number. */
@@ -710,6 +718,16 @@ export type Model = {
   /** One per sensor on the body. */
   sensors: MountedSensor[];
 } | {
+  /** Capture time of a magnetic record on the IMU's clock minus the one it is given, s. */
+  clock_offset_s: number;
+  kind: "fastened_imu";
+  /** From the magnetic sensor to the IMU, the magnetic sensor's axes, m. */
+  offset_m: [number, number, number];
+  /** Turns the IMU's coordinates into the magnetic sensor's. */
+  quat_wxyz: [number, number, number, number];
+  /** The magnetic sensor, by name. */
+  sensor: string;
+} | {
   /** The exercise, as in its file. */
   exercise: Exercise;
   kind: "exercise";
@@ -789,6 +807,8 @@ export type Progress = {
 
 /** How good a pose is. */
 export type Quality = {
+  /** No record of this frame is in the pose: the IMU that is fastened to the sensor carries it on, for half a second at most. */
+  carried?: boolean;
   /** Root mean square of the expected rotation error, rad. */
   sigma_rotation_rad: number;
 };
@@ -830,6 +850,14 @@ export type RequestId = number | string;
 
 /** What a client may do. */
 export type Role = "watch" | "operate";
+
+/** A surveyed point of the room. */
+export type RoomPoint = {
+  /** For messages. */
+  name: string;
+  /** Where it is, room, m. */
+  position_m: [number, number, number];
+};
 
 /** A segment. */
 export type SegmentEntry = {

@@ -21,11 +21,12 @@ use super::positions::RecentPositions;
 use super::recent::{Excerpt, Recent};
 use super::recorder::{Recorder, RecorderState};
 use super::server::{Hub, Reply};
+use super::waved::{Seen, Waved};
 use super::worn::Worn;
 use crate::faults::som::Network;
 use crate::faults::som::frames::Frames;
 use crate::fusion::body::calibrate::Recorded;
-use crate::input::{Entry, Input, Model, Request};
+use crate::input::{Entry, Input, Model, Request, SensorIndex};
 use crate::output::{OutcomeKind, Output};
 use crate::pipeline::Pipeline;
 use crate::protocol::{Payload, Publisher, Status, schema};
@@ -109,6 +110,15 @@ pub enum Command {
     },
     /// Sends the samples of the worn IMUs, until nobody takes them any more.
     WatchBody(std_mpsc::SyncSender<Recorded>),
+    /// Sends the records of a magnetic sensor and of its IMU, until nobody takes them any more.
+    WatchWaved {
+        /// The magnetic sensor.
+        sensor: SensorIndex,
+        /// Its IMU, where it has one.
+        imu: Option<SensorIndex>,
+        /// Where they go.
+        to: std::sync::mpsc::SyncSender<Seen>,
+    },
     /// A job was cancelled; it may be one of this thread.
     LookAtJobs,
     /// Ends the thread.
@@ -148,6 +158,8 @@ pub(super) struct Fusion {
     pub(super) positions: RecentPositions,
     /// Who calibrates the body, if anybody.
     pub(super) worn: Worn,
+    /// Who aligns the stage, if anybody.
+    pub(super) waved: Waved,
     /// What every recording of this run begins with.
     pub(super) recording_header: Header,
 }
@@ -213,6 +225,7 @@ impl Fusion {
             recent,
             positions,
             worn,
+            waved,
             calibration,
             ..
         } = self;
@@ -236,6 +249,7 @@ impl Fusion {
                     health.estimate(clock.now().seconds_since(entry.t), estimate);
                     recent.push(estimate);
                     worn.frame(estimate);
+                    waved.frame(estimate);
                     positions.push(estimate);
                 }
                 Output::Outcome(outcome) => {
@@ -265,6 +279,7 @@ impl Fusion {
             // What comes next is the work on segments.
             estimated = clock.now();
         });
+        waved.look(pipeline);
     }
 
     fn command(&mut self, command: Command) {
@@ -305,6 +320,7 @@ impl Fusion {
                 let _ = to.send(network);
             }
             Command::WatchBody(to) => self.worn.watch(to),
+            Command::WatchWaved { sensor, imu, to } => self.waved.watch(sensor, imu, to),
             Command::LookAtJobs => {
                 if let Some(recording) = self.recording.take_if(|recording| recording.job.is_cancelled()) {
                     self.stop_recording(recording, None);

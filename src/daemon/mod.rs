@@ -27,6 +27,7 @@ pub mod recorder;
 pub mod server;
 mod service;
 mod track;
+mod waved;
 mod worn;
 
 use std::net::SocketAddr;
@@ -50,6 +51,7 @@ use self::positions::RecentPositions;
 use self::recent::Recent;
 use self::server::{BindError, Server};
 use self::service::Service;
+use self::waved::Waved;
 use self::worn::Worn;
 use crate::input::{Entry, Input};
 use crate::layout::BodyLayout;
@@ -198,6 +200,7 @@ impl Daemon {
             models: Vec::new(),
             recent: Recent::new(&stage),
             worn: Worn::new(&stage),
+            waved: Waved::default(),
             positions: RecentPositions::new(&stage),
             recording_header: crate::recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
         };

@@ -210,7 +210,8 @@ impl Player {
             | Call::ExerciseReset { .. }
             | Call::FaultsTrain { .. }
             | Call::FaultsNameCell { .. }
-            | Call::BodyCalibrate { .. } => Err((
+            | Call::BodyCalibrate { .. }
+            | Call::StageAlign { .. } => Err((
                 "replay",
                 "this daemon replays a recording; recording, models, exercises and calibrations belong to a live stage"
                     .into(),

@@ -107,6 +107,7 @@ mod tests {
             pose: Some(pose),
             measured: None,
             fault: None,
+            carried: false,
             change: None,
         };
         let t_valid = Timestamp::from_secs_f64(t_s);

@@ -21,7 +21,8 @@ pub struct HingeParams {
     pub rate_sigma: f64,
     /// Time in which that rate changes, s.
     pub rate_tau_s: f64,
-    /// Drift of the heading beside it, rad per sqrt(s).
+    /// Drift of the heading beside it, rad per sqrt(s): what bias and scale of a gyro do that is turned to and fro. With the axis'
+    /// departures it makes the heading the mean of some eight seconds to either side.
     pub drift: f64,
 }
 
@@ -32,7 +33,7 @@ impl Default for HingeParams {
             axis_tau_s: 0.3,
             rate_sigma: 0.05_f64.to_radians(),
             rate_tau_s: 100.0,
-            drift: 0.1_f64.to_radians(),
+            drift: 0.3_f64.to_radians(),
         }
     }
 }

@@ -25,8 +25,22 @@ const UNKNOWN_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
 struct Reading {
     t: Timestamp,
     raw: MeasuredPose,
-    corrected_m: Option<Vector3<f64>>,
+    corrected: MeasuredPose,
     velocity_m_s: Vector3<f64>,
+    /// Of the corrected position, m^2, and of the turn about an axis, rad^2: the device's noise as the filter has learnt it, and
+    /// what the field leaves.
+    position_m2: Matrix3<f64>,
+    rotation_rad2: f64,
+}
+
+/// The newest record of a frame that was believed, corrected; transmitter frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Believed {
+    pub(super) t: Timestamp,
+    pub(super) pose: Isometry3<f64>,
+    /// Covariance of the position, m^2, and of the turn about an axis, rad^2.
+    pub(super) position_m2: Matrix3<f64>,
+    pub(super) rotation_rad2: f64,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -64,7 +78,14 @@ impl Magnetic {
 
     /// Position of the newest believed record of this frame, corrected, m.
     pub(super) fn corrected_m(&self) -> Option<Vector3<f64>> {
-        self.reading?.corrected_m
+        self.reading?.corrected.position_m
+    }
+
+    /// The newest believed record of this frame, where it is a whole pose.
+    pub(super) fn believed(&self) -> Option<Believed> {
+        let Reading { t, corrected, position_m2, rotation_rad2, .. } = self.reading?;
+        let pose = Isometry3::from_parts(corrected.position_m?.into(), corrected.orientation?);
+        Some(Believed { t, pose, position_m2, rotation_rad2 })
     }
 
     /// The newest believed record of this frame as the device said it, carried along to `t`: the sensors of a pole are
@@ -105,11 +126,17 @@ impl Magnetic {
         let doubted = by_map == Some(Class::Anomalous) || checked.label == Label::Disputed;
         if verdict == Verdict::Good && !doubted {
             self.map_sigma_m = map_m2.sqrt();
+            let (noise, place) = (self.tracker.noise(), checked.pose.position_m.unwrap_or_default());
+            let learnt = self.tracker.expectation(t);
+            let [position, rotation] =
+                learnt.map_or([1.0; 2], |e| [e.position_noise_scale, e.rotation_noise_scale]);
             self.reading = Some(Reading {
                 t,
                 raw: checked.pose,
-                corrected_m: corrected.pose.position_m,
+                corrected: corrected.pose,
                 velocity_m_s: self.tracker.at(t).map_or(Vector3::zeros(), |track| *track.velocity_m_s()),
+                position_m2: noise.position_m2(&place) * position + Matrix3::identity() * (map_m2 / 3.0),
+                rotation_rad2: noise.rotation_rad2(Some(&place))[(0, 0)] * rotation,
             });
         }
         match (verdict, checked.label) {

@@ -8,6 +8,7 @@
 mod body;
 mod device;
 mod exercise;
+mod fastened;
 mod faults_map;
 mod field;
 mod inertial;
@@ -36,6 +37,7 @@ pub use body::{ImuRecords, all_have_field, worn};
 use device::{Device, owner};
 pub use exercise::DEFAULT_SUBJECT;
 use exercise::ExerciseStage;
+use fastened::Fastened;
 use faults_map::FaultsMap;
 pub use faults_map::{raw_positions, upright};
 use field::Field;
@@ -98,6 +100,7 @@ pub struct Pipeline {
     room_transmitter: Isometry3<f64>,
     field: Field,
     estimate: Estimate,
+    fastened: Fastened,
     exercise: ExerciseStage,
     /// Absent where nobody wears the sensors. Boxed: most stages have none.
     body: Option<Box<BodyStage>>,
@@ -162,6 +165,7 @@ impl Pipeline {
                 sensors: vec![SensorEstimate::default(); stage.sensors.len()],
                 ..Estimate::default()
             },
+            fastened: Fastened::new(stage)?,
             exercise: ExerciseStage::new(stage),
             body: BodyStage::new(stage)?.map(Box::new),
             keyframes: Keyframes::new(stage)?,
@@ -332,11 +336,13 @@ impl Pipeline {
             naming,
             body,
             faults,
+            fastened,
             ..
         } = self;
         while let Some(frame) = frames.poll(*now) {
             estimate.fault = faults.as_mut().map(|faults| faults.frame(frame, room_transmitter));
             estimate_frame(frame, sensors, field, room_transmitter, faults.as_deref(), estimate);
+            fastened.frame(frame, sensors, room_transmitter, estimate);
             if let Some(body) = body
                 && let Some(body) = body.frame(frame, estimate)
             {
@@ -411,6 +417,7 @@ impl Pipeline {
             Model::Transmitter { position_m, orientation_wxyz } => {
                 let pose = geometry::isometry(*position_m, *orientation_wxyz);
                 self.room_transmitter = pose.unwrap_or(self.room_transmitter);
+                self.fastened.moved();
                 pose.is_some()
             }
             Model::TrackerNoise { device, r0_m, sigma_radial_m, sigma_rotation_rad } => {
@@ -438,6 +445,12 @@ impl Pipeline {
                 };
                 body.as_mut().is_some_and(|body| body.mount(mounted, index))
             }
+            Model::FastenedImu { sensor, quat_wxyz, offset_m, clock_offset_s } => {
+                let sensor = self.sensors.iter().position(|known| known.name() == sensor);
+                let pose = geometry::isometry(*offset_m, *quat_wxyz);
+                let found = sensor.zip(pose).map(|(sensor, pose)| (sensor as SensorIndex, pose));
+                found.is_some_and(|(sensor, pose)| self.fastened.fasten(sensor, &pose, *clock_offset_s))
+            }
             Model::Exercise { exercise } => self.exercise.load(exercise),
             Model::Faults { network } => self.watch_faults(network),
         }
@@ -452,6 +465,13 @@ impl Pipeline {
         let accepted = made.is_ok();
         self.faults = made.ok().map(Box::new).or(self.faults.take());
         accepted
+    }
+
+    /// The newest record of a magnetic sensor that was believed in the last frame: capture time, and sensor to transmitter,
+    /// corrected. `None` where none was, or none that is a whole pose.
+    pub fn believed(&self, sensor: SensorIndex) -> Option<(Timestamp, Isometry3<f64>)> {
+        let believed = self.sensors.get(usize::from(sensor))?.believed()?;
+        Some((believed.t, believed.pose))
     }
 
     /// Where the transmitter stands in the room.

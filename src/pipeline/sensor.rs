@@ -8,7 +8,7 @@ use super::SensorStatus;
 use super::faults_map::Advice;
 use super::field::Field;
 use super::inertial::Inertial;
-use super::magnetic::Magnetic;
+use super::magnetic::{Believed, Magnetic};
 use crate::faults::som::rules::Class;
 use crate::field::PoleReading;
 use crate::frame::{Frame, FrameSensor};
@@ -207,6 +207,7 @@ impl Sensor {
             pose,
             measured: slot.samples.last().map(|sample| sample.measured),
             fault,
+            carried: false,
             change: None,
         }
     }
@@ -221,6 +222,11 @@ impl Sensor {
     /// Position of the newest believed record of this frame in the transmitter frame, corrected, m.
     pub(super) fn corrected_m(&self) -> Option<Vector3<f64>> {
         self.magnetic()?.corrected_m()
+    }
+
+    /// The newest believed record of this frame, corrected.
+    pub(super) fn believed(&self) -> Option<Believed> {
+        self.magnetic()?.believed()
     }
 
     /// The newest believed record of this frame as the device said it, carried along to `t`.

@@ -36,7 +36,7 @@ pub use message::{
 pub use names::Names;
 pub use publisher::{Counters, Publisher, PublisherState, Stamp};
 pub use request::{
-    AnchorSpec, Call, DropPolicy, Feed, ParseError, Request, RequestId, Speed, SpeedWord,
+    AnchorSpec, Call, DropPolicy, Feed, ParseError, Request, RequestId, RoomPoint, Speed, SpeedWord,
     fuzz_client_message, parse,
 };
 pub use sensors::{Field, Fields, View};

@@ -161,6 +161,7 @@ mod tests {
             segment: None,
             mount_quat_wxyz: None,
             offset_m: None,
+            imu: None,
             serial: None,
             magnetometer: true,
             gyro_delay_ms: 0.0,
@@ -185,6 +186,7 @@ mod tests {
             pose: Some(pose),
             measured: None,
             fault: None,
+            carried: false,
             change: None,
         };
         Estimate {

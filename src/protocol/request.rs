@@ -208,6 +208,17 @@ pub enum Call {
         #[serde(default)]
         how: Option<Thoroughness>,
     },
+    /// Finds how the transmitter stands in the room, and how the IMU sits on a magnetic sensor that has one; a job, whose message
+    /// says what to do next. Both are swapped in if they are good.
+    #[serde(rename = "stage.align")]
+    StageAlign {
+        /// The magnetic sensor, by name; absent: the first that has an IMU, else the first.
+        #[serde(default)]
+        sensor: Option<String>,
+        /// Surveyed points of the room that the sensor is held at, in this order; three or more where no IMU is fastened to it.
+        #[serde(default)]
+        anchors: Vec<RoomPoint>,
+    },
     /// Cancels a job.
     #[serde(rename = "job.cancel")]
     JobCancel {
@@ -242,6 +253,16 @@ pub struct AnchorSpec {
     /// Until when, stream time, s.
     pub t_end: f64,
     /// The point in the transmitter frame, m.
+    pub position_m: [f64; 3],
+}
+
+/// A surveyed point of the room.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RoomPoint {
+    /// For messages.
+    pub name: String,
+    /// Where it is, room, m.
     pub position_m: [f64; 3],
 }
 
@@ -296,7 +317,7 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 20] = [
+const CALLS: [&str; 21] = [
     "record.start",
     "record.stop",
     "replay.list",
@@ -315,6 +336,7 @@ const CALLS: [&str; 20] = [
     "body.calibrate",
     "faults.train",
     "faults.name_cell",
+    "stage.align",
     "job.cancel",
     "model.load",
 ];
@@ -430,6 +452,7 @@ mod tests {
             r#"{"type":"field.accept","id":1}"#,
             r#"{"type":"field.rollback","id":1}"#,
             r#"{"type":"job.cancel","id":1,"job":3}"#,
+            r#"{"type":"stage.align","id":1,"sensor":"a","anchors":[{"name":"door","position_m":[1,0,0]}]}"#,
             r#"{"type":"exercise.list","id":1}"#,
             r#"{"type":"exercise.teach","id":1,"name":"curl","repetitions":5,"last_s":30,"sensors":["a"]}"#,
             r#"{"type":"exercise.select","id":1,"exercises":["curl"],"repetitions":10,"sets":3,"rest_s":60}"#,

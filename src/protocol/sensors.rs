@@ -162,6 +162,7 @@ impl Serialize for Entries<'_> {
                     pose: None,
                     measured: None,
                     fault: None,
+                    carried: false,
                     change: None,
                 };
                 for &sensor in chosen {
@@ -228,7 +229,7 @@ impl Serialize for Entry<'_> {
             entry.serialize_field("covariance", &pose.map(|p| p.covariance.map(round::significant)))?;
         }
         if has(Field::Quality) {
-            entry.serialize_field("quality", &pose.map(quality))?;
+            entry.serialize_field("quality", &pose.map(|pose| quality(pose, self.values.carried)))?;
         }
         if let Some(fault) = fault {
             let distance_m = fault.distance_m.map(distance);
@@ -270,9 +271,9 @@ fn measured(measured: &output::Measured) -> Measured {
 }
 
 /// Rows 3, 4 and 5 of the upper triangle begin at elements 15, 18 and 20.
-fn quality(pose: &PoseEstimate) -> Quality {
+fn quality(pose: &PoseEstimate, carried: bool) -> Quality {
     let variance = pose.covariance[15] + pose.covariance[18] + pose.covariance[20];
-    Quality { sigma_rotation_rad: round::to(round::SIGMA, variance.max(0.0).sqrt()) }
+    Quality { sigma_rotation_rad: round::to(round::SIGMA, variance.max(0.0).sqrt()), carried }
 }
 
 /// Body of `truth`.

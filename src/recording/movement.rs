@@ -9,6 +9,7 @@ use super::{Item, ReadError, Reader};
 use crate::animation::{Animation, AnimationError, Format};
 use crate::fusion::body::{BodyEstimate, Segment, Skeleton};
 use crate::geometry::orientation_from_wxyz;
+use crate::layout::skeleton_of;
 use crate::protocol::Figure;
 use crate::stage::Stage;
 
@@ -42,8 +43,7 @@ pub fn animation(
     let mut reader = Reader::open(recording)?;
     let stage = Stage::parse(&reader.header().stage_toml)
         .map_err(|problems| ReadError::NotARecording(format!("its stage file is wrong: {problems}")))?;
-    let height_m = stage.body.and_then(|body| body.height_m).ok_or(MovementError::NoBody)?;
-    let skeleton = Skeleton::from_height(height_m);
+    let skeleton = stage.body.as_ref().and_then(skeleton_of).ok_or(MovementError::NoBody)?;
     let mut animation = Animation::new(skeleton);
     let mut frames = 0;
     while let Some(item) = reader.next() {

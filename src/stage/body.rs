@@ -44,6 +44,8 @@ pub struct Body {
     /// Height of the person, m; gives the segments' lengths where they are not measured.
     #[schemars(range(min = 0.3, max = 2.6))]
     pub height_m: Option<f64>,
+    /// Lengths that were measured, each in place of the height's.
+    pub lengths_m: Option<Lengths>,
     /// Where the sensors sit on their segments.
     #[serde(default)]
     pub mounting: Mounting,
@@ -53,6 +55,36 @@ pub struct Body {
     /// For a recorded file: when which pose or movement was held.
     #[serde(default)]
     pub calibration: Vec<Calibration>,
+}
+
+/// Measured lengths of the human skeleton, between joint centres; absent ones follow from the height.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Lengths {
+    /// Between the shoulders, m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub shoulders: Option<f64>,
+    /// Between the hips, m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub hips: Option<f64>,
+    /// From the hips' mid-point to the shoulders', m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub trunk: Option<f64>,
+    /// Shoulder to elbow, m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub upper_arm: Option<f64>,
+    /// Elbow to wrist, m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub forearm: Option<f64>,
+    /// Hip to knee, m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub thigh: Option<f64>,
+    /// Knee to ankle, m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub shank: Option<f64>,
+    /// Ankle to floor, m.
+    #[schemars(range(min = 0.01, max = 0.5))]
+    pub ankle: Option<f64>,
 }
 
 /// Which segments a body has.

@@ -10,6 +10,7 @@
 mod body;
 mod check;
 mod driver;
+mod fastened;
 mod field;
 mod keyframes;
 mod port;
@@ -25,9 +26,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::faults::som::Network;
 
-pub use body::{Body, BodySegment, Calibration, JointKind, Mounting, SEGMENTS, Skeleton};
+pub use body::{Body, BodySegment, Calibration, JointKind, Lengths, Mounting, SEGMENTS, Skeleton};
 pub use check::{Report, check, check_in, check_table};
 pub use driver::{Driver, TimeBase};
+pub use fastened::FastenedImu;
 pub use field::FieldWatch;
 pub use keyframes::Keyframes;
 pub use port::{PortAddress, PortAddressError};
@@ -251,6 +253,8 @@ pub struct Sensor {
     pub mount_quat_wxyz: Option<[f64; 4]>,
     /// Position on the segment, in the segment's frame with its origin at the proximal joint, m.
     pub offset_m: Option<[f64; 3]>,
+    /// The IMU that is fastened to this magnetic sensor: both become one pose, which goes on where the tracker fails.
+    pub imu: Option<FastenedImu>,
 }
 
 /// A key that was not written is not written back: not every driver's sensors may have it.

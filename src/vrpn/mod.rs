@@ -218,8 +218,14 @@ mod tests {
             button: Some(button),
             inertial: None,
         };
-        let sensor =
-            SensorEstimate { state, pose: Some(pose), measured: Some(measured), fault: None, change: None };
+        let sensor = SensorEstimate {
+            state,
+            pose: Some(pose),
+            measured: Some(measured),
+            fault: None,
+            change: None,
+            carried: false,
+        };
         Estimate { t_valid: Timestamp::from_secs_f64(t_s), sensors: vec![sensor], ..Estimate::default() }
     }
 

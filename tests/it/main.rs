@@ -7,6 +7,7 @@
 )]
 
 mod acceptance;
+mod align_live;
 mod body;
 mod body_live;
 mod cli;

@@ -9,6 +9,7 @@ use posed::fusion::body::{
     Worn, of_joint,
 };
 use posed::geometry::orientation_to_wxyz;
+use posed::layout::skeleton_of;
 use posed::pipeline;
 use posed::stage::{Body, Mounting, Sensor, Stage};
 use posed::table::{Imu, TableError, TableWriter};
@@ -44,10 +45,9 @@ struct FaultSummary {
 }
 
 pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body) -> Result<(), Error> {
-    let height_m = body.height_m.ok_or_else(|| {
+    let skeleton = skeleton_of(body).ok_or_else(|| {
         Error::failed("the stage's [body] lacks `height_m`, which gives the segments' lengths")
     })?;
-    let skeleton = Skeleton::from_height(height_m);
     let imu = Imu::read(&args.imus, args.rate_hz).map_err(Error::failed)?;
     let names = Segment::ALL.map(Segment::name);
     let places = places(stage, &imu, &names);

@@ -2,8 +2,9 @@
 
 use nalgebra::Vector3;
 use posed::field::{Bone, Joint, Limbs};
-use posed::fusion::body::{Segment, Skeleton};
+use posed::fusion::body::Segment;
 use posed::geometry::orientation_from_wxyz;
+use posed::layout::skeleton_of;
 use posed::stage::{self, Mounting, Stage};
 
 use super::Error;
@@ -68,8 +69,7 @@ pub(super) fn of_stage(stage: &Stage, measured: &[Measured]) -> Result<(Vec<Stri
         }
     }
     // A measured bone is worth more than proportions, and the two may contradict each other.
-    let height_m = body.height_m.filter(|_| human && measured.is_empty());
-    let skeleton = height_m.map(Skeleton::from_height);
+    let skeleton = skeleton_of(body).filter(|_| human && measured.is_empty());
     let given = body.mounting == Mounting::Given;
     let mut limbs = Limbs::default();
     for child in &wearing {

@@ -19,7 +19,7 @@ use crate::fusion::body::guide::{Guide, LONGEST_S, Thoroughness};
 use crate::fusion::body::{SEGMENTS, Segment, Skeleton};
 use crate::geometry::orientation_to_wxyz;
 use crate::input::{Model, MountedSensor};
-use crate::layout::Wearers;
+use crate::layout::{Wearers, skeleton_of};
 use crate::pipeline::all_have_field;
 use crate::stage;
 
@@ -44,8 +44,7 @@ impl Calls {
     /// Who sits where; a sentence where there is nobody to calibrate.
     fn worn(&self) -> Result<Worn, String> {
         let body = self.stage.body.as_ref().filter(|body| body.skeleton == stage::Skeleton::Human);
-        let height_m = body.and_then(|body| body.height_m);
-        let height_m = height_m.ok_or("this stage has no human [body] with `height_m`")?;
+        let skeleton = body.and_then(skeleton_of).ok_or("this stage has no human [body] with `height_m`")?;
         let wearers = Wearers::of(&self.stage).unwrap_or_default();
         if wearers.imus.iter().all(Option::is_none) {
             return Err("this stage has no IMU on a segment of the body".into());
@@ -55,7 +54,7 @@ impl Calls {
             names: wearers.imus.map(|index| index.map(|index| sensor(index).name.clone())),
             offsets_m: wearers.imus.map(|index| Some(Vector3::from(sensor(index?).offset_m?))),
             magnetic: all_have_field(&self.stage, &wearers.imus),
-            skeleton: Skeleton::from_height(height_m),
+            skeleton,
         })
     }
 }

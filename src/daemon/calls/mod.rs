@@ -3,6 +3,7 @@
 //! In: calls that the server has read and whose role it has checked. Out: commands and models for the fusion thread,
 //! answers. Nothing here waits for the fusion thread: it answers by itself when it has carried a command out.
 
+mod align;
 mod body;
 mod exercise;
 mod faults;
@@ -120,6 +121,7 @@ impl Calls {
             Call::FaultsTrain { last_s, recording } => self.train_faults(last_s, recording, reply),
             Call::FaultsNameCell { row, column, class } => self.name_cell(row, column, class, reply),
             Call::BodyCalibrate { how } => self.calibrate_body(how.unwrap_or_default(), reply),
+            Call::StageAlign { sensor, anchors } => self.align_stage(sensor, anchors, reply),
             Call::JobCancel { job } => match self.jobs.cancel(job) {
                 Ok(()) => {
                     self.inbox.push(Event::Command(Command::LookAtJobs));
@@ -186,6 +188,11 @@ impl Calls {
                 .find(|mounted| !self.stage.sensors.iter().any(|known| known.name == mounted.sensor))
         {
             return Err(format!("sensors: this stage has no sensor {:?}", unknown.sensor));
+        }
+        if let Model::FastenedImu { sensor, .. } = model
+            && !self.stage.sensors.iter().any(|known| known.name == *sensor && known.imu.is_some())
+        {
+            return Err(format!("sensor: this stage has no sensor {sensor:?} with an `imu`"));
         }
         if let Model::Exercise { exercise } = model {
             models::check_exercise(&self.stage, exercise)?;

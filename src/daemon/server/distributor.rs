@@ -92,6 +92,8 @@ enum Key {
     Fault(SensorIndex, FaultCause),
     Transmitter,
     Mounting,
+    /// How the IMU of a magnetic sensor sits, by the sensor's name.
+    FastenedImu(String),
     TrackerNoise(String),
     FieldMap,
     FieldProgress,
@@ -391,6 +393,9 @@ impl Distributor {
             OutcomeKind::Segment(_) => Some((Key::Segment, true)),
             OutcomeKind::ModelSwapped(Model::Transmitter { .. }) => Some((Key::Transmitter, true)),
             OutcomeKind::ModelSwapped(Model::Mounting { .. }) => Some((Key::Mounting, true)),
+            OutcomeKind::ModelSwapped(Model::FastenedImu { sensor, .. }) => {
+                Some((Key::FastenedImu(sensor.clone()), true))
+            }
             OutcomeKind::ModelSwapped(Model::TrackerNoise { device, .. }) => {
                 Some((Key::TrackerNoise(device.clone()), true))
             }

@@ -6,11 +6,12 @@
 use nalgebra::{SVector, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::skeleton::{Limb, SEGMENTS, Skeleton};
-use super::{Sensor, Worn, joint_angles};
+use super::skeleton::{Limb, SEGMENTS, Segment, Skeleton};
+use super::{BodyParams, Sensor, Worn, joint_angles};
 use crate::fusion::ahrs::ImuSample;
 use crate::fusion::limb::{
-    Arm, Axes, Ball, Base, FieldReference, Leg, LimbGeometry, LimbNoise, LimbSamples, SensorReport,
+    Arm, Axes, Ball, Base, EulerArm, EulerLeg, FieldReference, Leg, LimbGeometry, LimbNoise, LimbSamples,
+    SensorReport,
 };
 
 /// Uncertainty of each angle at the start, rad.
@@ -23,6 +24,17 @@ const NORTH: FieldReference =
 const ELBOW_DEG: [[f64; 2]; 2] = [[-8.0, -95.0], [158.0, 95.0]];
 const KNEE_DEG: [f64; 2] = [-8.0, 155.0];
 
+/// How a limb's filter holds the joint to the trunk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum LimbForm {
+    /// On SO(3), with the gyros' biases as states: no posture is singular.
+    #[default]
+    Group,
+    /// As the paper has it (Weber et al. 2011): three angles about Z, X, Y and no biases. For comparison; singular where an
+    /// arm or a leg points sideways.
+    Euler,
+}
+
 /// The filter of one limb, once it has begun.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[expect(clippy::large_enum_variant, reason = "four of them, made once; no box, so that a copy is a copy")]
@@ -30,6 +42,21 @@ enum Filter {
     Waiting,
     Arm(Arm),
     Leg(Leg),
+    EulerArm(EulerArm),
+    EulerLeg(EulerLeg),
+}
+
+/// The same for whichever filter it is.
+macro_rules! with_limb {
+    ($filter:expr, $waiting:expr, $limb:ident => $value:expr) => {
+        match $filter {
+            Filter::Waiting => $waiting,
+            Filter::Arm($limb) => $value,
+            Filter::Leg($limb) => $value,
+            Filter::EulerArm($limb) => $value,
+            Filter::EulerLeg($limb) => $value,
+        }
+    };
 }
 
 /// One limb.
@@ -38,6 +65,7 @@ pub(super) struct LimbFilter {
     limb: Limb,
     geometry: LimbGeometry,
     noise: LimbNoise,
+    form: LimbForm,
     /// Whether upper and lower segment wear a sensor.
     worn: [bool; 2],
     filter: Filter,
@@ -48,12 +76,12 @@ impl LimbFilter {
         limb: Limb,
         skeleton: &Skeleton,
         worn: &[Option<Worn>; SEGMENTS],
-        noise: &LimbNoise,
+        params: &BodyParams,
     ) -> Self {
         let [trunk, upper, lower] = limb.segments();
         let of = |index: usize| worn[index];
         let mount = |worn: Option<Worn>| worn.map_or_else(UnitQuaternion::identity, |w| w.q_segment_sensor);
-        let offset = |segment: super::Segment| {
+        let offset = |segment: Segment| {
             of(segment.index()).map_or_else(|| skeleton.usual_sensor_m(segment), |worn| worn.offset_m)
         };
         let trunk_m = of(trunk.index()).map_or_else(Vector3::zeros, |worn| worn.offset_m);
@@ -67,7 +95,8 @@ impl LimbFilter {
                 upper_mount: mount(of(upper.index())),
                 lower_mount: mount(of(lower.index())),
             },
-            noise: *noise,
+            noise: params.limb,
+            form: params.form,
             worn: [of(upper.index()).is_some(), of(lower.index()).is_some()],
             filter: Filter::Waiting,
         }
@@ -96,23 +125,14 @@ impl LimbFilter {
             lower: with_north(samples[1], sensors[1]),
         };
         let at_rest = sensors.iter().all(|sensor| sensor.as_ref().is_none_or(|s| s.ahrs.at_rest()));
-        match &mut self.filter {
-            Filter::Waiting => [SensorReport::default(); 2],
-            Filter::Arm(arm) => {
-                let reports = arm.push(base, Some(&NORTH), &samples, dt_s);
-                if at_rest && base.rate_rad_s.norm() < 0.05 {
-                    arm.observe_rest();
-                }
-                reports
+        let rests = at_rest && base.rate_rad_s.norm() < 0.05;
+        with_limb!(&mut self.filter, [SensorReport::default(); 2], limb => {
+            let reports = limb.push(base, Some(&NORTH), &samples, dt_s);
+            if rests {
+                limb.observe_rest();
             }
-            Filter::Leg(leg) => {
-                let reports = leg.push(base, Some(&NORTH), &samples, dt_s);
-                if at_rest && base.rate_rad_s.norm() < 0.05 {
-                    leg.observe_rest();
-                }
-                reports
-            }
-        }
+            reports
+        })
     }
 
     /// The gyro's noise that the filter assumes, rad/s.
@@ -130,46 +150,61 @@ impl LimbFilter {
         let lower = own[1].unwrap_or(upper);
         let [_, _, segment] = self.limb.segments();
         let angles = joint_angles(segment, &(upper.inverse() * lower));
-        let ball = Ball {
-            q: base.q_room_base.inverse() * upper,
-            rate_rad_s: Vector3::zeros(),
-            accel_rad_s2: Vector3::zeros(),
-        };
+        let q = base.q_room_base.inverse() * upper;
+        let ball = Ball { q, rate_rad_s: Vector3::zeros(), accel_rad_s2: Vector3::zeros() };
         let side = segment.side();
+        // A thigh's sequence, flexion first, serves an arm that hangs as well.
+        let thigh = if side < 0.0 { Segment::ThighL } else { Segment::ThighR };
+        let [z, x, y, ..] = joint_angles(thigh, &q);
+        let mut turns = Axes::new([Vector3::z(), Vector3::x() * side, Vector3::y() * side]);
+        turns.angle_rad = SVector::<f64, 3>::new(z, x, y);
+        let (geometry, noise) = (self.geometry, self.noise);
         self.filter = match self.limb {
             Limb::ArmR | Limb::ArmL => {
                 let mut elbow = Axes::new([Vector3::z(), Vector3::y() * side]);
                 elbow.angle_rad = SVector::<f64, 2>::new(angles[0], angles[1]);
                 let limits = ELBOW_DEG.map(|row| SVector::from(row.map(f64::to_radians)));
-                Filter::Arm(Arm::new(self.geometry, self.noise, ball, elbow, limits, START_SIGMA_RAD))
+                match self.form {
+                    LimbForm::Group => {
+                        Filter::Arm(Arm::new(geometry, noise, ball, elbow, limits, START_SIGMA_RAD))
+                    }
+                    LimbForm::Euler => Filter::EulerArm(EulerArm::new(
+                        geometry,
+                        noise,
+                        turns,
+                        elbow,
+                        limits,
+                        START_SIGMA_RAD,
+                    )),
+                }
             }
             Limb::LegR | Limb::LegL => {
                 let mut knee = Axes::new([-Vector3::z()]);
                 knee.angle_rad = SVector::<f64, 1>::new(angles[0]);
                 let limits = KNEE_DEG.map(|limit| SVector::from([limit.to_radians()]));
-                Filter::Leg(Leg::new(self.geometry, self.noise, ball, knee, limits, START_SIGMA_RAD))
+                match self.form {
+                    LimbForm::Group => {
+                        Filter::Leg(Leg::new(geometry, noise, ball, knee, limits, START_SIGMA_RAD))
+                    }
+                    LimbForm::Euler => {
+                        Filter::EulerLeg(EulerLeg::new(geometry, noise, turns, knee, limits, START_SIGMA_RAD))
+                    }
+                }
             }
         };
     }
 
     /// Upper and lower segment to trunk; `None` where no sensor shows it.
     pub(super) fn orientations(&self) -> [Option<UnitQuaternion<f64>>; 2] {
-        let [upper, lower] = match &self.filter {
-            Filter::Waiting => return [None; 2],
-            Filter::Arm(arm) => arm.orientations(),
-            Filter::Leg(leg) => leg.orientations(),
-        };
+        let [upper, lower] = with_limb!(&self.filter, return [None; 2], limb => limb.orientations());
         [Some(upper), self.worn[1].then_some(lower)]
     }
 
     /// Uncertainty of the upper (0) or lower (1) segment about an axis, rad.
     pub(super) fn sigma_rad(&self, which: usize) -> f64 {
-        match &self.filter {
-            Filter::Waiting => std::f64::consts::PI,
-            Filter::Arm(arm) if which == 0 => arm.upper_sigma_rad(),
-            Filter::Leg(leg) if which == 0 => leg.upper_sigma_rad(),
-            Filter::Arm(arm) => arm.lower_sigma_rad(0).hypot(arm.upper_sigma_rad()),
-            Filter::Leg(leg) => leg.lower_sigma_rad(0).hypot(leg.upper_sigma_rad()),
-        }
+        with_limb!(&self.filter, std::f64::consts::PI, limb => {
+            let upper = limb.upper_sigma_rad();
+            if which == 0 { upper } else { limb.lower_sigma_rad(0).hypot(upper) }
+        })
     }
 }

@@ -31,6 +31,7 @@ use serde::{Deserialize, Serialize};
 pub use angles::{ANGLE_NAMES, ANGLES, angles, joint_angles, joint_rotation, of_joint};
 pub use health::SensorFault;
 pub use inverse::{Figure, Follower, Tracked};
+pub use limbs::LimbForm;
 pub use skeleton::{Limb, SEGMENTS, Segment, Skeleton, upright};
 
 use super::ahrs::{Ahrs, ImuSample, Params};
@@ -72,6 +73,8 @@ pub struct BodyParams {
     pub ahrs: Params,
     /// Of the limbs' filters.
     pub limb: LimbNoise,
+    /// How they hold the joint to the trunk.
+    pub form: LimbForm,
 }
 
 /// Where the body's heading comes from.
@@ -187,7 +190,7 @@ impl BodyFilter {
         };
         Self {
             sensors: worn.map(|worn| worn.map(sensor)),
-            limbs: Limb::ALL.map(|limb| LimbFilter::new(limb, skeleton, worn, &params.limb)),
+            limbs: Limb::ALL.map(|limb| LimbFilter::new(limb, skeleton, worn, params)),
             last_motions: [None; 2],
             held_s: 0.0,
             estimate: BodyEstimate::default(),

@@ -241,18 +241,27 @@ fn transition<J: Joint<N> + Clone, const D: usize, const N: usize>(
     f
 }
 
-/// Error state of `other` as seen from `arm`.
-fn arm_difference(arm: &Arm, other: &Arm) -> SVector<f64, 21> {
-    let mut dx = SVector::<f64, 21>::zeros();
-    dx.fixed_rows_mut::<3>(0).copy_from(&so3::log(&(arm.upper.q.inverse() * other.upper.q)));
-    dx.fixed_rows_mut::<3>(3).copy_from(&(other.upper.rate_rad_s - arm.upper.rate_rad_s));
-    dx.fixed_rows_mut::<3>(6).copy_from(&(other.upper.accel_rad_s2 - arm.upper.accel_rad_s2));
-    dx.fixed_rows_mut::<3>(9).copy_from(&(other.biases[0] - arm.biases[0]));
-    dx.fixed_rows_mut::<2>(12).copy_from(&(other.lower.angle_rad - arm.lower.angle_rad));
-    dx.fixed_rows_mut::<2>(14).copy_from(&(other.lower.rate_rad_s - arm.lower.rate_rad_s));
-    dx.fixed_rows_mut::<2>(16).copy_from(&(other.lower.accel_rad_s2 - arm.lower.accel_rad_s2));
-    dx.fixed_rows_mut::<3>(18).copy_from(&(other.biases[1] - arm.biases[1]));
+/// Error state of `other` as seen from `limb`.
+fn difference<const D: usize, const N: usize>(
+    limb: &Limb<Ball, D, N>,
+    other: &Limb<Ball, D, N>,
+) -> SVector<f64, N> {
+    let mut dx = SVector::<f64, N>::zeros();
+    let mut put = |at: usize, part: V| dx.fixed_rows_mut::<3>(at).copy_from(&part);
+    put(0, so3::log(&(limb.upper.q.inverse() * other.upper.q)));
+    put(3, other.upper.rate_rad_s - limb.upper.rate_rad_s);
+    put(6, other.upper.accel_rad_s2 - limb.upper.accel_rad_s2);
+    put(9, other.biases[0] - limb.biases[0]);
+    put(12 + 3 * D, other.biases[1] - limb.biases[1]);
+    let mut put = |at: usize, part: SVector<f64, D>| dx.fixed_rows_mut::<D>(at).copy_from(&part);
+    put(12, other.lower.angle_rad - limb.lower.angle_rad);
+    put(12 + D, other.lower.rate_rad_s - limb.lower.rate_rad_s);
+    put(12 + 2 * D, other.lower.accel_rad_s2 - limb.lower.accel_rad_s2);
     dx
+}
+
+fn arm_difference(arm: &Arm, other: &Arm) -> SVector<f64, 21> {
+    difference(arm, other)
 }
 
 #[test]
@@ -371,18 +380,26 @@ impl Normal {
     }
 }
 
-/// An arm that moves as the filter assumes, what its sensors say, and a filter begun beside it.
-struct Matched {
-    truth: Arm,
-    filter: Arm,
+/// A limb that moves as the filter assumes, what its sensors say, and a filter begun beside it.
+struct Matched<const D: usize, const N: usize> {
+    truth: Limb<Ball, D, N>,
+    filter: Limb<Ball, D, N>,
     normal: Normal,
     t: f64,
 }
 
-impl Matched {
+impl Matched<2, 21> {
+    fn new(seed: u64) -> Self {
+        let mut elbow = Axes::new(elbow_axes());
+        elbow.angle_rad[0] = 1.0;
+        Self::with(seed, elbow)
+    }
+}
+
+impl<const D: usize, const N: usize> Matched<D, N> {
     const DT: f64 = 0.01;
 
-    fn new(seed: u64) -> Self {
+    fn with(seed: u64, lower: Axes<D>) -> Self {
         let mut normal = Normal(seed);
         let noise = LimbNoise {
             joint: JointNoise { jerk: 20.0, accel_tau_s: 0.3 },
@@ -390,23 +407,23 @@ impl Matched {
             accel: 0.1,
             ..LimbNoise::default()
         };
-        let mut elbow = Axes::new(elbow_axes());
-        elbow.angle_rad[0] = 1.0;
         let still = Ball { q: Q::identity(), rate_rad_s: V::zeros(), accel_rad_s2: V::zeros() };
-        let mut filter = Arm::new(geometry(), noise, still, elbow, FREE, 0.1);
+        let free = [SVector::<f64, D>::repeat(-1e3), SVector::<f64, D>::repeat(1e3)];
+        let mut filter = Limb::<Ball, D, N>::new(geometry(), noise, still, lower, free, 0.1);
         // Known start but for the stated uncertainty.
-        for i in 0..21 {
+        for i in 0..N {
             let sigma = filter.p.0[(i, i)].sqrt();
+            let after = |at: usize| (12 + at * D..12 + (at + 1) * D).contains(&i);
             let small = match i {
-                0..3 | 12..14 => 0.03,
-                3..6 | 14..16 => 0.1,
-                6..9 | 16..18 => 1.0,
+                _ if i < 3 || after(0) => 0.03,
+                _ if (3..6).contains(&i) || after(1) => 0.1,
+                _ if (6..9).contains(&i) || after(2) => 1.0,
                 _ => sigma,
             };
             filter.p.0[(i, i)] = small * small;
         }
         let mut truth = filter.clone();
-        let dx = SVector::<f64, 21>::from_fn(|i, _| filter.p.0[(i, i)].sqrt() * normal.next());
+        let dx = SVector::<f64, N>::from_fn(|i, _| filter.p.0[(i, i)].sqrt() * normal.next());
         truth.correct(&dx);
         Self { truth, filter, normal, t: 0.0 }
     }
@@ -418,7 +435,7 @@ impl Matched {
         q.p = Covariance(SMatrix::zeros());
         q.predict(Self::DT);
         let root = (q.p.0 + SMatrix::identity() * 1e-18).cholesky().unwrap().l();
-        let w = root * SVector::<f64, 21>::from_fn(|_, _| self.normal.next());
+        let w = root * SVector::<f64, N>::from_fn(|_, _| self.normal.next());
         self.truth.predict(Self::DT);
         self.truth.correct(&w);
         let base = Scripted::base_at(self.t);
@@ -446,27 +463,37 @@ impl Matched {
     }
 
     fn nees(&self) -> f64 {
-        let e = arm_difference(&self.filter, &self.truth);
+        let e = difference(&self.filter, &self.truth);
         e.dot(&self.filter.p.0.cholesky().unwrap().solve(&e))
     }
 }
 
-#[test]
-fn the_arm_is_consistent_in_a_matched_model() {
+/// Of 50 runs the share of steps in which the mean normalised squared error lies in its 95 % interval.
+fn consistency<const D: usize, const N: usize>(lower: &Axes<D>, (low, high): (f64, f64)) -> f64 {
     const RUNS: u64 = 50;
-    let steps = 150;
-    let mut sums = vec![0.0; steps];
+    let mut sums = [0.0; 150];
     for run in 0..RUNS {
-        let mut matched = Matched::new(1000 + 77 * run);
+        let mut matched = Matched::<D, N>::with(1000 + 77 * run, lower.clone());
         for sum in &mut sums {
             matched.step();
             *sum += matched.nees();
         }
     }
-    // 95 % of chi squared with 50 * 21 degrees of freedom, over 50 runs.
-    let (low, high) = (19.25, 22.84);
-    let inside = sums.iter().filter(|s| (low..high).contains(&(**s / RUNS as f64))).count();
-    assert!(inside * 10 >= steps * 9, "{inside} of {steps} steps inside");
+    let inside = sums.iter().filter(|sum| (low..high).contains(&(**sum / RUNS as f64))).count();
+    inside as f64 / sums.len() as f64
+}
+
+#[test]
+fn arm_and_leg_are_consistent_in_a_matched_model() {
+    // 95 % of chi squared with 50 times 21 and 18 degrees of freedom, over 50.
+    let mut elbow = Axes::new(elbow_axes());
+    elbow.angle_rad[0] = 1.0;
+    let inside = consistency::<2, 21>(&elbow, (19.25, 22.84));
+    assert!(inside >= 0.9, "arm: {inside}");
+    let mut knee = Axes::new([-V::z()]);
+    knee.angle_rad[0] = 0.6;
+    let inside = consistency::<1, 18>(&knee, (16.38, 19.70));
+    assert!(inside >= 0.9, "leg: {inside}");
 }
 
 #[test]

@@ -5,6 +5,8 @@
 //! show the whole figure. What it never does: publish a body before it knows how its sensors sit.
 
 mod epochs;
+#[cfg(test)]
+mod tests;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -19,7 +21,7 @@ use crate::fusion::body::{
 };
 use crate::geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
 use crate::input::{MountedSensor, SensorIndex};
-use crate::layout::Wearers;
+use crate::layout::{Wearers, skeleton_of};
 use crate::output::{Body, BodySegment, Estimate, Placed, SegmentState};
 use crate::stage::{self, Mounting, Stage};
 
@@ -69,10 +71,8 @@ impl BodyStage {
         if wearers == Wearers::default() {
             return Ok(None);
         }
-        let height_m = body.height_m.filter(|height_m| height_m.is_finite() && *height_m > 0.0);
-        let height_m = height_m
-            .ok_or(PipelineError::Value { key: "body.height_m", expected: "the person's height, m" })?;
-        let skeleton = Skeleton::from_height(height_m);
+        let lacks = PipelineError::Value { key: "body.height_m", expected: "the person's height, m" };
+        let skeleton = skeleton_of(body).ok_or(lacks)?;
         let given = body.mounting == Mounting::Given;
         let mut trackers = Vec::with_capacity(wearers.trackers.len());
         let mut turns_known = true;
@@ -135,7 +135,10 @@ impl BodyStage {
             Solver::Trackers(follower) => {
                 self.tracked.clear();
                 for worn in &self.trackers {
-                    let seen = estimate.sensors.get(usize::from(worn.sensor)).filter(|s| s.state.is_usable());
+                    let seen = estimate
+                        .sensors
+                        .get(usize::from(worn.sensor))
+                        .filter(|s| s.state.is_usable() || s.carried);
                     let pose = seen.and_then(|seen| seen.pose.as_ref());
                     let Some(pose) = pose.and_then(|pose| isometry(pose.position_m?, pose.orientation_wxyz))
                     else {
@@ -223,7 +226,8 @@ impl BodyStage {
         let (mut sum, mut count) = (Vector3::zeros(), 0.0);
         for worn in &self.trackers {
             let index = worn.segment.index();
-            let seen = estimate.sensors.get(usize::from(worn.sensor)).filter(|s| s.state.is_usable());
+            let seen =
+                estimate.sensors.get(usize::from(worn.sensor)).filter(|s| s.state.is_usable() || s.carried);
             let pose = seen.and_then(|seen| seen.pose.as_ref());
             if let Some(position_m) = pose.and_then(|pose| pose.position_m)
                 && found.orientations[index].is_some()

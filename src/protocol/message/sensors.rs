@@ -107,4 +107,7 @@ pub struct Measured {
 pub struct Quality {
     /// Root mean square of the expected rotation error, rad.
     pub sigma_rotation_rad: f64,
+    /// No record of this frame is in the pose: the IMU that is fastened to the sensor carries it on, for half a second at most.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub carried: bool,
 }

@@ -7,6 +7,7 @@
 mod body;
 mod devices;
 mod drivers;
+mod fastened;
 mod field;
 mod keyframes;
 pub(super) mod models;
@@ -58,6 +59,7 @@ pub(super) fn check_parsed(
         models::check_faults(&models, folder, stage, notes);
     }
     drivers::check(&root, stage, notes);
+    fastened::check(&root, stage, notes);
 }
 
 /// A folder to write to may be missing, it is then made; but it may not be a file.

@@ -64,5 +64,14 @@ async fn a_stage_without_a_body_has_none_to_calibrate() {
     let mut client = posed.client().await;
     let (code, sentence) = refused(&mut client, json!({"type": "body.calibrate", "id": 1})).await;
     assert!(code == "no_body" && sentence.contains("no human [body]"), "{code}: {sentence}");
+    // Nor an IMU to align the stage by; three surveyed points would do.
+    let (code, sentence) = refused(&mut client, json!({"type": "stage.align", "id": 2})).await;
+    assert!(code == "bad_request" && sentence.contains("three surveyed points"), "{code}: {sentence}");
+    let (_, sentence) =
+        refused(&mut client, json!({"type": "stage.align", "id": 3, "sensor": "nobody"})).await;
+    assert!(sentence.contains("no magnetic sensor \"nobody\""), "{sentence}");
+    let points = ["a", "b", "c"].map(|name| json!({"name": name, "position_m": [1, 0, 0]}));
+    let job = ok(&mut client, json!({"type": "stage.align", "id": 4, "anchors": points})).await;
+    ok(&mut client, json!({"type": "job.cancel", "id": 5, "job": job["job"]})).await;
     assert_eq!(posed.end("INT").await.code(), Some(0));
 }

@@ -3,6 +3,7 @@
 import { type Cell, Table, acting, el, num, setText } from "../dom";
 import type { Job } from "../protocol";
 import type { Context, View } from "../view";
+import { Alignment } from "./alignment";
 import { Calibration } from "./calibration";
 
 export class RunsView implements View {
@@ -23,11 +24,13 @@ export class RunsView implements View {
   private readonly jobs = el("ul", { id: "jobs", "aria-label": "Jobs" });
   private readonly noJobs = el("p", { class: "quiet" }, "Nothing is running and nothing was run yet.");
   private readonly calibration: Calibration;
+  private readonly alignment: Alignment;
   private rows = new Map<number, JobRow>();
 
   constructor(private readonly context: Context) {
     const { link } = context;
     this.calibration = new Calibration(context);
+    this.alignment = new Alignment(context);
     this.start.addEventListener("click", acting(this.says, () => {
       const name = this.name.value.trim();
       return link.request(name === "" ? { type: "record.start" } : { type: "record.start", name });
@@ -42,6 +45,7 @@ export class RunsView implements View {
       el("h2", {}, "Recording"),
       el("div", { class: "row" }, el("label", {}, "Name ", this.name), this.start, this.stop),
       this.recording, this.says, this.body,
+      this.alignment.element,
       this.calibration.element,
       el("h2", {}, "Jobs"), this.noJobs, this.jobs,
     );
@@ -67,6 +71,8 @@ export class RunsView implements View {
     this.body.hidden = hello?.skeleton !== "human" || !!status?.replay;
     const calibrations = jobs?.jobs.filter(({ kind }) => kind === "body.calibrate") ?? [];
     this.drawCalibration(calibrations[calibrations.length - 1], operates);
+    this.alignment.element.hidden = !!status?.replay;
+    this.alignment.draw(jobs?.jobs ?? [], operates);
     this.drawJobs(jobs?.jobs ?? []);
   }
 

@@ -1,0 +1,43 @@
+//! IMUs that are fastened to magnetic sensors: each is one, and belongs to one.
+
+use super::super::Stage;
+use super::super::problem::Notes;
+use super::{Item, suggest};
+
+pub(super) fn check(root: &Item<'_, '_>, stage: &Stage, notes: &mut Notes<'_>) {
+    let inertial =
+        |device: &str| stage.devices.iter().any(|known| known.name == device && known.driver.is_inertial());
+    let imus: Vec<&str> = stage
+        .sensors
+        .iter()
+        .filter(|sensor| inertial(&sensor.device))
+        .map(|sensor| sensor.name.as_str())
+        .collect();
+    let mut taken: Vec<&str> = Vec::new();
+    for sensor in &root.items("sensor") {
+        let Some(imu) = sensor.item("imu") else { continue };
+        if sensor.text("device").is_some_and(|device| inertial(device.value)) {
+            let mend = "write `imu` at the sensor of the magnetic tracker";
+            notes.problem(&imu.header, "imu", "this sensor is an IMU itself", mend);
+        }
+        if imu.has("quat_wxyz") && stage.transmitter.pose_in_room.is_none() {
+            let message = "without `transmitter.pose_in_room` nobody knows where gravity points";
+            let mend = "add it, or leave `quat_wxyz` out: `stage.align` finds both";
+            notes.problem(&imu.header, "quat_wxyz", message, mend);
+        }
+        let Some(name) = imu.text("sensor") else { continue };
+        if !imus.contains(&name.value) {
+            let message = format!("there is no IMU `{}`", name.value);
+            notes.problem(
+                &name.at,
+                "sensor",
+                message,
+                suggest(name.value, &imus, "add a [[sensor]] of an inertial device"),
+            );
+        } else if taken.contains(&name.value) {
+            let message = format!("`{}` is fastened to another sensor already", name.value);
+            notes.problem(&name.at, "sensor", message, "give each magnetic sensor an IMU of its own");
+        }
+        taken.push(name.value);
+    }
+}
