@@ -97,8 +97,8 @@ mod tests {
     }
 
     #[test]
-    fn a_field_beside_metal_is_met_to_micrometres() {
-        // A dipole two cells away, a decimetre strong at the near side.
+    fn a_field_beside_metal_is_met_to_a_fifth_of_a_millimetre() {
+        // A dipole one and a half cells away, nine centimetres strong at the near side.
         let f = |[x, y, z]: [f64; 3]| {
             let r = (x + 1.5).hypot(y - 0.5).hypot(z - 0.5);
             [0.3 / r.powi(3), 0.0, 0.0, 1.0]
@@ -107,7 +107,7 @@ mod tests {
         for k in 0..50 {
             let place = [0.37, 0.71, 0.19].map(|step: f64| (step * f64::from(k)).fract());
             let found = f64::from(patch.at(place.map(|x| x as f32))[0]);
-            assert!((found - f(place)[0]).abs() < 2e-5, "{place:?} {found}");
+            assert!((found - f(place)[0]).abs() < 2e-4, "{place:?} {found}");
         }
     }
 }
