@@ -139,7 +139,7 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser.value("document.getElementById('compare-channel').value = 'of two_x_m'").await;
     browser.click("compare").await;
     browser.until("document.getElementById('compare-verdict').textContent.includes(': 0.0000 apart')").await;
-    browser.value("const shift = document.getElementById('compare-shift'); shift.value = 0.5; shift.dispatchEvent(new Event('input'))").await;
+    browser.value("const shift = document.getElementById('compare-shift'); shift.value = 0.05; shift.dispatchEvent(new Event('input'))").await;
     browser
         .until("/: 0\\.[0-9]*[1-9][0-9]* apart/.test(document.getElementById('compare-verdict').textContent)")
         .await;
