@@ -270,3 +270,81 @@ async fn a_body_is_calibrated_in_the_browser_and_then_stands() {
     browser.until("document.getElementById('problems').hidden").await;
     done(browser, posed).await;
 }
+
+/// A tracker and an IMU on one wand that is turned in somebody's hand; nobody knows how they sit.
+const WAND: &str = r#"
+name = "both"
+[transmitter.pose_in_room]
+position_m = [0.4, -0.2, 0.9]
+orientation_wxyz = [0.996195, 0.0, 0.087156, 0.0]
+[[device]]
+name = "flock"
+driver = "flock-of-birds"
+port = "auto"
+[[device]]
+name = "imus"
+driver = "x-imu3"
+port = "auto"
+baud = 2000000
+[[sensor]]
+name = "hand"
+device = "flock"
+address = 0
+imu = { sensor = "hand_imu" }
+[[sensor]]
+name = "hand_imu"
+device = "imus"
+address = 1
+[[simulation.body]]
+name = "wand"
+[simulation.body.motion]
+kind = "orbit"
+center_m = [0.9, -0.15, 0.9]
+radius_m = [0.12, 0.2, 0.15]
+period_s = 5.0
+turn_deg = [55.0, 50.0, 60.0]
+turn_period_s = 2.0
+[[simulation.sensor]]
+name = "hand"
+body = "wand"
+[[simulation.sensor]]
+name = "hand_imu"
+body = "wand"
+offset_m = [0.021, -0.013, 0.034]
+mount_quat_wxyz = [0.6633, 0.39826, -0.619515, 0.132753]
+[[simulation.device]]
+name = "flock"
+boot_ms = 0.0
+[[simulation.device]]
+name = "imus"
+boot_ms = 0.0
+"#;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_stage_is_aligned_in_the_browser() {
+    if !browser::is_wanted() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let stage = folder.path().join("wand.toml");
+    std::fs::write(&stage, WAND).unwrap();
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
+    browser.until(LIVE).await;
+    browser.click("align").await;
+    browser.until("document.getElementById('align-prompt').textContent.startsWith('turn the sensor')").await;
+    browser.until("document.getElementById('align-prompt').textContent.includes('it is known how')").await;
+    let keys = browser.value("document.getElementById('align-keys').textContent").await;
+    let keys = keys.as_str().unwrap();
+    let number = |key: &str, at: usize| -> f64 {
+        let (_, list) = keys.split_once(&format!("{key} = [")).unwrap_or_else(|| panic!("{keys}"));
+        list.split([',', ']']).nth(at).unwrap().trim().parse().unwrap()
+    };
+    // Tilted by ten degrees about y, and by nothing about x; the compass decides on the heading.
+    assert!((number("orientation_wxyz", 2) - 0.0872).abs() < 0.0045, "{keys}");
+    for (at, truth_m) in [0.021, -0.013, 0.034].into_iter().enumerate() {
+        assert!((number("offset_m", at) - truth_m).abs() < 0.005, "{keys}");
+    }
+    browser.picture("alignment").await;
+    done(browser, posed).await;
+}
