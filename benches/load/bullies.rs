@@ -16,9 +16,14 @@ pub(crate) fn run(kind: &str, url: &str) {
         if let Some(address) = url.strip_prefix("vrpn://") {
             match kind {
                 "stalled" => vrpn::stall(address).await,
-                "flood" => vrpn::flood(address).await,
+                // It is sent away, and comes back.
+                "flood" => loop {
+                    vrpn::flood(address).await;
+                    pause(100).await;
+                },
                 _ => half_greetings(url, b"vrpn: ver. 0").await,
             }
+            return std::future::pending().await;
         }
         match kind {
             "stalled" => stall(url).await,
