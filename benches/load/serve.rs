@@ -111,7 +111,6 @@ fn sensor(phase: f64) -> SensorEstimate {
         pose: Some(pose),
         measured: None,
         fault: None,
-        change: None,
-        carried: false,
+        ..SensorEstimate::default()
     }
 }

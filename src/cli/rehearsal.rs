@@ -38,19 +38,16 @@ pub(crate) fn learn_faults(stage: &Stage, folder: &Path) -> Result<Option<Networ
 
 /// The raw positions of the magnetic sensors, as the stage itself will see them: every frame that has them all.
 fn positions(stage: &Stage, folder: &Path) -> Result<Frames, Error> {
-    let magnetic = stage.magnetic_sensors();
-    let is_magnetic = |name: &String| magnetic.contains(&name.as_str());
-    let indices: Vec<usize> =
-        (0..stage.sensors.len()).filter(|at| is_magnetic(&stage.sensors[*at].name)).collect();
+    let indices = stage.magnetic_indices();
     // Only devices that carry such sensors are switched on.
     let is_on = |device: usize| {
         let name = &stage.devices[device].name;
-        stage.sensors.iter().any(|sensor| sensor.device == *name && is_magnetic(&sensor.name))
+        indices.iter().any(|index| stage.sensors[*index].device == *name)
     };
     let mut devices = simulation::virtual_stage(stage, folder)?;
     let mut pipeline = Pipeline::new(stage).map_err(Error::failed)?;
-    let mut frames =
-        Frames { sensors: magnetic.iter().map(|name| (*name).to_owned()).collect(), ..Frames::default() };
+    let sensors = stage.magnetic_sensors().into_iter().map(str::to_owned).collect();
+    let mut frames = Frames { sensors, ..Frames::default() };
     let mut now = Timestamp::ZERO;
     let mut row = Vec::with_capacity(3 * indices.len());
     let mut push = |pipeline: &mut Pipeline, now, input, answers: &mut Vec<(usize, Vec<u8>)>| {

@@ -30,11 +30,9 @@ pub(super) struct RecentPositions {
 impl RecentPositions {
     /// For the magnetic sensors of a stage; a stage without any costs nothing.
     pub(super) fn new(stage: &Stage) -> Self {
-        let sensors = stage.magnetic_sensors();
-        let is_magnetic = |at: &usize| sensors.contains(&stage.sensors[*at].name.as_str());
         Self {
-            indices: (0..stage.sensors.len()).filter(is_magnetic).collect(),
-            sensors: sensors.into_iter().map(str::to_owned).collect(),
+            indices: stage.magnetic_indices(),
+            sensors: stage.magnetic_sensors().into_iter().map(str::to_owned).collect(),
             t_s: VecDeque::new(),
             positions_m: VecDeque::new(),
         }

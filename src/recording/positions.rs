@@ -30,11 +30,9 @@ pub fn read(path: &Path) -> Result<Frames, PositionsError> {
     let mut reader = Reader::open(path)?;
     let (stage, machine) = Machine::as_recorded(reader.header())?;
     let mut pipeline = machine.pipeline;
-    let magnetic = stage.magnetic_sensors();
-    let mut frames =
-        Frames { sensors: magnetic.iter().map(|&name| name.to_owned()).collect(), ..Frames::default() };
-    let indices: Vec<usize> =
-        (0..stage.sensors.len()).filter(|at| magnetic.contains(&stage.sensors[*at].name.as_str())).collect();
+    let sensors = stage.magnetic_sensors().into_iter().map(str::to_owned).collect();
+    let mut frames = Frames { sensors, ..Frames::default() };
+    let indices = stage.magnetic_indices();
     let (mut times, mut rows) = (Vec::new(), Vec::new());
     for item in reader.by_ref() {
         let Item::Entry(entry) = item? else { continue };

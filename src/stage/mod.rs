@@ -137,13 +137,19 @@ impl Stage {
         self.name.chars().map(plain).collect()
     }
 
-    /// Names of the sensors of magnetic trackers, in their order.
-    pub fn magnetic_sensors(&self) -> Vec<&str> {
-        let magnetic = |sensor: &&Sensor| {
+    /// Indices of the sensors of magnetic trackers, in their order.
+    pub fn magnetic_indices(&self) -> Vec<usize> {
+        let magnetic = |index: &usize| {
+            let sensor = &self.sensors[*index];
             let device = self.devices.iter().find(|device| device.name == sensor.device);
             device.is_some_and(|device| !device.driver.is_inertial())
         };
-        self.sensors.iter().filter(magnetic).map(|sensor| sensor.name.as_str()).collect()
+        (0..self.sensors.len()).filter(magnetic).collect()
+    }
+
+    /// Names of the sensors of magnetic trackers, in their order.
+    pub fn magnetic_sensors(&self) -> Vec<&str> {
+        self.magnetic_indices().into_iter().map(|index| self.sensors[index].name.as_str()).collect()
     }
 
     /// Reads a map of faults for this stage.
