@@ -247,7 +247,7 @@ impl Script {
         };
         self.begun = true;
         self.last = label;
-        let mut within = |low: f64, high: f64| low + (high - low) * random.uniform();
+        let mut within = |low: f64, high: f64| random.within(low, high);
         let slow = 1.9 / person.tempo;
         let mut activity = Activity { label, duration_s: 0.0, targets: person.rest, walk: 0.0, turn: 0.0 };
         match label {

@@ -119,7 +119,7 @@ impl Person {
     /// The `seed`-th person.
     pub fn new(seed: u64) -> Self {
         let mut random = Random::new(seed, Purpose::Signals(40));
-        let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
+        let mut between = |low: f64, high: f64| random.within(low, high);
         let (out, hold) = (between(0.36, 0.48), between(0.0, 0.12));
         Self {
             seed,
@@ -206,7 +206,7 @@ impl Day {
     }
 
     fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.random.uniform()
+        self.random.within(low, high)
     }
 
     /// One sample of the true angles as it would be estimated.

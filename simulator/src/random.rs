@@ -47,6 +47,11 @@ impl Random {
         self.generator.random()
     }
 
+    /// Uniform in `low..high`.
+    pub(crate) fn within(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.uniform()
+    }
+
     /// Uniform in `low..=high`.
     pub(crate) fn integer(&mut self, low: u64, high: u64) -> u64 {
         self.generator.random_range(low..=high)

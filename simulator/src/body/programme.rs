@@ -30,17 +30,14 @@ impl Programme {
     /// The sequence of a seed.
     pub fn generate(seed: u64) -> Self {
         let mut random = Random::new(seed, Purpose::Actions);
-        let build = Build::of_height(within(&mut random, 1.5, 1.95));
-        let (heading, tempo, size) = (
-            within(&mut random, 0.0, std::f64::consts::TAU),
-            within(&mut random, 0.75, 1.3),
-            within(&mut random, 0.75, 1.05),
-        );
-        let stoop: Vec<f64> = (0..4).map(|_| within(&mut random, -0.08, 0.08)).collect();
+        let build = Build::of_height(random.within(1.5, 1.95));
+        let (heading, tempo, size) =
+            (random.within(0.0, std::f64::consts::TAU), random.within(0.75, 1.3), random.within(0.75, 1.05));
+        let stoop: Vec<f64> = (0..4).map(|_| random.within(-0.08, 0.08)).collect();
         let mut programme = Self { frames: Vec::new(), labels: Vec::new() };
         for _ in 0..3 {
             let which = random.integer(0, 3) as usize;
-            let (rest_s, duration_s) = (within(&mut random, 1.5, 4.0), within(&mut random, 8.0, 14.0));
+            let (rest_s, duration_s) = (random.within(1.5, 4.0), random.within(8.0, 14.0));
             for frame in 0..((rest_s + duration_s) * RATE_HZ) as usize {
                 let t = frame as f64 / RATE_HZ - rest_s;
                 let mut posture = Posture {
@@ -70,10 +67,6 @@ impl Programme {
         }
         programme
     }
-}
-
-fn within(random: &mut Random, low: f64, high: f64) -> f64 {
-    low + (high - low) * random.uniform()
 }
 
 #[cfg(test)]
