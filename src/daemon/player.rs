@@ -164,14 +164,7 @@ impl Player {
                 Ok(Some(serde_json::json!({ "recordings": recordings })))
             }
             Call::ReplayOpen { name } => {
-                let known = calls::list(&self.folder).map_err(|sentence| ("failed", sentence))?;
-                if !known.contains(&name) {
-                    return Err((
-                        "not_found",
-                        format!("name: there is no recording {name:?}; replay.list names them"),
-                    ));
-                }
-                let path = self.folder.join(&name);
+                let path = calls::find(&self.folder, &name)?;
                 let end = Outline::read(&path).map_err(|error| refused(error.into()))?.end;
                 let (speed, now) = (self.playing.speed, self.clock.now());
                 self.playing =

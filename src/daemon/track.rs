@@ -3,8 +3,8 @@
 //! In: a recording of the daemon's one folder. Out: the answer, when it is read, from a thread of its own. One recording is read at a time, and
 //! never more of it kept than twice what is answered.
 
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::path::Path;
+use std::sync::{Mutex, TryLockError};
 
 use serde_json::{Value, json};
 
@@ -17,41 +17,38 @@ const ROWS: usize = 2000;
 /// Channels at a time.
 const COLUMNS: usize = 6;
 
-static READING: AtomicBool = AtomicBool::new(false);
+/// Held by who reads one.
+static READING: Mutex<()> = Mutex::new(());
 
 /// Reads `columns` of the recording `name` in `folder` and answers; without columns, which ones there are.
 pub(super) fn answer(folder: &Path, name: &str, columns: Vec<String>, reply: Reply) {
-    let path = match known(folder, name, &columns) {
+    if columns.len() > COLUMNS {
+        return reply.error("bad_request", format!("columns: give {COLUMNS} at most"));
+    }
+    let path = match calls::find(folder, name) {
         Ok(path) => path,
         Err((code, sentence)) => return reply.error(code, sentence),
     };
-    if READING.swap(true, Ordering::AcqRel) {
-        return reply.error("busy", "another recording is being read; ask again in a moment");
-    }
     #[expect(clippy::disallowed_methods, reason = "a long recording keeps nobody waiting but who asked")]
     let thread = std::thread::Builder::new().name("track".into()).spawn(move || {
+        let alone = match READING.try_lock() {
+            Ok(alone) => alone,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => {
+                return reply.error("busy", "another recording is being read; ask again in a moment");
+            }
+        };
         let read = if columns.is_empty() { names(&path) } else { track(&path, &columns) };
-        READING.store(false, Ordering::Release);
+        // Who has this answer may ask for the next one at once.
+        drop(alone);
         match read {
             Ok(answer) => reply.ok(Some(answer)),
             Err(error) => reply.error("failed", error.to_string()),
         }
     });
     if let Err(error) = thread {
-        READING.store(false, Ordering::Release);
         tracing::error!("the system gives no thread: {error}");
     }
-}
-
-fn known(folder: &Path, name: &str, columns: &[String]) -> Result<PathBuf, (&'static str, String)> {
-    if columns.len() > COLUMNS {
-        return Err(("bad_request", format!("columns: give {COLUMNS} at most")));
-    }
-    let names = calls::list(folder).map_err(|sentence| ("failed", sentence))?;
-    if !names.iter().any(|known| known == name) {
-        return Err(("not_found", format!("name: there is no recording {name:?}; replay.list names them")));
-    }
-    Ok(folder.join(name))
 }
 
 fn names(path: &Path) -> Result<Value, TableError> {

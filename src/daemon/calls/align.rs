@@ -141,7 +141,7 @@ impl Session {
         if self.imu.is_none() {
             let (room, left_m) = stand(anchors).map_err(|error| error.to_string())?;
             job.result(json!({ "transmitter": pose(&room), "anchors_m": left_m }));
-            return self.use_it(&room, None, left_m, "the anchors");
+            return self.use_it(&room, None, left_m);
         }
         let found = align_recording(recording, anchors, self.magnetometer)
             .map_err(|error| format!("{error}; begin again"))?;
@@ -170,19 +170,16 @@ impl Session {
                 self.name
             ));
         }
-        self.use_it(&room, Some(&found), alignment.anchors_m, "the anchors")
+        self.use_it(&room, Some(&found), alignment.anchors_m)
     }
 
     /// Swaps it in, if it is good.
-    fn use_it(
-        &self,
-        room: &Isometry3<f64>,
-        imu: Option<&Found>,
-        left_m: f64,
-        what: &str,
-    ) -> Result<String, String> {
+    fn use_it(&self, room: &Isometry3<f64>, imu: Option<&Found>, left_m: f64) -> Result<String, String> {
         if left_m > GOOD_M {
-            return Err(format!("{what} do not agree: {:.0} mm are left; measure them anew", 1e3 * left_m));
+            return Err(format!(
+                "the anchors do not agree: {:.0} mm are left; measure them anew",
+                1e3 * left_m
+            ));
         }
         let load = |model| self.inbox.push(Event::Command(Command::LoadModel(model)));
         let position_m = room.translation.vector.into();

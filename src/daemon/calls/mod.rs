@@ -204,6 +204,16 @@ impl Calls {
     }
 }
 
+/// The recording of that name in a folder, or the code and the sentence of the refusal.
+pub(super) fn find(folder: &Path, name: &str) -> Result<PathBuf, (&'static str, String)> {
+    let names = list(folder).map_err(|sentence| ("failed", sentence))?;
+    if names.iter().any(|known| known == name) {
+        Ok(folder.join(name))
+    } else {
+        Err(("not_found", format!("name: there is no recording {name:?}; replay.list names them")))
+    }
+}
+
 /// Names of the recordings in a folder, in order; none where there is no folder yet.
 pub(super) fn list(folder: &Path) -> Result<Vec<String>, String> {
     let entries = match std::fs::read_dir(folder) {
