@@ -12,6 +12,7 @@ pub use self::exercise::{
 };
 use crate::faults::som::rules::{Cause, Class};
 use crate::field::{PoleRun, Progress, Warning};
+use crate::fusion::ahrs::ImuSample;
 use crate::input::{DeviceIndex, Model, SensorIndex, Truth};
 
 /// One output of `Pipeline::push`; borrowed, valid during the call.
@@ -122,6 +123,13 @@ pub struct SensorEstimate {
     pub change: Option<Change>,
 }
 
+impl SensorEstimate {
+    /// Its pose, if it may be used as good.
+    pub fn usable_pose(&self) -> Option<&PoseEstimate> {
+        self.pose.as_ref().filter(|_| self.state.is_usable())
+    }
+}
+
 /// The statistic of key poses of a sensor at an earlier frame: it needs the frames around it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Change {
@@ -213,6 +221,17 @@ pub struct Inertial {
     pub linear_acceleration_m_s2: Option<[f64; 3]>,
     /// Magnetic field, about 1 at the place of calibration.
     pub magnetic_field: Option<[f64; 3]>,
+}
+
+impl Inertial {
+    /// What orientation filters take; `None` of a unit that tells its orientation only.
+    pub fn sample(&self) -> Option<ImuSample> {
+        Some(ImuSample {
+            gyro_rad_s: self.angular_rate_rad_s?.into(),
+            accel_m_s2: self.specific_force_m_s2?.into(),
+            mag: self.magnetic_field.map(Into::into),
+        })
+    }
 }
 
 /// Something that happened; clients get every one of these.

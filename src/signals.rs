@@ -41,7 +41,7 @@ pub(crate) fn append(
 pub fn write(estimate: &Estimate, row: &mut Vec<Option<f64>>) {
     row.clear();
     for sensor in &estimate.sensors {
-        let pose = sensor.pose.filter(|_| sensor.state.is_usable());
+        let pose = sensor.usable_pose();
         append(pose.and_then(|pose| pose.position_m), pose.map(|pose| pose.orientation_wxyz), row);
     }
 }
@@ -68,8 +68,7 @@ impl BodyColumns {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::output::SensorState;
-    use crate::output::{PoseEstimate, SensorEstimate};
+    use crate::output::{PoseEstimate, SensorEstimate, SensorState};
 
     #[test]
     fn a_row_has_a_value_per_column_and_none_of_a_suspect_pose() {
@@ -86,8 +85,7 @@ mod tests {
             pose: Some(pose),
             measured: None,
             fault: None,
-            change: None,
-            carried: false,
+            ..SensorEstimate::default()
         };
         let sensors = vec![sensor(SensorState::Ok), sensor(SensorState::Suspect)];
         let mut row = vec![None];

@@ -117,7 +117,7 @@ pub enum Command {
         /// Its IMU, where it has one.
         imu: Option<SensorIndex>,
         /// Where they go.
-        to: std::sync::mpsc::SyncSender<Seen>,
+        to: std_mpsc::SyncSender<Seen>,
     },
     /// A job was cancelled; it may be one of this thread.
     LookAtJobs,

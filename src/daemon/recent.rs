@@ -107,8 +107,7 @@ mod tests {
             pose: Some(pose),
             measured: None,
             fault: None,
-            carried: false,
-            change: None,
+            ..SensorEstimate::default()
         };
         let t_valid = Timestamp::from_secs_f64(t_s);
         Estimate { t_valid, sensors: vec![SensorEstimate::default(), good], ..Estimate::default() }

@@ -5,7 +5,7 @@
 
 use std::sync::mpsc::{SyncSender, TrySendError};
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::Isometry3;
 
 use crate::fusion::ahrs::ImuSample;
 use crate::input::SensorIndex;
@@ -43,15 +43,8 @@ impl Waved {
     pub(super) fn frame(&mut self, estimate: &Estimate) {
         let Some(watcher) = &self.0 else { return };
         let record = watcher.imu.and_then(|imu| estimate.sensors.get(usize::from(imu))?.measured);
-        if let Some((t_s, sample)) = record.and_then(|record| {
-            let inertial = record.inertial?;
-            let sample = ImuSample {
-                gyro_rad_s: inertial.angular_rate_rad_s?.into(),
-                accel_m_s2: inertial.specific_force_m_s2?.into(),
-                mag: inertial.magnetic_field.map(Vector3::from),
-            };
-            Some((record.t_valid.as_secs_f64(), sample))
-        }) {
+        let seen = record.and_then(|record| Some((record.t_valid.as_secs_f64(), record.inertial?.sample()?)));
+        if let Some((t_s, sample)) = seen {
             self.send(Seen::Imu(t_s, sample));
         }
     }

@@ -5,18 +5,17 @@
 //! believes of the tracker what `faults` and the gate let through, and leaves the estimate as it is where the IMU is
 //! silent or nobody knows yet how it sits. The states of both sensors stay what they are.
 
-use nalgebra::{Isometry3, Matrix3, Vector3};
+use nalgebra::{Isometry3, Matrix3};
 use serde::{Deserialize, Serialize};
 
 use super::PipelineError;
 use super::magnetic::{Believed, upper_triangle};
 use super::sensor::Sensor;
 use crate::frame::Frame;
-use crate::fusion::ahrs::ImuSample;
 use crate::fusion::aided::{Aided, AidedParams, AidedPose, MagneticPose};
 use crate::geometry;
 use crate::input::SensorIndex;
-use crate::output::{Estimate, Inertial, PoseEstimate, SensorState};
+use crate::output::{Estimate, PoseEstimate, SensorState};
 use crate::stage::Stage;
 
 /// What an alignment of half a degree and some millimetres leaves, m and rad: joins the tracker's noise.
@@ -93,7 +92,7 @@ impl Fastened {
             let (sensor, imu) = (usize::from(pair.sensor), usize::from(pair.imu));
             let live = estimate.sensors[imu].state != SensorState::Stuck;
             for record in frame.sensors[imu].samples.iter().filter(|_| live) {
-                if let Some(sample) = record.measured.inertial.as_ref().and_then(sample) {
+                if let Some(sample) = record.measured.inertial.and_then(|inertial| inertial.sample()) {
                     filter.imu(record.measured.t_valid.as_secs_f64(), &sample);
                 }
             }
@@ -135,15 +134,6 @@ impl Pair {
         self.filter = Some(Aided::new(params));
         self.waiting = None;
     }
-}
-
-/// Rates and forces; a unit that tells only its orientation has none.
-pub(super) fn sample(inertial: &Inertial) -> Option<ImuSample> {
-    Some(ImuSample {
-        gyro_rad_s: Vector3::from(inertial.angular_rate_rad_s?),
-        accel_m_s2: Vector3::from(inertial.specific_force_m_s2?),
-        mag: None,
-    })
 }
 
 fn in_room(believed: &Believed, room: &Isometry3<f64>) -> MagneticPose {

@@ -132,6 +132,6 @@ impl Keyframes {
 
 /// The pose of a sensor, if it may be used as good; without a position or an orientation, that part stays put.
 fn usable(sensor: &SensorEstimate) -> Option<Isometry3<f64>> {
-    let pose = sensor.pose.as_ref().filter(|_| sensor.state.is_usable())?;
+    let pose = sensor.usable_pose()?;
     geometry::isometry(pose.position_m.unwrap_or_default(), pose.orientation_wxyz)
 }

@@ -87,8 +87,7 @@ impl Naming {
     ) {
         for (position, joint) in self.positions.iter_mut().zip(&self.joints) {
             let sensor = joint.sensor.and_then(|sensor| estimate.sensors.get(usize::from(sensor)));
-            let pose =
-                sensor.filter(|sensor| sensor.state.is_usable()).and_then(|sensor| sensor.pose.as_ref());
+            let pose = sensor.and_then(|sensor| sensor.usable_pose());
             let segment = joint.segment.and_then(|segment| body?.segments[segment].position_m);
             *position = segment.or_else(|| pose?.position_m);
         }

@@ -207,8 +207,7 @@ impl Sensor {
             pose,
             measured: slot.samples.last().map(|sample| sample.measured),
             fault,
-            carried: false,
-            change: None,
+            ..SensorEstimate::default()
         }
     }
 

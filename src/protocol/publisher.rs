@@ -186,8 +186,7 @@ mod tests {
             pose: Some(pose),
             measured: None,
             fault: None,
-            carried: false,
-            change: None,
+            ..SensorEstimate::default()
         };
         Estimate {
             t_valid: Timestamp::from_nanos(t_ns),

@@ -115,9 +115,9 @@ impl Publisher {
         for (sender, (tracker, sensor)) in (0..).zip(self.trackers.iter_mut().zip(&estimate.sensors)) {
             let from = |kind| From { sender, kind, utc_ns };
             tracker.button(sensor, from(BUTTON), out);
-            match sensor.pose {
-                Some(pose) if sensor.state.is_usable() => tracker.pose(t, &pose, from, out),
-                _ => tracker.before = None,
+            match sensor.usable_pose() {
+                Some(pose) => tracker.pose(t, pose, from, out),
+                None => tracker.before = None,
             }
         }
     }
@@ -223,8 +223,7 @@ mod tests {
             pose: Some(pose),
             measured: Some(measured),
             fault: None,
-            change: None,
-            carried: false,
+            ..SensorEstimate::default()
         };
         Estimate { t_valid: Timestamp::from_secs_f64(t_s), sensors: vec![sensor], ..Estimate::default() }
     }

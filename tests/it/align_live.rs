@@ -1,7 +1,6 @@
 //! A magnetic sensor with an IMU fastened to it: the stage is aligned from its records, and both become one pose.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use posed::fusion::ahrs::ImuSample;
 use posed::fusion::align::guide::Guide;
 use posed::fusion::align::{AnchorPoint, Found, Recording, align_recording};
 use posed::geometry::{isometry, orientation_to_wxyz};
@@ -117,12 +116,7 @@ fn recorded(log: &[Entry]) -> Recording {
         pipeline.push(entry, &mut |output| {
             let Output::Estimate(estimate) = output else { return };
             let Some(record) = estimate.sensors[1].measured else { return };
-            let inertial = record.inertial.unwrap();
-            let sample = ImuSample {
-                gyro_rad_s: inertial.angular_rate_rad_s.unwrap().into(),
-                accel_m_s2: inertial.specific_force_m_s2.unwrap().into(),
-                mag: inertial.magnetic_field.map(Vector3::from),
-            };
+            let sample = record.inertial.unwrap().sample().unwrap();
             guide.imu(record.t_valid.as_secs_f64(), &sample);
         });
         if let Some((t, pose)) = pipeline.believed(0) {

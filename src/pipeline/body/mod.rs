@@ -22,7 +22,7 @@ use crate::fusion::body::{
 use crate::geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
 use crate::input::{MountedSensor, SensorIndex};
 use crate::layout::{Wearers, skeleton_of};
-use crate::output::{Body, BodySegment, Estimate, Placed, SegmentState};
+use crate::output::{Body, BodySegment, Estimate, Placed, PoseEstimate, SegmentState};
 use crate::stage::{self, Mounting, Stage};
 
 /// Expected error of a segment that trackers show, and of one between them, rad.
@@ -135,12 +135,8 @@ impl BodyStage {
             Solver::Trackers(follower) => {
                 self.tracked.clear();
                 for worn in &self.trackers {
-                    let seen = estimate
-                        .sensors
-                        .get(usize::from(worn.sensor))
-                        .filter(|s| s.state.is_usable() || s.carried);
-                    let pose = seen.and_then(|seen| seen.pose.as_ref());
-                    let Some(pose) = pose.and_then(|pose| isometry(pose.position_m?, pose.orientation_wxyz))
+                    let Some(pose) = shown(estimate, worn.sensor)
+                        .and_then(|pose| isometry(pose.position_m?, pose.orientation_wxyz))
                     else {
                         continue;
                     };
@@ -226,10 +222,7 @@ impl BodyStage {
         let (mut sum, mut count) = (Vector3::zeros(), 0.0);
         for worn in &self.trackers {
             let index = worn.segment.index();
-            let seen =
-                estimate.sensors.get(usize::from(worn.sensor)).filter(|s| s.state.is_usable() || s.carried);
-            let pose = seen.and_then(|seen| seen.pose.as_ref());
-            if let Some(position_m) = pose.and_then(|pose| pose.position_m)
+            if let Some(position_m) = shown(estimate, worn.sensor).and_then(|pose| pose.position_m)
                 && found.orientations[index].is_some()
             {
                 let place = from_hips[index] + all[index] * worn.segment_from_sensor.translation.vector;
@@ -332,6 +325,12 @@ fn mounting(
 /// Whether all of these sensors measure a field that their heading may follow.
 pub fn all_have_field(stage: &Stage, imus: &[Option<SensorIndex>; SEGMENTS]) -> bool {
     imus.iter().flatten().all(|index| has_field(stage, *index))
+}
+
+/// The pose of a tracker that may be used, or that its IMU carries on.
+fn shown(estimate: &Estimate, sensor: SensorIndex) -> Option<&PoseEstimate> {
+    let sensor = estimate.sensors.get(usize::from(sensor))?;
+    sensor.pose.as_ref().filter(|_| sensor.state.is_usable() || sensor.carried)
 }
 
 fn has_field(stage: &Stage, index: SensorIndex) -> bool {

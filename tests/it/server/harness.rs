@@ -146,8 +146,7 @@ pub(crate) fn estimate(frame: u64) -> Estimate {
             inertial: None,
         }),
         fault: None,
-        carried: false,
-        change: None,
+        ..SensorEstimate::default()
     };
     Estimate {
         fault: None,
