@@ -10,6 +10,8 @@ mod acceptance;
 mod align_live;
 mod body;
 mod body_live;
+#[path = "../browser/mod.rs"]
+mod browser;
 mod cli;
 mod daemon;
 mod exercise;

@@ -3,12 +3,11 @@
 //! Runs where `POSED_TEST_BROWSER` is set, and fails there without Chromium. With `POSED_BLESS` it also takes the
 //! picture in `docs/pictures/`.
 
-mod browser;
-
 use std::path::Path;
+use std::time::Duration;
 
+use crate::browser::{self, Browser};
 use crate::daemon::process::{Posed, two_devices};
-use browser::Browser;
 
 /// The page has complained about nothing, and the daemon ends as it should.
 async fn done(browser: Browser, posed: Posed) {
@@ -57,7 +56,9 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
         assert!(lost.parse::<u64>().is_ok() && sensor[2].parse::<f64>().is_ok(), "{sensor:?}");
     }
     browser.click("tab-stage-view").await;
-    browser.until("document.getElementById('summary').textContent === '13 of 13 are good'").await;
+    browser
+        .until("document.getElementById('summary').textContent === '13 of 13 are good, corrected by the map'")
+        .await;
     browser
         .until("document.getElementById('body-summary').textContent === 'body: 10 of 10 segments measured'")
         .await;
@@ -85,6 +86,17 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
     browser.until(DATA_OLD).await;
     posed.signal("CONT");
     browser.until(LIVE).await;
+    // Put away, it draws nothing; brought back, it is current at once.
+    browser.value("window.drawn = 0; (function count() { drawn++; requestAnimationFrame(count); })()").await;
+    browser.until("drawn > 5").await;
+    browser.hide(true).await;
+    browser.until("document.hidden").await;
+    let before = browser.value("drawn").await.as_u64().unwrap();
+    browser.pause(Duration::from_secs(2)).await;
+    let after = browser.value("drawn").await.as_u64().unwrap();
+    assert!(after <= before + 1, "{before} {after}");
+    browser.hide(false).await;
+    browser.until(&format!("drawn > {after} && {LIVE}")).await;
     done(browser, posed).await;
 }
 
@@ -187,6 +199,15 @@ async fn the_field_is_calibrated_in_the_browser_and_the_stage_shows_what_the_map
     browser.click("tab-stage-view").await;
     browser.until(&format!("{}.includes('corrected by the map')", text("summary"))).await;
     browser.until(&format!("/^arrows [0-9]+ times/.test({})", text("field-arrows"))).await;
+    // A slice of it, moved by hand.
+    browser.value("document.getElementById('slice-axis').previousElementSibling.click()").await;
+    let cut = "const place = document.getElementById('slice-place'); place.value = 0; \
+        place.dispatchEvent(new Event('input'));";
+    let middle = browser.value(&text("slice")).await;
+    browser.value(cut).await;
+    let edge = browser.value(&text("slice")).await;
+    assert!(middle != edge && edge.as_str().unwrap().ends_with(" mm"), "{middle} {edge}");
+    browser.value(&cut.replace("value = 0", "value = 0.5")).await;
     browser.until(PAINTED).await;
     browser.picture("field").await;
     browser.click("tab-runs").await;
