@@ -13,6 +13,10 @@ pub(super) const VELOCITY: f64 = 1e4;
 pub(super) const DEGREES: f64 = 1e3;
 /// Steps per hertz of a rate.
 pub(super) const RATE: f64 = 1e3;
+/// Steps per second of an age.
+pub(super) const AGE: f64 = 1e3;
+/// Steps per second of a capture time's uncertainty.
+pub(super) const CLOCK: f64 = 1e6;
 
 /// `value` to the nearest `1 / steps`; never a negative zero.
 pub(super) fn to(steps: f64, value: f64) -> f64 {
