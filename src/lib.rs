@@ -12,6 +12,7 @@ pub mod clock;
 pub mod daemon;
 pub mod faults;
 pub mod field;
+pub mod foxglove;
 pub mod frame;
 pub mod fusion;
 pub mod geometry;

@@ -53,6 +53,7 @@ use self::server::{BindError, Server};
 use self::service::Service;
 use self::waved::Waved;
 use self::worn::Worn;
+use crate::foxglove::Views;
 use crate::input::{Entry, Input};
 use crate::layout::BodyLayout;
 use crate::motion::segments::Model;
@@ -188,6 +189,7 @@ impl Daemon {
             inbox: inbox.clone(),
             pipeline: Pipeline::new(&stage)?,
             publisher: Publisher::new(&stage, Fields::all()),
+            views: Views::new(&stage, clock.epoch_utc_ns()),
             hub,
             jobs: jobs.clone(),
             calibration: calibration.clone(),

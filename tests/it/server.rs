@@ -3,6 +3,7 @@
 
 mod access;
 mod feed;
+mod foxglove;
 pub(crate) mod harness;
 mod limits;
 mod vrpn;

@@ -126,10 +126,10 @@ impl Distributor {
         }
     }
 
-    /// Sends an item to all who want it. Returns the item it replaces, for its memory.
-    pub(super) fn publish(&mut self, mut item: Item) -> Option<Item> {
-        if let Item::Status(status) = &mut item {
-            status.clients = self.clients.len() as u32;
+    /// Adds to a status what only the server knows; `viewers` are clients that are not among these.
+    pub(super) fn complete(&mut self, item: &mut Item, viewers: usize) {
+        if let Item::Status(status) = item {
+            status.clients = (self.clients.len() + viewers) as u32;
             let refused = self.metrics.refused_over_limit();
             if refused > self.refused {
                 let new = refused - self.refused;
@@ -143,6 +143,10 @@ impl Distributor {
                 self.refused = refused;
             }
         }
+    }
+
+    /// Sends an item to all who want it. Returns the item it replaces, for its memory.
+    pub(super) fn publish(&mut self, item: Item) -> Option<Item> {
         let Some(payload) = item.payload() else {
             self.rewind();
             return None;
@@ -600,7 +604,7 @@ mod tests {
     fn received(outbox: &Outbox) -> Vec<serde_json::Value> {
         let mut out = Vec::new();
         let mut all = Vec::new();
-        while outbox.pop(&mut out) == Ok(true) {
+        while let Ok(Some(_)) = outbox.pop(&mut out) {
             all.push(serde_json::from_slice(&out).unwrap());
             out.clear();
         }

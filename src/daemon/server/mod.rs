@@ -1,4 +1,4 @@
-//! The server: websocket, page, metrics, health, VRPN.
+//! The server: websocket, page, metrics, health, Foxglove viewers, VRPN.
 //!
 //! In: frames, events, status from the fusion thread through a [`Hub`], connections from a socket. Out: messages to
 //! clients, their [`PendingCall`]s to the daemon. Never: anything that makes the fusion thread, or one client, wait for another.
@@ -7,17 +7,19 @@
 //! fusion thread ── Hub ──> distributor ──> outbox of each client ──> its task ──> socket
 //!                               ^ subscribe, resume                     │ calls ──> daemon ── Reply ──> outbox
 //! ```
-//! One task ([`distributor`]) owns the subscriptions and serialises each distinct body once; one task per client
-//! ([`client`]) writes what is in its [`outbox`], which is bounded and which nobody waits for.
+//! One task ([`distributor`], and [`foxglove`] for its viewers) owns the subscriptions and serialises each distinct body once; one task
+//! per client ([`client`]) writes what is in its [`outbox`], which is bounded and which nobody waits for.
 
 mod access;
 mod client;
 mod distributor;
+mod foxglove;
 mod http;
 mod hub;
 mod listen;
 mod metrics;
 mod outbox;
+mod requests;
 mod tls;
 mod viewer;
 mod vrpn;
@@ -31,7 +33,8 @@ use tokio::net::{TcpListener, TcpSocket};
 use tokio::sync::{mpsc, watch};
 
 use self::access::Access;
-use self::distributor::{Command, Distributor};
+use self::distributor::Distributor;
+use self::foxglove::Viewers;
 use self::listen::Slots;
 use self::metrics::Metrics;
 use self::vrpn::{Outlet, Vrpn};
@@ -39,8 +42,8 @@ use crate::protocol::{Counters, HelloSensor, Names, Topic};
 use crate::stage::{Pose, Skeleton, Stage};
 use crate::vrpn::{Catalogue, Publisher};
 
-pub use self::client::{PendingCall, Reply};
 pub use self::hub::Hub;
+pub use self::requests::{PendingCall, Reply};
 pub use self::tls::TlsError;
 
 /// Where the server listens unless the stage file or the command line says otherwise.
@@ -59,8 +62,9 @@ pub struct Config {
     pub more_topics: Vec<Topic>,
     /// Numbers given out before; those of a recording when one is replayed.
     pub counters: Counters,
-    /// Whether the VRPN server of the stage file is started: not for a replay, beside which the stage itself may run.
-    pub vrpn: bool,
+    /// Whether it is a recording that is served: its time is not that of the world, and programs that the stage itself may be
+    /// serving at the same time (VRPN) are not served.
+    pub replay: bool,
     /// What one client, and all together, may take.
     pub limits: Limits,
 }
@@ -74,7 +78,7 @@ impl Config {
             epoch_utc_ns,
             more_topics: Vec::new(),
             counters: Counters::default(),
-            vrpn: true,
+            replay: false,
             limits: Limits::default(),
         }
     }
@@ -189,6 +193,7 @@ pub struct Server {
     tls: Option<tokio_rustls::TlsAcceptor>,
     shared: Arc<Shared>,
     distributor: Distributor,
+    viewers: Viewers,
     vrpn: Option<(Vrpn, Outlet)>,
     hub: Hub,
     commands: mpsc::Receiver<Command>,
@@ -203,12 +208,22 @@ struct Shared {
     slots: Slots,
     names: Arc<Names>,
     greeting: Greeting,
+    /// What Foxglove viewers are told first.
+    viewing: foxglove::Greeting,
     commands: mpsc::Sender<Command>,
     calls: mpsc::Sender<PendingCall>,
     shutdown: watch::Receiver<bool>,
     /// Newest event, for greetings.
     last_event_id: std::sync::atomic::AtomicU64,
     next_client: std::sync::atomic::AtomicU64,
+}
+
+/// What clients' tasks tell the distributing one.
+enum Command {
+    /// A client of our own protocol.
+    Client(distributor::Command),
+    /// A Foxglove viewer.
+    Viewer(foxglove::Command),
 }
 
 /// What every client is told first.
@@ -266,6 +281,9 @@ impl Server {
         topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
         topics.sort();
         topics.dedup();
+        let viewers =
+            Viewers::new(stage, &topics, &config.counters, config.epoch_utc_ns, config.replay, &metrics);
+        let epoch_utc = rfc3339(config.epoch_utc_ns);
         let shared = Arc::new(Shared {
             access: Access {
                 tokens: stage.server.tokens.clone(),
@@ -281,12 +299,13 @@ impl Server {
             },
             greeting: Greeting {
                 stage: stage.name.clone(),
-                epoch_utc: rfc3339(config.epoch_utc_ns),
+                epoch_utc: epoch_utc.clone(),
                 skeleton: stage.body.as_ref().map(|body| body.skeleton),
                 height_m: stage.body.as_ref().and_then(|body| body.height_m),
                 transmitter: stage.transmitter.pose_in_room.unwrap_or(Pose::IDENTITY),
                 topics,
             },
+            viewing: viewers.greeting(&stage.name, &epoch_utc),
             slots: Slots::new(limits.connections, limits.connections_per_address),
             limits: limits.clone(),
             metrics: Arc::clone(&metrics),
@@ -298,7 +317,7 @@ impl Server {
             next_client: 0.into(),
         });
         let hub = Hub::default();
-        let vrpn = match stage.vrpn.as_ref().filter(|_| config.vrpn) {
+        let vrpn = match stage.vrpn.as_ref().filter(|_| !config.replay) {
             None => None,
             Some(settings) => {
                 let names = stage.sensors.iter().map(|sensor| sensor.name.as_str());
@@ -309,8 +328,18 @@ impl Server {
         };
         let distributor = Distributor::new(names, limits, metrics, config.counters);
         let hub_in = hub.clone();
-        let server =
-            Self { listener, address, tls, shared, distributor, vrpn, hub: hub_in, commands, shutdown };
+        let server = Self {
+            listener,
+            address,
+            tls,
+            shared,
+            distributor,
+            viewers,
+            vrpn,
+            hub: hub_in,
+            commands,
+            shutdown,
+        };
         Ok((server, hub, calls))
     }
 
@@ -336,9 +365,11 @@ impl Server {
 
     /// Serves until `shutdown` resolves; then tells every client goodbye (1001) and returns within the shutdown timeout.
     pub async fn run(self, shutdown: impl Future<Output = ()>) {
-        let Self { listener, tls, shared, distributor, vrpn, hub, commands, shutdown: tell, .. } = self;
+        let Self { listener, tls, shared, distributor, viewers, vrpn, hub, commands, shutdown: tell, .. } =
+            self;
         let (vrpn, outlet) = vrpn.unzip();
-        let distributing = tokio::spawn(distribute(distributor, outlet, hub, commands, Arc::clone(&shared)));
+        let outlets = Outlets { distributor, viewers, vrpn: outlet };
+        let distributing = tokio::spawn(distribute(outlets, hub, commands, Arc::clone(&shared)));
         let others = vrpn.map(|vrpn| tokio::spawn(vrpn.run(tell.subscribe())));
         tokio::select! {
             () = listen::accept(&listener, tls.as_ref(), &shared) => {}
@@ -355,25 +386,29 @@ impl Server {
     }
 }
 
-/// Feeds the distributor, one thing at a time; frames before commands.
-async fn distribute(
-    mut distributor: Distributor,
-    mut outlet: Option<Outlet>,
-    hub: Hub,
-    mut commands: mpsc::Receiver<Command>,
-    shared: Arc<Shared>,
-) {
+/// Everything that is published to.
+struct Outlets {
+    distributor: Distributor,
+    viewers: Viewers,
+    vrpn: Option<Outlet>,
+}
+
+/// Feeds the outlets, one thing at a time; frames before commands.
+async fn distribute(outlets: Outlets, hub: Hub, mut commands: mpsc::Receiver<Command>, shared: Arc<Shared>) {
     use std::sync::atomic::Ordering;
+    let Outlets { mut distributor, mut viewers, mut vrpn } = outlets;
     loop {
-        while let Some(item) = hub.take() {
+        while let Some(mut item) = hub.take() {
             match &item {
                 hub::Item::Estimate(_) => _ = shared.metrics.frames.inc(),
                 hub::Item::Status(status) => shared.metrics.take(status),
                 _ => {}
             }
-            if let Some(outlet) = &mut outlet {
+            distributor.complete(&mut item, viewers.count());
+            if let Some(outlet) = &mut vrpn {
                 outlet.publish(&item);
             }
+            viewers.publish(&item);
             if let Some(replaced) = distributor.publish(item) {
                 hub.recycle(replaced);
             }
@@ -384,7 +419,10 @@ async fn distribute(
         tokio::select! {
             biased;
             () = hub.filled() => {}
-            Some(command) = commands.recv() => distributor.handle(command),
+            Some(command) = commands.recv() => match command {
+                Command::Client(command) => distributor.handle(command),
+                Command::Viewer(command) => viewers.handle(command),
+            },
         }
     }
 }
