@@ -17,6 +17,7 @@ mod health;
 pub mod inbox;
 mod jobs;
 mod limits;
+mod lsl;
 pub mod models;
 mod playback;
 mod player;
@@ -160,6 +161,7 @@ impl Daemon {
         let models = models::load(&stage).map_err(StartError::Model)?;
         let mut config = server::Config::new(&folder, clock.epoch_utc_ns());
         config.listen = listen;
+        config.clock = Some(clock);
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
         config.more_topics.extend(stage.segments.is_some().then_some(Topic::Segments));
         let (server, hub, pending) = Server::bind(&stage, config)?;

@@ -6,4 +6,5 @@ mod feed;
 mod foxglove;
 pub(crate) mod harness;
 mod limits;
+mod outputs;
 mod vrpn;

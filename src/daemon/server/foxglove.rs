@@ -15,7 +15,7 @@ use super::outbox::{Close, Outbox, Outgoing};
 use super::{Limits, Shared};
 use crate::foxglove::wire::{self, Level, Request, ServerInfo, Subscription};
 use crate::foxglove::{Channel, Publisher, channels};
-use crate::protocol::{Counters, DropPolicy, Encoding, Payload, Problem, Topic};
+use crate::protocol::{DropPolicy, Encoding, Payload, Problem, Stamp, Topic};
 use crate::stage::Stage;
 
 /// Messages that wait for a viewer; older ones give way.
@@ -41,8 +41,6 @@ pub(super) struct Greeting {
 pub(super) struct Viewers {
     channels: Vec<Channel>,
     publisher: Publisher,
-    /// In step with the distributor's: both stamp every item.
-    counters: Counters,
     metrics: Arc<Metrics>,
     clients: Vec<Client>,
     /// Subscriptions by channel.
@@ -67,7 +65,6 @@ impl Viewers {
     pub(super) fn new(
         stage: &Stage,
         topics: &[Topic],
-        counters: &Counters,
         epoch_utc_ns: i64,
         replay: bool,
         metrics: &Arc<Metrics>,
@@ -75,7 +72,6 @@ impl Viewers {
         let channels = channels(stage, topics);
         Self {
             publisher: Publisher::new(stage, epoch_utc_ns),
-            counters: *counters,
             metrics: Arc::clone(metrics),
             clients: Vec::new(),
             wanted: vec![0; channels.len()],
@@ -102,16 +98,14 @@ impl Viewers {
         self.clients.len()
     }
 
-    /// Tells an item to all who want it.
-    pub(super) fn publish(&mut self, item: &Item) {
-        let Some(payload) = item.payload() else {
-            self.counters.rewind();
+    /// Tells an item to all who want it; without a stamp, time goes back.
+    pub(super) fn publish(&mut self, item: &Item, stamp: Option<&Stamp>) {
+        let (Some(payload), Some(stamp)) = (item.payload(), stamp) else {
             self.latest.iter_mut().for_each(VecDeque::clear);
             return;
         };
-        let stamp = self.counters.stamp(&payload);
         let Self { channels, publisher, clients, wanted, latest, metrics, .. } = self;
-        let utc_ns = publisher.utc_ns(&stamp);
+        let utc_ns = publisher.utc_ns(stamp);
         if self.replay && matches!(payload, Payload::Estimate(_)) {
             for client in clients.iter() {
                 client.outbox.push_data(Outgoing::Clock(utc_ns), DropPolicy::Queue);
@@ -120,7 +114,7 @@ impl Viewers {
         let keep = |place: usize| kept(&channels[place]);
         publisher.publish(
             &payload,
-            &stamp,
+            stamp,
             channels,
             &|place| wanted[place] > 0 || keep(place) > 0,
             &mut |place, json| {

@@ -1,4 +1,4 @@
-//! The server: websocket, page, metrics, health, Foxglove viewers, VRPN.
+//! The server: websocket, page, metrics, health; Foxglove viewers, VRPN, VMC, LSL.
 //!
 //! In: frames, events, status from the fusion thread through a [`Hub`], connections from a socket. Out: messages to
 //! clients, their [`PendingCall`]s to the daemon. Never: anything that makes the fusion thread, or one client, wait for another.
@@ -20,8 +20,10 @@ mod listen;
 mod metrics;
 mod outbox;
 mod requests;
+mod streams;
 mod tls;
 mod viewer;
+mod vmc;
 mod vrpn;
 
 use std::net::{SocketAddr, ToSocketAddrs};
@@ -37,7 +39,9 @@ use self::distributor::Distributor;
 use self::foxglove::Viewers;
 use self::listen::Slots;
 use self::metrics::Metrics;
+use self::streams::Streaming;
 use self::vrpn::{Outlet, Vrpn};
+use super::clock::StageClock;
 use crate::protocol::{Counters, HelloSensor, Names, Topic};
 use crate::stage::{Pose, Skeleton, Stage};
 use crate::vrpn::{Catalogue, Publisher};
@@ -63,8 +67,10 @@ pub struct Config {
     /// Numbers given out before; those of a recording when one is replayed.
     pub counters: Counters,
     /// Whether it is a recording that is served: its time is not that of the world, and programs that the stage itself may be
-    /// serving at the same time (VRPN) are not served.
+    /// serving at the same time (VRPN, VMC, LSL) are not served.
     pub replay: bool,
+    /// The stage's clock; absent: times are those of nothing that goes on, and LSL is not told.
+    pub clock: Option<StageClock>,
     /// What one client, and all together, may take.
     pub limits: Limits,
 }
@@ -79,6 +85,7 @@ impl Config {
             more_topics: Vec::new(),
             counters: Counters::default(),
             replay: false,
+            clock: None,
             limits: Limits::default(),
         }
     }
@@ -181,6 +188,16 @@ pub enum BindError {
         /// What the system said.
         error: std::io::Error,
     },
+    /// An avatar's address has no meaning here.
+    #[error(
+        "cannot send to {target} by VMC: {error}; write HOST:PORT into vmc.targets, like 127.0.0.1:39539"
+    )]
+    Vmc {
+        /// As given.
+        target: String,
+        /// What the system said.
+        error: std::io::Error,
+    },
     /// Certificate or key do not serve.
     #[error(transparent)]
     Tls(#[from] TlsError),
@@ -192,9 +209,8 @@ pub struct Server {
     address: SocketAddr,
     tls: Option<tokio_rustls::TlsAcceptor>,
     shared: Arc<Shared>,
-    distributor: Distributor,
-    viewers: Viewers,
-    vrpn: Option<(Vrpn, Outlet)>,
+    outlets: Outlets,
+    vrpn: Option<Vrpn>,
     hub: Hub,
     commands: mpsc::Receiver<Command>,
     shutdown: watch::Sender<bool>,
@@ -281,8 +297,7 @@ impl Server {
         topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
         topics.sort();
         topics.dedup();
-        let viewers =
-            Viewers::new(stage, &topics, &config.counters, config.epoch_utc_ns, config.replay, &metrics);
+        let viewers = Viewers::new(stage, &topics, config.epoch_utc_ns, config.replay, &metrics);
         let epoch_utc = rfc3339(config.epoch_utc_ns);
         let shared = Arc::new(Shared {
             access: Access {
@@ -326,20 +341,20 @@ impl Server {
                 Some(bound.map_err(|(listen, error)| BindError::Vrpn { listen, error })?)
             }
         };
-        let distributor = Distributor::new(names, limits, metrics, config.counters);
-        let hub_in = hub.clone();
-        let server = Self {
-            listener,
-            address,
-            tls,
-            shared,
-            distributor,
-            viewers,
-            vrpn,
-            hub: hub_in,
-            commands,
-            shutdown,
+        let (vrpn, vrpn_outlet) = vrpn.unzip();
+        let vmc = match stage.vmc.as_ref().filter(|_| !config.replay) {
+            None => None,
+            Some(settings) => {
+                let opened = vmc::Outlet::open(stage, settings, Arc::clone(&metrics));
+                Some(opened.map_err(|(target, error)| BindError::Vmc { target, error })?)
+            }
         };
+        let lsl = stage.lsl.as_ref().zip(config.clock.filter(|_| !config.replay));
+        let lsl = lsl.map(|(settings, clock)| Streaming::start(stage, settings, clock, Arc::clone(&metrics)));
+        let distributor = Distributor::new(names, limits, metrics, config.counters);
+        let outlets = Outlets { distributor, viewers, vrpn: vrpn_outlet, vmc, lsl };
+        let hub_in = hub.clone();
+        let server = Self { listener, address, tls, shared, outlets, vrpn, hub: hub_in, commands, shutdown };
         Ok((server, hub, calls))
     }
 
@@ -350,7 +365,7 @@ impl Server {
 
     /// The address for VRPN clients, if the stage wants them.
     pub fn vrpn_address(&self) -> Option<SocketAddr> {
-        self.vrpn.as_ref().and_then(|(vrpn, _)| vrpn.address().ok())
+        self.vrpn.as_ref().and_then(|vrpn| vrpn.address().ok())
     }
 
     /// What to open in a browser.
@@ -365,10 +380,7 @@ impl Server {
 
     /// Serves until `shutdown` resolves; then tells every client goodbye (1001) and returns within the shutdown timeout.
     pub async fn run(self, shutdown: impl Future<Output = ()>) {
-        let Self { listener, tls, shared, distributor, viewers, vrpn, hub, commands, shutdown: tell, .. } =
-            self;
-        let (vrpn, outlet) = vrpn.unzip();
-        let outlets = Outlets { distributor, viewers, vrpn: outlet };
+        let Self { listener, tls, shared, outlets, vrpn, hub, commands, shutdown: tell, .. } = self;
         let distributing = tokio::spawn(distribute(outlets, hub, commands, Arc::clone(&shared)));
         let others = vrpn.map(|vrpn| tokio::spawn(vrpn.run(tell.subscribe())));
         tokio::select! {
@@ -379,6 +391,8 @@ impl Server {
         tell.send_replace(true);
         let _ = tokio::time::timeout(shared.limits.shutdown_timeout, shared.slots.all_free()).await;
         distributing.abort();
+        // What it holds has then ended too.
+        let _ = distributing.await;
         if let Some(others) = others {
             // Told at the same time, and bounded by itself.
             let _ = others.await;
@@ -391,12 +405,19 @@ struct Outlets {
     distributor: Distributor,
     viewers: Viewers,
     vrpn: Option<Outlet>,
+    vmc: Option<vmc::Outlet>,
+    lsl: Option<Streaming>,
 }
 
 /// Feeds the outlets, one thing at a time; frames before commands.
-async fn distribute(outlets: Outlets, hub: Hub, mut commands: mpsc::Receiver<Command>, shared: Arc<Shared>) {
+async fn distribute(
+    mut outlets: Outlets,
+    hub: Hub,
+    mut commands: mpsc::Receiver<Command>,
+    shared: Arc<Shared>,
+) {
     use std::sync::atomic::Ordering;
-    let Outlets { mut distributor, mut viewers, mut vrpn } = outlets;
+    let Outlets { distributor, viewers, vrpn, vmc, lsl } = &mut outlets;
     loop {
         while let Some(mut item) = hub.take() {
             match &item {
@@ -405,11 +426,21 @@ async fn distribute(outlets: Outlets, hub: Hub, mut commands: mpsc::Receiver<Com
                 _ => {}
             }
             distributor.complete(&mut item, viewers.count());
-            if let Some(outlet) = &mut vrpn {
+            if let (hub::Item::Status(status), Some(streaming)) = (&mut item, &lsl) {
+                status.problems.extend(streaming.problem());
+            }
+            let stamp = distributor.stamp(&item);
+            if let Some(outlet) = vrpn {
                 outlet.publish(&item);
             }
-            viewers.publish(&item);
-            if let Some(replaced) = distributor.publish(item) {
+            if let Some(outlet) = vmc {
+                outlet.publish(&item);
+            }
+            if let (Some(streaming), Some(stamp)) = (&lsl, &stamp) {
+                streaming.publish(&item, stamp, &shared.names);
+            }
+            viewers.publish(&item, stamp.as_ref());
+            if let Some(replaced) = distributor.publish(item, stamp) {
                 hub.recycle(replaced);
             }
             shared.last_event_id.store(distributor.last_event_id(), Ordering::Relaxed);
