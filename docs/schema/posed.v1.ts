@@ -213,6 +213,8 @@ export type Deviation = {
 
 /** Health of a device. Counts never go back. */
 export type DeviceStatus = {
+  /** Age of its newest sample, s; null before the first. */
+  age_s: number | null;
   /** Bytes that belong to no accepted record and no answer. */
   bytes_skipped: number;
   /** Its driver. */
@@ -229,6 +231,8 @@ export type DeviceStatus = {
   records: number;
   /** Records refused. */
   rejected: number;
+  /** How well its clock is fitted to the host's: standard deviation of its capture times, s; null until known. */
+  sigma_t_s: number | null;
   /** What its link does. */
   state: LinkState;
 };
@@ -957,12 +961,16 @@ export type SensorState = "ok" | "suspect" | "missing" | "late" | "stuck" | "rep
 
 /** Health of a sensor. Counts never go back. */
 export type SensorStatus = {
+  /** Age of the newest sample, s; null before the first. */
+  age_s: number | null;
   /** Whether `lost` is partly estimated, because whole cycles left no trace in the bytes. */
   estimated: boolean;
   /** Expected samples that were not published as `ok`. */
   lost: number;
   /** Its name. */
   name: string;
+  /** Samples per second, of the last second or more; null before that. */
+  rate_hz: number | null;
   /** Samples that arrived. */
   samples: number;
 };

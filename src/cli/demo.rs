@@ -25,6 +25,9 @@ const STAGE: &str = include_str!("../../config/demo.toml");
 /// Names what the person of that stage does.
 const MOVES: &[u8] = include_bytes!("../../config/demo-moves.safetensors");
 
+/// What its floor and the leg of its table do to the field.
+const FIELD: &[u8] = include_bytes!("../../config/demo-field.json");
+
 /// What to show.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  posed demo\n\nThen open the address that it prints; Ctrl-C ends it.")]
@@ -53,10 +56,15 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         }
         None => {
             let mut stage = Stage::parse(STAGE).map_err(Error::failed)?;
+            let unpack = |path: &mut PathBuf, bytes: &[u8]| {
+                *path = ports.path().join(&*path);
+                std::fs::write(&*path, bytes).map_err(|error| Error::file("write", path, &error))
+            };
             if let Some(segments) = &mut stage.segments {
-                segments.model = ports.path().join("moves.safetensors");
-                std::fs::write(&segments.model, MOVES)
-                    .map_err(|error| Error::file("write", &segments.model, &error))?;
+                unpack(&mut segments.model, MOVES)?;
+            }
+            if let Some(field) = &mut stage.models.field {
+                unpack(field, FIELD)?;
             }
             (stage, STAGE.to_owned(), PathBuf::new())
         }

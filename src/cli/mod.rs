@@ -27,6 +27,8 @@ mod exercise;
 mod export;
 mod faults;
 mod field;
+#[cfg(test)]
+mod handbook;
 mod imu;
 mod info;
 mod keyframes;

@@ -20,7 +20,7 @@ const WARNINGS: usize = 4;
 /// Collects what the status needs; belongs to the fusion thread.
 pub(super) struct Health {
     devices: Vec<Device>,
-    sensors: Vec<String>,
+    sensors: Vec<Sensor>,
     /// Read of a frame's last byte to its estimate, s.
     read_to_estimate: Latency,
     /// Capture of a frame to its estimate, s.
@@ -32,6 +32,36 @@ pub(super) struct Health {
     recording_failure: Option<String>,
     changed: bool,
     last_status: Timestamp,
+}
+
+struct Sensor {
+    name: String,
+    /// Index of its device.
+    device: Option<usize>,
+    rate: Rate,
+}
+
+/// How often something is counted.
+#[derive(Default)]
+struct Rate {
+    since: Timestamp,
+    count: u64,
+    hz: Option<f64>,
+}
+
+impl Rate {
+    /// Over this long at least, s.
+    const LEAST_S: f64 = 0.9;
+
+    /// Per second since about a second ago.
+    fn of(&mut self, now: Timestamp, count: u64) -> Option<f64> {
+        let interval_s = now.seconds_since(self.since);
+        if interval_s >= Self::LEAST_S {
+            self.hz = Some(count.saturating_sub(self.count) as f64 / interval_s);
+            (self.since, self.count) = (now, count);
+        }
+        self.hz
+    }
 }
 
 struct Device {
@@ -49,9 +79,14 @@ impl Health {
             port: device.port.clone(),
             warnings: Vec::new(),
         };
+        let sensor = |sensor: &crate::stage::Sensor| Sensor {
+            name: sensor.name.clone(),
+            device: stage.devices.iter().position(|device| device.name == sensor.device),
+            rate: Rate::default(),
+        };
         Self {
             devices: stage.devices.iter().map(device).collect(),
-            sensors: stage.sensors.iter().map(|sensor| sensor.name.clone()).collect(),
+            sensors: stage.sensors.iter().map(sensor).collect(),
             read_to_estimate: Latency::new("read to estimate"),
             capture_to_estimate: Latency::new("capture to estimate"),
             segments: stage.segments.is_some().then(|| Latency::new("segments")),
@@ -148,32 +183,44 @@ impl Health {
     ) -> Status {
         self.changed = false;
         self.last_status = now;
-        let device = |(device, counted): (&Device, &crate::pipeline::DeviceStatus)| DeviceStatus {
-            name: device.name.clone(),
-            driver: device.driver.clone(),
-            port: device.port.clone(),
-            state: (&counted.state).into(),
-            reason: match &counted.state {
-                State::Streaming => None,
-                State::Connecting { reason } | State::Silent { reason } | State::Failed { reason } => {
-                    Some(reason.clone())
-                }
-            },
-            rate_hz: counted.rate_hz,
-            records: counted.counters.records,
-            rejected: counted.counters.rejected,
-            bytes_skipped: counted.counters.bytes_skipped,
-        };
-        let sensor = |(name, counted): (&String, &crate::pipeline::SensorStatus)| SensorStatus {
-            name: name.clone(),
+        let age_s = |newest: Option<Timestamp>| newest.map(|newest| now.seconds_since(newest).max(0.0));
+        let mut newest = vec![None; self.devices.len()];
+        for (sensor, counted) in self.sensors.iter().zip(&pipeline.sensors) {
+            if let Some(newest) = sensor.device.and_then(|device| newest.get_mut(device)) {
+                *newest = counted.newest.max(*newest);
+            }
+        }
+        let device =
+            |((device, counted), newest): ((&Device, &crate::pipeline::DeviceStatus), _)| DeviceStatus {
+                name: device.name.clone(),
+                driver: device.driver.clone(),
+                port: device.port.clone(),
+                state: (&counted.state).into(),
+                reason: match &counted.state {
+                    State::Streaming => None,
+                    State::Connecting { reason } | State::Silent { reason } | State::Failed { reason } => {
+                        Some(reason.clone())
+                    }
+                },
+                rate_hz: counted.rate_hz,
+                age_s: age_s(newest),
+                sigma_t_s: counted.clock.map(|clock| clock.sigma_t_s),
+                records: counted.counters.records,
+                rejected: counted.counters.rejected,
+                bytes_skipped: counted.counters.bytes_skipped,
+            };
+        let sensor = |(sensor, counted): (&mut Sensor, &crate::pipeline::SensorStatus)| SensorStatus {
+            name: sensor.name.clone(),
             samples: counted.samples,
+            rate_hz: sensor.rate.of(now, counted.samples),
+            age_s: age_s(counted.newest),
             lost: counted.lost,
             estimated: counted.estimated,
         };
         Status {
             t_s: now.as_secs_f64(),
-            devices: self.devices.iter().zip(&pipeline.devices).map(device).collect(),
-            sensors: self.sensors.iter().zip(&pipeline.sensors).map(sensor).collect(),
+            devices: self.devices.iter().zip(&pipeline.devices).zip(newest).map(device).collect(),
+            sensors: self.sensors.iter_mut().zip(&pipeline.sensors).map(sensor).collect(),
             latency: [&mut self.read_to_estimate, &mut self.capture_to_estimate]
                 .into_iter()
                 .chain(&mut self.segments)
@@ -206,7 +253,7 @@ impl Health {
                 problems.push(problem("body", sentence.to_owned()));
             }
             problems.extend(body.faults.iter().map(|(sensor, segment, fault)| {
-                let name = self.sensors.get(usize::from(*sensor)).map_or("", String::as_str);
+                let name = self.sensors.get(usize::from(*sensor)).map_or("", |sensor| sensor.name.as_str());
                 problem("body", format!("{segment}: the sensor {name} {}", said(*fault)))
             }));
         }

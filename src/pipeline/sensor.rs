@@ -48,6 +48,8 @@ pub(super) struct Sensor {
     /// Whether what was changed may be published.
     repairs: bool,
     samples: u64,
+    /// Capture time of the newest one.
+    newest: Option<Timestamp>,
     /// Records that came in and were not published as `ok`, and those that the frames miss.
     unpublished: u64,
     missed: u64,
@@ -77,6 +79,7 @@ impl Sensor {
             moving: false,
             repairs,
             samples: 0,
+            newest: None,
             unpublished: 0,
             missed: 0,
             missed_by_time: false,
@@ -120,7 +123,7 @@ impl Sensor {
     pub(super) fn status(&self, counted: Option<&Loss>) -> SensorStatus {
         let (lost, estimated) =
             counted.map_or((self.missed, self.missed_by_time), |loss| (loss.lost, loss.estimated));
-        SensorStatus { samples: self.samples, lost: lost + self.unpublished, estimated }
+        SensorStatus { samples: self.samples, newest: self.newest, lost: lost + self.unpublished, estimated }
     }
 
     /// Whether a measurement is one of the cycle that times its device, rather than one beside it.
@@ -235,6 +238,7 @@ impl Sensor {
 
     fn count(&mut self, slot: &FrameSensor, frame: &Frame) {
         self.samples += slot.samples.len() as u64;
+        self.newest = self.newest.max(slot.samples.iter().map(|sample| sample.measured.t_valid).max());
         if slot.expected() {
             let unpublished = !slot.samples.is_empty() && self.state != SensorState::Ok;
             self.unpublished += u64::from(unpublished);

@@ -1,6 +1,6 @@
 //! What `status` tells of the pipeline.
 
-use posed_drivers::{Counters, State};
+use posed_drivers::{Counters, State, Timestamp};
 
 use crate::fusion::body::SensorFault;
 use crate::input::SensorIndex;
@@ -56,6 +56,8 @@ pub struct ClockStatus {
 pub struct SensorStatus {
     /// Samples received.
     pub samples: u64,
+    /// Capture time of the newest one.
+    pub newest: Option<Timestamp>,
     /// Expected samples that were not published as `ok`.
     pub lost: u64,
     /// Part of `lost` comes from the time that passed: nothing on the line tells how many samples there were.

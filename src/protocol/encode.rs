@@ -208,6 +208,12 @@ fn rounded_status(status: &Status, stamp: &Stamp) -> Status {
     let mut status = Status { t_s: stamp.t_s(), ..status.clone() };
     for device in &mut status.devices {
         device.rate_hz = device.rate_hz.map(|rate| round::to(round::RATE, rate));
+        device.age_s = device.age_s.map(|age| round::to(round::AGE, age));
+        device.sigma_t_s = device.sigma_t_s.map(|sigma| round::to(round::CLOCK, sigma));
+    }
+    for sensor in &mut status.sensors {
+        sensor.rate_hz = sensor.rate_hz.map(|rate| round::to(round::RATE, rate));
+        sensor.age_s = sensor.age_s.map(|age| round::to(round::AGE, age));
     }
     for stage in &mut status.latency {
         for value in [&mut stage.p50_ms, &mut stage.p99_ms, &mut stage.max_ms] {

@@ -10,7 +10,7 @@
 //! # Resolution of numbers
 //! Positions and their sigma 1e-5 m and 1e-6 m, quaternions 1e-6, times 1e-6 s, velocities 1e-4 m/s and 1e-4 rad/s,
 //! angles 1e-3 degrees,
-//! covariances four significant digits, rates 1e-3 Hz. Both encodings carry the rounded number.
+//! covariances four significant digits, rates 1e-3 Hz, ages 1 ms. Both encodings carry the rounded number.
 
 mod body;
 pub mod encode;

@@ -13,6 +13,10 @@ pub(crate) const VELOCITY: f64 = 1e4;
 pub(crate) const DEGREES: f64 = 1e3;
 /// Steps per hertz of a rate.
 pub(crate) const RATE: f64 = 1e3;
+/// Steps per second of an age.
+pub(crate) const AGE: f64 = 1e3;
+/// Steps per second of a capture time's uncertainty.
+pub(crate) const CLOCK: f64 = 1e6;
 
 /// `value` to the nearest `1 / steps`; never a negative zero.
 pub(crate) fn to(steps: f64, value: f64) -> f64 {

@@ -10,6 +10,8 @@ mod acceptance;
 mod align_live;
 mod body;
 mod body_live;
+#[path = "../browser/mod.rs"]
+mod browser;
 mod cli;
 mod daemon;
 mod exercise;
@@ -18,6 +20,7 @@ mod faults_live;
 mod field;
 mod field_live;
 mod field_real;
+mod handbook;
 mod inertial;
 mod keyframes;
 mod keyframes_live;

@@ -1,7 +1,7 @@
 // What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
 // Bounded: it never grows over hours.
 
-import type { Change, FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, KeyPoseMessage, SegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
+import type { Change, ExerciseEventMessage, FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, KeyPoseMessage, SegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
 
 /** Seconds of history for curves. */
 export const HISTORY_S = 20;
@@ -68,6 +68,9 @@ export class Series {
   }
 }
 
+/** A repetition that has been judged. */
+export type Repetition = Extract<ExerciseEventMessage, { event: "counted" | "rejected" }>;
+
 export class Model {
   hello: Hello | null = null;
   sensors: SensorsMessage | null = null;
@@ -80,6 +83,8 @@ export class Model {
   /** What was said of segments of the motion and not taken back, by beginning. */
   segments: SegmentMessage[] = [];
   readonly history = new Map<string, History>();
+  /** Repetitions that were counted or refused. */
+  repetitions: Repetition[] = [];
   /** By joint. */
   readonly angles = new Map<string, Series>();
   /** By sensor: the statistic of key poses, and what a peak of it must exceed. */
@@ -110,6 +115,7 @@ export class Model {
         this.truth = null;
         this.faultMap = null;
         this.segments = [];
+        this.repetitions = [];
         break;
       case "sensors":
         this.takeSensors(message);
@@ -140,6 +146,10 @@ export class Model {
         break;
       case "segments":
         this.takeSegment(message);
+        break;
+      case "exercise":
+        if (message.event === "counted" || message.event === "rejected") this.repetitions.push(message);
+        if (this.repetitions.length > EVENTS) this.repetitions.shift();
         break;
     }
     this.listeners.forEach((listener) => listener(message));

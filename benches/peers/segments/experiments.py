@@ -5,7 +5,8 @@ usage: experiments.py WORK [--posed PATH] [--only NETWORK ...]      runs what is
        experiments.py WORK --table                                  prints what is
 
 `posed` trains the paper's network (`segments train --paper`, 19 rows); the others need tensorflow-cpu (PyPI). All learn from the same
-files: 70 sequences of `posed segments generate`, fold k tests ten of them; noise replaces labels in the training
+files: 70 sequences of `posed segments generate` in local coordinates, as the paper's images are (origin in the mean of the joints, axes
+turned to where the body faces, which follows with 0.3 s), fold k tests ten of them; noise replaces labels in the training
 files by any of the ten at random, a mask takes frames out of learning. All stop early: a tenth of the training frames
 is held out (blocks of 2 s in posed, whole sequences in Keras), patience 10, at most 25 epochs, Adam 1e-3, one sequence per step.
 """
@@ -13,6 +14,7 @@ import argparse
 import csv
 import gzip
 import json
+import math
 import os
 import pathlib
 import random
@@ -23,6 +25,7 @@ import tempfile
 import time
 
 SEQUENCES, FOLDS, EPOCHS, PATIENCE = 70, 7, 25, 10
+FACING_S = 0.3
 PEERS = ["ed-tcn", "dilated-tcn", "bi-lstm"]
 PAPER_NOISE = [90.81, 90.99, 90.75, 91.20, 91.13, 91.04, 92.99, 90.11, 89.55, 81.18, 11.24]
 
@@ -49,6 +52,29 @@ def read(path):
     with gzip.open(path, "rt") as file:
         rows = list(csv.reader(line for line in file if not line.startswith("#")))
     return rows[0], rows[1:]
+
+
+def localise(source, target):
+    """Writes a sequence in the body's own axes: x forward, y up, z to the left."""
+    header, rows = read(source)
+    at = {name: k for k, name in enumerate(header)}
+    joints = [name[:-2] for name in header if name.endswith("_x")]
+    pairs = [(joint, "r" + joint[1:]) for joint in joints if joint.startswith("l_")]
+    step_s = float(rows[1][0]) - float(rows[0][0])
+    left = None
+    for row in rows:
+        place = {joint: [float(row[at[f"{joint}_{axis}"]]) for axis in "xyz"] for joint in joints}
+        mean = [sum(p[axis] for p in place.values()) / len(place) for axis in range(3)]
+        now = [sum(place[l][axis] - place[r][axis] for l, r in pairs) for axis in (0, 2)]
+        left = now if left is None else [a + min(1, step_s / FACING_S) * (b - a) for a, b in zip(left, now)]
+        size = math.hypot(*left)
+        c, s = left[1] / size, left[0] / size
+        for joint, (x, y, z) in place.items():
+            x, y, z = x - mean[0], y - mean[1], z - mean[2]
+            for axis, value in zip("xyz", (c * x - s * z, y, s * x + c * z)):
+                row[at[f"{joint}_{axis}"]] = f"{value:.4f}"
+    with gzip.open(target, "wt", compresslevel=1, newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([header, *rows])
 
 
 def near_borders(labels, width):
@@ -216,7 +242,7 @@ def with_keras(run, folder, tests, classes):
 
 
 def one(work, posed, run):
-    files = sorted((work / "sequences").glob("*.csv.gz"))
+    files = sorted((work / "local").glob("*.csv.gz"))
     size = len(files) // FOLDS
     tests = files[run["fold"] * size:(run["fold"] + 1) * size]
     header, rows = read(files[0])
@@ -284,10 +310,14 @@ def main():
     results = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
     if args.table:
         return table(results)
-    sequences = args.work / "sequences"
-    if len(list(sequences.glob("*.csv.gz"))) < SEQUENCES:
-        shutil.rmtree(sequences, ignore_errors=True)
-        subprocess.run([args.posed, "segments", "generate", str(sequences), "--sequences", str(SEQUENCES)], check=True)
+    local = args.work / "local"
+    if len(list(local.glob("*.csv.gz"))) < SEQUENCES:
+        shutil.rmtree(local, ignore_errors=True)
+        local.mkdir(parents=True)
+        with tempfile.TemporaryDirectory(dir=args.work) as made:
+            subprocess.run([args.posed, "segments", "generate", made, "--sequences", str(SEQUENCES)], check=True)
+            for source in sorted(pathlib.Path(made).glob("*.csv.gz")):
+                localise(source, local / source.name)
     known = [{k: r[k] for k in ("network", "width", "noise", "border", "mask", "fold")} for r in results]
     for run in grid():
         if run in known or run["network"] not in args.only:

@@ -66,6 +66,10 @@ pub struct DeviceStatus {
     pub reason: Option<String>,
     /// Measured rate, Hz; null until known.
     pub rate_hz: Option<f64>,
+    /// Age of its newest sample, s; null before the first.
+    pub age_s: Option<f64>,
+    /// How well its clock is fitted to the host's: standard deviation of its capture times, s; null until known.
+    pub sigma_t_s: Option<f64>,
     /// Records accepted.
     pub records: u64,
     /// Records refused.
@@ -75,12 +79,16 @@ pub struct DeviceStatus {
 }
 
 /// Health of a sensor. Counts never go back.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SensorStatus {
     /// Its name.
     pub name: String,
     /// Samples that arrived.
     pub samples: u64,
+    /// Samples per second, of the last second or more; null before that.
+    pub rate_hz: Option<f64>,
+    /// Age of the newest sample, s; null before the first.
+    pub age_s: Option<f64>,
     /// Expected samples that were not published as `ok`.
     pub lost: u64,
     /// Whether `lost` is partly estimated, because whole cycles left no trace in the bytes.

@@ -2,9 +2,10 @@
 // All of it in the transmitter's frame: the group rides on the transmitter.
 
 import * as THREE from "three";
-import type { FieldEventMessage, SensorEntry } from "../protocol";
+import type { FieldEventMessage, SensorEntry, Vec3 } from "../protocol";
 import { vector } from "./scene";
 import { finish, instanced, segments } from "./sensors";
+import { FieldSlice } from "./slice";
 
 /** The longest arrow is drawn this long, m, whatever its true length. */
 const LONGEST_M = 0.12;
@@ -15,6 +16,7 @@ export class FieldScene {
   readonly group = new THREE.Group();
   readonly arrows = new THREE.Group();
   readonly corrections = new THREE.Group();
+  readonly slice = new FieldSlice();
   /** How many times longer than true the arrows are. */
   magnified = 1;
   /** Whether a map is in use. */
@@ -30,18 +32,18 @@ export class FieldScene {
 
   constructor() {
     finish(this.cells, 0);
-    this.group.add(this.arrows, this.corrections, this.cells);
+    this.group.add(this.arrows, this.corrections, this.cells, this.slice.group);
   }
 
   take(message: FieldEventMessage): void {
     if (message.event === "map_swapped") {
       this.hasMap = message.map !== null;
-      this.draw(message.arrows_m as [Vec, Vec][]);
+      this.draw(message.arrows_m as [Vec3, Vec3][]);
     } else if (message.event === "calibrating") {
       const { collecting, unvisited_m } = message.progress;
       const places = collecting ? unvisited_m.slice(0, MOST_CELLS) : [];
       places.forEach((place, index) => {
-        vector(place as Vec, this.from);
+        vector(place as Vec3, this.from);
         this.cells.setMatrixAt(index, this.matrix.makeTranslation(this.from));
       });
       finish(this.cells, places.length);
@@ -76,10 +78,11 @@ export class FieldScene {
     points.needsUpdate = true;
   }
 
-  private draw(arrows: [Vec, Vec][]): void {
+  private draw(arrows: [Vec3, Vec3][]): void {
+    this.slice.take(arrows);
     for (const old of this.arrows.children) (old as THREE.LineSegments).geometry.dispose();
     this.arrows.clear();
-    const length = ([a, b]: [Vec, Vec]) => Math.hypot(b[0] - a[0], b[1] - a[1], b[2] - a[2]);
+    const length = ([a, b]: [Vec3, Vec3]) => Math.hypot(b[0] - a[0], b[1] - a[1], b[2] - a[2]);
     const longest = Math.max(1e-6, ...arrows.map(length));
     this.magnified = LONGEST_M / longest;
     if (arrows.length === 0) return;
@@ -104,5 +107,3 @@ export class FieldScene {
     this.arrows.add(this.lines);
   }
 }
-
-type Vec = [number, number, number];

@@ -27,6 +27,8 @@ export class AnalysisView implements View {
   private readonly choice = el("select", { id: "sensor-choice", "aria-label": "Sensor" });
   private readonly curves = el("div", { class: "curves" });
   private readonly faults = new Table("faults", "Faults, newest first", [["Stage time, s"], ["Sensor", "word"], ["Cause", "word"], [""]]);
+  private readonly repetitions = new Table("repetitions", "Repetitions, newest first",
+    [["End, s"], ["Exercise", "word"], ["Took, s"], ["Number"], ["", "word"], ["What was off", "word reason"]]);
   private readonly map: FaultsPanel;
   private readonly changes = new ChangeCurve();
   private readonly segments: SegmentsPanel;
@@ -37,7 +39,7 @@ export class AnalysisView implements View {
   constructor(private readonly context: Context) {
     this.map = new FaultsPanel(context);
     this.segments = new SegmentsPanel(context);
-    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.changes.element, this.joints.element, this.segments.element, this.map.element, this.faults.element);
+    this.element = el("div", {}, el("div", { class: "row" }, el("label", {}, "Sensor ", this.choice)), this.curves, this.changes.element, this.joints.element, this.segments.element, this.repetitions.element, this.map.element, this.faults.element);
     addEventListener("resize", () => this.resize());
   }
 
@@ -55,12 +57,27 @@ export class AnalysisView implements View {
     const { changes, keyPoses } = this.context.model;
     this.changes.draw(changes.get(this.choice.value), keyPoses.filter(({ sensor }) => sensor === this.choice.value));
     this.segments.draw();
+    this.drawRepetitions();
     this.map.draw();
     this.joints.draw(this.context.model.angles);
     this.faults.fill(this.context.model.faults.slice(-40).reverse().map((fault): Cell[] => [
       [fault.t_s.toFixed(2)], [fault.sensor, "word"], [fault.cause, "word"],
       [fault.active ? "began" : "ended", `word ${fault.active ? "care" : "good"}`],
     ]));
+  }
+
+  private drawRepetitions(): void {
+    const { repetitions } = this.context.model;
+    this.repetitions.element.hidden = repetitions.length === 0;
+    this.repetitions.fill(repetitions.slice(-40).reverse().map((repetition): Cell[] => {
+      const counted = repetition.event === "counted";
+      return [
+        [repetition.t_valid_s.toFixed(2)], [repetition.exercise, "word"],
+        [(repetition.t_valid_s - repetition.t_start_s).toFixed(1)], [counted ? String(repetition.count) : "–"],
+        [counted ? "counted" : `not counted: ${(repetition.reason ?? "").replaceAll("_", " ")}`, `word ${counted ? "good" : "care"}`],
+        [repetition.sentence ?? (counted ? "as taught" : ""), "word reason"],
+      ];
+    }));
   }
 
   private drawChoice(): void {

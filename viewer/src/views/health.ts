@@ -11,15 +11,19 @@ function faulty({ state, fault }: SensorEntry): string {
   return !fault || fault.cause === "none" || fault.cause === "missing" ? state : `${state}: ${fault.label}, ${fault.cause}`;
 }
 
+function thousandths(value: number | null | undefined, digits: number): string {
+  return num(value == null ? null : 1000 * value, digits);
+}
+
 export class HealthView implements View {
   readonly id = "health";
   readonly title = "Health";
   readonly element: HTMLElement;
   private readonly sensors = new Table("sensors", "Sensors", [
-    ["Sensor"], ["State", "word"], ["x, m"], ["y, m"], ["z, m"], ["w"], ["x"], ["y"], ["z"], ["σ, mm"], ["Samples"], ["Lost"],
+    ["Sensor"], ["State", "word"], ["Rate, Hz"], ["Age, ms"], ["x, m"], ["y, m"], ["z, m"], ["w"], ["x"], ["y"], ["z"], ["σ, mm"], ["Samples"], ["Lost"],
   ]);
   private readonly devices = new Table("devices", "Devices", [
-    ["Device"], ["Driver", "word"], ["Port", "word"], ["State", "word"], ["Rate, Hz"], ["Records"], ["Rejected"], ["Bytes skipped"],
+    ["Device"], ["Driver", "word"], ["Port", "word"], ["State", "word"], ["Rate, Hz"], ["Age, ms"], ["Clock ±, ms"], ["Records"], ["Rejected"], ["Bytes skipped"],
   ]);
   private readonly latency = new Table("latency", "Latency since the last second", [["From where to where"], ["Median, ms"], ["99 %, ms"], ["Longest, ms"]]);
   private readonly frame = el("p", { id: "frame", class: "quiet" });
@@ -40,6 +44,8 @@ export class HealthView implements View {
       [device.port, "word"],
       [device.reason ? `${device.state}: ${device.reason}` : device.state, `word reason ${LINK_CLASS[device.state]}`],
       [num(device.rate_hz, 2)],
+      [thousandths(device.age_s, 0)],
+      [thousandths(device.sigma_t_s, 3)],
       [String(device.records)],
       [String(device.rejected)],
       [String(device.bytes_skipped)],
@@ -61,9 +67,11 @@ export class HealthView implements View {
       return [
         [sensor.name],
         [faulty(sensor), `word ${trustOf(sensor.state)}`],
+        [num(count?.rate_hz, 1)],
+        [thousandths(count?.age_s, 0)],
         ...numbers(sensor.position_m, 3),
         ...numbers(sensor.orientation_wxyz, 4),
-        [num(sensor.sigma_m == null ? null : sensor.sigma_m * 1000, 2)],
+        [thousandths(sensor.sigma_m, 2)],
         [count ? String(count.samples) : "–"],
         [count ? `${count.lost}${count.estimated ? " ~" : ""}` : "–"],
       ];

@@ -7,6 +7,7 @@ import { FieldScene } from "../scene/field";
 import { Scene, quaternion, vector } from "../scene/scene";
 import { transmitter } from "../scene/transmitter";
 import { LOOKS, Sensors } from "../scene/sensors";
+import type { Axis } from "../scene/slice";
 import { Truth } from "../scene/truth";
 import type { FigureMessage, Pose, SensorState } from "../protocol";
 import type { Context, View } from "../view";
@@ -24,6 +25,10 @@ export class StageView implements View {
   private readonly transmitter: Group = transmitter();
   private readonly field = new FieldScene();
   private readonly arrowsLabel = el("span", { id: "field-arrows" });
+  private readonly sliceAxis = el("select", { id: "slice-axis", "aria-label": "Slice across the transmitter's axis" },
+    ...["x", "y", "z"].map((axis, value) => el("option", { value, selected: axis === "z" }, `across ${axis}`)));
+  private readonly slicePlace = el("input", { type: "range", id: "slice-place", min: 0, max: 1, step: "any", value: 0.5, "aria-label": "Where the slice is" });
+  private readonly sliceSays = el("output", { id: "slice", for: "slice-place" });
   private readonly toTransmitter = new Matrix4();
   private drawn = -1;
 
@@ -43,11 +48,15 @@ export class StageView implements View {
       if (message.type === "hello") {
         this.placeTransmitter(message.transmitter);
         this.field.forget();
+        this.cut();
       } else if (message.type === "field") {
         if (message.event === "model_swapped" && message.model.kind === "transmitter") this.placeTransmitter(message.model);
         this.field.take(message);
+        if (message.event === "map_swapped") this.cut();
       }
     });
+    this.sliceAxis.addEventListener("change", () => this.cut());
+    this.slicePlace.addEventListener("input", () => this.cut());
     const legend = [...LOOKS, ...Object.values(BODY_LOOKS)].map(({ sign, words, colour }) => {
       const mark = el("span", {}, `${sign} `);
       mark.style.color = `#${colour.toString(16).padStart(6, "0")}`;
@@ -73,6 +82,7 @@ export class StageView implements View {
         layer("truth of the simulation", this.truth.group, true),
         layer("corrections, from where the tracker said", this.field.corrections, true),
         layer("what the map of the field does", this.field.arrows, true), this.arrowsLabel,
+        layer("a slice through it", this.field.slice.group, false), this.sliceAxis, this.slicePlace, this.sliceSays,
         el("button", { onclick: () => this.scene?.reset() }, "Camera back"),
         el("ul", { class: "legend", "aria-label": "What the shapes mean" }, ...legend)),
     );
@@ -84,6 +94,18 @@ export class StageView implements View {
     const heading = body.heading === "held" ? `, heading held for ${body.heading_held_s.toFixed(0)} s` : "";
     const place = body.placed === "trackers" ? "" : body.placed === "held" ? ", place as last seen" : ", place not known";
     setText(this.bodySummary, `body: ${good} of ${body.segments.length} segments measured${heading}${place}`);
+  }
+
+  /** The slice where the operator wants it. */
+  private cut(): void {
+    const { slice } = this.field;
+    const axis = Number(this.sliceAxis.value) as Axis;
+    const place_m = slice.cut(axis, Number(this.slicePlace.value));
+    this.sliceAxis.hidden = this.slicePlace.hidden = !slice.hasMap;
+    setText(this.sliceSays, slice.hasMap
+      ? `at ${"xyz"[axis]} = ${place_m.toFixed(2)} m from the transmitter; dark 0, bright ${(1000 * slice.longest_m).toFixed(1)} mm`
+      : "");
+    this.drawn = -1;
   }
 
   private placeTransmitter({ position_m, orientation_wxyz }: Pose): void {

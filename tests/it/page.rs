@@ -3,12 +3,11 @@
 //! Runs where `POSED_TEST_BROWSER` is set, and fails there without Chromium. With `POSED_BLESS` it also takes the
 //! picture in `docs/pictures/`.
 
-mod browser;
-
 use std::path::Path;
+use std::time::Duration;
 
+use crate::browser::{self, Browser};
 use crate::daemon::process::{Posed, two_devices};
-use browser::Browser;
 
 /// The page has complained about nothing, and the daemon ends as it should.
 async fn done(browser: Browser, posed: Posed) {
@@ -38,11 +37,11 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
     browser.until(LIVE).await;
     // Three magnetic sensors, ten IMUs; positions change.
     let before = browser.row("sensors", 2).await;
-    assert_eq!((before[0].as_str(), before.len()), ("wand", 12));
+    assert_eq!((before[0].as_str(), before.len()), ("wand", 14));
     browser
         .until(&format!(
-            "document.getElementById('sensors').rows[2].cells[2].textContent !== '{}'",
-            before[2]
+            "document.getElementById('sensors').rows[2].cells[4].textContent !== '{}'",
+            before[4]
         ))
         .await;
     // Rate and losses are numbers once the first second of stream is over.
@@ -51,13 +50,19 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
         .await;
     let device = browser.row("devices", 0).await;
     assert!(device[4].parse::<f64>().unwrap() > 50.0, "{device:?}");
+    // Age and clock.
+    assert!((5..7).all(|cell| device[cell].parse::<f64>().is_ok()), "{device:?}");
     for row in 0..3 {
         let sensor = browser.row("sensors", row).await;
-        let lost = sensor[11].trim_end_matches(" ~");
-        assert!(lost.parse::<u64>().is_ok() && sensor[2].parse::<f64>().is_ok(), "{sensor:?}");
+        let lost = sensor[13].trim_end_matches(" ~");
+        assert!(lost.parse::<u64>().is_ok() && sensor[4].parse::<f64>().is_ok(), "{sensor:?}");
+        let [rate_hz, age_ms] = [2, 3].map(|cell| sensor[cell].parse::<f64>().unwrap());
+        assert!(rate_hz > 0.0 && age_ms >= 0.0, "{sensor:?}");
     }
     browser.click("tab-stage-view").await;
-    browser.until("document.getElementById('summary').textContent === '13 of 13 are good'").await;
+    browser
+        .until("document.getElementById('summary').textContent === '13 of 13 are good, corrected by the map'")
+        .await;
     browser
         .until("document.getElementById('body-summary').textContent === 'body: 10 of 10 segments measured'")
         .await;
@@ -85,6 +90,17 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
     browser.until(DATA_OLD).await;
     posed.signal("CONT");
     browser.until(LIVE).await;
+    // Put away, it draws nothing; brought back, it is current at once.
+    browser.value("window.drawn = 0; (function count() { drawn++; requestAnimationFrame(count); })()").await;
+    browser.until("drawn > 5").await;
+    browser.hide(true).await;
+    browser.until("document.hidden").await;
+    let before = browser.value("drawn").await.as_u64().unwrap();
+    browser.pause(Duration::from_secs(2)).await;
+    let after = browser.value("drawn").await.as_u64().unwrap();
+    assert!(after <= before + 1, "{before} {after}");
+    browser.hide(false).await;
+    browser.until(&format!("drawn > {after} && {LIVE}")).await;
     done(browser, posed).await;
 }
 
@@ -187,6 +203,15 @@ async fn the_field_is_calibrated_in_the_browser_and_the_stage_shows_what_the_map
     browser.click("tab-stage-view").await;
     browser.until(&format!("{}.includes('corrected by the map')", text("summary"))).await;
     browser.until(&format!("/^arrows [0-9]+ times/.test({})", text("field-arrows"))).await;
+    // A slice of it, moved by hand.
+    browser.value("document.getElementById('slice-axis').previousElementSibling.click()").await;
+    let cut = "const place = document.getElementById('slice-place'); place.value = 0; \
+        place.dispatchEvent(new Event('input'));";
+    let middle = browser.value(&text("slice")).await;
+    browser.value(cut).await;
+    let edge = browser.value(&text("slice")).await;
+    assert!(middle != edge && edge.as_str().unwrap().ends_with(" mm"), "{middle} {edge}");
+    browser.value(&cut.replace("value = 0", "value = 0.5")).await;
     browser.until(PAINTED).await;
     browser.picture("field").await;
     browser.click("tab-runs").await;
@@ -346,5 +371,60 @@ async fn the_stage_is_aligned_in_the_browser() {
         assert!((number("offset_m", at) - truth_m).abs() < 0.005, "{keys}");
     }
     browser.picture("alignment").await;
+    done(browser, posed).await;
+}
+
+/// An arm that curls five times from 12 s on, rests, and curls again and again from 30 s on; as poses for the simulator.
+fn write_curls(path: &Path) {
+    let mut text = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");
+    for tick in 0..2400 {
+        let t_s = f64::from(tick) * 0.05;
+        let (since_s, most) = if t_s < 30.0 { (t_s - 12.0, 5.0) } else { (t_s - 30.0, f64::INFINITY) };
+        let bending = since_s >= 0.0 && (since_s / 2.0).floor() < most;
+        let bend = if bending { 1.0 - (std::f64::consts::TAU * since_s / 2.0).cos() } else { 0.0 };
+        let (s, c) = bend.sin_cos();
+        let (half_s, half_c) = (0.5 * bend).sin_cos();
+        let (x, z) = (0.5 + 0.25 * s, 0.3 - 0.25 * c);
+        text += &format!("{t_s:.2},forearm,{x:.5},0.1,{z:.5},{half_c:.6},0,{:.6},0\n", -half_s);
+    }
+    std::fs::write(path, text).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_device_named() {
+    if !browser::is_wanted() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    write_curls(&folder.path().join("arm.csv"));
+    let simulation = "[[simulation.device.fault]]\nkind = \"unplug\"\nat_s = 20.0\nduration_s = 4.0\n\
+        [[simulation.body]]\nname = \"arm\"\n[simulation.body.motion]\nkind = \"file\"\npath = \"arm.csv\"\n\
+        [[simulation.sensor]]\nname = \"of two\"\nbody = \"arm\"\nsegment = \"forearm\"\n";
+    let stage = two_devices(folder.path(), simulation);
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut browser = Browser::open(&format!("http://{}/#trainer", posed.address)).await;
+    browser.until(LIVE).await;
+    let text = |id: &str| format!("document.getElementById('{id}').textContent");
+    browser.value("document.getElementById('teach-name').value = 'curl'").await;
+    browser.click("teach").await;
+    // The other device goes away meanwhile: named at the top and under Health, with what to check.
+    browser.click("tab-health").await;
+    let first =
+        "[...document.getElementById('devices').rows[0].cells].map((cell) => cell.textContent).join(' ')";
+    browser.until(&format!("/^one .*connecting: .*check the cable/.test({first})")).await;
+    browser.until(&format!("/^one .*streaming/.test({first})")).await;
+    browser.click("tab-runs").await;
+    browser.until(&format!("{}.includes('exercise.teach · done')", text("jobs"))).await;
+    browser.click("tab-trainer").await;
+    browser.until("document.querySelectorAll('#exercises input').length === 1").await;
+    browser.value("document.querySelector('#exercises input').checked = true").await;
+    browser.value("document.getElementById('target').value = 3").await;
+    browser.click("select").await;
+    browser.until("document.querySelectorAll('.bars .done').length === 3").await;
+    browser.click("tab-analysis").await;
+    browser.until("document.getElementById('repetitions').rows.length >= 3").await;
+    let repetition = browser.row("repetitions", 0).await;
+    assert_eq!((repetition[1].as_str(), repetition[4].as_str()), ("curl", "counted"), "{repetition:?}");
+    assert!((repetition[2].parse::<f64>().unwrap() - 2.0).abs() < 0.5, "{repetition:?}");
     done(browser, posed).await;
 }

@@ -1,4 +1,12 @@
-//! Chromium with one page, driven over its DevTools websocket.
+//! Chromium with one page, driven over its DevTools websocket. Shared by the tests of the page and its bench.
+
+#![allow(
+    dead_code,
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "shared by a test and a bench, neither of which uses all of it"
+)]
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -11,10 +19,11 @@ use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
 
-use crate::daemon::process::PATIENCE;
+/// Longest wait for anything.
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Whether the page is to be driven; says so where it is not.
-pub(super) fn is_wanted() -> bool {
+pub(crate) fn is_wanted() -> bool {
     let wanted = std::env::var_os("POSED_TEST_BROWSER").is_some();
     if !wanted {
         println!("skipped: set POSED_TEST_BROWSER to drive the page in Chromium");
@@ -23,17 +32,22 @@ pub(super) fn is_wanted() -> bool {
 }
 
 /// A headless browser with one page, and all it has complained about.
-pub(super) struct Browser {
+pub(crate) struct Browser {
     child: Child,
     socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
     session: Option<String>,
     next_id: u64,
-    pub(super) complaints: Vec<String>,
+    pub(crate) complaints: Vec<String>,
     _profile: tempfile::TempDir,
 }
 
 impl Browser {
-    pub(super) async fn open(url: &str) -> Self {
+    pub(crate) async fn open(url: &str) -> Self {
+        Self::open_with(url, None).await
+    }
+
+    /// With a script that runs before those of the page; it may then talk to other addresses than the page's.
+    pub(crate) async fn open_with(url: &str, script: Option<&str>) -> Self {
         let profile = tempfile::tempdir().unwrap();
         let mut child = Command::new("chromium")
             .args(["--headless=new", "--no-sandbox", "--disable-background-networking"])
@@ -63,12 +77,16 @@ impl Browser {
         for domain in ["Runtime.enable", "Log.enable", "Page.enable"] {
             browser.call(domain, json!({})).await;
         }
+        if let Some(script) = script {
+            browser.call("Page.setBypassCSP", json!({"enabled": true})).await;
+            browser.call("Page.addScriptToEvaluateOnNewDocument", json!({"source": script})).await;
+        }
         browser.call("Page.navigate", json!({"url": url})).await;
         browser
     }
 
     /// Calls a method of the protocol; what the page complains about meanwhile is kept.
-    async fn call(&mut self, method: &str, params: Value) -> Value {
+    pub(crate) async fn call(&mut self, method: &str, params: Value) -> Value {
         self.next_id += 1;
         let mut request = json!({"id": self.next_id, "method": method, "params": params});
         if let Some(session) = &self.session {
@@ -102,13 +120,13 @@ impl Browser {
     }
 
     /// The value of an expression on the page.
-    pub(super) async fn value(&mut self, expression: &str) -> Value {
+    pub(crate) async fn value(&mut self, expression: &str) -> Value {
         let params = json!({"expression": expression, "returnByValue": true});
         self.call("Runtime.evaluate", params).await["result"]["value"].clone()
     }
 
     /// The texts of one row of a table.
-    pub(super) async fn row(&mut self, table: &str, row: usize) -> Vec<String> {
+    pub(crate) async fn row(&mut self, table: &str, row: usize) -> Vec<String> {
         let cells = format!(
             "[...(document.getElementById('{table}').rows[{row}]?.cells ?? [])].map((c) => c.textContent)"
         );
@@ -117,7 +135,7 @@ impl Browser {
 
     /// Waits until an expression on the page is true.
     #[expect(clippy::disallowed_methods, reason = "a page cannot be waited for, only asked")]
-    pub(super) async fn until(&mut self, expression: &str) {
+    pub(crate) async fn until(&mut self, expression: &str) {
         let looked = async {
             while self.value(expression).await != true {
                 tokio::time::sleep(Duration::from_millis(100)).await;
@@ -129,17 +147,47 @@ impl Browser {
         }
     }
 
-    pub(super) async fn click(&mut self, id: &str) {
+    pub(crate) async fn click(&mut self, id: &str) {
         self.value(&format!("document.getElementById('{id}').click()")).await;
     }
 
+    /// Lets the page go on.
+    #[expect(clippy::disallowed_methods, reason = "a page's time is the wall's")]
+    pub(crate) async fn pause(&mut self, duration: Duration) {
+        tokio::time::sleep(duration).await;
+    }
+
+    /// Puts the window away, or back.
+    pub(crate) async fn hide(&mut self, hidden: bool) {
+        let window = self.call("Browser.getWindowForTarget", json!({})).await;
+        let state = if hidden { "minimized" } else { "normal" };
+        let params = json!({"windowId": window["windowId"], "bounds": {"windowState": state}});
+        self.call("Browser.setWindowBounds", params).await;
+    }
+
+    /// What the page's scripts hold, after a collection.
+    pub(crate) async fn heap_bytes(&mut self) -> i64 {
+        self.call("HeapProfiler.collectGarbage", json!({})).await;
+        self.call("Runtime.getHeapUsage", json!({})).await["usedSize"].as_f64().unwrap() as i64
+    }
+
+    /// Memory of the largest process that draws pages.
+    pub(crate) async fn renderer_bytes(&mut self) -> u64 {
+        let session = self.session.take();
+        let processes = self.call("SystemInfo.getProcessInfo", json!({})).await;
+        self.session = session;
+        let processes = processes["processInfo"].as_array().unwrap().clone();
+        let renderers = processes.iter().filter(|process| process["type"] == "renderer");
+        renderers.map(|process| resident_bytes(process["id"].as_u64().unwrap() as u32)).max().unwrap()
+    }
+
     /// A picture for the documentation, where they are being made anew.
-    pub(super) async fn picture(&mut self, name: &str) {
+    pub(crate) async fn picture(&mut self, name: &str) {
         if std::env::var_os("POSED_BLESS").is_none() {
             return;
         }
         // So that curves and trails have something to show.
-        browser_pause().await;
+        self.pause(Duration::from_secs(6)).await;
         let shot = self.call("Page.captureScreenshot", json!({"format": "png"})).await;
         let bytes = base64(shot["data"].as_str().unwrap());
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/pictures");
@@ -155,9 +203,11 @@ impl Drop for Browser {
     }
 }
 
-#[expect(clippy::disallowed_methods, reason = "a picture wants a few seconds of stream behind it")]
-async fn browser_pause() {
-    tokio::time::sleep(Duration::from_secs(6)).await;
+/// Memory that a process holds.
+pub(crate) fn resident_bytes(pid: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+    1024 * line.trim().trim_end_matches(" kB").parse::<u64>().unwrap()
 }
 
 /// Bytes of a text in base64.

@@ -1,0 +1,60 @@
+// Runs before the page's own scripts: times its callbacks, counts messages, says when a tab that was hidden is current.
+
+window.probe = (() => {
+  const costs_ms = [];
+  let sum_ms = 0;
+  let messages = 0;
+  let shown_ms = null;
+  let newest_ms = -Infinity;
+  let current_ms = null;
+
+  const timed = (callback, argument) => {
+    const from = performance.now();
+    callback(argument);
+    sum_ms += performance.now() - from;
+  };
+
+  const request = window.requestAnimationFrame.bind(window);
+  window.requestAnimationFrame = (callback) => request((now) => {
+    timed(callback, now);
+    costs_ms.push(sum_ms);
+    if (costs_ms.length > 100000) costs_ms.shift();
+    sum_ms = 0;
+    if (shown_ms !== null && newest_ms > shown_ms && current_ms === null) current_ms = performance.now() - shown_ms;
+  });
+
+  window.WebSocket = class extends WebSocket {
+    constructor(url, protocols) {
+      super(window.probe.url ?? url, protocols);
+    }
+    set onmessage(callback) {
+      super.onmessage = (event) => {
+        messages++;
+        newest_ms = performance.now();
+        timed(callback, event);
+      };
+    }
+  };
+
+  document.addEventListener("visibilitychange", () => {
+    shown_ms = document.hidden ? null : performance.now();
+    current_ms = null;
+  });
+
+  return {
+    /** Another websocket in the place of the daemon's. */
+    url: window.probeUrl ?? null,
+    begin() {
+      costs_ms.length = 0;
+      sum_ms = 0;
+      messages = 0;
+    },
+    told() {
+      const sorted = costs_ms.toSorted((a, b) => a - b);
+      const at = (part) => sorted[Math.min(sorted.length - 1, Math.floor(part * sorted.length))] ?? 0;
+      return { frames: sorted.length, messages, p50_ms: at(0.5), p95_ms: at(0.95), p99_ms: at(0.99) };
+    },
+    messages: () => messages,
+    current_ms: () => current_ms,
+  };
+})();

@@ -1,0 +1,227 @@
+//! The documentation holds: every page is in the table of contents, every link leads somewhere, questions are answered within two clicks, and the
+//! commands of the tutorials do what they say, in their order.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+fn docs() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("docs")
+}
+
+/// All pages, by path within `docs/`; what a page includes is part of it.
+fn pages() -> BTreeMap<PathBuf, String> {
+    let mut pages = BTreeMap::new();
+    for folder in ["", "tutorials", "reference"] {
+        for entry in fs::read_dir(docs().join(folder)).unwrap() {
+            let path = entry.unwrap().path();
+            if path.extension().is_some_and(|extension| extension == "md") {
+                let mut text = fs::read_to_string(&path).unwrap();
+                while let Some((before, rest)) = text.split_once("{{#include ") {
+                    let (file, after) = rest.split_once("}}").unwrap();
+                    let included = fs::read_to_string(path.with_file_name(file)).unwrap();
+                    text = format!("{before}{included}{after}");
+                }
+                pages.insert(path.strip_prefix(docs()).unwrap().to_owned(), text);
+            }
+        }
+    }
+    pages
+}
+
+/// Where the links of a text lead, within the repository.
+fn links(text: &str) -> impl Iterator<Item = &str> {
+    let targets = text.split("](").skip(1).filter_map(|rest| rest.split_once(')').map(|(target, _)| target));
+    targets.filter(|target| !target.contains("://") && !target.contains([' ', '`', '{']))
+}
+
+/// `a/../b` without the detour.
+fn plain(path: &Path) -> PathBuf {
+    let mut plain = PathBuf::new();
+    for part in path.components() {
+        if part.as_os_str() == ".." { assert!(plain.pop()) } else { plain.push(part) }
+    }
+    plain
+}
+
+/// What a heading is linked as.
+fn anchor(heading: &str) -> String {
+    let kept = heading.trim().to_lowercase().replace(' ', "-");
+    kept.chars().filter(|c| c.is_alphanumeric() || *c == '-' || *c == '_').collect()
+}
+
+#[test]
+fn every_page_is_in_the_table_of_contents_and_every_link_leads_somewhere() {
+    let pages = pages();
+    let contents: BTreeSet<PathBuf> =
+        links(&pages[Path::new("SUMMARY.md")]).map(|target| PathBuf::from(target.to_owned())).collect();
+    let listed = pages.keys().filter(|page| *page != Path::new("SUMMARY.md"));
+    assert_eq!(contents, listed.cloned().collect());
+    for (page, text) in &pages {
+        for link in links(text) {
+            let (file, wanted) = link.split_once('#').unwrap_or((link, ""));
+            let target = if file.is_empty() {
+                page.clone()
+            } else {
+                plain(&Path::new("docs").join(page.with_file_name(file)))
+            };
+            let target = if file.is_empty() { Path::new("docs").join(target) } else { target };
+            let from_root = Path::new(env!("CARGO_MANIFEST_DIR")).join(&target);
+            // The stage file's reference stands elsewhere and is included: its links count from there.
+            let included = page.starts_with("reference") && plain(&Path::new("config").join(file)).exists();
+            assert!(from_root.exists() || included, "{}: {link} leads nowhere", page.display());
+            if !wanted.is_empty() && !included {
+                let headings = fs::read_to_string(&from_root).unwrap();
+                let found = headings.lines().filter(|line| line.starts_with('#'));
+                let found =
+                    found.map(|line| anchor(line.trim_start_matches('#'))).any(|anchor| anchor == wanted);
+                assert!(found, "{}: {link} has no such heading", page.display());
+            }
+        }
+    }
+}
+
+/// What people who know none of this ask, and words that only its answer has.
+const QUESTIONS: [(&str, &str); 10] = [
+    ("How do I see it without hardware?", "posed demo"),
+    ("What do I write for my Xsens chain?", "### `driver = \"xbus\"`"),
+    ("It says that the port is in use. What now?", "end the other program"),
+    ("How does it start with the computer?", "systemctl"),
+    ("How do I get the poses into my program?", "new WebSocket("),
+    ("What does `suspect` mean?", "never use it as good"),
+    ("Positions are wrong near metal.", "posed field solve"),
+    ("How does it learn how sensors sit on the body?", "body.calibrate"),
+    ("How do I teach an exercise?", "exercise.teach {name, repetitions}"),
+    ("How do I compare two runs of my program on the same data?", "--expect golden.jsonl"),
+];
+
+#[test]
+fn ten_questions_are_answered_within_two_clicks_of_the_first_page() {
+    let pages = pages();
+    let mut near: BTreeSet<PathBuf> = BTreeSet::from([PathBuf::from("index.md")]);
+    for _click in 0..2 {
+        let found = near.iter().flat_map(|page| {
+            links(&pages[page]).map(move |link| plain(&page.with_file_name(link.split('#').next().unwrap())))
+        });
+        let found: Vec<PathBuf> = found.filter(|target| pages.contains_key(target)).collect();
+        near.extend(found);
+    }
+    for (question, answer) in QUESTIONS {
+        let answered = near.iter().any(|page| pages[page].contains(answer));
+        assert!(answered, "{question} {answer:?} is not on a page that is two clicks away");
+    }
+}
+
+/// The shell of a reader: runs blocks of commands, and keeps a daemon until he types Ctrl-C.
+struct Reader {
+    folder: tempfile::TempDir,
+    daemon: Option<(Child, String)>,
+}
+
+impl Reader {
+    /// Runs the lines of a block; daemons are started, and run on.
+    fn block(&mut self, page: &str, block: &str) {
+        let mut script = String::new();
+        for line in block.lines() {
+            let word = line.split_whitespace().nth(1).unwrap_or_default();
+            let serves = line.starts_with("posed ")
+                && (["demo", "run"].contains(&word)
+                    || word == "replay" && !line.contains(" -o ") && !line.contains("--expect"));
+            if serves {
+                self.shell(page, &std::mem::take(&mut script));
+                self.serve(page, line);
+            } else {
+                script += line;
+                script.push('\n');
+            }
+        }
+        self.shell(page, &script);
+    }
+
+    fn command(&self, script: &str) -> Command {
+        let posed = Path::new(env!("CARGO_BIN_EXE_posed")).parent().unwrap();
+        let path = format!("{}:{}", posed.display(), std::env::var("PATH").unwrap());
+        let mut command = Command::new("bash");
+        command.args(["-euo", "pipefail", "-c", script]).env("PATH", path).current_dir(self.folder.path());
+        command
+    }
+
+    fn shell(&self, page: &str, script: &str) {
+        let address = self.daemon.as_ref().map_or("127.0.0.1:8787", |daemon| &daemon.1);
+        let done = self.command(&script.replace("127.0.0.1:8787/", &format!("{address}/"))).output().unwrap();
+        let said = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert!(done.status.success(), "{page}: {script}\n{said}");
+    }
+
+    fn serve(&mut self, page: &str, line: &str) {
+        let mut command = self.command(&format!("exec {line} --listen 127.0.0.1:0"));
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut said = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut said).unwrap();
+        let address = said.split("http://").nth(1).and_then(|rest| rest.split('/').next());
+        let address = address.unwrap_or_else(|| panic!("{page}: {line} said {said:?}")).to_owned();
+        self.daemon = Some((child, address));
+    }
+
+    /// Ctrl-C, after some seconds of stream.
+    #[expect(clippy::disallowed_methods, reason = "a recording wants some seconds of stream")]
+    fn interrupt(&mut self, page: &str) {
+        let Some((mut child, _)) = self.daemon.take() else { return };
+        std::thread::sleep(Duration::from_secs(3));
+        assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+        let begun = Instant::now();
+        while child.try_wait().unwrap().is_none() {
+            assert!(begun.elapsed() < Duration::from_secs(60), "{page}: the daemon does not end");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        assert_eq!(child.wait().unwrap().code(), Some(0), "{page}");
+    }
+}
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        if let Some((child, _)) = &mut self.daemon {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+/// Runs all that a tutorial tells its reader to type. Daemons are ended before the next block, unless that one is typed `meanwhile`.
+fn follow(page: &str) {
+    let text = fs::read_to_string(docs().join("tutorials").join(page)).unwrap();
+    let mut reader = Reader { folder: tempfile::tempdir().unwrap(), daemon: None };
+    let mut blocks = 0;
+    let mut before = "";
+    for (at, part) in text.split("```").enumerate() {
+        if at % 2 == 0 {
+            before = part;
+        } else if let Some(block) = part.strip_prefix("sh\n") {
+            if !before.trim_end().ends_with("<!-- meanwhile -->") {
+                reader.interrupt(page);
+            }
+            reader.block(page, block);
+            blocks += 1;
+        }
+    }
+    reader.interrupt(page);
+    assert!(blocks >= 4, "{page}: {blocks} blocks of commands");
+}
+
+#[test]
+fn the_operators_tutorial_does_what_it_says() {
+    follow("operator.md");
+}
+
+#[test]
+fn the_front_end_tutorial_does_what_it_says() {
+    follow("front-end.md");
+}
+
+#[test]
+fn the_tutorial_of_recorded_streams_does_what_it_says() {
+    follow("recorded-streams.md");
+}
