@@ -231,8 +231,8 @@ async fn requests_that_cannot_be_served_get_a_sentence_and_the_connection_stays(
     viewer.text("status").await;
     server.frame(8);
     server.fault(90, 0, true);
-    viewer.subscribe(&["/log"]).await;
-    assert_eq!(told(&server, &mut viewer).await.2["name"], "left", "the log that was missed, and no frame");
+    viewer.client.send(subscribe(1, viewer.channel("/log"))).await;
+    assert_eq!(viewer.data().await.2["name"], "left", "the log that was missed, and no frame");
     viewer.client.send(json!({"op": "x".repeat(70_000)})).await;
     assert_eq!(viewer.client.closed().await.0, 1009);
 }
