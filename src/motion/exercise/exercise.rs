@@ -220,9 +220,10 @@ impl Exercise {
         } else if !(1.0..=1000.0).contains(&self.rate_hz) {
             Err(ExerciseError::Damaged("the frame rate is not between 1 and 1000 Hz"))
         } else if !(shortest_s > 0.0 && shortest_s <= median_s && median_s <= longest_s && longest_s < 600.0)
-            || !(0.0..600.0).contains(&interval_s)
         {
             Err(ExerciseError::Damaged("the durations are not in order"))
+        } else if !(0.0..600.0).contains(&interval_s) {
+            Err(ExerciseError::Damaged("the interval is not between 0 and 600 s"))
         } else {
             Ok(())
         }
