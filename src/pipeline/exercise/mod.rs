@@ -159,10 +159,14 @@ impl ExerciseStage {
             exercises
                 .push(known.cloned().ok_or_else(|| format!("exercises: no exercise {name:?} is loaded"))?);
         }
-        let of =
-            |exercise: &Exercise, sensor: &str| exercise.channels.iter().any(|c| behind(c, sensor).is_some());
-        if let Some(sensor) = sensors.keys().find(|sensor| !exercises.iter().any(|e| of(e, sensor))) {
-            return Err(format!("sensors: none of these exercises was taught with {sensor:?}"));
+        let on_stage = |sensor: &str| self.columns.iter().any(|column| behind(column, sensor).is_some());
+        if let Some(worn) = sensors.values().find(|worn| !on_stage(worn)) {
+            return Err(format!("sensors: this stage has no sensor {worn:?}"));
+        }
+        let mut channels = exercises.iter().flat_map(|exercise| &exercise.channels);
+        let taught = |channel: &String| sensors.keys().any(|sensor| behind(channel, sensor).is_some());
+        if !sensors.is_empty() && !channels.any(taught) {
+            return Err("sensors: these exercises were taught with none of them".into());
         }
         for channel in exercises.iter_mut().flat_map(|exercise| &mut exercise.channels) {
             let renamed =
