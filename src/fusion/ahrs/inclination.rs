@@ -15,9 +15,9 @@ use serde::{Deserialize, Serialize};
 /// Standard gravity, m/s².
 pub(super) const GRAVITY_M_S2: f64 = 9.81;
 
-const STATES: usize = 7;
-const TILT: usize = 0;
-const BIAS: usize = 2;
+pub(super) const STATES: usize = 7;
+pub(super) const TILT: usize = 0;
+pub(super) const BIAS: usize = 2;
 const VELOCITY: usize = 5;
 
 /// Noise that the tilt filter assumes.
@@ -74,8 +74,8 @@ pub(super) struct ForceWindow {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Inclination {
     /// Tilt, bias, velocity; the tilt part is zero between updates.
-    x: SVector<f64, STATES>,
-    p: SMatrix<f64, STATES, STATES>,
+    pub(super) x: SVector<f64, STATES>,
+    pub(super) p: SMatrix<f64, STATES, STATES>,
 }
 
 impl Inclination {
@@ -102,6 +102,16 @@ impl Inclination {
             let sigma = self.p[(BIAS + i, BIAS + i)].max(0.0).sqrt().hypot(params.rest_gyro);
             (gyro[i] - self.x[BIAS + i]).abs() < 4.0 * sigma
         })
+    }
+
+    /// The bias as at the beginning.
+    pub(super) fn forget_bias(&mut self, params: &InclinationParams) {
+        for i in BIAS..VELOCITY {
+            self.x[i] = 0.0;
+            self.p.row_mut(i).fill(0.0);
+            self.p.column_mut(i).fill(0.0);
+            self.p[(i, i)] = params.bias_initial.powi(2);
+        }
     }
 
     /// As new, but for the bias and what is known of it.
@@ -135,8 +145,17 @@ impl Inclination {
         tilt
     }
 
+    /// F of [`Self::predict`] as a matrix.
+    pub(super) fn transition(w: &ForceWindow) -> SMatrix<f64, STATES, STATES> {
+        let mut f = SMatrix::<f64, STATES, STATES>::identity();
+        f[(VELOCITY, TILT + 1)] = w.velocity_m_s.z;
+        f[(VELOCITY + 1, TILT)] = -w.velocity_m_s.z;
+        f.fixed_view_mut::<2, 3>(TILT, BIAS).copy_from(&-w.rotation_s.fixed_rows::<2>(0));
+        f
+    }
+
     /// `P <- F P F' + Q` with the blocks of F applied as row and column operations.
-    fn predict(&mut self, params: &InclinationParams, w: &ForceWindow) {
+    pub(super) fn predict(&mut self, params: &InclinationParams, w: &ForceWindow) {
         let t = w.duration_s;
         let up = w.velocity_m_s.z;
         let (x, p) = (&mut self.x, &mut self.p);

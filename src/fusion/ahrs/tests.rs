@@ -141,6 +141,43 @@ fn ten_seconds_of_rest_remove_a_bias() {
 }
 
 #[test]
+fn a_rest_proves_the_bias_of_a_unit_that_nobody_calibrated() {
+    for mag in [true, false] {
+        let (mut ahrs, mut simulation) = (Ahrs::new(params()), Simulation::new(0.0));
+        simulation.bias = Vector3::new(3.0, -4.5, 4.0) * 1_f64.to_radians();
+        for _ in 0..500 {
+            let sample = simulation.step();
+            ahrs.push(&ImuSample { mag: sample.mag.filter(|_| mag), ..sample }, 1.0 / RATE_HZ);
+        }
+        let left = (ahrs.bias_rad_s() - simulation.bias).amax().to_degrees();
+        assert!(left < 0.1, "{left} deg/s");
+        if mag {
+            run(&mut ahrs, &mut simulation, 5.0);
+            let (heading, tilt) = run(&mut ahrs, &mut simulation, 10.0);
+            assert!(heading < 3.0 && tilt < 1.0, "{heading}, {tilt} degrees");
+        }
+    }
+}
+
+/// A turntable, which turns gravity or the field, is no bias however evenly it turns.
+#[test]
+fn an_even_turn_is_no_bias() {
+    for axis in [Vector3::z(), Vector3::x()] {
+        let (mut ahrs, mut simulation) = (Ahrs::new(params()), Simulation::new(0.0));
+        run(&mut ahrs, &mut simulation, 5.0);
+        let rate = axis * 5_f64.to_radians();
+        for _ in 0..1500 {
+            simulation.truth *= so3::exp(&(rate / RATE_HZ));
+            let mut sample = simulation.step();
+            sample.gyro_rad_s += rate;
+            ahrs.push(&sample, 1.0 / RATE_HZ);
+        }
+        let left = (ahrs.bias_rad_s() - simulation.bias).amax().to_degrees();
+        assert!(left < 0.3, "{left} deg/s");
+    }
+}
+
+#[test]
 fn motion_alone_reveals_the_bias() {
     let (mut ahrs, mut simulation) = (Ahrs::new(params()), Simulation::new(1.5));
     run(&mut ahrs, &mut simulation, 60.0);
@@ -165,6 +202,20 @@ fn a_disturbed_field_does_not_turn_the_heading() {
             assert!(tilt < 1.0, "the magnetometer tilted it by {tilt} degrees");
         }
     }
+}
+
+/// A sensor that hardly turns cannot tell a disturbed room from a magnet on itself, and must not choose one.
+#[test]
+fn a_disturbance_lasts_for_a_sensor_that_hardly_turns() {
+    let (mut ahrs, mut simulation) = warmed(0.1);
+    let (before, _) = run(&mut ahrs, &mut simulation, 10.0);
+    simulation.field = field(45.0, 0.86, 49.0);
+    let (during, _) = run(&mut ahrs, &mut simulation, 30.0);
+    assert!(ahrs.magnetic_disturbance());
+    simulation.field = field(0.0, 1.0, 65.0);
+    let (after, _) = run(&mut ahrs, &mut simulation, 30.0);
+    assert!(!ahrs.magnetic_disturbance());
+    assert!(during - before < 2.0 && after - before < 2.0, "{before}, {during}, {after} degrees");
 }
 
 #[test]
