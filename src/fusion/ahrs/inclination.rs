@@ -204,3 +204,52 @@ impl Inclination {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fusion::ahrs::tests::Normal;
+    use crate::geometry::so3;
+
+    /// Fifty runs in which bias, tilt, velocity and what is measured are as the filter assumes.
+    #[test]
+    fn it_is_consistent_in_a_matched_model() {
+        const RUNS: u64 = 50;
+        const WINDOWS: usize = 200;
+        let params = InclinationParams::default();
+        let mut sums = [0.0; WINDOWS];
+        for run in 0..RUNS {
+            let mut normal = Normal::new(run);
+            let mut filter = Inclination::new(&params);
+            let mut truth = filter.clone();
+            truth.x += SVector::from_fn(|i, _| filter.p[(i, i)].sqrt() * normal.next());
+            for (k, sum) in sums.iter_mut().enumerate() {
+                let turned = so3::exp(&Vector3::new((0.05 * k as f64).sin(), 0.03 * k as f64, 0.4));
+                let w = ForceWindow {
+                    duration_s: 0.03,
+                    rotation_s: turned.to_rotation_matrix().into_inner() * 0.03,
+                    velocity_m_s: Vector3::z() * GRAVITY_M_S2 * 0.03,
+                    shaking: 0.5,
+                    turned_rad: 0.03,
+                    rest_gyro_rad_s: None,
+                };
+                // One step's noise from the filter's own Q.
+                let mut noise = Inclination { x: SVector::zeros(), p: SMatrix::zeros() };
+                noise.predict(&params, &w);
+                truth.x = Inclination::transition(&w) * truth.x
+                    + SVector::from_fn(|i, _| noise.p[(i, i)].sqrt() * normal.next());
+                filter.x = Inclination::transition(&w) * filter.x;
+                filter.predict(&params, &ForceWindow { velocity_m_s: Vector3::z() * w.velocity_m_s.z, ..w });
+                let r = params.velocity_density.powi(2) / w.duration_s;
+                for i in VELOCITY..STATES {
+                    filter.observe(i, truth.x[i] + r.sqrt() * normal.next(), r);
+                }
+                let e = truth.x - filter.x;
+                *sum += e.dot(&filter.p.cholesky().unwrap().solve(&e)) / RUNS as f64;
+            }
+        }
+        // 95 % of chi squared with 350 degrees of freedom, over 50.
+        let inside = sums.iter().filter(|sum| (6.00..8.07).contains(*sum)).count();
+        assert!(inside * 10 >= WINDOWS * 9, "{inside} of {WINDOWS}");
+    }
+}

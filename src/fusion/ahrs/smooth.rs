@@ -106,8 +106,10 @@ mod tests {
 
     const DT_S: f64 = 0.01;
 
+    type Samples = Vec<(Option<ImuSample>, f64)>;
+
     /// Two minutes in a hand: samples of a gyro with a bias, and the true orientations.
-    fn recording() -> (Vec<(Option<ImuSample>, f64)>, Vec<UnitQuaternion<f64>>) {
+    fn recording() -> (Samples, Vec<UnitQuaternion<f64>>) {
         let turned = |t: f64| {
             so3::exp(&Vector3::new(0.9 * (0.8 * t).sin(), 0.7 * (1.1 * t).sin(), 1.2 * (0.5 * t).sin()))
         };

@@ -274,11 +274,17 @@ mod tests {
 
     const DT_S: f64 = 0.01;
 
-    /// A hinge moved in all directions for a minute, whose second sensor's level frame starts 40 degrees off and drifts; axes, both
-    /// sensors' level orientations, and the true angle.
-    fn recording(
-        drift_rad_s: f64,
-    ) -> ([Vector3<f64>; 2], Vec<UnitQuaternion<f64>>, Vec<UnitQuaternion<f64>>, Vec<f64>) {
+    /// A hinge moved in all directions for a minute, whose second sensor's level frame starts 40 degrees off and drifts.
+    struct Recording {
+        axes: [Vector3<f64>; 2],
+        /// Level orientations of both sensors.
+        before: Vec<UnitQuaternion<f64>>,
+        behind: Vec<UnitQuaternion<f64>>,
+        /// The true angle, rad.
+        angles: Vec<f64>,
+    }
+
+    fn recording(drift_rad_s: f64) -> Recording {
         let axes = [Vector3::new(0.6, 0.0, 0.8), Vector3::new(0.0, -0.8, 0.6)];
         let (mut before, mut behind, mut angles) = (Vec::new(), Vec::new(), Vec::new());
         for k in 0..6000 {
@@ -290,12 +296,12 @@ mod tests {
             before.push(a);
             angles.push(angle);
         }
-        (axes, before, behind, angles)
+        Recording { axes, before, behind, angles }
     }
 
     #[test]
     fn axes_and_angle_survive_headings_that_drift_apart() {
-        let (axes, before, behind, angles) = recording(0.3_f64.to_radians());
+        let Recording { axes, before, behind, angles } = recording(0.3_f64.to_radians());
         let off = |axis: Vector3<f64>, by: Vector3<f64>| so3::exp(&by) * axis;
         let guess = [off(axes[0], Vector3::new(0.1, 0.2, -0.1)), off(axes[1], Vector3::new(-0.2, 0.1, 0.1))];
         let joint = solve(guess, &before, &behind, &vec![DT_S; before.len()]);
@@ -311,7 +317,7 @@ mod tests {
 
     #[test]
     fn an_upright_axis_leaves_the_heading_to_the_gyros() {
-        let (_, before, behind, _) = recording(0.0);
+        let Recording { before, behind, .. } = recording(0.0);
         let blocks = blocks(&before, &behind, &vec![DT_S; before.len()]);
         let still: Vec<Block> = blocks
             .iter()
@@ -327,7 +333,7 @@ mod tests {
 
     #[test]
     fn the_sums_of_a_block_say_what_its_samples_say() {
-        let (axes, before, behind, _) = recording(0.0);
+        let Recording { axes, before, behind, .. } = recording(0.0);
         let blocks = blocks(&before[..50], &behind[..50], &[DT_S; 50]);
         let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.4);
         let mean: f64 = before[..50]
