@@ -1,5 +1,10 @@
 //! By a counting allocator: no allocation per frame in the warmed pipeline, and flat memory over a simulated hour.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests may panic and tell what they measured"
+)]
 #![expect(unsafe_code, reason = "a global allocator is unsafe by nature; this one counts and passes on")]
 
 mod rig;
