@@ -351,3 +351,18 @@ pub enum FaultCause {
     /// Far from all that was seen when the map of faults was learnt.
     Distance,
 }
+
+impl FaultCause {
+    /// What it is, for people.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Hemisphere => "mirrored through the transmitter, and mirrored back",
+            Self::Stuck => "the device repeats its last words",
+            Self::Gate => "the pose is not where it can be",
+            Self::Missing => "nothing arrives",
+            Self::Jump => "it jumped as no motion does",
+            Self::Bone => "it is where joints do not allow it",
+            Self::Map | Self::Distance => "it is where the map of faults has not seen it",
+        }
+    }
+}

@@ -25,6 +25,7 @@ use super::waved::{Seen, Waved};
 use super::worn::Worn;
 use crate::faults::som::Network;
 use crate::faults::som::frames::Frames;
+use crate::foxglove::Views;
 use crate::fusion::body::calibrate::Recorded;
 use crate::input::{Entry, Input, Model, Request, SensorIndex};
 use crate::output::{OutcomeKind, Output};
@@ -139,6 +140,8 @@ pub(super) struct Fusion {
     pub(super) inbox: FusionInbox,
     pub(super) pipeline: Pipeline,
     pub(super) publisher: Publisher,
+    /// What recordings show to viewers.
+    pub(super) views: Views,
     pub(super) hub: Hub,
     pub(super) jobs: Jobs,
     pub(super) calibration: Calibration,
@@ -216,6 +219,7 @@ impl Fusion {
         let Self {
             pipeline,
             publisher,
+            views,
             hub,
             ports,
             health,
@@ -254,6 +258,7 @@ impl Fusion {
                 }
                 Output::Outcome(outcome) => {
                     if let OutcomeKind::ModelSwapped(model) = &outcome.what {
+                        views.swap(model);
                         models.retain(|old| !old.replaced_by(model));
                         models.push(model.clone());
                     }
@@ -271,8 +276,9 @@ impl Fusion {
             hub.publish(&output);
             match &mut recorder {
                 Some(recorder) => {
-                    let (topic, t, message) = publisher.publish(&payload);
-                    recorder.message(topic.name(), t, message);
+                    let (stamp, message) = publisher.publish(&payload);
+                    recorder.message(stamp.topic.name(), stamp.t(), message);
+                    views.publish(&payload, &stamp, |channel, json| recorder.view(channel, stamp.t(), json));
                 }
                 None => publisher.skip(&payload),
             }
@@ -302,7 +308,10 @@ impl Fusion {
             }
             Command::Recent { from_s, sensors, to } => {
                 // Behind the name of a sensor the columns differ.
-                let columns = sensors.map(|names| signals::columns(names.iter().map(String::as_str)));
+                let columns = sensors.map(|names| {
+                    let names = || names.iter().map(String::as_str);
+                    [signals::columns(names()), signals::inertial_columns(names())].concat()
+                });
                 let wanted = |column: &str| {
                     columns.as_ref().is_none_or(|columns| columns.iter().any(|wanted| wanted == column))
                 };

@@ -17,6 +17,7 @@ mod health;
 pub mod inbox;
 mod jobs;
 mod limits;
+mod lsl;
 pub mod models;
 mod playback;
 mod player;
@@ -53,6 +54,7 @@ use self::server::{BindError, Server};
 use self::service::Service;
 use self::waved::Waved;
 use self::worn::Worn;
+use crate::foxglove::Views;
 use crate::input::{Entry, Input};
 use crate::layout::BodyLayout;
 use crate::motion::segments::Model;
@@ -159,6 +161,7 @@ impl Daemon {
         let models = models::load(&stage).map_err(StartError::Model)?;
         let mut config = server::Config::new(&folder, clock.epoch_utc_ns());
         config.listen = listen;
+        config.clock = Some(clock);
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
         config.more_topics.extend(stage.segments.is_some().then_some(Topic::Segments));
         let (server, hub, pending) = Server::bind(&stage, config)?;
@@ -188,6 +191,7 @@ impl Daemon {
             inbox: inbox.clone(),
             pipeline: Pipeline::new(&stage)?,
             publisher: Publisher::new(&stage, Fields::all()),
+            views: Views::new(&stage, clock.epoch_utc_ns()),
             hub,
             jobs: jobs.clone(),
             calibration: calibration.clone(),

@@ -59,7 +59,7 @@ impl Playback {
         let stage = Stage::parse(&header.stage_toml)?;
         let mut config = Config::new(&folder, header.epoch_utc_ns);
         config.listen = listen;
-        config.vrpn = false;
+        config.replay = true;
         let outline = Outline::read(recording)?;
         if outline.topics.contains("/input/truth") {
             config.more_topics.push(Topic::Truth);

@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
 use posed_drivers::Timestamp;
 
+use crate::foxglove::Channel;
 use crate::input::{DeviceIndex, Entry, Input};
 use crate::recording::{Header, WriteError, Writer};
 
@@ -65,6 +66,7 @@ struct Shared {
 enum Job {
     Entry(Entry),
     Message { topic: &'static str, t: Timestamp, json: Vec<u8> },
+    View { channel: Arc<Channel>, t: Timestamp, json: Vec<u8> },
     Transmitted { device: DeviceIndex, t: Timestamp, bytes: Vec<u8> },
 }
 
@@ -131,6 +133,13 @@ impl Recorder {
     pub fn message(&mut self, topic: &'static str, t: Timestamp, json: &[u8]) {
         if self.sender.is_some() {
             self.send(Job::Message { topic, t, json: json.to_vec() });
+        }
+    }
+
+    /// Appends a message for viewers.
+    pub fn view(&mut self, channel: &Arc<Channel>, t: Timestamp, json: &[u8]) {
+        if self.sender.is_some() {
+            self.send(Job::View { channel: Arc::clone(channel), t, json: json.to_vec() });
         }
     }
 
@@ -216,6 +225,7 @@ impl Job {
             + match self {
                 Self::Entry(Entry { input: Input::Bytes { bytes, .. }, .. })
                 | Self::Message { json: bytes, .. }
+                | Self::View { json: bytes, .. }
                 | Self::Transmitted { bytes, .. } => bytes.len(),
                 Self::Entry(_) => 0,
             }
@@ -247,6 +257,7 @@ fn run(
                 match job {
                     Job::Entry(entry) => writer.entry(&entry)?,
                     Job::Message { topic, t, json } => writer.message(topic, t, &json)?,
+                    Job::View { channel, t, json } => writer.view(&channel, t, &json)?,
                     Job::Transmitted { device, t, bytes } => writer.transmitted(device, t, &bytes)?,
                 }
             }

@@ -126,7 +126,7 @@ impl Publisher {
     }
 
     /// Writes the message of a payload; the bytes stay valid until the next call.
-    pub fn publish(&mut self, payload: &Payload<'_>) -> (Topic, Timestamp, &[u8]) {
+    pub fn publish(&mut self, payload: &Payload<'_>) -> (Stamp, &[u8]) {
         let stamp = self.counters.stamp(payload);
         let seq = &mut self.seq[stamp.topic.index()];
         self.body.clear();
@@ -134,7 +134,7 @@ impl Publisher {
         encode::body(payload, &stamp, &self.names, &self.view, &mut self.body);
         encode::message(self.view.encoding, stamp.topic, *seq, 0, &self.body, &mut self.message);
         *seq += 1;
-        (stamp.topic, stamp.t(), &self.message)
+        (stamp, &self.message)
     }
 }
 
@@ -252,7 +252,7 @@ mod tests {
     }
 
     fn text(publisher: &mut Publisher, payload: &Payload<'_>) -> String {
-        String::from_utf8(publisher.publish(payload).2.to_vec()).unwrap()
+        String::from_utf8(publisher.publish(payload).1.to_vec()).unwrap()
     }
 
     #[test]

@@ -2,34 +2,34 @@
 //! shortest text has no more digits than the resolution asks for.
 
 /// Steps per metre of a position.
-pub(super) const POSITION: f64 = 1e5;
+pub(crate) const POSITION: f64 = 1e5;
 /// Steps per metre of a standard deviation.
-pub(super) const SIGMA: f64 = 1e6;
+pub(crate) const SIGMA: f64 = 1e6;
 /// Steps per unit of a quaternion component.
-pub(super) const QUATERNION: f64 = 1e6;
+pub(crate) const QUATERNION: f64 = 1e6;
 /// Steps per unit of a velocity (m/s or rad/s).
-pub(super) const VELOCITY: f64 = 1e4;
+pub(crate) const VELOCITY: f64 = 1e4;
 /// Steps per degree of an angle.
-pub(super) const DEGREES: f64 = 1e3;
+pub(crate) const DEGREES: f64 = 1e3;
 /// Steps per hertz of a rate.
-pub(super) const RATE: f64 = 1e3;
+pub(crate) const RATE: f64 = 1e3;
 /// Steps per second of an age.
-pub(super) const AGE: f64 = 1e3;
+pub(crate) const AGE: f64 = 1e3;
 /// Steps per second of a capture time's uncertainty.
-pub(super) const CLOCK: f64 = 1e6;
+pub(crate) const CLOCK: f64 = 1e6;
 
 /// `value` to the nearest `1 / steps`; never a negative zero.
-pub(super) fn to(steps: f64, value: f64) -> f64 {
+pub(crate) fn to(steps: f64, value: f64) -> f64 {
     (value * steps).round() / steps + 0.0
 }
 
 /// Each component to the nearest `1 / steps`.
-pub(super) fn each<const N: usize>(steps: f64, values: [f64; N]) -> [f64; N] {
+pub(crate) fn each<const N: usize>(steps: f64, values: [f64; N]) -> [f64; N] {
     values.map(|value| to(steps, value))
 }
 
 /// `value` to four significant digits; magnitudes below 1e-18 are zero.
-pub(super) fn significant(value: f64) -> f64 {
+pub(crate) fn significant(value: f64) -> f64 {
     let magnitude = value.abs();
     if magnitude.is_nan() || magnitude < 1e-18 {
         return 0.0;
@@ -44,7 +44,7 @@ pub(super) fn significant(value: f64) -> f64 {
 }
 
 /// Microseconds as seconds.
-pub(super) fn seconds(t_us: i64) -> f64 {
+pub(crate) fn seconds(t_us: i64) -> f64 {
     t_us as f64 / 1e6
 }
 

@@ -6,8 +6,9 @@ use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
 
 use super::message::{
-    Data, ExerciseEvent, Fault, FieldEvent, Figure, Jobs, KeyPose, Sensors, Status, Truths,
+    Data, ExerciseEvent, Fault, FieldEvent, Figure, Jobs, KeyPose, SegmentBody, Sensors, Status, Truths,
 };
+use super::plain::plain;
 use super::{Call, Feed, RequestId, ServerMessage, Topic, typescript};
 
 /// JSON Schema (draft 2020-12) of `ServerMessage` and `ClientMessage`.
@@ -44,8 +45,8 @@ pub fn json_schema() -> Value {
     })
 }
 
-/// JSON Schema of one topic's messages, self-contained, for recordings; `None` for a topic without messages yet.
-pub fn of_topic(topic: Topic) -> Option<String> {
+/// JSON Schema of one topic's messages, self-contained, for recordings and viewers: of the plain kind that viewers read.
+pub fn of_topic(topic: Topic) -> String {
     let mut generator = SchemaSettings::draft2020_12().for_serialize().into_generator();
     let schema = match topic {
         Topic::Status => generator.root_schema_for::<Data<Status>>(),
@@ -57,17 +58,16 @@ pub fn of_topic(topic: Topic) -> Option<String> {
         Topic::Exercise => generator.root_schema_for::<Data<ExerciseEvent>>(),
         Topic::Keyframes => generator.root_schema_for::<Data<KeyPose>>(),
         Topic::Body => generator.root_schema_for::<Data<Figure>>(),
-        Topic::Segments => return None,
+        Topic::Segments => generator.root_schema_for::<Data<SegmentBody>>(),
     };
-    let mut schema = schema.to_value();
-    let properties = schema.as_object_mut()?.entry("properties").or_insert_with(|| json!({}));
-    properties.as_object_mut()?.insert("type".into(), json!({ "const": topic.name() }));
-    Some(schema.to_string())
+    let mut schema = plain(&schema.to_value());
+    schema["properties"]["type"] = json!({ "type": "string" });
+    schema.to_string()
 }
 
-/// [`of_topic`] for every topic that has messages, with its name.
+/// [`of_topic`] for every topic, with its name.
 pub fn of_topics() -> Vec<(&'static str, String)> {
-    Topic::ALL.into_iter().filter_map(|topic| Some((topic.name(), of_topic(topic)?))).collect()
+    Topic::ALL.into_iter().map(|topic| (topic.name(), of_topic(topic))).collect()
 }
 
 /// TypeScript types of the same messages.

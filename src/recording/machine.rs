@@ -70,8 +70,8 @@ impl Replayable for Machine {
         let Self { pipeline, publisher } = self;
         pipeline.push(entry, &mut |output| {
             if let Some(payload) = Payload::of(&output) {
-                let (topic, t, message) = publisher.publish(&payload);
-                publish(topic.name(), t, message);
+                let (stamp, message) = publisher.publish(&payload);
+                publish(stamp.topic.name(), stamp.t(), message);
             }
         });
     }

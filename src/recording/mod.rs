@@ -18,6 +18,7 @@
 //! | `/input/model`, `/input/request`, `/input/truth` | MessagePack | a model in full, what a client asked, ground truth |
 //! | `/output/DEVICE/bytes` | raw | what was transmitted |
 //! | `/posed/TOPIC` | JSON | a message as the websocket publishes it at the full rate |
+//! | `/tf`, `/scene/...`, `/log`, ... | JSON | the same for viewers, see [`crate::foxglove`]; skipped by our own reader |
 //!
 //! `log_time` is the epoch in UTC plus the entry's time, to the nanosecond. `sequence` of the input topics is one
 //! counter over all of them: file order and counter say the same, and a gap is a hole. The others count by topic.

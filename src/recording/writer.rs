@@ -15,6 +15,7 @@ use posed_drivers::Timestamp;
 
 use super::MAX_RECORD_BYTES;
 use super::header::{Header, METADATA_END, Part};
+use crate::foxglove::Channel;
 use crate::input::{DeviceIndex, Entry, Input};
 
 /// Uncompressed bytes after which a chunk is closed by itself.
@@ -89,8 +90,8 @@ pub struct Writer<W: Write> {
     header: Header,
     /// Channels already declared, by topic.
     channels: BTreeMap<String, OpenChannel>,
-    /// Schemas of published topics, by topic.
-    schemas: BTreeMap<String, String>,
+    /// Names and texts of schemas, by topic.
+    schemas: BTreeMap<String, (String, String)>,
     /// Topics of the devices, made once: input bytes, input line, output bytes.
     device_topics: Vec<[String; 3]>,
     /// Counts entries, over all input topics.
@@ -154,7 +155,20 @@ impl<W: Write> Writer<W> {
 
     /// Gives the JSON Schema of a published topic; call it before the topic's first message.
     pub fn declare(&mut self, topic: &str, json_schema: &str) {
-        self.schemas.insert(topic.to_owned(), json_schema.to_owned());
+        let schema = (format!("posed.{topic}"), json_schema.to_owned());
+        self.schemas.insert(format!("/posed/{topic}"), schema);
+    }
+
+    /// Appends a message of a channel that viewers know: it is for them, and no part of a replay.
+    ///
+    /// # Errors
+    /// The sink refuses, or the message is too large.
+    pub fn view(&mut self, channel: &Channel, t: Timestamp, json: &[u8]) -> Result<(), WriteError> {
+        if !self.schemas.contains_key(&channel.topic) {
+            let schema = (channel.schema_name.clone(), channel.schema.clone());
+            self.schemas.insert(channel.topic.clone(), schema);
+        }
+        self.write(Place::View(&channel.topic), t, None, json)
     }
 
     /// Appends an entry of the input log. Entries keep the order of the calls.
@@ -258,7 +272,7 @@ impl<W: Write> Writer<W> {
                     return Err(WriteError::UnknownDevice { device, devices: self.device_topics.len() });
                 }
             },
-            Place::Stage(topic, _) => topic,
+            Place::Stage(topic, _) | Place::View(topic) => topic,
             Place::Published(topic) => {
                 published = format!("/posed/{topic}");
                 published.as_str()
@@ -266,10 +280,7 @@ impl<W: Write> Writer<W> {
         };
         check_size(topic, data.len())?;
         if !self.channels.contains_key(topic) {
-            let schema = match place {
-                Place::Published(name) => self.schemas.get(name).map(|schema| (name, schema.as_str())),
-                _ => None,
-            };
+            let schema = self.schemas.get(topic);
             let id = add_channel(&mut self.mcap, topic, &place, &self.header.devices, schema)?;
             self.channels.insert(topic.to_owned(), OpenChannel { id, sequence: 0 });
         }
@@ -293,6 +304,8 @@ enum Place<'a> {
     Stage(&'static str, &'static str),
     /// A published topic's name.
     Published(&'a str),
+    /// Topic of a channel for viewers; readers of the log see by the lack of a kind that it is nothing to them.
+    View(&'a str),
 }
 
 fn add_channel<W: Write + io::Seek>(
@@ -300,22 +313,24 @@ fn add_channel<W: Write + io::Seek>(
     topic: &str,
     place: &Place<'_>,
     devices: &[String],
-    schema: Option<(&str, &str)>,
+    schema: Option<&(String, String)>,
 ) -> Result<u16, WriteError> {
     let (kind, encoding) = match *place {
-        Place::Device(_, _, kind @ ("bytes" | "transmitted")) => (kind, "application/octet-stream"),
-        Place::Stage(_, kind @ "timer") => (kind, "application/octet-stream"),
-        Place::Device(_, _, kind) | Place::Stage(_, kind) => (kind, "msgpack"),
-        Place::Published(_) => ("message", "json"),
+        Place::Device(_, _, kind @ ("bytes" | "transmitted")) => (Some(kind), "application/octet-stream"),
+        Place::Stage(_, kind @ "timer") => (Some(kind), "application/octet-stream"),
+        Place::Device(_, _, kind) | Place::Stage(_, kind) => (Some(kind), "msgpack"),
+        Place::Published(_) => (Some("message"), "json"),
+        Place::View(_) => (None, "json"),
     };
-    let mut metadata = BTreeMap::from([(KIND.to_owned(), kind.to_owned())]);
+    let mut metadata: BTreeMap<_, _> =
+        kind.map(|kind| (KIND.to_owned(), kind.to_owned())).into_iter().collect();
     if let Place::Device(device, ..) = *place
         && let Some(name) = devices.get(usize::from(device))
     {
         metadata.insert(DEVICE.to_owned(), name.clone());
     }
     let schema = match schema {
-        Some((name, text)) => mcap.add_schema(&format!("posed.{name}"), "jsonschema", text.as_bytes())?,
+        Some((name, text)) => mcap.add_schema(name, "jsonschema", text.as_bytes())?,
         None => 0,
     };
     Ok(mcap.add_channel(schema, topic, encoding, &metadata)?)

@@ -71,6 +71,10 @@ pub struct Stage {
     pub server: Server,
     /// Programs that speak VRPN; absent: they are not served.
     pub vrpn: Option<Vrpn>,
+    /// Avatars that are sent the skeleton by VMC over OSC; absent: none.
+    pub vmc: Option<Vmc>,
+    /// Programs that read Lab Streaming Layer; absent: nothing is offered.
+    pub lsl: Option<Lsl>,
     /// Models that are loaded at the start.
     #[serde(default)]
     pub models: Models,
@@ -342,6 +346,35 @@ pub struct Vrpn {
     /// Whether other computers may ask to be called back, as most VRPN programs do; without, they need `tcp://` in the name of the tracker.
     #[serde(default)]
     pub call_back: bool,
+}
+
+/// Avatars that are sent the skeleton by VMC (Virtual Motion Capture) over OSC.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Vmc {
+    /// Addresses that datagrams are sent to, HOST:PORT; absent: 127.0.0.1:39539.
+    pub targets: Option<Vec<String>>,
+    /// Frames per second, Hz; absent: 60.
+    #[schemars(range(min = 1.0, max = 200.0))]
+    pub rate_hz: Option<f64>,
+    /// Turn of the room about its vertical before it is sent, counter-clockwise from above, degrees. With 0, who looks along the room's y looks forward.
+    #[serde(default)]
+    #[schemars(range(min = -360.0, max = 360.0))]
+    pub heading_deg: f64,
+    /// Height of the avatar, m: positions are scaled to it; absent: the person's.
+    #[schemars(range(min = 0.1, max = 10.0))]
+    pub height_m: Option<f64>,
+    /// Whether magnetic sensors are sent too, as trackers of their names.
+    #[serde(default)]
+    pub trackers: bool,
+}
+
+/// Streams of Lab Streaming Layer: poses, joint angles, events. liblsl must be installed.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Lsl {
+    /// The file of liblsl; absent: where the system has it.
+    pub library: Option<PathBuf>,
 }
 
 /// Models that are loaded at the start; relative paths begin at the stage file.

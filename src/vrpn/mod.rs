@@ -126,18 +126,9 @@ impl Publisher {
     pub fn outcome(&self, outcome: &Outcome, out: &mut Vec<u8>) {
         let OutcomeKind::Fault { sensor, cause, active } = outcome.what else { return };
         let Some(name) = self.catalogue.names.get(usize::from(sensor)) else { return };
-        let what = match cause {
-            FaultCause::Hemisphere => "mirrored through the transmitter, and mirrored back",
-            FaultCause::Stuck => "the device repeats its last words",
-            FaultCause::Gate => "the pose is not where it can be, and is not sent",
-            FaultCause::Missing => "nothing arrives",
-            FaultCause::Jump => "it jumped as no motion does, and is not sent",
-            FaultCause::Bone => "it is where joints do not allow it, and is not sent",
-            FaultCause::Map | FaultCause::Distance => {
-                "it is where the map of faults has not seen it, and is not sent"
-            }
-        };
-        let sentence = if active { what.to_owned() } else { format!("over: {what}") };
+        let sent = matches!(cause, FaultCause::Hemisphere | FaultCause::Stuck | FaultCause::Missing);
+        let what = format!("{}{}", cause.words(), if sent { "" } else { ", and is not sent" });
+        let sentence = if active { what } else { format!("over: {what}") };
         let from =
             From { sender: i32::from(sensor), kind: TEXT, utc_ns: self.catalogue.utc_ns(outcome.t_valid) };
         wire::text(from, &format!("{name}: {sentence}"), active, out);

@@ -3,6 +3,8 @@
 
 mod access;
 mod feed;
+mod foxglove;
 pub(crate) mod harness;
 mod limits;
+mod outputs;
 mod vrpn;

@@ -7,9 +7,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::path::Path;
 
+use posed::foxglove::Views;
 use posed::input::{Entry, Input};
-use posed::protocol::schema;
-use posed::recording::{Header, Machine, Replayable, WriteError, Writer};
+use posed::protocol::{Payload, schema};
+use posed::recording::{Header, Machine, WriteError, Writer};
 use posed::stage::Stage;
 use posed_drivers::flock::capture::{CapturedRecord, Decoded, log};
 use posed_drivers::flock::wire::{QuaternionSense, Range};
@@ -148,49 +149,63 @@ fn stage(decoded: &Decoded, sense: QuaternionSense, origin: &str) -> Result<Stri
 
 /// Runs the capture through the pipeline as it would have run live, and writes both sides; the number of messages.
 fn log_of(header: Header, chunks: &[Chunk], file: &mut dyn Write) -> Result<u64, WriteError> {
-    let (_, mut machine) =
+    let (stage, machine) =
         Machine::as_recorded(&header).map_err(|error| WriteError::Format(error.to_string()))?;
+    let mut live = Live { machine, views: Views::new(&stage, header.epoch_utc_ns) };
     let mut writer = Writer::new(file, header)?;
     schema::of_topics().iter().for_each(|(topic, schema)| writer.declare(topic, schema));
     let opened = Input::Line { device: 0, event: LineEvent::Opened { modem_lines: false } };
-    let mut messages = step(&mut machine, &mut writer, &Entry { t: Timestamp::ZERO, input: opened })?;
+    let mut messages = step(&mut live, &mut writer, &Entry { t: Timestamp::ZERO, input: opened })?;
     let mut last = Timestamp::ZERO;
     for Chunk { t, to_unit, bytes } in chunks {
-        messages += timers(&mut machine, &mut writer, *t)?;
+        messages += timers(&mut live, &mut writer, *t)?;
         last = last.max(*t);
         if *to_unit {
             writer.transmitted(0, *t, bytes)?;
         } else {
             let input = Input::Bytes { device: 0, bytes: bytes.clone() };
-            messages += step(&mut machine, &mut writer, &Entry { t: *t, input })?;
+            messages += step(&mut live, &mut writer, &Entry { t: *t, input })?;
         }
     }
-    messages += timers(&mut machine, &mut writer, Timestamp::from_nanos(last.as_nanos() + TAIL_NS))?;
+    messages += timers(&mut live, &mut writer, Timestamp::from_nanos(last.as_nanos() + TAIL_NS))?;
     writer.finish("the capture ends here")?;
     Ok(messages)
 }
 
+/// What a stage that runs would write.
+struct Live {
+    machine: Machine,
+    views: Views,
+}
+
 /// All deadlines up to `t`; the number of messages.
-fn timers<W: Write>(machine: &mut Machine, writer: &mut Writer<W>, t: Timestamp) -> Result<u64, WriteError> {
+fn timers<W: Write>(live: &mut Live, writer: &mut Writer<W>, t: Timestamp) -> Result<u64, WriteError> {
     let mut messages = 0;
-    while let Some(at) = machine.pipeline.poll_timeout().filter(|&at| at <= t) {
-        messages += step(machine, writer, &Entry { t: at, input: Input::Timer })?;
-        if machine.pipeline.poll_timeout() == Some(at) {
+    while let Some(at) = live.machine.pipeline.poll_timeout().filter(|&at| at <= t) {
+        messages += step(live, writer, &Entry { t: at, input: Input::Timer })?;
+        if live.machine.pipeline.poll_timeout() == Some(at) {
             // Due as soon as time goes on.
-            return Ok(messages + step(machine, writer, &Entry { t, input: Input::Timer })?);
+            return Ok(messages + step(live, writer, &Entry { t, input: Input::Timer })?);
         }
     }
     Ok(messages)
 }
 
 /// One entry and what follows from it; the number of messages.
-fn step<W: Write>(machine: &mut Machine, writer: &mut Writer<W>, entry: &Entry) -> Result<u64, WriteError> {
+fn step<W: Write>(live: &mut Live, writer: &mut Writer<W>, entry: &Entry) -> Result<u64, WriteError> {
     writer.entry(entry)?;
     let mut written = Ok(0);
-    machine.push(entry, &mut |topic, t, json| {
-        if let Ok(messages) = written {
-            written = writer.message(topic, t, json).map(|()| messages + 1);
-        }
+    let Live { machine: Machine { pipeline, publisher }, views } = live;
+    pipeline.push(entry, &mut |output| {
+        let Some(payload) = Payload::of(&output) else { return };
+        let Ok(messages) = written else { return };
+        let (stamp, json) = publisher.publish(&payload);
+        written = writer.message(stamp.topic.name(), stamp.t(), json).map(|()| messages + 1);
+        views.publish(&payload, &stamp, |channel, json| {
+            if let (Ok(_), Err(error)) = (&written, writer.view(channel, stamp.t(), json)) {
+                written = Err(error);
+            }
+        });
     });
     written
 }

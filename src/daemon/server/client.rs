@@ -1,23 +1,16 @@
-//! One websocket: writes what its outbox holds, reads requests, notices when nobody is there any more.
+//! One websocket: writes what its outbox holds, hands on what it reads, notices when nobody is there any more. What is said
+//! is a [`Dialect`]'s.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use axum::extract::ws::{CloseFrame, Message, WebSocket};
 use futures_util::SinkExt;
-use serde_json::Value;
-use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval, timeout};
 
 use super::Shared;
-use super::distributor::{ClientId, Command};
-use super::outbox::{Close, Outbox, Outgoing};
-use crate::protocol::{
-    Call, Encoding, ErrorReply, Hello, OkReply, ParseError, Request, RequestId, ServerMessage, encode, parse,
-};
-use crate::stage::Role;
+use super::outbox::{Close, Form, Outbox};
 
 /// Messages written before the socket is flushed.
 const BATCH: usize = 32;
@@ -27,53 +20,6 @@ const GOODBYE: Duration = Duration::from_secs(1);
 /// Distance of the messages that are read while closing.
 const PACE: Duration = Duration::from_millis(5);
 
-/// A client's request that the daemon carries out.
-#[derive(Debug)]
-pub struct PendingCall {
-    /// What to do; the client's role allows it.
-    pub call: Call,
-    /// Where the answer goes.
-    pub reply: Reply,
-}
-
-/// Answers one request; dropped without an answer, the client gets an `error`.
-#[derive(Debug)]
-pub struct Reply {
-    outbox: Arc<Outbox>,
-    id: Option<RequestId>,
-}
-
-impl Reply {
-    /// It is done; `result` is what was asked for, if something was.
-    pub fn ok(mut self, result: Option<Value>) {
-        let id = self.id.take();
-        self.send(&ServerMessage::Ok(OkReply { id, result }));
-    }
-
-    /// It is not done: a code for programs, a sentence for people.
-    pub fn error(mut self, code: &str, message: impl Into<String>) {
-        let id = self.id.take();
-        self.send(&ServerMessage::Error(ErrorReply { id, code: code.into(), message: message.into() }));
-    }
-
-    fn send(&self, message: &ServerMessage) {
-        self.outbox.push_lossless(Outgoing::Whole(encode::whole(self.outbox.encoding(), message)));
-    }
-}
-
-impl Drop for Reply {
-    fn drop(&mut self) {
-        if let Some(id) = self.id.take() {
-            let message = "the daemon did not carry this out: it is busy with something else, or ends".into();
-            self.send(&ServerMessage::Error(ErrorReply {
-                id: Some(id),
-                code: "unavailable".into(),
-                message,
-            }));
-        }
-    }
-}
-
 /// Why a connection ends.
 enum End {
     /// We close it.
@@ -82,56 +28,49 @@ enum End {
     Gone,
 }
 
+/// What a client has said.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Heard<'a> {
+    Text(&'a str),
+    Binary(&'a [u8]),
+}
+
+/// What is spoken on a websocket; chosen by the sub-protocol.
+pub(super) trait Dialect: Send {
+    /// What is to be written to the client.
+    fn outbox(&self) -> Arc<Outbox>;
+    /// Takes a message of the client; answers go to the outbox. An error ends the connection.
+    fn hear(&mut self, heard: Heard<'_>) -> impl Future<Output = Result<(), Close>> + Send;
+    /// The connection has ended.
+    fn leave(self) -> impl Future<Output = ()> + Send;
+}
+
 /// Serves one client until it ends.
-pub(super) async fn serve(
-    socket: WebSocket,
-    id: ClientId,
-    encoding: Encoding,
-    role: Role,
-    shared: Arc<Shared>,
-) {
-    let outbox = Arc::new(Outbox::new(encoding, shared.limits.clone()));
-    let hello = ServerMessage::Hello(Hello {
-        version: env!("CARGO_PKG_VERSION").into(),
-        stage: shared.greeting.stage.clone(),
-        epoch_utc: shared.greeting.epoch_utc.clone(),
-        skeleton: shared.greeting.skeleton,
-        height_m: shared.greeting.height_m,
-        transmitter: shared.greeting.transmitter,
-        topics: shared.greeting.topics.clone(),
-        sensors: shared.hello_sensors(),
-        role,
-        last_event_id: shared.last_event_id.load(Ordering::Relaxed),
-    });
-    outbox.push_lossless(Outgoing::Whole(encode::whole(encoding, &hello)));
-    let connect = Command::Connect { client: id, outbox: Arc::clone(&outbox) };
-    if shared.commands.send(connect).await.is_err() {
-        return;
-    }
+pub(super) async fn serve(socket: WebSocket, dialect: impl Dialect, burst: f64, shared: Arc<Shared>) {
     shared.metrics.clients.inc();
-    let budget = Budget::new(shared.limits.messages_per_s, shared.limits.message_burst);
-    let mut client = Client { socket, id, role, outbox, budget, shared };
+    let budget = Budget::new(shared.limits.messages_per_s, burst);
+    let mut client = Client { socket, outbox: dialect.outbox(), dialect, budget, shared };
     let end = client.run().await;
-    client.shared.metrics.clients.dec();
-    let _ = client.shared.commands.send(Command::Disconnect { client: id }).await;
+    let Client { mut socket, dialect, shared, .. } = client;
+    shared.metrics.clients.dec();
+    dialect.leave().await;
     if let End::Close(close) = end {
         if close != Close::SHUTDOWN {
-            client.shared.metrics.refuse("policy");
+            shared.metrics.refuse("policy");
         }
-        client.goodbye(close).await;
+        goodbye(&mut socket, close).await;
     }
 }
 
-struct Client {
+struct Client<D> {
     socket: WebSocket,
-    id: ClientId,
-    role: Role,
     outbox: Arc<Outbox>,
+    dialect: D,
     budget: Budget,
     shared: Arc<Shared>,
 }
 
-impl Client {
+impl<D: Dialect> Client<D> {
     async fn run(&mut self) -> End {
         let mut pings = interval(self.shared.limits.ping_interval);
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -171,11 +110,9 @@ impl Client {
             let mut written = 0;
             while written < BATCH {
                 let mut bytes = Vec::new();
-                if !self.outbox.pop(&mut bytes).map_err(End::Close)? {
-                    break;
-                }
+                let Some(form) = self.outbox.pop(&mut bytes).map_err(End::Close)? else { break };
                 self.shared.metrics.bytes.inc_by(bytes.len() as u64);
-                let message = self.message(bytes)?;
+                let message = message(form, bytes)?;
                 let fed = self.socket.feed(message);
                 patiently(&self.shared, fed).await?;
                 written += 1;
@@ -193,25 +130,14 @@ impl Client {
         patiently(&self.shared, sent).await
     }
 
-    fn message(&self, bytes: Vec<u8>) -> Result<Message, End> {
-        match self.outbox.encoding() {
-            Encoding::MessagePack => Ok(Message::Binary(bytes.into())),
-            Encoding::Json => match String::from_utf8(bytes) {
-                Ok(text) => Ok(Message::Text(text.into())),
-                // JSON from serde_json is text.
-                Err(_) => Err(End::Gone),
-            },
-        }
-    }
-
     async fn handle(&mut self, message: Message) -> Result<(), End> {
         self.shared.metrics.requests.inc();
         if !self.budget.spend(now()) {
             return Err(End::Close(Close::TOO_MANY));
         }
-        let parsed = match &message {
-            Message::Text(text) => parse(Encoding::Json, text.as_bytes()),
-            Message::Binary(bytes) => parse(Encoding::MessagePack, bytes),
+        let heard = match &message {
+            Message::Text(text) => Heard::Text(text.as_str()),
+            Message::Binary(bytes) => Heard::Binary(bytes),
             // Pings are answered by the websocket itself.
             Message::Ping(_) | Message::Pong(_) => return Ok(()),
             Message::Close(_) => {
@@ -221,54 +147,34 @@ impl Client {
                 return Err(End::Gone);
             }
         };
-        match parsed {
-            Ok((id, Request::Feed(feed))) => {
-                let command = Command::Feed { client: self.id, id, feed };
-                self.shared.commands.send(command).await.map_err(|_| End::Close(Close::SHUTDOWN))?;
-            }
-            Ok((id, Request::Call(call))) => self.call(id, call),
-            Err(ParseError { id, code, message }) => {
-                let error = ErrorReply { id, code: code.into(), message };
-                let bytes = encode::whole(self.outbox.encoding(), &ServerMessage::Error(error));
-                self.outbox.push_lossless(Outgoing::Whole(bytes));
-            }
-        }
-        Ok(())
+        self.dialect.hear(heard).await.map_err(End::Close)
     }
+}
 
-    fn call(&self, id: RequestId, call: Call) {
-        let reply = Reply { outbox: Arc::clone(&self.outbox), id: Some(id) };
-        if call.changes_something() && self.role < Role::Operate {
-            reply.error(
-                "forbidden",
-                "this token may watch; the request needs a token with the role `operate`",
-            );
-            return;
-        }
-        match self.shared.calls.try_send(PendingCall { call, reply }) {
-            Ok(()) => {}
-            Err(TrySendError::Full(PendingCall { reply, .. })) => {
-                reply.error("busy", "too many requests are waiting; try again in a moment");
-            }
-            // Its reply says so as it is dropped.
-            Err(TrySendError::Closed(_)) => {}
-        }
+fn message(form: Form, bytes: Vec<u8>) -> Result<Message, End> {
+    match form {
+        Form::Binary => Ok(Message::Binary(bytes.into())),
+        Form::Text => match String::from_utf8(bytes) {
+            Ok(text) => Ok(Message::Text(text.into())),
+            // JSON from serde_json is text.
+            Err(_) => Err(End::Gone),
+        },
     }
+}
 
-    /// The closing handshake: our reason, then what was still under way from the other side, up to its own close.
-    async fn goodbye(&mut self, Close { code, reason }: Close) {
-        let frame = CloseFrame { code, reason: reason.into() };
-        let closing = async {
-            self.socket.send(Message::Close(Some(frame))).await?;
-            // At a walking pace: who is sent away for flooding must not be read at full speed once more.
-            let mut pace = interval(PACE);
-            while let Some(Ok(_)) = self.socket.recv().await {
-                pace.tick().await;
-            }
-            Ok::<_, axum::Error>(())
-        };
-        let _ = timeout(GOODBYE, closing).await;
-    }
+/// The closing handshake: our reason, then what was still under way from the other side, up to its own close.
+async fn goodbye(socket: &mut WebSocket, Close { code, reason }: Close) {
+    let frame = CloseFrame { code, reason: reason.into() };
+    let closing = async {
+        socket.send(Message::Close(Some(frame))).await?;
+        // At a walking pace: who is sent away for flooding must not be read at full speed once more.
+        let mut pace = interval(PACE);
+        while let Some(Ok(_)) = socket.recv().await {
+            pace.tick().await;
+        }
+        Ok::<_, axum::Error>(())
+    };
+    let _ = timeout(GOODBYE, closing).await;
 }
 
 /// Waits for a write, but not for a client that has stopped reading for ever, and not past the shutdown.

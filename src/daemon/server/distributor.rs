@@ -126,10 +126,10 @@ impl Distributor {
         }
     }
 
-    /// Sends an item to all who want it. Returns the item it replaces, for its memory.
-    pub(super) fn publish(&mut self, mut item: Item) -> Option<Item> {
-        if let Item::Status(status) = &mut item {
-            status.clients = self.clients.len() as u32;
+    /// Adds to a status what only the server knows; `viewers` are clients that are not among these.
+    pub(super) fn complete(&mut self, item: &mut Item, viewers: usize) {
+        if let Item::Status(status) = item {
+            status.clients = (self.clients.len() + viewers) as u32;
             let refused = self.metrics.refused_over_limit();
             if refused > self.refused {
                 let new = refused - self.refused;
@@ -143,11 +143,19 @@ impl Distributor {
                 self.refused = refused;
             }
         }
-        let Some(payload) = item.payload() else {
+    }
+
+    /// When and as which event an item is published; `None` where time goes back.
+    pub(super) fn stamp(&mut self, item: &Item) -> Option<Stamp> {
+        item.payload().map(|payload| self.counters.stamp(&payload))
+    }
+
+    /// Sends an item to all who want it, with its stamp. Returns the item it replaces, for its memory.
+    pub(super) fn publish(&mut self, item: Item, stamp: Option<Stamp>) -> Option<Item> {
+        let (Some(payload), Some(stamp)) = (item.payload(), stamp) else {
             self.rewind();
             return None;
         };
-        let stamp = self.counters.stamp(&payload);
         self.newest_us = self.newest_us.max(stamp.t_us);
         for shared in &mut self.views {
             shared.body = None;
@@ -542,9 +550,14 @@ mod tests {
         distributor.handle(Command::Feed { client, id: RequestId::Number(1), feed });
     }
 
+    fn publish(distributor: &mut Distributor, item: Item) {
+        let stamp = distributor.stamp(&item);
+        distributor.publish(item, stamp);
+    }
+
     fn frame(distributor: &mut Distributor, t_us: i64) {
         let t_valid = Timestamp::from_nanos(t_us * 1000);
-        distributor.publish(Item::Estimate(Estimate { t_valid, ..Estimate::default() }));
+        publish(distributor, Item::Estimate(Estimate { t_valid, ..Estimate::default() }));
     }
 
     #[test]
@@ -555,7 +568,7 @@ mod tests {
         let mut say = |subject: &str, what| {
             let what = OutcomeKind::Exercise(ExerciseOutcome { subject: subject.into(), what });
             let t = Timestamp::ZERO;
-            distributor.publish(Item::Outcome(Box::new(Outcome { t_valid: t, t_decided: t, what })));
+            publish(&mut distributor, Item::Outcome(Box::new(Outcome { t_valid: t, t_decided: t, what })));
         };
         let state = || ExerciseWhat::State(ExerciseState::default());
         let repetition = |kind, count| {
@@ -600,7 +613,7 @@ mod tests {
     fn received(outbox: &Outbox) -> Vec<serde_json::Value> {
         let mut out = Vec::new();
         let mut all = Vec::new();
-        while outbox.pop(&mut out) == Ok(true) {
+        while let Ok(Some(_)) = outbox.pop(&mut out) {
             all.push(serde_json::from_slice(&out).unwrap());
             out.clear();
         }

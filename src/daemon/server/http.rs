@@ -1,9 +1,9 @@
-//! What can be asked over HTTP: the page, `/ws`, `/metrics`, `/health`; and who is refused before that.
+//! What can be asked over HTTP: the page, `/ws` (and Foxglove's websocket at `/` too), `/metrics`, `/health`; and who is refused before that.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::middleware::{self, Next};
@@ -12,8 +12,11 @@ use axum::routing::get;
 use axum::{Router, extract::rejection::ExtensionRejection};
 
 use super::access::Refusal;
+use super::foxglove::Viewer;
 use super::listen::Slot;
+use super::requests::Requests;
 use super::{Shared, client, viewer};
+use crate::foxglove;
 use crate::protocol::{Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK};
 
 /// The page loads its own files and speaks to its own server; nothing else, from nowhere else.
@@ -22,7 +25,7 @@ const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; st
 
 pub(super) fn router(shared: Arc<Shared>) -> Router {
     Router::new()
-        .route("/", get(|| async { viewer::file("index.html") }))
+        .route("/", get(root))
         .route(
             "/assets/{name}",
             get(|Path(name): Path<String>| async move { viewer::file(&format!("assets/{name}")) }),
@@ -70,6 +73,29 @@ async fn metrics(State(shared): State<Arc<Shared>>, headers: HeaderMap, uri: Uri
     }
 }
 
+/// The page; and the websocket of Foxglove viewers, who are given an address without a path.
+async fn root(
+    shared: State<Arc<Shared>>,
+    slot: Result<Extension<Arc<Slot>>, ExtensionRejection>,
+    headers: HeaderMap,
+    uri: Uri,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+) -> Response {
+    match upgrade {
+        Ok(upgrade) => {
+            let upgrade = upgrade.protocols(foxglove::wire::SUBPROTOCOLS);
+            if upgrade.selected_protocol().is_none() {
+                let sentence = "a websocket of posed's own protocol is at /ws; Foxglove viewers offer foxglove.sdk.v1 or \
+                    foxglove.websocket.v1\n";
+                return (StatusCode::BAD_REQUEST, sentence).into_response();
+            }
+            websocket(shared, slot, headers, uri, upgrade).await
+        }
+        Err(_) if !headers.contains_key(header::UPGRADE) => viewer::file("index.html"),
+        Err(rejection) => rejection.into_response(),
+    }
+}
+
 async fn websocket(
     State(shared): State<Arc<Shared>>,
     slot: Result<Extension<Arc<Slot>>, ExtensionRejection>,
@@ -85,23 +111,45 @@ async fn websocket(
         Err(refusal) => return refuse(&shared, "token", refusal),
     };
     let slot = slot.ok().map(|Extension(slot)| slot);
+    let [sdk, older] = foxglove::wire::SUBPROTOCOLS;
     let upgrade = upgrade
-        .protocols([SUBPROTOCOL_MSGPACK, SUBPROTOCOL_JSON])
+        .protocols([SUBPROTOCOL_MSGPACK, SUBPROTOCOL_JSON, sdk, older])
         // Small reads, so that a flooding client gives the others their turn.
         .read_buffer_size(4 * 1024)
         .write_buffer_size(64 * 1024)
         .max_write_buffer_size(64 * 1024 * 1024)
         .max_message_size(shared.limits.message_bytes)
         .max_frame_size(shared.limits.message_bytes);
-    let encoding = match upgrade.selected_protocol().and_then(|protocol| protocol.to_str().ok()) {
-        Some(SUBPROTOCOL_MSGPACK) => Encoding::MessagePack,
-        _ => Encoding::Json,
+    let protocol = upgrade.selected_protocol().and_then(|protocol| protocol.to_str().ok()).unwrap_or("");
+    let speaks = match protocol {
+        SUBPROTOCOL_MSGPACK => Speaks::Own(Encoding::MessagePack),
+        name if foxglove::wire::SUBPROTOCOLS.contains(&name) => Speaks::Foxglove,
+        _ => Speaks::Own(Encoding::Json),
     };
-    let client = shared.next_client.fetch_add(1, Ordering::Relaxed);
     upgrade.on_upgrade(move |socket| async move {
-        client::serve(socket, client, encoding, role, shared).await;
+        let burst = shared.limits.message_burst;
+        match speaks {
+            Speaks::Own(encoding) => {
+                if let Some(requests) = Requests::begin(encoding, role, &shared).await {
+                    client::serve(socket, requests, burst, shared).await;
+                }
+            }
+            Speaks::Foxglove => {
+                if let Some(viewer) = Viewer::begin(&shared).await {
+                    // Some subscribe to every channel by a message of its own.
+                    let burst = burst + viewer.channels() as f64;
+                    client::serve(socket, viewer, burst, shared).await;
+                }
+            }
+        }
         drop(slot);
     })
+}
+
+/// What a client has chosen by the sub-protocol.
+enum Speaks {
+    Own(Encoding),
+    Foxglove,
 }
 
 fn refuse(shared: &Shared, reason: &'static str, (status, sentence): Refusal) -> Response {

@@ -27,6 +27,9 @@ pub(super) struct Metrics {
     pub(super) requests: Counter,
     pub(super) vrpn_clients: Gauge,
     pub(super) vrpn_dropped: Counter,
+    pub(super) vmc_sent: Counter,
+    pub(super) vmc_lost: Counter,
+    pub(super) lsl_lost: Counter,
     refused: Family<Labels, Counter>,
     device_streaming: Family<Labels, Gauge>,
     device_records: Family<Labels, Gauge>,
@@ -56,6 +59,13 @@ impl Metrics {
             all.register("vrpn_clients", "Connected VRPN clients", metrics.vrpn_clients.clone());
             let dropped = metrics.vrpn_dropped.clone();
             all.register("vrpn_frames_dropped", "Frames dropped for slow VRPN clients", dropped);
+            all.register("vmc_datagrams", "Datagrams sent to avatars", metrics.vmc_sent.clone());
+            all.register("vmc_datagrams_lost", "Datagrams that could not be sent", metrics.vmc_lost.clone());
+            all.register(
+                "lsl_samples_lost",
+                "Samples that liblsl was too slow for",
+                metrics.lsl_lost.clone(),
+            );
             all.register("connections_refused", "Connections refused or cut", metrics.refused.clone());
             all.register("device_streaming", "1 while records come in", metrics.device_streaming.clone());
             all.register("device_records", "Records accepted", metrics.device_records.clone());

@@ -1,4 +1,4 @@
-//! The server: websocket, page, metrics, health, VRPN.
+//! The server: websocket, page, metrics, health; Foxglove viewers, VRPN, VMC, LSL.
 //!
 //! In: frames, events, status from the fusion thread through a [`Hub`], connections from a socket. Out: messages to
 //! clients, their [`PendingCall`]s to the daemon. Never: anything that makes the fusion thread, or one client, wait for another.
@@ -7,19 +7,23 @@
 //! fusion thread ── Hub ──> distributor ──> outbox of each client ──> its task ──> socket
 //!                               ^ subscribe, resume                     │ calls ──> daemon ── Reply ──> outbox
 //! ```
-//! One task ([`distributor`]) owns the subscriptions and serialises each distinct body once; one task per client
-//! ([`client`]) writes what is in its [`outbox`], which is bounded and which nobody waits for.
+//! One task ([`distributor`], and [`foxglove`] for its viewers) owns the subscriptions and serialises each distinct body once; one task
+//! per client ([`client`]) writes what is in its [`outbox`], which is bounded and which nobody waits for.
 
 mod access;
 mod client;
 mod distributor;
+mod foxglove;
 mod http;
 mod hub;
 mod listen;
 mod metrics;
 mod outbox;
+mod requests;
+mod streams;
 mod tls;
 mod viewer;
+mod vmc;
 mod vrpn;
 
 use std::net::{SocketAddr, ToSocketAddrs};
@@ -31,16 +35,19 @@ use tokio::net::{TcpListener, TcpSocket};
 use tokio::sync::{mpsc, watch};
 
 use self::access::Access;
-use self::distributor::{Command, Distributor};
+use self::distributor::Distributor;
+use self::foxglove::Viewers;
 use self::listen::Slots;
 use self::metrics::Metrics;
+use self::streams::Streaming;
 use self::vrpn::{Outlet, Vrpn};
+use super::clock::StageClock;
 use crate::protocol::{Counters, HelloSensor, Names, Topic};
 use crate::stage::{Pose, Skeleton, Stage};
 use crate::vrpn::{Catalogue, Publisher};
 
-pub use self::client::{PendingCall, Reply};
 pub use self::hub::Hub;
+pub use self::requests::{PendingCall, Reply};
 pub use self::tls::TlsError;
 
 /// Where the server listens unless the stage file or the command line says otherwise.
@@ -59,8 +66,11 @@ pub struct Config {
     pub more_topics: Vec<Topic>,
     /// Numbers given out before; those of a recording when one is replayed.
     pub counters: Counters,
-    /// Whether the VRPN server of the stage file is started: not for a replay, beside which the stage itself may run.
-    pub vrpn: bool,
+    /// Whether it is a recording that is served: its time is not that of the world, and programs that the stage itself may be
+    /// serving at the same time (VRPN, VMC, LSL) are not served.
+    pub replay: bool,
+    /// The stage's clock; absent: times are those of nothing that goes on, and LSL is not told.
+    pub clock: Option<StageClock>,
     /// What one client, and all together, may take.
     pub limits: Limits,
 }
@@ -74,7 +84,8 @@ impl Config {
             epoch_utc_ns,
             more_topics: Vec::new(),
             counters: Counters::default(),
-            vrpn: true,
+            replay: false,
+            clock: None,
             limits: Limits::default(),
         }
     }
@@ -177,6 +188,16 @@ pub enum BindError {
         /// What the system said.
         error: std::io::Error,
     },
+    /// An avatar's address has no meaning here.
+    #[error(
+        "cannot send to {target} by VMC: {error}; write HOST:PORT into vmc.targets, like 127.0.0.1:39539"
+    )]
+    Vmc {
+        /// As given.
+        target: String,
+        /// What the system said.
+        error: std::io::Error,
+    },
     /// Certificate or key do not serve.
     #[error(transparent)]
     Tls(#[from] TlsError),
@@ -188,8 +209,8 @@ pub struct Server {
     address: SocketAddr,
     tls: Option<tokio_rustls::TlsAcceptor>,
     shared: Arc<Shared>,
-    distributor: Distributor,
-    vrpn: Option<(Vrpn, Outlet)>,
+    outlets: Outlets,
+    vrpn: Option<Vrpn>,
     hub: Hub,
     commands: mpsc::Receiver<Command>,
     shutdown: watch::Sender<bool>,
@@ -203,12 +224,22 @@ struct Shared {
     slots: Slots,
     names: Arc<Names>,
     greeting: Greeting,
+    /// What Foxglove viewers are told first.
+    viewing: foxglove::Greeting,
     commands: mpsc::Sender<Command>,
     calls: mpsc::Sender<PendingCall>,
     shutdown: watch::Receiver<bool>,
     /// Newest event, for greetings.
     last_event_id: std::sync::atomic::AtomicU64,
     next_client: std::sync::atomic::AtomicU64,
+}
+
+/// What clients' tasks tell the distributing one.
+enum Command {
+    /// A client of our own protocol.
+    Client(distributor::Command),
+    /// A Foxglove viewer.
+    Viewer(foxglove::Command),
 }
 
 /// What every client is told first.
@@ -266,6 +297,8 @@ impl Server {
         topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
         topics.sort();
         topics.dedup();
+        let viewers = Viewers::new(stage, &topics, config.epoch_utc_ns, config.replay, &metrics);
+        let epoch_utc = rfc3339(config.epoch_utc_ns);
         let shared = Arc::new(Shared {
             access: Access {
                 tokens: stage.server.tokens.clone(),
@@ -281,12 +314,13 @@ impl Server {
             },
             greeting: Greeting {
                 stage: stage.name.clone(),
-                epoch_utc: rfc3339(config.epoch_utc_ns),
+                epoch_utc: epoch_utc.clone(),
                 skeleton: stage.body.as_ref().map(|body| body.skeleton),
                 height_m: stage.body.as_ref().and_then(|body| body.height_m),
                 transmitter: stage.transmitter.pose_in_room.unwrap_or(Pose::IDENTITY),
                 topics,
             },
+            viewing: viewers.greeting(&stage.name, &epoch_utc),
             slots: Slots::new(limits.connections, limits.connections_per_address),
             limits: limits.clone(),
             metrics: Arc::clone(&metrics),
@@ -298,7 +332,7 @@ impl Server {
             next_client: 0.into(),
         });
         let hub = Hub::default();
-        let vrpn = match stage.vrpn.as_ref().filter(|_| config.vrpn) {
+        let vrpn = match stage.vrpn.as_ref().filter(|_| !config.replay) {
             None => None,
             Some(settings) => {
                 let names = stage.sensors.iter().map(|sensor| sensor.name.as_str());
@@ -307,10 +341,20 @@ impl Server {
                 Some(bound.map_err(|(listen, error)| BindError::Vrpn { listen, error })?)
             }
         };
+        let (vrpn, vrpn_outlet) = vrpn.unzip();
+        let vmc = match stage.vmc.as_ref().filter(|_| !config.replay) {
+            None => None,
+            Some(settings) => {
+                let opened = vmc::Outlet::open(stage, settings, Arc::clone(&metrics));
+                Some(opened.map_err(|(target, error)| BindError::Vmc { target, error })?)
+            }
+        };
+        let lsl = stage.lsl.as_ref().zip(config.clock.filter(|_| !config.replay));
+        let lsl = lsl.map(|(settings, clock)| Streaming::start(stage, settings, clock, Arc::clone(&metrics)));
         let distributor = Distributor::new(names, limits, metrics, config.counters);
+        let outlets = Outlets { distributor, viewers, vrpn: vrpn_outlet, vmc, lsl };
         let hub_in = hub.clone();
-        let server =
-            Self { listener, address, tls, shared, distributor, vrpn, hub: hub_in, commands, shutdown };
+        let server = Self { listener, address, tls, shared, outlets, vrpn, hub: hub_in, commands, shutdown };
         Ok((server, hub, calls))
     }
 
@@ -321,7 +365,7 @@ impl Server {
 
     /// The address for VRPN clients, if the stage wants them.
     pub fn vrpn_address(&self) -> Option<SocketAddr> {
-        self.vrpn.as_ref().and_then(|(vrpn, _)| vrpn.address().ok())
+        self.vrpn.as_ref().and_then(|vrpn| vrpn.address().ok())
     }
 
     /// What to open in a browser.
@@ -336,9 +380,8 @@ impl Server {
 
     /// Serves until `shutdown` resolves; then tells every client goodbye (1001) and returns within the shutdown timeout.
     pub async fn run(self, shutdown: impl Future<Output = ()>) {
-        let Self { listener, tls, shared, distributor, vrpn, hub, commands, shutdown: tell, .. } = self;
-        let (vrpn, outlet) = vrpn.unzip();
-        let distributing = tokio::spawn(distribute(distributor, outlet, hub, commands, Arc::clone(&shared)));
+        let Self { listener, tls, shared, outlets, vrpn, hub, commands, shutdown: tell, .. } = self;
+        let distributing = tokio::spawn(distribute(outlets, hub, commands, Arc::clone(&shared)));
         let others = vrpn.map(|vrpn| tokio::spawn(vrpn.run(tell.subscribe())));
         tokio::select! {
             () = listen::accept(&listener, tls.as_ref(), &shared) => {}
@@ -348,6 +391,8 @@ impl Server {
         tell.send_replace(true);
         let _ = tokio::time::timeout(shared.limits.shutdown_timeout, shared.slots.all_free()).await;
         distributing.abort();
+        // What it holds has then ended too.
+        let _ = distributing.await;
         if let Some(others) = others {
             // Told at the same time, and bounded by itself.
             let _ = others.await;
@@ -355,26 +400,47 @@ impl Server {
     }
 }
 
-/// Feeds the distributor, one thing at a time; frames before commands.
+/// Everything that is published to.
+struct Outlets {
+    distributor: Distributor,
+    viewers: Viewers,
+    vrpn: Option<Outlet>,
+    vmc: Option<vmc::Outlet>,
+    lsl: Option<Streaming>,
+}
+
+/// Feeds the outlets, one thing at a time; frames before commands.
 async fn distribute(
-    mut distributor: Distributor,
-    mut outlet: Option<Outlet>,
+    mut outlets: Outlets,
     hub: Hub,
     mut commands: mpsc::Receiver<Command>,
     shared: Arc<Shared>,
 ) {
     use std::sync::atomic::Ordering;
+    let Outlets { distributor, viewers, vrpn, vmc, lsl } = &mut outlets;
     loop {
-        while let Some(item) = hub.take() {
+        while let Some(mut item) = hub.take() {
             match &item {
                 hub::Item::Estimate(_) => _ = shared.metrics.frames.inc(),
                 hub::Item::Status(status) => shared.metrics.take(status),
                 _ => {}
             }
-            if let Some(outlet) = &mut outlet {
+            distributor.complete(&mut item, viewers.count());
+            if let (hub::Item::Status(status), Some(streaming)) = (&mut item, &lsl) {
+                status.problems.extend(streaming.problem());
+            }
+            let stamp = distributor.stamp(&item);
+            if let Some(outlet) = vrpn {
                 outlet.publish(&item);
             }
-            if let Some(replaced) = distributor.publish(item) {
+            if let Some(outlet) = vmc {
+                outlet.publish(&item);
+            }
+            if let (Some(streaming), Some(stamp)) = (&lsl, &stamp) {
+                streaming.publish(&item, stamp, &shared.names);
+            }
+            viewers.publish(&item, stamp.as_ref());
+            if let Some(replaced) = distributor.publish(item, stamp) {
                 hub.recycle(replaced);
             }
             shared.last_event_id.store(distributor.last_event_id(), Ordering::Relaxed);
@@ -384,7 +450,10 @@ async fn distribute(
         tokio::select! {
             biased;
             () = hub.filled() => {}
-            Some(command) = commands.recv() => distributor.handle(command),
+            Some(command) = commands.recv() => match command {
+                Command::Client(command) => distributor.handle(command),
+                Command::Viewer(command) => viewers.handle(command),
+            },
         }
     }
 }

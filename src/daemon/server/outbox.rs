@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 
 use super::Limits;
+use crate::foxglove::wire;
 use crate::protocol::{DropPolicy, Encoding, Topic, encode};
 
 /// Why the daemon ends a connection, as a websocket closing code and a reason of at most 123 bytes.
@@ -37,6 +38,17 @@ pub(super) enum Outgoing {
     Whole(Vec<u8>),
     /// A data message: the client's numbers and the shared body.
     Shared { topic: Topic, seq: u64, body: Arc<[u8]> },
+    /// The same for a Foxglove viewer: its number of the subscription, UTC in ns, the shared payload.
+    Viewed { subscription: u32, utc_ns: u64, payload: Arc<[u8]> },
+    /// What the clock of a Foxglove viewer is to show: UTC in ns.
+    Clock(u64),
+}
+
+/// What kind of websocket message it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Form {
+    Text,
+    Binary,
 }
 
 /// The queues of one client.
@@ -86,13 +98,13 @@ impl Outbox {
 
     /// Queues a data message; the oldest ones give way. Returns how many did.
     pub(super) fn push_data(&self, message: Outgoing, policy: DropPolicy) -> u64 {
-        let Outgoing::Shared { topic, .. } = message else { return 0 };
         let mut queues = self.lock();
         let before = queues.dropped;
         match policy {
             // Topics share the queue, so the limit of "latest" counts this topic's only.
             DropPolicy::Latest => {
-                let waiting = || queues.data.iter().enumerate().filter(|(_, item)| item.is_of(topic));
+                let waiting =
+                    || queues.data.iter().enumerate().filter(|(_, item)| item.topic() == message.topic());
                 if waiting().count() >= self.limits.latest_messages
                     && let Some((oldest, _)) = waiting().next()
                 {
@@ -122,25 +134,40 @@ impl Outbox {
         self.filled.notified().await;
     }
 
-    /// Appends the next message to `out`, events and replies first. `Err` ends the connection.
-    pub(super) fn pop(&self, out: &mut Vec<u8>) -> Result<bool, Close> {
+    /// Appends the next message to `out`, events and replies first; `None` if nothing waits. `Err` ends the connection.
+    pub(super) fn pop(&self, out: &mut Vec<u8>) -> Result<Option<Form>, Close> {
         let mut queues = self.lock();
         if queues.overflowed {
             return Err(Close::TOO_SLOW);
         }
         let next = queues.lossless.pop_front().or_else(|| queues.data.pop_front());
-        let Some(message) = next else { return Ok(false) };
+        let Some(message) = next else { return Ok(None) };
         queues.bytes -= message.bytes();
         let dropped = queues.dropped;
         drop(queues);
-        match message {
-            Outgoing::Whole(bytes) => out.extend_from_slice(&bytes),
+        let form = match self.encoding {
+            Encoding::Json => Form::Text,
+            Encoding::MessagePack => Form::Binary,
+        };
+        Ok(Some(match message {
+            Outgoing::Whole(bytes) => {
+                out.extend_from_slice(&bytes);
+                form
+            }
             Outgoing::Shared { topic, seq, body } => {
                 out.reserve(body.len() + 64);
                 encode::message(self.encoding, topic, seq, dropped, &body, out);
+                form
             }
-        }
-        Ok(true)
+            Outgoing::Viewed { subscription, utc_ns, payload } => {
+                wire::message_data(subscription, utc_ns, &payload, out);
+                Form::Binary
+            }
+            Outgoing::Clock(utc_ns) => {
+                wire::time(utc_ns, out);
+                Form::Binary
+            }
+        }))
     }
 
     fn lock(&self) -> MutexGuard<'_, Queues> {
@@ -153,12 +180,16 @@ impl Outgoing {
     fn bytes(&self) -> usize {
         match self {
             Self::Whole(bytes) => bytes.len(),
-            Self::Shared { body, .. } => body.len(),
+            Self::Shared { body, .. } | Self::Viewed { payload: body, .. } => body.len(),
+            Self::Clock(_) => size_of::<Self>(),
         }
     }
 
-    fn is_of(&self, wanted: Topic) -> bool {
-        matches!(self, Self::Shared { topic, .. } if *topic == wanted)
+    fn topic(&self) -> Option<Topic> {
+        match self {
+            Self::Shared { topic, .. } => Some(*topic),
+            Self::Whole(_) | Self::Viewed { .. } | Self::Clock(_) => None,
+        }
     }
 }
 
@@ -193,7 +224,7 @@ mod tests {
     fn taken(outbox: &Outbox) -> Vec<String> {
         let mut out = Vec::new();
         let mut all = Vec::new();
-        while outbox.pop(&mut out) == Ok(true) {
+        while let Ok(Some(Form::Text)) = outbox.pop(&mut out) {
             let value: serde_json::Value = serde_json::from_slice(&out).unwrap();
             all.push(format!("{} {} {}", value["type"].as_str().unwrap(), value["seq"], value["dropped"]));
             out.clear();

@@ -33,6 +33,9 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
     if let Some(vrpn) = root.item("vrpn") {
         server::check_vrpn(&vrpn, notes);
     }
+    if let Some(vmc) = root.item("vmc") {
+        server::check_vmc(&vmc, notes);
+    }
     if let (Some(recording), Some(folder)) = (root.item("recording"), folder) {
         folder_key(&recording, "folder", folder, notes);
     }

@@ -69,6 +69,21 @@ pub(super) fn check_vrpn(vrpn: &Item<'_, '_>, notes: &mut Notes<'_>) {
     }
 }
 
+/// Where avatars are. Names are looked up when the daemon starts.
+pub(super) fn check_vmc(vmc: &Item<'_, '_>, notes: &mut Notes<'_>) {
+    for target in vmc.get("targets").and_then(|list| list.get_ref().as_array()).into_iter().flatten() {
+        let Some(text) = target.get_ref().as_str() else { continue };
+        let is_target = text.rsplit_once(':').is_some_and(|(host, port)| {
+            !host.is_empty() && !host.contains(['/', ' ']) && port.parse::<u16>().is_ok_and(|port| port > 0)
+        });
+        if !is_target {
+            let message = format!("`{text}` is no address to send to");
+            let mend = "write \"HOST:PORT\", such as \"192.168.1.20:39539\"";
+            notes.problem(&target.span(), "targets", message, mend);
+        }
+    }
+}
+
 /// Whether an address to listen on is this machine's own; `None` if it is no address.
 fn loopback(listen: &str) -> Option<bool> {
     if let Ok(address) = listen.parse::<SocketAddr>() {

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use posed::recording::Info;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::process::{Posed, all_ok, frames, ok, record_start, replays, two_devices, until};
 use crate::cli::posed;
@@ -20,6 +20,36 @@ async fn a_recording_from_the_start_replays_byte_for_byte() {
     frames(&mut client, 100).await;
     assert_eq!(posed.end("INT").await.code(), Some(0));
     replays(&recording);
+    shown(&recording);
+}
+
+/// Viewers find the poses of our own messages in schemas that they know.
+fn shown(recording: &Path) {
+    let bytes = std::fs::read(recording).unwrap();
+    let (mut ours, mut theirs) = (Vec::new(), Vec::new());
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        let message = message.unwrap();
+        let json = || serde_json::from_slice::<Value>(&message.data).unwrap();
+        let schema = message.channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
+        match (message.channel.topic.as_str(), schema) {
+            ("/posed/sensors", "posed.sensors") => {
+                let sensors = json()["sensors"].as_array().unwrap().clone();
+                let good = sensors.into_iter().filter(|sensor| sensor["state"] == "ok");
+                ours.extend(good.map(|sensor| (message.log_time, sensor["position_m"][2].clone())));
+            }
+            ("/tf", "foxglove.FrameTransforms") => {
+                for frame in json()["transforms"].as_array().unwrap() {
+                    let name = frame["child_frame_id"].as_str().unwrap();
+                    if name.starts_with("sensors/") {
+                        theirs.push((message.log_time, frame["translation"]["z"].clone()));
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+    assert!(ours.len() >= 100);
+    assert_eq!(ours, theirs);
 }
 
 #[tokio::test]
