@@ -12,6 +12,7 @@ use posed_simulator::body::{Activity, Build, Disturbance, Script, SensorErrors, 
 const HEIGHT_M: f64 = 1.8;
 const RATE_HZ: f64 = 100.0;
 const ACTIVITIES: [Activity; 4] = [Activity::Walking, Activity::Reaching, Activity::Curls, Activity::Squats];
+const TRUNKS: [Segment; 2] = [Segment::Torso, Segment::Pelvis];
 /// What the filters are given before the figures begin, s.
 const SETTLE_S: f64 = 10.0;
 
@@ -65,6 +66,8 @@ struct Figures {
     heading: f64,
     /// The segment whose heading is worst on average.
     worst: &'static str,
+    /// Normalised squared error per axis of every segment, mean: of trunks in the room, of limbs against their trunk.
+    nees: [f64; SEGMENTS],
 }
 
 struct Run {
@@ -141,6 +144,7 @@ fn solve(case: &Case) -> Result<Figures, String> {
         BodyFilter::new(&skeleton, &worn, &BodyParams { form: case.form, ..BodyParams::default() });
     let mut sums = [0.0; 7];
     let mut headings = [0.0; SEGMENTS];
+    let mut nees = [0.0; SEGMENTS];
     let mut count = 0.0;
     let index = |name: &str| ANGLE_NAMES.iter().position(|n| *n == name).expect("a name");
     let begin_s = run.script.activity_s() + SETTLE_S;
@@ -164,6 +168,22 @@ fn solve(case: &Case) -> Result<Figures, String> {
             };
             (above.inverse() * own).angle_to(&(truth[p].inverse() * truth[k])).to_degrees()
         };
+        for segment in Segment::ALL {
+            let mut trunk = segment;
+            while let Some(parent) = trunk.parent().filter(|_| !TRUNKS.contains(&trunk)) {
+                trunk = parent;
+            }
+            let (k, t) = (segment.index(), trunk.index());
+            let (Some(own), Some(above)) = (estimate.orientations[k], estimate.orientations[t]) else {
+                continue;
+            };
+            let off = if k == t {
+                own.angle_to(&truth[k])
+            } else {
+                (above.inverse() * own).angle_to(&(truth[t].inverse() * truth[k]))
+            };
+            nees[k] += off * off / (3.0 * estimate.sigma_rad[k].powi(2));
+        }
         let torso = estimate.orientations[0].map_or(f64::NAN, |q| q.angle_to(&truth[0]).to_degrees());
         let heading_of = |s: &Segment| {
             let off = estimate.orientations[s.index()]? * truth[s.index()].inverse();
@@ -186,7 +206,17 @@ fn solve(case: &Case) -> Result<Figures, String> {
     let [elbow, pronation, knee, shoulder, hip, torso, heading] = sums.map(|sum| (sum / count).sqrt());
     let worst = Segment::ALL.into_iter().max_by(|a, b| headings[a.index()].total_cmp(&headings[b.index()]));
     let worst = worst.map_or("", Segment::name);
-    Ok(Figures { elbow, pronation, knee, shoulder, hip, torso, heading, worst })
+    Ok(Figures {
+        elbow,
+        pronation,
+        knee,
+        shoulder,
+        hip,
+        torso,
+        heading,
+        worst,
+        nees: nees.map(|sum| sum / count),
+    })
 }
 
 fn main() {
@@ -236,8 +266,30 @@ fn main() {
         far.disturbances = disturbed(45_f64.to_radians(), 1.0, 0.0);
         row("pure turn", &far);
     }
+    if only.as_ref().is_some_and(|only| "nees".contains(only.as_str())) {
+        consistency();
+    }
     if only.as_ref().is_none_or(|only| "speed".contains(only.as_str())) {
         speed();
+    }
+}
+
+/// Whether the expected errors are those that are made: ten people, mean over all activities. `cargo bench --bench body nees`
+fn consistency() {
+    const PEOPLE: u64 = 10;
+    say("| segment | normalised squared error per axis |");
+    say("|---|---|");
+    let mut sums = [0.0; SEGMENTS];
+    for activity in ACTIVITIES {
+        for seed in 1..=PEOPLE {
+            let Ok(figures) = solve(&Case { seed, ..Case::new(activity, Mounting::Perfect) }) else { return };
+            for (sum, nees) in sums.iter_mut().zip(&figures.nees) {
+                *sum += nees / (PEOPLE * ACTIVITIES.len() as u64) as f64;
+            }
+        }
+    }
+    for (segment, sum) in Segment::ALL.iter().zip(&sums) {
+        say(&format!("| {} | {sum:.2} |", segment.name()));
     }
 }
 

@@ -2,6 +2,8 @@
 //!
 //! A recording holds these entries, and a replay feeds them again: same entries, same outputs.
 
+use std::collections::BTreeMap;
+
 use posed_drivers::{LineEvent, Timestamp};
 use serde::{Deserialize, Serialize};
 
@@ -138,6 +140,9 @@ pub enum Request {
         exercises: Vec<String>,
         /// How much is to be done.
         plan: Plan,
+        /// Which sensor of this subject stands for which one that the exercises were taught with.
+        #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+        sensors: BTreeMap<String, String>,
     },
     /// Counts a subject's exercises from 0 again.
     ExerciseReset {

@@ -20,11 +20,28 @@ pub fn columns<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Vec<String> {
     sensors.into_iter().flat_map(of).collect()
 }
 
-/// Names of all columns of a stage: those of its sensors, then the angles of its body.
+/// Columns of what an inertial sensor measured, behind its name, in sensor axes: specific force (m/s², +g upwards at rest) and
+/// angular rate (rad/s).
+const INERTIAL_PARTS: [&str; 6] = ["_ax", "_ay", "_az", "_gx", "_gy", "_gz"];
+
+/// Names of the columns of what these inertial sensors measured: `NAME_ax, NAME_ay, NAME_az, NAME_gx, NAME_gy, NAME_gz` each.
+pub fn inertial_columns<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Vec<String> {
+    let of = |name: &str| INERTIAL_PARTS.map(|part| format!("{name}{part}"));
+    sensors.into_iter().flat_map(of).collect()
+}
+
+/// Names of all columns of a stage: the poses of its sensors, what its inertial sensors measured where no body is made of
+/// them, then the angles of its body.
 pub fn columns_of(stage: &Stage) -> Vec<String> {
     let mut columns = columns(stage.sensors.iter().map(|sensor| sensor.name.as_str()));
+    columns.extend(InertialColumns::of(stage).names(stage));
     columns.extend(BodyLayout::of(stage).iter().flat_map(BodyLayout::columns));
     columns
+}
+
+/// Whether this is how a column of a sensor goes on behind the sensor's name.
+pub(crate) fn is_part(text: &str) -> bool {
+    PARTS.iter().chain(&INERTIAL_PARTS).any(|part| *part == text)
 }
 
 /// Appends one sensor's values, in the order of [`columns`]; an inertial sensor has no position.
@@ -46,6 +63,56 @@ pub fn write(estimate: &Estimate, row: &mut Vec<Option<f64>>) {
     }
 }
 
+/// What single inertial sensors measured, a wrist watch for example: which sensors these are. The sensors of a body
+/// are none: their movement is in its angles.
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct InertialColumns(Vec<usize>);
+
+impl InertialColumns {
+    /// Of a stage.
+    pub fn of(stage: &Stage) -> Self {
+        if BodyLayout::of(stage).is_some() {
+            return Self::default();
+        }
+        let inertial = |device: &str| {
+            let device = stage.devices.iter().find(|known| known.name == device);
+            device.is_some_and(|device| device.driver.is_inertial())
+        };
+        let sensors = stage.sensors.iter().enumerate();
+        Self(sensors.filter(|(_, sensor)| inertial(&sensor.device)).map(|(index, _)| index).collect())
+    }
+
+    /// The columns' names.
+    pub fn names(&self, stage: &Stage) -> Vec<String> {
+        inertial_columns(self.0.iter().filter_map(|index| Some(stage.sensors.get(*index)?.name.as_str())))
+    }
+
+    /// Index of each sensor in the stage file.
+    pub(crate) fn sensors(&self) -> &[usize] {
+        &self.0
+    }
+
+    /// Appends the newest record of each sensor to what [`write()`] wrote; none where it may not be used.
+    pub fn append(&self, estimate: &Estimate, row: &mut Vec<Option<f64>>) {
+        for index in &self.0 {
+            let sensor = estimate.sensors.get(*index).filter(|sensor| sensor.state.is_usable());
+            let inertial = sensor.and_then(|sensor| sensor.measured?.inertial).unwrap_or_default();
+            append_inertial(inertial.specific_force_m_s2, inertial.angular_rate_rad_s, row);
+        }
+    }
+}
+
+/// Appends what one inertial sensor measured, in the order of [`inertial_columns`].
+pub(crate) fn append_inertial(
+    specific_force_m_s2: Option<[f64; 3]>,
+    angular_rate_rad_s: Option<[f64; 3]>,
+    row: &mut Vec<Option<f64>>,
+) {
+    for vector in [specific_force_m_s2, angular_rate_rad_s] {
+        row.extend(vector.map_or([None; 3], |vector| vector.map(Some)));
+    }
+}
+
 /// The body's part of the columns of a stage: which angles there are.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct BodyColumns(Vec<usize>);
@@ -56,7 +123,7 @@ impl BodyColumns {
         Self(BodyLayout::of(stage).map_or_else(Vec::new, |layout| layout.shown_angles))
     }
 
-    /// Appends the body's angles, degrees, to what [`write()`] wrote of the estimate; none where the body is older than it by
+    /// Appends the body's angles, degrees, to what [`write()`] and [`InertialColumns::append`] wrote of the estimate; none where the body is older than it by
     /// more than 50 ms.
     pub fn append(&self, body: Option<&Body>, estimate: &Estimate, row: &mut Vec<Option<f64>>) {
         let fresh = |body: &&Body| estimate.t_valid.seconds_since(body.t_valid) <= BODY_AGE_S;
@@ -94,5 +161,43 @@ mod tests {
         assert_eq!(columns.len(), row.len());
         assert_eq!((columns[2].as_str(), row[2]), ("left_z_m", Some(3.0)));
         assert_eq!((columns[10].as_str(), row[10]), ("right_qw", None));
+    }
+
+    #[test]
+    fn a_single_inertial_sensor_gives_what_it_measured_and_the_sensors_of_a_body_do_not() {
+        let text = "name = \"s\"\n[[device]]\nname = \"chain\"\ndriver = \"xbus\"\nport = \"auto\"\n\
+                    [[sensor]]\nname = \"watch\"\ndevice = \"chain\"\naddress = 1\n";
+        let stage: Stage = toml::from_str(text).unwrap();
+        let columns = columns_of(&stage);
+        assert_eq!(columns[7..], ["ax", "ay", "az", "gx", "gy", "gz"].map(|axis| format!("watch_{axis}")));
+        let measured = |state| SensorEstimate {
+            state,
+            measured: Some(crate::output::Measured {
+                t_valid: posed_drivers::Timestamp::default(),
+                position_m: None,
+                orientation_wxyz: None,
+                button: None,
+                inertial: Some(crate::output::Inertial {
+                    angular_rate_rad_s: Some([4.0, 5.0, 6.0]),
+                    specific_force_m_s2: Some([1.0, 2.0, 3.0]),
+                    ..Default::default()
+                }),
+            }),
+            ..SensorEstimate::default()
+        };
+        let row = |state| {
+            let mut row = Vec::new();
+            let estimate = Estimate { sensors: vec![measured(state)], ..Estimate::default() };
+            write(&estimate, &mut row);
+            InertialColumns::of(&stage).append(&estimate, &mut row);
+            row
+        };
+        assert_eq!(row(SensorState::Ok)[7..], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0].map(Some));
+        assert_eq!(row(SensorState::Stuck)[7..], [None; 6]);
+        let worn = format!(
+            "{text}segment = \"forearm_r\"\n[body]\nskeleton = \"human\"\nheight_m = 1.8\nmounting = \"calibrate\"\n"
+        );
+        let worn: Stage = toml::from_str(&worn).unwrap();
+        assert_eq!(InertialColumns::of(&worn), InertialColumns::default());
     }
 }

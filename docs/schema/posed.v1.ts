@@ -118,6 +118,8 @@ export type Call = {
   repetitions?: number | null;
   /** Rest after a set, s; absent: none. */
   rest_s?: number | null;
+  /** For each sensor that the exercises were taught with the one that this subject wears; absent: the same. */
+  sensors?: Record<string, string> | null;
   /** Sets of each exercise; absent: no end. */
   sets?: number | null;
   /** Who moves; absent: `default`. */
@@ -242,6 +244,8 @@ export type DropPolicy = "latest" | "queue";
 
 /** Durations of repetitions, s. */
 export type Durations = {
+  /** Median from the end of one to the end of the next; 0: not known. */
+  interval_s?: number;
   /** Longest. */
   longest_s: number;
   /** Median. */
@@ -280,6 +284,8 @@ export type Exercise = {
   rate_hz: number;
   /** Counts how often an exercise of this name was taught, from 1. */
   revision?: number;
+  /** Sizes in which the movement was taught, falling from 1: the first and the last step of a walk are smaller. */
+  sizes?: number[];
   /** Version of the format. */
   version: number;
 };

@@ -130,6 +130,10 @@ pub struct HumSpec {
     pub frequency_hz: f64,
     /// Amplitude along the room's axes, in units of mu0 m / 4 pi, 1/m^3.
     pub amplitude_per_m3: [f64; 3],
+    /// When it begins, s; absent: it was there from the beginning.
+    pub from_s: Option<f64>,
+    /// When it ends, s; absent: never.
+    pub until_s: Option<f64>,
 }
 
 /// A metal object, as a sphere.

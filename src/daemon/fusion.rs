@@ -308,7 +308,10 @@ impl Fusion {
             }
             Command::Recent { from_s, sensors, to } => {
                 // Behind the name of a sensor the columns differ.
-                let columns = sensors.map(|names| signals::columns(names.iter().map(String::as_str)));
+                let columns = sensors.map(|names| {
+                    let names = || names.iter().map(String::as_str);
+                    [signals::columns(names()), signals::inertial_columns(names())].concat()
+                });
                 let wanted = |column: &str| {
                     columns.as_ref().is_none_or(|columns| columns.iter().any(|wanted| wanted == column))
                 };

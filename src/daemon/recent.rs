@@ -6,7 +6,7 @@
 use std::collections::VecDeque;
 
 use crate::output::{Body, Estimate};
-use crate::signals::{self, BodyColumns};
+use crate::signals::{self, BodyColumns, InertialColumns};
 use crate::stage::Stage;
 
 /// How far it reaches back at most, s.
@@ -18,6 +18,7 @@ const MOST_BYTES: usize = 32 << 20;
 #[derive(Debug)]
 pub(super) struct Recent {
     columns: Vec<String>,
+    inertial: InertialColumns,
     angles: BodyColumns,
     /// The newest body, without its segments.
     body: Option<Body>,
@@ -41,8 +42,17 @@ pub struct Excerpt {
 impl Recent {
     /// For a stage.
     pub(super) fn new(stage: &Stage) -> Self {
-        let (columns, angles) = (signals::columns_of(stage), BodyColumns::of(stage));
-        Self { columns, angles, body: None, row: Vec::new(), t_s: VecDeque::new(), values: VecDeque::new() }
+        let (inertial, angles) = (InertialColumns::of(stage), BodyColumns::of(stage));
+        let columns = signals::columns_of(stage);
+        Self {
+            columns,
+            inertial,
+            angles,
+            body: None,
+            row: Vec::new(),
+            t_s: VecDeque::new(),
+            values: VecDeque::new(),
+        }
     }
 
     /// The body, which comes before the estimate of its frame.
@@ -57,6 +67,7 @@ impl Recent {
             return;
         }
         signals::write(estimate, &mut self.row);
+        self.inertial.append(estimate, &mut self.row);
         self.angles.append(self.body.as_ref(), estimate, &mut self.row);
         let now = estimate.t_valid.as_secs_f64();
         while self.t_s.front().is_some_and(|oldest| *oldest < now - LONGEST_S)

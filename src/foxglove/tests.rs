@@ -145,7 +145,12 @@ fn a_good_sensor_is_a_frame_a_pose_and_a_ball() {
     assert_eq!(frames[1]["timestamp"]["nsec"], 250_000_000);
     let pose = &said["/sensors/left/pose"][0]["pose"];
     assert_eq!((&pose["position"]["x"], &pose["position"]["z"]), (&0.1.into(), &1.23457.into()));
-    assert_eq!((&pose["orientation"]["w"], &pose["orientation"]["z"]), (&0.707107.into(), &0.707107.into()));
+    // To six digits, as on our own websocket.
+    let half_turn = (1e6 * std::f64::consts::FRAC_1_SQRT_2).round() / 1e6;
+    assert_eq!(
+        (&pose["orientation"]["w"], &pose["orientation"]["z"]),
+        (&half_turn.into(), &half_turn.into())
+    );
     assert!(!said.contains_key("/sensors/right/pose"));
     let entity = &said["/scene/sensors"][0]["entities"][0];
     assert_eq!((&entity["id"], &entity["texts"][0]["text"]), (&"sensors".into(), &"left".into()));

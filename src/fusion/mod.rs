@@ -10,7 +10,6 @@ pub mod align;
 pub mod body;
 pub mod chain;
 mod half;
-pub mod hinge;
 pub mod intrinsics;
 mod level;
 pub mod limb;

@@ -3,6 +3,8 @@
 //! Nothing a client sends may end in a panic: whatever cannot be read is a [`ParseError`] with the request's id, if it
 //! had one, a code and a sentence.
 
+use std::collections::BTreeMap;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -172,6 +174,9 @@ pub enum Call {
         /// Who moves; absent: `default`.
         #[serde(default)]
         subject: Option<String>,
+        /// For each sensor that the exercises were taught with the one that this subject wears; absent: the same.
+        #[serde(default)]
+        sensors: Option<BTreeMap<String, String>>,
     },
     /// Counts a subject's exercises from 0 again.
     #[serde(rename = "exercise.reset")]

@@ -253,6 +253,17 @@ pub(super) struct SensorEntry {
     pub(super) state: SensorState,
     pub(super) position_m: Option<[f64; 3]>,
     pub(super) orientation_wxyz: Option<[f64; 4]>,
+    #[serde(default)]
+    pub(super) measured: Option<MeasuredEntry>,
+}
+
+/// What streams need of a sensor's raw record.
+#[derive(Deserialize)]
+pub(super) struct MeasuredEntry {
+    #[serde(default)]
+    pub(super) specific_force_m_s2: Option<[f64; 3]>,
+    #[serde(default)]
+    pub(super) angular_rate_rad_s: Option<[f64; 3]>,
 }
 
 impl SensorsMessage {

@@ -15,7 +15,7 @@ use super::poses::{SensorEntry, SensorsMessage};
 use crate::fusion::body::ANGLE_NAMES;
 use crate::layout::{BodyLayout, joint_and_angle};
 use crate::recording::{Item, ReadError, Reader};
-use crate::signals;
+use crate::signals::{self, InertialColumns};
 use crate::stage::Stage;
 
 /// A recording as named channels over time.
@@ -23,6 +23,7 @@ pub struct RecordedStreams {
     path: PathBuf,
     reader: Reader<BufReader<File>>,
     sensors: Vec<String>,
+    inertial: InertialColumns,
     /// Of the body, by their index in [`ANGLE_NAMES`].
     angles: Vec<usize>,
     columns: Vec<String>,
@@ -39,12 +40,15 @@ impl RecordedStreams {
         let reader = Reader::open(path)
             .map_err(|source| TableError::Recording { file: path.display().to_string(), source })?;
         let sensors = reader.header().sensors.clone();
-        let layout = Stage::parse(&reader.header().stage_toml).ok().and_then(|stage| BodyLayout::of(&stage));
         let mut columns = signals::columns(sensors.iter().map(String::as_str));
+        let stage = Stage::parse(&reader.header().stage_toml).ok();
+        let layout = stage.as_ref().and_then(BodyLayout::of);
+        let inertial = stage.as_ref().map(InertialColumns::of).unwrap_or_default();
+        columns.extend(stage.iter().flat_map(|stage| inertial.names(stage)));
         columns.extend(layout.iter().flat_map(BodyLayout::columns));
         let angles = layout.map_or_else(Vec::new, |layout| layout.shown_angles);
         let row = Vec::with_capacity(columns.len());
-        Ok(Self { path: path.to_owned(), reader, sensors, angles, columns, row, body: None })
+        Ok(Self { path: path.to_owned(), reader, sensors, inertial, angles, columns, row, body: None })
     }
 
     /// Names of the channels.
@@ -82,6 +86,14 @@ impl RecordedStreams {
                 let position_m = entry.and_then(|entry| entry.position_m);
                 let orientation_wxyz = entry.and_then(|entry| entry.orientation_wxyz);
                 signals::append(position_m, orientation_wxyz, &mut self.row);
+            }
+            for index in self.inertial.sensors() {
+                let name = self.sensors.get(*index);
+                let usable = |entry: &&SensorEntry| name == Some(&entry.name) && entry.state.is_usable();
+                let measured = message.sensors.iter().find(usable).and_then(|entry| entry.measured.as_ref());
+                let force = measured.and_then(|measured| measured.specific_force_m_s2);
+                let rate = measured.and_then(|measured| measured.angular_rate_rad_s);
+                signals::append_inertial(force, rate, &mut self.row);
             }
             let fresh = self.body.as_ref().filter(|body| message.t_s - body.t_s <= signals::BODY_AGE_S);
             self.row.extend(self.angles.iter().map(|angle| fresh?.angle_deg(ANGLE_NAMES[*angle])));

@@ -1,5 +1,6 @@
 //! Exercises live: taught from tracked poses, counted in the pipeline, replayed, and the same from a file.
 
+use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
 use posed::input::{Input, Model, Plan, Request};
@@ -67,7 +68,14 @@ fn load() -> Input {
 
 fn select(plan: Plan) -> Input {
     let (subject, exercises) = ("patient".to_owned(), vec!["curl".to_owned()]);
-    Input::Request(Request::ExerciseSelect { subject, exercises, plan })
+    Input::Request(Request::ExerciseSelect { subject, exercises, plan, sensors: BTreeMap::new() })
+}
+
+/// Selects the curl for somebody who wears other sensors than those it was taught with.
+fn with_sensors<const N: usize>(sensors: [(&str, &str); N]) -> Request {
+    let sensors = sensors.map(|(taught, worn)| (taught.to_owned(), worn.to_owned())).into();
+    let (subject, exercises) = ("patient".to_owned(), vec!["curl".to_owned()]);
+    Request::ExerciseSelect { subject, exercises, plan: Plan::default(), sensors }
 }
 
 /// Somebody else, at another pace; the exercise is loaded at the start.
@@ -151,6 +159,24 @@ fn sets_rests_and_subjects_are_kept_apart() {
 }
 
 #[test]
+fn who_wears_the_sensors_the_other_way_round_is_counted_once_that_is_said() {
+    let mut rig = Rig::new(&stage(&[2]), &scenario(2, 4, 2.6));
+    let mut swapped = CURL.clone();
+    for channel in &mut swapped.channels {
+        let (other, part) = match channel.strip_prefix("s0-0") {
+            Some(part) => ("s0-1", part),
+            None => ("s0-0", channel.trim_start_matches("s0-1")),
+        };
+        *channel = format!("{other}{part}");
+    }
+    rig.push(Input::Model(Model::Exercise { exercise: Box::new(swapped) }));
+    rig.push(Input::Request(with_sensors([("s0-0", "s0-1"), ("s0-1", "s0-0")])));
+    rig.run_until(18.0);
+    assert_eq!(counts(&rig.said, "patient"), [1, 2, 3, 4]);
+    assert_eq!(counts(&rig.said, "default"), [0; 0]);
+}
+
+#[test]
 fn requests_without_sense_are_refused_and_change_nothing() {
     let mut rig = session(1);
     let refused = [
@@ -158,17 +184,27 @@ fn requests_without_sense_are_refused_and_change_nothing() {
             subject: "a".into(),
             exercises: vec!["squat".into()],
             plan: Plan::default(),
+            sensors: BTreeMap::new(),
         },
         Request::ExerciseSelect {
             subject: "a".into(),
             exercises: vec!["curl".into(); 2],
             plan: Plan::default(),
+            sensors: BTreeMap::new(),
         },
-        Request::ExerciseSelect { subject: String::new(), exercises: Vec::new(), plan: Plan::default() },
+        Request::ExerciseSelect {
+            subject: String::new(),
+            exercises: Vec::new(),
+            plan: Plan::default(),
+            sensors: BTreeMap::new(),
+        },
+        with_sensors([("s0-0", "nobody")]),
+        with_sensors([("nobody", "s0-0")]),
         Request::ExerciseSelect {
             subject: "a".into(),
             exercises: vec!["curl".into()],
             plan: Plan { rest_s: f64::NAN, ..Plan::default() },
+            sensors: BTreeMap::new(),
         },
         Request::ExerciseReset { subject: "a".into() },
     ];

@@ -9,7 +9,9 @@ use posed::pipeline::Pipeline;
 use posed::recording::{Header, Writer};
 use posed::stage::{FieldWatch, Stage};
 use posed_simulator::motion::{Motion, Orbit, Still};
-use posed_simulator::scenario::{BodySpec, DeviceScenario, Material, MetalSpec, Scenario, SensorScenario};
+use posed_simulator::scenario::{
+    BodySpec, DeviceScenario, HumSpec, Material, MetalSpec, Scenario, SensorScenario,
+};
 use serde::Deserialize;
 
 use crate::cli::posed;
@@ -236,6 +238,43 @@ fn disturbances(rig: &mut Rig, news: &mut Vec<(f64, Cause, bool)>) {
         _ => None,
     }));
     rig.forget();
+}
+
+#[test]
+fn given_a_motor_that_is_switched_on_the_witness_hears_the_mains_within_half_a_second() {
+    let mut stage = stage(&[2]);
+    stage.field = Some(FieldWatch { witnesses: vec!["s0-0".into()], ..FieldWatch::default() });
+    let hum = HumSpec {
+        frequency_hz: 50.0,
+        amplitude_per_m3: [0.0, 0.004, 0.0],
+        from_s: Some(25.0),
+        until_s: Some(30.0),
+    };
+    let lamp = BodySpec {
+        name: "lamp".into(),
+        motion: Motion::Still(Still { position_m: [0.7, 0.1, 0.1], ..Still::default() }),
+    };
+    let on_the_lamp = SensorScenario {
+        name: "s0-0".into(),
+        body: "lamp".into(),
+        segment: None,
+        offset_m: [0.0; 3],
+        mount_quat_wxyz: [1.0, 0.0, 0.0, 0.0],
+    };
+    let scenario = Scenario {
+        devices: vec![DeviceScenario { name: "d0".into(), ..DeviceScenario::default() }],
+        hum: Some(hum),
+        bodies: vec![lamp],
+        sensors: vec![on_the_lamp],
+        ..Scenario::default()
+    };
+    let mut rig = Rig::new(&stage, &scenario);
+    rig.run_until(36.0);
+    let mut news = Vec::new();
+    disturbances(&mut rig, &mut news);
+    let of_hum: Vec<_> = news.iter().filter(|(_, cause, _)| *cause == Cause::Hum).collect();
+    let [(began_s, _, true), (ended_s, _, false)] = of_hum[..] else { panic!("{news:?}") };
+    assert!((25.0..25.5).contains(began_s) && (30.0..32.0).contains(ended_s), "{news:?}");
 }
 
 #[test]

@@ -15,6 +15,10 @@ pub struct Hum {
     pub amplitude: Vector3<f64>,
     /// Phase at t = 0, rad.
     pub phase_rad: f64,
+    /// From when on, s.
+    pub from_s: f64,
+    /// Until when, s.
+    pub until_s: f64,
 }
 
 /// A metal object that is there for a time.
@@ -98,7 +102,7 @@ impl Tracker {
             field += passing.sphere.field(&p_m);
         }
         let mut signals = signal_matrix(&field, &pose.rotation);
-        if let Some(hum) = &self.hum {
+        if let Some(hum) = self.hum.filter(|hum| (hum.from_s..hum.until_s).contains(&t_s)) {
             let phase = std::f64::consts::TAU * hum.frequency_hz * t_s + hum.phase_rad;
             let stray = pose.rotation.inverse() * (hum.amplitude * phase.sin());
             signals += stray * nalgebra::RowVector3::repeat(1.0);
@@ -176,8 +180,13 @@ mod tests {
     #[test]
     fn hum_shows_at_the_aliased_frequency() {
         let mut tracker = tracker();
-        tracker.hum =
-            Some(Hum { frequency_hz: 50.0, amplitude: Vector3::new(0.0, 0.01, 0.0), phase_rad: 0.3 });
+        tracker.hum = Some(Hum {
+            frequency_hz: 50.0,
+            amplitude: Vector3::new(0.0, 0.01, 0.0),
+            phase_rad: 0.3,
+            from_s: 0.0,
+            until_s: f64::INFINITY,
+        });
         // Sampled at 30 Hz, 50 Hz shows at |50 - 2 * 30| = 10 Hz: every third sample is alike.
         let x: Vec<f64> =
             (0..9).map(|i| measure(&tracker, f64::from(i) / 30.0, [0.8, 0.0, 0.0]).distortion_m.y).collect();

@@ -60,6 +60,8 @@ impl Scenario {
                 frequency_hz: hum.frequency_hz,
                 amplitude: transmitter_from_room.rotation * Vector3::from(hum.amplitude_per_m3),
                 phase_rad: 0.0,
+                from_s: hum.from_s.unwrap_or(f64::NEG_INFINITY),
+                until_s: hum.until_s.unwrap_or(f64::INFINITY),
             }),
             max_range_m: self.max_range_m.unwrap_or(if extended { 3.0 } else { 1.2 }),
             min_range_m: self.min_range_m,

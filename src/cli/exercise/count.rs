@@ -5,11 +5,11 @@
 use std::path::PathBuf;
 
 use posed::motion::exercise::{Counter, Event, EventKind, Exercise, columns_of};
-use posed::table::{TableError, TableWriter};
+use posed::table::{Streams, TableError, TableWriter};
 use serde::Serialize;
 
-use super::super::{Error, print, print_json};
-use super::read;
+use super::super::{Error, output, print, print_json};
+use super::{picture, read};
 
 /// Columns of the events.
 const COLUMNS: [&str; 8] = ["t", "t_start", "t_decided", "exercise", "event", "count", "reason", "feedback"];
@@ -29,6 +29,9 @@ pub(crate) struct Args {
     /// Write the events to this file.
     #[arg(short, long, value_name = "EVENTS.csv")]
     output: PathBuf,
+    /// Draw the recording and the repetitions that were counted in it.
+    #[arg(long, value_name = "PICTURE.svg")]
+    picture: Option<PathBuf>,
     /// Rows per second of a recording without a column `t`.
     #[arg(long, value_name = "HZ")]
     rate_hz: Option<f64>,
@@ -72,6 +75,10 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     counter.finish(&mut |event| events.push(event));
     let known: Vec<&Exercise> = counter.exercises().collect();
     write(&args, &known, &events).map_err(Error::failed)?;
+    if let Some(path) = &args.picture {
+        let svg = drawn(&streams, &known, &events);
+        output::replace(path, |file| file.write_all(svg.as_bytes()))?;
+    }
     let rejected = |index: usize| {
         events.iter().filter(|event| event.exercise == index && event.kind == EventKind::Rejected).count()
             as u64
@@ -92,6 +99,14 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         format!("{}: {} counted, {} rejected\n", counted.exercise, counted.count, counted.rejected)
     };
     print(&counted.iter().map(line).collect::<String>())
+}
+
+/// The channels that the exercises look at, with what was counted.
+fn drawn(streams: &Streams, exercises: &[&Exercise], events: &[Event]) -> String {
+    let used = exercises.iter().filter_map(|exercise| columns_of(&exercise.channels, &streams.columns).ok());
+    let counted = events.iter().filter(|event| event.kind == EventKind::Counted);
+    let counted: Vec<[f64; 2]> = counted.map(|event| [event.t_start_s, event.t_s]).collect();
+    picture::draw(streams, &used.flatten().collect::<Vec<_>>(), &counted)
 }
 
 fn load(path: &PathBuf) -> Result<Exercise, Error> {

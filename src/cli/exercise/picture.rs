@@ -1,17 +1,16 @@
-//! A picture of an example: its channels, and where the repetitions were seen.
+//! A picture of a recording: its channels, and where the repetitions were seen.
 
-use posed::motion::exercise::Report;
 use posed::table::Streams;
 
 const WIDTH: f64 = 1000.0;
 /// Height of one channel.
 const STRIP: f64 = 90.0;
 const MARGIN: f64 = 10.0;
-/// Points per channel: more than the picture has pixels says nothing.
-const POINTS: usize = 1500;
+/// Points per channel: as many as the picture has pixels.
+const POINTS: usize = 1000;
 
-/// SVG of the columns among `shown`, with a band for every repetition.
-pub(super) fn draw(streams: &Streams, shown: &[String], report: &Report) -> String {
+/// SVG of the columns among `shown`, with a band for every repetition: its beginning and end, s.
+pub(super) fn draw(streams: &Streams, shown: &[String], repetitions: &[[f64; 2]]) -> String {
     let columns: Vec<usize> =
         (0..streams.columns.len()).filter(|column| shown.contains(&streams.columns[*column])).collect();
     let height = STRIP * columns.len() as f64 + 30.0;
@@ -24,8 +23,8 @@ pub(super) fn draw(streams: &Streams, shown: &[String], report: &Report) -> Stri
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\" \
          font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"{WIDTH}\" height=\"{height}\" fill=\"white\"/>\n"
     );
-    for (index, seen) in report.repetitions.iter().enumerate() {
-        let (left, right) = (x(seen.t_start_s), x(seen.t_end_s));
+    for (index, [start_s, end_s]) in repetitions.iter().enumerate() {
+        let (left, right) = (x(*start_s), x(*end_s));
         let shade = if index % 2 == 0 { "#cfe8cf" } else { "#b4d8b4" };
         svg.push_str(&format!(
             "<rect x=\"{left:.1}\" y=\"20\" width=\"{:.1}\" height=\"{:.1}\" fill=\"{shade}\"/>\n\

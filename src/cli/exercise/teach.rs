@@ -81,7 +81,9 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     };
     if let Some(path) = &args.picture {
         let shown = if channels.is_empty() { &streams.columns } else { &channels };
-        let svg = picture::draw(&streams, shown, &report);
+        let seen: Vec<[f64; 2]> =
+            report.repetitions.iter().map(|seen| [seen.t_start_s, seen.t_end_s]).collect();
+        let svg = picture::draw(&streams, shown, &seen);
         output::replace(path, |file| file.write_all(svg.as_bytes()))?;
     }
     if let Ok(lesson) = &taught {

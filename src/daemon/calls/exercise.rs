@@ -3,6 +3,7 @@
 //! Teaching is a job on a thread of its own. It asks the fusion thread for the newest seconds, and what it has learned
 //! goes the way of every model and request: through the input log.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use serde_json::json;
@@ -39,7 +40,14 @@ pub(super) struct Lesson {
 
 impl Calls {
     /// Counts exercises; those that are not loaded come from the folder.
-    pub(super) fn select(&self, exercises: Vec<String>, plan: Plan, subject: Option<String>, reply: Reply) {
+    pub(super) fn select(
+        &self,
+        exercises: Vec<String>,
+        plan: Plan,
+        subject: Option<String>,
+        sensors: BTreeMap<String, String>,
+        reply: Reply,
+    ) {
         let mut kept = Vec::new();
         for name in &exercises {
             match self.exercises.newest(name) {
@@ -49,7 +57,7 @@ impl Calls {
             }
         }
         let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
-        self.request(Request::ExerciseSelect { subject, exercises, plan }, kept, reply);
+        self.request(Request::ExerciseSelect { subject, exercises, plan, sensors }, kept, reply);
     }
 
     /// Hands a request to the pipeline; `models` are swapped in before if it lacks them.
@@ -180,7 +188,8 @@ impl Classroom {
         let subject = self.lesson.subject.clone().unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
         let exercises = vec![exercise.name.clone()];
         self.inbox.push(Event::Command(Command::LoadModel(Model::Exercise { exercise: Box::new(exercise) })));
-        let request = Request::ExerciseSelect { subject, exercises, plan: Plan::default() };
+        let (plan, sensors) = (Plan::default(), BTreeMap::new());
+        let request = Request::ExerciseSelect { subject, exercises, plan, sensors };
         self.inbox.push(Event::Command(Command::Request { request, models: Vec::new(), reply: None }));
         let remarks = report.remarks.iter().map(|remark| format!("; {remark}"));
         Ok(std::iter::once(sentence).chain(remarks).collect())

@@ -110,9 +110,9 @@ impl Calls {
                 let lesson = exercise::Lesson { name, repetitions, last_s, sensors, channels, subject };
                 self.teach(lesson, reply);
             }
-            Call::ExerciseSelect { exercises, repetitions, sets, rest_s, subject } => {
+            Call::ExerciseSelect { exercises, repetitions, sets, rest_s, subject, sensors } => {
                 let plan = Plan { repetitions, sets, rest_s: rest_s.unwrap_or(0.0) };
-                self.select(exercises, plan, subject, reply);
+                self.select(exercises, plan, subject, sensors.unwrap_or_default(), reply);
             }
             Call::ExerciseReset { subject } => {
                 let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());

@@ -15,9 +15,9 @@ use serde::{Deserialize, Serialize};
 /// Standard gravity, m/s².
 pub(super) const GRAVITY_M_S2: f64 = 9.81;
 
-const STATES: usize = 7;
-const TILT: usize = 0;
-const BIAS: usize = 2;
+pub(super) const STATES: usize = 7;
+pub(super) const TILT: usize = 0;
+pub(super) const BIAS: usize = 2;
 const VELOCITY: usize = 5;
 
 /// Noise that the tilt filter assumes.
@@ -74,8 +74,8 @@ pub(super) struct ForceWindow {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Inclination {
     /// Tilt, bias, velocity; the tilt part is zero between updates.
-    x: SVector<f64, STATES>,
-    p: SMatrix<f64, STATES, STATES>,
+    pub(super) x: SVector<f64, STATES>,
+    pub(super) p: SMatrix<f64, STATES, STATES>,
 }
 
 impl Inclination {
@@ -102,6 +102,16 @@ impl Inclination {
             let sigma = self.p[(BIAS + i, BIAS + i)].max(0.0).sqrt().hypot(params.rest_gyro);
             (gyro[i] - self.x[BIAS + i]).abs() < 4.0 * sigma
         })
+    }
+
+    /// The bias as at the beginning.
+    pub(super) fn forget_bias(&mut self, params: &InclinationParams) {
+        for i in BIAS..VELOCITY {
+            self.x[i] = 0.0;
+            self.p.row_mut(i).fill(0.0);
+            self.p.column_mut(i).fill(0.0);
+            self.p[(i, i)] = params.bias_initial.powi(2);
+        }
     }
 
     /// As new, but for the bias and what is known of it.
@@ -135,8 +145,17 @@ impl Inclination {
         tilt
     }
 
+    /// F of [`Self::predict`] as a matrix.
+    pub(super) fn transition(w: &ForceWindow) -> SMatrix<f64, STATES, STATES> {
+        let mut f = SMatrix::<f64, STATES, STATES>::identity();
+        f[(VELOCITY, TILT + 1)] = w.velocity_m_s.z;
+        f[(VELOCITY + 1, TILT)] = -w.velocity_m_s.z;
+        f.fixed_view_mut::<2, 3>(TILT, BIAS).copy_from(&-w.rotation_s.fixed_rows::<2>(0));
+        f
+    }
+
     /// `P <- F P F' + Q` with the blocks of F applied as row and column operations.
-    fn predict(&mut self, params: &InclinationParams, w: &ForceWindow) {
+    pub(super) fn predict(&mut self, params: &InclinationParams, w: &ForceWindow) {
         let t = w.duration_s;
         let up = w.velocity_m_s.z;
         let (x, p) = (&mut self.x, &mut self.p);
@@ -183,5 +202,54 @@ impl Inclination {
                 self.p[(k, j)] -= gain[k] * column[j];
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fusion::ahrs::tests::Normal;
+    use crate::geometry::so3;
+
+    /// Fifty runs in which bias, tilt, velocity and what is measured are as the filter assumes.
+    #[test]
+    fn it_is_consistent_in_a_matched_model() {
+        const RUNS: u64 = 50;
+        const WINDOWS: usize = 200;
+        let params = InclinationParams::default();
+        let mut sums = [0.0; WINDOWS];
+        for run in 0..RUNS {
+            let mut normal = Normal::new(run);
+            let mut filter = Inclination::new(&params);
+            let mut truth = filter.clone();
+            truth.x += SVector::from_fn(|i, _| filter.p[(i, i)].sqrt() * normal.next());
+            for (k, sum) in sums.iter_mut().enumerate() {
+                let turned = so3::exp(&Vector3::new((0.05 * k as f64).sin(), 0.03 * k as f64, 0.4));
+                let w = ForceWindow {
+                    duration_s: 0.03,
+                    rotation_s: turned.to_rotation_matrix().into_inner() * 0.03,
+                    velocity_m_s: Vector3::z() * GRAVITY_M_S2 * 0.03,
+                    shaking: 0.5,
+                    turned_rad: 0.03,
+                    rest_gyro_rad_s: None,
+                };
+                // One step's noise from the filter's own Q.
+                let mut noise = Inclination { x: SVector::zeros(), p: SMatrix::zeros() };
+                noise.predict(&params, &w);
+                truth.x = Inclination::transition(&w) * truth.x
+                    + SVector::from_fn(|i, _| noise.p[(i, i)].sqrt() * normal.next());
+                filter.x = Inclination::transition(&w) * filter.x;
+                filter.predict(&params, &ForceWindow { velocity_m_s: Vector3::z() * w.velocity_m_s.z, ..w });
+                let r = params.velocity_density.powi(2) / w.duration_s;
+                for i in VELOCITY..STATES {
+                    filter.observe(i, truth.x[i] + r.sqrt() * normal.next(), r);
+                }
+                let e = truth.x - filter.x;
+                *sum += e.dot(&filter.p.cholesky().unwrap().solve(&e)) / RUNS as f64;
+            }
+        }
+        // 95 % of chi squared with 350 degrees of freedom, over 50.
+        let inside = sums.iter().filter(|sum| (6.00..8.07).contains(*sum)).count();
+        assert!(inside * 10 >= WINDOWS * 9, "{inside} of {WINDOWS}");
     }
 }

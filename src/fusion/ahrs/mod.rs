@@ -1,7 +1,7 @@
 //! Orientation of a single IMU, causally, with or without a magnetometer.
 //!
 //! In: rate gyro, accelerometer and (optionally) magnetometer samples of one sensor, each with the time since
-//! the one before. Out: sensor to room, after every sample. It never looks ahead, never lets the magnetometer
+//! the one before. Out: sensor to room, after every sample. It never looks ahead (but for [`smoothed`]), never lets the magnetometer
 //! tilt the result, and never allocates.
 //!
 //! ```text
@@ -11,6 +11,7 @@
 //! accel ──> inclination.rs: tilt, gyro bias, velocity          │
 //! mag ────> heading.rs: field, disturbance, magnet on the sensor, lag ──> heading
 //! rest.rs: is it lying still?
+//! smooth.rs: a whole recording, back and forth
 //! ```
 //! As in Laidig & Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic
 //! disturbance rejection" (2023), inclination and heading are decoupled: the strapdown runs in a frame that is
@@ -22,15 +23,17 @@
 mod heading;
 mod inclination;
 mod rest;
+mod smooth;
 #[cfg(test)]
 mod tests;
 
-use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 pub use heading::HeadingParams;
 pub use inclination::InclinationParams;
 pub use rest::RestParams;
+pub use smooth::smoothed;
 
 /// What the filter assumes; the defaults are one set for all sensors of MEMS class.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -86,6 +89,10 @@ pub struct Ahrs {
     inclination: inclination::Inclination,
     heading: heading::Heading,
     rest: rest::Rest,
+    /// Whether a rest has shown the bias.
+    rested: bool,
+    /// What a rest has proven to be bias though it was more than a calibrated unit has, rad/s; taken off every sample.
+    offset_rad_s: Vector3<f64>,
     /// Samples refused because a number in them was not finite.
     rejected: u64,
 }
@@ -123,6 +130,8 @@ impl Ahrs {
             inclination: inclination::Inclination::new(&params.inclination),
             heading: heading::Heading::new(&params.heading),
             rest: rest::Rest::default(),
+            rested: false,
+            offset_rad_s: Vector3::zeros(),
             rejected: 0,
             params,
         }
@@ -133,18 +142,26 @@ impl Ahrs {
     /// A sample with a number that is not finite (or a `dt_s` that is not positive) changes nothing but
     /// [`Self::rejected`].
     pub fn push(&mut self, sample: &ImuSample, dt_s: f64) -> UnitQuaternion<f64> {
+        if self.advance(sample, dt_s) {
+            self.close_window();
+        }
+        self.orientation()
+    }
+
+    /// Takes one sample into the window; says whether that is full.
+    fn advance(&mut self, sample: &ImuSample, dt_s: f64) -> bool {
         let mag = sample.mag.filter(|m| m.iter().all(|v| v.is_finite()) && m.norm_squared() > 0.0);
         let finite = sample.gyro_rad_s.iter().chain(sample.accel_m_s2.iter()).all(|v| v.is_finite());
         if !finite || !dt_s.is_finite() || dt_s <= 0.0 {
             self.rejected += 1;
-            return self.orientation();
+            return false;
         }
         let dt_s = dt_s.min(0.5);
         if !self.started {
             self.start(sample.accel_m_s2, mag);
         }
-        let gyro = sample.gyro_rad_s;
-        self.rest.push(&self.params.rest, gyro, sample.accel_m_s2, dt_s);
+        let gyro = sample.gyro_rad_s - self.offset_rad_s;
+        self.rest.push(&self.params.rest, gyro, sample.accel_m_s2, mag, dt_s);
 
         let rate = gyro - self.inclination.bias_rad_s();
         self.q_level_sensor = integrate(self.q_level_sensor, rate, dt_s);
@@ -165,10 +182,7 @@ impl Ahrs {
             w.mag_lag += rotation * rate.cross(&mag);
             w.mag_rotation += rotation;
         }
-        if w.duration_s >= self.params.window_s - 1e-9 {
-            self.close_window();
-        }
-        self.orientation()
+        w.duration_s >= self.params.window_s - 1e-9
     }
 
     /// Back to the beginning of the same recording, keeping the gyro bias that it showed.
@@ -219,7 +233,13 @@ impl Ahrs {
 
     /// Estimated gyro bias, rad/s, sensor axes.
     pub fn bias_rad_s(&self) -> Vector3<f64> {
-        self.inclination.bias_rad_s()
+        self.offset_rad_s + self.inclination.bias_rad_s()
+    }
+
+    /// The gyro bias of a unit that nobody has calibrated, as a rest has proven it, rad/s, sensor axes; zero where the bias never was
+    /// more than a calibrated unit has.
+    pub fn offset_rad_s(&self) -> Vector3<f64> {
+        self.offset_rad_s
     }
 
     /// Whether the sensor lies still.
@@ -259,12 +279,28 @@ impl Ahrs {
         }
     }
 
-    fn close_window(&mut self) {
+    /// The rest of the gyro's bias, where the sensor lies still for certain.
+    fn rest_gyro_rad_s(&mut self) -> Option<Vector3<f64>> {
+        let gyro = self.rest.gyro_rad_s();
+        let credible = self.inclination.may_be_bias(&self.params.inclination, &gyro);
+        if !credible && self.rest.proves_bias(&self.params.rest, !self.rested) {
+            // A unit that nobody has calibrated. Bias and heading were estimated with a gyro that turned on the spot.
+            self.rested = true;
+            self.offset_rad_s += gyro;
+            self.inclination.forget_bias(&self.params.inclination);
+            self.heading.resume(&self.params.heading);
+            self.rest = rest::Rest::default();
+            return None;
+        }
+        let rests = self.rest.at_rest() && (credible || self.rest.still_s() > self.params.rest.certain_s);
+        self.rested |= rests;
+        rests.then_some(gyro)
+    }
+
+    /// Runs the filters over the window; returns what the tilt was told, and the tilt that was applied.
+    fn close_window(&mut self) -> (inclination::ForceWindow, Vector2<f64>) {
         let w = std::mem::take(&mut self.window);
-        let rest_gyro_rad_s = self.rest.at_rest().then(|| self.rest.gyro_rad_s()).filter(|gyro| {
-            self.inclination.may_be_bias(&self.params.inclination, gyro)
-                || self.rest.still_s() > self.params.rest.certain_s
-        });
+        let rest_gyro_rad_s = self.rest_gyro_rad_s();
         if w.mag_samples > 0 {
             self.heading.update(
                 &self.params.heading,
@@ -278,19 +314,18 @@ impl Ahrs {
                 },
             );
         }
-        let tilt = self.inclination.update(
-            &self.params.inclination,
-            &inclination::ForceWindow {
-                duration_s: w.duration_s,
-                rotation_s: w.rotation_s,
-                velocity_m_s: w.velocity_m_s,
-                shaking: w.shaking,
-                turned_rad: w.turned_rad,
-                rest_gyro_rad_s,
-            },
-        );
+        let force = inclination::ForceWindow {
+            duration_s: w.duration_s,
+            rotation_s: w.rotation_s,
+            velocity_m_s: w.velocity_m_s,
+            shaking: w.shaking,
+            turned_rad: w.turned_rad,
+            rest_gyro_rad_s,
+        };
+        let tilt = self.inclination.update(&self.params.inclination, &force);
         let correction = UnitQuaternion::from_scaled_axis(Vector3::new(tilt[0], tilt[1], 0.0));
         self.q_level_sensor = UnitQuaternion::new_normalize((correction * self.q_level_sensor).into_inner());
+        (force, tilt)
     }
 }
 

@@ -1,6 +1,8 @@
 //! Is the sensor lying still?
 //!
-//! In: gyro and accelerometer samples. Out: a flag, and the low-passed gyro, which at rest is the bias.
+//! In: gyro, accelerometer and magnetometer samples. Out: a flag, and the low-passed gyro, which at rest is the bias. A gyro
+//! that reads more than its known bias can be that lies still all the same where gravity and field keep their
+//! places: what turns takes them along.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -18,8 +20,12 @@ pub struct RestParams {
     pub min_s: f64,
     /// After so long nothing but a bias keeps a gyro from zero, s; before, a rate that the bias cannot explain is slow turning.
     pub certain_s: f64,
-    /// Largest bias that can be; a constant rate above it is no rest, rad/s.
+    /// Largest bias of a unit whose bias is known; a constant rate above it is no rest, rad/s.
     pub bias_clip_rad_s: f64,
+    /// Largest bias of a unit as it comes from the factory, rad/s.
+    pub factory_bias_rad_s: f64,
+    /// How long gravity and field must keep their places to prove that a constant rate is a bias, s.
+    pub proof_s: f64,
 }
 
 impl Default for RestParams {
@@ -31,28 +37,98 @@ impl Default for RestParams {
             min_s: 1.5,
             certain_s: 30.0,
             bias_clip_rad_s: 2.0_f64.to_radians(),
+            factory_bias_rad_s: 10.0_f64.to_radians(),
+            proof_s: 2.0,
         }
     }
 }
+
+/// Turn that a direction must show by to say anything, rad, and which part of it may be noise.
+const TELLING_RAD: f64 = 0.02;
+const NOISE_SHARE: f64 = 0.3;
 
 /// State of the detector.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Rest {
     gyro: LowPass,
     accel: LowPass,
+    mag: LowPass,
+    /// Since the low-passes have settled.
+    placed: Option<Placed>,
     still_s: f64,
+    /// The same with a rate that only a factory's bias could explain.
+    steady_s: f64,
     at_rest: bool,
 }
 
+/// What there was when the low-passes had settled.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Placed {
+    /// Gravity and field then.
+    directions: [Vector3<f64>; 2],
+    /// How long ago, s.
+    ago_s: f64,
+    /// Integral of the gyro since, rad.
+    turned_rad: Vector3<f64>,
+}
+
 impl Rest {
-    pub(super) fn push(&mut self, params: &RestParams, gyro: Vector3<f64>, accel: Vector3<f64>, dt_s: f64) {
+    pub(super) fn push(
+        &mut self,
+        params: &RestParams,
+        gyro: Vector3<f64>,
+        accel: Vector3<f64>,
+        mag: Option<Vector3<f64>>,
+        dt_s: f64,
+    ) {
         let rate = self.gyro.push(gyro, dt_s, params.tau_s);
         let force = self.accel.push(accel, dt_s, params.tau_s);
+        let field = mag.map_or(self.mag.stage[1], |mag| self.mag.push(mag, dt_s, params.tau_s));
         let moving = (gyro - rate).norm_squared() > params.gyro_rad_s.powi(2)
-            || (accel - force).norm_squared() > params.accel_m_s2.powi(2)
-            || rate.amax() > params.bias_clip_rad_s;
-        self.still_s = if moving { 0.0 } else { self.still_s + dt_s };
+            || (accel - force).norm_squared() > params.accel_m_s2.powi(2);
+        let steady = !moving && rate.amax() <= params.factory_bias_rad_s;
+        self.steady_s = if steady { self.steady_s + dt_s } else { 0.0 };
+        let still = !moving && rate.amax() <= params.bias_clip_rad_s;
+        self.still_s = if still { self.still_s + dt_s } else { 0.0 };
         self.at_rest = self.still_s >= params.min_s;
+        self.placed = match self.placed.take() {
+            _ if self.steady_s < params.tau_s => None,
+            None => Some(Placed { directions: [force, field], ago_s: 0.0, turned_rad: Vector3::zeros() }),
+            Some(placed) => Some(Placed {
+                ago_s: placed.ago_s + dt_s,
+                turned_rad: placed.turned_rad + gyro * dt_s,
+                ..placed
+            }),
+        };
+    }
+
+    /// Whether the rate is a bias however large it is, because gravity and field kept their places. A turn about the vertical shows in
+    /// the field alone; without one `vertical` says whether a rate about it may be taken for a bias.
+    pub(super) fn proves_bias(&self, params: &RestParams, vertical: bool) -> bool {
+        let Some(placed) = &self.placed else { return false };
+        let turned = placed.turned_rad;
+        let off = self.gyro_rad_s() * placed.ago_s - turned;
+        // What swings to and fro comes back to its place, and is no bias.
+        if placed.ago_s < params.proof_s || off.norm() > NOISE_SHARE * turned.norm() {
+            return false;
+        }
+        let now = [self.accel.stage[1], self.mag.stage[1]];
+        // What no direction that should have turned can speak of: the part about that direction itself.
+        let mut unseen = turned.norm();
+        let mut told = 0;
+        for (from, to) in placed.directions.iter().zip(&now) {
+            let (Some(from), Some(to)) = (from.try_normalize(0.0), to.try_normalize(0.0)) else { continue };
+            let expected = turned.cross(&from).norm();
+            if expected < TELLING_RAD {
+                continue;
+            }
+            if (to - from).norm() > NOISE_SHARE * expected {
+                return false;
+            }
+            told += 1;
+            unseen = if told == 1 { turned.dot(&from).abs() } else { 0.0 };
+        }
+        unseen <= NOISE_SHARE * turned.norm() || (vertical && !self.mag.started)
     }
 
     pub(super) fn at_rest(&self) -> bool {

@@ -65,6 +65,29 @@ impl Simulation {
     }
 }
 
+/// Normal numbers, by Box and Muller.
+pub(super) struct Normal(u64);
+
+impl Normal {
+    pub(super) fn new(seed: u64) -> Self {
+        let mut normal = Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
+        normal.next();
+        normal
+    }
+
+    fn uniform(&mut self) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        ((self.0 >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
+    }
+
+    pub(super) fn next(&mut self) -> f64 {
+        let (radius, angle) = ((-2.0 * self.uniform().ln()).sqrt(), std::f64::consts::TAU * self.uniform());
+        radius * angle.cos()
+    }
+}
+
 fn field(turn_deg: f64, norm: f64, dip_deg: f64) -> Vector3<f64> {
     let (turn, dip) = (turn_deg.to_radians(), dip_deg.to_radians());
     Vector3::new(dip.cos() * turn.sin(), dip.cos() * turn.cos(), -dip.sin()) * (46.0 * norm)
@@ -141,6 +164,43 @@ fn ten_seconds_of_rest_remove_a_bias() {
 }
 
 #[test]
+fn a_rest_proves_the_bias_of_a_unit_that_nobody_calibrated() {
+    for mag in [true, false] {
+        let (mut ahrs, mut simulation) = (Ahrs::new(params()), Simulation::new(0.0));
+        simulation.bias = Vector3::new(3.0, -4.5, 4.0) * 1_f64.to_radians();
+        for _ in 0..500 {
+            let sample = simulation.step();
+            ahrs.push(&ImuSample { mag: sample.mag.filter(|_| mag), ..sample }, 1.0 / RATE_HZ);
+        }
+        let left = (ahrs.bias_rad_s() - simulation.bias).amax().to_degrees();
+        assert!(left < 0.1, "{left} deg/s");
+        if mag {
+            run(&mut ahrs, &mut simulation, 5.0);
+            let (heading, tilt) = run(&mut ahrs, &mut simulation, 10.0);
+            assert!(heading < 3.0 && tilt < 1.0, "{heading}, {tilt} degrees");
+        }
+    }
+}
+
+/// A turntable, which turns gravity or the field, is no bias however evenly it turns.
+#[test]
+fn an_even_turn_is_no_bias() {
+    for axis in [Vector3::z(), Vector3::x()] {
+        let (mut ahrs, mut simulation) = (Ahrs::new(params()), Simulation::new(0.0));
+        run(&mut ahrs, &mut simulation, 5.0);
+        let rate = axis * 5_f64.to_radians();
+        for _ in 0..1500 {
+            simulation.truth *= so3::exp(&(rate / RATE_HZ));
+            let mut sample = simulation.step();
+            sample.gyro_rad_s += rate;
+            ahrs.push(&sample, 1.0 / RATE_HZ);
+        }
+        let left = (ahrs.bias_rad_s() - simulation.bias).amax().to_degrees();
+        assert!(left < 0.3, "{left} deg/s");
+    }
+}
+
+#[test]
 fn motion_alone_reveals_the_bias() {
     let (mut ahrs, mut simulation) = (Ahrs::new(params()), Simulation::new(1.5));
     run(&mut ahrs, &mut simulation, 60.0);
@@ -165,6 +225,20 @@ fn a_disturbed_field_does_not_turn_the_heading() {
             assert!(tilt < 1.0, "the magnetometer tilted it by {tilt} degrees");
         }
     }
+}
+
+/// A sensor that hardly turns cannot tell a disturbed room from a magnet on itself, and must not choose one.
+#[test]
+fn a_disturbance_lasts_for_a_sensor_that_hardly_turns() {
+    let (mut ahrs, mut simulation) = warmed(0.1);
+    let (before, _) = run(&mut ahrs, &mut simulation, 10.0);
+    simulation.field = field(45.0, 0.86, 49.0);
+    let (during, _) = run(&mut ahrs, &mut simulation, 30.0);
+    assert!(ahrs.magnetic_disturbance());
+    simulation.field = field(0.0, 1.0, 65.0);
+    let (after, _) = run(&mut ahrs, &mut simulation, 30.0);
+    assert!(!ahrs.magnetic_disturbance());
+    assert!(during - before < 2.0 && after - before < 2.0, "{before}, {during}, {after} degrees");
 }
 
 #[test]

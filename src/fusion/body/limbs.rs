@@ -68,6 +68,8 @@ pub(super) struct LimbFilter {
     form: LimbForm,
     /// Whether upper and lower segment wear a sensor.
     worn: [bool; 2],
+    /// Bias of both gyros that a rest has proven, rad/s: more than the filter takes for possible.
+    offsets_rad_s: [Vector3<f64>; 2],
     filter: Filter,
 }
 
@@ -98,6 +100,7 @@ impl LimbFilter {
             noise: params.limb,
             form: params.form,
             worn: [of(upper.index()).is_some(), of(lower.index()).is_some()],
+            offsets_rad_s: [Vector3::zeros(); 2],
             filter: Filter::Waiting,
         }
     }
@@ -112,18 +115,25 @@ impl LimbFilter {
         samples: [Option<ImuSample>; 2],
         dt_s: f64,
     ) -> [SensorReport; 2] {
+        let offsets_rad_s =
+            sensors.map(|sensor| sensor.as_ref().map_or_else(Vector3::zeros, |s| s.ahrs.offset_rad_s()));
+        if offsets_rad_s != self.offsets_rad_s {
+            self.offsets_rad_s = offsets_rad_s;
+            self.filter = Filter::Waiting;
+        }
         if matches!(self.filter, Filter::Waiting) {
             self.begin(base, own);
             return [SensorReport::default(); 2];
         }
         // The field of a sample is replaced by what the sensor's own filter makes of it.
-        let with_north = |sample: Option<ImuSample>, sensor: &Option<Sensor>| {
-            sample.map(|sample| ImuSample { mag: sensor.as_ref().and_then(Sensor::north), ..sample })
+        let with_north = |which: usize| {
+            samples[which].map(|sample| ImuSample {
+                gyro_rad_s: sample.gyro_rad_s - offsets_rad_s[which],
+                mag: sensors[which].as_ref().and_then(Sensor::north),
+                ..sample
+            })
         };
-        let samples = LimbSamples {
-            upper: with_north(samples[0], sensors[0]),
-            lower: with_north(samples[1], sensors[1]),
-        };
+        let samples = LimbSamples { upper: with_north(0), lower: with_north(1) };
         let at_rest = sensors.iter().all(|sensor| sensor.as_ref().is_none_or(|s| s.ahrs.at_rest()));
         let rests = at_rest && base.rate_rad_s.norm() < 0.05;
         with_limb!(&mut self.filter, [SensorReport::default(); 2], limb => {

@@ -44,6 +44,12 @@ pub type BodySamples = [Option<ImuSample>; SEGMENTS];
 
 /// Without a sample for so long the last rate goes on, s; then the segment holds still.
 const HOLD_S: f64 = 0.1;
+/// What an accelerometer that was calibrated tilts by: 0.03 of 9.81 m/s², rad.
+const LEVEL_RAD: f64 = 0.003;
+/// What a compass that was calibrated is off by: 0.5 of the 20 uT that lie level, rad.
+const COMPASS_RAD: f64 = 0.025;
+/// Rate at which a heading drifts that the gyro holds, rad/s.
+const DRIFT_RAD_S: f64 = 3e-4;
 /// A sample so long after the one before says nothing of the turn between, s.
 const GAP_S: f64 = 0.05;
 /// What such a sample stands for, s.
@@ -275,8 +281,8 @@ impl BodyFilter {
         let out = &mut self.estimate;
         for trunk in [Segment::Torso, Segment::Pelvis] {
             out.orientations[trunk.index()] = own[trunk.index()];
-            if self.sensors[trunk.index()].is_some() {
-                out.sigma_rad[trunk.index()] = 1.5_f64.to_radians();
+            if let Some(sensor) = &self.sensors[trunk.index()] {
+                out.sigma_rad[trunk.index()] = sensor.systematic_rad(self.held_s);
             }
         }
         for (limb, filter) in Limb::ALL.into_iter().zip(&self.limbs) {
@@ -285,7 +291,11 @@ impl BodyFilter {
             let relative = filter.orientations();
             for (k, segment) in [upper, lower].into_iter().enumerate() {
                 out.orientations[segment.index()] = relative[k].map(|q| q_room_base * q);
-                out.sigma_rad[segment.index()] = filter.sigma_rad(k);
+                // The filter knows of noise alone; what both sensors are off by lasts.
+                let beside = [trunk, segment].map(|s| {
+                    self.sensors[s.index()].as_ref().map_or(0.0, |sensor| sensor.systematic_rad(self.held_s))
+                });
+                out.sigma_rad[segment.index()] = filter.sigma_rad(k).hypot(beside[0]).hypot(beside[1]);
             }
         }
         out.angles_rad = angles(&out.orientations);
@@ -313,6 +323,14 @@ impl BodyFilter {
 }
 
 impl Sensor {
+    /// What calibrated sensors are off by for good, rms about an axis, rad: the accelerometer's bias tilts, and the compass'
+    /// iron turns the heading, or without a field the gyro's bias for `held_s`.
+    fn systematic_rad(&self, held_s: f64) -> f64 {
+        let heading =
+            if self.magnetometer { COMPASS_RAD.hypot(DRIFT_RAD_S * held_s) } else { DRIFT_RAD_S * held_s };
+        ((2.0 * LEVEL_RAD.powi(2) + heading.powi(2)) / 3.0).sqrt().min(std::f64::consts::PI)
+    }
+
     fn push(&mut self, sample: Option<&ImuSample>, age_s: f64, dt_s: f64) {
         self.watch.sample(sample, dt_s);
         self.behind_s += dt_s;

@@ -242,21 +242,24 @@ fn transition<J: Joint<N> + Clone, const D: usize, const N: usize>(
 }
 
 /// Error state of `other` as seen from `limb`.
-fn difference<const D: usize, const N: usize>(
-    limb: &Limb<Ball, D, N>,
-    other: &Limb<Ball, D, N>,
+fn difference<J: Upper<N>, const D: usize, const N: usize>(
+    limb: &Limb<J, D, N>,
+    other: &Limb<J, D, N>,
 ) -> SVector<f64, N> {
+    let begin = Limb::<J, D, N>::LOWER;
     let mut dx = SVector::<f64, N>::zeros();
     let mut put = |at: usize, part: V| dx.fixed_rows_mut::<3>(at).copy_from(&part);
-    put(0, so3::log(&(limb.upper.q.inverse() * other.upper.q)));
-    put(3, other.upper.rate_rad_s - limb.upper.rate_rad_s);
-    put(6, other.upper.accel_rad_s2 - limb.upper.accel_rad_s2);
-    put(9, other.biases[0] - limb.biases[0]);
-    put(12 + 3 * D, other.biases[1] - limb.biases[1]);
+    for (k, part) in limb.upper.off(&other.upper).into_iter().enumerate() {
+        put(3 * k, part);
+    }
+    if Limb::<J, D, N>::HAS_BIAS {
+        put(9, other.biases[0] - limb.biases[0]);
+        put(begin + 3 * D, other.biases[1] - limb.biases[1]);
+    }
     let mut put = |at: usize, part: SVector<f64, D>| dx.fixed_rows_mut::<D>(at).copy_from(&part);
-    put(12, other.lower.angle_rad - limb.lower.angle_rad);
-    put(12 + D, other.lower.rate_rad_s - limb.lower.rate_rad_s);
-    put(12 + 2 * D, other.lower.accel_rad_s2 - limb.lower.accel_rad_s2);
+    put(begin, other.lower.angle_rad - limb.lower.angle_rad);
+    put(begin + D, other.lower.rate_rad_s - limb.lower.rate_rad_s);
+    put(begin + 2 * D, other.lower.accel_rad_s2 - limb.lower.accel_rad_s2);
     dx
 }
 
@@ -380,15 +383,52 @@ impl Normal {
     }
 }
 
+/// An upper joint of either form.
+trait Upper<const N: usize>: Joint<N> + Clone {
+    fn still() -> Self;
+    /// Turn, rate and acceleration of `other` as errors of this one.
+    fn off(&self, other: &Self) -> [V; 3];
+}
+
+impl<const N: usize> Upper<N> for Ball {
+    fn still() -> Self {
+        Self { q: Q::identity(), rate_rad_s: V::zeros(), accel_rad_s2: V::zeros() }
+    }
+
+    fn off(&self, other: &Self) -> [V; 3] {
+        [
+            so3::log(&(self.q.inverse() * other.q)),
+            other.rate_rad_s - self.rate_rad_s,
+            other.accel_rad_s2 - self.accel_rad_s2,
+        ]
+    }
+}
+
+impl<const N: usize> Upper<N> for Axes<3> {
+    fn still() -> Self {
+        let mut axes = Axes::new([V::z(), V::x(), V::y()]);
+        axes.angle_rad = V::new(0.3, 0.2, -0.1);
+        axes
+    }
+
+    fn off(&self, other: &Self) -> [V; 3] {
+        [
+            other.angle_rad - self.angle_rad,
+            other.rate_rad_s - self.rate_rad_s,
+            other.accel_rad_s2 - self.accel_rad_s2,
+        ]
+    }
+}
+
 /// A limb that moves as the filter assumes, what its sensors say, and a filter begun beside it.
-struct Matched<const D: usize, const N: usize> {
-    truth: Limb<Ball, D, N>,
-    filter: Limb<Ball, D, N>,
+struct Matched<J, const D: usize, const N: usize> {
+    truth: Limb<J, D, N>,
+    filter: Limb<J, D, N>,
     normal: Normal,
     t: f64,
 }
 
-impl Matched<2, 21> {
+impl Matched<Ball, 2, 21> {
     fn new(seed: u64) -> Self {
         let mut elbow = Axes::new(elbow_axes());
         elbow.angle_rad[0] = 1.0;
@@ -396,7 +436,7 @@ impl Matched<2, 21> {
     }
 }
 
-impl<const D: usize, const N: usize> Matched<D, N> {
+impl<J: Upper<N>, const D: usize, const N: usize> Matched<J, D, N> {
     const DT: f64 = 0.01;
 
     fn with(seed: u64, lower: Axes<D>) -> Self {
@@ -407,13 +447,13 @@ impl<const D: usize, const N: usize> Matched<D, N> {
             accel: 0.1,
             ..LimbNoise::default()
         };
-        let still = Ball { q: Q::identity(), rate_rad_s: V::zeros(), accel_rad_s2: V::zeros() };
         let free = [SVector::<f64, D>::repeat(-1e3), SVector::<f64, D>::repeat(1e3)];
-        let mut filter = Limb::<Ball, D, N>::new(geometry(), noise, still, lower, free, 0.1);
+        let mut filter = Limb::<J, D, N>::new(geometry(), noise, J::still(), lower, free, 0.1);
         // Known start but for the stated uncertainty.
         for i in 0..N {
             let sigma = filter.p.0[(i, i)].sqrt();
-            let after = |at: usize| (12 + at * D..12 + (at + 1) * D).contains(&i);
+            let begin = Limb::<J, D, N>::LOWER;
+            let after = |at: usize| (begin + at * D..begin + (at + 1) * D).contains(&i);
             let small = match i {
                 _ if i < 3 || after(0) => 0.03,
                 _ if (3..6).contains(&i) || after(1) => 0.1,
@@ -469,11 +509,11 @@ impl<const D: usize, const N: usize> Matched<D, N> {
 }
 
 /// Of 50 runs the share of steps in which the mean normalised squared error lies in its 95 % interval.
-fn consistency<const D: usize, const N: usize>(lower: &Axes<D>, (low, high): (f64, f64)) -> f64 {
+fn consistency<J: Upper<N>, const D: usize, const N: usize>(lower: &Axes<D>, (low, high): (f64, f64)) -> f64 {
     const RUNS: u64 = 50;
     let mut sums = [0.0; 150];
     for run in 0..RUNS {
-        let mut matched = Matched::<D, N>::with(1000 + 77 * run, lower.clone());
+        let mut matched = Matched::<J, D, N>::with(1000 + 77 * run, lower.clone());
         for sum in &mut sums {
             matched.step();
             *sum += matched.nees();
@@ -485,15 +525,19 @@ fn consistency<const D: usize, const N: usize>(lower: &Axes<D>, (low, high): (f6
 
 #[test]
 fn arm_and_leg_are_consistent_in_a_matched_model() {
-    // 95 % of chi squared with 50 times 21 and 18 degrees of freedom, over 50.
+    // 95 % of chi squared with 50 times 21, 15, 18 and 12 degrees of freedom, over 50.
     let mut elbow = Axes::new(elbow_axes());
     elbow.angle_rad[0] = 1.0;
-    let inside = consistency::<2, 21>(&elbow, (19.25, 22.84));
+    let inside = consistency::<Ball, 2, 21>(&elbow, (19.25, 22.84));
     assert!(inside >= 0.9, "arm: {inside}");
+    let inside = consistency::<Axes<3>, 2, 15>(&elbow, (13.52, 16.56));
+    assert!(inside >= 0.9, "Euler arm: {inside}");
     let mut knee = Axes::new([-V::z()]);
     knee.angle_rad[0] = 0.6;
-    let inside = consistency::<1, 18>(&knee, (16.38, 19.70));
+    let inside = consistency::<Ball, 1, 18>(&knee, (16.38, 19.70));
     assert!(inside >= 0.9, "leg: {inside}");
+    let inside = consistency::<Axes<3>, 1, 12>(&knee, (10.68, 13.40));
+    assert!(inside >= 0.9, "Euler leg: {inside}");
 }
 
 #[test]

@@ -1,9 +1,9 @@
 //! Offline decoding: where in a recording an exercise's repetitions are.
 //!
-//! What comes in: observations and a movement. What goes out: repetitions, frame by frame with their states. The
+//! What comes in: observations and a movement in one or several sizes. What goes out: repetitions, frame by frame with their states. The
 //! decoder is the live one, without a bound on its delay.
 
-use super::hmm::{LogRatio, Movement};
+use super::hmm::LogRatio;
 use super::network::{Network, Place};
 use super::viterbi::ShortTimeViterbi;
 
@@ -12,6 +12,8 @@ use super::viterbi::ShortTimeViterbi;
 pub(super) struct Repetition {
     /// Frames and states, every frame from the first to the last.
     pub(super) path: Vec<(usize, usize)>,
+    /// In which of the sizes it was found.
+    pub(super) size: usize,
 }
 
 impl Repetition {
@@ -35,16 +37,19 @@ pub(super) fn trim(
     waiting.saturating_sub(2).min(moving)..(moving + 2).min(length)
 }
 
-/// All repetitions on the best path through a recording with `width` values per frame.
-pub(super) fn repetitions(observations: &[f64], width: usize, movement: &Movement) -> Vec<Repetition> {
-    let ratio = LogRatio::new(movement);
-    let network = Network::new(std::iter::once(ratio.states()));
+/// All repetitions, of any of the sizes of a movement, on the best path through a recording with `width` values per
+/// frame.
+pub(super) fn repetitions(observations: &[f64], width: usize, sizes: &[LogRatio]) -> Vec<Repetition> {
+    let states = sizes.first().map_or(0, LogRatio::states);
+    let network = Network::new(std::iter::once((states, sizes.len())));
     let mut viterbi = ShortTimeViterbi::new(network.topology(), None);
     let mut path = Vec::with_capacity(observations.len() / width);
     let mut log_density = vec![0.0; network.states()];
     let mut note = |_: u64, state: usize| path.push(state);
     for observation in observations.chunks_exact(width) {
-        ratio.write(observation, &mut log_density[1..]);
+        for (size, ratio) in sizes.iter().enumerate() {
+            ratio.write(observation, &mut log_density[network.range(0, size)]);
+        }
         viterbi.push(&log_density, &mut note);
     }
     viterbi.finish(&mut note);
@@ -52,19 +57,23 @@ pub(super) fn repetitions(observations: &[f64], width: usize, movement: &Movemen
     let mut open = false;
     for (frame, state) in path.iter().enumerate() {
         let before = if frame > 0 { path[frame - 1] } else { 0 };
-        let Place::Within { state: within, .. } = network.place(*state) else {
+        let Place::Within { size, state: within, .. } = network.place(*state) else {
             open = false;
             continue;
         };
         if !open || network.is_boundary(before, *state) {
-            found.push(Repetition { path: Vec::new() });
+            found.push(Repetition { path: Vec::new(), size });
             open = true;
         }
         if let Some(repetition) = found.last_mut() {
             repetition.path.push((frame, within));
         }
     }
-    if open && path.last().is_some_and(|state| network.range(0).end - 1 - state > 1) {
+    let last = path.last().map(|state| network.place(*state));
+    if let Some(Place::Within { state, .. }) = last
+        && open
+        && state + 2 < states
+    {
         found.pop(); // the recording ends within it
     }
     found

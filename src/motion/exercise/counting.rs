@@ -12,24 +12,23 @@ use super::exercise::Exercise;
 use super::feedback::{Feedback, describe};
 use super::frames::{Differentiator, Frame};
 use super::hint::{Follower, Hint};
-use super::hmm::LogRatio;
+use super::hmm::{LogRatio, Movement};
 use super::judge::{Measures, Reason, judge, measure};
 use super::network::{Network, Place};
 use super::passage::{Mark, Passage};
 use super::viterbi::ShortTimeViterbi;
 
 /// Least bound on the delay of the path, s; below, background wins before the movement has shown itself.
-const LEAST_DELAY_S: f64 = 0.3;
+const LEAST_DELAY_S: f64 = 0.8;
 /// Bound on the delay as a share of the longest exercise: half a repetition costs no exactness.
 const DELAY_SHARE: f64 = 0.5;
-/// Repetitions nearer than this share of the shortest taught one are one.
-const REFRACTORY: f64 = 0.4;
 
 /// One exercise with what it sees.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Watched {
     exercise: Exercise,
-    ratio: LogRatio,
+    /// The sizes in which it is looked for.
+    sizes: Vec<Size>,
     /// Where its channels are among all.
     channels: Vec<usize>,
     values: Vec<f64>,
@@ -42,6 +41,20 @@ struct Watched {
     /// Last frame of the repetition that was counted last.
     counted_until: Option<u64>,
     follower: Follower,
+}
+
+/// An exercise in one size.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Size {
+    movement: Movement,
+    ratio: LogRatio,
+}
+
+impl Size {
+    fn new(exercise: &Exercise, size: f64) -> Self {
+        let movement = exercise.movement.sized(size);
+        Self { ratio: LogRatio::new(&movement), movement }
+    }
 }
 
 /// See the module.
@@ -70,7 +83,8 @@ pub(super) struct Counting {
 
 impl Counting {
     pub(super) fn new(exercises: Vec<Exercise>, all: &[String], rate_hz: f64) -> Self {
-        let network = Network::new(exercises.iter().map(Exercise::states));
+        let network =
+            Network::new(exercises.iter().map(|exercise| (exercise.states(), exercise.sizes.len())));
         let longest_s = exercises.iter().map(|exercise| exercise.durations.longest_s).fold(0.0, f64::max);
         let median_s = exercises.iter().map(|exercise| exercise.durations.median_s).fold(0.0, f64::max);
         let bound = (LEAST_DELAY_S.max(DELAY_SHARE * median_s) * rate_hz).ceil() as usize;
@@ -83,7 +97,7 @@ impl Counting {
                 let width = exercise.channels.len();
                 let place = |channel: &String| all.iter().position(|other| other == channel).unwrap_or(0);
                 Watched {
-                    ratio: LogRatio::new(&exercise.movement),
+                    sizes: exercise.sizes.iter().map(|size| Size::new(&exercise, *size)).collect(),
                     channels: exercise.channels.iter().map(place).collect(),
                     values: vec![f64::NAN; width],
                     differentiator: Differentiator::new(rate_hz, width),
@@ -171,7 +185,9 @@ impl Counting {
             let observation = watched.differentiator.push(&watched.values);
             let width = observation.len();
             watched.observations[slot * width..(slot + 1) * width].copy_from_slice(observation);
-            watched.ratio.write(observation, &mut self.log_density[self.network.range(index)]);
+            for (number, size) in watched.sizes.iter().enumerate() {
+                size.ratio.write(observation, &mut self.log_density[self.network.range(index, number)]);
+            }
         }
         let emitted = &mut self.emitted;
         self.viterbi.push(&self.log_density, &mut |frame, state| emitted.push((frame, state as u16)));
@@ -187,7 +203,7 @@ impl Counting {
         let mut hint = None;
         for (index, watched) in self.watched.iter_mut().enumerate() {
             match place {
-                Place::Within { exercise, state } if exercise == index => {
+                Place::Within { exercise, state, .. } if exercise == index => {
                     let width = 2 * watched.channels.len();
                     let observation = &watched.observations[slot * width..(slot + 1) * width];
                     let log_ratio = self.log_density[best];
@@ -208,9 +224,9 @@ impl Counting {
         self.walk(t_s, each);
         if let Some(start) = self.passage.open() {
             let last = self.states[(self.certain.saturating_sub(1) % self.capacity()) as usize];
-            if let Place::Within { exercise, state } = self.network.place(usize::from(last))
+            if let Place::Within { exercise, state, .. } = self.network.place(usize::from(last))
                 // Nothing follows, so the last states are as good as an end.
-                && state + 2 >= self.watched[exercise].ratio.states()
+                && state + 2 >= self.watched[exercise].exercise.states()
             {
                 self.conclude(exercise, start, self.certain, t_s, each);
             }
@@ -257,19 +273,30 @@ impl Counting {
         known
     }
 
+    /// First state of the size that the repetition on `path` has; a repetition stays in one size.
+    fn first_state(&self, exercise: usize) -> Option<usize> {
+        match self.network.place(usize::from(*self.path.first()?)) {
+            Place::Within { size, .. } => Some(self.network.range(exercise, size).start),
+            Place::Background => None,
+        }
+    }
+
     /// Measures of the repetition on `path`, which begins at frame `start`, and its first and last frame.
     fn measures(&self, exercise: usize, start: u64) -> Option<(Measures, [u64; 2])> {
         let capacity = self.capacity();
-        let first = self.network.range(exercise).start;
+        let first = self.first_state(exercise)?;
         let watched = &self.watched[exercise];
+        let Place::Within { size: number, .. } = self.network.place(first) else { return None };
+        let Size { movement, ratio } = watched.sizes.get(number)?;
         let states = self.path.iter().map(|state| usize::from(*state) - first);
-        let moving = trim(states.clone(), watched.ratio.states());
+        let moving = trim(states.clone(), ratio.states());
         let width = 2 * watched.channels.len();
         let rows = states.enumerate().skip(moving.start).take(moving.len()).map(|(index, state)| {
             let slot = ((start + index as u64) % capacity) as usize;
             (&watched.observations[slot * width..(slot + 1) * width], state)
         });
-        let measures = measure(&watched.exercise.movement, &watched.ratio, self.rate_hz, rows);
+        let mut measures = measure(movement, ratio, self.rate_hz, rows);
+        measures.gain *= watched.exercise.sizes[number];
         Some((measures, [start + moving.start as u64, start + moving.end as u64 - 1]))
     }
 
@@ -303,7 +330,7 @@ impl Counting {
     fn verdict(&self, exercise: usize, measures: &Measures, span: [u64; 2]) -> Result<(), Reason> {
         let Watched { exercise, counted_until, .. } = &self.watched[exercise];
         judge(measures, &exercise.gate, &exercise.durations)?;
-        let refractory = REFRACTORY * exercise.durations.shortest_s * self.rate_hz;
+        let refractory = exercise.durations.refractory_s() * self.rate_hz;
         match counted_until {
             Some(last) if span[1] < *last || ((span[1] - last) as f64) < refractory => Err(Reason::TooSoon),
             _ => Ok(()),
@@ -312,7 +339,7 @@ impl Counting {
 
     fn feedback(&self, exercise: usize, start: u64, span: [u64; 2], measures: &Measures) -> Option<Feedback> {
         let watched = &self.watched[exercise];
-        let (first, width) = (self.network.range(exercise).start, 2 * watched.channels.len());
+        let (first, width) = (self.first_state(exercise)?, 2 * watched.channels.len());
         let rows = (span[0]..=span[1]).map(|frame| {
             let slot = (frame % self.capacity()) as usize;
             let state = usize::from(self.path[(frame - start) as usize]) - first;
@@ -332,8 +359,8 @@ impl Counting {
         let Some(best) = self.viterbi.best() else { return };
         let ended = match self.network.place(best) {
             Place::Background => true,
-            Place::Within { exercise, state } => {
-                let states = self.watched[exercise].ratio.states();
+            Place::Within { exercise, state, .. } => {
+                let states = self.watched[exercise].exercise.states();
                 4 * state < states || state + 1 == states
             }
         };
@@ -362,7 +389,7 @@ impl Counting {
             return;
         }
         let watched = &mut self.watched[exercise];
-        let near = (REFRACTORY * watched.exercise.durations.shortest_s * self.rate_hz) as u64;
+        let near = (watched.exercise.durations.refractory_s() * self.rate_hz) as u64;
         if watched.pending.is_some_and(|pending| pending[1].abs_diff(span[1]) <= near) {
             return;
         }

@@ -12,6 +12,12 @@ const FORMAT: &str = "posed-exercise";
 /// Version of the file that this program writes and reads.
 const VERSION: u32 = 1;
 
+/// Repetitions nearer than this share of the shortest taught one are one.
+const REFRACTORY: f64 = 0.4;
+/// So are those that follow each other in less than this share of the taught interval: a little more than half, for
+/// what happens twice in the rhythm of a movement is a part of it.
+pub(super) const RHYTHM: f64 = 0.55;
+
 /// A taught exercise.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -32,6 +38,10 @@ pub struct Exercise {
     pub channels: Vec<String>,
     /// Values and velocities of the channels, in this order.
     pub movement: Movement,
+    /// Sizes in which the movement was taught, falling from 1: the first and the last step of a walk are smaller.
+    #[serde(default = "taught_size")]
+    #[schemars(length(min = 1, max = 8))]
+    pub sizes: Vec<f64>,
     /// Durations of the taught repetitions.
     pub durations: Durations,
     /// Log dimensionless jerk of the taught repetitions.
@@ -44,6 +54,10 @@ fn first() -> u32 {
     1
 }
 
+fn taught_size() -> Vec<f64> {
+    vec![1.0]
+}
+
 /// Durations of repetitions, s.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -54,6 +68,16 @@ pub struct Durations {
     pub median_s: f64,
     /// Longest.
     pub longest_s: f64,
+    /// Median from the end of one to the end of the next; 0: not known.
+    #[serde(default)]
+    pub interval_s: f64,
+}
+
+impl Durations {
+    /// Two ends nearer than this are those of one repetition, s.
+    pub(super) fn refractory_s(&self) -> f64 {
+        (REFRACTORY * self.shortest_s).max(RHYTHM * self.interval_s)
+    }
 }
 
 /// What a repetition must be like to count; see `judge`.
@@ -105,8 +129,20 @@ impl Exercise {
         gate: Gate,
     ) -> Self {
         let (format, version) = (FORMAT.to_owned(), VERSION);
-        let revision = first();
-        Self { format, version, name, revision, rate_hz, channels, movement, durations, log_jerk: 0.0, gate }
+        let (revision, sizes, log_jerk) = (first(), taught_size(), 0.0);
+        Self {
+            format,
+            version,
+            name,
+            revision,
+            rate_hz,
+            channels,
+            movement,
+            sizes,
+            durations,
+            log_jerk,
+            gate,
+        }
     }
 
     /// Reads a file's text.
@@ -162,7 +198,7 @@ impl Exercise {
                 && gaussians.sd.iter().flatten().all(|sd| sd.is_finite() && *sd > 0.0)
         };
         let Movement { states, background, amplitude } = &self.movement;
-        let Durations { shortest_s, median_s, longest_s } = self.durations;
+        let Durations { shortest_s, median_s, longest_s, interval_s } = self.durations;
         let [fast, slow] = self.gate.duration;
         if self.name.is_empty() {
             Err(ExerciseError::Damaged("it has no name"))
@@ -177,6 +213,8 @@ impl Exercise {
             || amplitude.iter().any(|value| value.is_nan() || *value <= 0.0)
         {
             Err(ExerciseError::Damaged("a standard deviation or an amplitude is not above 0"))
+        } else if !sizes_fit(&self.sizes) {
+            Err(ExerciseError::Damaged("the sizes do not fall from 1"))
         } else if !(fast >= 0.0 && fast <= slow && slow <= 10.0) {
             Err(ExerciseError::Damaged("the gate's durations are not in order"))
         } else if !(1.0..=1000.0).contains(&self.rate_hz) {
@@ -184,8 +222,17 @@ impl Exercise {
         } else if !(shortest_s > 0.0 && shortest_s <= median_s && median_s <= longest_s && longest_s < 600.0)
         {
             Err(ExerciseError::Damaged("the durations are not in order"))
+        } else if !(0.0..600.0).contains(&interval_s) {
+            Err(ExerciseError::Damaged("the interval is not between 0 and 600 s"))
         } else {
             Ok(())
         }
     }
+}
+
+/// Whether sizes fall from 1, not below a hundredth.
+fn sizes_fit(sizes: &[f64]) -> bool {
+    (1..=8).contains(&sizes.len())
+        && sizes[0] == 1.0
+        && sizes.windows(2).all(|pair| pair[1] < pair[0] && pair[1] >= 0.01)
 }

@@ -20,6 +20,8 @@ const FLOOR: [f64; 2] = [0.3, 0.2];
 /// Least amplitude that a channel is taken for, as a share of the largest of its kind: so much of that one a
 /// misplaced sensor mixes into it, and posture shifts it as far.
 const LEAST_SHARE: f64 = 0.33;
+/// How far a sensor sits turned against the day it was taught, rad.
+const TURNED: f64 = 0.2;
 /// Standard deviation of the wide background as a share of the channel's amplitude.
 const WIDE: f64 = 1.0;
 /// Least standard deviation of the resting background as a share of the channel's amplitude.
@@ -49,6 +51,38 @@ pub struct Movement {
     pub background: Gaussians,
     /// Half the range of the mean of the largest channel of each channel's kind.
     pub amplitude: Vec<f64>,
+}
+
+impl Movement {
+    /// The same movement seen by a sensor that may sit somewhat turned against the day it was taught: each axis of a vector
+    /// gets a share of the others, state by state. `siblings` are the other axes of each channel's vector.
+    pub(super) fn turned(&self, siblings: &[Vec<usize>]) -> Self {
+        let mut turned = self.clone();
+        for (channel, sds) in turned.states.sd.iter_mut().enumerate() {
+            let own = channel % siblings.len();
+            for other in &siblings[own] {
+                for (sd, mean) in sds.iter_mut().zip(&self.states.mean[other + channel - own]) {
+                    *sd = sd.hypot(TURNED * mean);
+                }
+            }
+        }
+        turned
+    }
+
+    /// The same movement at another size, the taught one being 1: as far from rest as that, and as fast.
+    pub(super) fn sized(&self, size: f64) -> Self {
+        let mut sized = self.clone();
+        if size == 1.0 {
+            return sized;
+        }
+        let rests = self.background.mean.iter().map(|background| background[0]);
+        for ((means, sds), rest) in sized.states.mean.iter_mut().zip(&mut sized.states.sd).zip(rests) {
+            means.iter_mut().for_each(|mean| *mean = rest + size * (*mean - rest));
+            sds.iter_mut().for_each(|sd| *sd *= size);
+        }
+        sized.amplitude.iter_mut().for_each(|amplitude| *amplitude *= size);
+        sized
+    }
 }
 
 /// Log densities of Gaussians, with coefficients derived once.
@@ -335,5 +369,29 @@ mod tests {
     #[test]
     fn states_without_frames_lie_between_their_neighbours() {
         assert_eq!(fill(vec![None, Some(1.0), None, Some(3.0), None]), [1.0, 1.0, 2.0, 3.0, 3.0]);
+    }
+
+    #[test]
+    fn a_smaller_movement_is_as_far_from_rest_as_its_size_says_and_a_turned_sensor_allows_for_its_other_axes()
+    {
+        let pair = |mean: [f64; 2], sd: [f64; 2]| Gaussians {
+            mean: vec![mean.to_vec(), vec![0.0, 4.0], vec![0.0; 2], vec![0.0; 2]],
+            sd: vec![sd.to_vec(); 4],
+        };
+        let movement = Movement {
+            states: pair([3.0, 5.0], [1.0, 2.0]),
+            background: pair([1.0, 2.0], [1.0, 1.0]),
+            amplitude: vec![2.0; 4],
+        };
+        let half = movement.sized(0.5);
+        assert_eq!(
+            (half.states.mean[0].as_slice(), half.states.sd[0].as_slice()),
+            ([2.0, 3.0].as_slice(), [0.5, 1.0].as_slice())
+        );
+        assert_eq!((half.amplitude[0], &half.background), (1.0, &movement.background));
+        assert_eq!(movement.sized(1.0), movement);
+        let turned = movement.turned(&[vec![1], vec![]]);
+        assert_eq!(turned.states.sd[0], [1.0, 2.0_f64.hypot(4.0 * TURNED)]);
+        assert_eq!(turned.states.sd[1..], movement.states.sd[1..]);
     }
 }

@@ -31,6 +31,18 @@ fn kind(channel: &str) -> &str {
     channel.strip_suffix(['x', 'y', 'z']).filter(|rest| !rest.is_empty()).unwrap_or(channel)
 }
 
+/// For each channel the other channels that are axes of the same vector in sensor axes (rates of turn, accelerations, the
+/// vertical): a sensor that sits turned mixes them.
+pub(super) fn siblings(channels: &[String]) -> Vec<Vec<usize>> {
+    let vector = |channel: &str| -> Option<String> {
+        let rest = channel.strip_suffix(['x', 'y', 'z'])?;
+        (rest.ends_with("up_") || rest.ends_with(['g', 'a', 'm'])).then(|| rest.to_owned())
+    };
+    let vectors: Vec<Option<String>> = channels.iter().map(|channel| vector(channel)).collect();
+    let same = |a: usize, b: usize| a != b && vectors[a].is_some() && vectors[a] == vectors[b];
+    (0..channels.len()).map(|a| (0..channels.len()).filter(|b| same(a, *b)).collect()).collect()
+}
+
 /// For each value the largest one of its kind.
 pub(super) fn largest(kinds: &[usize], values: &[f64]) -> Vec<f64> {
     let of = |kind: usize| {
@@ -51,5 +63,14 @@ mod tests {
         let kinds = kinds(&names.map(str::to_owned));
         assert_eq!(kinds, [0, 1, 1, 0, 2, 3, 3, 4, 5]);
         assert_eq!(largest(&[0, 1, 0], &[2.0, 5.0, 3.0]), [3.0, 5.0, 3.0]);
+    }
+
+    #[test]
+    fn axes_of_one_sensor_are_siblings_and_places_in_the_room_are_not() {
+        let names = ["gx", "gy", "ax", "wrist_gx", "wrist_up_z", "wrist_up_x", "x_m", "knee_deg", "gz"];
+        let siblings = siblings(&names.map(str::to_owned));
+        assert_eq!(siblings[0], [1, 8]);
+        assert_eq!(siblings[4], [5]);
+        assert!([2, 3, 6, 7].iter().all(|channel| siblings[*channel].is_empty()), "{siblings:?}");
     }
 }

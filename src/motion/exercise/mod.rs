@@ -32,6 +32,7 @@ mod motif;
 mod network;
 mod passage;
 mod psd;
+mod smaller;
 mod teach;
 #[cfg(test)]
 mod tests;

@@ -1,6 +1,7 @@
 //! The states of several exercises and the background in one model, and what a path through it means.
 //!
-//! What comes in: the number of states of each exercise. What goes out: the topology, and for pairs of states whether
+//! What comes in: the number of states of each exercise, and in how many sizes it is looked for: each size is a chain of
+//! states of its own. What goes out: the topology, and for pairs of states whether
 //! a repetition begins or ends between them. State 0 is the background, which all exercises share: their
 //! states are scored relative to their own background, so that exercises on different channels can compete.
 
@@ -20,29 +21,35 @@ const ENTRY: [f64; 2] = [0.8, 0.2];
 /// Where each exercise's states are.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Network {
-    /// First state of each exercise, and the number of all states at the end.
+    /// First state of each chain, and the number of all states at the end.
     offsets: Vec<usize>,
+    /// First chain of each exercise, and the number of all chains at the end.
+    chains: Vec<usize>,
 }
 
 /// What a path is doing in a state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Place {
     Background,
-    /// In the `state`-th state of an exercise.
+    /// In the `state`-th state of an exercise, in its `size`-th size.
     Within {
         exercise: usize,
+        size: usize,
         state: usize,
     },
 }
 
 impl Network {
-    /// Network of exercises with these numbers of states.
-    pub(super) fn new(states: impl Iterator<Item = usize>) -> Self {
-        let mut offsets = vec![1];
-        for states in states {
-            offsets.push(offsets[offsets.len() - 1] + states);
+    /// Network of exercises with these numbers of states and of sizes.
+    pub(super) fn new(exercises: impl Iterator<Item = (usize, usize)>) -> Self {
+        let (mut offsets, mut chains) = (vec![1], vec![0]);
+        for (states, sizes) in exercises {
+            for _ in 0..sizes {
+                offsets.push(offsets[offsets.len() - 1] + states);
+            }
+            chains.push(offsets.len() - 1);
         }
-        Self { offsets }
+        Self { offsets, chains }
     }
 
     /// Number of states, the background among them.
@@ -50,36 +57,49 @@ impl Network {
         self.offsets[self.offsets.len() - 1]
     }
 
-    /// States of an exercise.
-    pub(super) fn range(&self, exercise: usize) -> std::ops::Range<usize> {
-        self.offsets[exercise]..self.offsets[exercise + 1]
+    /// States of an exercise in one of its sizes.
+    pub(super) fn range(&self, exercise: usize, size: usize) -> std::ops::Range<usize> {
+        let chain = self.chains[exercise] + size;
+        self.offsets[chain]..self.offsets[chain + 1]
+    }
+
+    /// Number of sizes of an exercise.
+    fn sizes(&self, exercise: usize) -> usize {
+        self.chains[exercise + 1] - self.chains[exercise]
+    }
+
+    /// The chain of a state that is not the background.
+    fn chain(&self, state: usize) -> usize {
+        self.offsets.partition_point(|offset| *offset <= state) - 1
     }
 
     pub(super) fn place(&self, state: usize) -> Place {
         if state == 0 {
             return Place::Background;
         }
-        let exercise = self.offsets.partition_point(|offset| *offset <= state) - 1;
-        Place::Within { exercise, state: state - self.offsets[exercise] }
+        let chain = self.chain(state);
+        let exercise = self.chains.partition_point(|first| *first <= chain) - 1;
+        Place::Within { exercise, size: chain - self.chains[exercise], state: state - self.offsets[chain] }
     }
 
     /// Whether a repetition ends between two states that follow each other on a path.
     pub(super) fn is_boundary(&self, from: usize, to: usize) -> bool {
-        // Within an exercise a path never goes back: a lower state is the next repetition's.
-        from != 0 && (to == 0 || to < from)
+        // Within a chain a path never goes back: a lower state is the next repetition's, as is one of another chain.
+        from != 0 && (to == 0 || to < from || self.chain(to) != self.chain(from))
     }
 
     /// The transitions; every path begins in the background.
     pub(super) fn topology(&self) -> Topology {
         let mut initial = vec![f64::NEG_INFINITY; self.states()];
         initial[0] = 0.0;
-        let exercises = self.offsets.len() - 1;
+        let exercises = self.chains.len() - 1;
         let mut transitions = vec![(0, 0, if exercises > 0 { 1.0 - BEGIN } else { 1.0 })];
-        for exercise in 0..exercises {
-            let range = self.range(exercise);
+        for (exercise, size) in (0..exercises).flat_map(|e| (0..self.sizes(e)).map(move |size| (e, size))) {
+            let sizes = self.sizes(exercise);
+            let range = self.range(exercise, size);
             let (first, last) = (range.start, range.end - 1);
             for (step, probability) in ENTRY.into_iter().enumerate() {
-                transitions.push((0, first + step, BEGIN / exercises as f64 * probability));
+                transitions.push((0, first + step, BEGIN / (exercises * sizes) as f64 * probability));
             }
             for state in range {
                 let mut leave = 0.0;
@@ -92,8 +112,15 @@ impl Network {
                 }
                 if leave > 0.0 {
                     transitions.push((state, 0, leave * (1.0 - AGAIN)));
-                    for (step, probability) in ENTRY.into_iter().enumerate() {
-                        transitions.push((state, first + step, leave * AGAIN * probability));
+                    for next in 0..sizes {
+                        let first = self.range(exercise, next).start;
+                        for (step, probability) in ENTRY.into_iter().enumerate() {
+                            transitions.push((
+                                state,
+                                first + step,
+                                leave * AGAIN / sizes as f64 * probability,
+                            ));
+                        }
                     }
                 }
             }
@@ -110,11 +137,14 @@ mod tests {
 
     #[test]
     fn places_and_boundaries_are_told_apart() {
-        let network = Network::new([6, 8].into_iter());
-        assert_eq!(network.states(), 15);
+        let network = Network::new([(6, 1), (8, 2)].into_iter());
+        assert_eq!(network.states(), 23);
         assert_eq!(network.place(0), Place::Background);
-        assert_eq!(network.place(6), Place::Within { exercise: 0, state: 5 });
-        assert_eq!(network.place(7), Place::Within { exercise: 1, state: 0 });
+        assert_eq!(network.place(6), Place::Within { exercise: 0, size: 0, state: 5 });
+        assert_eq!(network.place(7), Place::Within { exercise: 1, size: 0, state: 0 });
+        assert_eq!(network.place(22), Place::Within { exercise: 1, size: 1, state: 7 });
+        // The next repetition may be of another size.
+        assert!(network.is_boundary(14, 15) && network.is_boundary(22, 7) && !network.is_boundary(15, 16));
         assert!(network.is_boundary(6, 0) && network.is_boundary(6, 1) && network.is_boundary(14, 8));
         assert!(!network.is_boundary(0, 0) && !network.is_boundary(0, 7) && !network.is_boundary(3, 4));
     }

@@ -55,8 +55,8 @@ impl Passage {
             (self.waiting, self.complete) = (0, false);
         }
         self.dwell = if before == state { self.dwell + 1 } else { 1 };
-        let Place::Within { exercise, state: within } = network.place(state) else { return };
-        let states = network.range(exercise).len();
+        let Place::Within { exercise, state: within, .. } = network.place(state) else { return };
+        let states = network.range(exercise, 0).len();
         let waits = self.dwell > WAITING;
         if within == 0 {
             self.waiting += 1;
@@ -83,7 +83,7 @@ mod tests {
     use super::*;
 
     fn marks(path: &[usize]) -> Vec<Mark> {
-        let network = Network::new([6, 6].into_iter());
+        let network = Network::new([(6, 1), (6, 1)].into_iter());
         let (mut passage, mut marks) = (Passage::default(), Vec::new());
         for (frame, state) in path.iter().enumerate() {
             passage.step(&network, frame as u64, *state, &mut |mark| marks.push(mark));

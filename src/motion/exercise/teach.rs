@@ -8,6 +8,8 @@
 //! period and the phase at which a repetition begins are not decided beforehand: each likely pair is a hypothesis that
 //! is refined to the end, for decoding costs a millisecond; the one that sees the announced number wins.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use super::align::{Repetition, repetitions};
@@ -15,10 +17,11 @@ use super::exercise::{Durations, Exercise, Gate};
 use super::feedback::log_jerk;
 use super::hmm::{LogRatio, Movement, equal_parts, estimate, range, states_for};
 use super::judge::{Measures, measure};
-use super::kinds::{kinds, largest};
+use super::kinds::{kinds, largest, siblings};
 use super::material::{Material, RATE_HZ, Stream};
 use super::motif::motifs;
 use super::psd::{periods, repeatability};
+use super::smaller::{interval, sizes_down_to, smaller};
 
 /// Shortest repetition, s.
 const SHORTEST_S: f64 = 0.5;
@@ -40,15 +43,15 @@ const LEAST_MOVED: f64 = 0.15;
 /// Frames per second while hypotheses are compared.
 const SEARCH_HZ: f64 = 12.5;
 /// Shortest and longest repetition of an example, the median being 1.
-const UNEVEN: [f64; 2] = [0.55, 1.7];
+pub(super) const UNEVEN: [f64; 2] = [0.55, 1.7];
 /// Least log ratio per frame of a repetition of an example, the median being 1.
-const LEAST_ALIKE: f64 = 0.5;
+pub(super) const LEAST_ALIKE: f64 = 0.5;
 /// Least log ratio per frame of a repetition that counts, the taught median being 1: other days are less alike.
 const LEAST_RATIO: f64 = 0.15;
 /// Least size of a repetition that counts, the taught one being 1: half a movement is none.
-const LEAST_GAIN: f64 = 0.66;
+pub(super) const LEAST_GAIN: f64 = 0.66;
 /// Least correlation of a repetition of an example with their mean.
-const LEAST_LIKENESS: f64 = 0.6;
+pub(super) const LEAST_LIKENESS: f64 = 0.6;
 
 /// How much a cut in full motion costs.
 const AT_REST: f64 = 0.6;
@@ -130,11 +133,20 @@ pub enum Refusal {
     },
 }
 
+impl Hypothesis {
+    /// The paths of all repetitions.
+    fn all(&self) -> impl Iterator<Item = &Vec<(usize, usize)>> {
+        self.found.iter().chain(&self.smaller).map(|repetition| &repetition.path)
+    }
+}
+
 /// A way to see the recording.
 struct Hypothesis {
     movement: Movement,
     /// Repetitions that are like each other.
     found: Vec<Repetition>,
+    /// Those of them that are alike but smaller.
+    smaller: Vec<Repetition>,
     score: f64,
 }
 
@@ -182,7 +194,12 @@ pub fn teach(stream: &Stream<'_>, options: &Options) -> Result<Lesson, Refusal> 
         })
         .collect();
     match refine(&fine, &segments, options, LAST_ROUNDS) {
-        Some((material, hypothesis)) => conclude(&material, &hypothesis, options),
+        Some((material, mut hypothesis)) => {
+            let missing = announced.saturating_sub(hypothesis.found.len());
+            let (movement, found) = (&hypothesis.movement, &hypothesis.found);
+            hypothesis.smaller = smaller(&material, movement, found, missing);
+            conclude(&material, &hypothesis, options)
+        }
         None => Err(Refusal::NothingRepeats(announced)),
     }
 }
@@ -245,9 +262,9 @@ fn refine(
             &kinds,
             states,
             &alignments,
-            &idle(&alignments, material.frames()),
+            &idle(alignments.iter(), material.frames()),
         );
-        let found = repetitions(&material.observations, width, &movement);
+        let found = repetitions(&material.observations, width, &[LogRatio::new(&movement)]);
         let (found, log_ratio) = alike(&material, &movement, found);
         if found.len() < 2 {
             return None;
@@ -256,7 +273,7 @@ fn refine(
         let announced = options.repetitions;
         let off = found.len().abs_diff(announced) as f64 / announced as f64;
         let score = log_ratio * (1.0 - off).max(0.0).powi(2) * steadiness(&material, &found, states);
-        hypothesis = Some(Hypothesis { movement, found, score });
+        hypothesis = Some(Hypothesis { movement, found, smaller: Vec::new(), score });
     }
     hypothesis.map(|hypothesis| (material, hypothesis))
 }
@@ -332,10 +349,10 @@ fn alike(material: &Material, movement: &Movement, found: Vec<Repetition>) -> (V
     (kept, 0.5 * (mean + least.min(mean)))
 }
 
-/// Frames that belong to no repetition.
-fn idle(alignments: &[Vec<(usize, usize)>], frames: usize) -> Vec<usize> {
+/// Frames that belong to none of the paths.
+fn idle<'a>(paths: impl Iterator<Item = &'a Vec<(usize, usize)>>, frames: usize) -> Vec<usize> {
     let mut busy = vec![false; frames];
-    for (frame, _) in alignments.iter().flatten() {
+    for (frame, _) in paths.flatten() {
         busy[*frame] = true;
     }
     (0..frames).filter(|frame| !busy[*frame]).collect()
@@ -394,7 +411,7 @@ fn common_channels(all: &Material, states: usize, alignments: &[Vec<(usize, usiz
     chosen
 }
 
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+pub(super) fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
@@ -403,8 +420,7 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
 /// Judges the chosen hypothesis: the exercise, or the reason why not.
 fn conclude(material: &Material, hypothesis: &Hypothesis, options: &Options) -> Result<Lesson, Refusal> {
     let announced = options.repetitions;
-    let segments = segments_of(hypothesis);
-    let measures = against_the_others(material, hypothesis);
+    let (segments, measures): (Vec<_>, Vec<_>) = against_the_others(material, hypothesis).into_iter().unzip();
     let repetitions: Vec<Seen> = segments
         .iter()
         .zip(&measures)
@@ -422,16 +438,24 @@ fn conclude(material: &Material, hypothesis: &Hypothesis, options: &Options) -> 
     }
     let lengths = || segments.iter().map(|segment| segment.len() as f64 / material.rate_hz);
     let (shortest_s, longest_s) = range(&lengths().collect::<Vec<_>>());
-    let durations = Durations { shortest_s, median_s: median(lengths()).unwrap_or(longest_s), longest_s };
+    let durations = Durations {
+        shortest_s,
+        median_s: median(lengths()).unwrap_or(longest_s),
+        longest_s,
+        interval_s: interval(&segments).unwrap_or(0.0) / material.rate_hz,
+    };
     report.remarks = remarks_of(&report, &durations);
+    let least = measures.iter().map(|measures| measures.gain).fold(1.0, f64::min);
+    let sizes = sizes_down_to(least);
     let mut exercise = Exercise::new(
         options.name.clone(),
         material.rate_hz,
         material.channels.clone(),
-        hypothesis.movement.clone(),
+        hypothesis.movement.turned(&siblings(&material.channels)),
         durations,
-        gate_of(&measures),
+        gate_of(&measures, sizes.last().copied().unwrap_or(1.0)),
     );
+    exercise.sizes = sizes;
     let width = 2 * material.width();
     let jerks = segments.iter().map(|segment| {
         let rows = material.observations[segment.start * width..segment.end * width].chunks_exact(width);
@@ -446,28 +470,40 @@ fn tolerance(announced: usize) -> usize {
     if announced < 8 { 0 } else { announced / 5 }
 }
 
-/// Measures of every repetition against a model of the others.
-fn against_the_others(material: &Material, hypothesis: &Hypothesis) -> Vec<Measures> {
+/// Every repetition with its measures against a model of the others of full size, in order.
+fn against_the_others(material: &Material, hypothesis: &Hypothesis) -> Vec<(Range<usize>, Measures)> {
     let width = 2 * material.width();
     let states = hypothesis.movement.states.mean[0].len();
     let alignments: Vec<_> = hypothesis.found.iter().map(|repetition| repetition.path.clone()).collect();
-    let idle = idle(&alignments, material.frames());
+    let idle = idle(hypothesis.all(), material.frames());
     let kinds = kinds(&material.channels);
-    (0..alignments.len())
-        .map(|left_out| {
-            let mut others = alignments.clone();
-            let path = others.remove(left_out);
-            let movement = estimate(&material.observations, &kinds, states, &others, &idle);
-            let ratio = LogRatio::new(&movement);
-            let rows =
-                path.iter().map(|(frame, state)| (&material.observations[frame * width..][..width], *state));
-            measure(&movement, &ratio, material.rate_hz, rows)
+    let full = (0..alignments.len()).map(|left_out| {
+        let mut others = alignments.clone();
+        others.remove(left_out);
+        (&hypothesis.found[left_out], 1.0, estimate(&material.observations, &kinds, states, &others, &idle))
+    });
+    let (sizes, siblings) = (sizes_down_to(0.0), siblings(&material.channels));
+    let smaller = hypothesis.smaller.iter().map(|repetition| {
+        let size = sizes[repetition.size];
+        (repetition, size, hypothesis.movement.sized(size))
+    });
+    let mut measured: Vec<_> = full
+        .chain(smaller)
+        .map(|(repetition, size, movement)| {
+            let path = repetition.path.iter();
+            let rows = path.map(|(frame, state)| (&material.observations[frame * width..][..width], *state));
+            let movement = movement.turned(&siblings);
+            let mut measures = measure(&movement, &LogRatio::new(&movement), material.rate_hz, rows);
+            measures.gain *= size;
+            (repetition.range(states), measures)
         })
-        .collect()
+        .collect();
+    measured.sort_by_key(|(range, _)| range.start);
+    measured
 }
 
 /// What a repetition must be like, from how much the taught ones differ from each other.
-fn gate_of(measures: &[Measures]) -> Gate {
+fn gate_of(measures: &[Measures], smallest: f64) -> Gate {
     let middle = |value: fn(&Measures) -> f64| median(measures.iter().map(value)).unwrap_or(0.0);
     let lowest = |value: fn(&Measures) -> f64| measures.iter().map(value).fold(f64::INFINITY, f64::min);
     let log_ratio = middle(|m| m.mean_log_ratio).max(0.0);
@@ -475,7 +511,7 @@ fn gate_of(measures: &[Measures]) -> Gate {
         mean_log_ratio: LEAST_RATIO * log_ratio,
         fifth_log_ratio: (lowest(|m| m.fifth_log_ratio) - 3.0).min(-log_ratio),
         // What was taught as a repetition is one, however small.
-        gain: [LEAST_GAIN.min(0.85 * lowest(|m| m.gain)), 1.7],
+        gain: [(LEAST_GAIN * smallest).min(0.85 * lowest(|m| m.gain)), 1.7],
         likeness: (lowest(|m| m.likeness) - 0.15).clamp(0.6, 0.75),
         duration: [0.4, 2.5],
         visited: 0.45,

@@ -158,6 +158,37 @@ fn given_fewer_repetitions_than_announced_the_refusal_says_how_many_it_saw() {
     assert!(refusal.contains("of 5"), "{refusal}");
 }
 
+/// Steps: short movements with rests between them, the first and the last one of this size.
+fn steps(seed: u64, count: usize, outer: f64) -> Person {
+    let mut person = Person::new(seed);
+    person.rest(3.0);
+    for step in 0..count {
+        let size = if step == 0 || step + 1 == count { outer } else { 0.9 + 0.2 * person.random.unit() };
+        person.curl(0.7, size, 0.0);
+        person.rest(0.4);
+    }
+    person.rest(3.0);
+    person
+}
+
+#[test]
+fn given_smaller_ones_among_the_taught_they_count_and_otherwise_not() {
+    let (taught, other) = (steps(1, 12, 0.4), steps(2, 12, 0.4));
+    let lesson = teach(&taught.stream(), &options(12)).unwrap();
+    assert_eq!(lesson.report.repetitions.len(), 12, "{:?}", lesson.report);
+    assert!(lesson.exercise.sizes.len() > 1, "{:?}", lesson.exercise.sizes);
+    assert_eq!(Exercise::from_json(&lesson.exercise.to_json().unwrap()).unwrap(), lesson.exercise);
+    assert_eq!(of(EventKind::Counted, &events(vec![lesson.exercise.clone()], &other)).len(), 12);
+    // Taught in full size alone, smaller ones are none.
+    let full = teach(&steps(3, 12, 1.0).stream(), &options(12)).unwrap().exercise;
+    assert_eq!(full.sizes, [1.0]);
+    assert_eq!(of(EventKind::Counted, &events(vec![full], &other)).len(), 10);
+    // An exercise of an older file has one size.
+    let mut damaged = lesson.exercise;
+    damaged.sizes = vec![0.5];
+    assert!(damaged.check().is_err());
+}
+
 #[test]
 fn given_a_deficit_at_the_top_the_feedback_names_joint_place_and_size() {
     let exercise = taught(2).exercise;

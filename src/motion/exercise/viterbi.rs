@@ -89,7 +89,8 @@ impl ShortTimeViterbi {
     /// up: the emitted path stays one that the model can walk.
     pub fn new(topology: Topology, bound: Option<usize>) -> Self {
         let states = topology.states();
-        let capacity = bound.map_or(64, |bound| bound + 2);
+        // A power of two: a division per step would be a tenth of its cost.
+        let capacity = bound.map_or(64, |bound| (bound + 2).next_power_of_two());
         let words = states.div_ceil(64);
         Self {
             topology,
@@ -195,7 +196,7 @@ impl ShortTimeViterbi {
     }
 
     fn slot(&self, frame: u64) -> usize {
-        (frame % self.capacity as u64) as usize
+        (frame & (self.capacity as u64 - 1)) as usize
     }
 
     fn begin(&mut self, log_density: &[f64]) -> f64 {
@@ -304,8 +305,7 @@ impl ShortTimeViterbi {
     fn force(&mut self, emit: &mut impl FnMut(u64, usize)) {
         let states = self.topology.states();
         let words = states.div_ceil(64);
-        self.trace();
-        let Some(chosen) = self.path.first().map(|state| usize::from(*state)) else { return };
+        let Some(chosen) = self.best().map(|best| self.oldest(best)) else { return };
         let slot = self.slot(self.first);
         let set = &mut self.alive[slot * words..(slot + 1) * words];
         set.fill(0);
@@ -331,6 +331,15 @@ impl ShortTimeViterbi {
             }
         }
         self.first += 1;
+    }
+
+    /// The state at the oldest frame that is not emitted, on the path that ends in `state` now.
+    fn oldest(&self, mut state: usize) -> usize {
+        let states = self.topology.states();
+        for frame in (self.first + 1..self.now).rev() {
+            state = usize::from(self.back[self.slot(frame) * states + state]);
+        }
+        state
     }
 
     /// Writes the best path of the frames that are not emitted into `path`.

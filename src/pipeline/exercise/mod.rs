@@ -6,6 +6,8 @@
 
 mod subject;
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use self::subject::Subject;
@@ -13,7 +15,7 @@ use crate::input::{Plan, Request};
 use crate::motion::exercise::{Counter, Exercise};
 use crate::name::Name;
 use crate::output::{Body, Estimate, Outcome};
-use crate::signals::{self, BodyColumns};
+use crate::signals::{self, BodyColumns, InertialColumns};
 use crate::stage::Stage;
 
 /// Who moves unless a client says otherwise.
@@ -30,6 +32,7 @@ const NAME_BYTES: usize = 64;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct ExerciseStage {
     columns: Vec<String>,
+    inertial: InertialColumns,
     body: BodyColumns,
     row: Vec<Option<f64>>,
     /// The newest of each name.
@@ -42,7 +45,8 @@ impl ExerciseStage {
     pub(super) fn new(stage: &Stage) -> Self {
         let columns = signals::columns_of(stage);
         let row = Vec::with_capacity(columns.len());
-        Self { columns, body: BodyColumns::of(stage), row, library: Vec::new(), subjects: Vec::new() }
+        let (inertial, body) = (InertialColumns::of(stage), BodyColumns::of(stage));
+        Self { columns, inertial, body, row, library: Vec::new(), subjects: Vec::new() }
     }
 
     /// Takes an exercise; false where the stage lacks one of its channels.
@@ -66,7 +70,8 @@ impl ExerciseStage {
         let rate_hz = self.library.first().map(|exercise| exercise.rate_hz);
         let fitting = self.library.iter().filter(|exercise| Some(exercise.rate_hz) == rate_hz);
         let names: Vec<String> = fitting.take(SELECTED).map(|exercise| exercise.name.clone()).collect();
-        self.select(DEFAULT_SUBJECT, &names, Plan::default(), false, estimate, say);
+        let counter = self.counter(&names, &BTreeMap::new()).ok();
+        self.select(DEFAULT_SUBJECT, counter, Plan::default(), false, estimate, say);
     }
 
     /// Whether a request can be carried out.
@@ -75,7 +80,7 @@ impl ExerciseStage {
     /// A sentence about what stands against it.
     pub(super) fn check(&self, request: &Request) -> Result<(), String> {
         match request {
-            Request::ExerciseSelect { subject, exercises, plan } => {
+            Request::ExerciseSelect { subject, exercises, plan, sensors } => {
                 let known = self.subjects.iter().any(|known| known.name() == subject);
                 if subject.is_empty() || subject.len() > NAME_BYTES {
                     return Err(format!("subject: give a name of 1 to {NAME_BYTES} bytes"));
@@ -93,7 +98,7 @@ impl ExerciseStage {
                 if !(0.0..=3600.0).contains(&plan.rest_s) {
                     return Err("rest_s: give 0 to 3600 seconds".into());
                 }
-                if exercises.is_empty() { Ok(()) } else { self.counter(exercises).map(drop) }
+                if exercises.is_empty() { Ok(()) } else { self.counter(exercises, sensors).map(drop) }
             }
             Request::ExerciseReset { subject } => {
                 let known = self.subjects.iter().any(|known| known.name() == subject);
@@ -116,8 +121,9 @@ impl ExerciseStage {
             return false;
         }
         match request {
-            Request::ExerciseSelect { subject, exercises, plan } => {
-                self.select(subject, exercises, *plan, true, estimate, say);
+            Request::ExerciseSelect { subject, exercises, plan, sensors } => {
+                let counter = self.counter(exercises, sensors).ok();
+                self.select(subject, counter, *plan, true, estimate, say);
             }
             Request::ExerciseReset { subject } => {
                 if let Some(known) = self.subjects.iter_mut().find(|known| known.name() == subject) {
@@ -135,13 +141,15 @@ impl ExerciseStage {
             return;
         }
         signals::write(estimate, &mut self.row);
+        self.inertial.append(estimate, &mut self.row);
         self.body.append(body, estimate, &mut self.row);
         for subject in &mut self.subjects {
             subject.frame(estimate.t_valid, &self.row, say);
         }
     }
 
-    fn counter(&self, names: &[String]) -> Result<Counter, String> {
+    /// Counts these exercises with the sensors that stand for those they were taught with.
+    fn counter(&self, names: &[String], sensors: &BTreeMap<String, String>) -> Result<Counter, String> {
         let mut exercises = Vec::with_capacity(names.len());
         for name in names {
             if exercises.iter().any(|known: &Exercise| known.name == *name) {
@@ -151,19 +159,34 @@ impl ExerciseStage {
             exercises
                 .push(known.cloned().ok_or_else(|| format!("exercises: no exercise {name:?} is loaded"))?);
         }
+        let on_stage = |sensor: &str| self.columns.iter().any(|column| behind(column, sensor).is_some());
+        if let Some(worn) = sensors.values().find(|worn| !on_stage(worn)) {
+            return Err(format!("sensors: this stage has no sensor {worn:?}"));
+        }
+        let mut channels = exercises.iter().flat_map(|exercise| &exercise.channels);
+        let taught = |channel: &String| sensors.keys().any(|sensor| behind(channel, sensor).is_some());
+        if !sensors.is_empty() && !channels.any(taught) {
+            return Err("sensors: these exercises were taught with none of them".into());
+        }
+        for channel in exercises.iter_mut().flat_map(|exercise| &mut exercise.channels) {
+            let renamed =
+                sensors.iter().find_map(|(from, to)| Some(format!("{to}{}", behind(channel, from)?)));
+            if let Some(renamed) = renamed {
+                *channel = renamed;
+            }
+        }
         Counter::new(exercises, &self.columns).map_err(|error| error.to_string())
     }
 
     fn select(
         &mut self,
         subject: &str,
-        names: &[String],
+        counter: Option<Counter>,
         plan: Plan,
         explicit: bool,
         estimate: &Estimate,
         say: &mut impl FnMut(&Outcome),
     ) {
-        let counter = if names.is_empty() { None } else { self.counter(names).ok() };
         let new = Subject::new(Name::from(subject), counter, plan, explicit);
         new.say_state(estimate.t_valid, say);
         match self.subjects.iter_mut().find(|known| known.name() == subject) {
@@ -171,4 +194,11 @@ impl ExerciseStage {
             None => self.subjects.push(new),
         }
     }
+}
+
+/// What stands behind the name of a sensor in the name of its channel, `_qw` for example.
+fn behind<'a>(channel: &'a str, sensor: &str) -> Option<&'a str> {
+    let part = channel.strip_prefix(sensor)?;
+    let known = ["_up_x", "_up_y", "_up_z"];
+    (known.contains(&part) || signals::is_part(part)).then_some(part)
 }

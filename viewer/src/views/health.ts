@@ -23,7 +23,7 @@ export class HealthView implements View {
     ["Sensor"], ["State", "word"], ["Rate, Hz"], ["Age, ms"], ["x, m"], ["y, m"], ["z, m"], ["w"], ["x"], ["y"], ["z"], ["σ, mm"], ["Samples"], ["Lost"],
   ]);
   private readonly devices = new Table("devices", "Devices", [
-    ["Device"], ["Driver", "word"], ["Port", "word"], ["State", "word"], ["Rate, Hz"], ["Age, ms"], ["Clock ±, ms"], ["Records"], ["Rejected"], ["Bytes skipped"],
+    ["Device"], ["Driver", "word"], ["Port", "word"], ["State", "word"], ["Rate, Hz"], ["Age, ms"], ["Clock ±, ms"], ["Records"], ["Rejected"], ["Skipped"],
   ]);
   private readonly latency = new Table("latency", "Latency since the last second", [["From where to where"], ["Median, ms"], ["99 %, ms"], ["Longest, ms"]]);
   private readonly frame = el("p", { id: "frame", class: "quiet" });
@@ -62,15 +62,15 @@ export class HealthView implements View {
     const counts = new Map(status?.sensors.map((sensor) => [sensor.name, sensor]));
     this.sensors.fill(sensors.sensors.map((sensor): Cell[] => {
       const count = counts.get(sensor.name);
-      const numbers = (values: number[] | null | undefined, n: number): Cell[] =>
-        Array.from({ length: n }, (_, i) => [num(values?.[i], 4)]);
+      const numbers = (values: number[] | null | undefined, n: number, digits: number): Cell[] =>
+        Array.from({ length: n }, (_, i) => [num(values?.[i], digits)]);
       return [
         [sensor.name],
         [faulty(sensor), `word ${trustOf(sensor.state)}`],
         [num(count?.rate_hz, 1)],
         [thousandths(count?.age_s, 0)],
-        ...numbers(sensor.position_m, 3),
-        ...numbers(sensor.orientation_wxyz, 4),
+        ...numbers(sensor.position_m, 3, 4),
+        ...numbers(sensor.orientation_wxyz, 4, 3),
         [thousandths(sensor.sigma_m, 2)],
         [count ? String(count.samples) : "–"],
         [count ? `${count.lost}${count.estimated ? " ~" : ""}` : "–"],

@@ -1,0 +1,151 @@
+use super::*;
+use crate::geometry::so3;
+
+const RATE_HZ: f64 = 100.0;
+
+/// Three segments on two parallel hinges, sensors askew, gyros biased, no magnetometer.
+fn recording() -> (Vec<ChainSegment>, Vec<Epoch>, Vec<[f64; 2]>) {
+    recording_held(&UnitQuaternion::identity())
+}
+
+/// The same, held turned in the room.
+fn recording_held(held: &UnitQuaternion<f64>) -> (Vec<ChainSegment>, Vec<Epoch>, Vec<[f64; 2]>) {
+    let mounts = [
+        so3::exp(&Vector3::new(0.4, -0.9, 0.3)),
+        so3::exp(&Vector3::new(-1.2, 0.5, 2.0)),
+        so3::exp(&Vector3::new(1.9, 0.2, -0.7)),
+    ];
+    let levers = [Vector3::new(0.0, 0.2, 0.03), Vector3::new(0.02, -0.15, 0.0), Vector3::new(0.0, -0.2, 0.0)];
+    let angles = |t: f64| {
+        let grow = (t / 4.0).min(1.0);
+        [grow * (0.7 - 0.7 * (1.3 * t).cos()), grow * (0.6 - 0.6 * (1.9 * t).cos())]
+    };
+    let poses = |t: f64| {
+        let grow = (t / 4.0).min(1.0);
+        let upright = so3::exp(&(Vector3::x() * std::f64::consts::FRAC_PI_2));
+        let whole =
+            so3::exp(&(Vector3::new((0.9 * t).sin(), 0.6 * (0.7 * t).sin(), 0.8 * (1.1 * t).sin()) * grow))
+                * held
+                * upright;
+        let [a, b] = angles(t);
+        let second = whole * so3::exp(&(Vector3::z() * a));
+        let third = second * so3::exp(&(Vector3::z() * b));
+        let knee = Vector3::new(0.2 * (1.7 * t).sin(), 0.2 * (1.3 * t).cos(), 1.0) * grow;
+        let ankle = knee + second * Vector3::new(0.0, -0.4, 0.0);
+        [
+            (whole, knee + whole * levers[0]),
+            (second, knee + second * levers[1]),
+            (third, ankle + third * levers[2]),
+        ]
+    };
+    let segments = vec![
+        ChainSegment { name: "a".into(), hinge: None },
+        ChainSegment { name: "b".into(), hinge: Some((0, "one".into())) },
+        ChainSegment { name: "c".into(), hinge: Some((1, "two".into())) },
+    ];
+    let h = 1e-3;
+    let (mut epochs, mut truth) = (Vec::new(), Vec::new());
+    for k in 0..(60.0 * RATE_HZ) as usize {
+        let t = k as f64 / RATE_HZ;
+        let (before, now, after) = (poses(t - h), poses(t), poses(t + h));
+        let samples = (0..3)
+            .map(|i| {
+                let rate = so3::log(&(before[i].0.inverse() * after[i].0)) / (2.0 * h);
+                let accel = (after[i].1 + before[i].1 - now[i].1 * 2.0) / (h * h) + Vector3::z() * 9.81;
+                Some(ImuSample {
+                    gyro_rad_s: mounts[i].inverse() * rate + Vector3::new(0.004, -0.003, 0.005),
+                    accel_m_s2: mounts[i].inverse() * (now[i].0.inverse() * accel),
+                    mag: None,
+                })
+            })
+            .collect();
+        epochs.push(Epoch { t_s: t, samples });
+        truth.push(angles(t));
+    }
+    (segments, epochs, truth)
+}
+
+#[test]
+fn a_chain_is_solved_from_its_movement_alone() {
+    let (segments, epochs, truth) = recording();
+    let solved = solve(&segments, &epochs).unwrap();
+    for joint in 0..2 {
+        let sum: f64 = solved
+            .poses
+            .iter()
+            .zip(&truth)
+            .map(|(pose, truth)| (pose.flexion_rad[joint + 1] - truth[joint]).powi(2))
+            .sum();
+        let rms = (sum / truth.len() as f64).sqrt().to_degrees();
+        assert!(rms < 1.5, "joint {joint}: {rms} degrees");
+    }
+}
+
+/// A hinge that stands upright for the first seconds says nothing of the heading between its sensors meanwhile.
+#[test]
+fn an_axis_that_stands_upright_at_first_is_solved_from_the_first_sample() {
+    let turn = so3::exp(&(Vector3::x() * -std::f64::consts::FRAC_PI_2));
+    let (segments, epochs, truth) = recording_held(&turn);
+    let solved = solve(&segments, &epochs).unwrap();
+    for (k, (pose, truth)) in solved.poses.iter().zip(&truth).enumerate() {
+        let off = (pose.flexion_rad[1] - truth[0]).to_degrees();
+        assert!(off.abs() < 6.0, "{off} degrees off at epoch {k}");
+    }
+}
+
+/// Sensors in foam: they play by some degrees at 8 Hz, which their rates feel ten times as much as their orientations.
+#[test]
+fn soft_straps_do_not_spoil_the_axis() {
+    let (segments, mut epochs, truth) = recording();
+    for (k, epoch) in epochs.iter_mut().enumerate() {
+        let phase = std::f64::consts::TAU * 8.0 * k as f64 / RATE_HZ;
+        for (i, sample) in epoch.samples.iter_mut().flatten().enumerate() {
+            let axis = Vector3::new((i as f64).cos(), 0.7, (i as f64).sin()).normalize();
+            sample.gyro_rad_s += axis * (1.5 * (phase + i as f64).sin());
+        }
+    }
+    let solved = solve(&segments, &epochs).unwrap();
+    for joint in 0..2 {
+        let squares = solved.poses.iter().zip(&truth);
+        let sum: f64 =
+            squares.map(|(pose, truth)| (pose.flexion_rad[joint + 1] - truth[joint]).powi(2)).sum();
+        let rms = (sum / truth.len() as f64).sqrt().to_degrees();
+        assert!(rms < 3.5, "joint {joint}: {rms} degrees");
+    }
+}
+
+#[test]
+fn missing_samples_are_bridged() {
+    let (segments, mut epochs, truth) = recording();
+    for (k, epoch) in epochs.iter_mut().enumerate() {
+        if k % 7 == 3 {
+            epoch.samples[1] = None;
+        }
+    }
+    let solved = solve(&segments, &epochs).unwrap();
+    let worst = solved
+        .poses
+        .iter()
+        .zip(&truth)
+        .map(|(pose, truth)| (pose.flexion_rad[1] - truth[0]).abs().to_degrees())
+        .fold(0.0, f64::max);
+    assert!(worst < 6.0, "{worst} degrees");
+}
+
+#[test]
+fn a_chain_that_does_not_move_names_the_joint() {
+    let (segments, mut epochs, _) = recording();
+    let still = epochs[0].clone();
+    for epoch in &mut epochs {
+        epoch.samples.clone_from(&still.samples);
+    }
+    let error = solve(&segments, &epochs).unwrap_err();
+    assert!(error.to_string().starts_with("joint `one`: the movement shows too little"), "{error}");
+}
+
+#[test]
+fn times_must_rise() {
+    let (segments, mut epochs, _) = recording();
+    epochs[10].t_s = epochs[9].t_s;
+    assert!(matches!(solve(&segments, &epochs), Err(ChainError::Time { .. })));
+}
