@@ -6,11 +6,12 @@
 // Lists the channels, subscribes to all, decodes every message, holds each against its schema (Foxglove's own for foxglove.*), and compares the
 // poses of both websockets at equal times. Ends with 1 at the first thing that does not fit.
 
-import { FoxgloveClient } from "@foxglove/ws-protocol";
+import protocol from "@foxglove/ws-protocol";
 import schemas from "@foxglove/schemas/jsonschema.js";
 import Ajv from "ajv";
 import WebSocket from "ws";
 
+const { FoxgloveClient } = protocol;
 const [address, seconds = "5"] = process.argv.slice(2);
 const utf8 = new TextDecoder();
 const fail = (sentence) => {
