@@ -30,6 +30,8 @@ export type Cell = [text: string, kind?: string];
 export class Table {
   readonly element: HTMLElement;
   private readonly body: HTMLTableSectionElement;
+  /** The row that is renewed next. */
+  private next = 0;
 
   constructor(id: string, title: string, columns: Cell[]) {
     this.body = el("tbody", { id });
@@ -41,13 +43,26 @@ export class Table {
 
   fill(rows: Cell[][]): void {
     while (this.body.rows.length > rows.length) this.body.deleteRow(-1);
-    rows.forEach((cells, r) => {
-      const row = this.body.rows[r] ?? this.body.insertRow();
-      cells.forEach(([text, kind = ""], c) => {
-        const cell = row.cells[c] ?? row.insertCell();
-        setText(cell, text);
-        if (cell.className !== kind) cell.className = kind;
-      });
+    rows.forEach((cells, r) => this.fillRow(r, cells));
+  }
+
+  /** Renews at most so many rows, and the next ones when it is called again. */
+  fillSome<T>(items: T[], most: number, cells: (item: T) => Cell[]): void {
+    while (this.body.rows.length > items.length) this.body.deleteRow(-1);
+    for (let count = Math.min(most, items.length); count > 0; count--) {
+      // Rows that are not there yet come in their order.
+      if (this.next >= items.length || this.next > this.body.rows.length) this.next = 0;
+      this.fillRow(this.next, cells(items[this.next]!));
+      this.next++;
+    }
+  }
+
+  private fillRow(index: number, cells: Cell[]): void {
+    const row = this.body.rows[index] ?? this.body.insertRow();
+    cells.forEach(([text, kind = ""], c) => {
+      const cell = row.cells[c] ?? row.insertCell();
+      setText(cell, text);
+      if (cell.className !== kind) cell.className = kind;
     });
   }
 }

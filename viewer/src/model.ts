@@ -30,6 +30,13 @@ export class History {
     return this.rows.subarray(row * History.COLUMNS, (row + 1) * History.COLUMNS);
   }
 
+  /** A column, oldest first. */
+  column(index: number): Float64Array {
+    const out = new Float64Array(this.length);
+    for (let i = 0; i < this.length; i++) out[i] = this.at(i)[index]!;
+    return out;
+  }
+
   clear(): void {
     this.length = 0;
     this.next = 0;

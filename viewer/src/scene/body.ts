@@ -1,6 +1,7 @@
 // The body in 3-D: simple solids per segment; where a sensor is ill, a mark of another shape and colour with its reason.
 
 import * as THREE from "three";
+import { mergeGeometries } from "three/examples/jsm/utils/BufferGeometryUtils.js";
 import type { FigureMessage, SegmentEntry, SegmentState } from "../protocol";
 import { label, quaternion, vector } from "./scene";
 
@@ -75,7 +76,7 @@ function solids(name: string): THREE.BufferGeometry[] {
 
 interface Part {
   group: THREE.Group;
-  meshes: THREE.Mesh[];
+  mesh: THREE.Mesh;
   state: SegmentState | null;
 }
 
@@ -98,10 +99,11 @@ export class BodyFigure {
     this.materials = { ok: material("ok"), inferred: material("inferred"), suspect: material("suspect"), missing: material("missing") };
     for (const name of Object.keys(PLACES)) {
       const group = new THREE.Group();
-      const meshes = solids(name).map((geometry) => new THREE.Mesh(geometry, this.materials.missing));
-      group.add(...meshes);
+      // One solid, since every one is a call to draw.
+      const mesh = new THREE.Mesh(mergeGeometries(solids(name)), this.materials.missing);
+      group.add(mesh);
       this.group.add(group);
-      this.parts.set(name, { group, meshes, state: null });
+      this.parts.set(name, { group, mesh, state: null });
     }
     this.group.visible = false;
   }
@@ -117,7 +119,7 @@ export class BodyFigure {
       const state = segment?.state ?? "missing";
       if (state !== part.state) {
         part.state = state;
-        for (const mesh of part.meshes) mesh.material = this.materials[state];
+        part.mesh.material = this.materials[state];
       }
       const above = parent === null ? null : this.parts.get(parent)!.group;
       if (segment?.orientation_wxyz) quaternion(segment.orientation_wxyz, part.group.quaternion);

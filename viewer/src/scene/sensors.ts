@@ -3,7 +3,8 @@
 import * as THREE from "three";
 import { type Model } from "../model";
 import type { SensorEntry, SensorState } from "../protocol";
-import { label, quaternion, vector } from "./scene";
+import { Labels } from "./labels";
+import { quaternion, vector } from "./scene";
 
 /** Trail: so many points back, one per frame drawn. */
 const TRAIL = 120;
@@ -23,7 +24,7 @@ export class Sensors {
   readonly group = new THREE.Group();
   readonly sigma = new THREE.Group();
   readonly trails = new THREE.Group();
-  readonly labels = new THREE.Group();
+  readonly labels = new Labels();
   private names: string[] = [];
   private looks: THREE.InstancedMesh[] = [];
   private bubbles: THREE.InstancedMesh | null = null;
@@ -36,7 +37,7 @@ export class Sensors {
   private readonly tip = new THREE.Vector3();
 
   constructor(private readonly model: Model) {
-    this.group.add(this.sigma, this.trails, this.labels);
+    this.group.add(this.sigma, this.trails, this.labels.group);
   }
 
   update(sensors: SensorEntry[]): void {
@@ -46,16 +47,15 @@ export class Sensors {
     const axes = this.axes!.geometry.getAttribute("position") as THREE.BufferAttribute;
     sensors.forEach((sensor, index) => {
       const { position_m, orientation_wxyz, sigma_m, state } = sensor;
-      const sprite = this.labels.children[index]!;
-      sprite.visible = !!position_m;
       if (!position_m) {
+        this.labels.hide(index);
         for (let end = 0; end < 6; end++) axes.setXYZ(index * 6 + end, 0, 0, -100);
         return;
       }
       vector(position_m, this.position);
       if (orientation_wxyz) quaternion(orientation_wxyz, this.rotation);
       else this.rotation.identity();
-      sprite.position.copy(this.position);
+      this.labels.put(index, this.position);
       const look = Math.max(0, LOOKS.findIndex(({ states }) => states.includes(state)));
       this.place(this.looks[look]!, counts[look]!++, SIZE_M);
       if (sigma_m != null) this.place(this.bubbles!, bubble++, Math.max(2 * sigma_m, 1e-4));
@@ -66,6 +66,7 @@ export class Sensors {
       }
     });
     axes.needsUpdate = true;
+    this.labels.finish();
     this.looks.forEach((mesh, i) => finish(mesh, counts[i]!));
     finish(this.bubbles!, bubble);
     if (this.trails.visible) this.drawTrails();
@@ -112,9 +113,7 @@ export class Sensors {
     this.group.add(this.axes);
     this.trail = segments(count * 2 * (TRAIL - 1), new THREE.LineBasicMaterial({ color: 0x2a78b8, transparent: true, opacity: 0.45 }));
     this.trails.add(this.trail);
-    this.labels.clear();
-    const ink = getComputedStyle(document.body).color;
-    this.labels.add(...this.names.map((name) => label(name, ink)));
+    this.labels.write(this.names, getComputedStyle(document.body).color);
   }
 }
 

@@ -4,7 +4,7 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { type Cell, Table, el } from "../dom";
-import { HISTORY_S, History } from "../model";
+import { HISTORY_S } from "../model";
 import { JointCurves, axisLook } from "./joints";
 import type { Context, View } from "../view";
 import { ChangeCurve } from "./changes";
@@ -35,6 +35,18 @@ export class AnalysisView implements View {
   private readonly joints = new JointCurves();
   private plots: uPlot[] = [];
   private lastDraw = -Infinity;
+  private readonly panels: (() => void)[] = [
+    () => this.drawChoice(),
+    ...CURVES.map((_, index) => () => this.drawCurve(index)),
+    () => this.drawChanges(),
+    () => this.joints.draw(this.context.model.angles),
+    () => this.segments.draw(),
+    () => this.drawRepetitions(),
+    () => this.map.draw(),
+    () => this.drawFaults(),
+  ];
+  /** The panel that is drawn next. */
+  private next = 0;
 
   constructor(private readonly context: Context) {
     this.map = new FaultsPanel(context);
@@ -48,18 +60,22 @@ export class AnalysisView implements View {
     this.resize();
   }
 
+  /** One panel in each frame: all at once would take longer than a frame may. */
   draw(now_ms: number, fresh: boolean): void {
-    if (!fresh || now_ms < this.lastDraw + DRAW_MS) return;
-    this.lastDraw = now_ms;
-    this.drawChoice();
-    const history = this.context.model.history.get(this.choice.value);
-    if (history) this.drawCurves(history);
+    if (this.next === 0) {
+      if (!fresh || now_ms < this.lastDraw + DRAW_MS) return;
+      this.lastDraw = now_ms;
+    }
+    this.panels[this.next]!();
+    this.next = (this.next + 1) % this.panels.length;
+  }
+
+  private drawChanges(): void {
     const { changes, keyPoses } = this.context.model;
     this.changes.draw(changes.get(this.choice.value), keyPoses.filter(({ sensor }) => sensor === this.choice.value));
-    this.segments.draw();
-    this.drawRepetitions();
-    this.map.draw();
-    this.joints.draw(this.context.model.angles);
+  }
+
+  private drawFaults(): void {
     this.faults.fill(this.context.model.faults.slice(-40).reverse().map((fault): Cell[] => [
       [fault.t_s.toFixed(2)], [fault.sensor, "word"], [fault.cause, "word"],
       [fault.active ? "began" : "ended", `word ${fault.active ? "care" : "good"}`],
@@ -88,25 +104,18 @@ export class AnalysisView implements View {
     if (names.includes(chosen)) this.choice.value = chosen;
   }
 
-  private drawCurves(history: History): void {
+  private drawCurve(index: number): void {
+    const history = this.context.model.history.get(this.choice.value);
+    const plot = this.plots[index];
+    if (!history || !plot) return;
     const { length } = history;
-    const t = new Float64Array(length);
-    for (let i = 0; i < length; i++) t[i] = history.at(i)[0]!;
+    const t = history.column(0);
+    const { series, scale } = CURVES[index]!;
+    const columns = series.map(([, column]) => Array.from(history.column(column), (value) => (Number.isFinite(value) ? scale * value : null)));
     const end = t[length - 1] ?? 0;
-    this.plots.forEach((plot, p) => {
-      const { series, scale } = CURVES[p]!;
-      const columns = series.map(([, column]) => {
-        const values = new Array<number | null>(length);
-        for (let i = 0; i < length; i++) {
-          const value = history.at(i)[column]! * scale;
-          values[i] = Number.isFinite(value) ? value : null;
-        }
-        return values;
-      });
-      plot.batch(() => {
-        plot.setData([t, ...columns] as unknown as uPlot.AlignedData, true);
-        plot.setScale("x", { min: end - HISTORY_S, max: end });
-      });
+    plot.batch(() => {
+      plot.setData([t, ...columns] as unknown as uPlot.AlignedData, true);
+      plot.setScale("x", { min: end - HISTORY_S, max: end });
     });
   }
 

@@ -6,6 +6,9 @@ import type { Context, View } from "../view";
 
 const LINK_CLASS = { streaming: "good", connecting: "care", silent: "care", failed: "bad" } as const;
 
+/** Sensors whose row is renewed in one frame. */
+const ROWS_PER_FRAME = 12;
+
 /** A sensor's state, and what the map of faults says of it. */
 function faulty({ state, fault }: SensorEntry): string {
   return !fault || fault.cause === "none" || fault.cause === "missing" ? state : `${state}: ${fault.label}, ${fault.cause}`;
@@ -56,11 +59,12 @@ export class HealthView implements View {
     setText(this.clients, status.clients === 1 ? "one client: this page" : `${status.clients} clients`);
   }
 
+  /** A few sensors in each frame: fifty at once would take longer than a frame may. */
   private drawSensors(): void {
     const { sensors, status } = this.context.model;
     if (!sensors) return;
     const counts = new Map(status?.sensors.map((sensor) => [sensor.name, sensor]));
-    this.sensors.fill(sensors.sensors.map((sensor): Cell[] => {
+    this.sensors.fillSome(sensors.sensors, ROWS_PER_FRAME, (sensor): Cell[] => {
       const count = counts.get(sensor.name);
       const numbers = (values: number[] | null | undefined, n: number, digits: number): Cell[] =>
         Array.from({ length: n }, (_, i) => [num(values?.[i], digits)]);
@@ -75,7 +79,7 @@ export class HealthView implements View {
         [count ? String(count.samples) : "–"],
         [count ? `${count.lost}${count.estimated ? " ~" : ""}` : "–"],
       ];
-    }));
+    });
     const dropped = sensors.dropped ? `, ${sensors.dropped} messages dropped for this page` : "";
     setText(this.frame, `stage time ${sensors.t_s.toFixed(2)} s${dropped}`);
   }

@@ -76,7 +76,7 @@ export class StageView implements View {
       el("aside", {},
         el("h2", {}, "Sensors"), this.summary, this.bodySummary,
         layer("body", figure, true),
-        layer("names", this.sensors.labels, true),
+        layer("names", this.sensors.labels.group, true),
         layer("trails", this.sensors.trails, true),
         layer("uncertainty, two sigma", this.sensors.sigma, true),
         layer("truth of the simulation", this.truth.group, true),
