@@ -147,7 +147,12 @@ impl Browser {
         }
     }
 
+    /// Clicks what can be clicked, once it can.
     pub(crate) async fn click(&mut self, id: &str) {
+        self.until(&format!(
+            "document.getElementById('{id}') !== null && !document.getElementById('{id}').disabled"
+        ))
+        .await;
         self.value(&format!("document.getElementById('{id}').click()")).await;
     }
 
