@@ -425,6 +425,7 @@ async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_devic
     browser.until("document.getElementById('repetitions').rows.length >= 3").await;
     let repetition = browser.row("repetitions", 0).await;
     assert_eq!((repetition[1].as_str(), repetition[4].as_str()), ("curl", "counted"), "{repetition:?}");
-    assert!((repetition[2].parse::<f64>().unwrap() - 2.0).abs() < 0.5, "{repetition:?}");
+    // Of the two seconds the slow ones at either end are rest.
+    assert!((0.5..2.5).contains(&repetition[2].parse().unwrap()), "{repetition:?}");
     done(browser, posed).await;
 }
