@@ -14,6 +14,8 @@ pub mod intrinsics;
 mod level;
 pub mod limb;
 pub mod mounting;
+#[cfg(test)]
+mod testing;
 mod track;
 mod tracker;
 

@@ -287,4 +287,4 @@ fn rotation_transition(w_rad_s: &Vector3<f64>, dt_s: f64) -> Matrix6<f64> {
 
 #[cfg(test)]
 #[path = "track_tests.rs"]
-pub(super) mod tests;
+mod tests;

@@ -2,26 +2,8 @@
 
 use nalgebra::{Matrix6, Vector6};
 
+use super::super::testing::Random;
 use super::*;
-
-/// Normal deviates from a small generator of our own: the same numbers for ever.
-pub(in crate::fusion) struct Random(pub(crate) u64);
-
-impl Random {
-    pub(in crate::fusion) fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        ((self.0 >> 11) as f64 + 0.5) / (1u64 << 53) as f64
-    }
-
-    pub(in crate::fusion) fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * self.uniform().ln()).sqrt();
-        radius * (std::f64::consts::TAU * self.uniform()).cos()
-    }
-
-    pub(in crate::fusion) fn vector(&mut self) -> Vector3<f64> {
-        Vector3::new(self.normal(), self.normal(), self.normal())
-    }
-}
 
 const NOISE: TrackerNoise = TrackerNoise { r0_m: 1.0, sigma_radial_m: 2e-4, sigma_rotation_rad: 2e-3 };
 
@@ -75,7 +57,7 @@ fn a_prediction_in_two_steps_is_that_in_one() {
     assert_eq!(track.predicted(Timestamp::ZERO, &tuning), track);
 }
 
-/// Normalised estimation error squared over 50 runs of motion and noise exactly as the filter believes.
+/// Normalised estimation error squared over 200 runs of motion and noise exactly as the filter believes.
 #[test]
 fn the_errors_are_as_large_as_the_covariance_says() {
     let (a, alpha) = (20.0, 100.0);
@@ -85,10 +67,10 @@ fn the_errors_are_as_large_as_the_covariance_says() {
         noise_scale_max: 1.0,
         ..Tuning::default()
     };
-    let (runs, steps, dt) = (50, 100, tuning.interval_s);
+    let (runs, steps, dt) = (200, 100, tuning.interval_s);
     let (mut translation, mut rotation) = (0.0, 0.0);
     for run in 0..runs {
-        let mut random = Random(100 + run);
+        let mut random = Random::new(100 + run);
         // Far enough out that the place hardly changes the noise, which the filter takes at its own position.
         let mut p = Vector3::new(0.9, 0.3, -0.2);
         let mut v = random.vector() * tuning.velocity_m_s;
@@ -127,9 +109,9 @@ fn the_errors_are_as_large_as_the_covariance_says() {
         e.fixed_rows_mut::<3>(3).copy_from(&(w - track.angular_velocity_rad_s));
         rotation += nees(track.rotation.matrix(), &e);
     }
-    // 95 % of chi-square with 300 degrees of freedom lies in 253.9..349.9; by 50 runs.
+    // 95 % of chi-square with 1200 degrees of freedom, which these runs add up to.
     for (name, sum) in [("translation", translation), ("rotation", rotation)] {
-        assert!((253.9..349.9).contains(&sum), "{name}: mean NEES {}", sum / 50.0);
+        assert!((1105.9..1297.9).contains(&sum), "{name}: mean NEES {}", sum / 200.0);
     }
 }
 

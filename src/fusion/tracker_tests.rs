@@ -2,7 +2,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::super::track::tests::Random;
+use super::super::testing::Random;
 use super::*;
 use crate::faults::Detector;
 use crate::geometry::so3;
@@ -55,7 +55,7 @@ fn a_fast_hand_is_followed_within_five_sigma_whatever_the_noise() {
             sigma_rotation_rad: factor * quiet.sigma_rotation_rad,
             ..quiet
         };
-        let mut random = Random(5);
+        let mut random = Random::new(5);
         let (mut tracker, mut detector) = new();
         let (mut wrong, mut lost, mut within) = (0, 0, 0);
         for k in 0..1000 {
@@ -82,7 +82,7 @@ fn a_fast_hand_is_followed_within_five_sigma_whatever_the_noise() {
 
 #[test]
 fn flipped_bits_are_never_good_beyond_20_mm_or_5_degrees() {
-    let mut random = Random(11);
+    let mut random = Random::new(11);
     let (mut wrong, mut lost, mut flips) = (0, 0, 0);
     for run in 0..20 {
         let (mut tracker, mut detector) = new();
@@ -131,7 +131,7 @@ fn flip(pose: &mut MeasuredPose, random: &mut Random) {
 #[test]
 fn a_track_needs_agreeing_records_and_a_replaced_sensor_is_found_again() {
     let (mut tracker, mut detector) = new();
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     let noise = TrackerNoise::default();
     let here = (Vector3::new(0.4, 0.1, -0.1), so3::exp(&Vector3::new(0.1, 0.2, 0.3)));
     let there = (Vector3::new(0.7, -0.3, -0.3), so3::exp(&Vector3::new(-1.0, 0.2, 0.5)));
@@ -153,7 +153,7 @@ fn a_track_needs_agreeing_records_and_a_replaced_sensor_is_found_again() {
 #[test]
 fn flips_and_stuck_records_are_recovered_within_two_frames() {
     let (mut tracker, mut detector) = new();
-    let mut random = Random(8);
+    let mut random = Random::new(8);
     let noise = TrackerNoise::default();
     let mut held = None;
     for k in 0..600 {

@@ -8,6 +8,13 @@ pub mod so3;
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
+/// An angle in (-pi, pi], rad.
+pub fn wrapped_rad(angle_rad: f64) -> f64 {
+    use std::f64::consts::{PI, TAU};
+    let wrapped = angle_rad.rem_euclid(TAU);
+    if wrapped > PI { wrapped - TAU } else { wrapped }
+}
+
 /// Unit quaternion from (w, x, y, z); `None` unless it is finite and clearly not zero.
 pub fn orientation_from_wxyz(wxyz: [f64; 4]) -> Option<UnitQuaternion<f64>> {
     let [w, x, y, z] = wxyz;

@@ -208,22 +208,20 @@ impl Inclination {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fusion::ahrs::tests::Normal;
+    use crate::fusion::testing::consistency;
     use crate::geometry::so3;
 
     /// Fifty runs in which bias, tilt, velocity and what is measured are as the filter assumes.
     #[test]
     fn it_is_consistent_in_a_matched_model() {
-        const RUNS: u64 = 50;
         const WINDOWS: usize = 200;
         let params = InclinationParams::default();
-        let mut sums = [0.0; WINDOWS];
-        for run in 0..RUNS {
-            let mut normal = Normal::new(run);
+        // 95 % of chi squared with 350 degrees of freedom, over 50.
+        let inside = consistency(&(6.00..8.07), |mut random| {
             let mut filter = Inclination::new(&params);
             let mut truth = filter.clone();
-            truth.x += SVector::from_fn(|i, _| filter.p[(i, i)].sqrt() * normal.next());
-            for (k, sum) in sums.iter_mut().enumerate() {
+            truth.x += SVector::from_fn(|i, _| filter.p[(i, i)].sqrt() * random.normal());
+            let window = |k: usize| {
                 let turned = so3::exp(&Vector3::new((0.05 * k as f64).sin(), 0.03 * k as f64, 0.4));
                 let w = ForceWindow {
                     duration_s: 0.03,
@@ -237,19 +235,18 @@ mod tests {
                 let mut noise = Inclination { x: SVector::zeros(), p: SMatrix::zeros() };
                 noise.predict(&params, &w);
                 truth.x = Inclination::transition(&w) * truth.x
-                    + SVector::from_fn(|i, _| noise.p[(i, i)].sqrt() * normal.next());
+                    + SVector::from_fn(|i, _| noise.p[(i, i)].sqrt() * random.normal());
                 filter.x = Inclination::transition(&w) * filter.x;
                 filter.predict(&params, &ForceWindow { velocity_m_s: Vector3::z() * w.velocity_m_s.z, ..w });
                 let r = params.velocity_density.powi(2) / w.duration_s;
                 for i in VELOCITY..STATES {
-                    filter.observe(i, truth.x[i] + r.sqrt() * normal.next(), r);
+                    filter.observe(i, truth.x[i] + r.sqrt() * random.normal(), r);
                 }
                 let e = truth.x - filter.x;
-                *sum += e.dot(&filter.p.cholesky().unwrap().solve(&e)) / RUNS as f64;
-            }
-        }
-        // 95 % of chi squared with 350 degrees of freedom, over 50.
-        let inside = sums.iter().filter(|sum| (6.00..8.07).contains(*sum)).count();
-        assert!(inside * 10 >= WINDOWS * 9, "{inside} of {WINDOWS}");
+                e.dot(&filter.p.cholesky().unwrap().solve(&e))
+            };
+            (0..WINDOWS).map(window).collect()
+        });
+        assert!(inside >= 0.9, "{inside}");
     }
 }

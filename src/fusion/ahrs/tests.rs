@@ -65,29 +65,6 @@ impl Simulation {
     }
 }
 
-/// Normal numbers, by Box and Muller.
-pub(super) struct Normal(u64);
-
-impl Normal {
-    pub(super) fn new(seed: u64) -> Self {
-        let mut normal = Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
-        normal.next();
-        normal
-    }
-
-    fn uniform(&mut self) -> f64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        ((self.0 >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
-    }
-
-    pub(super) fn next(&mut self) -> f64 {
-        let (radius, angle) = ((-2.0 * self.uniform().ln()).sqrt(), std::f64::consts::TAU * self.uniform());
-        radius * angle.cos()
-    }
-}
-
 fn field(turn_deg: f64, norm: f64, dip_deg: f64) -> Vector3<f64> {
     let (turn, dip) = (turn_deg.to_radians(), dip_deg.to_radians());
     Vector3::new(dip.cos() * turn.sin(), dip.cos() * turn.cos(), -dip.sin()) * (46.0 * norm)

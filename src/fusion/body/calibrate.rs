@@ -500,7 +500,7 @@ impl Session<'_> {
             Err(refused) => return Err(refused),
         };
         let [first, second] = match rough {
-            Some(axes) => chain::refined_axes(axes, before, behind, &steps_s),
+            Some(axes) => chain::refined_axes(&axes, before, behind, &steps_s),
             None => relative_axis(before, behind)?,
         };
         // The way the movement begins: the mean turn from the posture at its start.

@@ -13,6 +13,8 @@
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
+use crate::geometry::wrapped_rad;
+
 /// Length of a block, s.
 const BLOCK_S: f64 = 1.0;
 /// How the headings drift apart, rad per sqrt(s): what the gyros' biases and scales do that the orientation filter left.
@@ -183,7 +185,7 @@ fn follow(seen: &[(f64, f64)], stiffness: &[f64]) -> Vec<f64> {
             information = 1.0 / (1.0 / f64::max(information, 1e-9) + 1.0 / stiffness[k - 1]);
         }
         information += known;
-        heading += wrap(measured - heading) * known / information.max(1e-9);
+        heading += wrapped_rad(measured - heading) * known / information.max(1e-9);
         headings.push(heading);
     }
     headings
@@ -197,7 +199,7 @@ fn smooth(headings: &mut [f64], seen: &[(f64, f64)], stiffness: &[f64]) {
     for k in 0..n {
         let (measured, known) = seen[k];
         diagonal[k] = known + 1e-6;
-        right[k] = known * wrap(measured - headings[k]);
+        right[k] = known * wrapped_rad(measured - headings[k]);
         if k > 0 {
             diagonal[k] += stiffness[k - 1];
             right[k] -= stiffness[k - 1] * (headings[k] - headings[k - 1]);
@@ -251,20 +253,13 @@ pub(super) fn angle_rad(
     let [to_z, from_z] = [to_z(&axes[0]), to_z(&axes[1]).inverse()];
     let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading_rad);
     let q = to_z * (before.inverse() * heading * behind) * from_z;
-    wrap(2.0 * q.k.atan2(q.w))
+    wrapped_rad(2.0 * q.k.atan2(q.w))
 }
 
 /// Turns an axis to z.
 fn to_z(axis: &Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::rotation_between(axis, &Vector3::z())
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
-}
-
-/// Into (-pi, pi].
-pub(super) fn wrap(angle: f64) -> f64 {
-    use std::f64::consts::{PI, TAU};
-    let wrapped = angle.rem_euclid(TAU);
-    if wrapped > PI { wrapped - TAU } else { wrapped }
 }
 
 #[cfg(test)]
@@ -310,7 +305,7 @@ mod tests {
         }
         for (k, angle) in angles.iter().enumerate() {
             let found = angle_rad(&joint.axes, joint.heading_rad[k], &before[k], &behind[k]);
-            let off = wrap(found - angle).to_degrees();
+            let off = wrapped_rad(found - angle).to_degrees();
             assert!(off.abs() < 0.5, "{off} degrees off at sample {k}");
         }
     }

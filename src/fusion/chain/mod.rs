@@ -16,7 +16,7 @@ use thiserror::Error;
 
 use super::ahrs::{ImuSample, Params, smoothed};
 use super::mounting::{HingeAxes, Refused, hinge_axes};
-use joint::wrap;
+use crate::geometry::wrapped_rad;
 
 /// How much of the beginning shows the zero, s.
 const ZERO_S: f64 = 0.25;
@@ -176,13 +176,12 @@ fn find_axes(epochs: &[Epoch], parent: usize, child: usize) -> Result<HingeAxes,
 
 /// The axes of a hinge, improved with the orientations of the sensors beside it; first and second sensor.
 pub(super) fn refined_axes(
-    axes: HingeAxes,
+    axes: &HingeAxes,
     before: &[UnitQuaternion<f64>],
     behind: &[UnitQuaternion<f64>],
     steps_s: &[f64],
 ) -> [Vector3<f64>; 2] {
-    let (axes, _) = refine(axes, before, behind, steps_s);
-    [axes.first, axes.second]
+    joint::solve([axes.first, axes.second], before, behind, steps_s).axes
 }
 
 /// Segment orientations in the room and flexions, with zero and sign as the module says.
@@ -197,7 +196,7 @@ fn poses(
     let begin = epochs.iter().take_while(|epoch| epoch.t_s - start_s <= ZERO_S).count();
     // About the first angle, so that no average is taken across the wrap.
     let zero = |angles: &[f64]| {
-        angles[0] + angles[..begin].iter().map(|a| wrap(a - angles[0])).sum::<f64>() / begin as f64
+        angles[0] + angles[..begin].iter().map(|a| wrapped_rad(a - angles[0])).sum::<f64>() / begin as f64
     };
     let zeros: Vec<f64> =
         motions.iter().map(|motion| motion.as_ref().map_or(0.0, |motion| zero(&motion.angle_rad))).collect();
@@ -225,7 +224,9 @@ fn poses(
         flexion_rad: motions
             .iter()
             .zip(&zeros)
-            .map(|(motion, zero)| motion.as_ref().map_or(0.0, |motion| wrap(motion.angle_rad[k] - zero)))
+            .map(|(motion, zero)| {
+                motion.as_ref().map_or(0.0, |motion| wrapped_rad(motion.angle_rad[k] - zero))
+            })
             .collect(),
     };
     (0..epochs.len()).map(pose).collect()

@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
 use super::chain::Motion;
 use super::joint::Joint;
 use super::*;
+use crate::fusion::testing::{Random, consistency};
 use crate::geometry::so3;
 
 type V = Vector3<f64>;
@@ -366,23 +367,6 @@ fn three_axes_lose_directions_where_two_of_them_meet() {
     assert!(turns(0.0) < 1e-12);
 }
 
-/// Standard normal numbers.
-struct Normal(u64);
-
-impl Normal {
-    fn next(&mut self) -> f64 {
-        let mut uniform = || {
-            self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            ((self.0 >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
-        };
-        let (a, b) = (uniform(), uniform());
-        (-2.0 * a.ln()).sqrt() * (std::f64::consts::TAU * b).cos()
-    }
-    fn vector(&mut self, sigma: f64) -> V {
-        V::from_fn(|_, _| sigma * self.next())
-    }
-}
-
 /// An upper joint of either form.
 trait Upper<const N: usize>: Joint<N> + Clone {
     fn still() -> Self;
@@ -424,7 +408,7 @@ impl<const N: usize> Upper<N> for Axes<3> {
 struct Matched<J, const D: usize, const N: usize> {
     truth: Limb<J, D, N>,
     filter: Limb<J, D, N>,
-    normal: Normal,
+    random: Random,
     t: f64,
 }
 
@@ -432,15 +416,14 @@ impl Matched<Ball, 2, 21> {
     fn new(seed: u64) -> Self {
         let mut elbow = Axes::new(elbow_axes());
         elbow.angle_rad[0] = 1.0;
-        Self::with(seed, elbow)
+        Self::with(Random::new(seed), elbow)
     }
 }
 
 impl<J: Upper<N>, const D: usize, const N: usize> Matched<J, D, N> {
     const DT: f64 = 0.01;
 
-    fn with(seed: u64, lower: Axes<D>) -> Self {
-        let mut normal = Normal(seed);
+    fn with(mut random: Random, lower: Axes<D>) -> Self {
         let noise = LimbNoise {
             joint: JointNoise { jerk: 20.0, accel_tau_s: 0.3 },
             gyro: 0.01,
@@ -463,9 +446,9 @@ impl<J: Upper<N>, const D: usize, const N: usize> Matched<J, D, N> {
             filter.p.0[(i, i)] = small * small;
         }
         let mut truth = filter.clone();
-        let dx = SVector::<f64, N>::from_fn(|i, _| filter.p.0[(i, i)].sqrt() * normal.next());
+        let dx = SVector::<f64, N>::from_fn(|i, _| filter.p.0[(i, i)].sqrt() * random.normal());
         truth.correct(&dx);
-        Self { truth, filter, normal, t: 0.0 }
+        Self { truth, filter, random, t: 0.0 }
     }
 
     fn step(&mut self) -> [SensorReport; 2] {
@@ -475,7 +458,7 @@ impl<J: Upper<N>, const D: usize, const N: usize> Matched<J, D, N> {
         q.p = Covariance(SMatrix::zeros());
         q.predict(Self::DT);
         let root = (q.p.0 + SMatrix::identity() * 1e-18).cholesky().unwrap().l();
-        let w = root * SVector::<f64, N>::from_fn(|_, _| self.normal.next());
+        let w = root * SVector::<f64, N>::from_fn(|_, _| self.random.normal());
         self.truth.predict(Self::DT);
         self.truth.correct(&w);
         let base = Scripted::base_at(self.t);
@@ -491,10 +474,10 @@ impl<J: Upper<N>, const D: usize, const N: usize> Matched<J, D, N> {
             let p = self.truth.predict_sample(which, &base, None);
             let q = base.q_room_base * self.truth.orientations()[which as usize] * mount;
             // The azimuth alone is noisy, as the filter assumes.
-            let turned = so3::exp(&(V::z() * (self.truth.noise.heading * self.normal.next()))) * field;
+            let turned = so3::exp(&(V::z() * (self.truth.noise.heading * self.random.normal()))) * field;
             samples[which as usize] = Some(ImuSample {
-                gyro_rad_s: p.gyro + self.normal.vector(0.01),
-                accel_m_s2: p.accel + self.normal.vector(0.1),
+                gyro_rad_s: p.gyro + self.random.vector() * 0.01,
+                accel_m_s2: p.accel + self.random.vector() * 0.1,
                 mag: Some(q.inverse() * turned),
             });
         }
@@ -508,19 +491,16 @@ impl<J: Upper<N>, const D: usize, const N: usize> Matched<J, D, N> {
     }
 }
 
-/// Of 50 runs the share of steps in which the mean normalised squared error lies in its 95 % interval.
-fn consistency<J: Upper<N>, const D: usize, const N: usize>(lower: &Axes<D>, (low, high): (f64, f64)) -> f64 {
-    const RUNS: u64 = 50;
-    let mut sums = [0.0; 150];
-    for run in 0..RUNS {
-        let mut matched = Matched::<J, D, N>::with(1000 + 77 * run, lower.clone());
-        for sum in &mut sums {
+/// Share of the steps that are consistent in a matched model.
+fn matched<J: Upper<N>, const D: usize, const N: usize>(lower: &Axes<D>, (low, high): (f64, f64)) -> f64 {
+    consistency(&(low..high), |random| {
+        let mut matched = Matched::<J, D, N>::with(random, lower.clone());
+        let step = |_| {
             matched.step();
-            *sum += matched.nees();
-        }
-    }
-    let inside = sums.iter().filter(|sum| (low..high).contains(&(**sum / RUNS as f64))).count();
-    inside as f64 / sums.len() as f64
+            matched.nees()
+        };
+        (0..150).map(step).collect()
+    })
 }
 
 #[test]
@@ -528,15 +508,15 @@ fn arm_and_leg_are_consistent_in_a_matched_model() {
     // 95 % of chi squared with 50 times 21, 15, 18 and 12 degrees of freedom, over 50.
     let mut elbow = Axes::new(elbow_axes());
     elbow.angle_rad[0] = 1.0;
-    let inside = consistency::<Ball, 2, 21>(&elbow, (19.25, 22.84));
+    let inside = matched::<Ball, 2, 21>(&elbow, (19.25, 22.84));
     assert!(inside >= 0.9, "arm: {inside}");
-    let inside = consistency::<Axes<3>, 2, 15>(&elbow, (13.52, 16.56));
+    let inside = matched::<Axes<3>, 2, 15>(&elbow, (13.52, 16.56));
     assert!(inside >= 0.9, "Euler arm: {inside}");
     let mut knee = Axes::new([-V::z()]);
     knee.angle_rad[0] = 0.6;
-    let inside = consistency::<Ball, 1, 18>(&knee, (16.38, 19.70));
+    let inside = matched::<Ball, 1, 18>(&knee, (16.38, 19.70));
     assert!(inside >= 0.9, "leg: {inside}");
-    let inside = consistency::<Axes<3>, 1, 12>(&knee, (10.68, 13.40));
+    let inside = matched::<Axes<3>, 1, 12>(&knee, (10.68, 13.40));
     assert!(inside >= 0.9, "Euler leg: {inside}");
 }
 

@@ -10,6 +10,7 @@ use super::covariance::Covariance;
 use super::joint::Joint;
 use super::{Base, Limb, Which};
 use crate::fusion::ahrs::ImuSample;
+use crate::geometry::wrapped_rad;
 
 /// 99.9 % of chi squared with 3 degrees of freedom: beyond it a sample is not believed.
 const GATE_3: f64 = 16.3;
@@ -133,7 +134,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         if let Some((reference, mag)) = field {
             let q_room_frame = base.q_room_base * motion.q_base_frame;
             let m = q_room_frame * (mount * mag);
-            azimuth = trusted(&m, reference).then(|| wrap(m.y.atan2(m.x) - reference.azimuth_rad));
+            azimuth = trusted(&m, reference).then(|| wrapped_rad(m.y.atan2(m.x) - reference.azimuth_rad));
             // Only the turn about the vertical: the azimuth never corrects the tilt.
             let back = q_room_frame.inverse();
             d_azimuth = (back * Vector3::z()).transpose() * motion.d_turn;
@@ -238,7 +239,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
                 || nis.is_some_and(|n| n > RELINEARISE && n <= GATE_3);
 
             if let Some(azimuth) = prediction.azimuth {
-                let residual = wrap(-azimuth + (prediction.d_azimuth * from)[0]);
+                let residual = wrapped_rad(-azimuth + (prediction.d_azimuth * from)[0]);
                 let patient = sensor.without_field_s < FIELD_PATIENCE_S;
                 let own = heading.powi(2) * if patient { 1.0 } else { 10.0 };
                 let nis = turn_only(&mut self.p, &mut dx, &prediction, columns, residual, own, |nis| {
@@ -340,11 +341,4 @@ fn turn_only<const N: usize>(
 fn trusted(m: &Vector3<f64>, reference: &FieldReference) -> bool {
     let dip = (-m.z).atan2(m.x.hypot(m.y));
     (m.norm() / reference.norm - 1.0).abs() < 0.1 && (dip - reference.dip_rad).abs() < 10_f64.to_radians()
-}
-
-/// Into (-pi, pi].
-fn wrap(angle: f64) -> f64 {
-    use std::f64::consts::{PI, TAU};
-    let wrapped = angle.rem_euclid(TAU);
-    if wrapped > PI { wrapped - TAU } else { wrapped }
 }
