@@ -146,8 +146,11 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser.until("document.getElementById('link').textContent === 'the recording ends here'").await;
     let seek = "const scrub = document.getElementById('scrub'); scrub.value = scrub.min; \
         scrub.dispatchEvent(new Event('change'));";
-    browser.value(&speed("1 ×")).await;
+    browser.value(&speed("pause")).await;
     browser.value(seek).await;
+    browser.until("document.getElementById('link').textContent === 'paused'").await;
+    // So slow that also a busy machine sees it before it ends again.
+    browser.value(&speed("¼ ×")).await;
     browser.until("document.getElementById('link').textContent === 'live'").await;
     browser.picture("replay").await;
     // The recording and a copy of it lie on one another, unless one is shifted.
@@ -205,8 +208,8 @@ async fn the_field_is_calibrated_in_the_browser_and_the_stage_shows_what_the_map
     browser.until(&format!("/^arrows [0-9]+ times/.test({})", text("field-arrows"))).await;
     // A slice of it, moved by hand.
     browser.value("document.getElementById('slice-axis').previousElementSibling.click()").await;
-    let cut = "const place = document.getElementById('slice-place'); place.value = 0; \
-        place.dispatchEvent(new Event('input'));";
+    let cut = "{ const place = document.getElementById('slice-place'); place.value = 0; \
+        place.dispatchEvent(new Event('input')); }";
     let middle = browser.value(&text("slice")).await;
     browser.value(cut).await;
     let edge = browser.value(&text("slice")).await;
