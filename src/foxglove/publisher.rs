@@ -9,7 +9,7 @@ use super::{Channel, Content, ROOM, log};
 use crate::fusion::body::Skeleton;
 use crate::input::{Model, Truth};
 use crate::layout::skeleton_of;
-use crate::output::{Body, Estimate, Outcome, OutcomeKind, SegmentState, SensorEstimate};
+use crate::output::{Body, Estimate, Outcome, OutcomeKind, SensorEstimate};
 use crate::protocol::{Encoding, Fields, Names, Payload, Stamp, Topic, View, encode};
 use crate::stage::Stage;
 
@@ -178,7 +178,7 @@ impl Publisher {
     /// From the room to every segment that sensors show.
     fn segment_frames(&self, timestamp: Time, body: &Body) -> FrameTransforms<'_> {
         let transforms = self.segment_frames.iter().zip(&body.segments).filter_map(|(frame, segment)| {
-            let shown = matches!(segment.state, SegmentState::Ok | SegmentState::Inferred);
+            let shown = segment.state.is_shown();
             let pose = Pose::of(segment.position_m.filter(|_| shown)?, segment.orientation_wxyz?)?;
             Some(FrameTransform::new(timestamp, frame, pose))
         });

@@ -52,6 +52,13 @@ pub enum SegmentState {
     Missing,
 }
 
+impl SegmentState {
+    /// Sensors tell where it is, its own or those around it.
+    pub(crate) fn is_shown(self) -> bool {
+        matches!(self, Self::Ok | Self::Inferred)
+    }
+}
+
 /// Where a body's position comes from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]

@@ -36,14 +36,14 @@ fn simple(schema: &Value, root: &Value) -> Option<Value> {
     match kind {
         Some("object") | None if kind.is_some() || schema.get("properties").is_some() => {
             let mut object = Map::new();
-            fields(schema, root, &mut object);
+            for (name, of) in schema.get("properties").and_then(Value::as_object).into_iter().flatten() {
+                if let Some(of) = simple(of, root) {
+                    object.insert(name.clone(), of);
+                }
+            }
             for variant in one_of.into_iter().flatten() {
-                if let Some(Value::Object(more)) = simple(variant, root)
-                    && let Some(Value::Object(properties)) = more.get("properties")
-                {
-                    properties
-                        .iter()
-                        .for_each(|(name, of)| _ = object.entry(name).or_insert_with(|| of.clone()));
+                if let Some(more) = simple(variant, root) {
+                    add_fields(&mut object, &more);
                 }
             }
             Some(json!({ "type": "object", "properties": object }))
@@ -63,12 +63,10 @@ fn simple(schema: &Value, root: &Value) -> Option<Value> {
     }
 }
 
-/// Adds the fields of an object.
-fn fields(schema: &Value, root: &Value, into: &mut Map<String, Value>) {
-    for (name, of) in schema.get("properties").and_then(Value::as_object).into_iter().flatten() {
-        if let Some(of) = simple(of, root) {
-            into.entry(name).or_insert(of);
-        }
+/// Adds those fields of an object in plain words that are not there yet.
+fn add_fields(fields: &mut Map<String, Value>, more: &Value) {
+    for (name, of) in more.get("properties").and_then(Value::as_object).into_iter().flatten() {
+        fields.entry(name).or_insert_with(|| of.clone());
     }
 }
 
@@ -84,10 +82,8 @@ fn union(variants: &[Value], root: &Value) -> Option<Value> {
         if other["type"] != first["type"] {
             return None;
         }
-        if let (Some(Value::Object(into)), Some(Value::Object(more))) =
-            (first.get_mut("properties"), other.get("properties"))
-        {
-            more.iter().for_each(|(name, of)| _ = into.entry(name).or_insert_with(|| of.clone()));
+        if let Some(Value::Object(fields)) = first.get_mut("properties") {
+            add_fields(fields, &other);
         }
     }
     Some(first)

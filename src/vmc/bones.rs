@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
 use super::{unity_rotation, unity_vector};
 use crate::fusion::body::{Segment, Skeleton};
 use crate::geometry::isometry;
-use crate::output::{Body, SegmentState};
+use crate::output::Body;
 
 /// A bone of the Unity humanoid, in Unity's axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,7 +50,7 @@ fn rest(segment: Segment) -> UnitQuaternion<f64> {
 pub(super) fn of(body: &Body, skeleton: &Skeleton, turn: UnitQuaternion<f64>, scale: f64) -> Vec<Bone> {
     let place = |segment: Segment| -> Option<Isometry3<f64>> {
         let shown = body.segments.get(segment.index())?;
-        let good = matches!(shown.state, SegmentState::Ok | SegmentState::Inferred);
+        let good = shown.state.is_shown();
         isometry(shown.position_m.filter(|_| good)?, shown.orientation_wxyz?)
     };
     // Joint and rotation from the T-pose, Unity's axes.

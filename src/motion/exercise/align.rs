@@ -23,6 +23,12 @@ impl Repetition {
         let trimmed = trim(self.path.iter().map(|(_, state)| *state), states);
         first + trimmed.start..first + trimmed.end
     }
+
+    /// The frames of that range, with their states.
+    pub(super) fn moving(&self, states: usize) -> impl Iterator<Item = &(usize, usize)> + Clone {
+        let range = self.range(states);
+        self.path.iter().filter(move |(frame, _)| range.contains(frame))
+    }
 }
 
 /// The part of a path in which the movement happens: a path may wait in the first and in the last state, which

@@ -273,10 +273,10 @@ impl Counting {
         known
     }
 
-    /// First state of the size that the repetition on `path` has; a repetition stays in one size.
-    fn first_state(&self, exercise: usize) -> Option<usize> {
+    /// The size that the repetition on `path` has; a repetition stays in one.
+    fn size(&self) -> Option<usize> {
         match self.network.place(usize::from(*self.path.first()?)) {
-            Place::Within { size, .. } => Some(self.network.range(exercise, size).start),
+            Place::Within { size, .. } => Some(size),
             Place::Background => None,
         }
     }
@@ -284,9 +284,9 @@ impl Counting {
     /// Measures of the repetition on `path`, which begins at frame `start`, and its first and last frame.
     fn measures(&self, exercise: usize, start: u64) -> Option<(Measures, [u64; 2])> {
         let capacity = self.capacity();
-        let first = self.first_state(exercise)?;
+        let number = self.size()?;
+        let first = self.network.range(exercise, number).start;
         let watched = &self.watched[exercise];
-        let Place::Within { size: number, .. } = self.network.place(first) else { return None };
         let Size { movement, ratio } = watched.sizes.get(number)?;
         let states = self.path.iter().map(|state| usize::from(*state) - first);
         let moving = trim(states.clone(), ratio.states());
@@ -339,7 +339,7 @@ impl Counting {
 
     fn feedback(&self, exercise: usize, start: u64, span: [u64; 2], measures: &Measures) -> Option<Feedback> {
         let watched = &self.watched[exercise];
-        let (first, width) = (self.first_state(exercise)?, 2 * watched.channels.len());
+        let (first, width) = (self.network.range(exercise, self.size()?).start, 2 * watched.channels.len());
         let rows = (span[0]..=span[1]).map(|frame| {
             let slot = (frame % self.capacity()) as usize;
             let state = usize::from(self.path[(frame - start) as usize]) - first;

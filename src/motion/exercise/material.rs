@@ -77,6 +77,15 @@ impl Material {
         self.index.len()
     }
 
+    /// The observations of a path, frame by frame with their states.
+    pub(super) fn along<'a>(
+        &'a self,
+        path: impl Iterator<Item = &'a (usize, usize)> + Clone,
+    ) -> impl Iterator<Item = (&'a [f64], usize)> + Clone {
+        let width = 2 * self.width();
+        path.map(move |(frame, state)| (&self.observations[frame * width..][..width], *state))
+    }
+
     /// The same with some of the channels only.
     pub(super) fn only(&self, chosen: &[usize]) -> Self {
         let width = self.width();

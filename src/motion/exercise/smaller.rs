@@ -25,39 +25,35 @@ pub(super) fn smaller(
     found: &[Repetition],
     missing: usize,
 ) -> Vec<Repetition> {
+    if missing == 0 {
+        return Vec::new();
+    }
     let sizes = sizes_down_to(0.0);
     let sized: Vec<Movement> = sizes.iter().map(|size| movement.sized(*size)).collect();
     let ratios: Vec<LogRatio> = sized.iter().map(LogRatio::new).collect();
-    let (states, width) = (ratios[0].states(), 2 * material.width());
+    let states = ratios[0].states();
     let measures = |repetition: &Repetition| {
-        let range = repetition.range(states);
-        let rows = repetition
-            .path
-            .iter()
-            .filter(|(frame, _)| range.contains(frame))
-            .map(|(frame, state)| (&material.observations[frame * width..][..width], *state));
+        let rows = material.along(repetition.moving(states));
         measure(&sized[repetition.size], &ratios[repetition.size], material.rate_hz, rows)
     };
     let mut taken: Vec<Range<usize>> = found.iter().map(|repetition| repetition.range(states)).collect();
     let middle = |value: fn(&Measures) -> f64| median(found.iter().map(|r| value(&measures(r))));
     let typical = (middle(|m| m.duration_s), middle(|m| m.mean_log_ratio), interval(&taken));
     let (Some(duration_s), Some(log_ratio), Some(interval)) = typical else { return Vec::new() };
-    if missing == 0 {
-        return Vec::new();
-    }
-    let mut candidates: Vec<(f64, Repetition)> = repetitions(&material.observations, width, &ratios)
-        .into_iter()
-        .filter(|repetition| repetition.size > 0)
-        .map(|repetition| (measures(&repetition), repetition))
-        .filter(|(measures, repetition)| {
-            measures.likeness > LEAST_LIKENESS
-                && measures.mean_log_ratio > LEAST_ALIKE * log_ratio
-                && measures.fifth_log_ratio > -log_ratio
-                && measures.gain * sizes[repetition.size] >= SMALLEST
-                && (UNEVEN[0]..=UNEVEN[1]).contains(&(measures.duration_s / duration_s))
-        })
-        .map(|(measures, repetition)| (measures.likeness, repetition))
-        .collect();
+    let mut candidates: Vec<(f64, Repetition)> =
+        repetitions(&material.observations, 2 * material.width(), &ratios)
+            .into_iter()
+            .filter(|repetition| repetition.size > 0)
+            .map(|repetition| (measures(&repetition), repetition))
+            .filter(|(measures, repetition)| {
+                measures.likeness > LEAST_LIKENESS
+                    && measures.mean_log_ratio > LEAST_ALIKE * log_ratio
+                    && measures.fifth_log_ratio > -log_ratio
+                    && measures.gain * sizes[repetition.size] >= SMALLEST
+                    && (UNEVEN[0]..=UNEVEN[1]).contains(&(measures.duration_s / duration_s))
+            })
+            .map(|(measures, repetition)| (measures.likeness, repetition))
+            .collect();
     candidates.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut smaller = Vec::new();
     for (_, repetition) in candidates {

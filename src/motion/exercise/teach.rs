@@ -317,16 +317,11 @@ fn steadiness(material: &Material, found: &[Repetition], states: usize) -> f64 {
 /// frame.
 fn alike(material: &Material, movement: &Movement, found: Vec<Repetition>) -> (Vec<Repetition>, f64) {
     let ratio = LogRatio::new(movement);
-    let (states, width) = (ratio.states(), 2 * material.width());
+    let states = ratio.states();
     let measured: Vec<Measures> = found
         .iter()
         .map(|repetition| {
-            let range = repetition.range(states);
-            let rows = repetition
-                .path
-                .iter()
-                .filter(|(frame, _)| range.contains(frame))
-                .map(|(frame, state)| (&material.observations[frame * width..][..width], *state));
+            let rows = material.along(repetition.moving(states));
             measure(movement, &ratio, material.rate_hz, rows)
         })
         .collect();
@@ -472,7 +467,6 @@ fn tolerance(announced: usize) -> usize {
 
 /// Every repetition with its measures against a model of the others of full size, in order.
 fn against_the_others(material: &Material, hypothesis: &Hypothesis) -> Vec<(Range<usize>, Measures)> {
-    let width = 2 * material.width();
     let states = hypothesis.movement.states.mean[0].len();
     let alignments: Vec<_> = hypothesis.found.iter().map(|repetition| repetition.path.clone()).collect();
     let idle = idle(hypothesis.all(), material.frames());
@@ -490,8 +484,7 @@ fn against_the_others(material: &Material, hypothesis: &Hypothesis) -> Vec<(Rang
     let mut measured: Vec<_> = full
         .chain(smaller)
         .map(|(repetition, size, movement)| {
-            let path = repetition.path.iter();
-            let rows = path.map(|(frame, state)| (&material.observations[frame * width..][..width], *state));
+            let rows = material.along(repetition.path.iter());
             let movement = movement.turned(&siblings);
             let mut measures = measure(&movement, &LogRatio::new(&movement), material.rate_hz, rows);
             measures.gain *= size;
