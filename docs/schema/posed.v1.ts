@@ -166,6 +166,12 @@ export type Call = {
 } | {
   /** The reply carries it. */
   id: RequestId;
+  /** The sensor, by name; absent: the only IMU of the stage. */
+  sensor?: string | null;
+  type: "imu.calibrate";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
   /** Its number. */
   job: number;
   type: "job.cancel";
@@ -587,6 +593,28 @@ export type HelloSensor = {
   name: string;
 };
 
+/** What was found for one unit. */
+export type Intrinsics = {
+  /** Subtract from the accelerometer, m/s²; then multiply by scale and cross-axis terms. */
+  accel_bias_m_s2: [number, number, number];
+  /** What each axis feels of another, beside the scale: yz, xz, xy of a symmetric matrix; zero from fewer than 12 directions. */
+  accel_cross?: [number, number, number];
+  /** Root mean square of the length's error over the rests, m/s². */
+  accel_residual_m_s2: number;
+  /** Multiply the accelerometer, after subtracting the bias. */
+  accel_scale: [number, number, number];
+  /** Directions that were held. */
+  directions: number;
+  /** Subtract from the gyro, rad/s. */
+  gyro_bias_rad_s: [number, number, number];
+  /** Standard deviation of that bias between the rests, rad/s. */
+  gyro_bias_sigma_rad_s: number;
+  /** The magnetometer's, where there is one. */
+  mag?: MagIntrinsics | null;
+  /** The unit: its serial number, or the sensor's name where the device tells none; absent: the file's name says it. */
+  unit?: string | null;
+};
+
 /** A long job. */
 export type Job = {
   /** Its number, for `job.cancel`. */
@@ -622,10 +650,16 @@ export type JobsMessage = {
 
 /** A joint. */
 export type JointEntry = {
+  /** Standard deviation of each angle, degrees, by the same names; null where the angle is. */
+  angle_sigmas_deg: Record<string, number | null>;
   /** Its angles by name, degrees; null where a segment beside it is not known. */
   angles_deg: Record<string, number | null>;
   /** The segment whose sensor is ill or missing, if any: why the joint is not `ok`. */
   because: string | null;
+  /** The independent angles, in the order of the covariance's rows: a shoulder's flexion and abduction follow from the others. */
+  covariance_of: string[];
+  /** Covariance of the angles in `covariance_of`, rad²: the upper triangle row by row; null where they are. */
+  covariance_rad2: number[] | null;
   /** Its name. */
   name: string;
   /** Root mean square of the expected error of one angle, degrees. */
@@ -679,6 +713,18 @@ export type LabelCause = "none" | "flip" | "frozen" | "jump" | "bone" | "map" | 
 
 /** What a device's link does. */
 export type LinkState = "streaming" | "connecting" | "silent" | "failed";
+
+/** Hard and soft iron: `m = matrix (raw - offset)` has the length `norm` in every direction. */
+export type MagIntrinsics = {
+  /** Soft iron, row by row; symmetric, determinant 1. */
+  matrix: [[number, number, number], [number, number, number], [number, number, number]];
+  /** Length of the corrected field, in the unit of the samples. */
+  norm: number;
+  /** Hard iron, in the unit of the samples. */
+  offset: [number, number, number];
+  /** Root mean square of the length's error, as a part of the length. */
+  residual: number;
+};
 
 /** A raw record in device axes. */
 export type Measured = {
@@ -737,6 +783,12 @@ export type Model = {
   quat_wxyz: [number, number, number, number];
   /** The magnetic sensor, by name. */
   sensor: string;
+} | {
+  /** As in its file; the field in the unit that the device itself measures in, about 1. */
+  intrinsics: Intrinsics;
+  kind: "imu";
+  /** The unit: its serial number, or the name of its sensor where neither device nor stage file tell one. */
+  unit: string;
 } | {
   /** The exercise, as in its file. */
   exercise: Exercise;

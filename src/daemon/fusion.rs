@@ -16,6 +16,7 @@ use super::clock::StageClock;
 use super::health::Health;
 use super::inbox::{Event, Inbox};
 use super::jobs::{Job, Jobs};
+use super::laid::{Laid, Told};
 use super::ports::PortCommand;
 use super::positions::RecentPositions;
 use super::recent::{Excerpt, Recent};
@@ -120,6 +121,20 @@ pub enum Command {
         /// Where they go.
         to: std_mpsc::SyncSender<Seen>,
     },
+    /// Sends what an IMU tells, uncorrected, until nobody takes it any more.
+    WatchImu {
+        /// The sensor.
+        sensor: SensorIndex,
+        /// Where it goes.
+        to: std_mpsc::SyncSender<Told>,
+    },
+    /// Says which unit a sensor is now.
+    Unit {
+        /// The sensor.
+        sensor: SensorIndex,
+        /// Where its serial number or name goes.
+        to: std_mpsc::Sender<Option<String>>,
+    },
     /// A job was cancelled; it may be one of this thread.
     LookAtJobs,
     /// Ends the thread.
@@ -163,6 +178,8 @@ pub(super) struct Fusion {
     pub(super) worn: Worn,
     /// Who aligns the stage, if anybody.
     pub(super) waved: Waved,
+    /// Who calibrates an IMU, if anybody.
+    pub(super) laid: Laid,
     /// What every recording of this run begins with.
     pub(super) recording_header: Header,
 }
@@ -230,6 +247,7 @@ impl Fusion {
             positions,
             worn,
             waved,
+            laid,
             calibration,
             ..
         } = self;
@@ -254,6 +272,7 @@ impl Fusion {
                     recent.push(estimate);
                     worn.frame(estimate);
                     waved.frame(estimate);
+                    laid.frame(estimate);
                     positions.push(estimate);
                 }
                 Output::Outcome(outcome) => {
@@ -330,6 +349,10 @@ impl Fusion {
             }
             Command::WatchBody(to) => self.worn.watch(to),
             Command::WatchWaved { sensor, imu, to } => self.waved.watch(sensor, imu, to),
+            Command::WatchImu { sensor, to } => self.laid.watch(sensor, to),
+            Command::Unit { sensor, to } => {
+                let _ = to.send(self.pipeline.unit(sensor).map(str::to_owned));
+            }
             Command::LookAtJobs => {
                 if let Some(recording) = self.recording.take_if(|recording| recording.job.is_cancelled()) {
                     self.stop_recording(recording, None);

@@ -16,6 +16,7 @@ pub mod fusion;
 mod health;
 pub mod inbox;
 mod jobs;
+mod laid;
 mod limits;
 mod lsl;
 pub mod models;
@@ -47,6 +48,7 @@ use self::fusion::{Command, Fusion, FusionInbox, INBOX_CAPACITY};
 use self::health::Health;
 use self::inbox::{Event, Inbox};
 use self::jobs::Jobs;
+use self::laid::Laid;
 use self::ports::{Place, PortTask};
 use self::positions::RecentPositions;
 use self::recent::Recent;
@@ -158,7 +160,7 @@ impl Daemon {
     pub fn start_without_ports(options: Options) -> Result<Self, StartError> {
         let Options { stage, stage_toml, folder, data, listen, record, truth, clock } = options;
         limits::raise();
-        let models = models::load(&stage).map_err(StartError::Model)?;
+        let models = models::load(&stage, &data).map_err(StartError::Model)?;
         let mut config = server::Config::new(&folder, clock.epoch_utc_ns());
         config.listen = listen;
         config.clock = Some(clock);
@@ -205,6 +207,7 @@ impl Daemon {
             recent: Recent::new(&stage),
             worn: Worn::new(&stage),
             waved: Waved::default(),
+            laid: Laid::default(),
             positions: RecentPositions::new(&stage),
             recording_header: crate::recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
         };

@@ -204,7 +204,8 @@ impl Player {
             | Call::FaultsTrain { .. }
             | Call::FaultsNameCell { .. }
             | Call::BodyCalibrate { .. }
-            | Call::StageAlign { .. } => Err((
+            | Call::StageAlign { .. }
+            | Call::ImuCalibrate { .. } => Err((
                 "replay",
                 "this daemon replays a recording; recording, models, exercises and calibrations belong to a live stage"
                     .into(),

@@ -19,6 +19,7 @@ mod sensor;
 mod session;
 mod source;
 mod status;
+mod units;
 
 use nalgebra::Isometry3;
 use posed_drivers::{LineEvent, Sample, Timestamp, session::Output as SessionOutput};
@@ -46,6 +47,7 @@ use naming::Naming;
 use sensor::Sensor;
 use source::Source;
 pub use status::{BodyStatus, ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
+use units::Units;
 
 /// A stage file that no pipeline can be made of, or a snapshot that does not fit it.
 #[derive(Debug, Error)]
@@ -101,6 +103,8 @@ pub struct Pipeline {
     field: Field,
     estimate: Estimate,
     fastened: Fastened,
+    /// Boxed: few stages have any.
+    units: Box<Units>,
     exercise: ExerciseStage,
     /// Absent where nobody wears the sensors. Boxed: most stages have none.
     body: Option<Box<BodyStage>>,
@@ -166,6 +170,7 @@ impl Pipeline {
                 ..Estimate::default()
             },
             fastened: Fastened::new(stage)?,
+            units: Box::new(Units::new(stage.sensors.len())),
             exercise: ExerciseStage::new(stage),
             body: BodyStage::new(stage)?.map(Box::new),
             keyframes: Keyframes::new(stage)?,
@@ -309,8 +314,15 @@ impl Pipeline {
         let period_s = source.period_or_nominal_s();
         self.frames.stamp(route.source, &stamp, period_s, self.now);
         if let (Some(index), Some(sensor)) = (route.sensor, sensor)
-            && let Some(measured) = sensor.record(stamp.t_valid, &sample.measurement)
+            && let Some(mut measured) = sensor.record(stamp.t_valid, &sample.measurement)
         {
+            if !self.units.is_empty()
+                && self.units.correct(index, owner.unit(sample.address, sensor), &mut measured)
+            {
+                sensor.restart();
+                self.fastened.restart(index);
+                self.body.iter_mut().for_each(|body| body.restart(index));
+            }
             self.frames.sample(index, measured);
         }
         if stamp.begins_cycle
@@ -451,6 +463,10 @@ impl Pipeline {
                 let found = sensor.zip(pose).map(|(sensor, pose)| (sensor as SensorIndex, pose));
                 found.is_some_and(|(sensor, pose)| self.fastened.fasten(sensor, &pose, *clock_offset_s))
             }
+            Model::Imu { unit, intrinsics } => {
+                self.units.load(unit, intrinsics);
+                true
+            }
             Model::Exercise { exercise } => self.exercise.load(exercise),
             Model::Faults { network } => self.watch_faults(network),
         }
@@ -472,6 +488,19 @@ impl Pipeline {
     pub fn believed(&self, sensor: SensorIndex) -> Option<(Timestamp, Isometry3<f64>)> {
         let believed = self.sensors.get(usize::from(sensor))?.believed()?;
         Some((believed.t, believed.pose))
+    }
+
+    /// Which unit is the sensor now: the serial number that its device tells, or else the stage file, or else its name.
+    pub fn unit(&self, sensor: SensorIndex) -> Option<&str> {
+        let known = self.sensors.get(usize::from(sensor))?;
+        let owner = &self.devices[usize::from(known.device())];
+        let infos = owner.session.get().sensors().iter();
+        let mut at = infos.map(|info| info.address).filter(|address| {
+            let route = owner.route(*address, &self.sensors);
+            route.sensor == Some(sensor)
+        });
+        let alone = || known.serial().unwrap_or(known.name());
+        Some(at.next().map_or_else(alone, |address| owner.unit(address, known)))
     }
 
     /// Where the transmitter stands in the room.

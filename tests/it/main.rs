@@ -21,6 +21,7 @@ mod field;
 mod field_live;
 mod field_real;
 mod handbook;
+mod imu_live;
 mod inertial;
 mod keyframes;
 mod keyframes_live;

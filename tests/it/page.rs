@@ -377,6 +377,59 @@ async fn the_stage_is_aligned_in_the_browser() {
     done(browser, posed).await;
 }
 
+/// Somebody lays a bare unit down on its sides and corners, one after the other.
+const TABLE: &str = r#"
+name = "table"
+[[device]]
+name = "unit"
+driver = "x-imu3"
+port = "auto"
+baud = 2000000
+[[sensor]]
+name = "watch"
+device = "unit"
+address = 0
+[[simulation.body]]
+name = "unit"
+[simulation.body.motion]
+kind = "laid"
+rest_s = 1.5
+turn_s = 0.6
+[[simulation.sensor]]
+name = "watch"
+body = "unit"
+[[simulation.device]]
+name = "unit"
+boot_ms = 0.0
+imu = "mpu"
+"#;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_imu_is_calibrated_in_the_browser_and_its_file_kept() {
+    if !browser::is_wanted() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let stage = folder.path().join("table.toml");
+    std::fs::write(&stage, TABLE).unwrap();
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
+    browser.until(LIVE).await;
+    browser.click("unit-calibrate").await;
+    let text = |id: &str| format!("document.getElementById('{id}').textContent");
+    browser.until(&format!("/^[1-9] of 12 directions/.test({})", text("unit-prompt"))).await;
+    browser.until("document.querySelectorAll('#unit-sides .good').length >= 3").await;
+    browser.until("document.querySelectorAll('#unit-sides .care').length < 3").await;
+    browser.until(&format!("{}.includes('in use')", text("unit-prompt"))).await;
+    browser.until("document.getElementById('unit-figures').rows.length === 5").await;
+    browser.picture("imu").await;
+    let file = browser.row("unit-figures", 4).await;
+    let kept =
+        posed::fusion::intrinsics::Intrinsics::read(&folder.path().join("imus").join(&file[1])).unwrap();
+    assert!(kept.directions >= 12 && kept.mag.is_some(), "{kept:?}");
+    done(browser, posed).await;
+}
+
 /// An arm that curls five times from 12 s on, rests, and curls again and again from 30 s on; as poses for the simulator.
 fn write_curls(path: &Path) {
     let mut text = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");

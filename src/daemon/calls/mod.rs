@@ -7,6 +7,7 @@ mod align;
 mod body;
 mod exercise;
 mod faults;
+mod imu;
 
 use std::path::{Path, PathBuf};
 
@@ -35,6 +36,8 @@ pub(super) struct Calls {
     recordings: PathBuf,
     exercises: Library,
     faults: Library,
+    /// Where the intrinsics of IMUs are kept.
+    imus: PathBuf,
     clock: StageClock,
     inbox: FusionInbox,
     jobs: Jobs,
@@ -55,7 +58,8 @@ impl Calls {
         let exercises = Library::new(exercises);
         let faults = stage.models.faults_folder.clone().unwrap_or_else(|| folder.join("faults"));
         let faults = Library::new(faults);
-        Self { stage: stage.clone(), recordings, exercises, faults, clock, inbox, jobs, calibration }
+        let imus = models::imu_folder(stage, &folder);
+        Self { stage: stage.clone(), imus, recordings, exercises, faults, clock, inbox, jobs, calibration }
     }
 
     /// Until shutdown.
@@ -122,6 +126,7 @@ impl Calls {
             Call::FaultsNameCell { row, column, class } => self.name_cell(row, column, class, reply),
             Call::BodyCalibrate { how } => self.calibrate_body(how.unwrap_or_default(), reply),
             Call::StageAlign { sensor, anchors } => self.align_stage(sensor, anchors, reply),
+            Call::ImuCalibrate { sensor } => self.calibrate_imu(sensor, reply),
             Call::JobCancel { job } => match self.jobs.cancel(job) {
                 Ok(()) => {
                     self.inbox.push(Event::Command(Command::LookAtJobs));

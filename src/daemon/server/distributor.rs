@@ -94,6 +94,8 @@ enum Key {
     Mounting,
     /// How the IMU of a magnetic sensor sits, by the sensor's name.
     FastenedImu(String),
+    /// By unit.
+    Imu(String),
     TrackerNoise(String),
     FieldMap,
     FieldProgress,
@@ -404,6 +406,7 @@ impl Distributor {
             OutcomeKind::ModelSwapped(Model::FastenedImu { sensor, .. }) => {
                 Some((Key::FastenedImu(sensor.clone()), true))
             }
+            OutcomeKind::ModelSwapped(Model::Imu { unit, .. }) => Some((Key::Imu(unit.clone()), true)),
             OutcomeKind::ModelSwapped(Model::TrackerNoise { device, .. }) => {
                 Some((Key::TrackerNoise(device.clone()), true))
             }
