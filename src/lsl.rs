@@ -181,7 +181,14 @@ mod tests {
         let mut angles_rad = [None; ANGLES];
         angles_rad[streams.angles[1]] = Some(std::f64::consts::PI);
         let (heading, placed) = (Heading::Field, Placed::Trackers);
-        let body = Body { t_valid: Timestamp::ZERO, heading, placed, segments: Vec::new(), angles_rad };
+        let body = Body {
+            t_valid: Timestamp::ZERO,
+            heading,
+            placed,
+            segments: Vec::new(),
+            angles_rad,
+            spread: Default::default(),
+        };
         let Some(Sample { stream: 1, data: Data::Numbers(degrees), .. }) = streams.body(&body) else {
             panic!()
         };

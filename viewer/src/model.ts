@@ -75,6 +75,13 @@ export class Series {
   }
 }
 
+/** Appends to the series of a name, which begins with its first values. */
+function keep(all: Map<string, Series>, name: string, t_s: number, values: Record<string, number | null>): void {
+  let series = all.get(name);
+  if (!series) all.set(name, (series = new Series(Object.keys(values))));
+  series.push(t_s, values);
+}
+
 /** A repetition that has been judged. */
 export type Repetition = Extract<ExerciseEventMessage, { event: "counted" | "rejected" }>;
 
@@ -92,8 +99,9 @@ export class Model {
   readonly history = new Map<string, History>();
   /** Repetitions that were counted or refused. */
   repetitions: Repetition[] = [];
-  /** By joint. */
+  /** By joint: its angles, and their standard deviations. */
   readonly angles = new Map<string, Series>();
+  readonly angleSigmas = new Map<string, Series>();
   /** By sensor: the statistic of key poses, and what a peak of it must exceed. */
   readonly changes = new Map<string, Series>();
   /** Confirmed ones. */
@@ -116,6 +124,7 @@ export class Model {
         this.hello = message;
         this.history.clear();
         this.angles.clear();
+        this.angleSigmas.clear();
         this.changes.clear();
         this.keyPoses = [];
         this.body = null;
@@ -170,12 +179,14 @@ export class Model {
   }
 
   private takeBody(message: FigureMessage): void {
-    if (this.body !== null && message.t_s < this.body.t_s) this.angles.clear();
+    if (this.body !== null && message.t_s < this.body.t_s) {
+      this.angles.clear();
+      this.angleSigmas.clear();
+    }
     this.body = message;
-    for (const { name, angles_deg } of message.joints) {
-      let angles = this.angles.get(name);
-      if (!angles) this.angles.set(name, (angles = new Series(Object.keys(angles_deg))));
-      angles.push(message.t_s, angles_deg);
+    for (const { name, angles_deg, angle_sigmas_deg } of message.joints) {
+      keep(this.angles, name, message.t_s, angles_deg);
+      keep(this.angleSigmas, name, message.t_s, angle_sigmas_deg);
     }
   }
 
