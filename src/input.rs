@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::faults::som::Network;
 use crate::field::Prepared;
+use crate::fusion::chain::live::ChainCalibration;
 use crate::fusion::intrinsics::Intrinsics;
 use crate::geometry;
 use crate::motion::exercise::Exercise;
@@ -95,6 +96,11 @@ pub enum Model {
     Mounting {
         /// One per sensor on the body.
         sensors: Vec<MountedSensor>,
+    },
+    /// How the sensors of a chain of hinges sit and where its axes are, as a calibration found it.
+    Chain {
+        /// One entry per segment of the stage file.
+        calibration: Box<ChainCalibration>,
     },
     /// How an IMU sits on the magnetic sensor that it is fastened to, as `stage.align` found it.
     FastenedImu {
@@ -189,6 +195,7 @@ impl Model {
         match (self, newer) {
             (Self::Transmitter { .. }, Self::Transmitter { .. }) => true,
             (Self::Mounting { .. }, Self::Mounting { .. }) => true,
+            (Self::Chain { .. }, Self::Chain { .. }) => true,
             (Self::FastenedImu { sensor, .. }, Self::FastenedImu { sensor: of, .. }) => sensor == of,
             (Self::TrackerNoise { device, .. }, Self::TrackerNoise { device: of, .. }) => device == of,
             (Self::Field { .. }, Self::Field { .. }) => true,
@@ -244,6 +251,7 @@ impl Model {
                     return Err("offset_m, quat_wxyz, clock_offset_s: give finite numbers and a quaternion that is not zero".into());
                 }
             }
+            Self::Chain { calibration } => calibration.check()?,
             Self::Imu { unit, intrinsics } => {
                 intrinsics.check()?;
                 let norm = intrinsics.mag.as_ref().map_or(1.0, |mag| mag.norm);

@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 use tokio::sync::{mpsc, watch};
 
 use super::calibration::Calibration;
+use super::chained::Chained;
 use super::clock::StageClock;
 use super::health::Health;
 use super::inbox::{Event, Inbox};
@@ -28,6 +29,7 @@ use crate::faults::som::Network;
 use crate::faults::som::frames::Frames;
 use crate::foxglove::Views;
 use crate::fusion::body::calibrate::Recorded;
+use crate::fusion::chain::Epoch;
 use crate::input::{Entry, Input, Model, Request, SensorIndex};
 use crate::output::{OutcomeKind, Output};
 use crate::pipeline::Pipeline;
@@ -121,6 +123,8 @@ pub enum Command {
         /// Where they go.
         to: std_mpsc::SyncSender<Seen>,
     },
+    /// Sends the samples of the chain's IMUs, until nobody takes them any more.
+    WatchChain(std_mpsc::SyncSender<Epoch>),
     /// Sends what an IMU tells, uncorrected, until nobody takes it any more.
     WatchImu {
         /// The sensor.
@@ -178,6 +182,8 @@ pub(super) struct Fusion {
     pub(super) worn: Worn,
     /// Who aligns the stage, if anybody.
     pub(super) waved: Waved,
+    /// Who calibrates the chain, if anybody.
+    pub(super) chained: Chained,
     /// Who calibrates an IMU, if anybody.
     pub(super) laid: Laid,
     /// What every recording of this run begins with.
@@ -248,6 +254,7 @@ impl Fusion {
             worn,
             waved,
             laid,
+            chained,
             calibration,
             ..
         } = self;
@@ -273,6 +280,7 @@ impl Fusion {
                     worn.frame(estimate);
                     waved.frame(estimate);
                     laid.frame(estimate);
+                    chained.frame(estimate);
                     positions.push(estimate);
                 }
                 Output::Outcome(outcome) => {
@@ -349,6 +357,7 @@ impl Fusion {
             }
             Command::WatchBody(to) => self.worn.watch(to),
             Command::WatchWaved { sensor, imu, to } => self.waved.watch(sensor, imu, to),
+            Command::WatchChain(to) => self.chained.watch(to),
             Command::WatchImu { sensor, to } => self.laid.watch(sensor, to),
             Command::Unit { sensor, to } => {
                 let _ = to.send(self.pipeline.unit(sensor).map(str::to_owned));

@@ -10,6 +10,7 @@
 
 mod calibration;
 pub mod calls;
+mod chained;
 pub mod clock;
 pub mod find;
 pub mod fusion;
@@ -43,6 +44,7 @@ pub use self::playback::{Playback, PlaybackError};
 
 use self::calibration::Calibration;
 use self::calls::Calls;
+use self::chained::Chained;
 use self::clock::StageClock;
 use self::fusion::{Command, Fusion, FusionInbox, INBOX_CAPACITY};
 use self::health::Health;
@@ -208,6 +210,7 @@ impl Daemon {
             worn: Worn::new(&stage),
             waved: Waved::default(),
             laid: Laid::default(),
+            chained: Chained::new(&stage),
             positions: RecentPositions::new(&stage),
             recording_header: crate::recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
         };
@@ -284,7 +287,7 @@ fn network(stage: &Stage, path: &Path) -> Result<Vec<u8>, String> {
     let model = Model::from_bytes(&bytes).map_err(|error| error.to_string());
     let segments = BodyLayout::of(stage).map_or_else(Vec::new, |layout| layout.segments);
     let names = stage.sensors.iter().map(|sensor| sensor.name.as_str());
-    let names = names.chain(segments.iter().map(|segment| segment.name));
+    let names = names.chain(segments.iter().map(|segment| &*segment.name));
     let fits = model.and_then(|model| model.columns(names));
     fits.map_err(|what| format!("{}: {what}", path.display())).map(|_| bytes)
 }

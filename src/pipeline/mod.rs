@@ -6,6 +6,7 @@
 //! a snapshot goes on as if nothing had happened.
 
 mod body;
+mod chain;
 mod device;
 mod exercise;
 mod fastened;
@@ -35,6 +36,7 @@ use crate::output::{Estimate, Outcome, OutcomeKind, Output, SensorEstimate};
 use crate::stage::Stage;
 use body::BodyStage;
 pub use body::{ImuRecords, all_have_field, worn};
+use chain::ChainStage;
 use device::{Device, owner};
 pub use exercise::DEFAULT_SUBJECT;
 use exercise::ExerciseStage;
@@ -108,6 +110,8 @@ pub struct Pipeline {
     exercise: ExerciseStage,
     /// Absent where nobody wears the sensors. Boxed: most stages have none.
     body: Option<Box<BodyStage>>,
+    /// Absent where the stage has no chain of hinges.
+    chain: Option<Box<ChainStage>>,
     /// Absent where the stage does not ask for them.
     keyframes: Option<Keyframes>,
     models_refused: u64,
@@ -173,6 +177,7 @@ impl Pipeline {
             units: Box::new(Units::new(stage.sensors.len())),
             exercise: ExerciseStage::new(stage),
             body: BodyStage::new(stage)?.map(Box::new),
+            chain: ChainStage::new(stage).map(Box::new),
             keyframes: Keyframes::new(stage)?,
             models_refused: 0,
             requests_refused: 0,
@@ -253,7 +258,11 @@ impl Pipeline {
             body: self
                 .body
                 .as_ref()
-                .map(|body| BodyStatus { mounted: body.is_mounted(), faults: body.faults().collect() }),
+                .map(|body| BodyStatus { mounted: body.is_mounted(), faults: body.faults().collect() })
+                .or_else(|| {
+                    let mounted = self.chain.as_ref()?.is_mounted();
+                    Some(BodyStatus { mounted, faults: Vec::new() })
+                }),
             models_refused: self.models_refused,
             requests_refused: self.requests_refused,
         }
@@ -322,6 +331,7 @@ impl Pipeline {
                 sensor.restart();
                 self.fastened.restart(index);
                 self.body.iter_mut().for_each(|body| body.restart(index));
+                self.chain.iter_mut().for_each(|chain| chain.restart(index));
             }
             self.frames.sample(index, measured);
         }
@@ -347,6 +357,7 @@ impl Pipeline {
             exercise,
             naming,
             body,
+            chain,
             faults,
             fastened,
             ..
@@ -360,13 +371,20 @@ impl Pipeline {
             {
                 say(Output::Body(body));
             }
-            let body = body.as_ref().and_then(|body| body.latest());
+            if let Some(chain) = chain
+                && let Some(body) = chain.frame(frame)
+            {
+                say(Output::Body(body));
+            }
+            // Never both: a stage has one skeleton.
+            let segments = body.as_ref().and_then(|body| body.latest());
+            let body = segments.or_else(|| chain.as_ref().and_then(|chain| chain.latest()));
             if let Some(keyframes) = keyframes {
                 keyframes.frame(estimate);
             }
             say(Output::Estimate(estimate));
             if let Some(naming) = naming {
-                naming.push(estimate, body, say);
+                naming.push(estimate, segments, say);
             }
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, say);
@@ -456,6 +474,9 @@ impl Pipeline {
                     sensors.iter().position(|sensor| sensor.name() == name).map(|index| index as SensorIndex)
                 };
                 body.as_mut().is_some_and(|body| body.mount(mounted, index))
+            }
+            Model::Chain { calibration } => {
+                self.chain.as_mut().is_some_and(|chain| chain.calibrate(calibration))
             }
             Model::FastenedImu { sensor, quat_wxyz, offset_m, clock_offset_s } => {
                 let sensor = self.sensors.iter().position(|known| known.name() == sensor);

@@ -4,8 +4,8 @@ use serde::ser::{Serialize, SerializeMap, SerializeSeq, SerializeStruct, Seriali
 
 use super::message::HeadingSource;
 use super::{Names, Stamp, round};
-use crate::fusion::body::{ANGLE_NAMES, Heading};
-use crate::layout::{SegmentLayout, joint_and_angle};
+use crate::fusion::body::Heading;
+use crate::layout::SegmentLayout;
 use crate::output::{Body, BodySegment, SegmentState};
 
 /// Body of `body`.
@@ -62,7 +62,7 @@ impl Serialize for Segment<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let Self { layout, segment, names } = self;
         let mut entry = serializer.serialize_struct("SegmentEntry", 7)?;
-        entry.serialize_field("name", layout.name)?;
+        entry.serialize_field("name", &*layout.name)?;
         entry.serialize_field("state", &segment.state)?;
         entry.serialize_field("position_m", &segment.position_m.map(|p| round::each(round::POSITION, p)))?;
         let orientation = segment.orientation_wxyz.map(|q| round::each(round::QUATERNION, q));
@@ -87,7 +87,7 @@ impl Serialize for Joints<'_> {
             // The worse of the two; of equals the one below, which moves.
             let (above, over) = (&layout[parent], &body.segments[parent]);
             let (worse, why) = if over.state > segment.state { (over, above) } else { (segment, below) };
-            let because = (worse.state != SegmentState::Ok).then_some(why.name);
+            let because = (worse.state != SegmentState::Ok).then_some(&*why.name);
             entries.serialize_element(&Joint {
                 at,
                 below,
@@ -108,16 +108,15 @@ struct Joint<'a> {
     below: &'a SegmentLayout,
     body: &'a Body,
     state: SegmentState,
-    because: Option<&'static str>,
+    because: Option<&'a str>,
     segment: &'a BodySegment,
     over: &'a BodySegment,
 }
 
 impl Serialize for Joint<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let first = ANGLE_NAMES[self.below.angles.start];
         let mut entry = serializer.serialize_struct("JointEntry", 8)?;
-        entry.serialize_field("name", joint_and_angle(first).0)?;
+        entry.serialize_field("name", &*self.below.joint)?;
         entry.serialize_field("state", &self.state)?;
         entry.serialize_field("because", &self.because)?;
         entry.serialize_field("angles_deg", &Angles(self))?;
@@ -130,9 +129,8 @@ impl Serialize for Joint<'_> {
         let covariance = self.body.spread.covariance_rad2[self.at].map(round::significant);
         let covariance = &covariance[..count * (count + 1) / 2];
         entry.serialize_field("covariance_rad2", &known.then_some(covariance))?;
-        let names: [&str; 3] = std::array::from_fn(|k| {
-            angles.clone().nth(k).map_or("", |angle| joint_and_angle(ANGLE_NAMES[angle]).1)
-        });
+        let names: [&str; 3] =
+            std::array::from_fn(|k| angles.clone().nth(k).map_or("", |angle| self.below.angle(angle)));
         entry.serialize_field("covariance_of", &names[..count])?;
         entry.end()
     }
@@ -146,7 +144,7 @@ impl Serialize for Sigmas<'_> {
         let mut map = serializer.serialize_map(Some(below.angles.len()))?;
         for index in below.angles.clone() {
             let sigma = body.angles_rad[index].map(|_| degrees(body.spread.sigma_rad[index]));
-            map.serialize_entry(joint_and_angle(ANGLE_NAMES[index]).1, &sigma)?;
+            map.serialize_entry(below.angle(index), &sigma)?;
         }
         map.end()
     }
@@ -160,7 +158,7 @@ impl Serialize for Angles<'_> {
         let mut map = serializer.serialize_map(Some(range.len()))?;
         for index in range {
             let angle = self.0.body.angles_rad[index].map(degrees);
-            map.serialize_entry(joint_and_angle(ANGLE_NAMES[index]).1, &angle)?;
+            map.serialize_entry(self.0.below.angle(index), &angle)?;
         }
         map.end()
     }

@@ -12,6 +12,7 @@ mod body;
 mod body_live;
 #[path = "../browser/mod.rs"]
 mod browser;
+mod chain_live;
 mod cli;
 mod daemon;
 mod exercise;

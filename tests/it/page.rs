@@ -430,6 +430,75 @@ async fn an_imu_is_calibrated_in_the_browser_and_its_file_kept() {
     done(browser, posed).await;
 }
 
+/// Thigh and shank of somebody who stands for a moment and then walks, as a chain of one hinge.
+const LEG: &str = r#"
+name = "leg"
+[[device]]
+name = "worn"
+driver = "xbus"
+port = "auto"
+baud = 921600
+[[sensor]]
+name = "upper"
+device = "worn"
+address = 1
+segment = "thigh"
+[[sensor]]
+name = "lower"
+device = "worn"
+address = 2
+segment = "shank"
+[body]
+skeleton = "custom"
+[[body.segments]]
+name = "thigh"
+[[body.segments]]
+name = "shank"
+parent = "thigh"
+joint = "knee"
+kind = "hinge"
+[[simulation.body]]
+name = "person"
+[simulation.body.motion]
+kind = "person"
+activity = "walking"
+[[simulation.sensor]]
+name = "upper"
+body = "person"
+segment = "thigh_r"
+mount_quat_wxyz = [0.6, 0.0, 0.8, 0.0]
+[[simulation.sensor]]
+name = "lower"
+body = "person"
+segment = "shank_r"
+mount_quat_wxyz = [0.48, 0.64, 0.0, 0.6]
+[[simulation.device]]
+name = "worn"
+boot_ms = 0.0
+"#;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
+    if !browser::is_wanted() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let stage = folder.path().join("leg.toml");
+    std::fs::write(&stage, LEG).unwrap();
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
+    browser.click("calibrate").await;
+    let text = |id: &str| format!("document.getElementById('{id}').textContent");
+    browser.until(&format!("{}.startsWith('2 of 2: Bend every hinge')", text("prompt"))).await;
+    browser.until(&format!("{}.includes('axes of the chain are known')", text("prompt"))).await;
+    assert_eq!(browser.row("mounting", 0).await[0], "knee");
+    browser.click("tab-analysis").await;
+    browser.until("document.getElementById('joint-choice').value === 'knee'").await;
+    browser.until("document.querySelectorAll('.joint canvas').length === 1").await;
+    browser.until("document.getElementById('problems').hidden").await;
+    done(browser, posed).await;
+}
+
 /// An arm that curls five times from 12 s on, rests, and curls again and again from 30 s on; as poses for the simulator.
 fn write_curls(path: &Path) {
     let mut text = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");

@@ -5,6 +5,7 @@
 
 mod align;
 mod body;
+mod chain;
 mod exercise;
 mod faults;
 mod imu;

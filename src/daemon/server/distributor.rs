@@ -402,7 +402,9 @@ impl Distributor {
             // The newest word on what is being done.
             OutcomeKind::Segment(_) => Some((Key::Segment, true)),
             OutcomeKind::ModelSwapped(Model::Transmitter { .. }) => Some((Key::Transmitter, true)),
-            OutcomeKind::ModelSwapped(Model::Mounting { .. }) => Some((Key::Mounting, true)),
+            OutcomeKind::ModelSwapped(Model::Mounting { .. } | Model::Chain { .. }) => {
+                Some((Key::Mounting, true))
+            }
             OutcomeKind::ModelSwapped(Model::FastenedImu { sensor, .. }) => {
                 Some((Key::FastenedImu(sensor.clone()), true))
             }

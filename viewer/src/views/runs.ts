@@ -72,7 +72,8 @@ export class RunsView implements View {
       : hello?.role === "watch" ? "watching only: an operator's token can record"
       : status?.replay ? "this is a replay; recordings belong to a live stage"
       : "not recording");
-    this.body.hidden = hello?.skeleton !== "human" || !!status?.replay;
+    this.body.hidden = !hello?.skeleton || !!status?.replay;
+    this.how.parentElement!.hidden = hello?.skeleton !== "human";
     const calibrations = jobs?.jobs.filter(({ kind }) => kind === "body.calibrate") ?? [];
     this.drawCalibration(calibrations[calibrations.length - 1], operates);
     this.units.draw(jobs?.jobs ?? [], operates);
