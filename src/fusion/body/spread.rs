@@ -13,8 +13,10 @@ use super::skeleton::{Limb, SEGMENTS, Segment};
 
 /// Variance of an angle of which nothing is known, rad²: all values from -pi to pi are as likely.
 const UNKNOWN_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
-/// What cross-axis errors of 0.3 % add to the tilt of a calibrated sensor, rad.
-const CROSS_RAD: f64 = 0.003;
+/// What cross-axis errors of 0.3 % add to the tilt of a calibrated sensor: of gravity, and on limbs also of the 10 m/s² that they are
+/// shaken by; variances, rad².
+const TRUNK_RAD2: f64 = 0.003 * 0.003;
+const LIMB_RAD2: f64 = 2.0 * TRUNK_RAD2;
 /// Determinant of a sequence's axes below which two count as one.
 const SINGULAR: f64 = 1e-4;
 
@@ -84,12 +86,13 @@ impl BodyFilter {
                 continue;
             };
             let hinged = of_joint(segment).len() < 3;
+            let shaken = if segment == Segment::Torso { TRUNK_RAD2 } else { LIMB_RAD2 };
             let up = q.inverse() * Vector3::z();
             let level = [parent, segment].into_iter().filter_map(|of| self.sensors[of.index()].as_ref());
             let lasting: Matrix3<f64> = level
                 .map(|sensor| {
                     let [tilt, heading] = sensor.lasting_rad2(self.held_s);
-                    let (tilt, heading) = (tilt + CROSS_RAD.powi(2), if hinged { 0.0 } else { heading });
+                    let (tilt, heading) = (tilt + shaken, if hinged { 0.0 } else { heading });
                     Matrix3::identity() * tilt + up * up.transpose() * (heading - tilt)
                 })
                 .sum();

@@ -14,7 +14,7 @@ pub const PATIENCE_S: f64 = 60.0;
 /// Longest calibration, s.
 pub const LONGEST_S: f64 = 600.0;
 /// From so much on of the sphere the field was seen all around.
-const SEEN_ENOUGH: f64 = 0.02;
+const SEEN_ENOUGH: f64 = 0.01;
 /// A field this far from the last one, as a part of it, is a new one.
 const NEW_FIELD: f64 = 0.05;
 /// Fields that are kept.
