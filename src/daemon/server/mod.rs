@@ -289,8 +289,9 @@ impl Server {
         let (call_sender, calls) = mpsc::channel(64);
         let (shutdown, shutdown_seen) = watch::channel(false);
         let mut topics = vec![Topic::Status, Topic::Sensors, Topic::Faults, Topic::Field, Topic::Jobs];
-        // Whatever is tracked can be taught and counted.
+        // Whatever is tracked can be taught and counted, and learnt to be named.
         topics.extend((!stage.sensors.is_empty()).then_some(Topic::Exercise));
+        topics.extend((!stage.sensors.is_empty()).then_some(Topic::Segments));
         topics.extend(names.body().is_some().then_some(Topic::Body));
         topics.extend(stage.keyframes.is_some().then_some(Topic::Keyframes));
         topics.extend(config.more_topics);
