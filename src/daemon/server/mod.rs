@@ -42,6 +42,7 @@ use self::metrics::Metrics;
 use self::streams::Streaming;
 use self::vrpn::{Outlet, Vrpn};
 use super::clock::StageClock;
+use crate::input::SensorIndex;
 use crate::protocol::{Counters, HelloSensor, Names, Topic};
 use crate::stage::{Pose, Skeleton, Stage};
 use crate::vrpn::{Catalogue, Publisher};
@@ -254,8 +255,12 @@ struct Greeting {
 
 impl Shared {
     fn hello_sensors(&self) -> Vec<HelloSensor> {
-        let sensor = |(name, device): (&str, &str)| HelloSensor { name: name.into(), device: device.into() };
-        self.names.sensors().map(sensor).collect()
+        let sensor = |(index, (name, device)): (usize, (&str, &str))| HelloSensor {
+            name: name.into(),
+            device: device.into(),
+            magnetic: self.names.is_magnetic(index as SensorIndex),
+        };
+        self.names.sensors().enumerate().map(sensor).collect()
     }
 }
 
