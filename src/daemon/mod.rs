@@ -167,7 +167,6 @@ impl Daemon {
         config.listen = listen;
         config.clock = Some(clock);
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
-        config.more_topics.extend(stage.segments.is_some().then_some(Topic::Segments));
         let (server, hub, pending) = Server::bind(&stage, config)?;
         let mut service = Service::start(server);
         let jobs = Jobs::new(clock, hub.clone());

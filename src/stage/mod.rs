@@ -128,8 +128,8 @@ impl Stage {
             segments.model = folder.join(&segments.model);
         }
         let Self { models, recording, .. } = &mut stage;
-        let Models { faults_folder, exercise_folder, imu_folder, .. } = models;
-        let kept = [faults_folder, exercise_folder, imu_folder, &mut recording.folder];
+        let Models { faults_folder, exercise_folder, imu_folder, segments_folder, .. } = models;
+        let kept = [faults_folder, exercise_folder, imu_folder, segments_folder, &mut recording.folder];
         for kept in kept.into_iter().flatten() {
             *kept = folder.join(&*kept);
         }
@@ -394,6 +394,8 @@ pub struct Models {
     /// The one folder that `imu.calibrate` writes to, one file per IMU with its serial number as its name; what `posed imu calibrate`
     /// writes may lie there too. All of them are used from the start on. Absent: `imus` beside the stage file.
     pub imu_folder: Option<PathBuf>,
+    /// The one folder that `segments.train` writes to; absent: `segments` beside the stage file.
+    pub segments_folder: Option<PathBuf>,
     /// A map of the field, as `posed field solve` writes it; used until `field.accept` has brought a newer one.
     pub field: Option<PathBuf>,
 }

@@ -21,6 +21,7 @@ mod faults_live;
 mod field;
 mod field_live;
 mod field_real;
+mod field_session;
 mod handbook;
 mod imu_live;
 mod inertial;

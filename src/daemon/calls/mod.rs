@@ -9,6 +9,7 @@ mod chain;
 mod exercise;
 mod faults;
 mod imu;
+mod segments;
 
 use std::path::{Path, PathBuf};
 
@@ -39,6 +40,7 @@ pub(super) struct Calls {
     faults: Library,
     /// Where the intrinsics of IMUs are kept.
     imus: PathBuf,
+    segments: Library,
     clock: StageClock,
     inbox: FusionInbox,
     jobs: Jobs,
@@ -56,11 +58,24 @@ impl Calls {
     ) -> Self {
         let recordings = stage.recording.folder.clone().unwrap_or_else(|| folder.join("recordings"));
         let exercises = stage.models.exercise_folder.clone().unwrap_or_else(|| folder.join("exercises"));
-        let exercises = Library::new(exercises);
+        let exercises = Library::new(exercises, "json");
         let faults = stage.models.faults_folder.clone().unwrap_or_else(|| folder.join("faults"));
-        let faults = Library::new(faults);
+        let faults = Library::new(faults, "json");
         let imus = models::imu_folder(stage, &folder);
-        Self { stage: stage.clone(), imus, recordings, exercises, faults, clock, inbox, jobs, calibration }
+        let segments = stage.models.segments_folder.clone().unwrap_or_else(|| folder.join("segments"));
+        let segments = Library::new(segments, "safetensors");
+        Self {
+            stage: stage.clone(),
+            recordings,
+            exercises,
+            faults,
+            imus,
+            segments,
+            clock,
+            inbox,
+            jobs,
+            calibration,
+        }
     }
 
     /// Until shutdown.
@@ -125,6 +140,7 @@ impl Calls {
             }
             Call::FaultsTrain { last_s, recording } => self.train_faults(last_s, recording, reply),
             Call::FaultsNameCell { row, column, class } => self.name_cell(row, column, class, reply),
+            Call::SegmentsTrain { epochs, look_ahead } => self.train_segments(epochs, look_ahead, reply),
             Call::BodyCalibrate { how } => self.calibrate_body(how.unwrap_or_default(), reply),
             Call::StageAlign { sensor, anchors } => self.align_stage(sensor, anchors, reply),
             Call::ImuCalibrate { sensor } => self.calibrate_imu(sensor, reply),

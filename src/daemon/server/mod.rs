@@ -42,6 +42,7 @@ use self::metrics::Metrics;
 use self::streams::Streaming;
 use self::vrpn::{Outlet, Vrpn};
 use super::clock::StageClock;
+use crate::input::SensorIndex;
 use crate::protocol::{Counters, HelloSensor, Names, Topic};
 use crate::stage::{Pose, Skeleton, Stage};
 use crate::vrpn::{Catalogue, Publisher};
@@ -254,8 +255,12 @@ struct Greeting {
 
 impl Shared {
     fn hello_sensors(&self) -> Vec<HelloSensor> {
-        let sensor = |(name, device): (&str, &str)| HelloSensor { name: name.into(), device: device.into() };
-        self.names.sensors().map(sensor).collect()
+        let sensor = |(index, (name, device)): (usize, (&str, &str))| HelloSensor {
+            name: name.into(),
+            device: device.into(),
+            magnetic: self.names.is_magnetic(index as SensorIndex),
+        };
+        self.names.sensors().enumerate().map(sensor).collect()
     }
 }
 
@@ -289,8 +294,9 @@ impl Server {
         let (call_sender, calls) = mpsc::channel(64);
         let (shutdown, shutdown_seen) = watch::channel(false);
         let mut topics = vec![Topic::Status, Topic::Sensors, Topic::Faults, Topic::Field, Topic::Jobs];
-        // Whatever is tracked can be taught and counted.
+        // Whatever is tracked can be taught and counted, and learnt to be named.
         topics.extend((!stage.sensors.is_empty()).then_some(Topic::Exercise));
+        topics.extend((!stage.sensors.is_empty()).then_some(Topic::Segments));
         topics.extend(names.body().is_some().then_some(Topic::Body));
         topics.extend(stage.keyframes.is_some().then_some(Topic::Keyframes));
         topics.extend(config.more_topics);

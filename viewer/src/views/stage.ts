@@ -12,6 +12,9 @@ import { Truth } from "../scene/truth";
 import type { FigureMessage, Pose, SensorState } from "../protocol";
 import type { Context, View } from "../view";
 
+/** Where the legend would hide half of the room. */
+const NARROW = "(max-width: 60rem)";
+
 export class StageView implements View {
   readonly id = "stage-view";
   readonly title = "Stage";
@@ -19,7 +22,7 @@ export class StageView implements View {
   private readonly summary = el("p", { id: "summary" });
   private readonly bodySummary = el("p", { id: "body-summary" });
   private scene: Scene | null = null;
-  private readonly sensors: Sensors;
+  private readonly sensors = new Sensors();
   private readonly body = new BodyFigure();
   private readonly truth = new Truth();
   private readonly transmitter: Group = transmitter();
@@ -33,7 +36,6 @@ export class StageView implements View {
   private drawn = -1;
 
   constructor(private readonly context: Context) {
-    this.sensors = new Sensors(context.model);
     try {
       this.scene = new Scene("the room with its sensors and the body; the tables under Health and the curves under Analysis say the same in numbers");
     } catch {
@@ -49,6 +51,8 @@ export class StageView implements View {
         this.placeTransmitter(message.transmitter);
         this.field.forget();
         this.cut();
+      } else if (message.type === "sensors") {
+        this.sensors.trails.extend(message);
       } else if (message.type === "field") {
         if (message.event === "model_swapped" && message.model.kind === "transmitter") this.placeTransmitter(message.model);
         this.field.take(message);
@@ -73,18 +77,17 @@ export class StageView implements View {
     };
     this.element.append(
       this.scene.canvas,
-      el("aside", {},
-        el("h2", {}, "Sensors"), this.summary, this.bodySummary,
+      el("aside", {}, el("details", { open: !matchMedia(NARROW).matches }, el("summary", {}, "Sensors and layers"), this.summary, this.bodySummary,
         layer("body", figure, true),
         layer("names", this.sensors.labels.group, true),
-        layer("trails", this.sensors.trails, true),
+        layer("trails", this.sensors.trails.group, true),
         layer("uncertainty, two sigma", this.sensors.sigma, true),
         layer("truth of the simulation", this.truth.group, true),
         layer("corrections, from where the tracker said", this.field.corrections, true),
         layer("what the map of the field does", this.field.arrows, true), this.arrowsLabel,
         layer("a slice through it", this.field.slice.group, false), this.sliceAxis, this.slicePlace, this.sliceSays,
         el("button", { onclick: () => this.scene?.reset() }, "Camera back"),
-        el("ul", { class: "legend", "aria-label": "What the shapes mean" }, ...legend)),
+        el("ul", { class: "legend", "aria-label": "What the shapes mean" }, ...legend))),
     );
   }
 
