@@ -17,6 +17,8 @@ pub struct BodyLayout {
     pub segments: Vec<SegmentLayout>,
     /// Angles that the sensors can show, by their index in [`crate::output::Body::angles_rad`].
     pub shown_angles: Vec<usize>,
+    /// Whether it is known where its segments are: a chain of hinges has no lengths.
+    pub has_places: bool,
 }
 
 /// One segment and the joint above it.
@@ -119,7 +121,7 @@ impl BodyLayout {
             })
         };
         let shown_angles = segments.iter().filter(shown).flat_map(|segment| segment.angles.clone()).collect();
-        Some(Self { segments, shown_angles })
+        Some(Self { segments, shown_angles, has_places: true })
     }
 
     fn of_chain(chain: ChainLayout) -> Self {
@@ -137,7 +139,12 @@ impl BodyLayout {
                 sensor: Some(imu),
             }
         });
-        Self { segments: segments.collect(), shown_angles }
+        Self { segments: segments.collect(), shown_angles, has_places: false }
+    }
+
+    /// Names of the segments whose places are known.
+    pub fn places(&self) -> impl Iterator<Item = &str> + Clone {
+        self.segments.iter().filter(|_| self.has_places).map(|segment| &*segment.name)
     }
 
     /// Joint and angle of one of the angles: `elbow_r` and `flexion`.

@@ -26,6 +26,28 @@ export type Begun = {
   t_start_s: number;
 };
 
+/** A hinge between two sensors. */
+export type CalibratedHinge = {
+  /** The same axis in the segment's own sensor. */
+  axis: [number, number, number];
+  /** Unit axis in the parent's sensor. */
+  parent_axis: [number, number, number];
+  /** How far two halves of the movement disagree about the axis, degrees. */
+  quality_deg: number;
+  /** Angle that counts as zero, rad, beside that of the segments' frames. */
+  zero_rad: number;
+};
+
+/** How one sensor of a chain sits. */
+export type CalibratedSegment = {
+  /** The hinge to its parent; absent for the root. */
+  hinge?: CalibratedHinge | null;
+  /** The segment. */
+  name: string;
+  /** Turns segment coordinates into the sensor's. */
+  quat_wxyz: [number, number, number, number];
+};
+
 /** Requests for the daemon. All but `replay.list` and `exercise.list` need the role `operate`. */
 export type Call = {
   /** The reply carries it. */
@@ -193,6 +215,12 @@ export type Call = {
 
 /** What tells of a disturbance. */
 export type Cause = "witness" | "rigid_pair" | "hum";
+
+/** What a calibration found of a chain. */
+export type ChainCalibration = {
+  /** One per segment, in the order of the stage file. */
+  segments: CalibratedSegment[];
+};
 
 /** The statistic of key poses: it speaks of an earlier frame, since it needs the frames around it. */
 export type Change = {
@@ -783,6 +811,10 @@ export type Model = {
   kind: "mounting";
   /** One per sensor on the body. */
   sensors: MountedSensor[];
+} | {
+  /** One entry per segment of the stage file. */
+  calibration: ChainCalibration;
+  kind: "chain";
 } | {
   /** Capture time of a magnetic record on the IMU's clock minus the one it is given, s. */
   clock_offset_s: number;

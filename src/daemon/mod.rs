@@ -284,9 +284,9 @@ impl Daemon {
 fn network(stage: &Stage, path: &Path) -> Result<Vec<u8>, String> {
     let bytes = std::fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
     let model = Model::from_bytes(&bytes).map_err(|error| error.to_string());
-    let segments = BodyLayout::of(stage).map_or_else(Vec::new, |layout| layout.segments);
+    let layout = BodyLayout::of(stage);
     let names = stage.sensors.iter().map(|sensor| sensor.name.as_str());
-    let names = names.chain(segments.iter().map(|segment| &*segment.name));
+    let names = names.chain(layout.iter().flat_map(BodyLayout::places));
     let fits = model.and_then(|model| model.columns(names));
     fits.map_err(|what| format!("{}: {what}", path.display())).map(|_| bytes)
 }

@@ -342,7 +342,7 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 22] = [
+const CALLS: [&str; 23] = [
     "record.start",
     "record.stop",
     "replay.list",

@@ -6,6 +6,8 @@
 use std::path::Path;
 use std::time::Duration;
 
+use nalgebra::{UnitQuaternion, Vector3};
+
 use crate::browser::{self, Browser};
 use crate::daemon::process::{Posed, two_devices};
 
@@ -435,7 +437,25 @@ async fn an_imu_is_calibrated_in_the_browser_and_its_file_kept() {
     done(browser, posed).await;
 }
 
-/// Thigh and shank of somebody who stands for a moment and then walks, as a chain of one hinge.
+/// Two links on one hinge that rest for 12 s and then move in all directions, as poses for the simulator.
+fn write_links(path: &Path) {
+    let about = |axis: Vector3<f64>, angle: f64| UnitQuaternion::from_scaled_axis(axis * angle);
+    let mut text = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");
+    for tick in 0..2400 {
+        let t_s = f64::from(tick) * 0.05;
+        let t = (t_s - 12.0).max(0.0);
+        let grow = (t / 3.0).min(1.0).powi(2);
+        let turn = Vector3::new((0.9 * t).sin(), 0.6 * (0.7 * t).sin(), 0.8 * (1.1 * t).sin());
+        let upper = about(turn, grow) * about(Vector3::x(), 1.57);
+        let lower = upper * about(Vector3::z(), grow * (0.7 - 0.7 * (1.3 * t).cos()));
+        for (name, q) in [("thigh", upper), ("shank", lower)] {
+            text += &format!("{t_s:.2},{name},0.5,0.0,0.3,{:.7},{:.7},{:.7},{:.7}\n", q.w, q.i, q.j, q.k);
+        }
+    }
+    std::fs::write(path, text).unwrap();
+}
+
+/// These two links, as a chain of one hinge.
 const LEG: &str = r#"
 name = "leg"
 [[device]]
@@ -463,19 +483,19 @@ parent = "thigh"
 joint = "knee"
 kind = "hinge"
 [[simulation.body]]
-name = "person"
+name = "links"
 [simulation.body.motion]
-kind = "person"
-activity = "walking"
+kind = "file"
+path = "links.csv"
 [[simulation.sensor]]
 name = "upper"
-body = "person"
-segment = "thigh_r"
+body = "links"
+segment = "thigh"
 mount_quat_wxyz = [0.6, 0.0, 0.8, 0.0]
 [[simulation.sensor]]
 name = "lower"
-body = "person"
-segment = "shank_r"
+body = "links"
+segment = "shank"
 mount_quat_wxyz = [0.48, 0.64, 0.0, 0.6]
 [[simulation.device]]
 name = "worn"
@@ -490,6 +510,7 @@ async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
     let folder = tempfile::tempdir().unwrap();
     let stage = folder.path().join("leg.toml");
     std::fs::write(&stage, LEG).unwrap();
+    write_links(&folder.path().join("links.csv"));
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
     browser.click("calibrate").await;

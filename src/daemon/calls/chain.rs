@@ -60,7 +60,8 @@ impl Session {
         let worst = hinges.iter().max_by(|(_, a), (_, b)| a.total_cmp(b));
         if let Some((joint, quality_deg)) = worst.filter(|(_, quality_deg)| *quality_deg > GOOD_DEG) {
             return Err(format!(
-                "the axis of {joint} is known to {quality_deg:.1} degrees only; begin again, and move that joint more"
+                "the axis of {joint} is known to {quality_deg:.1} degrees only; begin again, bend that joint more, and turn the whole \
+                 chain so that its axis does not stay level"
             ));
         }
         let calibration = Box::new(calibration);

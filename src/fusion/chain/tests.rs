@@ -227,3 +227,24 @@ fn a_guide_waits_for_a_posture_and_then_for_half_a_minute_of_movement() {
     assert!((2900..5000).contains(&k) && begun < 350, "{k} {begun}");
     assert!(guide.recorded().windows(2).all(|pair| pair[0].t_s < pair[1].t_s));
 }
+
+/// Both links turn about the hinge alone, and in step: the movement fits many axes, and a calibration says so.
+#[test]
+fn a_movement_about_the_hinge_alone_shows_no_axis() {
+    let (segments, mut epochs, _) = recording();
+    for (k, epoch) in epochs.iter_mut().enumerate() {
+        let t = k as f64 / RATE_HZ;
+        let angle = 0.5 - 0.5 * (2.0 * t).cos();
+        for (sample, times) in epoch.samples.iter_mut().flatten().zip([1.0, -1.2, 0.9]) {
+            let rate = Vector3::z() * (times * (2.0 * t).sin());
+            let turned = so3::exp(&(Vector3::z() * (times * angle)));
+            let wobble = Vector3::new((7.0 * t).sin(), (9.0 * t).cos(), 0.0);
+            sample.gyro_rad_s = rate + wobble * 0.05;
+            sample.accel_m_s2 = turned.inverse() * Vector3::y() * 9.81 + wobble * 0.1;
+        }
+    }
+    match calibrate(&segments[..2], &epochs[..3000]) {
+        Ok(found) => assert!(found.segments[1].hinge.unwrap().quality_deg > 5.0, "{found:?}"),
+        Err(refused) => assert!(matches!(refused, ChainError::Joint { .. }), "{refused}"),
+    }
+}
