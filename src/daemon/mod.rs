@@ -18,6 +18,7 @@ pub mod inbox;
 mod jobs;
 mod limits;
 mod lsl;
+mod mesh;
 pub mod models;
 mod playback;
 mod player;
@@ -47,6 +48,7 @@ use self::fusion::{Command, Fusion, FusionInbox, INBOX_CAPACITY};
 use self::health::Health;
 use self::inbox::{Event, Inbox};
 use self::jobs::Jobs;
+use self::mesh::Mesh;
 use self::ports::{Place, PortTask};
 use self::positions::RecentPositions;
 use self::recent::Recent;
@@ -59,7 +61,7 @@ use crate::input::{Entry, Input};
 use crate::layout::BodyLayout;
 use crate::motion::segments::Model;
 use crate::pipeline::{Pipeline, PipelineError};
-use crate::protocol::{Fields, Publisher, Status, Topic};
+use crate::protocol::{Fields, Problem, Publisher, Status, Topic};
 use crate::stage::Stage;
 
 /// Commands that wait for a port that writes slowly.
@@ -133,6 +135,7 @@ pub struct Daemon {
     status: watch::Receiver<Status>,
     ports: Vec<Option<PortTask>>,
     fusion: std::thread::JoinHandle<()>,
+    mesh: Option<Mesh>,
 }
 
 impl Daemon {
@@ -164,11 +167,20 @@ impl Daemon {
         config.clock = Some(clock);
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
         config.more_topics.extend(stage.segments.is_some().then_some(Topic::Segments));
+        let inbox = Inbox::new(INBOX_CAPACITY);
+        let recordings = stage.recording.folder.clone().unwrap_or_else(|| data.join("recordings"));
+        let mesh = stage.zenoh.as_ref().and_then(|settings| {
+            let started = Mesh::start(&stage, settings, clock, inbox.clone(), recordings);
+            // The stage runs without it too.
+            started.inspect_err(|sentence| tracing::warn!("{sentence}")).map_err(|sentence| {
+                config.problems.push(Problem { code: "zenoh".to_owned(), message: sentence });
+            }).ok()
+        });
+        config.feed = mesh.as_ref().map(Mesh::feed);
         let (server, hub, pending) = Server::bind(&stage, config)?;
         let mut service = Service::start(server);
         let jobs = Jobs::new(clock, hub.clone());
 
-        let inbox = Inbox::new(INBOX_CAPACITY);
         let (status_sender, status) = watch::channel(Status::default());
         let mut commands = Vec::new();
         let mut ports = Vec::new();
@@ -193,6 +205,7 @@ impl Daemon {
             publisher: Publisher::new(&stage, Fields::all()),
             views: Views::new(&stage, clock.epoch_utc_ns()),
             hub,
+            log: mesh.as_ref().map(Mesh::log),
             jobs: jobs.clone(),
             calibration: calibration.clone(),
             ports: commands,
@@ -224,7 +237,7 @@ impl Daemon {
 
         let calls = Calls::new(&stage, data, clock, inbox.clone(), jobs, calibration);
         service.spawn(calls.run(pending, service.down()));
-        Ok(Self { clock, service, inbox, status, ports, fusion })
+        Ok(Self { clock, service, inbox, status, ports, fusion, mesh })
     }
 
     /// Gives a device an open stream instead of its port; it is not opened again when it ends.
@@ -272,6 +285,8 @@ impl Daemon {
     pub async fn shutdown(self) {
         self.inbox.push(Event::Command(Command::Shutdown));
         self.service.shutdown(self.fusion).await;
+        // Its threads may be waiting for a link.
+        let _ = tokio::task::spawn_blocking(move || drop(self.mesh)).await;
     }
 }
 
