@@ -11,6 +11,8 @@
 mod calibration;
 pub mod calls;
 pub mod clock;
+#[cfg(feature = "zenoh")]
+pub mod collector;
 pub mod find;
 pub mod fusion;
 mod health;
@@ -172,9 +174,12 @@ impl Daemon {
         let mesh = stage.zenoh.as_ref().and_then(|settings| {
             let started = Mesh::start(&stage, settings, clock, inbox.clone(), recordings);
             // The stage runs without it too.
-            started.inspect_err(|sentence| tracing::warn!("{sentence}")).map_err(|sentence| {
-                config.problems.push(Problem { code: "zenoh".to_owned(), message: sentence });
-            }).ok()
+            started
+                .inspect_err(|sentence| tracing::warn!("{sentence}"))
+                .map_err(|sentence| {
+                    config.problems.push(Problem { code: "zenoh".to_owned(), message: sentence });
+                })
+                .ok()
         });
         config.feed = mesh.as_ref().map(Mesh::feed);
         let (server, hub, pending) = Server::bind(&stage, config)?;

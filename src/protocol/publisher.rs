@@ -127,6 +127,11 @@ impl Publisher {
         self.seq = state.seq;
     }
 
+    /// Number of the newest event, 0 before the first.
+    pub fn last_event_id(&self) -> u64 {
+        self.counters.last_event_id()
+    }
+
     /// Counts a payload without writing it: while nothing records.
     pub fn skip(&mut self, payload: &Payload<'_>) -> Stamp {
         let stamp = self.counters.stamp(payload);

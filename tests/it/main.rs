@@ -21,6 +21,8 @@ mod field;
 mod field_live;
 mod field_real;
 mod handbook;
+#[cfg(feature = "zenoh")]
+mod hub;
 mod inertial;
 mod keyframes;
 mod keyframes_live;

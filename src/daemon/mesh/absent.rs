@@ -46,7 +46,13 @@ pub(in crate::daemon) enum Mesh {}
 
 impl Mesh {
     /// The sentence that says that there is no zenoh.
-    pub(in crate::daemon) fn start(_: &Stage, _: &Zenoh, _: StageClock, _: FusionInbox, _: PathBuf) -> Result<Self, String> {
+    pub(in crate::daemon) fn start(
+        _: &Stage,
+        _: &Zenoh,
+        _: StageClock,
+        _: FusionInbox,
+        _: PathBuf,
+    ) -> Result<Self, String> {
         Err(super::ABSENT.to_owned())
     }
 

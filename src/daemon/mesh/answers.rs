@@ -50,10 +50,11 @@ impl Answers {
     /// Declares the stage, last of all its token, and answers until `stopped`.
     pub(super) fn start(self, session: Session, stopped: Receiver<()>) -> Result<JoinHandle<()>, String> {
         let (failed, begun) = bounded(1);
-        let thread = thread("zenoh-answers", move || match self.run(&session, &stopped, || _ = failed.send(None)) {
-            Ok(()) => _ = session.close().wait(),
-            Err(error) => _ = failed.send(Some(format!("[zenoh]: {error}"))),
-        })?;
+        let thread =
+            thread("zenoh-answers", move || match self.run(&session, &stopped, || _ = failed.send(None)) {
+                Ok(()) => _ = session.close().wait(),
+                Err(error) => _ = failed.send(Some(format!("[zenoh]: {error}"))),
+            })?;
         match begun.recv() {
             Ok(None) => Ok(thread),
             Ok(Some(sentence)) => Err(sentence),
@@ -128,7 +129,8 @@ impl Answers {
             name: String,
         }
         let size = |name: &str| std::fs::metadata(self.recordings.join(name)).map_or(0, |file| file.len());
-        let entries = calls::list(&self.recordings)?.into_iter().map(|name| Entry { bytes: size(&name), name });
+        let entries =
+            calls::list(&self.recordings)?.into_iter().map(|name| Entry { bytes: size(&name), name });
         serde_json::to_vec(&entries.collect::<Vec<_>>()).map_err(|error| error.to_string())
     }
 
@@ -152,7 +154,9 @@ impl Answers {
 fn check_secrets(path: &Path) -> Result<(), String> {
     let reader = Reader::open(path).map_err(|error| error.to_string())?;
     let secret = match Stage::parse(&reader.header().stage_toml) {
-        Ok(stage) => !stage.server.tokens.is_empty() || stage.zenoh.is_some_and(|zenoh| zenoh.password.is_some()),
+        Ok(stage) => {
+            !stage.server.tokens.is_empty() || stage.zenoh.is_some_and(|zenoh| zenoh.password.is_some())
+        }
         // A stage file of another version: nobody knows what is in it.
         Err(_) => true,
     };

@@ -85,13 +85,8 @@ impl Feed {
     /// Empty; what goes out is to be taken from the other end.
     pub(super) fn new(about: About) -> (Self, Receiver<Out>) {
         let (out, taken) = bounded(WAITING);
-        let shared = Shared {
-            about,
-            kept: Mutex::default(),
-            wanted: Wanted::default(),
-            out,
-            lost: AtomicU64::new(0),
-        };
+        let shared =
+            Shared { about, kept: Mutex::default(), wanted: Wanted::default(), out, lost: AtomicU64::new(0) };
         (Self { shared: Arc::new(shared) }, taken)
     }
 
@@ -155,7 +150,8 @@ impl Feed {
         let kept = self.kept();
         let oldest = kept.events.front().map_or(kept.last_event_id + 1, |event| event.id);
         let holding = kept.holding.iter().filter(|event| after == 0 && event.id < oldest);
-        let mut events: Vec<&Event> = holding.chain(kept.events.iter().filter(|event| event.id > after)).collect();
+        let mut events: Vec<&Event> =
+            holding.chain(kept.events.iter().filter(|event| event.id > after)).collect();
         events.sort_by_key(|event| event.id);
         let states = [&kept.status, &kept.jobs].into_iter().flatten();
         let bytes = |bytes: &Arc<[u8]>| Bytes(bytes.to_vec());

@@ -8,9 +8,9 @@ use crate::stage::Zenoh;
 /// a long cut is mended; four signs of life fit in, so that loss does not end a link.
 const LEASE_MS: u32 = 2000;
 /// Time of one attempt to open a link, ms: an attempt that began in the cut must not outlast it.
-const OPEN_MS: u32 = 600;
+const OPEN_MS: u32 = 500;
 /// Distance of two attempts, ms.
-const RETRY_MS: u32 = 150;
+const RETRY_MS: u32 = 100;
 /// Longest wait for room in zenoh's queue before a link is given up, microseconds.
 const BLOCKED_US: u32 = 1_000_000;
 /// Largest message that is taken in, bytes.

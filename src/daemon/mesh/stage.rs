@@ -47,7 +47,15 @@ impl Mesh {
         let (feed, out) = Feed::new(About { run, stage_toml: stage_toml.clone() });
         let log = Log::new(run);
         let (stop, stopped) = bounded(0);
-        let answers = Answers { keys: keys.clone(), feed: feed.clone(), log: log.clone(), clock, inbox, recordings, stage_toml };
+        let answers = Answers {
+            keys: keys.clone(),
+            feed: feed.clone(),
+            log: log.clone(),
+            clock,
+            inbox,
+            recordings,
+            stage_toml,
+        };
         let session = thread("zenoh-open", {
             let settings = settings.clone();
             move || session::open(&settings)
@@ -130,8 +138,11 @@ impl Publishers {
         let events = event(session, keys.events())?;
         follow(&states, feed, |feed, wanted| feed.wanted().feed.store(wanted, Ordering::Relaxed))?;
         let topics = Topic::ALL.into_iter().map(|topic| {
-            let publisher =
-                if topic.is_event() { event(session, keys.topic(topic)) } else { state(session, keys.topic(topic)) }?;
+            let publisher = if topic.is_event() {
+                event(session, keys.topic(topic))
+            } else {
+                state(session, keys.topic(topic))
+            }?;
             follow(&publisher, feed, move |feed, wanted| {
                 feed.wanted().topics[topic.index()].store(wanted, Ordering::Relaxed);
             })?;
@@ -180,7 +191,11 @@ fn follow(
 ) -> zenoh::Result<()> {
     let tell = Arc::new(tell);
     let (listening, told) = (feed.clone(), Arc::clone(&tell));
-    publisher.matching_listener().callback(move |status| told(&listening, status.matching())).background().wait()?;
+    publisher
+        .matching_listener()
+        .callback(move |status| told(&listening, status.matching()))
+        .background()
+        .wait()?;
     tell(feed, publisher.matching_status().wait()?.matching());
     Ok(())
 }
@@ -190,7 +205,11 @@ fn declare_log(session: &Session, keys: &Keys, log: &Log) -> zenoh::Result<Publi
     // Behind everything that a person looks at.
     let publisher = publisher.priority(Priority::DataLow).wait()?;
     let wanted = log.clone();
-    publisher.matching_listener().callback(move |status| wanted.want(status.matching())).background().wait()?;
+    publisher
+        .matching_listener()
+        .callback(move |status| wanted.want(status.matching()))
+        .background()
+        .wait()?;
     log.want(publisher.matching_status().wait()?.matching());
     Ok(publisher)
 }

@@ -100,7 +100,9 @@ pub(in crate::daemon) fn write_fed(head: &Head, item: &Item) -> Option<Vec<u8>> 
     rmp_serde::encode::write(&mut out, head).ok()?;
     match item {
         // All numbers, many times a second: without the names of their fields.
-        Item::Estimate(_) | Item::Body(_) | Item::Truth(_) => rmp_serde::encode::write(&mut out, item).ok()?,
+        Item::Estimate(_) | Item::Body(_) | Item::Truth(_) => {
+            rmp_serde::encode::write(&mut out, item).ok()?
+        }
         // What has optional fields needs their names.
         Item::Outcome(_) | Item::Status(_) | Item::Jobs(_) | Item::Rewind => {
             rmp_serde::encode::write_named(&mut out, item).ok()?;

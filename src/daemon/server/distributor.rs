@@ -26,9 +26,19 @@ pub(super) type ClientId = u64;
 #[derive(Debug)]
 pub(super) enum Command {
     /// `stage` is put into every message, for a client that sees several.
-    Connect { client: ClientId, outbox: Arc<Outbox>, stage: Option<Arc<str>> },
-    Feed { client: ClientId, id: RequestId, feed: Feed },
-    Disconnect { client: ClientId },
+    Connect {
+        client: ClientId,
+        outbox: Arc<Outbox>,
+        stage: Option<Arc<str>>,
+    },
+    Feed {
+        client: ClientId,
+        id: RequestId,
+        feed: Feed,
+    },
+    Disconnect {
+        client: ClientId,
+    },
 }
 
 /// See the module.
@@ -461,8 +471,8 @@ mod tests {
 
     use super::*;
     use crate::motion::exercise::EventKind;
-    use crate::output::{ExerciseOutcome, ExerciseWhat, OutcomeKind};
     use crate::output::{Estimate, Outcome};
+    use crate::output::{ExerciseOutcome, ExerciseWhat, OutcomeKind};
     use crate::stage::Stage;
 
     fn distributor(limits: &Limits) -> Distributor {

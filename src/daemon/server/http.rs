@@ -13,10 +13,10 @@ use axum::{Router, extract::rejection::ExtensionRejection};
 
 use super::access::Refusal;
 use super::foxglove::Viewer;
+use super::gate::Gate;
 use super::listen::Slot;
 use super::metrics::Metrics;
 use super::requests::Requests;
-use super::gate::Gate;
 use super::{Shared, client, viewer};
 use crate::foxglove;
 use crate::protocol::{Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK};
@@ -95,7 +95,7 @@ pub(super) fn counts(gate: &Gate, metrics: &Metrics, headers: &HeaderMap, uri: &
 }
 
 /// The page; and the websocket of Foxglove viewers, who are given an address without a path.
-async fn root(
+pub(super) async fn root(
     shared: State<Arc<Shared>>,
     slot: Result<Extension<Arc<Slot>>, ExtensionRejection>,
     headers: HeaderMap,

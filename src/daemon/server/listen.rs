@@ -25,7 +25,12 @@ const REFUSALS: usize = 32;
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Accepts connections for ever.
-pub(super) async fn accept(listener: &TcpListener, tls: Option<&TlsAcceptor>, gate: &Arc<Gate>, app: axum::Router) {
+pub(super) async fn accept(
+    listener: &TcpListener,
+    tls: Option<&TlsAcceptor>,
+    gate: &Arc<Gate>,
+    app: axum::Router,
+) {
     let refusals = Arc::new(tokio::sync::Semaphore::new(REFUSALS));
     loop {
         let (stream, address) = next(listener).await;
@@ -86,11 +91,7 @@ pub(super) async fn next(listener: &TcpListener) -> (TcpStream, SocketAddr) {
 }
 
 /// One request per connection (every answer says `Connection: close`); a websocket goes on in a task of its own.
-async fn serve(
-    stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
-    app: axum::Router,
-    gate: &Gate,
-) {
+async fn serve(stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, app: axum::Router, gate: &Gate) {
     let connection = hyper::server::conn::http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(gate.limits.greeting_timeout)
@@ -126,8 +127,8 @@ async fn refuse(mut stream: TcpStream, reason: &str) -> std::io::Result<()> {
     stream.shutdown().await
 }
 
-/// How many connections there may be, in all and from one address.
-#[derive(Debug)]
+/// How many connections there may be, in all and from one address; clones count together.
+#[derive(Clone, Debug)]
 pub(super) struct Slots {
     total: usize,
     per_address: usize,

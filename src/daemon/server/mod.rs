@@ -12,9 +12,13 @@
 
 mod access;
 mod client;
+#[cfg(feature = "zenoh")]
+mod directory;
 mod distributor;
 mod foxglove;
 mod gate;
+#[cfg(feature = "zenoh")]
+pub(super) mod hall;
 pub(super) mod holding;
 mod http;
 pub(super) mod hub;
@@ -315,8 +319,15 @@ impl Server {
         let lsl = stage.lsl.as_ref().zip(config.clock.filter(|_| !config.replay));
         let lsl = lsl.map(|(settings, clock)| Streaming::start(stage, settings, clock, Arc::clone(&metrics)));
         let distributor = Distributor::new(Arc::clone(&shared.names), limits, metrics, config.counters);
-        let outlets =
-            Outlets { distributor, viewers, vrpn: vrpn_outlet, vmc, lsl, feed: config.feed, problems: config.problems };
+        let outlets = Outlets {
+            distributor,
+            viewers,
+            vrpn: vrpn_outlet,
+            vmc,
+            lsl,
+            feed: config.feed,
+            problems: config.problems,
+        };
         let hub_in = hub.clone();
         let server = Self { door, shared, outlets, vrpn, hub: hub_in, commands };
         Ok((server, hub, calls))
@@ -468,7 +479,7 @@ async fn distribute(
     }
 }
 
-fn rfc3339(utc_ns: i64) -> String {
+pub(super) fn rfc3339(utc_ns: i64) -> String {
     match jiff::Timestamp::from_nanosecond(utc_ns.into()) {
         Ok(utc) => format!("{utc:.9}"),
         Err(_) => String::new(),

@@ -20,7 +20,12 @@ pub(super) fn check(zenoh: &Item<'_, '_>, folder: Option<&Path>, notes: &mut Not
     }
     if ends == 0 {
         let message = "nobody can be reached: there is neither an address to listen on nor one to connect to";
-        notes.problem(&zenoh.header, "connect", message, "write connect = [\"tcp/HOST:PORT\"] with the hub's address");
+        notes.problem(
+            &zenoh.header,
+            "connect",
+            message,
+            "write connect = [\"tcp/HOST:PORT\"] with the hub's address",
+        );
     }
     if let Some(key) = zenoh.text("key")
         && !is_key(key.value)
@@ -31,14 +36,24 @@ pub(super) fn check(zenoh: &Item<'_, '_>, folder: Option<&Path>, notes: &mut Not
     }
     for (key, other) in [("user", "password"), ("password", "user")] {
         if let (Some(given), false) = (zenoh.text(key), zenoh.has(other)) {
-            notes.problem(&given.at, key, format!("it is worth nothing without `{other}`"), format!("add `{other}`"));
+            notes.problem(
+                &given.at,
+                key,
+                format!("it is worth nothing without `{other}`"),
+                format!("add `{other}`"),
+            );
         }
     }
     if let (Some(users), Some(folder)) = (zenoh.text("users"), folder) {
         let full = folder.join(users.value);
         if !full.is_file() {
             let message = format!("there is no file `{}`", full.display());
-            notes.problem(&users.at, "users", message, "name a file with a line NAME:PASSWORD for each who may connect");
+            notes.problem(
+                &users.at,
+                "users",
+                message,
+                "name a file with a line NAME:PASSWORD for each who may connect",
+            );
         }
     }
 }
