@@ -181,8 +181,8 @@ impl Daemon {
                 })
                 .ok()
         });
-        config.feed = mesh.as_ref().map(Mesh::feed);
-        let (server, hub, pending) = Server::bind(&stage, config)?;
+        let feed = mesh.as_ref().map(Mesh::feed);
+        let (server, hub, pending) = Server::bind_fed(&stage, config, feed)?;
         let mut service = Service::start(server);
         let jobs = Jobs::new(clock, hub.clone());
 

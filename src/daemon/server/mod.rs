@@ -77,8 +77,6 @@ pub struct Config {
     pub replay: bool,
     /// The stage's clock; absent: times are those of nothing that goes on, and LSL is not told.
     pub clock: Option<StageClock>,
-    /// Where all that is published goes too, for programs on other machines.
-    pub(super) feed: Option<Feed>,
     /// What went wrong as the daemon was started, and does not keep it from running: told with every status.
     pub problems: Vec<Problem>,
     /// What one client, and all together, may take.
@@ -96,7 +94,6 @@ impl Config {
             counters: Counters::default(),
             replay: false,
             clock: None,
-            feed: None,
             problems: Vec::new(),
             limits: Limits::default(),
         }
@@ -277,6 +274,15 @@ impl Server {
         stage: &Stage,
         config: Config,
     ) -> Result<(Self, Hub, mpsc::Receiver<PendingCall>), BindError> {
+        Self::bind_fed(stage, config, None)
+    }
+
+    /// The same; all that is published goes to `feed` too, for programs on other machines.
+    pub(super) fn bind_fed(
+        stage: &Stage,
+        config: Config,
+        feed: Option<Feed>,
+    ) -> Result<(Self, Hub, mpsc::Receiver<PendingCall>), BindError> {
         let door = Door::open(&stage.server, config.listen, &config.folder, config.limits)?;
         let metrics = Arc::clone(&door.gate.metrics);
         let limits = door.gate.limits.clone();
@@ -325,7 +331,7 @@ impl Server {
             vrpn: vrpn_outlet,
             vmc,
             lsl,
-            feed: config.feed,
+            feed,
             problems: config.problems,
         };
         let hub_in = hub.clone();
