@@ -150,6 +150,14 @@ export type Call = {
   row: number;
   type: "faults.name_cell";
 } | {
+  /** Most epochs; absent: 30. */
+  epochs?: number | null;
+  /** The reply carries it. */
+  id: RequestId;
+  /** Frames of 1/24 s that the network may look ahead: the fewer, the sooner labels are sure; absent: 121. */
+  look_ahead?: number | null;
+  type: "segments.train";
+} | {
   /** How much is asked for; absent: `full`. */
   how?: Thoroughness | null;
   /** The reply carries it. */

@@ -89,7 +89,7 @@ impl Health {
             sensors: stage.sensors.iter().map(sensor).collect(),
             read_to_estimate: Latency::new("read to estimate"),
             capture_to_estimate: Latency::new("capture to estimate"),
-            segments: stage.segments.is_some().then(|| Latency::new("segments")),
+            segments: None,
             body: Vec::new(),
             recording_failure: None,
             changed: true,
@@ -99,9 +99,7 @@ impl Health {
 
     /// The network of segments took so long for a frame.
     pub(super) fn named(&mut self, seconds: f64) {
-        if let Some(segments) = &mut self.segments {
-            segments.add(seconds);
-        }
+        self.segments.get_or_insert_with(|| Latency::new("segments")).add(seconds);
     }
 
     /// A frame was estimated `after_read_s` after its last bytes had been read.

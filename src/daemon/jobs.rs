@@ -203,6 +203,25 @@ impl Drop for Job {
     }
 }
 
+/// Does work that spreads over several threads on half of the processor's cores, with less right to them than tracking has.
+///
+/// # Errors
+/// The system gives no threads.
+pub(super) fn aside<T: Send>(work: impl FnOnce() -> T + Send) -> Result<T, String> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(cores.div_ceil(2))
+        .thread_name(|_| "aside".to_owned())
+        // A thread's own on Linux; elsewhere it would be the whole daemon's.
+        .start_handler(|_| {
+            #[cfg(target_os = "linux")]
+            let _ = rustix::process::nice(10);
+        })
+        .build()
+        .map_err(|error| format!("the system gives no threads: {error}"))?;
+    Ok(pool.install(work))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -168,7 +168,6 @@ impl Daemon {
         config.listen = listen;
         config.clock = Some(clock);
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
-        config.more_topics.extend(stage.segments.is_some().then_some(Topic::Segments));
         let inbox = Inbox::new(INBOX_CAPACITY);
         let recordings = stage.recording.folder.clone().unwrap_or_else(|| data.join("recordings"));
         let mesh = stage.zenoh.as_ref().and_then(|settings| {

@@ -1,6 +1,6 @@
 //! Model files: those that a stage loads at its start, and the folder of taught exercises.
 //!
-//! In: paths. Out: models for the pipeline. What is taught or learnt is kept as `NAME-REVISION.json`: doing so again writes
+//! In: paths. Out: models for the pipeline. What is taught or learnt is kept as `NAME-REVISION.json` (`.safetensors`): doing so again writes
 //! a new file, and the old one stays. Never: a file half written, or one written over.
 
 use std::path::{Path, PathBuf};
@@ -48,10 +48,12 @@ fn read_exercise(path: &Path) -> Result<Exercise, String> {
     Exercise::from_json(&text).map_err(|error| format!("{}: {error}", path.display()))
 }
 
-/// A folder of models with revisions: taught exercises, or maps of faults.
+/// A folder of models with revisions: taught exercises, maps of faults, or networks of segments.
 #[derive(Clone, Debug)]
 pub(super) struct Library {
     folder: PathBuf,
+    /// How its files end, without the dot.
+    ending: &'static str,
 }
 
 /// A model in the folder.
@@ -61,18 +63,20 @@ pub(super) struct Kept {
     pub(super) name: String,
     /// The newest revision.
     pub(super) revision: u32,
+    #[serde(skip)]
+    ending: &'static str,
 }
 
 impl Kept {
     /// Name of its file.
     pub(super) fn file(&self) -> String {
-        format!("{}-{:03}.json", self.name, self.revision)
+        format!("{}-{:03}.{}", self.name, self.revision, self.ending)
     }
 }
 
 impl Library {
-    pub(super) fn new(folder: PathBuf) -> Self {
-        Self { folder }
+    pub(super) fn new(folder: PathBuf, ending: &'static str) -> Self {
+        Self { folder, ending }
     }
 
     /// Whether an exercise can have this name, which is also that of its file.
@@ -92,8 +96,8 @@ impl Library {
         let mut all: Vec<Kept> = entries
             .filter_map(|entry| {
                 let file = entry.ok()?.file_name().into_string().ok()?;
-                let (name, revision) = file.strip_suffix(".json")?.rsplit_once('-')?;
-                Some(Kept { name: name.to_owned(), revision: revision.parse().ok()? })
+                let (name, revision) = file.strip_suffix(self.ending)?.strip_suffix('.')?.rsplit_once('-')?;
+                Some(self.kept(name, revision.parse().ok()?))
             })
             .collect();
         all.sort_by(|a, b| a.name.cmp(&b.name).then(b.revision.cmp(&a.revision)));
@@ -113,22 +117,26 @@ impl Library {
     pub(super) fn keep(&self, exercise: &mut Exercise) -> Result<(), String> {
         let kept = self.next(&exercise.name)?;
         exercise.revision = kept.revision;
-        self.write(&kept, &exercise.to_json().map_err(|error| error.to_string())?)
+        self.write(&kept, exercise.to_json().map_err(|error| error.to_string())?.as_bytes())
     }
 
     /// The next revision of a name.
     pub(super) fn next(&self, name: &str) -> Result<Kept, String> {
         let known = self.list()?.into_iter().find(|kept| kept.name == name);
-        Ok(Kept { name: name.to_owned(), revision: known.map_or(0, |kept| kept.revision) + 1 })
+        Ok(self.kept(name, known.map_or(0, |kept| kept.revision) + 1))
+    }
+
+    fn kept(&self, name: &str, revision: u32) -> Kept {
+        Kept { name: name.to_owned(), revision, ending: self.ending }
     }
 
     /// Writes a revision's file, whole or not at all.
-    pub(super) fn write(&self, kept: &Kept, text: &str) -> Result<(), String> {
+    pub(super) fn write(&self, kept: &Kept, bytes: &[u8]) -> Result<(), String> {
         let path = self.path(kept);
         let write = || {
             std::fs::create_dir_all(&self.folder)?;
             let mut file = AtomicFile::create(&path)?;
-            std::io::Write::write_all(&mut file, text.as_bytes())?;
+            std::io::Write::write_all(&mut file, bytes)?;
             file.commit()
         };
         write().map_err(|error| format!("cannot write {}: {error}", path.display()))

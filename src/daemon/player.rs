@@ -203,6 +203,7 @@ impl Player {
             | Call::ExerciseReset { .. }
             | Call::FaultsTrain { .. }
             | Call::FaultsNameCell { .. }
+            | Call::SegmentsTrain { .. }
             | Call::BodyCalibrate { .. }
             | Call::StageAlign { .. } => Err((
                 "replay",

@@ -201,7 +201,7 @@ impl Pipeline {
             }
             Input::Model(model) => self.swap(model, say),
             Input::Request(request) => self.request(request, say),
-            Input::Network(bytes) => self.name_with(bytes),
+            Input::Network(bytes) => self.name_with(bytes, say),
             Input::Truth(truth) => say(Output::Truth(truth)),
         }
         self.close_frames(say);
@@ -367,10 +367,15 @@ impl Pipeline {
         }
     }
 
-    fn name_with(&mut self, bytes: &[u8]) {
+    fn name_with(&mut self, bytes: &[u8], say: &mut impl FnMut(Output<'_>)) {
         let segments = self.body.is_some();
         match Naming::new(bytes, self.sensors.iter().map(Sensor::name), segments) {
-            Ok(naming) => self.naming = Some(Box::new(naming)),
+            Ok(mut naming) => {
+                if let Some(before) = &mut self.naming {
+                    naming.follow(before, self.estimate.t_valid, say);
+                }
+                self.naming = Some(Box::new(naming));
+            }
             // Whoever sends one has looked first, to say what is wrong.
             Err(_) => self.models_refused += 1,
         }

@@ -78,6 +78,15 @@ impl Naming {
         })
     }
 
+    /// Takes the place of another model, whose open segments nobody will decide on.
+    pub(super) fn follow(&mut self, before: &mut Self, t: Timestamp, say: &mut impl FnMut(Output<'_>)) {
+        let Self { model, open, segments, last, .. } = before;
+        self.segments = *segments;
+        let gone = std::mem::take(open);
+        let mut events = Events { model, open, segments, last, t_decided: t, say };
+        gone.into_iter().for_each(|open| events.withdraw(open));
+    }
+
     /// Takes the next frame.
     pub(super) fn push(
         &mut self,

@@ -221,4 +221,28 @@ fn segments_are_announced_and_decided() {
         });
         assert!(ends.count() <= 1, "{segment:?}: {events:?}");
     }
+    // A model that takes its place leaves nothing open, and goes on counting.
+    let mut next = naming::Naming::new(&random_model(["a", "b"]), ["a", "b"].into_iter(), false).unwrap();
+    next.follow(&mut naming, estimate.t_valid, &mut |output| {
+        if let Output::Outcome(Outcome { what: OutcomeKind::Segment(segment), .. }) = output {
+            assert_eq!(segment.event, SegmentEvent::Withdrawn);
+            events.push((0.0, 0.0, segment.clone()));
+        }
+    });
+    let numbers = |wanted: fn(SegmentEvent) -> bool| {
+        let of = events.iter().filter(move |(.., segment)| wanted(segment.event));
+        of.map(|(.., segment)| segment.segment).collect::<std::collections::BTreeSet<_>>()
+    };
+    let begun = numbers(|event| event == SegmentEvent::Provisional);
+    assert!(begun.is_subset(&numbers(|event| event != SegmentEvent::Provisional)), "{events:?}");
+    let mut first = None;
+    for frame in 0..200_u32 {
+        estimate.t_valid = Timestamp::from_secs_f64(30.0 + f64::from(frame) / 60.0);
+        next.push(&estimate, None, &mut |output| {
+            if let Output::Outcome(Outcome { what: OutcomeKind::Segment(segment), .. }) = output {
+                first.get_or_insert(segment.segment);
+            }
+        });
+    }
+    assert!(first > begun.last().copied(), "{first:?} after {begun:?}");
 }

@@ -205,6 +205,17 @@ pub enum Call {
         /// What frames of this cell are.
         class: Class,
     },
+    /// Learns to name segments of the motion from the recordings that have labels beside them (`TAKE.labels.csv` or `TAKE.eaf`); a
+    /// job. The model is kept as a file, and takes the place of the one in use.
+    #[serde(rename = "segments.train")]
+    SegmentsTrain {
+        /// Most epochs; absent: 30.
+        #[serde(default)]
+        epochs: Option<u32>,
+        /// Frames of 1/24 s that the network may look ahead: the fewer, the sooner labels are sure; absent: 121.
+        #[serde(default)]
+        look_ahead: Option<usize>,
+    },
     /// Finds how the body's sensors sit, from poses and movements that the job's message asks for one after the other; a job. It
     /// notices by itself when each was done, and swaps the mounting in if it is good to five degrees.
     #[serde(rename = "body.calibrate")]
@@ -322,7 +333,7 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 21] = [
+const CALLS: [&str; 22] = [
     "record.start",
     "record.stop",
     "replay.list",
@@ -341,6 +352,7 @@ const CALLS: [&str; 21] = [
     "body.calibrate",
     "faults.train",
     "faults.name_cell",
+    "segments.train",
     "stage.align",
     "job.cancel",
     "model.load",

@@ -135,7 +135,12 @@ impl Stage {
             *users = folder.join(&*users);
         }
         let Self { models, recording, .. } = &mut stage;
-        let kept = [&mut models.faults_folder, &mut models.exercise_folder, &mut recording.folder];
+        let kept = [
+            &mut models.faults_folder,
+            &mut models.exercise_folder,
+            &mut models.segments_folder,
+            &mut recording.folder,
+        ];
         for kept in kept.into_iter().flatten() {
             *kept = folder.join(&*kept);
         }
@@ -397,6 +402,8 @@ pub struct Models {
     pub faults: Option<PathBuf>,
     /// The one folder that `faults.train` and `faults.name_cell` write to; absent: `faults` beside the stage file.
     pub faults_folder: Option<PathBuf>,
+    /// The one folder that `segments.train` writes to; absent: `segments` beside the stage file.
+    pub segments_folder: Option<PathBuf>,
     /// A map of the field, as `posed field solve` writes it; used until `field.accept` has brought a newer one.
     pub field: Option<PathBuf>,
 }

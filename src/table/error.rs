@@ -51,4 +51,12 @@ pub enum TableError {
         /// Why.
         source: ReadError,
     },
+    /// Labels beside a sequence cannot be its labels, or a sequence has none.
+    #[error("{file}: {what}")]
+    Labels {
+        /// The file.
+        file: String,
+        /// Why.
+        what: String,
+    },
 }

@@ -6,9 +6,11 @@
 //!
 //! [`Poses`] also come from recordings.
 
+pub mod elan;
 mod error;
 mod imu;
 mod joints;
+pub mod labelled;
 mod labels;
 mod poses;
 mod reader;

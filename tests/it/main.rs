@@ -20,6 +20,7 @@ mod faults_live;
 mod field;
 mod field_live;
 mod field_real;
+mod field_session;
 mod handbook;
 #[cfg(feature = "zenoh")]
 mod hub;

@@ -125,6 +125,11 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser.until("document.querySelectorAll('.curve canvas').length === 3").await;
     browser.until("document.getElementById('sensor-choice').options.length === 2").await;
     browser.picture("analysis").await;
+    // Nothing is labelled yet, and it says so.
+    browser.click("segments-train").await;
+    browser
+        .until("document.getElementById('segments-says').textContent.includes('has labels beside it')")
+        .await;
     browser.click("tab-runs").await;
     browser.click("record-stop").await;
     browser.until("document.getElementById('jobs').textContent.includes('take.mcap is complete')").await;

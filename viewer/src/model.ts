@@ -1,82 +1,29 @@
 // What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
 // Bounded: it never grows over hours.
 
-import type { Change, ExerciseEventMessage, FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, KeyPoseMessage, SegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage } from "./protocol";
+import type { Change, ExerciseEventMessage, FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, KeyPoseMessage, SegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage, Vec3 } from "./protocol";
+import { Rows } from "./rows";
 
 /** Seconds of history for curves. */
 export const HISTORY_S = 20;
 const HISTORY_ROWS = HISTORY_S * 60;
 const EVENTS = 200;
-
-/** The last rows of one sensor, oldest overwritten: t, x, y, z, speed, sigma. */
-export class History {
-  static readonly COLUMNS = 6;
-  private readonly rows = new Float64Array(HISTORY_ROWS * History.COLUMNS);
-  private next = 0;
-  length = 0;
-
-  push(t_s: number, x: number, y: number, z: number, sigma_m: number): void {
-    const before = this.length > 0 ? this.at(this.length - 1) : null;
-    const dt = before ? t_s - before[0]! : 0;
-    const speed = before && dt > 0 ? Math.hypot(x - before[1]!, y - before[2]!, z - before[3]!) / dt : 0;
-    this.rows.set([t_s, x, y, z, speed, sigma_m], this.next * History.COLUMNS);
-    this.next = (this.next + 1) % HISTORY_ROWS;
-    this.length = Math.min(this.length + 1, HISTORY_ROWS);
-  }
-
-  /** Row `index`, 0 the oldest; a view, not a copy. */
-  at(index: number): Float64Array {
-    const row = (this.next - this.length + index + HISTORY_ROWS) % HISTORY_ROWS;
-    return this.rows.subarray(row * History.COLUMNS, (row + 1) * History.COLUMNS);
-  }
-
-  /** A column, oldest first. */
-  column(index: number): Float64Array {
-    const out = new Float64Array(this.length);
-    for (let i = 0; i < this.length; i++) out[i] = this.at(i)[index]!;
-    return out;
-  }
-
-  clear(): void {
-    this.length = 0;
-    this.next = 0;
-  }
-}
-
-/** The last rows of named numbers, oldest overwritten: t and one column per name. */
-export class Series {
-  readonly names: string[];
-  private readonly width: number;
-  private readonly rows: Float64Array;
-  private next = 0;
-  length = 0;
-
-  constructor(names: string[]) {
-    this.names = names;
-    this.width = names.length + 1;
-    this.rows = new Float64Array(HISTORY_ROWS * this.width);
-  }
-
-  push(t_s: number, values: Record<string, number | null>): void {
-    const row = this.next * this.width;
-    this.rows[row] = t_s;
-    this.names.forEach((name, i) => (this.rows[row + 1 + i] = values[name] ?? NaN));
-    this.next = (this.next + 1) % HISTORY_ROWS;
-    this.length = Math.min(this.length + 1, HISTORY_ROWS);
-  }
-
-  /** A column, oldest first; 0 is the time. */
-  column(index: number): Float64Array {
-    const out = new Float64Array(this.length);
-    for (let i = 0; i < this.length; i++) {
-      out[i] = this.rows[((this.next - this.length + i + HISTORY_ROWS) % HISTORY_ROWS) * this.width + index]!;
-    }
-    return out;
-  }
-}
+/** Of a sensor's history: m, m/s. */
+const HISTORY_NAMES = ["x", "y", "z", "speed", "sigma"];
 
 /** A repetition that has been judged. */
 export type Repetition = Extract<ExerciseEventMessage, { event: "counted" | "rejected" }>;
+
+function remember(history: Rows, t_s: number, [x, y, z]: Vec3, sigma_m: number | null | undefined): void {
+  history.begin(t_s);
+  history.set(1, x);
+  history.set(2, y);
+  history.set(3, z);
+  const dt_s = t_s - history.newest(0, 1);
+  const moved_m = Math.hypot(x - history.newest(1, 1), y - history.newest(2, 1), z - history.newest(3, 1));
+  history.set(4, dt_s > 0 ? moved_m / dt_s : 0);
+  history.set(5, sigma_m);
+}
 
 export class Model {
   hello: Hello | null = null;
@@ -89,13 +36,14 @@ export class Model {
   faultMap: FaultMap | null = null;
   /** What was said of segments of the motion and not taken back, by beginning. */
   segments: SegmentMessage[] = [];
-  readonly history = new Map<string, History>();
+  /** By sensor: where it was. */
+  readonly history = new Map<string, Rows>();
   /** Repetitions that were counted or refused. */
   repetitions: Repetition[] = [];
   /** By joint. */
-  readonly angles = new Map<string, Series>();
+  readonly angles = new Map<string, Rows>();
   /** By sensor: the statistic of key poses, and what a peak of it must exceed. */
-  readonly changes = new Map<string, Series>();
+  readonly changes = new Map<string, Rows>();
   /** Confirmed ones. */
   keyPoses: KeyPoseMessage[] = [];
   /** Browser time of the newest frame, ms. */
@@ -174,15 +122,18 @@ export class Model {
     this.body = message;
     for (const { name, angles_deg } of message.joints) {
       let angles = this.angles.get(name);
-      if (!angles) this.angles.set(name, (angles = new Series(Object.keys(angles_deg))));
-      angles.push(message.t_s, angles_deg);
+      if (!angles) this.angles.set(name, (angles = new Rows(Object.keys(angles_deg), HISTORY_ROWS)));
+      angles.begin(message.t_s);
+      angles.names.forEach((angle, i) => angles.set(i + 1, angles_deg[angle]));
     }
   }
 
   private takeChange(name: string, { t_s, score, threshold }: Change): void {
-    let series = this.changes.get(name);
-    if (!series) this.changes.set(name, (series = new Series(["score", "threshold"])));
-    series.push(t_s, { score, threshold });
+    let rows = this.changes.get(name);
+    if (!rows) this.changes.set(name, (rows = new Rows(["score", "threshold"], HISTORY_ROWS)));
+    rows.begin(t_s);
+    rows.set(1, score);
+    rows.set(2, threshold);
   }
 
   private takeSensors(message: SensorsMessage): void {
@@ -198,8 +149,8 @@ export class Model {
       if (change) this.takeChange(name, change);
       if (!position_m) continue;
       let history = this.history.get(name);
-      if (!history) this.history.set(name, (history = new History()));
-      history.push(message.t_s, ...position_m, sigma_m ?? NaN);
+      if (!history) this.history.set(name, (history = new Rows(HISTORY_NAMES, HISTORY_ROWS)));
+      remember(history, message.t_s, position_m, sigma_m);
     }
   }
 }

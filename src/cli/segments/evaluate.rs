@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use posed::motion::segments::measures::Measures;
 use posed::motion::segments::{Sequence, label, picture};
+use posed::table::labelled;
 use serde::Serialize;
 
 use super::super::{Error, output, print, print_json};
@@ -56,7 +57,7 @@ struct File {
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let model = load(&args.model)?;
     let card = &model.card;
-    let files = args.reading.read_folder(&args.folder)?;
+    let files = labelled::read_folder(&args.folder, &args.reading.options()).map_err(Error::failed)?;
     let mut labels = card.labels.clone();
     // A label that the model does not know is named wrong, not left out.
     let truths: Vec<_> = files.iter().map(|(_, file)| picture::classes(file, &mut labels)).collect();

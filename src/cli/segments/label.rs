@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use posed::motion::segments::{Sequence, label, measures, picture};
-use posed::table::{SegmentLabel, SegmentLabels};
+use posed::table::{SegmentLabel, SegmentLabels, elan, labelled};
 use serde::Serialize;
 
 use super::super::{Error, output, print, print_json};
 use super::files::{self, Reading};
-use super::{elan, load};
+use super::load;
 
 /// What to name.
 #[derive(clap::Args)]
@@ -54,7 +54,7 @@ struct Segment<'a> {
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let model = load(&args.model)?;
     let card = &model.card;
-    let file = args.reading.read(&args.sequence)?;
+    let file = labelled::read(&args.sequence, &args.reading.options()).map_err(Error::failed)?;
     let name = args.sequence.display().to_string();
     if file.frames.is_empty() {
         return Err(Error::Failed(format!("{name}: there are no frames")));
@@ -67,7 +67,15 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let named = label(&model, &sequence);
     let classes: Vec<u16> = named.iter().map(|frame| frame.0).collect();
     if args.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("eaf")) {
-        let text = elan::write(&sequence.t_s, &classes, &card.labels);
+        let after_s = |frame: usize| {
+            let t_s = sequence.t_s.get(frame).or(sequence.t_s.last()).copied().unwrap_or(0.0);
+            t_s - sequence.t_s[0]
+        };
+        let runs = measures::runs(classes.iter().copied());
+        let segment = |(class, first, end): (u16, usize, usize)| {
+            (card.labels[usize::from(class)].as_str(), after_s(first), after_s(end))
+        };
+        let text = elan::write(runs.into_iter().map(segment));
         output::replace(&args.output, |file| file.write_all(text.as_bytes()))?;
     } else {
         let row = |((class, confidence), t_s): (&(u16, f64), &f64)| SegmentLabel {

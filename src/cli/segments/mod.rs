@@ -1,7 +1,6 @@
 //! `posed segments`: a network that learns what the frames of a motion show.
 
 mod bench;
-mod elan;
 mod evaluate;
 mod files;
 mod generate;

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use posed::motion::segments::{Augmentation, Epoch, Options, Sequence, Trainer};
-use posed::table::Sequences;
+use posed::motion::segments::{Augmentation, Epoch, Options, Trainer, TrainingSet};
+use posed::table::labelled;
 use serde::Serialize;
 
 use super::super::{Error, output, print, print_json, tell};
@@ -125,27 +125,17 @@ impl Args {
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let options = args.options()?;
-    let files = args.reading.read_folder(&args.folder)?;
-    let joints = common_joints(&files)?;
-    let mut labels: Vec<String> = files
-        .iter()
-        .flat_map(|(_, file)| file.frames.iter().filter_map(|frame| frame.label.clone()))
-        .collect();
-    labels.sort();
-    labels.dedup();
-    let sequence = |(name, file): &(String, Sequences)| {
-        Sequence::new(file, &joints, &labels).map_err(|what| Error::Failed(format!("{name}: {what}")))
-    };
-    let sequences = files.iter().map(sequence).collect::<Result<Vec<_>, _>>()?;
-    let mut trainer = Trainer::new(options, joints.clone(), &labels, sequences).map_err(Error::Failed)?;
+    let files = labelled::read_folder(&args.folder, &args.reading.options()).map_err(Error::failed)?;
+    let set = TrainingSet::new(&files, |_| true).map_err(Error::Failed)?;
+    set.notes.iter().for_each(|note| tell(note));
+    let mut trainer = set.trainer(options).map_err(Error::Failed)?;
     let aside = aside(&args.output);
     if args.resume {
         let bytes = std::fs::read(&aside).map_err(|error| Error::file("read", &aside, &error))?;
         trainer.resume(&bytes).map_err(|what| Error::Failed(format!("{}: {what}", aside.display())))?;
     }
     let last = train(&mut trainer, &aside)?;
-    let provenance = files.iter().map(|(name, file)| (name.clone(), file.frames.len() as u64)).collect();
-    let model = trainer.model(&labels, provenance);
+    let model = trainer.model(&set.labels, set.files.clone());
     let bytes = model.to_bytes().map_err(Error::failed)?;
     output::replace(&args.output, |file| file.write_all(&bytes))?;
     // The model is there: nothing is left to resume.
@@ -153,9 +143,9 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let (rate_hz, shape) = (model.card.preparation.rate_hz, &model.card.shape);
     let answer = Answer {
         files: files.len(),
-        frames: files.iter().map(|(_, file)| file.frames.len() as u64).sum(),
-        labels,
-        joints,
+        frames: set.frames(),
+        labels: set.labels,
+        joints: set.joints,
         parameters: shape.parameters(),
         receptive_field_s: shape.receptive_field() as f64 / rate_hz,
         delay_s: posed::motion::segments::Labeller::delay_s(&model),
@@ -202,24 +192,6 @@ fn aside(output: &Path) -> PathBuf {
     let mut name = output.as_os_str().to_owned();
     name.push(".training");
     PathBuf::from(name)
-}
-
-/// The joints that all files have, in the order of the first.
-fn common_joints(files: &[(String, Sequences)]) -> Result<Vec<String>, Error> {
-    let mut joints = files.first().map(|(_, file)| file.joints.clone()).unwrap_or_default();
-    for (name, file) in files {
-        joints.retain(|joint| {
-            let kept = file.joints.contains(joint);
-            if !kept {
-                tell(&format!("goes without `{joint}`, which {name} lacks"));
-            }
-            kept
-        });
-    }
-    if joints.is_empty() {
-        return Err(Error::Failed("the files have no joint in common".to_owned()));
-    }
-    Ok(joints)
 }
 
 /// For people.

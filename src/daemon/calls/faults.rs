@@ -129,7 +129,7 @@ impl Workshop {
         let kept = self.library.next(NAME)?;
         network.revision = kept.revision;
         let text = serde_json::to_string(network).map_err(|error| error.to_string())?;
-        self.library.write(&kept, &text)?;
+        self.library.write(&kept, text.as_bytes())?;
         Ok(kept)
     }
 

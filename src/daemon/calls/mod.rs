@@ -7,6 +7,7 @@ mod align;
 mod body;
 mod exercise;
 mod faults;
+mod segments;
 
 use std::path::{Path, PathBuf};
 
@@ -35,6 +36,7 @@ pub(super) struct Calls {
     recordings: PathBuf,
     exercises: Library,
     faults: Library,
+    segments: Library,
     clock: StageClock,
     inbox: FusionInbox,
     jobs: Jobs,
@@ -52,10 +54,22 @@ impl Calls {
     ) -> Self {
         let recordings = stage.recording.folder.clone().unwrap_or_else(|| folder.join("recordings"));
         let exercises = stage.models.exercise_folder.clone().unwrap_or_else(|| folder.join("exercises"));
-        let exercises = Library::new(exercises);
+        let exercises = Library::new(exercises, "json");
         let faults = stage.models.faults_folder.clone().unwrap_or_else(|| folder.join("faults"));
-        let faults = Library::new(faults);
-        Self { stage: stage.clone(), recordings, exercises, faults, clock, inbox, jobs, calibration }
+        let faults = Library::new(faults, "json");
+        let segments = stage.models.segments_folder.clone().unwrap_or_else(|| folder.join("segments"));
+        let segments = Library::new(segments, "safetensors");
+        Self {
+            stage: stage.clone(),
+            recordings,
+            exercises,
+            faults,
+            segments,
+            clock,
+            inbox,
+            jobs,
+            calibration,
+        }
     }
 
     /// Until shutdown.
@@ -120,6 +134,7 @@ impl Calls {
             }
             Call::FaultsTrain { last_s, recording } => self.train_faults(last_s, recording, reply),
             Call::FaultsNameCell { row, column, class } => self.name_cell(row, column, class, reply),
+            Call::SegmentsTrain { epochs, look_ahead } => self.train_segments(epochs, look_ahead, reply),
             Call::BodyCalibrate { how } => self.calibrate_body(how.unwrap_or_default(), reply),
             Call::StageAlign { sensor, anchors } => self.align_stage(sensor, anchors, reply),
             Call::JobCancel { job } => match self.jobs.cancel(job) {

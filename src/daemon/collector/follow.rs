@@ -372,7 +372,7 @@ impl Work {
         let stage = Stage::parse(&joined.stage_toml).map_err(|problems| {
             format!("the stage file of its posed {} does not fit this version: {problems}", joined.version)
         })?;
-        let end = house.join(id, &stage, joined.run, joined.topics.clone(), joined.last_event_id).await;
+        let end = house.join(id, &stage, joined.run, &joined.topics, joined.last_event_id).await;
         let (fuser, until) = match begin {
             None => (None, u64::MAX),
             Some(begin) => {

@@ -131,6 +131,7 @@ pub(in crate::daemon) struct Joined {
     pub(in crate::daemon) run: i64,
     /// The stage file, without what is nobody else's business.
     pub(in crate::daemon) stage_toml: String,
+    /// What has been published so far, beside what the stage file tells.
     pub(in crate::daemon) topics: Vec<Topic>,
     pub(in crate::daemon) last_event_id: u64,
     /// Whether all events after N are here; else some are older than what is kept.

@@ -25,7 +25,7 @@ use super::gate::{Door, Gate};
 use super::hub::Item;
 use super::listen::Slot;
 use super::metrics::Metrics;
-use super::{About, BindError, Command, Limits, Shared, Side, client, http, rfc3339, viewer};
+use super::{About, BindError, Command, Limits, Shared, Side, client, http, rfc3339, topics_of, viewer};
 use crate::daemon::ports::ended;
 use crate::protocol::{
     Counters, Encoding, Names, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK, Stages, Stamp, Topic,
@@ -119,7 +119,7 @@ impl House {
         id: &str,
         stage: &Stage,
         epoch_utc_ns: i64,
-        topics: Vec<Topic>,
+        published: &[Topic],
         last_event_id: u64,
     ) -> StageEnd {
         let Gate { access, limits, metrics, slots, .. } = &*self.rooms.gate;
@@ -131,6 +131,7 @@ impl House {
             slots: slots.clone(),
             shutdown: seen,
         };
+        let topics = topics_of(stage, published);
         let about = About { epoch_utc_ns, topics, last_event_id, replay: false, operable: false };
         let side = Side::new(stage, about, &Arc::new(gate), Arc::new(Metrics::new()));
         let (items, fed) = mpsc::channel(WAITING);

@@ -286,15 +286,7 @@ impl Server {
         let door = Door::open(&stage.server, config.listen, &config.folder, config.limits)?;
         let metrics = Arc::clone(&door.gate.metrics);
         let limits = door.gate.limits.clone();
-        let mut topics = vec![Topic::Status, Topic::Sensors, Topic::Faults, Topic::Field, Topic::Jobs];
-        // Whatever is tracked can be taught and counted.
-        topics.extend((!stage.sensors.is_empty()).then_some(Topic::Exercise));
-        topics.extend(BodyLayout::of(stage).is_some().then_some(Topic::Body));
-        topics.extend(stage.keyframes.is_some().then_some(Topic::Keyframes));
-        topics.extend(config.more_topics);
-        topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
-        topics.sort();
-        topics.dedup();
+        let topics = topics_of(stage, &config.more_topics);
         let about = About {
             epoch_utc_ns: config.epoch_utc_ns,
             topics,
@@ -325,15 +317,8 @@ impl Server {
         let lsl = stage.lsl.as_ref().zip(config.clock.filter(|_| !config.replay));
         let lsl = lsl.map(|(settings, clock)| Streaming::start(stage, settings, clock, Arc::clone(&metrics)));
         let distributor = Distributor::new(Arc::clone(&shared.names), limits, metrics, config.counters);
-        let outlets = Outlets {
-            distributor,
-            viewers,
-            vrpn: vrpn_outlet,
-            vmc,
-            lsl,
-            feed,
-            problems: config.problems,
-        };
+        let outlets =
+            Outlets { distributor, viewers, vrpn: vrpn_outlet, vmc, lsl, feed, problems: config.problems };
         let hub_in = hub.clone();
         let server = Self { door, shared, outlets, vrpn, hub: hub_in, commands };
         Ok((server, hub, calls))
@@ -368,6 +353,21 @@ impl Server {
             let _ = others.await;
         }
     }
+}
+
+/// What a stage publishes; `more` beside what its file says.
+fn topics_of(stage: &Stage, more: &[Topic]) -> Vec<Topic> {
+    let mut topics = vec![Topic::Status, Topic::Sensors, Topic::Faults, Topic::Field, Topic::Jobs];
+    // Whatever is tracked can be taught and counted, and learnt to be named.
+    topics.extend((!stage.sensors.is_empty()).then_some(Topic::Exercise));
+    topics.extend((!stage.sensors.is_empty()).then_some(Topic::Segments));
+    topics.extend(BodyLayout::of(stage).is_some().then_some(Topic::Body));
+    topics.extend(stage.keyframes.is_some().then_some(Topic::Keyframes));
+    topics.extend_from_slice(more);
+    topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
+    topics.sort();
+    topics.dedup();
+    topics
 }
 
 /// What clients of a stage must be told first that its file does not say.

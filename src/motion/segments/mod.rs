@@ -32,6 +32,7 @@ mod stream;
 #[cfg(test)]
 mod tests;
 mod train;
+mod training_set;
 
 pub use augment::Augmentation;
 pub use durations::Decoder;
@@ -45,3 +46,4 @@ pub use real::{Real, View, ViewMut};
 pub use sequence::{Sequence, Spoiling};
 pub use stream::Stream;
 pub use train::{Epoch, Options, Trainer};
+pub use training_set::TrainingSet;

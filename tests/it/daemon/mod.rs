@@ -12,3 +12,4 @@ pub(crate) mod process;
 mod recordings;
 mod replay;
 mod run;
+mod segments;

@@ -3,7 +3,8 @@
 import * as THREE from "three";
 import { mergeGeometries } from "three/examples/jsm/utils/BufferGeometryUtils.js";
 import type { FigureMessage, SegmentEntry, SegmentState } from "../protocol";
-import { label, quaternion, vector } from "./scene";
+import { Labels } from "./labels";
+import { quaternion, vector } from "./scene";
 
 /** Lengths in parts of the height, as the daemon has them (docs/body.md). */
 const TRUNK = 0.288;
@@ -88,7 +89,9 @@ export class BodyFigure {
   facing = 0;
   private readonly materials: Record<SegmentState, THREE.Material>;
   private readonly parts = new Map<string, Part>();
-  private readonly marks: { mesh: THREE.Mesh; words: THREE.Sprite | null; said: string }[] = [];
+  private readonly marks: THREE.Mesh[] = [];
+  private readonly reasons = new Labels();
+  private said: string[] = [];
   private readonly offset = new THREE.Vector3();
 
   constructor() {
@@ -105,6 +108,7 @@ export class BodyFigure {
       this.group.add(group);
       this.parts.set(name, { group, mesh, state: null });
     }
+    this.group.add(this.reasons.group);
     this.group.visible = false;
   }
 
@@ -112,7 +116,6 @@ export class BodyFigure {
     const scale = height_m ?? USUAL_HEIGHT_M;
     this.group.visible = true;
     const byName = new Map(segments.map((segment) => [segment.name, segment]));
-    let marked = 0;
     for (const [name, { parent, inParent, inOwn }] of Object.entries(PLACES)) {
       const part = this.parts.get(name)!;
       const segment = byName.get(name);
@@ -132,12 +135,8 @@ export class BodyFigure {
         part.group.position.sub(this.offset.set(...inOwn).multiplyScalar(scale).applyQuaternion(part.group.quaternion));
       } else this.below(part.group, byName.get("torso"), scale);
       part.group.scale.setScalar(scale);
-      if (segment && segment.state === "suspect") this.mark(marked++, part.group, segment);
     }
-    this.marks.forEach(({ mesh, words }, i) => {
-      mesh.visible = i < marked;
-      if (words) words.visible = i < marked;
-    });
+    this.markIll(segments.filter(({ name, state }) => state === "suspect" && this.parts.has(name)));
     const pelvis = this.parts.get("pelvis")!.group;
     this.hips.copy(pelvis.position);
     this.offset.set(1, 0, 0).applyQuaternion(pelvis.quaternion);
@@ -157,24 +156,24 @@ export class BodyFigure {
     } else pelvis.position.set(0, 0, 0.53 * scale);
   }
 
-  /** An octahedron with the reason at the segment's joint. */
-  private mark(index: number, at: THREE.Group, { name, fault }: SegmentEntry): void {
-    let mark = this.marks[index];
-    if (!mark) {
-      const mesh = new THREE.Mesh(new THREE.OctahedronGeometry(0.06), new THREE.MeshStandardMaterial({ color: ILL, roughness: 0.4 }));
-      this.group.add(mesh);
-      this.marks.push((mark = { mesh, words: null, said: "" }));
+  /** An octahedron with the reason at each segment's joint. */
+  private markIll(ill: SegmentEntry[]): void {
+    const said = ill.map(({ name, fault }) => `${name}: ${(fault ?? "ill").replaceAll("_", " ")}`);
+    if (said.join("\n") !== this.said.join("\n")) {
+      this.said = said;
+      this.reasons.write(said, getComputedStyle(document.body).color);
     }
-    mark.mesh.position.copy(at.position);
-    const said = `${name}: ${(fault ?? "ill").replaceAll("_", " ")}`;
-    if (said !== mark.said) {
-      mark.words?.removeFromParent();
-      mark.words?.material.map?.dispose();
-      mark.words?.material.dispose();
-      mark.words = label(said, getComputedStyle(document.body).color);
-      mark.said = said;
-      this.group.add(mark.words);
+    while (this.marks.length < ill.length) {
+      const mark = new THREE.Mesh(new THREE.OctahedronGeometry(0.06), new THREE.MeshStandardMaterial({ color: ILL, roughness: 0.4 }));
+      this.marks.push(mark);
+      this.group.add(mark);
     }
-    mark.words?.position.copy(at.position);
+    this.marks.forEach((mark, index) => {
+      mark.visible = index < ill.length;
+      if (!mark.visible) return;
+      mark.position.copy(this.parts.get(ill[index]!.name)!.group.position);
+      this.reasons.put(index, mark.position);
+    });
+    this.reasons.finish();
   }
 }

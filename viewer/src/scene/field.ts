@@ -4,7 +4,7 @@
 import * as THREE from "three";
 import type { FieldEventMessage, SensorEntry, Vec3 } from "../protocol";
 import { vector } from "./scene";
-import { finish, instanced, segments } from "./sensors";
+import { finish, instanced, segments } from "./buffers";
 import { FieldSlice } from "./slice";
 
 /** The longest arrow is drawn this long, m, whatever its true length. */

@@ -10,6 +10,7 @@ export class Scene {
   private readonly renderer: THREE.WebGLRenderer;
   private readonly controls: OrbitControls;
   private moved = true;
+  private fits = false;
 
   /** `says` is what those hear who do not see it. Throws where the browser has no WebGL. */
   constructor(says: string) {
@@ -28,6 +29,8 @@ export class Scene {
     grid.material.transparent = true;
     grid.material.opacity = 0.25;
     this.scene.add(grid);
+    // Asked in every frame, it would lay the page out in every frame.
+    new ResizeObserver(() => (this.fits = false)).observe(this.canvas);
     this.canvas.tabIndex = 0;
     this.canvas.setAttribute("role", "img");
     this.canvas.setAttribute("aria-label", says);
@@ -49,16 +52,19 @@ export class Scene {
     this.controls.update();
   }
 
+  private fit(): void {
+    this.fits = true;
+    const { clientWidth, clientHeight } = this.canvas.parentElement ?? this.canvas;
+    if (clientWidth === 0 || clientHeight === 0) return;
+    this.renderer.setSize(clientWidth, clientHeight, false);
+    this.camera.aspect = clientWidth / clientHeight;
+    this.camera.updateProjectionMatrix();
+    this.moved = true;
+  }
+
   /** Draws, if something changed. */
   render(changed: boolean): void {
-    const { clientWidth, clientHeight } = this.canvas.parentElement ?? this.canvas;
-    const size = this.renderer.getSize(new THREE.Vector2());
-    if (clientWidth > 0 && (size.x !== clientWidth || size.y !== clientHeight)) {
-      this.renderer.setSize(clientWidth, clientHeight, false);
-      this.camera.aspect = clientWidth / clientHeight;
-      this.camera.updateProjectionMatrix();
-      this.moved = true;
-    }
+    if (!this.fits) this.fit();
     if (changed || this.moved) this.renderer.render(this.scene, this.camera);
     this.moved = false;
   }
@@ -71,24 +77,4 @@ export function vector([x, y, z]: Vec3, into = new THREE.Vector3()): THREE.Vecto
 /** From scalar first to scalar last. */
 export function quaternion([w, x, y, z]: Quat, into = new THREE.Quaternion()): THREE.Quaternion {
   return into.set(x, y, z, w);
-}
-
-/** A name that faces the camera. */
-export function label(text: string, colour: string): THREE.Sprite {
-  const canvas = document.createElement("canvas");
-  const draw = canvas.getContext("2d")!;
-  const font = "28px system-ui, sans-serif";
-  draw.font = font;
-  canvas.width = Math.ceil(draw.measureText(text).width) + 8;
-  canvas.height = 40;
-  draw.font = font;
-  draw.fillStyle = colour;
-  draw.textBaseline = "middle";
-  draw.fillText(text, 4, 20);
-  const map = new THREE.CanvasTexture(canvas);
-  const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ map, depthTest: false, transparent: true }));
-  const height_m = 0.055;
-  sprite.scale.set((height_m * canvas.width) / canvas.height, height_m, 1);
-  sprite.center.set(-0.1, -0.6);
-  return sprite;
 }

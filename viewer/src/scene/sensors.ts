@@ -1,13 +1,12 @@
-// Sensors in 3-D: a shape and a colour for how far each can be trusted, axes, trail, uncertainty, name.
+// Sensors in 3-D: a shape and a colour for how far each can be trusted, axes, uncertainty, name.
 
 import * as THREE from "three";
-import { type Model } from "../model";
 import type { SensorEntry, SensorState } from "../protocol";
+import { finish, instanced, segments } from "./buffers";
 import { Labels } from "./labels";
 import { quaternion, vector } from "./scene";
+import { Trails } from "./trails";
 
-/** Trail: so many points back, one per frame drawn. */
-const TRAIL = 120;
 const AXIS_M = 0.07;
 const SIZE_M = 0.022;
 const AXIS_COLOURS = [[0.85, 0.25, 0.2], [0.2, 0.65, 0.3], [0.25, 0.45, 0.95]] as const;
@@ -23,21 +22,20 @@ export const LOOKS: { states: SensorState[]; words: string; sign: string; colour
 export class Sensors {
   readonly group = new THREE.Group();
   readonly sigma = new THREE.Group();
-  readonly trails = new THREE.Group();
+  readonly trails = new Trails();
   readonly labels = new Labels();
   private names: string[] = [];
   private looks: THREE.InstancedMesh[] = [];
   private bubbles: THREE.InstancedMesh | null = null;
   private axes: THREE.LineSegments | null = null;
-  private trail: THREE.LineSegments | null = null;
   private readonly position = new THREE.Vector3();
   private readonly rotation = new THREE.Quaternion();
   private readonly scale = new THREE.Vector3();
   private readonly matrix = new THREE.Matrix4();
   private readonly tip = new THREE.Vector3();
 
-  constructor(private readonly model: Model) {
-    this.group.add(this.sigma, this.trails, this.labels.group);
+  constructor() {
+    this.group.add(this.sigma, this.trails.group, this.labels.group);
   }
 
   update(sensors: SensorEntry[]): void {
@@ -69,7 +67,7 @@ export class Sensors {
     this.labels.finish();
     this.looks.forEach((mesh, i) => finish(mesh, counts[i]!));
     finish(this.bubbles!, bubble);
-    if (this.trails.visible) this.drawTrails();
+    if (this.trails.group.visible) this.trails.upload();
   }
 
   private place(mesh: THREE.InstancedMesh, index: number, size_m: number): void {
@@ -77,27 +75,10 @@ export class Sensors {
     mesh.setMatrixAt(index, this.matrix);
   }
 
-  private drawTrails(): void {
-    const points = this.trail!.geometry.getAttribute("position") as THREE.BufferAttribute;
-    let at = 0;
-    for (const name of this.names) {
-      const history = this.model.history.get(name);
-      const length = Math.min(history?.length ?? 0, TRAIL);
-      const from = (history?.length ?? 0) - length;
-      for (let i = 0; i + 1 < length; i++) {
-        const [a, b] = [history!.at(from + i), history!.at(from + i + 1)];
-        points.setXYZ(at++, a[1]!, a[2]!, a[3]!);
-        points.setXYZ(at++, b[1]!, b[2]!, b[3]!);
-      }
-    }
-    this.trail!.geometry.setDrawRange(0, at);
-    points.needsUpdate = true;
-  }
-
   private rebuild(sensors: SensorEntry[]): void {
     const count = sensors.length;
     this.names = sensors.map(({ name }) => name);
-    for (const old of [...this.looks, this.bubbles, this.axes, this.trail]) {
+    for (const old of [...this.looks, this.bubbles, this.axes]) {
       old?.removeFromParent();
       old?.geometry.dispose();
     }
@@ -111,29 +92,6 @@ export class Sensors {
     const colours = Array.from({ length: count }, () => AXIS_COLOURS.flatMap((colour) => [...colour, ...colour])).flat();
     this.axes.geometry.setAttribute("color", new THREE.Float32BufferAttribute(colours, 3));
     this.group.add(this.axes);
-    this.trail = segments(count * 2 * (TRAIL - 1), new THREE.LineBasicMaterial({ color: 0x2a78b8, transparent: true, opacity: 0.45 }));
-    this.trails.add(this.trail);
     this.labels.write(this.names, getComputedStyle(document.body).color);
   }
-}
-
-export function instanced(geometry: THREE.BufferGeometry, material: THREE.Material, count: number): THREE.InstancedMesh {
-  const mesh = new THREE.InstancedMesh(geometry, material, Math.max(count, 1));
-  mesh.instanceMatrix.setUsage(THREE.DynamicDrawUsage);
-  mesh.frustumCulled = false;
-  return mesh;
-}
-
-export function segments(vertices: number, material: THREE.Material): THREE.LineSegments {
-  const geometry = new THREE.BufferGeometry();
-  const points = new THREE.BufferAttribute(new Float32Array(Math.max(vertices, 2) * 3), 3).setUsage(THREE.DynamicDrawUsage);
-  geometry.setAttribute("position", points);
-  const lines = new THREE.LineSegments(geometry, material);
-  lines.frustumCulled = false;
-  return lines;
-}
-
-export function finish(mesh: THREE.InstancedMesh, count: number): void {
-  mesh.count = count;
-  mesh.instanceMatrix.needsUpdate = true;
 }

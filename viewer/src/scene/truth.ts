@@ -3,7 +3,7 @@
 import * as THREE from "three";
 import type { TruthsMessage } from "../protocol";
 import { quaternion, vector } from "./scene";
-import { segments } from "./sensors";
+import { segments } from "./buffers";
 
 const ARM_M = 0.045;
 

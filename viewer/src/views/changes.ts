@@ -2,7 +2,8 @@
 
 import uPlot from "uplot";
 import { el } from "../dom";
-import { HISTORY_S, type Series } from "../model";
+import { HISTORY_S } from "../model";
+import type { Rows } from "../rows";
 import type { KeyPoseMessage } from "../protocol";
 import { axisLook } from "./joints";
 
@@ -16,7 +17,7 @@ export class ChangeCurve {
     el("h2", {}, "Key poses, root of the statistic"));
   private plot: uPlot | null = null;
 
-  draw(series: Series | undefined, keys: KeyPoseMessage[]): void {
+  draw(series: Rows | undefined, keys: KeyPoseMessage[]): void {
     this.element.hidden = series === undefined;
     if (!series) return;
     this.plot ??= this.make();

@@ -2,7 +2,8 @@
 
 import uPlot from "uplot";
 import { el } from "../dom";
-import { type Series, HISTORY_S } from "../model";
+import { HISTORY_S } from "../model";
+import type { Rows } from "../rows";
 
 const COLOURS = ["#3469c9", "#c8452f", "#2f8f46", "#8a5ac2", "#b07400"];
 const HEIGHT = 220;
@@ -24,7 +25,7 @@ export class JointCurves {
     this.element = el("section", { hidden: true }, row, this.holder);
   }
 
-  draw(joints: Map<string, Series>): void {
+  draw(joints: Map<string, Rows>): void {
     this.element.hidden = joints.size === 0;
     if (this.element.hidden) return;
     const names = [...joints.keys()];
@@ -49,7 +50,7 @@ export class JointCurves {
     if (width > 0) this.plot?.setSize({ width, height: HEIGHT });
   }
 
-  private make(angles: Series): void {
+  private make(angles: Rows): void {
     this.shown = this.choice.value;
     this.plot?.destroy();
     const axis = axisLook();

@@ -19,7 +19,7 @@ export class StageView implements View {
   private readonly summary = el("p", { id: "summary" });
   private readonly bodySummary = el("p", { id: "body-summary" });
   private scene: Scene | null = null;
-  private readonly sensors: Sensors;
+  private readonly sensors = new Sensors();
   private readonly body = new BodyFigure();
   private readonly truth = new Truth();
   private readonly transmitter: Group = transmitter();
@@ -33,7 +33,6 @@ export class StageView implements View {
   private drawn = -1;
 
   constructor(private readonly context: Context) {
-    this.sensors = new Sensors(context.model);
     try {
       this.scene = new Scene("the room with its sensors and the body; the tables under Health and the curves under Analysis say the same in numbers");
     } catch {
@@ -49,6 +48,8 @@ export class StageView implements View {
         this.placeTransmitter(message.transmitter);
         this.field.forget();
         this.cut();
+      } else if (message.type === "sensors") {
+        this.sensors.trails.extend(message);
       } else if (message.type === "field") {
         if (message.event === "model_swapped" && message.model.kind === "transmitter") this.placeTransmitter(message.model);
         this.field.take(message);
@@ -77,7 +78,7 @@ export class StageView implements View {
         el("h2", {}, "Sensors"), this.summary, this.bodySummary,
         layer("body", figure, true),
         layer("names", this.sensors.labels.group, true),
-        layer("trails", this.sensors.trails, true),
+        layer("trails", this.sensors.trails.group, true),
         layer("uncertainty, two sigma", this.sensors.sigma, true),
         layer("truth of the simulation", this.truth.group, true),
         layer("corrections, from where the tracker said", this.field.corrections, true),

@@ -3,25 +3,18 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use posed::motion::segments::measures::runs;
-use posed::table::Sequences;
-
-use super::super::Error;
+use super::{Sequences, TableError};
 
 /// The tier that is written, and read first.
 const TIER: &str = "segments";
 
-/// An annotation file with a segment per run of equal classes.
-pub(super) fn write(t_s: &[f64], classes: &[u16], labels: &[String]) -> String {
-    let start_s = t_s.first().copied().unwrap_or(0.0);
-    let milliseconds = |frame: usize| {
-        let t_s = t_s.get(frame).or(t_s.last()).copied().unwrap_or(0.0);
-        ((t_s - start_s) * 1000.0).round()
-    };
+/// An annotation file with segments: label, beginning and end, s since the sequence's first frame.
+pub fn write<'a>(segments: impl IntoIterator<Item = (&'a str, f64, f64)>) -> String {
+    let milliseconds = |t_s: f64| (t_s * 1000.0).round();
     let (mut slots, mut annotations) = (String::new(), String::new());
-    for (number, (class, first, end)) in runs(classes.iter().copied()).into_iter().enumerate() {
+    for (number, (label, first, end)) in segments.into_iter().enumerate() {
         let (a, b) = (2 * number + 1, 2 * number + 2);
-        let label = escaped(&labels[usize::from(class)]);
+        let label = escaped(label);
         // Writing to a string cannot fail.
         let _ =
             writeln!(slots, r#"    <TIME_SLOT TIME_SLOT_ID="ts{a}" TIME_VALUE="{}"/>"#, milliseconds(first));
@@ -49,9 +42,16 @@ pub(super) fn write(t_s: &[f64], classes: &[u16], labels: &[String]) -> String {
 
 /// Takes the labels of an annotation file: of its tier `segments`, or of its only one. Frames outside every
 /// annotation have no label.
-pub(super) fn read(path: &Path, sequences: &mut Sequences) -> Result<(), Error> {
-    let text = std::fs::read_to_string(path).map_err(|error| Error::file("read", path, &error))?;
-    let segments = parse(&text).map_err(|what| Error::Failed(format!("{}: {what}", path.display())))?;
+///
+/// # Errors
+/// The file cannot be read, or is none of ELAN's.
+pub fn read(path: &Path, sequences: &mut Sequences) -> Result<(), TableError> {
+    let file = path.display().to_string();
+    let text = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(source) => return Err(TableError::Io { tried: "read", file, source }),
+    };
+    let segments = parse(&text).map_err(|what| TableError::Labels { file, what })?;
     let start_s = sequences.frames.first().map_or(0.0, |frame| frame.t_s);
     for frame in &mut sequences.frames {
         let at_ms = (frame.t_s - start_s) * 1000.0;
@@ -103,16 +103,18 @@ fn escaped(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use posed::table::SequenceFrame;
+    use crate::table::SequenceFrame;
 
     use super::*;
 
     #[test]
     fn what_is_written_is_read_again() {
-        let labels = ["walk & <turn>".to_owned(), "pick".to_owned()];
+        let labels = ["walk & <turn>", "pick"];
         let t_s: Vec<f64> = (0..100).map(|frame| 5.0 + frame as f64 / 72.0).collect();
-        let classes: Vec<u16> = (0..100).map(|frame| u16::from((30..71).contains(&frame))).collect();
-        let text = write(&t_s, &classes, &labels);
+        let classes: Vec<usize> = (0..100).map(|frame| usize::from((30..71).contains(&frame))).collect();
+        let at = |frame: usize| frame as f64 / 72.0;
+        let text =
+            write([(labels[0], 0.0, at(30)), (labels[1], at(30), at(71)), (labels[0], at(71), at(99))]);
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.eaf");
         std::fs::write(&path, text).unwrap();
@@ -120,7 +122,7 @@ mod tests {
         let mut sequences = Sequences { frames, ..Sequences::default() };
         read(&path, &mut sequences).unwrap();
         for (frame, class) in sequences.frames.iter().zip(classes) {
-            assert_eq!(frame.label.as_deref(), Some(labels[usize::from(class)].as_str()), "{}", frame.t_s);
+            assert_eq!(frame.label.as_deref(), Some(labels[class]), "{}", frame.t_s);
         }
         assert!(parse("<x/>").unwrap_err().contains("tier"));
     }
