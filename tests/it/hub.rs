@@ -192,7 +192,8 @@ async fn no_event_is_lost_in_a_cut_and_poses_come_again() {
     move_transmitter(&mut operator, 0.5).await;
     let mut all = client(hub.address, "/ws").await;
     let mut here = client(hub.address, "/two/ws").await;
-    ok(&mut here, json!({"type": "subscribe", "topics": ["field", "sensors", "status"]})).await;
+    ok(&mut here, json!({"type": "subscribe", "topics": ["field", "faults", "sensors", "status"]})).await;
+    let mut there = stage.subscriber(&["field", "faults"]).await;
     let event = until(&mut here, "what holds", |message| message["type"] == "field").await;
     let first = event["event_id"].as_u64().unwrap();
 
@@ -210,12 +211,10 @@ async fn no_event_is_lost_in_a_cut_and_poses_come_again() {
         move_transmitter(&mut operator, f64::from(n)).await;
     }
     proxy.open.send_replace(true);
-    let mut got = Vec::new();
-    while got.len() < 8 {
-        let event = until(&mut here, "the events of the cut", |message| message["type"] == "field").await;
-        got.push(event["event_id"].as_u64().unwrap());
-    }
-    assert_eq!(got, (first + 1..=first + 8).collect::<Vec<_>>(), "each once and in order");
+    let got = events(&mut here, first, 8).await;
+    assert_eq!(got, events(&mut there, first, 8).await, "as at the stage");
+    let last = first + got.len() as u64;
+    assert_eq!(got, (first + 1..=last).collect::<Vec<_>>(), "each once and in order");
     frames(&mut here, 20).await;
     let back =
         stages(&mut all, "the mend", |stage| stage["state"] == "present" && stage["vanished"] == 1).await;

@@ -141,8 +141,10 @@ impl Work {
                 board.presence(id, StagePresence::Gone);
                 tracing::warn!("stage {id} has vanished: it has ended, or the network to it is cut");
                 if let Some(following) = following
-                    && let Some((status, stamp)) = &following.status
+                    && let Some((status, stamp)) = &mut following.status
                 {
+                    // Times rise, and the stage's own next status is later than that.
+                    stamp.t_us += 1;
                     following.end.publish(Item::Status(Box::new(vanished(status))), *stamp).await;
                 }
             }

@@ -1,5 +1,6 @@
 //! A zenoh session as stages and hubs need it: TCP only, nothing looked for by itself, broken links noticed and mended quickly.
 
+use serde_json::json;
 use zenoh::{Config, Session, Wait};
 
 use crate::stage::Zenoh;
@@ -26,17 +27,16 @@ pub(in crate::daemon) fn open(settings: &Zenoh) -> Result<Session, String> {
 }
 
 fn config(settings: &Zenoh) -> zenoh::Result<Config> {
-    let json = |list: &[String]| serde_json::to_string(list);
+    let ends = |list: &[String]| serde_json::to_string(list);
+    let retry = json!({"period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS, "period_increase_factor": 1});
     let mut config = Config::default();
     for (key, value) in [
         ("mode", "\"peer\"".to_owned()),
-        ("listen/endpoints", json(&settings.listen)?),
-        ("connect/endpoints", json(&settings.connect)?),
+        ("listen/endpoints", ends(&settings.listen)?),
+        ("connect/endpoints", ends(&settings.connect)?),
         ("connect/timeout_ms", "-1".to_owned()),
         ("connect/exit_on_failure", "false".to_owned()),
-        ("connect/retry/period_init_ms", RETRY_MS.to_string()),
-        ("connect/retry/period_max_ms", RETRY_MS.to_string()),
-        ("connect/retry/period_increase_factor", "1".to_owned()),
+        ("connect/retry", retry.to_string()),
         ("scouting/multicast/enabled", "false".to_owned()),
         ("scouting/gossip/enabled", "false".to_owned()),
         ("open/return_conditions/connect_scouted", "false".to_owned()),

@@ -225,8 +225,8 @@ async fn everything(
     upgrade: WebSocketUpgrade,
 ) -> Response {
     let gate = Arc::clone(&house.rooms.gate);
-    if let Err(refused) = http::admit(&gate, &headers, &uri) {
-        return refused;
+    if let Err((reason, refusal)) = http::admit(&gate, &headers, &uri) {
+        return http::refuse(&gate, reason, refusal);
     }
     let upgrade = http::bounded(upgrade, &gate).protocols([SUBPROTOCOL_MSGPACK, SUBPROTOCOL_JSON]);
     let protocol = upgrade.selected_protocol().and_then(|protocol| protocol.to_str().ok()).unwrap_or("");

@@ -126,7 +126,7 @@ pub(super) async fn websocket(
 ) -> Response {
     let role = match admit(&shared.gate, &headers, &uri) {
         Ok(role) => role,
-        Err(refused) => return refused,
+        Err((reason, refusal)) => return refuse(&shared.gate, reason, refusal),
     };
     let slot = slot.ok().map(|Extension(slot)| slot);
     let [sdk, older] = foxglove::wire::SUBPROTOCOLS;
@@ -164,11 +164,10 @@ enum Speaks {
     Foxglove,
 }
 
-/// What who asks for a websocket may do, or the refusal: its Origin and its token are looked at.
-#[expect(clippy::result_large_err, reason = "the refusal is the answer itself, and is sent at once")]
-pub(super) fn admit(gate: &Gate, headers: &HeaderMap, uri: &Uri) -> Result<Role, Response> {
-    gate.access.check_origin(headers).map_err(|refusal| refuse(gate, "origin", refusal))?;
-    gate.access.role(headers, uri).map_err(|refusal| refuse(gate, "token", refusal))
+/// What who asks for a websocket may do, or the refusal and its reason: Origin and token are looked at.
+pub(super) fn admit(gate: &Gate, headers: &HeaderMap, uri: &Uri) -> Result<Role, (&'static str, Refusal)> {
+    gate.access.check_origin(headers).map_err(|refusal| ("origin", refusal))?;
+    gate.access.role(headers, uri).map_err(|refusal| ("token", refusal))
 }
 
 /// The websocket with its limits.
@@ -182,7 +181,7 @@ pub(super) fn bounded(upgrade: WebSocketUpgrade, gate: &Gate) -> WebSocketUpgrad
         .max_frame_size(gate.limits.message_bytes)
 }
 
-fn refuse(gate: &Gate, reason: &'static str, (status, sentence): Refusal) -> Response {
+pub(super) fn refuse(gate: &Gate, reason: &'static str, (status, sentence): Refusal) -> Response {
     gate.metrics.refuse(reason);
     let mut response = (status, sentence + "\n").into_response();
     if status == StatusCode::UNAUTHORIZED {
