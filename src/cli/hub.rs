@@ -4,6 +4,24 @@ use std::path::PathBuf;
 
 use super::Error;
 
+/// Gives zenoh more threads than it takes by itself, unless somebody has chosen.
+///
+/// zenoh closes a link that broke with what was not sent still in it, and the system lets the closing thread wait for up to ten seconds (`SO_LINGER`):
+/// with zenoh's one thread of a kind, the next link would have to wait too. Threads that nobody needs cost nothing. Must be called before there is a
+/// second thread.
+#[cfg(feature = "zenoh")]
+pub(crate) fn prepare() {
+    const VARIABLE: &str = "ZENOH_RUNTIME";
+    const THREADS: &str = "(net: (worker_threads: 32), tx: (worker_threads: 32), rx: (worker_threads: 32))";
+    if std::env::var_os(VARIABLE).is_none() {
+        #[expect(unsafe_code, reason = "zenoh takes it from nowhere else")]
+        // SAFETY: the program has one thread yet.
+        unsafe {
+            std::env::set_var(VARIABLE, THREADS);
+        }
+    }
+}
+
 /// Which stages to join, and where to show them.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  posed hub --listen tcp/0.0.0.0:7447\n  posed hub hub.toml\n  \

@@ -175,6 +175,8 @@ impl Error {
 
 /// Parses the arguments, runs the command, and says the exit code.
 pub(crate) fn main() -> ExitCode {
+    #[cfg(feature = "zenoh")]
+    hub::prepare();
     let cli = Cli::parse();
     let result = start_log(&cli.log).and_then(|()| cli.command.run());
     let (code, error) = match result {

@@ -222,9 +222,9 @@ async fn no_event_is_lost_in_a_cut_and_poses_come_again() {
     // Who was away from the hub can ask it for what the stage said meanwhile.
     let mut later = client(hub.address, "/two/ws").await;
     let kept = ok(&mut later, json!({"type": "resume", "after": first})).await;
-    assert_eq!((&kept["complete"], &kept["last_event_id"]), (&json!(true), &json!(first + 8)));
+    assert_eq!((&kept["complete"], &kept["last_event_id"]), (&json!(true), &json!(last)));
     assert_eq!(
-        until(&mut later, "an event", |message| message["type"] == "field").await["event_id"],
+        until(&mut later, "an event", |message| !message["event_id"].is_null()).await["event_id"],
         first + 1
     );
     assert_eq!(hub.end("INT").await.code(), Some(0));

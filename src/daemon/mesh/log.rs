@@ -70,7 +70,6 @@ impl Log {
 
     /// Entries from number `from` on, or from the oldest one if that is newer; waits until there is one and somebody follows.
     /// `None` at the end.
-    #[expect(clippy::disallowed_methods, reason = "the thread that sends the log waits here")]
     pub(super) fn wait_from(&self, from: u64) -> Option<LogChunk> {
         let mut ring = self.ring();
         loop {
