@@ -63,6 +63,18 @@ async fn move_transmitter(client: &mut Client, x_m: f64) {
     ok(client, json!({"type": "model.load", "model": model})).await;
 }
 
+/// Numbers of all events after one, up to so many that came of a moved transmitter.
+async fn events(client: &mut Client, after: u64, moves: usize) -> Vec<u64> {
+    let (mut numbers, mut moved) = (Vec::new(), 0);
+    while moved < moves {
+        let later = |message: &Value| message["event_id"].as_u64().is_some_and(|id| id > after);
+        let event = until(client, "an event", later).await;
+        numbers.push(event["event_id"].as_u64().unwrap());
+        moved += usize::from(event["type"] == "field");
+    }
+    numbers
+}
+
 /// A TCP connection to somewhere that can be cut: then nothing passes and nobody is told.
 struct Proxy {
     port: u16,
