@@ -591,6 +591,8 @@ export type Hello = {
 export type HelloSensor = {
   /** Its device's name. */
   device: string;
+  /** Whether it is a magnetic tracker's, and so measures positions. */
+  magnetic: boolean;
   /** Its name. */
   name: string;
 };

@@ -16,18 +16,21 @@ pub struct Names {
 struct SensorName {
     name: String,
     device: String,
+    magnetic: bool,
 }
 
 impl Names {
     /// Those of a stage.
     pub fn new(stage: &Stage) -> Self {
-        let sensor = |sensor: &crate::stage::Sensor| SensorName {
+        let magnetic = stage.magnetic_indices();
+        let sensor = |(index, sensor): (usize, &crate::stage::Sensor)| SensorName {
             name: sensor.name.clone(),
             device: sensor.device.clone(),
+            magnetic: magnetic.contains(&index),
         };
         Self {
             devices: stage.devices.iter().map(|device| device.name.clone()).collect(),
-            sensors: stage.sensors.iter().map(sensor).collect(),
+            sensors: stage.sensors.iter().enumerate().map(sensor).collect(),
             body: BodyLayout::of(stage),
         }
     }
@@ -45,6 +48,11 @@ impl Names {
     /// A sensor's name.
     pub fn sensor(&self, sensor: SensorIndex) -> &str {
         self.sensors.get(usize::from(sensor)).map_or("", |sensor| &sensor.name)
+    }
+
+    /// Whether a sensor is a magnetic tracker's.
+    pub fn is_magnetic(&self, sensor: SensorIndex) -> bool {
+        self.sensors.get(usize::from(sensor)).is_some_and(|sensor| sensor.magnetic)
     }
 
     /// Name of the device that a sensor belongs to.

@@ -1,10 +1,9 @@
 // The websocket: connects, asks for every topic the stage has, reconnects by itself, and asks for what was missed.
 
-import type { Call, Feed, Field, Hello, ServerMessage } from "./protocol";
+import type { Call, Feed, Field, Hello, ServerMessage, Topic } from "./protocol";
+import { DRAWN_HZ } from "./pace";
 
 const RETRY_MS = [500, 1000, 2000, 5000];
-/** Frames per second that a screen can use. */
-const DRAWN_HZ = 60;
 /** What the views show of each sensor. */
 const FIELDS: Field[] = ["device", "position_m", "orientation_wxyz", "sigma_m", "measured", "fault", "change"];
 const TOKEN_KEY = "posed.token";
@@ -30,11 +29,15 @@ export function websocketOf(page: Location): string {
   return address.href;
 }
 
+const ignore = () => undefined;
+
 export class Link {
   private socket: WebSocket | null = null;
   private attempts = 0;
   private nextId = 1;
   private lastEvent = 0;
+  private rate_hz = DRAWN_HZ;
+  private states: Topic[] = [];
   private waiting = new Map<number, { resolve: (result: unknown) => void; reject: (error: Error) => void }>();
 
   constructor(
@@ -76,6 +79,12 @@ export class Link {
     this.connect();
   }
 
+  /** So many states a second are enough. */
+  useRate(rate_hz: number): void {
+    this.rate_hz = rate_hz;
+    this.request({ type: "subscribe", topics: this.states, max_rate_hz: rate_hz, fields: FIELDS }).catch(ignore);
+  }
+
   /** Asks the daemon; the answer's result, or a `Refused`. */
   request(request: Request): Promise<unknown> {
     return new Promise((resolve, reject) => {
@@ -91,11 +100,10 @@ export class Link {
 
   private greet(hello: Hello): void {
     this.onState("open", `connected, posed ${hello.version}`);
-    const states = hello.topics.filter((topic) => topic === "sensors" || topic === "truth" || topic === "body");
-    const rest = hello.topics.filter((topic) => !(states as string[]).includes(topic));
-    const ignore = () => undefined;
+    this.states = hello.topics.filter((topic) => topic === "sensors" || topic === "truth" || topic === "body");
+    const rest = hello.topics.filter((topic) => !this.states.includes(topic));
     this.request({ type: "subscribe", topics: rest }).catch(ignore);
-    this.request({ type: "subscribe", topics: states, max_rate_hz: DRAWN_HZ, fields: FIELDS }).catch(ignore);
+    this.useRate(this.rate_hz);
     // A daemon that was started anew counts from one again.
     if (this.lastEvent > hello.last_event_id) this.lastEvent = 0;
     if (this.lastEvent > 0) this.request({ type: "resume", after: this.lastEvent }).catch(ignore);

@@ -4,6 +4,7 @@ import "./theme.css";
 import { el, setText } from "./dom";
 import { Link, type LinkState } from "./link";
 import { Model } from "./model";
+import { Pace } from "./pace";
 import type { View } from "./view";
 import { AnalysisView } from "./views/analysis";
 import { HealthView } from "./views/health";
@@ -28,6 +29,7 @@ const link = new Link(
   },
 );
 
+const pace = new Pace((rate_hz) => link.useRate(rate_hz));
 const context = { model, link };
 const views: View[] = [
   new StageView(context),
@@ -92,6 +94,7 @@ function drawLink(now_ms: number): void {
 function draw(now_ms: number): void {
   const fresh = model.version !== drawn;
   drawn = model.version;
+  pace.frame(now_ms);
   drawLink(now_ms);
   shown?.draw(now_ms, fresh);
   requestAnimationFrame(draw);

@@ -21,7 +21,7 @@ function remember(history: Rows, t_s: number, [x, y, z]: Vec3, sigma_m: number |
   history.set(3, z);
   const dt_s = t_s - history.newest(0, 1);
   const moved_m = Math.hypot(x - history.newest(1, 1), y - history.newest(2, 1), z - history.newest(3, 1));
-  history.set(4, dt_s > 0 ? moved_m / dt_s : 0);
+  if (dt_s > 0) history.set(4, moved_m / dt_s);
   history.set(5, sigma_m);
 }
 

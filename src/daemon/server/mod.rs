@@ -47,6 +47,7 @@ use self::streams::Streaming;
 use self::vrpn::{Outlet, Vrpn};
 use super::clock::StageClock;
 use super::mesh::Feed;
+use crate::input::SensorIndex;
 use crate::layout::BodyLayout;
 use crate::protocol::{Counters, HelloSensor, Names, Problem, Topic};
 use crate::stage::{Pose, Skeleton, Stage};
@@ -260,8 +261,12 @@ struct Greeting {
 
 impl Shared {
     fn hello_sensors(&self) -> Vec<HelloSensor> {
-        let sensor = |(name, device): (&str, &str)| HelloSensor { name: name.into(), device: device.into() };
-        self.names.sensors().map(sensor).collect()
+        let sensor = |(index, (name, device)): (usize, (&str, &str))| HelloSensor {
+            name: name.into(),
+            device: device.into(),
+            magnetic: self.names.is_magnetic(index as SensorIndex),
+        };
+        self.names.sensors().enumerate().map(sensor).collect()
     }
 }
 

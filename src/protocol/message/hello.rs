@@ -38,4 +38,6 @@ pub struct HelloSensor {
     pub name: String,
     /// Its device's name.
     pub device: String,
+    /// Whether it is a magnetic tracker's, and so measures positions.
+    pub magnetic: bool,
 }

@@ -105,7 +105,7 @@ export class Calibration {
     this.disturbed.clear();
     this.changed = true;
     if (this.sensors.value !== "") return;
-    const names = this.context.model.hello?.sensors.map(({ name }) => name) ?? [];
+    const names = this.context.model.hello?.sensors.filter(({ magnetic }) => magnetic).map(({ name }) => name) ?? [];
     const pole = names.filter((name) => /pole/i.test(name));
     this.sensors.value = (pole.length >= 3 ? pole : names).join(", ");
   }

@@ -12,6 +12,9 @@ import { Truth } from "../scene/truth";
 import type { FigureMessage, Pose, SensorState } from "../protocol";
 import type { Context, View } from "../view";
 
+/** Where the legend would hide half of the room. */
+const NARROW = "(max-width: 60rem)";
+
 export class StageView implements View {
   readonly id = "stage-view";
   readonly title = "Stage";
@@ -74,8 +77,7 @@ export class StageView implements View {
     };
     this.element.append(
       this.scene.canvas,
-      el("aside", {},
-        el("h2", {}, "Sensors"), this.summary, this.bodySummary,
+      el("aside", {}, el("details", { open: !matchMedia(NARROW).matches }, el("summary", {}, "Sensors and layers"), this.summary, this.bodySummary,
         layer("body", figure, true),
         layer("names", this.sensors.labels.group, true),
         layer("trails", this.sensors.trails.group, true),
@@ -85,7 +87,7 @@ export class StageView implements View {
         layer("what the map of the field does", this.field.arrows, true), this.arrowsLabel,
         layer("a slice through it", this.field.slice.group, false), this.sliceAxis, this.slicePlace, this.sliceSays,
         el("button", { onclick: () => this.scene?.reset() }, "Camera back"),
-        el("ul", { class: "legend", "aria-label": "What the shapes mean" }, ...legend)),
+        el("ul", { class: "legend", "aria-label": "What the shapes mean" }, ...legend))),
     );
   }
 
