@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{env, fs};
 
-const SOURCES: [&str; 6] =
-    ["src", "index.html", "package.json", "package-lock.json", "tsconfig.json", "vite.config.ts"];
+const SOURCES: [&str; 7] =
+    ["src", "index.html", "hub.html", "package.json", "package-lock.json", "tsconfig.json", "vite.config.ts"];
 
 fn main() {
     let viewer = PathBuf::from(env::var("CARGO_MANIFEST_DIR").expect("cargo sets it")).join("viewer");
@@ -66,7 +66,9 @@ fn explain(out: &Path, reason: &str) {
          <p>Everything else works: the websocket at /ws, <a href=\"metrics\">metrics</a>, <a href=\"health\">health</a>.</p>\n</html>\n"
     );
     let _ = fs::remove_dir_all(out);
-    let written = fs::create_dir_all(out).and_then(|()| fs::write(out.join("index.html"), page));
+    let written = fs::create_dir_all(out)
+        .and_then(|()| fs::write(out.join("index.html"), &page))
+        .and_then(|()| fs::write(out.join("hub.html"), &page));
     if let Err(error) = written {
         println!("cargo::error={}: {error}", out.display());
     }

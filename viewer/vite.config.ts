@@ -3,5 +3,8 @@ import { defineConfig } from "vite";
 // Built by cargo (build.rs), which says where to: nothing is written beside the sources.
 export default defineConfig({
   base: "./",
-  build: { target: "es2022", assetsInlineLimit: 0, chunkSizeWarningLimit: 1000, modulePreload: { polyfill: false } },
+  build: { target: "es2022", assetsInlineLimit: 0, chunkSizeWarningLimit: 1000, modulePreload: { polyfill: false },
+    // The page of a stage, and the one of a hub.
+    rollupOptions: { input: ["index.html", "hub.html"] },
+  },
 });

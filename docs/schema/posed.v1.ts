@@ -930,6 +930,16 @@ export type RecordingStatus = {
   started_s: number;
 };
 
+/** How a stage's clock stands to the hub's. */
+export type RelatedClock = {
+  /** Hub time minus stage time, s: add it to the times of the stage's messages. */
+  offset_s: number;
+  /** The shortest of the round trips that it is known from, s. */
+  round_trip_s: number;
+  /** The offset is wrong by no more than this, s, whatever the network does, as long as neither clock is off by more than 50 ppm. */
+  uncertainty_s: number;
+};
+
 /** How a published pose came about that is not the record's. */
 export type Repair = "mirrored" | "bridged";
 
@@ -1120,6 +1130,8 @@ export type ServerMessage = Hello & {
   type: "exercise";
 } | SegmentMessage & {
   type: "segments";
+} | Stages & {
+  type: "stages";
 };
 
 /** Which segments a body has. */
@@ -1131,6 +1143,38 @@ export type Speed = number | SpeedWord;
 /** A speed in words. */
 export type SpeedWord = "max";
 
+/** One of them. */
+export type StageEntry = {
+  /** How its clock stands to the hub's; null until it is known. */
+  clock: RelatedClock | null;
+  /** Devices, and how many of them stream. */
+  devices: number;
+  /** Its epoch: UTC of its own computer in RFC 3339 with nanoseconds; null until it is known. */
+  epoch_utc: string | null;
+  /** Events that are lost for good: the hub was cut off for longer than the stage keeps them. */
+  events_lost: number;
+  /** Frames per second that arrive here. */
+  frames_hz: number;
+  /** Whether this hub fuses it from its input log. */
+  fused: boolean;
+  /** Its name at this hub: its page is at `/ID/`, its websocket at `/ID/ws`. */
+  id: string;
+  /** Newest event that has arrived here. */
+  last_event_id: number;
+  /** Its own name, from the stage file; empty until it is known. */
+  name: string;
+  /** What is wrong there, as in its `status`. */
+  problems: Problem[];
+  /** Since when, s of the hub's time. */
+  since_s: number;
+  /** Whether it is there. */
+  state: StagePresence;
+  /** Of them. */
+  streaming: number;
+  /** How often it has vanished so far. */
+  vanished: number;
+};
+
 /** Latency of one stage of the flow, ms. */
 export type StageLatency = {
   /** Longest, ms. */
@@ -1141,6 +1185,17 @@ export type StageLatency = {
   p99_ms: number;
   /** From where to where. */
   stage: string;
+};
+
+/** Whether a stage is there. */
+export type StagePresence = "joining" | "present" | "gone";
+
+/** All stages that a hub has heard of. */
+export type Stages = {
+  /** In the order of their names. */
+  stages: StageEntry[];
+  /** The hub's own time, s since it was started. */
+  t_s: number;
 };
 
 /** What every data message starts with, and its body. */

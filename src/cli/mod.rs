@@ -29,6 +29,7 @@ mod faults;
 mod field;
 #[cfg(test)]
 mod handbook;
+mod hub;
 mod imu;
 mod info;
 mod keyframes;
@@ -73,6 +74,8 @@ enum Command {
     Demo(demo::Args),
     /// Runs the daemon on a stage's devices.
     Run(run::Args),
+    /// Shows the stages of many machines on one page and one websocket.
+    Hub(hub::Args),
     /// Says all that is wrong with a stage file, by line and key, and how to mend it.
     Check(check::Args),
     /// Runs the virtual devices of a stage on pseudo-terminals, and prints their ports.
@@ -116,6 +119,7 @@ impl Command {
         match self {
             Self::Demo(args) => demo::run(args),
             Self::Run(args) => run::run(args),
+            Self::Hub(args) => hub::run(args),
             Self::Replay(args) => replay::run(args),
             Self::Check(args) => check::run(args),
             Self::Simulate(args) => simulate::run(args),
@@ -171,6 +175,8 @@ impl Error {
 
 /// Parses the arguments, runs the command, and says the exit code.
 pub(crate) fn main() -> ExitCode {
+    #[cfg(feature = "zenoh")]
+    hub::prepare();
     let cli = Cli::parse();
     let result = start_log(&cli.log).and_then(|()| cli.command.run());
     let (code, error) = match result {

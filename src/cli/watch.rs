@@ -16,8 +16,18 @@ use super::{Error, print};
 /// a person looks at it.
 pub(crate) async fn until_end(
     url: &str,
-    mut status: watch::Receiver<Status>,
+    status: watch::Receiver<Status>,
     duration_s: Option<f64>,
+) -> Result<(), Error> {
+    until_end_with(url, status, duration_s, in_words).await
+}
+
+/// The same for anything that can be put into one line.
+pub(crate) async fn until_end_with<T>(
+    url: &str,
+    mut status: watch::Receiver<T>,
+    duration_s: Option<f64>,
+    in_words: impl Fn(&T) -> String,
 ) -> Result<(), Error> {
     let mut end = End::new(duration_s)?;
     print(&format!("posed is running: open {url} (Ctrl-C ends it)\n"))?;

@@ -18,6 +18,7 @@ use super::health::Health;
 use super::inbox::{Event, Inbox};
 use super::jobs::{Job, Jobs};
 use super::laid::{Laid, Told};
+use super::mesh::{Begin, Log};
 use super::ports::PortCommand;
 use super::positions::RecentPositions;
 use super::recent::{Excerpt, Recent};
@@ -139,6 +140,11 @@ pub enum Command {
         /// Where its serial number or name goes.
         to: std_mpsc::Sender<Option<String>>,
     },
+    /// Says how the pipeline stands, for fusion on another machine; the sentence says why not.
+    Begin {
+        /// Where it goes.
+        to: std_mpsc::Sender<Result<Begin, String>>,
+    },
     /// A job was cancelled; it may be one of this thread.
     LookAtJobs,
     /// Ends the thread.
@@ -162,6 +168,8 @@ pub(super) struct Fusion {
     /// What recordings show to viewers.
     pub(super) views: Views,
     pub(super) hub: Hub,
+    /// The input log, for other machines.
+    pub(super) log: Option<Log>,
     pub(super) jobs: Jobs,
     pub(super) calibration: Calibration,
     pub(super) ports: Vec<mpsc::Sender<PortCommand>>,
@@ -256,8 +264,12 @@ impl Fusion {
             laid,
             chained,
             calibration,
+            log,
             ..
         } = self;
+        if let Some(log) = log {
+            log.entry(entry);
+        }
         let mut recorder = recording.as_mut().map(|recording| &mut recording.recorder);
         if let Some(recorder) = &mut recorder {
             recorder.entry(entry);
@@ -307,7 +319,7 @@ impl Fusion {
                     recorder.message(stamp.topic.name(), stamp.t(), message);
                     views.publish(&payload, &stamp, |channel, json| recorder.view(channel, stamp.t(), json));
                 }
-                None => publisher.skip(&payload),
+                None => _ = publisher.skip(&payload),
             }
             // What comes next is the work on segments.
             estimated = clock.now();
@@ -355,6 +367,7 @@ impl Fusion {
                 });
                 let _ = to.send(network);
             }
+            Command::Begin { to } => _ = to.send(self.begin()),
             Command::WatchBody(to) => self.worn.watch(to),
             Command::WatchWaved { sensor, imu, to } => self.waved.watch(sensor, imu, to),
             Command::WatchChain(to) => self.chained.watch(to),
@@ -394,14 +407,7 @@ impl Fusion {
         if let Some(recording) = &self.recording {
             return Err(format!("{} is being recorded already; stop that first", recording.name));
         }
-        let publisher = rmp_serde::to_vec(&self.publisher.state()).map_err(|error| error.to_string())?;
-        let header = Header {
-            begun: self.clock.now(),
-            models: self.models.clone(),
-            // A recording of the whole run needs none: it begins where every pipeline begins.
-            snapshot: self.begun.then(|| Snapshot { pipeline: self.pipeline.snapshot(), publisher }),
-            ..self.recording_header.clone()
-        };
+        let header = self.header()?;
         let started = header.begun;
         let recorder = Recorder::start(&path, header, &schema::of_topics())
             .map_err(|error| format!("cannot record to {}: {error}", path.display()))?;
@@ -411,6 +417,24 @@ impl Fusion {
         let result = json!({ "name": name, "job": job.number() });
         self.recording = Some(Recording { recorder, name, started, job });
         Ok(result)
+    }
+
+    /// What a replay needs that begins here.
+    fn header(&self) -> Result<Header, String> {
+        let publisher = rmp_serde::to_vec(&self.publisher.state()).map_err(|error| error.to_string())?;
+        Ok(Header {
+            begun: self.clock.now(),
+            models: self.models.clone(),
+            // A recording of the whole run needs none: it begins where every pipeline begins.
+            snapshot: self.begun.then(|| Snapshot { pipeline: self.pipeline.snapshot(), publisher }),
+            ..self.recording_header.clone()
+        })
+    }
+
+    /// The same for another machine, and the number of the entry that follows.
+    fn begin(&self) -> Result<Begin, String> {
+        let log = self.log.as_ref().ok_or("this stage has no [zenoh]")?;
+        Ok(Begin { next: log.next(), header: self.header()? })
     }
 
     /// Answers for recordings that are whole now.

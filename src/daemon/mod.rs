@@ -12,6 +12,8 @@ mod calibration;
 pub mod calls;
 mod chained;
 pub mod clock;
+#[cfg(feature = "zenoh")]
+pub mod collector;
 pub mod find;
 pub mod fusion;
 mod health;
@@ -20,6 +22,7 @@ mod jobs;
 mod laid;
 mod limits;
 mod lsl;
+mod mesh;
 pub mod models;
 mod playback;
 mod player;
@@ -51,6 +54,7 @@ use self::health::Health;
 use self::inbox::{Event, Inbox};
 use self::jobs::Jobs;
 use self::laid::Laid;
+use self::mesh::Mesh;
 use self::ports::{Place, PortTask};
 use self::positions::RecentPositions;
 use self::recent::Recent;
@@ -63,7 +67,7 @@ use crate::input::{Entry, Input};
 use crate::layout::BodyLayout;
 use crate::motion::segments::Model;
 use crate::pipeline::{Pipeline, PipelineError};
-use crate::protocol::{Fields, Publisher, Status, Topic};
+use crate::protocol::{Fields, Problem, Publisher, Status, Topic};
 use crate::stage::Stage;
 
 /// Commands that wait for a port that writes slowly.
@@ -137,6 +141,7 @@ pub struct Daemon {
     status: watch::Receiver<Status>,
     ports: Vec<Option<PortTask>>,
     fusion: std::thread::JoinHandle<()>,
+    mesh: Option<Mesh>,
 }
 
 impl Daemon {
@@ -167,11 +172,23 @@ impl Daemon {
         config.listen = listen;
         config.clock = Some(clock);
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
-        let (server, hub, pending) = Server::bind(&stage, config)?;
+        let inbox = Inbox::new(INBOX_CAPACITY);
+        let recordings = stage.recording.folder.clone().unwrap_or_else(|| data.join("recordings"));
+        let mesh = stage.zenoh.as_ref().and_then(|settings| {
+            let started = Mesh::start(&stage, settings, clock, inbox.clone(), recordings);
+            // The stage runs without it too.
+            started
+                .inspect_err(|sentence| tracing::warn!("{sentence}"))
+                .map_err(|sentence| {
+                    config.problems.push(Problem { code: "zenoh".to_owned(), message: sentence });
+                })
+                .ok()
+        });
+        let feed = mesh.as_ref().map(Mesh::feed);
+        let (server, hub, pending) = Server::bind_fed(&stage, config, feed)?;
         let mut service = Service::start(server);
         let jobs = Jobs::new(clock, hub.clone());
 
-        let inbox = Inbox::new(INBOX_CAPACITY);
         let (status_sender, status) = watch::channel(Status::default());
         let mut commands = Vec::new();
         let mut ports = Vec::new();
@@ -196,6 +213,7 @@ impl Daemon {
             publisher: Publisher::new(&stage, Fields::all()),
             views: Views::new(&stage, clock.epoch_utc_ns()),
             hub,
+            log: mesh.as_ref().map(Mesh::log),
             jobs: jobs.clone(),
             calibration: calibration.clone(),
             ports: commands,
@@ -229,7 +247,7 @@ impl Daemon {
 
         let calls = Calls::new(&stage, data, clock, inbox.clone(), jobs, calibration);
         service.spawn(calls.run(pending, service.down()));
-        Ok(Self { clock, service, inbox, status, ports, fusion })
+        Ok(Self { clock, service, inbox, status, ports, fusion, mesh })
     }
 
     /// Gives a device an open stream instead of its port; it is not opened again when it ends.
@@ -277,6 +295,8 @@ impl Daemon {
     pub async fn shutdown(self) {
         self.inbox.push(Event::Command(Command::Shutdown));
         self.service.shutdown(self.fusion).await;
+        // Its threads may be waiting for a link.
+        let _ = tokio::task::spawn_blocking(move || drop(self.mesh)).await;
     }
 }
 

@@ -152,7 +152,8 @@ impl Publisher {
                     encode::body(payload, stamp, &self.names, &view, &mut body);
                     let seq = &mut self.seq[topic.index()];
                     self.message.clear();
-                    encode::message(Encoding::Json, topic, *seq, 0, &body, &mut self.message);
+                    let head = encode::Head { stage: None, topic, seq: *seq, dropped: 0 };
+                    encode::message(Encoding::Json, head, &body, &mut self.message);
                     *seq += 1;
                     say(place, &self.message);
                     continue;

@@ -153,26 +153,52 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
     }
 }
 
+/// What differs from client to client in front of a shared body.
+#[derive(Clone, Copy, Debug)]
+pub struct Head<'a> {
+    /// The stage, for a client of a hub that sees several.
+    pub stage: Option<&'a str>,
+    /// Where it is published.
+    pub topic: Topic,
+    /// Counts this topic's messages to this client from 0.
+    pub seq: u64,
+    /// Data messages that were dropped for this client so far.
+    pub dropped: u64,
+}
+
 /// Appends a whole message to `out`: the client's head and the shared body.
-pub fn message(encoding: Encoding, topic: Topic, seq: u64, dropped: u64, body: &[u8], out: &mut Vec<u8>) {
+pub fn message(encoding: Encoding, head: Head<'_>, body: &[u8], out: &mut Vec<u8>) {
     use std::io::Write;
+    let Head { stage, topic, seq, dropped } = head;
     let Some((&opening, rest)) = body.split_first() else { return };
     match encoding {
         Encoding::Json => {
             // Writing to a Vec cannot fail.
             let _ = write!(out, r#"{{"type":"{}","seq":{seq},"dropped":{dropped},"#, topic.name());
+            if let Some(stage) = stage {
+                out.extend_from_slice(br#""stage":"#);
+                let _ = serde_json::to_writer(&mut *out, stage);
+                out.push(b',');
+            }
             out.extend_from_slice(rest);
         }
         Encoding::MessagePack => {
             // Bodies have at most 12 keys, so the count of keys is the low half of the first byte, and three more fit.
             debug_assert!((0x80..=0x8c).contains(&opening), "a body is a small map");
-            out.push(opening + 3);
+            match opening + 3 + u8::from(stage.is_some()) {
+                small @ ..=0x8f => out.push(small),
+                large => out.extend_from_slice(&[0xde, 0, large - 0x80]),
+            }
             for (key, value) in [("seq", seq), ("dropped", dropped)] {
                 push_text(key, out);
                 let _ = rmp_serde::encode::write(out, &value);
             }
             push_text("type", out);
             push_text(topic.name(), out);
+            if let Some(stage) = stage {
+                push_text("stage", out);
+                let _ = rmp_serde::encode::write(out, stage);
+            }
             out.extend_from_slice(rest);
         }
     }

@@ -31,8 +31,8 @@ pub use message::{
     Begun, Change, Data, Deviation, DeviceStatus, ErrorReply, ExerciseChange, ExerciseEvent, Fault,
     FaultChange, FieldChange, FieldEvent, Figure, HeadingSource, Hello, HelloSensor, Job, JobState, Jobs,
     JointEntry, Judged, KeyPose, LinkState, Measured, OkReply, Problem, Quality, RecordingStatus,
-    ReplayStatus, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage, StageLatency,
-    Status, TruthEntry, Truths,
+    RelatedClock, ReplayStatus, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage,
+    StageEntry, StageLatency, StagePresence, Stages, Status, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use publisher::{Counters, Publisher, PublisherState, Stamp};

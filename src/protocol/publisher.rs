@@ -10,7 +10,7 @@ use super::{Encoding, Fields, Names, Payload, Topic, View, encode, round};
 use crate::stage::Stage;
 
 /// When and as which event a payload is published.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stamp {
     /// Where.
     pub topic: Topic,
@@ -59,6 +59,14 @@ impl Counters {
             self.events
         });
         Stamp { topic, t_us, event_id }
+    }
+
+    /// Goes on after a stamp that was given elsewhere.
+    pub fn follow(&mut self, stamp: &Stamp) {
+        self.last_t_us[stamp.topic.index()] = Some(stamp.t_us);
+        if let Some(event_id) = stamp.event_id {
+            self.events = event_id;
+        }
     }
 
     /// Lets the times of all topics start anew; event numbers go on.
@@ -119,10 +127,16 @@ impl Publisher {
         self.seq = state.seq;
     }
 
+    /// Number of the newest event, 0 before the first.
+    pub fn last_event_id(&self) -> u64 {
+        self.counters.last_event_id()
+    }
+
     /// Counts a payload without writing it: while nothing records.
-    pub fn skip(&mut self, payload: &Payload<'_>) {
+    pub fn skip(&mut self, payload: &Payload<'_>) -> Stamp {
         let stamp = self.counters.stamp(payload);
         self.seq[stamp.topic.index()] += 1;
+        stamp
     }
 
     /// Writes the message of a payload; the bytes stay valid until the next call.
@@ -132,7 +146,8 @@ impl Publisher {
         self.body.clear();
         self.message.clear();
         encode::body(payload, &stamp, &self.names, &self.view, &mut self.body);
-        encode::message(self.view.encoding, stamp.topic, *seq, 0, &self.body, &mut self.message);
+        let head = encode::Head { stage: None, topic: stamp.topic, seq: *seq, dropped: 0 };
+        encode::message(self.view.encoding, head, &self.body, &mut self.message);
         *seq += 1;
         (stamp, &self.message)
     }
@@ -307,7 +322,8 @@ mod tests {
             let write = |encoding| {
                 let (mut body, mut message) = (Vec::new(), Vec::new());
                 encode::body(&payload, &stamp, &names, &View::all(encoding), &mut body);
-                encode::message(encoding, stamp.topic, 70_000, 3, &body, &mut message);
+                let head = encode::Head { stage: None, topic: stamp.topic, seq: 70_000, dropped: 3 };
+                encode::message(encoding, head, &body, &mut message);
                 message
             };
             let json: ServerMessage = serde_json::from_slice(&write(Encoding::Json)).unwrap();

@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 
 use mcap::records::Metadata;
 use posed_drivers::Timestamp;
+use serde::{Deserialize, Serialize};
 
-use crate::input::Model;
+use crate::input::{Model, serde_bytes_compat};
 use crate::stage::Stage;
 
 /// Name of the metadata record that ends the front part.
@@ -21,7 +22,7 @@ const PIPELINE: &str = "snapshot/pipeline";
 const PUBLISHER: &str = "snapshot/publisher";
 
 /// What a recording needs beside its log in order to be replayed.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Header {
     /// Version of the software that wrote it.
     pub version: String,
@@ -44,11 +45,13 @@ pub struct Header {
 }
 
 /// State from which a replay goes on; opaque here.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Snapshot {
     /// The pipeline's.
+    #[serde(with = "serde_bytes_compat")]
     pub pipeline: Vec<u8>,
     /// The publisher's: numbers given to messages so far.
+    #[serde(with = "serde_bytes_compat")]
     pub publisher: Vec<u8>,
 }
 

@@ -19,6 +19,7 @@ mod rules;
 mod shape;
 #[cfg(test)]
 mod tests;
+mod zenoh;
 
 use std::path::{Path, PathBuf};
 
@@ -34,6 +35,7 @@ pub use field::FieldWatch;
 pub use keyframes::Keyframes;
 pub use port::{PortAddress, PortAddressError};
 pub use problem::{LoadError, Problem, Problems};
+pub use zenoh::Zenoh;
 
 /// A stage file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -75,6 +77,8 @@ pub struct Stage {
     pub vmc: Option<Vmc>,
     /// Programs that read Lab Streaming Layer; absent: nothing is offered.
     pub lsl: Option<Lsl>,
+    /// Hubs and other programs on other machines, by zenoh; absent: the stage stays on this one.
+    pub zenoh: Option<Zenoh>,
     /// Models that are loaded at the start.
     #[serde(default)]
     pub models: Models,
@@ -126,6 +130,9 @@ impl Stage {
         }
         if let Some(segments) = &mut stage.segments {
             segments.model = folder.join(&segments.model);
+        }
+        if let Some(users) = stage.zenoh.as_mut().and_then(|zenoh| zenoh.users.as_mut()) {
+            *users = folder.join(&*users);
         }
         let Self { models, recording, .. } = &mut stage;
         let Models { faults_folder, exercise_folder, imu_folder, segments_folder, .. } = models;

@@ -23,6 +23,8 @@ mod field_live;
 mod field_real;
 mod field_session;
 mod handbook;
+#[cfg(feature = "zenoh")]
+mod hub;
 mod imu_live;
 mod inertial;
 mod keyframes;

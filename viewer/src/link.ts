@@ -20,6 +20,15 @@ export class Refused extends Error {
   }
 }
 
+/** The websocket beside the page: a hub serves the page of each stage below its name. */
+export function websocketOf(page: Location): string {
+  const address = new URL("ws", page.href);
+  address.protocol = page.protocol === "https:" ? "wss:" : "ws:";
+  address.search = "";
+  address.hash = "";
+  return address.href;
+}
+
 const ignore = () => undefined;
 
 export class Link {
@@ -38,10 +47,9 @@ export class Link {
 
   connect(): void {
     this.onState("connecting", "connecting…");
-    const scheme = location.protocol === "https:" ? "wss:" : "ws:";
     const token = new URLSearchParams(location.search).get("token") ?? sessionStorage.getItem(TOKEN_KEY);
     const query = token === null ? "" : `?token=${encodeURIComponent(token)}`;
-    const socket = new WebSocket(`${scheme}//${location.host}/ws${query}`, "posed.v1");
+    const socket = new WebSocket(websocketOf(location) + query, "posed.v1");
     this.socket = socket;
     let greeted = false;
     socket.onmessage = ({ data }) => {

@@ -9,7 +9,7 @@ use futures_util::SinkExt;
 use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval, timeout};
 
-use super::Shared;
+use super::gate::Gate;
 use super::outbox::{Close, Form, Outbox};
 
 /// Messages written before the socket is flushed.
@@ -46,17 +46,17 @@ pub(super) trait Dialect: Send {
 }
 
 /// Serves one client until it ends.
-pub(super) async fn serve(socket: WebSocket, dialect: impl Dialect, burst: f64, shared: Arc<Shared>) {
-    shared.metrics.clients.inc();
-    let budget = Budget::new(shared.limits.messages_per_s, burst);
-    let mut client = Client { socket, outbox: dialect.outbox(), dialect, budget, shared };
+pub(super) async fn serve(socket: WebSocket, dialect: impl Dialect, burst: f64, gate: Arc<Gate>) {
+    gate.metrics.clients.inc();
+    let budget = Budget::new(gate.limits.messages_per_s, burst);
+    let mut client = Client { socket, outbox: dialect.outbox(), dialect, budget, gate };
     let end = client.run().await;
-    let Client { mut socket, dialect, shared, .. } = client;
-    shared.metrics.clients.dec();
+    let Client { mut socket, dialect, gate, .. } = client;
+    gate.metrics.clients.dec();
     dialect.leave().await;
     if let End::Close(close) = end {
         if close != Close::SHUTDOWN {
-            shared.metrics.refuse("policy");
+            gate.metrics.refuse("policy");
         }
         goodbye(&mut socket, close).await;
     }
@@ -67,14 +67,14 @@ struct Client<D> {
     outbox: Arc<Outbox>,
     dialect: D,
     budget: Budget,
-    shared: Arc<Shared>,
+    gate: Arc<Gate>,
 }
 
 impl<D: Dialect> Client<D> {
     async fn run(&mut self) -> End {
-        let mut pings = interval(self.shared.limits.ping_interval);
+        let mut pings = interval(self.gate.limits.ping_interval);
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let mut shutdown = self.shared.shutdown.clone();
+        let mut shutdown = self.gate.shutdown.clone();
         let outbox = Arc::clone(&self.outbox);
         let mut heard = now();
         loop {
@@ -91,7 +91,7 @@ impl<D: Dialect> Client<D> {
                 }
                 () = outbox.filled() => self.write().await,
                 _ = pings.tick() => {
-                    if heard.elapsed() > self.shared.limits.silence_timeout {
+                    if heard.elapsed() > self.gate.limits.silence_timeout {
                         Err(End::Close(Close::SILENT))
                     } else {
                         self.send(Message::Ping(Default::default())).await
@@ -111,27 +111,27 @@ impl<D: Dialect> Client<D> {
             while written < BATCH {
                 let mut bytes = Vec::new();
                 let Some(form) = self.outbox.pop(&mut bytes).map_err(End::Close)? else { break };
-                self.shared.metrics.bytes.inc_by(bytes.len() as u64);
+                self.gate.metrics.bytes.inc_by(bytes.len() as u64);
                 let message = message(form, bytes)?;
                 let fed = self.socket.feed(message);
-                patiently(&self.shared, fed).await?;
+                patiently(&self.gate, fed).await?;
                 written += 1;
             }
             if written == 0 {
                 return Ok(());
             }
             let flushed = self.socket.flush();
-            patiently(&self.shared, flushed).await?;
+            patiently(&self.gate, flushed).await?;
         }
     }
 
     async fn send(&mut self, message: Message) -> Result<(), End> {
         let sent = self.socket.send(message);
-        patiently(&self.shared, sent).await
+        patiently(&self.gate, sent).await
     }
 
     async fn handle(&mut self, message: Message) -> Result<(), End> {
-        self.shared.metrics.requests.inc();
+        self.gate.metrics.requests.inc();
         if !self.budget.spend(now()) {
             return Err(End::Close(Close::TOO_MANY));
         }
@@ -178,11 +178,11 @@ async fn goodbye(socket: &mut WebSocket, Close { code, reason }: Close) {
 }
 
 /// Waits for a write, but not for a client that has stopped reading for ever, and not past the shutdown.
-async fn patiently(shared: &Shared, write: impl Future<Output = Result<(), axum::Error>>) -> Result<(), End> {
-    let mut shutdown = shared.shutdown.clone();
+async fn patiently(gate: &Gate, write: impl Future<Output = Result<(), axum::Error>>) -> Result<(), End> {
+    let mut shutdown = gate.shutdown.clone();
     tokio::select! {
         biased;
-        written = timeout(shared.limits.silence_timeout, write) => match written {
+        written = timeout(gate.limits.silence_timeout, write) => match written {
             Ok(Ok(())) => Ok(()),
             Ok(Err(_)) => Err(End::Gone),
             Err(_) => Err(End::Close(Close::SILENT)),

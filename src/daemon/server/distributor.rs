@@ -7,14 +7,10 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::Limits;
+use super::holding::Holding;
 use super::hub::Item;
 use super::metrics::Metrics;
 use super::outbox::{Outbox, Outgoing};
-use crate::field::{Cause, Warning};
-use crate::input::{Model, SensorIndex};
-use crate::motion::exercise::EventKind;
-use crate::name::Name;
-use crate::output::{ExerciseOutcome, ExerciseWhat, FaultCause, FieldNews, OutcomeKind};
 use crate::protocol::{
     Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload, Problem,
     RequestId, ServerMessage, Stamp, Topic, View, encode,
@@ -29,9 +25,20 @@ pub(super) type ClientId = u64;
 /// What a client's task tells the distributor.
 #[derive(Debug)]
 pub(super) enum Command {
-    Connect { client: ClientId, outbox: Arc<Outbox> },
-    Feed { client: ClientId, id: RequestId, feed: Feed },
-    Disconnect { client: ClientId },
+    /// `stage` is put into every message, for a client that sees several.
+    Connect {
+        client: ClientId,
+        outbox: Arc<Outbox>,
+        stage: Option<Arc<str>>,
+    },
+    Feed {
+        client: ClientId,
+        id: RequestId,
+        feed: Feed,
+    },
+    Disconnect {
+        client: ClientId,
+    },
 }
 
 /// See the module.
@@ -45,7 +52,7 @@ pub(super) struct Distributor {
     last: [Option<(Stamp, Item)>; Topic::COUNT],
     events: VecDeque<Event>,
     /// Events that still hold: faults that have not ended, the newest model of each kind, counts.
-    current: Vec<(Key, Event)>,
+    current: Holding<Event>,
     newest_us: i64,
     /// Connections refused as of the last status.
     refused: u64,
@@ -55,6 +62,8 @@ pub(super) struct Distributor {
 struct Client {
     id: ClientId,
     outbox: Arc<Outbox>,
+    /// Name of this stage, for a client that sees several.
+    stage: Option<Arc<str>>,
     subscriptions: [Option<Subscription>; Topic::COUNT],
     seq: [u64; Topic::COUNT],
     /// Time of the newest state sent under the present subscription.
@@ -86,30 +95,6 @@ struct Event {
     message_pack: Arc<[u8]>,
 }
 
-/// What an event speaks of.
-#[derive(PartialEq)]
-enum Key {
-    Fault(SensorIndex, FaultCause),
-    Transmitter,
-    Mounting,
-    /// How the IMU of a magnetic sensor sits, by the sensor's name.
-    FastenedImu(String),
-    /// By unit.
-    Imu(String),
-    TrackerNoise(String),
-    FieldMap,
-    FieldProgress,
-    Disturbed(Cause, [usize; 2]),
-    Drifted,
-    Exercise(String),
-    FaultsMap,
-    /// What a subject does.
-    Subject(Name),
-    /// The newest count since then.
-    Count(Name, Name),
-    Segment,
-}
-
 impl Distributor {
     pub(super) fn new(names: Arc<Names>, limits: Limits, metrics: Arc<Metrics>, counters: Counters) -> Self {
         Self {
@@ -121,7 +106,7 @@ impl Distributor {
             views: Vec::new(),
             last: Default::default(),
             events: VecDeque::new(),
-            current: Vec::new(),
+            current: Holding::default(),
             newest_us: i64::MIN,
             refused: 0,
             scratch: Vec::new(),
@@ -183,9 +168,10 @@ impl Distributor {
     /// Carries out what a client's task asks for.
     pub(super) fn handle(&mut self, command: Command) {
         match command {
-            Command::Connect { client, outbox } => self.clients.push(Client {
+            Command::Connect { client, outbox, stage } => self.clients.push(Client {
                 id: client,
                 outbox,
+                stage,
                 subscriptions: [None; Topic::COUNT],
                 seq: [0; Topic::COUNT],
                 sent_us: [None; Topic::COUNT],
@@ -221,6 +207,12 @@ impl Distributor {
                 subscription.due_us = f64::NEG_INFINITY;
             }
         }
+    }
+
+    /// Goes on from the numbers of another place: the stamp of an item that was published there.
+    #[cfg(feature = "zenoh")]
+    pub(super) fn follow(&mut self, stamp: &Stamp) {
+        self.counters.follow(stamp);
     }
 
     /// Newest event so far.
@@ -340,7 +332,7 @@ impl Distributor {
         let Some(subscription) = &mut client.subscriptions[topic.index()] else { return };
         let policy = subscription.policy;
         if topic.is_event() {
-            for (_, event) in self.current.iter().filter(|(_, event)| event.stamp.topic == topic) {
+            for event in self.current.iter().filter(|event| event.stamp.topic == topic) {
                 client.send(&event.stamp, event.body(client.outbox.encoding()), policy, &self.metrics);
             }
         } else if let Some((stamp, item)) = &self.last[topic.index()]
@@ -396,57 +388,7 @@ impl Distributor {
             written(&Payload::Outcome(outcome), &stamp, &self.names, &view, &mut self.scratch)
         };
         let event = Event { stamp, json: body(Encoding::Json), message_pack: body(Encoding::MessagePack) };
-        // What holds until something else is said is told to who subscribes later.
-        let state = match &outcome.what {
-            OutcomeKind::Fault { sensor, cause, active } => Some((Key::Fault(*sensor, *cause), *active)),
-            // The newest word on what is being done.
-            OutcomeKind::Segment(_) => Some((Key::Segment, true)),
-            OutcomeKind::ModelSwapped(Model::Transmitter { .. }) => Some((Key::Transmitter, true)),
-            OutcomeKind::ModelSwapped(Model::Mounting { .. } | Model::Chain { .. }) => {
-                Some((Key::Mounting, true))
-            }
-            OutcomeKind::ModelSwapped(Model::FastenedImu { sensor, .. }) => {
-                Some((Key::FastenedImu(sensor.clone()), true))
-            }
-            OutcomeKind::ModelSwapped(Model::Imu { unit, .. }) => Some((Key::Imu(unit.clone()), true)),
-            OutcomeKind::ModelSwapped(Model::TrackerNoise { device, .. }) => {
-                Some((Key::TrackerNoise(device.clone()), true))
-            }
-            OutcomeKind::ModelSwapped(Model::Field { .. }) => Some((Key::FieldMap, true)),
-            OutcomeKind::Field(FieldNews::Progress(progress)) => {
-                Some((Key::FieldProgress, progress.collecting))
-            }
-            OutcomeKind::Field(FieldNews::Warning(Warning::Disturbed { cause, sensors, active, .. })) => {
-                Some((Key::Disturbed(*cause, *sensors), *active))
-            }
-            OutcomeKind::Field(FieldNews::Warning(Warning::Drifted { .. })) => Some((Key::Drifted, true)),
-            OutcomeKind::ModelSwapped(Model::Exercise { exercise }) => {
-                Some((Key::Exercise(exercise.name.clone()), true))
-            }
-            OutcomeKind::ModelSwapped(Model::Faults { .. }) => Some((Key::FaultsMap, true)),
-            OutcomeKind::Exercise(ExerciseOutcome { subject, what }) => match what {
-                ExerciseWhat::State(_) => {
-                    // It holds all counts so far.
-                    self.current.retain(|(key, _)| !matches!(key, Key::Count(of, _) if of == subject));
-                    Some((Key::Subject(subject.clone()), true))
-                }
-                ExerciseWhat::Repetition(repetition) if repetition.kind == EventKind::Counted => {
-                    Some((Key::Count(subject.clone(), repetition.exercise.clone()), true))
-                }
-                ExerciseWhat::Repetition(_) | ExerciseWhat::Hint(_) => None,
-            },
-            OutcomeKind::KeyPose(_) => None,
-        };
-        if matches!(state, Some((Key::FieldMap, _))) {
-            // What watches over the field begins anew with each map.
-            self.current.retain(|(key, _)| !matches!(key, Key::Disturbed(..) | Key::Drifted));
-        }
-        if let Some((key, holds)) = state {
-            self.current.retain(|(other, _)| *other != key);
-            if holds {
-                self.current.push((key, event.clone()));
-            }
-        }
+        self.current.take(outcome, || event.clone());
         self.keep(event)
     }
 
@@ -467,7 +409,7 @@ impl Client {
     fn send(&mut self, stamp: &Stamp, body: Arc<[u8]>, policy: DropPolicy, metrics: &Metrics) {
         let topic = stamp.topic;
         let seq = &mut self.seq[topic.index()];
-        let message = Outgoing::Shared { topic, seq: *seq, body };
+        let message = Outgoing::Shared { stage: self.stage.clone(), topic, seq: *seq, body };
         *seq += 1;
         metrics.messages.inc();
         if topic.is_event() {
@@ -479,6 +421,10 @@ impl Client {
     }
 
     fn reply(&self, message: &ServerMessage) {
+        // Who asks many stages at once has been answered for all of them.
+        if self.stage.is_some() && matches!(message, ServerMessage::Ok(OkReply { result: None, .. })) {
+            return;
+        }
         self.outbox.push_lossless(Outgoing::Whole(encode::whole(self.outbox.encoding(), message)));
     }
 }
@@ -524,7 +470,9 @@ mod tests {
     use posed_drivers::Timestamp;
 
     use super::*;
+    use crate::motion::exercise::EventKind;
     use crate::output::{Estimate, Outcome};
+    use crate::output::{ExerciseOutcome, ExerciseWhat, OutcomeKind};
     use crate::stage::Stage;
 
     fn distributor(limits: &Limits) -> Distributor {
@@ -535,7 +483,7 @@ mod tests {
 
     fn connect(distributor: &mut Distributor, client: ClientId, limits: &Limits) -> Arc<Outbox> {
         let outbox = Arc::new(Outbox::new(Encoding::Json, limits.clone()));
-        distributor.handle(Command::Connect { client, outbox: Arc::clone(&outbox) });
+        distributor.handle(Command::Connect { client, outbox: Arc::clone(&outbox), stage: None });
         outbox
     }
 

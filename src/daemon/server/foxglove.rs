@@ -276,7 +276,7 @@ impl Viewer {
     /// Greets the viewer and makes it known; `None` at shutdown.
     pub(super) async fn begin(shared: &Arc<Shared>) -> Option<Self> {
         let id = shared.next_client.fetch_add(1, Ordering::Relaxed);
-        let limits = Limits { queue_messages: WAITING, ..shared.limits.clone() };
+        let limits = Limits { queue_messages: WAITING, ..shared.gate.limits.clone() };
         let outbox = Arc::new(Outbox::new(Encoding::Json, limits));
         tell(&outbox, shared.viewing.info.clone());
         tell(&outbox, shared.viewing.advertise.clone());

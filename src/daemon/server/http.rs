@@ -13,35 +13,51 @@ use axum::{Router, extract::rejection::ExtensionRejection};
 
 use super::access::Refusal;
 use super::foxglove::Viewer;
+use super::gate::Gate;
 use super::listen::Slot;
+use super::metrics::Metrics;
 use super::requests::Requests;
 use super::{Shared, client, viewer};
 use crate::foxglove;
 use crate::protocol::{Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK};
+use crate::stage::Role;
 
 /// The page loads its own files and speaks to its own server; nothing else, from nowhere else.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
     img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
+/// What one stage answers.
 pub(super) fn router(shared: Arc<Shared>) -> Router {
-    Router::new()
+    let gate = Arc::clone(&shared.gate);
+    let routes = Router::new()
         .route("/", get(root))
-        .route(
-            "/assets/{name}",
-            get(|Path(name): Path<String>| async move { viewer::file(&format!("assets/{name}")) }),
-        )
-        .route("/health", get(|| async { "ok\n" }))
+        .route("/assets/{name}", get(asset))
+        .route("/health", get(health))
         .route("/metrics", get(metrics))
         .route("/ws", get(websocket))
-        .layer(middleware::from_fn_with_state(Arc::clone(&shared), guard))
-        .with_state(shared)
+        .with_state(shared);
+    guarded(routes, gate)
+}
+
+/// Behind the checks and headers that every answer has.
+pub(super) fn guarded(routes: Router, gate: Arc<Gate>) -> Router {
+    routes.layer(middleware::from_fn_with_state(gate, guard))
+}
+
+pub(super) async fn health() -> &'static str {
+    "ok\n"
+}
+
+/// A file of the page.
+pub(super) async fn asset(Path(name): Path<String>) -> Response {
+    viewer::file(&format!("assets/{name}"))
 }
 
 /// Checks the Host of every request, and puts the protective headers on every answer.
-async fn guard(State(shared): State<Arc<Shared>>, request: Request, next: Next) -> Response {
-    let mut response = match shared.access.check_host(request.headers(), request.uri()) {
+async fn guard(State(gate): State<Arc<Gate>>, request: Request, next: Next) -> Response {
+    let mut response = match gate.access.check_host(request.headers(), request.uri()) {
         Ok(()) => next.run(request).await,
-        Err(refusal) => refuse(&shared, "host", refusal),
+        Err(refusal) => refuse(&gate, "host", refusal),
     };
     let status = response.status();
     let headers = response.headers_mut();
@@ -63,18 +79,23 @@ async fn guard(State(shared): State<Arc<Shared>>, request: Request, next: Next) 
     response
 }
 
-async fn metrics(State(shared): State<Arc<Shared>>, headers: HeaderMap, uri: Uri) -> Response {
-    match shared.access.role(&headers, &uri) {
+pub(super) async fn metrics(State(shared): State<Arc<Shared>>, headers: HeaderMap, uri: Uri) -> Response {
+    counts(&shared.gate, &shared.metrics, &headers, &uri)
+}
+
+/// What `/metrics` says to who may ask.
+pub(super) fn counts(gate: &Gate, metrics: &Metrics, headers: &HeaderMap, uri: &Uri) -> Response {
+    match gate.access.role(headers, uri) {
         Ok(_) => {
             let kind = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-            ([(header::CONTENT_TYPE, kind)], shared.metrics.text()).into_response()
+            ([(header::CONTENT_TYPE, kind)], metrics.text()).into_response()
         }
-        Err(refusal) => refuse(&shared, "token", refusal),
+        Err(refusal) => refuse(gate, "token", refusal),
     }
 }
 
 /// The page; and the websocket of Foxglove viewers, who are given an address without a path.
-async fn root(
+pub(super) async fn root(
     shared: State<Arc<Shared>>,
     slot: Result<Extension<Arc<Slot>>, ExtensionRejection>,
     headers: HeaderMap,
@@ -96,30 +117,21 @@ async fn root(
     }
 }
 
-async fn websocket(
+pub(super) async fn websocket(
     State(shared): State<Arc<Shared>>,
     slot: Result<Extension<Arc<Slot>>, ExtensionRejection>,
     headers: HeaderMap,
     uri: Uri,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    if let Err(refusal) = shared.access.check_origin(&headers) {
-        return refuse(&shared, "origin", refusal);
-    }
-    let role = match shared.access.role(&headers, &uri) {
+    let role = match admit(&shared.gate, &headers, &uri) {
         Ok(role) => role,
-        Err(refusal) => return refuse(&shared, "token", refusal),
+        Err((reason, refusal)) => return refuse(&shared.gate, reason, refusal),
     };
     let slot = slot.ok().map(|Extension(slot)| slot);
     let [sdk, older] = foxglove::wire::SUBPROTOCOLS;
-    let upgrade = upgrade
-        .protocols([SUBPROTOCOL_MSGPACK, SUBPROTOCOL_JSON, sdk, older])
-        // Small reads, so that a flooding client gives the others their turn.
-        .read_buffer_size(4 * 1024)
-        .write_buffer_size(64 * 1024)
-        .max_write_buffer_size(64 * 1024 * 1024)
-        .max_message_size(shared.limits.message_bytes)
-        .max_frame_size(shared.limits.message_bytes);
+    let upgrade =
+        bounded(upgrade, &shared.gate).protocols([SUBPROTOCOL_MSGPACK, SUBPROTOCOL_JSON, sdk, older]);
     let protocol = upgrade.selected_protocol().and_then(|protocol| protocol.to_str().ok()).unwrap_or("");
     let speaks = match protocol {
         SUBPROTOCOL_MSGPACK => Speaks::Own(Encoding::MessagePack),
@@ -127,18 +139,18 @@ async fn websocket(
         _ => Speaks::Own(Encoding::Json),
     };
     upgrade.on_upgrade(move |socket| async move {
-        let burst = shared.limits.message_burst;
+        let burst = shared.gate.limits.message_burst;
         match speaks {
             Speaks::Own(encoding) => {
                 if let Some(requests) = Requests::begin(encoding, role, &shared).await {
-                    client::serve(socket, requests, burst, shared).await;
+                    client::serve(socket, requests, burst, Arc::clone(&shared.gate)).await;
                 }
             }
             Speaks::Foxglove => {
                 if let Some(viewer) = Viewer::begin(&shared).await {
                     // Some subscribe to every channel by a message of its own.
                     let burst = burst + viewer.channels() as f64;
-                    client::serve(socket, viewer, burst, shared).await;
+                    client::serve(socket, viewer, burst, Arc::clone(&shared.gate)).await;
                 }
             }
         }
@@ -152,8 +164,25 @@ enum Speaks {
     Foxglove,
 }
 
-fn refuse(shared: &Shared, reason: &'static str, (status, sentence): Refusal) -> Response {
-    shared.metrics.refuse(reason);
+/// What who asks for a websocket may do, or the refusal and its reason: Origin and token are looked at.
+pub(super) fn admit(gate: &Gate, headers: &HeaderMap, uri: &Uri) -> Result<Role, (&'static str, Refusal)> {
+    gate.access.check_origin(headers).map_err(|refusal| ("origin", refusal))?;
+    gate.access.role(headers, uri).map_err(|refusal| ("token", refusal))
+}
+
+/// The websocket with its limits.
+pub(super) fn bounded(upgrade: WebSocketUpgrade, gate: &Gate) -> WebSocketUpgrade {
+    upgrade
+        // Small reads, so that a flooding client gives the others their turn.
+        .read_buffer_size(4 * 1024)
+        .write_buffer_size(64 * 1024)
+        .max_write_buffer_size(64 * 1024 * 1024)
+        .max_message_size(gate.limits.message_bytes)
+        .max_frame_size(gate.limits.message_bytes)
+}
+
+pub(super) fn refuse(gate: &Gate, reason: &'static str, (status, sentence): Refusal) -> Response {
+    gate.metrics.refuse(reason);
     let mut response = (status, sentence + "\n").into_response();
     if status == StatusCode::UNAUTHORIZED {
         response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use serde::{Deserialize, Serialize};
 use tokio::sync::Notify;
 
 use crate::input::Truth;
@@ -15,8 +16,8 @@ const CAPACITY: usize = 256;
 const SPARES: usize = 8;
 
 /// Something to publish, owned.
-#[derive(Debug)]
-pub(super) enum Item {
+#[derive(Debug, Serialize, Deserialize)]
+pub(in crate::daemon) enum Item {
     Estimate(Estimate),
     Body(Box<Body>),
     Truth(Box<Truth>),
@@ -29,7 +30,7 @@ pub(super) enum Item {
 
 impl Item {
     /// What it publishes; a rewind publishes nothing.
-    pub(super) fn payload(&self) -> Option<Payload<'_>> {
+    pub(in crate::daemon) fn payload(&self) -> Option<Payload<'_>> {
         Some(match self {
             Self::Estimate(estimate) => Payload::Estimate(estimate),
             Self::Body(body) => Payload::Body(body),

@@ -15,7 +15,7 @@ use tokio::sync::Notify;
 use tokio::time::timeout;
 use tokio_rustls::TlsAcceptor;
 
-use super::{Shared, http};
+use super::gate::Gate;
 
 /// Longest request head, in bytes.
 const HEAD_BYTES: usize = 16 * 1024;
@@ -25,15 +25,19 @@ const REFUSALS: usize = 32;
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Accepts connections for ever.
-pub(super) async fn accept(listener: &TcpListener, tls: Option<&TlsAcceptor>, shared: &Arc<Shared>) {
+pub(super) async fn accept(
+    listener: &TcpListener,
+    tls: Option<&TlsAcceptor>,
+    gate: &Arc<Gate>,
+    app: axum::Router,
+) {
     let refusals = Arc::new(tokio::sync::Semaphore::new(REFUSALS));
-    let app = http::router(Arc::clone(shared));
     loop {
         let (stream, address) = next(listener).await;
-        let slot = match shared.slots.take(address.ip()) {
+        let slot = match gate.slots.take(address.ip()) {
             Ok(slot) => slot,
             Err(reason) => {
-                shared.metrics.refuse("limit");
+                gate.metrics.refuse("limit");
                 if let Ok(permit) = Arc::clone(&refusals).try_acquire_owned() {
                     let plain = tls.is_none();
                     tokio::spawn(async move {
@@ -48,15 +52,15 @@ pub(super) async fn accept(listener: &TcpListener, tls: Option<&TlsAcceptor>, sh
         };
         let slot = Arc::new(slot);
         let app = app.clone().layer(Extension(Arc::clone(&slot)));
-        let shared = Arc::clone(shared);
+        let gate = Arc::clone(gate);
         let tls = tls.cloned();
         tokio::spawn(async move {
             match tls {
-                None => serve(stream, app, &shared).await,
-                Some(tls) => match timeout(shared.limits.greeting_timeout, tls.accept(stream)).await {
-                    Ok(Ok(stream)) => serve(stream, app, &shared).await,
-                    Ok(Err(_)) => shared.metrics.refuse("tls"),
-                    Err(_) => shared.metrics.refuse("timeout"),
+                None => serve(stream, app, &gate).await,
+                Some(tls) => match timeout(gate.limits.greeting_timeout, tls.accept(stream)).await {
+                    Ok(Ok(stream)) => serve(stream, app, &gate).await,
+                    Ok(Err(_)) => gate.metrics.refuse("tls"),
+                    Err(_) => gate.metrics.refuse("timeout"),
                 },
             }
             drop(slot);
@@ -87,22 +91,18 @@ pub(super) async fn next(listener: &TcpListener) -> (TcpStream, SocketAddr) {
 }
 
 /// One request per connection (every answer says `Connection: close`); a websocket goes on in a task of its own.
-async fn serve(
-    stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
-    app: axum::Router,
-    shared: &Shared,
-) {
+async fn serve(stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, app: axum::Router, gate: &Gate) {
     let connection = hyper::server::conn::http1::Builder::new()
         .timer(TokioTimer::new())
-        .header_read_timeout(shared.limits.greeting_timeout)
+        .header_read_timeout(gate.limits.greeting_timeout)
         .max_buf_size(HEAD_BYTES)
         .serve_connection(TokioIo::new(stream), TowerToHyperService::new(app))
         .with_upgrades();
-    match timeout(shared.limits.greeting_timeout + ANSWER_TIMEOUT, connection).await {
+    match timeout(gate.limits.greeting_timeout + ANSWER_TIMEOUT, connection).await {
         Ok(Ok(())) => {}
-        Ok(Err(error)) if error.is_timeout() => shared.metrics.refuse("timeout"),
+        Ok(Err(error)) if error.is_timeout() => gate.metrics.refuse("timeout"),
         Ok(Err(error)) => tracing::trace!(%error, "connection"),
-        Err(_) => shared.metrics.refuse("timeout"),
+        Err(_) => gate.metrics.refuse("timeout"),
     }
 }
 
@@ -127,8 +127,8 @@ async fn refuse(mut stream: TcpStream, reason: &str) -> std::io::Result<()> {
     stream.shutdown().await
 }
 
-/// How many connections there may be, in all and from one address.
-#[derive(Debug)]
+/// How many connections there may be, in all and from one address; clones count together.
+#[derive(Clone, Debug)]
 pub(super) struct Slots {
     total: usize,
     per_address: usize,

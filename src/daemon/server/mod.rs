@@ -12,10 +12,16 @@
 
 mod access;
 mod client;
+#[cfg(feature = "zenoh")]
+mod directory;
 mod distributor;
 mod foxglove;
+mod gate;
+#[cfg(feature = "zenoh")]
+pub(super) mod hall;
+pub(super) mod holding;
 mod http;
-mod hub;
+pub(super) mod hub;
 mod listen;
 mod metrics;
 mod outbox;
@@ -26,24 +32,24 @@ mod viewer;
 mod vmc;
 mod vrpn;
 
-use std::net::{SocketAddr, ToSocketAddrs};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::net::{TcpListener, TcpSocket};
-use tokio::sync::{mpsc, watch};
+use tokio::sync::mpsc;
 
-use self::access::Access;
 use self::distributor::Distributor;
 use self::foxglove::Viewers;
-use self::listen::Slots;
+use self::gate::{Door, Gate};
 use self::metrics::Metrics;
 use self::streams::Streaming;
 use self::vrpn::{Outlet, Vrpn};
 use super::clock::StageClock;
+use super::mesh::Feed;
 use crate::input::SensorIndex;
-use crate::protocol::{Counters, HelloSensor, Names, Topic};
+use crate::layout::BodyLayout;
+use crate::protocol::{Counters, HelloSensor, Names, Problem, Topic};
 use crate::stage::{Pose, Skeleton, Stage};
 use crate::vrpn::{Catalogue, Publisher};
 
@@ -72,6 +78,8 @@ pub struct Config {
     pub replay: bool,
     /// The stage's clock; absent: times are those of nothing that goes on, and LSL is not told.
     pub clock: Option<StageClock>,
+    /// What went wrong as the daemon was started, and does not keep it from running: told with every status.
+    pub problems: Vec<Problem>,
     /// What one client, and all together, may take.
     pub limits: Limits,
 }
@@ -87,6 +95,7 @@ impl Config {
             counters: Counters::default(),
             replay: false,
             clock: None,
+            problems: Vec::new(),
             limits: Limits::default(),
         }
     }
@@ -206,30 +215,27 @@ pub enum BindError {
 
 /// A server that is bound and not yet running.
 pub struct Server {
-    listener: TcpListener,
-    address: SocketAddr,
-    tls: Option<tokio_rustls::TlsAcceptor>,
+    door: Door,
     shared: Arc<Shared>,
     outlets: Outlets,
     vrpn: Option<Vrpn>,
     hub: Hub,
     commands: mpsc::Receiver<Command>,
-    shutdown: watch::Sender<bool>,
 }
 
-/// What every connection needs.
+/// What every connection to a stage needs.
 struct Shared {
-    access: Access,
-    limits: Limits,
+    gate: Arc<Gate>,
+    /// The stage's own; those of the gate unless it leads to many stages.
     metrics: Arc<Metrics>,
-    slots: Slots,
     names: Arc<Names>,
     greeting: Greeting,
     /// What Foxglove viewers are told first.
     viewing: foxglove::Greeting,
     commands: mpsc::Sender<Command>,
     calls: mpsc::Sender<PendingCall>,
-    shutdown: watch::Receiver<bool>,
+    /// Whether clients may change something, where their token lets them.
+    operable: bool,
     /// Newest event, for greetings.
     last_event_id: std::sync::atomic::AtomicU64,
     next_client: std::sync::atomic::AtomicU64,
@@ -273,70 +279,28 @@ impl Server {
         stage: &Stage,
         config: Config,
     ) -> Result<(Self, Hub, mpsc::Receiver<PendingCall>), BindError> {
-        let listen =
-            config.listen.or_else(|| stage.server.listen.clone()).unwrap_or_else(|| DEFAULT_LISTEN.into());
-        let addresses: Vec<SocketAddr> = match listen.to_socket_addrs() {
-            Ok(addresses) => addresses.collect(),
-            Err(error) => return Err(BindError::Address { listen, error }),
-        };
-        let open = addresses.iter().any(|address| !address.ip().is_loopback());
-        if open && stage.server.tokens.is_empty() {
-            return Err(BindError::NeedsToken { listen });
-        }
-        let tls = stage.server.tls.as_ref().map(|files| tls::acceptor(files, &config.folder)).transpose()?;
-        let (listener, address) =
-            bind_first(&addresses).map_err(|error| BindError::Bind { listen: listen.clone(), error })?;
+        Self::bind_fed(stage, config, None)
+    }
 
-        let limits = config.limits;
-        let names = Arc::new(Names::new(stage));
-        let metrics = Arc::new(Metrics::new());
-        let (command_sender, commands) = mpsc::channel(1024);
-        let (call_sender, calls) = mpsc::channel(64);
-        let (shutdown, shutdown_seen) = watch::channel(false);
-        let mut topics = vec![Topic::Status, Topic::Sensors, Topic::Faults, Topic::Field, Topic::Jobs];
-        // Whatever is tracked can be taught and counted, and learnt to be named.
-        topics.extend((!stage.sensors.is_empty()).then_some(Topic::Exercise));
-        topics.extend((!stage.sensors.is_empty()).then_some(Topic::Segments));
-        topics.extend(names.body().is_some().then_some(Topic::Body));
-        topics.extend(stage.keyframes.is_some().then_some(Topic::Keyframes));
-        topics.extend(config.more_topics);
-        topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
-        topics.sort();
-        topics.dedup();
-        let viewers = Viewers::new(stage, &topics, config.epoch_utc_ns, config.replay, &metrics);
-        let epoch_utc = rfc3339(config.epoch_utc_ns);
-        let shared = Arc::new(Shared {
-            access: Access {
-                tokens: stage.server.tokens.clone(),
-                allowed_origins: stage
-                    .server
-                    .allowed_origins
-                    .iter()
-                    .map(|o| o.to_ascii_lowercase())
-                    .collect(),
-                listen_host: listen.rsplit_once(':').map_or("", |(host, _)| host).to_owned(),
-                port: address.port(),
-                tls: tls.is_some(),
-            },
-            greeting: Greeting {
-                stage: stage.name.clone(),
-                epoch_utc: epoch_utc.clone(),
-                skeleton: stage.body.as_ref().map(|body| body.skeleton),
-                height_m: stage.body.as_ref().and_then(|body| body.height_m),
-                transmitter: stage.transmitter.pose_in_room.unwrap_or(Pose::IDENTITY),
-                topics,
-            },
-            viewing: viewers.greeting(&stage.name, &epoch_utc),
-            slots: Slots::new(limits.connections, limits.connections_per_address),
-            limits: limits.clone(),
-            metrics: Arc::clone(&metrics),
-            names: Arc::clone(&names),
-            commands: command_sender,
-            calls: call_sender,
-            shutdown: shutdown_seen,
-            last_event_id: config.counters.last_event_id().into(),
-            next_client: 0.into(),
-        });
+    /// The same; all that is published goes to `feed` too, for programs on other machines.
+    pub(super) fn bind_fed(
+        stage: &Stage,
+        config: Config,
+        feed: Option<Feed>,
+    ) -> Result<(Self, Hub, mpsc::Receiver<PendingCall>), BindError> {
+        let door = Door::open(&stage.server, config.listen, &config.folder, config.limits)?;
+        let metrics = Arc::clone(&door.gate.metrics);
+        let limits = door.gate.limits.clone();
+        let topics = topics_of(stage, &config.more_topics);
+        let about = About {
+            epoch_utc_ns: config.epoch_utc_ns,
+            topics,
+            last_event_id: config.counters.last_event_id(),
+            replay: config.replay,
+            operable: true,
+        };
+        let Side { shared, viewers, commands, calls } =
+            Side::new(stage, about, &door.gate, Arc::clone(&metrics));
         let hub = Hub::default();
         let vrpn = match stage.vrpn.as_ref().filter(|_| !config.replay) {
             None => None,
@@ -357,16 +321,17 @@ impl Server {
         };
         let lsl = stage.lsl.as_ref().zip(config.clock.filter(|_| !config.replay));
         let lsl = lsl.map(|(settings, clock)| Streaming::start(stage, settings, clock, Arc::clone(&metrics)));
-        let distributor = Distributor::new(names, limits, metrics, config.counters);
-        let outlets = Outlets { distributor, viewers, vrpn: vrpn_outlet, vmc, lsl };
+        let distributor = Distributor::new(Arc::clone(&shared.names), limits, metrics, config.counters);
+        let outlets =
+            Outlets { distributor, viewers, vrpn: vrpn_outlet, vmc, lsl, feed, problems: config.problems };
         let hub_in = hub.clone();
-        let server = Self { listener, address, tls, shared, outlets, vrpn, hub: hub_in, commands, shutdown };
+        let server = Self { door, shared, outlets, vrpn, hub: hub_in, commands };
         Ok((server, hub, calls))
     }
 
     /// The address it listens on.
     pub fn address(&self) -> SocketAddr {
-        self.address
+        self.door.address()
     }
 
     /// The address for VRPN clients, if the stage wants them.
@@ -376,26 +341,15 @@ impl Server {
 
     /// What to open in a browser.
     pub fn url(&self) -> String {
-        let scheme = if self.tls.is_some() { "https" } else { "http" };
-        let mut address = self.address;
-        if address.ip().is_unspecified() {
-            address.set_ip(std::net::Ipv4Addr::LOCALHOST.into());
-        }
-        format!("{scheme}://{address}/")
+        self.door.url()
     }
 
     /// Serves until `shutdown` resolves; then tells every client goodbye (1001) and returns within the shutdown timeout.
     pub async fn run(self, shutdown: impl Future<Output = ()>) {
-        let Self { listener, tls, shared, outlets, vrpn, hub, commands, shutdown: tell, .. } = self;
+        let Self { door, shared, outlets, vrpn, hub, commands } = self;
         let distributing = tokio::spawn(distribute(outlets, hub, commands, Arc::clone(&shared)));
-        let others = vrpn.map(|vrpn| tokio::spawn(vrpn.run(tell.subscribe())));
-        tokio::select! {
-            () = listen::accept(&listener, tls.as_ref(), &shared) => {}
-            () = shutdown => {}
-        }
-        drop(listener);
-        tell.send_replace(true);
-        let _ = tokio::time::timeout(shared.limits.shutdown_timeout, shared.slots.all_free()).await;
+        let others = vrpn.map(|vrpn| tokio::spawn(vrpn.run(door.tell.subscribe())));
+        door.serve(http::router(shared), shutdown).await;
         distributing.abort();
         // What it holds has then ended too.
         let _ = distributing.await;
@@ -406,6 +360,70 @@ impl Server {
     }
 }
 
+/// What a stage publishes; `more` beside what its file says.
+fn topics_of(stage: &Stage, more: &[Topic]) -> Vec<Topic> {
+    let mut topics = vec![Topic::Status, Topic::Sensors, Topic::Faults, Topic::Field, Topic::Jobs];
+    // Whatever is tracked can be taught and counted, and learnt to be named.
+    topics.extend((!stage.sensors.is_empty()).then_some(Topic::Exercise));
+    topics.extend((!stage.sensors.is_empty()).then_some(Topic::Segments));
+    topics.extend(BodyLayout::of(stage).is_some().then_some(Topic::Body));
+    topics.extend(stage.keyframes.is_some().then_some(Topic::Keyframes));
+    topics.extend_from_slice(more);
+    topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
+    topics.sort();
+    topics.dedup();
+    topics
+}
+
+/// What clients of a stage must be told first that its file does not say.
+struct About {
+    epoch_utc_ns: i64,
+    topics: Vec<Topic>,
+    last_event_id: u64,
+    replay: bool,
+    /// Whether its clients may change something, where their token lets them.
+    operable: bool,
+}
+
+/// A stage's side of a server: what its clients share, and the ends of the queues that they fill.
+struct Side {
+    shared: Arc<Shared>,
+    viewers: Viewers,
+    commands: mpsc::Receiver<Command>,
+    calls: mpsc::Receiver<PendingCall>,
+}
+
+impl Side {
+    fn new(stage: &Stage, about: About, gate: &Arc<Gate>, metrics: Arc<Metrics>) -> Self {
+        let About { epoch_utc_ns, topics, last_event_id, replay, operable } = about;
+        let names = Arc::new(Names::new(stage));
+        let viewers = Viewers::new(stage, &topics, epoch_utc_ns, replay, &metrics);
+        let epoch_utc = rfc3339(epoch_utc_ns);
+        let (command_sender, commands) = mpsc::channel(1024);
+        let (call_sender, calls) = mpsc::channel(64);
+        let shared = Arc::new(Shared {
+            gate: Arc::clone(gate),
+            metrics,
+            viewing: viewers.greeting(&stage.name, &epoch_utc),
+            greeting: Greeting {
+                stage: stage.name.clone(),
+                epoch_utc,
+                skeleton: stage.body.as_ref().map(|body| body.skeleton),
+                height_m: stage.body.as_ref().and_then(|body| body.height_m),
+                transmitter: stage.transmitter.pose_in_room.unwrap_or(Pose::IDENTITY),
+                topics,
+            },
+            names,
+            commands: command_sender,
+            calls: call_sender,
+            operable,
+            last_event_id: last_event_id.into(),
+            next_client: 0.into(),
+        });
+        Self { shared, viewers, commands, calls }
+    }
+}
+
 /// Everything that is published to.
 struct Outlets {
     distributor: Distributor,
@@ -413,6 +431,10 @@ struct Outlets {
     vrpn: Option<Outlet>,
     vmc: Option<vmc::Outlet>,
     lsl: Option<Streaming>,
+    /// Programs on other machines.
+    feed: Option<Feed>,
+    /// What went wrong as the daemon was started, and does not keep it from running.
+    problems: Vec<Problem>,
 }
 
 /// Feeds the outlets, one thing at a time; frames before commands.
@@ -423,7 +445,7 @@ async fn distribute(
     shared: Arc<Shared>,
 ) {
     use std::sync::atomic::Ordering;
-    let Outlets { distributor, viewers, vrpn, vmc, lsl } = &mut outlets;
+    let Outlets { distributor, viewers, vrpn, vmc, lsl, feed, problems } = &mut outlets;
     loop {
         while let Some(mut item) = hub.take() {
             match &item {
@@ -432,8 +454,9 @@ async fn distribute(
                 _ => {}
             }
             distributor.complete(&mut item, viewers.count());
-            if let (hub::Item::Status(status), Some(streaming)) = (&mut item, &lsl) {
-                status.problems.extend(streaming.problem());
+            if let hub::Item::Status(status) = &mut item {
+                status.problems.extend(lsl.as_ref().and_then(Streaming::problem));
+                status.problems.extend_from_slice(problems);
             }
             let stamp = distributor.stamp(&item);
             if let Some(outlet) = vrpn {
@@ -444,6 +467,9 @@ async fn distribute(
             }
             if let (Some(streaming), Some(stamp)) = (&lsl, &stamp) {
                 streaming.publish(&item, stamp, &shared.names);
+            }
+            if let (Some(feed), Some(stamp)) = (&feed, &stamp) {
+                feed.publish(&item, stamp, &shared.names);
             }
             viewers.publish(&item, stamp.as_ref());
             if let Some(replaced) = distributor.publish(item, stamp) {
@@ -464,29 +490,7 @@ async fn distribute(
     }
 }
 
-fn bind_first(addresses: &[SocketAddr]) -> std::io::Result<(TcpListener, SocketAddr)> {
-    let mut refused = std::io::Error::other("the name has no address");
-    for &address in addresses {
-        match bind(address) {
-            Ok(bound) => return Ok(bound),
-            Err(error) => refused = error,
-        }
-    }
-    Err(refused)
-}
-
-fn bind(address: SocketAddr) -> std::io::Result<(TcpListener, SocketAddr)> {
-    let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
-    socket.set_reuseaddr(true)?;
-    // Inherited by each connection: what the kernel holds for a client that stalls is soon old, and bounded by this.
-    socket.set_send_buffer_size(256 * 1024)?;
-    socket.bind(address)?;
-    let listener = socket.listen(1024)?;
-    let address = listener.local_addr()?;
-    Ok((listener, address))
-}
-
-fn rfc3339(utc_ns: i64) -> String {
+pub(super) fn rfc3339(utc_ns: i64) -> String {
     match jiff::Timestamp::from_nanosecond(utc_ns.into()) {
         Ok(utc) => format!("{utc:.9}"),
         Err(_) => String::new(),

@@ -36,8 +36,8 @@ impl Close {
 pub(super) enum Outgoing {
     /// A reply or greeting, complete.
     Whole(Vec<u8>),
-    /// A data message: the client's numbers and the shared body.
-    Shared { topic: Topic, seq: u64, body: Arc<[u8]> },
+    /// A data message: the stage's name for who sees several, the client's numbers, and the shared body.
+    Shared { stage: Option<Arc<str>>, topic: Topic, seq: u64, body: Arc<[u8]> },
     /// The same for a Foxglove viewer: its number of the subscription, UTC in ns, the shared payload.
     Viewed { subscription: u32, utc_ns: u64, payload: Arc<[u8]> },
     /// What the clock of a Foxglove viewer is to show: UTC in ns.
@@ -104,7 +104,7 @@ impl Outbox {
             // Topics share the queue, so the limit of "latest" counts this topic's only.
             DropPolicy::Latest => {
                 let waiting =
-                    || queues.data.iter().enumerate().filter(|(_, item)| item.topic() == message.topic());
+                    || queues.data.iter().enumerate().filter(|(_, item)| item.stream() == message.stream());
                 if waiting().count() >= self.limits.latest_messages
                     && let Some((oldest, _)) = waiting().next()
                 {
@@ -154,9 +154,10 @@ impl Outbox {
                 out.extend_from_slice(&bytes);
                 form
             }
-            Outgoing::Shared { topic, seq, body } => {
-                out.reserve(body.len() + 64);
-                encode::message(self.encoding, topic, seq, dropped, &body, out);
+            Outgoing::Shared { stage, topic, seq, body } => {
+                out.reserve(body.len() + 128);
+                let head = encode::Head { stage: stage.as_deref(), topic, seq, dropped };
+                encode::message(self.encoding, head, &body, out);
                 form
             }
             Outgoing::Viewed { subscription, utc_ns, payload } => {
@@ -185,9 +186,10 @@ impl Outgoing {
         }
     }
 
-    fn topic(&self) -> Option<Topic> {
+    /// What it is one of many of.
+    fn stream(&self) -> Option<(Option<&str>, Topic)> {
         match self {
-            Self::Shared { topic, .. } => Some(*topic),
+            Self::Shared { stage, topic, .. } => Some((stage.as_deref(), *topic)),
             Self::Whole(_) | Self::Viewed { .. } | Self::Clock(_) => None,
         }
     }
@@ -218,7 +220,7 @@ mod tests {
 
     fn data(topic: Topic, seq: u64, bytes: usize) -> Outgoing {
         let body = format!("{:<1$}", r#"{"x":0}"#, bytes).into_bytes();
-        Outgoing::Shared { topic, seq, body: body.into() }
+        Outgoing::Shared { stage: None, topic, seq, body: body.into() }
     }
 
     fn taken(outbox: &Outbox) -> Vec<String> {

@@ -74,7 +74,8 @@ impl Requests {
     /// Greets the client and makes it known to the distributor; `None` at shutdown.
     pub(super) async fn begin(encoding: Encoding, role: Role, shared: &Arc<Shared>) -> Option<Self> {
         let id = shared.next_client.fetch_add(1, Ordering::Relaxed);
-        let outbox = Arc::new(Outbox::new(encoding, shared.limits.clone()));
+        let outbox = Arc::new(Outbox::new(encoding, shared.gate.limits.clone()));
+        let role = if shared.operable { role } else { Role::Watch };
         let hello = ServerMessage::Hello(Hello {
             version: env!("CARGO_PKG_VERSION").into(),
             stage: shared.greeting.stage.clone(),
@@ -89,7 +90,7 @@ impl Requests {
         });
         outbox.push_lossless(Outgoing::Whole(encode::whole(encoding, &hello)));
         let requests = Self { id, role, outbox: Arc::clone(&outbox), shared: Arc::clone(shared) };
-        requests.tell(distributor::Command::Connect { client: id, outbox }).await.ok()?;
+        requests.tell(distributor::Command::Connect { client: id, outbox, stage: None }).await.ok()?;
         Some(requests)
     }
 
@@ -99,6 +100,10 @@ impl Requests {
 
     fn call(&self, id: RequestId, call: Call) {
         let reply = Reply { outbox: Arc::clone(&self.outbox), id: Some(id) };
+        if !self.shared.operable {
+            reply.error("hub", "a hub shows its stages; ask the daemon of the stage itself for this");
+            return;
+        }
         if call.changes_something() && self.role < Role::Operate {
             reply.error(
                 "forbidden",

@@ -51,7 +51,8 @@ impl Streaming {
                 let (mut body, mut message) = (Vec::new(), Vec::new());
                 let view = View::all(Encoding::Json);
                 encode::body(&Payload::Outcome(outcome), stamp, names, &view, &mut body);
-                encode::message(Encoding::Json, stamp.topic, 0, 0, &body, &mut message);
+                let head = encode::Head { stage: None, topic: stamp.topic, seq: 0, dropped: 0 };
+                encode::message(Encoding::Json, head, &body, &mut message);
                 String::from_utf8(message).ok().map(|json| self.streams.event(stamp, json))
             }
             Item::Truth(_) | Item::Status(_) | Item::Jobs(_) | Item::Rewind => None,

@@ -13,10 +13,11 @@ use tokio::net::{TcpListener, TcpStream, UdpSocket};
 use tokio::sync::{Notify, Semaphore, watch};
 use tokio::time::timeout;
 
+use super::Limits;
+use super::gate::bind_first;
 use super::hub::Item;
 use super::listen::{self, Slots};
 use super::metrics::Metrics;
-use super::{Limits, bind_first};
 use crate::daemon::ports::ended;
 use crate::stage;
 use crate::vrpn::{Catalogue, Peer, Publisher, Refused, wire};

@@ -13,6 +13,7 @@ mod keyframes;
 mod reply;
 mod segments;
 mod sensors;
+mod stages;
 mod status;
 mod truth;
 
@@ -29,6 +30,7 @@ pub use self::keyframes::KeyPose;
 pub use self::reply::{ErrorReply, OkReply};
 pub use self::segments::SegmentBody;
 pub use self::sensors::{Change, Measured, Quality, SensorEntry, Sensors};
+pub use self::stages::{RelatedClock, StageEntry, StagePresence, Stages};
 pub use self::status::{
     DeviceStatus, LinkState, Problem, RecordingStatus, ReplayStatus, SensorStatus, StageLatency, Status,
 };
@@ -64,6 +66,8 @@ pub enum ServerMessage {
     Exercise(Data<ExerciseEvent>),
     /// A segment of the motion begins.
     Segments(Data<SegmentBody>),
+    /// All stages of a hub; only on a hub's own websocket.
+    Stages(Stages),
 }
 
 /// What every data message starts with, and its body.

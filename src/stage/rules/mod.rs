@@ -12,6 +12,7 @@ mod field;
 mod keyframes;
 pub(super) mod models;
 mod server;
+mod zenoh;
 
 use std::ops::Range;
 use std::path::Path;
@@ -35,6 +36,9 @@ pub(super) fn check(document: &Spanned<DeTable<'_>>, folder: Option<&Path>, note
     }
     if let Some(vmc) = root.item("vmc") {
         server::check_vmc(&vmc, notes);
+    }
+    if let Some(zenoh) = root.item("zenoh") {
+        zenoh::check(&zenoh, folder, notes);
     }
     if let (Some(recording), Some(folder)) = (root.item("recording"), folder) {
         folder_key(&recording, "folder", folder, notes);

@@ -1,0 +1,85 @@
+//! A zenoh session as stages and hubs need it: TCP only, nothing looked for by itself, broken links noticed and mended quickly.
+
+use serde_json::json;
+use zenoh::{Config, Session, Wait};
+
+use crate::stage::Zenoh;
+
+/// A link that has brought nothing for so long is given up, ms. Short, because TCP alone would send again only many seconds after
+/// a long cut is mended; four signs of life fit in, so that loss does not end a link.
+const LEASE_MS: u32 = 2000;
+/// Time of one attempt to open a link, ms: an attempt that began in the cut must not outlast it.
+const OPEN_MS: u32 = 500;
+/// Distance of two attempts, ms.
+const RETRY_MS: u32 = 100;
+/// Longest wait for room in zenoh's queue before a link is given up, microseconds.
+const BLOCKED_US: u32 = 1_000_000;
+/// Largest message that is taken in, bytes.
+const MESSAGE_BYTES: u32 = 64 << 20;
+
+/// Opens a session; blocks for a moment, and must not be called on a tokio thread. The error is a sentence for the operator.
+pub(in crate::daemon) fn open(settings: &Zenoh) -> Result<Session, String> {
+    let config = config(settings).map_err(|error| format!("[zenoh]: {error}"))?;
+    let ends = settings.listen.join(", ");
+    zenoh::open(config)
+        .wait()
+        .map_err(|error| format!("[zenoh]: cannot begin (listening on {ends:?}): {error}"))
+}
+
+fn config(settings: &Zenoh) -> zenoh::Result<Config> {
+    let ends = |list: &[String]| serde_json::to_string(list);
+    let retry = json!({"period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS, "period_increase_factor": 1});
+    let mut config = Config::default();
+    for (key, value) in [
+        ("mode", "\"peer\"".to_owned()),
+        ("listen/endpoints", ends(&settings.listen)?),
+        ("connect/endpoints", ends(&settings.connect)?),
+        ("connect/timeout_ms", "-1".to_owned()),
+        ("connect/exit_on_failure", "false".to_owned()),
+        ("connect/retry", retry.to_string()),
+        ("scouting/multicast/enabled", "false".to_owned()),
+        ("scouting/gossip/enabled", "false".to_owned()),
+        ("open/return_conditions/connect_scouted", "false".to_owned()),
+        ("open/return_conditions/declares", "false".to_owned()),
+        ("transport/unicast/open_timeout", OPEN_MS.to_string()),
+        ("transport/unicast/accept_timeout", OPEN_MS.to_string()),
+        ("transport/link/tx/lease", LEASE_MS.to_string()),
+        ("transport/link/tx/keep_alive", "4".to_owned()),
+        ("transport/link/tx/queue/congestion_control/block/wait_before_close", BLOCKED_US.to_string()),
+        ("transport/link/rx/max_message_size", MESSAGE_BYTES.to_string()),
+    ] {
+        config.insert_json5(key, &value)?;
+    }
+    let text = |text: &Option<String>| serde_json::to_string(text);
+    if settings.user.is_some() {
+        config.insert_json5("transport/auth/usrpwd/user", &text(&settings.user)?)?;
+        config.insert_json5("transport/auth/usrpwd/password", &text(&settings.password)?)?;
+    }
+    if let Some(users) = &settings.users {
+        let users = serde_json::to_string(users)?;
+        config.insert_json5("transport/auth/usrpwd/dictionary_file", &users)?;
+    }
+    Ok(config)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn zenoh_knows_every_key_that_is_set() {
+        let settings = Zenoh {
+            listen: vec!["tcp/127.0.0.1:0".to_owned()],
+            connect: vec!["tcp/hub.local:7447".to_owned()],
+            user: Some("a".to_owned()),
+            password: Some("b".to_owned()),
+            users: Some("/etc/posed/users".into()),
+            ..Zenoh::default()
+        };
+        let config = config(&settings).unwrap();
+        let said = config.to_string();
+        for part in ["hub.local:7447", "\"lease\":2000", "\"/etc/posed/users\"", "\"mode\":\"peer\""] {
+            assert!(said.contains(part), "{part} in {said}");
+        }
+    }
+}

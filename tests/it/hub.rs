@@ -1,0 +1,404 @@
+//! A hub and its stages: real processes, zenoh over loopback, and a proxy between them that can be cut.
+
+use std::net::SocketAddr;
+use std::process::Command;
+use std::sync::Arc;
+use std::time::Duration;
+
+use serde_json::{Value, json};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
+use tokio_tungstenite::connect_async;
+
+use crate::browser::{self, Browser};
+use crate::daemon::process::{PATIENCE, Posed, frames, ok, refused, two_devices, until};
+use crate::server::harness::{Client, get};
+
+/// A port that was free a moment ago.
+fn free_port() -> u16 {
+    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+fn hub(zenoh_port: u16, more: &[&str]) -> Posed {
+    let listen = format!("tcp/127.0.0.1:{zenoh_port}");
+    let args = ["hub", "--http", "127.0.0.1:0", "--listen", &listen];
+    Posed::spawn(Command::new(env!("CARGO_BIN_EXE_posed")).args(args).args(more))
+}
+
+/// A simulated stage that connects there.
+fn stage(folder: &std::path::Path, zenoh_port: u16) -> Posed {
+    let more = format!("[zenoh]\nconnect = [\"tcp/127.0.0.1:{zenoh_port}\"]\n");
+    let file = two_devices(folder, &more);
+    Posed::start(["demo".as_ref(), "--stage".as_ref(), file.as_os_str()])
+}
+
+/// A client of one of the hub's websockets, greeted.
+async fn client(address: SocketAddr, path: &str) -> Client {
+    let connected = async {
+        loop {
+            // The stage has its websocket here once it has joined.
+            if let Ok((socket, _)) = connect_async(format!("ws://{address}{path}")).await {
+                return Client { socket, protocol: None };
+            }
+            tokio::task::yield_now().await;
+        }
+    };
+    let mut client = tokio::time::timeout(PATIENCE, connected).await.expect("the stage joins");
+    assert_eq!(client.next().await["type"], "hello");
+    client
+}
+
+/// The next word about all stages in which this one fits.
+async fn stages(client: &mut Client, what: &str, fits: impl Fn(&Value) -> bool) -> Value {
+    let message = until(client, what, |message| {
+        message["type"] == "stages" && message["stages"].as_array().unwrap().iter().any(&fits)
+    })
+    .await;
+    message["stages"].as_array().unwrap().iter().find(|stage| fits(stage)).unwrap().clone()
+}
+
+/// An event: somebody says where the transmitter stands.
+async fn move_transmitter(client: &mut Client, x_m: f64) {
+    let model = json!({"kind": "transmitter", "position_m": [x_m, 0, 0], "orientation_wxyz": [1, 0, 0, 0]});
+    ok(client, json!({"type": "model.load", "model": model})).await;
+}
+
+/// Numbers of all events after one, up to so many that came of a moved transmitter.
+async fn events(client: &mut Client, after: u64, moves: usize) -> Vec<u64> {
+    let (mut numbers, mut moved) = (Vec::new(), 0);
+    while moved < moves {
+        let later = |message: &Value| message["event_id"].as_u64().is_some_and(|id| id > after);
+        let event = until(client, "an event", later).await;
+        numbers.push(event["event_id"].as_u64().unwrap());
+        moved += usize::from(event["type"] == "field");
+    }
+    numbers
+}
+
+/// A TCP connection to somewhere that can be cut: then nothing passes and nobody is told.
+struct Proxy {
+    port: u16,
+    open: watch::Sender<bool>,
+}
+
+impl Proxy {
+    async fn to(port: u16) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let own = listener.local_addr().unwrap().port();
+        let (open, state) = watch::channel(true);
+        tokio::spawn(async move {
+            while let Ok((from, _)) = listener.accept().await {
+                tokio::spawn(pass(from, port, state.clone()));
+            }
+        });
+        Self { port: own, open }
+    }
+}
+
+/// Passes bytes on while the proxy is open; what was open when it was cut stays silent until it is mended, and then ends.
+async fn pass(mut from: TcpStream, port: u16, mut open: watch::Receiver<bool>) {
+    if *open.borrow_and_update() {
+        let Ok(mut to) = TcpStream::connect(("127.0.0.1", port)).await else { return };
+        let held = Arc::new((from.set_nodelay(true), to.set_nodelay(true)));
+        tokio::select! {
+            _ = tokio::io::copy_bidirectional(&mut from, &mut to) => return,
+            _ = open.wait_for(|open| !open) => {}
+        }
+        let _ = open.wait_for(|open| *open).await;
+        drop((held, to));
+    } else {
+        let _ = open.wait_for(|open| *open).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hub_says_what_its_stages_say_and_what_became_of_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let stage = stage(folder.path(), port);
+    // The stage waits for its hub.
+    let hub = hub(port, &[]);
+    let mut all = client(hub.address, "/ws").await;
+    let seen = stages(&mut all, "the stage and its clock", |stage| !stage["clock"].is_null()).await;
+    assert_eq!(
+        (&seen["id"], &seen["name"], &seen["state"]),
+        (&json!("two"), &json!("Two"), &json!("present"))
+    );
+    // Two clocks of one computer: their difference is that of the epochs.
+    let (off_s, bound_s) =
+        (seen["clock"]["offset_s"].as_f64().unwrap(), seen["clock"]["uncertainty_s"].as_f64().unwrap());
+    assert!(bound_s < 0.25 && off_s < 0.0, "{seen}");
+
+    // The same messages in both places, field by field.
+    let subscribe = json!({"type": "subscribe", "topics": ["sensors", "field"], "drop": "queue",
+        "fields": ["position_m", "orientation_wxyz", "measured", "covariance", "sigma_m", "device"]});
+    let mut there = stage.client().await;
+    let mut here = client(hub.address, "/two/ws").await;
+    ok(&mut there, subscribe.clone()).await;
+    ok(&mut here, subscribe.clone()).await;
+    let mut subscribe_two = subscribe;
+    subscribe_two["stages"] = json!(["two"]);
+    ok(&mut all, subscribe_two).await;
+    let plain = |mut message: Value| {
+        let map = message.as_object_mut().unwrap();
+        map.retain(|key, _| !["seq", "dropped", "stage"].contains(&key.as_str()));
+        message
+    };
+    let mut frames_there = frames(&mut there, 80).await.into_iter().map(plain).collect::<Vec<_>>();
+    frames_there.retain(|frame| frame["type"] == "sensors");
+    for client in [&mut here, &mut all] {
+        let got = frames(client, 40).await;
+        let common = got.into_iter().map(plain).filter(|frame| {
+            let at = frames_there.iter().find(|other| other["t_s"] == frame["t_s"]);
+            at.is_some_and(|other| {
+                assert_eq!(other, frame);
+                true
+            })
+        });
+        assert!(common.count() > 10, "they overlap");
+    }
+    // The one websocket for all says whose each message is.
+    let frame = until(&mut all, "a frame", |message| message["type"] == "sensors").await;
+    assert_eq!(frame["stage"], "two");
+
+    // A hub only shows.
+    let (code, _) = refused(&mut here, json!({"type": "record.start"})).await;
+    assert_eq!(code, "hub");
+    let (code, _) = refused(&mut all, json!({"type": "resume", "after": 0})).await;
+    assert_eq!(code, "bad_request");
+    let page = get(hub.address, &format!("GET /two/ HTTP/1.1\r\nHost: {}\r\n\r\n", hub.address)).await;
+    assert!(page.starts_with("HTTP/1.1 200") && page.contains("<title>posed</title>"), "{page}");
+    for (path, status) in
+        [("/", 200), ("/two", 307), ("/two/metrics", 200), ("/metrics", 200), ("/nobody/", 404)]
+    {
+        let answer = get(hub.address, &format!("GET {path} HTTP/1.1\r\nHost: {}\r\n\r\n", hub.address)).await;
+        assert!(answer.starts_with(&format!("HTTP/1.1 {status}")), "{path}: {answer}");
+    }
+    let foreign = get(hub.address, "GET /two/ HTTP/1.1\r\nHost: rebound.example\r\n\r\n").await;
+    assert!(foreign.starts_with("HTTP/1.1 421"), "{foreign}");
+
+    // A stage that ends is said to have gone, and one that is started anew is followed with its new epoch.
+    let epoch = seen["epoch_utc"].clone();
+    assert_eq!(stage.end("INT").await.code(), Some(0));
+    stages(&mut all, "the stage is gone", |stage| stage["state"] == "gone").await;
+    let stage = self::stage(folder.path(), port);
+    let back = stages(&mut all, "the stage is back", |stage| {
+        stage["state"] == "present" && stage["epoch_utc"] != epoch
+    })
+    .await;
+    assert_eq!(back["vanished"], 1);
+    until(&mut all, "frames of the new run, still subscribed", |message| message["type"] == "sensors").await;
+    assert_eq!(hub.end("TERM").await.code(), Some(0));
+    assert_eq!(stage.end("INT").await.code(), Some(0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn no_event_is_lost_in_a_cut_and_poses_come_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let proxy = Proxy::to(port).await;
+    let hub = hub(port, &[]);
+    let stage = stage(folder.path(), proxy.port);
+    let mut operator = stage.client().await;
+    // Before the hub knows the stage: still true when it does.
+    move_transmitter(&mut operator, 0.5).await;
+    let mut all = client(hub.address, "/ws").await;
+    let mut here = client(hub.address, "/two/ws").await;
+    ok(&mut here, json!({"type": "subscribe", "topics": ["field", "faults", "sensors", "status"]})).await;
+    let mut there = stage.subscriber(&["field", "faults"]).await;
+    let event = until(&mut here, "what holds", |message| message["type"] == "field").await;
+    let first = event["event_id"].as_u64().unwrap();
+
+    proxy.open.send_replace(false);
+    for n in 1..=5 {
+        move_transmitter(&mut operator, f64::from(n)).await;
+    }
+    stages(&mut all, "the cut", |stage| stage["state"] == "gone").await;
+    until(&mut here, "a word on the stage's own page", |message| {
+        message["type"] == "status"
+            && message["problems"].as_array().unwrap().iter().any(|problem| problem["code"] == "vanished")
+    })
+    .await;
+    for n in 6..=8 {
+        move_transmitter(&mut operator, f64::from(n)).await;
+    }
+    proxy.open.send_replace(true);
+    let got = events(&mut here, first, 8).await;
+    assert_eq!(got, events(&mut there, first, 8).await, "as at the stage");
+    let last = first + got.len() as u64;
+    assert_eq!(got, (first + 1..=last).collect::<Vec<_>>(), "each once and in order");
+    frames(&mut here, 20).await;
+    let back =
+        stages(&mut all, "the mend", |stage| stage["state"] == "present" && stage["vanished"] == 1).await;
+    assert_eq!(back["events_lost"], 0);
+    // Who was away from the hub can ask it for what the stage said meanwhile.
+    let mut later = client(hub.address, "/two/ws").await;
+    let kept = ok(&mut later, json!({"type": "resume", "after": first})).await;
+    assert_eq!((&kept["complete"], &kept["last_event_id"]), (&json!(true), &json!(last)));
+    assert_eq!(
+        until(&mut later, "an event", |message| !message["event_id"].is_null()).await["event_id"],
+        first + 1
+    );
+    assert_eq!(hub.end("INT").await.code(), Some(0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn fused_elsewhere_a_stage_says_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let proxy = Proxy::to(port).await;
+    let hub = hub(port, &["--fuse", "two"]);
+    let stage = stage(folder.path(), proxy.port);
+    let mut there = stage.client().await;
+    let mut here = client(hub.address, "/two/ws").await;
+    let subscribe = json!({"type": "subscribe", "topics": ["sensors", "field", "faults", "truth"], "drop": "queue",
+        "fields": ["position_m", "orientation_wxyz", "measured", "covariance", "sigma_m", "velocity", "device"]});
+    ok(&mut there, subscribe.clone()).await;
+    ok(&mut here, subscribe).await;
+    let plain = |mut message: Value| {
+        let map = message.as_object_mut().unwrap();
+        map.retain(|key, _| !["seq", "dropped"].contains(&key.as_str()));
+        message.to_string()
+    };
+    let key = |message: &Value| (message["type"].to_string(), message["t_s"].to_string());
+    let mut operator = stage.client().await;
+    frames(&mut here, 20).await;
+    // Half a second of cut, which the log bridges.
+    proxy.open.send_replace(false);
+    move_transmitter(&mut operator, 0.25).await;
+    frames(&mut there, 30).await;
+    proxy.open.send_replace(true);
+    move_transmitter(&mut operator, 0.75).await;
+    let mut said = std::collections::BTreeMap::new();
+    let (mut events, mut compared) = (0, 0);
+    let mut local = Vec::new();
+    while local.len() < 150 {
+        local.push(there.next().await);
+    }
+    for message in local {
+        said.insert(key(&message), plain(message));
+    }
+    while compared < 100 {
+        let message = here.next().await;
+        if let Some(expected) = said.remove(&key(&message)) {
+            events += usize::from(message["type"] == "field");
+            assert_eq!(plain(message), expected);
+            compared += 1;
+        }
+    }
+    assert!(events >= 1, "an event was among them");
+    assert_eq!(hub.end("INT").await.code(), Some(0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn programs_on_the_network_get_messages_status_and_recordings() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let more = format!(
+        "[zenoh]\nlisten = [\"tcp/127.0.0.1:{port}\"]\nkey = \"hall/left\"\n[recording]\nfolder = \"kept\"\n"
+    );
+    let file = two_devices(folder.path(), &more);
+    let stage = Posed::start(["demo".as_ref(), "--stage".as_ref(), file.as_os_str()]);
+    let mut operator = stage.subscriber(&["sensors"]).await;
+    ok(&mut operator, json!({"type": "record.start", "name": "one"})).await;
+    frames(&mut operator, 50).await;
+    ok(&mut operator, json!({"type": "record.stop"})).await;
+
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", format!("[\"tcp/127.0.0.1:{port}\"]")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        config.insert_json5(key, &value).unwrap();
+    }
+    let session = zenoh::open(config).await.unwrap();
+    let subscriber = session.declare_subscriber("hall/left/topics/sensors").await.unwrap();
+    let sample = tokio::time::timeout(PATIENCE, subscriber.recv_async()).await.unwrap().unwrap();
+    let message: Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+    assert_eq!((&message["type"], message["sensors"].as_array().unwrap().len()), (&json!("sensors"), 2));
+
+    let ask = async |selector: &str| {
+        let replies = session.get(selector).timeout(Duration::from_secs(10)).await.unwrap();
+        let reply = replies.recv_async().await.unwrap();
+        reply
+            .into_result()
+            .map(|sample| sample.payload().to_bytes().into_owned())
+            .map_err(|error| String::from_utf8(error.payload().to_bytes().into_owned()).unwrap())
+    };
+    let status: Value = serde_json::from_slice(&ask("hall/left/status").await.unwrap()).unwrap();
+    assert_eq!((&status["type"], status["devices"].as_array().unwrap().len()), (&json!("status"), 2));
+    let list: Value = serde_json::from_slice(&ask("hall/left/recordings").await.unwrap()).unwrap();
+    let kept = std::fs::read(folder.path().join("kept/one.mcap")).unwrap();
+    assert_eq!(list, json!([{"name": "one.mcap", "bytes": kept.len()}]));
+    let mut got = Vec::new();
+    loop {
+        let piece =
+            ask(&format!("hall/left/recordings/one.mcap?offset={};bytes=50000", got.len())).await.unwrap();
+        if piece.is_empty() {
+            break;
+        }
+        got.extend(piece);
+    }
+    assert!(got == kept, "byte for byte");
+    assert!(ask("hall/left/recordings/two.mcap").await.unwrap_err().contains("there is no recording"));
+    assert!(ask("hall/left/recordings/one.mcap?offset=x").await.unwrap_err().contains("offset"));
+    session.close().await.unwrap();
+    assert_eq!(stage.end("INT").await.code(), Some(0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_has_no_password_is_not_let_in() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    std::fs::write(folder.path().join("users"), "stage:a-long-enough-password\n").unwrap();
+    let hub_toml = folder.path().join("hub.toml");
+    let text = format!("name = \"Hall\"\n[zenoh]\nlisten = [\"tcp/127.0.0.1:{port}\"]\nusers = \"users\"\n");
+    std::fs::write(&hub_toml, text).unwrap();
+    let args = ["hub".as_ref(), hub_toml.as_os_str(), "--http".as_ref(), "127.0.0.1:0".as_ref()];
+    let hub = Posed::spawn(Command::new(env!("CARGO_BIN_EXE_posed")).args(args));
+    let start = |name: &str, password: &str| {
+        let connect = format!("connect = [\"tcp/127.0.0.1:{port}\"]");
+        let text =
+            format!("name = \"{name}\"\n[zenoh]\n{connect}\nuser = \"stage\"\npassword = \"{password}\"\n");
+        let file = folder.path().join(format!("{name}.toml"));
+        std::fs::write(&file, text).unwrap();
+        Posed::start(["run".as_ref(), file.as_os_str()])
+    };
+    let _wrong = start("wrong", "another-long-password");
+    let _right = start("right", "a-long-enough-password");
+    let mut all = client(hub.address, "/ws").await;
+    stages(&mut all, "the one with the password", |stage| {
+        stage["id"] == "right" && stage["state"] == "present"
+    })
+    .await;
+    // A few more attempts of the other.
+    for _ in 0..3 {
+        let told = until(&mut all, "stages", |message| message["type"] == "stages").await;
+        assert!(told["stages"].as_array().unwrap().iter().all(|stage| stage["id"] != "wrong"), "{told}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_hubs_page_leads_to_the_stages_page() {
+    if !browser::is_wanted() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let stage = stage(folder.path(), port);
+    let hub = hub(port, &[]);
+    let mut browser = Browser::open(&format!("http://{}/", hub.address)).await;
+    browser
+        .until("document.querySelector('#stages tbody tr td.good')?.textContent.startsWith('there for')")
+        .await;
+    browser.until("document.querySelector('#stages tbody tr').cells[4].textContent.includes('±')").await;
+    browser.picture("hub").await;
+    browser.value("document.querySelector('#stages tbody a').click()").await;
+    browser.until("document.getElementById('link')?.textContent === 'live'").await;
+    browser.until("document.getElementById('stage').textContent === 'Two'").await;
+    assert_eq!(browser.complaints, Vec::<String>::new());
+    drop(browser);
+    assert_eq!(stage.end("INT").await.code(), Some(0));
+    assert_eq!(hub.end("INT").await.code(), Some(0));
+}
