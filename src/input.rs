@@ -9,6 +9,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::faults::som::Network;
 use crate::field::Prepared;
+use crate::fusion::chain::live::ChainCalibration;
+use crate::fusion::intrinsics::Intrinsics;
 use crate::geometry;
 use crate::motion::exercise::Exercise;
 
@@ -16,6 +18,9 @@ use crate::motion::exercise::Exercise;
 pub type DeviceIndex = u16;
 /// Index of a sensor in the stage file's `[[sensor]]` list.
 pub type SensorIndex = u16;
+
+/// Lengths of the field that can be those of a device's own records, which have about 1.
+const FIELD_NORM: std::ops::RangeInclusive<f64> = 0.1..=10.0;
 
 /// One entry of the input log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -92,6 +97,11 @@ pub enum Model {
         /// One per sensor on the body.
         sensors: Vec<MountedSensor>,
     },
+    /// How the sensors of a chain of hinges sit and where its axes are, as a calibration found it.
+    Chain {
+        /// One entry per segment of the stage file.
+        calibration: Box<ChainCalibration>,
+    },
     /// How an IMU sits on the magnetic sensor that it is fastened to, as `stage.align` found it.
     FastenedImu {
         /// The magnetic sensor, by name.
@@ -102,6 +112,13 @@ pub enum Model {
         offset_m: [f64; 3],
         /// Capture time of a magnetic record on the IMU's clock minus the one it is given, s.
         clock_offset_s: f64,
+    },
+    /// Intrinsics of an IMU; they take the place of those before, and filters that knew the unit begin anew.
+    Imu {
+        /// The unit: its serial number, or the name of its sensor where neither device nor stage file tell one.
+        unit: String,
+        /// As in its file; the field in the unit that the device itself measures in, about 1.
+        intrinsics: Box<Intrinsics>,
     },
     /// A taught exercise; it takes the place of the one of its name.
     Exercise {
@@ -178,9 +195,11 @@ impl Model {
         match (self, newer) {
             (Self::Transmitter { .. }, Self::Transmitter { .. }) => true,
             (Self::Mounting { .. }, Self::Mounting { .. }) => true,
+            (Self::Chain { .. }, Self::Chain { .. }) => true,
             (Self::FastenedImu { sensor, .. }, Self::FastenedImu { sensor: of, .. }) => sensor == of,
             (Self::TrackerNoise { device, .. }, Self::TrackerNoise { device: of, .. }) => device == of,
             (Self::Field { .. }, Self::Field { .. }) => true,
+            (Self::Imu { unit, .. }, Self::Imu { unit: of, .. }) => unit == of,
             (Self::Exercise { exercise }, Self::Exercise { exercise: newer }) => exercise.name == newer.name,
             (Self::Faults { .. }, Self::Faults { .. }) => true,
             _ => false,
@@ -230,6 +249,16 @@ impl Model {
             Self::FastenedImu { quat_wxyz, offset_m, clock_offset_s, .. } => {
                 if geometry::isometry(*offset_m, *quat_wxyz).is_none() || !clock_offset_s.is_finite() {
                     return Err("offset_m, quat_wxyz, clock_offset_s: give finite numbers and a quaternion that is not zero".into());
+                }
+            }
+            Self::Chain { calibration } => calibration.check()?,
+            Self::Imu { unit, intrinsics } => {
+                intrinsics.check()?;
+                let norm = intrinsics.mag.as_ref().map_or(1.0, |mag| mag.norm);
+                if unit.is_empty() || !FIELD_NORM.contains(&norm) {
+                    return Err(format!(
+                        "unit, mag.norm: name the unit, and calibrate with the device's own records, whose field is about 1, not {norm:.3}"
+                    ));
                 }
             }
             Self::Exercise { exercise } => exercise.check().map_err(|error| error.to_string())?,

@@ -2,9 +2,11 @@
 //!
 //! In: a stage. Out: names and indices that the pipeline, messages and exercises share. It knows no measurement.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use crate::fusion::body::{ANGLE_NAMES, SEGMENTS, Segment, Skeleton, of_joint};
+use crate::fusion::chain::ChainSegment;
 use crate::input::SensorIndex;
 use crate::stage::{self, Stage};
 
@@ -15,13 +17,17 @@ pub struct BodyLayout {
     pub segments: Vec<SegmentLayout>,
     /// Angles that the sensors can show, by their index in [`crate::output::Body::angles_rad`].
     pub shown_angles: Vec<usize>,
+    /// Whether it is known where its segments are: a chain of hinges has no lengths.
+    pub has_places: bool,
 }
 
 /// One segment and the joint above it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SegmentLayout {
     /// Its name.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
+    /// The joint's name; empty where it hangs on none.
+    pub joint: Cow<'static, str>,
     /// Index of the segment it hangs on.
     pub parent: Option<usize>,
     /// The joint's angles, by their index in [`crate::output::Body::angles_rad`].
@@ -86,7 +92,7 @@ impl BodyLayout {
     pub fn of(stage: &Stage) -> Option<Self> {
         let body = stage.body.as_ref()?;
         if body.skeleton != stage::Skeleton::Human {
-            return None;
+            return ChainLayout::of(stage).map(Self::of_chain);
         }
         let wearers = Wearers::of(stage).ok()?;
         let tracker =
@@ -94,7 +100,11 @@ impl BodyLayout {
         let segments: Vec<SegmentLayout> = Segment::ALL
             .into_iter()
             .map(|segment| SegmentLayout {
-                name: segment.name(),
+                name: segment.name().into(),
+                joint: of_joint(segment)
+                    .next()
+                    .map_or("", |angle| joint_and_angle(ANGLE_NAMES[angle]).0)
+                    .into(),
                 parent: segment.parent().map(Segment::index),
                 angles: of_joint(segment),
                 sensor: wearers.imus[segment.index()].or_else(|| tracker(segment)),
@@ -111,12 +121,90 @@ impl BodyLayout {
             })
         };
         let shown_angles = segments.iter().filter(shown).flat_map(|segment| segment.angles.clone()).collect();
-        Some(Self { segments, shown_angles })
+        Some(Self { segments, shown_angles, has_places: true })
+    }
+
+    fn of_chain(chain: ChainLayout) -> Self {
+        let ChainLayout { segments, imus } = chain;
+        let shown_angles = (0..segments.len()).filter(|at| segments[*at].hinge.is_some()).collect();
+        let segments = segments.into_iter().zip(imus).enumerate().map(|(at, (segment, imu))| {
+            let (parent, joint) =
+                segment.hinge.map_or((None, String::new()), |(parent, joint)| (Some(parent), joint));
+            let angles = if parent.is_some() { at..at + 1 } else { 0..0 };
+            SegmentLayout {
+                name: segment.name.into(),
+                joint: joint.into(),
+                parent,
+                angles,
+                sensor: Some(imu),
+            }
+        });
+        Self { segments: segments.collect(), shown_angles, has_places: false }
+    }
+
+    /// Names of the segments whose places are known.
+    pub fn places(&self) -> impl Iterator<Item = &str> + Clone {
+        self.segments.iter().filter(|_| self.has_places).map(|segment| &*segment.name)
+    }
+
+    /// Joint and angle of one of the angles: `elbow_r` and `flexion`.
+    pub fn angle(&self, index: usize) -> (&str, &'static str) {
+        let above = self.segments.iter().find(|segment| segment.angles.contains(&index));
+        above.map_or(("", ""), |segment| (&segment.joint, segment.angle(index)))
     }
 
     /// Columns of the angles for exercises: `elbow_r_flexion_deg` and so on, as `posed body solve` writes them.
     pub fn columns(&self) -> impl Iterator<Item = String> {
-        self.shown_angles.iter().map(|angle| format!("{}_deg", ANGLE_NAMES[*angle]))
+        self.shown_angles.iter().map(|index| {
+            let (joint, angle) = self.angle(*index);
+            format!("{joint}_{angle}_deg")
+        })
+    }
+}
+
+impl SegmentLayout {
+    /// What one of the joint's angles is called; a hinge of a chain has its flexion alone.
+    pub fn angle(&self, index: usize) -> &'static str {
+        let human = Segment::named(&self.name).is_some_and(|segment| of_joint(segment) == self.angles);
+        if human { joint_and_angle(ANGLE_NAMES[index]).1 } else { "flexion" }
+    }
+}
+
+/// A custom skeleton of hinges with an IMU on each segment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ChainLayout {
+    /// The segments, parents first.
+    pub segments: Vec<ChainSegment>,
+    /// The IMU on each.
+    pub imus: Vec<SensorIndex>,
+}
+
+impl ChainLayout {
+    /// `None` where a stage has no such chain: a joint that is no hinge, a segment without an IMU, or more segments than a body has.
+    pub fn of(stage: &Stage) -> Option<Self> {
+        let body = stage.body.as_ref().filter(|body| body.skeleton == stage::Skeleton::Custom)?;
+        if body.segments.is_empty() || body.segments.len() > SEGMENTS {
+            return None;
+        }
+        let mut segments: Vec<ChainSegment> = Vec::new();
+        let mut imus = Vec::new();
+        for segment in &body.segments {
+            let hinge = match (&segment.parent, &segment.joint) {
+                (Some(parent), Some(joint)) if segment.kind == Some(stage::JointKind::Hinge) => {
+                    Some((segments.iter().position(|known| known.name == *parent)?, joint.clone()))
+                }
+                (None, _) => None,
+                _ => return None,
+            };
+            let sits = |sensor: &stage::Sensor| {
+                let inertial =
+                    stage.devices.iter().any(|d| d.name == sensor.device && d.driver.is_inertial());
+                inertial && sensor.segment.as_ref().unwrap_or(&sensor.name) == &segment.name
+            };
+            imus.push(stage.sensors.iter().position(sits)? as SensorIndex);
+            segments.push(ChainSegment { name: segment.name.clone(), hinge });
+        }
+        Some(Self { segments, imus })
     }
 }
 

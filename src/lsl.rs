@@ -5,7 +5,6 @@
 
 use posed_drivers::Timestamp;
 
-use crate::fusion::body::ANGLE_NAMES;
 use crate::layout::BodyLayout;
 use crate::output::{Body, Estimate};
 use crate::protocol::{Names, Stamp};
@@ -83,11 +82,12 @@ impl Streams {
         let poses: Vec<_> = names.sensors().flat_map(|(name, _)| pose(name)).collect();
         let poses_at = (!poses.is_empty()).then(|| add("poses", "MoCap", poses));
         let angles = names.body().map_or_else(Vec::new, |layout: &BodyLayout| layout.shown_angles.clone());
-        let channels = angles.iter().map(|angle| Channel {
-            label: ANGLE_NAMES[*angle].to_owned(),
-            kind: "JointAngle",
-            unit: "degrees",
-        });
+        let label = |index: &usize| {
+            let (joint, angle) = names.body().map_or(("", ""), |layout| layout.angle(*index));
+            format!("{joint}_{angle}")
+        };
+        let channels =
+            angles.iter().map(|angle| Channel { label: label(angle), kind: "JointAngle", unit: "degrees" });
         let angles_at = (!angles.is_empty()).then(|| add("joint angles", "MoCap", channels.collect()));
         let events_at = add("events", "Markers", Vec::new());
         Self { list, sensors: names.sensor_count(), angles, poses_at, angles_at, events_at }
@@ -181,7 +181,14 @@ mod tests {
         let mut angles_rad = [None; ANGLES];
         angles_rad[streams.angles[1]] = Some(std::f64::consts::PI);
         let (heading, placed) = (Heading::Field, Placed::Trackers);
-        let body = Body { t_valid: Timestamp::ZERO, heading, placed, segments: Vec::new(), angles_rad };
+        let body = Body {
+            t_valid: Timestamp::ZERO,
+            heading,
+            placed,
+            segments: Vec::new(),
+            angles_rad,
+            spread: Default::default(),
+        };
         let Some(Sample { stream: 1, data: Data::Numbers(degrees), .. }) = streams.body(&body) else {
             panic!()
         };

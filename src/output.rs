@@ -221,11 +221,19 @@ pub struct Inertial {
     pub linear_acceleration_m_s2: Option<[f64; 3]>,
     /// Magnetic field, about 1 at the place of calibration.
     pub magnetic_field: Option<[f64; 3]>,
+    /// The same by the unit's intrinsics, where they are known.
+    pub corrected: Option<ImuSample>,
 }
 
 impl Inertial {
-    /// What orientation filters take; `None` of a unit that tells its orientation only.
+    /// What orientation filters take: corrected, where the unit's intrinsics are known; `None` of a unit that tells its
+    /// orientation only.
     pub fn sample(&self) -> Option<ImuSample> {
+        self.corrected.or_else(|| self.told())
+    }
+
+    /// The same as the unit told it.
+    pub fn told(&self) -> Option<ImuSample> {
         Some(ImuSample {
             gyro_rad_s: self.angular_rate_rad_s?.into(),
             accel_m_s2: self.specific_force_m_s2?.into(),

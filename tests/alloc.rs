@@ -16,7 +16,9 @@ use posed::faults::som::frames::Frames;
 use posed::faults::som::map::Training;
 use posed::faults::som::{Network, Size};
 use posed::field::Prepared;
+use posed::fusion::chain::calibrate::calibrate;
 use posed::input::{Entry, Input, Model};
+use posed::layout::ChainLayout;
 use posed::motion::exercise::{Exercise, Options, Stream, teach};
 use posed::output::{Outcome, OutcomeKind, Output};
 use posed::pipeline::{Pipeline, raw_positions};
@@ -25,7 +27,7 @@ use posed::stage::{FieldWatch, Keyframes, Stage};
 use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
-use rig::{Rig, field_map, stage};
+use rig::{Rig, field_map, leg, stage};
 
 struct Counting;
 
@@ -186,6 +188,34 @@ fn a_warm_body_does_not_allocate() {
         assert!(bodies > 150, "{bodies}");
         assert_eq!(allocations, 0, "in {bodies} bodies");
     }
+}
+
+/// A chain of hinges, once its axes are known.
+#[test]
+fn a_warm_chain_does_not_allocate() {
+    let mut rig = leg::leg(1);
+    rig.run_until(33.0);
+    let stage_file = Stage::parse(leg::STAGE).unwrap();
+    let layout = ChainLayout::of(&stage_file).unwrap();
+    let calibration = Box::new(calibrate(&layout.segments, &leg::epochs(&rig)).unwrap());
+    let mut pipeline = Pipeline::new(&stage_file).unwrap();
+    let [swapped, warm] = [20.0, 26.0].map(|s| rig.log.partition_point(|entry| entry.t.as_secs_f64() < s));
+    let mut bodies = 0;
+    let mut feed = |pipeline: &mut Pipeline, log: &[Entry]| {
+        for entry in log {
+            pipeline.push(entry, &mut |output| bodies += u64::from(matches!(output, Output::Body(_))));
+        }
+        bodies
+    };
+    feed(&mut pipeline, &rig.log[..swapped]);
+    let model = Input::Model(Model::Chain { calibration });
+    feed(&mut pipeline, &[Entry { t: rig.log[swapped].t, input: model }]);
+    let before_warm = feed(&mut pipeline, &rig.log[swapped..warm]);
+    let before = ALLOCATIONS.with(Cell::get);
+    let bodies = feed(&mut pipeline, &rig.log[warm..]) - before_warm;
+    let allocations = ALLOCATIONS.with(Cell::get) - before;
+    assert!(bodies > 500, "{bodies}");
+    assert_eq!(allocations, 0, "in {bodies} bodies");
 }
 
 /// Timers apart: the server of the SlimeVR trackers speaks to each of them twice a second.

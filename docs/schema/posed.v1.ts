@@ -26,6 +26,28 @@ export type Begun = {
   t_start_s: number;
 };
 
+/** A hinge between two sensors. */
+export type CalibratedHinge = {
+  /** The same axis in the segment's own sensor. */
+  axis: [number, number, number];
+  /** Unit axis in the parent's sensor. */
+  parent_axis: [number, number, number];
+  /** How far two halves of the movement disagree about the axis, degrees. */
+  quality_deg: number;
+  /** Angle that counts as zero, rad, beside that of the segments' frames. */
+  zero_rad: number;
+};
+
+/** How one sensor of a chain sits. */
+export type CalibratedSegment = {
+  /** The hinge to its parent; absent for the root. */
+  hinge?: CalibratedHinge | null;
+  /** The segment. */
+  name: string;
+  /** Turns segment coordinates into the sensor's. */
+  quat_wxyz: [number, number, number, number];
+};
+
 /** Requests for the daemon. All but `replay.list` and `exercise.list` need the role `operate`. */
 export type Call = {
   /** The reply carries it. */
@@ -174,6 +196,12 @@ export type Call = {
 } | {
   /** The reply carries it. */
   id: RequestId;
+  /** The sensor, by name; absent: the only IMU of the stage. */
+  sensor?: string | null;
+  type: "imu.calibrate";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
   /** Its number. */
   job: number;
   type: "job.cancel";
@@ -187,6 +215,12 @@ export type Call = {
 
 /** What tells of a disturbance. */
 export type Cause = "witness" | "rigid_pair" | "hum";
+
+/** What a calibration found of a chain. */
+export type ChainCalibration = {
+  /** One per segment, in the order of the stage file. */
+  segments: CalibratedSegment[];
+};
 
 /** The statistic of key poses: it speaks of an earlier frame, since it needs the frames around it. */
 export type Change = {
@@ -597,6 +631,28 @@ export type HelloSensor = {
   name: string;
 };
 
+/** What was found for one unit. */
+export type Intrinsics = {
+  /** Subtract from the accelerometer, m/s²; then multiply by scale and cross-axis terms. */
+  accel_bias_m_s2: [number, number, number];
+  /** What each axis feels of another, beside the scale: yz, xz, xy of a symmetric matrix; zero from fewer than 12 directions. */
+  accel_cross?: [number, number, number];
+  /** Root mean square of the length's error over the rests, m/s². */
+  accel_residual_m_s2: number;
+  /** Multiply the accelerometer, after subtracting the bias. */
+  accel_scale: [number, number, number];
+  /** Directions that were held. */
+  directions: number;
+  /** Subtract from the gyro, rad/s. */
+  gyro_bias_rad_s: [number, number, number];
+  /** Standard deviation of that bias between the rests, rad/s. */
+  gyro_bias_sigma_rad_s: number;
+  /** The magnetometer's, where there is one. */
+  mag?: MagIntrinsics | null;
+  /** The unit: its serial number, or the sensor's name where the device tells none; absent: the file's name says it. */
+  unit?: string | null;
+};
+
 /** A long job. */
 export type Job = {
   /** Its number, for `job.cancel`. */
@@ -632,10 +688,16 @@ export type JobsMessage = {
 
 /** A joint. */
 export type JointEntry = {
+  /** Standard deviation of each angle, degrees, by the same names; null where the angle is. */
+  angle_sigmas_deg: Record<string, number | null>;
   /** Its angles by name, degrees; null where a segment beside it is not known. */
   angles_deg: Record<string, number | null>;
   /** The segment whose sensor is ill or missing, if any: why the joint is not `ok`. */
   because: string | null;
+  /** The independent angles, in the order of the covariance's rows: a shoulder's flexion and abduction follow from the others. */
+  covariance_of: string[];
+  /** Covariance of the angles in `covariance_of`, rad²: the upper triangle row by row; null where they are. */
+  covariance_rad2: number[] | null;
   /** Its name. */
   name: string;
   /** Root mean square of the expected error of one angle, degrees. */
@@ -690,6 +752,18 @@ export type LabelCause = "none" | "flip" | "frozen" | "jump" | "bone" | "map" | 
 /** What a device's link does. */
 export type LinkState = "streaming" | "connecting" | "silent" | "failed";
 
+/** Hard and soft iron: `m = matrix (raw - offset)` has the length `norm` in every direction. */
+export type MagIntrinsics = {
+  /** Soft iron, row by row; symmetric, determinant 1. */
+  matrix: [[number, number, number], [number, number, number], [number, number, number]];
+  /** Length of the corrected field, in the unit of the samples. */
+  norm: number;
+  /** Hard iron, in the unit of the samples. */
+  offset: [number, number, number];
+  /** Root mean square of the length's error, as a part of the length. */
+  residual: number;
+};
+
 /** A raw record in device axes. */
 export type Measured = {
   /** Angular rate of a body-worn sensor in its own axes, rad/s; this and the following only where the record holds them. */
@@ -738,6 +812,10 @@ export type Model = {
   /** One per sensor on the body. */
   sensors: MountedSensor[];
 } | {
+  /** One entry per segment of the stage file. */
+  calibration: ChainCalibration;
+  kind: "chain";
+} | {
   /** Capture time of a magnetic record on the IMU's clock minus the one it is given, s. */
   clock_offset_s: number;
   kind: "fastened_imu";
@@ -747,6 +825,12 @@ export type Model = {
   quat_wxyz: [number, number, number, number];
   /** The magnetic sensor, by name. */
   sensor: string;
+} | {
+  /** As in its file; the field in the unit that the device itself measures in, about 1. */
+  intrinsics: Intrinsics;
+  kind: "imu";
+  /** The unit: its serial number, or the name of its sensor where neither device nor stage file tell one. */
+  unit: string;
 } | {
   /** The exercise, as in its file. */
   exercise: Exercise;

@@ -29,7 +29,8 @@ enum Action {
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  posed imu calibrate rests.csv -o imu-0123.json\n\n\
     Lay the unit on each of its six sides and on at least three edges, two seconds each, and turn it slowly \
-    through all directions in between. One file per unit: name it after its serial number.")]
+    through all directions in between. One file per unit: name it after its serial number, or give that as --serial, \
+    and put it into the folder `imus` beside a stage file: the stage then corrects the unit by it.")]
 struct Calibrate {
     /// Samples of one unit, `.csv` or `.csv.gz`.
     recording: PathBuf,
@@ -39,6 +40,9 @@ struct Calibrate {
     /// The sensor of the file, where there are several.
     #[arg(long)]
     sensor: Option<String>,
+    /// Serial number of the unit, where the file's name is not that.
+    #[arg(long)]
+    serial: Option<String>,
     /// Samples per second, for a file without a column `t`.
     #[arg(long, value_name = "HZ")]
     rate_hz: Option<f64>,
@@ -79,7 +83,8 @@ fn run_calibrate(args: &Calibrate) -> Result<(), Error> {
             })
         })
         .collect();
-    let found = calibrate(&samples, dt_s).map_err(Error::failed)?;
+    let mut found = calibrate(&samples, dt_s).map_err(Error::failed)?;
+    found.unit.clone_from(&args.serial);
     write(args, &found)?;
     if args.json {
         return print_json(&found);

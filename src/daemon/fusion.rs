@@ -12,10 +12,12 @@ use serde_json::{Value, json};
 use tokio::sync::{mpsc, watch};
 
 use super::calibration::Calibration;
+use super::chained::Chained;
 use super::clock::StageClock;
 use super::health::Health;
 use super::inbox::{Event, Inbox};
 use super::jobs::{Job, Jobs};
+use super::laid::{Laid, Told};
 use super::mesh::{Begin, Log};
 use super::ports::PortCommand;
 use super::positions::RecentPositions;
@@ -28,6 +30,7 @@ use crate::faults::som::Network;
 use crate::faults::som::frames::Frames;
 use crate::foxglove::Views;
 use crate::fusion::body::calibrate::Recorded;
+use crate::fusion::chain::Epoch;
 use crate::input::{Entry, Input, Model, Request, SensorIndex};
 use crate::output::{OutcomeKind, Output};
 use crate::pipeline::Pipeline;
@@ -126,6 +129,22 @@ pub enum Command {
         /// Where it goes.
         to: std_mpsc::Sender<Result<Begin, String>>,
     },
+    /// Sends the samples of the chain's IMUs, until nobody takes them any more.
+    WatchChain(std_mpsc::SyncSender<Epoch>),
+    /// Sends what an IMU tells, uncorrected, until nobody takes it any more.
+    WatchImu {
+        /// The sensor.
+        sensor: SensorIndex,
+        /// Where it goes.
+        to: std_mpsc::SyncSender<Told>,
+    },
+    /// Says which unit a sensor is now.
+    Unit {
+        /// The sensor.
+        sensor: SensorIndex,
+        /// Where its serial number or name goes.
+        to: std_mpsc::Sender<Option<String>>,
+    },
     /// A job was cancelled; it may be one of this thread.
     LookAtJobs,
     /// Ends the thread.
@@ -171,6 +190,10 @@ pub(super) struct Fusion {
     pub(super) worn: Worn,
     /// Who aligns the stage, if anybody.
     pub(super) waved: Waved,
+    /// Who calibrates the chain, if anybody.
+    pub(super) chained: Chained,
+    /// Who calibrates an IMU, if anybody.
+    pub(super) laid: Laid,
     /// What every recording of this run begins with.
     pub(super) recording_header: Header,
 }
@@ -238,6 +261,8 @@ impl Fusion {
             positions,
             worn,
             waved,
+            laid,
+            chained,
             calibration,
             log,
             ..
@@ -266,6 +291,8 @@ impl Fusion {
                     recent.push(estimate);
                     worn.frame(estimate);
                     waved.frame(estimate);
+                    laid.frame(estimate);
+                    chained.frame(estimate);
                     positions.push(estimate);
                 }
                 Output::Outcome(outcome) => {
@@ -343,6 +370,11 @@ impl Fusion {
             Command::Begin { to } => _ = to.send(self.begin()),
             Command::WatchBody(to) => self.worn.watch(to),
             Command::WatchWaved { sensor, imu, to } => self.waved.watch(sensor, imu, to),
+            Command::WatchChain(to) => self.chained.watch(to),
+            Command::WatchImu { sensor, to } => self.laid.watch(sensor, to),
+            Command::Unit { sensor, to } => {
+                let _ = to.send(self.pipeline.unit(sensor).map(str::to_owned));
+            }
             Command::LookAtJobs => {
                 if let Some(recording) = self.recording.take_if(|recording| recording.job.is_cancelled()) {
                     self.stop_recording(recording, None);

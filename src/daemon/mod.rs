@@ -10,6 +10,7 @@
 
 mod calibration;
 pub mod calls;
+mod chained;
 pub mod clock;
 #[cfg(feature = "zenoh")]
 pub mod collector;
@@ -18,6 +19,7 @@ pub mod fusion;
 mod health;
 pub mod inbox;
 mod jobs;
+mod laid;
 mod limits;
 mod lsl;
 mod mesh;
@@ -45,11 +47,13 @@ pub use self::playback::{Playback, PlaybackError};
 
 use self::calibration::Calibration;
 use self::calls::Calls;
+use self::chained::Chained;
 use self::clock::StageClock;
 use self::fusion::{Command, Fusion, FusionInbox, INBOX_CAPACITY};
 use self::health::Health;
 use self::inbox::{Event, Inbox};
 use self::jobs::Jobs;
+use self::laid::Laid;
 use self::mesh::Mesh;
 use self::ports::{Place, PortTask};
 use self::positions::RecentPositions;
@@ -163,7 +167,7 @@ impl Daemon {
     pub fn start_without_ports(options: Options) -> Result<Self, StartError> {
         let Options { stage, stage_toml, folder, data, listen, record, truth, clock } = options;
         limits::raise();
-        let models = models::load(&stage).map_err(StartError::Model)?;
+        let models = models::load(&stage, &data).map_err(StartError::Model)?;
         let mut config = server::Config::new(&folder, clock.epoch_utc_ns());
         config.listen = listen;
         config.clock = Some(clock);
@@ -222,6 +226,8 @@ impl Daemon {
             recent: Recent::new(&stage),
             worn: Worn::new(&stage),
             waved: Waved::default(),
+            laid: Laid::default(),
+            chained: Chained::new(&stage),
             positions: RecentPositions::new(&stage),
             recording_header: crate::recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
         };
@@ -298,9 +304,9 @@ impl Daemon {
 fn network(stage: &Stage, path: &Path) -> Result<Vec<u8>, String> {
     let bytes = std::fs::read(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
     let model = Model::from_bytes(&bytes).map_err(|error| error.to_string());
-    let segments = BodyLayout::of(stage).map_or_else(Vec::new, |layout| layout.segments);
+    let layout = BodyLayout::of(stage);
     let names = stage.sensors.iter().map(|sensor| sensor.name.as_str());
-    let names = names.chain(segments.iter().map(|segment| segment.name));
+    let names = names.chain(layout.iter().flat_map(BodyLayout::places));
     let fits = model.and_then(|model| model.columns(names));
     fits.map_err(|what| format!("{}: {what}", path.display())).map(|_| bytes)
 }

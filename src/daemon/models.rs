@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::atomic_file::AtomicFile;
+use crate::fusion::intrinsics::Intrinsics;
 use crate::input::Model;
 use crate::motion::exercise::{Exercise, columns_of};
 use crate::signals;
@@ -16,11 +17,51 @@ use crate::stage::Stage;
 /// Longest name of an exercise, bytes.
 const NAME_BYTES: usize = 64;
 
-/// The models that a stage file names.
+/// Where a stage keeps the intrinsics of its IMUs; `data` is where daemons keep what they learn.
+pub(super) fn imu_folder(stage: &Stage, data: &Path) -> PathBuf {
+    stage.models.imu_folder.clone().unwrap_or_else(|| data.join("imus"))
+}
+
+/// The file of a unit: its serial number may be an address with colons.
+pub(super) fn imu_file(unit: &str) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() || matches!(c, '-' | '_') { c } else { '-' };
+    unit.chars().map(plain).chain(".json".chars()).collect()
+}
+
+/// The models that a stage file names, and the intrinsics of all units that were ever calibrated.
 ///
 /// # Errors
 /// A file cannot be read, is none, or does not fit the stage.
-pub fn load(stage: &Stage) -> Result<Vec<Model>, String> {
+pub fn load(stage: &Stage, data: &Path) -> Result<Vec<Model>, String> {
+    let mut models = imus(stage, &imu_folder(stage, data))?;
+    models.append(&mut named(stage)?);
+    Ok(models)
+}
+
+/// The intrinsics in a folder, in the order of their files; none where there is no folder, or no IMU.
+fn imus(stage: &Stage, folder: &Path) -> Result<Vec<Model>, String> {
+    if !stage.devices.iter().any(|device| device.driver.is_inertial()) {
+        return Ok(Vec::new());
+    }
+    let entries = match std::fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(format!("cannot read the folder {}: {error}", folder.display())),
+    };
+    let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    paths.retain(|path| path.extension().is_some_and(|extension| extension == "json"));
+    paths.sort();
+    let model = |path: &PathBuf| {
+        let intrinsics = Intrinsics::read(path)?;
+        let unit = intrinsics.unit.clone().unwrap_or_default();
+        let model = Model::Imu { unit, intrinsics: Box::new(intrinsics) };
+        model.check().map_err(|reason| format!("{}: {reason}", path.display()))?;
+        Ok(model)
+    };
+    paths.iter().map(model).collect()
+}
+
+fn named(stage: &Stage) -> Result<Vec<Model>, String> {
     let faults = stage.models.faults.iter().map(|path| {
         let network = stage.read_faults(path)?;
         Ok(Model::Faults { network: Box::new(network) })
@@ -144,5 +185,46 @@ impl Library {
 
     fn path(&self, kept: &Kept) -> PathBuf {
         self.folder.join(kept.file())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const IMU: &str = r#"{"gyro_bias_rad_s": [0.01, 0, 0], "gyro_bias_sigma_rad_s": 0.001, "accel_bias_m_s2": [0, 0.1, 0],
+        "accel_scale": [1, 1, 1.01], "accel_residual_m_s2": 0.01, "directions": 9, "mag": null"#;
+
+    #[test]
+    fn every_unit_that_was_calibrated_is_loaded_and_a_bad_file_is_named() {
+        let data = tempfile::tempdir().unwrap();
+        let stage = |driver: &str| {
+            let device = format!(
+                "name = \"x\"\n[[device]]\nname = \"d\"\nport = \"auto\"\ndriver = \"{driver}\"\n[[sensor]]\nname = \"s\"\ndevice = \"d\"\naddress = 1\n"
+            );
+            Stage::parse(&device).unwrap()
+        };
+        let units = |driver: &str| -> Result<Vec<String>, String> {
+            let unit = |model| match model {
+                Model::Imu { unit, .. } => unit,
+                other => panic!("{other:?}"),
+            };
+            Ok(load(&stage(driver), data.path())?.into_iter().map(unit).collect())
+        };
+        assert_eq!(units("xbus"), Ok(Vec::new()), "no folder yet");
+        let folder = data.path().join("imus");
+        std::fs::create_dir(&folder).unwrap();
+        let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).unwrap();
+        write("0BB.json", &format!("{IMU}}}"));
+        write(&imu_file("aa:11"), &format!("{IMU}, \"unit\": \"aa:11\"}}"));
+        write("notes.txt", "not one of them");
+        assert_eq!(units("xbus"), Ok(vec!["0BB".into(), "aa:11".into()]));
+        assert_eq!(units("fastrak"), Ok(Vec::new()), "no IMU on this stage");
+        let microtesla = "\"mag\": {\"offset\": [1, 2, 3], \"matrix\": [[1,0,0],[0,1,0],[0,0,1]], \"norm\": 49, \"residual\": 0.01}";
+        write("0CC.json", &format!("{}}}", IMU.replace("\"mag\": null", microtesla)));
+        let refused = units("x-imu3").unwrap_err();
+        assert!(refused.contains("0CC.json: ") && refused.contains("about 1, not 49"), "{refused}");
+        write("0CC.json", "[]");
+        assert!(units("x-imu3").unwrap_err().contains("0CC.json: "));
     }
 }

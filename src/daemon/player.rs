@@ -205,7 +205,8 @@ impl Player {
             | Call::FaultsNameCell { .. }
             | Call::SegmentsTrain { .. }
             | Call::BodyCalibrate { .. }
-            | Call::StageAlign { .. } => Err((
+            | Call::StageAlign { .. }
+            | Call::ImuCalibrate { .. } => Err((
                 "replay",
                 "this daemon replays a recording; recording, models, exercises and calibrations belong to a live stage"
                     .into(),

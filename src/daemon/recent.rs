@@ -57,8 +57,8 @@ impl Recent {
 
     /// The body, which comes before the estimate of its frame.
     pub(super) fn body(&mut self, body: &Body) {
-        let Body { t_valid, heading, placed, angles_rad, .. } = *body;
-        self.body = Some(Body { t_valid, heading, placed, segments: Vec::new(), angles_rad });
+        let Body { t_valid, heading, placed, angles_rad, spread, .. } = *body;
+        self.body = Some(Body { t_valid, heading, placed, segments: Vec::new(), angles_rad, spread });
     }
 
     pub(super) fn push(&mut self, estimate: &Estimate) {

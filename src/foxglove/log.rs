@@ -110,6 +110,8 @@ fn swapped(model: &Model) -> String {
         Model::Field { map: None, .. } => "no map of the field is in use".to_owned(),
         Model::Mounting { .. } => "the body's sensors are calibrated".to_owned(),
         Model::FastenedImu { sensor, .. } => format!("how the IMU sits on {sensor} is set"),
+        Model::Chain { .. } => "the chain is calibrated".to_owned(),
+        Model::Imu { unit, .. } => format!("the IMU {unit} is calibrated"),
         Model::Exercise { exercise } => format!("the exercise {} is loaded", exercise.name),
         Model::Faults { network } => format!("the map of faults {} is in use", network.revision),
     }

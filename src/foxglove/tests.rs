@@ -78,6 +78,7 @@ fn figure() -> Body {
         placed: Placed::Trackers,
         segments: Segment::ALL.map(segment).into(),
         angles_rad: [Some(0.5); ANGLES],
+        spread: Default::default(),
     }
 }
 

@@ -3,7 +3,7 @@
 use posed_drivers::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use crate::fusion::body::{ANGLES, Heading, SensorFault};
+use crate::fusion::body::{ANGLES, AngleSpread, Heading, SensorFault};
 
 /// Segments and joint angles at one time; the order of both is that of [`crate::layout::BodyLayout`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -18,6 +18,8 @@ pub struct Body {
     pub segments: Vec<BodySegment>,
     /// Joint angles, rad; `None` where a segment beside the joint is not known.
     pub angles_rad: [Option<f64>; ANGLES],
+    /// How uncertain they are.
+    pub spread: AngleSpread,
 }
 
 /// One segment.

@@ -132,6 +132,12 @@ impl Device {
         same.copied().or_else(|| at_address().filter(|placed| wanted(placed).is_none()))
     }
 
+    /// Who answers at an address: the serial number that the device tells, else that of the stage file, else the sensor's name.
+    pub(super) fn unit<'a>(&'a self, address: u16, sensor: &'a Sensor) -> &'a str {
+        let info = self.session.get().sensors().iter().find(|info| info.address == address);
+        info.and_then(|info| info.serial.as_deref()).or(sensor.serial()).unwrap_or(sensor.name())
+    }
+
     /// What the device itself knows to be lost of a sensor; `None` where only frames can tell.
     pub(super) fn counted(&self, sensor: SensorIndex, all: &[Sensor]) -> Option<Loss> {
         if !self.session.counts_losses() {

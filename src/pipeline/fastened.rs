@@ -71,6 +71,14 @@ impl Fastened {
         pair.map(|pair| pair.fasten(sits, clock_offset_s)).is_some()
     }
 
+    /// An IMU's samples are corrected otherwise from now on.
+    pub(super) fn restart(&mut self, imu: SensorIndex) {
+        for pair in self.pairs.iter_mut().filter(|pair| pair.imu == imu) {
+            pair.waiting = None;
+            pair.filter.iter_mut().for_each(Aided::restart);
+        }
+    }
+
     /// The transmitter stands elsewhere.
     pub(super) fn moved(&mut self) {
         for pair in &mut self.pairs {

@@ -74,6 +74,12 @@ impl Inertial {
         }
     }
 
+    /// Forgets what was learnt of the unit: its samples are corrected otherwise from now on.
+    pub(super) fn restart(&mut self) {
+        self.filter.forget();
+        (self.began, self.last, self.field_at) = (None, None, None);
+    }
+
     /// Whether a measurement is one of the cycle that times the device, rather than one beside it.
     pub(super) fn times(&self, measurement: &Measurement) -> bool {
         match measurement {
@@ -116,11 +122,9 @@ impl Inertial {
     pub(super) fn measure(&mut self, measured: &Measured) -> (SensorState, Option<FaultCause>) {
         const SUSPECT: (SensorState, Option<FaultCause>) = (SensorState::Suspect, Some(FaultCause::Gate));
         let Some(inertial) = measured.inertial else { return SUSPECT };
-        let oriented = match (inertial.angular_rate_rad_s, inertial.specific_force_m_s2) {
-            (Some(rate), Some(force)) => {
-                self.filtered(measured.t_valid, rate, force, inertial.magnetic_field)
-            }
-            _ => self.told(measured),
+        let oriented = match inertial.sample() {
+            Some(sample) => self.filtered(measured.t_valid, sample),
+            None => self.told(measured),
         };
         let Some(oriented) = oriented else { return SUSPECT };
         self.last = Some(oriented);
@@ -135,13 +139,7 @@ impl Inertial {
     }
 
     /// The filter's orientation after a sample; `None` where the numbers make no sense.
-    fn filtered(
-        &mut self,
-        t: Timestamp,
-        rate_rad_s: [f64; 3],
-        force_m_s2: [f64; 3],
-        field: Option<[f64; 3]>,
-    ) -> Option<Oriented> {
+    fn filtered(&mut self, t: Timestamp, sample: ImuSample) -> Option<Oriented> {
         let since_s = self.last.map(|last| t.seconds_since(last.t));
         let dt_s = match since_s {
             Some(dt_s) if dt_s <= 0.0 => return None,
@@ -154,12 +152,10 @@ impl Inertial {
             None => LEAST_INTERVAL_S,
         };
         let rejected = self.filter.rejected();
-        let mag = field.filter(|_| self.magnetometer).map(Vector3::from);
-        if mag.is_some() {
+        let sample = ImuSample { mag: sample.mag.filter(|_| self.magnetometer), ..sample };
+        if sample.mag.is_some() {
             self.field_at = Some(t);
         }
-        let sample =
-            ImuSample { gyro_rad_s: Vector3::from(rate_rad_s), accel_m_s2: Vector3::from(force_m_s2), mag };
         let orientation = self.filter.push(&sample, dt_s);
         let rate_rad_s = self.filter.rate_rad_s();
         (self.filter.rejected() == rejected).then_some(Oriented { t, orientation, rate_rad_s })

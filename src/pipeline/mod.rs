@@ -6,6 +6,7 @@
 //! a snapshot goes on as if nothing had happened.
 
 mod body;
+mod chain;
 mod device;
 mod exercise;
 mod fastened;
@@ -19,6 +20,7 @@ mod sensor;
 mod session;
 mod source;
 mod status;
+mod units;
 
 use nalgebra::Isometry3;
 use posed_drivers::{LineEvent, Sample, Timestamp, session::Output as SessionOutput};
@@ -34,6 +36,7 @@ use crate::output::{Estimate, Outcome, OutcomeKind, Output, SensorEstimate};
 use crate::stage::Stage;
 use body::BodyStage;
 pub use body::{ImuRecords, all_have_field, worn};
+use chain::ChainStage;
 use device::{Device, owner};
 pub use exercise::DEFAULT_SUBJECT;
 use exercise::ExerciseStage;
@@ -46,6 +49,7 @@ use naming::Naming;
 use sensor::Sensor;
 use source::Source;
 pub use status::{BodyStatus, ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
+use units::Units;
 
 /// A stage file that no pipeline can be made of, or a snapshot that does not fit it.
 #[derive(Debug, Error)]
@@ -101,9 +105,13 @@ pub struct Pipeline {
     field: Field,
     estimate: Estimate,
     fastened: Fastened,
+    /// Boxed: few stages have any.
+    units: Box<Units>,
     exercise: ExerciseStage,
     /// Absent where nobody wears the sensors. Boxed: most stages have none.
     body: Option<Box<BodyStage>>,
+    /// Absent where the stage has no chain of hinges.
+    chain: Option<Box<ChainStage>>,
     /// Absent where the stage does not ask for them.
     keyframes: Option<Keyframes>,
     models_refused: u64,
@@ -166,8 +174,10 @@ impl Pipeline {
                 ..Estimate::default()
             },
             fastened: Fastened::new(stage)?,
+            units: Box::new(Units::new(stage.sensors.len())),
             exercise: ExerciseStage::new(stage),
             body: BodyStage::new(stage)?.map(Box::new),
+            chain: ChainStage::new(stage).map(Box::new),
             keyframes: Keyframes::new(stage)?,
             models_refused: 0,
             requests_refused: 0,
@@ -248,7 +258,11 @@ impl Pipeline {
             body: self
                 .body
                 .as_ref()
-                .map(|body| BodyStatus { mounted: body.is_mounted(), faults: body.faults().collect() }),
+                .map(|body| BodyStatus { mounted: body.is_mounted(), faults: body.faults().collect() })
+                .or_else(|| {
+                    let mounted = self.chain.as_ref()?.is_mounted();
+                    Some(BodyStatus { mounted, faults: Vec::new() })
+                }),
             models_refused: self.models_refused,
             requests_refused: self.requests_refused,
         }
@@ -309,8 +323,16 @@ impl Pipeline {
         let period_s = source.period_or_nominal_s();
         self.frames.stamp(route.source, &stamp, period_s, self.now);
         if let (Some(index), Some(sensor)) = (route.sensor, sensor)
-            && let Some(measured) = sensor.record(stamp.t_valid, &sample.measurement)
+            && let Some(mut measured) = sensor.record(stamp.t_valid, &sample.measurement)
         {
+            if !self.units.is_empty()
+                && self.units.correct(index, owner.unit(sample.address, sensor), &mut measured)
+            {
+                sensor.restart();
+                self.fastened.restart(index);
+                self.body.iter_mut().for_each(|body| body.restart(index));
+                self.chain.iter_mut().for_each(|chain| chain.restart(index));
+            }
             self.frames.sample(index, measured);
         }
         if stamp.begins_cycle
@@ -335,6 +357,7 @@ impl Pipeline {
             exercise,
             naming,
             body,
+            chain,
             faults,
             fastened,
             ..
@@ -348,13 +371,20 @@ impl Pipeline {
             {
                 say(Output::Body(body));
             }
-            let body = body.as_ref().and_then(|body| body.latest());
+            if let Some(chain) = chain
+                && let Some(body) = chain.frame(frame)
+            {
+                say(Output::Body(body));
+            }
+            // Never both: a stage has one skeleton.
+            let segments = body.as_ref().and_then(|body| body.latest());
+            let body = segments.or_else(|| chain.as_ref().and_then(|chain| chain.latest()));
             if let Some(keyframes) = keyframes {
                 keyframes.frame(estimate);
             }
             say(Output::Estimate(estimate));
             if let Some(naming) = naming {
-                naming.push(estimate, body, say);
+                naming.push(estimate, segments, say);
             }
             for (index, sensor) in sensors.iter_mut().enumerate() {
                 sensor.outcomes(index as SensorIndex, frame, say);
@@ -450,11 +480,18 @@ impl Pipeline {
                 };
                 body.as_mut().is_some_and(|body| body.mount(mounted, index))
             }
+            Model::Chain { calibration } => {
+                self.chain.as_mut().is_some_and(|chain| chain.calibrate(calibration))
+            }
             Model::FastenedImu { sensor, quat_wxyz, offset_m, clock_offset_s } => {
                 let sensor = self.sensors.iter().position(|known| known.name() == sensor);
                 let pose = geometry::isometry(*offset_m, *quat_wxyz);
                 let found = sensor.zip(pose).map(|(sensor, pose)| (sensor as SensorIndex, pose));
                 found.is_some_and(|(sensor, pose)| self.fastened.fasten(sensor, &pose, *clock_offset_s))
+            }
+            Model::Imu { unit, intrinsics } => {
+                self.units.load(unit, intrinsics);
+                true
             }
             Model::Exercise { exercise } => self.exercise.load(exercise),
             Model::Faults { network } => self.watch_faults(network),
@@ -477,6 +514,19 @@ impl Pipeline {
     pub fn believed(&self, sensor: SensorIndex) -> Option<(Timestamp, Isometry3<f64>)> {
         let believed = self.sensors.get(usize::from(sensor))?.believed()?;
         Some((believed.t, believed.pose))
+    }
+
+    /// Which unit is the sensor now: the serial number that its device tells, or else the stage file, or else its name.
+    pub fn unit(&self, sensor: SensorIndex) -> Option<&str> {
+        let known = self.sensors.get(usize::from(sensor))?;
+        let owner = &self.devices[usize::from(known.device())];
+        let infos = owner.session.get().sensors().iter();
+        let mut at = infos.map(|info| info.address).filter(|address| {
+            let route = owner.route(*address, &self.sensors);
+            route.sensor == Some(sensor)
+        });
+        let alone = || known.serial().unwrap_or(known.name());
+        Some(at.next().map_or_else(alone, |address| owner.unit(address, known)))
     }
 
     /// Where the transmitter stands in the room.

@@ -113,6 +113,13 @@ impl Sensor {
         }
     }
 
+    /// Its samples are corrected otherwise from now on.
+    pub(super) fn restart(&mut self) {
+        if let Kind::Inertial(inertial) = &mut self.kind {
+            inertial.restart();
+        }
+    }
+
     pub(super) fn set_interval_s(&mut self, interval_s: f64) {
         if let Kind::Magnetic(magnetic) = &mut self.kind {
             magnetic.set_interval_s(interval_s);

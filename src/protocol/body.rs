@@ -4,8 +4,8 @@ use serde::ser::{Serialize, SerializeMap, SerializeSeq, SerializeStruct, Seriali
 
 use super::message::HeadingSource;
 use super::{Names, Stamp, round};
-use crate::fusion::body::{ANGLE_NAMES, Heading};
-use crate::layout::{SegmentLayout, joint_and_angle};
+use crate::fusion::body::Heading;
+use crate::layout::SegmentLayout;
 use crate::output::{Body, BodySegment, SegmentState};
 
 /// Body of `body`.
@@ -62,7 +62,7 @@ impl Serialize for Segment<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let Self { layout, segment, names } = self;
         let mut entry = serializer.serialize_struct("SegmentEntry", 7)?;
-        entry.serialize_field("name", layout.name)?;
+        entry.serialize_field("name", &*layout.name)?;
         entry.serialize_field("state", &segment.state)?;
         entry.serialize_field("position_m", &segment.position_m.map(|p| round::each(round::POSITION, p)))?;
         let orientation = segment.orientation_wxyz.map(|q| round::each(round::QUATERNION, q));
@@ -82,38 +82,71 @@ impl Serialize for Joints<'_> {
         let layout = self.0.layout();
         let joints = layout.iter().filter(|segment| segment.parent.is_some()).count();
         let mut entries = serializer.serialize_seq(Some(joints))?;
-        for (below, segment) in layout.iter().zip(&body.segments) {
+        for (at, (below, segment)) in layout.iter().zip(&body.segments).enumerate() {
             let Some(parent) = below.parent else { continue };
             // The worse of the two; of equals the one below, which moves.
             let (above, over) = (&layout[parent], &body.segments[parent]);
             let (worse, why) = if over.state > segment.state { (over, above) } else { (segment, below) };
-            let because = (worse.state != SegmentState::Ok).then_some(why.name);
-            entries.serialize_element(&Joint { below, body, state: worse.state, because, segment, over })?;
+            let because = (worse.state != SegmentState::Ok).then_some(&*why.name);
+            entries.serialize_element(&Joint {
+                at,
+                below,
+                body,
+                state: worse.state,
+                because,
+                segment,
+                over,
+            })?;
         }
         entries.end()
     }
 }
 
 struct Joint<'a> {
+    /// Index of the segment below.
+    at: usize,
     below: &'a SegmentLayout,
     body: &'a Body,
     state: SegmentState,
-    because: Option<&'static str>,
+    because: Option<&'a str>,
     segment: &'a BodySegment,
     over: &'a BodySegment,
 }
 
 impl Serialize for Joint<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let first = ANGLE_NAMES[self.below.angles.start];
-        let mut entry = serializer.serialize_struct("JointEntry", 5)?;
-        entry.serialize_field("name", joint_and_angle(first).0)?;
+        let mut entry = serializer.serialize_struct("JointEntry", 8)?;
+        entry.serialize_field("name", &*self.below.joint)?;
         entry.serialize_field("state", &self.state)?;
         entry.serialize_field("because", &self.because)?;
         entry.serialize_field("angles_deg", &Angles(self))?;
         let sigma_rad = self.segment.sigma_rad.max(self.over.sigma_rad);
         entry.serialize_field("sigma_deg", &degrees(sigma_rad))?;
+        entry.serialize_field("angle_sigmas_deg", &Sigmas(self))?;
+        let angles = self.below.angles.clone();
+        let count = angles.len().min(3);
+        let known = self.body.angles_rad[angles.start].is_some();
+        let covariance = self.body.spread.covariance_rad2[self.at].map(round::significant);
+        let covariance = &covariance[..count * (count + 1) / 2];
+        entry.serialize_field("covariance_rad2", &known.then_some(covariance))?;
+        let names: [&str; 3] =
+            std::array::from_fn(|k| angles.clone().nth(k).map_or("", |angle| self.below.angle(angle)));
+        entry.serialize_field("covariance_of", &names[..count])?;
         entry.end()
+    }
+}
+
+struct Sigmas<'a>(&'a Joint<'a>);
+
+impl Serialize for Sigmas<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let Joint { body, below, .. } = self.0;
+        let mut map = serializer.serialize_map(Some(below.angles.len()))?;
+        for index in below.angles.clone() {
+            let sigma = body.angles_rad[index].map(|_| degrees(body.spread.sigma_rad[index]));
+            map.serialize_entry(below.angle(index), &sigma)?;
+        }
+        map.end()
     }
 }
 
@@ -125,7 +158,7 @@ impl Serialize for Angles<'_> {
         let mut map = serializer.serialize_map(Some(range.len()))?;
         for index in range {
             let angle = self.0.body.angles_rad[index].map(degrees);
-            map.serialize_entry(joint_and_angle(ANGLE_NAMES[index]).1, &angle)?;
+            map.serialize_entry(self.0.below.angle(index), &angle)?;
         }
         map.end()
     }

@@ -218,6 +218,7 @@ mod tests {
             placed: Placed::Trackers,
             segments: vec![BodySegment::default(); SEGMENTS],
             angles_rad: [None; ANGLES],
+            spread: Default::default(),
         };
         let shown = BodySegment {
             state: SegmentState::Ok,

@@ -235,6 +235,15 @@ pub enum Call {
         #[serde(default)]
         anchors: Vec<RoomPoint>,
     },
+    /// Finds the intrinsics of an IMU that is laid down in one direction after the other and turned between; a job, whose message
+    /// says what to do next and whose result says which directions were held. They are kept as a file of the unit and used from
+    /// then on, if they are good.
+    #[serde(rename = "imu.calibrate")]
+    ImuCalibrate {
+        /// The sensor, by name; absent: the only IMU of the stage.
+        #[serde(default)]
+        sensor: Option<String>,
+    },
     /// Cancels a job.
     #[serde(rename = "job.cancel")]
     JobCancel {
@@ -333,7 +342,7 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 22] = [
+const CALLS: [&str; 23] = [
     "record.start",
     "record.stop",
     "replay.list",
@@ -354,6 +363,7 @@ const CALLS: [&str; 22] = [
     "faults.name_cell",
     "segments.train",
     "stage.align",
+    "imu.calibrate",
     "job.cancel",
     "model.load",
 ];
@@ -470,6 +480,7 @@ mod tests {
             r#"{"type":"field.rollback","id":1}"#,
             r#"{"type":"job.cancel","id":1,"job":3}"#,
             r#"{"type":"stage.align","id":1,"sensor":"a","anchors":[{"name":"door","position_m":[1,0,0]}]}"#,
+            r#"{"type":"imu.calibrate","id":1,"sensor":"a"}"#,
             r#"{"type":"exercise.list","id":1}"#,
             r#"{"type":"exercise.teach","id":1,"name":"curl","repetitions":5,"last_s":30,"sensors":["a"]}"#,
             r#"{"type":"exercise.select","id":1,"exercises":["curl"],"repetitions":10,"sets":3,"rest_s":60}"#,

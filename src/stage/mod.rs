@@ -135,12 +135,8 @@ impl Stage {
             *users = folder.join(&*users);
         }
         let Self { models, recording, .. } = &mut stage;
-        let kept = [
-            &mut models.faults_folder,
-            &mut models.exercise_folder,
-            &mut models.segments_folder,
-            &mut recording.folder,
-        ];
+        let Models { faults_folder, exercise_folder, imu_folder, segments_folder, .. } = models;
+        let kept = [faults_folder, exercise_folder, imu_folder, segments_folder, &mut recording.folder];
         for kept in kept.into_iter().flatten() {
             *kept = folder.join(&*kept);
         }
@@ -402,6 +398,9 @@ pub struct Models {
     pub faults: Option<PathBuf>,
     /// The one folder that `faults.train` and `faults.name_cell` write to; absent: `faults` beside the stage file.
     pub faults_folder: Option<PathBuf>,
+    /// The one folder that `imu.calibrate` writes to, one file per IMU with its serial number as its name; what `posed imu calibrate`
+    /// writes may lie there too. All of them are used from the start on. Absent: `imus` beside the stage file.
+    pub imu_folder: Option<PathBuf>,
     /// The one folder that `segments.train` writes to; absent: `segments` beside the stage file.
     pub segments_folder: Option<PathBuf>,
     /// A map of the field, as `posed field solve` writes it; used until `field.accept` has brought a newer one.

@@ -12,8 +12,7 @@ use serde::Deserialize;
 
 use super::TableError;
 use super::poses::{SensorEntry, SensorsMessage};
-use crate::fusion::body::ANGLE_NAMES;
-use crate::layout::{BodyLayout, joint_and_angle};
+use crate::layout::BodyLayout;
 use crate::recording::{Item, ReadError, Reader};
 use crate::signals::{self, InertialColumns};
 use crate::stage::Stage;
@@ -24,8 +23,8 @@ pub struct RecordedStreams {
     reader: Reader<BufReader<File>>,
     sensors: Vec<String>,
     inertial: InertialColumns,
-    /// Of the body, by their index in [`ANGLE_NAMES`].
-    angles: Vec<usize>,
+    /// Joint and angle of those of the body.
+    angles: Vec<(String, &'static str)>,
     columns: Vec<String>,
     row: Vec<Option<f64>>,
     body: Option<BodyMessage>,
@@ -46,7 +45,11 @@ impl RecordedStreams {
         let inertial = stage.as_ref().map(InertialColumns::of).unwrap_or_default();
         columns.extend(stage.iter().flat_map(|stage| inertial.names(stage)));
         columns.extend(layout.iter().flat_map(BodyLayout::columns));
-        let angles = layout.map_or_else(Vec::new, |layout| layout.shown_angles);
+        let names = |layout: &BodyLayout| -> Vec<(String, &'static str)> {
+            let name = |index: &usize| layout.angle(*index);
+            layout.shown_angles.iter().map(name).map(|(joint, angle)| (joint.to_owned(), angle)).collect()
+        };
+        let angles = layout.as_ref().map_or_else(Vec::new, names);
         let row = Vec::with_capacity(columns.len());
         Ok(Self { path: path.to_owned(), reader, sensors, inertial, angles, columns, row, body: None })
     }
@@ -96,7 +99,7 @@ impl RecordedStreams {
                 signals::append_inertial(force, rate, &mut self.row);
             }
             let fresh = self.body.as_ref().filter(|body| message.t_s - body.t_s <= signals::BODY_AGE_S);
-            self.row.extend(self.angles.iter().map(|angle| fresh?.angle_deg(ANGLE_NAMES[*angle])));
+            self.row.extend(self.angles.iter().map(|(joint, angle)| fresh?.angle_deg(joint, angle)));
             return Ok(Some(message.t_s));
         }
         Ok(None)
@@ -123,8 +126,7 @@ impl BodyMessage {
     }
 
     /// The angle of that name, degrees.
-    fn angle_deg(&self, name: &'static str) -> Option<f64> {
-        let (joint, angle) = joint_and_angle(name);
+    fn angle_deg(&self, joint: &str, angle: &str) -> Option<f64> {
         let joint = self.joints.iter().find(|known| known.name == joint)?;
         joint.angles_deg.get(angle).copied().flatten()
     }

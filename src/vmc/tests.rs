@@ -35,7 +35,14 @@ fn body(orientations: &[UnitQuaternion<f64>; SEGMENTS]) -> Body {
         })
         .collect();
     let t_valid = Timestamp::from_nanos(1_500_000_000);
-    Body { t_valid, heading: Heading::Field, placed: Placed::Trackers, segments, angles_rad: [None; ANGLES] }
+    Body {
+        t_valid,
+        heading: Heading::Field,
+        placed: Placed::Trackers,
+        segments,
+        angles_rad: [None; ANGLES],
+        spread: Default::default(),
+    }
 }
 
 /// Segment to room of a body that looks along the room's y: N-pose.

@@ -12,6 +12,7 @@ mod body;
 mod body_live;
 #[path = "../browser/mod.rs"]
 mod browser;
+mod chain_live;
 mod cli;
 mod daemon;
 mod exercise;
@@ -24,6 +25,7 @@ mod field_session;
 mod handbook;
 #[cfg(feature = "zenoh")]
 mod hub;
+mod imu_live;
 mod inertial;
 mod keyframes;
 mod keyframes_live;

@@ -6,6 +6,8 @@
 use std::path::Path;
 use std::time::Duration;
 
+use nalgebra::{UnitQuaternion, Vector3};
+
 use crate::browser::{self, Browser};
 use crate::daemon::process::{Posed, two_devices};
 
@@ -379,6 +381,147 @@ async fn the_stage_is_aligned_in_the_browser() {
         assert!((number("offset_m", at) - truth_m).abs() < 0.005, "{keys}");
     }
     browser.picture("alignment").await;
+    done(browser, posed).await;
+}
+
+/// Somebody lays a bare unit down on its sides and corners, one after the other.
+const TABLE: &str = r#"
+name = "table"
+[[device]]
+name = "unit"
+driver = "x-imu3"
+port = "auto"
+baud = 2000000
+[[sensor]]
+name = "watch"
+device = "unit"
+address = 0
+[[simulation.body]]
+name = "unit"
+[simulation.body.motion]
+kind = "laid"
+rest_s = 1.5
+turn_s = 0.6
+[[simulation.sensor]]
+name = "watch"
+body = "unit"
+[[simulation.device]]
+name = "unit"
+boot_ms = 0.0
+imu = "mpu"
+"#;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_imu_is_calibrated_in_the_browser_and_its_file_kept() {
+    if !browser::is_wanted() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let stage = folder.path().join("table.toml");
+    std::fs::write(&stage, TABLE).unwrap();
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
+    browser.until(LIVE).await;
+    browser.click("unit-calibrate").await;
+    let text = |id: &str| format!("document.getElementById('{id}').textContent");
+    browser.until(&format!("/^[1-9] of 12 directions/.test({})", text("unit-prompt"))).await;
+    browser.until("document.querySelectorAll('#unit-sides .good').length >= 3").await;
+    browser.until("document.querySelectorAll('#unit-sides .care').length < 3").await;
+    browser.until(&format!("{}.includes('in use')", text("unit-prompt"))).await;
+    browser.until("document.getElementById('unit-figures').rows.length === 5").await;
+    browser.picture("imu").await;
+    let file = browser.row("unit-figures", 4).await;
+    let kept =
+        posed::fusion::intrinsics::Intrinsics::read(&folder.path().join("imus").join(&file[1])).unwrap();
+    assert!(kept.directions >= 12 && kept.mag.is_some(), "{kept:?}");
+    done(browser, posed).await;
+}
+
+/// Two links on one hinge that rest for 12 s and then move in all directions, as poses for the simulator.
+fn write_links(path: &Path) {
+    let about = |axis: Vector3<f64>, angle: f64| UnitQuaternion::from_scaled_axis(axis * angle);
+    let mut text = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");
+    for tick in 0..2400 {
+        let t_s = f64::from(tick) * 0.05;
+        let t = (t_s - 12.0).max(0.0);
+        let grow = (t / 3.0).min(1.0).powi(2);
+        let turn = Vector3::new((0.9 * t).sin(), 0.6 * (0.7 * t).sin(), 0.8 * (1.1 * t).sin());
+        let upper = about(turn, grow) * about(Vector3::x(), 1.57);
+        let lower = upper * about(Vector3::z(), grow * (0.7 - 0.7 * (1.3 * t).cos()));
+        for (name, q) in [("thigh", upper), ("shank", lower)] {
+            text += &format!("{t_s:.2},{name},0.5,0.0,0.3,{:.7},{:.7},{:.7},{:.7}\n", q.w, q.i, q.j, q.k);
+        }
+    }
+    std::fs::write(path, text).unwrap();
+}
+
+/// These two links, as a chain of one hinge.
+const LEG: &str = r#"
+name = "leg"
+[[device]]
+name = "worn"
+driver = "xbus"
+port = "auto"
+baud = 921600
+[[sensor]]
+name = "upper"
+device = "worn"
+address = 1
+segment = "thigh"
+[[sensor]]
+name = "lower"
+device = "worn"
+address = 2
+segment = "shank"
+[body]
+skeleton = "custom"
+[[body.segments]]
+name = "thigh"
+[[body.segments]]
+name = "shank"
+parent = "thigh"
+joint = "knee"
+kind = "hinge"
+[[simulation.body]]
+name = "links"
+[simulation.body.motion]
+kind = "file"
+path = "links.csv"
+[[simulation.sensor]]
+name = "upper"
+body = "links"
+segment = "thigh"
+mount_quat_wxyz = [0.6, 0.0, 0.8, 0.0]
+[[simulation.sensor]]
+name = "lower"
+body = "links"
+segment = "shank"
+mount_quat_wxyz = [0.48, 0.64, 0.0, 0.6]
+[[simulation.device]]
+name = "worn"
+boot_ms = 0.0
+"#;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
+    if !browser::is_wanted() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let stage = folder.path().join("leg.toml");
+    std::fs::write(&stage, LEG).unwrap();
+    write_links(&folder.path().join("links.csv"));
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
+    browser.click("calibrate").await;
+    let text = |id: &str| format!("document.getElementById('{id}').textContent");
+    browser.until(&format!("{}.startsWith('2 of 2: Bend every hinge')", text("prompt"))).await;
+    browser.until(&format!("{}.includes('axes of the chain are known')", text("prompt"))).await;
+    assert_eq!(browser.row("mounting", 0).await[0], "knee");
+    browser.click("tab-analysis").await;
+    browser.until("document.getElementById('joint-choice').value === 'knee'").await;
+    browser.until("document.querySelectorAll('.joint canvas').length === 1").await;
+    browser.until("document.getElementById('problems').hidden").await;
     done(browser, posed).await;
 }
 

@@ -7,6 +7,8 @@
     reason = "shared by several tests, none of which uses all of it"
 )]
 
+pub(crate) mod leg;
+
 use std::path::Path;
 
 use nalgebra::Vector3;

@@ -11,6 +11,14 @@ const EVENTS = 200;
 /** Of a sensor's history: m, m/s. */
 const HISTORY_NAMES = ["x", "y", "z", "speed", "sigma"];
 
+/** Appends to the rows of a name, which begin with its first values. */
+function keep(all: Map<string, Rows>, name: string, t_s: number, values: Record<string, number | null>): void {
+  let rows = all.get(name);
+  if (!rows) all.set(name, (rows = new Rows(Object.keys(values), HISTORY_ROWS)));
+  rows.begin(t_s);
+  rows.names.forEach((key, i) => rows.set(i + 1, values[key]));
+}
+
 /** A repetition that has been judged. */
 export type Repetition = Extract<ExerciseEventMessage, { event: "counted" | "rejected" }>;
 
@@ -40,8 +48,9 @@ export class Model {
   readonly history = new Map<string, Rows>();
   /** Repetitions that were counted or refused. */
   repetitions: Repetition[] = [];
-  /** By joint. */
+  /** By joint: its angles, and their standard deviations. */
   readonly angles = new Map<string, Rows>();
+  readonly angleSigmas = new Map<string, Rows>();
   /** By sensor: the statistic of key poses, and what a peak of it must exceed. */
   readonly changes = new Map<string, Rows>();
   /** Confirmed ones. */
@@ -64,6 +73,7 @@ export class Model {
         this.hello = message;
         this.history.clear();
         this.angles.clear();
+        this.angleSigmas.clear();
         this.changes.clear();
         this.keyPoses = [];
         this.body = null;
@@ -118,13 +128,14 @@ export class Model {
   }
 
   private takeBody(message: FigureMessage): void {
-    if (this.body !== null && message.t_s < this.body.t_s) this.angles.clear();
+    if (this.body !== null && message.t_s < this.body.t_s) {
+      this.angles.clear();
+      this.angleSigmas.clear();
+    }
     this.body = message;
-    for (const { name, angles_deg } of message.joints) {
-      let angles = this.angles.get(name);
-      if (!angles) this.angles.set(name, (angles = new Rows(Object.keys(angles_deg), HISTORY_ROWS)));
-      angles.begin(message.t_s);
-      angles.names.forEach((angle, i) => angles.set(i + 1, angles_deg[angle]));
+    for (const { name, angles_deg, angle_sigmas_deg } of message.joints) {
+      keep(this.angles, name, message.t_s, angles_deg);
+      keep(this.angleSigmas, name, message.t_s, angle_sigmas_deg);
     }
   }
 

@@ -6,6 +6,7 @@
 
 mod bvh;
 mod file;
+mod laid;
 mod person;
 mod pole;
 mod scripted;
@@ -19,6 +20,7 @@ use serde::{Deserialize, Serialize};
 
 pub use bvh::{Bvh, BvhError};
 pub use file::{Ending, File, FileError, Tracks, Up};
+pub use laid::Laid;
 pub use person::Person;
 pub use pole::Pole;
 pub(crate) use scripted::quaternion;
@@ -40,6 +42,8 @@ pub enum Motion {
     Walk(Walk),
     /// A pole with sensors, waved through a box: for calibrating a field.
     Pole(Pole),
+    /// Laid down in one direction after the other: for calibrating an IMU.
+    Laid(Laid),
     /// A whole person, as body-worn sensors know one.
     Person(Person),
     /// Poses from a CSV file or joints from a BVH file.
@@ -92,6 +96,11 @@ impl Motion {
                 finite("center_m", &pole.center_m)?;
                 finite("reach_m", &pole.reach_m)
             }
+            Self::Laid(laid) => {
+                above_zero("rest_s", laid.rest_s)?;
+                above_zero("turn_s", laid.turn_s)?;
+                finite("position_m", &laid.position_m)
+            }
             Self::Person(person) => {
                 above_zero("height_m", person.height_m)?;
                 finite("heading_deg", &[person.heading_deg])?;
@@ -138,7 +147,7 @@ impl Body {
     /// Names of its segments, in the order of their indices.
     pub fn segments(&self) -> Vec<&str> {
         match &self.motion {
-            Motion::Still(_) | Motion::Orbit(_) | Motion::Screw(_) => vec!["body"],
+            Motion::Still(_) | Motion::Orbit(_) | Motion::Screw(_) | Motion::Laid(_) => vec!["body"],
             Motion::Pole(_) => vec!["pole"],
             Motion::Curl(_) => Curl::SEGMENTS.to_vec(),
             Motion::Walk(_) => Walk::SEGMENTS.to_vec(),
@@ -159,6 +168,7 @@ impl Body {
             Motion::Curl(curl) => curl.pose(segment, t_s),
             Motion::Walk(walk) => walk.pose(segment, t_s),
             Motion::Pole(pole) => pole.pose(t_s),
+            Motion::Laid(laid) => laid.pose(t_s),
             Motion::Person(person) => person.pose(segment, t_s),
             Motion::File(_) => {
                 self.tracks.as_ref().map_or_else(Isometry3::identity, |tracks| tracks.pose(segment, t_s))
@@ -202,6 +212,7 @@ mod tests {
             Motion::Curl(Curl { repetitions: Some(2), ..Curl::default() }),
             Motion::Walk(Walk::default()),
             Motion::Pole(Pole::default()),
+            Motion::Laid(Laid::default()),
             Motion::Person(Person { activity: crate::body::Activity::Squats, ..Person::default() }),
         ];
         motions.into_iter().map(|motion| Body::new(motion, Path::new(".")).unwrap()).collect()

@@ -282,7 +282,7 @@ fn heading(yaw: f64) -> UnitQuaternion<f64> {
 }
 
 /// 0 below 0, 1 above 1, between them 6 x^5 - 15 x^4 + 10 x^3: twice continuously differentiable.
-fn smooth_step(x: f64) -> f64 {
+pub(super) fn smooth_step(x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0);
     x * x * x * (x * (6.0 * x - 15.0) + 10.0)
 }

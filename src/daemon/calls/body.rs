@@ -19,7 +19,7 @@ use crate::fusion::body::guide::{Guide, LONGEST_S, Thoroughness};
 use crate::fusion::body::{SEGMENTS, Segment, Skeleton};
 use crate::geometry::orientation_to_wxyz;
 use crate::input::{Model, MountedSensor};
-use crate::layout::{Wearers, skeleton_of};
+use crate::layout::{ChainLayout, Wearers, skeleton_of};
 use crate::pipeline::all_have_field;
 use crate::stage;
 
@@ -33,6 +33,9 @@ const SILENT_LOOKS: u32 = 10;
 impl Calls {
     /// Begins a calibration.
     pub(super) fn calibrate_body(&self, how: Thoroughness, reply: Reply) {
+        if let Some(layout) = ChainLayout::of(&self.stage) {
+            return self.calibrate_chain(layout, reply);
+        }
         let worn = match self.worn() {
             Ok(worn) => worn,
             Err(sentence) => return reply.error("no_body", sentence),

@@ -5,8 +5,10 @@
 
 mod align;
 mod body;
+mod chain;
 mod exercise;
 mod faults;
+mod imu;
 mod segments;
 
 use std::path::{Path, PathBuf};
@@ -36,6 +38,8 @@ pub(super) struct Calls {
     recordings: PathBuf,
     exercises: Library,
     faults: Library,
+    /// Where the intrinsics of IMUs are kept.
+    imus: PathBuf,
     segments: Library,
     clock: StageClock,
     inbox: FusionInbox,
@@ -57,6 +61,7 @@ impl Calls {
         let exercises = Library::new(exercises, "json");
         let faults = stage.models.faults_folder.clone().unwrap_or_else(|| folder.join("faults"));
         let faults = Library::new(faults, "json");
+        let imus = models::imu_folder(stage, &folder);
         let segments = stage.models.segments_folder.clone().unwrap_or_else(|| folder.join("segments"));
         let segments = Library::new(segments, "safetensors");
         Self {
@@ -64,6 +69,7 @@ impl Calls {
             recordings,
             exercises,
             faults,
+            imus,
             segments,
             clock,
             inbox,
@@ -137,6 +143,7 @@ impl Calls {
             Call::SegmentsTrain { epochs, look_ahead } => self.train_segments(epochs, look_ahead, reply),
             Call::BodyCalibrate { how } => self.calibrate_body(how.unwrap_or_default(), reply),
             Call::StageAlign { sensor, anchors } => self.align_stage(sensor, anchors, reply),
+            Call::ImuCalibrate { sensor } => self.calibrate_imu(sensor, reply),
             Call::JobCancel { job } => match self.jobs.cancel(job) {
                 Ok(()) => {
                     self.inbox.push(Event::Command(Command::LookAtJobs));

@@ -47,11 +47,12 @@ impl Calls {
         let mut options = Options::default();
         options.epochs = epochs.unwrap_or(options.epochs);
         options.ahead = look_ahead.or(options.ahead);
-        let segments = BodyLayout::of(&self.stage).map_or_else(Vec::new, |layout| layout.segments);
+        let layout = BodyLayout::of(&self.stage);
+        let segments = layout.iter().flat_map(BodyLayout::places).map(str::to_owned);
         let sensors = self.stage.sensors.iter().map(|sensor| sensor.name.clone());
         let school = School {
             recordings: self.recordings.clone(),
-            joints: sensors.chain(segments.iter().map(|segment| segment.name.to_owned())).collect(),
+            joints: sensors.chain(segments).collect(),
             library: self.segments.clone(),
             inbox: self.inbox.clone(),
             clock: self.clock,

@@ -26,6 +26,8 @@ enum Key {
     Mounting,
     /// How the IMU of a magnetic sensor sits, by the sensor's name.
     FastenedImu(String),
+    /// By unit.
+    Imu(String),
     TrackerNoise(String),
     FieldMap,
     FieldProgress,
@@ -49,10 +51,13 @@ impl<T> Holding<T> {
             // The newest word on what is being done.
             OutcomeKind::Segment(_) => Some((Key::Segment, true)),
             OutcomeKind::ModelSwapped(Model::Transmitter { .. }) => Some((Key::Transmitter, true)),
-            OutcomeKind::ModelSwapped(Model::Mounting { .. }) => Some((Key::Mounting, true)),
+            OutcomeKind::ModelSwapped(Model::Mounting { .. } | Model::Chain { .. }) => {
+                Some((Key::Mounting, true))
+            }
             OutcomeKind::ModelSwapped(Model::FastenedImu { sensor, .. }) => {
                 Some((Key::FastenedImu(sensor.clone()), true))
             }
+            OutcomeKind::ModelSwapped(Model::Imu { unit, .. }) => Some((Key::Imu(unit.clone()), true)),
             OutcomeKind::ModelSwapped(Model::TrackerNoise { device, .. }) => {
                 Some((Key::TrackerNoise(device.clone()), true))
             }

@@ -214,6 +214,11 @@ impl Ahrs {
         self.heading.resume(&self.params.heading);
     }
 
+    /// Forgets all that was seen, the gyro's bias too.
+    pub fn forget(&mut self) {
+        *self = Self::new(self.params.clone());
+    }
+
     /// The latest rate of turn without its bias, rad/s, sensor axes.
     pub fn rate_rad_s(&self) -> Vector3<f64> {
         self.rate_rad_s

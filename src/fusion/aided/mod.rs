@@ -155,6 +155,11 @@ impl Aided {
         }
     }
 
+    /// Forgets all that was seen.
+    pub fn restart(&mut self) {
+        *self = Self::new(self.params);
+    }
+
     /// Takes an IMU sample at its capture time, s. Times that do not rise and numbers that are none change nothing.
     pub fn imu(&mut self, t_s: f64, sample: &ImuSample) {
         let finite = sample.gyro_rad_s.iter().chain(sample.accel_m_s2.iter()).all(|value| value.is_finite());

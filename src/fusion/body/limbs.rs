@@ -3,7 +3,7 @@
 //! In: the trunk's motion, both sensors' samples and own orientations. Out: upper and lower segment to trunk. A limb
 //! of which no sensor is worn stays unknown; one with a single sensor shows the segments down to that sensor.
 
-use nalgebra::{SVector, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, SVector, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::skeleton::{Limb, SEGMENTS, Segment, Skeleton};
@@ -208,6 +208,11 @@ impl LimbFilter {
     pub(super) fn orientations(&self) -> [Option<UnitQuaternion<f64>>; 2] {
         let [upper, lower] = with_limb!(&self.filter, return [None; 2], limb => limb.orientations());
         [Some(upper), self.worn[1].then_some(lower)]
+    }
+
+    /// Covariance of the error of both joints' turns, rad², each in the axes of the segment below; `None` before it has begun.
+    pub(super) fn turns_rad2(&self) -> Option<[Matrix3<f64>; 2]> {
+        with_limb!(&self.filter, None, limb => Some(limb.turns_rad2()))
     }
 
     /// Uncertainty of the upper (0) or lower (1) segment about an axis, rad.

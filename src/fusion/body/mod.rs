@@ -22,6 +22,7 @@ mod inverse;
 mod limbs;
 pub mod places;
 mod skeleton;
+mod spread;
 #[cfg(test)]
 mod tests;
 
@@ -33,6 +34,7 @@ pub use health::SensorFault;
 pub use inverse::{Figure, Follower, Tracked};
 pub use limbs::LimbForm;
 pub use skeleton::{Limb, SEGMENTS, Segment, Skeleton, upright};
+pub use spread::{AngleSpread, independent};
 
 use super::ahrs::{Ahrs, ImuSample, Params};
 use super::limb::{Base, LimbNoise};
@@ -104,6 +106,8 @@ pub struct BodyEstimate {
     pub sigma_rad: [f64; SEGMENTS],
     /// Angles in the order of [`ANGLE_NAMES`], rad.
     pub angles_rad: [Option<f64>; ANGLES],
+    /// How uncertain they are.
+    pub spread: AngleSpread,
     /// What is wrong with the sensor on each segment, if anything.
     pub faults: [Option<SensorFault>; SEGMENTS],
     /// Where the heading comes from.
@@ -116,6 +120,7 @@ impl Default for BodyEstimate {
             orientations: [None; SEGMENTS],
             sigma_rad: [std::f64::consts::PI; SEGMENTS],
             angles_rad: [None; ANGLES],
+            spread: AngleSpread::default(),
             faults: [None; SEGMENTS],
             heading: Heading::Unknown,
         }
@@ -201,6 +206,11 @@ impl BodyFilter {
             held_s: 0.0,
             estimate: BodyEstimate::default(),
         }
+    }
+
+    /// How the sensors sit, by [`Segment::index`].
+    pub fn worn(&self) -> [Option<Worn>; SEGMENTS] {
+        self.sensors.each_ref().map(|sensor| sensor.as_ref().map(|sensor| sensor.worn))
     }
 
     /// Lets every sensor wait for a field, for a second at most: compasses are slower than gyros, and limbs that begin with a
@@ -299,6 +309,9 @@ impl BodyFilter {
             }
         }
         out.angles_rad = angles(&out.orientations);
+        let orientations = out.orientations;
+        self.estimate.spread = self.spread(&orientations);
+        let out = &mut self.estimate;
         for segment in Segment::ALL {
             let index = segment.index();
             let Some(sensor) = &mut self.sensors[index] else { continue };
@@ -326,9 +339,14 @@ impl Sensor {
     /// What calibrated sensors are off by for good, rms about an axis, rad: the accelerometer's bias tilts, and the compass'
     /// iron turns the heading, or without a field the gyro's bias for `held_s`.
     fn systematic_rad(&self, held_s: f64) -> f64 {
-        let heading =
-            if self.magnetometer { COMPASS_RAD.hypot(DRIFT_RAD_S * held_s) } else { DRIFT_RAD_S * held_s };
-        ((2.0 * LEVEL_RAD.powi(2) + heading.powi(2)) / 3.0).sqrt().min(std::f64::consts::PI)
+        let [tilt, heading] = self.lasting_rad2(held_s);
+        ((2.0 * tilt + heading) / 3.0).sqrt().min(std::f64::consts::PI)
+    }
+
+    /// The same as variances of a tilt about each level axis and of the heading, rad².
+    fn lasting_rad2(&self, held_s: f64) -> [f64; 2] {
+        let compass = if self.magnetometer { COMPASS_RAD } else { 0.0 };
+        [LEVEL_RAD.powi(2), compass.powi(2) + (DRIFT_RAD_S * held_s).powi(2)]
     }
 
     fn push(&mut self, sample: Option<&ImuSample>, age_s: f64, dt_s: f64) {

@@ -16,11 +16,11 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use crate::geometry::wrapped_rad;
 
 /// Length of a block, s.
-const BLOCK_S: f64 = 1.0;
+pub(super) const BLOCK_S: f64 = 1.0;
 /// How the headings drift apart, rad per sqrt(s): what the gyros' biases and scales do that the orientation filter left.
-const DRIFT: f64 = 0.3 * std::f64::consts::PI / 180.0;
+pub(super) const DRIFT: f64 = 0.3 * std::f64::consts::PI / 180.0;
 /// Least noise of a block's mean direction of the axis, rad.
-const LEAST_SIGMA: f64 = 0.15 * std::f64::consts::PI / 180.0;
+pub(super) const LEAST_SIGMA: f64 = 0.15 * std::f64::consts::PI / 180.0;
 /// How often axes and headings are improved in turn, at most.
 const ROUNDS: usize = 200;
 

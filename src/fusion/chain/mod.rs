@@ -6,7 +6,10 @@
 //! Zero is the posture in which the recording begins (its first quarter of a second) and bending from there is positive; in that
 //! posture all segment frames are parallel, x and z of the root level and z as near to its first hinge's axis as that allows.
 
+pub mod calibrate;
+pub mod guide;
 mod joint;
+pub mod live;
 #[cfg(test)]
 mod tests;
 
@@ -55,6 +58,8 @@ pub struct ChainPose {
 pub struct Solved {
     /// The hinge above each segment: its axis in the parent's and the segment's own sensor.
     pub axes: Vec<Option<HingeAxes>>,
+    /// How each sensor sits: segment to sensor.
+    pub mounts: Vec<UnitQuaternion<f64>>,
     /// One per epoch.
     pub poses: Vec<ChainPose>,
 }
@@ -106,7 +111,7 @@ pub fn solve(segments: &[ChainSegment], epochs: &[Epoch]) -> Result<Solved, Chai
         axes.push(Some(refined));
         motions.push(Some(motion));
     }
-    let mut poses = poses(segments, &axes, &motions, &level, epochs);
+    let (mounts, mut poses) = poses(segments, &axes, &motions, &level, epochs);
     // Bending is positive.
     for (index, axes) in axes.iter_mut().enumerate() {
         let Some(axes) = axes else { continue };
@@ -115,7 +120,7 @@ pub fn solve(segments: &[ChainSegment], epochs: &[Epoch]) -> Result<Solved, Chai
             poses.iter_mut().for_each(|pose| pose.flexion_rad[index] *= -1.0);
         }
     }
-    Ok(Solved { axes, poses })
+    Ok(Solved { axes, mounts, poses })
 }
 
 /// Time since the epoch before, s; the first as long as the mean.
@@ -184,15 +189,15 @@ pub(super) fn refined_axes(
     joint::solve([axes.first, axes.second], before, behind, steps_s).axes
 }
 
-/// Segment orientations in the room and flexions, with zero and sign as the module says.
+/// How the sensors sit; segment orientations in the room and flexions, with zero and sign as the module says.
 fn poses(
     segments: &[ChainSegment],
     axes: &[Option<HingeAxes>],
     motions: &[Option<Motion>],
     level: &[Vec<UnitQuaternion<f64>>],
     epochs: &[Epoch],
-) -> Vec<ChainPose> {
-    let Some(start_s) = epochs.first().map(|epoch| epoch.t_s) else { return Vec::new() };
+) -> (Vec<UnitQuaternion<f64>>, Vec<ChainPose>) {
+    let Some(start_s) = epochs.first().map(|epoch| epoch.t_s) else { return Default::default() };
     let begin = epochs.iter().take_while(|epoch| epoch.t_s - start_s <= ZERO_S).count();
     // About the first angle, so that no average is taken across the wrap.
     let zero = |angles: &[f64]| {
@@ -229,7 +234,8 @@ fn poses(
             })
             .collect(),
     };
-    (0..epochs.len()).map(pose).collect()
+    let poses = (0..epochs.len()).map(pose).collect();
+    (mounts, poses)
 }
 
 /// The common segment frame in the first posture: y up, z the level part of the first hinge's axis.

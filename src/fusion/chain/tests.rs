@@ -1,3 +1,6 @@
+use super::calibrate::calibrate;
+use super::guide::Guide;
+use super::live::LiveChain;
 use super::*;
 use crate::geometry::so3;
 
@@ -148,4 +151,100 @@ fn times_must_rise() {
     let (segments, mut epochs, _) = recording();
     epochs[10].t_s = epochs[9].t_s;
     assert!(matches!(solve(&segments, &epochs), Err(ChainError::Time { .. })));
+}
+
+/// Calibrated from its first half minute, the chain is followed without hindsight nearly as well as from the whole file; and the
+/// angles' errors are what is stated.
+#[test]
+fn a_chain_that_was_calibrated_is_followed_live() {
+    let (segments, epochs, truth) = recording();
+    let half = epochs.len() / 2;
+    let calibration = calibrate(&segments, &epochs[..half]).unwrap();
+    let offline = solve(&segments, &epochs).unwrap();
+    let parents: Vec<_> = segments.iter().map(|s| s.hinge.as_ref().map(|(parent, _)| *parent)).collect();
+    let mut live = LiveChain::new(&parents, &calibration).unwrap();
+    let mut sums = [[0.0; 3]; 2];
+    let mut count = 0.0;
+    for (k, epoch) in epochs.iter().enumerate() {
+        for (segment, sample) in epoch.samples.iter().enumerate() {
+            live.push(segment, epoch.t_s, sample.as_ref().unwrap());
+        }
+        live.advance(epoch.t_s);
+        if k < half {
+            continue;
+        }
+        count += 1.0;
+        for (joint, sums) in sums.iter_mut().enumerate() {
+            let pose = live.pose(joint + 1, epoch.t_s).unwrap();
+            let off = wrapped_rad(pose.flexion_rad - truth[k][joint]);
+            let file = wrapped_rad(offline.poses[k].flexion_rad[joint + 1] - truth[k][joint]);
+            for (sum, value) in sums.iter_mut().zip([off, file, pose.sigma_rad]) {
+                *sum += value * value;
+            }
+        }
+    }
+    assert!(live.is_settled(0.01));
+    for (joint, sums) in sums.iter().enumerate() {
+        let [live, file, stated] = sums.map(|sum| (sum / count).sqrt().to_degrees());
+        let quality_deg = calibration.segments[joint + 1].hinge.unwrap().quality_deg;
+        println!(
+            "joint {joint}: live {live:.2}, file {file:.2}, stated {stated:.2}, quality {quality_deg:.2} degrees"
+        );
+        assert!(live < 2.0 && live < 2.5 * file + 0.5, "joint {joint}: live {live}, file {file} degrees");
+        assert!((0.4..4.0).contains(&(stated / live)), "joint {joint}: {live} and stated {stated} degrees");
+        assert!(quality_deg < 3.0, "joint {joint}: {quality_deg} degrees");
+    }
+    // After a gap the headings are unknown and found again.
+    let last = epochs.last().unwrap();
+    for (segment, sample) in last.samples.iter().enumerate() {
+        live.push(segment, last.t_s + 2.0, sample.as_ref().unwrap());
+    }
+    live.advance(last.t_s + 2.0);
+    assert!(!live.is_settled(0.01) && live.is_settled(0.1));
+    assert_eq!(live.pose(1, last.t_s + 4.0), None, "silent for too long");
+}
+
+#[test]
+fn a_guide_waits_for_a_posture_and_then_for_half_a_minute_of_movement() {
+    let (_, epochs, _) = recording();
+    let mut guide = Guide::default();
+    assert!(guide.prompt().unwrap().starts_with("1 of 2"));
+    let shifted = |t_s: f64, epoch: &Epoch| Epoch { t_s, ..epoch.clone() };
+    // It moves, then it rests, then it moves for long enough.
+    for (k, epoch) in epochs[2000..2300].iter().enumerate() {
+        guide.push(shifted(k as f64 * 0.01, epoch));
+    }
+    assert!(guide.prompt().unwrap().starts_with("1 of 2"));
+    for k in 0..200 {
+        guide.push(shifted(3.0 + f64::from(k) * 0.01, &epochs[0]));
+    }
+    assert!(guide.prompt().unwrap().starts_with("2 of 2"));
+    let (mut k, begun) = (0, guide.recorded().len());
+    while guide.prompt().is_some() {
+        guide.push(shifted(5.0 + k as f64 * 0.01, &epochs[1000 + k % 4000]));
+        k += 1;
+    }
+    assert!((2900..5000).contains(&k) && begun < 350, "{k} {begun}");
+    assert!(guide.recorded().windows(2).all(|pair| pair[0].t_s < pair[1].t_s));
+}
+
+/// Both links turn about the hinge alone, and in step: the movement fits many axes, and a calibration says so.
+#[test]
+fn a_movement_about_the_hinge_alone_shows_no_axis() {
+    let (segments, mut epochs, _) = recording();
+    for (k, epoch) in epochs.iter_mut().enumerate() {
+        let t = k as f64 / RATE_HZ;
+        let angle = 0.5 - 0.5 * (2.0 * t).cos();
+        for (sample, times) in epoch.samples.iter_mut().flatten().zip([1.0, -1.2, 0.9]) {
+            let rate = Vector3::z() * (times * (2.0 * t).sin());
+            let turned = so3::exp(&(Vector3::z() * (times * angle)));
+            let wobble = Vector3::new((7.0 * t).sin(), (9.0 * t).cos(), 0.0);
+            sample.gyro_rad_s = rate + wobble * 0.05;
+            sample.accel_m_s2 = turned.inverse() * Vector3::y() * 9.81 + wobble * 0.1;
+        }
+    }
+    match calibrate(&segments[..2], &epochs[..3000]) {
+        Ok(found) => assert!(found.segments[1].hinge.unwrap().quality_deg > 5.0, "{found:?}"),
+        Err(refused) => assert!(matches!(refused, ChainError::Joint { .. }), "{refused}"),
+    }
 }

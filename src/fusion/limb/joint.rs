@@ -28,6 +28,8 @@ pub(super) trait Joint<const N: usize> {
     fn predict(&mut self, p: &mut Covariance<N>, noise: &JointNoise, tau: f64, at: usize);
     /// Adds a correction of the error states.
     fn correct(&mut self, dx: &SVector<f64, N>, at: usize);
+    /// Covariance of the joint's turn, in the axes of the frame behind it, rad².
+    fn turn_rad2(&self, p: &Covariance<N>, at: usize) -> Matrix3<f64>;
     /// Columns of the joint's rates.
     fn rates(&self, at: usize) -> std::ops::Range<usize>;
     /// The rate of a column of [`Self::rates`], rad/s.
@@ -93,6 +95,10 @@ impl<const N: usize> Joint<N> for Ball {
         self.accel_rad_s2 += part(6);
     }
 
+    fn turn_rad2(&self, p: &Covariance<N>, at: usize) -> Matrix3<f64> {
+        p.0.fixed_view::<3, 3>(at, at).into_owned()
+    }
+
     fn rates(&self, at: usize) -> std::ops::Range<usize> {
         at + 3..at + 6
     }
@@ -136,6 +142,20 @@ impl<const K: usize> Axes<K> {
     }
 }
 
+impl<const K: usize> Axes<K> {
+    /// How the frame behind the joint turns with each angle, in its own axes: one a column.
+    fn turns(&self) -> SMatrix<f64, 3, K> {
+        let mut turns = self.axes;
+        let mut behind = UnitQuaternion::identity();
+        for i in (0..K).rev() {
+            let axis: Vector3<f64> = self.axes.column(i).into_owned();
+            turns.set_column(i, &(behind * axis));
+            behind *= so3::exp(&(axis * -self.angle_rad[i]));
+        }
+        turns
+    }
+}
+
 impl<const K: usize, const N: usize> Joint<N> for Axes<K> {
     fn turn(&self, motion: &mut Motion<N>, at: usize) {
         for i in 0..K {
@@ -164,6 +184,11 @@ impl<const K: usize, const N: usize> Joint<N> for Axes<K> {
             self.rate_rad_s[i] += dx[at + K + i];
             self.accel_rad_s2[i] += dx[at + 2 * K + i];
         }
+    }
+
+    fn turn_rad2(&self, p: &Covariance<N>, at: usize) -> Matrix3<f64> {
+        let turns = self.turns();
+        turns * p.0.fixed_view::<K, K>(at, at) * turns.transpose()
     }
 
     fn rates(&self, at: usize) -> std::ops::Range<usize> {

@@ -19,7 +19,7 @@ mod joint;
 mod tests;
 mod update;
 
-use nalgebra::{SVector, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, SVector, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::ahrs::ImuSample;
@@ -239,6 +239,12 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
     /// Standard deviation of an angle of the lower joint, rad.
     pub fn lower_sigma_rad(&self, axis: usize) -> f64 {
         self.p.0[(Self::LOWER + axis, Self::LOWER + axis)].max(0.0).sqrt()
+    }
+
+    /// Covariance of the error of both joints' turns, rad²: of the upper joint in the upper segment's axes, of the lower joint in
+    /// the lower segment's.
+    pub fn turns_rad2(&self) -> [Matrix3<f64>; 2] {
+        [self.upper.turn_rad2(&self.p, 0), Joint::<N>::turn_rad2(&self.lower, &self.p, Self::LOWER)]
     }
 
     /// Root mean square uncertainty of the upper segment about an axis, relative to the base, rad.

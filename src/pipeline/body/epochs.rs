@@ -141,12 +141,8 @@ impl ImuRecords {
         }
         last.t = Some(measured.t_valid);
         let inertial = measured.inertial?;
-        if let (Some(gyro), Some(accel)) = (inertial.angular_rate_rad_s, inertial.specific_force_m_s2) {
-            return Some(ImuSample {
-                gyro_rad_s: gyro.into(),
-                accel_m_s2: accel.into(),
-                mag: inertial.magnetic_field.filter(|_| self.field).map(Vector3::from),
-            });
+        if let Some(sample) = inertial.sample() {
+            return Some(ImuSample { mag: sample.mag.filter(|_| self.field), ..sample });
         }
         let told = measured.orientation_wxyz.and_then(geometry::orientation_from_wxyz)?;
         let before = last.told.replace(told);

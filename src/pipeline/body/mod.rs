@@ -8,7 +8,7 @@ mod epochs;
 #[cfg(test)]
 mod tests;
 
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 pub use self::epochs::ImuRecords;
@@ -16,8 +16,8 @@ use self::epochs::{Epoch, Epochs};
 use super::PipelineError;
 use crate::frame::Frame;
 use crate::fusion::body::{
-    BodyEstimate, BodyFilter, BodyParams, Figure, Follower, Heading, SEGMENTS, Segment, SensorFault,
-    Skeleton, Tracked, Worn, angles,
+    AngleSpread, BodyEstimate, BodyFilter, BodyParams, Figure, Follower, Heading, SEGMENTS, Segment,
+    SensorFault, Skeleton, Tracked, Worn, angles,
 };
 use crate::geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
 use crate::input::{MountedSensor, SensorIndex};
@@ -114,6 +114,7 @@ impl BodyStage {
                 placed: Placed::Origin,
                 segments: vec![BodySegment::default(); SEGMENTS],
                 angles_rad: Default::default(),
+                spread: AngleSpread::default(),
             },
         }))
     }
@@ -195,6 +196,15 @@ impl BodyStage {
         true
     }
 
+    /// A sensor's samples are corrected otherwise from now on: a body that wears it begins anew.
+    pub(super) fn restart(&mut self, sensor: SensorIndex) {
+        if let Solver::Imus(filter) = &self.solver
+            && self.epochs.imus().contains(&Some(sensor))
+        {
+            self.solver = Solver::imus(&self.skeleton, &filter.worn(), self.epochs.field());
+        }
+    }
+
     /// The latest body; none before the first.
     pub(super) fn latest(&self) -> Option<&Body> {
         (self.out.segments.iter().any(|segment| segment.state != SegmentState::Missing)).then_some(&self.out)
@@ -241,6 +251,7 @@ impl BodyStage {
         self.out.placed = placed;
         self.out.heading = found.heading;
         self.out.angles_rad = found.angles_rad;
+        self.out.spread = found.spread;
         for (index, out) in self.out.segments.iter_mut().enumerate() {
             let shown = found.orientations[index];
             let fault = found.faults[index];
@@ -282,6 +293,13 @@ impl BodyStage {
                 orientation_wxyz: Some(orientation_to_wxyz(&figure.orientations[index])),
                 sigma_rad: if seen { TRACKED_RAD } else { BETWEEN_RAD },
             };
+        }
+        for segment in Segment::ALL {
+            let Some(parent) = segment.parent() else { continue };
+            let of = |segment: Segment| self.out.segments[segment.index()].sigma_rad.powi(2);
+            let [above, q] = [parent, segment].map(|of| figure.orientations[of.index()]);
+            let turn_rad2 = Matrix3::identity() * (of(parent) + of(segment));
+            self.out.spread.set(segment, &(above.inverse() * q), &turn_rad2);
         }
     }
 }

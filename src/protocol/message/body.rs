@@ -69,4 +69,10 @@ pub struct JointEntry {
     pub angles_deg: BTreeMap<String, Option<f64>>,
     /// Root mean square of the expected error of one angle, degrees.
     pub sigma_deg: f64,
+    /// Standard deviation of each angle, degrees, by the same names; null where the angle is.
+    pub angle_sigmas_deg: BTreeMap<String, Option<f64>>,
+    /// Covariance of the angles in `covariance_of`, rad²: the upper triangle row by row; null where they are.
+    pub covariance_rad2: Option<Vec<f64>>,
+    /// The independent angles, in the order of the covariance's rows: a shoulder's flexion and abduction follow from the others.
+    pub covariance_of: Vec<String>,
 }

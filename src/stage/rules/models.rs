@@ -30,6 +30,7 @@ pub(super) fn check(models: &Item<'_, '_>, folder: &Path, notes: &mut Notes<'_>)
     }
     super::folder_key(models, "exercise_folder", folder, notes);
     super::folder_key(models, "faults_folder", folder, notes);
+    super::folder_key(models, "imu_folder", folder, notes);
     super::folder_key(models, "segments_folder", folder, notes);
     if let Some(map) = models.text("field")
         && let Err(reason) = crate::field::FieldMap::read(&folder.join(map.value))

@@ -42,6 +42,12 @@ async fn the_demo_s_body_stands_moves_and_is_exported_from_its_recording() {
     // Its mounting is given, but somebody may find it anew; and only by poses that are held.
     let job = ok(&mut client, json!({"type": "body.calibrate", "id": 7, "how": "quick"})).await;
     ok(&mut client, json!({"type": "job.cancel", "id": 8, "job": job["job"]})).await;
+    // A unit of several is to be named.
+    let (_, sentence) = refused(&mut client, json!({"type": "imu.calibrate", "id": 9})).await;
+    assert!(sentence.contains("name one of imu_torso"), "{sentence}");
+    let (_, sentence) =
+        refused(&mut client, json!({"type": "imu.calibrate", "id": 10, "sensor": "wand"})).await;
+    assert!(sentence.contains("\"wand\" is no IMU"), "{sentence}");
     assert_eq!(posed_demo.end("INT").await.code(), Some(0));
 
     for to in ["bvh", "trc", "glb"] {
@@ -70,6 +76,9 @@ async fn a_stage_without_a_body_has_none_to_calibrate() {
     let (_, sentence) =
         refused(&mut client, json!({"type": "stage.align", "id": 3, "sensor": "nobody"})).await;
     assert!(sentence.contains("no magnetic sensor \"nobody\""), "{sentence}");
+    // Nor one to find the intrinsics of.
+    let (code, sentence) = refused(&mut client, json!({"type": "imu.calibrate", "id": 6})).await;
+    assert!(code == "bad_request" && sentence.contains("no IMU"), "{code}: {sentence}");
     let points = ["a", "b", "c"].map(|name| json!({"name": name, "position_m": [1, 0, 0]}));
     let job = ok(&mut client, json!({"type": "stage.align", "id": 4, "anchors": points})).await;
     ok(&mut client, json!({"type": "job.cancel", "id": 5, "job": job["job"]})).await;

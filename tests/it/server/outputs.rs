@@ -22,7 +22,14 @@ fn body(t_ms: i64) -> Body {
     };
     let t_valid = Timestamp::from_nanos(t_ms * 1_000_000);
     let (heading, placed) = (Heading::Field, Placed::Trackers);
-    Body { t_valid, heading, placed, segments: vec![segment; SEGMENTS], angles_rad: [None; ANGLES] }
+    Body {
+        t_valid,
+        heading,
+        placed,
+        segments: vec![segment; SEGMENTS],
+        angles_rad: [None; ANGLES],
+        spread: Default::default(),
+    }
 }
 
 /// Address and arguments of each message of a datagram.

@@ -39,7 +39,7 @@ export class AnalysisView implements View {
     () => this.drawChoice(),
     ...CURVES.map((_, index) => () => this.drawCurve(index)),
     () => this.drawChanges(),
-    () => this.joints.draw(this.context.model.angles),
+    () => this.joints.draw(this.context.model.angles, this.context.model.angleSigmas),
     () => this.segments.draw(),
     () => this.drawRepetitions(),
     () => this.map.draw(),

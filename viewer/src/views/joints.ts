@@ -1,4 +1,4 @@
-// Curves of one joint's angles.
+// Curves of one joint's angles, each in a band of two standard deviations.
 
 import uPlot from "uplot";
 import { el } from "../dom";
@@ -7,6 +7,10 @@ import type { Rows } from "../rows";
 
 const COLOURS = ["#3469c9", "#c8452f", "#2f8f46", "#8a5ac2", "#b07400"];
 const HEIGHT = 220;
+/** A band that is wider than this says that the angle is not known, and would hide the curves, degrees. */
+const WIDEST_DEG = 15;
+
+const finite = (value: number): number | null => (Number.isFinite(value) ? value : null);
 
 export function axisLook(): uPlot.Axis {
   return { stroke: getComputedStyle(document.body).color, grid: { stroke: "#8884" }, ticks: { stroke: "#8888" } };
@@ -21,11 +25,11 @@ export class JointCurves {
   private shown = "";
 
   constructor() {
-    const row = el("div", { class: "row" }, el("h2", {}, "Joint angles, degrees"), el("label", {}, "Joint ", this.choice));
+    const row = el("div", { class: "row" }, el("h2", {}, "Joint angles with two sigma, degrees"), el("label", {}, "Joint ", this.choice));
     this.element = el("section", { hidden: true }, row, this.holder);
   }
 
-  draw(joints: Map<string, Rows>): void {
+  draw(joints: Map<string, Rows>, sigmas: Map<string, Rows>): void {
     this.element.hidden = joints.size === 0;
     if (this.element.hidden) return;
     const names = [...joints.keys()];
@@ -38,9 +42,18 @@ export class JointCurves {
     if (this.shown !== this.choice.value) this.make(angles);
     const t = angles.column(0);
     const end = t[t.length - 1] ?? 0;
-    const columns = angles.names.map((_, i) => Array.from(angles.column(i + 1), (value) => (Number.isFinite(value) ? value : null)));
+    const columns = angles.names.map((_, i) => Array.from(angles.column(i + 1), finite));
+    const spread = sigmas.get(this.choice.value);
+    // Upper and lower edge of each band, behind the curves.
+    const edges = [2, -2].map((times) => columns.map((column, i) => {
+      const sigma = spread?.column(i + 1);
+      return column.map((value, row) => {
+        const wide = sigma?.[row] ?? NaN;
+        return value !== null && wide < WIDEST_DEG ? value + times * wide : null;
+      });
+    }));
     this.plot?.batch(() => {
-      this.plot?.setData([t, ...columns] as unknown as uPlot.AlignedData, true);
+      this.plot?.setData([t, ...columns, ...edges.flat()] as unknown as uPlot.AlignedData, true);
       this.plot?.setScale("x", { min: end - HISTORY_S, max: end });
     });
   }
@@ -54,13 +67,19 @@ export class JointCurves {
     this.shown = this.choice.value;
     this.plot?.destroy();
     const axis = axisLook();
-    const series = angles.names.map((label, i) => ({ label, stroke: COLOURS[i % COLOURS.length]!, width: 1.5 }));
+    const colour = (i: number) => COLOURS[i % COLOURS.length]!;
+    const count = angles.names.length;
+    const series: uPlot.Series[] = angles.names.map((label, i) => ({ label, stroke: colour(i), width: 1.5 }));
+    const edges: uPlot.Series[] = ["+2σ", "−2σ"].flatMap((edge) => angles.names.map((name) => ({ label: `${name} ${edge}`, width: 0, points: { show: false } })));
     const options: uPlot.Options = {
       width: Math.max(this.holder.clientWidth, 400), height: HEIGHT,
       scales: { x: { time: false } },
       axes: [axis, { ...axis, size: 60 }],
-      series: [{ label: "t, s" }, ...series],
+      series: [{ label: "t, s" }, ...series, ...edges],
+      bands: angles.names.map((_, i) => ({ series: [1 + count + i, 1 + 2 * count + i], fill: `${colour(i)}33` })),
+      // The legend names the curves, not the edges of their bands.
+      hooks: { init: [(plot) => plot.root.querySelectorAll<HTMLElement>(".u-legend .u-series").forEach((row, i) => (row.hidden = i > count))] },
     };
-    this.plot = new uPlot(options, [[], ...series.map(() => [])] as unknown as uPlot.AlignedData, this.holder);
+    this.plot = new uPlot(options, [[], ...series.map(() => []), ...edges.map(() => [])] as unknown as uPlot.AlignedData, this.holder);
   }
 }

@@ -5,6 +5,7 @@ import type { Job } from "../protocol";
 import type { Context, View } from "../view";
 import { Alignment } from "./alignment";
 import { Calibration } from "./calibration";
+import { Units } from "./units";
 
 export class RunsView implements View {
   readonly id = "runs";
@@ -25,12 +26,14 @@ export class RunsView implements View {
   private readonly noJobs = el("p", { class: "quiet" }, "Nothing is running and nothing was run yet.");
   private readonly calibration: Calibration;
   private readonly alignment: Alignment;
+  private readonly units: Units;
   private rows = new Map<number, JobRow>();
 
   constructor(private readonly context: Context) {
     const { link } = context;
     this.calibration = new Calibration(context);
     this.alignment = new Alignment(context);
+    this.units = new Units(context);
     this.start.addEventListener("click", acting(this.says, () => {
       const name = this.name.value.trim();
       return link.request(name === "" ? { type: "record.start" } : { type: "record.start", name });
@@ -45,6 +48,7 @@ export class RunsView implements View {
       el("h2", {}, "Recording"),
       el("div", { class: "row" }, el("label", {}, "Name ", this.name), this.start, this.stop),
       this.recording, this.says, this.body,
+      this.units.element,
       this.alignment.element,
       this.calibration.element,
       el("h2", {}, "Jobs"), this.noJobs, this.jobs,
@@ -68,9 +72,11 @@ export class RunsView implements View {
       : hello?.role === "watch" ? "watching only: an operator's token can record"
       : status?.replay ? "this is a replay; recordings belong to a live stage"
       : "not recording");
-    this.body.hidden = hello?.skeleton !== "human" || !!status?.replay;
+    this.body.hidden = !hello?.skeleton || !!status?.replay;
+    this.how.parentElement!.hidden = hello?.skeleton !== "human";
     const calibrations = jobs?.jobs.filter(({ kind }) => kind === "body.calibrate") ?? [];
     this.drawCalibration(calibrations[calibrations.length - 1], operates);
+    this.units.draw(jobs?.jobs ?? [], operates);
     this.alignment.element.hidden = !!status?.replay;
     this.alignment.draw(jobs?.jobs ?? [], operates);
     this.drawJobs(jobs?.jobs ?? []);

@@ -8,39 +8,53 @@
 //! of three axes) nine directions leave three to check with. The magnetometer's samples, of all the
 //! recording, lie on an ellipsoid whose centre is the hard iron and whose shape is the soft iron; it is fitted as a quadric.
 
-use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, SymmetricEigen, Vector3, Vector6};
+mod fit;
+pub mod guide;
+mod rests;
+
+use std::path::Path;
+
+use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use self::fit::{fit_ellipsoid, fit_gravity, gain};
+pub use self::rests::SIDES;
+use self::rests::{Directions, MIN_REST_S, Rest, RestFinder};
 use super::ahrs::ImuSample;
 
 /// Standard gravity, m/s²: what the scale is referred to.
 const GRAVITY_M_S2: f64 = 9.806_65;
 /// Directions held at rest that it takes.
 const MIN_DIRECTIONS: usize = 9;
-/// Two rests count as two directions from this angle on, degrees.
-const NEW_DIRECTION_DEG: f64 = 20.0;
-/// A rest lasts at least this long, s.
-const MIN_REST_S: f64 = 1.0;
-/// A rest's rate departs from its mean by less, rad/s, and its force, m/s².
-const REST_RATE: f64 = 0.03;
-const REST_FORCE: f64 = 0.3;
+/// From so many on, cross-axis terms are found too: nine unknowns, and three directions to check with.
+const CROSS_DIRECTIONS: usize = 12;
 /// Largest accepted residual of the force's length, m/s².
 const MAX_RESIDUAL: f64 = 0.1;
-/// Directions along each axis, both ways, of which at least one must be within this angle, degrees.
-const NEAR_AXIS_DEG: f64 = 40.0;
+/// Largest accepted residual of the field's length, as a part of it.
+const MAX_FIELD_RESIDUAL: f64 = 0.05;
+/// Numbers beyond these are no calibration: biases, rad/s and m/s²; scale, from its inverse to this.
+const MOST_RATE: f64 = 1.0;
+const MOST_FORCE: f64 = 5.0;
+const MOST_SCALE: f64 = 1.5;
 
 /// What was found for one unit.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Intrinsics {
+    /// The unit: its serial number, or the sensor's name where the device tells none; absent: the file's name says it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<String>,
     /// Subtract from the gyro, rad/s.
     pub gyro_bias_rad_s: [f64; 3],
     /// Standard deviation of that bias between the rests, rad/s.
     pub gyro_bias_sigma_rad_s: f64,
-    /// Subtract from the accelerometer, m/s²; then multiply by the scale.
+    /// Subtract from the accelerometer, m/s²; then multiply by scale and cross-axis terms.
     pub accel_bias_m_s2: [f64; 3],
     /// Multiply the accelerometer, after subtracting the bias.
     pub accel_scale: [f64; 3],
+    /// What each axis feels of another, beside the scale: yz, xz, xy of a symmetric matrix; zero from fewer than 12 directions.
+    #[serde(default)]
+    pub accel_cross: [f64; 3],
     /// Root mean square of the length's error over the rests, m/s².
     pub accel_residual_m_s2: f64,
     /// Directions that were held.
@@ -50,7 +64,7 @@ pub struct Intrinsics {
 }
 
 /// Hard and soft iron: `m = matrix (raw - offset)` has the length `norm` in every direction.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct MagIntrinsics {
     /// Hard iron, in the unit of the samples.
     pub offset: [f64; 3],
@@ -99,6 +113,12 @@ pub enum IntrinsicsError {
         "the magnetometer's samples show no ellipsoid: turn the unit through all directions, away from iron"
     )]
     Ellipsoid,
+    /// The field does not have one length.
+    #[error("the field's length varies by {:.0} % (limit {:.0} %): turn the unit farther away from iron", 100.0 * found, 100.0 * MAX_FIELD_RESIDUAL)]
+    Field {
+        /// Root mean square, as a part of the length.
+        found: f64,
+    },
 }
 
 impl Intrinsics {
@@ -107,9 +127,47 @@ impl Intrinsics {
         let accel = sample.accel_m_s2 - Vector3::from(self.accel_bias_m_s2);
         ImuSample {
             gyro_rad_s: sample.gyro_rad_s - Vector3::from(self.gyro_bias_rad_s),
-            accel_m_s2: accel.component_mul(&Vector3::from(self.accel_scale)),
+            accel_m_s2: gain(&Vector3::from(self.accel_scale), &Vector3::from(self.accel_cross)) * accel,
             mag: sample.mag.map(|raw| self.mag.as_ref().map_or(raw, |mag| mag.apply(raw))),
         }
+    }
+}
+
+impl Intrinsics {
+    /// Reads a file of `posed imu calibrate` or `imu.calibrate`; a file that does not name its unit is that of its name.
+    ///
+    /// # Errors
+    /// One sentence: it cannot be read, or holds no intrinsics.
+    pub fn read(path: &Path) -> Result<Self, String> {
+        let shown = path.display();
+        let text = std::fs::read(path).map_err(|error| format!("cannot read {shown}: {error}"))?;
+        let mut found: Self = serde_json::from_slice(&text).map_err(|error| format!("{shown}: {error}"))?;
+        found.check().map_err(|reason| format!("{shown}: {reason}"))?;
+        if found.unit.is_none() {
+            found.unit = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        }
+        Ok(found)
+    }
+
+    /// Whether the numbers can be those of a unit.
+    ///
+    /// # Errors
+    /// One sentence that names the key.
+    pub fn check(&self) -> Result<(), String> {
+        let below = |values: &[f64], limit: f64| values.iter().all(|value| value.abs() <= limit);
+        let scales = self.accel_scale.iter().all(|scale| (MOST_SCALE.recip()..=MOST_SCALE).contains(scale));
+        let mag = self.mag.as_ref().is_none_or(|mag| {
+            let numbers = mag.offset.iter().chain(mag.matrix.iter().flatten());
+            numbers.chain([&mag.norm]).all(|value| value.is_finite()) && mag.norm > 0.0
+        });
+        let wrong = [
+            (!below(&self.gyro_bias_rad_s, MOST_RATE), "gyro_bias_rad_s: give three numbers below 1 rad/s"),
+            (!below(&self.accel_bias_m_s2, MOST_FORCE), "accel_bias_m_s2: give three numbers below 5 m/s²"),
+            (!scales, "accel_scale: give three numbers near 1"),
+            (!below(&self.accel_cross, MOST_SCALE - 1.0), "accel_cross: give three numbers near 0"),
+            (!mag, "mag: give finite numbers and a norm above 0"),
+        ];
+        wrong.iter().find(|(wrong, _)| *wrong).map_or(Ok(()), |(_, reason)| Err((*reason).to_owned()))
     }
 }
 
@@ -121,160 +179,49 @@ impl MagIntrinsics {
     }
 }
 
-/// One rest: means over it.
-#[derive(Clone, Copy, Debug)]
-struct Rest {
-    gyro: Vector3<f64>,
-    accel: Vector3<f64>,
-}
-
 /// Calibrates a unit from samples `dt_s` apart.
 ///
 /// # Errors
 /// Directions that are missing, rests that disagree, or a magnetometer that saw too little.
 pub fn calibrate(samples: &[ImuSample], dt_s: f64) -> Result<Intrinsics, IntrinsicsError> {
-    let rests = rests(samples, dt_s);
-    let mut directions: Vec<Vector3<f64>> = Vec::new();
-    for rest in &rests {
-        if directions.iter().all(|known| known.angle(&rest.accel).to_degrees() > NEW_DIRECTION_DEG) {
-            directions.push(rest.accel);
-        }
-    }
+    let mut finder = RestFinder::default();
+    let times = (0..).map(|k| f64::from(k) * dt_s);
+    let rests: Vec<Rest> = times.zip(samples).filter_map(|(t_s, sample)| finder.push(t_s, sample)).collect();
+    let fields: Vec<Vector3<f64>> = samples.iter().filter_map(|sample| sample.mag).collect();
+    solve(&rests, &fields)
+}
+
+/// What follows from rests, and from the fields of all directions.
+fn solve(rests: &[Rest], fields: &[Vector3<f64>]) -> Result<Intrinsics, IntrinsicsError> {
+    let directions = Directions::of(rests);
     if directions.len() < MIN_DIRECTIONS {
         let found = directions.len();
         return Err(IntrinsicsError::Directions { found, needed: MIN_DIRECTIONS, seconds: 2.0 * MIN_REST_S });
     }
-    for (axis, names) in [["+x", "-x"], ["+y", "-y"], ["+z", "-z"]].into_iter().enumerate() {
-        for (sign, missing) in [1.0, -1.0].into_iter().zip(names) {
-            let mut side = Vector3::zeros();
-            side[axis] = sign;
-            if directions.iter().all(|held| held.angle(&side).to_degrees() > NEAR_AXIS_DEG) {
-                return Err(IntrinsicsError::Side { missing });
-            }
-        }
+    if let Some((missing, _)) = SIDES.into_iter().zip(directions.sides()).find(|(_, held)| !held) {
+        return Err(IntrinsicsError::Side { missing });
     }
-    let (accel_bias, accel_scale, accel_residual_m_s2) = fit_gravity(&rests);
-    if accel_residual_m_s2.is_nan() || accel_residual_m_s2 > MAX_RESIDUAL {
-        return Err(IntrinsicsError::Residual { found: accel_residual_m_s2, limit: MAX_RESIDUAL });
+    let found = fit_gravity(rests, directions.len() >= CROSS_DIRECTIONS);
+    if found.residual.is_nan() || found.residual > MAX_RESIDUAL {
+        return Err(IntrinsicsError::Residual { found: found.residual, limit: MAX_RESIDUAL });
     }
     let count = rests.len() as f64;
     let bias = rests.iter().map(|rest| rest.gyro).sum::<Vector3<f64>>() / count;
     let spread = rests.iter().map(|rest| (rest.gyro - bias).norm_squared()).sum::<f64>() / (3.0 * count);
-    let fields: Vec<Vector3<f64>> = samples.iter().filter_map(|sample| sample.mag).collect();
+    let mag = if fields.is_empty() { None } else { Some(fit_ellipsoid(fields)?) };
+    if let Some(mag) = mag.as_ref().filter(|mag| mag.residual > MAX_FIELD_RESIDUAL) {
+        return Err(IntrinsicsError::Field { found: mag.residual });
+    }
     Ok(Intrinsics {
+        unit: None,
         gyro_bias_rad_s: bias.into(),
         gyro_bias_sigma_rad_s: spread.sqrt(),
-        accel_bias_m_s2: accel_bias.into(),
-        accel_scale: accel_scale.into(),
-        accel_residual_m_s2,
+        accel_bias_m_s2: found.bias.into(),
+        accel_scale: found.scale.into(),
+        accel_cross: found.cross.into(),
+        accel_residual_m_s2: found.residual,
         directions: directions.len(),
-        mag: if fields.is_empty() { None } else { Some(fit_ellipsoid(&fields)?) },
-    })
-}
-
-/// Windows of a second in which nothing moves, joined.
-fn rests(samples: &[ImuSample], dt_s: f64) -> Vec<Rest> {
-    let length = ((MIN_REST_S / dt_s).ceil() as usize).max(2);
-    samples
-        .chunks_exact(length)
-        .filter_map(|window| {
-            let mean = |value: fn(&ImuSample) -> Vector3<f64>| {
-                window.iter().map(value).sum::<Vector3<f64>>() / length as f64
-            };
-            let rest = Rest { gyro: mean(|s| s.gyro_rad_s), accel: mean(|s| s.accel_m_s2) };
-            let still = window.iter().all(|sample| {
-                (sample.gyro_rad_s - rest.gyro).norm() < REST_RATE
-                    && (sample.accel_m_s2 - rest.accel).norm() < REST_FORCE
-            });
-            still.then_some(rest)
-        })
-        .collect()
-}
-
-/// Bias and scale for which every rest has the length of gravity, by Gauss-Newton; and the residual.
-fn fit_gravity(rests: &[Rest]) -> (Vector3<f64>, Vector3<f64>, f64) {
-    let (mut bias, mut scale) = (Vector3::zeros(), Vector3::repeat(1.0));
-    let residual = |bias: &Vector3<f64>, scale: &Vector3<f64>, rest: &Rest| {
-        let corrected = (rest.accel - bias).component_mul(scale);
-        (corrected, corrected.norm() - GRAVITY_M_S2)
-    };
-    for _ in 0..20 {
-        let mut information = Matrix6::identity() * 1e-9;
-        let mut gradient = Vector6::zeros();
-        for rest in rests {
-            let (corrected, error) = residual(&bias, &scale, rest);
-            let unit = corrected.normalize();
-            let by_bias = -unit.component_mul(&scale);
-            let by_scale = unit.component_mul(&(rest.accel - bias));
-            let row = Vector6::new(by_bias.x, by_bias.y, by_bias.z, by_scale.x, by_scale.y, by_scale.z);
-            information += row * row.transpose();
-            gradient += row * error;
-        }
-        let Some(step) = information.cholesky().map(|c| c.solve(&gradient)) else { break };
-        bias -= step.fixed_rows::<3>(0);
-        scale -= step.fixed_rows::<3>(3);
-        if step.norm() < 1e-12 {
-            break;
-        }
-    }
-    let sum: f64 = rests.iter().map(|rest| residual(&bias, &scale, rest).1.powi(2)).sum();
-    (bias, scale, (sum / rests.len() as f64).sqrt())
-}
-
-/// Quadric through the samples: `x'Ax + 2 b'x = 1`, centred and scaled first so that the numbers are near one.
-fn fit_ellipsoid(fields: &[Vector3<f64>]) -> Result<MagIntrinsics, IntrinsicsError> {
-    let count = fields.len() as f64;
-    let mean = fields.iter().sum::<Vector3<f64>>() / count;
-    let size = (fields.iter().map(|m| (m - mean).norm_squared()).sum::<f64>() / count).sqrt();
-    if !size.is_finite() || size <= 0.0 {
-        return Err(IntrinsicsError::Ellipsoid);
-    }
-    let mut normal = SMatrix::<f64, 9, 9>::zeros();
-    let mut right = SVector::<f64, 9>::zeros();
-    for field in fields {
-        let m = (field - mean) / size;
-        let row = SVector::<f64, 9>::from_row_slice(&[
-            m.x * m.x,
-            m.y * m.y,
-            m.z * m.z,
-            2.0 * m.x * m.y,
-            2.0 * m.x * m.z,
-            2.0 * m.y * m.z,
-            2.0 * m.x,
-            2.0 * m.y,
-            2.0 * m.z,
-        ]);
-        normal += row * row.transpose() / count;
-        right += row / count;
-    }
-    // Where the samples cover a cap or a plane, many quadrics pass through them.
-    let weakest = normal.symmetric_eigenvalues().min();
-    if weakest.is_nan() || weakest < 1e-4 {
-        return Err(IntrinsicsError::Ellipsoid);
-    }
-    let Some(q) = normal.cholesky().map(|c| c.solve(&right)) else { return Err(IntrinsicsError::Ellipsoid) };
-    let a = Matrix3::new(q[0], q[3], q[4], q[3], q[1], q[5], q[4], q[5], q[2]);
-    let Some(inverse) = a.try_inverse() else { return Err(IntrinsicsError::Ellipsoid) };
-    let b = Vector3::new(q[6], q[7], q[8]);
-    let centre = -inverse * b;
-    let shape = a / (1.0 + b.dot(&(inverse * b)));
-    let eigen = SymmetricEigen::new(shape);
-    let least = eigen.eigenvalues.min();
-    if least.is_nan() || least <= 0.0 {
-        return Err(IntrinsicsError::Ellipsoid);
-    }
-    let root = eigen.eigenvalues.map(f64::sqrt);
-    let root = eigen.eigenvectors * Matrix3::from_diagonal(&root) * eigen.eigenvectors.transpose();
-    let volume = root.determinant().cbrt();
-    let matrix = root / volume;
-    let norm = size / volume;
-    let offset = mean + centre * size;
-    let sum: f64 = fields.iter().map(|field| ((matrix * (field - offset)).norm() / norm - 1.0).powi(2)).sum();
-    Ok(MagIntrinsics {
-        offset: offset.into(),
-        matrix: [0, 1, 2].map(|i| [matrix[(i, 0)], matrix[(i, 1)], matrix[(i, 2)]]),
-        norm,
-        residual: (sum / count).sqrt(),
+        mag,
     })
 }
 
@@ -337,6 +284,71 @@ mod tests {
         let corrected = found.apply(&samples[50]);
         assert!((corrected.accel_m_s2.norm() - GRAVITY_M_S2).abs() < 0.05);
         assert!((corrected.mag.unwrap().norm() / mag.norm - 1.0).abs() < 0.03);
+    }
+
+    #[test]
+    fn cross_axis_terms_are_found_from_twelve_directions() {
+        let cross = Vector3::new(0.012, -0.008, 0.015);
+        let mut samples = recording(&many());
+        for sample in &mut samples {
+            sample.accel_m_s2 += gain(&Vector3::zeros(), &cross) * sample.accel_m_s2;
+        }
+        let found = calibrate(&samples, 0.01).unwrap();
+        let rest = found.apply(&samples[50]).accel_m_s2;
+        assert!((Vector3::from(found.accel_cross) + cross).amax() < 2e-3, "{found:?}");
+        assert!(found.accel_residual_m_s2 < 0.02 && (rest.norm() - GRAVITY_M_S2).abs() < 0.05, "{found:?}");
+        // Nine directions leave nothing to check them with.
+        let few = calibrate(&samples[..9 * 400], 0.01);
+        assert!(few.is_err() || few.is_ok_and(|few| few.accel_cross == [0.0; 3]));
+    }
+
+    /// What one is told until all is done; the guide then knows what a file with the same samples would.
+    #[test]
+    fn a_guide_names_what_is_missing_until_nothing_is() {
+        let mut directions = many();
+        directions.swap(5, 11);
+        let samples = recording(&directions);
+        let mut guide = guide::Guide::new(true);
+        let mut prompts: Vec<String> = Vec::new();
+        for (k, sample) in samples.iter().enumerate() {
+            guide.push(k as f64 * 0.01, sample);
+            prompts.extend(guide.prompt().filter(|prompt| prompts.last() != Some(prompt)));
+        }
+        assert_eq!(guide.prompt(), None, "{prompts:?}");
+        assert!(prompts[0].starts_with("0 of 12 directions") && prompts[0].contains("-z"), "{prompts:?}");
+        assert!(prompts.iter().any(|prompt| prompt.contains("leave it as it is")), "{prompts:?}");
+        assert!(prompts.iter().any(|prompt| prompt.contains("edge or a corner")), "{prompts:?}");
+        let [live, file] = [guide.solve().unwrap(), calibrate(&samples, 0.01).unwrap()];
+        assert_eq!((live.accel_bias_m_s2, live.directions), (file.accel_bias_m_s2, file.directions));
+        // Half way it refuses, and says what is missing.
+        let mut half = guide::Guide::new(true);
+        samples[..2000].iter().enumerate().for_each(|(k, sample)| half.push(k as f64 * 0.01, sample));
+        assert!(!half.would_do());
+        assert!(matches!(half.solve(), Err(IntrinsicsError::Directions { found: 5, .. })));
+        // One who has gone away is noticed, and one who lays it down as before is told.
+        for k in 0..400 {
+            half.push(20.0 + f64::from(k) * 0.01, &samples[1700]);
+        }
+        assert!(half.prompt().unwrap().contains("this one is known"), "{:?}", half.prompt());
+        assert!(half.times_s().1 > 3.0);
+    }
+
+    #[test]
+    fn a_file_is_of_the_unit_that_it_or_its_name_says_and_nonsense_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("0123ABCD.json");
+        let mut found = calibrate(&recording(&many()), 0.01).unwrap();
+        let write = |found: &Intrinsics| std::fs::write(&path, serde_json::to_vec(found).unwrap()).unwrap();
+        write(&found);
+        assert_eq!(Intrinsics::read(&path).unwrap().unit.as_deref(), Some("0123ABCD"));
+        found.unit = Some("98:76".into());
+        write(&found);
+        assert_eq!(Intrinsics::read(&path).unwrap(), found);
+        found.accel_scale[1] = 0.0;
+        write(&found);
+        assert!(Intrinsics::read(&path).unwrap_err().ends_with("accel_scale: give three numbers near 1"));
+        std::fs::write(&path, "{}").unwrap();
+        assert!(Intrinsics::read(&path).unwrap_err().contains("missing field"));
     }
 
     #[test]

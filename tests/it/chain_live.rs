@@ -1,0 +1,125 @@
+//! A chain of hinges as the pipeline says it: thigh and shank of a simulated person who walks, without magnetometers.
+
+use posed::fusion::chain;
+use posed::fusion::chain::calibrate::calibrate;
+use posed::input::{Input, Model};
+use posed::layout::ChainLayout;
+use posed::output::Body;
+use posed::pipeline::Pipeline;
+use posed::signals;
+use posed::stage::Stage;
+use posed_simulator::truth::TruthCycle;
+
+use crate::rig::leg::{MOUNTS, STAGE, epochs, leg};
+use crate::rig::{Rig, Said, replay};
+
+/// True knee flexion at a time, rad, from straight.
+fn truth_rad(rig: &Rig, t_s: f64) -> Option<f64> {
+    let after = rig.truth.partition_point(|cycle| cycle.t.as_secs_f64() < t_s);
+    let near = [after.checked_sub(1)?, after].map(|at| rig.truth.get(at));
+    let off_s = |cycle: &&TruthCycle| (cycle.t.as_secs_f64() - t_s).abs();
+    let cycle = near.into_iter().flatten().min_by(|a, b| off_s(a).total_cmp(&off_s(b)))?;
+    let mount = |wxyz: [f64; 4]| posed::geometry::orientation_from_wxyz(wxyz).unwrap();
+    let segment = |sensor: usize, wxyz| {
+        let row = cycle.sensors.iter().find(|row| row.sensor == sensor)?;
+        Some(row.pose.rotation * mount(wxyz).inverse())
+    };
+    let (thigh, shank) = (segment(0, MOUNTS[0])?, segment(1, MOUNTS[1])?);
+    Some((thigh.inverse() * shank).angle())
+}
+
+fn bodies(said: &[Said]) -> Vec<&Body> {
+    said.iter()
+        .filter_map(|said| match said {
+            Said::Body(body) => Some(&**body),
+            _ => None,
+        })
+        .collect()
+}
+
+#[test]
+fn a_chain_is_calibrated_and_then_followed_as_well_as_a_file_of_it() {
+    let mut rig = leg(2);
+    rig.run_until(36.0);
+    assert!(bodies(&rig.said).is_empty(), "nothing is said before the axes are known");
+    assert!(!rig.pipeline.status().body.unwrap().mounted);
+    let stage = Stage::parse(STAGE).unwrap();
+    let layout = ChainLayout::of(&stage).unwrap();
+    let calibration = Box::new(calibrate(&layout.segments, &epochs(&rig)).unwrap());
+    let quality_deg = calibration.segments[1].hinge.unwrap().quality_deg;
+    assert!(quality_deg < 3.0, "{quality_deg} degrees");
+    rig.push(Input::Model(Model::Chain { calibration: calibration.clone() }));
+    assert_eq!(rig.pipeline.status().models_refused, 0);
+    let swapped = rig.now;
+    rig.run_until(60.0);
+
+    let offline = chain::solve(&layout.segments, &epochs(&rig)).unwrap();
+    let (mut live, mut file, mut expected, mut count) = (0.0, 0.0, 0.0, 0.0);
+    let zero = |angles: &mut dyn Iterator<Item = (f64, f64)>| {
+        let (sum, n) = angles.fold((0.0, 0.0), |(sum, n), (found, truth)| (sum + found - truth, n + 1.0));
+        sum / n
+    };
+    let late = |t_s: &f64| *t_s > swapped.as_secs_f64() + 4.0;
+    let pairs = |of: Vec<(f64, f64)>| -> Vec<(f64, f64)> {
+        of.into_iter()
+            .filter(|(t_s, _)| late(t_s))
+            .filter_map(|(t_s, found)| Some((found, truth_rad(&rig, t_s)?)))
+            .collect()
+    };
+    let of_live = pairs(
+        bodies(&rig.said)
+            .iter()
+            .filter_map(|body| Some((body.t_valid.as_secs_f64(), body.angles_rad[1]?)))
+            .collect(),
+    );
+    let of_file = pairs(offline.poses.iter().map(|pose| (pose.t_s, pose.flexion_rad[1])).collect());
+    let [zero_live, zero_file] = [&of_live, &of_file].map(|pairs| zero(&mut pairs.iter().copied()));
+    for (found, truth) in &of_live {
+        live += (found - truth - zero_live).powi(2);
+        count += 1.0;
+    }
+    for (found, truth) in &of_file {
+        file += (found - truth - zero_file).powi(2);
+    }
+    for body in bodies(&rig.said).iter().filter(|body| late(&body.t_valid.as_secs_f64())) {
+        expected += body.spread.sigma_rad[1].powi(2);
+    }
+    let rms = |sum: f64, n: f64| (sum / n).sqrt().to_degrees();
+    let (live, file) = (rms(live, count), rms(file, of_file.len() as f64));
+    let expected = rms(expected, count);
+    println!(
+        "live {live:.3}, file {file:.3}, stated {expected:.3} degrees, zero {:.3} {:.3}, quality {quality_deg:.3}",
+        zero_live.to_degrees(),
+        zero_file.to_degrees()
+    );
+    assert!(count > 1500.0 && live < 2.0 && file < 1.5, "live {live}, file {file}, {count} bodies");
+    assert!(zero_live.to_degrees().abs() < 4.0, "{zero_live} rad");
+    assert!((0.5..3.0).contains(&(expected / live)), "stated {expected}, is {live}");
+
+    // Recorded and replayed alike, from the middle too; and its angle is a channel of exercises.
+    let middle = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 44.0);
+    let mut pipeline = Pipeline::new(&stage).unwrap();
+    let before = replay(&mut pipeline, &rig.log[..middle]).len();
+    let mut restored = Pipeline::restore(&stage, &pipeline.snapshot()).unwrap();
+    assert!(replay(&mut restored, &rig.log[middle..]) == rig.said[before..]);
+    assert!(signals::columns_of(&stage).iter().any(|column| column == "knee_flexion_deg"));
+}
+
+#[test]
+fn a_calibration_of_another_chain_is_refused() {
+    let mut rig = leg(3);
+    rig.run_until(34.0);
+    let stage = Stage::parse(STAGE).unwrap();
+    let layout = ChainLayout::of(&stage).unwrap();
+    let mut calibration = Box::new(calibrate(&layout.segments, &epochs(&rig)).unwrap());
+    calibration.segments[1].name = "foot".into();
+    rig.push(Input::Model(Model::Chain { calibration: calibration.clone() }));
+    calibration.segments[1].quat_wxyz = [0.0; 4];
+    rig.push(Input::Model(Model::Chain { calibration }));
+    assert_eq!(rig.pipeline.status().models_refused, 2);
+    // A ball joint is not followed live, nor a segment without an IMU.
+    let ball = STAGE.replace("\"hinge\"", "\"ball\"");
+    assert_eq!(ChainLayout::of(&Stage::parse(&ball).unwrap()), None);
+    let bare = STAGE.replace("segment = \"shank\"\n", "");
+    assert_eq!(ChainLayout::of(&Stage::parse(&bare).unwrap()), None);
+}
