@@ -124,6 +124,11 @@ pub enum Command {
         /// Where they go.
         to: std_mpsc::SyncSender<Seen>,
     },
+    /// Says how the pipeline stands, for fusion on another machine; the sentence says why not.
+    Begin {
+        /// Where it goes.
+        to: std_mpsc::Sender<Result<Begin, String>>,
+    },
     /// Sends the samples of the chain's IMUs, until nobody takes them any more.
     WatchChain(std_mpsc::SyncSender<Epoch>),
     /// Sends what an IMU tells, uncorrected, until nobody takes it any more.
@@ -139,11 +144,6 @@ pub enum Command {
         sensor: SensorIndex,
         /// Where its serial number or name goes.
         to: std_mpsc::Sender<Option<String>>,
-    },
-    /// Says how the pipeline stands, for fusion on another machine; the sentence says why not.
-    Begin {
-        /// Where it goes.
-        to: std_mpsc::Sender<Result<Begin, String>>,
     },
     /// A job was cancelled; it may be one of this thread.
     LookAtJobs,

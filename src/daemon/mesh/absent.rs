@@ -35,6 +35,7 @@ impl Log {
 
 /// See `wire.rs`.
 #[derive(Debug)]
+#[expect(dead_code, reason = "nobody reads what is never made")]
 pub struct Begin {
     pub(in crate::daemon) next: u64,
     pub(in crate::daemon) header: crate::recording::Header,

@@ -54,10 +54,10 @@ impl<T> Holding<T> {
             OutcomeKind::ModelSwapped(Model::Mounting { .. } | Model::Chain { .. }) => {
                 Some((Key::Mounting, true))
             }
-            OutcomeKind::ModelSwapped(Model::Imu { unit, .. }) => Some((Key::Imu(unit.clone()), true)),
             OutcomeKind::ModelSwapped(Model::FastenedImu { sensor, .. }) => {
                 Some((Key::FastenedImu(sensor.clone()), true))
             }
+            OutcomeKind::ModelSwapped(Model::Imu { unit, .. }) => Some((Key::Imu(unit.clone()), true)),
             OutcomeKind::ModelSwapped(Model::TrackerNoise { device, .. }) => {
                 Some((Key::TrackerNoise(device.clone()), true))
             }
