@@ -119,15 +119,16 @@ async fn a_hub_says_what_its_stages_say_and_what_became_of_them() {
     // The stage waits for its hub.
     let hub = hub(port, &[]);
     let mut all = client(hub.address, "/ws").await;
-    let seen = stages(&mut all, "the stage and its clock", |stage| !stage["clock"].is_null()).await;
+    // The quickest of the round trips so far bounds it.
+    let related =
+        |stage: &Value| stage["clock"]["uncertainty_s"].as_f64().is_some_and(|bound_s| bound_s < 0.25);
+    let seen = stages(&mut all, "the stage and its clock", related).await;
     assert_eq!(
         (&seen["id"], &seen["name"], &seen["state"]),
         (&json!("two"), &json!("Two"), &json!("present"))
     );
     // Two clocks of one computer: their difference is that of the epochs.
-    let (off_s, bound_s) =
-        (seen["clock"]["offset_s"].as_f64().unwrap(), seen["clock"]["uncertainty_s"].as_f64().unwrap());
-    assert!(bound_s < 0.25 && off_s < 0.0, "{seen}");
+    assert!(seen["clock"]["offset_s"].as_f64().unwrap() < 0.0, "{seen}");
 
     // The same messages in both places, field by field.
     let subscribe = json!({"type": "subscribe", "topics": ["sensors", "field"], "drop": "queue",
