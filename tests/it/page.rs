@@ -52,6 +52,9 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
         .await;
     let device = browser.row("devices", 0).await;
     assert!(device[4].parse::<f64>().unwrap() > 50.0, "{device:?}");
+    browser
+        .until("[0, 1, 2].every((row) => parseFloat(document.getElementById('sensors').rows[row].cells[2].textContent) > 0)")
+        .await;
     // Age and clock.
     assert!((5..7).all(|cell| device[cell].parse::<f64>().is_ok()), "{device:?}");
     for row in 0..3 {
