@@ -14,6 +14,29 @@ export type AnchorSpec = {
   t_start: number;
 };
 
+/** What a request was answered with; which one gets which: [`Answers`]. All others are answered with `ok` alone. */
+export type Answer = Resumed | RecordingBegun | Started | Recordings | Tracked | Exercises | MapVersion | KeptFile;
+
+/** The `result` of each request that has one, by the request's `type`. */
+export type Answers = {
+  "body.calibrate": Started;
+  "exercise.list": Exercises;
+  "exercise.teach": Started;
+  "faults.name_cell": KeptFile;
+  "faults.train": Started;
+  "field.accept": MapVersion;
+  "field.finish": Started;
+  "field.rollback": MapVersion;
+  "imu.calibrate": Started;
+  "record.start": RecordingBegun;
+  "replay.list": Recordings;
+  "replay.seek": Started;
+  "replay.track": Tracked;
+  resume: Resumed;
+  "segments.train": Started;
+  "stage.align": Started;
+};
+
 /** A repetition that is not judged. */
 export type Begun = {
   /** Repetitions counted since it was selected or reset; only rises. */
@@ -410,6 +433,12 @@ export type ExerciseState = {
   sets: number | null;
 };
 
+/** The exercises of the stage's folder. */
+export type Exercises = {
+  /** By name. */
+  exercises: KeptExercise[];
+};
+
 /** Why a sensor's pose is not simply good. */
 export type FaultCause = "hemisphere" | "stuck" | "gate" | "missing" | "jump" | "bone" | "map" | "distance";
 
@@ -724,6 +753,22 @@ export type Judged = {
   t_start_s: number;
 };
 
+/** An exercise that can be selected. */
+export type KeptExercise = {
+  /** Its name. */
+  name: string;
+  /** The newest revision: how often it was taught. */
+  revision: number;
+};
+
+/** A file that was written. */
+export type KeptFile = {
+  /** Its name. */
+  file: string;
+  /** The revision of what it holds. */
+  revision: number;
+};
+
 /** What every data message starts with, and its body. */
 export type KeyPoseMessage = {
   /** Whether the velocity changes at once rather than gently. */
@@ -762,6 +807,12 @@ export type MagIntrinsics = {
   offset: [number, number, number];
   /** Root mean square of the length's error, as a part of the length. */
   residual: number;
+};
+
+/** The map of the field that is in use now. */
+export type MapVersion = {
+  /** Its version. */
+  version: number;
 };
 
 /** A raw record in device axes. */
@@ -861,8 +912,8 @@ export type Movement = {
 export type OkReply = {
   /** The request's. */
   id: RequestId | null;
-  /** What was asked for, where the request asks for something. */
-  result?: unknown;
+  /** What was asked for, where the request asks for something: see `Answers`. */
+  result?: Answer | null;
 };
 
 /** How sure an event is that can be taken back. */
@@ -920,6 +971,14 @@ export type Quality = {
 /** Why a repetition does not count. */
 export type Reason = "too_fast" | "too_slow" | "too_small" | "too_large" | "different" | "incomplete" | "too_soon";
 
+/** A recording that has begun. */
+export type RecordingBegun = {
+  /** Its job. */
+  job: number;
+  /** Name of the file in the folder of recordings. */
+  name: string;
+};
+
 /** A recording in progress. */
 export type RecordingStatus = {
   /** Bytes written so far. */
@@ -928,6 +987,12 @@ export type RecordingStatus = {
   name: string;
   /** When it began, s. */
   started_s: number;
+};
+
+/** The recordings of the folder. */
+export type Recordings = {
+  /** Their names, in order. */
+  recordings: string[];
 };
 
 /** How a stage's clock stands to the hub's. */
@@ -961,6 +1026,14 @@ export type ReplayStatus = {
 
 /** What a client calls its request; replies carry it. */
 export type RequestId = number | string;
+
+/** Which events follow. */
+export type Resumed = {
+  /** Whether none of those that were missed is too old to be known. */
+  complete: boolean;
+  /** The newest of the stage. */
+  last_event_id: number;
+};
 
 /** What a client may do. */
 export type Role = "watch" | "operate";
@@ -1198,6 +1271,12 @@ export type Stages = {
   t_s: number;
 };
 
+/** A job that has begun; the topic `jobs` says how it goes on. */
+export type Started = {
+  /** Its number. */
+  job: number;
+};
+
 /** What every data message starts with, and its body. */
 export type StatusMessage = {
   /** Connected clients. */
@@ -1227,6 +1306,17 @@ export type Thoroughness = "quick" | "full";
 
 /** A topic; its name is the `type` of its messages. */
 export type Topic = "status" | "sensors" | "body" | "faults" | "keyframes" | "segments" | "exercise" | "field" | "jobs" | "truth";
+
+/** Channels of a whole recording. */
+export type Tracked = {
+  /** The names of all. */
+  columns: string[];
+} | {
+  /** Time of each row, s. */
+  t_s: number[];
+  /** Each row, in the order that was asked for; null where nothing was measured. */
+  values: ((number | null)[])[];
+};
 
 /** Ground truth of one sensor. `name`, `state` and `class` are always there; the others as `fields` asks for. */
 export type TruthEntry = {

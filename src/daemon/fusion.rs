@@ -8,7 +8,6 @@ use std::sync::mpsc as std_mpsc;
 use std::time::Duration;
 
 use posed_drivers::Timestamp;
-use serde_json::{Value, json};
 use tokio::sync::{mpsc, watch};
 
 use super::calibration::Calibration;
@@ -34,7 +33,7 @@ use crate::fusion::chain::Epoch;
 use crate::input::{Entry, Input, Model, Request, SensorIndex};
 use crate::output::{OutcomeKind, Output};
 use crate::pipeline::Pipeline;
-use crate::protocol::{Payload, Publisher, Status, schema};
+use crate::protocol::{Answer, Payload, Publisher, RecordingBegun, Status, schema};
 use crate::recording::{Header, Snapshot};
 use crate::signals;
 
@@ -332,7 +331,7 @@ impl Fusion {
             Command::StartRecording { path, reply } => {
                 let started = self.start_recording(path);
                 self.health.touch();
-                answer(reply, started.map(Some));
+                answer(reply, started.map(|begun| Some(Answer::RecordingBegun(begun))));
             }
             Command::StopRecording { reply } => match self.recording.take() {
                 Some(recording) => self.stop_recording(recording, reply),
@@ -403,7 +402,7 @@ impl Fusion {
     }
 
     /// Begins a recording and says its name and its job's number.
-    pub(super) fn start_recording(&mut self, path: PathBuf) -> Result<Value, String> {
+    pub(super) fn start_recording(&mut self, path: PathBuf) -> Result<RecordingBegun, String> {
         if let Some(recording) = &self.recording {
             return Err(format!("{} is being recorded already; stop that first", recording.name));
         }
@@ -414,7 +413,7 @@ impl Fusion {
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
         self.health.recording_started();
         let job = self.jobs.begin("record.start");
-        let result = json!({ "name": name, "job": job.number() });
+        let result = RecordingBegun { name: name.clone(), job: job.number() };
         self.recording = Some(Recording { recorder, name, started, job });
         Ok(result)
     }
@@ -489,7 +488,7 @@ fn send(ports: &[mpsc::Sender<PortCommand>], device: u16, command: PortCommand) 
     }
 }
 
-fn answer(reply: Option<Reply>, result: Result<Option<Value>, String>) {
+fn answer(reply: Option<Reply>, result: Result<Option<Answer>, String>) {
     match (reply, result) {
         (Some(reply), Ok(result)) => reply.ok(result),
         (Some(reply), Err(sentence)) => reply.error("failed", sentence),

@@ -11,7 +11,7 @@ use posed_drivers::Timestamp;
 
 use super::clock::StageClock;
 use super::server::{Hub, Reply};
-use crate::protocol::{self, JobState};
+use crate::protocol::{self, Answer, JobState, Started};
 
 /// Jobs that have ended and are still listed.
 const ENDED: usize = 16;
@@ -91,7 +91,7 @@ impl Jobs {
             job.end(outcome);
         });
         match thread {
-            Ok(_) => reply.ok(Some(serde_json::json!({ "job": number }))),
+            Ok(_) => reply.ok(Some(Answer::Started(Started { job: number }))),
             Err(error) => reply.error("failed", format!("the system gives no thread: {error}")),
         }
     }

@@ -5,8 +5,6 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
-
 use crate::atomic_file::AtomicFile;
 use crate::fusion::intrinsics::Intrinsics;
 use crate::input::Model;
@@ -98,13 +96,12 @@ pub(super) struct Library {
 }
 
 /// A model in the folder.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Kept {
     /// Its name.
     pub(super) name: String,
     /// The newest revision.
     pub(super) revision: u32,
-    #[serde(skip)]
     ending: &'static str,
 }
 

@@ -19,7 +19,7 @@ use super::server::{Hub, PendingCall};
 use super::track;
 use crate::input::Entry;
 use crate::pipeline::Pipeline;
-use crate::protocol::{Call, ReplayStatus, Status};
+use crate::protocol::{Answer, Call, Recordings, ReplayStatus, Started, Status};
 use crate::recording::{Item, Outline, ReadError, Reader, machine};
 use crate::stage::Stage;
 
@@ -156,12 +156,12 @@ impl Player {
         }
     }
 
-    fn carry_out(&mut self, call: Call) -> Result<Option<serde_json::Value>, (&'static str, String)> {
+    fn carry_out(&mut self, call: Call) -> Result<Option<Answer>, (&'static str, String)> {
         let refused = |error: PlayError| ("failed", error.to_string());
         match call {
             Call::ReplayList {} => {
                 let recordings = calls::list(&self.folder).map_err(|sentence| ("failed", sentence))?;
-                Ok(Some(serde_json::json!({ "recordings": recordings })))
+                Ok(Some(Answer::Recordings(Recordings { recordings })))
             }
             Call::ReplayOpen { name } => {
                 let path = calls::find(&self.folder, &name)?;
@@ -178,7 +178,7 @@ impl Player {
                     return Err(("bad_request", "t_s: give a number of seconds".into()));
                 }
                 let job = self.seek(Timestamp::from_secs_f64(t_s)).map_err(refused)?;
-                Ok(Some(serde_json::json!({ "job": job })))
+                Ok(Some(Answer::Started(Started { job })))
             }
             Call::ReplaySpeed { speed } => {
                 let speed = speed.times();

@@ -6,10 +6,9 @@
 use std::path::Path;
 use std::sync::{Mutex, TryLockError};
 
-use serde_json::{Value, json};
-
 use super::calls;
 use super::server::Reply;
+use crate::protocol::{Answer, Tracked};
 use crate::table::{RecordedStreams, TableError};
 
 /// Rows that are answered at most.
@@ -42,7 +41,7 @@ pub(super) fn answer(folder: &Path, name: &str, columns: Vec<String>, reply: Rep
         // Who has this answer may ask for the next one at once.
         drop(alone);
         match read {
-            Ok(answer) => reply.ok(Some(answer)),
+            Ok(answer) => reply.ok(Some(Answer::Tracked(answer))),
             Err(error) => reply.error("failed", error.to_string()),
         }
     });
@@ -51,11 +50,11 @@ pub(super) fn answer(folder: &Path, name: &str, columns: Vec<String>, reply: Rep
     }
 }
 
-fn names(path: &Path) -> Result<Value, TableError> {
-    Ok(json!({ "columns": RecordedStreams::open(path)?.columns() }))
+fn names(path: &Path) -> Result<Tracked, TableError> {
+    Ok(Tracked::Channels { columns: RecordedStreams::open(path)?.columns().to_vec() })
 }
 
-fn track(path: &Path, columns: &[String]) -> Result<Value, TableError> {
+fn track(path: &Path, columns: &[String]) -> Result<Tracked, TableError> {
     let mut recording = RecordedStreams::open(path)?;
     let places: Vec<Option<usize>> =
         columns.iter().map(|column| recording.columns().iter().position(|known| known == column)).collect();
@@ -63,9 +62,9 @@ fn track(path: &Path, columns: &[String]) -> Result<Value, TableError> {
     while let Some(t_s) = recording.next_row()? {
         thinned.push(t_s, places.iter().map(|place| *recording.row().get((*place)?)?));
     }
-    let (t_s, rows): (Vec<f64>, Vec<Vec<Option<f64>>>) = thinned.rows.into_iter().unzip();
+    let (t_s, values): (Vec<f64>, Vec<Vec<Option<f64>>>) = thinned.rows.into_iter().unzip();
     // A channel that the recording does not have is empty, so that recordings of different stages can be compared.
-    Ok(json!({ "t_s": t_s, "values": rows }))
+    Ok(Tracked::Rows { t_s, values })
 }
 
 /// Evenly chosen rows of a stream whose length nobody knows: every k-th, with k doubled when there are too many.

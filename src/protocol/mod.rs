@@ -28,11 +28,12 @@ mod typescript;
 
 pub use encode::{Encoding, Payload};
 pub use message::{
-    Begun, Change, Data, Deviation, DeviceStatus, ErrorReply, ExerciseChange, ExerciseEvent, Fault,
-    FaultChange, FieldChange, FieldEvent, Figure, HeadingSource, Hello, HelloSensor, Job, JobState, Jobs,
-    JointEntry, Judged, KeyPose, LinkState, Measured, OkReply, Problem, Quality, RecordingStatus,
-    RelatedClock, ReplayStatus, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage,
-    StageEntry, StageLatency, StagePresence, Stages, Status, TruthEntry, Truths,
+    Answer, Begun, Change, Data, Deviation, DeviceStatus, ErrorReply, ExerciseChange, ExerciseEvent,
+    Exercises, Fault, FaultChange, FieldChange, FieldEvent, Figure, HeadingSource, Hello, HelloSensor, Job,
+    JobState, Jobs, JointEntry, Judged, KeptExercise, KeptFile, KeyPose, LinkState, MapVersion, Measured,
+    OkReply, Problem, Quality, RecordingBegun, RecordingStatus, Recordings, RelatedClock, ReplayStatus,
+    Resumed, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage, StageEntry,
+    StageLatency, StagePresence, Stages, Started, Status, Tracked, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use publisher::{Counters, Publisher, PublisherState, Stamp};

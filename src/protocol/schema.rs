@@ -6,7 +6,8 @@ use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
 
 use super::message::{
-    Data, ExerciseEvent, Fault, FieldEvent, Figure, Jobs, KeyPose, SegmentBody, Sensors, Status, Truths,
+    Answers, Data, ExerciseEvent, Fault, FieldEvent, Figure, Jobs, KeyPose, SegmentBody, Sensors, Status,
+    Truths,
 };
 use super::plain::plain;
 use super::{Call, Feed, RequestId, ServerMessage, Topic, typescript};
@@ -16,6 +17,7 @@ pub fn json_schema() -> Value {
     // What the daemon writes always has its nullable keys; what clients write may leave them out.
     let mut written = SchemaSettings::draft2020_12().for_serialize().into_generator();
     let server = written.subschema_for::<ServerMessage>();
+    let _ = written.subschema_for::<Answers>();
     let mut read = SchemaSettings::draft2020_12().into_generator();
     let feed = read.subschema_for::<Feed>();
     let call = read.subschema_for::<Call>();

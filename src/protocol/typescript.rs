@@ -98,7 +98,9 @@ fn object(schema: &Map<String, Value>, properties: &Map<String, Value>, indent: 
     for (name, property) in properties {
         push_comment(property, &inner, &mut out);
         let mark = if required(name) { "" } else { "?" };
-        let _ = writeln!(out, "{inner}{name}{mark}: {};", type_of(property, &inner));
+        let plain = name.chars().all(|c| c.is_alphanumeric() || c == '_');
+        let key = if plain { name.clone() } else { format!("{name:?}") };
+        let _ = writeln!(out, "{inner}{key}{mark}: {};", type_of(property, &inner));
     }
     out + indent + "}"
 }

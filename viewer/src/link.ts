@@ -1,6 +1,6 @@
 // The websocket: connects, asks for every topic the stage has, reconnects by itself, and asks for what was missed.
 
-import type { Call, Feed, Field, Hello, ServerMessage, Topic } from "./protocol";
+import type { Answers, Call, Feed, Field, Hello, ServerMessage, Topic } from "./protocol";
 import { DRAWN_HZ } from "./pace";
 
 const RETRY_MS = [500, 1000, 2000, 5000];
@@ -12,6 +12,8 @@ export type LinkState = "connecting" | "open" | "lost" | "unauthorised";
 
 type WithoutId<T> = T extends { id: unknown } ? Omit<T, "id"> : never;
 export type Request = WithoutId<Call> | WithoutId<Feed>;
+/** What a request of this kind is answered with. */
+type AnswerTo<R extends Request> = R["type"] extends keyof Answers ? Answers[R["type"]] : undefined;
 
 /** What a request was refused with: a code for programs, a sentence for people. */
 export class Refused extends Error {
@@ -86,14 +88,14 @@ export class Link {
   }
 
   /** Asks the daemon; the answer's result, or a `Refused`. */
-  request(request: Request): Promise<unknown> {
+  request<R extends Request>(request: R): Promise<AnswerTo<R>> {
     return new Promise((resolve, reject) => {
       if (this.socket?.readyState !== WebSocket.OPEN) {
         reject(new Refused("lost", "not connected"));
         return;
       }
       const id = this.nextId++;
-      this.waiting.set(id, { resolve, reject });
+      this.waiting.set(id, { resolve: resolve as (result: unknown) => void, reject });
       this.socket.send(JSON.stringify({ ...request, id }));
     });
   }

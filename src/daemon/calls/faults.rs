@@ -19,6 +19,7 @@ use crate::faults::som::map::Training;
 use crate::faults::som::rules::Class;
 use crate::faults::som::{Network, Size};
 use crate::input::Model;
+use crate::protocol::{Answer, KeptFile};
 use crate::recording::positions;
 
 /// Fewer frames tell nothing of how a body moves.
@@ -62,7 +63,10 @@ impl Calls {
     pub(super) fn name_cell(&self, row: usize, column: usize, class: Class, reply: Reply) {
         let workshop = self.workshop();
         tokio::task::spawn_blocking(move || match workshop.name_cell(row, column, class) {
-            Ok(kept) => reply.ok(Some(json!({ "revision": kept.revision, "file": kept.file() }))),
+            Ok(kept) => {
+                let kept = KeptFile { revision: kept.revision, file: kept.file() };
+                reply.ok(Some(Answer::KeptFile(kept)));
+            }
             Err(sentence) => reply.error("failed", sentence),
         });
     }

@@ -26,7 +26,7 @@ use super::server::{PendingCall, Reply};
 use super::track;
 use crate::input::{Entry, Input, Model, Plan, Request};
 use crate::pipeline::DEFAULT_SUBJECT;
-use crate::protocol::Call;
+use crate::protocol::{Answer, Call, Exercises, KeptExercise, MapVersion, Recordings};
 use crate::stage::Stage;
 
 /// Longest name of a recording, bytes.
@@ -110,7 +110,7 @@ impl Calls {
                 Err(sentence) => reply.error("bad_request", sentence),
             },
             Call::ReplayList {} => match list(&self.recordings) {
-                Ok(names) => reply.ok(Some(serde_json::json!({ "recordings": names }))),
+                Ok(names) => reply.ok(Some(Answer::Recordings(Recordings { recordings: names }))),
                 Err(sentence) => reply.error("failed", sentence),
             },
             Call::ReplayTrack { name, columns } => track::answer(&self.recordings, &name, columns, reply),
@@ -123,7 +123,11 @@ impl Calls {
             Call::FieldAccept {} => self.with_files(reply, Calibration::accept),
             Call::FieldRollback {} => self.with_files(reply, Calibration::rollback),
             Call::ExerciseList {} => match self.exercises.list() {
-                Ok(list) => reply.ok(Some(serde_json::json!({ "exercises": list }))),
+                Ok(kept) => {
+                    let exercise = |kept: models::Kept| KeptExercise { name: kept.name, revision: kept.revision };
+                    let exercises = kept.into_iter().map(exercise).collect();
+                    reply.ok(Some(Answer::Exercises(Exercises { exercises })));
+                }
                 Err(sentence) => reply.error("failed", sentence),
             },
             Call::ExerciseTeach { name, repetitions, last_s, sensors, channels, subject } => {
@@ -158,7 +162,7 @@ impl Calls {
     fn with_files(&self, reply: Reply, change: fn(&Calibration) -> Result<u32, String>) {
         let calibration = self.calibration.clone();
         tokio::task::spawn_blocking(move || match change(&calibration) {
-            Ok(version) => reply.ok(Some(serde_json::json!({ "version": version }))),
+            Ok(version) => reply.ok(Some(Answer::MapVersion(MapVersion { version }))),
             Err(sentence) => reply.error("failed", sentence),
         });
     }

@@ -12,8 +12,8 @@ use super::hub::Item;
 use super::metrics::Metrics;
 use super::outbox::{Outbox, Outgoing};
 use crate::protocol::{
-    Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload, Problem,
-    RequestId, ServerMessage, Stamp, Topic, View, encode,
+    Answer, Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload,
+    Problem, RequestId, Resumed, ServerMessage, Stamp, Topic, View, encode,
 };
 
 /// Events older than this are not resumed, in microseconds.
@@ -355,8 +355,8 @@ impl Distributor {
             return Err(("unknown_event", message));
         }
         let oldest = self.events.front().and_then(|event| event.stamp.event_id).unwrap_or(newest + 1);
-        let result = serde_json::json!({ "complete": oldest <= after + 1, "last_event_id": newest });
-        self.reply_ok(at, id, Some(result));
+        let result = Resumed { complete: oldest <= after + 1, last_event_id: newest };
+        self.reply_ok(at, id, Some(Answer::Resumed(result)));
         let client = &mut self.clients[at];
         let none = !Topic::ALL.iter().any(|t| t.is_event() && client.subscriptions[t.index()].is_some());
         for event in &self.events {
@@ -375,7 +375,7 @@ impl Distributor {
         Ok(())
     }
 
-    fn reply_ok(&self, at: usize, id: &RequestId, result: Option<serde_json::Value>) {
+    fn reply_ok(&self, at: usize, id: &RequestId, result: Option<Answer>) {
         self.clients[at].reply(&ServerMessage::Ok(OkReply { id: Some(id.clone()), result }));
     }
 

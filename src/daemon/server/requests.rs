@@ -3,7 +3,6 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use serde_json::Value;
 use tokio::sync::mpsc::error::TrySendError;
 
 use super::client::{Dialect, Heard};
@@ -11,7 +10,8 @@ use super::distributor::{self, ClientId};
 use super::outbox::{Close, Outbox, Outgoing};
 use super::{Command, Shared};
 use crate::protocol::{
-    Call, Encoding, ErrorReply, Hello, OkReply, ParseError, Request, RequestId, ServerMessage, encode, parse,
+    Answer, Call, Encoding, ErrorReply, Hello, OkReply, ParseError, Request, RequestId, ServerMessage,
+    encode, parse,
 };
 use crate::stage::Role;
 
@@ -33,7 +33,7 @@ pub struct Reply {
 
 impl Reply {
     /// It is done; `result` is what was asked for, if something was.
-    pub fn ok(mut self, result: Option<Value>) {
+    pub fn ok(mut self, result: Option<Answer>) {
         let id = self.id.take();
         self.send(&ServerMessage::Ok(OkReply { id, result }));
     }

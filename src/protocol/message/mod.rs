@@ -3,6 +3,7 @@
 //! `sensors` and `truth` are written from borrowed frames by [`super::encode`]; the types here describe the result, and a
 //! test reads every written message back through them. Times are seconds since the stage's epoch.
 
+mod answer;
 mod body;
 mod exercise;
 mod faults;
@@ -20,6 +21,11 @@ mod truth;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub(super) use self::answer::Answers;
+pub use self::answer::{
+    Answer, Exercises, KeptExercise, KeptFile, MapVersion, RecordingBegun, Recordings, Resumed, Started,
+    Tracked,
+};
 pub use self::body::{Figure, HeadingSource, JointEntry, SegmentEntry};
 pub use self::exercise::{Begun, Deviation, ExerciseChange, ExerciseEvent, Judged};
 pub use self::faults::{Fault, FaultChange};

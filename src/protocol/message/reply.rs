@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::Answer;
 use crate::protocol::RequestId;
 
 /// Reply to a request that was carried out.
@@ -10,9 +11,9 @@ use crate::protocol::RequestId;
 pub struct OkReply {
     /// The request's.
     pub id: Option<RequestId>,
-    /// What was asked for, where the request asks for something.
+    /// What was asked for, where the request asks for something: see `Answers`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub result: Option<serde_json::Value>,
+    pub result: Option<Answer>,
 }
 
 /// Reply to a request that was not carried out.

@@ -1,7 +1,7 @@
 //! Greeting, subscriptions, events, calls.
 
 use futures_util::SinkExt;
-use posed::protocol::{Call, Status};
+use posed::protocol::{Answer, Call, RecordingBegun, Status};
 use serde_json::json;
 use tokio_tungstenite::tungstenite::Message;
 
@@ -147,9 +147,10 @@ async fn calls_reach_the_daemon_and_come_back() {
     client.send(json!({"type": "record.start", "id": "r", "name": "take-1"})).await;
     let call = server.calls.recv().await.unwrap();
     assert_eq!(call.call, Call::RecordStart { name: Some("take-1".into()) });
-    call.reply.ok(Some(json!({"name": "take-1.mcap"})));
+    let recorded = RecordingBegun { name: "take-1.mcap".into(), job: 1 };
+    call.reply.ok(Some(Answer::RecordingBegun(recorded)));
     let reply = client.next().await;
-    assert_eq!(reply, json!({"type": "ok", "id": "r", "result": {"name": "take-1.mcap"}}));
+    assert_eq!(reply, json!({"type": "ok", "id": "r", "result": {"name": "take-1.mcap", "job": 1}}));
     client.send(json!({"type": "record.stop", "id": 2})).await;
     drop(server.calls.recv().await.unwrap());
     let reply = client.next().await;

@@ -48,7 +48,8 @@ export class ComparePanel {
   }
 
   private async readChannels(): Promise<void> {
-    const { columns } = (await this.context.link.request({ type: "replay.track", name: this.names[0]!.value })) as { columns: string[] };
+    const answer = await this.context.link.request({ type: "replay.track", name: this.names[0]!.value });
+    const columns = "columns" in answer ? answer.columns : [];
     const chosen = this.channel.value;
     this.channel.replaceChildren(...columns.map((name) => el("option", { value: name }, name)));
     if (columns.includes(chosen)) this.channel.value = chosen;
@@ -59,8 +60,8 @@ export class ComparePanel {
     this.tracks = [];
     for (const { value: name } of this.names) {
       // One after the other: the daemon reads one recording at a time.
-      const answer = (await this.context.link.request({ type: "replay.track", name, columns: [this.channel.value] })) as
-        { t_s: number[]; values: (number | null)[][] };
+      const answer = await this.context.link.request({ type: "replay.track", name, columns: [this.channel.value] });
+      if (!("t_s" in answer)) continue;
       const begun_s = answer.t_s[0] ?? 0;
       this.tracks.push({ t_s: answer.t_s.map((t) => t - begun_s), values: answer.values.map(([value]) => value ?? null) });
     }

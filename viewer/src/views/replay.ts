@@ -71,7 +71,7 @@ export class ReplayView implements View {
 
   private async refresh(): Promise<void> {
     const { link, model } = this.context;
-    const { recordings } = (await link.request({ type: "replay.list" })) as { recordings: string[] };
+    const { recordings } = await link.request({ type: "replay.list" });
     setText(this.says, "");
     const row = (name: string) => {
       const open = el("button", { onclick: acting(this.says, () => link.request({ type: "replay.open", name })) }, "Open");

@@ -4,7 +4,7 @@ import { Vector3 } from "three";
 import { acting, el, setText } from "../dom";
 import { BodyFigure } from "../scene/body";
 import { Scene } from "../scene/scene";
-import type { ExerciseEventMessage, ExerciseProgress, ExerciseState } from "../protocol";
+import type { ExerciseEventMessage, ExerciseProgress, ExerciseState, KeptExercise } from "../protocol";
 import type { Context, View } from "../view";
 
 /** Bars that are shown where a set has no end. */
@@ -150,8 +150,12 @@ export class TrainerView implements View {
     }
   }
 
+  private boxes(): HTMLInputElement[] {
+    return [...this.choice.querySelectorAll("input")];
+  }
+
   private select(): Promise<unknown> {
-    const exercises = [...this.choice.querySelectorAll("input:checked")].map((box) => (box as HTMLInputElement).value);
+    const exercises = this.boxes().filter((box) => box.checked).map((box) => box.value);
     const number = (input: HTMLInputElement) => (input.value === "" ? null : Number(input.value));
     return this.context.link.request({
       type: "exercise.select", exercises,
@@ -161,9 +165,14 @@ export class TrainerView implements View {
 
   private async refresh(): Promise<void> {
     try {
-      const { exercises } = (await this.context.link.request({ type: "exercise.list" })) as { exercises: string[] };
-      const chosen = new Set(this.state?.exercises.map(({ exercise }) => exercise));
-      const row = (name: string) => el("label", {}, el("input", { type: "checkbox", value: name, checked: chosen.has(name) }), ` ${name} `);
+      const { exercises } = await this.context.link.request({ type: "exercise.list" });
+      const selected = new Set(this.state?.exercises.map(({ exercise }) => exercise));
+      // What somebody has ticked since stays as it is.
+      const ticked = new Map(this.boxes().map((box) => [box.value, box.checked]));
+      const row = ({ name }: KeptExercise) => {
+        const checked = ticked.get(name) ?? selected.has(name);
+        return el("label", {}, el("input", { type: "checkbox", value: name, checked }), ` ${name} `);
+      };
       this.choice.replaceChildren(el("legend", {}, "Exercises"), ...(exercises.length ? exercises.map(row) : ["none are taught yet"]));
     } catch {
       // Not connected yet, or a replay: the greeting or the next look asks again.
