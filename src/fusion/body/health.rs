@@ -106,7 +106,7 @@ impl Watch {
         self.turning += gain * (rate_rad_s.powi(2) - self.turning);
     }
 
-    /// The segment's orientation by the sensor alone and by the body.
+    /// The segment's orientation by the sensor alone and by the body; nothing where they cannot be compared yet.
     pub(super) fn agrees(
         &mut self,
         own: Option<UnitQuaternion<f64>>,
@@ -114,10 +114,14 @@ impl Watch {
         magnetometer: bool,
         dt_s: f64,
     ) {
-        let apart = own.zip(body).is_some_and(|(own, body)| {
+        let Some((own, body)) = own.zip(body) else {
+            self.misfit_s = 0.0;
+            return;
+        };
+        let apart = {
             let tilt = (own.inverse() * Vector3::z()).angle(&(body.inverse() * Vector3::z()));
             tilt > TILT_RAD || (magnetometer && own.angle_to(&body) > HEADING_RAD)
-        });
+        };
         let apart = apart
             || self.gated > GATED
             || self.impossible > IMPOSSIBLE * self.turning.max(SLOW_RAD_S * SLOW_RAD_S);

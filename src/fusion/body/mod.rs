@@ -59,6 +59,9 @@ const GAP_STEP_S: f64 = 0.01;
 /// After so long the sensor may have been turned, s.
 const AWAY_S: f64 = 0.5;
 
+/// So long after its first sample, or after a gap that the last rate did not bridge, a sensor's orientation is worth comparing, s: its forces have levelled it.
+const SETTLED_S: f64 = 3.0;
+
 /// For so long a heading that is to come from the field is waited for, s.
 const FIELD_S: f64 = 1.0;
 
@@ -158,6 +161,8 @@ struct Sensor {
     /// Time since its last sample, s, and what that one stood for.
     behind_s: f64,
     step_s: f64,
+    /// Time since its first sample, or since it came back, s.
+    settled_s: f64,
     /// For so long a field is still waited for, s.
     patience_s: f64,
     /// Whether its samples carry a field.
@@ -194,6 +199,7 @@ impl BodyFilter {
             started: false,
             behind_s: 0.0,
             step_s: 0.0,
+            settled_s: 0.0,
             patience_s: 0.0,
             magnetometer: false,
             heading: UnitQuaternion::identity(),
@@ -314,8 +320,13 @@ impl BodyFilter {
         let out = &mut self.estimate;
         for segment in Segment::ALL {
             let index = segment.index();
+            // Who has just begun or come back does not know yet how it is turned; nor does what hangs on it.
+            let settled = std::iter::successors(Some(segment), |s| s.parent())
+                .filter_map(|s| self.sensors[s.index()].as_ref())
+                .all(|sensor| sensor.settled_s >= SETTLED_S);
             let Some(sensor) = &mut self.sensors[index] else { continue };
-            sensor.watch.agrees(own[index], out.orientations[index], sensor.magnetometer, dt_s);
+            let body = out.orientations[index].filter(|_| settled);
+            sensor.watch.agrees(own[index], body, sensor.magnetometer, dt_s);
             out.faults[index] = sensor.watch.fault();
         }
         let trunk =
@@ -352,6 +363,7 @@ impl Sensor {
     fn push(&mut self, sample: Option<&ImuSample>, age_s: f64, dt_s: f64) {
         self.watch.sample(sample, dt_s);
         self.behind_s += dt_s;
+        self.settled_s = if self.started && self.behind_s <= HOLD_S { self.settled_s + dt_s } else { 0.0 };
         let Some(sample) = sample.filter(|sample| health::usable(sample)) else { return };
         let since_s = (self.behind_s - age_s).max(1e-4);
         self.behind_s = age_s;

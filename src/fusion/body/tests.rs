@@ -274,6 +274,36 @@ fn a_strap_that_slips_is_named() {
 }
 
 #[test]
+fn who_begins_or_comes_back_in_the_middle_of_a_movement_is_no_misfit() {
+    for seed in 1..=8 {
+        let script = Script { activity: Activity::Reaching, calibration: false, facing: 0.6 };
+        let mut wearer = wearer_of(script, true, seed);
+        let worn = Segment::ALL.map(|segment| {
+            let (q_segment_sensor, offset_m) = wearer.mounting(segment.index());
+            Some(Worn { q_segment_sensor, offset_m, heading_rad: None })
+        });
+        let (recording, _) = record(&mut wearer, 12.0);
+        // A whole chain is away for a third of a second, one arm for longer; and everything begins anywhere.
+        for begin in [150, 290, 410] {
+            let mut filter = BodyFilter::new(&Skeleton::from_height(1.8), &worn, &BodyParams::default());
+            for (tick, (_, samples)) in recording.iter().enumerate().skip(begin) {
+                let mut samples = *samples;
+                let since = tick - begin;
+                if (200..235).contains(&since) {
+                    samples = BodySamples::default();
+                }
+                if (300..345).contains(&since) {
+                    samples[Segment::UpperArmR.index()] = None;
+                }
+                filter.push(&samples, 0.01);
+                let misfit = filter.estimate().faults.contains(&Some(SensorFault::Misfit));
+                assert!(!misfit, "seed {seed}: begun at {begin}, {since} samples later");
+            }
+        }
+    }
+}
+
+#[test]
 fn a_body_goes_on_from_its_serialised_state() {
     let (filter, mut wearer) = running(2);
     let json = serde_json::to_string(&filter).unwrap();

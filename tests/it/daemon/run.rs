@@ -86,9 +86,7 @@ async fn a_unit_that_starts_is_no_silent_one() {
         let status = until(&mut client, "status", |message| message["type"] == "status").await;
         let state = status["devices"][0]["state"].as_str().unwrap();
         assert!(state == "connecting" || state == "streaming", "{status}");
-        // A busy machine may have lost samples of the other device; that is not what is asked here.
-        let of_the_unit = |problem: &Value| problem["message"].as_str().unwrap().contains("flock");
-        assert!(!status["problems"].as_array().unwrap().iter().any(of_the_unit), "{status}");
+        assert!(status["problems"].as_array().unwrap().is_empty(), "{status}");
         if state == "streaming" {
             break;
         }
