@@ -3,10 +3,10 @@
 //! In: measurement rows with their innovation and noise. Out: the correction of the error state, and how well the
 //! innovation fits. It knows nothing of what the states mean.
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Matrix3, SMatrix, SVector};
 use serde::{Deserialize, Serialize};
 
-/// Covariance of N error states.
+/// Covariance of N error states; exactly symmetric, and every step leaves it so.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Covariance<const N: usize>(pub(super) SMatrix<f64, N, N>);
 
@@ -46,45 +46,40 @@ impl<const N: usize> Covariance<N> {
     /// innovation's covariance with this `noise` ([`Innovation::inverse`]).
     pub(super) fn update<const M: usize>(
         &mut self,
-        h: &SMatrix<f64, M, N>,
-        columns: usize,
         innovation: &Innovation<M, N>,
         inverse: &SMatrix<f64, M, M>,
         residual: &SVector<f64, M>,
         noise: &SVector<f64, M>,
     ) -> SVector<f64, N> {
         let gain = innovation.cross * inverse;
-        self.apply(h, columns, innovation, &gain, noise);
+        self.apply(innovation, &gain, noise);
         gain * residual
     }
 
     /// What a correction with any `gain` does to the covariance, in Joseph's form:
-    /// `(I - KH) P (I - KH)' + K R K' = A - (A H' - K R) K'` with `A = P - K (P H')'`.
+    /// `(I - KH) P (I - KH)' + K R K' = P - K D' - D K'` with `D = P H' - K S / 2` and `S = H P H' + R`.
     pub(super) fn apply<const M: usize>(
         &mut self,
-        h: &SMatrix<f64, M, N>,
-        columns: usize,
         innovation: &Innovation<M, N>,
         gain: &SMatrix<f64, N, M>,
         noise: &SVector<f64, M>,
     ) {
-        subtract_product(&mut self.0, gain, &innovation.cross);
-        let mut rest = product(&self.0, h, columns);
-        for i in 0..M {
-            rest.column_mut(i).axpy(-noise[i], &gain.column(i), 1.0);
-        }
-        subtract_product(&mut self.0, &rest, gain);
+        let half = innovation.cross - gain * (innovation.covariance(noise) * 0.5);
+        subtract_both(&mut self.0, gain, &half);
     }
 
-    /// The mean of the matrix and its transpose.
-    pub(super) fn symmetrise(&mut self) {
-        for j in 0..N {
-            for i in 0..j {
-                let mean = 0.5 * (self.0[(i, j)] + self.0[(j, i)]);
-                self.0[(i, j)] = mean;
-                self.0[(j, i)] = mean;
-            }
+    /// The three rows from `to` on become the sum of `factor` times the three rows from `from` on; columns likewise: three lines
+    /// of `F P F'`. The rows named must not have been changed by the same prediction before.
+    pub(super) fn combine_blocks(&mut self, to: usize, parts: &[(usize, Matrix3<f64>)]) {
+        let mut columns = SMatrix::<f64, N, 3>::zeros();
+        for (from, factor) in parts {
+            columns += self.0.fixed_view::<N, 3>(0, *from) * factor.transpose();
         }
+        let corner = parts.iter().map(|(from, factor)| factor * columns.fixed_view::<3, 3>(*from, 0));
+        let corner: Matrix3<f64> = corner.sum();
+        columns.fixed_view_mut::<3, 3>(to, 0).copy_from(&(0.5 * (corner + corner.transpose())));
+        self.0.fixed_view_mut::<N, 3>(0, to).copy_from(&columns);
+        self.0.fixed_view_mut::<3, N>(to, 0).copy_from(&columns.transpose());
     }
 
     /// Row `to` becomes `keep` times itself plus the sum of `factor * row(from)`; columns likewise: one line of
@@ -105,12 +100,18 @@ impl<const N: usize> Covariance<N> {
 }
 
 impl<const M: usize, const N: usize> Innovation<M, N> {
-    /// Inverse of the innovation's covariance; `None` where that is not positive.
-    pub(super) fn inverse(&self, noise: &SVector<f64, M>) -> Option<SMatrix<f64, M, M>> {
+    /// The innovation's covariance.
+    fn covariance(&self, noise: &SVector<f64, M>) -> SMatrix<f64, M, M> {
         let mut s = self.predicted;
         for i in 0..M {
             s[(i, i)] += noise[i];
         }
+        s
+    }
+
+    /// Its inverse; `None` where it is not positive.
+    pub(super) fn inverse(&self, noise: &SVector<f64, M>) -> Option<SMatrix<f64, M, M>> {
+        let mut s = self.covariance(noise);
         // Gauss-Jordan without pivots: a covariance needs none, and M is at most three.
         let mut out = SMatrix::<f64, M, M>::identity();
         for i in 0..M {
@@ -155,19 +156,19 @@ fn product<const M: usize, const N: usize>(
     SMatrix::from_data(nalgebra::ArrayStorage(out))
 }
 
-/// `p -= left right'`, in one pass over `p`.
+/// `p -= a b' + b a'`, in one pass over `p`; what is symmetric stays so to the last bit.
 #[expect(clippy::needless_range_loop, reason = "plain indices let the compiler vectorise over the rows")]
-fn subtract_product<const M: usize, const N: usize>(
+fn subtract_both<const M: usize, const N: usize>(
     p: &mut SMatrix<f64, N, N>,
-    left: &SMatrix<f64, N, M>,
-    right: &SMatrix<f64, N, M>,
+    a: &SMatrix<f64, N, M>,
+    b: &SMatrix<f64, N, M>,
 ) {
     for (j, column) in p.data.0.iter_mut().enumerate() {
-        let factors: [f64; M] = std::array::from_fn(|i| right.data.0[i][j]);
+        let row: [[f64; 2]; M] = std::array::from_fn(|i| [a.data.0[i][j], b.data.0[i][j]]);
         for k in 0..N {
             let mut sum = 0.0;
             for i in 0..M {
-                sum += factors[i] * left.data.0[i][k];
+                sum += row[i][1] * a.data.0[i][k] + row[i][0] * b.data.0[i][k];
             }
             column[k] -= sum;
         }

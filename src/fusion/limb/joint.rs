@@ -61,24 +61,9 @@ impl<const N: usize> Joint<N> for Ball {
         self.rate_rad_s += self.accel_rad_s2 * tau;
         self.accel_rad_s2 *= keep;
 
-        rotate(p, at, &step.to_rotation_matrix().into_inner().transpose());
+        let back = step.to_rotation_matrix().into_inner().transpose();
         let by_rate = so3::right_jacobian(&angle) * tau;
-        for i in 0..3 {
-            let r = by_rate.row(i);
-            let half = 0.5 * tau;
-            p.combine(
-                at + i,
-                1.0,
-                &[
-                    (at + 3, r[0]),
-                    (at + 4, r[1]),
-                    (at + 5, r[2]),
-                    (at + 6, r[0] * half),
-                    (at + 7, r[1] * half),
-                    (at + 8, r[2] * half),
-                ],
-            );
-        }
+        p.combine_blocks(at, &[(at, back), (at + 3, by_rate), (at + 6, by_rate * (0.5 * tau))]);
         for i in 0..3 {
             p.combine(at + 3 + i, 1.0, &[(at + 6 + i, tau)]);
         }
@@ -219,17 +204,5 @@ fn add_jerk<const N: usize>(p: &mut Covariance<N>, columns: [usize; 3], jerk: f6
         for (j, column) in columns.into_iter().enumerate() {
             p.0[(row, column)] += q * block[(i, j)];
         }
-    }
-}
-
-/// Turns the three states from `at` on by a matrix.
-fn rotate<const N: usize>(p: &mut Covariance<N>, at: usize, by: &Matrix3<f64>) {
-    for j in 0..N {
-        let column = by * p.0.fixed_view::<3, 1>(at, j);
-        p.0.fixed_view_mut::<3, 1>(at, j).copy_from(&column);
-    }
-    for i in 0..N {
-        let row = p.0.fixed_view::<1, 3>(i, at) * by.transpose();
-        p.0.fixed_view_mut::<1, 3>(i, at).copy_from(&row);
     }
 }

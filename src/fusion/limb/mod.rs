@@ -210,7 +210,6 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         let upper = self.observe(Which::Upper, base, field, samples.upper.as_ref(), dt_s);
         let lower = self.observe(Which::Lower, base, field, samples.lower.as_ref(), dt_s);
         self.keep_limits();
-        self.p.symmetrise();
         [upper, lower]
     }
 
@@ -266,7 +265,6 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
                 self.observe_state(column, -rate, sigma * sigma);
             }
         }
-        self.p.symmetrise();
     }
 
     fn predict(&mut self, dt_s: f64) {

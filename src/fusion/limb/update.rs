@@ -209,8 +209,8 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             let prediction = self.predict_sample(which, base, field);
             // Residuals as seen from the prior: the state has already moved by `from`.
             let from = dx;
-            self.correct(&-from);
             if pass > 0 {
+                self.correct(&-from);
                 self.p.clone_from(&prior);
             }
             dx.fill(0.0);
@@ -273,7 +273,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         let innovation = self.p.innovation(&h, N);
         let (residual, noise) = (SVector::<f64, 1>::new(residual), SVector::<f64, 1>::new(noise));
         if let Some(inverse) = innovation.inverse(&noise) {
-            let dx = self.p.update(&h, N, &innovation, &inverse, &residual, &noise);
+            let dx = self.p.update(&innovation, &inverse, &residual, &noise);
             self.correct(&dx);
         }
     }
@@ -297,11 +297,11 @@ fn step<const M: usize, const N: usize>(
     let nis = residual.dot(&(inverse * residual));
     match trust(nis) {
         None => {}
-        Some(1.0) => *dx += p.update(h, columns, &innovation, &inverse, &residual, noise),
+        Some(1.0) => *dx += p.update(&innovation, &inverse, &residual, noise),
         Some(factor) => {
             let noise = noise * factor;
             if let Some(inverse) = innovation.inverse(&noise) {
-                *dx += p.update(h, columns, &innovation, &inverse, &residual, &noise);
+                *dx += p.update(&innovation, &inverse, &residual, &noise);
             }
         }
     }
@@ -320,8 +320,7 @@ fn turn_only<const N: usize>(
     trust: impl Fn(f64) -> bool,
 ) -> Option<f64> {
     let turn = p.innovation(&prediction.d_azimuth, columns);
-    let h = prediction.d_azimuth + prediction.d_azimuth_by_tilt;
-    let full = p.innovation(&h, columns);
+    let full = p.innovation(&(prediction.d_azimuth + prediction.d_azimuth_by_tilt), columns);
     let residual = residual - (prediction.d_azimuth * *dx)[0];
     let s = full.predicted[0] + noise;
     let nis = residual * residual / s;
@@ -331,7 +330,7 @@ fn turn_only<const N: usize>(
         return None;
     }
     if trust(nis) {
-        p.apply(&h, columns, &full, &gain, &SVector::<f64, 1>::new(noise));
+        p.apply(&full, &gain, &SVector::<f64, 1>::new(noise));
         *dx += gain * residual;
     }
     Some(nis)
