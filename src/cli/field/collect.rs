@@ -9,7 +9,6 @@ use posed::field::PoleRun;
 use posed::input::{Entry, Input, Request};
 use posed::output::{Output, SensorState};
 use posed::recording::{Item, Machine, Reader};
-use posed::stage::Stage;
 use posed::table::{PoseRow, Poses};
 
 use super::Error;
