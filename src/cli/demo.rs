@@ -1,15 +1,16 @@
 //! `posed demo`: a simulated stage, the daemon and the page in one process.
 //!
 //! The devices are virtual, everything else is what `posed run` does: the driver opens a pseudo-terminal and talks to
-//! a unit that does not know it is not one. The map of faults is learnt at the start, from a rehearsal.
+//! a unit that does not know it is not one. The map of faults is learnt from a rehearsal while the stage already runs.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
+use posed::daemon::clock::StageClock;
 use posed::daemon::fusion::FusionInbox;
 use posed::daemon::inbox::Event as InboxEvent;
 use posed::daemon::{Daemon, Options};
-use posed::input::{Entry, Input, Truth, TruthSensor};
+use posed::input::{Entry, Input, Model, Truth, TruthSensor};
 use posed::stage::Stage;
 use posed_drivers::Timestamp;
 use posed_simulator::host::{Clock, Host, Watcher};
@@ -48,7 +49,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         .prefix("posed-")
         .tempdir()
         .map_err(|error| Error::Failed(format!("cannot make a folder for the ports: {error}")))?;
-    let (mut stage, text, folder) = match &args.stage {
+    let (stage, text, folder) = match &args.stage {
         Some(path) => {
             let text = std::fs::read_to_string(path).map_err(|error| Error::file("read", path, &error))?;
             let folder = path.parent().unwrap_or(Path::new("")).to_owned();
@@ -71,14 +72,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     };
     let duration_s = simulation::scenario(&stage)?.duration_s;
     let devices = simulation::virtual_stage(&stage, &folder)?;
-    if args.stage.is_none()
-        && let Some(network) = rehearsal::learn_faults(&stage, &folder)?
-    {
-        let path = ports.path().join("faults.json");
-        let text = serde_json::to_vec(&network).map_err(Error::failed)?;
-        std::fs::write(&path, text).map_err(|error| Error::file("write", &path, &error))?;
-        stage.models.faults = Some(path);
-    }
+    let rehearsed = args.stage.is_none().then(|| stage.clone());
     let mut options = Options::new(stage, text, folder);
     options.listen = args.listen;
     options.record = args.record;
@@ -95,6 +89,9 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         }
         let daemon = Daemon::start(options).map_err(Error::failed)?;
         let _ = inbox.set(daemon.inbox());
+        if let Some(stage) = rehearsed {
+            rehearse(stage, daemon.inbox(), daemon.clock());
+        }
         watch::announce(daemon.vrpn_address())?;
         let ended = watch::until_end(daemon.url(), daemon.status(), duration_s).await;
         let stopped =
@@ -102,6 +99,22 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         daemon.shutdown().await;
         ended.and(stopped)
     })
+}
+
+/// Learns a map of faults beside the stage, and swaps it in.
+#[expect(
+    clippy::disallowed_methods,
+    reason = "nobody waits for it: neither the page at the start, nor the end"
+)]
+fn rehearse(stage: Stage, inbox: FusionInbox, clock: StageClock) {
+    std::thread::spawn(move || match rehearsal::learn_faults(&stage, Path::new("")) {
+        Ok(Some(network)) => {
+            let input = Input::Model(Model::Faults { network: Box::new(network) });
+            inbox.push(InboxEvent::Entry(Entry { t: clock.now(), input }));
+        }
+        Ok(None) => {}
+        Err(error) => tracing::warn!("the map of faults was not learnt: {error}"),
+    });
 }
 
 /// Sends the truth to the `truth` topic.
