@@ -27,6 +27,8 @@ pub(crate) struct Report {
     pause_ms: f64,
     dropped: u64,
     pub(crate) cpu_percent: f64,
+    /// When the measurement began, UTC.
+    pub(crate) begins_utc_s: f64,
 }
 
 impl Report {
@@ -120,6 +122,7 @@ pub(crate) fn run(args: &Args, url: &str) -> Report {
         let mut all = Histogram::<u64>::new(3).expect("three digits");
         let (mut bytes, mut gap, mut dropped) = (0, Duration::ZERO, 0);
         let cpu_before = super::cpu_s(std::process::id());
+        let begins_utc_s = jiff::Timestamp::now().as_nanosecond() as f64 * 1e-9 + WARM_UP_S;
         for task in tasks {
             let seen = task.await.expect("a client");
             all.add(&seen.latency_us).expect("equal precision");
@@ -139,6 +142,7 @@ pub(crate) fn run(args: &Args, url: &str) -> Report {
             pause_ms: gap.as_secs_f64() * 1e3,
             dropped,
             cpu_percent: 100.0 * cpu_s / (args.seconds + WARM_UP_S),
+            begins_utc_s,
         }
     })
 }

@@ -8,7 +8,8 @@
 //! ```
 //! The server runs in this process, fed by a thread in the place of the fusion thread; the clients run in a second process
 //! and the bad client in a third. Latency is from handing over the frame to having received the whole message and read its
-//! time. With `--url` it is the age of the pose: from its capture time.
+//! time. With `--url` it is the age of the pose: from its capture time. `pause` is the longest time without a message at any client, `late` by how
+//! much the thread that hands over frames was itself woken too late: a pause of that length is the computer's, not the server's.
 #![expect(clippy::print_stdout, reason = "the table is what it is for")]
 
 mod bullies;
@@ -91,7 +92,7 @@ fn scenarios(args: &Args) {
         }
     );
     println!(
-        "{:<9} {:>9} {:>8} {:>7} {:>7} {:>7} {:>7} {:>8} {:>7} {:>7} {:>7}  load",
+        "{:<9} {:>9} {:>8} {:>7} {:>7} {:>7} {:>7} {:>8} {:>7} {:>7} {:>7} {:>7}  load",
         "scenario",
         "msgs/s",
         "MB/s",
@@ -101,6 +102,7 @@ fn scenarios(args: &Args) {
         "max",
         "pause ms",
         "dropped",
+        "late ms",
         "server%",
         "client%"
     );
@@ -129,7 +131,13 @@ fn scenarios(args: &Args) {
         let report = Report::from_line(&line);
         // The server works a little longer than the clients measure: warming up and saying goodbye.
         let server = 100.0 * server_cpu_s / (args.seconds + clients::WARM_UP_S);
-        println!("{name:<9} {} {server:>7.1} {:>7.1}  {}  {what}", report.row(), report.cpu_percent, load());
+        let late_ms = served.as_ref().map_or(0.0, |served| served.late_ms(report.begins_utc_s, args.seconds));
+        let clients = report.cpu_percent;
+        println!(
+            "{name:<9} {} {late_ms:>7.1} {server:>7.1} {clients:>7.1}  {}  {what}",
+            report.row(),
+            load()
+        );
         drop(served);
     }
 }

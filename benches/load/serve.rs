@@ -1,8 +1,8 @@
 //! A server in this process, and a thread that hands it frames.
 
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use posed::daemon::server::{Config, Hub, Server};
@@ -17,7 +17,23 @@ pub(crate) struct Served {
     pub(crate) url: String,
     stop: Option<oneshot::Sender<()>>,
     ends: Arc<AtomicBool>,
+    wakes: Arc<Mutex<Vec<Wake>>>,
     threads: Vec<std::thread::JoinHandle<()>>,
+}
+
+/// When the thread that hands over frames was woken, and by how much too late: what the computer itself is late by, whatever the server does.
+struct Wake {
+    utc_s: f64,
+    late: Duration,
+}
+
+impl Served {
+    /// The latest wake-up within so many seconds, ms.
+    pub(crate) fn late_ms(&self, begins_utc_s: f64, seconds: f64) -> f64 {
+        let wakes = self.wakes.lock().unwrap_or_else(PoisonError::into_inner);
+        let within = wakes.iter().filter(|wake| (0.0..seconds).contains(&(wake.utc_s - begins_utc_s)));
+        within.map(|wake| wake.late).max().unwrap_or_default().as_secs_f64() * 1e3
+    }
 }
 
 /// Starts server and frames.
@@ -57,11 +73,13 @@ pub(crate) fn start(args: &Args) -> Served {
     });
     let (url, hub) = started.recv().expect("a server");
     let ends = Arc::new(AtomicBool::new(false));
+    let wakes = Arc::new(Mutex::new(Vec::new()));
     let frames = {
         let (ends, rate_hz, sensors) = (Arc::clone(&ends), args.rate_hz, args.sensors);
-        std::thread::spawn(move || publish(&hub, rate_hz, sensors, &ends))
+        let wakes = Arc::clone(&wakes);
+        std::thread::spawn(move || publish(&hub, rate_hz, sensors, &ends, &wakes))
     };
-    Served { url, stop: Some(stop), ends, threads: vec![server, frames] }
+    Served { url, stop: Some(stop), ends, wakes, threads: vec![server, frames] }
 }
 
 impl Drop for Served {
@@ -78,14 +96,16 @@ impl Drop for Served {
 
 /// A frame per tick, its time the moment of handing over, its numbers all different.
 #[expect(clippy::disallowed_methods, reason = "this program owns its clock")]
-fn publish(hub: &Hub, rate_hz: f64, sensors: u16, ends: &AtomicBool) {
+fn publish(hub: &Hub, rate_hz: f64, sensors: u16, ends: &AtomicBool, wakes: &Mutex<Vec<Wake>>) {
     let period = Duration::from_secs_f64(1.0 / rate_hz);
     let mut due = Instant::now();
     let mut frame = 0;
     let mut estimate = Estimate::default();
     while !ends.load(Ordering::Relaxed) {
         due += period;
-        std::thread::sleep(due.saturating_duration_since(Instant::now()));
+        let before = Instant::now();
+        std::thread::sleep(due.saturating_duration_since(before));
+        let late = before.max(due).elapsed();
         frame += 1;
         estimate.frame = frame;
         estimate.sensors.clear();
@@ -93,6 +113,8 @@ fn publish(hub: &Hub, rate_hz: f64, sensors: u16, ends: &AtomicBool) {
         let utc = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         estimate.t_valid = Timestamp::from_nanos(utc.as_nanos() as i64);
         hub.publish_estimate(&estimate);
+        let wake = Wake { utc_s: utc.as_secs_f64(), late };
+        wakes.lock().unwrap_or_else(PoisonError::into_inner).push(wake);
     }
 }
 
