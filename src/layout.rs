@@ -54,8 +54,7 @@ impl Wearers {
         let mut wearers = Self::default();
         for (index, sensor) in (0..).zip(&stage.sensors) {
             let Some(segment) = segment_of(sensor) else { continue };
-            let device = stage.devices.iter().find(|device| device.name == sensor.device);
-            if !device.is_some_and(|device| device.driver.is_inertial()) {
+            if !stage.is_imu(sensor) {
                 wearers.trackers.push((index, segment));
             } else if let Some(first) = wearers.imus[segment.index()].replace(index) {
                 return Err([stage.sensors[usize::from(first)].name.clone(), sensor.name.clone()]);
@@ -84,7 +83,7 @@ pub fn skeleton_of(body: &stage::Body) -> Option<Skeleton> {
 
 /// Where a sensor sits: as it says itself, else by its name.
 pub fn segment_of(sensor: &stage::Sensor) -> Option<Segment> {
-    Segment::named(sensor.segment.as_ref().unwrap_or(&sensor.name))
+    Segment::named(sensor.sits_on())
 }
 
 impl BodyLayout {
@@ -196,11 +195,7 @@ impl ChainLayout {
                 (None, _) => None,
                 _ => return None,
             };
-            let sits = |sensor: &stage::Sensor| {
-                let inertial =
-                    stage.devices.iter().any(|d| d.name == sensor.device && d.driver.is_inertial());
-                inertial && sensor.segment.as_ref().unwrap_or(&sensor.name) == &segment.name
-            };
+            let sits = |sensor: &stage::Sensor| stage.is_imu(sensor) && sensor.sits_on() == segment.name;
             imus.push(stage.sensors.iter().position(sits)? as SensorIndex);
             segments.push(ChainSegment { name: segment.name.clone(), hinge });
         }

@@ -74,12 +74,8 @@ impl InertialColumns {
         if BodyLayout::of(stage).is_some() {
             return Self::default();
         }
-        let inertial = |device: &str| {
-            let device = stage.devices.iter().find(|known| known.name == device);
-            device.is_some_and(|device| device.driver.is_inertial())
-        };
         let sensors = stage.sensors.iter().enumerate();
-        Self(sensors.filter(|(_, sensor)| inertial(&sensor.device)).map(|(index, _)| index).collect())
+        Self(sensors.filter(|(_, sensor)| stage.is_imu(sensor)).map(|(index, _)| index).collect())
     }
 
     /// The columns' names.

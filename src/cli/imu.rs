@@ -7,9 +7,9 @@ use nalgebra::Vector3;
 use posed::atomic_file::AtomicFile;
 use posed::fusion::ahrs::ImuSample;
 use posed::fusion::intrinsics::{Intrinsics, calibrate};
-use posed::table::Imu;
+use posed::output::Inertial;
 
-use super::{Error, print, print_json};
+use super::{Error, imus, print, print_json};
 
 /// What to do with an IMU.
 #[derive(clap::Args)]
@@ -32,7 +32,7 @@ enum Action {
     through all directions in between. One file per unit: name it after its serial number, or give that as --serial, \
     and put it into the folder `imus` beside a stage file: the stage then corrects the unit by it.")]
 struct Calibrate {
-    /// Samples of one unit, `.csv` or `.csv.gz`.
+    /// Samples of one unit, `.csv` or `.csv.gz`, or a recording of a stage, `.mcap`.
     recording: PathBuf,
     /// Where the intrinsics go.
     #[arg(short, long, value_name = "IMU.json")]
@@ -58,7 +58,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 }
 
 fn run_calibrate(args: &Calibrate) -> Result<(), Error> {
-    let imu = Imu::read(&args.recording, args.rate_hz).map_err(Error::failed)?;
+    let (_, imu) = imus::read(&args.recording, args.rate_hz, Inertial::told)?;
     let index = match (&args.sensor, imu.sensors.len()) {
         (Some(name), _) => imu.sensors.iter().position(|sensor| sensor == name).ok_or_else(|| {
             Error::Failed(format!("no sensor `{name}` in the file; it has {}", imu.sensors.join(", ")))

@@ -31,6 +31,7 @@ mod field;
 mod handbook;
 mod hub;
 mod imu;
+mod imus;
 mod info;
 mod keyframes;
 mod man;

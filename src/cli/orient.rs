@@ -6,9 +6,10 @@ use std::time::{Duration, Instant};
 use nalgebra::{UnitQuaternion, Vector3};
 use posed::fusion::ahrs::{Ahrs, ImuSample, Params};
 use posed::geometry::orientation_to_wxyz;
-use posed::table::{Imu, ImuRow, TableWriter};
+use posed::output::Inertial;
+use posed::table::{ImuRow, TableWriter};
 
-use super::{Error, print, print_json};
+use super::{Error, imus, print, print_json};
 
 /// What to orient, and how.
 #[derive(clap::Args)]
@@ -17,7 +18,7 @@ use super::{Error, print, print_json};
     Reads t (or --rate-hz), sensor, ax,ay,az (m/s²), gx,gy,gz (rad/s) and, where they are there, mx,my,mz (any unit).\n\
     Writes t,sensor,qw,qx,qy,qz: sensor to room, z up; x east and y north with a magnetometer.")]
 pub(crate) struct Args {
-    /// Samples of one or several IMUs, `.csv` or `.csv.gz`.
+    /// Samples of one or several IMUs, `.csv` or `.csv.gz`, or a recording of a stage, `.mcap`.
     imu: PathBuf,
     /// Where the orientations go.
     #[arg(short, long, value_name = "Q.csv")]
@@ -50,7 +51,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     if !(0.0..=100.0).contains(&args.gyro_delay_ms) {
         return Err(Error::Usage(format!("--gyro-delay-ms {}: give 0 to 100", args.gyro_delay_ms)));
     }
-    let imu = Imu::read(&args.imu, args.rate_hz).map_err(Error::failed)?;
+    let (_, imu) = imus::read(&args.imu, args.rate_hz, Inertial::sample)?;
     if imu.rows.is_empty() {
         return Err(Error::Failed(format!("{} has no samples", args.imu.display())));
     }

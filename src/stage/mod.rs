@@ -149,14 +149,20 @@ impl Stage {
         self.name.chars().map(plain).collect()
     }
 
+    /// The driver of a sensor's device.
+    pub fn driver_of(&self, sensor: &Sensor) -> Option<&Driver> {
+        self.devices.iter().find(|device| device.name == sensor.device).map(|device| &device.driver)
+    }
+
+    /// Whether a sensor is an IMU rather than one of a magnetic tracker.
+    pub fn is_imu(&self, sensor: &Sensor) -> bool {
+        self.driver_of(sensor).is_some_and(Driver::is_inertial)
+    }
+
     /// Indices of the sensors of magnetic trackers, in their order.
     pub fn magnetic_indices(&self) -> Vec<usize> {
-        let magnetic = |index: &usize| {
-            let sensor = &self.sensors[*index];
-            let device = self.devices.iter().find(|device| device.name == sensor.device);
-            device.is_some_and(|device| !device.driver.is_inertial())
-        };
-        (0..self.sensors.len()).filter(magnetic).collect()
+        let sensors = self.sensors.iter().enumerate();
+        sensors.filter(|(_, sensor)| !self.is_imu(sensor)).map(|(index, _)| index).collect()
     }
 
     /// Names of the sensors of magnetic trackers, in their order.
@@ -273,6 +279,13 @@ pub struct Sensor {
     pub offset_m: Option<[f64; 3]>,
     /// The IMU that is fastened to this magnetic sensor: both become one pose, which goes on where the tracker fails.
     pub imu: Option<FastenedImu>,
+}
+
+impl Sensor {
+    /// Name of the segment it would sit on: as it says itself, else its own.
+    pub fn sits_on(&self) -> &str {
+        self.segment.as_ref().unwrap_or(&self.name)
+    }
 }
 
 /// A key that was not written is not written back: not every driver's sensors may have it.

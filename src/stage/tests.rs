@@ -68,6 +68,36 @@ end_s = 2
 }
 
 #[test]
+fn what_of_a_chain_is_not_followed_is_told() {
+    let device = "name = \"c\"\n[[device]]\nname = \"worn\"\ndriver = \"xbus\"\nport = \"/dev/ttyUSB0\"\n\
+        [[sensor]]\nname = \"base\"\ndevice = \"worn\"\naddress = 1\n[body]\nskeleton = \"custom\"\n\
+        [[body.segments]]\nname = \"base\"\n";
+    let link = |n: usize, parent: &str, kind: &str| {
+        format!(
+            "[[body.segments]]\nname = \"link{n}\"\nparent = \"{parent}\"\njoint = \"j{n}\"\nkind = \"{kind}\"\n"
+        )
+    };
+    let worn = |n: usize| format!("[[sensor]]\nname = \"link{n}\"\ndevice = \"worn\"\naddress = {}\n", n + 1);
+    let told = |text: &str| {
+        let report = check(text);
+        assert!(report.ok, "{report:?}");
+        report.warnings.into_iter().map(|warning| (warning.line, warning.message)).collect::<Vec<_>>()
+    };
+    let begin = device.find("[body]").unwrap();
+    let with =
+        |sensors: &str, links: &str| format!("{}{sensors}{}{links}", &device[..begin], &device[begin..]);
+    assert_eq!(told(&with(&worn(1), &link(1, "base", "hinge"))), []);
+    let unworn = told(&with("", &link(1, "base", "hinge")));
+    assert_eq!(unworn, [(14, "no IMU sits on `link1`: the chain is not followed live".to_owned())]);
+    let ball = told(&with(&worn(1), &link(1, "base", "ball")));
+    assert_eq!(ball, [(22, "`j1` is no hinge, and chains with other joints are not solved".to_owned())]);
+    let (sensors, links): (String, String) = (1..=10).map(|n| (worn(n), link(n, "base", "hinge"))).unzip();
+    let long = told(&with(&sensors, &links));
+    assert_eq!(long.len(), 1, "{long:?}");
+    assert_eq!(long[0].1, "chains of more than 10 segments are not followed live");
+}
+
+#[test]
 fn a_line_that_is_too_slow_gets_a_warning_and_stays_right() {
     let sensors: String = (1..=8)
         .map(|n| format!("[[sensor]]\nname = \"s{n}\"\ndevice = \"flock\"\naddress = {n}\n"))

@@ -1,5 +1,7 @@
 //! A chain of hinges as the pipeline says it: thigh and shank of a simulated person who walks, without magnetometers.
 
+use std::path::Path;
+
 use posed::fusion::chain;
 use posed::fusion::chain::calibrate::calibrate;
 use posed::input::{Input, Model};
@@ -8,10 +10,12 @@ use posed::output::Body;
 use posed::pipeline::Pipeline;
 use posed::signals;
 use posed::stage::Stage;
+use posed::table::TableReader;
 use posed_simulator::truth::TruthCycle;
 
+use crate::cli::posed;
 use crate::rig::leg::{MOUNTS, STAGE, epochs, leg};
-use crate::rig::{Rig, Said, replay};
+use crate::rig::{Rig, Said, record, replay};
 
 /// True knee flexion at a time, rad, from straight.
 fn truth_rad(rig: &Rig, t_s: f64) -> Option<f64> {
@@ -103,6 +107,28 @@ fn a_chain_is_calibrated_and_then_followed_as_well_as_a_file_of_it() {
     let mut restored = Pipeline::restore(&stage, &pipeline.snapshot()).unwrap();
     assert!(replay(&mut restored, &rig.log[middle..]) == rig.said[before..]);
     assert!(signals::columns_of(&stage).iter().any(|column| column == "knee_flexion_deg"));
+
+    // A recording is solved as it is, by the stage that it knows.
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    record(Path::new(&path("take.mcap")), &rig.log, STAGE, "");
+    let done = posed(["body", "solve", &path("take.mcap"), "-o", &path("angles.csv")]);
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let mut table = TableReader::open(Path::new(&path("angles.csv"))).unwrap();
+    let [t, knee] = table.require(["t", "knee_flexion_deg"]).unwrap();
+    let mut solved = Vec::new();
+    while table.next_row().unwrap() {
+        solved.push((table.required_number(t).unwrap(), table.required_number(knee).unwrap().to_radians()));
+    }
+    let expected: Vec<_> = offline.poses.iter().map(|pose| (pose.t_s, pose.flexion_rad[1])).collect();
+    assert_eq!(solved.len(), expected.len());
+    for (solved, expected) in solved.iter().zip(&expected) {
+        assert!((solved.0 - expected.0).abs() < 1e-5 && (solved.1 - expected.1).abs() < 1e-4);
+    }
+    let done = posed(["orient", &path("take.mcap"), "-o", &path("q.csv")]);
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let done = posed(["imu", "calibrate", &path("take.mcap"), "--sensor", "upper", "-o", &path("imu.json")]);
+    assert!(String::from_utf8_lossy(&done.stderr).contains("directions were held at rest"), "{done:?}");
 }
 
 #[test]

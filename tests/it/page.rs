@@ -10,6 +10,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::browser::{self, Browser};
 use crate::daemon::process::{Posed, two_devices};
+use crate::rig::leg;
 
 /// The page has complained about nothing, and the daemon ends as it should.
 async fn done(browser: Browser, posed: Posed) {
@@ -458,33 +459,8 @@ fn write_links(path: &Path) {
     std::fs::write(path, text).unwrap();
 }
 
-/// These two links, as a chain of one hinge.
-const LEG: &str = r#"
-name = "leg"
-[[device]]
-name = "worn"
-driver = "xbus"
-port = "auto"
-baud = 921600
-[[sensor]]
-name = "upper"
-device = "worn"
-address = 1
-segment = "thigh"
-[[sensor]]
-name = "lower"
-device = "worn"
-address = 2
-segment = "shank"
-[body]
-skeleton = "custom"
-[[body.segments]]
-name = "thigh"
-[[body.segments]]
-name = "shank"
-parent = "thigh"
-joint = "knee"
-kind = "hinge"
+/// These two links in the place of a person's leg.
+const LINKS: &str = r#"
 [[simulation.body]]
 name = "links"
 [simulation.body.motion]
@@ -512,7 +488,7 @@ async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
     }
     let folder = tempfile::tempdir().unwrap();
     let stage = folder.path().join("leg.toml");
-    std::fs::write(&stage, LEG).unwrap();
+    std::fs::write(&stage, leg::STAGE.replace("/dev/none", "auto") + LINKS).unwrap();
     write_links(&folder.path().join("links.csv"));
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
 """A random forest on windowed joint features, leave one sequence out: what `posed segments` is measured against.
 
-usage: forest.py DIR [--rate-hz 120] [--trees 300] [TEST ...]      needs numpy and scikit-learn (PyPI)
+usage: forest.py DIR [--rate-hz 120] [--trees 300] [--together] [TEST ...]      needs numpy and scikit-learn (PyPI)
 
 DIR holds CSV sequences as `posed segments train` reads them (`label`, `transition`, NAME_x,NAME_y,NAME_z; y up).
 Per frame: joints relative to the root, turned to where the body faces (line of the joints l* and r*), and for each
 of these coordinates the mean, standard deviation and speed over windows of 0.25, 0.5 and 1 s; then a median filter of 1 s over the
-predicted classes. Frames whose class does not occur in training are not scored. Prints a row per test sequence.
+predicted classes. Frames whose class does not occur in training are not scored. Prints a row per test sequence; with `--together` none of them is learned from for any.
 """
 import argparse
 import csv
@@ -92,6 +92,7 @@ def main():
     parser.add_argument("--rate-hz", type=float, default=120.0)
     parser.add_argument("--trees", type=int, default=300)
     parser.add_argument("--step", type=int, default=3, help="learn from every step-th frame")
+    parser.add_argument("--together", action="store_true")
     args = parser.parse_args()
     data = {}
     for path in sorted(args.dir.glob("*.csv*")):
@@ -99,11 +100,13 @@ def main():
         data[path.name.split(".")[0]] = (features(names, points, args.rate_hz), labels)
     right = frames = 0
     for test in args.tests:
-        x = np.concatenate([f[::args.step] for n, (f, _) in data.items() if n != test])
-        y = np.concatenate([l[::args.step] for n, (_, l) in data.items() if n != test])
-        x, y = x[y != ""], y[y != ""]
-        forest = RandomForestClassifier(args.trees, min_samples_leaf=3, max_features="sqrt", n_jobs=1, random_state=1)
-        forest.fit(x, y)
+        if not args.together or test == args.tests[0]:
+            held = args.tests if args.together else [test]
+            x = np.concatenate([f[::args.step] for n, (f, _) in data.items() if n not in held])
+            y = np.concatenate([l[::args.step] for n, (_, l) in data.items() if n not in held])
+            x, y = x[y != ""], y[y != ""]
+            forest = RandomForestClassifier(args.trees, min_samples_leaf=3, max_features="sqrt", n_jobs=1, random_state=1)
+            forest.fit(x, y)
         f, truth = data[test]
         window = int(args.rate_hz) | 1
         p = forest.predict_proba(f)

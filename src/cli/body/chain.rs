@@ -25,13 +25,12 @@ struct JointSummary {
     excitation: f64,
 }
 
-pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body) -> Result<(), Error> {
+pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Result<(), Error> {
     let segments = hinges(body)?;
-    let imu = Imu::read(&args.imus, args.rate_hz).map_err(Error::failed)?;
     let names: Vec<&str> = segments.iter().map(|segment| segment.name.as_str()).collect();
-    let places = places(stage, &imu, &names);
-    one_each(&imu, &places, &names, true)?;
-    let epochs: Vec<Epoch> = epochs(&imu, &places, segments.len())
+    let places = places(stage, imu, &names);
+    one_each(imu, &places, &names, true)?;
+    let epochs: Vec<Epoch> = epochs(imu, &places, segments.len())
         .into_iter()
         .map(|(t_s, samples)| Epoch { t_s, samples })
         .collect();

@@ -44,14 +44,13 @@ struct FaultSummary {
     t: f64,
 }
 
-pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body) -> Result<(), Error> {
+pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Result<(), Error> {
     let skeleton = skeleton_of(body).ok_or_else(|| {
         Error::failed("the stage's [body] lacks `height_m`, which gives the segments' lengths")
     })?;
-    let imu = Imu::read(&args.imus, args.rate_hz).map_err(Error::failed)?;
     let names = Segment::ALL.map(Segment::name);
-    let places = places(stage, &imu, &names);
-    one_each(&imu, &places, &names, false)?;
+    let places = places(stage, imu, &names);
+    one_each(imu, &places, &names, false)?;
     if places.iter().all(Option::is_none) {
         return Err(Error::Failed(format!(
             "no sensor of the file sits on a segment (sensors: {}): name them like segments ({}), or give them \
@@ -60,7 +59,7 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body) -> Result<(), Erro
             names.join(", ")
         )));
     }
-    let recording = recording(&imu, &places)?;
+    let recording = recording(imu, &places)?;
     let mut sensors: [Option<&Sensor>; SEGMENTS] = [None; SEGMENTS];
     for (name, place) in imu.sensors.iter().zip(&places) {
         if let Some(place) = place {

@@ -7,10 +7,11 @@ use std::path::PathBuf;
 
 use nalgebra::Vector3;
 use posed::fusion::ahrs::ImuSample;
+use posed::output::Inertial;
 use posed::stage::{Skeleton, Stage};
 use posed::table::Imu;
 
-use super::{Error, print, print_json};
+use super::{Error, imus, print, print_json};
 
 /// What to do with a body.
 #[derive(clap::Args)]
@@ -29,16 +30,17 @@ enum Action {
 /// What to solve.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  posed body solve imus.csv --stage body.toml -o angles.csv\n  \
-    posed body solve imus.csv --stage body.toml -o dance.bvh\n\n\
+    posed body solve imus.csv --stage body.toml -o dance.bvh\n  \
+    posed body solve take.mcap -o angles.csv\n\n\
     The stage's [body] names the segments; each sensor is named like its segment, or says `segment`.\n\
     The human skeleton needs `height_m`, and poses and movements in [[body.calibration]] or a given mounting.\n\
     A custom skeleton of hinges needs neither lengths nor magnetometers nor a calibration.")]
 struct Solve {
-    /// Samples of the IMUs, `.csv` or `.csv.gz`, with a column `sensor`.
+    /// Samples of the IMUs, `.csv` or `.csv.gz`, with a column `sensor`; or a recording of a stage, `.mcap`.
     imus: PathBuf,
-    /// The stage file with the body.
+    /// The stage file with the body; absent: the recording's own.
     #[arg(long, value_name = "S.toml")]
-    stage: PathBuf,
+    stage: Option<PathBuf>,
     /// Where segments and angles go; the human skeleton also to an animation that ends in .bvh, .trc or .glb.
     #[arg(short, long, value_name = "ANGLES.csv")]
     output: PathBuf,
@@ -57,11 +59,16 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 }
 
 fn solve(args: &Solve) -> Result<(), Error> {
-    let stage = Stage::load(&args.stage).map_err(Error::failed)?;
+    let (recorded, imu) = imus::read(&args.imus, args.rate_hz, Inertial::sample)?;
+    let stage = match (&args.stage, recorded) {
+        (Some(path), _) => Stage::load(path).map_err(Error::failed)?,
+        (None, Some(stage)) => stage,
+        (None, None) => return Err(Error::Usage("give --stage: a table does not know its body".into())),
+    };
     let body = stage.body.as_ref().ok_or_else(|| Error::failed("the stage file has no [body] table"))?;
     match body.skeleton {
-        Skeleton::Custom => chain::solve(args, &stage, body),
-        Skeleton::Human => human::solve(args, &stage, body),
+        Skeleton::Custom => chain::solve(args, &stage, body, &imu),
+        Skeleton::Human => human::solve(args, &stage, body, &imu),
     }
 }
 

@@ -9,7 +9,6 @@ use posed::field::PoleRun;
 use posed::input::{Entry, Input, Request};
 use posed::output::{Output, SensorState};
 use posed::recording::{Item, Machine, Reader};
-use posed::stage::Stage;
 use posed::table::{PoseRow, Poses};
 
 use super::Error;
@@ -23,7 +22,8 @@ pub(super) fn is_recording(path: &Path) -> bool {
 pub(super) fn run(path: &Path, sensors: &[String], spacing_m: f64) -> Result<PoleRun, Error> {
     let mut reader = Reader::open(path).map_err(Error::failed)?;
     let (stage, mut machine) = Machine::as_recorded(reader.header()).map_err(Error::failed)?;
-    let sensors = if sensors.is_empty() { magnetic(&stage) } else { sensors.to_vec() };
+    let magnetic = || stage.magnetic_sensors().into_iter().map(str::to_owned).collect();
+    let sensors = if sensors.is_empty() { magnetic() } else { sensors.to_vec() };
     if let Some(name) = sensors.iter().find(|name| !stage.sensors.iter().any(|sensor| sensor.name == **name))
     {
         return Err(Error::Usage(format!("{} has no sensor {name:?}", path.display())));
@@ -79,13 +79,4 @@ pub(super) fn measured(path: &Path) -> Result<Poses, Error> {
         });
     }
     Ok(poses)
-}
-
-fn magnetic(stage: &Stage) -> Vec<String> {
-    let magnetic = |name: &String| {
-        let device = stage.devices.iter().find(|device| device.name == *name);
-        device.is_some_and(|device| !device.driver.is_inertial())
-    };
-    let sensors = stage.sensors.iter().filter(|sensor| magnetic(&sensor.device));
-    sensors.map(|sensor| sensor.name.clone()).collect()
 }

@@ -22,6 +22,7 @@ use crate::atomic_file::AtomicFile;
 use crate::fusion::intrinsics::guide::{Guide, LONGEST_S, PATIENCE_S, Progress};
 use crate::fusion::intrinsics::{Intrinsics, SIDES};
 use crate::input::{Model, SensorIndex};
+use crate::stage::Driver;
 
 /// Samples that may wait for the thread: ten seconds at 100 Hz.
 const WAITING: usize = 1024;
@@ -40,11 +41,8 @@ impl Calls {
     }
 
     fn to_lay(&self, sensor: Option<String>) -> Result<Session, String> {
-        let driver = |name: &str| self.stage.devices.iter().find(|device| device.name == name);
-        let imus: Vec<_> = (0..)
-            .zip(&self.stage.sensors)
-            .filter(|(_, known)| driver(&known.device).is_some_and(|device| device.driver.is_inertial()))
-            .collect();
+        let imus: Vec<_> =
+            (0..).zip(&self.stage.sensors).filter(|(_, known)| self.stage.is_imu(known)).collect();
         let names = || imus.iter().map(|(_, known)| known.name.as_str()).collect::<Vec<_>>().join(", ");
         let found = match (&sensor, imus.as_slice()) {
             (_, []) => return Err("this stage has no IMU".into()),
@@ -56,7 +54,7 @@ impl Calls {
                 .ok_or_else(|| format!("sensor: {name:?} is no IMU of this stage; it has {}", names()))?,
         };
         let (index, known) = *found;
-        let measures_field = driver(&known.device).is_some_and(|device| device.driver.measures_field());
+        let measures_field = self.stage.driver_of(known).is_some_and(Driver::measures_field);
         Ok(Session {
             sensor: index,
             name: known.name.clone(),

@@ -5,18 +5,12 @@ use super::super::problem::Notes;
 use super::{Item, suggest};
 
 pub(super) fn check(root: &Item<'_, '_>, stage: &Stage, notes: &mut Notes<'_>) {
-    let inertial =
-        |device: &str| stage.devices.iter().any(|known| known.name == device && known.driver.is_inertial());
-    let imus: Vec<&str> = stage
-        .sensors
-        .iter()
-        .filter(|sensor| inertial(&sensor.device))
-        .map(|sensor| sensor.name.as_str())
-        .collect();
+    let imus: Vec<&str> =
+        stage.sensors.iter().filter(|s| stage.is_imu(s)).map(|sensor| sensor.name.as_str()).collect();
     let mut taken: Vec<&str> = Vec::new();
-    for sensor in &root.items("sensor") {
+    for (parsed, sensor) in stage.sensors.iter().zip(&root.items("sensor")) {
         let Some(imu) = sensor.item("imu") else { continue };
-        if sensor.text("device").is_some_and(|device| inertial(device.value)) {
+        if stage.is_imu(parsed) {
             let mend = "write `imu` at the sensor of the magnetic tracker";
             notes.problem(&imu.header, "imu", "this sensor is an IMU itself", mend);
         }

@@ -5,6 +5,7 @@
 //! here, because [`super::shape`] has already said so.
 
 mod body;
+mod chain;
 mod devices;
 mod drivers;
 mod fastened;
@@ -67,6 +68,7 @@ pub(super) fn check_parsed(
     }
     drivers::check(&root, stage, notes);
     fastened::check(&root, stage, notes);
+    chain::check(&root, stage, notes);
 }
 
 /// A folder to write to may be missing, it is then made; but it may not be a file.
