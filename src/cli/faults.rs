@@ -11,7 +11,7 @@ use posed::faults::som::map::{Rule, Training, Width};
 use posed::faults::som::rules::{Cause, Class};
 use posed::faults::som::study::{self, Report};
 use posed::faults::som::{Labels, Network, Size, picture};
-use posed::recording::positions;
+use posed::recording::{is_recording, positions};
 use posed::table::{PoseColumns, PoseRow, PoseWriter, Poses, TableError, TableWriter};
 
 /// Layer sizes of the paper's study.
@@ -152,7 +152,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 
 /// Positions of a table, or the raw ones of a recording: its poses have been repaired already.
 fn read(path: &Path) -> Result<Frames, Error> {
-    if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")) {
+    if is_recording(path) {
         let read = positions::read(path);
         return read.map_err(|error| Error::failed(format!("{}: {error}", path.display())));
     }

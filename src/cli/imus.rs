@@ -4,7 +4,7 @@ use std::path::Path;
 
 use posed::fusion::ahrs::ImuSample;
 use posed::output::{Inertial, Output};
-use posed::recording::{Item, Machine, Reader};
+use posed::recording::{Item, Machine, Reader, is_recording};
 use posed::stage::Stage;
 use posed::table::{Imu, ImuRow};
 
@@ -17,7 +17,7 @@ pub(super) fn read(
     rate_hz: Option<f64>,
     which: fn(&Inertial) -> Option<ImuSample>,
 ) -> Result<(Option<Stage>, Imu), Error> {
-    if path.extension().is_none_or(|ending| ending != "mcap") {
+    if !is_recording(path) {
         return Ok((None, Imu::read(path, rate_hz).map_err(Error::failed)?));
     }
     let (stage, imu) = recorded(path, which)?;

@@ -56,3 +56,8 @@ pub use writer::{WriteError, Writer};
 /// Largest message, attachment or chunk that is written, and that a reader believes without having seen a
 /// file of that size, bytes.
 pub const MAX_RECORD_BYTES: usize = 64 << 20;
+
+/// Whether a file is named like a recording (`.mcap`) rather than like a table.
+pub fn is_recording(path: &std::path::Path) -> bool {
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"))
+}

@@ -7,6 +7,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{SegmentLabels, SequenceOptions, Sequences, TableError, elan};
+use crate::recording::is_recording;
 
 /// A sequence, and the name of its file.
 pub type Named = (String, Sequences);
@@ -92,10 +93,6 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, TableError> {
     paths.retain(|path| path.is_file());
     paths.sort();
     Ok(paths)
-}
-
-fn is_recording(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
 fn is_sequence(path: &Path) -> bool {

@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use super::{TableError, TableReader, TableWriter, intern};
 use crate::output::SensorState;
-use crate::recording::{Item, ReadError, Reader};
+use crate::recording::{Item, ReadError, Reader, is_recording};
 
 /// Poses of one or several sensors, in the order of the file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -50,7 +50,7 @@ impl Poses {
     /// # Errors
     /// The file cannot be read; a cell is not what it should be.
     pub fn read(path: &Path) -> Result<Self, TableError> {
-        if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")) {
+        if is_recording(path) {
             Self::read_recording(path, Which::Usable)
         } else {
             Self::from_table(TableReader::open(path)?)

@@ -125,6 +125,8 @@ fn a_chain_is_calibrated_and_then_followed_as_well_as_a_file_of_it() {
     for (solved, expected) in solved.iter().zip(&expected) {
         assert!((solved.0 - expected.0).abs() < 1e-5 && (solved.1 - expected.1).abs() < 1e-4);
     }
+    let done = posed(["body", "solve", &path("take.mcap"), "-o", &path("take.bvh")]);
+    assert!(!done.status.success() && !folder.path().join("take.bvh").exists(), "a chain has no lengths");
     let done = posed(["orient", &path("take.mcap"), "-o", &path("q.csv")]);
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     let done = posed(["imu", "calibrate", &path("take.mcap"), "--sensor", "upper", "-o", &path("imu.json")]);

@@ -1,5 +1,6 @@
 //! `posed body solve` of a custom skeleton: a tree of hinges, its mounting found from the movement alone.
 
+use posed::animation;
 use posed::fusion::chain::{self, ChainSegment, Epoch, Solved};
 use posed::geometry::orientation_to_wxyz;
 use posed::stage::{Body, JointKind, Mounting, Stage};
@@ -26,6 +27,9 @@ struct JointSummary {
 }
 
 pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Result<(), Error> {
+    if animation::Format::of(&args.output).is_some() {
+        return Err(Error::Usage("a chain has no lengths to animate: write a table, `-o angles.csv`".into()));
+    }
     let segments = hinges(body)?;
     let names: Vec<&str> = segments.iter().map(|segment| segment.name.as_str()).collect();
     let places = places(stage, imu, &names);

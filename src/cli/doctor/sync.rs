@@ -8,7 +8,7 @@ use posed::clock::offset::{Offset, offset};
 use posed::daemon::{Daemon, Options};
 use posed::geometry::orientation_from_wxyz;
 use posed::protocol::{Measured, ServerMessage};
-use posed::recording::{Item, Reader};
+use posed::recording::{Item, Reader, is_recording};
 use posed::stage::Stage;
 use serde::Serialize;
 
@@ -49,7 +49,7 @@ type Speed = Vec<(f64, f64)>;
 /// Measures the offsets in a recording, or on a stage that runs for so many seconds.
 pub(super) fn run(file: &Path, seconds: f64, json: bool) -> Result<(), Error> {
     let folder;
-    let recording = if file.extension().is_some_and(|extension| extension == "mcap") {
+    let recording = if is_recording(file) {
         file.to_owned()
     } else {
         folder = tempfile::tempdir().map_err(|error| Error::Failed(format!("no room to record: {error}")))?;

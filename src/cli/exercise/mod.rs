@@ -8,6 +8,7 @@ use clap::Subcommand;
 
 use std::path::Path;
 
+use posed::recording::is_recording;
 use posed::table::{Streams, TableReader};
 
 use super::Error;
@@ -39,7 +40,7 @@ fn read(
     needed: impl FnOnce(&[String]) -> Result<Option<Vec<String>>, String>,
 ) -> Result<Streams, Error> {
     let lacks = |sentence: String| Error::Failed(format!("{}: {sentence}", path.display()));
-    if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")) {
+    if is_recording(path) {
         let streams = Streams::read_recording(path).map_err(Error::failed)?;
         needed(&streams.columns).map_err(lacks)?;
         return Ok(streams);

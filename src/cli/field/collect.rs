@@ -13,11 +13,6 @@ use posed::table::{PoseRow, Poses};
 
 use super::Error;
 
-/// Whether a file is a recording rather than a table.
-pub(super) fn is_recording(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
-}
-
 /// What a guided run would have collected of `sensors` (all that give positions, if none are named) in a whole recording.
 pub(super) fn run(path: &Path, sensors: &[String], spacing_m: f64) -> Result<PoleRun, Error> {
     let mut reader = Reader::open(path).map_err(Error::failed)?;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector3;
 use posed::field::Corrector;
 use posed::geometry::{orientation_from_wxyz, orientation_to_wxyz};
+use posed::recording::is_recording;
 use posed::table::{Poses, TableError, TableWriter};
 
 use super::{Error, collect, print_json, read_map, tell};
@@ -44,7 +45,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 
 /// Corrects a file of poses into another.
 pub(super) fn write_corrected(corrector: &Corrector, from: &Path, to: &Path) -> Result<Summary, Error> {
-    let poses = if collect::is_recording(from) {
+    let poses = if is_recording(from) {
         collect::measured(from)?
     } else {
         Poses::read(from).map_err(Error::failed)?

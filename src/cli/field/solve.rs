@@ -6,6 +6,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use nalgebra::Vector3;
 use posed::field::{Anchor, PoleReading, PoleRun, Rejected, Report, solve, solve_limbs};
 use posed::geometry::orientation_from_wxyz;
+use posed::recording::is_recording;
 use posed::stage::Stage;
 use posed::table::{Poses, TableReader, TableWriter};
 
@@ -110,7 +111,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 
 /// The readings of `sensors` (all, if none are named): of a table grouped by time, of a recording as live.
 fn read_run(path: &Path, sensors: &[String], spacing_m: f64) -> Result<PoleRun, Error> {
-    if collect::is_recording(path) {
+    if is_recording(path) {
         return collect::run(path, sensors, spacing_m);
     }
     let poses = Poses::read(path).map_err(Error::failed)?;
