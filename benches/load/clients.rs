@@ -10,6 +10,7 @@ use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream};
 
+use super::wakes::{Wakes, utc_s};
 use super::{Args, vrpn};
 
 /// Time before the measurement begins, s.
@@ -29,6 +30,8 @@ pub(crate) struct Report {
     pub(crate) cpu_percent: f64,
     /// When the measurement began, UTC.
     pub(crate) begins_utc_s: f64,
+    /// By how much the clients' runtime itself came too late, ms.
+    pub(crate) late_ms: f64,
 }
 
 impl Report {
@@ -122,7 +125,9 @@ pub(crate) fn run(args: &Args, url: &str) -> Report {
         let mut all = Histogram::<u64>::new(3).expect("three digits");
         let (mut bytes, mut gap, mut dropped) = (0, Duration::ZERO, 0);
         let cpu_before = super::cpu_s(std::process::id());
-        let begins_utc_s = jiff::Timestamp::now().as_nanosecond() as f64 * 1e-9 + WARM_UP_S;
+        let begins_utc_s = utc_s() + WARM_UP_S;
+        let wakes = Wakes::default();
+        tokio::spawn(wakes.clone().watch());
         for task in tasks {
             let seen = task.await.expect("a client");
             all.add(&seen.latency_us).expect("equal precision");
@@ -143,6 +148,7 @@ pub(crate) fn run(args: &Args, url: &str) -> Report {
             dropped,
             cpu_percent: 100.0 * cpu_s / (args.seconds + WARM_UP_S),
             begins_utc_s,
+            late_ms: wakes.late_ms(begins_utc_s, args.seconds),
         }
     })
 }

@@ -1,8 +1,8 @@
 //! A server in this process, and a thread that hands it frames.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use posed::daemon::server::{Config, Hub, Server};
@@ -12,28 +12,17 @@ use posed_drivers::Timestamp;
 use tokio::sync::oneshot;
 
 use super::Args;
+use super::wakes::Wakes;
 
 pub(crate) struct Served {
     pub(crate) url: String,
     stop: Option<oneshot::Sender<()>>,
     ends: Arc<AtomicBool>,
-    wakes: Arc<Mutex<Vec<Wake>>>,
+    /// Of the thread that hands over frames: what the computer is late by, whatever the server does.
+    pub(crate) thread: Wakes,
+    /// Of the server's runtime.
+    pub(crate) runtime: Wakes,
     threads: Vec<std::thread::JoinHandle<()>>,
-}
-
-/// When the thread that hands over frames was woken, and by how much too late: what the computer itself is late by, whatever the server does.
-struct Wake {
-    utc_s: f64,
-    late: Duration,
-}
-
-impl Served {
-    /// The latest wake-up within so many seconds, ms.
-    pub(crate) fn late_ms(&self, begins_utc_s: f64, seconds: f64) -> f64 {
-        let wakes = self.wakes.lock().unwrap_or_else(PoisonError::into_inner);
-        let within = wakes.iter().filter(|wake| (0.0..seconds).contains(&(wake.utc_s - begins_utc_s)));
-        within.map(|wake| wake.late).max().unwrap_or_default().as_secs_f64() * 1e3
-    }
 }
 
 /// Starts server and frames.
@@ -56,11 +45,14 @@ pub(crate) fn start(args: &Args) -> Served {
         stage.sensors.push(sensor);
     }
     stage.vrpn = args.vrpn.then(|| Vrpn { listen: Some("127.0.0.1:0".into()), call_back: false });
+    let (thread, runtime) = (Wakes::default(), Wakes::default());
+    let watched = runtime.clone();
     let (ready, started) = std::sync::mpsc::channel();
     let (stop, stopped) = oneshot::channel();
     let server = std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
         runtime.expect("a runtime").block_on(async {
+            tokio::spawn(watched.watch());
             let config = Config { listen: Some("127.0.0.1:0".into()), ..Config::new(Path::new("."), 0) };
             let (server, hub, _calls) = Server::bind(&stage, config).expect("a port");
             let url = match server.vrpn_address() {
@@ -73,13 +65,12 @@ pub(crate) fn start(args: &Args) -> Served {
     });
     let (url, hub) = started.recv().expect("a server");
     let ends = Arc::new(AtomicBool::new(false));
-    let wakes = Arc::new(Mutex::new(Vec::new()));
     let frames = {
         let (ends, rate_hz, sensors) = (Arc::clone(&ends), args.rate_hz, args.sensors);
-        let wakes = Arc::clone(&wakes);
-        std::thread::spawn(move || publish(&hub, rate_hz, sensors, &ends, &wakes))
+        let thread = thread.clone();
+        std::thread::spawn(move || publish(&hub, rate_hz, sensors, &ends, &thread))
     };
-    Served { url, stop: Some(stop), ends, wakes, threads: vec![server, frames] }
+    Served { url, stop: Some(stop), ends, thread, runtime, threads: vec![server, frames] }
 }
 
 impl Drop for Served {
@@ -96,7 +87,7 @@ impl Drop for Served {
 
 /// A frame per tick, its time the moment of handing over, its numbers all different.
 #[expect(clippy::disallowed_methods, reason = "this program owns its clock")]
-fn publish(hub: &Hub, rate_hz: f64, sensors: u16, ends: &AtomicBool, wakes: &Mutex<Vec<Wake>>) {
+fn publish(hub: &Hub, rate_hz: f64, sensors: u16, ends: &AtomicBool, wakes: &Wakes) {
     let period = Duration::from_secs_f64(1.0 / rate_hz);
     let mut due = Instant::now();
     let mut frame = 0;
@@ -113,8 +104,7 @@ fn publish(hub: &Hub, rate_hz: f64, sensors: u16, ends: &AtomicBool, wakes: &Mut
         let utc = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         estimate.t_valid = Timestamp::from_nanos(utc.as_nanos() as i64);
         hub.publish_estimate(&estimate);
-        let wake = Wake { utc_s: utc.as_secs_f64(), late };
-        wakes.lock().unwrap_or_else(PoisonError::into_inner).push(wake);
+        wakes.push(late);
     }
 }
 
