@@ -60,7 +60,11 @@ class Link:
 
     def read(self, way, source, waiting):
         while True:
-            packet = os.read(source, 65536)
+            try:
+                packet = os.read(source, 65536)
+            except OSError:
+                # Its namespace is gone.
+                return
             if self.cut or self.random.random() < self.options.loss:
                 self.passed[f"{way}_lost"] += 1
                 continue

@@ -10,6 +10,7 @@ use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream};
 
+use super::wakes::{Wakes, utc_s};
 use super::{Args, vrpn};
 
 /// Time before the measurement begins, s.
@@ -27,6 +28,10 @@ pub(crate) struct Report {
     pause_ms: f64,
     dropped: u64,
     pub(crate) cpu_percent: f64,
+    /// When the measurement began, UTC.
+    pub(crate) begins_utc_s: f64,
+    /// By how much the clients' runtime itself came too late, ms.
+    pub(crate) late_ms: f64,
 }
 
 impl Report {
@@ -120,6 +125,9 @@ pub(crate) fn run(args: &Args, url: &str) -> Report {
         let mut all = Histogram::<u64>::new(3).expect("three digits");
         let (mut bytes, mut gap, mut dropped) = (0, Duration::ZERO, 0);
         let cpu_before = super::cpu_s(std::process::id());
+        let begins_utc_s = utc_s() + WARM_UP_S;
+        let wakes = Wakes::default();
+        tokio::spawn(wakes.clone().watch());
         for task in tasks {
             let seen = task.await.expect("a client");
             all.add(&seen.latency_us).expect("equal precision");
@@ -139,6 +147,8 @@ pub(crate) fn run(args: &Args, url: &str) -> Report {
             pause_ms: gap.as_secs_f64() * 1e3,
             dropped,
             cpu_percent: 100.0 * cpu_s / (args.seconds + WARM_UP_S),
+            begins_utc_s,
+            late_ms: wakes.late_ms(begins_utc_s, args.seconds),
         }
     })
 }

@@ -8,13 +8,16 @@
 //! ```
 //! The server runs in this process, fed by a thread in the place of the fusion thread; the clients run in a second process
 //! and the bad client in a third. Latency is from handing over the frame to having received the whole message and read its
-//! time. With `--url` it is the age of the pose: from its capture time.
+//! time. With `--url` it is the age of the pose: from its capture time. `pause` is the longest time without a message at any client, `late` by how
+//! much a thread that only sleeps and hands over frames, the server's runtime and the clients' came to run too late: of a pause of that length the computer, the
+//! server or the clients are the cause.
 #![expect(clippy::print_stdout, reason = "the table is what it is for")]
 
 mod bullies;
 mod clients;
 mod serve;
 mod vrpn;
+mod wakes;
 
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -91,7 +94,7 @@ fn scenarios(args: &Args) {
         }
     );
     println!(
-        "{:<9} {:>9} {:>8} {:>7} {:>7} {:>7} {:>7} {:>8} {:>7} {:>7} {:>7}  load",
+        "{:<9} {:>9} {:>8} {:>7} {:>7} {:>7} {:>7} {:>8} {:>7} {:>14} {:>7} {:>7}  load",
         "scenario",
         "msgs/s",
         "MB/s",
@@ -101,6 +104,7 @@ fn scenarios(args: &Args) {
         "max",
         "pause ms",
         "dropped",
+        "late ms",
         "server%",
         "client%"
     );
@@ -129,7 +133,12 @@ fn scenarios(args: &Args) {
         let report = Report::from_line(&line);
         // The server works a little longer than the clients measure: warming up and saying goodbye.
         let server = 100.0 * server_cpu_s / (args.seconds + clients::WARM_UP_S);
-        println!("{name:<9} {} {server:>7.1} {:>7.1}  {}  {what}", report.row(), report.cpu_percent, load());
+        let late_ms = served.as_ref().map_or([0.0; 2], |served| {
+            [&served.thread, &served.runtime].map(|wakes| wakes.late_ms(report.begins_utc_s, args.seconds))
+        });
+        let late = format!("{:.1}/{:.1}/{:.1}", late_ms[0], late_ms[1], report.late_ms);
+        let clients = report.cpu_percent;
+        println!("{name:<9} {} {late:>14} {server:>7.1} {clients:>7.1}  {}  {what}", report.row(), load());
         drop(served);
     }
 }

@@ -12,11 +12,16 @@ use posed_drivers::Timestamp;
 use tokio::sync::oneshot;
 
 use super::Args;
+use super::wakes::Wakes;
 
 pub(crate) struct Served {
     pub(crate) url: String,
     stop: Option<oneshot::Sender<()>>,
     ends: Arc<AtomicBool>,
+    /// Of the thread that hands over frames: what the computer is late by, whatever the server does.
+    pub(crate) thread: Wakes,
+    /// Of the server's runtime.
+    pub(crate) runtime: Wakes,
     threads: Vec<std::thread::JoinHandle<()>>,
 }
 
@@ -40,11 +45,14 @@ pub(crate) fn start(args: &Args) -> Served {
         stage.sensors.push(sensor);
     }
     stage.vrpn = args.vrpn.then(|| Vrpn { listen: Some("127.0.0.1:0".into()), call_back: false });
+    let (thread, runtime) = (Wakes::default(), Wakes::default());
+    let watched = runtime.clone();
     let (ready, started) = std::sync::mpsc::channel();
     let (stop, stopped) = oneshot::channel();
     let server = std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
         runtime.expect("a runtime").block_on(async {
+            tokio::spawn(watched.watch());
             let config = Config { listen: Some("127.0.0.1:0".into()), ..Config::new(Path::new("."), 0) };
             let (server, hub, _calls) = Server::bind(&stage, config).expect("a port");
             let url = match server.vrpn_address() {
@@ -59,9 +67,10 @@ pub(crate) fn start(args: &Args) -> Served {
     let ends = Arc::new(AtomicBool::new(false));
     let frames = {
         let (ends, rate_hz, sensors) = (Arc::clone(&ends), args.rate_hz, args.sensors);
-        std::thread::spawn(move || publish(&hub, rate_hz, sensors, &ends))
+        let thread = thread.clone();
+        std::thread::spawn(move || publish(&hub, rate_hz, sensors, &ends, &thread))
     };
-    Served { url, stop: Some(stop), ends, threads: vec![server, frames] }
+    Served { url, stop: Some(stop), ends, thread, runtime, threads: vec![server, frames] }
 }
 
 impl Drop for Served {
@@ -78,14 +87,16 @@ impl Drop for Served {
 
 /// A frame per tick, its time the moment of handing over, its numbers all different.
 #[expect(clippy::disallowed_methods, reason = "this program owns its clock")]
-fn publish(hub: &Hub, rate_hz: f64, sensors: u16, ends: &AtomicBool) {
+fn publish(hub: &Hub, rate_hz: f64, sensors: u16, ends: &AtomicBool, wakes: &Wakes) {
     let period = Duration::from_secs_f64(1.0 / rate_hz);
     let mut due = Instant::now();
     let mut frame = 0;
     let mut estimate = Estimate::default();
     while !ends.load(Ordering::Relaxed) {
         due += period;
-        std::thread::sleep(due.saturating_duration_since(Instant::now()));
+        let before = Instant::now();
+        std::thread::sleep(due.saturating_duration_since(before));
+        let late = before.max(due).elapsed();
         frame += 1;
         estimate.frame = frame;
         estimate.sensors.clear();
@@ -93,6 +104,7 @@ fn publish(hub: &Hub, rate_hz: f64, sensors: u16, ends: &AtomicBool) {
         let utc = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         estimate.t_valid = Timestamp::from_nanos(utc.as_nanos() as i64);
         hub.publish_estimate(&estimate);
+        wakes.push(late);
     }
 }
 

@@ -243,6 +243,13 @@ async fn no_event_is_lost_in_a_cut_and_poses_come_again() {
     assert_eq!(hub.end("INT").await.code(), Some(0));
 }
 
+/// All bytes of a message behind those that count what this one client was sent.
+fn body(text: &str) -> &str {
+    let (head, rest) = text.split_once(r#","dropped":"#).unwrap();
+    assert!(head.starts_with(r#"{"type":""#) && head.contains(r#","seq":"#), "{head}");
+    rest.split_once(',').unwrap().1
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn fused_elsewhere_a_stage_says_the_same() {
     let folder = tempfile::tempdir().unwrap();
@@ -256,12 +263,10 @@ async fn fused_elsewhere_a_stage_says_the_same() {
         "fields": ["position_m", "orientation_wxyz", "measured", "covariance", "sigma_m", "velocity", "device"]});
     ok(&mut there, subscribe.clone()).await;
     ok(&mut here, subscribe).await;
-    let plain = |mut message: Value| {
-        let map = message.as_object_mut().unwrap();
-        map.retain(|key, _| !["seq", "dropped"].contains(&key.as_str()));
-        message.to_string()
+    let key = |text: &str| {
+        let message: Value = serde_json::from_str(text).unwrap();
+        (message["type"].to_string(), message["t_s"].to_string())
     };
-    let key = |message: &Value| (message["type"].to_string(), message["t_s"].to_string());
     let mut operator = stage.client().await;
     frames(&mut here, 20).await;
     // Half a second of cut, which the log bridges.
@@ -272,23 +277,60 @@ async fn fused_elsewhere_a_stage_says_the_same() {
     move_transmitter(&mut operator, 0.75).await;
     let mut said = std::collections::BTreeMap::new();
     let (mut events, mut compared) = (0, 0);
-    let mut local = Vec::new();
-    while local.len() < 150 {
-        local.push(there.next().await);
-    }
-    for message in local {
-        said.insert(key(&message), plain(message));
+    while said.len() < 150 {
+        let text = there.next_text().await;
+        said.insert(key(&text), text);
     }
     while compared < 100 {
-        let message = here.next().await;
-        if let Some(expected) = said.remove(&key(&message)) {
-            events += usize::from(message["type"] == "field");
-            assert_eq!(plain(message), expected);
+        let text = here.next_text().await;
+        if let Some(expected) = said.remove(&key(&text)) {
+            events += usize::from(text.starts_with(r#"{"type":"field""#));
+            assert_eq!(body(&text), body(&expected), "byte for byte");
             compared += 1;
         }
     }
     assert!(events >= 1, "an event was among them");
     assert_eq!(hub.end("INT").await.code(), Some(0));
+}
+
+/// The first status in which the daemon sees another one under its key, or sees none.
+async fn twin(client: &mut Client, expected: bool) {
+    let is_twin =
+        |problem: &Value| problem["message"].as_str().unwrap().contains("another daemon runs under");
+    until(client, if expected { "a twin" } else { "no twin" }, |message| {
+        let problems = message["problems"].as_array();
+        problems.is_some_and(|problems| problems.iter().any(is_twin) == expected)
+    })
+    .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_daemons_with_one_key_notice_each_other() {
+    let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+    let at_hub = free_port();
+    let direct = free_port();
+    let start = |folder: &tempfile::TempDir, ends: String| {
+        let file = folder.path().join("stage.toml");
+        std::fs::write(&file, format!("name = \"Two\"\n[zenoh]\n{ends}\n")).unwrap();
+        Posed::start(["run".as_ref(), file.as_os_str()])
+    };
+    // Through a hub, which neither listens to ...
+    let hub = hub(at_hub, &[]);
+    let connect = |port: u16| format!("connect = [\"tcp/127.0.0.1:{port}\"]");
+    let listen = |port: u16| format!("listen = [\"tcp/127.0.0.1:{port}\"]");
+    let first = start(&folders[0], format!("{}\n{}", connect(at_hub), listen(direct)));
+    let mut told = first.subscriber(&["status"]).await;
+    twin(&mut told, false).await;
+    let second = start(&folders[1], connect(at_hub));
+    twin(&mut told, true).await;
+    twin(&mut second.subscriber(&["status"]).await, true).await;
+    assert_eq!(second.end("INT").await.code(), Some(0));
+    twin(&mut told, false).await;
+    // ... and face to face.
+    assert_eq!(hub.end("INT").await.code(), Some(0));
+    let third = start(&folders[1], connect(direct));
+    twin(&mut told, true).await;
+    twin(&mut third.subscriber(&["status"]).await, true).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -388,14 +430,27 @@ async fn the_hubs_page_leads_to_the_stages_page() {
     let folder = tempfile::tempdir().unwrap();
     let port = free_port();
     let stage = stage(folder.path(), port);
+    let north = folder.path().join("north.toml");
+    let more = format!("[zenoh]\nconnect = [\"tcp/127.0.0.1:{port}\"]\n");
+    std::fs::write(&north, format!("name = \"North\"\n{more}")).unwrap();
+    let north = Posed::start(["run".as_ref(), north.as_os_str()]);
     let hub = hub(port, &[]);
     let mut browser = Browser::open(&format!("http://{}/", hub.address)).await;
-    browser
-        .until("document.querySelector('#stages tbody tr td.good')?.textContent.startsWith('there for')")
-        .await;
-    browser.until("document.querySelector('#stages tbody tr').cells[4].textContent.includes('±')").await;
+    let cell = |stage: &str, column: usize| {
+        format!("document.querySelector('#stages a[href=\"{stage}/\"]')?.closest('tr').cells[{column}]")
+    };
+    for stage in ["two", "north"] {
+        browser.until(&format!("{}?.className === 'good'", cell(stage, 1))).await;
+        browser.until(&format!("{}.textContent.startsWith('there for')", cell(stage, 1))).await;
+    }
+    browser.until(&format!("{}.textContent.includes('±')", cell("two", 4))).await;
+    browser.until(&format!("{}.offsetHeight < 60", cell("two", 0))).await;
+    // One that has ended stays in the table, and is said to have vanished.
+    assert_eq!(north.end("INT").await.code(), Some(0));
+    browser.until(&format!("{}.className === 'bad'", cell("north", 1))).await;
+    browser.until(&format!("{}.textContent.startsWith('vanished')", cell("north", 1))).await;
     browser.picture("hub").await;
-    browser.value("document.querySelector('#stages tbody a').click()").await;
+    browser.value("document.querySelector('#stages a[href=\"two/\"]').click()").await;
     browser.until("document.getElementById('link')?.textContent === 'live'").await;
     browser.until("document.getElementById('stage').textContent === 'Two'").await;
     assert_eq!(browser.complaints, Vec::<String>::new());

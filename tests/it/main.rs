@@ -30,6 +30,7 @@ mod inertial;
 mod keyframes;
 mod keyframes_live;
 mod motion_commands;
+mod packaging;
 mod page;
 mod pipeline;
 mod reference;

@@ -12,7 +12,7 @@ mod fuse;
 mod questions;
 mod relation;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -21,13 +21,14 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::interval;
 use zenoh::Session;
+use zenoh::liveliness::LivelinessToken;
 use zenoh::sample::SampleKind;
 
 use self::board::Board;
 use self::follow::Follower;
 use super::clock::StageClock;
 use super::mesh::session;
-use super::mesh::wire::{Keys, TOKEN};
+use super::mesh::wire::{Keys, RUN, TOKEN};
 use super::ports::ended;
 use super::server::BindError;
 use super::server::hall::{Hall, House};
@@ -96,8 +97,16 @@ impl Collector {
         tasks.spawn(hall.run(async move { ended(&mut hall_down).await }));
         let board = Board::new(clock);
         tasks.spawn(tell(board.clone(), house.clone(), told, down.clone()));
-        let registry =
-            Registry { session: session.clone(), house, board, clock, fuse, followed: BTreeMap::new() };
+        let registry = Registry {
+            session: session.clone(),
+            house,
+            board,
+            clock,
+            fuse,
+            followed: BTreeMap::new(),
+            runs: BTreeMap::new(),
+            told: BTreeMap::new(),
+        };
         tasks.spawn(registry.run(down));
         Ok(Self { address, url, shutdown, stages, tasks, session })
     }
@@ -153,29 +162,60 @@ struct Registry {
     clock: StageClock,
     fuse: Vec<String>,
     followed: BTreeMap<String, watch::Sender<bool>>,
+    /// Runs that are there now, by the stage's key.
+    runs: BTreeMap<String, BTreeSet<String>>,
+    /// What the daemons of a key with several are told by.
+    told: BTreeMap<String, LivelinessToken>,
 }
 
 impl Registry {
     async fn run(mut self, mut down: watch::Receiver<bool>) {
         let (seen_in, mut seen) = mpsc::unbounded_channel();
-        let tokens = format!("**/{TOKEN}");
         let see = move |sample: zenoh::sample::Sample| {
             let _ = seen_in.send((sample.key_expr().as_str().to_owned(), sample.kind() == SampleKind::Put));
         };
-        let subscriber =
-            self.session.liveliness().declare_subscriber(tokens).history(true).callback(see).await;
-        let _subscriber = match subscriber {
-            Ok(subscriber) => subscriber,
-            Err(error) => return tracing::error!("zenoh shows no stages: {error}"),
-        };
+        let mut subscribers = Vec::new();
+        for tokens in [format!("**/{TOKEN}"), format!("**/{RUN}/*")] {
+            let liveliness = self.session.liveliness();
+            match liveliness.declare_subscriber(tokens).history(true).callback(see.clone()).await {
+                Ok(subscriber) => subscribers.push(subscriber),
+                Err(error) => return tracing::error!("zenoh shows no stages: {error}"),
+            }
+        }
         let mut followers = JoinSet::new();
         loop {
             tokio::select! {
                 () = ended(&mut down) => break,
-                Some((token, there)) = seen.recv() => self.seen(&token, there, &mut followers, &down),
+                Some((token, there)) = seen.recv() => match Keys::of_run(&token) {
+                    Some((keys, run)) => self.run_seen(&keys, run, there).await,
+                    None => self.seen(&token, there, &mut followers, &down),
+                },
             }
         }
         while followers.join_next().await.is_some() {}
+    }
+
+    /// A daemon has come or gone: two under one key do not see each other through this hub, and are told.
+    async fn run_seen(&mut self, keys: &Keys, run: &str, there: bool) {
+        let key = keys.stage();
+        let runs = self.runs.entry(key.to_owned()).or_default();
+        if there {
+            _ = runs.insert(run.to_owned())
+        } else {
+            _ = runs.remove(run)
+        }
+        if runs.len() < 2 {
+            self.told.remove(key);
+        } else if !self.told.contains_key(key) {
+            tracing::warn!(
+                "{} daemons run under the key {key}: give all but one another zenoh.key",
+                runs.len()
+            );
+            match self.session.liveliness().declare_token(keys.twin(&self.session.zid().to_string())).await {
+                Ok(token) => _ = self.told.insert(key.to_owned(), token),
+                Err(error) => tracing::warn!("{key}: {error}"),
+            }
+        }
     }
 
     /// A token has come or gone.

@@ -51,6 +51,13 @@ pub(super) struct Outlet {
 impl Library {
     /// Loads it from this file, or from where the system has it. The error is a sentence.
     pub(super) fn load(file: Option<&Path>) -> Result<Self, String> {
+        if cfg!(target_feature = "crt-static") {
+            // A second C library would come with it.
+            return Err(
+                "this posed is the static one, which loads no libraries: [lsl] needs the packaged one"
+                    .to_owned(),
+            );
+        }
         let loaded = match file {
             Some(file) => {
                 open(file.as_os_str()).map_err(|error| format!("cannot load {}: {error}", file.display()))?

@@ -6,7 +6,7 @@ use super::super::clock::StageClock;
 use super::super::fusion::FusionInbox;
 use super::super::server::hub::Item;
 use crate::input::Entry;
-use crate::protocol::{Names, Stamp};
+use crate::protocol::{Names, Problem, Stamp};
 use crate::stage::{Stage, Zenoh};
 
 /// See `feed.rs`.
@@ -15,6 +15,10 @@ pub(in crate::daemon) enum Feed {}
 
 impl Feed {
     pub(in crate::daemon) fn publish(&self, _: &Item, _: &Stamp, _: &Names) {
+        match *self {}
+    }
+
+    pub(in crate::daemon) fn problem(&self) -> Option<Problem> {
         match *self {}
     }
 }

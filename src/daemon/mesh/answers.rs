@@ -79,6 +79,7 @@ impl Answers {
             session.declare_queryable(key).callback(move |query| _ = asked.try_send(query)).wait()
         };
         let _queryables = keys.into_iter().map(declare).collect::<zenoh::Result<Vec<_>>>()?;
+        let _lookout = self.feed.twins().look(session, &self.keys, run)?;
         let _token = session.liveliness().declare_token(self.keys.token()).wait()?;
         begun();
         loop {

@@ -9,10 +9,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 
+use super::twins::Twins;
 use super::wire::{Bytes, Head, Joined, VERSION, write_fed};
 use crate::daemon::server::holding::Holding;
 use crate::daemon::server::hub::Item;
-use crate::protocol::{Encoding, Names, Payload, Stamp, Topic, View, encode};
+use crate::protocol::{Encoding, Names, Payload, Problem, Stamp, Topic, View, encode};
 
 /// Messages that wait for zenoh's thread.
 const WAITING: usize = 256;
@@ -32,6 +33,7 @@ struct Shared {
     about: About,
     kept: Mutex<Kept>,
     wanted: Wanted,
+    twins: Twins,
     out: Sender<Out>,
     lost: AtomicU64,
 }
@@ -39,6 +41,7 @@ struct Shared {
 /// What every hub is told of a stage.
 #[derive(Debug)]
 pub(super) struct About {
+    pub(super) key: String,
     pub(super) run: i64,
     pub(super) stage_toml: String,
 }
@@ -85,8 +88,14 @@ impl Feed {
     /// Empty; what goes out is to be taken from the other end.
     pub(super) fn new(about: About) -> (Self, Receiver<Out>) {
         let (out, taken) = bounded(WAITING);
-        let shared =
-            Shared { about, kept: Mutex::default(), wanted: Wanted::default(), out, lost: AtomicU64::new(0) };
+        let shared = Shared {
+            about,
+            kept: Mutex::default(),
+            wanted: Wanted::default(),
+            twins: Twins::default(),
+            out,
+            lost: AtomicU64::new(0),
+        };
         (Self { shared: Arc::new(shared) }, taken)
     }
 
@@ -171,6 +180,15 @@ impl Feed {
     /// The newest status, as on the websocket; empty before the first.
     pub(super) fn status(&self) -> Vec<u8> {
         self.kept().status_json.clone()
+    }
+
+    /// What is wrong with the stage's place on zenoh, if anything.
+    pub(in crate::daemon) fn problem(&self) -> Option<Problem> {
+        self.shared.twins.problem(&self.shared.about.key)
+    }
+
+    pub(super) fn twins(&self) -> &Twins {
+        &self.shared.twins
     }
 
     pub(super) fn run(&self) -> i64 {

@@ -22,6 +22,8 @@ pub(super) mod session;
 #[cfg(feature = "zenoh")]
 mod stage;
 #[cfg(feature = "zenoh")]
+mod twins;
+#[cfg(feature = "zenoh")]
 pub(super) mod wire;
 
 #[cfg(not(feature = "zenoh"))]

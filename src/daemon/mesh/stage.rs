@@ -44,7 +44,8 @@ impl Mesh {
         let run = clock.epoch_utc_ns();
         let stage_toml = stage.shareable_toml()?;
         let keys = Keys::new(settings.key_of(stage));
-        let (feed, out) = Feed::new(About { run, stage_toml: stage_toml.clone() });
+        let (feed, out) =
+            Feed::new(About { key: keys.stage().to_owned(), run, stage_toml: stage_toml.clone() });
         let log = Log::new(run);
         let (stop, stopped) = bounded(0);
         let answers = Answers {

@@ -14,6 +14,8 @@ use crate::recording::Header;
 pub(in crate::daemon) const VERSION: u32 = 1;
 /// Last part of the key of a stage's liveliness token.
 pub(in crate::daemon) const TOKEN: &str = "posed-stage";
+/// Last part but one of the token of one run of a stage's daemon.
+pub(in crate::daemon) const RUN: &str = "posed-run";
 
 /// The keys of one stage.
 #[derive(Clone, Debug)]
@@ -37,6 +39,22 @@ impl Keys {
 
     pub(in crate::daemon) fn token(&self) -> String {
         self.below(TOKEN)
+    }
+
+    /// The key and the run that a run's token belongs to.
+    pub(in crate::daemon) fn of_run(token: &str) -> Option<(Self, &str)> {
+        let (below, run) = token.rsplit_once('/')?;
+        Some((Self::new(below.strip_suffix(RUN)?.strip_suffix('/')?), run))
+    }
+
+    /// Token of one run of the stage's daemon.
+    pub(in crate::daemon) fn run(&self, run: &str) -> String {
+        self.below(&format!("{RUN}/{run}"))
+    }
+
+    /// Token of a hub that sees more than one run at a time.
+    pub(in crate::daemon) fn twin(&self, hub: &str) -> String {
+        self.below(&format!("posed-twin/{hub}"))
     }
 
     /// States, of which the newest counts.

@@ -457,6 +457,7 @@ async fn distribute(
             if let hub::Item::Status(status) = &mut item {
                 status.problems.extend(lsl.as_ref().and_then(Streaming::problem));
                 status.problems.extend_from_slice(problems);
+                status.problems.extend(feed.as_ref().and_then(Feed::problem));
             }
             let stamp = distributor.stamp(&item);
             if let Some(outlet) = vrpn {

@@ -17,7 +17,7 @@ async fn a_full_disk_ends_the_recording_with_a_sentence_and_nothing_else() {
     let stage = two_devices(folder.path(), "");
     let recording = folder.path().join("full.mcap");
     let script = format!(
-        "ulimit -f 100; exec {} demo --listen 127.0.0.1:0 --stage {} --record {}",
+        "ulimit -S -f 100; exec {} demo --listen 127.0.0.1:0 --stage {} --record {}",
         env!("CARGO_BIN_EXE_posed"),
         stage.display(),
         recording.display()
@@ -34,9 +34,66 @@ async fn a_full_disk_ends_the_recording_with_a_sentence_and_nothing_else() {
     assert!(status["recording"].is_null(), "{status}");
     until(&mut client, "all sensors", all_ok).await;
     frames(&mut client, 20).await;
-    assert_eq!(posed_full.end("INT").await.code(), Some(0));
     // What fitted can be saved.
     assert_eq!(posed(["info".as_ref(), recording.as_os_str(), "--repair".as_ref()]).status.code(), Some(0));
+    assert_eq!(posed_full.end("INT").await.code(), Some(0));
+}
+
+/// A file system that is really full, in a mount namespace of the daemon's own, and then has room again.
+#[tokio::test]
+async fn a_disk_that_is_full_is_named_and_used_again_once_there_is_room() {
+    let unshare = ["--map-root-user", "--mount"];
+    let folder = tempfile::tempdir().unwrap();
+    let disk = folder.path().join("disk");
+    fs::create_dir(&disk).unwrap();
+    let mount = format!("mount -t tmpfs -o size=128k tmpfs {}", disk.display());
+    let may_mount = Command::new("unshare").args(unshare).args(["sh", "-c", &mount]).output();
+    if !may_mount.is_ok_and(|tried| tried.status.success()) {
+        println!("skipped: this user may not mount anything, not even in a namespace");
+        return;
+    }
+    let stage = two_devices(folder.path(), &format!("[recording]\nfolder = \"{}\"\n", disk.display()));
+    let exe = env!("CARGO_BIN_EXE_posed");
+    let script = format!("{mount}; exec {exe} demo --listen 127.0.0.1:0 --stage {}", stage.display());
+    let posed_full = Posed::spawn(Command::new("unshare").args(unshare).args(["sh", "-c", &script]));
+    // The daemon's disk, as it sees it.
+    let seen = Path::new("/proc").join(posed_full.child.id().to_string()).join("root");
+    let seen = seen.join(disk.strip_prefix("/").unwrap());
+    let mut client = posed_full.subscriber(&["status", "sensors"]).await;
+    ok(&mut client, record_start("full")).await;
+    let status = until(&mut client, "a full disk", |message| {
+        message["problems"].as_array().is_some_and(|problems| !problems.is_empty())
+    })
+    .await;
+    let sentence = status["problems"][0]["message"].as_str().unwrap();
+    assert!(sentence.contains("full.mcap") && sentence.contains("disk is full"), "{sentence}");
+    frames(&mut client, 20).await;
+    // Not a byte is left for another one.
+    let mut filler = fs::File::create(seen.join("filler")).unwrap();
+    while std::io::Write::write(&mut filler, &[0; 512]).is_ok() {}
+    let (code, sentence) = refused(&mut client, record_start("none")).await;
+    assert!(code == "failed" && sentence.contains("disk is full"), "{sentence}");
+    assert!(!seen.join("none.mcap").exists(), "nothing is left of it");
+
+    drop(filler);
+    fs::remove_file(seen.join("filler")).unwrap();
+    fs::copy(seen.join("full.mcap"), folder.path().join("full.mcap")).unwrap();
+    fs::remove_file(seen.join("full.mcap")).unwrap();
+    ok(&mut client, record_start("again")).await;
+    until(&mut client, "nothing is wrong", |message| {
+        message["type"] == "status" && message["problems"].as_array().unwrap().is_empty()
+    })
+    .await;
+    frames(&mut client, 20).await;
+    ok(&mut client, json!({"type": "record.stop"})).await;
+    fs::copy(seen.join("again.mcap"), folder.path().join("again.mcap")).unwrap();
+    assert_eq!(posed_full.end("INT").await.code(), Some(0));
+    let info = |name: &str, more: &[&str]| {
+        let path = folder.path().join(name);
+        posed([&["info", path.to_str().unwrap()], more].concat()).status.code()
+    };
+    assert_eq!(info("again.mcap", &[]), Some(0));
+    assert_eq!(info("full.mcap", &["--repair"]), Some(0), "what fitted can be saved");
 }
 
 #[tokio::test]

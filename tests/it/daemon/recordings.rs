@@ -74,12 +74,26 @@ async fn a_recording_begun_mid_run_with_a_model_swapped_in_replays_and_a_killed_
     daemon.child.kill().unwrap();
     daemon.child.wait().unwrap();
     replays(&middle);
+    healthy_again(&stage).await;
     let torn = folder.path().join("recordings/torn.mcap");
     let info = Info::read(&torn, |_| ()).unwrap();
     assert!(info.problem.as_deref().unwrap().contains("breaks off"), "{info:?}");
     let end_s = info.begun_s + info.duration_s;
     assert!(end_s > last - 1.0, "the recording ends at {end_s} s, the client saw {last} s");
     mended(&torn);
+}
+
+/// Started again where one was killed in the middle of a recording: it tracks, records, and has nothing to complain of.
+async fn healthy_again(stage: &Path) {
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut client = posed.subscriber(&["sensors", "status"]).await;
+    until(&mut client, "all sensors", all_ok).await;
+    ok(&mut client, record_start("after")).await;
+    let status = until(&mut client, "a status", |message| !message["recording"].is_null()).await;
+    assert_eq!(status["problems"], json!([]));
+    frames(&mut client, 20).await;
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+    assert!(Info::read(&stage.with_file_name("recordings/after.mcap"), |_| ()).unwrap().complete);
 }
 
 #[tokio::test]

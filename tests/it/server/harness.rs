@@ -180,6 +180,17 @@ impl Client {
         }
     }
 
+    /// The next message as it was sent, in JSON.
+    pub(crate) async fn next_text(&mut self) -> String {
+        loop {
+            match tokio::time::timeout(PATIENCE, self.socket.next()).await.expect("a message") {
+                Some(Ok(Message::Text(text))) => return text.as_str().to_owned(),
+                Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
+                other => panic!("expected a text, got {other:?}"),
+            }
+        }
+    }
+
     /// Sends a request and gives its reply, which must be the next message that is one.
     pub(crate) async fn ask(&mut self, mut request: Value) -> Value {
         request["id"] = json!(7);
