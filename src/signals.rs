@@ -39,6 +39,18 @@ pub fn columns_of(stage: &Stage) -> Vec<String> {
     columns
 }
 
+/// Those of [`columns_of`] that tell of who exercises: where the stage has a body, not those of sensors that nobody wears, which may move
+/// for ever.
+pub fn columns_of_wearer(stage: &Stage) -> Vec<String> {
+    let Some(layout) = BodyLayout::of(stage) else { return columns_of(stage) };
+    let worn = |sensor: &&crate::stage::Sensor| {
+        layout.segments.iter().any(|segment| segment.name == sensor.sits_on())
+    };
+    let mut columns = columns(stage.sensors.iter().filter(worn).map(|sensor| sensor.name.as_str()));
+    columns.extend(layout.columns());
+    columns
+}
+
 /// Whether this is how a column of a sensor goes on behind the sensor's name.
 pub(crate) fn is_part(text: &str) -> bool {
     PARTS.iter().chain(&INERTIAL_PARTS).any(|part| *part == text)

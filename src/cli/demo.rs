@@ -94,9 +94,10 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         }
         watch::announce(daemon.vrpn_address())?;
         let ended = watch::until_end(daemon.url(), daemon.status(), duration_s).await;
+        // The daemon first: to it, devices that end would be unplugged.
+        daemon.shutdown().await;
         let stopped =
             host.stop().await.map_err(|error| Error::Failed(format!("a virtual device failed: {error}")));
-        daemon.shutdown().await;
         ended.and(stopped)
     })
 }

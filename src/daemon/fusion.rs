@@ -35,7 +35,6 @@ use crate::output::{OutcomeKind, Output};
 use crate::pipeline::Pipeline;
 use crate::protocol::{Answer, Payload, Publisher, RecordingBegun, Status, schema};
 use crate::recording::{Header, Snapshot};
-use crate::signals;
 
 /// The queue into the fusion thread.
 pub type FusionInbox = Inbox<Command>;
@@ -95,8 +94,8 @@ pub enum Command {
     Recent {
         /// After this time, s.
         from_s: f64,
-        /// Only of these sensors; absent: all.
-        sensors: Option<Vec<String>>,
+        /// Of these columns, of those that there are.
+        columns: Vec<String>,
         /// Where the copy goes.
         to: std_mpsc::Sender<Excerpt>,
     },
@@ -344,15 +343,8 @@ impl Fusion {
             Command::LoadModel(model) => {
                 self.step(&Entry { t: self.clock.now(), input: Input::Model(model) })
             }
-            Command::Recent { from_s, sensors, to } => {
-                // Behind the name of a sensor the columns differ.
-                let columns = sensors.map(|names| {
-                    let names = || names.iter().map(String::as_str);
-                    [signals::columns(names()), signals::inertial_columns(names())].concat()
-                });
-                let wanted = |column: &str| {
-                    columns.as_ref().is_none_or(|columns| columns.iter().any(|wanted| wanted == column))
-                };
+            Command::Recent { from_s, columns, to } => {
+                let wanted = |column: &str| columns.iter().any(|wanted| wanted == column);
                 // A job that has ended meanwhile does not want it any more.
                 let _ = to.send(self.recent.after(from_s, wanted));
             }

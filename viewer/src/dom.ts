@@ -1,5 +1,7 @@
 // Small helpers: elements by tag, tables whose cells are kept.
 
+import type { Job } from "./protocol";
+
 type Attributes = Record<string, string | number | boolean | EventListener>;
 export type Child = Node | string;
 
@@ -65,6 +67,12 @@ export class Table {
       if (cell.className !== kind) cell.className = kind;
     });
   }
+}
+
+/** What to do next, to be read from afar; small, what a run is for, before there is one. */
+export function prompt(element: HTMLElement, job: Job | undefined, otherwise: string): void {
+  setText(element, job?.message ?? otherwise);
+  element.className = !job ? "quiet" : `sentence ${job.state === "failed" ? "bad" : job.state === "done" ? "good" : ""}`;
 }
 
 /** A number with so many digits, or a dash. */

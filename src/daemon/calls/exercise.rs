@@ -18,6 +18,7 @@ use super::Calls;
 use crate::input::{Model, Plan, Request};
 use crate::motion::exercise::{Exercise, Options, Refusal, Report, Stream, teach};
 use crate::pipeline::DEFAULT_SUBJECT;
+use crate::signals;
 
 /// Longest time that repetitions may take, s.
 const LONGEST_S: f64 = 120.0;
@@ -70,7 +71,16 @@ impl Calls {
         if let Err(sentence) = self.check_lesson(&lesson) {
             return reply.error("bad_request", sentence);
         }
-        let classroom = Classroom { lesson, inbox: self.inbox.clone(), library: self.exercises.clone() };
+        let columns = match &lesson.sensors {
+            Some(names) => {
+                let names = || names.iter().map(String::as_str);
+                [signals::columns(names()), signals::inertial_columns(names())].concat()
+            }
+            None if lesson.channels.is_some() => signals::columns_of(&self.stage),
+            None => signals::columns_of_wearer(&self.stage),
+        };
+        let classroom =
+            Classroom { lesson, columns, inbox: self.inbox.clone(), library: self.exercises.clone() };
         let from_s = self.clock.now().as_secs_f64();
         self.jobs.run("exercise.teach", reply, move |job| classroom.run(job, from_s));
     }
@@ -97,6 +107,8 @@ impl Calls {
 /// A lesson at work.
 struct Classroom {
     lesson: Lesson,
+    /// What is looked at.
+    columns: Vec<String>,
     inbox: FusionInbox,
     library: Library,
 }
@@ -154,8 +166,8 @@ impl Classroom {
 
     /// What was tracked after a time.
     fn excerpt(&self, from_s: f64) -> Result<Excerpt, String> {
-        let sensors = self.lesson.sensors.clone();
-        self.inbox.ask(|to| Command::Recent { from_s, sensors, to })
+        let columns = self.columns.clone();
+        self.inbox.ask(|to| Command::Recent { from_s, columns, to })
     }
 
     fn learn(&self, excerpt: &Excerpt) -> Result<(Exercise, Report), (String, Option<Report>)> {

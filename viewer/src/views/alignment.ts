@@ -1,6 +1,6 @@
 // Alignment of the stage, under Runs: how the transmitter stands in the room, and how an IMU sits on a magnetic sensor.
 
-import { acting, el, num, setText } from "../dom";
+import { acting, el, num, prompt, setText } from "../dom";
 import type { Job } from "../protocol";
 import type { Context } from "../view";
 
@@ -54,8 +54,7 @@ export class Alignment {
     }
     const job = jobs.filter(({ kind }) => kind === "stage.align").at(-1);
     this.begin.disabled = !operates || job?.state === "running";
-    setText(this.prompt, job?.message ?? "Finds how the transmitter stands and how an IMU sits on its sensor: turn the sensor in your hand, or hold it at surveyed points.");
-    this.prompt.className = `sentence ${job?.state === "failed" ? "bad" : job?.state === "done" ? "good" : ""}`;
+    prompt(this.prompt, job, "Finds how the transmitter stands and how an IMU sits on its sensor: turn the sensor in your hand, or hold it at surveyed points.");
     const result = job?.state === "done" ? job.result as Result | null | undefined : null;
     this.keys.hidden = !result;
     if (result) setText(this.keys, keys(result));

@@ -158,7 +158,7 @@ export class Calibration {
   private drawMap(operates: boolean): void {
     const { map } = this;
     setText(this.inUse, !map || map.map === null ? "Poses are the tracker's own: no map is in use."
-      : `Map ${map.version || "of the stage file"} is in use: ${map.map}; ${mm(map.raw_m)} mm off a straight pole before, ${mm(map.heldout_m)} mm held out`
+      : `Map ${map.version || "of the stage file"} is in use: ${map.map}; a pole is bent by ${mm(map.raw_m)} mm without it and by ${mm(map.heldout_m)} mm with it`
         + (map.anchors_m === null ? "." : `, ${mm(map.anchors_m)} mm at surveyed points.`));
     this.rollback.hidden = !map || map.version === 0;
     this.rollback.disabled = !operates || !map || map.version === 0;

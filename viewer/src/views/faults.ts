@@ -51,7 +51,7 @@ export class FaultsPanel {
       this.winner = cell;
     }
     setText(this.now, fault
-      ? `This frame is ${fault.label}${fault.cause === "none" ? "" : `: ${fault.cause}`}; ${num(fault.distance, 3)} from its cell, usually below ${num(faultMap.usual_distance, 3)}. Revision ${faultMap.revision}.`
+      ? `This frame is ${fault.label}${fault.cause === "none" ? "" : `: ${fault.cause}`}; ${num(fault.distance, 3)} from its cell (mostly below ${num(faultMap.usual_distance, 3)}). Revision ${faultMap.revision}.`
       : "No frame yet.");
     this.now.className = fault ? TRUST[fault.label] : "quiet";
     this.labels.fill((sensors?.sensors ?? []).flatMap(({ name, fault }): Cell[][] => fault ? [[

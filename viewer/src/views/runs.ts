@@ -1,6 +1,6 @@
 // Runs: what the operator starts and ends while the stage is live.
 
-import { type Cell, Table, acting, el, num, setText } from "../dom";
+import { acting, type Cell, el, num, prompt, setText, Table } from "../dom";
 import type { Job } from "../protocol";
 import type { Context, View } from "../view";
 import { Alignment } from "./alignment";
@@ -86,8 +86,7 @@ export class RunsView implements View {
   private drawCalibration(job: Job | undefined, operates: boolean): void {
     const running = job?.state === "running";
     this.calibrate.disabled = !operates || running;
-    setText(this.prompt, job?.message ?? "Shows how each sensor sits on its segment; needed where the stage file does not say it.");
-    this.prompt.className = `sentence ${job?.state === "failed" ? "bad" : job?.state === "done" ? "good" : ""}`;
+    prompt(this.prompt, job, "Shows how each sensor sits on its segment; needed where the stage file does not say it.");
     const quality = (job?.result as { quality_deg?: Record<string, number> } | null | undefined)?.quality_deg;
     this.quality.element.hidden = running || !quality;
     this.quality.fill(Object.entries(quality ?? {}).map(([segment, degrees]): Cell[] => [

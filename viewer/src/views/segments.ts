@@ -25,7 +25,7 @@ export class SegmentsPanel {
 
   constructor(private readonly context: Context) {
     const row = (title: string, band: HTMLElement) => el("div", { class: "band-row" }, el("span", { class: "quiet" }, title), band);
-    this.known = el("div", { hidden: true }, this.now, row("sure", this.confirmed), row("so it seems", this.provisional));
+    this.known = el("div", { hidden: true }, this.now, row("sure", this.confirmed), row("provisional", this.provisional));
     const form = el("form", { class: "row" },
       el("label", {}, "Learn from the recordings with labels beside them (TAKE.eaf or TAKE.labels.csv) a network that sees ", this.sure), this.train);
     form.addEventListener("submit", acting(this.says, () =>

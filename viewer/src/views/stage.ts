@@ -66,11 +66,12 @@ export class StageView implements View {
       mark.style.color = `#${colour.toString(16).padStart(6, "0")}`;
       return el("li", {}, mark, words);
     });
-    const layer = (words: string, group: { visible: boolean }, on: boolean) => {
+    const layer = (words: string, group: { visible: boolean }, on: boolean, changed = () => {}) => {
       group.visible = on;
       const box = el("input", { type: "checkbox", checked: on });
       box.addEventListener("change", () => {
         group.visible = box.checked;
+        changed();
         this.drawn = -1;
       });
       return el("label", {}, box, ` ${words}`);
@@ -85,7 +86,7 @@ export class StageView implements View {
         layer("truth of the simulation", this.truth.group, true),
         layer("corrections, from where the tracker said", this.field.corrections, true),
         layer("what the map of the field does", this.field.arrows, true), this.arrowsLabel,
-        layer("a slice through it", this.field.slice.group, false), this.sliceAxis, this.slicePlace, this.sliceSays,
+        layer("a slice through it", this.field.slice.group, false, () => this.cut()), this.sliceAxis, this.slicePlace, this.sliceSays,
         el("button", { onclick: () => this.scene?.reset() }, "Camera back"),
         el("ul", { class: "legend", "aria-label": "What the shapes mean" }, ...legend))),
     );
@@ -104,8 +105,9 @@ export class StageView implements View {
     const { slice } = this.field;
     const axis = Number(this.sliceAxis.value) as Axis;
     const place_m = slice.cut(axis, Number(this.slicePlace.value));
-    this.sliceAxis.hidden = this.slicePlace.hidden = !slice.hasMap;
-    setText(this.sliceSays, slice.hasMap
+    const shown = slice.hasMap && slice.group.visible;
+    this.sliceAxis.hidden = this.slicePlace.hidden = this.sliceSays.hidden = !shown;
+    setText(this.sliceSays, shown
       ? `at ${"xyz"[axis]} = ${place_m.toFixed(2)} m from the transmitter; dark 0, bright ${(1000 * slice.longest_m).toFixed(1)} mm`
       : "");
     this.drawn = -1;

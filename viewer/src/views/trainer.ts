@@ -24,6 +24,7 @@ export class TrainerView implements View {
   private readonly target = el("input", { id: "target", type: "number", min: 1, max: 100, placeholder: "open" });
   private readonly sets = el("input", { id: "sets", type: "number", min: 1, max: 20, placeholder: "open" });
   private readonly rest = el("input", { id: "rest", type: "number", min: 0, max: 600, value: 30 });
+  private readonly reset = el("button", { id: "reset", hidden: true }, "From zero");
   private readonly stand = el("div", { id: "avatar", class: "avatar", hidden: true });
   private readonly avatar = new BodyFigure();
   private scene: Scene | null = null;
@@ -37,7 +38,7 @@ export class TrainerView implements View {
     const { link, model } = context;
     const teach = el("form", { class: "row" },
       el("label", {}, "Name ", this.name), el("label", {}, "Repetitions ", this.repetitions),
-      el("button", { id: "teach", class: "primary" }, "Teach: begin now, rest afterwards"));
+      el("button", { id: "teach", class: "primary" }, "Teach"));
     teach.addEventListener("submit", acting(this.says, () => link.request({
       type: "exercise.teach", name: this.name.value.trim(), repetitions: Number(this.repetitions.value),
     })));
@@ -45,9 +46,11 @@ export class TrainerView implements View {
       el("label", {}, "Repetitions of a set ", this.target), el("label", {}, "Sets ", this.sets),
       el("label", {}, "Rest, s ", this.rest), el("button", { id: "select", class: "primary" }, "Count these")));
     select.addEventListener("submit", acting(this.says, () => this.select()));
-    const reset = el("button", { id: "reset", onclick: acting(this.says, () => link.request({ type: "exercise.reset" })) }, "From zero");
-    this.element = el("div", {}, this.stand, this.counts, this.sentence, this.hint, reset, this.says,
-      el("h2", {}, "What is counted"), select, el("h2", {}, "Teach an exercise"), teach);
+    this.reset.addEventListener("click", acting(this.says, () => link.request({ type: "exercise.reset" })));
+    this.element = el("div", {}, this.stand, this.counts, this.sentence, this.hint, this.reset, this.says,
+      el("h2", {}, "Teach an exercise"), teach,
+      el("p", { class: "quiet" }, "Press the button, do the repetitions at once, and rest when they are done. What is taught is counted from then on."),
+      el("h2", {}, "What is counted"), select);
     model.listen((message) => {
       if (message.type === "exercise") this.take(message);
       else if (message.type === "hello") void this.refresh();
@@ -72,6 +75,7 @@ export class TrainerView implements View {
       if (!row) this.counts.append((row = el("section", {}, el("h2"), el("div", { class: "bars" }), el("p", { class: "quiet" }))));
       this.drawProgress(row, progress);
     });
+    this.reset.hidden = exercises.length === 0;
     if (exercises.length === 0) setText(this.sentence, "Nothing is being counted. Choose an exercise below, or teach one.");
   }
 

@@ -1,6 +1,6 @@
 // Calibration of single IMUs, under Runs: lay the unit down in all directions, see which were held, what it came to.
 
-import { acting, el, num, setText } from "../dom";
+import { acting, el, num, prompt, setText } from "../dom";
 import type { Job } from "../protocol";
 import type { Context } from "../view";
 
@@ -59,8 +59,7 @@ export class Units {
     const job = jobs.filter(({ kind }) => kind === "imu.calibrate").at(-1);
     const running = job?.state === "running";
     this.begin.disabled = !operates || running;
-    setText(this.prompt, job?.message ?? "Finds the biases and scales of one unit, and its compass's iron: lay it down on its sides, edges and corners, two seconds each.");
-    this.prompt.className = `sentence ${job?.state === "failed" ? "bad" : job?.state === "done" ? "good" : ""}`;
+    prompt(this.prompt, job, "Finds the biases and scales of one unit, and its compass's iron: lay it down on its sides, edges and corners, two seconds each.");
     const result = job?.result as Result | null | undefined;
     this.run.hidden = !result || job?.state === "done";
     this.figures.hidden = !result?.intrinsics || running;
