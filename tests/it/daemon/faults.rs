@@ -37,7 +37,9 @@ async fn a_map_is_learnt_named_kept_and_loaded() {
     let frame = until(&mut client, "its labels", |message| !message["fault"]["cell"].is_null()).await;
     assert!(frame["sensors"][0]["fault"]["label"].is_string(), "{frame}");
 
-    let named = ok(&mut client, cell).await;
+    // Another asks: the event may come before the answer.
+    let mut operator = daemon.subscriber(&["status"]).await;
+    let named = ok(&mut operator, cell).await;
     assert_eq!(named, json!({"revision": 2, "file": "faults-002.json"}));
     let map = until(&mut client, "the renamed map", |message| message["event"] == "map").await;
     assert_eq!((&map["revision"], &map["cells"][0]), (&json!(2), &json!("anomalous")));
