@@ -208,4 +208,18 @@ mod tests {
         let worn: Stage = toml::from_str(&worn).unwrap();
         assert_eq!(InertialColumns::of(&worn), InertialColumns::default());
     }
+
+    #[test]
+    fn a_wearer_has_no_channels_of_what_nobody_wears() {
+        let text = "name = \"s\"\n[[device]]\nname = \"flock\"\ndriver = \"flock-of-birds\"\nport = \"auto\"\n\
+                    [[sensor]]\nname = \"forearm_r\"\ndevice = \"flock\"\naddress = 1\n\
+                    [[sensor]]\nname = \"wand\"\ndevice = \"flock\"\naddress = 2\n";
+        let free: Stage = toml::from_str(text).unwrap();
+        assert_eq!(columns_of_wearer(&free), columns_of(&free));
+        let worn: Stage = toml::from_str(&format!("{text}[body]\nheight_m = 1.8\n")).unwrap();
+        let all = columns_of(&worn);
+        let expected: Vec<String> = all.iter().filter(|name| !name.starts_with("wand")).cloned().collect();
+        assert_eq!(columns_of_wearer(&worn), expected);
+        assert_eq!(expected.len(), all.len() - PARTS.len());
+    }
 }

@@ -2,7 +2,7 @@
 //
 // In: messages of the websocket. Out: a `State` after every change. It reconnects by itself; what happened meanwhile
 // it learns from the last state that every subscription is answered with.
-import type { ClientMessage, ServerMessage } from "../../docs/schema/posed.v1.ts";
+import type { Answers, ClientMessage, ServerMessage } from "../../docs/schema/posed.v1.ts";
 
 /** An exercise as the page shows it. */
 export interface Exercise {
@@ -114,7 +114,7 @@ export class Session {
   teach(name: string, repetitions: number): void {
     this.change({ feedback: null });
     this.ask({ type: "exercise.teach", subject: this.subject, name, repetitions }, (reply) => {
-      const result = (reply.type === "ok" ? reply.result : null) as { job: number } | null | undefined;
+      const result = reply.type === "ok" ? reply.result as Answers["exercise.teach"] : null;
       if (result) this.change({ teaching: { job: result.job, text: "starting", over: false } });
     });
   }
@@ -127,7 +127,7 @@ export class Session {
 
   list(): void {
     this.ask({ type: "exercise.list" }, (reply) => {
-      const result = (reply.type === "ok" ? reply.result : null) as { exercises: { name: string }[] } | null;
+      const result = reply.type === "ok" ? reply.result as Answers["exercise.list"] : null;
       for (const { name } of result?.exercises ?? []) this.learn(name);
     });
   }

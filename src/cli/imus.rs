@@ -3,12 +3,13 @@
 use std::path::Path;
 
 use posed::fusion::ahrs::ImuSample;
-use posed::output::{Inertial, Output};
-use posed::recording::{Item, Machine, Reader, is_recording};
+use posed::output::Inertial;
+use posed::recording::is_recording;
 use posed::stage::Stage;
 use posed::table::{Imu, ImuRow};
 
 use super::Error;
+use super::recorded::Recorded;
 
 /// Reads a table, with `rate_hz` where it has no column `t`, or a recording, which also gives its stage. Of a recording's units `which` takes
 /// what they told ([`Inertial::told`]) or the same by their intrinsics ([`Inertial::sample`]).
@@ -29,35 +30,30 @@ pub(super) fn read(
 
 /// A unit that is faster than the stage's frames gives its newest sample of each.
 fn recorded(path: &Path, which: fn(&Inertial) -> Option<ImuSample>) -> Result<(Stage, Imu), Error> {
-    let mut reader = Reader::open(path).map_err(Error::failed)?;
-    let (stage, mut machine) = Machine::as_recorded(reader.header()).map_err(Error::failed)?;
+    let (stage, recorded) = Recorded::open(path)?;
     let imus: Vec<usize> = (0..stage.sensors.len()).filter(|at| stage.is_imu(&stage.sensors[*at])).collect();
     let sensors = imus.iter().map(|at| stage.sensors[*at].name.clone()).collect();
     let mut table = Imu { sensors, ..Imu::default() };
     let mut last_s = vec![f64::NEG_INFINITY; imus.len()];
-    for item in reader.by_ref() {
-        let Item::Entry(entry) = item.map_err(Error::failed)? else { continue };
-        machine.pipeline.push(&entry, &mut |output| {
-            let Output::Estimate(estimate) = output else { return };
-            for (sensor, at) in imus.iter().enumerate() {
-                let Some(measured) = estimate.sensors[*at].measured else { continue };
-                let Some(sample) = measured.inertial.as_ref().and_then(which) else { continue };
-                let t_s = measured.t_valid.as_secs_f64();
-                // A frame without news of a sensor shows its last record again.
-                if t_s <= last_s[sensor] {
-                    continue;
-                }
-                last_s[sensor] = t_s;
-                table.magnetometer |= sample.mag.is_some();
-                table.rows.push(ImuRow {
-                    t_s,
-                    sensor,
-                    accel_m_s2: Some(sample.accel_m_s2.into()),
-                    gyro_rad_s: Some(sample.gyro_rad_s.into()),
-                    mag: sample.mag.map(Into::into),
-                });
+    recorded.estimates(|estimate| {
+        for (sensor, at) in imus.iter().enumerate() {
+            let Some(measured) = estimate.sensors[*at].measured else { continue };
+            let Some(sample) = measured.inertial.as_ref().and_then(which) else { continue };
+            let t_s = measured.t_valid.as_secs_f64();
+            // A frame without news of a sensor shows its last record again.
+            if t_s <= last_s[sensor] {
+                continue;
             }
-        });
-    }
+            last_s[sensor] = t_s;
+            table.magnetometer |= sample.mag.is_some();
+            table.rows.push(ImuRow {
+                t_s,
+                sensor,
+                accel_m_s2: Some(sample.accel_m_s2.into()),
+                gyro_rad_s: Some(sample.gyro_rad_s.into()),
+                mag: sample.mag.map(Into::into),
+            });
+        }
+    })?;
     Ok((stage, table))
 }

@@ -38,6 +38,7 @@ mod man;
 mod orient;
 mod output;
 mod progress;
+mod recorded;
 mod rehearsal;
 mod replay;
 mod replay_pty;

@@ -122,6 +122,17 @@ mod tests {
     }
 
     #[test]
+    fn only_requests_have_answers() {
+        let definitions = &json_schema()["$defs"];
+        let kinds = |name: &str| definitions[name]["oneOf"].as_array().unwrap().clone();
+        let requests: Vec<Value> = [kinds("Call"), kinds("Feed")].concat();
+        let is_request = |name: &str| requests.iter().any(|one| one["properties"]["type"]["const"] == name);
+        let answers = definitions["Answers"]["properties"].as_object().unwrap();
+        let strangers: Vec<&String> = answers.keys().filter(|name| !is_request(name)).collect();
+        assert!(strangers.is_empty() && answers.len() > 10, "{strangers:?}");
+    }
+
+    #[test]
     fn committed_typescript_is_that_of_the_types() {
         assert_committed("posed.v1.ts", &typescript());
     }

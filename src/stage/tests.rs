@@ -1,6 +1,7 @@
 //! Stage files that are right, and the one that the design shows.
 
 use super::*;
+use crate::layout::ChainLayout;
 
 const DESIGN: &str = r#"
 name = "Stage A"
@@ -81,6 +82,8 @@ fn what_of_a_chain_is_not_followed_is_told() {
     let told = |text: &str| {
         let report = check(text);
         assert!(report.ok, "{report:?}");
+        let is_followed = ChainLayout::of(&Stage::parse(text).unwrap()).is_some();
+        assert_eq!(is_followed, report.warnings.is_empty(), "{report:?}");
         report.warnings.into_iter().map(|warning| (warning.line, warning.message)).collect::<Vec<_>>()
     };
     let begin = device.find("[body]").unwrap();

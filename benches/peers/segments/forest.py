@@ -99,24 +99,23 @@ def main():
         names, points, labels = read(path)
         data[path.name.split(".")[0]] = (features(names, points, args.rate_hz), labels)
     right = frames = 0
-    for test in args.tests:
-        if not args.together or test == args.tests[0]:
-            held = args.tests if args.together else [test]
-            x = np.concatenate([f[::args.step] for n, (f, _) in data.items() if n not in held])
-            y = np.concatenate([l[::args.step] for n, (_, l) in data.items() if n not in held])
-            x, y = x[y != ""], y[y != ""]
-            forest = RandomForestClassifier(args.trees, min_samples_leaf=3, max_features="sqrt", n_jobs=1, random_state=1)
-            forest.fit(x, y)
-        f, truth = data[test]
-        window = int(args.rate_hz) | 1
-        p = forest.predict_proba(f)
-        for kind, named in (("plain", p.argmax(axis=1)), ("1 s filter", median_filter(p, window))):
-            named = forest.classes_[named]
-            scored = np.isin(truth, forest.classes_)
-            hit = (named == truth) & scored
-            print(f"{test} {kind:10} right {100 * hit.sum() / scored.sum():5.1f} %  "
-                  f"F1@50 {f1(truth[scored], named[scored], 0.5):5.1f}", flush=True)
-        right, frames = right + hit.sum(), frames + scored.sum()
+    for held in [args.tests] if args.together else [[test] for test in args.tests]:
+        x = np.concatenate([f[::args.step] for n, (f, _) in data.items() if n not in held])
+        y = np.concatenate([l[::args.step] for n, (_, l) in data.items() if n not in held])
+        x, y = x[y != ""], y[y != ""]
+        forest = RandomForestClassifier(args.trees, min_samples_leaf=3, max_features="sqrt", n_jobs=1, random_state=1)
+        forest.fit(x, y)
+        for test in held:
+            f, truth = data[test]
+            window = int(args.rate_hz) | 1
+            p = forest.predict_proba(f)
+            for kind, named in (("plain", p.argmax(axis=1)), ("1 s filter", median_filter(p, window))):
+                named = forest.classes_[named]
+                scored = np.isin(truth, forest.classes_)
+                hit = (named == truth) & scored
+                print(f"{test} {kind:10} right {100 * hit.sum() / scored.sum():5.1f} %  "
+                      f"F1@50 {f1(truth[scored], named[scored], 0.5):5.1f}", flush=True)
+            right, frames = right + hit.sum(), frames + scored.sum()
     print(f"all right {100 * right / frames:.1f} %")
 
 

@@ -11,6 +11,7 @@ use posed::output::{Output, SensorState};
 use posed::recording::{Item, Machine, Reader};
 use posed::table::{PoseRow, Poses};
 
+use super::super::recorded::Recorded;
 use super::Error;
 
 /// What a guided run would have collected of `sensors` (all that give positions, if none are named) in a whole recording.
@@ -50,28 +51,23 @@ pub(super) fn run(path: &Path, sensors: &[String], spacing_m: f64) -> Result<Pol
 
 /// Every believed record of a recording as its device said it; those on the wrong side of the transmitter are left out.
 pub(super) fn measured(path: &Path) -> Result<Poses, Error> {
-    let mut reader = Reader::open(path).map_err(Error::failed)?;
-    let (stage, mut machine) = Machine::as_recorded(reader.header()).map_err(Error::failed)?;
+    let (stage, recorded) = Recorded::open(path)?;
     let sensors = stage.sensors.iter().map(|sensor| sensor.name.clone()).collect();
     let mut poses = Poses { sensors, rows: Vec::new() };
-    for item in reader.by_ref() {
-        let Item::Entry(entry) = item.map_err(Error::failed)? else { continue };
-        machine.pipeline.push(&entry, &mut |output| {
-            let Output::Estimate(estimate) = output else { return };
-            for (sensor, seen) in estimate.sensors.iter().enumerate() {
-                if !matches!(seen.state, SensorState::Ok | SensorState::Extrapolated) {
-                    continue;
-                }
-                let Some(measured) = &seen.measured else { continue };
-                poses.rows.push(PoseRow {
-                    t_s: measured.t_valid.as_secs_f64(),
-                    sensor,
-                    position_m: measured.position_m,
-                    orientation_wxyz: measured.orientation_wxyz,
-                    state: None,
-                });
+    recorded.estimates(|estimate| {
+        for (sensor, seen) in estimate.sensors.iter().enumerate() {
+            if !matches!(seen.state, SensorState::Ok | SensorState::Extrapolated) {
+                continue;
             }
-        });
-    }
+            let Some(measured) = &seen.measured else { continue };
+            poses.rows.push(PoseRow {
+                t_s: measured.t_valid.as_secs_f64(),
+                sensor,
+                position_m: measured.position_m,
+                orientation_wxyz: measured.orientation_wxyz,
+                state: None,
+            });
+        }
+    })?;
     Ok(poses)
 }

@@ -199,11 +199,7 @@ impl Registry {
     async fn run_seen(&mut self, keys: &Keys, run: &str, there: bool) {
         let key = keys.stage();
         let runs = self.runs.entry(key.to_owned()).or_default();
-        if there {
-            _ = runs.insert(run.to_owned())
-        } else {
-            _ = runs.remove(run)
-        }
+        _ = if there { runs.insert(run.to_owned()) } else { runs.remove(run) };
         if runs.len() < 2 {
             self.told.remove(key);
         } else if !self.told.contains_key(key) {

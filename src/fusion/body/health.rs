@@ -118,11 +118,9 @@ impl Watch {
             self.misfit_s = 0.0;
             return;
         };
-        let apart = {
-            let tilt = (own.inverse() * Vector3::z()).angle(&(body.inverse() * Vector3::z()));
-            tilt > TILT_RAD || (magnetometer && own.angle_to(&body) > HEADING_RAD)
-        };
-        let apart = apart
+        let tilt_rad = (own.inverse() * Vector3::z()).angle(&(body.inverse() * Vector3::z()));
+        let apart = tilt_rad > TILT_RAD
+            || (magnetometer && own.angle_to(&body) > HEADING_RAD)
             || self.gated > GATED
             || self.impossible > IMPOSSIBLE * self.turning.max(SLOW_RAD_S * SLOW_RAD_S);
         self.misfit_s = if apart { self.misfit_s + dt_s } else { (self.misfit_s - dt_s).max(0.0) }.min(1.0);

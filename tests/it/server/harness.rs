@@ -170,23 +170,27 @@ impl Client {
 
     /// The next message, in either encoding.
     pub(crate) async fn next(&mut self) -> Value {
-        loop {
-            match tokio::time::timeout(PATIENCE, self.socket.next()).await.expect("a message") {
-                Some(Ok(Message::Text(text))) => return serde_json::from_str(&text).unwrap(),
-                Some(Ok(Message::Binary(bytes))) => return rmp_serde::from_slice(&bytes).unwrap(),
-                Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
-                other => panic!("expected a message, got {other:?}"),
-            }
+        match self.next_frame().await {
+            Message::Text(text) => serde_json::from_str(&text).unwrap(),
+            Message::Binary(bytes) => rmp_serde::from_slice(&bytes).unwrap(),
+            other => panic!("expected a message, got {other:?}"),
         }
     }
 
     /// The next message as it was sent, in JSON.
     pub(crate) async fn next_text(&mut self) -> String {
+        match self.next_frame().await {
+            Message::Text(text) => text.as_str().to_owned(),
+            other => panic!("expected a text, got {other:?}"),
+        }
+    }
+
+    async fn next_frame(&mut self) -> Message {
         loop {
             match tokio::time::timeout(PATIENCE, self.socket.next()).await.expect("a message") {
-                Some(Ok(Message::Text(text))) => return text.as_str().to_owned(),
                 Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
-                other => panic!("expected a text, got {other:?}"),
+                Some(Ok(frame)) => return frame,
+                other => panic!("expected a message, got {other:?}"),
             }
         }
     }
