@@ -13,7 +13,7 @@ use crate::body::{Activity, Build, SEGMENT_NAMES, Script};
 #[serde(default, deny_unknown_fields)]
 pub struct Person {
     /// What the person does: `walking`, `reaching`, `curls`, `squats`, `poses` (N-pose and T-pose in
-    /// turn, 3 s each), or `workout` (curls, squats and reaches in turn, a minute).
+    /// turn, 3 s each), `movements` (a T-pose, then limb after limb and the trunk), or `workout` (curls, squats and reaches in turn, a minute).
     pub activity: Activity,
     /// Whether a calibration comes first: poses and movements, 88 s.
     pub calibration: bool,
