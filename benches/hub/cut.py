@@ -206,6 +206,7 @@ name = "flock"
 boot_ms = 0.0
 [zenoh]
 connect = ["tcp/10.77.{n}.1:{port}"]
+round_trip_ms = {round_trip_ms}
 """
 
 
@@ -229,7 +230,7 @@ def main():
         for n, name in enumerate(names, 1):
             file = os.path.join(folder, f"stage-{n}.toml")
             with open(file, "w", encoding="utf-8") as out:
-                out.write(STAGE.format(n=n, port=ZENOH_PORT))
+                out.write(STAGE.format(n=n, port=ZENOH_PORT, round_trip_ms=max(100.0, 2.5 * options.delay_ms)))
             demo = [options.posed, "demo", "--stage", file, "--listen", f"127.0.0.1:{STAGE_PORT}"]
             started.append(subprocess.Popen(["ip", "netns", "exec", name, *demo], **quiet))
         result = measure(options, links, operators)

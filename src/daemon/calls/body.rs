@@ -116,12 +116,13 @@ impl Session {
         Ok(guide)
     }
 
-    fn solve(&self, job: &Job, mut worn: Worn, guide: &Guide) -> Result<String, String> {
+    fn solve(&self, job: &Job, taken_for: Worn, guide: &Guide) -> Result<String, String> {
         let (recording, blocks) = guide.recorded();
         let again = |error: &dyn std::fmt::Display| format!("{error}; begin again");
+        let mut worn = taken_for;
         let found = if self.how == Thoroughness::Assign {
             let assignment = assign(recording, blocks).map_err(|error| again(&error))?;
-            let taken_for = std::mem::take(&mut worn);
+            worn = Worn::default();
             for (imu, segment) in taken_for.into_iter().zip(assignment) {
                 if let Some(segment) = segment {
                     worn[segment.index()] = imu;
@@ -132,6 +133,11 @@ impl Session {
             self.calibrate(recording, blocks, &worn)
         };
         let found = found.map_err(|error| again(&error))?;
+        let has_mounting =
+            |imu| worn.iter().zip(&found.worn).any(|(at, sits)| *at == Some(imu) && sits.is_some());
+        if let Some(lost) = taken_for.into_iter().flatten().find(|imu| !has_mounting(*imu)) {
+            return Err(again(&format!("{} sent nothing; see to it", self.name(lost))));
+        }
         let quality = self.by_segment(|segment| json!(found.quality_deg[segment.index()]));
         let sensors = self.by_segment(|segment| json!(worn[segment.index()].map(|imu| self.name(imu))));
         job.result(json!({ "quality_deg": quality, "sensors": sensors }));

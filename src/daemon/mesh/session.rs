@@ -8,8 +8,13 @@ use crate::stage::Zenoh;
 /// A link that has brought nothing for so long is given up, ms. Short, because TCP alone would send again only many seconds after
 /// a long cut is mended; four signs of life fit in, so that loss does not end a link.
 const LEASE_MS: u32 = 2000;
-/// Time of one attempt to open a link, ms: an attempt that began in the cut must not outlast it.
-const OPEN_MS: u32 = 500;
+/// Time of one attempt to open a link, in round trips: TCP's one and zenoh's two, with room for a packet that is sent again. An attempt
+/// that began in a cut must not outlast it by much.
+const OPEN_ROUND_TRIPS: f64 = 5.0;
+/// The least, ms: sending again takes 200 ms on any link.
+const OPEN_MS: f64 = 500.0;
+/// Who is connected to has time, ms: it does not know how far away the other one is.
+const ACCEPT_MS: u32 = 10_000;
 /// Distance of two attempts, ms.
 const RETRY_MS: u32 = 100;
 /// Longest wait for room in zenoh's queue before a link is given up, microseconds.
@@ -29,6 +34,7 @@ pub(in crate::daemon) fn open(settings: &Zenoh) -> Result<Session, String> {
 fn config(settings: &Zenoh) -> zenoh::Result<Config> {
     let ends = |list: &[String]| serde_json::to_string(list);
     let retry = json!({"period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS, "period_increase_factor": 1});
+    let open_ms = (OPEN_ROUND_TRIPS * settings.round_trip_ms).max(OPEN_MS) as u32;
     let mut config = Config::default();
     for (key, value) in [
         ("mode", "\"peer\"".to_owned()),
@@ -41,8 +47,8 @@ fn config(settings: &Zenoh) -> zenoh::Result<Config> {
         ("scouting/gossip/enabled", "false".to_owned()),
         ("open/return_conditions/connect_scouted", "false".to_owned()),
         ("open/return_conditions/declares", "false".to_owned()),
-        ("transport/unicast/open_timeout", OPEN_MS.to_string()),
-        ("transport/unicast/accept_timeout", OPEN_MS.to_string()),
+        ("transport/unicast/open_timeout", open_ms.to_string()),
+        ("transport/unicast/accept_timeout", ACCEPT_MS.to_string()),
         ("transport/link/tx/lease", LEASE_MS.to_string()),
         ("transport/link/tx/keep_alive", "4".to_owned()),
         ("transport/link/tx/queue/congestion_control/block/wait_before_close", BLOCKED_US.to_string()),

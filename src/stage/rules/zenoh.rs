@@ -84,6 +84,7 @@ mod tests {
             ("connect = [\"tcp/hub:7447\"]\nkey = \"posed/**\"", "key"),
             ("connect = [\"tcp/hub:7447\"]\nkey = \"/a\"", "key"),
             ("connect = [\"tcp/hub:7447\"]\nuser = \"a\"", "user"),
+            ("connect = [\"tcp/hub:7447\"]\nround_trip_ms = 0", "round_trip_ms"),
             ("conect = []", "conect"),
         ] {
             let report = check(&format!("name = \"s\"\n[zenoh]\n{text}\n"));
