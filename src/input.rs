@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::faults::som::Network;
 use crate::field::Prepared;
+use crate::fusion::body::Segment;
 use crate::fusion::chain::live::ChainCalibration;
 use crate::fusion::intrinsics::Intrinsics;
 use crate::geometry;
@@ -139,6 +140,9 @@ pub enum Model {
 pub struct MountedSensor {
     /// The sensor, by name.
     pub sensor: String,
+    /// The segment it was found on, by name; absent: where it was taken to sit before.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub segment: Option<String>,
     /// Turns sensor coordinates into segment coordinates.
     pub mount_quat_wxyz: [f64; 4],
     /// Where it sits, segment frame, m.
@@ -239,6 +243,13 @@ impl Model {
                 let good = |sensor: &MountedSensor| {
                     geometry::isometry(sensor.offset_m, sensor.mount_quat_wxyz).is_some()
                 };
+                let nowhere = sensors
+                    .iter()
+                    .filter_map(|sensor| sensor.segment.as_ref())
+                    .find(|name| Segment::named(name).is_none());
+                if let Some(name) = nowhere {
+                    return Err(format!("segment: {name:?} is no segment of the body"));
+                }
                 if let Some(bad) = sensors.iter().find(|sensor| !good(sensor)) {
                     return Err(format!(
                         "sensors: give {:?} finite numbers and a quaternion that is not zero",

@@ -32,8 +32,6 @@ pub struct SegmentLayout {
     pub parent: Option<usize>,
     /// The joint's angles, by their index in [`crate::output::Body::angles_rad`].
     pub angles: Range<usize>,
-    /// The sensor that is asked first about it: an IMU, else a tracker.
-    pub sensor: Option<SensorIndex>,
 }
 
 /// Who sits on the body's segments.
@@ -61,6 +59,10 @@ impl Wearers {
             }
         }
         Ok(wearers)
+    }
+
+    fn has(&self, segment: Segment) -> bool {
+        self.imus[segment.index()].is_some() || self.trackers.iter().any(|(_, at)| *at == segment)
     }
 }
 
@@ -94,49 +96,33 @@ impl BodyLayout {
             return ChainLayout::of(stage).map(Self::of_chain);
         }
         let wearers = Wearers::of(stage).ok()?;
-        let tracker =
-            |segment| wearers.trackers.iter().find(|(_, at)| *at == segment).map(|(index, _)| *index);
-        let segments: Vec<SegmentLayout> = Segment::ALL
-            .into_iter()
-            .map(|segment| SegmentLayout {
-                name: segment.name().into(),
-                joint: of_joint(segment)
-                    .next()
-                    .map_or("", |angle| joint_and_angle(ANGLE_NAMES[angle]).0)
-                    .into(),
-                parent: segment.parent().map(Segment::index),
-                angles: of_joint(segment),
-                sensor: wearers.imus[segment.index()].or_else(|| tracker(segment)),
-            })
-            .collect();
-        if segments.iter().all(|segment| segment.sensor.is_none()) {
+        if wearers == Wearers::default() {
             return None;
         }
-        // Trackers alone show the whole figure, IMUs what lies between two of them.
+        let segments = Segment::ALL.map(|segment| SegmentLayout {
+            name: segment.name().into(),
+            joint: of_joint(segment).next().map_or("", |angle| joint_and_angle(ANGLE_NAMES[angle]).0).into(),
+            parent: segment.parent().map(Segment::index),
+            angles: of_joint(segment),
+        });
+        // Trackers alone show the whole figure, IMUs what lies between two sensors.
         let imus = wearers.imus.iter().any(Option::is_some);
-        let shown = |segment: &&SegmentLayout| {
-            segment.parent.is_some_and(|parent| {
-                !imus || (segment.sensor.is_some() && segments[parent].sensor.is_some())
-            })
+        let shown = |segment: &Segment| {
+            let parent = segment.parent();
+            parent.is_some_and(|parent| !imus || (wearers.has(*segment) && wearers.has(parent)))
         };
-        let shown_angles = segments.iter().filter(shown).flat_map(|segment| segment.angles.clone()).collect();
-        Some(Self { segments, shown_angles, has_places: true })
+        let shown_angles = Segment::ALL.into_iter().filter(shown).flat_map(of_joint).collect();
+        Some(Self { segments: segments.into(), shown_angles, has_places: true })
     }
 
     fn of_chain(chain: ChainLayout) -> Self {
-        let ChainLayout { segments, imus } = chain;
+        let ChainLayout { segments, .. } = chain;
         let shown_angles = (0..segments.len()).filter(|at| segments[*at].hinge.is_some()).collect();
-        let segments = segments.into_iter().zip(imus).enumerate().map(|(at, (segment, imu))| {
+        let segments = segments.into_iter().enumerate().map(|(at, segment)| {
             let (parent, joint) =
                 segment.hinge.map_or((None, String::new()), |(parent, joint)| (Some(parent), joint));
             let angles = if parent.is_some() { at..at + 1 } else { 0..0 };
-            SegmentLayout {
-                name: segment.name.into(),
-                joint: joint.into(),
-                parent,
-                angles,
-                sensor: Some(imu),
-            }
+            SegmentLayout { name: segment.name.into(), joint: joint.into(), parent, angles }
         });
         Self { segments: segments.collect(), shown_angles, has_places: false }
     }

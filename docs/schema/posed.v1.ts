@@ -894,6 +894,8 @@ export type MountedSensor = {
   mount_quat_wxyz: [number, number, number, number];
   /** Where it sits, segment frame, m. */
   offset_m: [number, number, number];
+  /** The segment it was found on, by name; absent: where it was taken to sit before. */
+  segment?: string | null;
   /** The sensor, by name. */
   sensor: string;
 };
@@ -1302,7 +1304,7 @@ export type StatusMessage = {
 };
 
 /** How much is done. */
-export type Thoroughness = "quick" | "full";
+export type Thoroughness = "quick" | "full" | "assign";
 
 /** A topic; its name is the `type` of its messages. */
 export type Topic = "status" | "sensors" | "body" | "faults" | "keyframes" | "segments" | "exercise" | "field" | "jobs" | "truth";

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use posed::fusion::ahrs::ImuSample;
+use posed::fusion::body::Segment;
 use posed::output::Inertial;
 use posed::recording::is_recording;
 use posed::stage::Stage;
@@ -30,12 +31,12 @@ pub(super) fn read(
 
 /// A unit that is faster than the stage's frames gives its newest sample of each.
 fn recorded(path: &Path, which: fn(&Inertial) -> Option<ImuSample>) -> Result<(Stage, Imu), Error> {
-    let (stage, recorded) = Recorded::open(path)?;
+    let (mut stage, recorded) = Recorded::open(path)?;
     let imus: Vec<usize> = (0..stage.sensors.len()).filter(|at| stage.is_imu(&stage.sensors[*at])).collect();
     let sensors = imus.iter().map(|at| stage.sensors[*at].name.clone()).collect();
     let mut table = Imu { sensors, ..Imu::default() };
     let mut last_s = vec![f64::NEG_INFINITY; imus.len()];
-    recorded.estimates(|estimate| {
+    let pipeline = recorded.estimates(|estimate| {
         for (sensor, at) in imus.iter().enumerate() {
             let Some(measured) = estimate.sensors[*at].measured else { continue };
             let Some(sample) = measured.inertial.as_ref().and_then(which) else { continue };
@@ -55,5 +56,11 @@ fn recorded(path: &Path, which: fn(&Inertial) -> Option<ImuSample>) -> Result<(S
             });
         }
     })?;
+    // Where sensors turned out to sit while it was recorded.
+    for (segment, imu) in Segment::ALL.into_iter().zip(pipeline.worn_imus()) {
+        if let Some(imu) = imu {
+            stage.sensors[usize::from(imu)].segment = Some(segment.name().into());
+        }
+    }
     Ok((stage, table))
 }

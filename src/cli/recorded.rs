@@ -5,6 +5,7 @@ use std::io::BufReader;
 use std::path::Path;
 
 use posed::output::{Estimate, Output};
+use posed::pipeline::Pipeline;
 use posed::recording::{Item, Machine, Reader};
 use posed::stage::Stage;
 
@@ -24,8 +25,8 @@ impl Recorded {
         Ok((stage, Self { reader, machine }))
     }
 
-    /// Shows every estimate, in the order of the frames.
-    pub(super) fn estimates(mut self, mut see: impl FnMut(&Estimate)) -> Result<(), Error> {
+    /// Shows every estimate, in the order of the frames; the pipeline as it stood in the end.
+    pub(super) fn estimates(mut self, mut see: impl FnMut(&Estimate)) -> Result<Pipeline, Error> {
         for item in self.reader.by_ref() {
             let Item::Entry(entry) = item.map_err(Error::failed)? else { continue };
             self.machine.pipeline.push(&entry, &mut |output| {
@@ -34,6 +35,6 @@ impl Recorded {
                 }
             });
         }
-        Ok(())
+        Ok(self.machine.pipeline)
     }
 }

@@ -28,6 +28,7 @@ use super::worn::Worn;
 use crate::faults::som::Network;
 use crate::faults::som::frames::Frames;
 use crate::foxglove::Views;
+use crate::fusion::body::SEGMENTS;
 use crate::fusion::body::calibrate::Recorded;
 use crate::fusion::chain::Epoch;
 use crate::input::{Entry, Input, Model, Request, SensorIndex};
@@ -111,8 +112,13 @@ pub enum Command {
         /// Where the copy goes.
         to: std_mpsc::Sender<Option<Box<Network>>>,
     },
-    /// Sends the samples of the worn IMUs, until nobody takes them any more.
-    WatchBody(std_mpsc::SyncSender<Recorded>),
+    /// Says which IMU is worn where, and sends their samples until nobody takes them any more.
+    WatchBody {
+        /// Where the IMU of each segment goes.
+        worn: std_mpsc::Sender<[Option<SensorIndex>; SEGMENTS]>,
+        /// Where the samples go.
+        to: std_mpsc::SyncSender<Recorded>,
+    },
     /// Sends the records of a magnetic sensor and of its IMU, until nobody takes them any more.
     WatchWaved {
         /// The magnetic sensor.
@@ -359,7 +365,11 @@ impl Fusion {
                 let _ = to.send(network);
             }
             Command::Begin { to } => _ = to.send(self.begin()),
-            Command::WatchBody(to) => self.worn.watch(to),
+            Command::WatchBody { worn, to } => {
+                let imus = self.pipeline.worn_imus();
+                let _ = worn.send(imus);
+                self.worn.watch(imus, to);
+            }
             Command::WatchWaved { sensor, imu, to } => self.waved.watch(sensor, imu, to),
             Command::WatchChain(to) => self.chained.watch(to),
             Command::WatchImu { sensor, to } => self.laid.watch(sensor, to),

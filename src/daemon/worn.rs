@@ -15,26 +15,32 @@ use crate::stage::Stage;
 
 /// See the module.
 pub(super) struct Worn {
-    imus: [Option<SensorIndex>; SEGMENTS],
+    /// Whether all of them have magnetometers.
     field: bool,
-    watcher: Option<(SyncSender<Recorded>, ImuRecords)>,
+    watcher: Option<Watcher>,
+}
+
+struct Watcher {
+    to: SyncSender<Recorded>,
+    imus: [Option<SensorIndex>; SEGMENTS],
+    records: ImuRecords,
 }
 
 impl Worn {
     pub(super) fn new(stage: &Stage) -> Self {
         let imus = Wearers::of(stage).unwrap_or_default().imus;
-        Self { imus, field: all_have_field(stage, &imus), watcher: None }
+        Self { field: all_have_field(stage, &imus), watcher: None }
     }
 
-    /// Begins to send; whoever watched before gets nothing more.
-    pub(super) fn watch(&mut self, to: SyncSender<Recorded>) {
-        self.watcher = Some((to, ImuRecords::new(self.field)));
+    /// Begins to send what the IMU of each segment measures; whoever watched before gets nothing more.
+    pub(super) fn watch(&mut self, imus: [Option<SensorIndex>; SEGMENTS], to: SyncSender<Recorded>) {
+        self.watcher = Some(Watcher { to, imus, records: ImuRecords::new(self.field) });
     }
 
     pub(super) fn frame(&mut self, estimate: &Estimate) {
-        let Some((to, records)) = &mut self.watcher else { return };
+        let Some(Watcher { to, imus, records }) = &mut self.watcher else { return };
         let samples = std::array::from_fn(|segment| {
-            let sensor = estimate.sensors.get(usize::from(self.imus[segment]?))?;
+            let sensor = estimate.sensors.get(usize::from(imus[segment]?))?;
             records.sample(segment, sensor.measured.as_ref()?)
         });
         let sent = to.try_send((estimate.t_valid.as_secs_f64(), samples));

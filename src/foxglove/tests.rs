@@ -67,6 +67,7 @@ fn figure() -> Body {
             Segment::ShankR => SegmentState::Missing,
             _ => SegmentState::Ok,
         },
+        sensor: None,
         position_m: Some(origins[segment.index()].into()),
         orientation_wxyz: Some(crate::geometry::orientation_to_wxyz(&upright())),
         sigma_rad: 0.01,

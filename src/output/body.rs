@@ -4,6 +4,7 @@ use posed_drivers::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use crate::fusion::body::{ANGLES, AngleSpread, Heading, SensorFault};
+use crate::input::SensorIndex;
 
 /// Segments and joint angles at one time; the order of both is that of [`crate::layout::BodyLayout`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -29,6 +30,9 @@ pub struct BodySegment {
     pub state: SegmentState,
     /// What is wrong with its sensor.
     pub fault: Option<SensorFault>,
+    /// Its sensor: of several, the one that is asked first.
+    #[serde(default)]
+    pub sensor: Option<SensorIndex>,
     /// Its origin in the room, m.
     pub position_m: Option<[f64; 3]>,
     /// Segment to room.

@@ -110,6 +110,7 @@ impl ChainStage {
             let pose = live.pose(at, t_s);
             *out = BodySegment {
                 state: if pose.is_some() { SegmentState::Ok } else { SegmentState::Missing },
+                sensor: Some(self.imus[at]),
                 orientation_wxyz: pose.map(|pose| orientation_to_wxyz(&pose.orientation)),
                 sigma_rad: pose.map_or(std::f64::consts::PI, |pose| pose.sigma_rad),
                 ..BodySegment::default()

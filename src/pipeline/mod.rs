@@ -29,6 +29,7 @@ use thiserror::Error;
 
 use crate::faults::som::Network;
 use crate::frame::{Assembler, Frame};
+use crate::fusion::body::SEGMENTS;
 use crate::geometry;
 use crate::input::{DeviceIndex, Entry, Input, Model, Request, SensorIndex};
 use crate::noise::TrackerNoise;
@@ -514,6 +515,11 @@ impl Pipeline {
     pub fn believed(&self, sensor: SensorIndex) -> Option<(Timestamp, Isometry3<f64>)> {
         let believed = self.sensors.get(usize::from(sensor))?.believed()?;
         Some((believed.t, believed.pose))
+    }
+
+    /// The IMU on each segment of the body, as far as it is known by now.
+    pub fn worn_imus(&self) -> [Option<SensorIndex>; SEGMENTS] {
+        self.body.as_ref().map_or([None; SEGMENTS], |body| *body.imus())
     }
 
     /// Which unit is the sensor now: the serial number that its device tells, or else the stage file, or else its name.

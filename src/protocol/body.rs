@@ -68,7 +68,7 @@ impl Serialize for Segment<'_> {
         let orientation = segment.orientation_wxyz.map(|q| round::each(round::QUATERNION, q));
         entry.serialize_field("orientation_wxyz", &orientation)?;
         entry.serialize_field("sigma_deg", &degrees(segment.sigma_rad))?;
-        entry.serialize_field("sensor", &layout.sensor.map(|sensor| names.sensor(sensor)))?;
+        entry.serialize_field("sensor", &segment.sensor.map(|sensor| names.sensor(sensor)))?;
         entry.serialize_field("fault", &segment.fault)?;
         entry.end()
     }

@@ -222,6 +222,7 @@ mod tests {
         };
         let shown = BodySegment {
             state: SegmentState::Ok,
+            sensor: None,
             position_m: Some([0.0, 1.0, 2.0]),
             orientation_wxyz: Some([1.0, 0.0, 0.0, 0.0]),
             sigma_rad: 0.01,

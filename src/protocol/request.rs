@@ -216,8 +216,9 @@ pub enum Call {
         #[serde(default)]
         look_ahead: Option<usize>,
     },
-    /// Finds how the body's sensors sit, from poses and movements that the job's message asks for one after the other; a job. It
-    /// notices by itself when each was done, and swaps the mounting in if it is good to five degrees.
+    /// Finds how the body's sensors sit, and with `assign` on which segment each does, from poses and movements that the job's message
+    /// asks for one after the other; a job. It notices by itself when each was done, and swaps in what it found if it is good to
+    /// five degrees. Its result has `quality_deg` and `sensors` by segment.
     #[serde(rename = "body.calibrate")]
     BodyCalibrate {
         /// How much is asked for; absent: `full`.

@@ -28,6 +28,7 @@ fn body(orientations: &[UnitQuaternion<f64>; SEGMENTS]) -> Body {
     let segments = (0..SEGMENTS)
         .map(|at| BodySegment {
             state: SegmentState::Ok,
+            sensor: None,
             position_m: Some(origins[at].into()),
             orientation_wxyz: Some(orientation_to_wxyz(&orientations[at])),
             sigma_rad: 0.01,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use posed::table::TableReader;
-use posed_simulator::body::{Activity, Build, SEGMENT_NAMES, Script, SensorErrors, Wearer, WearerSpec};
+use posed_simulator::body::{Activity, Build, Script, SensorErrors, Wearer, WearerSpec};
 
 const STAGE: &str = r#"
 name = "body"
@@ -38,6 +38,11 @@ struct Recorded {
 
 impl Recorded {
     fn new(stage: &str) -> Self {
+        Self::of(stage, 2200, ["torso", "upper_arm_r", "forearm_r"])
+    }
+
+    /// So many samples of each of three sensors, named in the order of torso, upper arm and forearm.
+    fn of(stage: &str, samples: usize, names: [&str; 3]) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let mut wearer = Wearer::new(WearerSpec {
             script: Script { activity: Activity::Curls, calibration: true, facing: -0.9 },
@@ -51,14 +56,13 @@ impl Recorded {
         });
         let mut text = String::from("t,sensor,ax,ay,az,gx,gy,gz,mx,my,mz\n");
         let mut truth = Vec::new();
-        for _ in 0..2200 {
+        for _ in 0..samples {
             let (samples, at) = wearer.step();
-            for index in [0, 2, 3] {
+            for (index, name) in [0, 2, 3].into_iter().zip(names) {
                 let s = samples[index];
                 let values = [s.accel_m_s2, s.gyro_rad_s, s.mag_ut.expect("it has a magnetometer")];
                 let cells: Vec<String> = values.iter().flatten().map(|value| format!("{value:.5}")).collect();
-                writeln!(text, "{},{},{}", at.t_s, SEGMENT_NAMES[index], cells.join(","))
-                    .expect("a string takes it");
+                writeln!(text, "{},{name},{}", at.t_s, cells.join(",")).expect("a string takes it");
             }
             // The angle between the upper arm's and the forearm's long axes.
             let [above, below] = [2, 3].map(|k| at.body[k].axes.column(1).into_owned());
@@ -74,8 +78,14 @@ impl Recorded {
     }
 
     fn solve(&self, output: &Path) -> Output {
+        self.solve_with(&[], output)
+    }
+
+    fn solve_with(&self, args: &[&str], output: &Path) -> Output {
         Command::new(env!("CARGO_BIN_EXE_posed"))
-            .args(["body", "solve", "--json", "--stage"])
+            .args(["body", "solve", "--json"])
+            .args(args)
+            .arg("--stage")
             .args([&self.path("body.toml"), &self.path("imus.csv")])
             .arg("-o")
             .arg(output)
@@ -124,6 +134,38 @@ fn an_arm_is_calibrated_and_solved_from_file_to_file() {
         assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
         assert!(recorded.path(name).metadata().expect("it is there").len() > 100_000);
     }
+}
+
+#[test]
+fn sensors_that_were_strapped_on_anywhere_are_assigned_from_file_to_file() {
+    // The forearm's sensor was taken for the torso's, and so round.
+    let stage = format!(
+        "{STAGE}[[body.calibration]]\nkind = \"shoulder_flexion_r\"\nstart_s = 34.5\nend_s = 39.5\n\
+         [[device]]\nname = \"chain\"\ndriver = \"xbus\"\nport = \"auto\"\n\
+         [[sensor]]\nname = \"a\"\ndevice = \"chain\"\naddress = 1\nsegment = \"upper_arm_r\"\n\
+         [[sensor]]\nname = \"b\"\ndevice = \"chain\"\naddress = 2\nsegment = \"forearm_r\"\n\
+         [[sensor]]\nname = \"c\"\ndevice = \"chain\"\naddress = 3\nsegment = \"torso\"\n"
+    );
+    let recorded = Recorded::of(&stage, 4100, ["a", "b", "c"]);
+    let angles = recorded.path("angles.csv");
+    let done = recorded.solve_with(&["--assign"], &angles);
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let summary: serde_json::Value = serde_json::from_slice(&done.stdout).expect("one object");
+    let found: Vec<_> =
+        summary["sensors"].as_array().expect("a list").iter().map(|s| (&s["name"], &s["segment"])).collect();
+    let expected = [("a", "torso"), ("b", "upper_arm_r"), ("c", "forearm_r")];
+    assert!(
+        found.iter().zip(expected).all(|(found, (name, segment))| found.0 == name && found.1 == segment),
+        "{summary}"
+    );
+    // Without the movement that tells the upper arm from the torso, nobody guesses.
+    let recorded =
+        Recorded::of(&stage.replace("shoulder_flexion_r", "elbow_pronation_r"), 4100, ["a", "b", "c"]);
+    let angles = recorded.path("angles.csv");
+    let done = recorded.solve_with(&["--assign"], &angles);
+    let told = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert!(done.status.code() == Some(1) && told.contains("moved alike: add a movement of one"), "{told}");
+    assert!(!angles.exists());
 }
 
 #[test]

@@ -10,7 +10,7 @@ use std::time::Duration;
 use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::browser::{self, Browser};
-use crate::daemon::process::{Posed, two_devices};
+use crate::daemon::process::{Posed, two_devices, until};
 use crate::rig::leg;
 
 /// The page has complained about nothing, and the daemon ends as it should.
@@ -264,16 +264,23 @@ async fn a_map_of_faults_is_learnt_and_a_cell_named_in_the_browser() {
 
 /// Ten IMUs of a chain on somebody who holds the two poses in turn, and nobody knows how they sit.
 fn posing(folder: &Path) -> std::path::PathBuf {
+    let worn = posed::stage::SEGMENTS.map(|segment| (segment, segment));
+    strapped(folder, "poses", &worn)
+}
+
+/// IMUs of a chain, each with the segment that the stage file says and the one that it sits on.
+fn strapped(folder: &Path, activity: &str, worn: &[(&str, &str)]) -> std::path::PathBuf {
     let mut text = String::from(
         "name = \"posing\"\n[body]\nheight_m = 1.7\n[[device]]\nname = \"chain\"\ndriver = \"xbus\"\nport = \"auto\"\n\
          baud = 921600\n[simulation]\n[[simulation.body]]\nname = \"person\"\n[simulation.body.motion]\nkind = \"person\"\n\
-         activity = \"poses\"\nheight_m = 1.7\n[[simulation.device]]\nname = \"chain\"\nboot_ms = 0.0\n",
-    );
-    for (index, segment) in posed::stage::SEGMENTS.iter().enumerate() {
+         activity = \"ACTIVITY\"\nheight_m = 1.7\n[[simulation.device]]\nname = \"chain\"\nboot_ms = 0.0\n",
+    )
+    .replace("ACTIVITY", activity);
+    for (index, (said, segment)) in worn.iter().enumerate() {
         let turn = 0.4 * index as f64;
         let (sin, cos) = turn.sin_cos();
         text += &format!(
-            "[[sensor]]\nname = \"{segment}\"\ndevice = \"chain\"\naddress = {}\n[[simulation.sensor]]\nname = \"{segment}\"\n\
+            "[[sensor]]\nname = \"{said}\"\ndevice = \"chain\"\naddress = {}\n[[simulation.sensor]]\nname = \"{said}\"\n\
              body = \"person\"\nsegment = \"{segment}\"\nmount_quat_wxyz = [{cos}, {}, 0.0, {}]\n",
             index + 1,
             0.6 * sin,
@@ -308,6 +315,43 @@ async fn a_body_is_calibrated_in_the_browser_and_then_stands() {
         .until("document.getElementById('body-summary').textContent.startsWith('body: 10 of 10 segments measured')")
         .await;
     browser.until("document.getElementById('problems').hidden").await;
+    done(browser, posed).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn swapped_sensors_are_found_in_the_browser() {
+    if !browser::is_wanted() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let swapped = [("upper_arm_r", "forearm_r"), ("forearm_r", "upper_arm_r")];
+    let stage = strapped(folder.path(), "movements", &swapped);
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
+    browser.until("document.getElementById('problems').textContent.includes('calibrate the body')").await;
+    browser.value("document.getElementById('calibrate-how').value = 'assign'").await;
+    browser.click("calibrate").await;
+    browser
+        .until("document.getElementById('prompt').textContent.startsWith('4 of 6: Bend the right elbow')")
+        .await;
+    browser
+        .until(
+            "document.getElementById('prompt').textContent.includes('upper_arm_r sits on forearm_r: the stage file says otherwise')",
+        )
+        .await;
+    assert_eq!(browser.row("mounting", 1).await[..2], ["upper_arm_r", "forearm_r"]);
+    // The body shows who sits where, and goes on from there.
+    let mut client = posed.subscriber(&["body"]).await;
+    let body = until(&mut client, "a body", |message| message["type"] == "body").await;
+    let sensor = |name: &str| {
+        let segments = body["segments"].as_array().unwrap();
+        segments.iter().find(|segment| segment["name"] == name).unwrap()["sensor"].clone()
+    };
+    assert_eq!(
+        (sensor("upper_arm_r"), sensor("forearm_r")),
+        ("forearm_r".into(), "upper_arm_r".into()),
+        "{body}"
+    );
     done(browser, posed).await;
 }
 

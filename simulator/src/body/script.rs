@@ -21,6 +21,9 @@ pub enum Activity {
     Squats,
     /// Holds an N-pose and a T-pose in turn, three seconds each: what a guided calibration asks for.
     Poses,
+    /// Stands, holds a T-pose, then moves limb after limb and the trunk with rests between, again and again: what a calibration asks
+    /// for that finds which sensor sits where.
+    Movements,
     /// Three sets of five curls, reaches, three sets of five squats, with rests of five seconds between: two minutes, again and again.
     Workout,
 }
@@ -81,6 +84,8 @@ const MOVEMENTS: [(&str, f64); 13] = [
     ("trunk_rotation", 0.7),
     ("shoulder_abduction_r", 1.0),
 ];
+/// Of these, those that move one limb or the trunk: arms, legs, bow and trunk.
+const EACH_LIMB: [usize; 10] = [0, 4, 1, 5, 6, 8, 7, 9, 10, 11];
 const POSE_S: f64 = 3.0;
 const CHANGE_S: f64 = 2.0;
 const MOVE_S: f64 = 5.0;
@@ -123,9 +128,7 @@ impl Script {
             for (index, (kind, amplitude)) in MOVEMENTS.into_iter().enumerate() {
                 let phase = (t_s - movement_s(index)) / MOVE_S;
                 if (0.0..1.0).contains(&phase) {
-                    // Twice there and back, with smooth ends.
-                    let wave = 0.5 - 0.5 * (2.0 * std::f64::consts::TAU * step(phase)).cos();
-                    bend(&mut posture, kind, amplitude * wave);
+                    bend(&mut posture, kind, amplitude * there_and_back(phase));
                 }
             }
         }
@@ -223,6 +226,26 @@ impl Activity {
                     p.shoulder[side][1] = raised * std::f64::consts::FRAC_PI_2;
                 }
             }
+            Activity::Movements => {
+                const STAND_S: f64 = 8.0;
+                const MOVED_S: f64 = MOVE_S + 2.0;
+                let lowered_s = STAND_S + 2.0 * CHANGE_S + POSE_S;
+                let begin_s = lowered_s + 0.5 * STAND_S;
+                let at = t.rem_euclid(begin_s + MOVED_S * EACH_LIMB.len() as f64);
+                let raised = step((at - STAND_S) / CHANGE_S) - step((at - lowered_s + CHANGE_S) / CHANGE_S);
+                for side in 0..2 {
+                    p.shoulder[side][1] = raised * std::f64::consts::FRAC_PI_2;
+                }
+                if at >= begin_s {
+                    let index = ((at - begin_s) / MOVED_S) as usize;
+                    let (kind, amplitude) = MOVEMENTS[EACH_LIMB[index]];
+                    bend(
+                        p,
+                        kind,
+                        amplitude * there_and_back((at - begin_s - MOVED_S * index as f64) / MOVE_S),
+                    );
+                }
+            }
             Activity::Workout => {
                 let round_s: f64 = WORKOUT.iter().map(|(_, duration_s, _)| duration_s + REST_S).sum();
                 let mut at = (t - LEAD_S).rem_euclid(round_s);
@@ -245,6 +268,11 @@ impl Activity {
 
 fn movement_s(index: usize) -> f64 {
     2.0 * (POSE_S + CHANGE_S) + 0.5 + (MOVE_S + 1.0) * index as f64
+}
+
+/// Twice from 0 to 1 and back with smooth ends, while `phase` goes from 0 to 1.
+fn there_and_back(phase: f64) -> f64 {
+    0.5 - 0.5 * (2.0 * std::f64::consts::TAU * step(phase)).cos()
 }
 
 /// From 0 to 1 with four continuous derivatives.

@@ -30,6 +30,11 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
     if animation::Format::of(&args.output).is_some() {
         return Err(Error::Usage("a chain has no lengths to animate: write a table, `-o angles.csv`".into()));
     }
+    if args.assign {
+        return Err(Error::Usage(
+            "--assign knows the movements of people: the sensors of a chain are named".into(),
+        ));
+    }
     let segments = hinges(body)?;
     let names: Vec<&str> = segments.iter().map(|segment| segment.name.as_str()).collect();
     let places = places(stage, imu, &names);

@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 use posed::animation::{self, Animation};
 use posed::fusion::ahrs::ImuSample;
+use posed::fusion::body::assign::{assign, reassigned};
 use posed::fusion::body::calibrate::{Block, Kind, Recorded, calibrate};
 use posed::fusion::body::{
     ANGLE_NAMES, BodyEstimate, BodyFilter, BodyParams, Heading, SEGMENTS, Segment, SensorFault, Skeleton,
@@ -28,6 +29,7 @@ struct Summary {
 
 #[derive(serde::Serialize)]
 struct SensorSummary {
+    name: String,
     segment: &'static str,
     /// Sensor to segment.
     mount_quat_wxyz: [f64; 4],
@@ -49,7 +51,10 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
         Error::failed("the stage's [body] lacks `height_m`, which gives the segments' lengths")
     })?;
     let names = Segment::ALL.map(Segment::name);
-    let places = places(stage, imu, &names);
+    let mut places = places(stage, imu, &names);
+    if args.assign && imu.sensors.len() == SEGMENTS && places.iter().all(Option::is_none) {
+        places = (0..SEGMENTS).map(Some).collect();
+    }
     one_each(imu, &places, &names, false)?;
     if places.iter().all(Option::is_none) {
         return Err(Error::Failed(format!(
@@ -59,20 +64,40 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
             names.join(", ")
         )));
     }
-    let recording = recording(imu, &places)?;
-    let mut sensors: [Option<&Sensor>; SEGMENTS] = [None; SEGMENTS];
-    for (name, place) in imu.sensors.iter().zip(&places) {
-        if let Some(place) = place {
-            sensors[*place] = stage.sensors.iter().find(|sensor| sensor.name == *name);
+    let blocks = blocks(body)?;
+    let mut recording = recording(imu, &places)?;
+    if args.assign {
+        let taken_for = std::mem::take(&mut places);
+        if let Some(at) = taken_for.iter().position(Option::is_none) {
+            return Err(Error::Failed(format!(
+                "--assign: give {} one of the segments that are worn, no matter which",
+                imu.sensors[at]
+            )));
         }
+        let assignment = assign(&recording, &blocks).map_err(Error::failed)?;
+        places = taken_for.into_iter().map(|at| assignment[at?].map(Segment::index)).collect();
+        recording = reassigned(&recording, &assignment);
     }
+    let name = |segment: Segment| {
+        let at = places.iter().position(|place| *place == Some(segment.index()))?;
+        Some(imu.sensors[at].as_str())
+    };
+    let sensors = Segment::ALL.map(|segment| {
+        let name = name(segment)?;
+        stage.sensors.iter().find(|sensor| sensor.name == name)
+    });
     let present = Segment::ALL.map(|segment| places.contains(&Some(segment.index())));
     let mut warnings = Vec::new();
     let (worn, quality) = match body.mounting {
-        Mounting::Given => (given(&sensors, &present, &skeleton)?, [None; SEGMENTS]),
-        Mounting::Calibrate => {
-            let offsets = sensors.map(|sensor| Some(Vector3::from(sensor?.offset_m?)));
-            let found = calibrate(&recording, &blocks(body)?, &skeleton, &offsets).map_err(Error::failed)?;
+        Mounting::Given if !args.assign => (given(&sensors, &present, &skeleton)?, [None; SEGMENTS]),
+        _ => {
+            // Where a sensor sits on another segment than it says is not known.
+            let offsets = Segment::ALL.map(|segment| {
+                let sensor = sensors[segment.index()]?;
+                let there = sensor.sits_on() == segment.name();
+                Some(Vector3::from(sensor.offset_m.filter(|_| there)?))
+            });
+            let found = calibrate(&recording, &blocks, &skeleton, &offsets).map_err(Error::failed)?;
             warnings = found.warnings;
             (found.worn, found.quality_deg)
         }
@@ -102,6 +127,7 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
             .filter_map(|segment| {
                 let worn = worn[segment.index()]?;
                 Some(SensorSummary {
+                    name: name(segment)?.to_owned(),
                     segment: segment.name(),
                     mount_quat_wxyz: orientation_to_wxyz(&worn.q_segment_sensor),
                     offset_m: worn.offset_m.into(),
@@ -125,6 +151,9 @@ fn tell(args: &Solve, summary: &Summary) -> Result<(), Error> {
     }
     let mut text = format!("{} epochs\n", summary.epochs);
     for sensor in &summary.sensors {
+        if args.assign {
+            text += &format!("{} sits on {}\n", sensor.name, sensor.segment);
+        }
         if let Some(quality) = sensor.quality_deg {
             text += &format!("{}: mounting good to {quality:.1} degrees\n", sensor.segment);
         }

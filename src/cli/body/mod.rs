@@ -31,6 +31,7 @@ enum Action {
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  posed body solve imus.csv --stage body.toml -o angles.csv\n  \
     posed body solve imus.csv --stage body.toml -o dance.bvh\n  \
+    posed body solve imus.csv --stage body.toml --assign -o angles.csv\n  \
     posed body solve take.mcap -o angles.csv\n\n\
     The stage's [body] names the segments; each sensor is named like its segment, or says `segment`.\n\
     The human skeleton needs `height_m`, and poses and movements in [[body.calibration]] or a given mounting.\n\
@@ -47,6 +48,10 @@ struct Solve {
     /// Samples per second of each sensor, for a file without a column `t`.
     #[arg(long, value_name = "HZ")]
     rate_hz: Option<f64>,
+    /// Find also which sensor sits on which segment, from the movements in [[body.calibration]]: `segment` in the stage file says
+    /// which are worn, not by whom; ten sensors need not say.
+    #[arg(long)]
+    assign: bool,
     /// Print one JSON object: epochs, and how well axes and mountings show.
     #[arg(long)]
     json: bool,

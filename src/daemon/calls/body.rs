@@ -1,27 +1,29 @@
 //! `body.calibrate`: guides a person through poses and movements, and finds how the sensors sit.
 //!
 //! In: samples from the fusion thread, while the job runs on a thread of its own. Out: what to do next, as the job's message; in
-//! the end a mounting for the pipeline, or one sentence about what to repeat. A mounting that is not good is not used.
+//! the end a mounting for the pipeline, with who sits where if that was asked too, or one sentence about what to repeat. A mounting
+//! that is not good is not used.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
 use nalgebra::Vector3;
-use serde_json::{Map, json};
+use serde_json::{Map, Value, json};
 
 use super::super::fusion::{Command, FusionInbox};
 use super::super::inbox::Event;
 use super::super::jobs::Job;
 use super::super::server::Reply;
 use super::Calls;
-use crate::fusion::body::calibrate::{Calibrated, Recorded, calibrate};
+use crate::fusion::body::assign::{assign, reassigned};
+use crate::fusion::body::calibrate::{Block, Calibrated, CalibrationError, Recorded, calibrate};
 use crate::fusion::body::guide::{Guide, LONGEST_S, Thoroughness};
 use crate::fusion::body::{SEGMENTS, Segment, Skeleton};
 use crate::geometry::orientation_to_wxyz;
-use crate::input::{Model, MountedSensor};
-use crate::layout::{ChainLayout, Wearers, skeleton_of};
+use crate::input::{Model, MountedSensor, SensorIndex};
+use crate::layout::{ChainLayout, Wearers, segment_of, skeleton_of};
 use crate::pipeline::all_have_field;
-use crate::stage;
+use crate::stage::{self, Stage};
 
 /// Samples that may wait for the thread: ten seconds at 100 Hz.
 const WAITING: usize = 1024;
@@ -36,43 +38,33 @@ impl Calls {
         if let Some(layout) = ChainLayout::of(&self.stage) {
             return self.calibrate_chain(layout, reply);
         }
-        let worn = match self.worn() {
-            Ok(worn) => worn,
-            Err(sentence) => return reply.error("no_body", sentence),
-        };
-        let session = Session { worn, how, inbox: self.inbox.clone() };
-        self.jobs.run("body.calibrate", reply, move |job| session.run(job));
+        match self.wearer(how) {
+            Ok(session) => self.jobs.run("body.calibrate", reply, move |job| session.run(job)),
+            Err(sentence) => reply.error("no_body", sentence),
+        }
     }
 
-    /// Who sits where; a sentence where there is nobody to calibrate.
-    fn worn(&self) -> Result<Worn, String> {
+    /// Who wears IMUs; a sentence where there is nobody to calibrate.
+    fn wearer(&self, how: Thoroughness) -> Result<Session, String> {
         let body = self.stage.body.as_ref().filter(|body| body.skeleton == stage::Skeleton::Human);
         let skeleton = body.and_then(skeleton_of).ok_or("this stage has no human [body] with `height_m`")?;
         let wearers = Wearers::of(&self.stage).unwrap_or_default();
         if wearers.imus.iter().all(Option::is_none) {
             return Err("this stage has no IMU on a segment of the body".into());
         }
-        let sensor = |index: u16| &self.stage.sensors[usize::from(index)];
-        Ok(Worn {
-            names: wearers.imus.map(|index| index.map(|index| sensor(index).name.clone())),
-            offsets_m: wearers.imus.map(|index| Some(Vector3::from(sensor(index?).offset_m?))),
-            magnetic: all_have_field(&self.stage, &wearers.imus),
-            skeleton,
-        })
+        let magnetic = all_have_field(&self.stage, &wearers.imus);
+        Ok(Session { stage: self.stage.clone(), skeleton, magnetic, how, inbox: self.inbox.clone() })
     }
 }
 
-/// The sensors to calibrate.
-struct Worn {
-    names: [Option<String>; SEGMENTS],
-    offsets_m: [Option<Vector3<f64>>; SEGMENTS],
-    magnetic: bool,
-    skeleton: Skeleton,
-}
+/// The IMU on each segment.
+type Worn = [Option<SensorIndex>; SEGMENTS];
 
 /// A calibration at work.
 struct Session {
-    worn: Worn,
+    stage: Stage,
+    skeleton: Skeleton,
+    magnetic: bool,
     how: Thoroughness,
     inbox: FusionInbox,
 }
@@ -80,15 +72,15 @@ struct Session {
 impl Session {
     fn run(self, job: &Job) -> Result<String, String> {
         let (to, samples) = sync_channel(WAITING);
-        self.inbox.push(Event::Command(Command::WatchBody(to)));
-        let guide = self.guided(job, &samples)?;
-        self.solve(job, &guide)
+        let worn = self.inbox.ask(|worn| Command::WatchBody { worn, to })?;
+        let guide = self.guided(job, &worn, &samples)?;
+        drop(samples);
+        self.solve(job, worn, &guide)
     }
 
     /// Until everything was done.
-    fn guided(&self, job: &Job, samples: &Receiver<Recorded>) -> Result<Guide, String> {
-        let present = self.worn.names.each_ref().map(Option::is_some);
-        let mut guide = Guide::new(present, self.worn.magnetic, self.how);
+    fn guided(&self, job: &Job, worn: &Worn, samples: &Receiver<Recorded>) -> Result<Guide, String> {
+        let mut guide = Guide::new(worn.map(|imu| imu.is_some()), self.magnetic, self.how);
         let mut told = None;
         let mut silent = 0;
         let mut first_s = None;
@@ -124,41 +116,92 @@ impl Session {
         Ok(guide)
     }
 
-    fn solve(&self, job: &Job, guide: &Guide) -> Result<String, String> {
+    fn solve(&self, job: &Job, mut worn: Worn, guide: &Guide) -> Result<String, String> {
         let (recording, blocks) = guide.recorded();
-        let found = calibrate(recording, blocks, &self.worn.skeleton, &self.worn.offsets_m)
-            .map_err(|error| format!("{error}; begin again"))?;
-        let quality: Map<String, serde_json::Value> = Segment::ALL
-            .into_iter()
-            .filter_map(|segment| {
-                Some((segment.name().to_owned(), json!(found.quality_deg[segment.index()]?)))
-            })
-            .collect();
-        job.result(json!({ "quality_deg": quality }));
+        let again = |error: &dyn std::fmt::Display| format!("{error}; begin again");
+        let found = if self.how == Thoroughness::Assign {
+            let assignment = assign(recording, blocks).map_err(|error| again(&error))?;
+            let taken_for = std::mem::take(&mut worn);
+            for (imu, segment) in taken_for.into_iter().zip(assignment) {
+                if let Some(segment) = segment {
+                    worn[segment.index()] = imu;
+                }
+            }
+            self.calibrate(&reassigned(recording, &assignment), blocks, &worn)
+        } else {
+            self.calibrate(recording, blocks, &worn)
+        };
+        let found = found.map_err(|error| again(&error))?;
+        let quality = self.by_segment(|segment| json!(found.quality_deg[segment.index()]));
+        let sensors = self.by_segment(|segment| json!(worn[segment.index()].map(|imu| self.name(imu))));
+        job.result(json!({ "quality_deg": quality, "sensors": sensors }));
         if !found.warnings.is_empty() {
-            return Err(format!("{}; begin again", found.warnings.join("; ")));
+            return Err(again(&found.warnings.join("; ")));
         }
         let worst = Segment::ALL
             .into_iter()
             .filter_map(|segment| Some((segment, found.quality_deg[segment.index()]?)))
             .max_by(|(_, a), (_, b)| a.total_cmp(b));
-        let sensors = self.mounted(&found);
+        let sensors = self.mounted(&worn, &found);
         self.inbox.push(Event::Command(Command::LoadModel(Model::Mounting { sensors })));
         let worst = worst.map_or_else(String::new, |(segment, quality_deg)| {
             format!("; the worst is {} with {quality_deg:.1} degrees", segment.name())
         });
-        Ok(format!("the sensors' mounting is known{worst}"))
+        Ok(format!("the sensors' mounting is known{worst}{}", self.told(&worn)))
     }
 
-    fn mounted(&self, found: &Calibrated) -> Vec<MountedSensor> {
-        let mounted = |(name, worn): (&Option<String>, &Option<crate::fusion::body::Worn>)| {
-            let worn = (*worn)?;
+    fn calibrate(
+        &self,
+        recording: &[Recorded],
+        blocks: &[Block],
+        worn: &Worn,
+    ) -> Result<Calibrated, CalibrationError> {
+        let offsets_m = Segment::ALL.map(|segment| {
+            let sensor = &self.stage.sensors[usize::from(worn[segment.index()]?)];
+            // Where it sits on another segment is not known.
+            let known = sensor.offset_m.filter(|_| segment_of(sensor) == Some(segment));
+            known.map(Vector3::from)
+        });
+        calibrate(recording, blocks, &self.skeleton, &offsets_m)
+    }
+
+    fn name(&self, imu: SensorIndex) -> &str {
+        &self.stage.sensors[usize::from(imu)].name
+    }
+
+    /// What there is to say of each segment.
+    fn by_segment(&self, say: impl Fn(Segment) -> Value) -> Map<String, Value> {
+        let said = Segment::ALL.into_iter().map(|segment| (segment.name().to_owned(), say(segment)));
+        said.filter(|(_, value)| !value.is_null()).collect()
+    }
+
+    /// Who does not sit where the stage file says.
+    fn told(&self, worn: &Worn) -> String {
+        let elsewhere: Vec<String> = Segment::ALL
+            .into_iter()
+            .filter_map(|segment| {
+                let sensor = &self.stage.sensors[usize::from(worn[segment.index()]?)];
+                let moved = segment_of(sensor) != Some(segment);
+                moved.then(|| format!("{} sits on {}", sensor.name, segment.name()))
+            })
+            .collect();
+        match (elsewhere.is_empty(), self.how) {
+            (false, _) => format!("; {}: the stage file says otherwise", elsewhere.join(", ")),
+            (true, Thoroughness::Assign) => "; every sensor sits where the stage file says".into(),
+            (true, _) => String::new(),
+        }
+    }
+
+    fn mounted(&self, worn: &Worn, found: &Calibrated) -> Vec<MountedSensor> {
+        let mounted = |segment: Segment| {
+            let mounting = found.worn[segment.index()]?;
             Some(MountedSensor {
-                sensor: name.clone()?,
-                mount_quat_wxyz: orientation_to_wxyz(&worn.q_segment_sensor),
-                offset_m: worn.offset_m.into(),
+                sensor: self.name(worn[segment.index()]?).to_owned(),
+                segment: Some(segment.name().to_owned()),
+                mount_quat_wxyz: orientation_to_wxyz(&mounting.q_segment_sensor),
+                offset_m: mounting.offset_m.into(),
             })
         };
-        self.worn.names.iter().zip(&found.worn).filter_map(mounted).collect()
+        Segment::ALL.into_iter().filter_map(mounted).collect()
     }
 }

@@ -4,6 +4,8 @@
 //! pose or movement was held, for [`super::calibrate`]. It has no clock: time is that of the samples.
 //!
 //! A pose is done once all sensors were still for [`HOLD_S`] in it; a movement once its own sensors moved and came to rest again.
+//! Where it is to be found which sensor sits where, samples stand under the segments that sensors were taken to sit on: then any
+//! sensor may show a movement, and as many as there are on the arms a T-pose.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -28,6 +30,8 @@ const MOVEMENT_S: f64 = 1.5;
 const LEAD_S: f64 = 0.4;
 /// Between arms that hang and arms held sideways gravity turns at least so far in a sensor, rad.
 const RAISED_RAD: f64 = 0.9;
+/// Arms that hang again are within this of how they hung, rad.
+const HANGS_RAD: f64 = 0.5;
 /// Longest calibration, s: whoever takes longer has gone away.
 pub const LONGEST_S: f64 = 300.0;
 
@@ -40,12 +44,16 @@ pub enum Thoroughness {
     /// Poses, and the bending of elbows and knees.
     #[default]
     Full,
+    /// A movement of every segment: shows also which sensor sits on which segment.
+    Assign,
 }
 
 /// One calibration on its way.
 #[derive(Clone, Debug)]
 pub struct Guide {
     present: [bool; SEGMENTS],
+    /// Whether it is known which sensor sits where.
+    assigned: bool,
     steps: Vec<Kind>,
     at: usize,
     recording: Vec<Recorded>,
@@ -65,6 +73,7 @@ impl Guide {
     pub fn new(present: [bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Self {
         Self {
             steps: steps(&present, magnetic, how),
+            assigned: how != Thoroughness::Assign,
             present,
             at: 0,
             recording: Vec::new(),
@@ -161,13 +170,20 @@ impl Guide {
     /// Whether the arms are held sideways, as far as gravity shows it.
     fn raised(&self) -> bool {
         let Some(hung) = &self.hung else { return true };
-        arms(&self.present).all(|index| self.forces[index].angle(&hung[index]) > RAISED_RAD)
+        let raised = |index: &usize| self.forces[*index].angle(&hung[*index]) > RAISED_RAD;
+        if self.assigned {
+            arms(&self.present).all(|index| raised(&index))
+        } else {
+            self.all().filter(raised).count() >= arms(&self.present).count()
+        }
     }
 
     /// Whether an N-pose that comes again is one: the arms hang as they did.
     fn upright_again(&self, kind: Kind) -> bool {
         let Some(hung) = &self.hung else { return true };
-        kind != Kind::NPose || arms(&self.present).all(|index| self.forces[index].angle(&hung[index]) < 0.5)
+        let hangs = |index: usize| self.forces[index].angle(&hung[index]) < HANGS_RAD;
+        kind != Kind::NPose
+            || if self.assigned { arms(&self.present).all(hangs) } else { self.all().all(hangs) }
     }
 
     /// The sensors that show a movement.
@@ -177,7 +193,7 @@ impl Guide {
             _ => Segment::Torso,
         };
         let only = if self.present[moved.index()] { moved } else { Segment::Pelvis };
-        std::iter::once(only.index())
+        self.all().filter(move |index| !self.assigned || *index == only.index())
     }
 }
 
@@ -186,6 +202,18 @@ fn arms(present: &[bool; SEGMENTS]) -> impl Iterator<Item = usize> + '_ {
     arms.into_iter().map(Segment::index).filter(|index| present[*index])
 }
 
+/// In the order in which they are bent where it is not known who is who.
+const LIMBS: [Segment; 8] = [
+    Segment::ForearmR,
+    Segment::UpperArmR,
+    Segment::ForearmL,
+    Segment::UpperArmL,
+    Segment::ShankR,
+    Segment::ThighR,
+    Segment::ShankL,
+    Segment::ThighL,
+];
+
 /// What has to be done so that every sensor's mounting shows.
 fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<Kind> {
     let has = |segment: Segment| present[segment.index()];
@@ -193,6 +221,22 @@ fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<K
     let with_arms = arms(present).next().is_some();
     if with_arms {
         steps.push(Kind::TPose);
+    }
+    if how == Thoroughness::Assign {
+        if with_arms {
+            // Arms that are lowered must not be taken for the first movement.
+            steps.push(Kind::NPose);
+        }
+        let bends = LIMBS.into_iter().filter(|limb| has(*limb));
+        steps.extend(bends.map(|limb| Kind::Move(limb, Movement::Flexion)));
+        if has(Segment::Torso) || has(Segment::Pelvis) {
+            steps.push(Kind::Bow);
+        }
+        if has(Segment::Torso) && has(Segment::Pelvis) {
+            steps.push(Kind::TrunkRotation);
+        }
+        steps.push(Kind::NPose);
+        return steps;
     }
     let limbs = [Segment::ForearmR, Segment::ForearmL, Segment::ShankR, Segment::ShankL];
     // Without a field every sensor needs a movement of its own.
@@ -241,6 +285,9 @@ fn words(kind: Kind) -> &'static str {
         }
         Kind::Move(Segment::ThighR, _) => "Lift the right thigh forward, three times; then stand still",
         Kind::Move(Segment::ThighL, _) => "Lift the left thigh forward, three times; then stand still",
-        Kind::Move(..) => "Lift the arm forward, three times; then stand still",
+        Kind::Move(Segment::UpperArmL, _) => {
+            "Lift the stretched left arm forward, three times; then stand still"
+        }
+        Kind::Move(..) => "Lift the stretched right arm forward, three times; then stand still",
     }
 }

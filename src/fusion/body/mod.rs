@@ -15,12 +15,12 @@
 //! a magnetometer the headings hold by the gyros, the hinges of elbow and knee and rests; [`Heading::Held`] says so.
 
 mod angles;
+pub mod assign;
 pub mod calibrate;
 pub mod guide;
 mod health;
 mod inverse;
 mod limbs;
-pub mod places;
 mod skeleton;
 mod spread;
 #[cfg(test)]

@@ -4,7 +4,6 @@ use nalgebra::{UnitQuaternion, Vector3};
 use posed_simulator::body::{Activity, Build, Script, SensorErrors, Wearer, WearerSpec};
 
 use super::calibrate::{Block, CalibrationError, Kind, Recorded, calibrate};
-use super::places::{PlaceError, places};
 use super::*;
 
 type V = Vector3<f64>;
@@ -86,7 +85,7 @@ fn wearer(activity: Activity, magnetometer: bool, seed: u64) -> Wearer {
     wearer_of(script(activity), magnetometer, seed)
 }
 
-fn wearer_of(script: Script, magnetometer: bool, seed: u64) -> Wearer {
+pub(super) fn wearer_of(script: Script, magnetometer: bool, seed: u64) -> Wearer {
     Wearer::new(WearerSpec {
         script,
         build: Build::of_height(1.8),
@@ -103,9 +102,9 @@ fn script(activity: Activity) -> Script {
     Script { activity, calibration: true, facing: 0.6 }
 }
 
-type Orientations = [UnitQuaternion<f64>; SEGMENTS];
+pub(super) type Orientations = [UnitQuaternion<f64>; SEGMENTS];
 
-fn record(wearer: &mut Wearer, seconds: f64) -> (Vec<Recorded>, Vec<Orientations>) {
+pub(super) fn record(wearer: &mut Wearer, seconds: f64) -> (Vec<Recorded>, Vec<Orientations>) {
     (0..(seconds * 100.0) as usize)
         .map(|_| {
             let (samples, truth) = wearer.step();
@@ -313,31 +312,6 @@ fn a_body_goes_on_from_its_serialised_state() {
     for (_, samples) in &recording {
         assert_eq!(filter.push(samples, 0.01), restored.push(samples, 0.01));
     }
-}
-
-#[test]
-fn sensors_find_their_segments() {
-    let mut wearer = wearer(Activity::Curls, false, 4);
-    let (recording, _) = record(&mut wearer, script(Activity::Curls).activity_s());
-    let blocks = blocks(Activity::Curls);
-    let movements: Vec<Kind> = blocks.iter().map(|block| block.kind).collect();
-    // The sensors in reverse order.
-    let turned: Vec<Vec<f64>> = blocks
-        .iter()
-        .map(|block| {
-            let inside: Vec<&Recorded> =
-                recording.iter().filter(|(t, _)| (block.start_s..block.end_s).contains(t)).collect();
-            let square = |i: usize| {
-                inside.iter().filter_map(|(_, s)| s[i]).map(|s| s.gyro_rad_s.norm_squared()).sum::<f64>()
-            };
-            (0..SEGMENTS).rev().map(|i| (square(i) / inside.len() as f64).sqrt()).collect()
-        })
-        .collect();
-    let found = places(&Segment::ALL, &movements, &turned).unwrap();
-    let expected: Vec<Segment> = Segment::ALL.into_iter().rev().collect();
-    assert_eq!(found, expected);
-    // With poses and one elbow alone, most segments moved alike.
-    assert!(matches!(places(&Segment::ALL, &movements[..3], &turned[..3]), Err(PlaceError::Alike { .. })));
 }
 
 /// Trackers on some segments of a body that moves, and what the rest of it does.

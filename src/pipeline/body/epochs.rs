@@ -67,6 +67,14 @@ impl Epochs {
         &self.imus
     }
 
+    /// Sensors sit elsewhere from now on: what they sent before says nothing of their segments.
+    pub(super) fn wear(&mut self, imus: [Option<SensorIndex>; SEGMENTS]) {
+        if imus != self.imus {
+            self.records = ImuRecords::new(self.records.field);
+            self.imus = imus;
+        }
+    }
+
     /// Whether all of them have magnetometers.
     pub(super) fn field(&self) -> bool {
         self.records.field

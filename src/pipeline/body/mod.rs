@@ -99,10 +99,7 @@ impl BodyStage {
         };
         Ok(Some(Self {
             skeleton,
-            wearing: Segment::ALL.map(|segment| {
-                let tracker = wearers.trackers.iter().find(|(_, at)| *at == segment);
-                imus[segment.index()].or(tracker.map(|(index, _)| *index))
-            }),
+            wearing: wearing(&imus, &trackers),
             tracked: Vec::with_capacity(trackers.len()),
             trackers,
             epochs: Epochs::new(imus, field),
@@ -152,14 +149,15 @@ impl BodyStage {
         Some(&self.out)
     }
 
-    /// Takes how the sensors sit; `index` finds one by its name. False where one of them is not on the body, or one of the body
-    /// is left out.
+    /// Takes how the sensors sit, and where; `index` finds one by its name. False where one of them is not on the body, one of the
+    /// body is left out, two IMUs are on one segment, or a segment that wore none has one.
     pub(super) fn mount(
         &mut self,
         sensors: &[MountedSensor],
         index: impl Fn(&str) -> Option<SensorIndex>,
     ) -> bool {
         let mut all = [None; SEGMENTS];
+        let mut imus = [None; SEGMENTS];
         let mut trackers = self.trackers.clone();
         let mut tracked = 0;
         for mounted in sensors {
@@ -168,11 +166,19 @@ impl BodyStage {
             else {
                 return false;
             };
-            let segment = self.epochs.imus().iter().position(|imu| *imu == Some(sensor));
-            let tracker = trackers.iter_mut().find(|tracker| tracker.sensor == sensor);
-            if let Some(segment) = segment {
+            let was = self.epochs.imus().iter().position(|imu| *imu == Some(sensor));
+            let found = mounted.segment.as_deref().and_then(Segment::named);
+            let mut trackers = trackers.iter_mut();
+            let tracker = trackers.find(|tracker| {
+                tracker.sensor == sensor && found.is_none_or(|found| found == tracker.segment)
+            });
+            if let Some(was) = was {
+                let segment = found.map_or(was, Segment::index);
                 let offset_m = pose.translation.vector;
                 all[segment] = Some(Worn { q_segment_sensor: pose.rotation, offset_m, heading_rad: None });
+                if imus[segment].replace(sensor).is_some() {
+                    return false;
+                }
             } else if let Some(tracker) = tracker {
                 tracker.segment_from_sensor = pose;
                 tracked += 1;
@@ -180,17 +186,20 @@ impl BodyStage {
                 return false;
             }
         }
-        let imus = self.epochs.imus();
-        if imus.iter().zip(&all).any(|(imu, worn)| imu.is_some() != worn.is_some()) {
+        // The same sensors on the same segments, if in another order.
+        let mut known = self.epochs.imus().iter().zip(&imus);
+        if known.any(|(was, is)| was.is_some() != is.is_some() || (was.is_some() && !imus.contains(was))) {
             return false;
         }
         if imus.iter().any(Option::is_some) {
+            self.epochs.wear(imus);
             self.solver = Solver::imus(&self.skeleton, &all, self.epochs.field());
         } else if tracked == trackers.len() {
             self.solver = Solver::Trackers(Box::new(Follower::new(self.skeleton)));
         } else {
             return false;
         }
+        self.wearing = wearing(&imus, &trackers);
         self.trackers = trackers;
         self.pelvis_m = None;
         true
@@ -208,6 +217,11 @@ impl BodyStage {
     /// The latest body; none before the first.
     pub(super) fn latest(&self) -> Option<&Body> {
         (self.out.segments.iter().any(|segment| segment.state != SegmentState::Missing)).then_some(&self.out)
+    }
+
+    /// The IMU on each segment, as far as it is known by now.
+    pub(super) fn imus(&self) -> &[Option<SensorIndex>; SEGMENTS] {
+        self.epochs.imus()
     }
 
     /// Whether it is known how the sensors sit.
@@ -264,6 +278,7 @@ impl BodyStage {
             *out = BodySegment {
                 state,
                 fault,
+                sensor: self.wearing[index],
                 position_m: shown.map(|_| (pelvis_m + from_hips[index]).into()),
                 orientation_wxyz: shown.as_ref().map(orientation_to_wxyz),
                 sigma_rad: found.sigma_rad[index],
@@ -289,6 +304,7 @@ impl BodyStage {
             self.out.segments[index] = BodySegment {
                 state,
                 fault,
+                sensor: self.wearing[index],
                 position_m: Some(origins[index].into()),
                 orientation_wxyz: Some(orientation_to_wxyz(&figure.orientations[index])),
                 sigma_rad: if seen { TRACKED_RAD } else { BETWEEN_RAD },
@@ -312,6 +328,17 @@ impl Solver {
         }
         Self::Imus(Box::new(filter))
     }
+}
+
+/// The sensor of each segment that is asked first: an IMU, else a tracker.
+fn wearing(
+    imus: &[Option<SensorIndex>; SEGMENTS],
+    trackers: &[WornTracker],
+) -> [Option<SensorIndex>; SEGMENTS] {
+    Segment::ALL.map(|segment| {
+        let tracker = trackers.iter().find(|tracker| tracker.segment == segment);
+        imus[segment.index()].or(tracker.map(|tracker| tracker.sensor))
+    })
 }
 
 /// How a sensor sits on its segment, as the stage file says; `None` where it does not say how it is turned.

@@ -137,3 +137,50 @@ fn an_ill_sensor_is_named_within_a_second_and_the_rest_of_the_body_moves_on() {
         assert!(off.to_degrees().abs() < 3.0, "{segment:?}: {name} is off by {} degrees", off.to_degrees());
     }
 }
+
+#[test]
+fn sensors_that_were_found_on_other_segments_count_there_from_then_on() {
+    let mut rig = Rig::new();
+    // The units of the left forearm and upper arm were strapped on the wrong way round.
+    let (upper, fore) = (Segment::UpperArmL, Segment::ForearmL);
+    let swap = |records: &mut Records| records.swap(upper.index(), fore.index());
+    for _ in 0..100 {
+        rig.step(swap);
+    }
+    assert!(rig.stage.faults().any(|(_, _, fault)| fault == SensorFault::Misfit));
+    let names = Segment::ALL.map(Segment::name);
+    let index = |name: &str| names.iter().position(|known| *known == name).map(|at| at as SensorIndex);
+    let found = |swapped: [Segment; 2]| -> Vec<MountedSensor> {
+        let found = |segment: Segment| {
+            let other = swapped.iter().position(|known| *known == segment).map(|at| swapped[1 - at]);
+            let (q, offset_m) = rig.wearer.mounting(segment.index());
+            MountedSensor {
+                sensor: other.unwrap_or(segment).name().into(),
+                segment: Some(segment.name().into()),
+                mount_quat_wxyz: orientation_to_wxyz(&q),
+                offset_m: offset_m.into(),
+            }
+        };
+        Segment::ALL.into_iter().map(found).collect()
+    };
+    let right = found([upper, fore]);
+    // Nobody may be left out, sit in two places or on top of another.
+    let mut twice = right.clone();
+    twice[fore.index()].segment = Some("torso".into());
+    let mut nowhere = right.clone();
+    nowhere[fore.index()].sensor = "torso".into();
+    for wrong in [&right[1..], &twice, &nowhere] {
+        assert!(!rig.stage.mount(wrong, index));
+    }
+    assert!(rig.stage.mount(&right, index));
+    let mut truth = [None; SEGMENTS];
+    for _ in 0..800 {
+        truth = rig.step(swap);
+    }
+    assert_eq!(rig.stage.faults().collect::<Vec<_>>(), []);
+    let body = rig.stage.latest().unwrap();
+    assert_eq!(body.segments[fore.index()].sensor, index("upper_arm_l"));
+    let elbow = ANGLE_NAMES.iter().position(|known| *known == "elbow_l_flexion").unwrap();
+    let off = body.angles_rad[elbow].unwrap() - angles(&truth)[elbow].unwrap();
+    assert!(off.to_degrees().abs() < 2.0, "{} degrees", off.to_degrees());
+}

@@ -16,6 +16,7 @@ fn body(t_ms: i64) -> Body {
     let segment = BodySegment {
         state: SegmentState::Ok,
         fault: None,
+        sensor: None,
         position_m: Some([1.0, 2.0, 3.0]),
         orientation_wxyz: Some([1.0, 0.0, 0.0, 0.0]),
         sigma_rad: 0.01,

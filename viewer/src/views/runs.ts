@@ -1,7 +1,7 @@
 // Runs: what the operator starts and ends while the stage is live.
 
 import { acting, type Cell, el, num, prompt, setText, Table } from "../dom";
-import type { Job } from "../protocol";
+import type { Job, Thoroughness } from "../protocol";
 import type { Context, View } from "../view";
 import { Alignment } from "./alignment";
 import { Calibration } from "./calibration";
@@ -17,10 +17,11 @@ export class RunsView implements View {
   private readonly stop = el("button", { id: "record-stop" }, "Stop");
   private readonly recording = el("p", { id: "recording", class: "quiet", role: "status" });
   private readonly how = el("select", { id: "calibrate-how", "aria-label": "How much" },
-    el("option", { value: "full" }, "poses, elbows and knees"), el("option", { value: "quick" }, "two poses only"));
+    el("option", { value: "full" }, "poses, elbows and knees"), el("option", { value: "quick" }, "two poses only"),
+    el("option", { value: "assign" }, "every limb: find which sensor sits where"));
   private readonly calibrate = el("button", { id: "calibrate", class: "primary" }, "Calibrate the body");
   private readonly prompt = el("p", { id: "prompt", class: "sentence", role: "status" });
-  private readonly quality = new Table("mounting", "How well each sensor's mounting shows", [["Segment"], ["Disagreement, degrees"]]);
+  private readonly quality = new Table("mounting", "How well each sensor's mounting shows", [["Segment"], ["Sensor"], ["Disagreement, degrees"]]);
   private readonly body = el("section", { hidden: true });
   private readonly jobs = el("ul", { id: "jobs", "aria-label": "Jobs" });
   private readonly noJobs = el("p", { class: "quiet" }, "Nothing is running and nothing was run yet.");
@@ -40,7 +41,7 @@ export class RunsView implements View {
     }));
     this.stop.addEventListener("click", acting(this.says, () => link.request({ type: "record.stop" })));
     this.calibrate.addEventListener("click", acting(this.says, () =>
-      link.request({ type: "body.calibrate", how: this.how.value === "quick" ? "quick" : "full" })));
+      link.request({ type: "body.calibrate", how: this.how.value as Thoroughness })));
     this.quality.element.hidden = true;
     this.body.append(el("h2", {}, "Body"),
       el("div", { class: "row" }, el("label", {}, "What is done ", this.how), this.calibrate), this.prompt, this.quality.element);
@@ -87,10 +88,11 @@ export class RunsView implements View {
     const running = job?.state === "running";
     this.calibrate.disabled = !operates || running;
     prompt(this.prompt, job, "Shows how each sensor sits on its segment; needed where the stage file does not say it.");
-    const quality = (job?.result as { quality_deg?: Record<string, number> } | null | undefined)?.quality_deg;
+    const found = job?.result as { quality_deg?: Record<string, number>; sensors?: Record<string, string> } | null | undefined;
+    const quality = found?.quality_deg;
     this.quality.element.hidden = running || !quality;
     this.quality.fill(Object.entries(quality ?? {}).map(([segment, degrees]): Cell[] => [
-      [segment], [num(degrees, 1), degrees > 5 ? "bad" : "good"],
+      [segment], [found?.sensors?.[segment] ?? ""], [num(degrees, 1), degrees > 5 ? "bad" : "good"],
     ]));
   }
 
