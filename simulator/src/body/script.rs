@@ -24,16 +24,26 @@ pub enum Activity {
     /// Stands, holds a T-pose, then moves limb after limb and the trunk with rests between, again and again: what a calibration asks
     /// for that finds which sensor sits where.
     Movements,
-    /// Three sets of five curls, reaches, three sets of five squats, with rests of five seconds between: two minutes, again and again.
+    /// Three sets of five curls, reaches, three sets of five squats, with five seconds of rest after each set: two minutes, again and again.
     Workout,
 }
 
-/// What a workout consists of: each for so long, s, coming and going within so long, s; and a rest after it. Sets are
-/// five whole repetitions, so that who teaches one sees the next counted.
-const WORKOUT: [(Activity, f64, f64); 7] =
-    [CURLS, CURLS, CURLS, (Activity::Reaching, 14.0, RAMP_S), SQUATS, SQUATS, SQUATS];
-const CURLS: (Activity, f64, f64) = (Activity::Curls, 5.0 / CURLS_HZ, SET_RAMP_S);
-const SQUATS: (Activity, f64, f64) = (Activity::Squats, 5.0 / SQUATS_HZ, SET_RAMP_S);
+/// A part of a workout.
+struct Part {
+    activity: Activity,
+    duration_s: f64,
+    /// It comes and goes within this time.
+    ramp_s: f64,
+    rest_s: f64,
+}
+
+/// What a workout consists of. Sets are five whole repetitions, so that who teaches one sees the next counted.
+const WORKOUT: [Part; 7] = [CURLS, CURLS, CURLS, REACHES, SQUATS, SQUATS, SQUATS];
+const CURLS: Part =
+    Part { activity: Activity::Curls, duration_s: 5.0 / CURLS_HZ, ramp_s: SET_RAMP_S, rest_s: REST_S };
+const SQUATS: Part = Part { activity: Activity::Squats, duration_s: 5.0 / SQUATS_HZ, ..CURLS };
+/// No set, so nobody rests after it.
+const REACHES: Part = Part { activity: Activity::Reaching, duration_s: 14.0, ramp_s: RAMP_S, rest_s: 0.0 };
 const REST_S: f64 = 5.0;
 /// How far somebody who rests sways, rad.
 const SWAY_RAD: f64 = 0.015;
@@ -247,13 +257,13 @@ impl Activity {
                 }
             }
             Activity::Workout => {
-                let round_s: f64 = WORKOUT.iter().map(|(_, duration_s, _)| duration_s + REST_S).sum();
+                let round_s: f64 = WORKOUT.iter().map(|part| part.duration_s + part.rest_s).sum();
                 let mut at = (t - LEAD_S).rem_euclid(round_s);
-                for (activity, duration_s, ramp_s) in WORKOUT {
+                for Part { activity, duration_s, ramp_s, rest_s } in WORKOUT {
                     if (0.0..duration_s).contains(&at) {
                         activity.act(p, at, Self::swell_within(ramp_s, at, duration_s));
                     }
-                    at -= duration_s + REST_S;
+                    at -= duration_s + rest_s;
                 }
                 // Nobody stands like a post: to and fro about the ankles, and breath.
                 let lean = grow * SWAY_RAD * wave(0.23, 0.0);
