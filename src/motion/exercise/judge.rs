@@ -8,6 +8,13 @@ use serde::{Deserialize, Serialize};
 
 use super::exercise::{Durations, Gate};
 use super::hmm::{LogRatio, Movement, WORST, range};
+use super::kinds::is_posture;
+
+/// A joint so far from where it was taught is in another posture, degrees: half a right angle, more than people and the placing of
+/// sensors differ.
+const FAR_DEG: f64 = 45.0;
+/// A movement of which a longer share is spent there is another one.
+const ELSEWHERE: f64 = 0.8;
 
 /// Measures of one repetition.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -24,6 +31,9 @@ pub struct Measures {
     pub likeness: f64,
     /// Share of the states visited.
     pub visited: f64,
+    /// Of the joint that was longest in quite another posture than taught: the share of the repetition in which it was.
+    #[serde(default)]
+    pub elsewhere: f64,
 }
 
 /// Why a repetition does not count.
@@ -124,12 +134,40 @@ pub(super) fn measure<'a>(
         gain: if taught > 0.0 && whole > 0.0 { (done / taught).sqrt() * reached / whole } else { 0.0 },
         likeness: if taught > 0.0 && done > 0.0 { along / (taught * done).sqrt() } else { 0.0 },
         visited: visited as f64 / states as f64,
+        elsewhere: 0.0,
     }
+}
+
+/// Of the joint that was longest in quite another posture than taught: the share of the repetition in which it was.
+///
+/// The path does not mind: a channel that has failed must not end a repetition, so what any channel can say against it is bounded. But
+/// a joint that lives and is nowhere near is no failure, it is another exercise: half a curl bends the elbow as a push-up at the wall
+/// does, with the arm elsewhere.
+pub(super) fn elsewhere<'a>(
+    movement: &Movement,
+    channels: &[String],
+    frames: impl Iterator<Item = (&'a [f64], usize)> + Clone,
+) -> f64 {
+    let share = |channel: usize| {
+        let (mean, sd) = (&movement.states.mean[channel], &movement.states.sd[channel]);
+        let (mut count, mut far, mut low, mut high) = (0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
+        let values = frames.clone().map(|(observation, state)| (observation[channel], state));
+        for (value, state) in values.filter(|(value, _)| !value.is_nan()) {
+            let allowed = FAR_DEG.max((2.0 * WORST).sqrt() * sd[state]);
+            count += 1.0;
+            far += f64::from(u8::from((value - mean[state]).abs() > allowed));
+            (low, high) = (f64::min(low, value), f64::max(high, value));
+        }
+        // A joint that says the same all the time has failed.
+        if high > low { far / count } else { 0.0 }
+    };
+    (0..channels.len()).filter(|channel| is_posture(&channels[*channel])).map(share).fold(0.0, f64::max)
 }
 
 /// The first measure that is out of the gate.
 pub(super) fn judge(measures: &Measures, gate: &Gate, durations: &Durations) -> Result<(), Reason> {
-    let Measures { duration_s, mean_log_ratio, fifth_log_ratio, gain, likeness, visited } = *measures;
+    let Measures { duration_s, mean_log_ratio, fifth_log_ratio, gain, likeness, visited, elsewhere } =
+        *measures;
     if duration_s < gate.duration[0] * durations.shortest_s {
         Err(Reason::TooFast)
     } else if duration_s > gate.duration[1] * durations.longest_s {
@@ -140,7 +178,8 @@ pub(super) fn judge(measures: &Measures, gate: &Gate, durations: &Durations) -> 
         Err(Reason::TooSmall)
     } else if gain > gate.gain[1] {
         Err(Reason::TooLarge)
-    } else if likeness < gate.likeness
+    } else if elsewhere > ELSEWHERE
+        || likeness < gate.likeness
         || mean_log_ratio < gate.mean_log_ratio
         || fifth_log_ratio < gate.fifth_log_ratio
     {

@@ -43,6 +43,13 @@ pub(super) fn siblings(channels: &[String]) -> Vec<Vec<usize>> {
     (0..channels.len()).map(|a| (0..channels.len()).filter(|b| same(a, *b)).collect()).collect()
 }
 
+/// Whether a channel is a joint's angle that shows a posture whoever wears the sensors wherever. What turns about a limb's own axis
+/// or the vertical does not: it is lost where an arm hangs, and drifts without a field.
+pub(super) fn is_posture(channel: &str) -> bool {
+    let lost = ["plane", "rotation", "azimuth", "heading", "yaw"];
+    channel.ends_with("_deg") && !lost.iter().any(|word| channel.contains(word))
+}
+
 /// For each value the largest one of its kind.
 pub(super) fn largest(kinds: &[usize], values: &[f64]) -> Vec<f64> {
     let of = |kind: usize| {
@@ -63,6 +70,16 @@ mod tests {
         let kinds = kinds(&names.map(str::to_owned));
         assert_eq!(kinds, [0, 1, 1, 0, 2, 3, 3, 4, 5]);
         assert_eq!(largest(&[0, 1, 0], &[2.0, 5.0, 3.0]), [3.0, 5.0, 3.0]);
+    }
+
+    #[test]
+    fn postures_are_joint_angles_that_are_always_defined() {
+        for channel in ["elbow_flexion_deg", "hip_r_adduction_deg", "knee_deg"] {
+            assert!(is_posture(channel), "{channel}");
+        }
+        for channel in ["shoulder_r_plane_deg", "spine_rotation_deg", "wrist_up_z", "wrist_x_m", "gx"] {
+            assert!(!is_posture(channel), "{channel}");
+        }
     }
 
     #[test]
