@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! cargo bench --bench page                  scripting and drawing calls per frame, by view; then a hidden tab
+//! cargo bench --bench page -- --openings 10 from opening the page to a moving body, each in a fresh browser
 //! cargo bench --bench page -- --hours 8     memory over so many hours of messages, as fast as the page takes them
 //! ```
 //! The stage is that of `posed demo`, a person with ten IMUs and three trackers, and 37 birds of a MotionStar beside it. A frame's cost is the
@@ -26,6 +27,9 @@ struct Args {
     /// Hours of messages, in place of the other figures.
     #[arg(long)]
     hours: Option<f64>,
+    /// So many openings of the page of `posed demo`, in place of the other figures.
+    #[arg(long)]
+    openings: Option<usize>,
     /// Seconds in each view.
     #[arg(long, default_value_t = 10.0)]
     seconds: f64,
@@ -43,11 +47,24 @@ const VIEWS: [&str; 6] = ["stage-view", "trainer", "health", "runs", "analysis",
 #[tokio::main]
 async fn main() {
     let args = Args::parse();
-    let served = stage::Served::start();
-    match args.hours {
-        Some(hours) => hours::run(&served, hours).await,
-        None => frames(&served, Duration::from_secs_f64(args.seconds)).await,
+    match (args.hours, args.openings) {
+        (_, Some(count)) => openings(&stage::Served::demo(), count).await,
+        (Some(hours), None) => hours::run(&stage::Served::start(), hours).await,
+        (None, None) => frames(&stage::Served::start(), Duration::from_secs_f64(args.seconds)).await,
     }
+}
+
+/// From opening the page to the first frame in which the body has moved.
+async fn openings(served: &stage::Served, count: usize) {
+    let mut all_ms = Vec::new();
+    for _ in 0..count {
+        let mut browser = Browser::open_with(&served.url, Some(PROBE)).await;
+        browser.until("probe.moved_ms() !== null").await;
+        all_ms.push(browser.value("probe.moved_ms()").await.as_f64().unwrap());
+    }
+    all_ms.sort_by(f64::total_cmp);
+    let [first, middle, last] = [0, count / 2, count - 1].map(|at| all_ms[at] / 1e3);
+    println!("{count} openings: {middle:.2} s to a moving body (median), {first:.2} to {last:.2} s");
 }
 
 async fn frames(served: &stage::Served, each: Duration) {

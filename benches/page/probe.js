@@ -1,4 +1,5 @@
-// Runs before the page's own scripts: times its callbacks, counts messages, says when a tab that was hidden is current.
+// Runs before the page's own scripts: times its callbacks, counts messages, says when a tab that was hidden is current, and when
+// the body was first drawn moved after the page was opened.
 
 window.probe = (() => {
   const costs_ms = [];
@@ -7,6 +8,17 @@ window.probe = (() => {
   let shown_ms = null;
   let newest_ms = -Infinity;
   let current_ms = null;
+  let first = null;
+  let has_moved = false;
+  let moved_ms = null;
+
+  /** Whether the body is no longer where the first message of it had it: by a quarter of a degree. */
+  const moves = (data) => {
+    if (typeof data !== "string" || !data.includes('"type":"body"')) return false;
+    const turns = JSON.parse(data).segments.flatMap((segment) => segment.orientation_wxyz ?? []);
+    first ??= turns;
+    return turns.some((part, i) => Math.abs(part - first[i]) > 0.002);
+  };
 
   const timed = (callback, argument) => {
     const from = performance.now();
@@ -20,6 +32,7 @@ window.probe = (() => {
     costs_ms.push(sum_ms);
     if (costs_ms.length > 100000) costs_ms.shift();
     sum_ms = 0;
+    if (has_moved) moved_ms ??= performance.now();
     if (shown_ms !== null && newest_ms > shown_ms && current_ms === null) current_ms = performance.now() - shown_ms;
   });
 
@@ -32,6 +45,7 @@ window.probe = (() => {
         messages++;
         newest_ms = performance.now();
         timed(callback, event);
+        has_moved ||= moves(event.data);
       };
     }
   };
@@ -56,5 +70,7 @@ window.probe = (() => {
     },
     messages: () => messages,
     current_ms: () => current_ms,
+    /** From the opening to the end of the first frame with a body that has moved. */
+    moved_ms: () => moved_ms,
   };
 })();

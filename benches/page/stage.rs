@@ -1,5 +1,6 @@
 //! `posed demo` with 37 birds more.
 
+use std::ffi::OsStr;
 use std::fmt::Write;
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
@@ -17,6 +18,11 @@ pub(crate) struct Served {
 }
 
 impl Served {
+    /// `posed demo` as it is.
+    pub(crate) fn demo() -> Self {
+        Self::spawn(tempfile::tempdir().unwrap(), &[])
+    }
+
     pub(crate) fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("stage.toml");
@@ -25,9 +31,14 @@ impl Served {
             let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
             std::fs::copy(config.join(model), folder.path().join(model)).unwrap();
         }
+        Self::spawn(folder, &["--stage".as_ref(), path.as_os_str()])
+    }
+
+    fn spawn(folder: tempfile::TempDir, more: &[&OsStr]) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_posed"))
-            .args(["demo", "--listen", "127.0.0.1:0", "--stage"])
-            .arg(&path)
+            .args(["demo", "--listen", "127.0.0.1:0"])
+            .args(more)
+            .current_dir(folder.path())
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()

@@ -18,8 +18,8 @@ use posed_simulator::stage::Output as Virtual;
 
 use super::{Error, simulation};
 
-/// How long it takes, in the stage's own time, s: once through what the demo does.
-const LENGTH_S: f64 = 65.0;
+/// How long it takes, in the stage's own time, s: until the demo has done each of its movements.
+const LENGTH_S: f64 = 77.0;
 /// Share of the frames that get a fault.
 const BAD_SHARE: f64 = 0.4;
 

@@ -117,7 +117,10 @@ impl Jobs {
         let mut list = self.lock();
         let now = self.clock.now();
         let Some(listed) = list.jobs.iter_mut().find(|listed| listed.job.job == number) else { return };
+        let said_nothing = listed.job.message.is_none();
         change(listed, now);
+        // What to do is said at once, the progress now and then.
+        let begins_to_say = said_nothing && listed.job.message.is_some();
         if listed.job.state != JobState::Running {
             let ended = list.jobs.iter().filter(|listed| listed.job.state != JobState::Running).count();
             let mut surplus = ended.saturating_sub(ENDED);
@@ -126,7 +129,7 @@ impl Jobs {
                 surplus -= usize::from(!keep);
                 keep
             });
-        } else if now < list.published + PROGRESS_INTERVAL {
+        } else if !begins_to_say && now < list.published + PROGRESS_INTERVAL {
             return;
         }
         self.publish(&mut list);
@@ -243,6 +246,7 @@ mod tests {
         assert_eq!((begun.len(), begun[0].job, begun[0].state), (1, job.number(), JobState::Running));
         assert_eq!((begun[0].kind.as_str(), begun[0].progress), ("record.start", None));
         job.progress(Some(0.25), Some("a quarter".into()));
+        assert_eq!(newest(&hub)[0].message.as_deref(), Some("a quarter"));
         job.end(Ok("all of it".into()));
         let ended = newest(&hub);
         assert_eq!((ended[0].state, ended[0].progress), (JobState::Done, Some(1.0)));

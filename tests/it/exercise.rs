@@ -1,17 +1,19 @@
 //! Exercises live: taught from tracked poses, counted in the pipeline, replayed, and the same from a file.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::LazyLock;
 
 use posed::input::{Input, Model, Plan, Request};
-use posed::motion::exercise::{Counter, EventKind, Exercise, Options, Stream, teach};
+use posed::motion::exercise::{Counter, EventKind, Exercise, Options, Stream, rests, teach};
 use posed::output::{Estimate, ExerciseState, ExerciseWhat, OutcomeKind, Repetition};
 use posed::pipeline::Pipeline;
-
-use posed::signals;
+use posed::signals::{self, BodyColumns};
+use posed::stage::Stage;
 use posed_simulator::exercises::{self, Day, Exercise as Training, Person, Variant};
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
+use serde::Deserialize;
 
 use crate::cli::posed;
 use crate::rig::{Rig, Said, record, replay, stage};
@@ -293,6 +295,54 @@ fn simulated_people_are_counted_corrected_and_otherwise_left_alone() {
         };
         assert!(sentences.iter().filter(named).count() >= 6, "person {seed}: {sentences:?}");
     }
+}
+
+/// What the wearer's sensors said between two times, as a job that teaches sees it.
+fn wearer(rig: &Rig, stage: &Stage, span_s: Range<f64>) -> (Vec<String>, Vec<f64>, Vec<Option<f64>>) {
+    let (all, columns) = (signals::columns_of(stage), signals::columns_of_wearer(stage));
+    let kept: Vec<usize> =
+        columns.iter().filter_map(|column| all.iter().position(|other| other == column)).collect();
+    let angles = BodyColumns::of(stage);
+    let (mut t_s, mut values, mut row, mut body) = (Vec::new(), Vec::new(), Vec::new(), None);
+    for said in &rig.said {
+        match said {
+            Said::Body(newest) => body = Some(&**newest),
+            Said::Estimate(estimate) if span_s.contains(&estimate.t_valid.as_secs_f64()) => {
+                t_s.push(estimate.t_valid.as_secs_f64());
+                signals::write(estimate, &mut row);
+                angles.append(body, estimate, &mut row);
+                values.extend(kept.iter().map(|column| row[*column]));
+            }
+            _ => {}
+        }
+    }
+    (columns, t_s, values)
+}
+
+/// The stage of `posed demo`: its person does three sets of five curls, with rests of five seconds between.
+#[test]
+fn the_demos_person_rests_after_a_set_is_taught_by_it_and_counted_in_the_next_ones() {
+    let stage = Stage::parse(include_str!("../../config/demo.toml")).unwrap();
+    let scenario = Scenario::deserialize(stage.simulation.clone().unwrap()).unwrap();
+    let mut rig = Rig::new(&stage, &scenario);
+    rig.run_until(15.5);
+    let resting = |span_s: Range<f64>| {
+        let (columns, t_s, values) = wearer(&rig, &stage, span_s);
+        rests(&Stream { columns: &columns, t_s: &t_s, values: &values })
+    };
+    // The set lasts from 1.5 to 11.5 s.
+    assert!((6..=23).all(|half| !resting(0.0..0.5 * f64::from(half))), "rests while it moves");
+    assert!((27..=31).all(|half| resting(0.0..0.5 * f64::from(half))), "never rests");
+    let (columns, t_s, values) = wearer(&rig, &stage, 0.0..13.5);
+    let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
+    let options = Options { name: "curl".into(), repetitions: 5, channels: None };
+    let lesson = teach(&stream, &options).unwrap();
+    assert!(lesson.report.quality > 0.8, "{:?}", lesson.report);
+    rig.push(Input::Model(Model::Exercise { exercise: Box::new(lesson.exercise) }));
+    rig.push(select(Plan { repetitions: Some(5), sets: Some(2), rest_s: 3.0 }));
+    rig.run_until(64.0);
+    assert_eq!(counts(&rig.said, "patient"), (1..=10).collect::<Vec<_>>());
+    assert!(states(&rig.said, "patient").last().unwrap().exercises[0].done);
 }
 
 /// The messages of `exercise` in a session of six curls.

@@ -29,6 +29,8 @@ const link = new Link(
   },
 );
 
+// At once: the stage answers while the views are being made.
+link.connect();
 const pace = new Pace((rate_hz) => link.useRate(rate_hz));
 const context = { model, link };
 const views: View[] = [
@@ -52,13 +54,18 @@ function show(view: View): void {
     tab.setAttribute("aria-selected", String(each === view));
     tab.tabIndex = each === view ? 0 : -1;
   }
-  history.replaceState(null, "", `#${view.id}`);
   view.shown?.();
+}
+
+/** Shows a view, and says so in the address; a page that was opened without one in it keeps the focus at its top. */
+function choose(view: View): void {
+  show(view);
+  history.replaceState(null, "", `#${view.id}`);
 }
 
 function addTabs(): void {
   for (const view of views) {
-    const tab = el("button", { id: `tab-${view.id}`, role: "tab", "aria-controls": view.id, onclick: () => show(view) }, view.title);
+    const tab = el("button", { id: `tab-${view.id}`, role: "tab", "aria-controls": view.id, onclick: () => choose(view) }, view.title);
     byId("tabs").append(tab);
     view.element.id = view.id;
     view.element.setAttribute("role", "tabpanel");
@@ -69,7 +76,7 @@ function addTabs(): void {
     const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
     if (step === undefined || !shown) return;
     const next = views[(views.indexOf(shown) + step + views.length) % views.length]!;
-    show(next);
+    choose(next);
     byId(`tab-${next.id}`).focus();
   });
 }
@@ -122,5 +129,4 @@ byId("token").addEventListener("submit", (event) => {
 
 addTabs();
 show(views.find((view) => `#${view.id}` === location.hash) ?? views[0]!);
-link.connect();
 requestAnimationFrame(draw);

@@ -19,6 +19,9 @@ function keep(all: Map<string, Rows>, name: string, t_s: number, values: Record<
   rows.names.forEach((key, i) => rows.set(i + 1, values[key]));
 }
 
+/** All faults of one cause at one sensor: when the newest began or ended, and how many there were. */
+export type Faults = { sensor: string; cause: string; t_s: number; times: number; active: boolean };
+
 /** A repetition that has been judged. */
 export type Repetition = Extract<ExerciseEventMessage, { event: "counted" | "rejected" }>;
 
@@ -40,7 +43,8 @@ export class Model {
   truth: TruthsMessage | null = null;
   status: StatusMessage | null = null;
   jobs: JobsMessage | null = null;
-  faults: FaultEvent[] = [];
+  /** By sensor and cause. */
+  readonly faults = new Map<string, Faults>();
   faultMap: FaultMap | null = null;
   /** What was said of segments of the motion and not taken back, by beginning. */
   segments: SegmentMessage[] = [];
@@ -106,8 +110,7 @@ export class Model {
           this.faultMap = message;
           break;
         }
-        this.faults.push(message);
-        if (this.faults.length > EVENTS) this.faults.shift();
+        this.takeFault(message);
         break;
       case "segments":
         this.takeSegment(message);
@@ -118,6 +121,13 @@ export class Model {
         break;
     }
     this.listeners.forEach((listener) => listener(message));
+  }
+
+  private takeFault({ sensor, cause, t_s, active }: FaultEvent): void {
+    const name = `${sensor}\n${cause}`;
+    const times = (this.faults.get(name)?.times ?? 0) + Number(active);
+    // One whose beginning was missed is one all the same.
+    this.faults.set(name, { sensor, cause, t_s, times: Math.max(times, 1), active });
   }
 
   private takeSegment(message: SegmentMessage): void {

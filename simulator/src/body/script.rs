@@ -24,16 +24,37 @@ pub enum Activity {
     /// Stands, holds a T-pose, then moves limb after limb and the trunk with rests between, again and again: what a calibration asks
     /// for that finds which sensor sits where.
     Movements,
-    /// Curls, squats and reaches in turn, with rests between: a minute, again and again.
+    /// Three sets of five curls, reaches, three sets of five squats, with five seconds of rest after each set: two minutes, again and again.
     Workout,
 }
 
-/// What a workout consists of: each for so long, s, and a rest after it.
-const WORKOUT: [(Activity, f64); 3] =
-    [(Activity::Curls, 20.0), (Activity::Squats, 14.0), (Activity::Reaching, 14.0)];
-const REST_S: f64 = 4.0;
-/// Movements come and go within this time, s.
+/// A part of a workout.
+struct Part {
+    activity: Activity,
+    duration_s: f64,
+    /// It comes and goes within this time.
+    ramp_s: f64,
+    rest_s: f64,
+}
+
+/// What a workout consists of. Sets are five whole repetitions, so that who teaches one sees the next counted.
+const WORKOUT: [Part; 7] = [CURLS, CURLS, CURLS, REACHES, SQUATS, SQUATS, SQUATS];
+const CURLS: Part =
+    Part { activity: Activity::Curls, duration_s: 5.0 / CURLS_HZ, ramp_s: SET_RAMP_S, rest_s: REST_S };
+const SQUATS: Part = Part { activity: Activity::Squats, duration_s: 5.0 / SQUATS_HZ, ..CURLS };
+/// No set, so nobody rests after it.
+const REACHES: Part = Part { activity: Activity::Reaching, duration_s: 14.0, ramp_s: RAMP_S, rest_s: 0.0 };
+const REST_S: f64 = 5.0;
+/// How far somebody who rests sways, rad.
+const SWAY_RAD: f64 = 0.015;
+/// Before the first one stands still, as everybody does who switches sensors on, s.
+const LEAD_S: f64 = 1.5;
+/// Repetitions per second.
+const CURLS_HZ: f64 = 0.5;
+const SQUATS_HZ: f64 = 0.35;
+/// Movements come and go within this time, s; those of a set sooner, so that its first repetition is as large as the others.
 const RAMP_S: f64 = 3.0;
+const SET_RAMP_S: f64 = 1.0;
 
 /// A span of the script, named as in a stage file.
 #[derive(Clone, Debug, PartialEq)]
@@ -132,7 +153,11 @@ impl Script {
 impl Activity {
     /// How far a movement of this duration has come, from 0 to 1 and back to 0.
     pub(super) fn swell(t: f64, duration_s: f64) -> f64 {
-        step(t / RAMP_S).min(step((duration_s - t) / RAMP_S))
+        Self::swell_within(RAMP_S, t, duration_s)
+    }
+
+    fn swell_within(ramp_s: f64, t: f64, duration_s: f64) -> f64 {
+        step(t / ramp_s).min(step((duration_s - t) / ramp_s))
     }
 
     /// Adds what is done after a time `t` in s, in size `grow`.
@@ -184,17 +209,17 @@ impl Activity {
             }
             Activity::Curls => {
                 for (side, phase) in [(0, 0.0), (1, std::f64::consts::PI)] {
-                    p.elbow[side] = [2.2 * rise(0.5, phase), -rise(0.5, phase)].map(|a| grow * a);
-                    raise(p, side, grow * 0.15 * rise(0.5, phase), grow * 0.08, 0.0);
+                    p.elbow[side] = [2.2 * rise(CURLS_HZ, phase), -rise(CURLS_HZ, phase)].map(|a| grow * a);
+                    raise(p, side, grow * 0.15 * rise(CURLS_HZ, phase), grow * 0.08, 0.0);
                 }
-                p.spine = [0.03 * wave(0.5, 0.0), 0.0, 0.06 * wave(0.25, 0.0)].map(|a| grow * a);
+                p.spine = [0.03 * wave(CURLS_HZ, 0.0), 0.0, 0.06 * wave(0.25, 0.0)].map(|a| grow * a);
             }
             Activity::Squats => {
-                let down = grow * rise(0.35, 0.0);
+                let down = grow * rise(SQUATS_HZ, 0.0);
                 for side in 0..2 {
                     p.hip[side] = [1.45 * down, -0.2 * down, -0.15 * down];
                     p.knee[side] = 1.7 * down;
-                    raise(p, side, grow * (0.4 + 0.9 * rise(0.35, 0.0)), grow * 0.1, 0.0);
+                    raise(p, side, grow * (0.4 + 0.9 * rise(SQUATS_HZ, 0.0)), grow * 0.1, 0.0);
                     p.elbow[side] = [grow * 0.2, grow * 0.3];
                 }
                 p.pelvis[1] = 0.35 * down;
@@ -232,14 +257,20 @@ impl Activity {
                 }
             }
             Activity::Workout => {
-                let round_s: f64 = WORKOUT.iter().map(|(_, duration_s)| duration_s + REST_S).sum();
-                let mut at = t.rem_euclid(round_s);
-                for (activity, duration_s) in WORKOUT {
+                let round_s: f64 = WORKOUT.iter().map(|part| part.duration_s + part.rest_s).sum();
+                let mut at = (t - LEAD_S).rem_euclid(round_s);
+                for Part { activity, duration_s, ramp_s, rest_s } in WORKOUT {
                     if (0.0..duration_s).contains(&at) {
-                        activity.act(p, at, Self::swell(at, duration_s));
+                        activity.act(p, at, Self::swell_within(ramp_s, at, duration_s));
                     }
-                    at -= duration_s + REST_S;
+                    at -= duration_s + rest_s;
                 }
+                // Nobody stands like a post: to and fro about the ankles, and breath.
+                let lean = grow * SWAY_RAD * wave(0.23, 0.0);
+                let (s, c) = p.pelvis[0].sin_cos();
+                p.pelvis[1] += lean;
+                p.pelvis_m += Vector3::new(c, s, 0.0) * (lean * p.pelvis_m.z);
+                p.spine[0] += grow * SWAY_RAD * wave(0.27, 1.0);
             }
         }
     }

@@ -13,7 +13,8 @@ use crate::body::{Activity, Build, SEGMENT_NAMES, Script};
 #[serde(default, deny_unknown_fields)]
 pub struct Person {
     /// What the person does: `walking`, `reaching`, `curls`, `squats`, `poses` (N-pose and T-pose in
-    /// turn, 3 s each), `movements` (a T-pose, then limb after limb and the trunk), or `workout` (curls, squats and reaches in turn, a minute).
+    /// turn, 3 s each), `movements` (a T-pose, then limb after limb and the trunk), or `workout` (three sets of five curls,
+    /// reaches, three sets of five squats, with rests between: two minutes).
     pub activity: Activity,
     /// Whether a calibration comes first: poses and movements, 88 s.
     pub calibration: bool,

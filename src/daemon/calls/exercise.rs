@@ -16,7 +16,7 @@ use super::super::recent::Excerpt;
 use super::super::server::Reply;
 use super::Calls;
 use crate::input::{Model, Plan, Request};
-use crate::motion::exercise::{Exercise, Options, Refusal, Report, Stream, teach};
+use crate::motion::exercise::{Exercise, Options, Refusal, Report, Stream, columns_of, rests, teach};
 use crate::pipeline::DEFAULT_SUBJECT;
 use crate::signals;
 
@@ -24,9 +24,6 @@ use crate::signals;
 const LONGEST_S: f64 = 120.0;
 /// Distance of two looks at whether the repetitions were done.
 const LOOK_INTERVAL: Duration = Duration::from_millis(500);
-/// Who has moved so little for so long rests, s; as a share of the variance while moving.
-const REST_S: f64 = 1.5;
-const REST_VARIANCE: f64 = 0.02;
 
 /// What to teach.
 #[derive(Clone, Debug)]
@@ -76,13 +73,20 @@ impl Calls {
                 let names = || names.iter().map(String::as_str);
                 [signals::columns(names()), signals::inertial_columns(names())].concat()
             }
-            None if lesson.channels.is_some() => signals::columns_of(&self.stage),
-            None => signals::columns_of_wearer(&self.stage),
+            None => self.columns_of_wearer(lesson.channels.as_deref()),
         };
         let classroom =
             Classroom { lesson, columns, inbox: self.inbox.clone(), library: self.exercises.clone() };
         let from_s = self.clock.now().as_secs_f64();
         self.jobs.run("exercise.teach", reply, move |job| classroom.run(job, from_s));
+    }
+
+    /// What the named channels come from; without names all that tells of who exercises.
+    fn columns_of_wearer(&self, channels: Option<&[String]>) -> Vec<String> {
+        let Some(channels) = channels else { return signals::columns_of_wearer(&self.stage) };
+        let all = signals::columns_of(&self.stage);
+        // A name that is none is refused when it is taught.
+        columns_of(channels, &all).unwrap_or(all)
     }
 
     fn check_lesson(&self, lesson: &Lesson) -> Result<(), String> {
@@ -128,14 +132,24 @@ impl Classroom {
         let announced = self.lesson.repetitions;
         let mut refusal = format!("saw no {announced} repetitions in {LONGEST_S:.0} s");
         job.progress(None, Some(format!("do {announced} repetitions, then rest")));
+        // After a rest that taught nothing they may begin anew; while it lasts, when it was last seen.
+        let (mut anew_s, mut rest_s) = (from_s, None);
         loop {
             std::thread::sleep(LOOK_INTERVAL);
             if job.is_cancelled() {
                 return Err("cancelled; nothing was taught".into());
             }
             let excerpt = self.excerpt(from_s)?;
-            if rests(&excerpt) {
-                match self.learn(&excerpt) {
+            let now_s = excerpt.t_s.last().copied().unwrap_or(from_s);
+            if rests(&since(&excerpt, anew_s)) {
+                rest_s = Some(now_s);
+                // What follows the last rest, or else all of it: also who rests after each repetition can teach.
+                let lesson = self.learn(&since(&excerpt, anew_s));
+                let lesson = lesson.or_else(|why| match anew_s > from_s {
+                    true => self.learn(&since(&excerpt, from_s)).map_err(|_| why),
+                    false => Err(why),
+                });
+                match lesson {
                     Ok(lesson) => return Ok(lesson),
                     Err((error, report)) => {
                         if let Some(report) = report {
@@ -145,10 +159,11 @@ impl Classroom {
                         refusal = error;
                     }
                 }
+            } else if let Some(rest_s) = rest_s.take() {
+                anew_s = rest_s;
             }
             // Counted by what was tracked: a stage that stands still waits.
-            let span_s = excerpt.t_s.last().map_or(0.0, |last| last - from_s);
-            if span_s > LONGEST_S - 1.0 {
+            if now_s - from_s > LONGEST_S - 1.0 {
                 return Err(refusal);
             }
         }
@@ -156,7 +171,7 @@ impl Classroom {
 
     fn taught(&self, job: &Job, from_s: f64) -> Result<(Exercise, Report), String> {
         let excerpt = self.excerpt(from_s)?;
-        self.learn(&excerpt).map_err(|(error, report)| {
+        self.learn(&since(&excerpt, from_s)).map_err(|(error, report)| {
             if let Some(report) = report {
                 job.result(json!({ "report": report }));
             }
@@ -170,14 +185,13 @@ impl Classroom {
         self.inbox.ask(|to| Command::Recent { from_s, columns, to })
     }
 
-    fn learn(&self, excerpt: &Excerpt) -> Result<(Exercise, Report), (String, Option<Report>)> {
-        let stream = Stream { columns: &excerpt.columns, t_s: &excerpt.t_s, values: &excerpt.values };
+    fn learn(&self, stream: &Stream<'_>) -> Result<(Exercise, Report), (String, Option<Report>)> {
         let options = Options {
             name: self.lesson.name.trim().to_owned(),
             repetitions: self.lesson.repetitions as usize,
             channels: self.lesson.channels.clone(),
         };
-        match teach(&stream, &options) {
+        match teach(stream, &options) {
             Ok(lesson) => Ok((lesson.exercise, lesson.report)),
             Err(refusal) => {
                 let sentence = refusal.to_string();
@@ -208,61 +222,9 @@ impl Classroom {
     }
 }
 
-/// Whether the newest second and a half of an excerpt is rest, and there was movement before it.
-fn rests(excerpt: &Excerpt) -> bool {
-    let width = excerpt.columns.len();
-    let Some(last) = excerpt.t_s.last() else { return false };
-    let rest = excerpt.t_s.partition_point(|t_s| *t_s < last - REST_S);
-    if width == 0 || rest == 0 {
-        return false;
-    }
-    let (mut all, mut newest) = (0.0, 0.0);
-    for column in 0..width {
-        let column_from = |row: usize| {
-            let values = excerpt.values.iter().skip(row * width + column).step_by(width);
-            variance(values.copied().flatten())
-        };
-        let (whole, end) = (column_from(0), column_from(rest));
-        // Each channel in its own unit: the share of its movement that goes on.
-        if whole > 0.0 {
-            all += whole / (whole + NOISE_VARIANCE);
-            newest += end / (whole + NOISE_VARIANCE);
-        }
-    }
-    all > 0.0 && newest < REST_VARIANCE * all
-}
-
-/// Movements of a millimetre, or of a thousandth of a turn, are none.
-const NOISE_VARIANCE: f64 = 1e-6;
-
-fn variance(values: impl Iterator<Item = f64>) -> f64 {
-    let (mut n, mut sum, mut square) = (0.0, 0.0, 0.0);
-    for value in values {
-        n += 1.0;
-        sum += value;
-        square += value * value;
-    }
-    if n > 1.0 { (square / n - (sum / n).powi(2)).max(0.0) } else { 0.0 }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn excerpt(moving_s: f64, resting_s: f64) -> Excerpt {
-        let rows = (100.0 * (moving_s + resting_s)) as usize;
-        let t_s: Vec<f64> = (0..rows).map(|row| row as f64 / 100.0).collect();
-        let value = |t: &f64| if *t < moving_s { 0.2 * (3.0 * t).sin() } else { 0.0002 * (40.0 * t).sin() };
-        let values = t_s.iter().flat_map(|t| [Some(value(t)), Some(0.5), None]).collect();
-        Excerpt { columns: ["x", "still", "lost"].map(str::to_owned).to_vec(), t_s, values }
-    }
-
-    #[test]
-    fn rest_after_movement_is_told_from_movement_and_from_rest_alone() {
-        assert!(rests(&excerpt(8.0, 2.0)));
-        assert!(!rests(&excerpt(8.0, 0.5)));
-        assert!(!rests(&excerpt(10.0, 0.0)));
-        assert!(!rests(&excerpt(0.0, 10.0)));
-        assert!(!rests(&Excerpt::default()));
-    }
+/// What an excerpt holds after a time.
+fn since(excerpt: &Excerpt, from_s: f64) -> Stream<'_> {
+    let first = excerpt.t_s.partition_point(|t_s| *t_s <= from_s);
+    let values = excerpt.values.get(first * excerpt.columns.len()..).unwrap_or_default();
+    Stream { columns: &excerpt.columns, t_s: &excerpt.t_s[first..], values }
 }

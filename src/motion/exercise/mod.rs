@@ -32,6 +32,7 @@ mod motif;
 mod network;
 mod passage;
 mod psd;
+mod rest;
 mod smaller;
 mod teach;
 #[cfg(test)]
@@ -46,5 +47,6 @@ pub use hint::Hint;
 pub use hmm::{Gaussians, Movement};
 pub use judge::{Measures, Reason};
 pub use material::Stream;
+pub use rest::rests;
 pub use teach::{Lesson, Options, Refusal, Report, Seen, teach};
 pub use viterbi::{ShortTimeViterbi, Topology};

@@ -4,7 +4,7 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { type Cell, Table, el } from "../dom";
-import { HISTORY_S } from "../model";
+import { showNewest } from "../plot";
 import { JointCurves, axisLook } from "./joints";
 import type { Context, View } from "../view";
 import { ChangeCurve } from "./changes";
@@ -26,7 +26,7 @@ export class AnalysisView implements View {
   readonly element: HTMLElement;
   private readonly choice = el("select", { id: "sensor-choice", "aria-label": "Sensor" });
   private readonly curves = el("div", { class: "curves" });
-  private readonly faults = new Table("faults", "Faults, newest first", [["Stage time, s"], ["Sensor", "word"], ["Cause", "word"], [""]]);
+  private readonly faults = new Table("faults", "Faults, newest first", [["Last, s"], ["Sensor", "word"], ["Cause", "word"], ["Times"], ["", "word"]]);
   private readonly repetitions = new Table("repetitions", "Repetitions, newest first",
     [["End, s"], ["Exercise", "word"], ["Took, s"], ["Number"], ["", "word"], ["What was off", "word reason"]]);
   private readonly map: FaultsPanel;
@@ -76,9 +76,10 @@ export class AnalysisView implements View {
   }
 
   private drawFaults(): void {
-    this.faults.fill(this.context.model.faults.slice(-40).reverse().map((fault): Cell[] => [
-      [fault.t_s.toFixed(2)], [fault.sensor, "word"], [fault.cause, "word"],
-      [fault.active ? "began" : "ended", `word ${fault.active ? "care" : "good"}`],
+    const newest = [...this.context.model.faults.values()].sort((a, b) => b.t_s - a.t_s).slice(0, 40);
+    this.faults.fill(newest.map(({ t_s, sensor, cause, times, active }): Cell[] => [
+      [t_s.toFixed(2)], [sensor, "word"], [cause, "word"], [String(times)],
+      [active ? "lasts" : "over", `word ${active ? "care" : "good"}`],
     ]));
   }
 
@@ -108,15 +109,10 @@ export class AnalysisView implements View {
     const history = this.context.model.history.get(this.choice.value);
     const plot = this.plots[index];
     if (!history || !plot) return;
-    const { length } = history;
     const t = history.column(0);
     const { series, scale } = CURVES[index]!;
     const columns = series.map(([, column]) => Array.from(history.column(column), (value) => (Number.isFinite(value) ? scale * value : null)));
-    const end = t[length - 1] ?? 0;
-    plot.batch(() => {
-      plot.setData([t, ...columns] as unknown as uPlot.AlignedData, true);
-      plot.setScale("x", { min: end - HISTORY_S, max: end });
-    });
+    showNewest(plot, [t, ...columns]);
   }
 
   private makePlots(): void {

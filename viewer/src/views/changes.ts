@@ -2,7 +2,7 @@
 
 import uPlot from "uplot";
 import { el } from "../dom";
-import { HISTORY_S } from "../model";
+import { showNewest } from "../plot";
 import type { Rows } from "../rows";
 import type { KeyPoseMessage } from "../protocol";
 import { axisLook } from "./joints";
@@ -28,11 +28,7 @@ export class ChangeCurve {
       const at = t.findIndex((time) => time >= t_valid_s - NEAR_S / 2);
       if (at >= 0 && Math.abs(t[at]! - t_valid_s) <= NEAR_S) marks[at] = scores[at]!;
     }
-    const end = t[t.length - 1] ?? 0;
-    this.plot.batch(() => {
-      this.plot?.setData([t, scores, thresholds, marks] as unknown as uPlot.AlignedData, true);
-      this.plot?.setScale("x", { min: end - HISTORY_S, max: end });
-    });
+    showNewest(this.plot, [t, scores, thresholds, marks]);
   }
 
   resize(): void {

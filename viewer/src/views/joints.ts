@@ -2,7 +2,7 @@
 
 import uPlot from "uplot";
 import { el } from "../dom";
-import { HISTORY_S } from "../model";
+import { showNewest } from "../plot";
 import type { Rows } from "../rows";
 
 const COLOURS = ["#3469c9", "#c8452f", "#2f8f46", "#8a5ac2", "#b07400"];
@@ -41,7 +41,6 @@ export class JointCurves {
     const angles = joints.get(this.choice.value)!;
     if (this.shown !== this.choice.value) this.make(angles);
     const t = angles.column(0);
-    const end = t[t.length - 1] ?? 0;
     const columns = angles.names.map((_, i) => Array.from(angles.column(i + 1), finite));
     const spread = sigmas.get(this.choice.value);
     // Upper and lower edge of each band, behind the curves.
@@ -52,10 +51,7 @@ export class JointCurves {
         return value !== null && wide < WIDEST_DEG ? value + times * wide : null;
       });
     }));
-    this.plot?.batch(() => {
-      this.plot?.setData([t, ...columns, ...edges.flat()] as unknown as uPlot.AlignedData, true);
-      this.plot?.setScale("x", { min: end - HISTORY_S, max: end });
-    });
+    showNewest(this.plot, [t, ...columns, ...edges.flat()]);
   }
 
   resize(): void {

@@ -1,10 +1,10 @@
 // Trainer: teach an exercise, choose what is counted, see the count as bars, and one sentence after each repetition.
 
 import { Vector3 } from "three";
-import { acting, el, setText } from "../dom";
+import { acting, el, prompt, setText } from "../dom";
 import { BodyFigure } from "../scene/body";
 import { Scene } from "../scene/scene";
-import type { ExerciseEventMessage, ExerciseProgress, ExerciseState, KeptExercise } from "../protocol";
+import type { ExerciseEventMessage, ExerciseProgress, ExerciseState, Job, KeptExercise } from "../protocol";
 import type { Context, View } from "../view";
 
 /** Bars that are shown where a set has no end. */
@@ -20,6 +20,9 @@ export class TrainerView implements View {
   private readonly hint = el("p", { id: "hint", class: "quiet", role: "status" });
   private readonly name = el("input", { id: "teach-name", required: true, maxlength: 64, placeholder: "curl" });
   private readonly repetitions = el("input", { id: "teach-repetitions", type: "number", min: 3, max: 10, value: 5 });
+  private readonly teach = el("button", { id: "teach", class: "primary" }, "Teach");
+  private readonly cancel = el("button", { id: "teach-cancel", type: "button", hidden: true }, "Cancel");
+  private readonly lesson = el("p", { id: "lesson", role: "status" });
   private readonly choice = el("fieldset", { id: "exercises" });
   private readonly target = el("input", { id: "target", type: "number", min: 1, max: 100, placeholder: "open" });
   private readonly sets = el("input", { id: "sets", type: "number", min: 1, max: 20, placeholder: "open" });
@@ -38,21 +41,25 @@ export class TrainerView implements View {
     const { link, model } = context;
     const teach = el("form", { class: "row" },
       el("label", {}, "Name ", this.name), el("label", {}, "Repetitions ", this.repetitions),
-      el("button", { id: "teach", class: "primary" }, "Teach"));
+      this.teach, this.cancel);
     teach.addEventListener("submit", acting(this.says, () => link.request({
       type: "exercise.teach", name: this.name.value.trim(), repetitions: Number(this.repetitions.value),
     })));
+    this.cancel.addEventListener("click", acting(this.says, async () => {
+      const job = this.job();
+      if (job?.state === "running") await link.request({ type: "job.cancel", job: job.job });
+    }));
     const select = el("form", {}, this.choice, el("div", { class: "row" },
       el("label", {}, "Repetitions of a set ", this.target), el("label", {}, "Sets ", this.sets),
       el("label", {}, "Rest, s ", this.rest), el("button", { id: "select", class: "primary" }, "Count these")));
     select.addEventListener("submit", acting(this.says, () => this.select()));
     this.reset.addEventListener("click", acting(this.says, () => link.request({ type: "exercise.reset" })));
     this.element = el("div", {}, this.stand, this.counts, this.sentence, this.hint, this.reset, this.says,
-      el("h2", {}, "Teach an exercise"), teach,
-      el("p", { class: "quiet" }, "Press the button, do the repetitions at once, and rest when they are done. What is taught is counted from then on."),
+      el("h2", {}, "Teach an exercise"), teach, this.lesson,
       el("h2", {}, "What is counted"), select);
     model.listen((message) => {
       if (message.type === "exercise") this.take(message);
+      else if (message.type === "jobs" || message.type === "status") this.changed = true;
       else if (message.type === "hello") void this.refresh();
     });
   }
@@ -68,6 +75,7 @@ export class TrainerView implements View {
     const rests = this.state?.exercises.some(({ rest_until_s }) => rest_until_s !== null) ?? false;
     if (!this.changed && !rests) return;
     this.changed = false;
+    this.drawLesson();
     const exercises = this.state?.exercises ?? [];
     while (this.counts.children.length > exercises.length) this.counts.lastElementChild!.remove();
     exercises.forEach((progress, index) => {
@@ -77,6 +85,20 @@ export class TrainerView implements View {
     });
     this.reset.hidden = exercises.length === 0;
     if (exercises.length === 0) setText(this.sentence, "Nothing is being counted. Choose an exercise below, or teach one.");
+  }
+
+  /** The newest lesson, running or not. */
+  private job(): Job | undefined {
+    return this.context.model.jobs?.jobs.filter(({ kind }) => kind === "exercise.teach").at(-1);
+  }
+
+  private drawLesson(): void {
+    const { hello, status } = this.context.model;
+    const job = this.job();
+    const running = job?.state === "running";
+    this.teach.disabled = running || hello?.role !== "operate" || !!status?.replay;
+    this.cancel.hidden = !running;
+    prompt(this.lesson, job, "Stand still, press the button, do the repetitions, and rest when they are done. What is taught is counted from then on.");
   }
 
   /** The person from the front, once there is one. */
