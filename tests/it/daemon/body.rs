@@ -23,8 +23,15 @@ async fn the_demo_s_body_stands_moves_and_is_exported_from_its_recording() {
     let mut client = posed_demo.subscriber(&["body"]).await;
     let mut flexions = Vec::new();
     let mut last = Value::Null;
-    // The trackers speak later than the IMUs: first the body stands at the origin.
-    while flexions.len() < 150 || last["placed"] != "trackers" {
+    let bend = |flexions: &[f64]| {
+        let most = |f: fn(f64, f64) -> f64| flexions.iter().copied().reduce(f).unwrap_or(0.0);
+        most(f64::max) - most(f64::min)
+    };
+    // The trackers speak later than the IMUs: first the body stands at the origin. Its person rests now and then.
+    while flexions.len() < 150
+        || last["placed"] != "trackers"
+        || (bend(&flexions) < 20.0 && flexions.len() < 2000)
+    {
         last = until(&mut client, "a body", |message| message["type"] == "body").await;
         let joints = last["joints"].as_array().unwrap();
         let elbow = joints.iter().find(|joint| joint["name"] == "elbow_r").unwrap();
@@ -37,8 +44,7 @@ async fn the_demo_s_body_stands_moves_and_is_exported_from_its_recording() {
         z_m(&last, "shank_r") < z_m(&last, "thigh_r") && z_m(&last, "pelvis") < z_m(&last, "torso"),
         "{last}"
     );
-    let range = |f: fn(f64, f64) -> f64| flexions.iter().copied().reduce(f).unwrap();
-    assert!(range(f64::max) - range(f64::min) > 20.0, "{flexions:?}");
+    assert!(bend(&flexions) >= 20.0, "{flexions:?}");
     // Its mounting is given, but somebody may find it anew; and only by poses that are held.
     let job = ok(&mut client, json!({"type": "body.calibrate", "id": 7, "how": "quick"})).await;
     ok(&mut client, json!({"type": "job.cancel", "id": 8, "job": job["job"]})).await;
