@@ -4,7 +4,6 @@
 //! picture in `docs/pictures/`.
 
 use std::path::Path;
-use std::process::Command;
 use std::time::Duration;
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -546,37 +545,6 @@ async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
     browser.until("document.getElementById('joint-choice').value === 'knee'").await;
     browser.until("document.querySelectorAll('.joint canvas').length === 1").await;
     browser.until("document.getElementById('problems').hidden").await;
-    done(browser, posed).await;
-}
-
-/// What a new therapist does with `posed demo`, and what its person needs for it: rests.
-#[tokio::test(flavor = "multi_thread")]
-async fn the_demos_person_is_taught_and_counted_in_the_browser() {
-    if !browser::is_wanted() {
-        return;
-    }
-    // What is taught is kept in the folder where it runs.
-    let folder = tempfile::tempdir().unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_posed"));
-    let posed = Posed::spawn(command.args(["demo", "--listen", "127.0.0.1:0"]).current_dir(folder.path()));
-    let mut browser = Browser::open(&format!("http://{}/#trainer", posed.address)).await;
-    browser.until(LIVE).await;
-    // On a busy machine the last set of its kind may have begun: two sets of curls are to come, or of squats.
-    browser.click("tab-health").await;
-    let at = "(parseFloat(document.getElementById('frame').textContent.split(' ')[2]) - 1.5) % 116.86";
-    browser.until(&format!("((at) => at < 12 || (at > 61 && at < 72))({at})")).await;
-    browser.click("tab-trainer").await;
-    browser.value("document.getElementById('teach-name').value = 'curl'").await;
-    browser.click("teach").await;
-    let says = |words: &str| format!("document.getElementById('lesson').textContent.includes('{words}')");
-    browser.until(&says("do 5 repetitions, then rest")).await;
-    browser.until("document.getElementById('teach').disabled").await;
-    // A set had begun before: the next one is whole.
-    browser.until(&says("saw 5 of 5 repetitions of curl")).await;
-    browser.until("!document.getElementById('teach').disabled").await;
-    browser.until("document.querySelectorAll('.bars .done').length === 5").await;
-    assert_eq!(browser.value("document.querySelector('.counts h2').textContent").await, "curl: 5");
-    assert!(folder.path().join("exercises/curl-001.json").exists());
     done(browser, posed).await;
 }
 

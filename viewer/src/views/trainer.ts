@@ -9,6 +9,7 @@ import type { Context, View } from "../view";
 
 /** Bars that are shown where a set has no end. */
 const OPEN_BARS = 10;
+const NOTHING = "Nothing is being counted. Choose an exercise below, or teach one.";
 
 export class TrainerView implements View {
   readonly id = "trainer";
@@ -84,7 +85,8 @@ export class TrainerView implements View {
       this.drawProgress(row, progress);
     });
     this.reset.hidden = exercises.length === 0;
-    if (exercises.length === 0) setText(this.sentence, "Nothing is being counted. Choose an exercise below, or teach one.");
+    if (exercises.length === 0) setText(this.sentence, NOTHING);
+    else if (this.sentence.textContent === NOTHING) setText(this.sentence, "");
   }
 
   /** The newest lesson, running or not. */
