@@ -6,6 +6,8 @@
 use nalgebra::{Matrix3, SMatrix, SVector};
 use serde::{Deserialize, Serialize};
 
+use super::wide::{product, subtract_both};
+
 /// Covariance of N error states; exactly symmetric, and every step leaves it so.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Covariance<const N: usize>(pub(super) SMatrix<f64, N, N>);
@@ -132,45 +134,5 @@ impl<const M: usize, const N: usize> Innovation<M, N> {
             }
         }
         Some(out)
-    }
-}
-
-/// `p h'`, all M columns in one pass over `p`; columns of `h` from `columns` on are zero.
-fn product<const M: usize, const N: usize>(
-    p: &SMatrix<f64, N, N>,
-    h: &SMatrix<f64, M, N>,
-    columns: usize,
-) -> SMatrix<f64, N, M> {
-    let mut out = [[0.0; N]; M];
-    for (p, h) in p.data.0.iter().zip(&h.data.0).take(columns) {
-        // Many states do not touch many measurements.
-        if h.iter().all(|factor| *factor == 0.0) {
-            continue;
-        }
-        for i in 0..M {
-            for k in 0..N {
-                out[i][k] += h[i] * p[k];
-            }
-        }
-    }
-    SMatrix::from_data(nalgebra::ArrayStorage(out))
-}
-
-/// `p -= a b' + b a'`, in one pass over `p`; what is symmetric stays so to the last bit.
-#[expect(clippy::needless_range_loop, reason = "plain indices let the compiler vectorise over the rows")]
-fn subtract_both<const M: usize, const N: usize>(
-    p: &mut SMatrix<f64, N, N>,
-    a: &SMatrix<f64, N, M>,
-    b: &SMatrix<f64, N, M>,
-) {
-    for (j, column) in p.data.0.iter_mut().enumerate() {
-        let row: [[f64; 2]; M] = std::array::from_fn(|i| [a.data.0[i][j], b.data.0[i][j]]);
-        for k in 0..N {
-            let mut sum = 0.0;
-            for i in 0..M {
-                sum += row[i][1] * a.data.0[i][k] + row[i][0] * b.data.0[i][k];
-            }
-            column[k] -= sum;
-        }
     }
 }

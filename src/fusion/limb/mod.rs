@@ -18,6 +18,7 @@ mod joint;
 #[cfg(test)]
 mod tests;
 mod update;
+mod wide;
 
 use nalgebra::{Matrix3, SVector, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
