@@ -104,7 +104,7 @@ enum Command {
     Orient(orient::Args),
     /// Intrinsics of an IMU from a recording of rests.
     Imu(imu::Args),
-    /// Joint angles and body pose from a recording of IMUs.
+    /// Joint angles and body pose from a recording of IMUs, and how the sensors of a running daemon sit.
     Body(body::Args),
     /// Calibrates the field by a waved pole, corrects poses, draws the map.
     Field(field::Args),

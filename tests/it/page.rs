@@ -262,7 +262,7 @@ async fn a_map_of_faults_is_learnt_and_a_cell_named_in_the_browser() {
 }
 
 /// Ten IMUs of a chain on somebody who holds the two poses in turn, and nobody knows how they sit.
-fn posing(folder: &Path) -> std::path::PathBuf {
+pub(crate) fn posing(folder: &Path) -> std::path::PathBuf {
     let worn = posed::stage::SEGMENTS.map(|segment| (segment, segment));
     strapped(folder, "poses", &worn)
 }

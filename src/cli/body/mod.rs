@@ -1,5 +1,7 @@
-//! `posed body solve IMUS.csv --stage S.toml -o ANGLES.csv`: joint angles and body pose from a recording.
+//! `posed body solve IMUS.csv --stage S.toml -o ANGLES.csv`: joint angles and body pose from a recording; `posed body calibrate`: how
+//! the sensors of a running daemon sit.
 
+mod calibrate;
 mod chain;
 mod human;
 
@@ -25,6 +27,8 @@ pub(crate) struct Args {
 enum Action {
     /// Solves a recording of IMUs: segment orientations and joint angles.
     Solve(Solve),
+    /// Calibrates the body of a running daemon: says what to do next, and how well each sensor's mounting shows.
+    Calibrate(calibrate::Calibrate),
 }
 
 /// What to solve.
@@ -60,6 +64,7 @@ struct Solve {
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     match args.action {
         Action::Solve(args) => solve(&args),
+        Action::Calibrate(args) => calibrate::run(&args),
     }
 }
 

@@ -90,3 +90,27 @@ async fn a_stage_without_a_body_has_none_to_calibrate() {
     ok(&mut client, json!({"type": "job.cancel", "id": 5, "job": job["job"]})).await;
     assert_eq!(posed.end("INT").await.code(), Some(0));
 }
+
+#[tokio::test]
+async fn a_body_is_calibrated_from_a_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let stage = crate::page::posing(folder.path());
+    let daemon = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let at = daemon.address.to_string();
+    let calibrate = move |more: &'static [&'static str]| {
+        let at = at.clone();
+        let args = move || posed(["body", "calibrate", "--how", "quick", "--at", &at].iter().chain(more));
+        tokio::task::spawn_blocking(args)
+    };
+    let done = calibrate(&[]).await.unwrap();
+    let told = String::from_utf8_lossy(&done.stdout).into_owned();
+    assert!(done.status.success(), "{told}{}", String::from_utf8_lossy(&done.stderr));
+    let lines: Vec<&str> = told.lines().collect();
+    assert!(lines[0].starts_with("1 of 2: Stand upright") && lines[1].starts_with("2 of 2: Raise"), "{told}");
+    assert!(lines[2].starts_with("the sensors' mounting is known") && lines.len() == 13, "{told}");
+    // Nobody is there, or nobody wears anything.
+    assert_eq!(daemon.end("INT").await.code(), Some(0));
+    let alone = calibrate(&["--json"]).await.unwrap();
+    assert_eq!(alone.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&alone.stderr).contains("no daemon can be spoken to at"));
+}
