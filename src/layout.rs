@@ -5,6 +5,8 @@
 use std::borrow::Cow;
 use std::ops::Range;
 
+use nalgebra::Vector3;
+
 use crate::fusion::body::{ANGLE_NAMES, SEGMENTS, Segment, Skeleton, of_joint};
 use crate::fusion::chain::ChainSegment;
 use crate::input::SensorIndex;
@@ -86,6 +88,11 @@ pub fn skeleton_of(body: &stage::Body) -> Option<Skeleton> {
 /// Where a sensor sits: as it says itself, else by its name.
 pub fn segment_of(sensor: &stage::Sensor) -> Option<Segment> {
     Segment::named(sensor.sits_on())
+}
+
+/// Where a sensor sits on a segment, segment axes, m; `None` where the stage file does not say, or says that it sits on another.
+pub fn offset_on(sensor: &stage::Sensor, segment: Segment) -> Option<Vector3<f64>> {
+    sensor.offset_m.filter(|_| segment_of(sensor) == Some(segment)).map(Vector3::from)
 }
 
 impl BodyLayout {

@@ -16,7 +16,7 @@ use posed_simulator::inertial::ImuClass;
 use posed_simulator::motion::{Motion, Person};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
 
-use crate::rig::{Rig, Said, keep, replay};
+use crate::rig::{Rig, Said, demo, keep, replay};
 
 const HEIGHT_M: f64 = 1.8;
 
@@ -343,10 +343,7 @@ fn nobody_is_shown_before_the_mounting_is_known() {
 /// The stage that newcomers see: a body at once, where the trackers on it say.
 #[test]
 fn the_demo_shows_a_body_that_stands_where_it_stands() {
-    use serde::Deserialize;
-    let stage = Stage::parse(include_str!("../../config/demo.toml")).unwrap();
-    let scenario = Scenario::deserialize(stage.simulation.clone().unwrap()).unwrap();
-    let mut rig = Rig::new(&stage, &scenario);
+    let (_, mut rig) = demo();
     rig.run_until(6.0);
     let first_s = bodies(&rig)[0].t_valid.as_secs_f64();
     assert!(first_s < 2.0, "{first_s}");

@@ -13,10 +13,9 @@ use posed::stage::Stage;
 use posed_simulator::exercises::{self, Day, Exercise as Training, Person, Variant};
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
-use serde::Deserialize;
 
 use crate::cli::posed;
-use crate::rig::{Rig, Said, record, replay, stage};
+use crate::rig::{Rig, Said, demo, record, replay, stage};
 
 /// A forearm and an upper arm that curl so many times.
 fn scenario(seed: u64, repetitions: u32, period_s: f64) -> Scenario {
@@ -322,9 +321,7 @@ fn wearer(rig: &Rig, stage: &Stage, span_s: Range<f64>) -> (Vec<String>, Vec<f64
 /// The stage of `posed demo`: its person does three sets of five curls, with rests of five seconds between.
 #[test]
 fn the_demos_person_rests_after_a_set_is_taught_by_it_and_counted_in_the_next_ones() {
-    let stage = Stage::parse(include_str!("../../config/demo.toml")).unwrap();
-    let scenario = Scenario::deserialize(stage.simulation.clone().unwrap()).unwrap();
-    let mut rig = Rig::new(&stage, &scenario);
+    let (stage, mut rig) = demo();
     rig.run_until(15.5);
     let resting = |span_s: Range<f64>| {
         let (columns, t_s, values) = wearer(&rig, &stage, span_s);

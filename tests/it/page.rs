@@ -291,18 +291,23 @@ fn strapped(folder: &Path, activity: &str, worn: &[(&str, &str)]) -> std::path::
     path
 }
 
+/// The page of a stage whose body is to be calibrated, and it has begun.
+async fn calibrating(stage: &Path, how: &str) -> (Posed, Browser) {
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
+    browser.until("document.getElementById('problems').textContent.includes('calibrate the body')").await;
+    browser.value(&format!("document.getElementById('calibrate-how').value = '{how}'")).await;
+    browser.click("calibrate").await;
+    (posed, browser)
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_body_is_calibrated_in_the_browser_and_then_stands() {
     if !browser::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let stage = posing(folder.path());
-    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
-    browser.until("document.getElementById('problems').textContent.includes('calibrate the body')").await;
-    browser.value("document.getElementById('calibrate-how').value = 'quick'").await;
-    browser.click("calibrate").await;
+    let (posed, mut browser) = calibrating(&posing(folder.path()), "quick").await;
     browser
         .until("document.getElementById('prompt').textContent.startsWith('2 of 2: Raise both arms')")
         .await;
@@ -324,12 +329,7 @@ async fn swapped_sensors_are_found_in_the_browser() {
     }
     let folder = tempfile::tempdir().unwrap();
     let swapped = [("upper_arm_r", "forearm_r"), ("forearm_r", "upper_arm_r")];
-    let stage = strapped(folder.path(), "movements", &swapped);
-    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
-    browser.until("document.getElementById('problems').textContent.includes('calibrate the body')").await;
-    browser.value("document.getElementById('calibrate-how').value = 'assign'").await;
-    browser.click("calibrate").await;
+    let (posed, mut browser) = calibrating(&strapped(folder.path(), "movements", &swapped), "assign").await;
     browser
         .until("document.getElementById('prompt').textContent.startsWith('4 of 6: Bend the right elbow')")
         .await;

@@ -22,6 +22,7 @@ use posed_drivers::{LineEvent, Timestamp};
 use posed_simulator::scenario::{Scenario, StageSpec};
 use posed_simulator::stage::{Output as Virtual, VirtualStage};
 use posed_simulator::truth::{Loss, TruthCycle};
+use serde::Deserialize;
 
 /// A stage file with Flocks of so many birds each; one bird stands alone.
 pub(crate) fn stage(birds: &[u16]) -> Stage {
@@ -40,6 +41,16 @@ pub(crate) fn stage(birds: &[u16]) -> Stage {
         }
     }
     toml::from_str(&text).unwrap()
+}
+
+/// The stage of `posed demo`, as its file says it.
+pub(crate) const DEMO: &str = include_str!("../../config/demo.toml");
+
+/// The stage of `posed demo`, and its rig.
+pub(crate) fn demo() -> (Stage, Rig) {
+    let stage = Stage::parse(DEMO).unwrap();
+    let rig = Rig::new(&stage, &Scenario::deserialize(stage.simulation.clone().unwrap()).unwrap());
+    (stage, rig)
 }
 
 /// A map of a tracker that says everything three percent too long, for two metres around it.

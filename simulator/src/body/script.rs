@@ -131,10 +131,7 @@ impl Script {
             ..Posture::default()
         };
         if self.calibration {
-            let raised = step((t_s - POSE_S) / CHANGE_S) - step((t_s - 2.0 * POSE_S - CHANGE_S) / CHANGE_S);
-            for side in 0..2 {
-                posture.shoulder[side][1] = raised * std::f64::consts::FRAC_PI_2;
-            }
+            hold_t_pose(&mut posture, t_s, POSE_S);
             for (index, (kind, amplitude)) in MOVEMENTS.into_iter().enumerate() {
                 let phase = (t_s - movement_s(index)) / MOVE_S;
                 if (0.0..1.0).contains(&phase) {
@@ -231,21 +228,14 @@ impl Activity {
             Activity::Poses => {
                 const ROUND_S: f64 = 2.0 * (POSE_S + CHANGE_S);
                 let at = t.rem_euclid(ROUND_S);
-                let raised = step((at - POSE_S) / CHANGE_S) - step((at - ROUND_S + CHANGE_S) / CHANGE_S);
-                for side in 0..2 {
-                    p.shoulder[side][1] = raised * std::f64::consts::FRAC_PI_2;
-                }
+                hold_t_pose(p, at, POSE_S);
             }
             Activity::Movements => {
                 const STAND_S: f64 = 8.0;
                 const MOVED_S: f64 = MOVE_S + 2.0;
-                let lowered_s = STAND_S + 2.0 * CHANGE_S + POSE_S;
-                let begin_s = lowered_s + 0.5 * STAND_S;
+                let begin_s = STAND_S + 2.0 * CHANGE_S + POSE_S + 0.5 * STAND_S;
                 let at = t.rem_euclid(begin_s + MOVED_S * EACH_LIMB.len() as f64);
-                let raised = step((at - STAND_S) / CHANGE_S) - step((at - lowered_s + CHANGE_S) / CHANGE_S);
-                for side in 0..2 {
-                    p.shoulder[side][1] = raised * std::f64::consts::FRAC_PI_2;
-                }
+                hold_t_pose(p, at, STAND_S);
                 if at >= begin_s {
                     let index = ((at - begin_s) / MOVED_S) as usize;
                     let (kind, amplitude) = MOVEMENTS[EACH_LIMB[index]];
@@ -273,6 +263,14 @@ impl Activity {
                 p.spine[0] += grow * SWAY_RAD * wave(0.27, 1.0);
             }
         }
+    }
+}
+
+/// Both arms go up sideways from a time on, s, are held, and come down again.
+fn hold_t_pose(p: &mut Posture, t: f64, from_s: f64) {
+    let raised = step((t - from_s) / CHANGE_S) - step((t - from_s - CHANGE_S - POSE_S) / CHANGE_S);
+    for side in 0..2 {
+        p.shoulder[side][1] = raised * std::f64::consts::FRAC_PI_2;
     }
 }
 

@@ -47,7 +47,7 @@ pub(super) fn run(args: &Calibrate) -> Result<(), Error> {
         daemon.send(&json!({"type": "subscribe", "id": SUBSCRIBE, "topics": ["jobs"]})).await?;
         daemon.send(&json!({"type": "body.calibrate", "id": BEGIN, "how": args.how})).await?;
         let mut end = End::new(None)?;
-        let (mut number, mut told) = (None, None);
+        let (mut number, mut told) = (None, String::new());
         loop {
             let message = tokio::select! {
                 message = daemon.next() => message?,
@@ -70,9 +70,9 @@ pub(super) fn run(args: &Calibrate) -> Result<(), Error> {
                     if job.state != JobState::Running {
                         return outcome(args, job);
                     }
-                    if job.message != told {
-                        told.clone_from(&job.message);
-                        say(args, &told.clone().unwrap_or_default())?;
+                    if let Some(sentence) = job.message.filter(|sentence| *sentence != told) {
+                        say(args, &sentence)?;
+                        told = sentence;
                     }
                 }
                 _ => {}

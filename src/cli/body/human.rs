@@ -1,16 +1,15 @@
 //! `posed body solve` of the human skeleton: calibrates, runs the live filter over the file, writes angles or an animation.
 
-use nalgebra::Vector3;
 use posed::animation::{self, Animation};
 use posed::fusion::ahrs::ImuSample;
-use posed::fusion::body::assign::{assign, reassigned};
+use posed::fusion::body::assign::assign;
 use posed::fusion::body::calibrate::{Block, Kind, Recorded, calibrate};
 use posed::fusion::body::{
     ANGLE_NAMES, BodyEstimate, BodyFilter, BodyParams, Heading, SEGMENTS, Segment, SensorFault, Skeleton,
     Worn, of_joint,
 };
 use posed::geometry::orientation_to_wxyz;
-use posed::layout::skeleton_of;
+use posed::layout::{offset_on, skeleton_of};
 use posed::pipeline;
 use posed::stage::{Body, Mounting, Sensor, Stage};
 use posed::table::{Imu, TableError, TableWriter};
@@ -66,37 +65,31 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
     }
     let blocks = blocks(body)?;
     let mut recording = recording(imu, &places)?;
+    // Of each segment the file's sensor.
+    let mut worn_at =
+        Segment::ALL.map(|segment| places.iter().position(|place| *place == Some(segment.index())));
     if args.assign {
-        let taken_for = std::mem::take(&mut places);
-        if let Some(at) = taken_for.iter().position(Option::is_none) {
+        if let Some(at) = places.iter().position(Option::is_none) {
             return Err(Error::Failed(format!(
                 "--assign: give {} one of the segments that are worn, no matter which",
                 imu.sensors[at]
             )));
         }
         let assignment = assign(&recording, &blocks).map_err(Error::failed)?;
-        places = taken_for.into_iter().map(|at| assignment[at?].map(Segment::index)).collect();
-        recording = reassigned(&recording, &assignment);
+        worn_at = assignment.place(&worn_at);
+        recording = assignment.placed(&recording);
     }
-    let name = |segment: Segment| {
-        let at = places.iter().position(|place| *place == Some(segment.index()))?;
-        Some(imu.sensors[at].as_str())
-    };
+    let name = |segment: Segment| Some(imu.sensors[worn_at[segment.index()]?].as_str());
     let sensors = Segment::ALL.map(|segment| {
         let name = name(segment)?;
         stage.sensors.iter().find(|sensor| sensor.name == name)
     });
-    let present = Segment::ALL.map(|segment| places.contains(&Some(segment.index())));
+    let present = worn_at.map(|at| at.is_some());
     let mut warnings = Vec::new();
     let (worn, quality) = match body.mounting {
         Mounting::Given if !args.assign => (given(&sensors, &present, &skeleton)?, [None; SEGMENTS]),
         _ => {
-            // Where a sensor sits on another segment than it says is not known.
-            let offsets = Segment::ALL.map(|segment| {
-                let sensor = sensors[segment.index()]?;
-                let there = sensor.sits_on() == segment.name();
-                Some(Vector3::from(sensor.offset_m.filter(|_| there)?))
-            });
+            let offsets = Segment::ALL.map(|segment| offset_on(sensors[segment.index()]?, segment));
             let found = calibrate(&recording, &blocks, &skeleton, &offsets).map_err(Error::failed)?;
             warnings = found.warnings;
             (found.worn, found.quality_deg)

@@ -7,7 +7,6 @@
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
-use nalgebra::Vector3;
 use serde_json::{Map, Value, json};
 
 use super::super::fusion::{Command, FusionInbox};
@@ -15,13 +14,13 @@ use super::super::inbox::Event;
 use super::super::jobs::Job;
 use super::super::server::Reply;
 use super::Calls;
-use crate::fusion::body::assign::{assign, reassigned};
+use crate::fusion::body::assign::assign;
 use crate::fusion::body::calibrate::{Block, Calibrated, CalibrationError, Recorded, calibrate};
 use crate::fusion::body::guide::{Guide, LONGEST_S, Thoroughness};
 use crate::fusion::body::{SEGMENTS, Segment, Skeleton};
 use crate::geometry::orientation_to_wxyz;
 use crate::input::{Model, MountedSensor, SensorIndex};
-use crate::layout::{ChainLayout, Wearers, segment_of, skeleton_of};
+use crate::layout::{ChainLayout, Wearers, offset_on, segment_of, skeleton_of};
 use crate::pipeline::all_have_field;
 use crate::stage::{self, Stage};
 
@@ -122,13 +121,8 @@ impl Session {
         let mut worn = taken_for;
         let found = if self.how == Thoroughness::Assign {
             let assignment = assign(recording, blocks).map_err(|error| again(&error))?;
-            worn = Worn::default();
-            for (imu, segment) in taken_for.into_iter().zip(assignment) {
-                if let Some(segment) = segment {
-                    worn[segment.index()] = imu;
-                }
-            }
-            self.calibrate(&reassigned(recording, &assignment), blocks, &worn)
+            worn = assignment.place(&taken_for);
+            self.calibrate(&assignment.placed(recording), blocks, &worn)
         } else {
             self.calibrate(recording, blocks, &worn)
         };
@@ -162,12 +156,8 @@ impl Session {
         blocks: &[Block],
         worn: &Worn,
     ) -> Result<Calibrated, CalibrationError> {
-        let offsets_m = Segment::ALL.map(|segment| {
-            let sensor = &self.stage.sensors[usize::from(worn[segment.index()]?)];
-            // Where it sits on another segment is not known.
-            let known = sensor.offset_m.filter(|_| segment_of(sensor) == Some(segment));
-            known.map(Vector3::from)
-        });
+        let offsets_m = Segment::ALL
+            .map(|segment| offset_on(&self.stage.sensors[usize::from(worn[segment.index()]?)], segment));
         calibrate(recording, blocks, &self.skeleton, &offsets_m)
     }
 

@@ -145,9 +145,12 @@ impl Classroom {
                 rest_s = Some(now_s);
                 // What follows the last rest, or else all of it: also who rests after each repetition can teach.
                 let lesson = self.learn(&since(&excerpt, anew_s));
-                let lesson = lesson.or_else(|why| match anew_s > from_s {
-                    true => self.learn(&since(&excerpt, from_s)).map_err(|_| why),
-                    false => Err(why),
+                let lesson = lesson.or_else(|why| {
+                    if anew_s > from_s {
+                        self.learn(&since(&excerpt, from_s)).map_err(|_| why)
+                    } else {
+                        Err(why)
+                    }
                 });
                 match lesson {
                     Ok(lesson) => return Ok(lesson),

@@ -26,7 +26,26 @@ const PER_UNIT: f64 = 1e6;
 const FORBIDDEN: i64 = 1_000_000_000_000;
 
 /// By [`Segment::index`] of where a sensor was taken to sit: where it does.
-pub type Assignment = [Option<Segment>; SEGMENTS];
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Assignment([Option<Segment>; SEGMENTS]);
+
+impl Assignment {
+    /// What stands under the segments that sensors were taken to sit on, under those that they do sit on.
+    pub fn place<T: Copy>(&self, taken_for: &[Option<T>; SEGMENTS]) -> [Option<T>; SEGMENTS] {
+        let mut placed = [None; SEGMENTS];
+        for (what, segment) in taken_for.iter().zip(self.0) {
+            if let Some(segment) = segment {
+                placed[segment.index()] = *what;
+            }
+        }
+        placed
+    }
+
+    /// A recording with every sensor's samples under the segment that it does sit on.
+    pub fn placed(&self, recording: &[Recorded]) -> Vec<Recorded> {
+        recording.iter().map(|(t_s, samples)| (*t_s, self.place(samples))).collect()
+    }
+}
 
 /// Why sensors cannot be assigned.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -113,21 +132,7 @@ pub fn assign(recording: &[Recorded], blocks: &[Block]) -> Result<Assignment, As
     for (sensor, at) in found.into_iter().enumerate() {
         assignment[worn[sensor].index()] = Some(worn[at]);
     }
-    Ok(assignment)
-}
-
-/// The recording with every sensor's samples under the segment that it really sits on.
-pub fn reassigned(recording: &[Recorded], assignment: &Assignment) -> Vec<Recorded> {
-    let placed = |(t_s, samples): &Recorded| {
-        let mut out = [None; SEGMENTS];
-        for (sample, segment) in samples.iter().zip(assignment) {
-            if let Some(segment) = segment {
-                out[segment.index()] = *sample;
-            }
-        }
-        (*t_s, out)
-    };
-    recording.iter().map(placed).collect()
+    Ok(Assignment(assignment))
 }
 
 /// How fast each sensor turned in a movement, root mean square, as a part of the fastest. What a gyro says on average is its bias:
@@ -220,11 +225,11 @@ mod tests {
             let found = assign(recording, blocks).unwrap();
             let mut expected = Segment::ALL.map(Some);
             expected.reverse();
-            assert_eq!(found, expected);
+            assert_eq!(found.0, expected);
             // The same movements show how they sit.
             let skeleton = Skeleton::from_height(1.8);
             let calibrated =
-                calibrate(&reassigned(recording, &found), blocks, &skeleton, &[None; SEGMENTS]).unwrap();
+                calibrate(&found.placed(recording), blocks, &skeleton, &[None; SEGMENTS]).unwrap();
             assert_eq!(calibrated.warnings, Vec::<String>::new());
             let worst = calibrated.quality_deg.iter().flatten().copied().fold(0.0, f64::max);
             assert!(worst < 5.0 && calibrated.quality_deg.iter().all(Option::is_some), "{worst}");
@@ -237,7 +242,7 @@ mod tests {
         let (recording, blocks) = guide.recorded();
         // The poses and one elbow alone.
         assert!(matches!(assign(recording, &blocks[..4]), Err(AssignError::Alike { .. })));
-        // All but what tells a thigh from the trunk.
+        // All but what tells the torso from the pelvis.
         let without = |kind: &str| {
             blocks.iter().filter(|block| block.kind.name() != kind).copied().collect::<Vec<Block>>()
         };
@@ -245,33 +250,33 @@ mod tests {
             assign(recording, &without("trunk_rotation")).unwrap_err().to_string(),
             "torso and pelvis moved alike: add a movement of one of them alone, such as trunk_rotation"
         );
+        let of = |kind: &str| *blocks.iter().find(|block| block.kind.name() == kind).unwrap();
+        // What is found where this was asked for between these times.
+        let during = |kind: &str, start_s: f64, end_s: f64| {
+            let moved = |block: &Block| {
+                if block.kind.name() == kind { Block { start_s, end_s, ..*block } } else { *block }
+            };
+            assign(recording, &blocks.iter().map(moved).collect::<Vec<Block>>())
+        };
+        let knee = of("knee_flexion_l");
         // A knee was bent where the elbow was asked for.
-        let mut other = blocks.to_vec();
-        let at = |kind: &str| blocks.iter().position(|block| block.kind.name() == kind).unwrap();
-        (other[at("elbow_flexion_r")].start_s, other[at("elbow_flexion_r")].end_s) =
-            (blocks[at("knee_flexion_l")].start_s, blocks[at("knee_flexion_l")].end_s);
         assert_eq!(
-            assign(recording, &other).unwrap_err().to_string(),
+            during("elbow_flexion_r", knee.start_s, knee.end_s).unwrap_err().to_string(),
             "forearm_r and upper_arm_r moved alike: add a movement of one of them alone, such as elbow_flexion_r"
         );
         // A knee was bent where a bow was asked for: all are known, but not what was asked.
-        let mut other = blocks.to_vec();
-        (other[at("bow")].start_s, other[at("bow")].end_s) =
-            (blocks[at("knee_flexion_l")].start_s, blocks[at("knee_flexion_l")].end_s);
         assert_eq!(
-            assign(recording, &other).unwrap_err().to_string(),
+            during("bow", knee.start_s, knee.end_s).unwrap_err().to_string(),
             "in bow shank_l turned more than pelvis: repeat it, and keep the rest still"
         );
         // Nobody moved.
-        let mut still = blocks.to_vec();
-        (still[at("elbow_flexion_r")].start_s, still[at("elbow_flexion_r")].end_s) = (1.0, 3.0);
         assert_eq!(
-            assign(recording, &still).unwrap_err().to_string(),
+            during("elbow_flexion_r", 1.0, 3.0).unwrap_err().to_string(),
             "nobody moved in elbow_flexion_r: repeat it, further and faster"
         );
         // A sensor was away.
         let mut away = recording.to_vec();
-        let block = blocks[at("hip_flexion_l")];
+        let block = of("hip_flexion_l");
         for (_, samples) in away.iter_mut().filter(|(t_s, _)| (block.start_s..block.end_s).contains(t_s)) {
             samples[Segment::Torso.index()] = None;
         }

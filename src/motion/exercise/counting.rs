@@ -13,7 +13,7 @@ use super::feedback::{Feedback, describe};
 use super::frames::{Differentiator, Frame};
 use super::hint::{Follower, Hint};
 use super::hmm::{LogRatio, Movement};
-use super::judge::{Measures, Reason, elsewhere, judge, measure};
+use super::judge::{Measures, Reason, judge, measure};
 use super::network::{Network, Place};
 use super::passage::{Mark, Passage};
 use super::viterbi::ShortTimeViterbi;
@@ -295,8 +295,7 @@ impl Counting {
             let slot = ((start + index as u64) % capacity) as usize;
             (&watched.observations[slot * width..(slot + 1) * width], state)
         });
-        let mut measures = measure(movement, ratio, self.rate_hz, rows.clone());
-        measures.elsewhere = elsewhere(movement, &watched.exercise.channels, rows);
+        let mut measures = measure(movement, ratio, &watched.exercise.channels, self.rate_hz, rows);
         measures.gain *= watched.exercise.sizes[number];
         Some((measures, [start + moving.start as u64, start + moving.end as u64 - 1]))
     }

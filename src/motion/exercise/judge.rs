@@ -71,10 +71,11 @@ impl Reason {
     }
 }
 
-/// Measures a repetition: `observation` gives the observation of each frame of `path`, whose items are states.
+/// Measures a repetition of the channels `names`: `observation` gives the observation of each frame of `path`, whose items are states.
 pub(super) fn measure<'a>(
     movement: &Movement,
     ratio: &LogRatio,
+    names: &[String],
     rate_hz: f64,
     frames: impl Iterator<Item = (&'a [f64], usize)> + Clone,
 ) -> Measures {
@@ -97,7 +98,7 @@ pub(super) fn measure<'a>(
     for channel in 0..channels {
         let (mean, sd) = (&movement.states.mean[channel], &movement.states.sd[channel]);
         // A glitch, or a channel that has gone elsewhere, has no say here either.
-        let farthest = (2.0 * WORST).sqrt();
+        let farthest = farthest_sds();
         let pairs = frames
             .clone()
             .map(|(observation, state)| (observation[channel], mean[state], sd[state]))
@@ -134,7 +135,7 @@ pub(super) fn measure<'a>(
         gain: if taught > 0.0 && whole > 0.0 { (done / taught).sqrt() * reached / whole } else { 0.0 },
         likeness: if taught > 0.0 && done > 0.0 { along / (taught * done).sqrt() } else { 0.0 },
         visited: visited as f64 / states as f64,
-        elsewhere: 0.0,
+        elsewhere: elsewhere(movement, names, frames),
     }
 }
 
@@ -143,9 +144,9 @@ pub(super) fn measure<'a>(
 /// The path does not mind: a channel that has failed must not end a repetition, so what any channel can say against it is bounded. But
 /// a joint that lives and is nowhere near is no failure, it is another exercise: half a curl bends the elbow as a push-up at the wall
 /// does, with the arm elsewhere.
-pub(super) fn elsewhere<'a>(
+fn elsewhere<'a>(
     movement: &Movement,
-    channels: &[String],
+    names: &[String],
     frames: impl Iterator<Item = (&'a [f64], usize)> + Clone,
 ) -> f64 {
     let share = |channel: usize| {
@@ -153,7 +154,7 @@ pub(super) fn elsewhere<'a>(
         let (mut count, mut far, mut low, mut high) = (0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
         let values = frames.clone().map(|(observation, state)| (observation[channel], state));
         for (value, state) in values.filter(|(value, _)| !value.is_nan()) {
-            let allowed = FAR_DEG.max((2.0 * WORST).sqrt() * sd[state]);
+            let allowed = FAR_DEG.max(farthest_sds() * sd[state]);
             count += 1.0;
             far += f64::from(u8::from((value - mean[state]).abs() > allowed));
             (low, high) = (f64::min(low, value), f64::max(high, value));
@@ -161,7 +162,12 @@ pub(super) fn elsewhere<'a>(
         // A joint that says the same all the time has failed.
         if high > low { far / count } else { 0.0 }
     };
-    (0..channels.len()).filter(|channel| is_posture(&channels[*channel])).map(share).fold(0.0, f64::max)
+    (0..names.len()).filter(|channel| is_posture(&names[*channel])).map(share).fold(0.0, f64::max)
+}
+
+/// Farther than so many standard deviations a channel's say is bounded.
+fn farthest_sds() -> f64 {
+    (2.0 * WORST).sqrt()
 }
 
 /// The first measure that is out of the gate.

@@ -34,7 +34,7 @@ pub(super) fn smaller(
     let states = ratios[0].states();
     let measures = |repetition: &Repetition| {
         let rows = material.along(repetition.moving(states));
-        measure(&sized[repetition.size], &ratios[repetition.size], material.rate_hz, rows)
+        measure(&sized[repetition.size], &ratios[repetition.size], &material.channels, material.rate_hz, rows)
     };
     let mut taken: Vec<Range<usize>> = found.iter().map(|repetition| repetition.range(states)).collect();
     let middle = |value: fn(&Measures) -> f64| median(found.iter().map(|r| value(&measures(r))));

@@ -322,7 +322,7 @@ fn alike(material: &Material, movement: &Movement, found: Vec<Repetition>) -> (V
         .iter()
         .map(|repetition| {
             let rows = material.along(repetition.moving(states));
-            measure(movement, &ratio, material.rate_hz, rows)
+            measure(movement, &ratio, &material.channels, material.rate_hz, rows)
         })
         .collect();
     let middle = |value: fn(&Measures) -> f64| median(measured.iter().map(value)).unwrap_or(0.0);
@@ -486,7 +486,8 @@ fn against_the_others(material: &Material, hypothesis: &Hypothesis) -> Vec<(Rang
         .map(|(repetition, size, movement)| {
             let rows = material.along(repetition.path.iter());
             let movement = movement.turned(&siblings);
-            let mut measures = measure(&movement, &LogRatio::new(&movement), material.rate_hz, rows);
+            let mut measures =
+                measure(&movement, &LogRatio::new(&movement), &material.channels, material.rate_hz, rows);
             measures.gain *= size;
             (repetition.range(states), measures)
         })

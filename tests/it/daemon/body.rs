@@ -30,7 +30,7 @@ async fn the_demo_s_body_stands_moves_and_is_exported_from_its_recording() {
     // The trackers speak later than the IMUs: first the body stands at the origin. Its person rests now and then.
     while flexions.len() < 150
         || last["placed"] != "trackers"
-        || (bend(&flexions) < 20.0 && flexions.len() < 2000)
+        || (bend(&flexions) <= 20.0 && flexions.len() < 2000)
     {
         last = until(&mut client, "a body", |message| message["type"] == "body").await;
         let joints = last["joints"].as_array().unwrap();
@@ -44,7 +44,7 @@ async fn the_demo_s_body_stands_moves_and_is_exported_from_its_recording() {
         z_m(&last, "shank_r") < z_m(&last, "thigh_r") && z_m(&last, "pelvis") < z_m(&last, "torso"),
         "{last}"
     );
-    assert!(bend(&flexions) >= 20.0, "{flexions:?}");
+    assert!(bend(&flexions) > 20.0, "{flexions:?}");
     // Its mounting is given, but somebody may find it anew; and only by poses that are held.
     let job = ok(&mut client, json!({"type": "body.calibrate", "id": 7, "how": "quick"})).await;
     ok(&mut client, json!({"type": "job.cancel", "id": 8, "job": job["job"]})).await;
@@ -108,7 +108,7 @@ async fn a_body_is_calibrated_from_a_terminal() {
     let lines: Vec<&str> = told.lines().collect();
     assert!(lines[0].starts_with("1 of 2: Stand upright") && lines[1].starts_with("2 of 2: Raise"), "{told}");
     assert!(lines[2].starts_with("the sensors' mounting is known") && lines.len() == 13, "{told}");
-    // Nobody is there, or nobody wears anything.
+    // Nobody is there.
     assert_eq!(daemon.end("INT").await.code(), Some(0));
     let alone = calibrate(&["--json"]).await.unwrap();
     assert_eq!(alone.status.code(), Some(1));
