@@ -80,6 +80,23 @@ impl Session {
         Self { frames: Frames { sensors, t_s, positions_m }, classes, kinds }
     }
 
+    /// One recording of several, with a second in which nothing is seen between them.
+    fn joined(sessions: &[Self], rate_hz: f64) -> Self {
+        let sensors = sessions[0].frames.sensors.clone();
+        let gap = rate_hz as usize;
+        let (mut positions_m, mut classes, mut kinds) = (Vec::new(), Vec::new(), Vec::new());
+        for session in sessions {
+            positions_m.extend(&session.frames.positions_m);
+            positions_m.extend(std::iter::repeat_n(f64::NAN, 3 * sensors.len() * gap));
+            classes.extend(&session.classes);
+            classes.extend(std::iter::repeat_n(Class::Unknown, gap));
+            kinds.extend(&session.kinds);
+            kinds.extend(std::iter::repeat_n(Truth::Clean, gap));
+        }
+        let t_s = (0..classes.len()).map(|k| k as f64 / rate_hz).collect();
+        Self { frames: Frames { sensors, t_s, positions_m }, classes, kinds }
+    }
+
     fn of_figure(seed: u64, height_m: f64, frames: usize, share: f64) -> Self {
         let figure = Figure { seed, height_m, rate_hz: 60.0, frames };
         Self::new(SENSORS.map(str::to_owned).into(), figure.positions_m(), 60.0, seed, share)
@@ -208,17 +225,23 @@ fn main() {
         return;
     }
     let path = |name: &str| folder.join(format!("{name}.csv.gz"));
-    let mut tables = Tables::default();
+    let (mut by_one, mut by_three) = (Tables::default(), Tables::default());
     for name in names {
-        let Some(network) = capture(&path(name), 0.0, 5, 0.5).and_then(|session| session.train()) else {
-            continue;
-        };
-        for other in names.into_iter().filter(|other| *other != name) {
-            if let Some(session) = capture(&path(other), 0.0, 77, 0.4) {
-                session.test(&network, &mut tables);
+        let others = || names.into_iter().filter(|other| *other != name);
+        if let Some(network) = capture(&path(name), 0.0, 5, 0.5).and_then(|session| session.train()) {
+            for session in others().filter_map(|other| capture(&path(other), 0.0, 77, 0.4)) {
+                session.test(&network, &mut by_one);
             }
         }
+        let sessions: Vec<Session> =
+            others().filter_map(|other| capture(&path(other), 0.0, 5, 0.5)).collect();
+        if let (Some(network), Some(session)) =
+            (Session::joined(&sessions, 120.0).train(), capture(&path(name), 0.0, 77, 0.4))
+        {
+            session.test(&network, &mut by_three);
+        }
     }
-    print("motion captures with faults put in", &tables);
+    print("motion captures with faults put in, trained on one", &by_one);
+    print("motion captures with faults put in, trained on three", &by_three);
     agreement(&folder, &names);
 }

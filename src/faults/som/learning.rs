@@ -19,6 +19,9 @@ const SMALLEST_FLIP_M: f64 = 0.1;
 const JUMP_LARGEST: f64 = 1.5;
 const JUMP_USUAL: f64 = 4.0;
 const SMALLEST_JUMP_M: f64 = 0.04;
+/// In hindsight none is below so many times what the sensor usually bends in so many frames to either side.
+const JUMP_TREMBLE: f64 = 3.0;
+const TREMBLE_FRAMES: usize = 12;
 
 /// Heads are so far above feet, at least, where names tell which side is clean, m.
 const UPRIGHT_M: f64 = 0.1;
@@ -43,7 +46,7 @@ impl Rules {
         let habits: Vec<Habit> =
             (0..sensors).map(|sensor| habit(frames.len(), |k| places[k * sensors + sensor])).collect();
         places.iter_mut().zip(&frozen).filter(|(_, frozen)| **frozen).for_each(|(place, _)| *place = None);
-        let steps = steps(&places, &habits);
+        let steps = steps(&places, sensors);
         let recording = Recording { sensors, frame_s: frame_s(frames), places: &places, steps: &steps };
         let (away, pairs) = recording.away(|round, away| {
             let outside = RANGES_LEAVE_OUT[round.min(RANGES_LEAVE_OUT.len() - 1)];
@@ -103,19 +106,26 @@ fn frozen(frames: &Frames) -> Vec<bool> {
 }
 
 /// What separates each position from the one before.
-fn steps(places: &[Option<Point>], habits: &[Habit]) -> Vec<Step> {
-    let sensors = habits.len();
+///
+/// A sensor that is pulled trembles, and what trembles for long would make jumps of no step at all: steps are held against
+/// what the sensor trembles around them.
+fn steps(places: &[Option<Point>], sensors: usize) -> Vec<Step> {
+    let frames = places.len() / sensors.max(1);
     let mut steps = vec![Step::Steady; places.len()];
-    for (sensor, habit) in habits.iter().enumerate() {
+    for sensor in 0..sensors {
+        let bends = bends(frames, |k| places[k * sensors + sensor]);
+        let tremble_m = tremble(&bends);
+        let beyond = bends.iter().zip(&tremble_m).filter_map(|(bend, tremble)| Some((*bend)? - tremble));
+        let jump_m = jump(beyond.collect());
         let mut last: Option<(usize, Point, Point)> = None;
-        for k in 0..places.len() / sensors {
+        for k in 0..frames {
             let at = k * sensors + sensor;
             let Some(p) = places[at] else { continue };
             let mut step = [0.0; 3];
             match last {
                 Some((before, here, speed)) if before + 1 == k => {
                     let expected: Point = std::array::from_fn(|c| here[c] + speed[c]);
-                    let off = distance(p, expected) / habit.jump_m;
+                    let off = distance(p, expected) / jump_m.max(tremble_m[k]);
                     if off > 1.0 {
                         steps[at] = Step::Jump(off);
                     } else {
@@ -130,20 +140,39 @@ fn steps(places: &[Option<Point>], habits: &[Habit]) -> Vec<Step> {
     steps
 }
 
+/// How far a track bends in each frame, m: off a steady motion through the two frames before.
+fn bends(frames: usize, here: impl Fn(usize) -> Option<Point>) -> Vec<Option<f64>> {
+    let bend = |k: usize| {
+        let (a, b, c) = (here(k.checked_sub(2)?)?, here(k - 1)?, here(k)?);
+        Some(distance(c, std::array::from_fn(|axis| 2.0 * b[axis] - a[axis])))
+    };
+    (0..frames).map(bend).collect()
+}
+
+/// What a track may bend around each frame because it trembles, m.
+fn tremble(bends: &[Option<f64>]) -> Vec<f64> {
+    let around = |k: usize| {
+        let span = k.saturating_sub(TREMBLE_FRAMES)..(k + TREMBLE_FRAMES + 1).min(bends.len());
+        let mut bends: Vec<f64> = bends[span].iter().copied().flatten().collect();
+        JUMP_TREMBLE * quantile(&mut bends, 0.5)
+    };
+    (0..bends.len()).map(around).collect()
+}
+
+/// The smallest bend that is a jump, m.
+fn jump(mut bends: Vec<f64>) -> f64 {
+    let largest = JUMP_LARGEST * quantile(&mut bends, 0.995);
+    let usual = JUMP_USUAL * quantile(&mut bends, 0.95);
+    largest.min(usual).max(SMALLEST_JUMP_M)
+}
+
 /// How a sensor moves, from a recording of it on its clean side.
 fn habit(frames: usize, here: impl Fn(usize) -> Option<Point>) -> Habit {
     let mut steps: Vec<f64> = (1..frames).filter_map(|k| Some(distance(here(k)?, here(k - 1)?))).collect();
-    let bend = |k: usize| {
-        let (a, b, c) = (here(k - 2)?, here(k - 1)?, here(k)?);
-        Some(distance(c, std::array::from_fn(|axis| 2.0 * b[axis] - a[axis])))
-    };
-    let mut bends: Vec<f64> = (2..frames).filter_map(bend).collect();
-    let largest = JUMP_LARGEST * quantile(&mut bends, 0.995);
-    let usual = JUMP_USUAL * quantile(&mut bends, 0.95);
     let axis =
         |c: usize| quantile(&mut (0..frames).filter_map(|k| Some(here(k)?[c])).collect::<Vec<_>>(), 0.5);
     Habit {
-        jump_m: largest.min(usual).max(SMALLEST_JUMP_M),
+        jump_m: jump(bends(frames, &here).into_iter().flatten().collect()),
         step_m: quantile(&mut steps, 0.95),
         home_m: [axis(0), axis(1), axis(2)],
     }
@@ -236,6 +265,18 @@ mod tests {
         let (_, labels) = Rules::learn(&recording);
         let bad: Vec<usize> = (0..1200).filter(|k| labels.frames[*k].0 == Class::Anomalous).collect();
         assert_eq!(bad, (300..420).collect::<Vec<_>>());
+
+        // Interference trembles, too, and lasts so long that most of its steps would pass for usual ones.
+        let recording = frames(1200, |k, p| {
+            let tremble = |c: f64| 0.012 * (0.7 * (k * k) as f64 + c).sin();
+            match k {
+                300..460 => [p[0] + 0.12 + tremble(0.0), p[1] + tremble(1.0), p[2] + 0.08 + tremble(2.0)],
+                _ => p,
+            }
+        });
+        let (_, labels) = Rules::learn(&recording);
+        let bad: Vec<usize> = (0..1200).filter(|k| labels.frames[*k].0 == Class::Anomalous).collect();
+        assert_eq!(bad, (300..460).collect::<Vec<_>>());
 
         let mut recording = frames(600, |_, p| p);
         let held = recording.frame(99)[9..12].to_vec();

@@ -33,7 +33,7 @@ pub use watch::{Verdict, Watch};
 /// A cell has a class if this share of its training frames has it.
 const CLEAR_SHARE: f64 = 0.6;
 /// Share of the training's clean frames whose distance from their cell is usual.
-const USUAL_SHARE: f64 = 0.998;
+const USUAL_SHARE: f64 = 0.9995;
 /// What is farther from its cell than that, so many times, was never seen.
 const FARTHER: f64 = 1.25;
 
