@@ -296,6 +296,23 @@ fn simulated_people_are_counted_corrected_and_otherwise_left_alone() {
     }
 }
 
+/// The path of who stops half-way stays in states half-way, so its size along the path is almost whole.
+#[test]
+fn half_a_push_up_at_the_wall_does_not_count() {
+    let person = Person::new(2001);
+    let set = |day, repetitions, variant| {
+        let mut day = Day::new(&person, day);
+        day.set(Training::WallPushUp, repetitions, variant);
+        day.finish()
+    };
+    let (columns, t_s, values) = angles(&set(0, 5, Variant::Right));
+    let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
+    let options = Options { name: "wall push-up".into(), repetitions: 5, channels: None };
+    let exercise = teach(&stream, &options).unwrap().exercise;
+    assert_eq!(count(&exercise, &set(5, 10, Variant::Partly(0.5))).0, 0);
+    assert_eq!(count(&exercise, &set(6, 10, Variant::Right)).0, 10);
+}
+
 /// What the wearer's sensors said between two times, as a job that teaches sees it.
 fn wearer(rig: &Rig, stage: &Stage, span_s: Range<f64>) -> (Vec<String>, Vec<f64>, Vec<Option<f64>>) {
     let (all, columns) = (signals::columns_of(stage), signals::columns_of_wearer(stage));

@@ -25,7 +25,7 @@ pub struct Measures {
     pub mean_log_ratio: f64,
     /// The same in its worst fifth.
     pub fifth_log_ratio: f64,
-    /// Size of the movement along the taught one, which is 1; a shift does not change it.
+    /// Size of the movement along the taught one, which is 1, and not above how far joints went; a shift does not change it.
     pub gain: f64,
     /// Correlation with the taught movement.
     pub likeness: f64,
@@ -95,6 +95,7 @@ pub(super) fn measure<'a>(
     let worst = fifths.iter().filter(|fifth| fifth.1 > 0.0).map(|fifth| fifth.0 / fifth.1);
     let (mut along, mut taught, mut done) = (0.0, 0.0, 0.0);
     let (mut reached, mut whole) = (0.0, 0.0);
+    let (mut joints_went, mut joints_go) = (0.0, 0.0);
     for channel in 0..channels {
         let (mean, sd) = (&movement.states.mean[channel], &movement.states.sd[channel]);
         // A glitch, or a channel that has gone elsewhere, has no say here either.
@@ -121,6 +122,13 @@ pub(super) fn measure<'a>(
         let weight = (high - low) / movement.amplitude[channel].powi(2);
         whole += weight * (high - low);
         reached += weight * (highest - lowest).max(0.0);
+        if is_posture(&names[channel]) {
+            let values = frames.clone().map(|(observation, _)| observation[channel]);
+            let (least, most) =
+                values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), value| (l.min(value), h.max(value)));
+            joints_went += weight * (most - least).max(0.0);
+            joints_go += weight * (high - low);
+        }
         if n > 0.0 {
             let scale = movement.amplitude[channel].powi(-2);
             along += scale * (xy - x * y / n);
@@ -128,11 +136,14 @@ pub(super) fn measure<'a>(
             done += scale * (xx - x * x / n);
         }
     }
+    let gain = if taught > 0.0 && whole > 0.0 { (done / taught).sqrt() * reached / whole } else { 0.0 };
+    // The path stays where the joints do: who stops half-way is held against states half-way. How far joints go shows it.
+    let went = if joints_go > 0.0 { joints_went / joints_go } else { f64::INFINITY };
     Measures {
         duration_s: count as f64 / rate_hz,
         mean_log_ratio: sum / count as f64,
         fifth_log_ratio: worst.fold(f64::INFINITY, f64::min),
-        gain: if taught > 0.0 && whole > 0.0 { (done / taught).sqrt() * reached / whole } else { 0.0 },
+        gain: gain.min(went),
         likeness: if taught > 0.0 && done > 0.0 { along / (taught * done).sqrt() } else { 0.0 },
         visited: visited as f64 / states as f64,
         elsewhere: elsewhere(movement, names, frames),
