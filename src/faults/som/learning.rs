@@ -118,14 +118,14 @@ fn steps(places: &[Option<Point>], sensors: usize) -> Vec<Step> {
         let beyond = bends.iter().zip(&tremble_m).filter_map(|(bend, tremble)| Some((*bend)? - tremble));
         let jump_m = jump(beyond.collect());
         let mut last: Option<(usize, Point, Point)> = None;
-        for k in 0..frames {
+        for (k, tremble_m) in tremble_m.into_iter().enumerate() {
             let at = k * sensors + sensor;
             let Some(p) = places[at] else { continue };
             let mut step = [0.0; 3];
             match last {
                 Some((before, here, speed)) if before + 1 == k => {
                     let expected: Point = std::array::from_fn(|c| here[c] + speed[c]);
-                    let off = distance(p, expected) / jump_m.max(tremble_m[k]);
+                    let off = distance(p, expected) / jump_m.max(tremble_m);
                     if off > 1.0 {
                         steps[at] = Step::Jump(off);
                     } else {
