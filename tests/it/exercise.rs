@@ -296,6 +296,28 @@ fn simulated_people_are_counted_corrected_and_otherwise_left_alone() {
     }
 }
 
+/// Hip and knee do most of a squat. One of them that has failed says nothing about its size.
+#[test]
+fn a_joint_that_has_failed_makes_no_squat_too_small() {
+    let person = Person::new(500);
+    let set = |day, repetitions| {
+        let mut day = Day::new(&person, day);
+        day.set(Training::Squat, repetitions, Variant::Right);
+        day.finish()
+    };
+    let (columns, t_s, values) = angles(&set(0, 5));
+    let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
+    let options = Options { name: "squat".into(), repetitions: 5, channels: None };
+    let squat = teach(&stream, &options).unwrap().exercise;
+    for failed in ["hip_flexion_deg", "knee_flexion_deg"] {
+        assert!(squat.channels.iter().any(|channel| channel == failed));
+        let at = columns.iter().position(|column| column == failed).unwrap();
+        let mut frozen = set(7, 8);
+        frozen.angles_deg.chunks_mut(columns.len()).for_each(|row| row[at] = 20.0);
+        assert_eq!(count(&squat, &frozen).0, 8, "{failed}");
+    }
+}
+
 /// The path of who stops half-way stays in states half-way, so its size along the path is almost whole.
 #[test]
 fn half_a_push_up_at_the_wall_does_not_count() {

@@ -275,7 +275,7 @@ impl Course {
         }
         let frames: f64 = moments.iter().map(|(n, _)| n).sum();
         let pooled = squares.iter().sum::<f64>() / frames.max(1.0);
-        let (low, high) = range(&mean);
+        let (low, high) = range(mean.iter().copied());
         let shrunk =
             |(square, (n, _)): (&f64, &(f64, f64))| (square + POOLED_FRAMES * pooled) / (n + POOLED_FRAMES);
         let variance = squares.iter().zip(&moments).map(shrunk).collect();
@@ -302,10 +302,10 @@ fn fill(values: Vec<Option<f64>>) -> Vec<f64> {
 }
 
 /// Lowest and highest value.
-pub(super) fn range(values: &[f64]) -> (f64, f64) {
+pub(super) fn range(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
     values
-        .iter()
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(*value), high.max(*value)))
+        .into_iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)))
 }
 
 /// Mean and standard deviation of the values that are there; `None` with fewer than two.

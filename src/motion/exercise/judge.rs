@@ -115,18 +115,14 @@ pub(super) fn measure<'a>(
             yy += expected * expected;
         }
         // A path around the turning point would find the rest of the movement in full size.
-        let (low, high) = range(mean);
-        let passed = frames.clone().map(|(_, state)| mean[state]);
-        let (lowest, highest) =
-            passed.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), mean| (l.min(mean), h.max(mean)));
+        let (low, high) = range(mean.iter().copied());
+        let (lowest, highest) = range(frames.clone().map(|(_, state)| mean[state]));
         let weight = (high - low) / movement.amplitude[channel].powi(2);
         whole += weight * (high - low);
         reached += weight * (highest - lowest).max(0.0);
-        if is_posture(&names[channel]) {
-            let values = frames.clone().map(|(observation, _)| observation[channel]);
-            let (least, most) =
-                values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), value| (l.min(value), h.max(value)));
-            joints_went += weight * (most - least).max(0.0);
+        let values = frames.clone().map(|(observation, _)| observation[channel]);
+        if let Some(went) = way(values).filter(|_| is_posture(&names[channel])) {
+            joints_went += weight * went;
             joints_go += weight * (high - low);
         }
         if n > 0.0 {
@@ -174,6 +170,13 @@ fn elsewhere<'a>(
         if high > low { far / count } else { 0.0 }
     };
     (0..names.len()).filter(|channel| is_posture(&names[*channel])).map(share).fold(0.0, f64::max)
+}
+
+/// How far a joint went, from its least to its greatest angle; `None` where it has failed, and says the same all the time, or was not seen all the time.
+fn way(values: impl Iterator<Item = f64> + Clone) -> Option<f64> {
+    let seen = !values.clone().any(f64::is_nan);
+    let (low, high) = range(values);
+    (seen && high > low).then_some(high - low)
 }
 
 /// Farther than so many standard deviations a channel's say is bounded.

@@ -432,7 +432,7 @@ fn conclude(material: &Material, hypothesis: &Hypothesis, options: &Options) -> 
         return Err(Refusal::Count { report, reason });
     }
     let lengths = || segments.iter().map(|segment| segment.len() as f64 / material.rate_hz);
-    let (shortest_s, longest_s) = range(&lengths().collect::<Vec<_>>());
+    let (shortest_s, longest_s) = range(lengths());
     let durations = Durations {
         shortest_s,
         median_s: median(lengths()).unwrap_or(longest_s),

@@ -147,19 +147,21 @@ fn given_half_movements_and_aborted_ones_nothing_counts() {
 fn given_a_joint_in_another_posture_it_is_another_exercise_and_given_a_dead_one_it_is_not() {
     let exercise = taught(1).exercise;
     assert_eq!(exercise.channels.len(), 2);
-    // Of each row, what the shoulder says instead.
-    let told = |shoulder_deg: &dyn Fn(f64) -> Option<f64>| {
+    // Of each row, what a joint says instead.
+    let joint = |channel: usize, angle_deg: &dyn Fn(f64) -> Option<f64>| {
         let mut person = Person::new(60);
         person.set(8);
         for row in person.values.chunks_mut(2) {
-            row[1] = row[1].and_then(shoulder_deg);
+            row[channel] = row[channel].and_then(angle_deg);
         }
         let events = events(vec![exercise.clone()], &person);
         (of(EventKind::Counted, &events).len(), of(EventKind::Rejected, &events).len())
     };
+    let told = |shoulder_deg: &dyn Fn(f64) -> Option<f64>| joint(1, shoulder_deg);
     assert_eq!(told(&|deg| Some(deg + 20.0)).0, 8, "worn otherwise");
     assert_eq!(told(&|_| Some(90.0)).0, 8, "frozen");
     assert_eq!(told(&|_| None).0, 8, "silent");
+    assert_eq!(joint(0, &|_| None).0, 8, "the elbow silent, which does most of the work");
     let (counted, rejected) = told(&|deg| Some(deg + 85.0));
     assert!(counted == 0 && rejected > 0, "the arm held up: {counted} counted, {rejected} rejected");
 }
