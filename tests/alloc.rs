@@ -27,7 +27,7 @@ use posed::stage::{FieldWatch, Keyframes, Stage};
 use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
-use rig::{Rig, field_map, leg, stage};
+use rig::{Rig, demo, demo_stage, field_map, leg, stage};
 
 struct Counting;
 
@@ -160,9 +160,7 @@ fn curl(stage_file: &Stage, scenario: &Scenario) -> Exercise {
 /// Ten IMUs and two trackers on a person, as in the demo; and the figure from trackers alone.
 #[test]
 fn a_warm_body_does_not_allocate() {
-    use serde::Deserialize;
-    let demo = Stage::parse(include_str!("../config/demo.toml")).unwrap();
-    let scenario = Scenario::deserialize(demo.simulation.clone().unwrap()).unwrap();
+    let (demo, scenario) = demo_stage();
     let mut trackers = demo.clone();
     trackers.sensors.retain(|sensor| sensor.device == "flock");
     trackers.devices.retain(|device| device.name == "flock");
@@ -274,10 +272,7 @@ fn stays_flat(mut rig: Rig, end_s: f64) -> usize {
 /// The stage of `posed demo`: body, key poses, segments, the field's map.
 #[test]
 fn memory_of_the_demo_stays_flat() {
-    use serde::Deserialize;
-    let demo = Stage::parse(include_str!("../config/demo.toml")).unwrap();
-    let scenario = Scenario::deserialize(demo.simulation.clone().unwrap()).unwrap();
-    let mut rig = Rig::new(&demo, &scenario);
+    let (_, mut rig) = demo();
     rig.push(Input::Network(include_bytes!("../config/demo-moves.safetensors").to_vec()));
     rig.push(Input::Model(Model::Field { version: 1, map: Some(Prepared::new(field_map())) }));
     let end_s = soak_s(180.0);

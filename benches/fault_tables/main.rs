@@ -1,7 +1,7 @@
 //! How well bad frames are found: rules alone, the map alone, both. `cargo bench --bench fault_tables`.
 //!
 //! Two stages, each trained on one scripted session (5 min, 15 sensors, half of it bad), tested on other sessions and bodies; then, where
-//! `../shared/data/cmu-labelled` is there, on motion captures with faults put in, trained on one and tested on others.
+//! `../shared/data/cmu-labelled` is there, on motion captures with faults put in, trained on one and tested on others, and on all others and tested on one.
 //! Recall of frames that are inverted or anomalous, the share of clean frames that are called bad, and of each kind of
 //! anomalous frames the share that is found.
 #![expect(clippy::print_stdout, reason = "the table is what it is for")]
@@ -81,7 +81,7 @@ impl Session {
     }
 
     /// One recording of several, with a second in which nothing is seen between them.
-    fn joined(sessions: &[Self], rate_hz: f64) -> Self {
+    fn joined(sessions: &[&Self], rate_hz: f64) -> Self {
         let sensors = sessions[0].frames.sensors.clone();
         let gap = rate_hz as usize;
         let (mut positions_m, mut classes, mut kinds) = (Vec::new(), Vec::new(), Vec::new());
@@ -224,21 +224,22 @@ fn main() {
         println!("skipped: {} is not there", folder.display());
         return;
     }
-    let path = |name: &str| folder.join(format!("{name}.csv.gz"));
+    let sessions = |seed: u64, share: f64| -> Vec<Session> {
+        names
+            .iter()
+            .filter_map(|name| capture(&folder.join(format!("{name}.csv.gz")), 0.0, seed, share))
+            .collect()
+    };
+    let (scripted, tested) = (sessions(5, 0.5), sessions(77, 0.4));
     let (mut by_one, mut by_three) = (Tables::default(), Tables::default());
-    for name in names {
-        let others = || names.into_iter().filter(|other| *other != name);
-        if let Some(network) = capture(&path(name), 0.0, 5, 0.5).and_then(|session| session.train()) {
-            for session in others().filter_map(|other| capture(&path(other), 0.0, 77, 0.4)) {
-                session.test(&network, &mut by_one);
-            }
+    for (at, (session, itself)) in scripted.iter().zip(&tested).enumerate() {
+        let but = |sessions: &'_ [Session]| (0..sessions.len()).filter(move |other| *other != at);
+        if let Some(network) = session.train() {
+            but(&tested).for_each(|other| tested[other].test(&network, &mut by_one));
         }
-        let sessions: Vec<Session> =
-            others().filter_map(|other| capture(&path(other), 0.0, 5, 0.5)).collect();
-        if let (Some(network), Some(session)) =
-            (Session::joined(&sessions, 120.0).train(), capture(&path(name), 0.0, 77, 0.4))
-        {
-            session.test(&network, &mut by_three);
+        let others: Vec<&Session> = but(&scripted).map(|other| &scripted[other]).collect();
+        if let Some(network) = Session::joined(&others, 120.0).train() {
+            itself.test(&network, &mut by_three);
         }
     }
     print("motion captures with faults put in, trained on one", &by_one);

@@ -46,10 +46,17 @@ pub(crate) fn stage(birds: &[u16]) -> Stage {
 /// The stage of `posed demo`, as its file says it.
 pub(crate) const DEMO: &str = include_str!("../../config/demo.toml");
 
+/// The stage of `posed demo`, and what happens on it.
+pub(crate) fn demo_stage() -> (Stage, Scenario) {
+    let stage = Stage::parse(DEMO).unwrap();
+    let scenario = Scenario::deserialize(stage.simulation.clone().unwrap()).unwrap();
+    (stage, scenario)
+}
+
 /// The stage of `posed demo`, and its rig.
 pub(crate) fn demo() -> (Stage, Rig) {
-    let stage = Stage::parse(DEMO).unwrap();
-    let rig = Rig::new(&stage, &Scenario::deserialize(stage.simulation.clone().unwrap()).unwrap());
+    let (stage, scenario) = demo_stage();
+    let rig = Rig::new(&stage, &scenario);
     (stage, rig)
 }
 
