@@ -235,7 +235,8 @@ async fn no_event_is_lost_in_a_cut_and_poses_come_again() {
     // Who was away from the hub can ask it for what the stage said meanwhile.
     let mut later = client(hub.address, "/two/ws").await;
     let kept = ok(&mut later, json!({"type": "resume", "after": first})).await;
-    assert_eq!((&kept["complete"], &kept["last_event_id"]), (&json!(true), &json!(last)));
+    // The stage may have had more to say since.
+    assert!(kept["complete"] == true && kept["last_event_id"].as_u64() >= Some(last), "{kept}");
     assert_eq!(
         until(&mut later, "an event", |message| !message["event_id"].is_null()).await["event_id"],
         first + 1
