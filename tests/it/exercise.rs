@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::sync::LazyLock;
 
 use posed::input::{Input, Model, Plan, Request};
-use posed::motion::exercise::{Counter, EventKind, Exercise, Options, Stream, rests, teach};
+use posed::motion::exercise::{Counter, EventKind, Exercise, Lesson, Options, Stream, rests, teach};
 use posed::output::{Estimate, ExerciseState, ExerciseWhat, OutcomeKind, Repetition};
 use posed::pipeline::Pipeline;
 use posed::signals::{self, BodyColumns};
@@ -267,53 +267,75 @@ fn count(exercise: &Exercise, recording: &exercises::Recording) -> (usize, Vec<S
     (counted, sentences)
 }
 
+/// A set on one day of a simulated person.
+fn set(
+    person: u64,
+    day: u64,
+    training: Training,
+    repetitions: usize,
+    variant: Variant,
+) -> exercises::Recording {
+    let mut day = Day::new(&Person::new(person), day);
+    day.set(training, repetitions, variant);
+    day.finish()
+}
+
+/// What five repetitions of a simulated person teach.
+fn lesson(training: Training, example: &exercises::Recording) -> Lesson {
+    let (columns, t_s, values) = angles(example);
+    let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
+    let options = Options { name: training.name().into(), repetitions: 5, channels: None };
+    teach(&stream, &options).unwrap()
+}
+
 #[test]
 fn simulated_people_are_counted_corrected_and_otherwise_left_alone() {
-    for seed in [500, 501] {
-        let person = Person::new(seed);
-        let mut day = Day::new(&person, 0);
-        day.set(Training::Squat, 5, Variant::Right);
-        let (columns, t_s, values) = angles(&day.finish());
-        let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
-        let options = Options { name: "squat".into(), repetitions: 5, channels: None };
-        let squat = teach(&stream, &options).unwrap().exercise;
+    for person in [500, 501] {
+        let squats = |day, repetitions, variant| set(person, day, Training::Squat, repetitions, variant);
+        let squat = lesson(Training::Squat, &squats(0, 5, Variant::Right)).exercise;
+        assert_eq!(count(&squat, &squats(1, 9, Variant::Right)).0, 9, "person {person}");
 
-        let mut day = Day::new(&person, 1);
-        day.set(Training::Squat, 9, Variant::Right);
-        assert_eq!(count(&squat, &day.finish()).0, 9, "person {seed}");
-
-        let mut day = Day::new(&person, 2);
+        let mut day = Day::new(&Person::new(person), 2);
         day.other(60.0);
-        assert_eq!(count(&squat, &day.finish()).0, 0, "person {seed}: other movement");
+        assert_eq!(count(&squat, &day.finish()).0, 0, "person {person}: other movement");
 
-        let mut day = Day::new(&person, 3);
-        day.set(Training::Squat, 8, Variant::Short { angle: 5, by_deg: 25.0 });
-        let (_, sentences) = count(&squat, &day.finish());
+        let (_, sentences) = count(&squat, &squats(3, 8, Variant::Short { angle: 5, by_deg: 25.0 }));
         let named = |sentence: &&String| {
             sentence.starts_with("knee flexion") && sentence.ends_with("short at the top")
         };
-        assert!(sentences.iter().filter(named).count() >= 6, "person {seed}: {sentences:?}");
+        assert!(sentences.iter().filter(named).count() >= 6, "person {person}: {sentences:?}");
+    }
+}
+
+/// Who stands still for long before the first repetition, and who goes to a wall first and away from it at last.
+#[test]
+fn repetitions_are_cut_where_they_begin_and_end_whatever_is_before_and_after_them() {
+    for (person, day, training) in [
+        (10_007, 0, Training::Curl),
+        (10_039, 300, Training::ShoulderRaise),
+        (10_053, 100, Training::WallPushUp),
+        (10_057, 100, Training::WallPushUp),
+    ] {
+        let example = set(person, day, training, 5, Variant::Right);
+        let seen = lesson(training, &example).report.repetitions;
+        for (seen, truth) in seen.iter().zip(&example.repetitions) {
+            let off_s = 0.5 * (seen.t_start_s + seen.t_end_s - truth[0] - truth[1]);
+            let of = off_s.abs() / (truth[1] - truth[0]);
+            assert!(of < 0.25, "person {person}, {}: {seen:?}, {truth:?}", training.name());
+        }
     }
 }
 
 /// Hip and knee do most of a squat. One of them that has failed says nothing about its size.
 #[test]
 fn a_joint_that_has_failed_makes_no_squat_too_small() {
-    let person = Person::new(500);
-    let set = |day, repetitions| {
-        let mut day = Day::new(&person, day);
-        day.set(Training::Squat, repetitions, Variant::Right);
-        day.finish()
-    };
-    let (columns, t_s, values) = angles(&set(0, 5));
-    let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
-    let options = Options { name: "squat".into(), repetitions: 5, channels: None };
-    let squat = teach(&stream, &options).unwrap().exercise;
+    let squats = |day, repetitions| set(500, day, Training::Squat, repetitions, Variant::Right);
+    let squat = lesson(Training::Squat, &squats(0, 5)).exercise;
     for failed in ["hip_flexion_deg", "knee_flexion_deg"] {
         assert!(squat.channels.iter().any(|channel| channel == failed));
-        let at = columns.iter().position(|column| column == failed).unwrap();
-        let mut frozen = set(7, 8);
-        frozen.angles_deg.chunks_mut(columns.len()).for_each(|row| row[at] = 20.0);
+        let at = exercises::ANGLES.iter().position(|angle| *angle == failed).unwrap();
+        let mut frozen = squats(7, 8);
+        frozen.angles_deg.chunks_mut(exercises::ANGLES.len()).for_each(|row| row[at] = 20.0);
         assert_eq!(count(&squat, &frozen).0, 8, "{failed}");
     }
 }
@@ -321,18 +343,10 @@ fn a_joint_that_has_failed_makes_no_squat_too_small() {
 /// The path of who stops half-way stays in states half-way, so its size along the path is almost whole.
 #[test]
 fn half_a_push_up_at_the_wall_does_not_count() {
-    let person = Person::new(2001);
-    let set = |day, repetitions, variant| {
-        let mut day = Day::new(&person, day);
-        day.set(Training::WallPushUp, repetitions, variant);
-        day.finish()
-    };
-    let (columns, t_s, values) = angles(&set(0, 5, Variant::Right));
-    let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
-    let options = Options { name: "wall push-up".into(), repetitions: 5, channels: None };
-    let exercise = teach(&stream, &options).unwrap().exercise;
-    assert_eq!(count(&exercise, &set(5, 10, Variant::Partly(0.5))).0, 0);
-    assert_eq!(count(&exercise, &set(6, 10, Variant::Right)).0, 10);
+    let push_ups = |day, repetitions, variant| set(2001, day, Training::WallPushUp, repetitions, variant);
+    let push_up = lesson(Training::WallPushUp, &push_ups(0, 5, Variant::Right)).exercise;
+    assert_eq!(count(&push_up, &push_ups(5, 10, Variant::Partly(0.5))).0, 0);
+    assert_eq!(count(&push_up, &push_ups(6, 10, Variant::Right)).0, 10);
 }
 
 /// What the wearer's sensors said between two times, as a job that teaches sees it.

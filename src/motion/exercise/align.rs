@@ -7,6 +7,21 @@ use super::hmm::LogRatio;
 use super::network::{Network, Place};
 use super::viterbi::ShortTimeViterbi;
 
+/// More frames than these in one of the first or last states are waiting: five times as long as at the taught pace.
+const WAITING: u64 = 10;
+/// The first and the last states are one part in so many.
+const ENDS: usize = 5;
+
+/// Whether a path that is for `dwell` frames in a state waits for the movement to begin.
+pub(super) fn waits_before(state: usize, states: usize, dwell: u64) -> bool {
+    dwell > WAITING && ENDS * (state + 1) <= states
+}
+
+/// Whether a path that is for `dwell` frames in a state waits after the movement.
+pub(super) fn waits_after(state: usize, states: usize, dwell: u64) -> bool {
+    dwell > WAITING && ENDS * (states - state) <= states
+}
+
 /// One repetition on the path.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Repetition {
@@ -31,16 +46,26 @@ impl Repetition {
     }
 }
 
-/// The part of a path in which the movement happens: a path may wait in the first and in the last state, which
-/// look like rest. At most two frames in the first state and two in the last are kept.
-pub(super) fn trim(
-    path: impl ExactSizeIterator<Item = usize> + Clone,
-    states: usize,
-) -> std::ops::Range<usize> {
-    let length = path.len();
-    let waiting = path.clone().take_while(|state| *state == 0).count();
-    let moving = path.take_while(|state| *state + 1 < states).count();
-    waiting.saturating_sub(2).min(moving)..(moving + 2).min(length)
+/// The part of a path in which the movement happens: a path may wait in the first and in the last states, which
+/// look like rest. At most two frames of waiting are kept on either side.
+pub(super) fn trim(path: impl Iterator<Item = usize>, states: usize) -> std::ops::Range<usize> {
+    let (mut from, mut to, mut length) = (0, None, 0);
+    let (mut state, mut entered) = (usize::MAX, 0);
+    for (frame, next) in path.enumerate() {
+        if next != state {
+            (state, entered) = (next, frame);
+        }
+        length = frame + 1;
+        let dwell = (length - entered) as u64;
+        if state == 0 || waits_before(state, states, dwell) {
+            from = length.saturating_sub(2).max(from);
+        }
+        if to.is_none() && (state + 1 >= states || waits_after(state, states, dwell)) {
+            to = Some(entered + 2);
+        }
+    }
+    let to = to.unwrap_or(length).min(length);
+    from.min(to)..to
 }
 
 /// All repetitions, of any of the sizes of a movement, on the best path through a recording with `width` values per
@@ -83,4 +108,26 @@ pub(super) fn repetitions(observations: &[f64], width: usize, sizes: &[LogRatio]
         found.pop(); // the recording ends within it
     }
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A path through ten states that stays so long in each.
+    fn path(dwells: [usize; 10]) -> Vec<usize> {
+        dwells.into_iter().enumerate().flat_map(|(state, dwell)| std::iter::repeat_n(state, dwell)).collect()
+    }
+
+    #[test]
+    fn waiting_in_the_first_and_the_last_states_is_cut_to_two_frames() {
+        let cut = |dwells| trim(path(dwells).into_iter(), 10);
+        assert_eq!(cut([2; 10]), 0..20);
+        assert_eq!(cut([30, 2, 2, 2, 2, 2, 2, 2, 2, 30]), 28..48);
+        // Noise may let it wait in the second or the last but one just as well.
+        assert_eq!(cut([1, 40, 2, 2, 2, 2, 2, 2, 40, 1]), 39..55);
+        // Slow on the way is no waiting.
+        assert_eq!(cut([2, 2, 40, 2, 2, 2, 2, 2, 2, 2]), 0..58);
+        assert_eq!(cut([30, 0, 0, 0, 0, 0, 0, 0, 0, 0]), 28..30);
+    }
 }

@@ -6,15 +6,11 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::align::{waits_after, waits_before};
 use super::network::{Network, Place};
 
 /// Frames of waiting in the first state that count as the beginning of the movement.
 const BEFORE: u64 = 2;
-
-/// So many frames in one of the first or last states are waiting: five times as long as at the taught pace.
-const WAITING: u64 = 10;
-/// The first and the last states are one part in so many.
-const ENDS: usize = 5;
 
 /// What a frame on the path means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -57,7 +53,6 @@ impl Passage {
         self.dwell = if before == state { self.dwell + 1 } else { 1 };
         let Place::Within { exercise, state: within, .. } = network.place(state) else { return };
         let states = network.range(exercise, 0).len();
-        let waits = self.dwell > WAITING;
         if within == 0 {
             self.waiting += 1;
         } else if self.open.is_none() && !self.complete {
@@ -65,11 +60,11 @@ impl Passage {
             self.open = Some(start);
             mark(Mark::Begun { exercise, start });
         }
-        if waits && ENDS * (within + 1) <= states && self.open.is_some() {
+        if waits_before(within, states, self.dwell) && self.open.is_some() {
             self.open = Some(frame - BEFORE);
         }
         let arrived = before == state && within + 1 == states;
-        if (arrived || waits && ENDS * (states - within) <= states)
+        if (arrived || waits_after(within, states, self.dwell))
             && let Some(start) = self.open.take()
         {
             self.complete = true;
