@@ -2,13 +2,15 @@
 //!
 //! `-- --seeds 5` sets the number of seeds of the table of scenes, `--scene NAME` asks for one of them; `-- --map` compares the map alone instead, and with
 //! `--export DIR` writes the readings and targets that `benches/peers/field` gives to other libraries; `-- --body` solves
-//! sessions of simulated people.
+//! sessions of simulated people, `-- --spacing` states a wrong spacing of the pole.
 
 mod body;
 mod cpu;
 mod map;
 mod scenes;
 mod session;
+mod spacing;
+mod survey;
 mod table;
 
 fn main() {
@@ -23,6 +25,11 @@ fn main() {
         map::run(after("--export").as_deref().map(std::path::Path::new), after("--scene").as_deref());
     } else {
         let seeds = after("--seeds").and_then(|text| text.parse().ok()).unwrap_or(5);
-        table::run(seeds, after("--scene").as_deref());
+        let scene = after("--scene");
+        if arguments.iter().any(|argument| argument == "--spacing") {
+            spacing::run(seeds, scene.as_deref());
+        } else {
+            table::run(seeds, scene.as_deref());
+        }
     }
 }

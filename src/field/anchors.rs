@@ -81,7 +81,7 @@ pub(crate) struct Verdict {
     pub(crate) alignment: Aligned,
     /// Rms distance of the corrected readings from the surveyed points after it, m.
     pub(crate) rms_m: f64,
-    /// Longer by this share than surveyed, where that is certain.
+    /// Longer by this share than surveyed, where the survey is that exact.
     pub(crate) scale_error: Option<f64>,
 }
 
@@ -98,8 +98,8 @@ pub(crate) fn judge(
         return None;
     }
     let pairs: Vec<_> = corrected.iter().copied().zip(dwells.iter().map(|dwell| dwell.place)).collect();
-    let variance = dwells.iter().map(|dwell| dwell.variance_m2).sum::<f64>() / dwells.len() as f64
-        + sigma_m * sigma_m / 3.0;
+    let survey_m2 = dwells.iter().map(|dwell| dwell.variance_m2).sum::<f64>() / dwells.len() as f64;
+    let variance = survey_m2 + sigma_m * sigma_m / 3.0;
     let square = |motion: &Isometry3<f64>| {
         pairs
             .iter()
@@ -110,21 +110,22 @@ pub(crate) fn judge(
     let numbers = 3.0 * dwells.len() as f64;
     let agrees = square(&still) / variance < numbers + 3.0 * (2.0 * numbers).sqrt();
     let motion = if absolute && agrees { still } else { rigid(&pairs) };
-    let count = pairs.len() as f64;
-    let from = pairs.iter().map(|(a, _)| a).sum::<Vector3<f64>>() / count;
-    let to = pairs.iter().map(|(_, b)| b).sum::<Vector3<f64>>() / count;
-    let (mut a2, mut b2) = (0.0, 0.0);
-    for (a, b) in &pairs {
-        a2 += (a - from).norm_squared();
-        b2 += (b - to).norm_squared();
-    }
-    let scale = (a2 / b2).sqrt() - 1.0;
-    let sigma = (variance / b2).sqrt();
+    let surveyed_m2 = spread_m2(dwells.iter().map(|dwell| dwell.place));
+    let scale = (spread_m2(corrected.iter().copied()) / surveyed_m2).sqrt() - 1.0;
+    // How well the map is known does not matter here: one whose lengths are not those of the survey is wrong, and the nearest
+    // cause is the spacing. A wrong one also makes a map unsure of places, where it still knows lengths.
+    let sigma = (survey_m2 / surveyed_m2).sqrt();
     Some(Verdict {
         alignment: Aligned::from(&motion),
         rms_m: (square(&motion) / dwells.len() as f64).sqrt(),
         scale_error: (scale.abs() > LEAST_SCALE.max(3.0 * sigma)).then_some(scale),
     })
+}
+
+/// Sum of the squared distances of points from their middle, m^2.
+fn spread_m2(points: impl ExactSizeIterator<Item = Vector3<f64>> + Clone) -> f64 {
+    let middle = points.clone().sum::<Vector3<f64>>() / points.len().max(1) as f64;
+    points.map(|point| (point - middle).norm_squared()).sum()
 }
 
 /// Whether the points span a plane well enough to fix a rotation.

@@ -54,5 +54,5 @@ pub use pole::{PoleError, PoleFrame, PoleReading, PoleRun};
 pub use prepared::Prepared;
 pub use problem::MAX_SENSORS;
 pub use report::{Code, Reason, Report, Tried};
-pub use solve::{Solution, solve};
+pub use solve::{Solution, refit_pole, solve};
 pub use watch::{Cause, Seen, Warning, Watch, WatchSettings};

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::anchors::{Anchor, LEAST_ANCHORS, dwells, judge, rigid};
 use super::coverage;
 use super::estimate;
-use super::fit::HeldOut;
+use super::fit::{HeldOut, fit};
 use super::hull::Hull;
 use super::map::{Aligned, FieldMap, Uncertainty, VERSION, coarse};
 use super::model::{Model, Polynomial};
@@ -65,8 +65,7 @@ pub fn solve(mut run: PoleRun, anchors: &[Anchor], progress: &mut dyn FnMut(f64)
     report.covered = coverage.cells;
     report.reasons.extend(coverage.reasons);
     progress(0.05);
-    let weighting = FieldNoise { floor_m: noise.floor_m.hypot(MODEL_FLOOR_M), ..noise };
-    let problem = problem_of(&run, &weighting);
+    let problem = problem_of(&run, &with_model_floor(noise));
     let chosen = Selection::new(&problem).choose(&mut |share| progress(0.05 + 0.7 * share));
     let Some(Chosen { candidate, tried, polynomials }) = chosen else {
         let text = "the readings fit no pole at all".to_owned();
@@ -141,6 +140,18 @@ pub fn solve(mut run: PoleRun, anchors: &[Anchor], progress: &mut dyn FnMut(f64)
     };
     progress(1.0);
     Solution { map: Some(map), report, polynomials, rejected }
+}
+
+/// Where the readings of a pole alone lead a model from where it stands: begun at the truth, what no solver can do better.
+pub fn refit_pole(mut run: PoleRun, model: &Model) -> Option<Model> {
+    let raw_noise = estimate::noise(&run);
+    reject(&mut run, &raw_noise);
+    let noise = with_model_floor(estimate::noise(&run));
+    Some(fit(&problem_of(&run, &noise), model, 10)?.model)
+}
+
+fn with_model_floor(noise: FieldNoise) -> FieldNoise {
+    FieldNoise { floor_m: noise.floor_m.hypot(MODEL_FLOOR_M), ..noise }
 }
 
 /// Why a map cannot be right, whatever the held-out blocks say of it.

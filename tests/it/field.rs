@@ -7,6 +7,9 @@ mod scenes;
 #[path = "../../benches/field/session.rs"]
 mod session;
 
+#[path = "../../benches/field/survey.rs"]
+mod survey;
+
 use nalgebra::Vector3;
 use posed::field::{Anchor, Code, PoleReading, PoleRun, RejectReason, rigid, solve, solve_limbs};
 use scenes::{Run, SENSORS, SPACING_M, scenes};
@@ -16,12 +19,9 @@ use crate::cli::{json, posed};
 
 /// The first `frames` instants of a scene's recording.
 fn pole(run: &Run, frames: usize, spacing_m: f64) -> PoleRun {
-    let rows = run.frames.iter().zip(&run.t_s).take(frames).flat_map(|(frame, t_s)| {
-        frame.iter().enumerate().map(move |(sensor, sample)| {
-            (*t_s, sensor, PoleReading { position_m: sample.z, orientation: Some(sample.q) })
-        })
-    });
-    PoleRun::new((0..SENSORS).map(|k| k.to_string()).collect(), spacing_m, rows).unwrap()
+    let mut pole = survey::pole(run, spacing_m);
+    pole.frames.truncate(frames);
+    pole
 }
 
 fn scene(name: &str) -> scenes::Scene {
@@ -84,6 +84,20 @@ fn given_anchors_a_spacing_that_is_a_millimetre_off_is_told_and_a_right_one_is_n
         let solution = solve(pole(&run, 900, SPACING_M + wrong_m), &anchors, &mut |_| {});
         let told = solution.report.reasons.iter().any(|reason| reason.code == Code::Spacing);
         assert_eq!(told, expected, "{wrong_m} m: {:?}", solution.report);
+    }
+}
+
+/// A wrong spacing makes a map unsure of places, where it still knows lengths: it is told there, too.
+#[test]
+fn above_a_steel_floor_half_a_second_on_each_of_three_points_tells_a_wrong_spacing() {
+    let scene = scene("floor, low transmitter");
+    let run = scene.run(2);
+    for (wrong_m, expected) in [(0.001, true), (0.0, false)] {
+        let mut recording = pole(&run, 900, SPACING_M + wrong_m);
+        let anchors = survey::anchors(&scene, &run, &mut recording, 2);
+        let report = solve(recording, &anchors, &mut |_| {}).report;
+        let told = report.reasons.iter().any(|reason| reason.code == Code::Spacing);
+        assert_eq!(told, expected, "{wrong_m} m: {report:?}");
     }
 }
 
