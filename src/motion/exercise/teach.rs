@@ -59,9 +59,6 @@ const AT_REST: f64 = 0.6;
 /// How much movement as strong as the repetitions', left over before and after them, costs.
 const LEFT_OVER: f64 = 0.1;
 
-/// How much a repetition costs that ends elsewhere than it began.
-const OPEN: f64 = 0.6;
-
 /// What to teach.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
@@ -275,17 +272,15 @@ fn refine(
         alignments = found.iter().map(|repetition| repetition.path.clone()).collect();
         let announced = options.repetitions;
         let off = found.len().abs_diff(announced) as f64 / announced as f64;
-        let score = log_ratio * (1.0 - off).max(0.0).powi(2) * steadiness(&material, &movement, &found);
+        let score = log_ratio * (1.0 - off).max(0.0).powi(2) * steadiness(&material, &found, states);
         hypothesis = Some(Hypothesis { movement, found, smaller: Vec::new(), score });
     }
     hypothesis.map(|hypothesis| (material, hypothesis))
 }
 
 /// How likely the repetitions are cut at the right places, from 0 to 1: they follow each other without long gaps,
-/// begin and end where the movement is slow, each where it began, and leave no half of a movement over before the first
-/// and after the last.
-fn steadiness(material: &Material, movement: &Movement, found: &[Repetition]) -> f64 {
-    let states = movement.states.mean.first().map_or(0, Vec::len);
+/// begin and end where the movement is slow, and leave no half of a movement over before the first and after the last.
+fn steadiness(material: &Material, found: &[Repetition], states: usize) -> f64 {
     let ranges: Vec<_> = found.iter().map(|repetition| repetition.range(states)).collect();
     let (Some(first), Some(last)) = (ranges.first(), ranges.last()) else { return 0.0 };
     let busy: usize = ranges.iter().map(ExactSizeIterator::len).sum();
@@ -315,24 +310,7 @@ fn steadiness(material: &Material, movement: &Movement, found: &[Repetition]) ->
         .chain(last.end..(last.end + edge).min(material.frames()));
     let left_over = edges.map(|frame| speed(frame).min(2.0 * width as f64)).sum::<f64>() / (2 * edge) as f64;
     let complete = 1.0 - LEFT_OVER * (left_over / width as f64).min(1.0);
-    // One is enough: the last repetition and the way back to rest, taken together, are like the others otherwise.
-    let open = ranges.into_iter().map(|range| openness(material, movement, range)).fold(0.0, f64::max);
-    covered.sqrt() * at_rest * complete * (1.0 - OPEN * open)
-}
-
-/// How far from where it began a movement ends, from 0 to 1: all of its way.
-fn openness(material: &Material, movement: &Movement, frames: Range<usize>) -> f64 {
-    let width = material.width();
-    let (mut apart, mut way) = (0.0, 0.0);
-    for (channel, amplitude) in movement.amplitude[..width].iter().enumerate() {
-        let value = |frame: usize| material.observations[frame * 2 * width + channel] / amplitude;
-        let values = frames.clone().map(value).filter(|value| value.is_finite());
-        let Some((first, last)) = values.clone().next().zip(values.clone().next_back()) else { continue };
-        let (low, high) = range(values);
-        apart += (last - first).powi(2);
-        way += (high - low).powi(2);
-    }
-    if way > 0.0 { (apart / way).sqrt() } else { 0.0 }
+    covered.sqrt() * at_rest * complete
 }
 
 /// The repetitions that are like most of them, and the middle between the mean and the least of their log ratios per
