@@ -548,15 +548,15 @@ async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
     done(browser, posed).await;
 }
 
-/// An arm that curls five times in ten seconds, rests for eight, and so on for ten minutes; as poses for the simulator.
-///
-/// A browser may take longer to open than a set takes: whoever comes late finds the next one.
+/// An arm that curls five times from 30 s on, which leaves a slow browser the time to open, rests, and curls again and again from 48 s on;
+/// as poses for the simulator.
 fn write_curls(path: &Path) {
     let mut text = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");
-    for tick in 0..12_000 {
+    for tick in 0..6000 {
         let t_s = f64::from(tick) * 0.05;
-        let since_s = (t_s + 6.0) % 18.0 - 8.0;
-        let bend = if since_s >= 0.0 { 1.0 - (std::f64::consts::TAU * since_s / 2.0).cos() } else { 0.0 };
+        let (since_s, most) = if t_s < 48.0 { (t_s - 30.0, 5.0) } else { (t_s - 48.0, f64::INFINITY) };
+        let bending = since_s >= 0.0 && (since_s / 2.0).floor() < most;
+        let bend = if bending { 1.0 - (std::f64::consts::TAU * since_s / 2.0).cos() } else { 0.0 };
         let (s, c) = bend.sin_cos();
         let (half_s, half_c) = (0.5 * bend).sin_cos();
         let (x, z) = (0.5 + 0.25 * s, 0.3 - 0.25 * c);

@@ -15,7 +15,7 @@ use crate::cli::posed;
 use crate::server::harness::{Client, get};
 
 /// Longest wait for anything.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
 
 /// A daemon that serves; killed when dropped.
 pub(crate) struct Posed {
