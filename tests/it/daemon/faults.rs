@@ -29,7 +29,9 @@ async fn a_map_is_learnt_named_kept_and_loaded() {
     // Three seconds and a half of both sensors.
     let enough = frame["t_s"].as_f64().unwrap() + 3.5;
     until(&mut client, "more", |message| message["t_s"].as_f64().is_some_and(|t_s| t_s > enough)).await;
-    ok(&mut client, json!({"type": "faults.train"})).await;
+    // Another asks: the event may come before the answer.
+    let mut operator = daemon.subscriber(&["status"]).await;
+    ok(&mut operator, json!({"type": "faults.train"})).await;
     let map = until(&mut client, "the map", |message| message["event"] == "map").await;
     assert_eq!((&map["revision"], &map["rows"]), (&json!(1), &json!(21)));
     assert_eq!(map["sensors"], json!(["of one", "of two"]));
@@ -37,8 +39,6 @@ async fn a_map_is_learnt_named_kept_and_loaded() {
     let frame = until(&mut client, "its labels", |message| !message["fault"]["cell"].is_null()).await;
     assert!(frame["sensors"][0]["fault"]["label"].is_string(), "{frame}");
 
-    // Another asks: the event may come before the answer.
-    let mut operator = daemon.subscriber(&["status"]).await;
     let named = ok(&mut operator, cell).await;
     assert_eq!(named, json!({"revision": 2, "file": "faults-002.json"}));
     let map = until(&mut client, "the renamed map", |message| message["event"] == "map").await;
