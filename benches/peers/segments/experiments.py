@@ -197,10 +197,9 @@ def with_keras(run, folder, tests, classes):
         return x, y, weight
 
     train = [load(path) for path in sorted(folder.glob("*.csv.gz"))]
-    # The paper's image, as posed makes it: each axis from 0 to 1, all joints on one scale.
-    axes = np.concatenate([x.reshape(-1, 3) for x, _, _ in train])
-    low = np.tile(axes.min(axis=0), train[0][0].shape[1] // 3)
-    span = np.tile(axes.max(axis=0), train[0][0].shape[1] // 3) - low + 1e-6
+    # The paper's image, as posed makes it: each coordinate of each joint from 0 to 1.
+    low = np.min([x.min(axis=0) for x, _, _ in train], axis=0)
+    span = np.max([x.max(axis=0) for x, _, _ in train], axis=0) - low + 1e-6
 
     def batch(x, y, weight):
         pad = -len(x) % 4
@@ -310,7 +309,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=pathlib.Path)
     parser.add_argument("--posed", default="target/release/posed")
-    parser.add_argument("--only", nargs="+", default=["dt-fcn", *PEERS])
+    parser.add_argument("--only", nargs="+", default=["dt-fcn", TWIN, *PEERS])
     parser.add_argument("--table", action="store_true")
     args = parser.parse_args()
     kept = args.work / "results.jsonl"

@@ -18,6 +18,9 @@ pub(crate) struct Args {
     /// Joint rows of the input: 224 is the paper's image (663562 parameters), 19 the joints themselves (545482).
     #[arg(long, default_value_t = 19, value_parser = clap::value_parser!(u32).range(1..=1024))]
     rows: u32,
+    /// Joints, to which an image of other rows is folded once it is trained.
+    #[arg(long, default_value_t = 19, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    joints: u32,
     /// Frames of the sequence.
     #[arg(long, default_value_t = 1300, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
@@ -36,14 +39,15 @@ pub(crate) struct Args {
 #[derive(Serialize)]
 struct Answer {
     rows: u32,
+    joints: u32,
     frames: u32,
     threads: u32,
     repeat: u32,
     parameters: usize,
-    /// One sequence forwards.
+    /// One sequence forwards, with a row per joint.
     inference_ms: f64,
     inference_least_ms: f64,
-    /// One sequence forwards and backwards.
+    /// One sequence forwards and backwards, with the rows that were asked for.
     step_ms: f64,
     step_least_ms: f64,
     /// One frame of a stream.
@@ -58,7 +62,13 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let network = Network::<f32>::random(shape.clone(), &mut rng);
     let frames = args.frames as usize;
-    let x: Vec<f32> = (0..frames * shape.inputs).map(|_| rng.random_range(0.0..1.0)).collect();
+    let mut draw = |network: &Network<f32>| -> Vec<f32> {
+        (0..frames * network.shape().inputs).map(|_| rng.random_range(0.0..1.0)).collect()
+    };
+    let x = draw(&network);
+    // A trained network is folded before it labels anything.
+    let labelling = network.folded(args.rows as usize, args.joints as usize);
+    let joints = draw(&labelling);
     let truth: Vec<u16> = (0..frames).map(|frame| (frame / 97 % classes) as u16).collect();
     let weights = vec![1.0; frames];
     let mut work = Workspace::default();
@@ -74,17 +84,17 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         times.sort_by(f64::total_cmp);
         (times[times.len() / 2], times[0])
     };
-    let (inference_ms, inference_least_ms) = times(&mut || network.forward(&x, &[], &mut work));
+    let (inference_ms, inference_least_ms) = times(&mut || labelling.forward(&joints, &[], &mut work));
     let (mut gradient, mut slope) = (vec![0.0; shape.parameters()], Vec::new());
     let (step_ms, step_least_ms) = times(&mut || {
         network.forward(&x, &[], &mut work);
         cross_entropy(work.scores(), classes, &truth, &weights, 0.0, &mut slope);
         network.backward(&x, &[], &slope, &mut work, &mut gradient, None);
     });
-    let mut stream = Stream::new(&network);
+    let mut stream = Stream::new(&labelling);
     let (stream_ms, _) = times(&mut || {
-        for row in x.chunks_exact(shape.inputs) {
-            std::hint::black_box(stream.push(&network, row));
+        for row in joints.chunks_exact(labelling.shape().inputs) {
+            std::hint::black_box(stream.push(&labelling, row));
         }
     });
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads as usize).build();
@@ -92,11 +102,12 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let start = Instant::now();
     pool.broadcast(|_| {
         let mut work = Workspace::default();
-        (0..args.repeat).for_each(|_| network.forward(&x, &[], &mut work));
+        (0..args.repeat).for_each(|_| labelling.forward(&joints, &[], &mut work));
     });
     let sequences_per_s = f64::from(args.threads * args.repeat) / start.elapsed().as_secs_f64();
     let answer = Answer {
         rows: args.rows,
+        joints: args.joints,
         frames: args.frames,
         threads: args.threads,
         repeat: args.repeat,

@@ -59,7 +59,7 @@ pub(crate) struct Args {
     /// Do not change the sequences (turn, mirror, stretch, scale, drop joints) while learning.
     #[arg(long)]
     no_augmentation: bool,
-    /// Train as the paper does: joint positions from 0 to 1 at the files' own rate, nothing changed, no durations.
+    /// Train as the paper does: each coordinate from 0 to 1 at the files' own rate, nothing changed, no durations.
     #[arg(long)]
     paper: bool,
     /// Joint rows of the paper's image (with --paper); one per joint if absent.

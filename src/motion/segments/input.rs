@@ -18,6 +18,8 @@ const SPEEDS_S: f64 = 0.5;
 /// Smallest scale of a feature, as a share of the root mean square scale of its kind: what hardly moves in the
 /// training set is not blown up to the size of what does.
 const FLOOR: f64 = 0.3;
+/// Smallest span of a coordinate in the paper's image, as a share of the largest.
+const LEAST_SPAN: f64 = 0.01;
 
 /// A position, if it is known.
 pub type Position = Option<[f64; 3]>;
@@ -86,7 +88,7 @@ impl Preparation {
             Self { joints, rate_hz, features, pairs, offset: Vec::new(), scale: Vec::new(), size_m: 0.0 };
         let raw = preparation.raw_features();
         let (mut sum, mut squares, mut counts) = (vec![0.0; raw], vec![0.0; raw], vec![0.0_f64; raw]);
-        let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+        let (mut low, mut high) = (vec![f64::INFINITY; raw], vec![f64::NEG_INFINITY; raw]);
         for sequence in sequences {
             let mut memory = Memory::default();
             for positions in sequence.chunks_exact(preparation.joints.len()) {
@@ -100,8 +102,8 @@ impl Preparation {
                     counts[index] += 1.0;
                     sum[index] += value;
                     squares[index] += value * value;
-                    low[index % 3] = low[index % 3].min(value);
-                    high[index % 3] = high[index % 3].max(value);
+                    low[index] = low[index].min(value);
+                    high[index] = high[index].max(value);
                 }
             }
         }
@@ -124,10 +126,13 @@ impl Preparation {
                 preparation.scale.extend(part.iter().map(|d| (1.0 / d.max(floor)) as f32));
             }
         } else {
-            // The paper's image: each axis from 0 to 1.
-            preparation.offset = (0..raw).map(|index| low[index % 3] as f32).collect();
-            preparation.scale =
-                (0..raw).map(|index| (1.0 / (high[index % 3] - low[index % 3]).max(1e-9)) as f32).collect();
+            // The paper's image: each coordinate of each joint from 0 to 1. On one scale per axis for all joints, as
+            // the paper may be read as well, a network hardly sees what moves little (`docs/segments.md`).
+            let low = |index: usize| if counts[index] > 0.0 { low[index] } else { 0.0 };
+            let span = |index: usize| (high[index] - low(index)).max(0.0);
+            let floor = (LEAST_SPAN * (0..raw).map(span).fold(0.0, f64::max)).max(1e-9);
+            preparation.offset = (0..raw).map(|index| low(index) as f32).collect();
+            preparation.scale = (0..raw).map(|index| (1.0 / span(index).max(floor)) as f32).collect();
         }
         preparation
     }
@@ -257,14 +262,18 @@ impl Preparation {
     }
 }
 
+/// The joints that a row of an image of `rows` rows lies between, and its share of the second.
+pub(super) fn neighbours(row: usize, rows: usize, joints: usize) -> ([usize; 2], f32) {
+    let place = ((row as f32 + 0.5) * joints as f32 / rows as f32 - 0.5).clamp(0.0, joints as f32 - 1.0);
+    let below = place as usize;
+    ([below, (below + 1).min(joints - 1)], place - below as f32)
+}
+
 /// Stretches an image of `joints` rows to `rows`, linearly between the centres of the rows.
 fn resize(raw: &[f32], joints: usize, rows: usize, out: &mut Vec<f32>) {
     let channels = raw.len() / joints.max(1);
     for row in 0..rows {
-        let place = ((row as f32 + 0.5) * joints as f32 / rows as f32 - 0.5).clamp(0.0, joints as f32 - 1.0);
-        let below = place as usize;
-        let above = (below + 1).min(joints - 1);
-        let share = place - below as f32;
+        let ([below, above], share) = neighbours(row, rows, joints);
         for channel in 0..channels {
             let (a, b) = (raw[below * channels + channel], raw[above * channels + channel]);
             out.push(a + share * (b - a));

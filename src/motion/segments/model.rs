@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
-use super::input::Preparation;
+use super::input::{Features, Preparation};
 use super::network::{Network, Shape};
 use super::train::Options;
 
@@ -151,7 +151,8 @@ impl Model {
         safetensors::serialize(views, metadata).map_err(|error| format(&error))
     }
 
-    /// Reads a file's bytes.
+    /// Reads a file's bytes. A network that was trained on an image of more rows than joints comes back with a row per
+    /// joint, which gives the same scores for less work.
     ///
     /// # Errors
     /// They are no model, of another version, or damaged.
@@ -188,7 +189,16 @@ impl Model {
         }
         let network =
             Network::new(card.shape.clone(), parameters).ok_or_else(|| damaged("weights are missing"))?;
-        Ok(Self { card, network })
+        Ok(Self { card, network }.folded())
+    }
+
+    fn folded(mut self) -> Self {
+        let Some(rows) = self.card.preparation.features.rows else { return self };
+        let joints = self.card.preparation.joints.len();
+        self.network = self.network.folded(rows, joints);
+        self.card.preparation.features.rows = None;
+        self.card.shape = self.network.shape().clone();
+        self
     }
 }
 
@@ -205,6 +215,8 @@ impl Card {
             preparation.inputs() == shape.inputs && shape.inputs <= 1_000_000,
             "as many features as inputs",
         )?;
+        let Features { rows, velocities, speeds, .. } = preparation.features;
+        check(rows.is_none_or(|rows| rows > 0 && !velocities && !speeds), "an image of positions only")?;
         check(preparation.numbers_fit(), "offset and scale per feature")?;
         check((1..=9).contains(&shape.width) && shape.width % 2 == 1, "an odd width from 1 to 9")?;
         check((1..=8).contains(&shape.filters.len()), "1 to 8 layers")?;

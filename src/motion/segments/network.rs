@@ -10,6 +10,7 @@
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
+use super::input::neighbours;
 use super::layer::Layer;
 use super::real::Real;
 
@@ -132,6 +133,32 @@ impl<R: Real> Network<R> {
             parameters.extend((0..layer.weights()).map(|_| R::of(rng.random_range(-bound..bound))));
             parameters.extend((0..layer.outputs).map(|_| R::ZERO));
         }
+        Self { shape, layers, parameters }
+    }
+
+    /// The network that gives these scores for the joints themselves, this one being for an image of them that is
+    /// resized to `rows`: resizing is linear, and goes into the first layer.
+    ///
+    /// # Panics
+    /// The inputs are no whole number of rows.
+    pub fn folded(&self, rows: usize, joints: usize) -> Self {
+        let image = self.layers[0];
+        assert_eq!(image.inputs % rows, 0, "whole rows");
+        let channels = image.inputs / rows;
+        let size = channels * image.outputs;
+        let (weights, others) = self.parameters.split_at(image.weights());
+        let mut parameters = vec![R::ZERO; image.width * joints * size];
+        for (index, weights) in weights.chunks_exact(size).enumerate() {
+            let (tap, row) = (index / rows, index % rows);
+            let ([below, above], share) = neighbours(row, rows, joints);
+            for (joint, share) in [(below, 1.0 - share), (above, share)] {
+                let sums = &mut parameters[(tap * joints + joint) * size..][..size];
+                sums.iter_mut().zip(weights).for_each(|(sum, weight)| *sum += R::of(share.into()) * *weight);
+            }
+        }
+        parameters.extend_from_slice(others);
+        let shape = Shape { inputs: joints * channels, ..self.shape.clone() };
+        let layers = shape.layers();
         Self { shape, layers, parameters }
     }
 

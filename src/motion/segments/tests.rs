@@ -93,6 +93,20 @@ fn it_learns_and_survives_its_file_and_a_missing_joint() {
 }
 
 #[test]
+fn an_image_of_more_rows_is_folded_into_the_first_layer() {
+    let features = Features { rows: Some(24), ..Features::default() };
+    let (model, _) = trained(Options { epochs: 1, features, ..options() });
+    let folded = Model::from_bytes(&model.to_bytes().unwrap()).unwrap();
+    assert_eq!((model.network.shape().inputs, folded.network.shape().inputs), (72, 15));
+    assert_eq!(Model::from_bytes(&folded.to_bytes().unwrap()).unwrap(), folded);
+    let (mut sequence, ..) = sequence(4, 4);
+    sequence.positions_m.iter_mut().step_by(7).for_each(|position| *position = None);
+    for (image, joints) in label(&model, &sequence).iter().zip(label(&folded, &sequence)) {
+        assert!(image.0 == joints.0 && (image.1 - joints.1).abs() < 1e-4, "{image:?} {joints:?}");
+    }
+}
+
+#[test]
 fn training_depends_on_the_seed_alone_and_goes_on_where_it_stopped() {
     let options = Options { epochs: 3, ..options() };
     let (model, epochs) = trained(options.clone());
@@ -213,7 +227,16 @@ fn features_are_the_body_s_own() {
     let features = preparation.push(&[None; 5], &mut memory);
     // The mean speeds stay as they were.
     assert!(features[..15].iter().all(|value| *value == 0.0), "{features:?}");
-    // The paper's image: from 0 to 1, resized.
+    // The paper's image: every coordinate of every joint from 0 to 1.
+    let image = learn(Features::default());
+    let (mut memory, mut span) = (Memory::default(), vec![(1.0_f32, 0.0_f32); image.inputs()]);
+    for frame in 0..sequence.frames() {
+        for ((low, high), value) in span.iter_mut().zip(image.push(sequence.positions(frame), &mut memory)) {
+            (*low, *high) = (low.min(*value), high.max(*value));
+        }
+    }
+    assert!(span.iter().all(|(low, high)| low.abs() < 1e-5 && (high - 1.0).abs() < 1e-5), "{span:?}");
+    // Resized.
     let image = learn(Features { rows: Some(16), ..Features::default() });
     assert_eq!(image.inputs(), 16 * 3);
     let mut memory = Memory::default();

@@ -110,7 +110,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The paper's training: whole sequences, one per step, Adam at a constant 1e-3, joint positions from 0 to 1.
+    /// The paper's training: whole sequences, one per step, Adam at a constant 1e-3, each coordinate from 0 to 1.
     pub fn paper() -> Self {
         Self {
             epochs: 25,
