@@ -21,6 +21,7 @@ mod session;
 mod source;
 mod status;
 mod units;
+mod unpack;
 
 use nalgebra::Isometry3;
 use posed_drivers::{LineEvent, Sample, Timestamp, session::Output as SessionOutput};
@@ -237,7 +238,7 @@ impl Pipeline {
     /// # Errors
     /// The bytes are no snapshot of this version, or of a stage with other devices or sensors.
     pub fn restore(stage: &Stage, snapshot: &[u8]) -> Result<Self, PipelineError> {
-        let pipeline: Self = rmp_serde::from_slice(snapshot)?;
+        let pipeline: Self = unpack::from_slice(snapshot)?;
         let devices =
             pipeline.devices.iter().map(|device| &device.name).eq(stage.devices.iter().map(|d| &d.name));
         let sensors =
