@@ -291,13 +291,31 @@ fn strapped(folder: &Path, activity: &str, worn: &[(&str, &str)]) -> std::path::
     path
 }
 
-/// The page of a stage whose body is to be calibrated, and it has begun.
+/// The button that begins a calibration of the body, and what it prompts.
+const CALIBRATE: [&str; 2] = ["calibrate", "prompt"];
+
+/// Begins what guides somebody, sees one of its steps, and waits for its end. Asked to begin again, as happens where a busy
+/// machine's records have gaps, somebody does.
+async fn guided(browser: &mut Browser, [button, prompt]: [&str; 2], step: &str, end: &str) {
+    let prompt = format!("document.getElementById('{prompt}').textContent");
+    let ended = format!("{prompt}.includes('{end}')");
+    for _ in 0..5 {
+        browser.click(button).await;
+        browser.until(&format!("{prompt}.startsWith('{step}')")).await;
+        browser.until(&format!("{ended} || {prompt}.includes('begin again')")).await;
+        if browser.value(&ended).await == true {
+            return;
+        }
+    }
+    panic!("{step}: never to its end");
+}
+
+/// The page of a stage whose body is to be calibrated.
 async fn calibrating(stage: &Path, how: &str) -> (Posed, Browser) {
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
     browser.until("document.getElementById('problems').textContent.includes('calibrate the body')").await;
     browser.value(&format!("document.getElementById('calibrate-how').value = '{how}'")).await;
-    browser.click("calibrate").await;
     (posed, browser)
 }
 
@@ -308,10 +326,7 @@ async fn a_body_is_calibrated_in_the_browser_and_then_stands() {
     }
     let folder = tempfile::tempdir().unwrap();
     let (posed, mut browser) = calibrating(&posing(folder.path()), "quick").await;
-    browser
-        .until("document.getElementById('prompt').textContent.startsWith('2 of 2: Raise both arms')")
-        .await;
-    browser.until("document.getElementById('prompt').textContent.includes('mounting is known')").await;
+    guided(&mut browser, CALIBRATE, "2 of 2: Raise both arms", "mounting is known").await;
     browser.until("document.getElementById('mounting').rows.length === 10").await;
     browser.picture("mounting").await;
     browser.click("tab-stage-view").await;
@@ -330,14 +345,8 @@ async fn swapped_sensors_are_found_in_the_browser() {
     let folder = tempfile::tempdir().unwrap();
     let swapped = [("upper_arm_r", "forearm_r"), ("forearm_r", "upper_arm_r")];
     let (posed, mut browser) = calibrating(&strapped(folder.path(), "movements", &swapped), "assign").await;
-    browser
-        .until("document.getElementById('prompt').textContent.startsWith('4 of 6: Bend the right elbow')")
-        .await;
-    browser
-        .until(
-            "document.getElementById('prompt').textContent.includes('upper_arm_r sits on forearm_r: the stage file says otherwise')",
-        )
-        .await;
+    let found = "upper_arm_r sits on forearm_r: the stage file says otherwise";
+    guided(&mut browser, CALIBRATE, "4 of 6: Bend the right elbow", found).await;
     assert_eq!(browser.row("mounting", 1).await[..2], ["upper_arm_r", "forearm_r"]);
     // The body shows who sits where, and goes on from there.
     let mut client = posed.subscriber(&["body"]).await;
@@ -414,27 +423,16 @@ async fn the_stage_is_aligned_in_the_browser() {
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
     browser.until(LIVE).await;
-    let prompt = "document.getElementById('align-prompt').textContent";
-    let known = format!("{prompt}.includes('it is known how')");
-    // A busy machine's records have gaps, and then it says to begin again.
-    for _ in 0..5 {
-        browser.click("align").await;
-        browser.until(&format!("{prompt}.startsWith('turn the sensor')")).await;
-        browser.until(&format!("{known} || {prompt}.includes('begin again')")).await;
-        if browser.value(&known).await == true {
-            break;
-        }
-    }
-    browser.until(&known).await;
+    guided(&mut browser, ["align", "align-prompt"], "turn the sensor", "it is known how").await;
     let keys = browser.value("document.getElementById('align-keys').textContent").await;
     let keys = keys.as_str().unwrap();
     let number = |key: &str, at: usize| -> f64 {
         let (_, list) = keys.split_once(&format!("{key} = [")).unwrap_or_else(|| panic!("{keys}"));
         list.split([',', ']']).nth(at).unwrap().trim().parse().unwrap()
     };
-    // Tilted by ten degrees about y, and by nothing about x; the compass decides on the heading.
-    assert!((number("orientation_wxyz", 2) - 0.0872).abs() < 0.0045, "{keys}");
-    // Coarse: when records arrive depends on the machine. `fusion::align` has its own tests.
+    // Tilted by ten degrees about y, and by nothing about x; the compass decides on the heading. All of it coarse: when records
+    // arrive depends on the machine, and `fusion::align` has its own tests.
+    assert!((number("orientation_wxyz", 2) - 0.0872).abs() < 0.009, "{keys}");
     for (at, truth_m) in [0.021, -0.013, 0.034].into_iter().enumerate() {
         assert!((number("offset_m", at) - truth_m).abs() < 0.012, "{keys}");
     }
@@ -546,10 +544,7 @@ async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
     write_links(&folder.path().join("links.csv"));
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
-    browser.click("calibrate").await;
-    let text = |id: &str| format!("document.getElementById('{id}').textContent");
-    browser.until(&format!("{}.startsWith('2 of 2: Bend every hinge')", text("prompt"))).await;
-    browser.until(&format!("{}.includes('axes of the chain are known')", text("prompt"))).await;
+    guided(&mut browser, CALIBRATE, "2 of 2: Bend every hinge", "axes of the chain are known").await;
     assert_eq!(browser.row("mounting", 0).await[0], "knee");
     browser.click("tab-analysis").await;
     browser.until("document.getElementById('joint-choice').value === 'knee'").await;
