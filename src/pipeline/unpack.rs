@@ -31,10 +31,6 @@ struct Unpack<'a> {
 const NIL: u8 = 0xc0;
 
 impl Unpack<'_> {
-    fn is(&self, marker: u8) -> bool {
-        self.rest.first() == Some(&marker)
-    }
-
     /// Small enough to leave to `rmp_serde`.
     fn scalar<'de, T: Deserialize<'de>>(&mut self) -> Result<T, Error> {
         T::deserialize(&mut rmp_serde::Deserializer::new(&mut self.rest))
@@ -56,10 +52,10 @@ fn ended() -> Error {
     Error::InvalidDataRead(std::io::ErrorKind::UnexpectedEof.into())
 }
 
-macro_rules! scalars {
-    ($($method:ident $visit:ident)*) => {
+macro_rules! plain {
+    ($($method:ident $visit:ident $read:ident)*) => {
         $(fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
-            visitor.$visit(self.scalar()?)
+            visitor.$visit(self.$read()?)
         })*
     };
 }
@@ -67,31 +63,22 @@ macro_rules! scalars {
 impl<'de> Deserializer<'de> for &mut Unpack<'_> {
     type Error = Error;
 
-    scalars! {
-        deserialize_bool visit_bool
-        deserialize_i8 visit_i8
-        deserialize_i16 visit_i16
-        deserialize_i32 visit_i32
-        deserialize_i64 visit_i64
-        deserialize_u8 visit_u8
-        deserialize_u16 visit_u16
-        deserialize_u32 visit_u32
-        deserialize_u64 visit_u64
-        deserialize_f32 visit_f32
-        deserialize_f64 visit_f64
-        deserialize_char visit_char
-    }
-
-    fn deserialize_str<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
-        visitor.visit_str(self.text()?)
-    }
-
-    fn deserialize_string<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
-        visitor.visit_str(self.text()?)
-    }
-
-    fn deserialize_identifier<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
-        visitor.visit_str(self.text()?)
+    plain! {
+        deserialize_bool visit_bool scalar
+        deserialize_i8 visit_i8 scalar
+        deserialize_i16 visit_i16 scalar
+        deserialize_i32 visit_i32 scalar
+        deserialize_i64 visit_i64 scalar
+        deserialize_u8 visit_u8 scalar
+        deserialize_u16 visit_u16 scalar
+        deserialize_u32 visit_u32 scalar
+        deserialize_u64 visit_u64 scalar
+        deserialize_f32 visit_f32 scalar
+        deserialize_f64 visit_f64 scalar
+        deserialize_char visit_char scalar
+        deserialize_str visit_str text
+        deserialize_string visit_str text
+        deserialize_identifier visit_str text
     }
 
     fn deserialize_bytes<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
@@ -104,8 +91,8 @@ impl<'de> Deserializer<'de> for &mut Unpack<'_> {
     }
 
     fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
-        if self.is(NIL) {
-            self.take(1)?;
+        if let [NIL, rest @ ..] = self.rest {
+            self.rest = rest;
             return visitor.visit_none();
         }
         visitor.visit_some(self)
@@ -124,9 +111,7 @@ impl<'de> Deserializer<'de> for &mut Unpack<'_> {
 
     fn deserialize_seq<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
         let left = read_array_len(&mut self.rest)?;
-        let mut items = Items { unpack: self, left };
-        let value = visitor.visit_seq(&mut items)?;
-        items.end(value)
+        Items { unpack: self, left }.all(|items| visitor.visit_seq(items))
     }
 
     fn deserialize_tuple<V: Visitor<'de>>(self, _: usize, visitor: V) -> Result<V::Value, Error> {
@@ -144,9 +129,7 @@ impl<'de> Deserializer<'de> for &mut Unpack<'_> {
 
     fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
         let left = read_map_len(&mut self.rest)?;
-        let mut items = Items { unpack: self, left };
-        let value = visitor.visit_map(&mut items)?;
-        items.end(value)
+        Items { unpack: self, left }.all(|items| visitor.visit_map(items))
     }
 
     fn deserialize_struct<V: Visitor<'de>>(self, _: &str, _: &[&str], visitor: V) -> Result<V::Value, Error> {
@@ -180,7 +163,9 @@ struct Items<'a, 'b> {
 }
 
 impl Items<'_, '_> {
-    fn end<T>(self, value: T) -> Result<T, Error> {
+    /// What `visit` makes of them; it must take them all.
+    fn all<T>(mut self, visit: impl FnOnce(&mut Self) -> Result<T, Error>) -> Result<T, Error> {
+        let value = visit(&mut self)?;
         if self.left == 0 { Ok(value) } else { Err(Error::LengthMismatch(self.left)) }
     }
 
