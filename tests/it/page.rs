@@ -423,19 +423,27 @@ async fn the_stage_is_aligned_in_the_browser() {
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
     browser.until(LIVE).await;
-    guided(&mut browser, ["align", "align-prompt"], "turn the sensor", "it is known how").await;
-    let keys = browser.value("document.getElementById('align-keys').textContent").await;
-    let keys = keys.as_str().unwrap();
-    let number = |key: &str, at: usize| -> f64 {
-        let (_, list) = keys.split_once(&format!("{key} = [")).unwrap_or_else(|| panic!("{keys}"));
-        list.split([',', ']']).nth(at).unwrap().trim().parse().unwrap()
+    // Tilted by ten degrees about y, and by nothing about x; the compass decides on the heading.
+    let right = |keys: &str| {
+        let number = |key: &str, at: usize| -> f64 {
+            let (_, list) = keys.split_once(&format!("{key} = [")).unwrap_or_else(|| panic!("{keys}"));
+            list.split([',', ']']).nth(at).unwrap().trim().parse().unwrap()
+        };
+        let mut offset = [0.021, -0.013, 0.034].into_iter().enumerate();
+        (number("orientation_wxyz", 2) - 0.0872).abs() < 0.0045
+            && offset.all(|(at, truth_m)| (number("offset_m", at) - truth_m).abs() < 0.005)
     };
-    // Tilted by ten degrees about y, and by nothing about x; the compass decides on the heading. All of it coarse: when records
-    // arrive depends on the machine, and `fusion::align` has its own tests.
-    assert!((number("orientation_wxyz", 2) - 0.0872).abs() < 0.009, "{keys}");
-    for (at, truth_m) in [0.021, -0.013, 0.034].into_iter().enumerate() {
-        assert!((number("offset_m", at) - truth_m).abs() < 0.012, "{keys}");
+    let mut keys = String::new();
+    // Records that come late on a busy machine cost accuracy: who is asked for it aligns again.
+    for _ in 0..3 {
+        guided(&mut browser, ["align", "align-prompt"], "turn the sensor", "it is known how").await;
+        let shown = browser.value("document.getElementById('align-keys').textContent").await;
+        shown.as_str().unwrap().clone_into(&mut keys);
+        if right(&keys) {
+            break;
+        }
     }
+    assert!(right(&keys), "{keys}");
     browser.picture("alignment").await;
     done(browser, posed).await;
 }
@@ -609,8 +617,11 @@ async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_devic
     let counted = "[...document.getElementById('repetitions').rows].map((row) => [...row.cells].map((cell) => \
         cell.textContent)).filter((cells) => cells[1] === 'curl' && cells[4] === 'counted')";
     browser.until(&format!("{counted}.length >= 3")).await;
-    let repetition = browser.value(&format!("{counted}[0][2]")).await;
-    // Of the two seconds the slow ones at either end are rest; nobody's two repetitions are one.
-    assert!((0.5..3.0).contains(&repetition.as_str().unwrap().parse().unwrap()), "{repetition}");
+    // The middle one: a busy machine's first record of one may be late.
+    let middle = "sort((a, b) => a - b)[1]";
+    let repetition =
+        browser.value(&format!("{counted}.slice(0, 3).map((cells) => Number(cells[2])).{middle}")).await;
+    // Of the two seconds the slow ones at either end are rest.
+    assert!((0.5..2.5).contains(&repetition.as_f64().unwrap()), "{repetition}");
     done(browser, posed).await;
 }
