@@ -297,7 +297,7 @@ def table(results):
                   " | ".join(cell(network=network, **want) for network in ["dt-fcn", *PEERS]), "|")
     print("\n| network | parameters | edit | F1@10 | F1@25 | F1@50 | wall s per run | CPU s |")
     print("|---" * 8 + "|")
-    for network in ["dt-fcn", *PEERS]:
+    for network in ["dt-fcn", TWIN, *PEERS]:
         found = [r for r in results if r["network"] == network and r["noise"] == 0 and r["width"] == 3 and r["border"] == r["mask"] == 0]
         if found:
             mean = {k: sum(r[k] for r in found) / len(found) for k in ("edit", "f1_10", "f1_25", "f1_50", "wall_s", "cpu_s")}
