@@ -307,10 +307,15 @@ fn simulated_people_are_counted_corrected_and_otherwise_left_alone() {
     }
 }
 
-/// Rest before the first repetition may be spent in the second state of the model as well as in the first.
+/// Who stands still for long before the first repetition, and who goes to a wall first and away from it at last.
 #[test]
-fn who_stands_still_before_the_first_repetition_is_taught_by_all_five() {
-    for (person, day, training) in [(10_007, 0, Training::Curl), (10_039, 300, Training::ShoulderRaise)] {
+fn repetitions_are_cut_where_they_begin_and_end_whatever_is_before_and_after_them() {
+    for (person, day, training) in [
+        (10_007, 0, Training::Curl),
+        (10_039, 300, Training::ShoulderRaise),
+        (10_053, 100, Training::WallPushUp),
+        (10_057, 100, Training::WallPushUp),
+    ] {
         let example = set(person, day, training, 5, Variant::Right);
         let seen = lesson(training, &example).report.repetitions;
         for (seen, truth) in seen.iter().zip(&example.repetitions) {

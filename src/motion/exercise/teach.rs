@@ -59,6 +59,9 @@ const AT_REST: f64 = 0.6;
 /// How much movement as strong as the repetitions', left over before and after them, costs.
 const LEFT_OVER: f64 = 0.1;
 
+/// How much a repetition costs that ends elsewhere than it began.
+const OPEN: f64 = 0.6;
+
 /// What to teach.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
@@ -148,6 +151,8 @@ struct Hypothesis {
     /// Those of them that are alike but smaller.
     smaller: Vec<Repetition>,
     score: f64,
+    /// How far from where it began the worst of the repetitions ends, from 0 to 1: all of its way.
+    open: f64,
 }
 
 /// Teaches an exercise.
@@ -167,7 +172,7 @@ pub fn teach(stream: &Stream<'_>, options: &Options) -> Result<Lesson, Refusal> 
     if longest < shortest {
         return Err(Refusal::TooShort { seconds, announced });
     }
-    let mut best: Option<Hypothesis> = None;
+    let mut hypotheses = Vec::new();
     for period in periods(&coarse.values, coarse.width(), coarse.rate_hz, [shortest, longest], PERIODS) {
         for starts in starts_of(&coarse, period, announced) {
             for phase in 0..PHASES {
@@ -177,17 +182,15 @@ pub fn teach(stream: &Stream<'_>, options: &Options) -> Result<Lesson, Refusal> 
                 if segments.len() + 1 < announced {
                     continue;
                 }
-                let Some((_, hypothesis)) = refine(&coarse, &segments, options, ROUNDS) else { continue };
-                if best.as_ref().is_none_or(|best| hypothesis.score > best.score) {
-                    best = Some(hypothesis);
-                }
+                let refined = refine(&coarse, &segments, options, ROUNDS);
+                hypotheses.extend(refined.map(|(_, hypothesis)| hypothesis));
             }
         }
     }
-    let Some(best) = best else { return Err(Refusal::NothingRepeats(announced)) };
+    let Some(best) = best_of(&hypotheses) else { return Err(Refusal::NothingRepeats(announced)) };
     let fine = material(stream, options, RATE_HZ)?;
     let factor = fine.rate_hz / coarse.rate_hz;
-    let segments: Vec<_> = segments_of(&best)
+    let segments: Vec<_> = segments_of(best)
         .iter()
         .filter_map(|segment| {
             moved(segment.start as f64 * factor, 0.0, segment.len() as f64 * factor, fine.frames())
@@ -202,6 +205,17 @@ pub fn teach(stream: &Stream<'_>, options: &Options) -> Result<Lesson, Refusal> 
         }
         None => Err(Refusal::NothingRepeats(announced)),
     }
+}
+
+/// First what is repeated and how often; then, among the hypotheses that see it as often, where it begins and ends. The
+/// second question must not decide the first: the way to a repetition is part of the path of an open one.
+fn best_of(hypotheses: &[Hypothesis]) -> Option<&Hypothesis> {
+    let highest = |score: fn(&Hypothesis) -> f64, count: Option<usize>| {
+        let asked = hypotheses.iter().filter(|one| count.is_none_or(|count| one.found.len() == count));
+        asked.reduce(|best, next| if score(next) > score(best) { next } else { best })
+    };
+    let often = highest(|one| one.score, None)?.found.len();
+    highest(|one| one.score * (1.0 - OPEN * one.open), Some(often))
 }
 
 /// The channels that move, on a grid of at most `most_hz`.
@@ -273,7 +287,10 @@ fn refine(
         let announced = options.repetitions;
         let off = found.len().abs_diff(announced) as f64 / announced as f64;
         let score = log_ratio * (1.0 - off).max(0.0).powi(2) * steadiness(&material, &found, states);
-        hypothesis = Some(Hypothesis { movement, found, smaller: Vec::new(), score });
+        // One is enough: the last repetition and the way back to rest, taken together, are like the others otherwise.
+        let open =
+            found.iter().map(|one| openness(&material, &movement, one.range(states))).fold(0.0, f64::max);
+        hypothesis = Some(Hypothesis { movement, found, smaller: Vec::new(), score, open });
     }
     hypothesis.map(|hypothesis| (material, hypothesis))
 }
@@ -311,6 +328,21 @@ fn steadiness(material: &Material, found: &[Repetition], states: usize) -> f64 {
     let left_over = edges.map(|frame| speed(frame).min(2.0 * width as f64)).sum::<f64>() / (2 * edge) as f64;
     let complete = 1.0 - LEFT_OVER * (left_over / width as f64).min(1.0);
     covered.sqrt() * at_rest * complete
+}
+
+/// How far from where it began a movement ends, from 0 to 1: all of its way.
+fn openness(material: &Material, movement: &Movement, frames: Range<usize>) -> f64 {
+    let width = material.width();
+    let (mut apart, mut way) = (0.0, 0.0);
+    for (channel, amplitude) in movement.amplitude[..width].iter().enumerate() {
+        let value = |frame: usize| material.observations[frame * 2 * width + channel] / amplitude;
+        let values = frames.clone().map(value).filter(|value| value.is_finite());
+        let Some((first, last)) = values.clone().next().zip(values.clone().next_back()) else { continue };
+        let (low, high) = range(values);
+        apart += (last - first).powi(2);
+        way += (high - low).powi(2);
+    }
+    if way > 0.0 { (apart / way).sqrt() } else { 0.0 }
 }
 
 /// The repetitions that are like most of them, and the middle between the mean and the least of their log ratios per
