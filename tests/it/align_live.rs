@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use posed::fusion::align::guide::Guide;
-use posed::fusion::align::{AnchorPoint, Found, Recording, align_recording};
+use posed::fusion::align::{AlignError, AnchorPoint, Found, Recording, align_recording};
 use posed::geometry::{isometry, orientation_to_wxyz};
 use posed::input::{Entry, Input, Model};
 use posed::output::{Body, Estimate, Output, Placed, SensorState};
@@ -212,6 +212,23 @@ fn a_tilted_transmitter_and_its_imu_are_found_to_half_a_degree_and_five_millimet
                 .norm();
         assert!(turn < 0.5 && place_mm < 5.0, "transmitter: {turn} degrees, {place_mm} mm");
     }
+}
+
+#[test]
+fn a_radio_that_stutters_makes_no_alignment_too_short() {
+    let (stage, scenario) = scenario(3, Vec::new());
+    let mut rig = Rig::new(&stage, &scenario);
+    rig.run_until(36.0);
+    let mut recording = recorded(&rig.log);
+    // A quarter of a second out of every one and a half is lost.
+    recording.imu.retain(|(t_s, _)| t_s % 1.5 > 0.25);
+    let alignment = align_recording(&recording, &[], true).unwrap().alignment;
+    let imu = alignment.q_sensor_imu.angle_to(&sits().rotation).to_degrees();
+    let lever_mm = 1e3 * (alignment.lever_m - sits().translation.vector).norm();
+    assert!(imu < 0.5 && lever_mm < 5.0, "IMU {imu} degrees, lever {lever_mm} mm");
+    // Nothing is left where no stretch is as long as a second difference.
+    recording.imu.retain(|(t_s, _)| t_s % 0.3 > 0.1);
+    assert_eq!(align_recording(&recording, &[], true), Err(AlignError::TooShort { found: 0, needed: 200 }));
 }
 
 /// A wearer of the aligned pair: the stage file gives all of it.

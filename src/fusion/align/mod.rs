@@ -96,23 +96,21 @@ pub enum AlignError {
     Anchors,
 }
 
-/// Aligns; `heading` says whether the IMU's level frame is the room's in heading too.
+/// Aligns from stretches of equally spaced samples without a gap; `heading` says whether the IMU's level frame is the room's in
+/// heading too.
 ///
 /// # Errors
 /// What the movement does not show.
 pub fn align(
-    samples: &[BothSample],
+    stretches: &[Vec<BothSample>],
     anchors: &[AnchorPoint],
     heading: bool,
 ) -> Result<Alignment, AlignError> {
-    if samples.len() < MIN_SAMPLES {
-        return Err(AlignError::TooShort { found: samples.len(), needed: MIN_SAMPLES });
-    }
-    let (y, residual_rad) = fastened(samples, 1)?;
-    let Forces { gravity_m_s2, lever_m, accel_bias_m_s2, residual_m } = forces(samples, &y)?;
+    let (y, residual_rad) = fastened(stretches, 1)?;
+    let Forces { gravity_m_s2, lever_m, accel_bias_m_s2, residual_m } = forces(stretches, &y)?;
     let tilt = UnitQuaternion::rotation_between(&gravity_m_s2, &Vector3::z())
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
-    let x = if heading { north(samples, &tilt, &y) * tilt } else { facing(&tilt) * tilt };
+    let x = if heading { north(stretches, &tilt, &y) * tilt } else { facing(&tilt) * tilt };
     let mut room = Isometry3::from_parts(Translation3::identity(), x);
     let mut anchors_m = 0.0;
     if !anchors.is_empty() {
@@ -131,11 +129,15 @@ pub fn align(
 }
 
 /// Y, and the root mean square of what it leaves of the turns, rad; from every `step`-th of them.
-fn fastened(samples: &[BothSample], step: usize) -> Result<(UnitQuaternion<f64>, f64), AlignError> {
-    let half = half(samples);
-    let turns: Vec<[Vector3<f64>; 2]> = samples
-        .windows(half + 1)
-        .step_by(step)
+fn fastened(stretches: &[Vec<BothSample>], step: usize) -> Result<(UnitQuaternion<f64>, f64), AlignError> {
+    let found = stretches.iter().map(Vec::len).sum();
+    if found < MIN_SAMPLES {
+        return Err(AlignError::TooShort { found, needed: MIN_SAMPLES });
+    }
+    let half = half(stretches);
+    let turns: Vec<[Vector3<f64>; 2]> = stretches
+        .iter()
+        .flat_map(|samples| samples.windows(half + 1).step_by(step))
         .map(|part| {
             let (a, b) = (&part[0], &part[half]);
             let sensor = a.transmitter_from_sensor.rotation.inverse() * b.transmitter_from_sensor.rotation;
@@ -167,9 +169,10 @@ fn fastened(samples: &[BothSample], step: usize) -> Result<(UnitQuaternion<f64>,
 }
 
 /// So many samples are half of a second difference.
-fn half(samples: &[BothSample]) -> usize {
-    let dt_s = (samples[samples.len() - 1].t_s - samples[0].t_s) / (samples.len() - 1) as f64;
-    ((HALF_S / dt_s).round() as usize).max(2)
+fn half(stretches: &[Vec<BothSample>]) -> usize {
+    let steps = stretches.iter().flat_map(|samples| samples.windows(2)).map(|pair| pair[1].t_s - pair[0].t_s);
+    let (count, sum_s) = steps.fold((0.0, 0.0), |(count, sum_s), step_s| (count + 1.0, sum_s + step_s));
+    ((HALF_S * count / sum_s).round() as usize).max(2)
 }
 
 /// The rotation that is nearest to `sum` (of `to from'`); `None` where there is none.
@@ -188,13 +191,17 @@ fn about_z(angle_rad: f64) -> UnitQuaternion<f64> {
 }
 
 /// The turn about the vertical that makes the tilted transmitter's heading the IMU's, on average.
-fn north(samples: &[BothSample], tilt: &UnitQuaternion<f64>, y: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+fn north(
+    stretches: &[Vec<BothSample>],
+    tilt: &UnitQuaternion<f64>,
+    y: &UnitQuaternion<f64>,
+) -> UnitQuaternion<f64> {
     let turn = |sample: &BothSample| {
         let q = sample.level_from_imu * (tilt * sample.transmitter_from_sensor.rotation * y).inverse();
         let angle = 2.0 * q.k.atan2(q.w);
         Vector3::new(angle.cos(), angle.sin(), 0.0)
     };
-    let sum: Vector3<f64> = samples.iter().map(turn).sum();
+    let sum: Vector3<f64> = stretches.iter().flatten().map(turn).sum();
     about_z(sum.y.atan2(sum.x))
 }
 
@@ -244,33 +251,15 @@ struct Forces {
 }
 
 /// Gravity, lever and accelerometer bias, linear in the second differences of the IMU's position.
-fn forces(samples: &[BothSample], y: &UnitQuaternion<f64>) -> Result<Forces, AlignError> {
+fn forces(stretches: &[Vec<BothSample>], y: &UnitQuaternion<f64>) -> Result<Forces, AlignError> {
     type Normal = SMatrix<f64, 9, 9>;
-    let half = half(samples);
-    let dt_s = HALF_S / half as f64;
-    let turn =
-        |sample: &BothSample| sample.transmitter_from_sensor.rotation.to_rotation_matrix().into_inner();
-    let place = |k: usize| samples[k].transmitter_from_sensor.translation.vector;
+    let half = half(stretches);
     let y = y.to_rotation_matrix().into_inner();
     let (mut normal, mut right) = (Normal::zeros(), SVector::<f64, 9>::zeros());
     let mut rows_of = Vec::new();
-    for k in (half..samples.len() - half).step_by((half / 4).max(1)) {
-        let (mut force, mut turned, mut time_s2) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
-        for (j, sample) in samples.iter().enumerate().take(k + half).skip(k - half + 1) {
-            let weight = (half - j.abs_diff(k)) as f64 * dt_s * dt_s;
-            let axes = turn(sample) * y;
-            force += axes * sample.force_m_s2 * weight;
-            turned += axes * weight;
-            time_s2 += weight;
-        }
-        // bend + (second difference of M) lever = force - turned bias - time gravity
-        let bend = place(k + half) - place(k) * 2.0 + place(k - half);
-        let by_lever = turn(&samples[k + half]) - turn(&samples[k]) * 2.0 + turn(&samples[k - half]);
-        let mut rows = SMatrix::<f64, 3, 9>::zeros();
-        rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_lever);
-        rows.fixed_view_mut::<3, 3>(0, 3).copy_from(&turned);
-        rows.fixed_view_mut::<3, 3>(0, 6).copy_from(&(Matrix3::identity() * time_s2));
-        let value = force - bend;
+    for part in stretches.iter().flat_map(|samples| samples.windows(2 * half + 1).step_by((half / 4).max(1)))
+    {
+        let (rows, value) = second_difference(part, &y);
         normal += rows.transpose() * rows;
         right += rows.transpose() * value;
         rows_of.push((rows, value));
@@ -289,6 +278,31 @@ fn forces(samples: &[BothSample], y: &UnitQuaternion<f64>) -> Result<Forces, Ali
         gravity_m_s2: part(6),
         residual_m: (squares / rows_of.len() as f64).sqrt(),
     })
+}
+
+/// One of them, from twice `HALF_S` of samples: bend + (second difference of M) lever = force - turned bias - time gravity.
+fn second_difference(part: &[BothSample], y: &Matrix3<f64>) -> (SMatrix<f64, 3, 9>, Vector3<f64>) {
+    let half = part.len() / 2;
+    let dt_s = HALF_S / half as f64;
+    let turn =
+        |sample: &BothSample| sample.transmitter_from_sensor.rotation.to_rotation_matrix().into_inner();
+    let place = |sample: &BothSample| sample.transmitter_from_sensor.translation.vector;
+    let (mut force, mut turned, mut time_s2) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
+    for (j, sample) in part.iter().enumerate() {
+        let weight = (half - j.abs_diff(half)) as f64 * dt_s * dt_s;
+        let axes = turn(sample) * y;
+        force += axes * sample.force_m_s2 * weight;
+        turned += axes * weight;
+        time_s2 += weight;
+    }
+    let (before, at, after) = (&part[0], &part[half], &part[2 * half]);
+    let bend = place(after) - place(at) * 2.0 + place(before);
+    let by_lever = turn(after) - turn(at) * 2.0 + turn(before);
+    let mut rows = SMatrix::<f64, 3, 9>::zeros();
+    rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_lever);
+    rows.fixed_view_mut::<3, 3>(0, 3).copy_from(&turned);
+    rows.fixed_view_mut::<3, 3>(0, 6).copy_from(&(Matrix3::identity() * time_s2));
+    (rows, force - bend)
 }
 
 /// Turn about the vertical (where the heading is not known) and place from anchors; the tilt stays gravity's.

@@ -7,7 +7,7 @@
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use super::super::ahrs::{Ahrs, ImuSample, Params};
-use super::{AlignError, Alignment, AnchorPoint, BothSample, MIN_SAMPLES, about_z, align, fastened};
+use super::{AlignError, Alignment, AnchorPoint, BothSample, HALF_S, about_z, align, fastened};
 
 /// Step of the common times, s.
 const STEP_S: f64 = 0.01;
@@ -53,13 +53,7 @@ pub fn align_recording(
     magnetometer: bool,
 ) -> Result<Found, AlignError> {
     let (oriented, heading) = oriented(&recording.imu, magnetometer);
-    let misfit = |offset_s: f64| -> Result<f64, AlignError> {
-        let samples = both(recording, &oriented, offset_s);
-        if samples.len() < MIN_SAMPLES {
-            return Err(AlignError::TooShort { found: samples.len(), needed: MIN_SAMPLES });
-        }
-        Ok(fastened(&samples, SPARSE)?.1)
-    };
+    let misfit = |offset_s: f64| Ok(fastened(&both(recording, &oriented, offset_s), SPARSE)?.1);
     let mut best = (f64::INFINITY, 0.0);
     let steps = (LARGEST_OFFSET_S / COARSE_S) as i32;
     for k in -steps..=steps {
@@ -80,8 +74,7 @@ pub fn align_recording(
         }
     }
     let clock_offset_s = best.1;
-    let samples = both(recording, &oriented, clock_offset_s);
-    let alignment = align(&samples, anchors, heading)?;
+    let alignment = align(&both(recording, &oriented, clock_offset_s), anchors, heading)?;
     Ok(Found { alignment, clock_offset_s, heading })
 }
 
@@ -109,6 +102,8 @@ fn oriented(imu: &[(f64, ImuSample)], magnetometer: bool) -> (Vec<Oriented>, boo
                 believed += 1.0;
                 north += turn * Vector3::x();
             }
+            // After a gap the sample's own step is a short one.
+            let dt_s = dt_s.min(GAP_S);
             out.push(Oriented { t_s: *t_s, dt_s, level, force_m_s2: sample.accel_m_s2 });
         }
         filter.restart();
@@ -123,17 +118,16 @@ fn oriented(imu: &[(f64, ImuSample)], magnetometer: bool) -> (Vec<Oriented>, boo
 
 struct Oriented {
     t_s: f64,
-    /// Since the sample before, s.
+    /// Since the sample before, without a gap, s.
     dt_s: f64,
     level: UnitQuaternion<f64>,
     force_m_s2: Vector3<f64>,
 }
 
-/// Both at common times, over the longest stretch without a gap.
-fn both(recording: &Recording, oriented: &[Oriented], offset_s: f64) -> Vec<BothSample> {
-    let mut longest = Vec::new();
-    let mut current = Vec::new();
-    let Some((start_s, _)) = recording.magnetic.first() else { return longest };
+/// Both at common times: the stretches without a gap in which there is a second difference.
+fn both(recording: &Recording, oriented: &[Oriented], offset_s: f64) -> Vec<Vec<BothSample>> {
+    let (mut stretches, mut current) = (Vec::new(), Vec::new());
+    let Some((start_s, _)) = recording.magnetic.first() else { return stretches };
     let end_s = recording.magnetic.last().map_or(*start_s, |(t_s, _)| *t_s);
     let (mut m, mut a, mut f) = (0, 0, 0);
     for k in 0..=((end_s - start_s) / STEP_S) as usize {
@@ -147,11 +141,12 @@ fn both(recording: &Recording, oriented: &[Oriented], offset_s: f64) -> Vec<Both
         });
         match sample {
             Some(sample) => current.push(sample),
-            None if current.len() > longest.len() => longest = std::mem::take(&mut current),
-            None => current.clear(),
+            None => stretches.push(std::mem::take(&mut current)),
         }
     }
-    if current.len() > longest.len() { current } else { longest }
+    stretches.push(current);
+    stretches.retain(|samples| samples.len() as f64 * STEP_S > 2.0 * HALF_S);
+    stretches
 }
 
 fn magnetic_at(records: &[(f64, Isometry3<f64>)], at: &mut usize, t_s: f64) -> Option<Isometry3<f64>> {

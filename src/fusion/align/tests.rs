@@ -75,7 +75,7 @@ fn a_tilted_transmitter_is_found_within_half_a_degree_and_five_millimetres() {
             let room_m = waved.room_from_transmitter.transform_point(&transmitter_m.into()).coords;
             AnchorPoint { transmitter_m, room_m: room_m + V::new(0.001, -0.001, 0.001) }
         });
-    let found = align(&waved.samples(1.0, 1.0), &anchors, true).unwrap();
+    let found = align(&[waved.samples(1.0, 1.0)], &anchors, true).unwrap();
     let off = found.room_from_transmitter.rotation.angle_to(&waved.room_from_transmitter.rotation);
     assert!(off.to_degrees() < 0.5, "room: {} degrees", off.to_degrees());
     let off = found.q_sensor_imu.angle_to(&waved.q_sensor_imu).to_degrees();
@@ -102,7 +102,7 @@ fn without_noise_it_is_exact_and_anchors_give_the_heading() {
         transmitter_m,
         room_m: waved.room_from_transmitter.transform_point(&transmitter_m.into()).coords,
     });
-    let found = align(&samples, &anchors, false).unwrap();
+    let found = align(&[samples], &anchors, false).unwrap();
     let (off, expected) = (found.room_from_transmitter, waved.room_from_transmitter);
     // What sums for integrals leave.
     assert!(
@@ -118,6 +118,9 @@ fn without_noise_it_is_exact_and_anchors_give_the_heading() {
 #[test]
 fn what_does_not_turn_is_refused() {
     let waved = Waved::new();
-    assert_eq!(align(&waved.samples(0.0, 0.0), &[], true), Err(AlignError::OneAxis));
-    assert!(matches!(align(&waved.samples(1.0, 0.0)[..50], &[], true), Err(AlignError::TooShort { .. })));
+    assert_eq!(align(&[waved.samples(0.0, 0.0)], &[], true), Err(AlignError::OneAxis));
+    assert!(matches!(
+        align(&[waved.samples(1.0, 0.0)[..50].to_vec()], &[], true),
+        Err(AlignError::TooShort { .. })
+    ));
 }
