@@ -84,7 +84,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         times.sort_by(f64::total_cmp);
         (times[times.len() / 2], times[0])
     };
-    let (inference_ms, inference_least_ms) = times(&mut || labelling.forward(&joints, &[], &mut work));
+    let (inference_ms, inference_least_ms) = times(&mut || labelling.infer(&joints, &mut work));
     let (mut gradient, mut slope) = (vec![0.0; shape.parameters()], Vec::new());
     let (step_ms, step_least_ms) = times(&mut || {
         network.forward(&x, &[], &mut work);
@@ -102,7 +102,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let start = Instant::now();
     pool.broadcast(|_| {
         let mut work = Workspace::default();
-        (0..args.repeat).for_each(|_| labelling.forward(&joints, &[], &mut work));
+        (0..args.repeat).for_each(|_| labelling.infer(&joints, &mut work));
     });
     let sequences_per_s = f64::from(args.threads * args.repeat) / start.elapsed().as_secs_f64();
     let answer = Answer {

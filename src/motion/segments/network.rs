@@ -7,6 +7,8 @@
 //! classifier per frame. The paper's printed sum is causal; its network is not: half of each layer's span lies ahead,
 //! unless [`Shape::ahead`] allows less.
 
+use std::ops::Range;
+
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
@@ -68,6 +70,21 @@ impl Shape {
     /// Number of weights and biases.
     pub fn parameters(&self) -> usize {
         self.layers().iter().map(Layer::parameters).sum()
+    }
+
+    /// The parts of a sequence that it takes to score the frames that have a weight.
+    pub(super) fn parts_that_score(&self, weights: &[f32]) -> Vec<Range<usize>> {
+        let ahead = self.delay();
+        let back = self.receptive_field() - 1 - ahead;
+        let mut parts: Vec<Range<usize>> = Vec::new();
+        for (frame, _) in weights.iter().enumerate().filter(|(_, weight)| **weight > 0.0) {
+            let (first, end) = (frame.saturating_sub(back), (frame + ahead + 1).min(weights.len()));
+            match parts.last_mut() {
+                Some(part) if first <= part.end => part.end = end,
+                _ => parts.push(first..end),
+            }
+        }
+        parts
     }
 
     /// The dilated layers and the classifier. The narrow layers look ahead first, where frames ahead are few.
@@ -176,12 +193,24 @@ impl<R: Real> Network<R> {
         &self.layers
     }
 
-    /// Computes the scores of all frames of `x`. `dropout` holds a factor per channel of each dilated layer's
-    /// output, one layer after the other; empty for none.
+    /// Computes the scores of all frames of `x`, and no more than these.
+    ///
+    /// # Panics
+    /// `x` is no whole number of frames.
+    pub fn infer(&self, x: &[R], work: &mut Workspace<R>) {
+        self.pass(x, &[], work, |_, _| {});
+    }
+
+    /// Computes the scores of all frames of `x`, and what [`Network::backward`] needs. `dropout` holds a factor per channel
+    /// of each dilated layer's output, one layer after the other; empty for none.
     ///
     /// # Panics
     /// `x` is no whole number of frames.
     pub fn forward(&self, x: &[R], dropout: &[R], work: &mut Workspace<R>) {
+        self.pass(x, dropout, work, Vec::clone_from);
+    }
+
+    fn pass(&self, x: &[R], dropout: &[R], work: &mut Workspace<R>, keep: fn(&mut Vec<R>, &Vec<R>)) {
         assert_eq!(x.len() % self.shape.inputs, 0, "whole frames");
         let frames = x.len() / self.shape.inputs;
         work.outputs.resize(self.layers.len(), Vec::new());
@@ -201,7 +230,7 @@ impl<R: Real> Network<R> {
                 Norm::Off => false,
             };
             if normed {
-                work.rectified.clone_from(y);
+                keep(&mut work.rectified, y);
                 y.chunks_exact_mut(layer.outputs).for_each(normalise);
             }
             if hidden && !factors.is_empty() {
@@ -288,7 +317,15 @@ fn largest<R: Real>(row: &[R]) -> (usize, R) {
 }
 
 fn normalise<R: Real>(row: &mut [R]) {
-    let scale = R::ONE / (largest(row).1 + R::of(EPSILON));
+    // Lanes, of which the compiler makes vectors.
+    let mut lanes = [R::ZERO; 16];
+    let (whole, rest) = row.as_chunks::<16>();
+    for values in whole.iter().map(<[R; 16]>::as_slice).chain([rest]) {
+        for (most, value) in lanes.iter_mut().zip(values) {
+            *most = if *value > *most { *value } else { *most };
+        }
+    }
+    let scale = R::ONE / (largest(&lanes).1 + R::of(EPSILON));
     row.iter_mut().for_each(|value| *value *= scale);
 }
 

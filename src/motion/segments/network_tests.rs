@@ -113,6 +113,36 @@ fn ten_classes_with_normed_scores_never_pass_a_quarter() {
     assert!((loss.sum - 1.461).abs() < 1e-3, "{}", loss.sum);
 }
 
+/// Two blocks apart, two so near that they share what they see, and the ends.
+#[test]
+fn parts_score_as_the_whole_does() {
+    for ahead in [None, Some(0), Some(4)] {
+        let shape = small(Norm::Hidden, ahead);
+        let network = Network::<f32>::random(shape.clone(), &mut ChaCha8Rng::seed_from_u64(5));
+        let x: Vec<f32> = random(4 * 300, 6).iter().map(|v| *v as f32).collect();
+        let mut work = Workspace::default();
+        network.infer(&x, &mut work);
+        let whole = work.scores().to_vec();
+        let weighted = [0..3, 60..70, 150..160, 170..171, 290..300];
+        let weights: Vec<f32> = (0..300)
+            .map(|at| if weighted.iter().any(|part| part.contains(&at)) { 1.0 } else { 0.0 })
+            .collect();
+        let parts = shape.parts_that_score(&weights);
+        assert_eq!(parts.len(), 4, "{ahead:?}: {parts:?}");
+        let mut scored = 0;
+        for part in parts {
+            network.infer(&x[4 * part.start..4 * part.end], &mut work);
+            for (at, scores) in part.zip(work.scores().chunks(3)).filter(|(at, _)| weights[*at] > 0.0) {
+                scored += 1;
+                for (a, b) in scores.iter().zip(&whole[3 * at..]) {
+                    assert!((a - b).abs() < 1e-6, "{ahead:?} {at}: {a} {b}");
+                }
+            }
+        }
+        assert_eq!(scored, 34);
+    }
+}
+
 /// Borders included: every frame of the sequence, whatever the look-ahead, whatever its length.
 #[test]
 fn a_stream_says_what_the_batch_says() {
@@ -126,7 +156,7 @@ fn a_stream_says_what_the_batch_says() {
         for frames in [1, 5, 13, 14, 60] {
             let x: Vec<f32> = random(4 * frames, 12).iter().map(|v| *v as f32).collect();
             let mut work = Workspace::default();
-            network.forward(&x, &[], &mut work);
+            network.infer(&x, &mut work);
             let mut stream = Stream::new(&network);
             let mut streamed = Vec::new();
             for (index, row) in x.chunks(4).enumerate() {

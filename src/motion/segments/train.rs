@@ -453,10 +453,14 @@ impl Trainer {
                 let start_s = sequence.span_s().0;
                 crop.take(sequence, weights, start_s, None, self.preparation.rate_hz, 1.0);
                 crop.featurise(&self.preparation);
-                let mut work = Workspace::default();
-                network.forward(&crop.features, &[], &mut work);
-                let classes = network.shape().classes;
-                cross_entropy(work.scores(), classes, &crop.classes, &crop.weights, 0.0, &mut Vec::new())
+                let (mut work, mut loss) = (Workspace::default(), Loss::default());
+                let Shape { inputs, classes, .. } = *network.shape();
+                for part in network.shape().parts_that_score(&crop.weights) {
+                    network.infer(&crop.features[part.start * inputs..part.end * inputs], &mut work);
+                    let (truth, weights) = (&crop.classes[part.clone()], &crop.weights[part]);
+                    loss.add(cross_entropy(work.scores(), classes, truth, weights, 0.0, &mut Vec::new()));
+                }
+                loss
             })
             .collect();
         let mut loss = Loss::default();
