@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
 """The experiments of Cheema et al. 2019 on made-up sequences: label noise, noise and masks at borders, width 5.
 
-usage: experiments.py WORK [--posed PATH] [--only NETWORK ...]      runs what is not in WORK/results.jsonl yet
-       experiments.py WORK --table                                  prints what is
+usage: experiments.py WORK [--posed PATH] [--only NETWORK ...] [--folds FOLD ...]   runs what is not in WORK/results.jsonl yet
+       experiments.py WORK --table                                                  prints what is
+
+Several may run at once, on networks or folds of their own.
 
 `posed` trains the paper's network (`segments train --paper`, 19 rows); the others need tensorflow-cpu (PyPI). All learn from the same
 files: 70 sequences of `posed segments generate` in local coordinates, as the paper's images are (origin in the mean of the joints, axes
@@ -310,6 +312,7 @@ def main():
     parser.add_argument("work", type=pathlib.Path)
     parser.add_argument("--posed", default="target/release/posed")
     parser.add_argument("--only", nargs="+", default=["dt-fcn", TWIN, *PEERS])
+    parser.add_argument("--folds", nargs="+", type=int, default=list(range(FOLDS)))
     parser.add_argument("--table", action="store_true")
     args = parser.parse_args()
     kept = args.work / "results.jsonl"
@@ -326,7 +329,7 @@ def main():
                 localise(source, local / source.name)
     known = [{k: r[k] for k in ("network", "width", "noise", "border", "mask", "fold")} for r in results]
     for run in grid():
-        if run in known or run["network"] not in args.only:
+        if run in known or run["network"] not in args.only or run["fold"] not in args.folds:
             continue
         known.append(run)
         # A process of its own: Keras gives memory back only at its end.
