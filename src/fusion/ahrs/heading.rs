@@ -103,6 +103,7 @@ pub(super) struct FieldWindow {
     pub(super) lag: Vector3<f64>,
     pub(super) rotation: Matrix3<f64>,
     pub(super) turned_rad: f64,
+    pub(super) bridged_rad2: f64,
     pub(super) at_rest: bool,
 }
 
@@ -241,7 +242,7 @@ impl Heading {
             }
         }
         // A heading drift turns the earth's field about the vertical.
-        let q = params.drift.powi(2) * t + (params.drift_scale * w.turned_rad).powi(2);
+        let q = params.drift.powi(2) * t + (params.drift_scale * w.turned_rad).powi(2) + w.bridged_rad2;
         p[(EARTH, EARTH)] += q * ey * ey;
         p[(EARTH, EARTH + 1)] -= q * ex * ey;
         p[(EARTH + 1, EARTH)] -= q * ex * ey;
@@ -370,6 +371,7 @@ mod tests {
                     lag: Vector3::new(0.3, -0.2, 0.1),
                     rotation: turned.to_rotation_matrix().into_inner(),
                     turned_rad: 0.03,
+                    bridged_rad2: 0.0,
                     at_rest: false,
                 };
                 // One step's noise from the filter's own Q at the truth.

@@ -66,6 +66,7 @@ pub(super) struct ForceWindow {
     pub(super) velocity_m_s: Vector3<f64>,
     pub(super) shaking: f64,
     pub(super) turned_rad: f64,
+    pub(super) bridged_rad2: f64,
     /// Low-passed gyro, if at rest.
     pub(super) rest_gyro_rad_s: Option<Vector3<f64>>,
 }
@@ -181,7 +182,8 @@ impl Inclination {
                 p[(to, j)] += factor * p[(from, j)];
             }
         }
-        let q_tilt = params.gyro_noise.powi(2) * t + (params.gyro_scale * w.turned_rad).powi(2);
+        let q_tilt =
+            params.gyro_noise.powi(2) * t + (params.gyro_scale * w.turned_rad).powi(2) + w.bridged_rad2;
         let q_velocity = params.accel_noise.powi(2) * t + params.accel_scale.powi(2) * w.shaking * t;
         for i in 0..2 {
             p[(TILT + i, TILT + i)] += q_tilt;
@@ -229,6 +231,7 @@ mod tests {
                     velocity_m_s: Vector3::z() * GRAVITY_M_S2 * 0.03,
                     shaking: 0.5,
                     turned_rad: 0.03,
+                    bridged_rad2: 0.0,
                     rest_gyro_rad_s: None,
                 };
                 // One step's noise from the filter's own Q.

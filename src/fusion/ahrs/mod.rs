@@ -35,6 +35,12 @@ pub use inclination::InclinationParams;
 pub use rest::RestParams;
 pub use smooth::smoothed;
 
+/// A sample so long after the one before leaves a gap, s.
+const GAP_S: f64 = 0.05;
+/// What a rate that changed by 1 rad/s in a gap of 1 s turned besides its mean, rad: a swing whose phase goes on by 1 rad in the gap
+/// leaves a twelfth.
+const BRIDGED: f64 = 0.1;
+
 /// What the filter assumes; the defaults are one set for all sensors of MEMS class.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Params {
@@ -109,6 +115,8 @@ struct Window {
     shaking: f64,
     /// Integral of |rate|, rad.
     turned_rad: f64,
+    /// Variance of what it may have turned besides between samples far apart, rad².
+    bridged_rad2: f64,
     mag_samples: u32,
     /// Sum of field samples.
     mag: Vector3<f64>,
@@ -139,6 +147,9 @@ impl Ahrs {
 
     /// Takes one sample, `dt_s` seconds after the one before, and returns sensor to room.
     ///
+    /// Over a gap the rate is taken to have gone evenly from the one to the other, and tilt and heading are the less sure the
+    /// more it changed; otherwise the gyro's bias would pay for what was missed.
+    ///
     /// A sample with a number that is not finite (or a `dt_s` that is not positive) changes nothing but
     /// [`Self::rejected`].
     pub fn push(&mut self, sample: &ImuSample, dt_s: f64) -> UnitQuaternion<f64> {
@@ -157,15 +168,18 @@ impl Ahrs {
             return false;
         }
         let dt_s = dt_s.min(0.5);
-        if !self.started {
+        let goes_on = self.started;
+        if !goes_on {
             self.start(sample.accel_m_s2, mag);
         }
         let gyro = sample.gyro_rad_s - self.offset_rad_s;
         self.rest.push(&self.params.rest, gyro, sample.accel_m_s2, mag, dt_s);
 
         let rate = gyro - self.inclination.bias_rad_s();
-        self.q_level_sensor = integrate(self.q_level_sensor, rate, dt_s);
-        self.rate_rad_s = rate;
+        let before = std::mem::replace(&mut self.rate_rad_s, rate);
+        let bridged = goes_on && dt_s > GAP_S;
+        let turned = if bridged { 0.5 * (before + rate) } else { rate };
+        self.q_level_sensor = integrate(self.q_level_sensor, turned, dt_s);
         self.coasted_s = 0.0;
         let rotation = self.q_level_sensor.to_rotation_matrix();
         let rotation = rotation.matrix();
@@ -176,6 +190,9 @@ impl Ahrs {
         w.velocity_m_s += force * dt_s;
         w.shaking += dt_s * (force - Vector3::z() * inclination::GRAVITY_M_S2).norm_squared();
         w.turned_rad += rate.norm() * dt_s;
+        if bridged {
+            w.bridged_rad2 += (BRIDGED * dt_s).powi(2) * (rate - before).norm_squared();
+        }
         if let Some(mag) = mag {
             w.mag_samples += 1;
             w.mag += rotation * mag;
@@ -211,6 +228,7 @@ impl Ahrs {
         self.started = false;
         self.window = Window::default();
         self.rest = rest::Rest::default();
+        self.inclination.forget_motion();
         self.heading.resume(&self.params.heading);
     }
 
@@ -315,6 +333,7 @@ impl Ahrs {
                     lag: w.mag_lag / f64::from(w.mag_samples),
                     rotation: w.mag_rotation / f64::from(w.mag_samples),
                     turned_rad: w.turned_rad,
+                    bridged_rad2: w.bridged_rad2,
                     at_rest: rest_gyro_rad_s.is_some(),
                 },
             );
@@ -325,6 +344,7 @@ impl Ahrs {
             velocity_m_s: w.velocity_m_s,
             shaking: w.shaking,
             turned_rad: w.turned_rad,
+            bridged_rad2: w.bridged_rad2,
             rest_gyro_rad_s,
         };
         let tilt = self.inclination.update(&self.params.inclination, &force);

@@ -169,6 +169,7 @@ mod tests {
             velocity_m_s: Vector3::new(0.02, -0.01, 0.3),
             shaking: 0.0,
             turned_rad: 0.0,
+            bridged_rad2: 0.0,
             rest_gyro_rad_s: None,
         };
         let mut state = Inclination::new(&params);

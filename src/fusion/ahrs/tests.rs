@@ -281,3 +281,33 @@ fn a_filter_goes_on_from_its_serialised_state() {
         assert_eq!(ahrs.push(&sample, 0.01), copy.push(&sample, 0.01));
     }
 }
+
+/// Every second and a half so many samples of a sensor that is waved are lost; `after` says how the filter is told.
+fn with_gaps(lost: usize, after: fn(&mut Ahrs, f64) -> f64) -> (f64, f64) {
+    let (mut ahrs, mut simulation) = warmed(2.0);
+    let mut sum_deg = 0.0;
+    for _ in 0..60 {
+        run(&mut ahrs, &mut simulation, 0.5);
+        sum_deg += run(&mut ahrs, &mut simulation, 1.0).1;
+        (0..lost).for_each(|_| _ = simulation.step());
+        let dt_s = after(&mut ahrs, (lost + 1) as f64 / RATE_HZ);
+        ahrs.push(&simulation.step(), dt_s);
+    }
+    ((ahrs.bias_rad_s() - simulation.bias).norm().to_degrees(), sum_deg / 60.0)
+}
+
+#[test]
+fn a_radio_that_loses_samples_leaves_the_bias_alone() {
+    for (lost, least_deg) in [(15, 0.5), (30, 2.5)] {
+        let (bias_deg_s, inclination_deg) = with_gaps(lost, |_, gap_s| gap_s);
+        assert!(bias_deg_s < 0.15, "{lost} lost: {bias_deg_s} degrees/s");
+        assert!(inclination_deg < least_deg, "{lost} lost: {inclination_deg} degrees");
+    }
+    // Levelled anew by one sample while it is waved.
+    let (bias_deg_s, inclination_deg) = with_gaps(60, |ahrs, _| {
+        ahrs.resume();
+        0.01
+    });
+    assert!(bias_deg_s < 0.05, "{bias_deg_s} degrees/s");
+    assert!(inclination_deg < 10.0, "{inclination_deg} degrees");
+}

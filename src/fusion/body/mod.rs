@@ -52,12 +52,10 @@ const LEVEL_RAD: f64 = 0.003;
 const COMPASS_RAD: f64 = 0.025;
 /// Rate at which a heading drifts that the gyro holds, rad/s.
 const DRIFT_RAD_S: f64 = 3e-4;
-/// A sample so long after the one before says nothing of the turn between, s.
-const GAP_S: f64 = 0.05;
-/// What such a sample stands for, s.
-const GAP_STEP_S: f64 = 0.01;
 /// After so long the sensor may have been turned, s.
 const AWAY_S: f64 = 0.5;
+/// What the first sample after that stands for, s.
+const FIRST_S: f64 = 0.01;
 
 /// So long after its first sample, or after a gap that the last rate did not bridge, a sensor's orientation is worth comparing, s: its forces have levelled it.
 const SETTLED_S: f64 = 3.0;
@@ -368,13 +366,9 @@ impl Sensor {
         let since_s = (self.behind_s - age_s).max(1e-4);
         self.behind_s = age_s;
         self.step_s = since_s;
-        if since_s > GAP_S {
-            self.step_s = GAP_STEP_S;
-            if since_s > AWAY_S && self.started {
-                self.ahrs.resume();
-            } else {
-                self.ahrs.coast((since_s - GAP_STEP_S).min(HOLD_S));
-            }
+        if since_s > AWAY_S {
+            self.step_s = FIRST_S;
+            self.ahrs.resume();
         }
         self.patience_s -= self.step_s;
         self.magnetometer |= sample.mag.is_some();
