@@ -5,7 +5,8 @@
 //! rotation and lever arm between the two, each with its residual. It never returns what the movement did not show.
 //!
 //! With M the sensor's orientation in the transmitter's axes, A the IMU's in a level frame, X room from transmitter and Y sensor from IMU:
-//! - Y: over some tenths of a second both turn alike, `log(M1' M2) = Y log(A1' A2)`, which no tilt of A can falsify.
+//! - Y: over some tenths of a second both turn alike, `log(M1' M2) = Y log(A1' A2)`, A by the gyro alone: a level frame turns, too,
+//!   where a filter finds back to gravity.
 //! - Gravity, lever and the accelerometer's bias: the second difference of the position over some tenths of a second is the
 //!   specific force weighed by a triangle, so that no noise is differentiated twice. With the force turned by M Y all nine unknowns
 //!   are linear, and the bias, which turns with the sensor, is told from gravity, which does not.
@@ -39,8 +40,10 @@ pub struct BothSample {
     pub t_s: f64,
     /// Magnetic pose: sensor to transmitter.
     pub transmitter_from_sensor: Isometry3<f64>,
-    /// IMU to a level frame of constant heading, or to the room.
+    /// IMU to the room, for the heading; to any level frame where it has none.
     pub level_from_imu: UnitQuaternion<f64>,
+    /// IMU to the frame that its gyro alone keeps: right over some tenths of a second.
+    pub gyro_from_imu: UnitQuaternion<f64>,
     /// Specific force, IMU axes, m/s².
     pub force_m_s2: Vector3<f64>,
 }
@@ -141,7 +144,7 @@ fn fastened(stretches: &[Vec<BothSample>], step: usize) -> Result<(UnitQuaternio
         .map(|part| {
             let (a, b) = (&part[0], &part[half]);
             let sensor = a.transmitter_from_sensor.rotation.inverse() * b.transmitter_from_sensor.rotation;
-            [log(&sensor), log(&(a.level_from_imu.inverse() * b.level_from_imu))]
+            [log(&sensor), log(&(a.gyro_from_imu.inverse() * b.gyro_from_imu))]
         })
         .collect();
     let n = turns.len() as f64;

@@ -1,13 +1,13 @@
 //! Both sensors' own records, each on its own clock, as samples at common times.
 //!
 //! In: magnetic poses and IMU samples with their capture times. Out: the alignment, and the constant by which the two clocks
-//! differ. The IMU's tilt comes from gravity alone; a magnetometer, where it is believed, gives one heading for the whole recording,
-//! so that its wavering disturbs nothing else.
+//! differ. A magnetometer, where it is believed, gives the heading and nothing else.
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
 use super::super::ahrs::{Ahrs, ImuSample, Params};
-use super::{AlignError, Alignment, AnchorPoint, BothSample, HALF_S, about_z, align, fastened};
+use super::{AlignError, Alignment, AnchorPoint, BothSample, HALF_S, align, fastened};
+use crate::geometry::so3::exp;
 
 /// Step of the common times, s.
 const STEP_S: f64 = 0.01;
@@ -78,49 +78,44 @@ pub fn align_recording(
     Ok(Found { alignment, clock_offset_s, heading })
 }
 
-/// Orientation and force over time: the second of two runs of the filter, which begins with the bias that the first one found. In a
-/// level frame, and turned north where a field was believed.
+/// Orientation and force over time: the second of two runs of the filter, which begins with the bias that the first one found. Whether
+/// a field was believed says the second value; the orientation is that of the room then, and of a level frame otherwise.
 fn oriented(imu: &[(f64, ImuSample)], magnetometer: bool) -> (Vec<Oriented>, bool) {
     let mut filter = Ahrs::new(Params::default());
-    let mut north = Vector3::zeros();
-    let (mut believed, mut all) = (0.0, 0.0);
+    let mut gyro = UnitQuaternion::identity();
+    let mut believed = 0;
     let mut out = Vec::with_capacity(imu.len());
     for pass in 0..2 {
         let mut last_s: Option<f64> = None;
         for (t_s, sample) in imu {
-            let dt_s = last_s.map_or(STEP_S, |last| t_s - last);
+            let since_s = last_s.map_or(STEP_S, |last| t_s - last);
             last_s = Some(*t_s);
+            if since_s > GAP_S {
+                // How it turned meanwhile is not guessed, or the bias would pay for it.
+                filter.restart();
+            }
+            let dt_s = since_s.min(GAP_S);
             let mag = sample.mag.filter(|_| magnetometer);
-            filter.push(&ImuSample { mag, ..*sample }, dt_s);
+            let level = filter.push(&ImuSample { mag, ..*sample }, dt_s);
             if pass == 0 {
                 continue;
             }
-            let level = filter.orientation_6d();
-            let turn = filter.orientation() * level.inverse();
-            all += 1.0;
-            if filter.has_field() && !filter.magnetic_disturbance() {
-                believed += 1.0;
-                north += turn * Vector3::x();
-            }
-            // After a gap the sample's own step is a short one.
-            let dt_s = dt_s.min(GAP_S);
-            out.push(Oriented { t_s: *t_s, dt_s, level, force_m_s2: sample.accel_m_s2 });
+            believed += usize::from(filter.has_field() && !filter.magnetic_disturbance());
+            gyro *= exp(&(filter.rate_rad_s() * dt_s));
+            out.push(Oriented { t_s: *t_s, dt_s, level, gyro, force_m_s2: sample.accel_m_s2 });
         }
         filter.restart();
     }
-    let heading = magnetometer && all > 0.0 && believed / all >= BELIEVED;
-    if heading {
-        let turn = about_z(north.y.atan2(north.x));
-        out.iter_mut().for_each(|oriented| oriented.level = turn * oriented.level);
-    }
+    let heading = magnetometer && believed as f64 >= BELIEVED * out.len().max(1) as f64;
     (out, heading)
 }
 
 struct Oriented {
     t_s: f64,
-    /// Since the sample before, without a gap, s.
+    /// Since the sample before, s; of a gap only its limit.
     dt_s: f64,
     level: UnitQuaternion<f64>,
+    gyro: UnitQuaternion<f64>,
     force_m_s2: Vector3<f64>,
 }
 
@@ -132,12 +127,18 @@ fn both(recording: &Recording, oriented: &[Oriented], offset_s: f64) -> Vec<Vec<
     let (mut m, mut a, mut f) = (0, 0, 0);
     for k in 0..=((end_s - start_s) / STEP_S) as usize {
         let t_s = start_s + k as f64 * STEP_S;
-        let sample = magnetic_at(&recording.magnetic, &mut m, t_s).and_then(|pose| {
-            let (level, _) = imu_at(oriented, &mut a, t_s + offset_s)?;
+        let sample = magnetic_at(&recording.magnetic, &mut m, t_s).and_then(|transmitter_from_sensor| {
+            let (before, after, part) = imu_at(oriented, &mut a, t_s + offset_s)?;
             // A sample's force is that of the middle of its step, the orientation that of its end.
-            let half_s = 0.5 * oriented[a].dt_s;
-            let (_, force_m_s2) = imu_at(oriented, &mut f, t_s + offset_s + half_s)?;
-            Some(BothSample { t_s, transmitter_from_sensor: pose, level_from_imu: level, force_m_s2 })
+            let half_s = 0.5 * before.dt_s;
+            let (older, newer, share) = imu_at(oriented, &mut f, t_s + offset_s + half_s)?;
+            Some(BothSample {
+                t_s,
+                transmitter_from_sensor,
+                level_from_imu: between(&before.level, &after.level, part),
+                gyro_from_imu: between(&before.gyro, &after.gyro, part),
+                force_m_s2: older.force_m_s2.lerp(&newer.force_m_s2, share),
+            })
         });
         match sample {
             Some(sample) => current.push(sample),
@@ -158,14 +159,21 @@ fn magnetic_at(records: &[(f64, Isometry3<f64>)], at: &mut usize, t_s: f64) -> O
     before.try_lerp_slerp(after, part, 1e-9).or(Some(*before))
 }
 
-fn imu_at(oriented: &[Oriented], at: &mut usize, t_s: f64) -> Option<(UnitQuaternion<f64>, Vector3<f64>)> {
+/// The samples before and after a time, and where it lies between them.
+fn imu_at<'a>(
+    oriented: &'a [Oriented],
+    at: &mut usize,
+    t_s: f64,
+) -> Option<(&'a Oriented, &'a Oriented, f64)> {
     while oriented.get(*at + 1).is_some_and(|next| next.t_s < t_s) {
         *at += 1;
     }
     let (before, after) = (oriented.get(*at)?, oriented.get(*at + 1)?);
-    let part = part(before.t_s, after.t_s, t_s)?;
-    let level = before.level.try_slerp(&after.level, part, 1e-9).unwrap_or(before.level);
-    Some((level, before.force_m_s2.lerp(&after.force_m_s2, part)))
+    Some((before, after, part(before.t_s, after.t_s, t_s)?))
+}
+
+fn between(a: &UnitQuaternion<f64>, b: &UnitQuaternion<f64>, part: f64) -> UnitQuaternion<f64> {
+    a.try_slerp(b, part, 1e-9).unwrap_or(*a)
 }
 
 /// Where a time lies between two, 0 to 1; `None` outside, and where they are too far apart.

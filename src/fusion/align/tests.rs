@@ -54,10 +54,12 @@ impl Waved {
                 pose.rotation *= exp(&V::from_fn(|_, _| 0.005 * random()));
                 let level_from_imu = room_from_sensor.rotation * self.q_sensor_imu;
                 let force = level_from_imu.inverse() * (accel + V::z() * GRAVITY_M_S2);
+                let level_from_imu = level_from_imu * exp(&V::from_fn(|_, _| 0.01 * random()));
                 BothSample {
                     t_s,
                     transmitter_from_sensor: pose,
-                    level_from_imu: level_from_imu * exp(&V::from_fn(|_, _| 0.01 * random())),
+                    level_from_imu,
+                    gyro_from_imu: level_from_imu,
                     force_m_s2: force
                         + V::new(0.03, -0.02, 0.04) * noise
                         + V::from_fn(|_, _| 0.03 * random()),
