@@ -501,14 +501,14 @@ async fn an_imu_is_calibrated_in_the_browser_and_its_file_kept() {
     done(browser, posed).await;
 }
 
-/// Two links on one hinge that rest for 12 s and then move in all directions, as poses for the simulator.
+/// Two links on one hinge that rest for 12 s of every minute and move in all directions for the rest, as poses for the simulator.
 fn write_links(path: &Path) {
     let about = |axis: Vector3<f64>, angle: f64| UnitQuaternion::from_scaled_axis(axis * angle);
     let mut text = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");
-    for tick in 0..2400 {
+    for tick in 0..12_000 {
         let t_s = f64::from(tick) * 0.05;
-        let t = (t_s - 12.0).max(0.0);
-        let grow = (t / 3.0).min(1.0).powi(2);
+        let t = (t_s % 60.0 - 12.0).max(0.0);
+        let grow = (t / 3.0).min((48.0 - t) / 3.0).min(1.0).powi(2);
         let turn = Vector3::new((0.9 * t).sin(), 0.6 * (0.7 * t).sin(), 0.8 * (1.1 * t).sin());
         let upper = about(turn, grow) * about(Vector3::x(), 1.57);
         let lower = upper * about(Vector3::z(), grow * (0.7 - 0.7 * (1.3 * t).cos()));

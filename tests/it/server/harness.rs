@@ -215,13 +215,18 @@ impl Client {
 
     /// Code and reason with which the server ends this connection.
     pub(crate) async fn closed(&mut self) -> (u16, String) {
+        self.ended().await.expect("a close before the end")
+    }
+
+    /// Code and reason with which the server ends this connection; `None` where the line is cut before they are read.
+    pub(crate) async fn ended(&mut self) -> Option<(u16, String)> {
         loop {
-            match tokio::time::timeout(PATIENCE, self.socket.next()).await.expect("a close") {
+            match tokio::time::timeout(PATIENCE, self.socket.next()).await.expect("an end") {
                 Some(Ok(Message::Close(Some(CloseFrame { code, reason })))) => {
-                    return (code.into(), reason.to_string());
+                    return Some((code.into(), reason.to_string()));
                 }
                 Some(Ok(_)) => {}
-                other => panic!("expected a close, got {other:?}"),
+                Some(Err(_)) | None => return None,
             }
         }
     }
