@@ -37,6 +37,10 @@ pub use smooth::smoothed;
 
 /// A sample so long after the one before leaves a gap, s.
 const GAP_S: f64 = 0.05;
+/// Without a sample the last rate goes on for so long, s.
+const COAST_S: f64 = 0.1;
+/// After so long without a sample the sensor may have been turned anyhow, s.
+const AWAY_S: f64 = 0.5;
 /// What a rate that changed by 1 rad/s in a gap of 1 s turned besides its mean, rad: a swing whose phase goes on by 1 rad in the gap
 /// leaves a twelfth.
 const BRIDGED: f64 = 0.1;
@@ -89,7 +93,7 @@ pub struct Ahrs {
     started: bool,
     /// The last rate without its bias, rad/s.
     rate_rad_s: Vector3<f64>,
-    /// Time since the last sample that was bridged, s.
+    /// Time without a sample since the last one, s.
     coasted_s: f64,
     window: Window,
     inclination: inclination::Inclination,
@@ -153,6 +157,9 @@ impl Ahrs {
     /// A sample with a number that is not finite (or a `dt_s` that is not positive) changes nothing but
     /// [`Self::rejected`].
     pub fn push(&mut self, sample: &ImuSample, dt_s: f64) -> UnitQuaternion<f64> {
+        if self.coasted_s > AWAY_S {
+            self.resume();
+        }
         if self.advance(sample, dt_s) {
             self.close_window();
         }
@@ -177,10 +184,16 @@ impl Ahrs {
 
         let rate = gyro - self.inclination.bias_rad_s();
         let before = std::mem::replace(&mut self.rate_rad_s, rate);
-        let bridged = goes_on && dt_s > GAP_S;
-        let turned = if bridged { 0.5 * (before + rate) } else { rate };
-        self.q_level_sensor = integrate(self.q_level_sensor, turned, dt_s);
-        self.coasted_s = 0.0;
+        let coasted_s = std::mem::take(&mut self.coasted_s);
+        let since_s = coasted_s + dt_s;
+        if goes_on && since_s > GAP_S {
+            let coasted_rad = before * coasted_s.min(COAST_S);
+            let turned_rad = 0.5 * (before + rate) * since_s - coasted_rad;
+            self.q_level_sensor = integrate(self.q_level_sensor, turned_rad, 1.0);
+            self.window.bridged_rad2 += (BRIDGED * since_s).powi(2) * (rate - before).norm_squared();
+        } else {
+            self.q_level_sensor = integrate(self.q_level_sensor, rate, dt_s);
+        }
         let rotation = self.q_level_sensor.to_rotation_matrix();
         let rotation = rotation.matrix();
         let force = rotation * sample.accel_m_s2;
@@ -190,9 +203,6 @@ impl Ahrs {
         w.velocity_m_s += force * dt_s;
         w.shaking += dt_s * (force - Vector3::z() * inclination::GRAVITY_M_S2).norm_squared();
         w.turned_rad += rate.norm() * dt_s;
-        if bridged {
-            w.bridged_rad2 += (BRIDGED * dt_s).powi(2) * (rate - before).norm_squared();
-        }
         if let Some(mag) = mag {
             w.mag_samples += 1;
             w.mag += rotation * mag;
@@ -212,11 +222,13 @@ impl Ahrs {
         self.heading = heading::Heading::new(&self.params.heading);
     }
 
-    /// Moves on by `dt_s` without a sample: the last rate goes on for at most a tenth of a second, then it holds.
+    /// Moves on by `dt_s` without a sample: the last rate goes on for at most a tenth of a second, then it holds. The next
+    /// sample, if it comes within half a second, bridges all of that; after longer it levels anew, as after [`Self::resume`].
     pub fn coast(&mut self, dt_s: f64) {
-        if self.started && dt_s > 0.0 && dt_s.is_finite() && self.coasted_s < 0.1 {
+        if self.started && dt_s > 0.0 && dt_s.is_finite() {
+            let step_s = dt_s.min((COAST_S - self.coasted_s).max(0.0));
             self.coasted_s += dt_s;
-            self.q_level_sensor = integrate(self.q_level_sensor, self.rate_rad_s, dt_s);
+            self.q_level_sensor = integrate(self.q_level_sensor, self.rate_rad_s, step_s);
         }
     }
 
@@ -226,6 +238,7 @@ impl Ahrs {
     /// magnetometer the heading stays. The gyro's bias is kept.
     pub fn resume(&mut self) {
         self.started = false;
+        self.coasted_s = 0.0;
         self.window = Window::default();
         self.rest = rest::Rest::default();
         self.inclination.forget_motion();
