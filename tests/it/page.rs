@@ -244,12 +244,22 @@ async fn a_map_of_faults_is_learnt_and_a_cell_named_in_the_browser() {
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let mut browser = Browser::open(&format!("http://{}/#health", posed.address)).await;
     browser.until(LIVE).await;
-    // Three seconds are enough to learn from.
-    browser.until("parseFloat(document.getElementById('frame').textContent.split(' ')[2]) > 4.5").await;
-    browser.click("tab-analysis").await;
-    browser.until("document.getElementById('fault-map').parentElement.hidden").await;
-    browser.click("faults-train").await;
-    browser.until("document.getElementById('fault-map').children.length === 441").await;
+    let learnt = "document.getElementById('fault-map').children.length === 441";
+    let shown_s = "parseFloat(document.getElementById('frame').textContent.split(' ')[2])";
+    // Three seconds are enough to learn from; a busy machine has too few frames then, and the page says so.
+    for enough_s in [4.5, 10.0, 20.0, 40.0] {
+        browser.click("tab-health").await;
+        browser.until(&format!("{shown_s} > {enough_s}")).await;
+        browser.click("tab-analysis").await;
+        if browser.value(learnt).await == true {
+            break;
+        }
+        browser.until("document.getElementById('fault-map').parentElement.hidden").await;
+        browser.click("faults-train").await;
+        let refused = "document.getElementById('faults-learnt').textContent.includes('too few')";
+        browser.until(&format!("{learnt} || {refused}")).await;
+    }
+    browser.until(learnt).await;
     browser.until("document.querySelectorAll('#fault-map .winner').length === 1").await;
     let label = browser.row("fault-labels", 1).await;
     assert_eq!((label[0].as_str(), label.len()), ("of two", 5));

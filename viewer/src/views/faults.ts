@@ -10,6 +10,8 @@ const TRUST: Record<FaultClass, string> = { clean: "good", inverted: "care", ano
 export class FaultsPanel {
   readonly element: HTMLElement;
   private readonly says = el("p", { class: "says", role: "alert" });
+  private readonly train = el("button", { id: "faults-train" }, "Learn");
+  private readonly learnt = el("p", { id: "faults-learnt", class: "says", role: "alert" });
   private readonly now = el("p", { id: "fault-now" });
   private readonly grid = el("div", { id: "fault-map", class: "fault-map", role: "img", "aria-label": "Cells by class" });
   private readonly row = el("input", { id: "cell-row", type: "number", min: 0, required: true, value: 0 });
@@ -29,17 +31,20 @@ export class FaultsPanel {
     name.addEventListener("submit", acting(this.says, () => link.request({
       type: "faults.name_cell", row: Number(this.row.value), column: Number(this.column.value), class: this.class.value as FaultClass,
     })));
-    const train = el("form", { class: "row" },
-      el("label", {}, "Learn the map from the last ", this.last, " s"), el("button", { id: "faults-train" }, "Learn"));
-    train.addEventListener("submit", acting(this.says, () => link.request({ type: "faults.train", last_s: Number(this.last.value) })));
+    const train = el("form", { class: "row" }, el("label", {}, "Learn the map from the last ", this.last, " s"), this.train);
+    train.addEventListener("submit", acting(this.learnt, () => link.request({ type: "faults.train", last_s: Number(this.last.value) })));
     const legend = el("p", { class: "quiet" }, ...CLASSES.flatMap((name) => [el("span", { class: `cell ${name}` }), ` ${name}  `]), "outlined: now");
     this.grid.addEventListener("click", ({ target }) => this.choose(target as HTMLElement));
     this.known = el("div", {}, this.now, this.grid, legend, name, this.labels.element);
-    this.element = el("section", { "aria-labelledby": "fault-map-title" }, el("h2", { id: "fault-map-title" }, "Map of faults"), this.known, train, this.says);
+    this.element = el("section", { "aria-labelledby": "fault-map-title" }, el("h2", { id: "fault-map-title" }, "Map of faults"), this.known, this.says, train, this.learnt);
   }
 
   draw(): void {
-    const { faultMap, sensors } = this.context.model;
+    const { faultMap, sensors, hello, status, jobs } = this.context.model;
+    const job = jobs?.jobs.filter(({ kind }) => kind === "faults.train").at(-1);
+    this.train.disabled = hello?.role !== "operate" || !!status?.replay || job?.state === "running";
+    if (job?.message) setText(this.learnt, job.message);
+    this.learnt.className = `says ${job?.state === "done" ? "good" : ""}`;
     this.known.hidden = faultMap === null;
     if (!faultMap) return;
     if (this.drawn !== faultMap) this.drawCells(faultMap);
