@@ -1,7 +1,8 @@
 //! Numbers the network computes with, and their matrix product.
 //!
 //! What comes in: views of slices as matrices. What goes out: sums of products. What it never does: read outside a
-//! slice; the product is `matrixmultiply`'s, which chooses its kernel (AVX-512, AVX2 and FMA, ...) when it runs.
+//! slice; the product is `gemm`'s, which chooses its kernel (AVX-512, AVX2 and FMA, ...) when it runs. Doubles, which
+//! only check gradients, are multiplied one by one.
 
 #![expect(unsafe_code, reason = "the matrix product takes pointers; every view is checked against its slice")]
 
@@ -85,7 +86,7 @@ impl<'a, R> ViewMut<'a, R> {
 }
 
 macro_rules! real {
-    ($real:ty, $gemm:path) => {
+    ($real:ty, $add_product:path) => {
         impl Real for $real {
             const ZERO: Self = 0.0;
             const ONE: Self = 1.0;
@@ -112,37 +113,59 @@ macro_rules! real {
                     (c.rows, b.rows, c.columns),
                     "shapes of a product"
                 );
-                if c.rows == 0 || c.columns == 0 || a.columns == 0 {
-                    return;
-                }
-                // SAFETY: each view lies inside its slice (asserted where it was made: the largest index of a
-                // `rows` x `columns` view, transposed or not, is `rows * columns - 1`), and `c` overlaps neither
-                // `a` nor `b`, being borrowed mutably.
-                unsafe {
-                    $gemm(
-                        a.rows,
-                        a.columns,
-                        b.columns,
-                        1.0,
-                        a.data.as_ptr(),
-                        a.row_stride as isize,
-                        a.column_stride as isize,
-                        b.data.as_ptr(),
-                        b.row_stride as isize,
-                        b.column_stride as isize,
-                        1.0,
-                        c.data.as_mut_ptr(),
-                        c.columns as isize,
-                        1,
-                    );
+                if c.rows > 0 && c.columns > 0 && a.columns > 0 {
+                    $add_product(a, b, c);
                 }
             }
         }
     };
 }
 
-real!(f32, matrixmultiply::sgemm);
-real!(f64, matrixmultiply::dgemm);
+real!(f32, kernel);
+real!(f64, one_by_one);
+
+fn kernel(a: View<'_, f32>, b: View<'_, f32>, c: ViewMut<'_, f32>) {
+    let gemm = gemm_f32::gemm::f32::get_gemm_fn();
+    // It wants columns of the result in one piece: the product of the transposed is the transposed product.
+    let (rows, columns, inner) = (c.columns, c.rows, a.columns);
+    // SAFETY: each view lies inside its slice (asserted where it was made: the largest index of a `rows` x `columns`
+    // view, transposed or not, is `rows * columns - 1`), the shapes fit and none is empty (`add_product`), and `c`
+    // overlaps neither `a` nor `b`, being borrowed mutably.
+    unsafe {
+        gemm(
+            rows,
+            columns,
+            inner,
+            c.data.as_mut_ptr(),
+            c.columns as isize,
+            1,
+            true,
+            b.data.as_ptr(),
+            b.row_stride as isize,
+            b.column_stride as isize,
+            a.data.as_ptr(),
+            a.row_stride as isize,
+            a.column_stride as isize,
+            1.0,
+            1.0,
+            false,
+            false,
+            false,
+            gemm_common::Parallelism::None,
+        );
+    }
+}
+
+fn one_by_one(a: View<'_, f64>, b: View<'_, f64>, c: ViewMut<'_, f64>) {
+    for (i, row) in c.data.chunks_exact_mut(c.columns).take(c.rows).enumerate() {
+        for k in 0..a.columns {
+            let factor = a.data[i * a.row_stride + k * a.column_stride];
+            for (j, sum) in row.iter_mut().enumerate() {
+                *sum += factor * b.data[k * b.row_stride + j * b.column_stride];
+            }
+        }
+    }
+}
 
 #[cfg(test)]
 mod tests {
@@ -158,6 +181,45 @@ mod tests {
         let mut c = [0.0_f64; 9];
         f64::add_product(View::new(&a, 2, 3).transposed(), View::new(&b, 2, 3), ViewMut::new(&mut c, 3, 3));
         assert_eq!(c, [9.0, 2.0, 3.0, 12.0, 2.5, 3.0, 15.0, 3.0, 3.0]);
+    }
+
+    /// Sums of small whole numbers are exact.
+    #[test]
+    fn the_kernel_says_what_multiplying_one_by_one_says() {
+        fn product<R: Real>([rows, inner, columns]: [usize; 3], turned: [bool; 2]) -> Vec<f64> {
+            let numbers = |count: usize, step: usize| -> Vec<R> {
+                (0..count).map(|at| R::of((at * step % 7) as f64 - 3.0)).collect()
+            };
+            let (a, b) = (numbers(rows * inner, 3), numbers(inner * columns, 5));
+            let mut c = numbers(rows * columns, 2);
+            let a =
+                if turned[0] { View::new(&a, inner, rows).transposed() } else { View::new(&a, rows, inner) };
+            let b = if turned[1] {
+                View::new(&b, columns, inner).transposed()
+            } else {
+                View::new(&b, inner, columns)
+            };
+            R::add_product(a, b, ViewMut::new(&mut c, rows, columns));
+            c.into_iter().map(R::to_f64).collect()
+        }
+        for shape in [
+            [1, 1, 1],
+            [2, 3, 2],
+            [1, 40, 9],
+            [33, 1, 17],
+            [81, 57, 64],
+            [130, 260, 70],
+            [0, 3, 2],
+            [2, 0, 3],
+        ] {
+            for turned in [[false, false], [true, false], [false, true], [true, true]] {
+                assert_eq!(
+                    product::<f32>(shape, turned),
+                    product::<f64>(shape, turned),
+                    "{shape:?} {turned:?}"
+                );
+            }
+        }
     }
 
     #[test]
