@@ -1,18 +1,19 @@
 //! How well a simulated body is solved, and what it costs: the tables of `docs/body.md`. `cargo bench --bench body`
 
 use nalgebra::{UnitQuaternion, Vector3};
-use posed::fusion::ahrs::ImuSample;
-use posed::fusion::body::calibrate::{Block, Kind, Recorded, calibrate};
-use posed::fusion::body::{
-    ANGLE_NAMES, BodyFilter, BodyParams, BodySamples, LimbForm, SEGMENTS, Segment, Skeleton, Worn, angles,
+use posed_baselines::limbs::EulerBody;
+use posed_fusion::ahrs::ImuSample;
+use posed_fusion::body::calibrate::{Block, Kind, Recorded, calibrate};
+use posed_fusion::body::{
+    ANGLE_NAMES, BodyFilter, BodyParams, BodySamples, BodySegment, SEGMENTS, SensorMount, Skeleton, angles,
 };
-use posed::geometry::so3;
+use posed_geometry::so3;
 use posed_simulator::body::{Activity, Build, Disturbance, Script, SensorErrors, Wearer, WearerSpec};
 
 const HEIGHT_M: f64 = 1.8;
 const RATE_HZ: f64 = 100.0;
 const ACTIVITIES: [Activity; 4] = [Activity::Walking, Activity::Reaching, Activity::Curls, Activity::Squats];
-const TRUNKS: [Segment; 2] = [Segment::Torso, Segment::Pelvis];
+const TRUNKS: [BodySegment; 2] = [BodySegment::Torso, BodySegment::Pelvis];
 /// What the filters are given before the figures begin, s.
 const SETTLE_S: f64 = 10.0;
 
@@ -34,7 +35,8 @@ struct Case {
     clumsiness_rad: f64,
     activity_s: f64,
     seed: u64,
-    form: LimbForm,
+    /// By the published filter of limbs.
+    euler: bool,
 }
 
 impl Case {
@@ -48,7 +50,7 @@ impl Case {
             clumsiness_rad: 0.0,
             activity_s: 60.0,
             seed: 1,
-            form: LimbForm::Group,
+            euler: false,
         }
     }
 }
@@ -116,13 +118,13 @@ fn record(case: &Case) -> Run {
     Run { recording, truth, wearer, script, blocks }
 }
 
-fn worn(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<Worn>; SEGMENTS], String> {
+fn worn(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorMount>; SEGMENTS], String> {
     if case.mounting == Mounting::Calibrated {
-        let offsets = Segment::ALL.map(|_| None);
+        let offsets = BodySegment::ALL.map(|_| None);
         let found = calibrate(&run.recording, &run.blocks, skeleton, &offsets).map_err(|e| e.to_string())?;
         return Ok(found.worn);
     }
-    Ok(Segment::ALL.map(|segment| {
+    Ok(BodySegment::ALL.map(|segment| {
         let (mount, offset_m) = run.wearer.mounting(segment.index());
         let wrong = match case.mounting {
             Mounting::Wrong(degrees) => {
@@ -132,16 +134,43 @@ fn worn(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<Worn>; SE
             }
             _ => UnitQuaternion::identity(),
         };
-        Some(Worn { q_segment_sensor: wrong * mount, offset_m, heading_rad: None })
+        Some(SensorMount { q_segment_sensor: wrong * mount, offset_m, heading_rad: None })
     }))
+}
+
+/// The live filter of a body, or the published one.
+enum Solver {
+    Live(Box<BodyFilter>),
+    Euler(Box<EulerBody>),
+}
+
+impl Solver {
+    fn new(case: &Case, skeleton: &Skeleton, worn: &[Option<SensorMount>; SEGMENTS]) -> Self {
+        let params = BodyParams::default();
+        if case.euler {
+            Self::Euler(Box::new(EulerBody::new(skeleton, worn, &params)))
+        } else {
+            Self::Live(Box::new(BodyFilter::new(skeleton, worn, &params)))
+        }
+    }
+
+    /// Orientations, and how uncertain they are where the filter says so.
+    fn push(&mut self, samples: &BodySamples) -> ([Option<UnitQuaternion<f64>>; SEGMENTS], [f64; SEGMENTS]) {
+        match self {
+            Self::Live(filter) => {
+                let estimate = filter.push(samples, 1.0 / RATE_HZ);
+                (estimate.orientations, estimate.sigma_rad)
+            }
+            Self::Euler(body) => (*body.push(samples, 1.0 / RATE_HZ), [f64::NAN; SEGMENTS]),
+        }
+    }
 }
 
 fn solve(case: &Case) -> Result<Figures, String> {
     let skeleton = Skeleton::from_height(HEIGHT_M);
     let run = record(case);
     let worn = worn(case, &run, &skeleton)?;
-    let mut filter =
-        BodyFilter::new(&skeleton, &worn, &BodyParams { form: case.form, ..BodyParams::default() });
+    let mut filter = Solver::new(case, &skeleton, &worn);
     let mut sums = [0.0; 7];
     let mut headings = [0.0; SEGMENTS];
     let mut nees = [0.0; SEGMENTS];
@@ -149,32 +178,32 @@ fn solve(case: &Case) -> Result<Figures, String> {
     let index = |name: &str| ANGLE_NAMES.iter().position(|n| *n == name).expect("a name");
     let begin_s = run.script.activity_s() + SETTLE_S;
     for ((t_s, samples), truth) in run.recording.iter().zip(&run.truth) {
-        let estimate = filter.push(samples, 1.0 / RATE_HZ);
+        let (orientations, sigma_rad) = filter.push(samples);
         if *t_s < begin_s {
             continue;
         }
-        let expected = angles(&truth.map(Some));
+        let (found, expected) = (angles(&orientations), angles(&truth.map(Some)));
         let off = |name: &str| {
             let k = index(name);
-            let d = estimate.angles_rad[k].unwrap_or(f64::NAN) - expected[k].unwrap_or(f64::NAN);
+            let d = found[k].unwrap_or(f64::NAN) - expected[k].unwrap_or(f64::NAN);
             so3::log(&so3::exp(&(Vector3::z() * d))).z.to_degrees()
         };
-        let turn = |segment: Segment| {
+        let turn = |segment: BodySegment| {
             let k = segment.index();
             let Some(parent) = segment.parent() else { return f64::NAN };
             let p = parent.index();
-            let (Some(own), Some(above)) = (estimate.orientations[k], estimate.orientations[p]) else {
+            let (Some(own), Some(above)) = (orientations[k], orientations[p]) else {
                 return f64::NAN;
             };
             (above.inverse() * own).angle_to(&(truth[p].inverse() * truth[k])).to_degrees()
         };
-        for segment in Segment::ALL {
+        for segment in BodySegment::ALL {
             let mut trunk = segment;
             while let Some(parent) = trunk.parent().filter(|_| !TRUNKS.contains(&trunk)) {
                 trunk = parent;
             }
             let (k, t) = (segment.index(), trunk.index());
-            let (Some(own), Some(above)) = (estimate.orientations[k], estimate.orientations[t]) else {
+            let (Some(own), Some(above)) = (orientations[k], orientations[t]) else {
                 continue;
             };
             let off = if k == t {
@@ -182,30 +211,31 @@ fn solve(case: &Case) -> Result<Figures, String> {
             } else {
                 (above.inverse() * own).angle_to(&(truth[t].inverse() * truth[k]))
             };
-            nees[k] += off * off / (3.0 * estimate.sigma_rad[k].powi(2));
+            nees[k] += off * off / (3.0 * sigma_rad[k].powi(2));
         }
-        let torso = estimate.orientations[0].map_or(f64::NAN, |q| q.angle_to(&truth[0]).to_degrees());
-        let heading_of = |s: &Segment| {
-            let off = estimate.orientations[s.index()]? * truth[s.index()].inverse();
+        let torso = orientations[0].map_or(f64::NAN, |q| q.angle_to(&truth[0]).to_degrees());
+        let heading_of = |s: &BodySegment| {
+            let off = orientations[s.index()]? * truth[s.index()].inverse();
             Some(so3::log(&off).z.abs().to_degrees())
         };
-        for (sum, segment) in headings.iter_mut().zip(&Segment::ALL) {
+        for (sum, segment) in headings.iter_mut().zip(&BodySegment::ALL) {
             *sum += heading_of(segment).unwrap_or(f64::NAN).powi(2);
         }
-        let heading = Segment::ALL.iter().filter_map(heading_of).fold(0.0, f64::max);
+        let heading = BodySegment::ALL.iter().filter_map(heading_of).fold(0.0, f64::max);
         let pair = |r: f64, l: f64| 0.5 * (r * r + l * l);
         sums[0] += pair(off("elbow_r_flexion"), off("elbow_l_flexion"));
         sums[1] += pair(off("elbow_r_pronation"), off("elbow_l_pronation"));
         sums[2] += pair(off("knee_r_flexion"), off("knee_l_flexion"));
-        sums[3] += pair(turn(Segment::UpperArmR), turn(Segment::UpperArmL));
-        sums[4] += pair(turn(Segment::ThighR), turn(Segment::ThighL));
+        sums[3] += pair(turn(BodySegment::UpperArmR), turn(BodySegment::UpperArmL));
+        sums[4] += pair(turn(BodySegment::ThighR), turn(BodySegment::ThighL));
         sums[5] += torso * torso;
         sums[6] += heading * heading;
         count += 1.0;
     }
     let [elbow, pronation, knee, shoulder, hip, torso, heading] = sums.map(|sum| (sum / count).sqrt());
-    let worst = Segment::ALL.into_iter().max_by(|a, b| headings[a.index()].total_cmp(&headings[b.index()]));
-    let worst = worst.map_or("", Segment::name);
+    let worst =
+        BodySegment::ALL.into_iter().max_by(|a, b| headings[a.index()].total_cmp(&headings[b.index()]));
+    let worst = worst.map_or("", BodySegment::name);
     Ok(Figures {
         elbow,
         pronation,
@@ -237,14 +267,11 @@ fn main() {
     say("|---|---|---|---|---|---|---|---|---|");
     for activity in ACTIVITIES {
         row("perfect mounting", &Case::new(activity, Mounting::Perfect));
-        row("perfect, Euler", &Case { form: LimbForm::Euler, ..Case::new(activity, Mounting::Perfect) });
+        row("perfect, Euler", &Case { euler: true, ..Case::new(activity, Mounting::Perfect) });
         row("no errors", &Case { errors: SensorErrors::NONE, ..Case::new(activity, Mounting::Perfect) });
         row("3 degrees wrong", &Case::new(activity, Mounting::Wrong(3.0)));
         row("calibrated", &Case::new(activity, Mounting::Calibrated));
-        row(
-            "calibrated, Euler",
-            &Case { form: LimbForm::Euler, ..Case::new(activity, Mounting::Calibrated) },
-        );
+        row("calibrated, Euler", &Case { euler: true, ..Case::new(activity, Mounting::Calibrated) });
         let clumsy = Case { clumsiness_rad: 0.03, ..Case::new(activity, Mounting::Calibrated) };
         row("calibrated, clumsy", &clumsy);
         row(
@@ -288,7 +315,7 @@ fn consistency() {
             }
         }
     }
-    for (segment, sum) in Segment::ALL.iter().zip(&sums) {
+    for (segment, sum) in BodySegment::ALL.iter().zip(&sums) {
         say(&format!("| {} | {sum:.2} |", segment.name()));
     }
 }

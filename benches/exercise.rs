@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use posed::motion::exercise::{Counter, Exercise, Options, ShortTimeViterbi, Stream, Topology, teach};
+use posed_motion::exercise::{Counter, Exercise, Options, ShortTimeViterbi, Stream, Topology, teach};
 
 const CHANNELS: usize = 4;
 
@@ -36,7 +36,7 @@ fn taught(seconds: f64, period_s: f64) -> Exercise {
     let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
     let repetitions = ((seconds - 4.0) / period_s).round() as usize;
     let options = Options { name: "bench".to_owned(), repetitions, channels: Some(columns.clone()) };
-    teach(&stream, &options).expect("the example is a good one").exercise
+    teach(&stream, &options).expect("the demonstration is a good one").exercise
 }
 
 /// Short-time Viterbi of a left-right model of 40 states with its Gaussians on 4 channels, per sample.

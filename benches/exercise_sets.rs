@@ -7,7 +7,7 @@
 
 use std::io::Write;
 
-use posed::motion::exercise::{Counter, Event, EventKind, Exercise, Options, Stream, teach};
+use posed_motion::exercise::{Counter, Event, EventKind, Exercise, Options, Stream, teach};
 use posed_simulator::exercises::{ANGLES, Day, Exercise as Training, Person, RATE_HZ, Recording, Variant};
 
 const PEOPLE: u64 = 10;
@@ -139,7 +139,7 @@ impl Score {
         let Self { sets, refused, repetitions, false_counts, deficits, .. } = self;
         writeln!(
             out,
-            "{sets} sets: exact {:.1} %, within one {:.1} %; {refused} examples refused",
+            "{sets} sets: exact {:.1} %, within one {:.1} %; {refused} demonstrations refused",
             percent(self.exact, sets),
             percent(self.within_one, sets)
         )?;

@@ -3,9 +3,10 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use posed::faults::som::frames::Frames;
-use posed::faults::som::map::{Rule, Training, Width};
-use posed::faults::som::{Network, Size};
+use posed_baselines::fault_map;
+use posed_motion::fault_map::frames::Frames;
+use posed_motion::fault_map::som::Training;
+use posed_motion::fault_map::{FaultMap, Size};
 
 /// Sensors that sway about places of their own.
 fn frames(sensors: usize, count: usize) -> Frames {
@@ -25,28 +26,20 @@ fn frames(sensors: usize, count: usize) -> Frames {
 fn train(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("faults");
     group.sample_size(10);
-    let published = Training {
-        rule: Rule::Paper,
-        epochs: 100,
-        width: Width::Fixed,
-        stop: false,
-        body: false,
-        ..Training::default()
-    };
     for count in [407, 2823] {
         let frames = frames(16, count);
         group.bench_function(format!("train 16 sensors x {count} frames x 100 epochs"), |bencher| {
-            bencher.iter(|| Network::train(&frames, Size::default(), &published));
+            bencher.iter(|| fault_map::train(&frames, Size::default(), &fault_map::published()));
         });
     }
     let frames = frames(20, 1000);
-    if let Ok((network, _)) = Network::train(&frames, Size::default(), &Training::default()) {
-        let mut watch = network.watch();
+    if let Ok((fault_map, _)) = FaultMap::train(&frames, Size::default(), &Training::default()) {
+        let mut watch = fault_map.watch();
         let mut k = 0;
         group.bench_function("a frame of 20 sensors", |bencher| {
             bencher.iter(|| {
                 k = (k + 1) % frames.len();
-                black_box(watch.push(&network, frames.frame(k)).class)
+                black_box(watch.push(&fault_map, frames.frame(k)).label.class)
             });
         });
     }

@@ -5,13 +5,14 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::{SVector, UnitQuaternion, Vector3};
-use posed::fusion::ahrs::{Ahrs, ImuSample, Params};
-use posed::fusion::limb::{Arm, Axes, Ball, Base, FieldReference, Leg, LimbGeometry, LimbNoise, LimbSamples};
+use posed_fusion::ahrs::{Ahrs, ImuSample, Params};
+use posed_fusion::limb::{Arm, Axes, Ball, Base, FieldReference, Leg, LimbGeometry, LimbNoise, LimbSamples};
+use posed_geometry::GRAVITY_M_S2;
 
 fn sample(t: f64) -> ImuSample {
     ImuSample {
         gyro_rad_s: Vector3::new((2.1 * t).sin(), (1.3 * t).cos(), (0.9 * t).sin()),
-        accel_m_s2: Vector3::new((5.0 * t).sin(), -9.81, (6.1 * t).cos()),
+        accel_m_s2: Vector3::new((5.0 * t).sin(), -GRAVITY_M_S2, (6.1 * t).cos()),
         mag: Some(Vector3::new(17.0, 42.0, 5.0)),
     }
 }
@@ -28,7 +29,11 @@ fn geometry() -> LimbGeometry {
 }
 
 fn ball() -> Ball {
-    Ball { q: UnitQuaternion::identity(), rate_rad_s: Vector3::zeros(), accel_rad_s2: Vector3::zeros() }
+    Ball {
+        q: UnitQuaternion::identity(),
+        angular_velocity_rad_s: Vector3::zeros(),
+        accel_rad_s2: Vector3::zeros(),
+    }
 }
 
 fn arm() -> Arm {
@@ -47,7 +52,7 @@ fn still(field: Vector3<f64>) -> LimbSamples {
     let sample = |mount: UnitQuaternion<f64>| {
         Some(ImuSample {
             gyro_rad_s: Vector3::zeros(),
-            accel_m_s2: mount.inverse() * Vector3::z() * 9.81,
+            accel_m_s2: mount.inverse() * Vector3::z() * GRAVITY_M_S2,
             mag: Some(mount.inverse() * field),
         })
     };

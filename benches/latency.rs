@@ -16,11 +16,11 @@ use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
 use hdrhistogram::Histogram;
-use posed::daemon::{Daemon, Options};
-use posed::stage::Stage;
+use posed_daemon::{Daemon, Options};
 use posed_simulator::host::{Clock, Watcher, serve_stream};
 use posed_simulator::scenario::{DeviceScenario, DeviceSpec, Scenario, SensorSpec, StageSpec};
 use posed_simulator::stage::VirtualStage;
+use posed_stage::Stage;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream, UnixStream};
 use tokio_tungstenite::tungstenite::Message;

@@ -1,4 +1,4 @@
-//! One second of bytes through the warm pipeline: session, clock, frames, faults, filter.
+//! One second of bytes through the warm pipeline: session, clock, frames, faults, filter; and a snapshot of its state.
 
 #[path = "../tests/rig/mod.rs"]
 mod rig;
@@ -6,7 +6,7 @@ mod rig;
 use std::hint::black_box;
 
 use criterion::{BatchSize, Criterion, Throughput};
-use posed::pipeline::Pipeline;
+use posed_pipeline::Pipeline;
 use posed_simulator::scenario::{DeviceScenario, Scenario};
 use rig::{Rig, stage};
 
@@ -25,7 +25,7 @@ fn second(criterion: &mut Criterion, name: &str, birds: &[u16], rate_hz: f64) {
     let mut count = warm.clone();
     for entry in &rig.log[from..] {
         count.push(entry, &mut |output| {
-            frames += u64::from(matches!(output, posed::output::Output::Estimate(_)))
+            frames += u64::from(matches!(output, posed_stage::output::Output::Estimate(_)))
         });
     }
     let mut group = criterion.benchmark_group("pipeline");
@@ -44,9 +44,24 @@ fn second(criterion: &mut Criterion, name: &str, birds: &[u16], rate_hz: f64) {
     group.finish();
 }
 
+/// A snapshot of the demo's stage after 20 s, and a pipeline restored from it.
+fn snapshot(criterion: &mut Criterion) {
+    let (stage, mut rig) = rig::demo();
+    rig.run_until(20.0);
+    let bytes = rig.pipeline.snapshot();
+    let mut group = criterion.benchmark_group("snapshot");
+    group.throughput(Throughput::Bytes(bytes.len() as u64));
+    group.bench_function("take", |bencher| bencher.iter(|| black_box(rig.pipeline.snapshot())));
+    group.bench_function("restore", |bencher| {
+        bencher.iter(|| Pipeline::restore(&stage, rig.pipeline.models(), &bytes).expect("its own stage"));
+    });
+    group.finish();
+}
+
 fn main() {
     let mut criterion = Criterion::default().configure_from_args();
     second(&mut criterion, "8 birds of one flock", &[8], 90.0);
     second(&mut criterion, "100 birds of 50 flocks", &[2; 50], 100.0);
+    snapshot(&mut criterion);
     criterion.final_summary();
 }

@@ -5,9 +5,9 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use posed::input::{Entry, Input};
-use posed::recording::{Header, Reader, Writer};
 use posed_drivers::Timestamp;
+use posed_recording::{Header, Reader, Writer};
+use posed_stage::input::{Entry, Input};
 
 /// Ten seconds at 100 Hz.
 const FRAMES: usize = 1000;
@@ -21,7 +21,7 @@ fn header() -> Header {
         stage_toml: "name = \"bench\"".to_owned(),
         devices: vec!["flock".to_owned()],
         sensors: Vec::new(),
-        models: Vec::new(),
+        models: Default::default(),
         snapshot: None,
     }
 }

@@ -10,10 +10,10 @@ use std::error::Error;
 use std::io::Write;
 use std::path::Path;
 
-use posed::motion::exercise::{Counter, Event, EventKind, Options, Stream, teach};
-use posed::table::{Streams, TableReader};
+use posed_motion::exercise::{Counter, Event, EventKind, Options, Stream, teach};
+use posed_recording::table::{Streams, TableReader};
 
-/// Sets whose notes the recording contradicts; `docs/exercise.md` says why.
+/// Sets whose notes the recording contradicts; `docs/exercise.md` states why.
 const DISPUTED: [&str; 7] = [
     "011224_CGCR_W52_S3_R8",
     "011224_DWC_W7_5_S1_R12",

@@ -12,8 +12,8 @@ use std::error::Error;
 use std::io::Write;
 use std::path::Path;
 
-use posed::motion::exercise::{Counter, EventKind, Exercise, Options, Stream, teach};
-use posed::table::{Streams, TableReader};
+use posed_motion::exercise::{Counter, EventKind, Exercise, Options, Stream, teach};
+use posed_recording::table::{Streams, TableReader};
 
 const RATE_HZ: f64 = 100.0;
 const SETS: [&str; 3] = ["gy", "gx,gy,gz", "ax,ay,az,gx,gy,gz"];
@@ -151,7 +151,7 @@ impl Score {
         let Self { trials, exact, within_one, strides, found, counted, refused } = *self;
         format!(
             "{trials} trials, exact {:.1} %, within one {:.1} %; {:.1} % of {strides} strides found; {:.1} % of {counted} \
-             counts false; {refused} of the examples refused",
+             counts false; {refused} of the demonstrations refused",
             percent(exact, trials),
             percent(within_one, trials),
             percent(found, strides),
@@ -164,7 +164,7 @@ impl Score {
 fn ends_s(exercise: &Exercise, streams: &Streams) -> Result<Vec<f64>, Box<dyn Error>> {
     let mut counter = Counter::new(vec![exercise.clone()], &streams.columns)?;
     let mut ends_s = Vec::new();
-    let mut note = |event: posed::motion::exercise::Event| {
+    let mut note = |event: posed_motion::exercise::Event| {
         if event.kind == EventKind::Counted {
             ends_s.push(event.t_s);
         }

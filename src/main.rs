@@ -1,7 +1,10 @@
-//! The `posed` binary: the command line over the library.
+//! The `posed` binary: the command line over the crates.
 
-mod cli;
+#![allow(rustdoc::broken_intra_doc_links, reason = "help texts name tables of the stage file in brackets")]
+
+mod commands;
+mod pictures;
 
 fn main() -> std::process::ExitCode {
-    cli::main()
+    commands::main()
 }

@@ -12,21 +12,21 @@ mod rig;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-use posed::faults::som::frames::Frames;
-use posed::faults::som::map::Training;
-use posed::faults::som::{Network, Size};
-use posed::field::Prepared;
-use posed::fusion::chain::calibrate::calibrate;
-use posed::input::{Entry, Input, Model};
-use posed::layout::ChainLayout;
-use posed::motion::exercise::{Exercise, Options, Stream, teach};
-use posed::output::{Outcome, OutcomeKind, Output};
-use posed::pipeline::{Pipeline, raw_positions};
-use posed::signals;
-use posed::stage::{FieldWatch, Keyframes, Stage};
+use posed_field::Prepared;
+use posed_fusion::chain::calibrate::calibrate;
+use posed_motion::exercise::{Exercise, Options, Stream, teach};
+use posed_motion::fault_map::frames::Frames;
+use posed_motion::fault_map::som::Training;
+use posed_motion::fault_map::{FaultMap, Size};
+use posed_pipeline::{Pipeline, raw_positions};
 use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
+use posed_stage::input::{Entry, Input, Model};
+use posed_stage::layout::ChainLayout;
+use posed_stage::output::{Outcome, OutcomeKind, Output};
+use posed_stage::signals;
+use posed_stage::{FieldWatch, Keyframes, Stage};
 use rig::{Rig, demo, demo_stage, field_map, leg, stage};
 
 struct Counting;
@@ -71,18 +71,18 @@ fn a_warm_pipeline_does_not_allocate() {
     let mut stage_file = stage(&[2, 1]);
     let named = |sensor: &str| sensor.to_owned();
     stage_file.field = Some(FieldWatch {
-        witnesses: vec![named("s1-0")],
+        reference_sensors: vec![named("s1-0")],
         rigid_pairs: vec![["s0-0", "s0-1"].map(named)],
         mains_hz: None,
     });
-    stage_file.keyframes = Some(Keyframes { sensors: None, window: 20, false_alarms_per_min: 60.0 });
+    stage_file.keyframes = Some(Keyframes { sensors: None, window_frames: 20, false_alarms_per_min: 60.0 });
     let flock =
         |name: &str, burst_ms| DeviceScenario { name: name.into(), burst_ms, ..DeviceScenario::default() };
     let scenario = Scenario { devices: vec![flock("d0", 16.0), flock("d1", 0.0)], ..Scenario::default() };
     let exercise = curl(&stage_file, &scenario);
     let mut rig = Rig::new(&stage_file, &curling(None, scenario.clone()));
     rig.push(Input::Model(Model::Exercise { exercise: Box::new(exercise) }));
-    rig.push(Input::Model(Model::Faults { network: Box::new(faults(&stage_file, &scenario)) }));
+    rig.push(Input::Model(Model::Faults { fault_map: Box::new(faults(&stage_file, &scenario)) }));
     rig.push(Input::Model(Model::Field { version: 1, map: Some(Prepared::new(field_map())) }));
     rig.run_until(12.0);
 
@@ -112,8 +112,8 @@ fn a_warm_pipeline_does_not_allocate() {
     assert_eq!(allocations, 0, "in {frames} frames with {events} events");
 }
 
-/// A map of faults of this stage's own movements.
-fn faults(stage_file: &Stage, scenario: &Scenario) -> Network {
+/// A fault map of this stage's own movements.
+fn faults(stage_file: &Stage, scenario: &Scenario) -> FaultMap {
     let mut rig = Rig::new(stage_file, &curling(None, scenario.clone()));
     rig.run_until(8.0);
     let sensors = stage_file.sensors.iter().map(|sensor| sensor.name.clone()).collect();
@@ -123,7 +123,7 @@ fn faults(stage_file: &Stage, scenario: &Scenario) -> Network {
         raw_positions(estimate, &[0, 1, 2], |p| frames.positions_m.extend(p));
     }
     let training = Training { epochs: 4, ..Training::default() };
-    Network::train(&frames, Size { neurons: 11, side: 5 }, &training).expect("frames").0
+    FaultMap::train(&frames, Size { neurons: 11, side: 5 }, &training).expect("frames").0
 }
 
 /// The first sensor on a forearm that curls, so many times.
@@ -273,7 +273,7 @@ fn stays_flat(mut rig: Rig, end_s: f64) -> usize {
 #[test]
 fn memory_of_the_demo_stays_flat() {
     let (_, mut rig) = demo();
-    rig.push(Input::Network(include_bytes!("../config/demo-moves.safetensors").to_vec()));
+    rig.push(Input::SegmentationNetwork(include_bytes!("../config/demo-moves.safetensors").to_vec()));
     rig.push(Input::Model(Model::Field { version: 1, map: Some(Prepared::new(field_map())) }));
     let end_s = soak_s(180.0);
     let frames = stays_flat(rig, end_s);
@@ -309,7 +309,7 @@ fn memory_stays_flat_however_long_it_runs() {
 /// The network of segments on a stream: features, one column per layer, minimum durations.
 #[test]
 fn a_warm_labeller_does_not_allocate() {
-    use posed::motion::segments::{Labeller, Options, Sequence, Trainer};
+    use posed_motion::segments::{Labeller, Options, Sequence, Trainer};
     let mut sequence = Sequence { joints: 3, ..Sequence::default() };
     for frame in 0..1200_u32 {
         let t_s = f64::from(frame) / 60.0;

@@ -1,6 +1,6 @@
 import { defineConfig } from "vite";
 
-// Built by cargo (build.rs), which says where to: nothing is written beside the sources.
+// Built by cargo (build.rs), which states where to: nothing is written beside the sources.
 export default defineConfig({
   base: "./",
   build: { target: "es2022", assetsInlineLimit: 0, chunkSizeWarningLimit: 1000, modulePreload: { polyfill: false },

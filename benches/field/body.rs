@@ -1,6 +1,6 @@
 //! The body in place of the pole: five people, a minute each; judged on the half minute after it.
 
-use posed::field::solve_limbs;
+use posed_field::solve_limbs;
 
 use super::session::{Reading, Session};
 

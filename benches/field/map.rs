@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use nalgebra::Vector3;
-use posed::field::{FieldNoise, fit_known};
+use posed_field::{FieldNoise, fit_known};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -1,4 +1,4 @@
-//! Simulated scenes: metal, a pole waved among it, and the truth.
+//! Simulated scenes: metal, a pole moved among it, and the truth.
 
 use std::f64::consts::TAU;
 

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use nalgebra::{Matrix3, Rotation3, Unit, UnitQuaternion, Vector3};
-use posed::field::{Bone, Joint, Limbs, PoleReading, PoleRun, rigid};
+use posed_field::{Bone, Joint, Limbs, PoleReading, PoleRun, rigid};
 use posed_simulator::body::{Activity, Build, Script};
 use posed_simulator::magnetic::{Environment, Floor, Sphere, signal_matrix, solve};
 use rand::{RngExt, SeedableRng};

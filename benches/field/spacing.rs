@@ -1,24 +1,26 @@
-//! Whether a spacing that is a millimetre in 300 off is told by three anchors, and a right one is not.
+//! Whether a spacing that is a millimetre in 300 off is identified by three anchors, and a right one is not.
 
-use posed::field::{Code, solve};
+use posed_field::{Code, solve};
 
 use super::scenes::{SPACING_M, scenes};
 use super::survey::{anchors, pole};
 
 #[expect(clippy::print_stdout, reason = "the table is the answer")]
 pub(crate) fn run(seeds: u64, only: Option<&str>) {
-    println!("| scene | right, told | 1 mm more, told | 1 mm less, told | of |\n|---|---|---|---|---|");
+    println!(
+        "| scene | right, flagged | 1 mm more, flagged | 1 mm less, flagged | of |\n|---|---|---|---|---|"
+    );
     for scene in scenes().iter().filter(|scene| only.is_none_or(|only| scene.name.contains(only))) {
-        let told = [0.0, 0.001, -0.001].map(|wrong_m| {
-            let told = (1..=seeds).filter(|seed| {
+        let reported = [0.0, 0.001, -0.001].map(|wrong_m| {
+            let reported = (1..=seeds).filter(|seed| {
                 let run = scene.run(*seed);
                 let mut recording = pole(&run, SPACING_M + wrong_m);
                 let anchors = anchors(scene, &run, &mut recording, *seed);
                 let report = solve(recording, &anchors, &mut |_| {}).report;
                 report.reasons.iter().any(|reason| reason.code == Code::Spacing)
             });
-            told.count()
+            reported.count()
         });
-        println!("| {} | {} | {} | {} | {seeds} |", scene.name, told[0], told[1], told[2]);
+        println!("| {} | {} | {} | {} | {seeds} |", scene.name, reported[0], reported[1], reported[2]);
     }
 }

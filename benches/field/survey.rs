@@ -1,7 +1,7 @@
 //! What an operator records in a scene: the pole, and anchors on which a sensor stood.
 
 use nalgebra::Vector3;
-use posed::field::{Anchor, PoleFrame, PoleReading, PoleRun};
+use posed_field::{Anchor, PoleFrame, PoleReading, PoleRun};
 
 use super::scenes::{Run, SENSORS, Scene};
 

@@ -1,8 +1,8 @@
 //! The table of scenes: the cascade, the joint solver, and the best that its own basis could do.
 
 use nalgebra::{UnitQuaternion, Vector3};
-use posed::field::cascade::cascade;
-use posed::field::{FieldNoise, refit_known, refit_pole, rigid, solve};
+use posed_baselines::cascade::cascade;
+use posed_field::{FieldNoise, refit_known, refit_pole, rigid, solve};
 
 use super::cpu;
 use super::scenes::{SPACING_M, Sample, scenes};
@@ -10,7 +10,7 @@ use super::survey::{anchors, pole};
 
 type Pair = (Vector3<f64>, Vector3<f64>);
 
-/// Places of which the map says more than this of itself are flagged as `extrapolated`, m.
+/// Places of which the map reports more than this of itself are flagged as `extrapolated`, m.
 const VOUCHED_M: f64 = 0.05;
 
 /// Rms distance, mm.

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Three stages and a hub in network namespaces of their own, over links with delay and loss that are cut and mended.
+"""Three stages and a hub in network namespaces of their own, over links with delay and loss that are cut and repaired.
 
     cargo test --features zenoh --test it --no-run
     sudo python3 benches/hub/cut.py target/debug/posed
@@ -143,7 +143,7 @@ FIELDS = ["device", "position_m", "orientation_wxyz", "measured", "covariance", 
 
 
 def digest(message):
-    """What a message says, apart from what differs from client to client."""
+    """What a message reports, apart from what differs from client to client."""
     said = {key: value for key, value in message.items() if key not in ("seq", "dropped", "stage")}
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
@@ -217,7 +217,7 @@ def main():
     parser.add_argument("--delay-ms", type=float, default=20.0, help="each way")
     parser.add_argument("--loss", type=float, default=0.02, help="of packets, each way")
     parser.add_argument("--cut-s", type=float, default=10.0)
-    parser.add_argument("--around-s", type=float, default=8.0, help="before the cut, and after it is mended")
+    parser.add_argument("--around-s", type=float, default=8.0, help="before the cut, and after it is repaired")
     options = parser.parse_args()
     names = [f"posed-hub-{n}" for n in range(1, options.stages + 1)]
     folder = tempfile.mkdtemp()
@@ -286,7 +286,7 @@ def measure(options, links, operators):
     for link in links:
         link.cut = True
     time.sleep(options.cut_s)
-    mended = time.monotonic()
+    repaired = time.monotonic()
     for link in links:
         link.cut = False
     time.sleep(options.around_s)
@@ -299,13 +299,13 @@ def measure(options, links, operators):
         stage = f"stage-{n}"
         here = events[stage]
         common = set(there["frames"]) & set(said[stage])
-        after = [t for t in arrivals[stage] if t > mended]
+        after = [t for t in arrivals[stage] if t > repaired]
         stages[stage] = {
             "events_said": len(there["events"]),
             "events_missing": sorted(set(there["events"]) - set(here)),
             "events_in_order": here == sorted(set(here)),
             "states": board["states"][stage],
-            "poses_again_s": round(after[0] - mended, 3) if after else None,
+            "poses_again_s": round(after[0] - repaired, 3) if after else None,
             "frames_compared": len(common),
             "frames_different": sum(there["frames"][t] != said[stage][t] for t in common),
             "frames_missing_here": len(set(there["frames"]) - set(said[stage])),

@@ -59,7 +59,7 @@ impl Report {
 }
 
 /// What one client saw: latencies in microseconds.
-pub(crate) struct Seen {
+pub(crate) struct Received {
     latency_us: Histogram<u64>,
     bytes: u64,
     /// Longest time between two messages.
@@ -70,7 +70,7 @@ pub(crate) struct Seen {
     last: Option<Instant>,
 }
 
-impl Seen {
+impl Received {
     #[expect(clippy::disallowed_methods, reason = "this program owns its clock")]
     pub(crate) fn new(seconds: f64) -> Self {
         let begins = Instant::now() + Duration::from_secs_f64(WARM_UP_S);
@@ -174,8 +174,8 @@ pub(crate) async fn subscribe(socket: &mut Socket) {
     socket.send(Message::Text(request.into())).await.expect("a connection");
 }
 
-async fn listen(mut socket: Socket, epoch_s: f64, seconds: f64) -> Seen {
-    let mut seen = Seen::new(seconds);
+async fn listen(mut socket: Socket, epoch_s: f64, seconds: f64) -> Received {
+    let mut seen = Received::new(seconds);
     loop {
         let (t_s, dropped, bytes) = match socket.next().await {
             Some(Ok(Message::Text(text))) => match json_head(&text) {

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use posed::daemon::server::{Config, Hub, Server};
-use posed::output::{Estimate, PoseEstimate, SensorEstimate, SensorState};
-use posed::stage::{Sensor, Stage, Vrpn};
+use posed_daemon::server::{Config, Hub, Server};
 use posed_drivers::Timestamp;
+use posed_stage::output::{Estimate, PoseEstimate, SensorEstimate, SensorState};
+use posed_stage::{Sensor, Stage, Vrpn};
 use tokio::sync::oneshot;
 
 use super::Args;

@@ -1,10 +1,10 @@
 //! VRPN clients, good and bad, that connect by TCP.
 
-use posed::vrpn::wire::{GREETING, Messages};
+use posed_protocol::vrpn::wire::{GREETING, Messages};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 
-use super::clients::Seen;
+use super::clients::Received;
 
 /// Number of the type of poses: the first that the server describes.
 const POSE: i32 = 0;
@@ -20,8 +20,8 @@ pub(crate) async fn connect(address: &str) -> TcpStream {
 }
 
 /// Takes the time of every frame: when the pose of the last sensor has come.
-pub(crate) async fn listen(mut stream: TcpStream, last: i32, seconds: f64) -> Seen {
-    let mut seen = Seen::new(seconds);
+pub(crate) async fn listen(mut stream: TcpStream, last: i32, seconds: f64) -> Received {
+    let mut seen = Received::new(seconds);
     let (mut messages, mut bytes, mut taken) = (Messages::default(), vec![0; 65536], 0);
     loop {
         let read = stream.read(&mut bytes).await.expect("a connection");

@@ -94,7 +94,7 @@ async fn accept(relay: &TcpListener) -> Page {
     accept_hdr_async(stream, agree).await.unwrap()
 }
 
-/// Relays between page and daemon, and keeps what the daemon says.
+/// Relays between page and daemon, and keeps what the daemon reports.
 async fn keep(page: &mut Page, url: &str) -> Vec<Value> {
     let mut request = url.replace("http://", "ws://").trim_end_matches('/').to_owned();
     request += "/ws";

@@ -78,8 +78,8 @@ async fn frames(served: &stage::Served, each: Duration) {
         tokio::time::sleep(Duration::from_secs(3)).await;
         browser.value("probe.begin()").await;
         tokio::time::sleep(each).await;
-        let told = browser.value("probe.told()").await;
-        let number = |key: &str| told[key].as_f64().unwrap();
+        let reported = browser.value("probe.reported()").await;
+        let number = |key: &str| reported[key].as_f64().unwrap();
         println!(
             "| {view} | {:.0} | {:.0} | {:.1} | {:.1} | {:.1} |",
             number("frames") / each.as_secs_f64(),
@@ -101,7 +101,7 @@ async fn hidden(browser: &mut Browser, each: Duration) {
     let before = browser.heap_bytes().await;
     browser.value("probe.begin()").await;
     tokio::time::sleep(3 * each).await;
-    let told = browser.value("probe.told()").await;
+    let reported = browser.value("probe.reported()").await;
     let grown = browser.heap_bytes().await - before;
     browser.hide(false).await;
     browser.until("!document.hidden").await;
@@ -111,7 +111,7 @@ async fn hidden(browser: &mut Browser, each: Duration) {
     println!(
         "\nhidden for {:.0} s: {} frames drawn, {} messages taken, heap {grown:+} bytes; current {current} ms after its return",
         3.0 * each.as_secs_f64(),
-        told["frames"],
-        told["messages"],
+        reported["frames"],
+        reported["messages"],
     );
 }

@@ -1,4 +1,4 @@
-// Runs before the page's own scripts: times its callbacks, counts messages, says when a tab that was hidden is current, and when
+// Runs before the page's own scripts: times its callbacks, counts messages, states when a tab that was hidden is current, and when
 // the body was first drawn moved after the page was opened.
 
 window.probe = (() => {
@@ -63,7 +63,7 @@ window.probe = (() => {
       sum_ms = 0;
       messages = 0;
     },
-    told() {
+    reported() {
       const sorted = costs_ms.toSorted((a, b) => a - b);
       const at = (part) => sorted[Math.min(sorted.length - 1, Math.floor(part * sorted.length))] ?? 0;
       return { frames: sorted.length, messages, p50_ms: at(0.5), p95_ms: at(0.95), p99_ms: at(0.99) };

@@ -209,7 +209,7 @@ export type Call = {
   id: RequestId;
   type: "body.calibrate";
 } | {
-  /** Surveyed points of the room that the sensor is held at, in this order; three or more where no IMU is fastened to it. */
+  /** Surveyed points of the room that the sensor is held at, in this order; three or more where no IMU is attached to it. */
   anchors?: RoomPoint[];
   /** The reply carries it. */
   id: RequestId;
@@ -237,7 +237,7 @@ export type Call = {
 };
 
 /** What tells of a disturbance. */
-export type Cause = "witness" | "rigid_pair" | "hum";
+export type Cause = "reference_sensor" | "rigid_pair" | "hum";
 
 /** What a calibration found of a chain. */
 export type ChainCalibration = {
@@ -439,10 +439,10 @@ export type Exercises = {
   exercises: KeptExercise[];
 };
 
-/** Why a sensor's pose is not simply good. */
-export type FaultCause = "hemisphere" | "stuck" | "gate" | "missing" | "jump" | "bone" | "map" | "distance";
+/** Why a measurement, or a sensor, is not simply good. */
+export type FaultCause = "hemisphere_inversion" | "stuck" | "gate" | "missing" | "not_finite" | "saturated" | "misfit" | "jump" | "bone" | "map" | "distance";
 
-/** What is the matter with one sensor, or with a frame. */
+/** What a measurement, or a frame, is. */
 export type FaultClass = "clean" | "inverted" | "anomalous" | "unknown";
 
 /** What every data message starts with, and its body. */
@@ -542,13 +542,13 @@ export type FieldEventMessage = ({
   /** How far off they are, m. */
   deviation_m: number;
   event: "disturbed";
-  /** The witness, or the pair. */
+  /** The reference sensor, or the pair. */
   sensors: string[];
 } | {
   /** How far off they have stayed, m. */
   deviation_m: number;
   event: "drifted";
-  /** The witness, or the pair. */
+  /** The reference sensor, or the pair. */
   sensors: string[];
 } | {
   event: "calibrating";
@@ -578,7 +578,7 @@ export type FigureMessage = {
   /** The joints between them. */
   joints: JointEntry[];
   /** Where the position comes from. */
-  placed: Placed;
+  position_source: PositionSource;
   /** The segments, parents and children by the skeleton of the stage. */
   segments: SegmentEntry[];
   /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
@@ -587,10 +587,10 @@ export type FigureMessage = {
   t_s: number;
 };
 
-/** What the map of faults says of a frame. */
+/** What the fault map reports about a frame. */
 export type FrameLabel = {
-  /** Why; `none` where it is clean. */
-  cause: LabelCause;
+  /** Why; null where it is clean. */
+  cause: FaultCause | null;
   /** The cell that wins: row times columns plus column; null where no sensor is there. */
   cell: number | null;
   /** Distance of the frame from its cell, in shares of a chain; null where no sensor is there. */
@@ -607,10 +607,10 @@ export type Gate = {
   fifth_log_ratio: number;
   /** Least and greatest size of the movement, the taught one being 1. */
   gain: [number, number];
-  /** Least correlation with the taught movement. */
-  likeness: number;
   /** Least mean log ratio of exercise and background, per frame. */
   mean_log_ratio: number;
+  /** Least correlation with the taught movement. */
+  similarity: number;
   /** Least share of the states visited. */
   visited: number;
 };
@@ -678,7 +678,7 @@ export type Intrinsics = {
   gyro_bias_sigma_rad_s: number;
   /** The magnetometer's, where there is one. */
   mag?: MagIntrinsics | null;
-  /** The unit: its serial number, or the sensor's name where the device tells none; absent: the file's name says it. */
+  /** The unit: its serial number, or the sensor's name where the device tells none; absent: the file's name specifies it. */
   unit?: string | null;
 };
 
@@ -721,12 +721,12 @@ export type JointEntry = {
   angle_sigmas_deg: Record<string, number | null>;
   /** Its angles by name, degrees; null where a segment beside it is not known. */
   angles_deg: Record<string, number | null>;
-  /** The segment whose sensor is ill or missing, if any: why the joint is not `ok`. */
-  because: string | null;
   /** The independent angles, in the order of the covariance's rows: a shoulder's flexion and abduction follow from the others. */
   covariance_of: string[];
   /** Covariance of the angles in `covariance_of`, rad²: the upper triangle row by row; null where they are. */
   covariance_rad2: number[] | null;
+  /** The segment whose sensor is faulty or missing, if any: why the joint is not `ok`. */
+  limited_by: string | null;
   /** Its name. */
   name: string;
   /** Root mean square of the expected error of one angle, degrees. */
@@ -791,9 +791,6 @@ export type KeyPoseMessage = {
   t_valid_s: number;
 };
 
-/** Why. */
-export type LabelCause = "none" | "flip" | "frozen" | "jump" | "bone" | "map" | "distance" | "missing";
-
 /** What a device's link does. */
 export type LinkState = "streaming" | "connecting" | "silent" | "failed";
 
@@ -818,7 +815,7 @@ export type MapVersion = {
 /** A raw record in device axes. */
 export type Measured = {
   /** Angular rate of a body-worn sensor in its own axes, rad/s; this and the following only where the record holds them. */
-  angular_rate_rad_s?: [number, number, number] | null;
+  angular_velocity_rad_s?: [number, number, number] | null;
   /** Button byte; null where button mode is off. */
   button: number | null;
   /** Acceleration in sensor axes with gravity taken out by the device, m/s². */
@@ -829,7 +826,7 @@ export type Measured = {
   orientation_wxyz: [number, number, number, number] | null;
   /** Position in device axes, m; null in orientation-only formats. */
   position_m: [number, number, number] | null;
-  /** Specific force in sensor axes (+9.81 on the axis that points up, at rest), m/s². */
+  /** Specific force in sensor axes (+g on the axis that points up, at rest), m/s². */
   specific_force_m_s2?: [number, number, number] | null;
   /** Capture time of this record, s. */
   t_s: number;
@@ -869,7 +866,7 @@ export type Model = {
 } | {
   /** Capture time of a magnetic record on the IMU's clock minus the one it is given, s. */
   clock_offset_s: number;
-  kind: "fastened_imu";
+  kind: "attached_imu";
   /** From the magnetic sensor to the IMU, the magnetic sensor's axes, m. */
   offset_m: [number, number, number];
   /** Turns the IMU's coordinates into the magnetic sensor's. */
@@ -886,6 +883,30 @@ export type Model = {
   /** The exercise, as in its file. */
   exercise: Exercise;
   kind: "exercise";
+};
+
+/** What every data message starts with, and its body. */
+export type MotionSegmentMessage = {
+  /** The network's probability of the label at the segment's first frame, 0 to 1; 0 of a withdrawn one. */
+  confidence: number;
+  /** How long after its beginning a segment is confirmed at the latest, s. */
+  delay_s: number;
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** What is said of the segment. */
+  event: SegmentEvent;
+  /** Stage-wide number of the event, from 1. */
+  event_id: number;
+  /** What it shows. */
+  label: string;
+  /** Number of the segment, from 1: all events of one segment carry it. It ends where the next confirmed one begins. */
+  segment: number;
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Stream time at which it was decided, s; rises strictly (by 1 µs between events of one frame). */
+  t_s: number;
+  /** Capture time at which the segment begins, s; of a confirmed one it may differ a little from the provisional one's. */
+  t_valid_s: number;
 };
 
 /** How one sensor sits on its segment. */
@@ -918,11 +939,8 @@ export type OkReply = {
   result?: Answer | null;
 };
 
-/** How sure an event is that can be taken back. */
+/** How final an event is that can be taken back. */
 export type Phase = "provisional" | "confirmed" | "withdrawn";
-
-/** Where a body's position comes from. */
-export type Placed = "origin" | "trackers" | "held";
 
 /** A pose: the named frame in the room. */
 export type Pose = {
@@ -931,6 +949,9 @@ export type Pose = {
   /** Position, m. */
   position_m: [number, number, number];
 };
+
+/** Where a body's position comes from. */
+export type PositionSource = "origin" | "trackers" | "held";
 
 /** Something that is wrong now. */
 export type Problem = {
@@ -964,8 +985,8 @@ export type Progress = {
 
 /** How good a pose is. */
 export type Quality = {
-  /** No record of this frame is in the pose: the IMU that is fastened to the sensor carries it on, for half a second at most. */
-  carried?: boolean;
+  /** No record of this frame is in the pose: the IMU that is attached to the sensor carries it on, for half a second at most. */
+  coasted?: boolean;
   /** Root mean square of the expected rotation error, rad. */
   sigma_rotation_rad: number;
 };
@@ -1003,12 +1024,12 @@ export type RelatedClock = {
   offset_s: number;
   /** The shortest of the round trips that it is known from, s. */
   round_trip_s: number;
-  /** The offset is wrong by no more than this, s, whatever the network does, as long as neither clock is off by more than 50 ppm. */
+  /** The offset is wrong by no more than this, s, whatever the network does, as long as neither clock is wrong by more than 50 ppm. */
   uncertainty_s: number;
 };
 
-/** How a published pose came about that is not the record's. */
-export type Repair = "mirrored" | "bridged";
+/** How a published pose differs from the record. */
+export type Repair = "mirrored" | "coasted";
 
 /** A recording being replayed. After `replay.open` and `replay.seek` the times of all other topics start anew. */
 export type ReplayStatus = {
@@ -1051,7 +1072,7 @@ export type RoomPoint = {
 /** A segment. */
 export type SegmentEntry = {
   /** What is wrong with that sensor; null where nothing is. */
-  fault: SensorFault | null;
+  fault: FaultCause | null;
   /** Its name. */
   name: string;
   /** Segment to room, unit quaternion, scalar first; null where nothing shows it. */
@@ -1069,30 +1090,6 @@ export type SegmentEntry = {
 /** What is said of a segment. */
 export type SegmentEvent = "provisional" | "confirmed" | "withdrawn";
 
-/** What every data message starts with, and its body. */
-export type SegmentMessage = {
-  /** The network's probability of the label at the segment's first frame, 0 to 1; 0 of a withdrawn one. */
-  confidence: number;
-  /** How long after its beginning a segment is confirmed at the latest, s. */
-  delay_s: number;
-  /** Data messages of all topics that were dropped for this client so far. */
-  dropped: number;
-  /** What is said of the segment. */
-  event: SegmentEvent;
-  /** Stage-wide number of the event, from 1. */
-  event_id: number;
-  /** What it shows. */
-  label: string;
-  /** Number of the segment, from 1: all events of one segment carry it. It ends where the next confirmed one begins. */
-  segment: number;
-  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
-  seq: number;
-  /** Stream time at which it was decided, s; rises strictly (by 1 µs between events of one frame). */
-  t_s: number;
-  /** Capture time at which the segment begins, s; of a confirmed one it may differ a little from the provisional one's. */
-  t_valid_s: number;
-};
-
 /** How far a segment can be trusted; the later, the less. */
 export type SegmentState = "ok" | "inferred" | "suspect" | "missing";
 
@@ -1106,7 +1103,7 @@ export type SensorEntry = {
   covariance?: number[] | null;
   /** Its device's name. */
   device?: string | null;
-  /** What the map of faults says of it; absent where the stage has none, or not for this sensor. */
+  /** What the fault map reports about it; absent where the stage has none, or not for this sensor. */
   fault?: SensorLabel | null;
   /** The raw record, unfiltered, in device axes; null where none arrived. */
   measured?: Measured | null;
@@ -1126,13 +1123,10 @@ export type SensorEntry = {
   velocity_m_s?: [number, number, number] | null;
 };
 
-/** What is wrong with a worn sensor. */
-export type SensorFault = "silent" | "not_finite" | "frozen" | "saturated" | "misfit";
-
-/** What the map of faults says of a sensor in a frame. */
+/** What the fault map reports about a sensor in a frame. */
 export type SensorLabel = {
-  /** Why; `none` where it is clean. */
-  cause: LabelCause;
+  /** Why; null where it is clean. */
+  cause: FaultCause | null;
   /** Distance from the nearest place where it was in training, m; null where it is missing. */
   distance_m: number | null;
   /** Rules and map together. */
@@ -1164,7 +1158,7 @@ export type SensorStatus = {
 export type SensorsMessage = {
   /** Data messages of all topics that were dropped for this client so far. */
   dropped: number;
-  /** What the map of faults says of the frame (field `fault`). */
+  /** What the fault map reports about the frame (field `fault`). */
   fault?: FrameLabel | null;
   /** Number of the frame (field `quality`). */
   frame?: number | null;
@@ -1203,7 +1197,7 @@ export type ServerMessage = Hello & {
   type: "field";
 } | ExerciseEventMessage & {
   type: "exercise";
-} | SegmentMessage & {
+} | MotionSegmentMessage & {
   type: "segments";
 } | Stages & {
   type: "stages";
@@ -1273,7 +1267,7 @@ export type Stages = {
   t_s: number;
 };
 
-/** A job that has begun; the topic `jobs` says how it goes on. */
+/** A job that has begun; the topic `jobs` reports its progress. */
 export type Started = {
   /** Its number. */
   job: number;

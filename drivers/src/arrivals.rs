@@ -5,14 +5,14 @@
 
 use std::collections::VecDeque;
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 use crate::sample::{Arrival, Timestamp};
 
 /// Reads that are kept; a record that spans more of them gets the oldest one's stamp.
 const KEPT: usize = 4096;
 
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Plain)]
 struct Read {
     /// Place in the stream of the first byte.
     start: u64,
@@ -21,7 +21,7 @@ struct Read {
 }
 
 /// The reads that may still hold the first byte of a record.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Plain)]
 pub(crate) struct Arrivals {
     reads: VecDeque<Read>,
     end: u64,

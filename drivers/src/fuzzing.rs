@@ -162,7 +162,7 @@ pub fn slimevr_wire(data: &[u8]) {
     }
 }
 
-/// An Xbus session that hears anything, at any time; says how many samples it published.
+/// An Xbus session that hears anything, at any time; returns how many samples it published.
 ///
 /// # Panics
 /// See [`session`].
@@ -288,7 +288,7 @@ pub fn slimevr_session(data: &[u8]) -> usize {
     session(&mut session_, &[], data)
 }
 
-/// Opens a line, answers with `lead`, then lets the script talk; says how many samples came out.
+/// Opens a line, answers with `lead`, then lets the script talk; returns how many samples came out.
 ///
 /// # Panics
 /// Where a sample is no measurement, or the session wants to be woken at one time for ever.
@@ -348,13 +348,13 @@ fn drain(session: &mut impl Session, samples: &mut usize) {
                 ([position_m, None, None, None], orientation_wxyz)
             }
             Measurement::Imu {
-                angular_rate_rad_s,
+                angular_velocity_rad_s,
                 specific_force_m_s2,
                 linear_acceleration_m_s2,
                 magnetic_field,
                 orientation_wxyz,
             } => (
-                [angular_rate_rad_s, specific_force_m_s2, linear_acceleration_m_s2, magnetic_field],
+                [angular_velocity_rad_s, specific_force_m_s2, linear_acceleration_m_s2, magnetic_field],
                 orientation_wxyz,
             ),
         };

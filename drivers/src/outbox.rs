@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 use crate::sample::{Sample, Timestamp};
 use crate::session::{Counters, Output, State};
@@ -13,9 +13,9 @@ const REPEAT_S: f64 = 10.0;
 const REMEMBERED: usize = 16;
 
 /// State, counters and outputs of a session.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 pub(crate) struct Outbox {
-    #[serde(skip)]
+    #[state(skip)]
     queue: VecDeque<Output>,
     state: State,
     pub(crate) counters: Counters,

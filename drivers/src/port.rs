@@ -16,7 +16,7 @@ use tokio_serial::{ErrorKind, SerialPort, SerialStream};
 
 pub use udp::{UdpStream, shared as shared_udp};
 
-/// Why a port could not be opened; each says what to check.
+/// Why a port could not be opened; each states what to check.
 #[derive(Debug, Error)]
 pub enum PortError {
     /// No such file.
@@ -202,7 +202,7 @@ impl AsyncWrite for Stream {
 /// RTS is let go at once, where it exists: opening a port raises it, and it holds a Flock in reset.
 ///
 /// # Errors
-/// Each says what the operator should check.
+/// Each states what the operator should check.
 pub async fn open(port: &str, options: Options) -> Result<Port<Stream>, PortError> {
     if let Some(address) = port.strip_prefix("tcp://") {
         let unreachable = |source| PortError::Unreachable { port: port.into(), source };
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn refusals_are_told_apart() {
+    fn refusals_are_distinguished() {
         let error = |kind, text: &str| in_words("/dev/ttyUSB0", &tokio_serial::Error::new(kind, text));
         let denied = error(ErrorKind::Io(io::ErrorKind::PermissionDenied), "Permission denied");
         assert!(denied.to_string().contains("dialout"), "{denied}");

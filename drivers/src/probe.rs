@@ -10,7 +10,7 @@ use std::time::Duration;
 use crate::sample::Timestamp;
 use crate::session::SensorInfo;
 
-/// What a device says of itself.
+/// What a device reports about itself.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Identity {
     /// Model, as the device writes it.

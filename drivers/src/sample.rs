@@ -1,64 +1,13 @@
 //! What every driver produces: one [`Sample`] per sensor and measurement.
 
-use std::ops::{Add, Sub};
-use std::time::Duration;
-
-use serde::{Deserialize, Serialize};
-
-/// A point in time: nanoseconds since the stage's epoch, on the host's monotonic clock.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct Timestamp(i64);
-
-impl Timestamp {
-    /// The stage's epoch.
-    pub const ZERO: Self = Self(0);
-
-    /// Time `nanos` nanoseconds after the stage's epoch.
-    pub const fn from_nanos(nanos: i64) -> Self {
-        Self(nanos)
-    }
-
-    /// Time `seconds` after the stage's epoch, rounded to the nanosecond.
-    pub fn from_secs_f64(seconds: f64) -> Self {
-        Self((seconds * 1e9).round() as i64)
-    }
-
-    /// Nanoseconds since the stage's epoch.
-    pub const fn as_nanos(self) -> i64 {
-        self.0
-    }
-
-    /// Seconds since the stage's epoch.
-    pub fn as_secs_f64(self) -> f64 {
-        self.0 as f64 * 1e-9
-    }
-
-    /// Seconds from `earlier` to `self`; negative when `self` is the earlier one.
-    pub fn seconds_since(self, earlier: Self) -> f64 {
-        (self.0 - earlier.0) as f64 * 1e-9
-    }
-}
-
-impl Add<Duration> for Timestamp {
-    type Output = Self;
-    fn add(self, duration: Duration) -> Self {
-        Self(self.0 + duration.as_nanos() as i64)
-    }
-}
-
-impl Sub<Duration> for Timestamp {
-    type Output = Self;
-    fn sub(self, duration: Duration) -> Self {
-        Self(self.0 - duration.as_nanos() as i64)
-    }
-}
+pub use posed_geometry::Timestamp;
+use posed_state::Plain;
 
 /// How the first byte of a record reached the host: all that a clock model may know about its time.
 ///
 /// The byte was on the host's side after `t_previous_read` and at or before `t_read`. Bursts of a
 /// USB adapter make the second bound loose, the first one stays true.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub struct Arrival {
     /// Stamp of the read that delivered the record's first byte (`t_arrival` of the design).
     pub t_read: Timestamp,
@@ -75,7 +24,7 @@ pub struct Arrival {
 }
 
 /// The device's own idea of when a record was measured.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub enum DeviceTime {
     /// No counter on the wire: the driver numbers measurement cycles by the order of addresses. Records
     /// damaged on the wire are counted; cycles that left no trace in the bytes are not, so the number may fall behind.
@@ -90,7 +39,7 @@ pub enum DeviceTime {
 }
 
 /// One measurement of one sensor, in device axes and SI units.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub struct Sample {
     /// The sensor's address on its device; 0 for a stand-alone Flock.
     pub address: u16,
@@ -103,7 +52,7 @@ pub struct Sample {
 }
 
 /// What a sensor measured.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub enum Measurement {
     /// A magnetic tracker's pose: sensor in transmitter axes.
     Pose {
@@ -118,7 +67,7 @@ pub enum Measurement {
     /// What a body-worn sensor measured, in its own axes; absent is what the record does not hold.
     Imu {
         /// Angular rate, rad/s.
-        angular_rate_rad_s: Option<[f64; 3]>,
+        angular_velocity_rad_s: Option<[f64; 3]>,
         /// Specific force (what an accelerometer feels: +g upwards at rest), m/s².
         specific_force_m_s2: Option<[f64; 3]>,
         /// Acceleration with gravity taken out by the device, m/s².

@@ -6,6 +6,7 @@
 //! the `now` argument and never runs backwards. The same inputs give the same outputs, always, and a
 //! session can be serialised between two inputs and go on from there.
 
+use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 use crate::sample::{Sample, Timestamp};
@@ -18,7 +19,7 @@ pub enum LineEvent {
         /// Whether modem lines (RTS) exist; a pseudo-terminal or a socket has none.
         modem_lines: bool,
     },
-    /// The port is gone, or could not be opened; the sentence says why.
+    /// The port is gone, or could not be opened; the sentence states why.
     Closed {
         /// What the operating system said, in words for the operator.
         reason: String,
@@ -31,7 +32,7 @@ pub enum LineEvent {
 }
 
 /// What a session asks for or tells.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Plain)]
 #[expect(clippy::large_enum_variant, reason = "nearly all outputs are samples, and none may allocate")]
 pub enum Output {
     /// Write these bytes to the line.
@@ -42,12 +43,12 @@ pub enum Output {
     Sample(Sample),
     /// The state has changed; read it with [`Session::state`].
     StateChanged,
-    /// Something the operator should know, in one sentence that says what to do.
+    /// Something the operator should know, in one sentence that states what to do.
     Warning(String),
 }
 
 /// What a session is doing.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Plain)]
 #[serde(tag = "state", rename_all = "snake_case")]
 pub enum State {
     /// The port is not open, or set-up is under way.
@@ -70,7 +71,7 @@ pub enum State {
 }
 
 /// What a session has seen since it was made; never reset.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Plain)]
 pub struct Counters {
     /// Records accepted.
     pub records: u64,
@@ -81,16 +82,16 @@ pub struct Counters {
 }
 
 /// A sensor as its device names it.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Plain)]
 pub struct SensorInfo {
     /// Address on the device.
     pub address: u16,
-    /// Serial number, where the device tells one.
+    /// Serial number, where the device reports one.
     pub serial: Option<String>,
 }
 
 /// What one sensor is known to have measured without its record coming in; never reset.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Plain)]
 pub struct Loss {
     /// Address on the device.
     pub address: u16,

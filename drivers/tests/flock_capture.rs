@@ -1,22 +1,14 @@
 //! Captures of real units, and captures made here to know every byte.
 
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests may panic and print")]
+#![expect(clippy::unwrap_used, reason = "helpers of tests may panic")]
 
 use posed_drivers::flock::capture::{CaptureError, Decoded, Options, decode};
 use posed_drivers::flock::wire::{Format, Range, Scale, Shape, record, rotation};
 
-/// The real sessions lie outside the repository; without them their tests say so and pass.
-fn real(name: &str) -> Option<Decoded> {
-    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../shared/data/captures/flock-of-birds")
-        .join(name);
-    match std::fs::read(&path) {
-        Ok(file) => Some(decode(&file, Options::default()).unwrap()),
-        Err(_) => {
-            println!("skipped: the capture {name} is not here");
-            None
-        }
-    }
+/// A session with real units.
+fn real(name: &str) -> Decoded {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/recordings/flock-of-birds");
+    decode(&std::fs::read(folder.join(name)).unwrap(), Options::default()).unwrap()
 }
 
 fn degrees(decoded: &Decoded, i: usize) -> [f64; 3] {
@@ -33,7 +25,7 @@ fn close(got: [f64; 3], expected: [f64; 3], tolerance: f64) {
 
 #[test]
 fn a_polled_stand_alone_unit() {
-    let Some(decoded) = real("flockofbirds_stream_03_21_2006.txt") else { return };
+    let decoded = real("flockofbirds_stream_03_21_2006.txt");
     assert_eq!(decoded.summary.records, 10);
     assert_eq!(decoded.summary.answers, 3);
     assert_eq!((decoded.summary.rejected, decoded.summary.bytes_skipped), (0, 0));
@@ -46,7 +38,7 @@ fn a_polled_stand_alone_unit() {
 
 #[test]
 fn two_streaming_birds() {
-    let Some(decoded) = real("flockofbirds_stream_06_06_2006.txt") else { return };
+    let decoded = real("flockofbirds_stream_06_06_2006.txt");
     assert_eq!((decoded.summary.rejected, decoded.summary.bytes_skipped), (0, 0));
     assert_eq!(decoded.summary.answers, 13);
     assert_eq!(decoded.summary.records, 22);

@@ -383,7 +383,7 @@ fn what_does_not_fit_is_said_in_words() {
 }
 
 #[test]
-fn a_slow_line_is_told_and_its_rate_known() {
+fn a_slow_line_is_reported_and_its_rate_known() {
     let mut bench = Bench::new(
         Settings { format: Format::PositionMatrix, ..Settings::default() },
         &[1, 2],
@@ -422,16 +422,17 @@ fn a_session_can_be_put_away_at_any_moment() {
     for _ in 0..400 {
         bench.run(0.01);
         whole.run(0.01);
-        let bytes = rmp_serde::to_vec(&bench.session).unwrap();
-        bench.session = rmp_serde::from_slice(&bytes).unwrap();
-        assert_eq!(rmp_serde::to_vec(&bench.session).unwrap(), bytes);
+        let bytes = posed_state::snapshot(&bench.session);
+        bench.session = FlockSession::new(Settings::default(), 115_200, &[1, 2]).unwrap();
+        posed_state::restore(&mut bench.session, &bytes).unwrap();
+        assert_eq!(posed_state::snapshot(&bench.session), bytes);
     }
     assert!(!bench.samples.is_empty());
     assert_eq!(bench.samples, whole.samples);
 }
 
 #[test]
-fn a_probe_tells_what_is_there() {
+fn a_probe_reports_what_is_there() {
     let mut unit = Unit::flock(2);
     let mut probe = Probe::new(Timestamp::ZERO, false);
     let mut now = Timestamp::ZERO;

@@ -14,7 +14,7 @@ use crate::faults::{Fault, FaultHit};
 use crate::random::Random;
 use crate::truth::{Loss, TruthCycle, TruthRow};
 
-/// What every unit is told.
+/// What every unit receives.
 #[derive(Clone, Debug)]
 pub(crate) struct Config {
     /// Index in the stage's list of devices.
@@ -118,7 +118,7 @@ impl Chassis {
         self.output.push_back(DeviceOutput::Lost(Loss { cycle, address }));
     }
 
-    /// What really was.
+    /// The ground truth.
     pub(crate) fn truth(&mut self, t: Timestamp, cycle: u64, sensors: Vec<TruthRow>) {
         let device = self.config.device;
         self.output.push_back(DeviceOutput::Truth(TruthCycle { t, device, cycle, sensors }));

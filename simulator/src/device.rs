@@ -2,7 +2,7 @@
 //!
 //! A device knows no port and no clock. Call one of the `handle` functions, then [`Device::poll_output`] until
 //! `None`, then [`Device::poll_timeout`]. What its link does to the bytes is the business of [`crate::line`] and
-//! [`crate::network`].
+//! [`crate::udp_network`].
 
 use std::fmt;
 use std::net::SocketAddr;

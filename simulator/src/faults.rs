@@ -1,7 +1,7 @@
 //! Fault scripts: what goes wrong, when, and the record of what it hit.
 //!
 //! Faults of the device (a bird that dies, a frozen sensor) act in the device, faults of the line (lost bytes,
-//! unplugging) in [`crate::line`], faults of datagrams in [`crate::network`]. Times are seconds of the stage's clock.
+//! unplugging) in [`crate::line`], faults of datagrams in [`crate::udp_network`]. Times are seconds of the stage's clock.
 
 use posed_drivers::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -124,7 +124,7 @@ pub enum Fault {
         /// For how long, s; absent: until it is set up again.
         duration_s: Option<f64>,
     },
-    /// A unit says that its battery is nearly empty.
+    /// A unit reports that its battery is nearly empty.
     LowBattery {
         /// Which unit.
         address: u16,

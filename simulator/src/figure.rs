@@ -1,7 +1,7 @@
 //! A walking figure that wears magnetic sensors, and faults put into any recording of positions, with their truth.
 //!
 //! What comes in: a seed, a body's height, a length of time. What goes out: positions in transmitter axes turned z up,
-//! frame by frame, and what was done to each of them. For measuring detectors of bad frames: several figures of one
+//! frame by frame, and what was done to each of them. For measuring detectors of faulty frames: several figures of one
 //! stage are sessions and bodies of that stage.
 
 use std::f64::consts::TAU;
@@ -189,7 +189,7 @@ impl Fault {
 }
 
 /// Puts faults of 0.5 to 3 s into positions, the kinds in turn, with clean stretches between them so that about
-/// `share` of the frames are bad. Says what each sensor of each frame is.
+/// `share` of the frames are bad. Returns what each sensor of each frame is.
 pub fn inject(
     positions_m: &mut [f64],
     sensors: usize,

@@ -20,6 +20,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
+use crate::port::{Port, watched};
 use crate::pty::Pty;
 use crate::sockets::{Tcp, Udp, Units, loopback};
 use crate::stage::{Event, Output, VirtualDevice, VirtualStage};
@@ -155,20 +156,6 @@ where
     run(device, Stream(Some(stream)), clock, watcher, stopped).await
 }
 
-/// Something that a device's line ends in.
-pub(crate) trait Port {
-    /// Bytes of the host; 0 when it has hung up. Waits for ever while unplugged. May be cancelled.
-    async fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize>;
-    /// Gives bytes to the host at once; what it has no room for is lost, as on a wire.
-    fn write(&mut self, bytes: &[u8]) -> io::Result<()>;
-    /// The rate that the host has set, where there is one.
-    fn baud(&self) -> Option<u32>;
-    /// The port disappears.
-    fn unplug(&mut self);
-    /// The port comes back.
-    fn replug(&mut self) -> io::Result<()>;
-}
-
 /// Tells once a second where a unit is, as it would on its network.
 async fn announce(name: String, address: SocketAddr, mut stopped: watch::Receiver<bool>) -> io::Result<()> {
     let host = SocketAddr::from((Ipv4Addr::LOCALHOST, ANNOUNCEMENTS));
@@ -269,15 +256,6 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Port for Stream<S> {
     }
 }
 
-/// A descriptor that the runtime watches.
-#[expect(
-    deprecated,
-    reason = "the new constructor is unsafe since a type may lie about its descriptor; OwnedFd does not"
-)]
-pub(crate) fn watched(fd: OwnedFd) -> io::Result<AsyncFd<OwnedFd>> {
-    AsyncFd::new(fd)
-}
-
 /// A timer that is finer than the runtime's millisecond.
 struct Timer(AsyncFd<OwnedFd>);
 
@@ -323,7 +301,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_device_on_a_stream_answers_streams_and_tells_the_truth() {
+    async fn a_device_on_a_stream_answers_streams_and_reports_the_truth() {
         let virtual_stage =
             VirtualStage::new(&stage(&[0], 115_200), &scenario(quick()), Path::new(".")).unwrap();
         let device = virtual_stage.into_devices().remove(0);

@@ -27,7 +27,7 @@ pub mod line;
 pub mod magnetic;
 pub mod motion;
 mod motionstar;
-pub mod network;
+mod port;
 pub mod pty;
 mod random;
 pub mod scenario;
@@ -37,5 +37,6 @@ pub mod stage;
 #[cfg(test)]
 mod testing;
 pub mod truth;
+pub mod udp_network;
 mod x_imu3;
 mod xbus;

@@ -105,7 +105,7 @@ pub struct Line {
     chunks: VecDeque<Chunk>,
     /// What the host believes the rate to be, where it is known.
     host_baud: Option<u32>,
-    /// The last record that was told to be lost, so that each is told once.
+    /// The last record that was reported to be lost, so that each is reported once.
     last_loss: Option<Loss>,
     output: VecDeque<(Timestamp, LineOutput)>,
 }

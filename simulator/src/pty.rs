@@ -12,7 +12,7 @@ use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, ptsname, unlo
 use rustix::termios::{OptionalActions, QueueSelector, tcflush, tcgetattr, tcsetattr};
 use tokio::io::unix::AsyncFd;
 
-use crate::host::{Port, watched};
+use crate::port::{Port, watched};
 
 /// Both ends of a pseudo-terminal.
 struct Ends {
@@ -182,10 +182,10 @@ mod tests {
     #[tokio::test]
     async fn a_port_answers_at_its_rate_and_vanishes_at_the_end() {
         let quick = DeviceScenario { boot_ms: 0.0, ..DeviceScenario::default() };
-        let (told, mut cycles) = tokio::sync::mpsc::unbounded_channel();
+        let (reported, mut cycles) = tokio::sync::mpsc::unbounded_channel();
         let watcher = move |event: &Event| {
             if matches!(event.output, Output::Truth(_)) {
-                told.send(()).unwrap();
+                reported.send(()).unwrap();
             }
         };
         let (host, folder) = host(quick, "rate", Arc::new(watcher));
@@ -215,13 +215,13 @@ mod tests {
     async fn an_unplugged_port_is_gone_and_returns_under_its_name() {
         let unplug = Fault::Unplug { at_s: 0.1, duration_s: Some(0.1), power: false };
         let device = DeviceScenario { boot_ms: 0.0, faults: vec![unplug], ..DeviceScenario::default() };
-        let (told, mut hear) = tokio::sync::mpsc::unbounded_channel();
+        let (reported, mut hear) = tokio::sync::mpsc::unbounded_channel();
         let link = Arc::new(Mutex::new(String::new()));
         let look = Arc::clone(&link);
         let watcher: Watcher = Arc::new(move |event: &Event| {
             if matches!(event.output, Output::Unplugged | Output::Replugged) {
                 let exists = Path::new(&*look.lock().unwrap()).exists();
-                told.send((event.output == Output::Replugged, exists)).unwrap();
+                reported.send((event.output == Output::Replugged, exists)).unwrap();
             }
         });
         let (host, folder) = host(device, "unplug", watcher);

@@ -11,7 +11,7 @@ use posed_drivers::datagram::{Datagram, datagrams};
 use tokio::io::ReadBuf;
 use tokio::net::{TcpListener, TcpStream, UdpSocket};
 
-use crate::host::Port;
+use crate::port::Port;
 
 /// Bytes that wait for a host which does not read, before the connection is given up.
 const MOST_UNSENT: usize = 1 << 20;

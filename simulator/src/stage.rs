@@ -38,9 +38,9 @@ use posed_drivers::Timestamp;
 use crate::device::{Device, DeviceOutput};
 use crate::faults::FaultHit;
 use crate::line::{Line, LineOutput};
-use crate::network::Network;
 use crate::scenario::{Scenario, ScenarioError, StageSpec};
 use crate::truth::{Loss, TruthCycle};
+use crate::udp_network::UdpNetwork;
 
 /// What a device gives to the host, or tells those who watch the simulation.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,35 +77,35 @@ pub(crate) enum Link {
     /// A serial line, or a TCP connection: a stream of bytes.
     Line(Line),
     /// A network: datagrams.
-    Network(Network),
+    UdpNetwork(UdpNetwork),
 }
 
 impl Link {
     fn is_plugged(&self) -> bool {
         match self {
             Self::Line(line) => line.is_plugged() && line.rates_agree(),
-            Self::Network(network) => network.is_plugged(),
+            Self::UdpNetwork(udp_network) => udp_network.is_plugged(),
         }
     }
 
     fn handle_timeout(&mut self, now: Timestamp) {
         match self {
             Self::Line(line) => line.handle_timeout(now),
-            Self::Network(network) => network.handle_timeout(now),
+            Self::UdpNetwork(udp_network) => udp_network.handle_timeout(now),
         }
     }
 
     fn poll_timeout(&self) -> Option<Timestamp> {
         match self {
             Self::Line(line) => line.poll_timeout(),
-            Self::Network(network) => network.poll_timeout(),
+            Self::UdpNetwork(udp_network) => udp_network.poll_timeout(),
         }
     }
 
     fn poll_output(&mut self) -> Option<(Timestamp, LineOutput)> {
         match self {
             Self::Line(line) => line.poll_output(),
-            Self::Network(network) => network.poll_output(),
+            Self::UdpNetwork(udp_network) => udp_network.poll_output(),
         }
     }
 }
@@ -193,13 +193,13 @@ impl VirtualDevice {
                 DeviceOutput::Send(bytes) => {
                     match &mut self.link {
                         Link::Line(line) => line.send(&bytes),
-                        Link::Network(network) => network.send(None, &bytes),
+                        Link::UdpNetwork(udp_network) => udp_network.send(None, &bytes),
                     }
                     continue;
                 }
                 DeviceOutput::SendFrom(peer, bytes) => {
-                    if let Link::Network(network) = &mut self.link {
-                        network.send(Some(peer), &bytes);
+                    if let Link::UdpNetwork(udp_network) = &mut self.link {
+                        udp_network.send(Some(peer), &bytes);
                     }
                     continue;
                 }

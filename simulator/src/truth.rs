@@ -1,4 +1,4 @@
-//! Ground truth: what really was, for every sensor in every measurement cycle, and how it reaches a file.
+//! Ground truth: the ground truth, for every sensor in every measurement cycle, and how it reaches a file.
 
 use std::io::{self, Write};
 

@@ -129,7 +129,7 @@ fn at_100_hz(faults: Vec<Fault>) -> DeviceScenario {
 }
 
 #[test]
-fn a_pair_streams_within_seconds_and_tells_the_truth() {
+fn a_pair_streams_within_seconds_and_reports_the_truth() {
     let mut pair = Pair::new(&[1, 2], Format::PositionQuaternion, at_100_hz(vec![]));
     pair.run_until(seconds(5.0));
     assert!(pair.session.records_settling() > 0, "the first half second is bad");

@@ -64,7 +64,7 @@ impl Browser {
         let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
         let address = lines
             .find_map(|line| line.unwrap().strip_prefix("DevTools listening on ").map(str::to_owned))
-            .expect("the browser says where it listens");
+            .expect("the browser states where it listens");
         // What it says later must go somewhere.
         tokio::task::spawn_blocking(move || lines.for_each(drop));
         let (socket, _) = connect_async(address).await.unwrap();

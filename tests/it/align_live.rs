@@ -1,18 +1,18 @@
-//! A magnetic sensor with an IMU fastened to it: the stage is aligned from its records, and both become one pose.
+//! A magnetic sensor with an IMU attached to it: the stage is aligned from its records, and both become one pose.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use posed::fusion::align::guide::Guide;
-use posed::fusion::align::{AlignError, AnchorPoint, Found, Recording, align_recording};
-use posed::geometry::{isometry, orientation_to_wxyz};
-use posed::input::{Entry, Input, Model};
-use posed::output::{Body, Estimate, Output, Placed, SensorState};
-use posed::pipeline::Pipeline;
-use posed::stage::{Pose, Stage};
 use posed_drivers::Timestamp;
+use posed_fusion::align::guide::Guide;
+use posed_fusion::align::{AlignError, AnchorPoint, Found, Recording, align_recording};
+use posed_geometry::{isometry, orientation_to_wxyz};
+use posed_pipeline::Pipeline;
 use posed_simulator::faults::Fault;
 use posed_simulator::inertial::ImuClass;
 use posed_simulator::motion::{Motion, Orbit};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
+use posed_stage::input::{Entry, Input, Model};
+use posed_stage::output::{Body, Estimate, Output, PositionSource, SensorState};
+use posed_stage::{Pose, Stage};
 
 use crate::rig::{Rig, Said, replay};
 
@@ -66,7 +66,7 @@ fn scenario(seed: u64, faults: Vec<Fault>) -> (Stage, Scenario) {
     let orientation_wxyz = orientation_to_wxyz(&place.rotation);
     stage.transmitter.pose_in_room =
         Some(Pose { position_m: place.translation.vector.into(), orientation_wxyz });
-    let waved = Orbit {
+    let orbit = Orbit {
         center_m: place.transform_point(&Vector3::new(0.5, 0.05, 0.0).into()).coords.into(),
         radius_m: [0.12, 0.2, 0.15],
         period_s: 5.0,
@@ -84,7 +84,7 @@ fn scenario(seed: u64, faults: Vec<Fault>) -> (Stage, Scenario) {
     };
     let scenario = Scenario {
         seed,
-        bodies: vec![BodySpec { name: "wand".into(), motion: Motion::Orbit(waved) }],
+        bodies: vec![BodySpec { name: "wand".into(), motion: Motion::Orbit(orbit) }],
         sensors: vec![
             rider("hand", [0.0; 3], [1.0, 0.0, 0.0, 0.0]),
             rider("hand_imu", OFFSET_M, [q.w, q.i, q.j, q.k]),
@@ -119,11 +119,11 @@ fn recorded(log: &[Entry]) -> Recording {
             let sample = record.inertial.unwrap().sample().unwrap();
             guide.imu(record.t_valid.as_secs_f64(), &sample);
         });
-        if let Some((t, pose)) = pipeline.believed(0) {
+        if let Some((t, pose)) = pipeline.estimated_pose(0) {
             guide.magnetic(t.as_secs_f64(), &pose);
         }
     }
-    assert_eq!(guide.prompt(), None, "waved enough");
+    assert_eq!(guide.prompt(), None, "moved enough");
     guide.recorded().0.clone()
 }
 
@@ -137,7 +137,7 @@ fn swapped_in(found: &Found, t: Timestamp) -> [Entry; 2] {
             position_m: room.translation.vector.into(),
             orientation_wxyz: orientation_to_wxyz(&room.rotation),
         },
-        Model::FastenedImu {
+        Model::AttachedImu {
             sensor: "hand".into(),
             quat_wxyz: orientation_to_wxyz(&alignment.q_sensor_imu),
             offset_m: alignment.lever_m.into(),
@@ -152,10 +152,10 @@ fn errors(rig: &Rig, from_s: f64) -> ([f64; 2], usize, [f64; 2]) {
     let (mut carried, mut count, mut all) = ([0.0_f64; 2], 0, [0.0_f64; 2]);
     for estimate in rig.estimates().filter(|estimate| estimate.t_valid.as_secs_f64() > from_s) {
         let Some((position_m, turn_rad)) = error(rig, estimate) else { continue };
-        let worst = if estimate.sensors[0].carried { &mut carried } else { &mut all };
+        let worst = if estimate.sensors[0].coasted { &mut carried } else { &mut all };
         worst[0] = worst[0].max(position_m);
         worst[1] = worst[1].max(turn_rad);
-        count += usize::from(estimate.sensors[0].carried);
+        count += usize::from(estimate.sensors[0].coasted);
     }
     (carried, count, all)
 }
@@ -199,7 +199,7 @@ fn a_tilted_transmitter_and_its_imu_are_found_to_half_a_degree_and_five_millimet
         let lever_mm = 1e3 * (alignment.lever_m - sits().translation.vector).norm();
         assert!(tilt < 0.5 && imu < 0.5, "tilt {tilt}, IMU {imu} degrees");
         assert!(lever_mm < 5.0, "lever {lever_mm} mm");
-        // The heading is as good as the unit's compass, whose errors nobody has calibrated, or as the points are measured.
+        // The heading is as good as the unit's magnetometer, whose errors nobody has calibrated, or as the points are measured.
         assert!(found.heading && turned(&found).to_degrees() < 5.0, "{}", turned(&found).to_degrees());
         let anchors = [[0.35, 0.15, 0.1], [0.6, -0.25, -0.1], [0.5, 0.1, 0.25]].map(|place| AnchorPoint {
             transmitter_m: Vector3::from(place) + Vector3::new(0.001, -0.001, 0.001),
@@ -279,22 +279,18 @@ fn the_imu_carries_the_pose_through_a_dropout_and_a_replay_says_the_same() {
             _ => None,
         })
         .collect();
-    let forearm = posed::fusion::body::Segment::ForearmR.index();
+    let forearm = posed_fusion::body::BodySegment::ForearmR.index();
     assert!(bodies.iter().copied().filter(during).count() > 10);
-    assert!(
-        bodies
-            .iter()
-            .copied()
-            .filter(during)
-            .all(|body| { body.placed == Placed::Trackers && body.segments[forearm].fault.is_none() })
-    );
-    assert!(rig.estimates().any(|e| e.sensors[0].carried && e.sensors[0].state == SensorState::Missing));
+    assert!(bodies.iter().copied().filter(during).all(|body| {
+        body.position_source == PositionSource::Trackers && body.segments[forearm].fault.is_none()
+    }));
+    assert!(rig.estimates().any(|e| e.sensors[0].coasted && e.sensors[0].state == SensorState::Missing));
 
     let middle = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 8.2);
     let mut pipeline = Pipeline::new(&worn(&found)).unwrap();
     let log: Vec<Entry> = rig.log.clone();
     let before = replay(&mut pipeline, &log[..middle]).len();
-    let mut restored = Pipeline::restore(&worn(&found), &pipeline.snapshot()).unwrap();
+    let mut restored = Pipeline::restore(&worn(&found), pipeline.models(), &pipeline.snapshot()).unwrap();
     let whole = replay(&mut Pipeline::new(&worn(&found)).unwrap(), &log);
     assert_eq!(replay(&mut restored, &log[middle..]), whole[before..]);
 }

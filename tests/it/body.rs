@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use posed::table::TableReader;
+use posed_recording::table::TableReader;
 use posed_simulator::body::{Activity, Build, Script, SensorErrors, Wearer, WearerSpec};
 
 const STAGE: &str = r#"
@@ -129,10 +129,84 @@ fn an_arm_is_calibrated_and_solved_from_file_to_file() {
     let rms = f64::sqrt(squares / f64::from(rows));
     assert!(rms < 2.0, "{rms} degrees");
 
-    for name in ["take.bvh", "take.trc", "take.glb"] {
+    let exported = |name: &str| {
         let done = recorded.solve(&recorded.path(name));
         assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
-        assert!(recorded.path(name).metadata().expect("it is there").len() > 100_000);
+        std::fs::read(recorded.path(name)).expect("it is there")
+    };
+    let text = |name: &str| String::from_utf8(exported(name)).expect("it is text");
+    markers_bend_as_the_arm_did(&text("take.trc"), &recorded.truth);
+    frames_of_joints(&text("take.bvh"), recorded.truth.len());
+    animation_of_every_frame(&exported("take.glb"), &recorded.truth);
+}
+
+/// A TRC: every time of the recording, and at the elbow's marker the angle that the true elbow had.
+fn markers_bend_as_the_arm_did(text: &str, truth: &[(f64, f64)]) {
+    let lines: Vec<&str> = text.lines().collect();
+    let names: Vec<&str> = lines[3].split('\t').collect();
+    let rows: Vec<Vec<f64>> = lines[6..]
+        .iter()
+        .map(|line| line.split('\t').map(|cell| cell.parse().expect("a number")).collect())
+        .collect();
+    assert_eq!(rows.len(), truth.len());
+    let mut squares = 0.0;
+    let mut compared = 0;
+    for (row, (t_s, flexion_deg)) in rows.iter().zip(truth) {
+        assert!((row[1] - t_s).abs() < 1e-6, "{} is not {t_s}", row[1]);
+        let marker = |name: &str| {
+            let at = names.iter().position(|column| *column == name).expect("the marker is there");
+            nalgebra::Vector3::new(row[at], row[at + 1], row[at + 2])
+        };
+        let [shoulder, elbow, wrist] = ["shoulder_r", "elbow_r", "wrist_r"].map(marker);
+        if *t_s > 10.0 {
+            squares += ((elbow - shoulder).angle(&(wrist - elbow)).to_degrees() - flexion_deg).powi(2);
+            compared += 1;
+        }
+    }
+    let rms_deg = f64::sqrt(squares / f64::from(compared));
+    assert!(compared >= 1199 && rms_deg < 2.0, "{rms_deg} degrees over {compared} rows");
+}
+
+/// A BVH: as many rows as there were samples, in each as many numbers as its joints have channels.
+fn frames_of_joints(text: &str, samples: usize) {
+    let (hierarchy, motion) = text.split_once("MOTION\n").expect("both parts");
+    let channels: usize = hierarchy
+        .lines()
+        .filter_map(|line| line.trim().strip_prefix("CHANNELS ")?.split(' ').next()?.parse::<usize>().ok())
+        .sum();
+    let joints = hierarchy.lines().filter(|line| line.trim().starts_with("JOINT ")).count();
+    assert_eq!(channels, 6 + 3 * joints);
+    let mut lines = motion.lines();
+    assert_eq!(lines.next(), Some(format!("Frames: {samples}").as_str()));
+    let step_s = lines.next().and_then(|line| line.strip_prefix("Frame Time: ")).expect("a step");
+    assert!((step_s.parse::<f64>().expect("a number") - 0.01).abs() < 1e-6, "{step_s} s");
+    let rows: Vec<Vec<f64>> =
+        lines.map(|line| line.split(' ').map(|cell| cell.parse().expect("a number")).collect()).collect();
+    assert_eq!(rows.len(), samples);
+    assert!(rows.iter().all(|row| row.len() == channels && row.iter().all(|value| value.is_finite())));
+    assert!(rows.iter().any(|row| *row != rows[0]), "nothing moves");
+}
+
+/// A binary glTF: its parts as long as they say, and an animation from the first to the last time of the recording.
+fn animation_of_every_frame(bytes: &[u8], truth: &[(f64, f64)]) {
+    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes")) as usize;
+    assert_eq!((&bytes[..4], word(4), word(8)), (&b"glTF"[..], 2, bytes.len()));
+    let json = 20 + word(12);
+    assert_eq!((&bytes[16..20], &bytes[json + 4..json + 8]), (&b"JSON"[..], &b"BIN\0"[..]));
+    assert_eq!(json + 8 + word(json), bytes.len());
+    let gltf: serde_json::Value = serde_json::from_slice(&bytes[20..json]).expect("it is JSON");
+    let animation = &gltf["animations"][0];
+    let channels = animation["channels"].as_array().expect("channels");
+    let turns = channels.iter().filter(|channel| channel["target"]["path"] == "rotation").count();
+    assert!(turns >= 10, "{turns} joints turn");
+    for sampler in animation["samplers"].as_array().expect("samplers") {
+        let [input, output] = ["input", "output"]
+            .map(|key| &gltf["accessors"][sampler[key].as_u64().expect("an accessor") as usize]);
+        assert_eq!((&input["count"], &output["count"]), (&truth.len().into(), &truth.len().into()));
+        let length_s =
+            input["max"][0].as_f64().expect("a number") - input["min"][0].as_f64().expect("a number");
+        let expected_s = truth[truth.len() - 1].0 - truth[0].0;
+        assert!((length_s - expected_s).abs() < 1e-3, "{length_s} s");
     }
 }
 
@@ -163,8 +237,11 @@ fn sensors_that_were_strapped_on_anywhere_are_assigned_from_file_to_file() {
         Recorded::of(&stage.replace("shoulder_flexion_r", "elbow_pronation_r"), 4100, ["a", "b", "c"]);
     let angles = recorded.path("angles.csv");
     let done = recorded.solve_with(&["--assign"], &angles);
-    let told = String::from_utf8_lossy(&done.stderr).into_owned();
-    assert!(done.status.code() == Some(1) && told.contains("moved alike: add a movement of one"), "{told}");
+    let reported = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert!(
+        done.status.code() == Some(1) && reported.contains("moved in the same way: add a movement of one"),
+        "{reported}"
+    );
     assert!(!angles.exists());
 }
 
@@ -181,9 +258,9 @@ fn what_a_stage_lacks_is_named_and_nothing_is_written() {
         let recorded = Recorded::new(stage);
         let angles = recorded.path("angles.csv");
         let done = recorded.solve(&angles);
-        let told = String::from_utf8_lossy(&done.stderr).into_owned();
-        assert_eq!(done.status.code(), Some(1), "{told}");
-        assert!(told.contains(expected), "{told}");
+        let reported = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert_eq!(done.status.code(), Some(1), "{reported}");
+        assert!(reported.contains(expected), "{reported}");
         assert!(!angles.exists());
     }
 }

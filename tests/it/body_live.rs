@@ -1,27 +1,28 @@
-//! The body as the pipeline says it: a simulated person who wears virtual devices.
+//! The body as the pipeline reports it: a simulated person who wears virtual devices.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
-use posed::fusion::ahrs::ImuSample;
-use posed::fusion::body::{
-    ANGLE_NAMES, BodyFilter, BodyParams, Heading, SEGMENTS, Segment, SensorFault, Skeleton, Worn, angles,
+use posed_fusion::ahrs::ImuSample;
+use posed_fusion::body::{
+    ANGLE_NAMES, BodyFilter, BodyParams, BodySegment, Heading, SEGMENTS, SensorMount, Skeleton, angles,
 };
-use posed::input::{Entry, Input};
-use posed::output::{Body, Placed, SegmentState};
-use posed::pipeline::Pipeline;
-use posed::signals::{self, BodyColumns};
-use posed::stage::Stage;
+use posed_fusion::faults::Cause;
+use posed_pipeline::Pipeline;
 use posed_simulator::body::Activity;
 use posed_simulator::faults::Fault;
 use posed_simulator::inertial::ImuClass;
 use posed_simulator::motion::{Motion, Person};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
+use posed_stage::Stage;
+use posed_stage::input::{Entry, Input};
+use posed_stage::output::{Body, PositionSource, SegmentState};
+use posed_stage::signals::{self, BodyColumns};
 
 use crate::rig::{Rig, Said, demo, keep, replay};
 
 const HEIGHT_M: f64 = 1.8;
 
 /// How the sensor of a segment sits, w, x, y, z: each another way.
-fn mount(segment: Segment) -> UnitQuaternion<f64> {
+fn mount(segment: BodySegment) -> UnitQuaternion<f64> {
     let k = segment.index() as f64;
     UnitQuaternion::from_scaled_axis(Vector3::new((1.3 * k).sin(), (2.1 * k).cos(), (0.7 * k).sin()) * 1.5)
 }
@@ -31,13 +32,18 @@ fn wxyz(q: &UnitQuaternion<f64>) -> [f64; 4] {
 }
 
 /// Somebody who wears a device's sensors on these segments.
-struct Worn10 {
+struct SimulatedBody {
     stage: Stage,
     scenario: Scenario,
-    segments: Vec<Segment>,
+    segments: Vec<BodySegment>,
 }
 
-fn worn(device: &str, segments: &[Segment], address: impl Fn(u16) -> u16, person: Person) -> Worn10 {
+fn worn(
+    device: &str,
+    segments: &[BodySegment],
+    address: impl Fn(u16) -> u16,
+    person: Person,
+) -> SimulatedBody {
     let mut text = format!(
         "name = \"person\"\n[[device]]\nname = \"worn\"\n{device}\n[body]\nheight_m = {HEIGHT_M}\nmounting = \"given\"\n"
     );
@@ -69,7 +75,7 @@ fn worn(device: &str, segments: &[Segment], address: impl Fn(u16) -> u16, person
         ..DeviceScenario::default()
     }];
     let stage = Stage::parse(&text).unwrap_or_else(|problems| panic!("{problems}"));
-    Worn10 {
+    SimulatedBody {
         stage,
         scenario: Scenario { bodies: vec![body], sensors, devices, ..Scenario::default() },
         segments: segments.to_vec(),
@@ -84,7 +90,7 @@ fn squatting() -> Person {
     Person { activity: Activity::Squats, height_m: HEIGHT_M, heading_deg: 40.0, ..Person::default() }
 }
 
-impl Worn10 {
+impl SimulatedBody {
     fn run(&self, seconds: f64) -> Rig {
         let mut rig = Rig::new(&self.stage, &self.scenario);
         rig.run_until(seconds);
@@ -122,13 +128,13 @@ fn bodies(rig: &Rig) -> Vec<&Body> {
         .collect()
 }
 
-fn q(body: &Body, segment: Segment) -> UnitQuaternion<f64> {
+fn q(body: &Body, segment: BodySegment) -> UnitQuaternion<f64> {
     let [w, i, j, k] = body.segments[segment.index()].orientation_wxyz.unwrap();
     UnitQuaternion::from_quaternion(Quaternion::new(w, i, j, k))
 }
 
 /// The largest root mean square error of an angle of elbows, knees, hips and shoulders, and of a segment, degrees.
-fn errors(worn: &Worn10, rig: &Rig, from_s: f64) -> (f64, f64) {
+fn errors(worn: &SimulatedBody, rig: &Rig, from_s: f64) -> (f64, f64) {
     let names = ["elbow_r_flexion", "elbow_l_flexion", "knee_r_flexion", "knee_l_flexion", "hip_r_flexion"];
     let mut sums = [0.0; 5];
     let mut turns = [0.0; SEGMENTS];
@@ -141,7 +147,7 @@ fn errors(worn: &Worn10, rig: &Rig, from_s: f64) -> (f64, f64) {
             let (Some(got), Some(expected)) = (body.angles_rad[index], expected[index]) else { continue };
             *sum += (got - expected).powi(2);
         }
-        for (segment, truth) in Segment::ALL.into_iter().zip(&truth) {
+        for (segment, truth) in BodySegment::ALL.into_iter().zip(&truth) {
             let Some(truth) = truth else { continue };
             turns[segment.index()] += q(body, segment).angle_to(&truth.rotation).powi(2);
         }
@@ -154,7 +160,7 @@ fn errors(worn: &Worn10, rig: &Rig, from_s: f64) -> (f64, f64) {
 
 #[test]
 fn ten_trackers_of_a_chain_show_a_person_who_squats() {
-    let worn = worn(XBUS, &Segment::ALL, |n| n, squatting());
+    let worn = worn(XBUS, &BodySegment::ALL, |n| n, squatting());
     let rig = worn.run(9.0);
     let all = bodies(&rig);
     assert!(all.len() > 700, "{} bodies in 9 s", all.len());
@@ -163,25 +169,28 @@ fn ten_trackers_of_a_chain_show_a_person_who_squats() {
     assert!(angle_deg < 2.0 && turn_deg < 4.0, "angles {angle_deg:.2}, segments {turn_deg:.2} degrees");
     let last = all.last().unwrap();
     assert!(last.segments.iter().all(|segment| segment.state == SegmentState::Ok), "{last:?}");
-    assert_eq!((last.heading, last.placed), (Heading::Field, Placed::Origin));
+    assert_eq!((last.heading, last.position_source), (Heading::Field, PositionSource::Origin));
     // Feet on the floor, below the origin; the head end up.
-    let z = |segment: Segment| last.segments[segment.index()].position_m.unwrap()[2];
-    assert!(z(Segment::ShankR) < z(Segment::ThighR) && z(Segment::Pelvis) < z(Segment::Torso), "{last:?}");
-    assert!((0.3..0.6).contains(&z(Segment::ShankR)), "{last:?}");
+    let z = |segment: BodySegment| last.segments[segment.index()].position_m.unwrap()[2];
+    assert!(
+        z(BodySegment::ShankR) < z(BodySegment::ThighR) && z(BodySegment::Pelvis) < z(BodySegment::Torso),
+        "{last:?}"
+    );
+    assert!((0.3..0.6).contains(&z(BodySegment::ShankR)), "{last:?}");
 }
 
 /// The filter that `posed body solve` runs over a file, over the records of the same run.
 #[test]
 fn live_and_offline_say_the_same() {
-    let worn = worn(XBUS, &Segment::ALL, |n| n, squatting());
+    let worn = worn(XBUS, &BodySegment::ALL, |n| n, squatting());
     let rig = worn.run(4.0);
-    let sits = |segment: Segment, offset_m: [f64; 3]| Worn {
+    let sits = |segment: BodySegment, offset_m: [f64; 3]| SensorMount {
         q_segment_sensor: mount(segment),
         offset_m: offset_m.into(),
         heading_rad: None,
     };
     let all: Vec<_> = worn.segments.iter().zip(&worn.scenario.sensors).collect();
-    let all = Segment::ALL.map(|segment| {
+    let all = BodySegment::ALL.map(|segment| {
         all.iter().find(|(at, _)| **at == segment).map(|(_, sensor)| sits(segment, sensor.offset_m))
     });
     let mut filter = BodyFilter::new(&Skeleton::from_height(HEIGHT_M), &all, &BodyParams::default());
@@ -190,15 +199,15 @@ fn live_and_offline_say_the_same() {
     let offline: Vec<_> = rig
         .estimates()
         .filter_map(|estimate| {
-            let sample = |segment: Segment| {
+            let sample = |segment: BodySegment| {
                 let inertial = estimate.sensors[segment.index()].measured?.inertial?;
                 Some(ImuSample {
-                    gyro_rad_s: inertial.angular_rate_rad_s?.into(),
+                    gyro_rad_s: inertial.angular_velocity_rad_s?.into(),
                     accel_m_s2: inertial.specific_force_m_s2?.into(),
                     mag: inertial.magnetic_field.map(Vector3::from),
                 })
             };
-            let samples = Segment::ALL.map(sample);
+            let samples = BodySegment::ALL.map(sample);
             samples.iter().any(Option::is_some).then_some(())?;
             let t_s = estimate.t_valid.as_secs_f64();
             let dt_s = last_s.map_or(0.01, |last| t_s - last);
@@ -218,18 +227,18 @@ fn live_and_offline_say_the_same() {
 
 #[test]
 fn a_replay_that_begins_in_the_middle_says_the_same_body() {
-    let worn = worn(XBUS, &Segment::ALL, |n| n, squatting());
+    let worn = worn(XBUS, &BodySegment::ALL, |n| n, squatting());
     let rig = worn.run(4.0);
     let middle = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 2.3);
     let mut pipeline = Pipeline::new(&worn.stage).unwrap();
     let before = replay(&mut pipeline, &rig.log[..middle]).len();
-    let mut restored = Pipeline::restore(&worn.stage, &pipeline.snapshot()).unwrap();
+    let mut restored = Pipeline::restore(&worn.stage, pipeline.models(), &pipeline.snapshot()).unwrap();
     assert_eq!(replay(&mut restored, &rig.log[middle..]), rig.said[before..]);
 }
 
 #[test]
 fn units_with_clocks_of_their_own_and_units_that_only_tell_their_orientation_show_it_too() {
-    let arm = [Segment::Torso, Segment::UpperArmR, Segment::ForearmR];
+    let arm = [BodySegment::Torso, BodySegment::UpperArmR, BodySegment::ForearmR];
     let reaching = Person { activity: Activity::Curls, ..squatting() };
     for (device, address, limits) in [
         (X_IMU3, (|n| n + 40) as fn(u16) -> u16, (3.0, 9.0)),
@@ -248,12 +257,12 @@ fn units_with_clocks_of_their_own_and_units_that_only_tell_their_orientation_sho
 #[test]
 fn trackers_alone_show_the_whole_figure_and_where_it_is() {
     let segments = [
-        Segment::Torso,
-        Segment::Pelvis,
-        Segment::ForearmR,
-        Segment::ForearmL,
-        Segment::ShankR,
-        Segment::ShankL,
+        BodySegment::Torso,
+        BodySegment::Pelvis,
+        BodySegment::ForearmR,
+        BodySegment::ForearmL,
+        BodySegment::ShankR,
+        BodySegment::ShankL,
     ];
     let device = "driver = \"motionstar\"\nport = \"tcp://127.0.0.1:6000\"";
     let person = Person { position_m: [1.2, 0.0, -0.9], heading_deg: 180.0, ..squatting() };
@@ -263,34 +272,37 @@ fn trackers_alone_show_the_whole_figure_and_where_it_is() {
     let (angle_deg, turn_deg) = errors(&worn, &rig, 4.0);
     assert!(angle_deg < 6.0 && turn_deg < 6.0, "angles {angle_deg:.2}, segments {turn_deg:.2} degrees");
     let last = *bodies(&rig).last().unwrap();
-    assert_eq!(last.placed, Placed::Trackers);
-    let state = |segment: Segment| last.segments[segment.index()].state;
+    assert_eq!(last.position_source, PositionSource::Trackers);
+    let state = |segment: BodySegment| last.segments[segment.index()].state;
     assert_eq!(
-        [state(Segment::ForearmR), state(Segment::UpperArmR)],
+        [state(BodySegment::ForearmR), state(BodySegment::UpperArmR)],
         [SegmentState::Ok, SegmentState::Inferred]
     );
-    let truth = worn.truth(&rig, last.t_valid.as_secs_f64())[Segment::Pelvis.index()].unwrap();
-    let place = Vector3::from(last.segments[Segment::Pelvis.index()].position_m.unwrap());
+    let truth = worn.truth(&rig, last.t_valid.as_secs_f64())[BodySegment::Pelvis.index()].unwrap();
+    let place = Vector3::from(last.segments[BodySegment::Pelvis.index()].position_m.unwrap());
     assert!((place - truth.translation.vector).norm() < 0.03, "{place} is not {truth}");
 }
 
 #[test]
 fn a_dead_sensor_is_named_within_a_second_and_the_rest_keeps_moving() {
-    let mut worn = worn(X_IMU3, &Segment::ALL, |n| n + 40, squatting());
-    let address = 41 + Segment::ForearmL.index() as u16;
+    let mut worn = worn(X_IMU3, &BodySegment::ALL, |n| n + 40, squatting());
+    let address = 41 + BodySegment::ForearmL.index() as u16;
     worn.scenario.devices[0].faults = vec![Fault::BirdDies { address, at_s: 4.0, duration_s: None }];
     let rig = worn.run(7.0);
-    let fault = |body: &&&Body| body.segments[Segment::ForearmL.index()].fault == Some(SensorFault::Silent);
+    let fault = |body: &&&Body| body.segments[BodySegment::ForearmL.index()].fault == Some(Cause::Missing);
     let all = bodies(&rig);
     let named = all.iter().find(fault).expect("it is named");
     let named_s = named.t_valid.as_secs_f64();
     assert!((4.0..6.5).contains(&named_s), "{named_s}");
-    assert_eq!(named.segments[Segment::ForearmL.index()].state, SegmentState::Suspect);
+    assert_eq!(named.segments[BodySegment::ForearmL.index()].state, SegmentState::Suspect);
     let status = rig.pipeline.status().body.unwrap();
-    let told: Vec<_> = status.faults.iter().map(|(_, segment, fault)| (*segment, *fault)).collect();
+    let reported: Vec<_> = status.faults.iter().map(|(_, segment, fault)| (*segment, *fault)).collect();
     // A neighbour that loses its partner may be named beside it, nobody else.
-    assert!(told.contains(&("forearm_l", SensorFault::Silent)), "{told:?}");
-    assert!(told.iter().all(|(segment, _)| ["forearm_l", "upper_arm_l"].contains(segment)), "{told:?}");
+    assert!(reported.contains(&("forearm_l", Cause::Missing)), "{reported:?}");
+    assert!(
+        reported.iter().all(|(segment, _)| ["forearm_l", "upper_arm_l"].contains(segment)),
+        "{reported:?}"
+    );
     let knee = ANGLE_NAMES.iter().position(|name| *name == "knee_r_flexion").unwrap();
     let after: Vec<f64> = all
         .iter()
@@ -305,7 +317,7 @@ fn a_dead_sensor_is_named_within_a_second_and_the_rest_keeps_moving() {
 
 #[test]
 fn angles_are_columns_of_exercises() {
-    let worn = worn(XBUS, &Segment::ALL, |n| n, squatting());
+    let worn = worn(XBUS, &BodySegment::ALL, |n| n, squatting());
     let columns = signals::columns_of(&worn.stage);
     let knee = columns.iter().position(|name| name == "knee_r_flexion_deg").unwrap();
     let rig = worn.run(3.0);
@@ -329,8 +341,8 @@ fn angles_are_columns_of_exercises() {
 
 #[test]
 fn nobody_is_shown_before_the_mounting_is_known() {
-    let mut worn = worn(XBUS, &Segment::ALL, |n| n, squatting());
-    worn.stage.body.as_mut().unwrap().mounting = posed::stage::Mounting::Calibrate;
+    let mut worn = worn(XBUS, &BodySegment::ALL, |n| n, squatting());
+    worn.stage.body.as_mut().unwrap().mounting = posed_stage::Mounting::Calibrate;
     let rig = worn.run(2.0);
     assert!(rig.estimates().count() > 50 && bodies(&rig).is_empty());
     assert!(!rig.pipeline.status().body.unwrap().mounted);
@@ -348,10 +360,10 @@ fn the_demo_shows_a_body_that_stands_where_it_stands() {
     let first_s = bodies(&rig)[0].t_valid.as_secs_f64();
     assert!(first_s < 2.0, "{first_s}");
     let last = *bodies(&rig).last().unwrap();
-    assert_eq!(last.placed, Placed::Trackers);
-    let [x, y, z] = last.segments[Segment::Pelvis.index()].position_m.unwrap();
+    assert_eq!(last.position_source, PositionSource::Trackers);
+    let [x, y, z] = last.segments[BodySegment::Pelvis.index()].position_m.unwrap();
     assert!((x - 0.85).hypot(y + 0.35) < 0.08 && (0.85..1.0).contains(&z), "{x} {y} {z}");
-    let forward = q(last, Segment::Pelvis) * Vector3::x();
+    let forward = q(last, BodySegment::Pelvis) * Vector3::x();
     assert!((forward + Vector3::x()).norm() < 0.15, "{forward}");
     assert!(last.segments.iter().all(|segment| segment.state == SegmentState::Ok), "{last:?}");
     assert_eq!(rig.pipeline.status().body.unwrap().faults, []);

@@ -1,17 +1,17 @@
-//! A chain of hinges as the pipeline says it: thigh and shank of a simulated person who walks, without magnetometers.
+//! A chain of hinges as the pipeline reports it: thigh and shank of a simulated person who walks, without magnetometers.
 
 use std::path::Path;
 
-use posed::fusion::chain;
-use posed::fusion::chain::calibrate::calibrate;
-use posed::input::{Input, Model};
-use posed::layout::ChainLayout;
-use posed::output::Body;
-use posed::pipeline::Pipeline;
-use posed::signals;
-use posed::stage::Stage;
-use posed::table::TableReader;
+use posed_fusion::chain;
+use posed_fusion::chain::calibrate::calibrate;
+use posed_pipeline::Pipeline;
+use posed_recording::table::TableReader;
 use posed_simulator::truth::TruthCycle;
+use posed_stage::Stage;
+use posed_stage::input::{Input, Model};
+use posed_stage::layout::ChainLayout;
+use posed_stage::output::Body;
+use posed_stage::signals;
 
 use crate::cli::posed;
 use crate::rig::leg::{MOUNTS, STAGE, epochs, leg};
@@ -23,7 +23,7 @@ fn truth_rad(rig: &Rig, t_s: f64) -> Option<f64> {
     let near = [after.checked_sub(1)?, after].map(|at| rig.truth.get(at));
     let off_s = |cycle: &&TruthCycle| (cycle.t.as_secs_f64() - t_s).abs();
     let cycle = near.into_iter().flatten().min_by(|a, b| off_s(a).total_cmp(&off_s(b)))?;
-    let mount = |wxyz: [f64; 4]| posed::geometry::orientation_from_wxyz(wxyz).unwrap();
+    let mount = |wxyz: [f64; 4]| posed_geometry::orientation_from_wxyz(wxyz).unwrap();
     let segment = |sensor: usize, wxyz| {
         let row = cycle.sensors.iter().find(|row| row.sensor == sensor)?;
         Some(row.pose.rotation * mount(wxyz).inverse())
@@ -104,7 +104,7 @@ fn a_chain_is_calibrated_and_then_followed_as_well_as_a_file_of_it() {
     let middle = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 44.0);
     let mut pipeline = Pipeline::new(&stage).unwrap();
     let before = replay(&mut pipeline, &rig.log[..middle]).len();
-    let mut restored = Pipeline::restore(&stage, &pipeline.snapshot()).unwrap();
+    let mut restored = Pipeline::restore(&stage, pipeline.models(), &pipeline.snapshot()).unwrap();
     assert!(replay(&mut restored, &rig.log[middle..]) == rig.said[before..]);
     assert!(signals::columns_of(&stage).iter().any(|column| column == "knee_flexion_deg"));
 

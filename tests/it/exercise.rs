@@ -4,15 +4,15 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::LazyLock;
 
-use posed::input::{Input, Model, Plan, Request};
-use posed::motion::exercise::{Counter, EventKind, Exercise, Lesson, Options, Stream, rests, teach};
-use posed::output::{Estimate, ExerciseState, ExerciseWhat, OutcomeKind, Repetition};
-use posed::pipeline::Pipeline;
-use posed::signals::{self, BodyColumns};
-use posed::stage::Stage;
+use posed_motion::exercise::{Counter, EventKind, Exercise, Lesson, Options, Stream, rests, teach};
+use posed_pipeline::Pipeline;
 use posed_simulator::exercises::{self, Day, Exercise as Training, Person, Variant};
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
+use posed_stage::Stage;
+use posed_stage::input::{Input, Model, Plan, Request};
+use posed_stage::output::{Estimate, ExerciseState, ExerciseWhat, OutcomeKind, Repetition};
+use posed_stage::signals::{self, BodyColumns};
 
 use crate::cli::posed;
 use crate::rig::{Rig, Said, demo, record, replay, stage};
@@ -232,14 +232,19 @@ fn the_log_says_the_same_again_from_any_snapshot() {
         if until_s == 2.0 {
             rig.push(select(Plan { repetitions: Some(2), sets: None, rest_s: 1.0 }));
         }
-        snapshots.push((rig.pipeline.snapshot(), rig.log.len(), rig.said.len()));
+        snapshots.push((
+            rig.pipeline.models().clone(),
+            rig.pipeline.snapshot(),
+            rig.log.len(),
+            rig.said.len(),
+        ));
     }
     rig.run_until(16.0);
     assert!(counts(&rig.said, "patient").len() >= 3);
     let stage = stage(&[2]);
     assert_eq!(replay(&mut Pipeline::new(&stage).unwrap(), &rig.log), rig.said);
-    for (snapshot, entries, said) in snapshots {
-        let mut restored = Pipeline::restore(&stage, &snapshot).unwrap();
+    for (models, snapshot, entries, said) in snapshots {
+        let mut restored = Pipeline::restore(&stage, &models, &snapshot).unwrap();
         assert_eq!(replay(&mut restored, &rig.log[entries..]), rig.said[said..], "from entry {entries}");
         assert_eq!(restored.snapshot(), rig.pipeline.snapshot(), "from entry {entries}");
     }
@@ -281,8 +286,8 @@ fn set(
 }
 
 /// What five repetitions of a simulated person teach.
-fn lesson(training: Training, example: &exercises::Recording) -> Lesson {
-    let (columns, t_s, values) = angles(example);
+fn lesson(training: Training, demonstration: &exercises::Recording) -> Lesson {
+    let (columns, t_s, values) = angles(demonstration);
     let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
     let options = Options { name: training.name().into(), repetitions: 5, channels: None };
     teach(&stream, &options).unwrap()
@@ -316,9 +321,9 @@ fn repetitions_are_cut_where_they_begin_and_end_whatever_is_before_and_after_the
         (10_053, 100, Training::WallPushUp),
         (10_057, 100, Training::WallPushUp),
     ] {
-        let example = set(person, day, training, 5, Variant::Right);
-        let seen = lesson(training, &example).report.repetitions;
-        for (seen, truth) in seen.iter().zip(&example.repetitions) {
+        let demonstration = set(person, day, training, 5, Variant::Right);
+        let seen = lesson(training, &demonstration).report.repetitions;
+        for (seen, truth) in seen.iter().zip(&demonstration.repetitions) {
             let off_s = 0.5 * (seen.t_start_s + seen.t_end_s - truth[0] - truth[1]);
             let of = off_s.abs() / (truth[1] - truth[0]);
             assert!(of < 0.25, "person {person}, {}: {seen:?}, {truth:?}", training.name());
@@ -326,7 +331,7 @@ fn repetitions_are_cut_where_they_begin_and_end_whatever_is_before_and_after_the
     }
 }
 
-/// Hip and knee do most of a squat. One of them that has failed says nothing about its size.
+/// Hip and knee do most of a squat. One of them that has failed gives no information about its size.
 #[test]
 fn a_joint_that_has_failed_makes_no_squat_too_small() {
     let squats = |day, repetitions| set(500, day, Training::Squat, repetitions, Variant::Right);

@@ -1,9 +1,10 @@
-//! Bad frames of a simulated figure: trained on one session, tested on another person's.
+//! Faulty frames of a simulated figure: trained on one session, tested on another person's.
 
-use posed::faults::som::frames::Frames;
-use posed::faults::som::map::Training;
-use posed::faults::som::rules::{Cause, Class, frame_class};
-use posed::faults::som::{Network, Size};
+use posed_fusion::faults::{Class, Label};
+use posed_motion::fault_map::frames::Frames;
+use posed_motion::fault_map::rules::frame_label;
+use posed_motion::fault_map::som::Training;
+use posed_motion::fault_map::{FaultMap, Size};
 use posed_simulator::figure::{Fault, Figure, SENSORS, Truth, inject};
 
 const RATE_HZ: f64 = 60.0;
@@ -20,8 +21,8 @@ fn session(seed: u64, height_m: f64, frames: usize, share: f64) -> (Frames, Vec<
     let mut positions_m = Figure { seed, height_m, rate_hz: RATE_HZ, frames }.positions_m();
     let truth = inject(&mut positions_m, SENSORS.len(), RATE_HZ, seed, share, &Fault::ALL);
     let frame = |row: &[Truth]| {
-        let labels: Vec<_> = row.iter().map(|truth| (class(*truth), Cause::None)).collect();
-        frame_class(&labels).0
+        let labels: Vec<_> = row.iter().map(|truth| Label { class: class(*truth), cause: None }).collect();
+        frame_label(&labels).class
     };
     let classes = truth.chunks_exact(SENSORS.len()).map(frame).collect();
     let t_s = (0..frames).map(|k| k as f64 / RATE_HZ).collect();
@@ -32,17 +33,17 @@ fn session(seed: u64, height_m: f64, frames: usize, share: f64) -> (Frames, Vec<
 fn a_network_of_one_person_finds_the_bad_frames_of_another() {
     let (frames, classes) = session(1, 1.78, 7200, 0.5);
     let size = Size { neurons: 41, side: 11 };
-    let (network, labels) = Network::train(&frames, size, &Training::default()).unwrap();
-    let agree = labels.frames.iter().zip(&classes).filter(|(label, class)| label.0 == **class).count();
+    let (fault_map, labels) = FaultMap::train(&frames, size, &Training::default()).unwrap();
+    let agree = labels.frames.iter().zip(&classes).filter(|(label, class)| label.class == **class).count();
     println!("automatic labels agree in {agree} of {}", classes.len());
     assert!(agree * 100 >= 95 * classes.len());
 
     let mut counts = [[0usize; 4]; 4];
     for (seed, height_m) in [(101, 1.68), (102, 1.88)] {
         let (frames, classes) = session(seed, height_m, 3000, 0.4);
-        let mut watch = network.watch();
+        let mut watch = fault_map.watch();
         for (k, class) in classes.iter().enumerate() {
-            counts[*class as usize][watch.push(&network, frames.frame(k)).class as usize] += 1;
+            counts[*class as usize][watch.push(&fault_map, frames.frame(k)).label.class as usize] += 1;
         }
     }
     println!("{counts:?}");

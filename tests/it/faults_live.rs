@@ -1,18 +1,18 @@
-//! The map of faults in the pipeline: a walking figure whose birds flip and freeze.
+//! The fault map in the pipeline: a walking figure whose birds flip and freeze.
 
 use std::sync::LazyLock;
 
-use posed::faults::som::frames::Frames;
-use posed::faults::som::map::Training;
-use posed::faults::som::rules::{Cause, Class};
-use posed::faults::som::{Network, Size};
-use posed::input::{Input, Model};
-use posed::output::{Estimate, FaultCause, OutcomeKind, Repair, SensorState};
-use posed::pipeline::{Pipeline, raw_positions, upright};
-use posed::stage::Stage;
+use posed_fusion::faults::{Cause, Class, Repair};
+use posed_motion::fault_map::frames::Frames;
+use posed_motion::fault_map::som::Training;
+use posed_motion::fault_map::{FaultMap, Size};
+use posed_pipeline::{Pipeline, raw_positions, upright};
 use posed_simulator::faults::Fault;
 use posed_simulator::motion::{Motion, Walk};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
+use posed_stage::Stage;
+use posed_stage::input::{Input, Model};
+use posed_stage::output::{Estimate, OutcomeKind, SensorState};
 
 use crate::rig::{Rig, Said, replay, stage};
 
@@ -65,18 +65,18 @@ fn raw<'a>(rig: &Rig, estimates: impl Iterator<Item = &'a Estimate>) -> Frames {
 }
 
 /// Learnt from one session with all kinds of frames.
-pub(crate) static NETWORK: LazyLock<Network> = LazyLock::new(|| {
+pub(crate) static NETWORK: LazyLock<FaultMap> = LazyLock::new(|| {
     let frozen = Fault::OutOfRange { address: 2, at_s: 16.0, duration_s: 1.5 };
     let faults = flip_all(8.0, 3.0).chain([flip(3, 13.0, 1.5), frozen]).collect();
     let mut rig = Rig::new(&walking(), &Scenario { seed: 5, ..scenario(faults) });
     rig.run_until(24.0);
     let frames = raw(&rig, rig.estimates().filter(|estimate| estimate.t_valid.as_secs_f64() > 3.0));
     let size = Size { neurons: 21, side: 7 };
-    Network::train(&frames, size, &Training { epochs: 8, ..Training::default() }).unwrap().0
+    FaultMap::train(&frames, size, &Training { epochs: 8, ..Training::default() }).unwrap().0
 });
 
-fn model(network: &Network) -> Input {
-    Input::Model(Model::Faults { network: Box::new(network.clone()) })
+fn model(fault_map: &FaultMap) -> Input {
+    Input::Model(Model::Faults { fault_map: Box::new(fault_map.clone()) })
 }
 
 /// A session with faults, watched from its beginning.
@@ -99,13 +99,13 @@ fn labels_are_those_of_the_offline_command_and_repairs_are_marked() {
     let frames = raw(&rig, rig.estimates());
     let mut watch = NETWORK.watch();
     for (k, estimate) in rig.estimates().enumerate() {
-        let verdict = watch.push(&NETWORK, frames.frame(k));
+        let judged = watch.push(&NETWORK, frames.frame(k));
         let said = estimate.fault.unwrap();
-        assert_eq!((said.label, said.cause), (verdict.class, verdict.cause), "frame {k}");
-        assert_eq!(said.cell, verdict.winner.map(|winner| winner.cell as u32));
-        for (sensor, label) in estimate.sensors.iter().zip(verdict.sensors) {
+        assert_eq!((said.label, said.cause), (judged.label.class, judged.label.cause), "frame {k}");
+        assert_eq!(said.cell, judged.winner.map(|winner| winner.cell as u32));
+        for (sensor, label) in estimate.sensors.iter().zip(judged.sensors) {
             let fault = sensor.fault.unwrap();
-            assert_eq!((fault.label, fault.cause), *label, "frame {k}");
+            assert_eq!((fault.label, fault.cause), (label.class, label.cause), "frame {k}");
         }
     }
     for estimate in from_to(&rig, 6.05, 7.95) {
@@ -122,7 +122,7 @@ fn labels_are_those_of_the_offline_command_and_repairs_are_marked() {
     }
     for estimate in from_to(&rig, 11.2, 12.4) {
         let fault = estimate.sensors[0].fault.unwrap();
-        assert_eq!((fault.label, fault.cause), (Class::Anomalous, Cause::Frozen));
+        assert_eq!((fault.label, fault.cause), (Class::Anomalous, Some(Cause::Stuck)));
         assert!(!matches!(estimate.sensors[0].state, SensorState::Ok | SensorState::Repaired));
     }
     let good = from_to(&rig, 3.0, 5.9).len();
@@ -141,12 +141,12 @@ fn labels_are_those_of_the_offline_command_and_repairs_are_marked() {
             _ => None,
         })
         .collect();
-    let flip = FaultCause::Hemisphere;
+    let flip = Cause::HemisphereInversion;
     assert_eq!(faults, [(flip, true), (flip, false), (flip, true), (flip, false)]);
 }
 
 #[test]
-fn a_figure_that_is_inverted_from_the_beginning_is_told_by_the_map() {
+fn a_figure_that_is_inverted_from_the_beginning_is_identified_by_the_map() {
     let faults: Vec<Fault> = flip_all(0.0, 5.0).collect();
     let mut rig = Rig::new(&walking(), &scenario(faults.clone()));
     rig.push(model(&NETWORK));
@@ -190,7 +190,7 @@ fn a_replay_that_begins_in_the_middle_says_the_same() {
     let middle = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 7.0);
     let mut pipeline = Pipeline::new(&walking()).unwrap();
     let before = replay(&mut pipeline, &rig.log[..middle]).len();
-    let mut restored = Pipeline::restore(&walking(), &pipeline.snapshot()).unwrap();
+    let mut restored = Pipeline::restore(&walking(), pipeline.models(), &pipeline.snapshot()).unwrap();
     // NaN is not itself; text is.
     let text = |said: &[Said]| said.iter().map(|said| format!("{said:?}")).collect::<Vec<_>>();
     assert_eq!(text(&replay(&mut restored, &rig.log[middle..])), text(&rig.said[before..]));

@@ -11,7 +11,7 @@ mod session;
 mod survey;
 
 use nalgebra::Vector3;
-use posed::field::{Anchor, Code, PoleReading, PoleRun, RejectReason, rigid, solve, solve_limbs};
+use posed_field::{Anchor, Code, PoleReading, PoleRun, RejectReason, rigid, solve, solve_limbs};
 use scenes::{Run, SENSORS, SPACING_M, scenes};
 use session::{Reading, Session};
 
@@ -68,7 +68,7 @@ fn given_a_pure_scale_error_a_polynomial_of_degree_one_is_enough() {
 }
 
 #[test]
-fn given_anchors_a_spacing_that_is_a_millimetre_off_is_told_and_a_right_one_is_not() {
+fn given_anchors_a_spacing_that_is_a_millimetre_off_is_reported_and_a_right_one_is_not() {
     let run = scene("scale 1.02").run(3);
     let anchors: Vec<Anchor> = [30, 300, 600, 850]
         .into_iter()
@@ -82,12 +82,12 @@ fn given_anchors_a_spacing_that_is_a_millimetre_off_is_told_and_a_right_one_is_n
     for (wrong_m, expected) in [(0.001, true), (-0.001, true), (0.0, false)] {
         // Without anchors a wrong one makes a map that is as smooth.
         let solution = solve(pole(&run, 900, SPACING_M + wrong_m), &anchors, &mut |_| {});
-        let told = solution.report.reasons.iter().any(|reason| reason.code == Code::Spacing);
-        assert_eq!(told, expected, "{wrong_m} m: {:?}", solution.report);
+        let reported = solution.report.reasons.iter().any(|reason| reason.code == Code::Spacing);
+        assert_eq!(reported, expected, "{wrong_m} m: {:?}", solution.report);
     }
 }
 
-/// A wrong spacing makes a map unsure of places, where it still knows lengths: it is told there, too.
+/// A wrong spacing makes a map unsure of places, where it still knows lengths: it is reported there, too.
 #[test]
 fn above_a_steel_floor_half_a_second_on_each_of_three_points_tells_a_wrong_spacing() {
     let scene = scene("floor, low transmitter");
@@ -96,8 +96,8 @@ fn above_a_steel_floor_half_a_second_on_each_of_three_points_tells_a_wrong_spaci
         let mut recording = pole(&run, 900, SPACING_M + wrong_m);
         let anchors = survey::anchors(&scene, &run, &mut recording, 2);
         let report = solve(recording, &anchors, &mut |_| {}).report;
-        let told = report.reasons.iter().any(|reason| reason.code == Code::Spacing);
-        assert_eq!(told, expected, "{wrong_m} m: {report:?}");
+        let reported = report.reasons.iter().any(|reason| reason.code == Code::Spacing);
+        assert_eq!(reported, expected, "{wrong_m} m: {report:?}");
     }
 }
 

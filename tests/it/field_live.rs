@@ -1,17 +1,16 @@
 //! The field in the live pipeline: correction, watch and guided run on virtual Flocks.
 
 use nalgebra::Vector3;
-use posed::field::{Cause, FieldMap, Prepared, Warning, solve};
-use posed::geometry;
-use posed::input::{Entry, Input, Model, Request};
-use posed::output::{Estimate, FieldNews, Outcome, OutcomeKind, Output, SensorState};
-use posed::pipeline::Pipeline;
-use posed::recording::{Header, Writer};
-use posed::stage::{FieldWatch, Stage};
+use posed_field::{Cause, FieldMap, Prepared, Warning, solve};
+use posed_pipeline::Pipeline;
+use posed_recording::{Header, Writer};
 use posed_simulator::motion::{Motion, Orbit, Still};
 use posed_simulator::scenario::{
     BodySpec, DeviceScenario, HumSpec, Material, MetalSpec, Scenario, SensorScenario,
 };
+use posed_stage::input::{Entry, Input, Model, Request};
+use posed_stage::output::{Estimate, FieldNews, Outcome, OutcomeKind, Output, SensorState};
+use posed_stage::{FieldWatch, Stage};
 use serde::Deserialize;
 
 use crate::cli::posed;
@@ -47,8 +46,8 @@ fn farthest_m<'a>(
 #[test]
 fn given_a_map_every_pose_is_corrected_from_the_next_frame_on() {
     let mut stage = stage(&[3]);
-    // A watch with much to say: this witness does move.
-    stage.field = Some(FieldWatch { witnesses: vec!["s0-2".into()], ..FieldWatch::default() });
+    // A watch with much to say: this reference sensor does move.
+    stage.field = Some(FieldWatch { reference_sensors: vec!["s0-2".into()], ..FieldWatch::default() });
     let mut rig = rig(&stage);
     rig.run_until(4.0);
     let before = rig.estimates().count();
@@ -74,7 +73,7 @@ fn given_a_map_every_pose_is_corrected_from_the_next_frame_on() {
     let half = rig.log.len() / 2 + rig.log.len() / 4;
     let mut pipeline = Pipeline::new(&stage).unwrap();
     replay(&mut pipeline, &rig.log[..half]);
-    let mut restored = Pipeline::restore(&stage, &pipeline.snapshot()).unwrap();
+    let mut restored = Pipeline::restore(&stage, pipeline.models(), &pipeline.snapshot()).unwrap();
     assert_eq!(replay(&mut restored, &rig.log[half..]), replay(&mut pipeline, &rig.log[half..]));
     // Taken away, poses are the tracker's own again.
     rig.forget();
@@ -111,7 +110,7 @@ fn given_a_guided_run_the_pole_is_collected_and_handed_out() {
     let half = rig.log.len() * 3 / 4;
     let mut pipeline = Pipeline::new(&stage).unwrap();
     replay(&mut pipeline, &rig.log[..half]);
-    let mut restored = Pipeline::restore(&stage, &pipeline.snapshot()).unwrap();
+    let mut restored = Pipeline::restore(&stage, pipeline.models(), &pipeline.snapshot()).unwrap();
     assert_eq!(replay(&mut restored, &rig.log[half..]), replay(&mut pipeline, &rig.log[half..]));
     let mut runs = Vec::new();
     let finish = Entry { t: rig.now, input: Input::Request(Request::FieldFinish {}) };
@@ -129,7 +128,7 @@ fn given_a_guided_run_the_pole_is_collected_and_handed_out() {
 /// Rms distance from the truth, m: of the records as measured, and of what is published.
 fn off_m(rig: &Rig, stage: &Stage, skip: usize) -> [f64; 2] {
     let placed = stage.transmitter.pose_in_room.as_ref().unwrap();
-    let room = geometry::isometry(placed.position_m, placed.orientation_wxyz).unwrap();
+    let room = posed_geometry::isometry(placed.position_m, placed.orientation_wxyz).unwrap();
     let (mut squares, mut count) = ([0.0; 2], 0.0);
     for estimate in rig.estimates().skip(skip) {
         let next = rig.truth.partition_point(|cycle| cycle.t < estimate.t_valid);
@@ -241,9 +240,9 @@ fn disturbances(rig: &mut Rig, news: &mut Vec<(f64, Cause, bool)>) {
 }
 
 #[test]
-fn given_a_motor_that_is_switched_on_the_witness_hears_the_mains_within_half_a_second() {
+fn given_a_motor_that_is_switched_on_the_reference_sensor_hears_the_mains_within_half_a_second() {
     let mut stage = stage(&[2]);
-    stage.field = Some(FieldWatch { witnesses: vec!["s0-0".into()], ..FieldWatch::default() });
+    stage.field = Some(FieldWatch { reference_sensors: vec!["s0-0".into()], ..FieldWatch::default() });
     let hum = HumSpec {
         frequency_hz: 50.0,
         amplitude_per_m3: [0.0, 0.004, 0.0],
@@ -278,11 +277,11 @@ fn given_a_motor_that_is_switched_on_the_witness_hears_the_mains_within_half_a_s
 }
 
 #[test]
-fn given_steel_that_is_brought_in_witness_and_pair_tell_of_it_within_half_a_second() {
+fn given_steel_that_is_brought_in_reference_and_pair_tell_of_it_within_half_a_second() {
     let brought_s = 60.0 * f64::from(quiet_minutes());
     let mut stage = stage(&[3]);
     stage.field = Some(FieldWatch {
-        witnesses: vec!["s0-2".into()],
+        reference_sensors: vec!["s0-2".into()],
         rigid_pairs: vec![["s0-0".into(), "s0-1".into()]],
         ..FieldWatch::default()
     });
@@ -347,11 +346,11 @@ fn given_steel_that_is_brought_in_witness_and_pair_tell_of_it_within_half_a_seco
     disturbances(&mut rig, &mut news);
     rig.run_until(brought_s + 12.0);
     disturbances(&mut rig, &mut news);
-    for cause in [Cause::Witness, Cause::RigidPair] {
+    for cause in [Cause::ReferenceSensor, Cause::RigidPair] {
         let began = news.iter().find(|(_, of, active)| *of == cause && *active);
         assert!(began.is_some_and(|(t, ..)| (brought_s..brought_s + 0.5).contains(t)), "{cause:?}: {news:?}");
-        // A pair that is carried away from the steel is right again; the witness stays beside it.
-        let stays = if cause == Cause::Witness { 5.0 } else { 0.0 };
+        // A pair that is carried away from the steel is right again; the reference sensor stays beside it.
+        let stays = if cause == Cause::ReferenceSensor { 5.0 } else { 0.0 };
         let ended = brought_s + stays..brought_s + 8.0;
         let last = news.iter().rfind(|(_, of, _)| *of == cause);
         assert!(last.is_some_and(|(t, _, active)| !active && ended.contains(t)), "{cause:?}: {news:?}");

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use nalgebra::Vector3;
-use posed::stage::Stage;
-use posed::table::Poses;
+use posed_recording::table::Poses;
 use posed_simulator::scenario::Scenario;
+use posed_stage::Stage;
 use serde::Deserialize;
 
 use crate::cli::{json, posed};
@@ -66,7 +66,7 @@ fn bent_m(rig: &Rig, positions: &BTreeMap<(u64, usize), Vector3<f64>>) -> f64 {
 
 fn positions(poses: &Poses) -> BTreeMap<(u64, usize), Vector3<f64>> {
     let named = |sensor: usize| WORN.iter().position(|name| *name == poses.sensors[sensor]).unwrap();
-    let row = |row: &posed::table::PoseRow| {
+    let row = |row: &posed_recording::table::PoseRow| {
         Some((((row.t_s * 1000.0).round() as u64, named(row.sensor)), Vector3::from(row.position_m?)))
     };
     poses.rows.iter().filter_map(row).collect()

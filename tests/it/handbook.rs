@@ -3,7 +3,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -15,7 +16,7 @@ fn docs() -> PathBuf {
 /// All pages, by path within `docs/`; what a page includes is part of it.
 fn pages() -> BTreeMap<PathBuf, String> {
     let mut pages = BTreeMap::new();
-    for folder in ["", "tutorials", "reference"] {
+    for folder in ["", "methods", "tutorials", "reference"] {
         for entry in fs::read_dir(docs().join(folder)).unwrap() {
             let path = entry.unwrap().path();
             if path.extension().is_some_and(|extension| extension == "md") {
@@ -116,7 +117,19 @@ fn ten_questions_are_answered_within_two_clicks_of_the_first_page() {
 /// The shell of a reader: runs blocks of commands, and keeps a daemon until he types Ctrl-C.
 struct Reader {
     folder: tempfile::TempDir,
-    daemon: Option<(Child, String)>,
+    /// The process, its address, and whether its devices are simulated.
+    daemon: Option<(Child, String, bool)>,
+}
+
+/// Whether the daemon has taken a hundred records of each device.
+fn streams(address: &str) -> bool {
+    let mut stream = TcpStream::connect(address).unwrap();
+    write!(stream, "GET /metrics HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    let records = answer.lines().filter(|line| line.starts_with("posed_device_records{"));
+    let counts: Vec<u64> = records.map(|line| line.rsplit(' ').next().unwrap().parse().unwrap()).collect();
+    !counts.is_empty() && counts.iter().all(|count| *count >= 100)
 }
 
 impl Reader {
@@ -161,14 +174,18 @@ impl Reader {
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut said).unwrap();
         let address = said.split("http://").nth(1).and_then(|rest| rest.split('/').next());
         let address = address.unwrap_or_else(|| panic!("{page}: {line} said {said:?}")).to_owned();
-        self.daemon = Some((child, address));
+        self.daemon = Some((child, address, line.starts_with("posed demo")));
     }
 
-    /// Ctrl-C, after some seconds of stream.
-    #[expect(clippy::disallowed_methods, reason = "a recording wants some seconds of stream")]
+    /// Ctrl-C, once every device of a simulated stage has sent some records.
+    #[expect(clippy::disallowed_methods, reason = "a recording wants some stream")]
     fn interrupt(&mut self, page: &str) {
-        let Some((mut child, _)) = self.daemon.take() else { return };
-        std::thread::sleep(Duration::from_secs(3));
+        let Some((mut child, address, simulated)) = self.daemon.take() else { return };
+        let begun = Instant::now();
+        while simulated && !streams(&address) {
+            assert!(begun.elapsed() < Duration::from_secs(120), "{page}: not every device streams");
+            std::thread::sleep(Duration::from_millis(50));
+        }
         assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
         let begun = Instant::now();
         while child.try_wait().unwrap().is_none() {
@@ -181,7 +198,7 @@ impl Reader {
 
 impl Drop for Reader {
     fn drop(&mut self) {
-        if let Some((child, _)) = &mut self.daemon {
+        if let Some((child, ..)) = &mut self.daemon {
             let _ = child.kill();
             let _ = child.wait();
         }
@@ -189,7 +206,7 @@ impl Drop for Reader {
 }
 
 /// Runs all that a tutorial tells its reader to type. Daemons are ended before the next block, unless that one is typed `meanwhile`.
-fn follow(page: &str) {
+fn follow(page: &str) -> Reader {
     let text = fs::read_to_string(docs().join("tutorials").join(page)).unwrap();
     let mut reader = Reader { folder: tempfile::tempdir().unwrap(), daemon: None };
     let mut blocks = 0;
@@ -207,6 +224,13 @@ fn follow(page: &str) {
     }
     reader.interrupt(page);
     assert!(blocks >= 4, "{page}: {blocks} blocks of commands");
+    reader
+}
+
+/// Lines of a file that a tutorial has made.
+fn made(reader: &Reader, name: &str) -> Vec<String> {
+    let text = fs::read_to_string(reader.folder.path().join(name)).unwrap();
+    text.lines().map(str::to_owned).collect()
 }
 
 #[test]
@@ -221,5 +245,10 @@ fn the_front_end_tutorial_does_what_it_says() {
 
 #[test]
 fn the_tutorial_of_recorded_streams_does_what_it_says() {
-    follow("recorded-streams.md");
+    let reader = follow("recorded-streams.md");
+    // What was streamed is in the files: poses that are good, and every message of the replay.
+    let good = made(&reader, "poses.csv").iter().filter(|line| line.ends_with(",ok")).count();
+    let golden = made(&reader, "golden.jsonl").len();
+    println!("{good} good poses, {golden} messages, {} key poses", made(&reader, "keys.csv").len() - 1);
+    assert!(good > 100 && golden > 100, "{good} good poses, {golden} messages");
 }

@@ -57,7 +57,7 @@ async fn stages(client: &mut Client, what: &str, fits: impl Fn(&Value) -> bool) 
     message["stages"].as_array().unwrap().iter().find(|stage| fits(stage)).unwrap().clone()
 }
 
-/// An event: somebody says where the transmitter stands.
+/// An event: somebody states where the transmitter stands.
 async fn move_transmitter(client: &mut Client, x_m: f64) {
     let model = json!({"kind": "transmitter", "position_m": [x_m, 0, 0], "orientation_wxyz": [1, 0, 0, 0]});
     ok(client, json!({"type": "model.load", "model": model})).await;
@@ -75,7 +75,7 @@ async fn events(client: &mut Client, after: u64, moves: usize) -> Vec<u64> {
     numbers
 }
 
-/// A TCP connection to somewhere that can be cut: then nothing passes and nobody is told.
+/// A TCP connection to somewhere that can be cut: then nothing passes and nobody is notified.
 struct Proxy {
     port: u16,
     open: watch::Sender<bool>,
@@ -95,7 +95,7 @@ impl Proxy {
     }
 }
 
-/// Passes bytes on while the proxy is open; what was open when it was cut stays silent until it is mended, and then ends.
+/// Passes bytes on while the proxy is open; what was open when it was cut stays silent until it is repaired, and then ends.
 async fn pass(mut from: TcpStream, port: u16, mut open: watch::Receiver<bool>) {
     if *open.borrow_and_update() {
         let Ok(mut to) = TcpStream::connect(("127.0.0.1", port)).await else { return };
@@ -230,7 +230,7 @@ async fn no_event_is_lost_in_a_cut_and_poses_come_again() {
     assert_eq!(got, (first + 1..=last).collect::<Vec<_>>(), "each once and in order");
     frames(&mut here, 20).await;
     let back =
-        stages(&mut all, "the mend", |stage| stage["state"] == "present" && stage["vanished"] == 1).await;
+        stages(&mut all, "the fix", |stage| stage["state"] == "present" && stage["vanished"] == 1).await;
     assert_eq!(back["events_lost"], 0);
     // Who was away from the hub can ask it for what the stage said meanwhile.
     let mut later = client(hub.address, "/two/ws").await;
@@ -320,17 +320,17 @@ async fn two_daemons_with_one_key_notice_each_other() {
     let connect = |port: u16| format!("connect = [\"tcp/127.0.0.1:{port}\"]");
     let listen = |port: u16| format!("listen = [\"tcp/127.0.0.1:{port}\"]");
     let first = start(&folders[0], format!("{}\n{}", connect(at_hub), listen(direct)));
-    let mut told = first.subscriber(&["status"]).await;
-    twin(&mut told, false).await;
+    let mut reported = first.subscriber(&["status"]).await;
+    twin(&mut reported, false).await;
     let second = start(&folders[1], connect(at_hub));
-    twin(&mut told, true).await;
+    twin(&mut reported, true).await;
     twin(&mut second.subscriber(&["status"]).await, true).await;
     assert_eq!(second.end("INT").await.code(), Some(0));
-    twin(&mut told, false).await;
+    twin(&mut reported, false).await;
     // ... and face to face.
     assert_eq!(hub.end("INT").await.code(), Some(0));
     let third = start(&folders[1], connect(direct));
-    twin(&mut told, true).await;
+    twin(&mut reported, true).await;
     twin(&mut third.subscriber(&["status"]).await, true).await;
 }
 
@@ -348,7 +348,7 @@ async fn programs_on_the_network_get_messages_status_and_recordings() {
     frames(&mut operator, 50).await;
     ok(&mut operator, json!({"type": "record.stop"})).await;
 
-    let mut config = zenoh::Config::default();
+    let mut config = posed_mesh::zenoh::Config::default();
     for (key, value) in [
         ("mode", "\"client\"".to_owned()),
         ("connect/endpoints", format!("[\"tcp/127.0.0.1:{port}\"]")),
@@ -356,7 +356,7 @@ async fn programs_on_the_network_get_messages_status_and_recordings() {
     ] {
         config.insert_json5(key, &value).unwrap();
     }
-    let session = zenoh::open(config).await.unwrap();
+    let session = posed_mesh::zenoh::open(config).await.unwrap();
     let subscriber = session.declare_subscriber("hall/left/topics/sensors").await.unwrap();
     let sample = tokio::time::timeout(PATIENCE, subscriber.recv_async()).await.unwrap().unwrap();
     let message: Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
@@ -418,8 +418,11 @@ async fn who_has_no_password_is_not_let_in() {
     .await;
     // A few more attempts of the other.
     for _ in 0..3 {
-        let told = until(&mut all, "stages", |message| message["type"] == "stages").await;
-        assert!(told["stages"].as_array().unwrap().iter().all(|stage| stage["id"] != "wrong"), "{told}");
+        let reported = until(&mut all, "stages", |message| message["type"] == "stages").await;
+        assert!(
+            reported["stages"].as_array().unwrap().iter().all(|stage| stage["id"] != "wrong"),
+            "{reported}"
+        );
     }
 }
 

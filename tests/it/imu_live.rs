@@ -1,24 +1,25 @@
-//! An IMU whose intrinsics are found live: from what the pipeline says to a model of its log.
+//! An IMU whose intrinsics are found live: from what the pipeline reports to a model of its log.
 
 use nalgebra::{UnitQuaternion, Vector3};
-use posed::fusion::intrinsics::guide::Guide;
-use posed::input::{Entry, Input, Model};
-use posed::output::SensorState;
-use posed::pipeline::Pipeline;
-use posed::stage::Stage;
 use posed_drivers::Timestamp;
+use posed_fusion::intrinsics::guide::Guide;
+use posed_pipeline::Pipeline;
 use posed_simulator::inertial::ImuClass;
-use posed_simulator::motion::{Laid, Motion};
+use posed_simulator::motion::{ImuCalibration, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
+use posed_stage::Stage;
+use posed_stage::input::{Entry, Input, Model};
+use posed_stage::output::SensorState;
 
 use crate::rig::{Rig, Said, replay};
 
 const STAGE: &str = "name = \"table\"\n[[device]]\nname = \"unit\"\ndriver = \"x-imu3\"\nport = \"/dev/none\"\nbaud = 2000000\n\
     [[sensor]]\nname = \"watch\"\ndevice = \"unit\"\naddress = 0\n";
 
-fn laid(seed: u64) -> Rig {
+fn calibration_rig(seed: u64) -> Rig {
     let stage = Stage::parse(STAGE).unwrap_or_else(|problems| panic!("{problems}"));
-    let motion = Motion::Laid(Laid { rest_s: 1.5, turn_s: 0.7, ..Laid::default() });
+    let motion =
+        Motion::ImuCalibration(ImuCalibration { rest_s: 1.5, turn_s: 0.7, ..ImuCalibration::default() });
     let sensor = SensorScenario {
         name: "watch".into(),
         body: "hand".into(),
@@ -42,7 +43,7 @@ fn guided(rig: &Rig) -> Guide {
     let mut guide = Guide::new(true);
     for estimate in rig.estimates() {
         let Some(record) = estimate.sensors[0].measured else { continue };
-        guide.push(record.t_valid.as_secs_f64(), &record.inertial.unwrap().told().unwrap());
+        guide.push(record.t_valid.as_secs_f64(), &record.inertial.unwrap().uncorrected().unwrap());
     }
     guide
 }
@@ -76,9 +77,9 @@ fn at_rest(rig: &Rig, said: &[Said]) -> [f64; 2] {
 }
 
 #[test]
-fn a_unit_that_was_laid_down_in_all_directions_is_corrected_from_then_on() {
+fn a_unit_that_was_placed_in_all_directions_is_corrected_from_then_on() {
     for seed in 1..=3 {
-        let mut rig = laid(seed);
+        let mut rig = calibration_rig(seed);
         rig.run_until(34.0);
         let guide = guided(&rig);
         assert_eq!(guide.prompt(), None, "{:?}", guide.progress());
@@ -115,18 +116,18 @@ fn a_unit_that_was_laid_down_in_all_directions_is_corrected_from_then_on() {
 
 #[test]
 fn a_calibration_in_the_middle_begins_anew_at_once_and_a_replay_says_the_same() {
-    let mut rig = laid(4);
+    let mut rig = calibration_rig(4);
     rig.run_until(34.0);
     let found = guided(&rig).solve().unwrap();
     let unit = rig.pipeline.unit(0).unwrap().to_owned();
     rig.push(Input::Model(Model::Imu { unit, intrinsics: Box::new(found.clone()) }));
     let swapped = rig.now;
     rig.run_until(44.0);
-    let after = |said: &&posed::output::Estimate| said.t_valid > swapped;
+    let after = |said: &&posed_stage::output::Estimate| said.t_valid > swapped;
     // What the unit tells stays as it is; only the filters take the corrected numbers.
     let record = rig.estimates().filter(after).last().unwrap().sensors[0].measured.unwrap().inertial.unwrap();
-    assert_eq!(record.corrected, record.told().map(|told| found.apply(&told)));
-    assert!(record.corrected != record.told());
+    assert_eq!(record.corrected, record.uncorrected().map(|reported| found.apply(&reported)));
+    assert!(record.corrected != record.uncorrected());
     // It is not trusted before it has settled.
     assert!(
         rig.estimates()
@@ -140,13 +141,13 @@ fn a_calibration_in_the_middle_begins_anew_at_once_and_a_replay_says_the_same() 
         rig.log.partition_point(|entry| entry.t < Timestamp::from_secs_f64(swapped.as_secs_f64() + 1.0));
     let mut pipeline = Pipeline::new(&stage).unwrap();
     let before = replay(&mut pipeline, &rig.log[..middle]).len();
-    let mut restored = Pipeline::restore(&stage, &pipeline.snapshot()).unwrap();
+    let mut restored = Pipeline::restore(&stage, pipeline.models(), &pipeline.snapshot()).unwrap();
     assert!(replay(&mut restored, &rig.log[middle..]) == rig.said[before..]);
 }
 
 #[test]
 fn intrinsics_of_another_unit_of_measure_are_refused() {
-    let mut rig = laid(5);
+    let mut rig = calibration_rig(5);
     rig.run_until(34.0);
     let mut found = guided(&rig).solve().unwrap();
     found.mag.as_mut().unwrap().norm = 48.0;

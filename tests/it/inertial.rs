@@ -4,8 +4,8 @@ use std::fmt::Write;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use posed::fusion::ahrs::{Ahrs, ImuSample, Params};
-use posed::table::TableReader;
+use posed_fusion::ahrs::{Ahrs, ImuSample, Params};
+use posed_recording::table::TableReader;
 
 fn posed(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_posed")).args(arguments).output().expect("the binary runs")
@@ -17,7 +17,7 @@ fn turning(rows: usize, rate: f64) -> String {
     for k in 0..rows {
         let t = k as f64 / 100.0;
         let (sin, cos) = (rate * t).sin_cos();
-        writeln!(text, "{t},a,0,0,9.81,0,0,{rate},{},{},-42", 17.0 * sin, 17.0 * cos)
+        writeln!(text, "{t},a,0,0,9.80665,0,0,{rate},{},{},-42", 17.0 * sin, 17.0 * cos)
             .expect("a string takes it");
     }
     text
@@ -98,7 +98,8 @@ fn body_solve_names_the_sensor_and_the_joint_that_fail() {
     let mut still = String::from("t,sensor,ax,ay,az,gx,gy,gz\n");
     for k in 0..300 {
         let t = f64::from(k) / 100.0;
-        writeln!(still, "{t},upper,0,0,9.81,0,0,0\n{t},lower,0,9.81,0,0,0,0").expect("a string takes it");
+        writeln!(still, "{t},upper,0,0,9.80665,0,0,0\n{t},lower,0,9.80665,0,0,0,0")
+            .expect("a string takes it");
     }
     std::fs::write(path("imu.csv"), still).expect("the folder is ours");
     let done = posed(&arguments);
@@ -107,21 +108,15 @@ fn body_solve_names_the_sensor_and_the_joint_that_fail() {
     assert!(!folder.path().join("out.csv").exists());
 }
 
-/// One real trial, of the fast rotations in which most filters fail; the whole table is in `docs/orientation.md`.
-#[test]
-fn a_real_trial_stays_below_the_published_filters() {
-    let path = Path::new("../shared/data/broad/09_undisturbed_fast_rotation_with_breaks_B.csv.gz");
-    if !path.exists() {
-        eprintln!("skipped: {} is not there", path.display());
-        return;
-    }
-    let mut table = TableReader::open(path).expect("it opens");
+/// Root mean square error of the orientation and of the inclination over the movement of a real trial, degrees; samples compared.
+fn trial(name: &str) -> (f64, f64, u32) {
+    let mut table = TableReader::open(&crate::rig::recording("broad", name)).expect("it opens");
     let columns = table
         .require(["ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz", "qw", "qx", "qy", "qz", "movement"])
         .expect("all columns are there");
     // The lag of this sensor's gyro, as docs/orientation.md has it.
     let mut ahrs = Ahrs::new(Params { gyro_delay_s: 0.0024, ..Params::default() });
-    let (mut total, mut inclination, mut count) = (0.0, 0.0, 0.0);
+    let (mut total, mut inclination, mut count) = (0.0, 0.0, 0_u32);
     while table.next_row().expect("it reads") {
         let mut row = [f64::NAN; 14];
         for (value, column) in row.iter_mut().zip(columns) {
@@ -133,14 +128,30 @@ fn a_real_trial_stays_below_the_published_filters() {
             mag: Some([row[6], row[7], row[8]].into()),
         };
         let q = ahrs.push(&sample, 1.0 / 285.714_285_714_285_7);
-        let reference = posed::geometry::orientation_from_wxyz([row[9], row[10], row[11], row[12]]);
+        let reference = posed_geometry::orientation_from_wxyz([row[9], row[10], row[11], row[12]]);
         if let (Some(reference), true) = (reference, row[13] > 0.0) {
             let error = q * reference.inverse();
             total += (2.0 * error.w.abs().min(1.0).acos()).powi(2);
             inclination += (2.0 * error.w.hypot(error.k).min(1.0).acos()).powi(2);
-            count += 1.0;
+            count += 1;
         }
     }
-    let rms = |sum: f64| (sum / count).sqrt().to_degrees();
-    assert!(rms(total) < 0.8 && rms(inclination) < 0.45, "{} and {}", rms(total), rms(inclination));
+    let rms = |sum: f64| (sum / f64::from(count)).sqrt().to_degrees();
+    (rms(total), rms(inclination), count)
+}
+
+/// Half a minute of two real trials in which most filters fail, fast rotations and a magnet on the sensor; the whole table is in
+/// `docs/orientation.md`.
+#[test]
+fn real_trials_stay_below_the_published_filters() {
+    // 0.78 and 0.39, 1.92 and 0.53 were seen; the filter has had no time to learn the magnet before the second movement.
+    for (name, most_deg, most_inclination_deg) in [("09.csv.gz", 0.9, 0.45), ("32.csv.gz", 2.2, 0.6)] {
+        let (total_deg, inclination_deg, count) = trial(name);
+        println!("{name}: {total_deg:.3} and {inclination_deg:.3} degrees over {count} samples");
+        assert!(count > 6700, "{name}: {count} samples have a reference");
+        assert!(
+            total_deg < most_deg && inclination_deg < most_inclination_deg,
+            "{name}: {total_deg} and {inclination_deg}"
+        );
+    }
 }

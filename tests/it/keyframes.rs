@@ -1,7 +1,8 @@
 //! Key poses on generated gestures: the published table, the default beside it, the path, and real dwells.
 
-use posed::motion::keyframes::path::{ScrewPath, Spline};
-use posed::motion::keyframes::{Detector, HingeSettings, Method, PaperSettings};
+use posed_baselines::change_points::{MeanDifference, MeanDifferenceSettings, ScrewPath};
+use posed_motion::keyframes::path::Spline;
+use posed_motion::keyframes::{Detector, Hinge, HingeSettings, Statistic};
 use posed_simulator::gesture::{Gesture, NOISE, Shape, count_errors};
 
 /// False positives and misses of the paper: rows are levels of noise, columns N = 10, 20, 30, 40, 50.
@@ -17,10 +18,10 @@ const PAPER: [[(usize, usize); 5]; 7] = [
 const WINDOWS: [usize; 5] = [10, 20, 30, 40, 50];
 
 /// Mean errors per cell over some seeds.
-fn table(seeds: u64, method: impl Fn(usize) -> Method) -> [[f64; 5]; 7] {
+fn table<S: Statistic + Clone>(seeds: u64, statistic: impl Fn(usize) -> S) -> [[f64; 5]; 7] {
     let mut cells = [[0.0; 5]; 7];
     // The threshold is computed once.
-    let detectors = WINDOWS.map(|window| Detector::new(method(window)));
+    let detectors = WINDOWS.map(|window| Detector::new(statistic(window)));
     for (level, row) in cells.iter_mut().enumerate() {
         for seed in 0..seeds {
             let poses = Gesture::of_the_table(seed).noisy(NOISE[level]);
@@ -34,12 +35,13 @@ fn table(seeds: u64, method: impl Fn(usize) -> Method) -> [[f64; 5]; 7] {
     cells
 }
 
-fn paper(window: usize) -> Method {
-    Method::Paper(PaperSettings { window, metres_per_radian: 0.01, ..PaperSettings::default() })
+fn paper(window: usize) -> MeanDifference {
+    let settings = MeanDifferenceSettings::default();
+    MeanDifference::new(MeanDifferenceSettings { window, metres_per_radian: 0.01, ..settings })
 }
 
-fn hinge(window: usize) -> Method {
-    Method::Hinge(HingeSettings { window, ..HingeSettings::default() })
+fn hinge(window: usize) -> Hinge {
+    Hinge::new(HingeSettings { window, ..HingeSettings::default() })
 }
 
 fn sum(cells: &[[f64; 5]; 7]) -> f64 {
@@ -72,8 +74,9 @@ fn the_papers_table_is_reproduced_in_its_pattern() {
     let correlation = rank_correlation(&ours, &theirs);
     let total = sum(&cells);
     println!("sum {total:.1}, rank correlation {correlation:.2}");
-    assert!((100.0..250.0).contains(&total), "{total}");
-    assert!(correlation >= 0.7, "{correlation}");
+    // 152.9 and 0.80 were seen; the paper's own table has 174.
+    assert!((135.0..175.0).contains(&total), "{total}");
+    assert!(correlation >= 0.77, "{correlation}");
     let column = |c: usize| cells.iter().map(|row| row[c]).sum::<f64>();
     let best = (0..5).min_by(|a, b| column(*a).total_cmp(&column(*b))).unwrap();
     assert!(best == 2 || best == 3, "N = {} is best", WINDOWS[best]);
@@ -93,8 +96,9 @@ fn the_default_finds_all_changes_where_the_noise_is_that_of_a_tracker() {
             (alarms, misses) = (alarms + errors.0, misses + errors.1);
         }
     }
-    // 30 gestures with 180 changes; five minutes of motion at one alarm a minute.
-    assert!(alarms <= 10 && misses <= 2, "{alarms} {misses}");
+    // 30 gestures with 180 changes, five minutes of motion: no error was seen.
+    println!("{alarms} false alarms, {misses} misses");
+    assert!(alarms <= 2 && misses == 0, "{alarms} {misses}");
 }
 
 #[test]

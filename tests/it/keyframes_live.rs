@@ -1,13 +1,12 @@
-//! Key poses as the pipeline says them, on a simulated arm that curls and rests.
+//! Key poses as the pipeline reports them, on a simulated arm that curls and rests.
 
 use nalgebra::Isometry3;
-use posed::geometry;
-use posed::motion::keyframes::{HingeSettings, Method, detect_with_trace};
-use posed::output::{KeyPoseEvent, Outcome, OutcomeKind, Phase, SensorState};
-use posed::pipeline::Pipeline;
-use posed::stage::{Keyframes, Stage};
+use posed_motion::keyframes::{Detector, Hinge, HingeSettings};
+use posed_pipeline::Pipeline;
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, Scenario, SensorScenario};
+use posed_stage::output::{KeyPoseEvent, Outcome, OutcomeKind, Phase, SensorState};
+use posed_stage::{Keyframes, Stage};
 
 use crate::rig::{Rig, Said, replay, stage};
 
@@ -16,7 +15,7 @@ const WINDOW: u16 = 20;
 fn curling() -> (Stage, Rig) {
     let mut stage_file = stage(&[2]);
     let sensors = Some(vec!["s0-0".to_owned()]);
-    stage_file.keyframes = Some(Keyframes { sensors, window: WINDOW, false_alarms_per_min: 1.0 });
+    stage_file.keyframes = Some(Keyframes { sensors, window_frames: WINDOW, false_alarms_per_min: 1.0 });
     let curl = Curl { start_s: 3.0, period_s: 1.5, pause_s: 0.8, ..Curl::default() };
     let forearm = SensorScenario {
         name: "s0-0".into(),
@@ -52,21 +51,21 @@ fn they_are_those_of_the_offline_detector_and_late_by_the_stated_delay() {
     // The stage's rate is measured over its first frames.
     let first = 30;
     let span_s = estimates[first].t_valid.seconds_since(estimates[0].t_valid);
-    let method = Method::Hinge(HingeSettings {
+    let detector = Detector::new(Hinge::new(HingeSettings {
         window: usize::from(WINDOW),
         frame_rate_hz: first as f64 / span_s,
         ..HingeSettings::default()
-    });
+    }));
     let begin = (first..).find(|k| estimates[*k].sensors[0].state == SensorState::Ok).unwrap();
     let poses: Vec<Isometry3<f64>> = estimates[begin..]
         .iter()
         .map(|estimate| {
             let pose = estimate.sensors[0].pose.unwrap();
-            geometry::isometry(pose.position_m.unwrap(), pose.orientation_wxyz).unwrap()
+            posed_geometry::isometry(pose.position_m.unwrap(), pose.orientation_wxyz).unwrap()
         })
         .collect();
     let ending = poses.len() as u64;
-    let (keys, trace) = detect_with_trace(method, &poses);
+    let (keys, trace) = detector.run(&poses);
     // The statistic speaks of an earlier frame, and is what the whole motion gives.
     let statistic: Vec<_> = estimates.iter().filter_map(|estimate| estimate.sensors[0].change).collect();
     let of_whole: Vec<_> = trace
@@ -90,10 +89,10 @@ fn they_are_those_of_the_offline_detector_and_late_by_the_stated_delay() {
         assert_eq!(event.sensor, 0);
         let delay_frames = outcome.t_decided.seconds_since(outcome.t_valid) * first as f64 / span_s;
         assert!((delay_frames - 2.0 * f64::from(WINDOW)).abs() < 1.5, "{delay_frames}");
-        let told = |(earlier, event): &&(&Outcome, &KeyPoseEvent)| {
+        let reported = |(earlier, event): &&(&Outcome, &KeyPoseEvent)| {
             event.phase == Phase::Provisional && earlier.t_valid == outcome.t_valid
         };
-        assert_eq!(events.iter().filter(told).count(), 1);
+        assert_eq!(events.iter().filter(reported).count(), 1);
     }
 }
 
@@ -103,7 +102,7 @@ fn a_replay_that_begins_in_the_middle_says_the_same() {
     let middle = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 6.2);
     let mut pipeline = Pipeline::new(&stage_file).unwrap();
     let before = replay(&mut pipeline, &rig.log[..middle]).len();
-    let mut restored = Pipeline::restore(&stage_file, &pipeline.snapshot()).unwrap();
+    let mut restored = Pipeline::restore(&stage_file, pipeline.models(), &pipeline.snapshot()).unwrap();
     assert_eq!(replay(&mut restored, &rig.log[middle..]), rig.said[before..]);
 }
 
@@ -114,6 +113,6 @@ fn a_stage_that_does_not_ask_gets_none() {
     assert!(key_poses(&rig.said).is_empty());
     let mut wrong = stage(&[1]);
     let sensors = Some(vec!["nobody".to_owned()]);
-    wrong.keyframes = Some(Keyframes { sensors, window: 30, false_alarms_per_min: 1.0 });
+    wrong.keyframes = Some(Keyframes { sensors, window_frames: 30, false_alarms_per_min: 1.0 });
     assert!(Pipeline::new(&wrong).is_err());
 }

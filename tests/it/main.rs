@@ -8,10 +8,12 @@
 
 mod acceptance;
 mod align_live;
+mod architecture;
 mod body;
 mod body_live;
 #[path = "../browser/mod.rs"]
 mod browser;
+mod captures;
 mod chain_live;
 mod cli;
 mod daemon;
@@ -40,4 +42,5 @@ mod segments;
 mod server;
 mod simulated;
 mod stages;
+mod supply;
 mod trainer;

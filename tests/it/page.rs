@@ -85,7 +85,7 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
     browser.until("document.querySelectorAll('#segments-provisional .segment, #segments-confirmed .segment').length > 0").await;
     browser.value("document.getElementById('segments-title').scrollIntoView()").await;
     browser.picture("segments").await;
-    // The demo has learnt a map of faults, and watches the wand for key poses.
+    // The demo has learnt a fault map, and watches the wand for key poses.
     browser.until("document.querySelectorAll('#fault-map .cell').length === 441").await;
     browser.until("document.querySelectorAll('#fault-map .cell.clean').length > 20").await;
     browser.until("document.querySelectorAll('#fault-map .winner').length === 1").await;
@@ -194,7 +194,7 @@ async fn the_field_is_calibrated_in_the_browser_and_the_stage_shows_what_the_map
     assert_eq!(sensors, "pole-1, pole-2, pole-3, pole-4, pole-5");
     browser.value("document.getElementById('field-spacing').value = '0.15'").await;
     browser.click("field-start").await;
-    // It says what to do until there is enough.
+    // It states what to do until there is enough.
     browser.until("!document.getElementById('field-run').hidden").await;
     browser.until("document.getElementById('field-hint').className.includes('care')").await;
     browser.until("document.getElementById('field-cells').value > 0.5").await;
@@ -273,11 +273,11 @@ async fn a_map_of_faults_is_learnt_and_a_cell_named_in_the_browser() {
 
 /// Ten IMUs of a chain on somebody who holds the two poses in turn, and nobody knows how they sit.
 pub(crate) fn posing(folder: &Path) -> std::path::PathBuf {
-    let worn = posed::stage::SEGMENTS.map(|segment| (segment, segment));
+    let worn = posed_stage::SEGMENTS.map(|segment| (segment, segment));
     strapped(folder, "poses", &worn)
 }
 
-/// IMUs of a chain, each with the segment that the stage file says and the one that it sits on.
+/// IMUs of a chain, each with the segment that the stage file specifies and the one that it sits on.
 fn strapped(folder: &Path, activity: &str, worn: &[(&str, &str)]) -> std::path::PathBuf {
     let mut text = String::from(
         "name = \"posing\"\n[body]\nheight_m = 1.7\n[[device]]\nname = \"chain\"\ndriver = \"xbus\"\nport = \"auto\"\n\
@@ -355,7 +355,7 @@ async fn swapped_sensors_are_found_in_the_browser() {
     let folder = tempfile::tempdir().unwrap();
     let swapped = [("upper_arm_r", "forearm_r"), ("forearm_r", "upper_arm_r")];
     let (posed, mut browser) = calibrating(&strapped(folder.path(), "movements", &swapped), "assign").await;
-    let found = "upper_arm_r sits on forearm_r: the stage file says otherwise";
+    let found = "upper_arm_r sits on forearm_r: the stage file has another segment";
     guided(&mut browser, CALIBRATE, "4 of 6: Bend the right elbow", found).await;
     assert_eq!(browser.row("mounting", 1).await[..2], ["upper_arm_r", "forearm_r"]);
     // The body shows who sits where, and goes on from there.
@@ -433,7 +433,7 @@ async fn the_stage_is_aligned_in_the_browser() {
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
     browser.until(LIVE).await;
-    // Tilted by ten degrees about y, and by nothing about x; the compass decides on the heading.
+    // Tilted by ten degrees about y, and by nothing about x; the magnetometer decides on the heading.
     let right = |keys: &str| {
         let number = |key: &str, at: usize| -> f64 {
             let (_, list) = keys.split_once(&format!("{key} = [")).unwrap_or_else(|| panic!("{keys}"));
@@ -473,7 +473,7 @@ address = 0
 [[simulation.body]]
 name = "unit"
 [simulation.body.motion]
-kind = "laid"
+kind = "imu-calibration"
 rest_s = 1.5
 turn_s = 0.6
 [[simulation.sensor]]
@@ -506,7 +506,7 @@ async fn an_imu_is_calibrated_in_the_browser_and_its_file_kept() {
     browser.picture("imu").await;
     let file = browser.row("unit-figures", 4).await;
     let kept =
-        posed::fusion::intrinsics::Intrinsics::read(&folder.path().join("imus").join(&file[1])).unwrap();
+        posed_fusion::intrinsics::Intrinsics::read(&folder.path().join("imus").join(&file[1])).unwrap();
     assert!(kept.directions >= 12 && kept.mag.is_some(), "{kept:?}");
     done(browser, posed).await;
 }

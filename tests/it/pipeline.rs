@@ -2,13 +2,14 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests may panic and print")]
 
-use posed::input::{Input, Model};
-use posed::output::{Estimate, FaultCause, OutcomeKind, SensorState};
-use posed::pipeline::Pipeline;
 use posed_drivers::State;
+use posed_fusion::faults::Cause;
+use posed_pipeline::Pipeline;
 use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::scenario::{DeviceScenario, Scenario};
 use posed_simulator::truth::TruthCycle;
+use posed_stage::input::{Input, Model};
+use posed_stage::output::{Estimate, OutcomeKind, SensorState};
 
 use crate::rig::{Rig, Said, replay, stage};
 
@@ -150,12 +151,25 @@ fn the_same_entries_give_the_same_outputs_also_from_a_snapshot() {
     rig.push(Input::Model(model));
     rig.run_until(6.0);
     assert_eq!(replay(&mut Pipeline::new(&stage_file).unwrap(), &rig.log), rig.said);
-    let mut restored = Pipeline::restore(&stage_file, &snapshot).unwrap();
+    let mut restored = Pipeline::restore(&stage_file, rig.pipeline.models(), &snapshot).unwrap();
     assert_eq!(restored.snapshot(), snapshot);
     assert_eq!(replay(&mut restored, &rig.log[log_before..]), rig.said[said_before..]);
     assert_eq!(restored.status(), rig.pipeline.status());
-    assert!(Pipeline::restore(&stage(&[2, 2]), &snapshot).is_err());
-    assert!(Pipeline::restore(&stage_file, b"nonsense").is_err());
+    assert!(Pipeline::restore(&stage(&[2, 2]), rig.pipeline.models(), &snapshot).is_err());
+    // As many devices and sensors, under other names.
+    let (mut devices, mut sensors) = (stage_file.clone(), stage_file.clone());
+    devices.devices[1].name = "another".into();
+    devices
+        .sensors
+        .iter_mut()
+        .filter(|sensor| sensor.device == "d1")
+        .for_each(|sensor| sensor.device = "another".into());
+    sensors.sensors[0].name = "another".into();
+    for other in [devices, sensors] {
+        assert!(Pipeline::new(&other).is_ok());
+        assert!(Pipeline::restore(&other, rig.pipeline.models(), &snapshot).is_err());
+    }
+    assert!(Pipeline::restore(&stage_file, rig.pipeline.models(), b"nonsense").is_err());
 }
 
 fn faulty(faults: Vec<Fault>) -> Rig {
@@ -227,7 +241,7 @@ fn a_hemisphere_flip_is_repaired_at_once() {
             _ => None,
         })
         .collect();
-    let hemisphere = |active| OutcomeKind::Fault { sensor: 1, cause: FaultCause::Hemisphere, active };
+    let hemisphere = |active| OutcomeKind::Fault { sensor: 1, cause: Cause::HemisphereInversion, active };
     assert_eq!(outcomes, [&hemisphere(true), &hemisphere(false)]);
 }
 

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use posed::stage::Stage;
 use posed_simulator::scenario::Scenario;
+use posed_stage::Stage;
 use serde_json::Value;
 
 /// Tables of keys by the name of their place in the file, written from JSON schemas.
@@ -162,7 +162,7 @@ fn value_words(schema: &Value) -> String {
     }
 }
 
-/// Every key is in the reference, the reference has no key that is not, and each says what its type says.
+/// Every key is in the reference, the reference has no key that is not, and each states what its type says.
 #[test]
 fn the_reference_of_every_key_agrees_with_the_types() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/README.md");
@@ -200,7 +200,7 @@ fn every_file_in_config_loads_and_is_named_in_the_reference() {
         if path.extension().is_some_and(|extension| extension == "toml") {
             Stage::load(&path).unwrap_or_else(|error| panic!("{error}"));
             let text = std::fs::read_to_string(&path).unwrap();
-            assert_eq!(posed::stage::check_in(&text, &folder).warnings, [], "{}", path.display());
+            assert_eq!(posed_stage::check_in(&text, &folder).warnings, [], "{}", path.display());
             let name = path.file_name().unwrap().to_str().unwrap();
             assert!(readme.contains(&format!("`{name}`")), "config/README.md does not name {name}");
             count += 1;

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use posed::input::Input;
+use posed_stage::input::Input;
 
 use crate::rig::{DEMO, demo, record};
 
@@ -103,7 +103,7 @@ fn wrong_files_are_refused_with_the_reason() {
 fn the_demo_is_named_live_and_from_its_recording_alike() {
     let model = include_bytes!("../../config/demo-moves.safetensors");
     let (_, mut rig) = demo();
-    rig.push(Input::Network(model.to_vec()));
+    rig.push(Input::SegmentationNetwork(model.to_vec()));
     rig.run_until(82.0);
     let folder = tempfile::tempdir().unwrap();
     let live = record(&folder.path().join("take.mcap"), &rig.log, DEMO, "segments");

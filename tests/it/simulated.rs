@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 
-use posed::stage::Stage;
+use posed_stage::Stage;
 use serde_json::Value;
 
 use crate::cli::{json, posed};
@@ -166,7 +166,7 @@ fn doctor_finds_a_flock_at_its_rate_and_writes_a_stage_for_it() {
     assert_eq!((&found["port"], &found["driver"]), (&port.as_str().into(), &"flock-of-birds".into()));
     assert_eq!((&found["revision"], &found["baud"]), (&"3.67".into(), &38_400.into()));
     assert_eq!(found["sensors"], serde_json::json!([{ "address": 1 }, { "address": 2 }]));
-    assert!(found["problem"].is_null() && found["mend"].is_null());
+    assert!(found["problem"].is_null() && found["fix"].is_null());
 
     assert!(posed(["check".as_ref(), written.as_os_str()]).status.success());
     let loaded = Stage::load(&written).unwrap();
@@ -191,7 +191,7 @@ fn doctor_explains_a_silent_port() {
     assert!(port["driver"].is_null(), "{port}");
     assert!(port["problem"].as_str().unwrap().contains("nothing answers at 9600 baud"), "{port}");
     for word in ["power", "FLY", "baud", "RTS", "cable"] {
-        assert!(port["mend"].as_str().unwrap().contains(word), "{word}: {port}");
+        assert!(port["fix"].as_str().unwrap().contains(word), "{word}: {port}");
     }
     assert!(!stage.exists(), "a stage without devices was written");
 }
@@ -202,7 +202,7 @@ fn doctor_names_a_port_that_is_missing() {
     assert_eq!(output.status.code(), Some(1));
     let port = json(&output)["ports"][0].clone();
     assert_eq!(port["problem"], "there is no such port");
-    assert!(port["mend"].as_str().unwrap().contains("posed doctor"));
+    assert!(port["fix"].as_str().unwrap().contains("posed doctor"));
     let server = json(&posed(["doctor", "tcp://127.0.0.1:1", "--json"]))["ports"][0].clone();
     assert!(server["problem"].as_str().unwrap().contains("cannot be reached"), "{server}");
 }

@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use posed::stage::{self, Problem};
+use posed_stage::Problem;
 
-/// One `# expect: line N, key K, mend mentions WORDS` of a broken file.
+/// One `# expect: line N, key K, fix mentions WORDS` of a broken file.
 struct Expected<'a> {
     line: usize,
     key: &'a str,
-    mend: &'a str,
+    fix: &'a str,
 }
 
 fn expectations(text: &str) -> Vec<Expected<'_>> {
@@ -17,7 +17,7 @@ fn expectations(text: &str) -> Vec<Expected<'_>> {
         .map(|line| {
             let mut parts = line.splitn(3, ", ");
             let mut part = |prefix: &str| parts.next().and_then(|part| part.strip_prefix(prefix)).unwrap();
-            Expected { line: part("line ").parse().unwrap(), key: part("key "), mend: part("mend mentions ") }
+            Expected { line: part("line ").parse().unwrap(), key: part("key "), fix: part("fix mentions ") }
         })
         .collect()
 }
@@ -33,11 +33,11 @@ fn every_broken_stage_is_answered_with_line_key_and_mend() {
         let text = std::fs::read_to_string(&path).unwrap();
         let expected = expectations(&text);
         assert!(!expected.is_empty(), "{} expects nothing", path.display());
-        let report = stage::check_in(&text, &folder);
+        let report = posed_stage::check_in(&text, &folder);
         let fits = |(problem, expected): (&Problem, &Expected<'_>)| {
             problem.line == expected.line
                 && problem.key == expected.key
-                && problem.mend.contains(expected.mend)
+                && problem.fix.contains(expected.fix)
                 && !problem.message.is_empty()
         };
         let all = report.problems.iter().zip(&expected).all(fits);

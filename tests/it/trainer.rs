@@ -63,7 +63,7 @@ fn it_shows_what_the_daemon_says_and_asks_what_the_daemon_understands() {
     assert_eq!(answer["state"]["feedback"]["good"], true);
     for request in answer["sent"].as_array().unwrap() {
         let text = request.to_string();
-        let parsed = posed::protocol::parse(posed::protocol::Encoding::Json, text.as_bytes());
+        let parsed = posed_protocol::parse(posed_protocol::Encoding::Json, text.as_bytes());
         assert!(parsed.is_ok(), "{text}: {parsed:?}");
     }
 }

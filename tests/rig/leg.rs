@@ -1,11 +1,11 @@
 //! A chain of hinges on a stage: thigh and shank of a simulated person who stands for a moment and then walks, without magnetometers.
 
-use posed::fusion::chain::Epoch;
-use posed::stage::Stage;
+use posed_fusion::chain::Epoch;
 use posed_simulator::body::Activity;
 use posed_simulator::inertial::ImuClass;
 use posed_simulator::motion::{Motion, Person};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
+use posed_stage::Stage;
 
 use super::Rig;
 

@@ -9,19 +9,19 @@
 
 pub(crate) mod leg;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
-use posed::field::{FieldMap, FieldNoise, fit_known};
-use posed::input::{Entry, Input};
-use posed::output::{Body, Estimate, Outcome, Output};
-use posed::pipeline::Pipeline;
-use posed::recording::{Header, Machine, Replayable, Writer};
-use posed::stage::Stage;
 use posed_drivers::{LineEvent, Timestamp};
+use posed_field::{FieldMap, FieldNoise, fit_known};
+use posed_pipeline::Pipeline;
+use posed_recording::{Header, Machine, Replayable, Writer};
 use posed_simulator::scenario::{Scenario, StageSpec};
 use posed_simulator::stage::{Output as Virtual, VirtualStage};
 use posed_simulator::truth::{Loss, TruthCycle};
+use posed_stage::Stage;
+use posed_stage::input::{Entry, Input};
+use posed_stage::output::{Body, Estimate, Outcome, Output};
 use serde::Deserialize;
 
 /// A stage file with Flocks of so many birds each; one bird stands alone.
@@ -43,7 +43,7 @@ pub(crate) fn stage(birds: &[u16]) -> Stage {
     toml::from_str(&text).unwrap()
 }
 
-/// The stage of `posed demo`, as its file says it.
+/// The stage of `posed demo`, as its file specifies it.
 pub(crate) const DEMO: &str = include_str!("../../config/demo.toml");
 
 /// The stage of `posed demo`, and what happens on it.
@@ -71,6 +71,11 @@ pub(crate) fn field_map() -> FieldMap {
         .filter(|(z, _)| z.norm() > 0.1)
         .collect();
     fit_known(&pairs, FieldNoise { sigma_signal: 1e-5, floor_m: 3e-4 }).unwrap()
+}
+
+/// A file of a real recording: `tests/recordings/README.md` states which there are, and whose.
+pub(crate) fn recording(source: &str, name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/recordings").join(source).join(name)
 }
 
 /// Virtual devices for a stage.

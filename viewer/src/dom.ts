@@ -75,6 +75,11 @@ export function prompt(element: HTMLElement, job: Job | undefined, otherwise: st
   element.className = !job ? "quiet" : `sentence ${job.state === "failed" ? "bad" : job.state === "done" ? "good" : ""}`;
 }
 
+/** A word of the messages as people read it. */
+export function spoken(word: string): string {
+  return word.replaceAll("_", " ");
+}
+
 /** A number with so many digits, or a dash. */
 export function num(value: number | null | undefined, digits: number): string {
   return value === null || value === undefined || !Number.isFinite(value) ? "–" : value.toFixed(digits);

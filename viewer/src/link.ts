@@ -120,7 +120,7 @@ export class Link {
   }
 
   private async closed(greeted: boolean, why: string): Promise<void> {
-    // A browser does not say why a websocket was refused; the daemon says it over HTTP.
+    // A browser does not say why a websocket was refused; the daemon reports it over HTTP.
     if (!greeted && (await isUnauthorised())) {
       this.onState("unauthorised", "this daemon asks for a token");
       return;

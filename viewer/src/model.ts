@@ -1,7 +1,7 @@
 // What the daemon has said: the newest state of each topic, a short history for curves and trails, the last events.
 // Bounded: it never grows over hours.
 
-import type { Change, ExerciseEventMessage, FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, KeyPoseMessage, SegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage, Vec3 } from "./protocol";
+import type { Change, ExerciseEventMessage, FaultEvent, FaultMap, FigureMessage, Hello, JobsMessage, KeyPoseMessage, MotionSegmentMessage, SensorsMessage, ServerMessage, StatusMessage, TruthsMessage, Vec3 } from "./protocol";
 import { Rows } from "./rows";
 
 /** Seconds of history for curves. */
@@ -47,7 +47,7 @@ export class Model {
   readonly faults = new Map<string, Faults>();
   faultMap: FaultMap | null = null;
   /** What was said of segments of the motion and not taken back, by beginning. */
-  segments: SegmentMessage[] = [];
+  segments: MotionSegmentMessage[] = [];
   /** By sensor: where it was. */
   readonly history = new Map<string, Rows>();
   /** Repetitions that were counted or refused. */
@@ -130,7 +130,7 @@ export class Model {
     this.faults.set(name, { sensor, cause, t_s, times: Math.max(times, 1), active });
   }
 
-  private takeSegment(message: SegmentMessage): void {
+  private takeSegment(message: MotionSegmentMessage): void {
     const rewound = message.t_s < (this.segments.at(-1)?.t_s ?? -Infinity);
     const others = rewound ? [] : this.segments.filter(({ segment }) => segment !== message.segment);
     if (message.event !== "withdrawn") others.push(message);

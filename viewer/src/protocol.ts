@@ -4,14 +4,14 @@ export type * from "../../docs/schema/posed.v1";
 
 import type { FaultMessage, SensorState } from "../../docs/schema/posed.v1";
 
-/** A fault of a sensor that began or ended, and a map of faults that was swapped in. */
+/** A fault of a sensor that began or ended, and a fault map that was swapped in. */
 export type FaultEvent = Extract<FaultMessage, { event: "fault" }>;
 export type FaultMap = Extract<FaultMessage, { event: "map" }>;
 
 export type Vec3 = [number, number, number];
 export type Quat = [number, number, number, number];
 
-/** How much a state is worth: colour, shape and words all follow from it. */
+/** How reliable a state is: colour, shape and words all follow from it. */
 export type Trust = "good" | "care" | "bad";
 
 const TRUST: Record<SensorState, Trust> = {

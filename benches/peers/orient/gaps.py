@@ -2,7 +2,7 @@
 
     venv/bin/python benches/peers/orient/gaps.py target/release/posed FOLDER_WITH_TRIALS
 
-What `compare.py` needs. From 5 s on, of every 1.5 s the first part is lost. posed is told which samples are missing; VQF, which takes samples
+What `compare.py` needs. From 5 s on, of every 1.5 s the first part is lost. posed is given which samples are missing; VQF, which takes samples
 at an even rate, gets the last one again, as a driver would do it. Means over the trials, degrees; of rows with movement, a reference and a sample.
 """
 

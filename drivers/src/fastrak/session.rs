@@ -7,6 +7,7 @@
 
 use std::time::Duration;
 
+use posed_state::Plain;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -32,7 +33,7 @@ const SILENCE: Duration = Duration::from_millis(300);
 const START: Duration = Duration::from_secs(1);
 
 /// Settings of a Fastrak; every key has a default.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Plain)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
     /// Whether records travel as lines of text instead of binary numbers; slower, for trackers that cannot else.
@@ -68,7 +69,7 @@ impl Settings {
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
 enum Phase {
     Closed,
     Stopping { until: Timestamp },
@@ -78,9 +79,11 @@ enum Phase {
 }
 
 /// A live session with one Fastrak.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, posed_state::State)]
 pub struct FastrakSession {
+    #[state(keep)]
     settings: Settings,
+    #[state(keep)]
     stations: Vec<u8>,
     phase: Phase,
     questions: u8,
@@ -202,7 +205,7 @@ impl FastrakSession {
         });
     }
 
-    /// Stations come in turn: those passed over were lost. A pause of several cycles is told by time alone.
+    /// Stations come in turn: those passed over were lost. A pause of several cycles is estimated from time alone.
     fn count_losses(&mut self, now: Timestamp, index: usize) {
         let stations = self.stations.len();
         let period_s = stations as f64 / UNIT_RATE_HZ;

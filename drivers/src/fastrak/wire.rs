@@ -3,7 +3,7 @@
 //! What comes in: bytes in pieces of any size. What goes out: records, in metres. The output list is always
 //! position, quaternion, the stylus button if wanted, and CR LF: the longest terminator there is.
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 /// Most stations of a unit; they are numbered from 1.
 pub const STATIONS: u8 = 4;
@@ -20,7 +20,7 @@ const TEXT_NORM: f64 = 0.02;
 const MAX_LINE: usize = 200;
 
 /// What the records look like.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
 pub struct Shape {
     /// Lines of decimals instead of binary numbers.
     pub text: bool,
@@ -166,7 +166,7 @@ pub enum Piece {
 /// Cuts a stream of bytes into records.
 ///
 /// A record that does not fit gives up only its first byte, since the next one may begin inside it.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 pub struct Splitter {
     shape: Shape,
     buffer: Vec<u8>,

@@ -5,13 +5,13 @@
 
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 use super::wire::{Addressing, Command};
 use crate::sample::Timestamp;
 
 /// A question to the unit on the line.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 pub(super) struct Asker {
     question: Vec<u8>,
     answer_len: usize,
@@ -70,7 +70,7 @@ impl Asker {
         self.deadline
     }
 
-    /// Takes bytes; says the answer once it is whole, and how many bytes were not part of it.
+    /// Takes bytes; returns the answer once it is whole, and how many bytes were not part of it.
     pub(super) fn handle_bytes(&mut self, bytes: &[u8]) -> (Option<Vec<u8>>, u64) {
         if self.pausing {
             return (None, bytes.len() as u64);
@@ -81,7 +81,7 @@ impl Asker {
         (whole.then(|| std::mem::take(&mut self.answer)), (bytes.len() - take) as u64)
     }
 
-    /// The time limit may have passed; also says how many bytes of a broken answer are given up.
+    /// The time limit may have passed; also states how many bytes of a broken answer are given up.
     pub(super) fn handle_timeout(&mut self, now: Timestamp) -> (Expired, u64) {
         if now < self.deadline {
             return (Expired::No, 0);

@@ -11,12 +11,13 @@ pub mod follow;
 pub mod log;
 pub mod raw;
 
+use posed_state::Plain;
 use thiserror::Error;
 
 use super::wire::{Format, QuaternionSense, Range, Record};
 
 /// What the caller knows better than the file.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Plain)]
 pub struct Options {
     /// Record format of all units in a capture without the host's side.
     pub format: Option<Format>,
@@ -27,7 +28,7 @@ pub struct Options {
 }
 
 /// One record of a capture.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Plain)]
 pub struct CapturedRecord {
     /// Time of the line with the record's first byte, exactly as written; `None` without a log.
     pub t: Option<String>,
@@ -40,7 +41,7 @@ pub struct CapturedRecord {
 }
 
 /// What a capture held, counted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Plain)]
 pub struct Summary {
     /// Records decoded.
     pub records: u64,

@@ -6,6 +6,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
+use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 use super::asker::{Asker, Expired};
@@ -17,7 +18,7 @@ use crate::sample::Timestamp;
 const FIRST_QUIET: Duration = Duration::from_millis(100);
 /// Silence after the last stray byte.
 const QUIET: Duration = Duration::from_millis(40);
-/// How long a stream may go on after it was told to stop.
+/// How long a stream may go on after the stop command.
 const STOP_LIMIT: Duration = Duration::from_millis(600);
 /// Tries to stop a stream.
 const STOP_TRIES: u8 = 3;
@@ -25,7 +26,7 @@ const STOP_TRIES: u8 = 3;
 pub const POWER_UP_RATE_HZ: f64 = 103.3;
 
 /// One unit of a flock.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
 pub struct Unit {
     /// Address on the bus.
     pub address: u8,
@@ -41,7 +42,7 @@ impl Unit {
 }
 
 /// What an examination found.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Plain)]
 pub struct Findings {
     /// Software revision: integer part, fraction.
     pub revision: (u8, u8),
@@ -99,11 +100,11 @@ impl Failure {
                  one with RTS not held), and that the baud switches 1 to 3 say {baud}"
             ),
             Self::Unintelligible => format!(
-                "bytes come in, but no answers that a Flock would give; check that the unit's baud switches say {baud}, \
+                "bytes come in, but no answers that a Flock would give; check that the unit's baud switches are set to {baud}, \
                  and that no other program uses the port"
             ),
             Self::DoesNotStop => format!(
-                "bytes keep coming after the stream was told to stop; check that the unit's baud switches say {baud}, \
+                "bytes keep coming after the stop command; check that the unit's baud switches are set to {baud}, \
                  and that the line from the computer to the unit is connected"
             ),
         }
@@ -121,7 +122,7 @@ pub enum Progress {
     Failed(Failure),
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
 enum Step {
     Stop,
     Revision,
@@ -133,7 +134,7 @@ enum Step {
 }
 
 /// A running examination.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 pub struct Examination {
     step: Step,
     /// While stopping: the line is quiet at the first, given up at the second.
@@ -145,7 +146,7 @@ pub struct Examination {
     findings: Findings,
     fixed_addressing: bool,
     tries: u8,
-    #[serde(skip)]
+    #[state(skip)]
     transmits: VecDeque<Vec<u8>>,
     bytes_skipped: u64,
 }

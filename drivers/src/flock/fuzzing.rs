@@ -62,7 +62,7 @@ pub fn wire(data: &[u8]) {
     assert_eq!(published + skipped, bytes.len(), "a byte is unaccounted for");
 }
 
-/// A session that hears anything, at any time; says how many samples it published.
+/// A session that hears anything, at any time; returns how many samples it published.
 ///
 /// # Panics
 /// Where a pose is no pose, or the session wants to be woken at one time for ever.

@@ -20,7 +20,7 @@
 
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 use super::wire::record::{self, MAX_LEN, MAX_WORDS, PHASE_BIT};
 use super::wire::{Scale, Shape, Tolerance};
@@ -53,7 +53,7 @@ pub enum Event {
 }
 
 /// One bird in the order of records.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 struct Slot {
     address: u8,
     shape: Shape,
@@ -64,7 +64,7 @@ struct Slot {
 }
 
 /// The piece being read: all bytes since a first byte.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Plain)]
 struct Piece {
     /// The bytes, as far as a record could reach and one more.
     bytes: Vec<u8>,
@@ -80,7 +80,7 @@ struct Piece {
 }
 
 /// Cuts records out of a stream; see the module's words.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 pub struct Splitter {
     slots: Vec<Slot>,
     absent: Vec<Slot>,
@@ -262,7 +262,7 @@ impl Splitter {
     }
 
     /// The bird whose record the open, unpublished piece could be: by address and length only.
-    fn complete_slot(&self) -> Option<Place> {
+    fn complete_slot(&self) -> Option<BirdSlot> {
         if self.piece.published || self.piece.len == 0 || self.piece.len != self.piece.bytes.len() {
             return None;
         }
@@ -270,13 +270,13 @@ impl Splitter {
             slot.shape.len() == self.piece.len
                 && (!slot.shape.group || self.piece.bytes.last() == Some(&slot.address))
         };
-        (self.slots.iter().position(fits).map(Place::Running))
-            .or_else(|| self.absent.iter().position(fits).map(Place::Absent))
+        (self.slots.iter().position(fits).map(BirdSlot::Running))
+            .or_else(|| self.absent.iter().position(fits).map(BirdSlot::Absent))
     }
 
     /// Whether the complete piece goes on from its bird's last record without a jump in any word.
-    fn continues(&self, place: Place) -> bool {
-        let Place::Running(index) = place else { return false };
+    fn continues(&self, place: BirdSlot) -> bool {
+        let BirdSlot::Running(index) = place else { return false };
         let slot = &self.slots[index];
         let (Some(last), Ok(words)) = (slot.last, record::words(&self.piece.bytes, slot.shape)) else {
             return false;
@@ -285,10 +285,10 @@ impl Splitter {
     }
 
     /// Accepts or refuses a piece of the right length, and moves on in the order either way.
-    fn judge(&mut self, place: Place, emit: &mut impl FnMut(Event)) {
+    fn judge(&mut self, place: BirdSlot, emit: &mut impl FnMut(Event)) {
         let index = match place {
-            Place::Running(index) => index,
-            Place::Absent(index) => return self.sight(index, emit),
+            BirdSlot::Running(index) => index,
+            BirdSlot::Absent(index) => return self.sight(index, emit),
         };
         let (skipped, agrees) = self.skipped_records(index);
         // Not a byte is missing or too many: the birds between did not speak. An address that a flipped bit made
@@ -405,7 +405,7 @@ impl Splitter {
 
 /// Where a bird is listed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Place {
+enum BirdSlot {
     Running(usize),
     Absent(usize),
 }

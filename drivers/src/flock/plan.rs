@@ -4,7 +4,7 @@
 
 use std::collections::VecDeque;
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 use super::examine::{Findings, Unit};
 use super::settings::{Mode, Settings};
@@ -19,7 +19,7 @@ const SENSOR_SERIAL_SINCE: (u8, u8) = (3, 71);
 /// Gap after a command that sets something.
 const SET_GAP_MS: u64 = 10;
 /// One thing to do.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Plain)]
 pub(super) enum Action {
     /// Send, then keep quiet.
     Send {
@@ -43,7 +43,7 @@ pub(super) enum Action {
 }
 
 /// A plan with what follows from it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Plain)]
 pub(super) struct Plan {
     /// What to do, in order.
     pub(super) actions: VecDeque<Action>,

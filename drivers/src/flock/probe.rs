@@ -84,7 +84,7 @@ impl Probe {
         }
     }
 
-    /// What was found, once done; [`Failure::advice`] says what to check.
+    /// What was found, once done; [`Failure::advice`] states what to check.
     pub fn result(&self) -> Option<Result<&Findings, Failure>> {
         match &self.phase {
             Phase::Done(Ok(findings)) => Some(Ok(findings)),

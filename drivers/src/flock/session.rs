@@ -15,7 +15,7 @@ mod stream;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 use super::asker::Expired;
 use super::examine::{Examination, Failure, Findings, Progress};
@@ -35,10 +35,13 @@ const LONGEST_PAUSE: Duration = Duration::from_millis(250);
 const POWER_UP: Duration = Duration::from_secs(3);
 
 /// A live session with one Flock of Birds; see the module's words.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, posed_state::State)]
 pub struct FlockSession {
+    #[state(keep)]
     settings: Settings,
+    #[state(keep)]
     baud: u32,
+    #[state(keep)]
     wanted: Vec<u8>,
     phase: Phase,
     state: State,
@@ -55,11 +58,11 @@ pub struct FlockSession {
     pause: Duration,
     /// Cycles go on counting over a new set-up.
     next_cycle: u64,
-    #[serde(skip)]
+    #[state(keep)]
     outputs: VecDeque<Output>,
 }
 
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 enum Phase {
     Closed,
     Resetting { until: Timestamp, asserted: bool },
@@ -110,10 +113,10 @@ impl FlockSession {
         self.settling
     }
 
-    /// Serial number of a bird's sensor, where the unit has told one.
+    /// Serial number of a bird's sensor, where the unit has reported one.
     fn serial(&self, address: u8) -> Option<String> {
-        let told = self.serials.iter().find(|&&(of, serial)| of == address && serial > 0);
-        told.map(|(_, serial)| serial.to_string())
+        let reported = self.serials.iter().find(|&&(of, serial)| of == address && serial > 0);
+        reported.map(|(_, serial)| serial.to_string())
     }
 
     /// What the last examination found.
@@ -128,7 +131,7 @@ impl FlockSession {
         }
     }
 
-    /// Says that set-up is under way, unless a silent or failed unit is being tried again.
+    /// Reports that set-up is under way, unless a silent or failed unit is being tried again.
     fn connecting(&mut self, reason: &str) {
         if !matches!(self.state, State::Silent { .. } | State::Failed { .. }) {
             self.set_state(State::Connecting { reason: reason.into() });

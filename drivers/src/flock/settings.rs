@@ -1,5 +1,6 @@
 //! What the stage file may say about a Flock of Birds.
 
+use posed_state::Plain;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -7,7 +8,7 @@ use thiserror::Error;
 use super::wire::{Addressing, Format, Hemisphere, QuaternionSense, Range, ReportRate, Shape};
 
 /// Settings of one Flock; every key has a default.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Plain)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
     /// What each bird's records hold.
@@ -38,7 +39,7 @@ pub struct Settings {
     /// Units on the bus, controllers included; absent: as many as answer.
     #[schemars(range(min = 1, max = 126))]
     pub units: Option<u8>,
-    /// How units are numbered; absent: as the unit says.
+    /// How units are numbered; absent: as the unit is set.
     pub addressing: Option<Addressing>,
     /// Whether RTS resets the unit when the port opens, where the line exists.
     pub reset_on_open: bool,
@@ -100,7 +101,7 @@ pub struct SettingsError {
 }
 
 /// How records are got.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Plain)]
 #[serde(rename_all = "kebab-case")]
 pub enum Mode {
     /// The unit sends each cycle by itself.
@@ -108,12 +109,12 @@ pub enum Mode {
     Stream,
     /// The driver asks for each cycle once the one before has come.
     Point,
-    /// The driver sends nothing and takes what comes: another program has set the unit up as the stage file says.
+    /// The driver sends nothing and takes what comes: another program has set the unit up as the stage file specifies.
     Listen,
 }
 
 /// The unit's own filters; `true` = on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Plain)]
 #[serde(deny_unknown_fields)]
 pub struct Filters {
     /// Adaptive low-pass filter.

@@ -11,6 +11,7 @@ pub mod value;
 
 use std::fmt;
 
+use posed_state::Plain;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +20,9 @@ pub use record::{Record, RecordError, Scale, Shape, Tolerance};
 pub use value::{BirdStatus, UnitStatus};
 
 /// What a bird's record holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, JsonSchema, Plain,
+)]
 #[serde(rename_all = "kebab-case")]
 pub enum Format {
     /// x, y, z.
@@ -132,7 +135,7 @@ impl fmt::Display for Format {
 }
 
 /// Full scale of the position words.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema, Plain)]
 #[serde(try_from = "u16", into = "u16")]
 #[schemars(with = "u16", extend("enum" = [36, 72, 144]))]
 pub enum Range {
@@ -180,7 +183,7 @@ impl TryFrom<u16> for Range {
 }
 
 /// Which rotation the quaternion on the wire describes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Plain)]
 #[serde(rename_all = "kebab-case")]
 pub enum QuaternionSense {
     /// The vendor's matrix, transmitter to sensor: conjugated when decoded.
@@ -191,7 +194,7 @@ pub enum QuaternionSense {
 }
 
 /// The half-space around the transmitter in which a sensor is taken to be. +z points down.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Plain)]
 #[serde(rename_all = "kebab-case")]
 pub enum Hemisphere {
     /// +x, the power-up choice.
@@ -244,7 +247,7 @@ impl Hemisphere {
 }
 
 /// How units on the intra-bird bus are numbered.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Plain)]
 #[serde(rename_all = "kebab-case")]
 pub enum Addressing {
     /// Addresses 1 to 14.
@@ -297,7 +300,7 @@ impl Addressing {
 }
 
 /// How often a unit streams, in measurement cycles.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Plain)]
 #[serde(try_from = "u16", into = "u16")]
 #[schemars(with = "u16", extend("enum" = [1, 2, 8, 32]))]
 pub enum ReportRate {

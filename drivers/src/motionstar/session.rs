@@ -6,6 +6,7 @@
 
 use std::time::Duration;
 
+use posed_state::Plain;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -28,7 +29,7 @@ const SILENCE: Duration = Duration::from_millis(500);
 const MOST_LOST: u16 = 1000;
 
 /// Settings of a MotionStar; every key has a default.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Plain)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
     /// What each bird's records hold.
@@ -88,7 +89,7 @@ impl Settings {
 }
 
 /// The question that is open, by what it is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
 enum Step {
     Stop,
     Wake,
@@ -99,7 +100,7 @@ enum Step {
     Run,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
 enum Phase {
     Closed,
     Asking { step: Step, tries: u8, until: Timestamp },
@@ -108,7 +109,7 @@ enum Phase {
 }
 
 /// A bird of the stage file.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 struct Bird {
     address: u8,
     status: Option<BirdStatus>,
@@ -116,8 +117,9 @@ struct Bird {
 }
 
 /// A live session with one MotionStar.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, posed_state::State)]
 pub struct MotionStarSession {
+    #[state(keep)]
     settings: Settings,
     birds: Vec<Bird>,
     phase: Phase,

@@ -3,7 +3,7 @@
 //! What comes in: bytes in pieces of any size, or values. What goes out: the other of the two. All words are
 //! big-endian; formats and the meaning of their words are those of the Flock.
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 use crate::flock::wire::{Format, QuaternionSense, rotation};
 
@@ -128,7 +128,7 @@ pub struct Found {
 /// Packets have neither mark nor checksum. A header must be possible and its records must fill the body, as far
 /// as it has come; else it gives up one byte, and a wrong length holds up little. Where bytes of a body were lost, its
 /// end is the begin of the next packet: if nothing can begin behind it, that one is looked for in it.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Plain)]
 pub struct Packets {
     buffer: Vec<u8>,
     start: usize,
@@ -203,8 +203,8 @@ impl Packets {
     }
 }
 
-/// What the whole system says of itself (answer 201 for unit 0).
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// What the whole system reports about itself (answer 201 for unit 0).
+#[derive(Clone, Debug, PartialEq, Eq, Plain)]
 pub struct SystemStatus {
     /// The body as it came; it is sent back with another rate.
     body: Vec<u8>,
@@ -239,8 +239,8 @@ impl SystemStatus {
 /// Bytes of a bird's status.
 pub const BIRD_STATUS: usize = 70;
 
-/// What one bird says of itself (answer 201 for its address).
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// What one bird reports about itself (answer 201 for its address).
+#[derive(Clone, Debug, PartialEq, Eq, Plain)]
 pub struct BirdStatus {
     /// The body as it came; it is sent back with other settings.
     body: Vec<u8>,

@@ -11,6 +11,7 @@ use std::fmt;
 use std::net::SocketAddr;
 use std::time::Duration;
 
+use posed_state::Plain;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -37,7 +38,7 @@ const MOST_SENSORS: u8 = 16;
 const MOST_LOST: u64 = 1_000_000;
 /// Protocols before this one have acceleration in other axes.
 const UNTURNED: u32 = 22;
-/// A battery is told to be low below this share.
+/// A battery is reported to be low below this share.
 const LOW_BATTERY: f64 = 0.1;
 
 /// Settings of SlimeVR trackers; every key has a default.
@@ -50,7 +51,7 @@ pub struct Settings {
 }
 
 /// Who a tracker is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
 enum Identity {
     Mac([u8; 6]),
     /// Imitations without a network address of their own are known by their IP.
@@ -75,7 +76,7 @@ fn parse_mac(text: &str) -> Option<[u8; 6]> {
     parts.next().is_none().then_some(mac)
 }
 
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 struct Tracker {
     number: u16,
     identity: Identity,
@@ -88,10 +89,12 @@ struct Tracker {
 }
 
 /// The server of all trackers on one socket.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, posed_state::State)]
 pub struct SlimeVrSession {
+    #[state(keep)]
     wanted: Vec<u16>,
     /// Whether trackers that the settings do not name are served.
+    #[state(keep)]
     open_to_all: bool,
     trackers: Vec<Tracker>,
     next_beat: Option<Timestamp>,
@@ -337,7 +340,7 @@ impl SlimeVrSession {
             arrival,
             t_device,
             measurement: Measurement::Imu {
-                angular_rate_rad_s: None,
+                angular_velocity_rad_s: None,
                 specific_force_m_s2: None,
                 linear_acceleration_m_s2,
                 magnetic_field: None,

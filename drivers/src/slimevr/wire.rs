@@ -48,7 +48,7 @@ pub enum Item<'a> {
     Pong(u32),
     /// Charge.
     Battery {
-        /// Volts, where told.
+        /// Volts, where reported.
         volts: Option<f64>,
         /// 0 to 1.
         level: f64,
@@ -77,7 +77,7 @@ pub struct Handshake<'a> {
     pub imu: u32,
     /// Type of the processor.
     pub mcu: u32,
-    /// Version of the protocol; 0 where not told.
+    /// Version of the protocol; 0 where not reported.
     pub protocol: u32,
     /// Version of the firmware.
     pub firmware: &'a [u8],

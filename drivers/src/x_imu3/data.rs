@@ -5,6 +5,7 @@
 
 use super::wire::Body;
 use crate::sample::Measurement;
+use posed_geometry::GRAVITY_M_S2;
 
 /// A data message.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,7 +16,7 @@ pub struct Stamped<'a> {
     pub data: Data<'a>,
 }
 
-/// What a data message says.
+/// What a data message reports.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Data<'a> {
     /// `I`: angular rate, degrees/s; acceleration, g.
@@ -149,8 +150,6 @@ fn from_values<'a>(letter: u8, values: Option<&[f64]>, bytes: &'a [u8]) -> Optio
     })
 }
 
-/// Standard gravity, m/s².
-const G: f64 = 9.806_65;
 /// Most that a unit measures, with room for its calibration: degrees/s, g, g (high), field.
 const MOST_DEG_S: f64 = 2500.0;
 const MOST_G: f64 = 30.0;
@@ -194,8 +193,8 @@ impl Data<'_> {
             Data::Inertial { gyroscope, accelerometer } => {
                 within(&gyroscope, MOST_DEG_S)?;
                 within(&accelerometer, MOST_G)?;
-                imu.angular_rate = Some(gyroscope.map(f64::to_radians));
-                imu.specific_force = Some(accelerometer.map(|value| value * G));
+                imu.angular_velocity = Some(gyroscope.map(f64::to_radians));
+                imu.specific_force = Some(accelerometer.map(|value| value * GRAVITY_M_S2));
             }
             Data::Magnetometer(field) => {
                 within(&field, MOST_FIELD)?;
@@ -204,7 +203,7 @@ impl Data<'_> {
             Data::Quaternion(q) => imu.orientation = Some(unit(q).ok_or(Impossible)?),
             Data::Linear(q, acceleration) => {
                 within(&acceleration, MOST_G)?;
-                imu.linear_acceleration = Some(acceleration.map(|value| value * G));
+                imu.linear_acceleration = Some(acceleration.map(|value| value * GRAVITY_M_S2));
                 imu.orientation = q.map(|q| unit(q).ok_or(Impossible)).transpose()?;
             }
             Data::HighG(values) => {
@@ -214,7 +213,7 @@ impl Data<'_> {
             _ => return Ok(None),
         }
         Ok(Some(Measurement::Imu {
-            angular_rate_rad_s: imu.angular_rate,
+            angular_velocity_rad_s: imu.angular_velocity,
             specific_force_m_s2: imu.specific_force,
             linear_acceleration_m_s2: imu.linear_acceleration,
             magnetic_field: imu.magnetic_field,
@@ -229,7 +228,7 @@ pub struct Impossible;
 
 #[derive(Default)]
 struct Imu {
-    angular_rate: Option<[f64; 3]>,
+    angular_velocity: Option<[f64; 3]>,
     specific_force: Option<[f64; 3]>,
     linear_acceleration: Option<[f64; 3]>,
     magnetic_field: Option<[f64; 3]>,

@@ -110,7 +110,7 @@ mod tests {
     use crate::probe::NoAnswer;
 
     #[test]
-    fn units_of_a_chain_are_told_by_their_channels() {
+    fn units_of_a_chain_are_identified_by_their_channels() {
         let mut now = Timestamp::ZERO;
         let mut inquiry = inquiry(now);
         assert_eq!(inquiry.poll_transmit().unwrap(), b"{\"ping\":null}\n");

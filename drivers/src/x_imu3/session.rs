@@ -3,10 +3,8 @@
 //! What comes in: line events, bytes, timeouts. What goes out: samples, commands, the state of the link.
 //! What it never does: store settings in a unit; they hold until it is switched off.
 //!
-//! A unit is asked who it is, told what to send, one command at a time, and believed from then on; silence
+//! A unit is asked who it is, configured, one command at a time, and believed from then on; silence
 //! or a restart lead back to the first question. One unit never waits for another.
-
-use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -64,7 +62,7 @@ impl Settings {
         (SAMPLE_RATE_HZ / self.rate_hz).round() as u32
     }
 
-    /// What each unit is told, in this order.
+    /// What each unit receives, in this order.
     pub(super) fn commands(&self) -> Vec<(String, Value)> {
         let divisor = self.divisor();
         [
@@ -85,9 +83,11 @@ impl Settings {
 }
 
 /// A live session with one unit, or with all units of a chain.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, posed_state::State)]
 pub struct XImu3Session {
+    #[state(keep)]
     settings: Settings,
+    #[state(keep)]
     commands: Vec<(String, Value)>,
     open: bool,
     units: Vec<Unit>,
@@ -179,7 +179,7 @@ impl XImu3Session {
         if let Data::Error(text) | Data::Notification(text) = stamped.data {
             let (address, kind) = (self.units[index].address, u32::from(stamped.data.letter()));
             self.outbox.warn(now, kind << 16 | u32::from(address), || {
-                format!("unit {address} says: {}", String::from_utf8_lossy(text))
+                format!("unit {address} reports: {}", String::from_utf8_lossy(text))
             });
             return true;
         }
@@ -240,10 +240,11 @@ impl XImu3Session {
         let error = value.get("error").and_then(Value::as_str);
         let differs = !wanted.is_null() && !same(wanted, value);
         if error.is_some() || differs {
-            let told = error.map_or_else(|| format!("keeps {value}"), str::to_owned);
+            let reported = error.map_or_else(|| format!("keeps {value}"), str::to_owned);
             let kind = 0x10_0000 + (u32::from(address) << 4) + self.units[index].step() as u32;
-            self.outbox
-                .warn(now, kind, || format!("unit {address} was told {asked} = {wanted} and says: {told}"));
+            self.outbox.warn(now, kind, || {
+                format!("unit {address} was set to {asked} = {wanted} and answers: {reported}")
+            });
         }
         let period_us = self.period_us();
         if self.units[index].answered(now, self.commands.len(), period_us) {
@@ -365,6 +366,3 @@ impl Session for XImu3Session {
         &self.losses
     }
 }
-
-/// Time between two questions to a unit that does not answer.
-pub(super) const RETRY: Duration = Duration::from_secs(1);

@@ -2,18 +2,19 @@
 
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
-use super::session::RETRY;
 use crate::sample::Timestamp;
 
 /// Time for an answer, and further tries.
 const ANSWER: Duration = Duration::from_millis(500);
 const TRIES: u8 = 2;
+/// Time between two questions to a unit that does not answer.
+const RETRY: Duration = Duration::from_secs(1);
 /// Silence of a running unit.
 const SILENCE: Duration = Duration::from_millis(500);
 
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
 enum Phase {
     Closed,
     Asking { step: usize, tries: u8, until: Timestamp },
@@ -35,7 +36,7 @@ pub(super) enum Expired {
 }
 
 /// A unit of the stage file.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 pub(super) struct Unit {
     pub(super) address: u16,
     phase: Phase,
@@ -147,7 +148,7 @@ pub(super) enum Inferred {
 }
 
 /// Holds a unit's time stamps against the host's clock: without a checksum this finds most damaged stamps.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, Plain)]
 pub(super) struct ClockWatch {
     last: Option<(Timestamp, u64)>,
     doubtful: Option<(Timestamp, u64)>,

@@ -4,7 +4,7 @@
 //! (`{`), data as text (`A` to `Z`), data in binary (the letter with bit 7 set), or a message of one unit of a
 //! chain (`^`, channel byte, message).
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 /// End of every message.
 pub const LF: u8 = 0x0A;
@@ -19,7 +19,7 @@ const ESCAPED_LF: u8 = 0xDC;
 const ESCAPED_ESCAPE: u8 = 0xDD;
 
 /// Cuts a stream of bytes into lines.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Plain)]
 pub struct Lines {
     buffer: Vec<u8>,
     start: usize,

@@ -13,6 +13,7 @@ use super::frame::{Frame, Framer};
 use super::message::{self, Configuration};
 use super::mtdata::{self, Block};
 use super::mtdata2::{self, Axes, GnssPvt, Value};
+use super::number::be16;
 
 /// A message, or one tracker's part of it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -276,7 +277,7 @@ fn legacy_blocks(configuration: &Configuration, data: &[u8]) -> Option<Blocks> {
         if counter.len() != if layout.has_counter() { 2 } else { 0 } {
             return None;
         }
-        return Some((message::be16(counter, 0), vec![(message::MASTER, layout.decode(block)?)]));
+        return Some((be16(counter, 0), vec![(message::MASTER, layout.decode(block)?)]));
     }
     let mut rest = data.get(2..)?;
     let mut blocks = Vec::new();
@@ -287,7 +288,7 @@ fn legacy_blocks(configuration: &Configuration, data: &[u8]) -> Option<Blocks> {
         rest = if tracker.layout.has_counter() { after.get(2..)? } else { after };
         blocks.push((bid, tracker.layout.decode(block)?));
     }
-    rest.is_empty().then_some((message::be16(data, 0), blocks))
+    rest.is_empty().then_some((be16(data, 0), blocks))
 }
 
 fn from_items(data: &[u8]) -> Items {

@@ -1,6 +1,6 @@
 //! Counters on the wire, and what their steps tell: time, loss, restart.
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 /// Number of values of the packet and sample counters.
 pub const PACKETS: u64 = 1 << 16;
@@ -23,7 +23,7 @@ pub enum Step {
 }
 
 /// Unwraps a 16-bit packet counter.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Plain)]
 pub struct PacketCounter {
     last: Option<u16>,
     unwrapped: u64,
@@ -55,7 +55,7 @@ impl PacketCounter {
 }
 
 /// Unwraps `sample_time_fine`, whichever of its two lengths it has.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Plain)]
 pub struct SampleTime {
     last: Option<u32>,
     unwrapped: u64,

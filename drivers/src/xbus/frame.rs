@@ -8,7 +8,7 @@
 //! have a known name and a length that fits it; and while a candidate waits for its end, a message of
 //! that stricter kind inside it goes first, so that a false preamble with a great length stalls nothing.
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 use super::{message, mtdata2};
 
@@ -129,7 +129,7 @@ pub struct Found {
 }
 
 /// Finds messages in a stream of bytes; see the module.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Plain)]
 pub struct Framer {
     buffer: Vec<u8>,
     /// Bytes of the buffer that are done with.

@@ -5,6 +5,7 @@
 
 use super::frame::Frame;
 use super::mtdata::Layout;
+use super::number::be16;
 
 /// Bus identifier of the master, or of a stand-alone device.
 pub const MASTER: u8 = 0xFF;
@@ -101,7 +102,7 @@ pub enum DeviceKind {
 }
 
 impl DeviceKind {
-    /// The kind told by the type digit of a device identifier.
+    /// The kind identified by the type digit of a device identifier.
     pub const fn of(device_id: u64) -> Self {
         match (device_id & 0x00F0_0000) >> 20 {
             0 => Self::Mt9,
@@ -132,7 +133,7 @@ pub fn device_id(data: &[u8]) -> Option<u64> {
 pub struct Tracker {
     /// Device identifier.
     pub device_id: u32,
-    /// Bytes of its block in a data message, as the device says.
+    /// Bytes of its block in a data message, as the device reports.
     pub data_len: u16,
     /// What the block holds.
     pub layout: Layout,
@@ -216,11 +217,6 @@ impl Configuration {
     }
 }
 
-/// Big-endian word at `at`.
-pub(super) fn be16(bytes: &[u8], at: usize) -> Option<u16> {
-    bytes.get(at..)?.first_chunk().map(|&word| u16::from_be_bytes(word))
-}
-
 /// The pairs of identifier and rate (Hz) of an output configuration.
 pub fn output_configuration(data: &[u8]) -> Option<Vec<(u16, u16)>> {
     if !data.len().is_multiple_of(4) {
@@ -286,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn a_chain_is_told_by_its_master() {
+    fn a_chain_is_identified_by_its_master() {
         let lone = |master_id, device_id| Configuration {
             master_id,
             period_ticks: 2304,

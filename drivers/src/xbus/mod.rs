@@ -18,8 +18,10 @@ pub mod number;
 mod orientation;
 pub mod probe;
 pub mod session;
+mod settings;
 mod setup;
 mod stream;
 
 pub use frame::{Frame, Framer};
-pub use session::{Settings, XbusSession};
+pub use session::XbusSession;
+pub use settings::Settings;

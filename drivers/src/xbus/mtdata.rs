@@ -1,17 +1,16 @@
 //! MTData (0x32): the data message of older devices and of an Xbus Master.
 //!
-//! A message holds no description of itself: what a tracker's block holds is told by its [`Layout`],
+//! A message holds no description of itself: what a tracker's block holds is identified by its [`Layout`],
 //! which only the configuration message knows. A stand-alone tracker sends its block and then, if set so,
 //! its sample counter; an Xbus Master sends the counter first and then a block per tracker.
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 use thiserror::Error;
 
-use super::message::be16;
-use super::number::Number;
+use super::number::{Number, be16};
 
 /// What a tracker's block holds: its output mode and settings.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Plain)]
 pub struct Layout {
     /// Output mode: which quantities.
     pub mode: u16,

@@ -6,8 +6,8 @@
 
 use serde::Serialize;
 
-use super::message::{be16, device_id};
-use super::number::Number;
+use super::message::device_id;
+use super::number::{Number, be16};
 pub use super::orientation::Axes;
 
 /// Identifier without its number format and axes.
@@ -149,7 +149,7 @@ pub fn has_axes(id: u16) -> bool {
     )
 }
 
-/// Universal time as the device tells it.
+/// Universal time as the device reports it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Utc {
     /// Nanoseconds of the second.

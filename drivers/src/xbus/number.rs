@@ -1,4 +1,4 @@
-//! The four number formats of Xbus data, big-endian.
+//! The four formats of real numbers in Xbus data, and its words, big-endian.
 
 use serde::{Deserialize, Serialize};
 
@@ -82,6 +82,11 @@ impl Number {
             Self::Float64 => out.extend(value.to_be_bytes()),
         }
     }
+}
+
+/// Big-endian word at `at`.
+pub(super) fn be16(bytes: &[u8], at: usize) -> Option<u16> {
+    bytes.get(at..)?.first_chunk().map(|&word| u16::from_be_bytes(word))
 }
 
 #[cfg(test)]

@@ -9,11 +9,11 @@
 
 use std::time::Duration;
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 use super::frame::{Frame, Framer};
 use super::message::{self, MASTER};
+use super::settings::Settings;
 use super::setup::{Progress, Setup};
 use super::stream::{Outcome, Plan, Stream, Unit};
 use crate::arrivals::Arrivals;
@@ -31,42 +31,14 @@ const SILENT_PERIODS: f64 = 20.0;
 /// Refused data messages in a row after which the device is set up again.
 const MOST_REFUSED: u32 = 10;
 
-/// Settings of an Xbus device; every key has a default.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Settings {
-    /// Measurement rate, Hz, 5 to 2000; a slower one is taken, with a warning, where line or device need it.
-    #[schemars(range(min = 5.0, max = 2000.0))]
-    pub rate_hz: f64,
-    /// Whether the device also sends the orientation that it computes.
-    pub orientation: bool,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self { rate_hz: 100.0, orientation: true }
-    }
-}
-
-impl Settings {
-    /// Checks values that the types cannot.
-    ///
-    /// # Errors
-    /// The first value out of its range, by key.
-    pub fn validate(&self) -> Result<(), SettingsError> {
-        if (5.0..=2000.0).contains(&self.rate_hz) {
-            Ok(())
-        } else {
-            Err(SettingsError { key: "rate_hz", expected: "5 to 2000" })
-        }
-    }
-}
-
 /// A live session with one device or one chain.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, posed_state::State)]
 pub struct XbusSession {
+    #[state(keep)]
     settings: Settings,
+    #[state(keep)]
     baud: u32,
+    #[state(keep)]
     wanted: Vec<u16>,
     phase: Phase,
     framer: Framer,
@@ -86,7 +58,7 @@ pub struct XbusSession {
     may_reset: bool,
 }
 
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 enum Phase {
     Closed,
     SettingUp { setup: Box<Setup>, bytes: u64 },
@@ -275,7 +247,7 @@ impl XbusSession {
                 Outcome::Data(samples) => {
                     let is_first = *outbox.state() != State::Streaming;
                     if let Some(last) = self.last_data.replace(now).filter(|_| is_first) {
-                        // Counters start again with a new measurement: what was missed is told by time alone.
+                        // Counters start again with a new measurement: what was missed is estimated from time alone.
                         let missed = (now.seconds_since(last) * stream.rate_hz()).round() as u64;
                         for loss in losses {
                             loss.lost += missed.saturating_sub(1);

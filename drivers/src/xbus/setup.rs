@@ -6,13 +6,13 @@
 
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 use super::frame::{Frame, OVERHEAD};
 use super::message::{self, Configuration, DeviceKind, MASTER, PERIOD_TICKS_PER_S};
 use super::mtdata::Layout;
 use super::mtdata2::id;
-use super::session::Settings;
+use super::settings::Settings;
 use super::stream::{Plan, Shape, Unit};
 use crate::sample::Timestamp;
 
@@ -23,7 +23,7 @@ const LINE_SHARE: f64 = 0.95;
 /// Output rate of items that come with every message.
 const ALWAYS: u16 = 0xFFFF;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
 enum Step {
     GotoConfig,
     DeviceId,
@@ -52,7 +52,7 @@ pub(super) enum Progress {
 }
 
 /// A set-up under way.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 pub(super) struct Setup {
     settings: Settings,
     baud: u32,
@@ -241,7 +241,7 @@ impl Setup {
                 self.go(now, step);
             }
             Step::WriteOutputs => {
-                // The answer says what the device will do, which need not be what it was asked.
+                // The answer states what the device will do, which need not be what it was asked.
                 let Some(outputs) = message::output_configuration(data).filter(|list| !list.is_empty())
                 else {
                     return Progress::Busy;

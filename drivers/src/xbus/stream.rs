@@ -1,34 +1,35 @@
 //! Data messages to samples, with the loss of each tracker counted.
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 use super::counter::{PacketCounter, SAMPLE_TIME_TICK_S, SampleTime, Step};
 use super::frame::Frame;
-use super::message::{self, be16};
+use super::message;
 use super::mtdata::{Block, Layout, Orientation};
 use super::mtdata2::{self, Axes, Value};
+use super::number::be16;
 use super::orientation;
 use crate::sample::{Arrival, DeviceTime, Measurement, Sample};
 use crate::session::{Loss, SensorInfo};
 
 /// A tracker.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub(super) struct Unit {
     pub(super) address: u16,
     pub(super) device_id: u64,
 }
 
 /// What the data messages hold.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Plain)]
 pub(super) enum Shape {
-    /// MTData2: each message says it.
+    /// MTData2: each message reports it.
     Items,
     /// MTData: a block per tracker.
     Legacy { chain: bool, layouts: Vec<Layout> },
 }
 
 /// What a set-up has brought about.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Plain)]
 pub(super) struct Plan {
     pub(super) shape: Shape,
     pub(super) rate_hz: f64,
@@ -47,7 +48,7 @@ pub(super) enum Outcome {
 }
 
 /// Follows the data messages of one measurement.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 pub(super) struct Stream {
     plan: Plan,
     packets: PacketCounter,
@@ -111,7 +112,7 @@ impl Stream {
             let axes = mtdata2::axes(item.id);
             let fits = match item.value {
                 Value::Acceleration(value) => imu.specific_force(value),
-                Value::RateOfTurn(value) => imu.angular_rate(value),
+                Value::RateOfTurn(value) => imu.angular_velocity(value),
                 Value::MagneticField(value) => imu.magnetic_field(value),
                 _ => true,
             };
@@ -216,7 +217,7 @@ const MOST_FIELD: f64 = 100.0;
 
 #[derive(Clone, Copy, Default)]
 struct Imu {
-    angular_rate: Option<[f64; 3]>,
+    angular_velocity: Option<[f64; 3]>,
     specific_force: Option<[f64; 3]>,
     magnetic_field: Option<[f64; 3]>,
     orientation: Option<[f64; 4]>,
@@ -228,8 +229,8 @@ fn within(values: [f64; 3], most: f64) -> bool {
 }
 
 impl Imu {
-    fn angular_rate(&mut self, value: [f64; 3]) -> bool {
-        self.angular_rate = Some(value);
+    fn angular_velocity(&mut self, value: [f64; 3]) -> bool {
+        self.angular_velocity = Some(value);
         within(value, MOST_RAD_S)
     }
 
@@ -246,7 +247,7 @@ impl Imu {
     fn from_block(block: &Block, settings: u32) -> Option<Self> {
         let axes = if settings & Layout::NED != 0 { Axes::Ned } else { Axes::Enu };
         let mut imu = Self::default();
-        let fits = block.rate_of_turn.is_none_or(|value| imu.angular_rate(value))
+        let fits = block.rate_of_turn.is_none_or(|value| imu.angular_velocity(value))
             && block.acceleration.is_none_or(|value| imu.specific_force(value))
             && block.magnetic_field.is_none_or(|value| imu.magnetic_field(value));
         imu.orientation = match block.orientation {
@@ -259,12 +260,12 @@ impl Imu {
     }
 
     fn measurement(self) -> Option<Measurement> {
-        let there = self.angular_rate.is_some()
+        let there = self.angular_velocity.is_some()
             || self.specific_force.is_some()
             || self.magnetic_field.is_some()
             || self.orientation.is_some();
         there.then_some(Measurement::Imu {
-            angular_rate_rad_s: self.angular_rate,
+            angular_velocity_rad_s: self.angular_velocity,
             specific_force_m_s2: self.specific_force,
             linear_acceleration_m_s2: None,
             magnetic_field: self.magnetic_field,

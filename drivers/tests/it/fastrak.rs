@@ -219,7 +219,7 @@ fn poses_of_a_station_in_error_are_not_used() {
 }
 
 #[test]
-fn silence_is_told_and_the_unit_reset() {
+fn silence_is_reported_and_the_unit_reset() {
     let mut rig = rig(Settings::default(), &[1]);
     rig.run_ms(1000);
     rig.device.dead = true;

@@ -296,7 +296,7 @@ fn a_unit_without_sensor_is_named_and_the_others_go_on() {
 }
 
 #[test]
-fn silence_is_told_and_ended() {
+fn silence_is_reported_and_ended() {
     let mut rig = rig(&[2]);
     rig.run_ms(500);
     rig.device.dead = true;

@@ -20,13 +20,16 @@ pub(crate) struct Rig<S, D> {
     pub(crate) samples: Vec<Sample>,
     pub(crate) warnings: Vec<String>,
     pub(crate) rts: Option<bool>,
+    /// As it was made.
+    fresh: S,
 }
 
-impl<S: Session, D: Device> Rig<S, D> {
+impl<S: Session + Clone, D: Device> Rig<S, D> {
     /// Opens the line.
     pub(crate) fn open(session: S, device: D) -> Self {
         let now = Timestamp::from_secs_f64(1.0);
-        let mut rig = Self { session, device, now, samples: vec![], warnings: vec![], rts: None };
+        let fresh = session.clone();
+        let mut rig = Self { session, device, now, samples: vec![], warnings: vec![], rts: None, fresh };
         rig.session.handle_line(now, &LineEvent::Opened { modem_lines: true });
         rig.drain();
         rig
@@ -66,17 +69,18 @@ impl<S: Session, D: Device> Rig<S, D> {
     /// Puts the session away as a snapshot does, and goes on with what is read back.
     pub(crate) fn store_and_restore(&mut self)
     where
-        S: serde::Serialize + serde::de::DeserializeOwned,
+        S: posed_state::State,
     {
-        let bytes = rmp_serde::to_vec_named(&self.session).unwrap();
-        self.session = rmp_serde::from_slice(&bytes).unwrap();
-        assert_eq!(rmp_serde::to_vec_named(&self.session).unwrap(), bytes);
+        let bytes = posed_state::snapshot(&self.session);
+        self.session = self.fresh.clone();
+        posed_state::restore(&mut self.session, &bytes).unwrap();
+        assert_eq!(posed_state::snapshot(&self.session), bytes);
     }
 
     /// As [`Rig::run_ms`], put away and read back every few milliseconds.
     pub(crate) fn run_stored_ms(&mut self, ms: u64)
     where
-        S: serde::Serialize + serde::de::DeserializeOwned,
+        S: posed_state::State,
     {
         for _ in 0..ms.div_ceil(3) {
             self.run_ms(3);

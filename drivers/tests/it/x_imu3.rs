@@ -83,7 +83,7 @@ fn worked_examples() {
 }
 
 #[test]
-fn old_and_new_forms_are_told_by_their_length() {
+fn old_and_new_forms_are_identified_by_their_length() {
     let seven = [1.0, 0.0, 0.0, 0.0, 0.25, -0.5, 1.5];
     let decode = |letter, values: &[f64]| {
         let bytes = data::encode(7, values);
@@ -236,10 +236,11 @@ fn a_chain_is_set_up_and_streams() {
     rig.samples.clear();
     rig.run_ms(1000);
     assert_eq!(rig.samples.len(), 600);
-    let Measurement::Imu { angular_rate_rad_s, specific_force_m_s2, .. } = rig.samples[0].measurement else {
+    let Measurement::Imu { angular_velocity_rad_s, specific_force_m_s2, .. } = rig.samples[0].measurement
+    else {
         panic!()
     };
-    assert_eq!(angular_rate_rad_s, Some([std::f64::consts::PI, 0.0, 0.0]));
+    assert_eq!(angular_velocity_rad_s, Some([std::f64::consts::PI, 0.0, 0.0]));
     assert_eq!(specific_force_m_s2, Some([0.0, 0.0, 9.80665]));
     // Four samples are averaged: the message is true 1.5 sample periods before its stamp.
     let DeviceTime::Counter { ticks: inertial, tick_s } = rig.samples[0].t_device else { panic!() };
@@ -312,7 +313,7 @@ fn a_damaged_stamp_and_merged_messages_are_refused() {
 }
 
 #[test]
-fn silence_is_told() {
+fn silence_is_reported() {
     let mut device = Pretended::new(&[0]);
     device.dead[0] = true;
     let mut rig = Rig::open(XImu3Session::new(Settings::default(), &[0]).unwrap(), device);

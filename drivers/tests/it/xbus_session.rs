@@ -224,7 +224,7 @@ fn rig(kind: Kind, settings: Settings, baud: u32) -> Rig<XbusSession, Pretended>
     Rig::open(XbusSession::new(settings, baud, &wanted).unwrap(), Pretended::new(kind))
 }
 
-/// A device that does not answer until it is told to.
+/// A device that does not answer until it is asked to.
 fn deaf(baud: u32, measuring: bool) -> Rig<XbusSession, Pretended> {
     let device = Pretended { answers: false, measuring, ..Pretended::new(Kind::Items) };
     Rig::open(XbusSession::new(Settings::default(), baud, &[1]).unwrap(), device)
@@ -248,7 +248,7 @@ fn every_kind_of_device_is_set_up_and_streams() {
         assert_eq!(
             last.measurement,
             Measurement::Imu {
-                angular_rate_rad_s: Some([0.25 * trackers as f64, 0.0, 0.0]),
+                angular_velocity_rad_s: Some([0.25 * trackers as f64, 0.0, 0.0]),
                 specific_force_m_s2: Some([0.0, 0.0, 9.75]),
                 linear_acceleration_m_s2: None,
                 magnetic_field: Some([0.0, 0.5, -0.75]),
@@ -294,7 +294,7 @@ fn lost_periods_are_counted_for_every_tracker() {
 }
 
 #[test]
-fn an_error_between_data_is_told_and_changes_nothing() {
+fn an_error_between_data_is_reported_and_changes_nothing() {
     let mut rig = rig(Kind::Chain(3), Settings::default(), 460_800);
     rig.run_ms(500);
     for _ in 0..20 {
@@ -370,7 +370,7 @@ fn data_of_another_shape_is_refused_and_set_right() {
 }
 
 #[test]
-fn silence_is_told_and_ended() {
+fn silence_is_reported_and_ended() {
     let mut rig = deaf(115_200, false);
     rig.run_ms(4000);
     assert!(matches!(rig.session.state(), State::Silent { .. }), "{:?}", rig.session.state());
@@ -425,8 +425,8 @@ fn an_orientation_that_is_none_leaves_the_rest() {
     rig.device.quaternion = [0.0; 4];
     rig.run_ms(500);
     assert!(rig.is_streaming(), "{}", rig.reason());
-    let Measurement::Imu { angular_rate_rad_s, orientation_wxyz, .. } = rig.samples[0].measurement else {
+    let Measurement::Imu { angular_velocity_rad_s, orientation_wxyz, .. } = rig.samples[0].measurement else {
         panic!()
     };
-    assert_eq!((angular_rate_rad_s, orientation_wxyz), (Some([0.25, 0.0, 0.0]), None));
+    assert_eq!((angular_velocity_rad_s, orientation_wxyz), (Some([0.25, 0.0, 0.0]), None));
 }

@@ -1,13 +1,12 @@
 //! The sensors that the person wears: what each measures, with a unit's errors.
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use posed_geometry::GRAVITY_M_S2;
 
 use super::kinematics::{Build, Placement, SEGMENT_NAMES};
 use super::script::Script;
 use crate::random::{Purpose, Random};
 
-/// Standard gravity, m/s².
-const GRAVITY_M_S2: f64 = 9.81;
 /// Steps of the differences that make rates and forces, s.
 const STEP_S: f64 = 1e-3;
 /// Norm and dip of the simulated earth field: uT, rad.
@@ -18,19 +17,19 @@ const DIP_RAD: f64 = 1.13;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorErrors {
     /// Of a gyro sample, rad/s.
-    pub gyro_noise: f64,
+    pub gyro_noise_rad_s: f64,
     /// Of a gyro's bias, rad/s.
-    pub gyro_bias: f64,
+    pub gyro_bias_rad_s: f64,
     /// Of an accelerometer sample, m/s².
-    pub accel_noise: f64,
+    pub accel_noise_m_s2: f64,
     /// Of an accelerometer's bias, m/s².
-    pub accel_bias: f64,
+    pub accel_bias_m_s2: f64,
     /// Scale and cross-axis errors of both, fraction.
     pub scale: f64,
     /// Of a magnetometer sample, uT.
-    pub mag_noise: f64,
-    /// Of the field fastened to the sensor, uT.
-    pub mag_bias: f64,
+    pub mag_noise_ut: f64,
+    /// Of the field attached to the sensor, uT.
+    pub mag_bias_ut: f64,
     /// How far the sensor plays on the skin per acceleration, m per m/s², and turns with it, rad per m; 0: rigid.
     pub skin_m: f64,
     /// See `skin_m`.
@@ -40,13 +39,13 @@ pub struct SensorErrors {
 impl SensorErrors {
     /// None at all.
     pub const NONE: Self = Self {
-        gyro_noise: 0.0,
-        gyro_bias: 0.0,
-        accel_noise: 0.0,
-        accel_bias: 0.0,
+        gyro_noise_rad_s: 0.0,
+        gyro_bias_rad_s: 0.0,
+        accel_noise_m_s2: 0.0,
+        accel_bias_m_s2: 0.0,
         scale: 0.0,
-        mag_noise: 0.0,
-        mag_bias: 0.0,
+        mag_noise_ut: 0.0,
+        mag_bias_ut: 0.0,
         skin_m: 0.0,
         skin_rad_m: 0.0,
     };
@@ -55,13 +54,13 @@ impl SensorErrors {
     /// hertz at Nyquist, and what a calibration leaves.
     pub fn calibrated() -> Self {
         Self {
-            gyro_noise: 0.07_f64.to_radians(),
-            gyro_bias: 0.1_f64.to_radians(),
-            accel_noise: 0.021,
-            accel_bias: 0.03,
+            gyro_noise_rad_s: 0.07_f64.to_radians(),
+            gyro_bias_rad_s: 0.1_f64.to_radians(),
+            accel_noise_m_s2: 0.021,
+            accel_bias_m_s2: 0.03,
             scale: 0.003,
-            mag_noise: 0.6,
-            mag_bias: 0.5,
+            mag_noise_ut: 0.6,
+            mag_bias_ut: 0.5,
             ..Self::NONE
         }
     }
@@ -69,10 +68,10 @@ impl SensorErrors {
     /// The same unit as it comes from the shelf.
     pub fn uncalibrated() -> Self {
         Self {
-            gyro_bias: 2.0_f64.to_radians(),
-            accel_bias: 0.4,
+            gyro_bias_rad_s: 2.0_f64.to_radians(),
+            accel_bias_m_s2: 0.4,
             scale: 0.02,
-            mag_bias: 3.0,
+            mag_bias_ut: 3.0,
             ..Self::calibrated()
         }
     }
@@ -175,9 +174,9 @@ impl Wearer {
             Unit {
                 mount: UnitQuaternion::from_scaled_axis(vector(1.0)),
                 offset_m: Vector3::new(0.0, -0.5 * length_m, 0.0) + vector(0.02),
-                gyro: (matrix(vector(e.scale), vector(e.scale), vector(e.scale)), vector(e.gyro_bias)),
-                accel: (matrix(vector(e.scale), vector(e.scale), vector(e.scale)), vector(e.accel_bias)),
-                magnet: vector(e.mag_bias),
+                gyro: (matrix(vector(e.scale), vector(e.scale), vector(e.scale)), vector(e.gyro_bias_rad_s)),
+                accel: (matrix(vector(e.scale), vector(e.scale), vector(e.scale)), vector(e.accel_bias_m_s2)),
+                magnet: vector(e.mag_bias_ut),
                 skin: Matrix3::from_columns(&[vector(1.0), vector(1.0), vector(1.0)]) * e.skin_rad_m,
                 noise: random,
             }
@@ -230,10 +229,10 @@ impl Wearer {
             let mut noise = |sigma: f64| Vector3::from_fn(|_, _| sigma * unit.noise.normal());
             let force = axes.transpose() * (accel + Vector3::z() * GRAVITY_M_S2);
             Sample {
-                gyro_rad_s: unit.gyro.0 * (back * rate) + unit.gyro.1 + noise(errors.gyro_noise),
-                accel_m_s2: unit.accel.0 * (back * force) + unit.accel.1 + noise(errors.accel_noise),
+                gyro_rad_s: unit.gyro.0 * (back * rate) + unit.gyro.1 + noise(errors.gyro_noise_rad_s),
+                accel_m_s2: unit.accel.0 * (back * force) + unit.accel.1 + noise(errors.accel_noise_m_s2),
                 mag_ut: magnetometer
-                    .then(|| back * (axes.transpose() * field) + unit.magnet + noise(errors.mag_noise)),
+                    .then(|| back * (axes.transpose() * field) + unit.magnet + noise(errors.mag_noise_ut)),
             }
         });
         (samples, Truth { t_s, body: times[2] })

@@ -62,7 +62,7 @@ impl VirtualFlock {
         }
     }
 
-    /// One sensor: keeps the new measurement, says what became of it and how far it is bent (transmitter axes).
+    /// One sensor: keeps the new measurement, states what became of it and how far it is bent (transmitter axes).
     fn measure_unit(&mut self, t: Timestamp, index: usize, pose: &Isometry3<f64>) -> (Class, Vector3<f64>) {
         let in_transmitter = self.config.transmitter_in_room.inverse() * pose;
         let hemisphere = Vector3::from(self.units[index].hemisphere.direction());

@@ -14,7 +14,7 @@ use crate::truth::{Class, TruthRow};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Inertial {
     /// rad/s.
-    pub(crate) angular_rate_rad_s: Vector3<f64>,
+    pub(crate) angular_velocity_rad_s: Vector3<f64>,
     /// What an accelerometer feels: +g upwards at rest, m/s².
     pub(crate) specific_force_m_s2: Vector3<f64>,
     /// In units of the field at the place of calibration.
@@ -33,7 +33,7 @@ impl Inertial {
             samples.iter().map(part).sum::<Vector3<f64>>() / samples.len() as f64
         };
         Some(Self {
-            angular_rate_rad_s: mean(|sample| sample.angular_rate_rad_s),
+            angular_velocity_rad_s: mean(|sample| sample.angular_velocity_rad_s),
             specific_force_m_s2: mean(|sample| sample.specific_force_m_s2),
             magnetic_field: mean(|sample| sample.magnetic_field),
             linear_acceleration_m_s2: mean(|sample| sample.linear_acceleration_m_s2),
@@ -46,7 +46,7 @@ impl Inertial {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Kinematics {
     pub(crate) pose: Isometry3<f64>,
-    pub(crate) angular_rate_rad_s: Vector3<f64>,
+    pub(crate) angular_velocity_rad_s: Vector3<f64>,
     pub(crate) specific_force_m_s2: Vector3<f64>,
 }
 
@@ -90,7 +90,11 @@ impl Imu {
         let place = |other: &Isometry3<f64>| other.translation.vector - pose.translation.vector;
         let acceleration = (16.0 * (place(&b) + place(&c)) - place(&a) - place(&d)) / (12.0 * H_S * H_S);
         let force = acceleration + Vector3::new(0.0, 0.0, GRAVITY_M_S2);
-        Kinematics { pose, angular_rate_rad_s: rate, specific_force_m_s2: pose.rotation.inverse() * force }
+        Kinematics {
+            pose,
+            angular_velocity_rad_s: rate,
+            specific_force_m_s2: pose.rotation.inverse() * force,
+        }
     }
 
     /// Measures at `t`; a sample stands for `dt_s`. Times must not go backwards.
@@ -100,13 +104,13 @@ impl Imu {
         let Self { gyroscope, accelerometer, magnetometer, filter, random, .. } = self;
         let field = truth.pose.rotation.inverse() * field;
         let since_s = self.last.replace(t).map_or(dt_s, |last| t.seconds_since(last).max(0.0));
-        let angular_rate_rad_s = gyroscope.measure(&truth.angular_rate_rad_s, dt_s, random);
+        let angular_velocity_rad_s = gyroscope.measure(&truth.angular_velocity_rad_s, dt_s, random);
         let specific_force_m_s2 = accelerometer.measure(&truth.specific_force_m_s2, dt_s, random);
         let magnetic_field = magnetometer.measure(&field, dt_s, random);
         let orientation = filter.apply(&truth.pose.rotation, since_s, random);
         let gravity = orientation.inverse() * Vector3::new(0.0, 0.0, GRAVITY_M_S2);
         Inertial {
-            angular_rate_rad_s,
+            angular_velocity_rad_s,
             specific_force_m_s2,
             magnetic_field,
             orientation,
@@ -153,7 +157,7 @@ mod tests {
         let mut imu = imu(Motion::Still(Still::default()), mount, &ImuErrors::default());
         let y = imu.measure(seconds(1.0), 0.01);
         assert!((y.specific_force_m_s2 - Vector3::new(-GRAVITY_M_S2, 0.0, 0.0)).norm() < 1e-9, "{y:?}");
-        assert!(y.angular_rate_rad_s.norm() < 1e-9 && y.linear_acceleration_m_s2.norm() < 1e-9);
+        assert!(y.angular_velocity_rad_s.norm() < 1e-9 && y.linear_acceleration_m_s2.norm() < 1e-9);
         let (north, down) = (0.5, 0.75f64.sqrt());
         assert!((y.magnetic_field - Vector3::new(down, north, 0.0)).norm() < 1e-9, "{y:?}");
         assert!(y.orientation.angle_to(&mount.rotation) < 1e-9);
@@ -180,7 +184,7 @@ mod tests {
             let rate = 0.5 * a * w * (w * t_s).sin();
             let turn = 0.5 * a * w * w * (w * t_s).cos();
             let k = imu.kinematics(seconds(t_s));
-            assert!((k.angular_rate_rad_s - Vector3::new(0.0, 0.0, rate)).norm() < 1e-6, "{k:?}");
+            assert!((k.angular_velocity_rad_s - Vector3::new(0.0, 0.0, rate)).norm() < 1e-6, "{k:?}");
             // Sensor axes: turn x lever + rate x (rate x lever), and gravity.
             let force = Vector3::new(-turn * 0.25, -rate * rate * 0.25, GRAVITY_M_S2);
             assert!((k.specific_force_m_s2 - force).norm() < 1e-5, "{k:?} {force:?}");
@@ -200,7 +204,7 @@ mod tests {
             (pose(start_s + 1e-5).translation.vector - pose(start_s - 1e-5).translation.vector) / 2e-5;
         for i in 0..2000 {
             let k = imu.kinematics(seconds(start_s + (f64::from(i) + 0.5) * dt_s));
-            let half = UnitQuaternion::from_scaled_axis(0.5 * dt_s * k.angular_rate_rad_s);
+            let half = UnitQuaternion::from_scaled_axis(0.5 * dt_s * k.angular_velocity_rad_s);
             let a = (q * half) * k.specific_force_m_s2 - Vector3::new(0.0, 0.0, GRAVITY_M_S2);
             q = q * half * half;
             p += dt_s * v + 0.5 * dt_s * dt_s * a;
@@ -228,7 +232,7 @@ mod tests {
                 assert_eq!(*sample, b.measure(seconds(f64::from(4 * i + k) * 2.5e-3), 2.5e-3));
             }
             let mean = Inertial::mean(&samples).unwrap();
-            mean_of_four += mean.angular_rate_rad_s.norm_squared() / 3000.0;
+            mean_of_four += mean.angular_velocity_rad_s.norm_squared() / 3000.0;
         }
         // 0.1^2 / (2 x 10 ms)
         assert!((mean_of_four / 0.5 - 1.0).abs() < 0.1, "{mean_of_four}");

@@ -16,5 +16,5 @@ pub use earth::{DisturbanceSpec, EarthSpec};
 pub use errors::{AxisErrors, FilterErrors, ImuClass, ImuErrors};
 pub(crate) use imu::{Imu, Inertial};
 
-/// Standard gravity, m/s².
-pub const GRAVITY_M_S2: f64 = 9.806_65;
+/// Standard gravity, m/s²: the one that the program under test assumes too.
+pub use posed_geometry::GRAVITY_M_S2;

@@ -25,7 +25,7 @@ pub(crate) struct Station {
     sensor: Sensor,
     /// Noise of its signals.
     random: Random,
-    /// Axis of the half-space that the device was told, in the transmitter frame; zero: it follows the sensor.
+    /// Axis of the half-space that the device was set to, in the transmitter frame; zero: it follows the sensor.
     pub(crate) hemisphere: Vector3<f64>,
     latest: Option<Reported>,
     stuck: bool,
@@ -51,7 +51,7 @@ impl Station {
         self.latest
     }
 
-    /// Measures at `t`, and says what is true.
+    /// Measures at `t`, and returns what is true.
     pub(crate) fn measure(&mut self, scene: &Scene, faults: &[Fault], t: Timestamp) -> TruthRow {
         let pose = self.sensor.pose_in_room(t);
         let in_transmitter = scene.transmitter_in_room.inverse() * pose;

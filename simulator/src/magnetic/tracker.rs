@@ -78,7 +78,7 @@ pub struct Reading {
 impl Tracker {
     /// Measures a sensor at `pose` (sensor to transmitter, m) at `t_s` seconds.
     ///
-    /// `hemisphere` is the axis of the half-space that the device was told, in the transmitter frame.
+    /// `hemisphere` is the axis of the half-space that the device was set to, in the transmitter frame.
     /// Draws the same amount of noise whatever happens, so that sensors and cycles stay independent.
     pub(crate) fn measure(
         &self,

@@ -6,7 +6,7 @@
 
 mod bvh;
 mod file;
-mod laid;
+mod imu_calibration;
 mod person;
 mod pole;
 mod scripted;
@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 pub use bvh::{Bvh, BvhError};
 pub use file::{Ending, File, FileError, Tracks, Up};
-pub use laid::Laid;
+pub use imu_calibration::ImuCalibration;
 pub use person::Person;
 pub use pole::Pole;
 pub(crate) use scripted::quaternion;
@@ -40,10 +40,10 @@ pub enum Motion {
     Curl(Curl),
     /// Walks around an ellipse: pelvis, torso and both legs.
     Walk(Walk),
-    /// A pole with sensors, waved through a box: for calibrating a field.
+    /// A pole with sensors, moved through a box: for calibrating a field.
     Pole(Pole),
-    /// Laid down in one direction after the other: for calibrating an IMU.
-    Laid(Laid),
+    /// Placed in one direction after the other: for calibrating an IMU.
+    ImuCalibration(ImuCalibration),
     /// A whole person, as body-worn sensors know one.
     Person(Person),
     /// Poses from a CSV file or joints from a BVH file.
@@ -96,10 +96,10 @@ impl Motion {
                 finite("center_m", &pole.center_m)?;
                 finite("reach_m", &pole.reach_m)
             }
-            Self::Laid(laid) => {
-                above_zero("rest_s", laid.rest_s)?;
-                above_zero("turn_s", laid.turn_s)?;
-                finite("position_m", &laid.position_m)
+            Self::ImuCalibration(imu_calibration) => {
+                above_zero("rest_s", imu_calibration.rest_s)?;
+                above_zero("turn_s", imu_calibration.turn_s)?;
+                finite("position_m", &imu_calibration.position_m)
             }
             Self::Person(person) => {
                 above_zero("height_m", person.height_m)?;
@@ -147,7 +147,9 @@ impl Body {
     /// Names of its segments, in the order of their indices.
     pub fn segments(&self) -> Vec<&str> {
         match &self.motion {
-            Motion::Still(_) | Motion::Orbit(_) | Motion::Screw(_) | Motion::Laid(_) => vec!["body"],
+            Motion::Still(_) | Motion::Orbit(_) | Motion::Screw(_) | Motion::ImuCalibration(_) => {
+                vec!["body"]
+            }
             Motion::Pole(_) => vec!["pole"],
             Motion::Curl(_) => Curl::SEGMENTS.to_vec(),
             Motion::Walk(_) => Walk::SEGMENTS.to_vec(),
@@ -168,7 +170,7 @@ impl Body {
             Motion::Curl(curl) => curl.pose(segment, t_s),
             Motion::Walk(walk) => walk.pose(segment, t_s),
             Motion::Pole(pole) => pole.pose(t_s),
-            Motion::Laid(laid) => laid.pose(t_s),
+            Motion::ImuCalibration(imu_calibration) => imu_calibration.pose(t_s),
             Motion::Person(person) => person.pose(segment, t_s),
             Motion::File(_) => {
                 self.tracks.as_ref().map_or_else(Isometry3::identity, |tracks| tracks.pose(segment, t_s))
@@ -212,7 +214,7 @@ mod tests {
             Motion::Curl(Curl { repetitions: Some(2), ..Curl::default() }),
             Motion::Walk(Walk::default()),
             Motion::Pole(Pole::default()),
-            Motion::Laid(Laid::default()),
+            Motion::ImuCalibration(ImuCalibration::default()),
             Motion::Person(Person { activity: crate::body::Activity::Squats, ..Person::default() }),
         ];
         motions.into_iter().map(|motion| Body::new(motion, Path::new(".")).unwrap()).collect()

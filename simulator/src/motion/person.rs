@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_person_stands_where_it_is_put_and_looks_where_it_is_told() {
+    fn a_person_stands_where_it_is_put_and_looks_where_it_is_directed() {
         let person = Person { position_m: [1.0, 2.0, 0.5], heading_deg: 90.0, ..Person::default() };
         let pelvis = person.pose(1, -1.0);
         assert!((pelvis.rotation * Vector3::x() - Vector3::y()).norm() < 1e-12, "forward");

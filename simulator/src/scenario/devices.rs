@@ -15,10 +15,10 @@ use crate::inertial::{FilterErrors, Imu, ImuErrors};
 use crate::line::{Line, LineConfig};
 use crate::magnetic::{Scene, Station};
 use crate::motionstar::{Bird, MotionStar};
-use crate::network::Network;
 use crate::random::{Purpose, Random};
 use crate::slimevr::{self, SlimeVr};
 use crate::stage::Link;
+use crate::udp_network::UdpNetwork;
 use crate::x_imu3::{self, XImu3};
 use crate::xbus::{Tracker, Xbus};
 
@@ -112,7 +112,7 @@ impl Parts<'_> {
     fn link(&self) -> Link {
         let random = Random::new(self.scenario.seed, Purpose::Faults(self.index));
         if self.spec.port().starts_with("udp://") {
-            return Link::Network(Network::new(&self.given.faults, random));
+            return Link::UdpNetwork(UdpNetwork::new(&self.given.faults, random));
         }
         let config = LineConfig {
             baud: self.baud(),

@@ -1,7 +1,7 @@
 //! Virtual SlimeVR trackers: each a network peer of its own, all looking for one server.
 //!
 //! What comes in: datagrams of the server, each in an envelope with the tracker that it is for. What goes out:
-//! the trackers' datagrams. A tracker calls once a second until a server answers, says what it is, sends its
+//! the trackers' datagrams. A tracker calls once a second until a server answers, states what it is, sends its
 //! motion every 10 ms, and calls again after three seconds without a word.
 
 #[cfg(test)]

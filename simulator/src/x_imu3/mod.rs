@@ -26,8 +26,8 @@ use crate::inertial::{GRAVITY_M_S2, Imu, Inertial};
 const SAMPLE_S: f64 = 2.5e-3;
 const SAMPLE_ERROR: f64 = 0.003;
 /// The same of the magnetometer.
-const COMPASS_S: f64 = 0.05;
-const COMPASS_ERROR: f64 = 0.08;
+const MAGNETOMETER_S: f64 = 0.05;
+const MAGNETOMETER_ERROR: f64 = 0.08;
 /// From a command to its answer.
 const ANSWER: Duration = Duration::from_millis(3);
 /// Samples between two messages of the temperature.
@@ -49,8 +49,8 @@ pub(crate) struct Member {
     written_at: Option<Timestamp>,
     samples: Pace,
     next_sample: u64,
-    compass: Pace,
-    next_compass: u64,
+    magnetometer: Pace,
+    next_magnetometer: u64,
     /// Samples since the last inertial message.
     pending: Vec<Inertial>,
     cycle: u64,
@@ -73,8 +73,8 @@ impl Member {
             written_at: None,
             samples: pace(SAMPLE_S, SAMPLE_ERROR),
             next_sample: 0,
-            compass: pace(COMPASS_S, COMPASS_ERROR),
-            next_compass: 0,
+            magnetometer: pace(MAGNETOMETER_S, MAGNETOMETER_ERROR),
+            next_magnetometer: 0,
             pending: Vec::new(),
             cycle: 0,
             leave_out: 0,
@@ -87,7 +87,7 @@ impl Member {
     }
 
     fn poll_timeout(&self) -> Timestamp {
-        let next = self.samples.time(self.next_sample).min(self.compass.time(self.next_compass));
+        let next = self.samples.time(self.next_sample).min(self.magnetometer.time(self.next_magnetometer));
         self.written_at.map_or(next, |at| at.min(next))
     }
 }
@@ -198,7 +198,7 @@ impl XImu3 {
                 if is_quiet || is_wrong || left_out || late {
                     chassis.lose(cycle, Some(address));
                 } else {
-                    let rate = mean.angular_rate_rad_s.map(f64::to_degrees);
+                    let rate = mean.angular_velocity_rad_s.map(f64::to_degrees);
                     let force = mean.specific_force_m_s2 / GRAVITY_M_S2;
                     let values = [rate.x, rate.y, rate.z, force.x, force.y, force.z];
                     self.send(chassis, t, k, b'I', &values, Some(cycle));
@@ -294,12 +294,12 @@ impl Unit for XImu3 {
         } else if member.samples.time(member.next_sample) <= t {
             self.sample(chassis, k, t);
         } else {
-            let index = member.next_compass;
-            member.next_compass += 1;
+            let index = member.next_magnetometer;
+            member.next_magnetometer += 1;
             let every = member.number("magnetometermessageratedivisor");
             if every > 0 && (index + 1).is_multiple_of(every) && !self.is_quiet(chassis, k, t) {
-                // The last sample's field would do, but a compass alone has its own noise.
-                let field = self.members[k].imu.measure(t, COMPASS_S).magnetic_field;
+                // The last sample's field would do, but a magnetometer alone has its own noise.
+                let field = self.members[k].imu.measure(t, MAGNETOMETER_S).magnetic_field;
                 self.send(chassis, t, k, b'M', field.as_slice(), None);
             }
         }

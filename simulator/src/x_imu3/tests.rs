@@ -69,7 +69,7 @@ fn the_driver_knows_when_a_message_was_true() {
     pair.run_until(4.0);
     let mut checked = 0;
     for sample in &pair.samples {
-        let Measurement::Imu { angular_rate_rad_s: Some(_), .. } = sample.measurement else { continue };
+        let Measurement::Imu { angular_velocity_rad_s: Some(_), .. } = sample.measurement else { continue };
         let DeviceTime::Counter { ticks, tick_s } = sample.t_device else { panic!("{sample:?}") };
         let t_s = ticks as f64 * tick_s * (1.0 + 40e-6);
         let (truth, _) = pair.truth_of(sample);
@@ -123,7 +123,7 @@ fn words_between_the_data_reach_the_operator() {
     ];
     let mut pair = pair(&[1, 2], "a", with(faults));
     pair.run_until(5.0);
-    for words in ["unit 2 says: Error 7.", "unit 1 says: Battery low."] {
+    for words in ["unit 2 reports: Error 7.", "unit 1 reports: Battery low."] {
         assert!(pair.warnings.iter().any(|text| text == words), "{:?}", pair.warnings);
     }
     assert_eq!(pair.counted(), [0, 0]);

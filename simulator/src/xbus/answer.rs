@@ -178,7 +178,7 @@ impl Xbus {
         self.outputs.iter().flat_map(|&(id, hz)| [id, hz]).flat_map(u16::to_be_bytes).collect()
     }
 
-    /// What the host is told that the device is set to.
+    /// What the host is reported that the device is set to.
     pub(super) fn configuration(&self) -> Configuration {
         let on_bus: Vec<usize> = if self.is_chain() { self.bus.clone() } else { vec![0] };
         let tracker = |&k: &usize| message::Tracker {
@@ -211,7 +211,7 @@ fn granted(id: u16, hz: u16) -> Option<(u16, u16)> {
         id::QUATERNION | id::EULER | id::ACCELERATION | id::RATE_OF_TURN | id::FREE_ACCELERATION => {
             Some((id, if hz == 0 || hz > MOST_HZ { MOST_HZ } else { hz }))
         }
-        // The compass has a rate of its own.
+        // The magnetometer has a rate of its own.
         id::MAGNETIC_FIELD => Some((id, if hz == 0 || hz > 100 { 100 } else { hz })),
         id::TEMPERATURE => Some((id, 1)),
         _ => None,

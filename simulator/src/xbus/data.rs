@@ -38,7 +38,7 @@ impl Xbus {
             return chassis.lose(cycle, None);
         }
         if chassis.transmitter.backlog_s(t) > MOST_BACKLOG_S {
-            if !std::mem::replace(&mut self.overflow_told, true) {
+            if !std::mem::replace(&mut self.overflow_reported, true) {
                 chassis.answer(t, &message::request(MASTER, message::ERROR, &[0x29]));
             }
             return chassis.lose(cycle, None);
@@ -147,7 +147,7 @@ impl Xbus {
 
 /// What a tracker without a sensor of the stage measures.
 const STILL: Inertial = Inertial {
-    angular_rate_rad_s: nalgebra::Vector3::new(0.0, 0.0, 0.0),
+    angular_velocity_rad_s: nalgebra::Vector3::new(0.0, 0.0, 0.0),
     specific_force_m_s2: nalgebra::Vector3::new(0.0, 0.0, crate::inertial::GRAVITY_M_S2),
     magnetic_field: nalgebra::Vector3::new(0.0, 0.5, -0.866),
     orientation: UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(1.0, 0.0, 0.0, 0.0)),
@@ -193,7 +193,7 @@ fn block(layout: Layout, measured: &Inertial) -> Block {
     Block {
         temperature_c: Some(31.5),
         acceleration: Some(measured.specific_force_m_s2.into()),
-        rate_of_turn: Some(measured.angular_rate_rad_s.into()),
+        rate_of_turn: Some(measured.angular_velocity_rad_s.into()),
         magnetic_field: Some(measured.magnetic_field.into()),
         orientation: Some(orientation),
         ..Block::default()
@@ -212,7 +212,7 @@ fn item(id: u16, counter: u16, time: u32, measured: &Inertial, out: &mut Vec<u8>
         id::QUATERNION => mtdata2::encode_numbers(id, &wxyz(&q), out),
         id::EULER => mtdata2::encode_numbers(id, &euler_deg(&q), out),
         id::ACCELERATION => mtdata2::encode_numbers(id, measured.specific_force_m_s2.as_slice(), out),
-        id::RATE_OF_TURN => mtdata2::encode_numbers(id, measured.angular_rate_rad_s.as_slice(), out),
+        id::RATE_OF_TURN => mtdata2::encode_numbers(id, measured.angular_velocity_rad_s.as_slice(), out),
         id::MAGNETIC_FIELD => mtdata2::encode_numbers(id, measured.magnetic_field.as_slice(), out),
         id::FREE_ACCELERATION => {
             let free = q * measured.linear_acceleration_m_s2;

@@ -32,7 +32,7 @@ const WAKE_UP: Duration = Duration::from_millis(500);
 const SCAN: Duration = Duration::from_millis(400);
 /// From a request to its answer.
 const ANSWER: Duration = Duration::from_millis(2);
-/// Error mode of a master: the counter steps over a failed period, and an error says which tracker.
+/// Error mode of a master: the counter steps over a failed period, and an error states which tracker.
 const TELL_ERRORS: u16 = 2;
 /// Output rate of items that come with every message.
 const ALWAYS: u16 = 0xFFFF;
@@ -95,8 +95,8 @@ pub(crate) struct Xbus {
     leave_out: u32,
     /// It sends something else than it was set to, until then.
     wrong_until: Option<Timestamp>,
-    /// It has told that the line is too slow.
-    overflow_told: bool,
+    /// It has reported that the line is too slow.
+    overflow_reported: bool,
 }
 
 impl Xbus {
@@ -120,7 +120,7 @@ impl Xbus {
             clock_start: Timestamp::ZERO,
             leave_out: 0,
             wrong_until: None,
-            overflow_told: false,
+            overflow_reported: false,
         }
     }
 
@@ -168,7 +168,7 @@ impl Xbus {
         self.counter_start = self.next_cycle;
         self.leave_out = 0;
         self.wrong_until = None;
-        self.overflow_told = false;
+        self.overflow_reported = false;
         self.state = State::Measuring;
     }
 

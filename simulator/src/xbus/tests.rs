@@ -38,7 +38,7 @@ fn bytes(count: u32) -> Bytes {
 fn imu(sample: &Sample) -> ([f64; 3], [f64; 3], [f64; 3], [f64; 4]) {
     match sample.measurement {
         Measurement::Imu {
-            angular_rate_rad_s: Some(rate),
+            angular_velocity_rad_s: Some(rate),
             specific_force_m_s2: Some(force),
             magnetic_field: Some(field),
             orientation_wxyz: Some(q),
@@ -114,7 +114,7 @@ fn trackers_on_a_walking_body_measure_within_their_noise() {
         square += north.norm_squared();
         count += 1.0;
     }
-    // 0.5 and 1 degree; the compass has 0.5 % of scale and 5e-4 / sqrt(20 ms) of noise.
+    // 0.5 and 1 degree; the magnetometer has 0.5 % of scale and 5e-4 / sqrt(20 ms) of noise.
     assert!(worst < 4f64.to_radians() && worst > 0.1f64.to_radians(), "{worst}");
     let rms = (square / count).sqrt();
     assert!(rms > 2e-3 && rms < 2e-2, "{rms}");
@@ -170,7 +170,7 @@ fn the_counter_wraps_without_a_loss() {
 }
 
 #[test]
-fn errors_between_data_are_told_and_cost_nothing() {
+fn errors_between_data_are_reported_and_cost_nothing() {
     let mut pair = chain(with(vec![Fault::Error { address: 2, at_s: 4.0, code: 0x1D, detail: 2 }]));
     pair.run_until(6.0);
     assert!(pair.warnings.iter().any(|text| text.contains("tracker 2")), "{:?}", pair.warnings);

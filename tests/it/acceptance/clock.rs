@@ -1,8 +1,8 @@
 //! Capture times under bursts, drift and a host that is late: right to a millisecond, and no better than stated.
 
-use posed::stage::{Driver, Stage};
 use posed_drivers::flock::wire::Format;
 use posed_simulator::scenario::DeviceScenario;
+use posed_stage::{Driver, Stage};
 
 use super::judge::{cycles, nearest, within};
 use super::{QUIET, device, scene};
@@ -66,7 +66,7 @@ fn run(seed: u64, birds: u16, rate_hz: f64, burst_ms: f64, sleepy: Option<Sleepy
     }
 }
 
-/// Runs all seeds of a case; says how many kept to two sigmas, of how many, and how many were wrong.
+/// Runs all seeds of a case; returns how many kept to two sigmas, of how many, and how many were wrong.
 fn case(
     what: &str,
     birds: u16,

@@ -13,7 +13,7 @@ const SPAN: Bytes = Bytes { count: 50, start_s: START_S, end_s: START_S + 10.0 }
 /// How the host gets the bytes: one by one, a frame in one go, in bursts of 16 ms.
 const DELIVERIES: [(&str, usize, f64); 3] = [("bytes", 1, 0.0), ("frames", 4096, 0.0), ("bursts", 8, 16.0)];
 
-/// Runs the script; says frames lost, wrong poses, wrong beyond 20 mm or 5 degrees; checks every count.
+/// Runs the script; returns frames lost, wrong poses, wrong beyond 20 mm or 5 degrees; checks every count.
 fn run(fault: Fault, seed: u64, (name, fifo_bytes, burst_ms): (&str, usize, f64)) -> (usize, usize, usize) {
     let what = format!("{}, {name}, seed {seed}", fault.name());
     let noise = if seed.is_multiple_of(2) { QUIET } else { NOISY };
@@ -36,8 +36,8 @@ fn run(fault: Fault, seed: u64, (name, fifo_bytes, burst_ms): (&str, usize, f64)
     assert!(judgement.frames > 1200, "{what}: {}", judgement.frames);
     let status = rig.pipeline.status();
     for (sensor, before) in before.iter().enumerate() {
-        let told = status.sensors[sensor].lost - before;
-        assert_eq!(told, lost(&rig, 0, sensor, from_s), "{what}: bird {}", sensor + 1);
+        let reported = status.sensors[sensor].lost - before;
+        assert_eq!(reported, lost(&rig, 0, sensor, from_s), "{what}: bird {}", sensor + 1);
     }
     let warnings: Vec<_> =
         rig.said.iter().filter(|said| matches!(said, crate::rig::Said::Warning(..))).collect();
@@ -58,10 +58,13 @@ fn never_wrong(fault: Fault) {
             wrong += bad;
         }
     }
+    assert_eq!(runs, 12);
     let mean = sum as f64 / f64::from(runs) / 50.0;
     println!("{}: frames lost per fault: mean {mean:.2}, most {:.2}", fault.name(), most as f64 / 50.0);
     assert_eq!(wrong, 0);
-    assert!(most <= 100, "{most} frames lost by 50 faults");
+    // A fault costs the frame it hits, two frames where it falls between them: at most 53 were seen, 50 on average.
+    assert!(most <= 56, "{most} frames lost by 50 faults");
+    assert!(mean <= 1.05, "{mean} frames lost per fault");
 }
 
 #[test]
@@ -91,9 +94,9 @@ fn flipped_data_bits_are_never_wrong_beyond_20_mm_or_5_degrees() {
             runs += 50;
         }
     }
-    println!(
-        "data bits: per fault {:.2} frames lost, {:.2} values wrong by more than 5 sigma",
-        frames as f64 / f64::from(runs),
-        wrong as f64 / f64::from(runs)
-    );
+    let per_fault = |count: usize| count as f64 / f64::from(runs);
+    let (lost, wrong) = (per_fault(frames), per_fault(wrong));
+    println!("data bits: per fault {lost:.2} frames lost, {wrong:.2} values wrong by more than 5 sigma");
+    // Low bits are within what a hand may do: 0.81 frames and 0.27 values were seen.
+    assert!(runs == 600 && lost <= 0.95 && wrong <= 0.33, "{lost} and {wrong} in {runs}");
 }

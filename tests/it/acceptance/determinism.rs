@@ -1,9 +1,9 @@
 //! The same entries give the same outputs: twice, from a snapshot taken anywhere, with models swapped in.
 
-use posed::input::{Input, Model};
-use posed::pipeline::Pipeline;
+use posed_pipeline::Pipeline;
 use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::scenario::DeviceScenario;
+use posed_stage::input::{Input, Model};
 
 use super::{NOISY, device, scene};
 use crate::rig::{Rig, replay, stage};
@@ -30,7 +30,12 @@ fn outputs_repeat_from_every_snapshot() {
     // In set-up, between two records, inside a burst, while the port is away, while it is set up again.
     for until_s in [0.0, 0.15, 0.9, 1.7, 3.3333, 4.4444, 5.5, 6.1, 6.7, 8.3, 10.0] {
         rig.run_until(until_s);
-        snapshots.push((rig.pipeline.snapshot(), rig.log.len(), rig.said.len()));
+        snapshots.push((
+            rig.pipeline.models().clone(),
+            rig.pipeline.snapshot(),
+            rig.log.len(),
+            rig.said.len(),
+        ));
         if until_s == 4.4444 {
             rig.push(Input::Model(Model::Transmitter {
                 position_m: [0.1, 0.2, 1.0],
@@ -47,8 +52,8 @@ fn outputs_repeat_from_every_snapshot() {
     rig.run_until(11.0);
     assert!(rig.estimates().count() > 700);
     assert_eq!(replay(&mut Pipeline::new(&stage).unwrap(), &rig.log), rig.said);
-    for (snapshot, entries, said) in snapshots {
-        let mut restored = Pipeline::restore(&stage, &snapshot).unwrap();
+    for (models, snapshot, entries, said) in snapshots {
+        let mut restored = Pipeline::restore(&stage, &models, &snapshot).unwrap();
         assert_eq!(restored.snapshot(), snapshot, "at entry {entries}");
         assert_eq!(replay(&mut restored, &rig.log[entries..]), rig.said[said..], "from entry {entries}");
         assert_eq!(restored.status(), rig.pipeline.status(), "from entry {entries}");

@@ -2,13 +2,13 @@
 //!
 //! What is published as good is right from the first frame to the last; what is left of the device goes on.
 
-use posed::output::SensorState;
-use posed::stage::{Driver, Stage};
 use posed_drivers::State;
 use posed_drivers::flock::wire::Format;
 use posed_simulator::faults::Fault;
 use posed_simulator::scenario::DeviceScenario;
 use posed_simulator::truth::Class;
+use posed_stage::output::SensorState;
+use posed_stage::{Driver, Stage};
 
 use super::judge::{Judgement, class_at, counted, cycles, judge, lost, within};
 use super::{QUIET, device, pair, scene};
@@ -178,10 +178,10 @@ fn a_stalled_unit_goes_on_and_all_that_it_did_not_send_is_counted() {
     never_wrong(&rig, 0, 14.0);
     println!("stalled for 2 s: poses {:.3} s after", back_after(&rig, 0, 8.0));
     let status = rig.pipeline.status().sensors[0];
-    let told = status.lost - before[0];
+    let reported = status.lost - before[0];
     let truth = lost(&rig, 0, 0, from_s);
-    println!("stalled for 2 s: {told} counted as lost, {truth} in truth");
-    assert!(status.estimated && told.abs_diff(truth) <= 2, "{told} of {truth}");
+    println!("stalled for 2 s: {reported} counted as lost, {truth} in truth");
+    assert!(status.estimated && reported.abs_diff(truth) <= 2, "{reported} of {truth}");
 }
 
 #[test]
@@ -216,17 +216,17 @@ fn matrices_that_are_no_rotation_and_cut_frames_are_dropped() {
 }
 
 #[test]
-fn errors_of_a_unit_are_told_in_words_and_fatal_ones_end_the_stream() {
+fn errors_of_a_unit_are_reported_in_words_and_fatal_ones_end_the_stream() {
     let error = |code, detail| Fault::Error { address: 1, at_s: 6.0, code, detail };
     let noted = run(vec![error(32, 0)], 8.0);
     assert_eq!(count(&noted, 0, (5.0, 8.0), &[SensorState::Ok]).0, within(&noted, 5.0, 8.0).count());
 
-    // A RAM failure stops the unit, and the reason is told. The session tries again; this one lets itself be run.
+    // A RAM failure stops the unit, and the reason is reported. The session tries again; this one lets itself be run.
     let rig = run(vec![error(1, 0)], 9.0);
     assert_eq!(count(&rig, 0, (6.02, 7.0), &[SensorState::Ok]).0, 0);
-    let told = rig
+    let reported = rig
         .said
         .iter()
         .any(|said| matches!(said, Said::State(_, State::Failed { reason }) if reason.contains("error 1")));
-    assert!(told, "{:?}", rig.pipeline.status().devices[0].state);
+    assert!(reported, "{:?}", rig.pipeline.status().devices[0].state);
 }

@@ -1,8 +1,8 @@
 //! Holds what was published against the truth.
 
 use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
-use posed::output::{Estimate, SensorState};
 use posed_simulator::truth::{Class, TruthCycle};
+use posed_stage::output::{Estimate, SensorState};
 
 use crate::rig::Rig;
 

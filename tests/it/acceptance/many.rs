@@ -1,13 +1,16 @@
 //! All kinds of devices on one stage: each leaves in turn and costs the others nothing, what is lost is counted, times
 //! are right where the device counts, and orientations are what they are.
 
-use posed::output::SensorState;
-use posed::stage::Stage;
+use std::collections::BTreeSet;
+
 use posed_drivers::State;
 use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::motion::Motion;
 use posed_simulator::scenario::{DeviceScenario, Scenario};
+use posed_stage::Stage;
+use posed_stage::output::SensorState;
 
+use super::judge::{cycles, nearest};
 use super::{QUIET, scene};
 use crate::rig::{Rig, replay};
 
@@ -115,9 +118,9 @@ fn each_device_leaves_in_turn_and_the_others_lose_nothing() {
                 }
                 let truth = cycles_in_gaps(&rig, index, at);
                 println!("{}: {lost} counted as lost, {truth} in truth", sensor.name);
-                // Set up anew, a device begins another count: the gap is told by time.
+                // Set up anew, a device begins another count: the gap is estimated from time.
                 assert!(lost.abs_diff(truth) <= 1, "{}: {lost} of {truth}", sensor.name);
-                assert!(after.sensors[at].estimated, "{} says that it is told by time", sensor.name);
+                assert!(after.sensors[at].estimated, "{} says that it is estimated from time", sensor.name);
             }
             assert_eq!(after.devices[index].state, State::Streaming, "{} is back", device.name);
         }
@@ -146,16 +149,17 @@ fn what_a_line_loses_is_counted_as_it_is() {
     let before = rig.pipeline.status();
     rig.run_until(20.0);
     let after = rig.pipeline.status();
+    let mut devices_hit = 0;
     for (index, device) in stage.devices.iter().enumerate() {
-        let hit = rig.losses.iter().filter(|(of, ..)| *of == index);
-        let mut cycles: Vec<u64> = hit.map(|(_, _, loss)| loss.cycle).collect();
-        cycles.sort_unstable();
-        cycles.dedup();
+        let (mut lost_of_device, mut hit_of_device) = (0, 0);
         for at in sensors_of(&stage, &device.name) {
+            let mine = |address: Option<u16>| address.is_none_or(|of| of == stage.sensors[at].address);
+            let hit = rig.losses.iter().filter(|(of, _, loss)| *of == index && mine(loss.address));
+            let cycles: BTreeSet<u64> = hit.map(|(_, _, loss)| loss.cycle).collect();
             let (before, after) = (before.sensors[at], after.sensors[at]);
             let lost = after.lost - before.lost;
             // What came and was not good counts too, and is no loss of the line.
-            let refused = |e: &&posed::output::Estimate| {
+            let refused = |e: &&posed_stage::output::Estimate| {
                 let sensor = &e.sensors[at];
                 sensor.measured.is_some() && sensor.state != SensorState::Ok
             };
@@ -163,6 +167,7 @@ fn what_a_line_loses_is_counted_as_it_is() {
             let hit = cycles.len() as u64;
             let name = &stage.sensors[at].name;
             println!("{name}: {lost} lost, {refused} refused, {hit} cycles hit, {}", after.estimated);
+            (lost_of_device, hit_of_device) = (lost_of_device + lost, hit_of_device.max(hit));
             match device.name.as_str() {
                 // Its counter tells exactly which cycles have no record.
                 "chain" => {
@@ -183,7 +188,7 @@ fn what_a_line_loses_is_counted_as_it_is() {
                         "{name}: {lost} of {}",
                         measured - ok
                     );
-                    assert!((hit / 3..=hit + 2).contains(&lost), "{name}: {lost} of {hit}");
+                    assert!(lost <= hit + 2, "{name}: {lost} of {hit}");
                 }
                 // By time stamps, and by numbers of packets that may hold something else.
                 _ => assert!(
@@ -192,7 +197,13 @@ fn what_a_line_loses_is_counted_as_it_is() {
                 ),
             }
         }
+        // A packet that is hit costs one of its sensors a record at least.
+        assert!(lost_of_device >= hit_of_device.saturating_sub(2), "{}: {lost_of_device}", device.name);
+        // Forty bytes or datagrams in as many cycles, but for the few that fall together.
+        assert!(hit_of_device == 0 || (36..=40).contains(&hit_of_device), "{hit_of_device} cycles hit");
+        devices_hit += usize::from(hit_of_device > 0);
     }
+    assert_eq!(devices_hit, 4);
 }
 
 /// Errors of the capture times of a device's records against the nearest true cycle, s.
@@ -244,33 +255,35 @@ fn orientations_follow_the_truth_and_replay_to_the_bit() {
     let mut rig = rig(&stage, Vec::new(), 3.0);
     rig.run_until(14.0);
     for at in sensors_of(&stage, "chain").chain(sensors_of(&stage, "imu-b")) {
-        let mut worst_deg = 0.0f64;
+        let cycles: Vec<_> =
+            cycles(&rig, stage.devices.iter().position(|d| d.name == stage.sensors[at].device).unwrap());
+        let (mut worst_deg, mut compared, mut frames) = (0.0f64, 0, 0);
         for estimate in rig.estimates().filter(|e| e.t_valid.as_secs_f64() > 10.0) {
+            frames += 1;
             let Some(pose) = estimate.sensors[at].pose else { continue };
             assert!(pose.position_m.is_none() && pose.sigma_m.is_none());
             let t_s = estimate.t_valid.as_secs_f64();
-            let near = rig.truth.iter().filter(|cycle| cycle.sensors.iter().any(|row| row.sensor == at));
-            let cycle = near
-                .min_by(|a, b| {
-                    let off = |t: f64| (t - t_s).abs();
-                    off(a.t.as_secs_f64()).total_cmp(&off(b.t.as_secs_f64()))
-                })
-                .unwrap();
+            let cycle = nearest(&cycles, t_s);
             if (cycle.t.as_secs_f64() - t_s).abs() > 2e-3 {
                 continue;
             }
-            let row = cycle.sensors.iter().find(|row| row.sensor == at).unwrap();
-            let told = posed::geometry::orientation_from_wxyz(pose.orientation_wxyz).unwrap();
-            worst_deg = worst_deg.max(told.angle_to(&row.pose.rotation).to_degrees());
+            let Some(row) = cycle.sensors.iter().find(|row| row.sensor == at) else { continue };
+            let reported = posed_geometry::orientation_from_wxyz(pose.orientation_wxyz).unwrap();
+            worst_deg = worst_deg.max(reported.angle_to(&row.pose.rotation).to_degrees());
+            compared += 1;
         }
-        println!("{}: at most {worst_deg:.2} degrees off", stage.sensors[at].name);
-        assert!(worst_deg < 8.0, "{}: {worst_deg}", stage.sensors[at].name);
+        let name = &stage.sensors[at].name;
+        println!("{name}: at most {worst_deg:.2} degrees off, {compared} of {frames} compared");
+        assert!(worst_deg < 5.5, "{name}: {worst_deg}");
+        // The frames are of all devices; a good part is near enough to a cycle of this one.
+        assert!(compared >= 150, "{name}: {compared} of {frames} frames");
     }
     // A snapshot in the middle, put away and taken up again, changes nothing.
     let middle = rig.log.len() / 2;
-    let mut pipeline = posed::pipeline::Pipeline::new(&stage).unwrap();
+    let mut pipeline = posed_pipeline::Pipeline::new(&stage).unwrap();
     let mut said = replay(&mut pipeline, &rig.log[..middle]);
-    let mut restored = posed::pipeline::Pipeline::restore(&stage, &pipeline.snapshot()).unwrap();
+    let mut restored =
+        posed_pipeline::Pipeline::restore(&stage, pipeline.models(), &pipeline.snapshot()).unwrap();
     said.extend(replay(&mut restored, &rig.log[middle..]));
-    assert!(said == rig.said, "a restored pipeline says something else");
+    assert!(said == rig.said, "a restored pipeline reports something else");
 }

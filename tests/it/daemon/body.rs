@@ -29,7 +29,7 @@ async fn the_demo_s_body_stands_moves_and_is_exported_from_its_recording() {
     };
     // The trackers speak later than the IMUs: first the body stands at the origin. Its person rests now and then.
     while flexions.len() < 150
-        || last["placed"] != "trackers"
+        || last["position_source"] != "trackers"
         || (bend(&flexions) <= 20.0 && flexions.len() < 2000)
     {
         last = until(&mut client, "a body", |message| message["type"] == "body").await;
@@ -37,7 +37,7 @@ async fn the_demo_s_body_stands_moves_and_is_exported_from_its_recording() {
         let elbow = joints.iter().find(|joint| joint["name"] == "elbow_r").unwrap();
         flexions.extend(elbow["angles_deg"]["flexion"].as_f64());
     }
-    assert_eq!((&last["placed"], &last["heading"]), (&json!("trackers"), &json!("field")), "{last}");
+    assert_eq!((&last["position_source"], &last["heading"]), (&json!("trackers"), &json!("field")), "{last}");
     assert_eq!(last["segments"].as_array().unwrap().len(), 10);
     assert_eq!(segment(&last, "forearm_r")["sensor"], "imu_forearm_r");
     assert!(
@@ -103,11 +103,14 @@ async fn a_body_is_calibrated_from_a_terminal() {
         tokio::task::spawn_blocking(args)
     };
     let done = calibrate(&[]).await.unwrap();
-    let told = String::from_utf8_lossy(&done.stdout).into_owned();
-    assert!(done.status.success(), "{told}{}", String::from_utf8_lossy(&done.stderr));
-    let lines: Vec<&str> = told.lines().collect();
-    assert!(lines[0].starts_with("1 of 2: Stand upright") && lines[1].starts_with("2 of 2: Raise"), "{told}");
-    assert!(lines[2].starts_with("the sensors' mounting is known") && lines.len() == 13, "{told}");
+    let reported = String::from_utf8_lossy(&done.stdout).into_owned();
+    assert!(done.status.success(), "{reported}{}", String::from_utf8_lossy(&done.stderr));
+    let lines: Vec<&str> = reported.lines().collect();
+    assert!(
+        lines[0].starts_with("1 of 2: Stand upright") && lines[1].starts_with("2 of 2: Raise"),
+        "{reported}"
+    );
+    assert!(lines[2].starts_with("the sensors' mounting is known") && lines.len() == 13, "{reported}");
     // Nobody is there.
     assert_eq!(daemon.end("INT").await.code(), Some(0));
     let alone = calibrate(&["--json"]).await.unwrap();

@@ -40,7 +40,7 @@ async fn exercises_are_loaded_selected_and_taught() {
     assert_eq!((code.as_str(), sentence.contains("lunge")), ("failed", true), "{sentence}");
     let select =
         json!({"type": "exercise.select", "exercises": ["squat"], "repetitions": 10, "subject": "ada"});
-    // By another client: who asks may be told before the answer comes.
+    // By another client: who asks may be notified before the answer comes.
     let mut watcher = posed.subscriber(&["exercise"]).await;
     ok(&mut client, select).await;
     let of_ada = |message: &serde_json::Value| message["subject"] == "ada" && message["event"] == "state";
@@ -53,7 +53,7 @@ async fn exercises_are_loaded_selected_and_taught() {
     ok(&mut client, teach.clone()).await;
     let jobs = until(&mut client, "its end", |message| message["jobs"][0]["state"] == "failed").await;
     assert_eq!(jobs["jobs"][0]["kind"], "exercise.teach");
-    // Without a span it waits for the repetitions, and can be told to stop.
+    // Without a span it waits for the repetitions, and can be stopped.
     let teach = json!({"type": "exercise.teach", "name": "wave", "repetitions": 5, "sensors": ["of one"]});
     let waiting = ok(&mut client, teach).await;
     ok(&mut client, json!({"type": "job.cancel", "job": waiting["job"]})).await;

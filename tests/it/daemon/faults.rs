@@ -1,4 +1,4 @@
-//! The map of faults on a running daemon: learnt from what is tracked, renamed, kept, loaded from the stage file.
+//! The fault map on a running daemon: learnt from what is tracked, renamed, kept, loaded from the stage file.
 
 use std::fs;
 
@@ -16,7 +16,7 @@ async fn a_map_is_learnt_named_kept_and_loaded() {
     ok(&mut client, json!({"type": "subscribe", "topics": ["sensors"], "fields": ["fault", "raw"]})).await;
     let cell = json!({"type": "faults.name_cell", "row": 0, "column": 0, "class": "anomalous"});
     let (code, sentence) = refused(&mut client, cell.clone()).await;
-    assert_eq!((code.as_str(), sentence.contains("no map of faults")), ("failed", true), "{sentence}");
+    assert_eq!((code.as_str(), sentence.contains("no fault map")), ("failed", true), "{sentence}");
     let (code, _) = refused(&mut client, json!({"type": "faults.train", "recording": "none.mcap"})).await;
     assert_eq!(code, "bad_request");
     let frame = until(&mut client, "records", |message| {

@@ -38,10 +38,16 @@ async fn a_port_that_returns_has_poses_again_and_the_other_device_loses_nothing(
     for key in ["rejected", "bytes_skipped"] {
         assert_eq!(device(&back, 1, key), device(&away, 1, key), "{key}");
     }
+    let sensor = |status: &Value, key: &str| status["sensors"][1][key].as_u64().unwrap();
+    assert_eq!(back["sensors"][1]["name"], "of two");
     let count = |status: &Value| device(status, 1, "records").as_f64().unwrap();
     let seconds = back["t_s"].as_f64().unwrap() - away["t_s"].as_f64().unwrap();
     let expected = 103.3 * seconds;
     let records = count(&back) - count(&away);
-    assert!((records - expected).abs() < 20.0, "{records} records in {seconds} s");
+    println!("{records} records in {seconds} s, {expected:.1} expected");
+    // A busy machine reads late: 0.2 records off were seen. That not one is lost is held in simulated time, by `acceptance::many`.
+    assert!(seconds > 1.5 && (records - expected).abs() < 10.0, "{records} records in {seconds} s");
+    let samples = sensor(&back, "samples") - sensor(&away, "samples");
+    assert!((samples as f64 - records).abs() <= 1.0, "{samples} samples of {records} records");
     assert_eq!(posed.end("TERM").await.code(), Some(0));
 }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
-use posed::recording::{Comparison, Machine, Reader, verify};
+use posed_recording::{Comparison, Machine, Reader, verify};
 use serde_json::{Value, json};
 use tokio_tungstenite::connect_async;
 

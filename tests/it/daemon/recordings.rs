@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use posed::recording::Info;
+use posed_recording::Info;
 use serde_json::{Value, json};
 
 use super::process::{Posed, all_ok, frames, ok, record_start, replays, two_devices, until};
@@ -80,7 +80,7 @@ async fn a_recording_begun_mid_run_with_a_model_swapped_in_replays_and_a_killed_
     assert!(info.problem.as_deref().unwrap().contains("breaks off"), "{info:?}");
     let end_s = info.begun_s + info.duration_s;
     assert!(end_s > last - 1.0, "the recording ends at {end_s} s, the client saw {last} s");
-    mended(&torn);
+    repaired(&torn);
 }
 
 /// Started again where one was killed in the middle of a recording: it tracks, records, and has nothing to complain of.
@@ -116,7 +116,7 @@ async fn a_recording_is_a_job_and_one_that_is_cancelled_is_whole() {
 }
 
 /// A torn recording replays, is completed by the repair, and replays the same.
-fn mended(torn: &Path) {
+fn repaired(torn: &Path) {
     let output = torn.with_extension("jsonl");
     let replay = || {
         let replayed = posed(["replay".as_ref(), torn.as_os_str(), "-o".as_ref(), output.as_os_str()]);

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use posed::recording::Info;
+use posed_recording::Info;
 use serde_json::json;
 
 use super::process::{Posed, ok, refused, replays, succeed, until};
@@ -67,19 +67,12 @@ fn a_capture_becomes_a_recording_that_replays() {
     assert!(good > 200, "{good} good poses in\n{}", text.lines().take(20).collect::<Vec<_>>().join("\n"));
 }
 
-/// Sessions with real units, where they are at hand: a tenth of a second each, too short for poses.
+/// Sessions with real units: a tenth of a second each, too short for poses.
 #[test]
 fn real_captures_become_recordings_that_say_when_no_pose_follows() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/captures/flock-of-birds");
-    let Ok(entries) = fs::read_dir(&folder) else {
-        println!("skipped: the recorded sessions are not at hand");
-        return;
-    };
     let out = tempfile::tempdir().unwrap();
-    for entry in entries.map(|entry| entry.unwrap().path()) {
-        if entry.extension().is_none_or(|extension| extension != "txt") {
-            continue;
-        }
+    for name in ["flockofbirds_stream_03_21_2006.txt", "flockofbirds_stream_06_06_2006.txt"] {
+        let entry = crate::rig::recording("flock-of-birds", name);
         let path = out.path().join("session.mcap");
         let arguments = [
             "decode".as_ref(),

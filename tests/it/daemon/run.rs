@@ -1,6 +1,6 @@
 //! `posed demo` and `posed run` from the first line to the exit code.
 
-use posed::recording::Info;
+use posed_recording::Info;
 use serde_json::Value;
 
 use super::process::{Posed, all_ok, frames, one_device, two_devices, until};

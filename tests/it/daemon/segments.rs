@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use posed::table::elan;
+use posed_recording::table::elan;
 use serde_json::json;
 
 use super::process::{Posed, ok, record_start, refused, replays, two_devices, until};

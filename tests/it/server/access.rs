@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use posed::daemon::server::{BindError, Server};
+use posed_daemon::server::{BindError, Server};
 use serde_json::json;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio_rustls::rustls;
@@ -25,7 +25,7 @@ fn with_tokens() -> Running {
 
 #[tokio::test]
 async fn without_a_token_only_loopback() {
-    let open = posed::daemon::server::Config { listen: Some("0.0.0.0:0".into()), ..config() };
+    let open = posed_daemon::server::Config { listen: Some("0.0.0.0:0".into()), ..config() };
     match Server::bind(&stage(""), open.clone()) {
         Err(error @ BindError::NeedsToken { .. }) => assert!(error.to_string().contains("[[server.token]]")),
         Err(error) => panic!("{error}"),
@@ -38,7 +38,7 @@ async fn without_a_token_only_loopback() {
 #[tokio::test]
 async fn a_taken_port_is_named() {
     let server = Running::plain();
-    let taken = posed::daemon::server::Config { listen: Some(server.address.to_string()), ..config() };
+    let taken = posed_daemon::server::Config { listen: Some(server.address.to_string()), ..config() };
     match Server::bind(&stage(""), taken) {
         Err(error @ BindError::Bind { .. }) => {
             assert!(error.to_string().contains(&server.address.to_string()))
@@ -98,7 +98,7 @@ async fn page_health_and_metrics() {
     assert!(page.starts_with("HTTP/1.1 200"));
     assert!(page.contains("content-security-policy: default-src 'none'"), "{page}");
     assert!(page.contains("<html lang"), "{page}");
-    // The viewer's files, where it was built; without npm the page says what is missing.
+    // The viewer's files, where it was built; without npm the page states what is missing.
     let assets = page.split('"').filter(|word| word.starts_with("./assets/"));
     for asset in assets.clone() {
         let file = ask(&asset[1..]).await;
@@ -125,7 +125,7 @@ async fn tls_by_the_stage_files_certificate() {
     std::fs::write(folder.path().join("cert.pem"), cert.pem()).unwrap();
     std::fs::write(folder.path().join("key.pem"), signing_key.serialize_pem()).unwrap();
     let tls = "[server.tls]\ncertificate = \"cert.pem\"\nkey = \"key.pem\"";
-    let config = posed::daemon::server::Config { folder: folder.path().into(), ..config() };
+    let config = posed_daemon::server::Config { folder: folder.path().into(), ..config() };
     let server = start(&stage(tls), config.clone());
     assert!(server.url.starts_with("https://"));
 

@@ -1,7 +1,7 @@
 //! Greeting, subscriptions, events, calls.
 
 use futures_util::SinkExt;
-use posed::protocol::{Answer, Call, RecordingBegun, Status};
+use posed_protocol::{Answer, Call, RecordingBegun, Status};
 use serde_json::json;
 use tokio_tungstenite::tungstenite::Message;
 

@@ -1,10 +1,10 @@
-//! Foxglove viewers: what they are offered and told, who is refused, and what a bad one does to the others.
+//! Foxglove viewers: what they are offered and sent, who is refused, and what a bad one does to the others.
 
 use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
-use posed::output::Output;
-use posed::protocol::{Problem, Status};
+use posed_protocol::{Problem, Status};
+use posed_stage::output::Output;
 use serde_json::{Value, json};
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
@@ -105,7 +105,7 @@ impl Viewer {
     }
 }
 
-async fn told(server: &Running, viewer: &mut Viewer) -> (u32, u64, Value) {
+async fn reported(server: &Running, viewer: &mut Viewer) -> (u32, u64, Value) {
     server.frame(7);
     viewer.data().await
 }
@@ -225,7 +225,7 @@ async fn requests_that_cannot_be_served_get_a_sentence_and_the_connection_stays(
     assert_eq!(viewer.text("status").await["level"], 2);
     viewer.client.socket.send(Message::Text("{".into())).await.unwrap();
     assert_eq!(viewer.text("status").await["level"], 2);
-    assert_eq!(told(&server, &mut viewer).await.0, 5);
+    assert_eq!(reported(&server, &mut viewer).await.0, 5);
     viewer.client.send(ask(5)).await;
     viewer.client.send(json!({"op": "dance"})).await;
     viewer.text("status").await;
@@ -248,17 +248,17 @@ async fn problems_of_the_stage_stand_until_they_are_over() {
     let mut early = Viewer::new(&server).await;
     early.subscribe(&["/posed/status"]).await;
     status(&["the port is away"]);
-    let told = early.text("status").await;
-    assert_eq!((&told["level"], &told["message"]), (&json!(1), &json!("the port is away")));
+    let reported = early.text("status").await;
+    assert_eq!((&reported["level"], &reported["message"]), (&json!(1), &json!("the port is away")));
     let mut late = Viewer::new(&server).await;
-    assert_eq!(late.text("status").await, told);
-    // The newest state is told to who subscribes later.
+    assert_eq!(late.text("status").await, reported);
+    // The newest state is reported to who subscribes later.
     let id = late.channel("/posed/status");
     late.client.send(json!({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": id}]})).await;
     assert_eq!(late.data().await.2["problems"][0]["code"], "port");
     status(&[]);
     for viewer in [&mut early, &mut late] {
-        assert_eq!(viewer.text("removeStatus").await["statusIds"], json!([told["id"]]));
+        assert_eq!(viewer.text("removeStatus").await["statusIds"], json!([reported["id"]]));
     }
 }
 

@@ -5,12 +5,12 @@ use std::path::Path;
 use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
-use posed::daemon::server::{Config, Hub, PendingCall, Server};
-use posed::output::{
-    Estimate, FaultCause, Measured, Outcome, OutcomeKind, Output, PoseEstimate, SensorEstimate, SensorState,
-};
-use posed::stage::Stage;
+use posed_daemon::server::{Config, Hub, PendingCall, Server};
 use posed_drivers::Timestamp;
+use posed_stage::Stage;
+use posed_stage::output::{
+    Estimate, Measured, Outcome, OutcomeKind, Output, PoseEstimate, SensorEstimate, SensorState,
+};
 use serde_json::{Value, json};
 use tokio::net::TcpStream;
 use tokio::sync::{mpsc, oneshot};
@@ -118,7 +118,7 @@ impl Running {
 
     pub(crate) fn fault(&self, at_ms: i64, sensor: u16, active: bool) {
         let t = Timestamp::from_nanos(at_ms * 1_000_000);
-        let what = OutcomeKind::Fault { sensor, cause: FaultCause::Gate, active };
+        let what = OutcomeKind::Fault { sensor, cause: posed_fusion::faults::Cause::Gate, active };
         self.hub.publish(&Output::Outcome(&Outcome { t_valid: t, t_decided: t, what }));
     }
 }

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use futures_util::SinkExt;
-use posed::daemon::server::{Config, Limits};
+use posed_daemon::server::{Config, Limits};
 use serde_json::json;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
@@ -110,7 +110,7 @@ async fn half_a_greeting_is_cut() {
 }
 
 #[tokio::test]
-async fn one_connection_too_many_is_told_so() {
+async fn one_connection_too_many_is_informed() {
     let server = with(Limits { connections: 2, ..Limits::default() });
     let mut one = server.client().await;
     let two = server.client().await;

@@ -1,10 +1,10 @@
-//! Avatars by VMC, laboratories by LSL: that they are told, and what is said where that cannot be.
+//! Avatars by VMC, laboratories by LSL: that they are reported, and what is said where that cannot be.
 
-use posed::daemon::clock::StageClock;
-use posed::fusion::body::{ANGLES, Heading, SEGMENTS};
-use posed::output::{Body, BodySegment, Output, Placed, SegmentState};
-use posed::protocol::Status;
+use posed_daemon::StageClock;
 use posed_drivers::Timestamp;
+use posed_fusion::body::{ANGLES, Heading, SEGMENTS};
+use posed_protocol::Status;
+use posed_stage::output::{Body, Output, PositionSource, SegmentEstimate, SegmentState};
 use rosc::{OscPacket, OscType, decoder};
 use tokio::net::UdpSocket;
 use tokio::time::timeout;
@@ -13,7 +13,7 @@ use super::harness::{PATIENCE, config, stage, start};
 
 /// Lying, all segments at one place.
 fn body(t_ms: i64) -> Body {
-    let segment = BodySegment {
+    let segment = SegmentEstimate {
         state: SegmentState::Ok,
         fault: None,
         sensor: None,
@@ -22,11 +22,11 @@ fn body(t_ms: i64) -> Body {
         sigma_rad: 0.01,
     };
     let t_valid = Timestamp::from_nanos(t_ms * 1_000_000);
-    let (heading, placed) = (Heading::Field, Placed::Trackers);
+    let (heading, position_source) = (Heading::Field, PositionSource::Trackers);
     Body {
         t_valid,
         heading,
-        placed,
+        position_source,
         segments: vec![segment; SEGMENTS],
         angles_rad: [None; ANGLES],
         spread: Default::default(),
@@ -73,7 +73,7 @@ async fn avatars_get_bones_and_a_word_when_there_are_none() {
 #[tokio::test]
 async fn an_avatar_without_an_address_is_named() {
     let stage = stage("[vmc]\ntargets = [\"no-such-host.invalid:39539\"]");
-    let error = posed::daemon::server::Server::bind(&stage, config()).err().unwrap().to_string();
+    let error = posed_daemon::server::Server::bind(&stage, config()).err().unwrap().to_string();
     assert!(error.contains("no-such-host.invalid") && error.contains("vmc.targets"), "{error}");
 }
 

@@ -1,8 +1,8 @@
-//! Programs that speak VRPN: both ways of arriving, what they are told, and what a bad one does to the others.
+//! Programs that speak VRPN: both ways of arriving, what they received, and what a bad one does to the others.
 
 use std::net::SocketAddr;
 
-use posed::vrpn::wire::{self, From, Messages, system};
+use posed_protocol::vrpn::wire::{self, From, Messages, system};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream, UdpSocket};
 use tokio::time::timeout;
@@ -60,15 +60,29 @@ impl Client {
     }
 }
 
-/// Publishes until the client has what it waits for: it is among those who are told only after its greeting.
-async fn told(server: &Running, client: &mut Client) -> (i32, i32, Vec<u8>) {
+/// Publishes until the client has what it waits for: it is among those who receive frames only after its greeting. The last frame
+/// published, and the message.
+async fn reported(server: &Running, client: &mut Client) -> (u64, (i32, i32, Vec<u8>)) {
     for frame in 1.. {
         server.frame(frame);
         if let Ok(message) = timeout(std::time::Duration::from_millis(20), client.next()).await {
-            return message.unwrap();
+            return (frame, message.unwrap());
         }
     }
     unreachable!()
+}
+
+/// The eight numbers of a pose's message: a spare word, the position, the quaternion with its scalar last.
+fn pose(payload: &[u8]) -> [f64; 7] {
+    assert_eq!(payload.len(), 64);
+    std::array::from_fn(|k| f64::from_be_bytes(payload[8 * k + 8..8 * k + 16].try_into().unwrap()))
+}
+
+/// What the message of a frame's first sensor has to hold.
+fn expected(frame: u64) -> [f64; 7] {
+    let pose = estimate(frame).sensors[0].pose.unwrap();
+    let ([x, y, z], [w, i, j, k]) = (pose.position_m.unwrap(), pose.orientation_wxyz);
+    [x, y, z, i, j, k, w]
 }
 
 #[tokio::test]
@@ -78,13 +92,21 @@ async fn every_sensor_is_a_tracker() {
     let (senders, types) = client.described().await;
     assert_eq!(senders, ["left", "right"]);
     assert_eq!(types[..2], ["vrpn_Tracker Pos_Quat", "vrpn_Tracker Velocity"]);
-    let (sender, kind, payload) = told(&server, &mut client).await;
-    assert_eq!((sender, kind, payload.len()), (0, 0, 64), "the right one is missing and says nothing");
-    let value = |at: usize| f64::from_be_bytes(payload[at..at + 8].try_into().unwrap());
-    let pose = estimate(1).sensors[0].pose.unwrap();
-    assert_eq!([value(16), value(24)], pose.position_m.unwrap()[1..]);
-    assert_eq!([value(56), value(40)], [pose.orientation_wxyz[0], pose.orientation_wxyz[2]], "scalar last");
+    let (last, (sender, kind, payload)) = reported(&server, &mut client).await;
+    assert_eq!((sender, kind), (0, 0), "the right one is missing and says nothing");
+    let first = (1..=last).find(|frame| pose(&payload) == expected(*frame));
+    let first = first.unwrap_or_else(|| panic!("{:?} is no frame up to {last}", pose(&payload)));
+    // From there on every frame comes once, in order: pose, velocity and acceleration.
+    (last + 1..=last + 20).for_each(|frame| server.frame(frame));
     assert_eq!(client.next().await.unwrap().1, 1);
+    for frame in first + 1..=last + 20 {
+        let (sender, kind, payload) = client.next().await.unwrap();
+        assert_eq!((sender, kind, pose(&payload)), (0, 0, expected(frame)), "frame {frame}");
+        for more in [1, 2] {
+            let (sender, kind, _) = client.next().await.unwrap();
+            assert_eq!((sender, kind), (0, more), "frame {frame}");
+        }
+    }
     // It asks for a tracker by its own numbers.
     let mut ask = Vec::new();
     wire::description(system::SENDER, 40, "right", 0, &mut ask);
@@ -122,7 +144,7 @@ async fn a_client_that_asks_is_called_back() {
     let (stream, _) = timeout(PATIENCE, listener.accept()).await.unwrap().unwrap();
     let mut client = Client::greeted(stream).await;
     assert_eq!(client.described().await.0, ["left", "right"]);
-    assert_eq!(told(&server, &mut client).await.1, 0);
+    assert_eq!(reported(&server, &mut client).await.1.1, 0);
     assert!(timeout(std::time::Duration::from_millis(50), listener.accept()).await.is_err());
 }
 
@@ -152,7 +174,7 @@ async fn half_a_greeting_and_a_stalled_client_delay_nobody() {
     let _stalled = Client::connect(server.vrpn.unwrap()).await;
     let mut client = Client::connect(server.vrpn.unwrap()).await;
     client.described().await;
-    told(&server, &mut client).await;
+    reported(&server, &mut client).await;
     for frame in 1000_u64..1200 {
         server.frame(frame);
         loop {
@@ -173,6 +195,6 @@ async fn a_taken_port_is_named() {
     let taken = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = taken.local_addr().unwrap();
     let stage = stage(&format!("[vrpn]\nlisten = \"{address}\""));
-    let error = posed::daemon::server::Server::bind(&stage, config()).err().unwrap().to_string();
+    let error = posed_daemon::server::Server::bind(&stage, config()).err().unwrap().to_string();
     assert!(error.contains("VRPN") && error.contains(&address.to_string()), "{error}");
 }

@@ -1,10 +1,11 @@
-// The body in 3-D: simple solids per segment; where a sensor is ill, a mark of another shape and colour with its reason.
+// The body in 3-D: simple solids per segment; where a sensor is faulty, a mark of another shape and colour with its reason.
 
 import * as THREE from "three";
 import { mergeGeometries } from "three/examples/jsm/utils/BufferGeometryUtils.js";
 import type { FigureMessage, SegmentEntry, SegmentState } from "../protocol";
 import { Labels } from "./labels";
 import { quaternion, vector } from "./scene";
+import { spoken } from "../dom";
 
 /** Lengths in parts of the height, as the daemon has them (docs/body.md). */
 const TRUNK = 0.288;
@@ -20,7 +21,7 @@ const USUAL_HEIGHT_M = 1.75;
 export const BODY_LOOKS: Record<SegmentState, { words: string; sign: string; colour: number; opacity: number; net: boolean }> = {
   ok: { words: "segment, measured", sign: "▮", colour: 0x6f94b8, opacity: 1, net: false },
   inferred: { words: "segment, from its neighbours", sign: "▯", colour: 0x6f94b8, opacity: 0.55, net: false },
-  suspect: { words: "segment, its sensor is ill", sign: "◆", colour: 0xd98e04, opacity: 0.9, net: false },
+  suspect: { words: "segment, its sensor is faulty", sign: "◆", colour: 0xd98e04, opacity: 0.9, net: false },
   missing: { words: "segment, not shown by anything", sign: "▒", colour: 0x888888, opacity: 0.35, net: true },
 };
 const ILL = 0xb3261e;
@@ -158,7 +159,7 @@ export class BodyFigure {
 
   /** An octahedron with the reason at each segment's joint. */
   private markIll(ill: SegmentEntry[]): void {
-    const said = ill.map(({ name, fault }) => `${name}: ${(fault ?? "ill").replaceAll("_", " ")}`);
+    const said = ill.map(({ name, fault }) => `${name}: ${spoken(fault ?? "faulty")}`);
     if (said.join("\n") !== this.said.join("\n")) {
       this.said = said;
       this.reasons.write(said, getComputedStyle(document.body).color);

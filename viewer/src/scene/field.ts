@@ -86,7 +86,7 @@ export class FieldScene {
     const longest = Math.max(1e-6, ...arrows.map(length));
     this.magnified = LONGEST_M / longest;
     if (arrows.length === 0) return;
-    // A shaft, and a cross at its foot, so that its direction can be told.
+    // A shaft, and a cross at its foot, so that its direction is visible.
     this.lines = segments(arrows.length * 4, new THREE.LineBasicMaterial({ vertexColors: true }));
     const points = this.lines.geometry.getAttribute("position") as THREE.BufferAttribute;
     const colours: number[] = [];

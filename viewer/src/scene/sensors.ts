@@ -16,7 +16,7 @@ export const LOOKS: { states: SensorState[]; words: string; sign: string; colour
   { states: ["ok"], words: "good", sign: "■", colour: 0x2a78b8, geometry: () => new THREE.BoxGeometry(1, 1, 1) },
   { states: ["repaired"], words: "repaired", sign: "◆", colour: 0x2a9d8f, geometry: () => new THREE.OctahedronGeometry(0.8) },
   { states: ["extrapolated"], words: "outside the calibrated field", sign: "▲", colour: 0xd98e04, geometry: () => new THREE.TetrahedronGeometry(0.9) },
-  { states: ["suspect", "late", "stuck", "missing"], words: "not to be used", sign: "●", colour: 0xb3261e, geometry: () => new THREE.SphereGeometry(0.55, 16, 12) },
+  { states: ["suspect", "late", "stuck", "missing"], words: "unreliable", sign: "●", colour: 0xb3261e, geometry: () => new THREE.SphereGeometry(0.55, 16, 12) },
 ];
 
 export class Sensors {

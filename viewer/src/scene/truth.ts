@@ -1,4 +1,4 @@
-// What really was, on a simulated stage: a thin cross at each true pose.
+// The ground truth, on a simulated stage: a thin cross at each true pose.
 
 import * as THREE from "three";
 import type { TruthsMessage } from "../protocol";

@@ -1,4 +1,4 @@
-// Alignment of the stage, under Runs: how the transmitter stands in the room, and how an IMU sits on a magnetic sensor.
+// Alignment of the stage, under *Calibrate & record*: how the transmitter stands in the room, and how an IMU sits on a magnetic sensor.
 
 import { acting, el, num, prompt, setText } from "../dom";
 import type { Job } from "../protocol";

@@ -1,9 +1,9 @@
-// Analysis: curves of one sensor and one joint, where the motion changes, its segments, the map of faults, and the events as
+// Analysis: curves of one sensor and one joint, where the motion changes, its segments, the fault map, and the events as
 // they come.
 
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
-import { type Cell, Table, el } from "../dom";
+import { type Cell, Table, el, spoken } from "../dom";
 import { showNewest } from "../plot";
 import { JointCurves, axisLook } from "./joints";
 import type { Context, View } from "../view";
@@ -78,7 +78,7 @@ export class AnalysisView implements View {
   private drawFaults(): void {
     const newest = [...this.context.model.faults.values()].sort((a, b) => b.t_s - a.t_s).slice(0, 40);
     this.faults.fill(newest.map(({ t_s, sensor, cause, times, active }): Cell[] => [
-      [t_s.toFixed(2)], [sensor, "word"], [cause, "word"], [String(times)],
+      [t_s.toFixed(2)], [sensor, "word"], [spoken(cause), "word"], [String(times)],
       [active ? "lasts" : "over", `word ${active ? "care" : "good"}`],
     ]));
   }
@@ -91,7 +91,7 @@ export class AnalysisView implements View {
       return [
         [repetition.t_valid_s.toFixed(2)], [repetition.exercise, "word"],
         [(repetition.t_valid_s - repetition.t_start_s).toFixed(1)], [counted ? String(repetition.count) : "–"],
-        [counted ? "counted" : `not counted: ${(repetition.reason ?? "").replaceAll("_", " ")}`, `word ${counted ? "good" : "care"}`],
+        [counted ? "counted" : `not counted: ${spoken(repetition.reason ?? "")}`, `word ${counted ? "good" : "care"}`],
         [repetition.sentence ?? (counted ? "as taught" : ""), "word reason"],
       ];
     }));

@@ -1,4 +1,4 @@
-// Calibration of the field, under Runs: wave the pole, see what is missing, solve, look at the figures, use the map.
+// Calibration of the field, under *Calibrate & record*: move the pole, see what is missing, solve, look at the figures, use the map.
 
 import { acting, el, num, setText } from "../dom";
 import type { FieldEventMessage, Job } from "../protocol";
@@ -120,7 +120,7 @@ export class Calibration {
         break;
       case "disturbed": {
         const key = `${message.cause} ${message.sensors.join(" and ")}`;
-        const cause = { witness: "seems to move", rigid_pair: "seem to move apart", hum: "hears the mains hum" }[message.cause];
+        const cause = { reference_sensor: "seems to move", rigid_pair: "seem to move apart", hum: "hears the mains hum" }[message.cause];
         if (message.active) this.disturbed.set(key, `${message.sensors.join(" and ")} ${cause} (${mm(message.deviation_m)} mm)`);
         else this.disturbed.delete(key);
         break;

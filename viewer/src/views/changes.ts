@@ -8,7 +8,7 @@ import type { KeyPoseMessage } from "../protocol";
 import { axisLook } from "./joints";
 
 const HEIGHT = 180;
-/** A key pose is drawn at a point of the curve that is so near; the page is told fewer frames than there are. */
+/** A key pose is drawn at a point of the curve that is so near; the page is reported fewer frames than there are. */
 const NEAR_S = 0.05;
 
 /** Hidden while the stage does not look for key poses of the sensor. */

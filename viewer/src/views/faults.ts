@@ -1,6 +1,6 @@
-// The map of faults: its cells by class, the cell that wins now, and what it says of each sensor. Part of Analysis.
+// The fault map: its cells by class, the cell that wins now, and what it reports about each sensor. Part of Analysis.
 
-import { type Cell, Table, acting, el, num, setText } from "../dom";
+import { type Cell, Table, acting, el, num, setText, spoken } from "../dom";
 import type { FaultClass, FaultMap } from "../protocol";
 import type { Context } from "../view";
 
@@ -36,7 +36,7 @@ export class FaultsPanel {
     const legend = el("p", { class: "quiet" }, ...CLASSES.flatMap((name) => [el("span", { class: `cell ${name}` }), ` ${name}  `]), "outlined: now");
     this.grid.addEventListener("click", ({ target }) => this.choose(target as HTMLElement));
     this.known = el("div", {}, this.now, this.grid, legend, name, this.labels.element);
-    this.element = el("section", { "aria-labelledby": "fault-map-title" }, el("h2", { id: "fault-map-title" }, "Map of faults"), this.known, this.says, train, this.learnt);
+    this.element = el("section", { "aria-labelledby": "fault-map-title" }, el("h2", { id: "fault-map-title" }, "Fault map"), this.known, this.says, train, this.learnt);
   }
 
   draw(): void {
@@ -56,11 +56,11 @@ export class FaultsPanel {
       this.winner = cell;
     }
     setText(this.now, fault
-      ? `This frame is ${fault.label}${fault.cause === "none" ? "" : `: ${fault.cause}`}; ${num(fault.distance, 3)} from its cell (mostly below ${num(faultMap.usual_distance, 3)}). Revision ${faultMap.revision}.`
+      ? `This frame is ${fault.label}${fault.cause === null ? "" : `: ${spoken(fault.cause)}`}; ${num(fault.distance, 3)} from its cell (mostly below ${num(faultMap.usual_distance, 3)}). Revision ${faultMap.revision}.`
       : "No frame yet.");
     this.now.className = fault ? TRUST[fault.label] : "quiet";
     this.labels.fill((sensors?.sensors ?? []).flatMap(({ name, fault }): Cell[][] => fault ? [[
-      [name], [fault.label, `word ${TRUST[fault.label]}`], [fault.cause === "none" ? "" : fault.cause, "word"],
+      [name], [fault.label, `word ${TRUST[fault.label]}`], [fault.cause === null ? "" : spoken(fault.cause), "word"],
       [num(fault.distance_m == null ? null : fault.distance_m * 1000, 0)], [fault.repair ?? "", "word"],
     ]] : []));
   }

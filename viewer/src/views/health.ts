@@ -1,6 +1,6 @@
 // Health: what each device and sensor does, how long each stage of the flow takes, and what to do next.
 
-import { type Cell, Table, el, num, setText } from "../dom";
+import { type Cell, Table, el, num, setText, spoken } from "../dom";
 import { type SensorEntry, trustOf } from "../protocol";
 import type { Context, View } from "../view";
 
@@ -9,9 +9,9 @@ const LINK_CLASS = { streaming: "good", connecting: "care", silent: "care", fail
 /** Sensors whose row is renewed in one frame. */
 const ROWS_PER_FRAME = 12;
 
-/** A sensor's state, and what the map of faults says of it. */
+/** A sensor's state, and what the fault map reports about it. */
 function faulty({ state, fault }: SensorEntry): string {
-  return !fault || fault.cause === "none" || fault.cause === "missing" ? state : `${state}: ${fault.label}, ${fault.cause}`;
+  return !fault || fault.cause === null || fault.cause === "missing" ? state : `${state}: ${fault.label}, ${spoken(fault.cause)}`;
 }
 
 function thousandths(value: number | null | undefined, digits: number): string {

@@ -36,7 +36,7 @@ export class ReplayView implements View {
       el("div", { class: "row" }, this.slider, this.time),
       el("div", { class: "row", role: "group", "aria-label": "Speed" }, ...speeds),
     );
-    const again = el("button", { onclick: acting(this.says, () => this.refresh()) }, "Look again");
+    const again = el("button", { onclick: acting(this.says, () => this.refresh()) }, "Refresh");
     this.element = el("div", {}, this.name, this.live, this.steer, this.says,
       el("h2", {}, "Recordings in the folder"), this.list, again, this.compare.element);
     context.model.listen((message) => {

@@ -1,4 +1,4 @@
-// Runs: what the operator starts and ends while the stage is live.
+// Calibrate and record: what the operator starts and ends while the stage is live.
 
 import { acting, type Cell, el, num, prompt, setText, Table } from "../dom";
 import type { Job, Thoroughness } from "../protocol";
@@ -9,7 +9,7 @@ import { Units } from "./units";
 
 export class RunsView implements View {
   readonly id = "runs";
-  readonly title = "Runs";
+  readonly title = "Calibrate & record";
   readonly element: HTMLElement;
   private readonly says = el("p", { class: "says", role: "alert" });
   private readonly name = el("input", { id: "record-name", placeholder: "stage and time", maxlength: 100 });

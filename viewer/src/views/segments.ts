@@ -2,11 +2,11 @@
 
 import { acting, el, setText } from "../dom";
 import type { Context } from "../view";
-import type { SegmentMessage } from "../protocol";
+import type { MotionSegmentMessage } from "../protocol";
 
 /** Time that the bands show, s. */
 const SPAN_S = 60;
-/** So many labels are told apart by colour; all by their names. */
+/** So many labels are distinguished by colour; all by their names. */
 const COLOURS = 8;
 /** Frames of 1/24 s that a network may see of what comes after: the fewer, the sooner a name is sure. */
 const LOOK_AHEADS: [number, string][] = [[121, "5 s ahead"], [36, "1.5 s ahead"], [12, "0.5 s ahead"], [0, "nothing ahead"]];
@@ -55,7 +55,7 @@ export class SegmentsPanel {
   }
 
   /** Draws segments, each up to the next one; the last up to `until`. */
-  private fill(band: HTMLElement, segments: SegmentMessage[], end: number, until: number): void {
+  private fill(band: HTMLElement, segments: MotionSegmentMessage[], end: number, until: number): void {
     const from = end - SPAN_S;
     const spans = segments.flatMap(({ label, t_valid_s }, at) => {
       const [a, b] = [Math.max(t_valid_s, from), Math.min(segments[at + 1]?.t_valid_s ?? until, until)];

@@ -96,7 +96,7 @@ export class StageView implements View {
     this.body.update(body, this.context.model.hello?.height_m ?? null);
     const good = body.segments.filter(({ state }) => state === "ok").length;
     const heading = body.heading === "held" ? `, heading held for ${body.heading_held_s.toFixed(0)} s` : "";
-    const place = body.placed === "trackers" ? "" : body.placed === "held" ? ", place as last seen" : ", place not known";
+    const place = body.position_source === "trackers" ? "" : body.position_source === "held" ? ", place as last seen" : ", place not known";
     setText(this.bodySummary, `body: ${good} of ${body.segments.length} segments measured${heading}${place}`);
   }
 

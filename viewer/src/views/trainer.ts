@@ -28,7 +28,7 @@ export class TrainerView implements View {
   private readonly target = el("input", { id: "target", type: "number", min: 1, max: 100, placeholder: "open" });
   private readonly sets = el("input", { id: "sets", type: "number", min: 1, max: 20, placeholder: "open" });
   private readonly rest = el("input", { id: "rest", type: "number", min: 0, max: 600, value: 30 });
-  private readonly reset = el("button", { id: "reset", hidden: true }, "From zero");
+  private readonly reset = el("button", { id: "reset", hidden: true }, "Reset");
   private readonly stand = el("div", { id: "avatar", class: "avatar", hidden: true });
   private readonly avatar = new BodyFigure();
   private scene: Scene | null = null;

@@ -1,4 +1,4 @@
-// Calibration of single IMUs, under Runs: lay the unit down in all directions, see which were held, what it came to.
+// Calibration of single IMUs, under *Calibrate & record*: place the unit in all directions, see which were held, what it came to.
 
 import { acting, el, num, prompt, setText } from "../dom";
 import type { Job } from "../protocol";
@@ -13,7 +13,7 @@ type Result = {
   };
 };
 
-/** Drivers whose units tell rates and forces. */
+/** Drivers whose units send angular velocity and specific force. */
 const INERTIAL = ["xbus", "x-imu3"];
 const SIDES = ["+x", "-x", "+y", "-y", "+z", "-z"];
 const DEGREES = 180 / Math.PI;
@@ -59,7 +59,7 @@ export class Units {
     const job = jobs.filter(({ kind }) => kind === "imu.calibrate").at(-1);
     const running = job?.state === "running";
     this.begin.disabled = !operates || running;
-    prompt(this.prompt, job, "Finds the biases and scales of one unit, and its compass's iron: lay it down on its sides, edges and corners, two seconds each.");
+    prompt(this.prompt, job, "Finds the biases and scales of one unit, and its hard-iron and soft-iron distortion: place it on its sides, edges and corners, two seconds each.");
     const result = job?.result as Result | null | undefined;
     this.run.hidden = !result || job?.state === "done";
     this.figures.hidden = !result?.intrinsics || running;

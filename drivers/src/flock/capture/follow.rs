@@ -71,7 +71,7 @@ pub fn decode(lines: &[Line], options: Options) -> Result<Decoded, CaptureError>
     follower.summary.bytes_skipped += unfinished as u64;
     let warnings = (follower.guessed > 0).then(|| {
         format!(
-            "the session does not say the format of {} records; it was taken from their length",
+            "the session does not contain the format of {} records; it was taken from their length",
             follower.guessed
         )
     });
@@ -104,7 +104,7 @@ impl<'a> Follower<'a> {
             }
             Command::Format(format) => self.set_format(to, format),
             Command::ButtonMode(on) => self.units.entry(to).or_default().button = Some(on),
-            // The slaves forget what they were told.
+            // The slaves forget what they received.
             Command::FbbReset => self.units.retain(|&address, _| address == LINE_UNIT),
             Command::Change { parameter: number, data } => self.learn(to, number, &data),
             _ => {}

@@ -1,7 +1,7 @@
 //! Captures of the unit's bytes alone: the records themselves must say what they are.
 //!
 //! Pieces are cut at bytes with bit 7 set. Of all ways to read them (group mode or not, button bytes or
-//! not, a format for each address) the one that makes sense of most bytes wins; a tie is told.
+//! not, a format for each address) the one that makes sense of most bytes wins; a tie is reported.
 
 use std::collections::BTreeMap;
 
@@ -66,7 +66,7 @@ pub fn decode(file: &[u8], options: Options) -> Result<Decoded, CaptureError> {
     }
     for (address, shown, other) in reading.ambiguous {
         decoded.warnings.push(format!(
-            "bird {address}: the records fit {shown} and {other} alike; {shown} is shown, name the format to decide"
+            "bird {address}: the records fit both {shown} and {other}; {shown} is shown, name the format to decide"
         ));
     }
     Ok(decoded)

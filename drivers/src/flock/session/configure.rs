@@ -6,7 +6,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 use super::{FlockSession, Phase};
 use crate::flock::asker::Asker;
@@ -22,7 +22,7 @@ const RUN_QUIET: Duration = Duration::from_millis(200);
 /// How long auto-configured birds may take to run.
 const RUNNING_LIMIT: Duration = Duration::from_secs(2);
 
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 pub(super) struct Configuring {
     pub(super) findings: Findings,
     pub(super) actions: VecDeque<Action>,
@@ -34,7 +34,7 @@ pub(super) struct Configuring {
     pub(super) present: Vec<u8>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub(super) enum Topic {
     Running,
     Error,

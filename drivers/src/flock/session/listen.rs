@@ -1,7 +1,7 @@
 //! A unit that somebody else has set up: the session sends nothing and takes what comes.
 //!
 //! What comes in and goes out is as in [`super`], but for what is transmitted: nothing is. What it never does: take a
-//! silent line for a failure that it could mend.
+//! silent line for a failure that it could fix.
 
 use std::time::Duration;
 
@@ -31,7 +31,7 @@ impl FlockSession {
         let scale = Scale { range, quaternion_sense: self.settings.quaternion_sense };
         let mut splitter = Splitter::new(&birds, scale, Tolerance::LIVE, self.baud);
         splitter.start_at_cycle(self.next_cycle);
-        // Nobody has told the rate; the samples show it.
+        // Nobody has reported the rate; the samples show it.
         self.rate_hz = None;
         self.phase = Phase::Streaming(Box::new(Streaming {
             splitter,

@@ -6,7 +6,7 @@
 
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 
 use super::configure::Configuring;
 use super::{FIRST_PAUSE, FlockSession, Phase};
@@ -27,7 +27,7 @@ const MIN_SILENCE: Duration = Duration::from_millis(250);
 /// A reply to POINT that has not come by then was lost.
 pub(super) const POINT_LIMIT: Duration = Duration::from_millis(100);
 
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 pub(super) struct Streaming {
     pub(super) splitter: Splitter,
     pub(super) silence: Duration,
@@ -41,7 +41,7 @@ pub(super) struct Streaming {
     pub(super) poll: Option<Poll>,
 }
 
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Plain)]
 pub(super) struct Poll {
     pub(super) at: Timestamp,
     pub(super) period: Duration,

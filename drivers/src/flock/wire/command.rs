@@ -2,13 +2,14 @@
 //!
 //! The driver encodes them; the simulator and the reader of captured sessions parse them.
 
+use posed_state::Plain;
 use thiserror::Error;
 
 use super::value::parameter;
 use super::{Addressing, Format, ReportRate};
 
 /// One command, without its prefix.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Plain)]
 pub enum Command {
     /// One record, or one of each running bird in group mode. Ends STREAM.
     Point,
@@ -191,7 +192,7 @@ pub enum Refused {
 }
 
 /// Reads commands from a stream of bytes that may be cut anywhere.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Plain)]
 pub struct CommandParser {
     /// Decides the lengths of a few parameters; the prefixes differ, and all of them are understood.
     pub addressing: Addressing,
@@ -219,7 +220,7 @@ impl CommandParser {
         self.open.clear();
     }
 
-    /// Takes one byte; says the command or the refusal that it completes.
+    /// Takes one byte; returns the command or the refusal that it completes.
     pub fn push(&mut self, byte: u8) -> Option<Result<Addressed, Refused>> {
         if self.prefix_open {
             self.prefix_open = false;

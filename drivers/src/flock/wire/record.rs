@@ -3,7 +3,7 @@
 //! A record is a row of 14-bit words in pairs of 7-bit bytes, least significant first, then the button
 //! byte and the address byte where these modes are on. Only the first byte has bit 7 set.
 
-use serde::{Deserialize, Serialize};
+use posed_state::Plain;
 use thiserror::Error;
 
 use super::{Format, QuaternionSense, Range, rotation};
@@ -18,7 +18,7 @@ pub const MAX_LEN: usize = 2 * MAX_WORDS + 2;
 const FULL_SCALE: f64 = 32768.0;
 
 /// What decides the length of a bird's records.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
 pub struct Shape {
     /// Which words.
     pub format: Format,
@@ -37,7 +37,7 @@ impl Shape {
 }
 
 /// What turns words into SI units.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Plain)]
 pub struct Scale {
     /// Full scale of positions.
     pub range: Range,
@@ -46,7 +46,7 @@ pub struct Scale {
 }
 
 /// How far an orientation on the wire may be from a rotation.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub struct Tolerance {
     /// Largest accepted `| |q| - 1 |`.
     pub quaternion_norm: f64,
@@ -67,7 +67,7 @@ impl Tolerance {
 }
 
 /// A decoded record.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub struct Record {
     /// Position of the sensor in the transmitter frame, m.
     pub position_m: Option<[f64; 3]>,

@@ -2,6 +2,7 @@
 //!
 //! These travel as plain 8-bit bytes, 16-bit words least significant byte first.
 
+use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 use super::{Addressing, Format, Range};
@@ -115,7 +116,7 @@ pub fn parameter(number: u8) -> Option<&'static Parameter> {
 }
 
 /// The BIRD STATUS word, parameter 0.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Plain)]
 #[serde(transparent)]
 pub struct BirdStatus(pub u16);
 
@@ -167,7 +168,7 @@ impl BirdStatus {
 }
 
 /// One unit's byte of the FLOCK SYSTEM STATUS, parameter 36.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Plain)]
 #[serde(transparent)]
 pub struct UnitStatus(pub u8);
 

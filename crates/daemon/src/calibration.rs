@@ -1,0 +1,364 @@
+//! Calibrations of the field: a guided run becomes a map, and the stage's maps are kept with their versions.
+//!
+//! In: the recording that the pipeline collected, what clients decide. Out: maps for the fusion thread, as entries of the
+//! log. Maps lie beside the stage file, one file per version; `active` names the one in use.
+
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use nalgebra::Vector3;
+
+use super::clock::StageClock;
+use super::fusion::FusionInbox;
+use super::jobs::Jobs;
+use super::observers::{Observer, Times};
+use super::server::Reply;
+use posed_field::{Anchor, FieldMap, PoleRun, Prepared, solve};
+use posed_protocol::AnchorSpec;
+use posed_recording::atomic_file::AtomicFile;
+use posed_stage::Stage;
+use posed_stage::input::{Entry, Input, Model, Request};
+use posed_stage::output::Output;
+
+/// Names the version in use.
+const ACTIVE: &str = "active";
+
+/// Why the version of the field's map stays as it is.
+#[derive(Debug, thiserror::Error)]
+pub enum FieldMapError {
+    /// A map cannot be read; its own sentence.
+    #[error("{0}")]
+    Read(String),
+    /// Nothing was calibrated.
+    #[error("there is no calibration to accept; field.finish makes one")]
+    NoCandidate,
+    /// What was calibrated is not good.
+    #[error("the last calibration was refused: {0}")]
+    Rejected(String),
+    /// The folder takes no map.
+    #[error("cannot keep the map in {}: {error}", folder.display())]
+    Keep {
+        /// The folder.
+        folder: PathBuf,
+        /// What the system said.
+        error: std::io::Error,
+    },
+    /// The folder takes no mark.
+    #[error("cannot write to {}: {error}", folder.display())]
+    Mark {
+        /// The folder.
+        folder: PathBuf,
+        /// What the system said.
+        error: std::io::Error,
+    },
+    /// There is nothing to go back from.
+    #[error("no version is in use that was accepted here")]
+    NoVersion,
+}
+
+/// All calibrations of a daemon; clones share them.
+#[derive(Clone, Debug)]
+pub(super) struct Calibration {
+    clock: StageClock,
+    inbox: FusionInbox,
+    jobs: Jobs,
+    sensors: Arc<[String]>,
+    /// Where the stage's maps are kept.
+    folder: PathBuf,
+    /// The map that the stage file names.
+    given: Option<PathBuf>,
+    state: Arc<Mutex<State>>,
+    /// Who changes versions holds it: they are distinguished by files.
+    files: Arc<Mutex<()>>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    /// Who asked for the end of the run, and the anchors.
+    asked: Option<(Reply, Vec<AnchorSpec>)>,
+    /// What the last calibration gave, or why nothing.
+    candidate: Option<Result<Prepared, String>>,
+}
+
+impl Calibration {
+    pub(super) fn new(
+        stage: &Stage,
+        folder: &std::path::Path,
+        clock: StageClock,
+        inbox: FusionInbox,
+        jobs: Jobs,
+    ) -> Self {
+        Self {
+            clock,
+            inbox,
+            jobs,
+            sensors: stage.sensors.iter().map(|sensor| sensor.name.clone()).collect(),
+            folder: folder.join("field-maps").join(stage.file_name()),
+            given: stage.models.field.clone(),
+            state: Arc::default(),
+            files: Arc::default(),
+        }
+    }
+
+    /// Puts the map in use on the stage into the log before anything else.
+    ///
+    /// # Errors
+    /// The map cannot be read.
+    pub(super) fn begin(&self) -> Result<(), FieldMapError> {
+        let map = match (self.active(), &self.given) {
+            (0, None) => return Ok(()),
+            (0, Some(path)) => FieldMap::read(path),
+            (version, _) => FieldMap::read(&self.file(version)),
+        };
+        self.swap(self.active(), Some(Prepared::new(map.map_err(FieldMapError::Read)?)));
+        Ok(())
+    }
+
+    /// Begins to collect.
+    pub(super) fn start(&self, sensors: Vec<String>, spacing_m: f64, reply: Reply) {
+        let twice = (1..sensors.len()).any(|k| sensors[..k].contains(&sensors[k]));
+        if sensors.len() < 3 || twice {
+            reply.error(
+                "bad_request",
+                "sensors: name three or more, each once, in their order along the pole",
+            );
+        } else if !(spacing_m.is_finite() && spacing_m > 0.0) {
+            reply.error("bad_request", "spacing_m: give the measured distance, above 0");
+        } else if let Some(name) = sensors.iter().find(|name| !self.sensors.contains(name)) {
+            reply.error("bad_request", format!("sensors: this stage has no sensor {name:?}"));
+        } else {
+            self.request(Request::FieldStart { sensors, spacing_m });
+            reply.ok(None);
+        }
+    }
+
+    /// Ends the run; the pipeline hands its recording to [`Calibration::solve`].
+    pub(super) fn finish(&self, anchors: Vec<AnchorSpec>, reply: Reply) {
+        if let Some((other, _)) = self.lock().asked.replace((reply, anchors)) {
+            other.error("failed", "another client has ended the run");
+        }
+        self.request(Request::FieldFinish {});
+    }
+
+    /// Solves a run on a thread of its own.
+    fn solve(&self, run: &PoleRun) {
+        let Some((reply, anchors)) = self.lock().asked.take() else { return };
+        if run.frames.is_empty() {
+            reply.error("failed", "nothing was collected: begin with field.start and move the pole");
+            return;
+        }
+        if let Err(error) = run.check_order() {
+            reply.error("failed", error.to_string());
+            return;
+        }
+        let anchors: Option<Vec<Anchor>> = anchors
+            .into_iter()
+            .map(|anchor| {
+                let sensor = run.sensors.iter().position(|name| *name == anchor.sensor)?;
+                let (t_s, position_m) = ([anchor.t_start, anchor.t_end], Vector3::from(anchor.position_m));
+                Some(Anchor { name: anchor.name, sensor, t_s, position_m })
+            })
+            .collect();
+        let Some(anchors) = anchors else {
+            reply.error("bad_request", "anchors: each names a sensor of the pole");
+            return;
+        };
+        let (this, run) = (self.clone(), run.clone());
+        self.jobs.run("field.finish", reply, move |job| {
+            let solution = solve(run, &anchors, &mut |share| job.progress(Some(share), None));
+            let report = solution.report;
+            job.result(serde_json::json!({ "report": report }));
+            let outcome = match solution.map.filter(|_| report.accepted && !job.is_cancelled()) {
+                Some(map) => {
+                    let map = Prepared::new(map);
+                    // Here is time to make it fast; the fusion thread has none.
+                    map.corrector();
+                    Ok(map)
+                }
+                None if job.is_cancelled() => Err("it was cancelled".to_owned()),
+                None => {
+                    let reasons: Vec<_> = report.reasons.into_iter().map(|reason| reason.text).collect();
+                    Err(reasons.join("; "))
+                }
+            };
+            let said = outcome.as_ref().map(|_| {
+                format!(
+                    "{}: {:.2} mm held out, {:.2} mm without; field.accept uses it",
+                    report.model,
+                    1e3 * report.heldout_m,
+                    1e3 * report.raw_m
+                )
+            });
+            let said = said.map_err(|reason| reason.clone().into());
+            this.lock().candidate = Some(outcome);
+            said
+        });
+    }
+
+    /// Keeps the last calibration as the newest version and uses it. Writes files: not for an asynchronous task.
+    pub(super) fn accept(&self) -> Result<u32, FieldMapError> {
+        let _files = self.files.lock().unwrap_or_else(PoisonError::into_inner);
+        let candidate = self.lock().candidate.take();
+        let map = match candidate {
+            None => return Err(FieldMapError::NoCandidate),
+            Some(Err(reason)) => {
+                self.lock().candidate = Some(Err(reason.clone()));
+                return Err(FieldMapError::Rejected(reason));
+            }
+            Some(Ok(map)) => map,
+        };
+        let version = self.newest() + 1;
+        let kept = self.keep(version, &map);
+        if let Err(error) = kept {
+            self.lock().candidate = Some(Ok(map));
+            return Err(FieldMapError::Keep { folder: self.folder.clone(), error });
+        }
+        self.swap(version, Some(map));
+        Ok(version)
+    }
+
+    /// Goes back one version. Reads a map and makes it fast: not for an asynchronous task.
+    pub(super) fn rollback(&self) -> Result<u32, FieldMapError> {
+        let _files = self.files.lock().unwrap_or_else(PoisonError::into_inner);
+        let active = self.active();
+        if active == 0 {
+            return Err(FieldMapError::NoVersion);
+        }
+        let version = active - 1;
+        let map = match (version, &self.given) {
+            (0, None) => None,
+            (0, Some(path)) => Some(FieldMap::read(path)),
+            _ => Some(FieldMap::read(&self.file(version))),
+        };
+        let map = map.transpose().map_err(FieldMapError::Read)?;
+        let unmarked = |error| FieldMapError::Mark { folder: self.folder.clone(), error };
+        self.mark(version).map_err(unmarked)?;
+        self.swap(version, map.map(Prepared::new));
+        Ok(version)
+    }
+
+    fn keep(&self, version: u32, map: &Prepared) -> std::io::Result<()> {
+        std::fs::create_dir_all(&self.folder)?;
+        let mut file = AtomicFile::create(&self.file(version))?;
+        serde_json::to_writer(&mut file, map)?;
+        file.commit()?;
+        self.mark(version)
+    }
+
+    fn mark(&self, version: u32) -> std::io::Result<()> {
+        use std::io::Write;
+        let mut file = AtomicFile::create(&self.folder.join(ACTIVE))?;
+        writeln!(file, "{version}")?;
+        file.commit()
+    }
+
+    fn file(&self, version: u32) -> PathBuf {
+        self.folder.join(format!("{version:04}.json"))
+    }
+
+    /// The version in use, 0 for none that was accepted here.
+    fn active(&self) -> u32 {
+        let text = std::fs::read_to_string(self.folder.join(ACTIVE)).unwrap_or_default();
+        text.trim().parse().unwrap_or(0)
+    }
+
+    /// The highest version that was ever kept: numbers are not used twice.
+    fn newest(&self) -> u32 {
+        let files = std::fs::read_dir(&self.folder).into_iter().flatten().flatten();
+        files
+            .filter_map(|file| file.file_name().to_str()?.strip_suffix(".json")?.parse().ok())
+            .max()
+            .unwrap_or(0)
+    }
+
+    fn swap(&self, version: u32, map: Option<Prepared>) {
+        if let Some(map) = &map {
+            map.corrector();
+        }
+        self.push(Input::Model(Model::Field { version, map }));
+    }
+
+    fn request(&self, request: Request) {
+        self.push(Input::Request(request));
+    }
+
+    fn push(&self, input: Input) {
+        self.inbox.enter(Entry { t: self.clock.now(), input });
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // Every change is one assignment.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Observer for Calibration {
+    fn on_output(&mut self, output: &Output<'_>, _: &Times) {
+        if let Output::PoleRun(run) = output {
+            self.solve(run);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::inbox::Event;
+    use super::*;
+    use crate::inbox::Inbox;
+    use crate::server::Hub;
+    use posed_field::{FieldNoise, fit_known};
+
+    fn calibration(folder: &std::path::Path) -> (Calibration, FusionInbox) {
+        let clock = StageClock::start();
+        let inbox: FusionInbox = Inbox::new(16);
+        let stage = Stage::parse("name = \"Stage A\"").unwrap();
+        let jobs = Jobs::new(clock, Hub::default());
+        (Calibration::new(&stage, folder, clock, inbox.clone(), jobs), inbox)
+    }
+
+    fn map() -> Prepared {
+        let pairs: Vec<_> = (0..300)
+            .map(|k| {
+                let p = Vector3::new(f64::from(k % 7), f64::from(k % 11), f64::from(k % 13)) * 0.1;
+                (p * 1.02, p)
+            })
+            .collect();
+        Prepared::new(fit_known(&pairs, FieldNoise { sigma_signal: 0.0, floor_m: 1e-3 }).unwrap())
+    }
+
+    #[expect(clippy::disallowed_methods, reason = "a deadline that has passed")]
+    fn swapped(inbox: &FusionInbox) -> Vec<(u32, bool)> {
+        let mut swapped = Vec::new();
+        while let Some(event) = inbox.pop_until(Some(std::time::Instant::now())) {
+            if let Event::Entry(Entry { input: Input::Model(Model::Field { version, map }), .. }) = event {
+                swapped.push((version, map.is_some()));
+            }
+        }
+        swapped
+    }
+
+    #[test]
+    fn accepted_maps_are_kept_and_can_be_gone_back_from() {
+        let folder = tempfile::tempdir().unwrap();
+        let (calibration, inbox) = calibration(folder.path());
+        calibration.begin().unwrap();
+        assert!(calibration.accept().is_err() && calibration.rollback().is_err());
+        calibration.lock().candidate = Some(Err("the pole was hardly ever held along z".into()));
+        assert!(calibration.accept().unwrap_err().to_string().contains("along z"));
+        for version in [1, 2] {
+            calibration.lock().candidate = Some(Ok(map()));
+            assert_eq!(calibration.accept().unwrap(), version);
+        }
+        assert_eq!(calibration.rollback().unwrap(), 1);
+        assert_eq!(swapped(&inbox), [(1, true), (2, true), (1, true)]);
+        // A daemon that starts again goes on with the version in use.
+        let (again, inbox) = self::calibration(folder.path());
+        again.begin().unwrap();
+        assert_eq!(swapped(&inbox), [(1, true)]);
+        assert_eq!(again.rollback().unwrap(), 0);
+        assert_eq!(swapped(&inbox), [(0, false)]);
+        // Numbers are not used twice.
+        again.lock().candidate = Some(Ok(map()));
+        assert_eq!(again.accept().unwrap(), 3);
+    }
+}

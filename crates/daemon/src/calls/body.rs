@@ -1,0 +1,200 @@
+//! `body.calibrate`: guides a person through poses and movements, and finds how the sensors sit.
+//!
+//! In: samples from the fusion thread, while the job runs on a thread of its own. Out: what to do next, as the job's message; in
+//! the end a mounting for the pipeline, with who sits where if that was asked too, or one sentence about what to repeat. A mounting
+//! that is not good is not used.
+
+use serde_json::{Map, Value, json};
+
+use super::super::fusion::{Command, FusionInbox};
+use super::super::jobs::{Failure, Job};
+use super::super::observers::BodySource;
+use super::super::server::{Refusal, Reply};
+use super::Calls;
+use super::guided::{self, Guided};
+use posed_fusion::body::assign::assign;
+use posed_fusion::body::calibrate::{Block, Calibrated, CalibrationError, Recorded, calibrate};
+use posed_fusion::body::guide::{Guide, LONGEST_S, Thoroughness};
+use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton};
+use posed_geometry::orientation_to_wxyz;
+use posed_pipeline::all_have_field;
+use posed_stage::Stage;
+use posed_stage::input::{Model, MountedSensor, SensorIndex};
+use posed_stage::layout::{ChainLayout, Wearers, offset_on, segment_of, skeleton_of};
+
+impl Calls {
+    /// Begins a calibration.
+    pub(super) fn calibrate_body(&self, how: Thoroughness, reply: Reply) {
+        if let Some(layout) = ChainLayout::of(&self.stage) {
+            return self.calibrate_chain(layout, reply);
+        }
+        match self.wearer(how) {
+            Ok(session) => self.jobs.run("body.calibrate", reply, move |job| session.run(job)),
+            Err(refusal) => reply.refuse(refusal),
+        }
+    }
+
+    /// Who wears IMUs; a sentence where there is nobody to calibrate.
+    fn wearer(&self, how: Thoroughness) -> Result<Session, Refusal> {
+        let body = self.stage.body.as_ref().filter(|body| body.skeleton == posed_stage::Skeleton::Human);
+        let no_body = |reason| Refusal::new("no_body", reason);
+        let skeleton = body.and_then(skeleton_of);
+        let skeleton = skeleton.ok_or_else(|| no_body("this stage has no human [body] with `height_m`"))?;
+        let wearers = Wearers::of(&self.stage).unwrap_or_default();
+        if wearers.imus.iter().all(Option::is_none) {
+            return Err(no_body("this stage has no IMU on a segment of the body"));
+        }
+        let magnetic = all_have_field(&self.stage, &wearers.imus);
+        Ok(Session { stage: self.stage.clone(), skeleton, magnetic, how, inbox: self.inbox.clone() })
+    }
+}
+
+/// The IMU on each segment.
+type BodyImus = [Option<SensorIndex>; SEGMENTS];
+
+/// A calibration at work.
+struct Session {
+    stage: Stage,
+    skeleton: Skeleton,
+    magnetic: bool,
+    how: Thoroughness,
+    inbox: FusionInbox,
+}
+
+impl Session {
+    fn run(self, job: &Job) -> Result<String, Failure> {
+        let worn = self.inbox.ask(|to| Command::WornImus { to })?;
+        let guide = Guide::new(worn.map(|imu| imu.is_some()), self.magnetic, self.how);
+        let mut guided = Body { guide, reported: None };
+        let source = BodySource::new(worn, self.magnetic);
+        guided::run(&mut guided, job, &self.inbox, source)?;
+        self.solve(job, worn, &guided.guide)
+    }
+
+    fn solve(&self, job: &Job, taken_for: BodyImus, guide: &Guide) -> Result<String, Failure> {
+        let (recording, blocks) = guide.recorded();
+        let again = |error: &dyn std::fmt::Display| Failure::from(format!("{error}; begin again"));
+        let mut worn = taken_for;
+        let found = if self.how == Thoroughness::Assign {
+            let assignment = assign(recording, blocks).map_err(|error| again(&error))?;
+            worn = assignment.place(&taken_for);
+            self.calibrate(&assignment.placed(recording), blocks, &worn)
+        } else {
+            self.calibrate(recording, blocks, &worn)
+        };
+        let found = found.map_err(|error| again(&error))?;
+        let has_mounting =
+            |imu| worn.iter().zip(&found.worn).any(|(at, sits)| *at == Some(imu) && sits.is_some());
+        if let Some(lost) = taken_for.into_iter().flatten().find(|imu| !has_mounting(*imu)) {
+            return Err(again(&format!("{} sent nothing; see to it", self.name(lost))));
+        }
+        let quality = self.by_segment(|segment| json!(found.quality_deg[segment.index()]));
+        let sensors = self.by_segment(|segment| json!(worn[segment.index()].map(|imu| self.name(imu))));
+        job.result(json!({ "quality_deg": quality, "sensors": sensors }));
+        if !found.warnings.is_empty() {
+            return Err(again(&found.warnings.join("; ")));
+        }
+        let worst = BodySegment::ALL
+            .into_iter()
+            .filter_map(|segment| Some((segment, found.quality_deg[segment.index()]?)))
+            .max_by(|(_, a), (_, b)| a.total_cmp(b));
+        let sensors = self.mounted(&worn, &found);
+        self.inbox.command(Command::LoadModel(Model::Mounting { sensors }));
+        let worst = worst.map_or_else(String::new, |(segment, quality_deg)| {
+            format!("; the worst is {} with {quality_deg:.1} degrees", segment.name())
+        });
+        Ok(format!("the sensors' mounting is known{worst}{}", self.reported(&worn)))
+    }
+
+    fn calibrate(
+        &self,
+        recording: &[Recorded],
+        blocks: &[Block],
+        worn: &BodyImus,
+    ) -> Result<Calibrated, CalibrationError> {
+        let offsets_m = BodySegment::ALL
+            .map(|segment| offset_on(&self.stage.sensors[usize::from(worn[segment.index()]?)], segment));
+        calibrate(recording, blocks, &self.skeleton, &offsets_m)
+    }
+
+    fn name(&self, imu: SensorIndex) -> &str {
+        &self.stage.sensors[usize::from(imu)].name
+    }
+
+    /// What there is to say of each segment.
+    fn by_segment(&self, say: impl Fn(BodySegment) -> Value) -> Map<String, Value> {
+        let said = BodySegment::ALL.into_iter().map(|segment| (segment.name().to_owned(), say(segment)));
+        said.filter(|(_, value)| !value.is_null()).collect()
+    }
+
+    /// Who does not sit where the stage file has it.
+    fn reported(&self, worn: &BodyImus) -> String {
+        let elsewhere: Vec<String> = BodySegment::ALL
+            .into_iter()
+            .filter_map(|segment| {
+                let sensor = &self.stage.sensors[usize::from(worn[segment.index()]?)];
+                let moved = segment_of(sensor) != Some(segment);
+                moved.then(|| format!("{} sits on {}", sensor.name, segment.name()))
+            })
+            .collect();
+        match (elsewhere.is_empty(), self.how) {
+            (false, _) => format!("; {}: the stage file has another segment", elsewhere.join(", ")),
+            (true, Thoroughness::Assign) => "; every sensor sits where the stage file has it".into(),
+            (true, _) => String::new(),
+        }
+    }
+
+    fn mounted(&self, worn: &BodyImus, found: &Calibrated) -> Vec<MountedSensor> {
+        let mounted = |segment: BodySegment| {
+            let mounting = found.worn[segment.index()]?;
+            Some(MountedSensor {
+                sensor: self.name(worn[segment.index()]?).to_owned(),
+                segment: Some(segment.name().to_owned()),
+                mount_quat_wxyz: orientation_to_wxyz(&mounting.q_segment_sensor),
+                offset_m: mounting.offset_m.into(),
+            })
+        };
+        BodySegment::ALL.into_iter().filter_map(mounted).collect()
+    }
+}
+
+/// What is done, and the step that was reported last.
+struct Body {
+    guide: Guide,
+    reported: Option<usize>,
+}
+
+impl Guided for Body {
+    type Source = BodySource;
+    const NAME: &'static str = "calibration";
+    const UNCHANGED: &'static str = "the sensors count as they did before";
+    const LONGEST_S: f64 = LONGEST_S;
+
+    fn prompt(&self) -> Option<String> {
+        self.guide.prompt().map(str::to_owned)
+    }
+
+    fn report(&mut self, job: &Job, prompt: &str) {
+        let (done, steps) = self.guide.progress();
+        if self.reported.replace(done) != Some(done) {
+            let message = format!("{} of {steps}: {prompt}", done + 1);
+            job.progress(Some(done as f64 / steps as f64), Some(message));
+        }
+    }
+
+    fn time_s((t_s, _): &Recorded) -> f64 {
+        *t_s
+    }
+
+    fn push(&mut self, (t_s, samples): Recorded) {
+        self.guide.push(t_s, &samples);
+    }
+
+    fn silence(&self) -> String {
+        "no sensor sends anything; see to the devices".to_owned()
+    }
+
+    fn step(&self, prompt: &str) -> String {
+        format!("step {}, \"{prompt}\",", self.guide.progress().0 + 1)
+    }
+}

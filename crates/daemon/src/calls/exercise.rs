@@ -1,0 +1,234 @@
+//! Exercises: selecting, and teaching from what is tracked.
+//!
+//! Teaching is a job on a thread of its own. It asks the fusion thread for the newest seconds, and what it has learned
+//! goes the way of every model and request: through the input log.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use serde_json::json;
+
+use super::super::fusion::{Command, Ended, FusionInbox};
+use super::super::jobs::{Failure, Job};
+use super::super::models::Library;
+use super::super::observers::Excerpt;
+use super::super::server::{self, Reply};
+use super::Calls;
+use posed_motion::exercise::{Exercise, Options, Refusal, Report, Stream, columns_of, rests, teach};
+use posed_pipeline::DEFAULT_SUBJECT;
+use posed_stage::input::{Model, Plan, Request};
+use posed_stage::signals;
+
+/// Longest time that repetitions may take, s.
+const LONGEST_S: f64 = 120.0;
+/// Distance of two looks at whether the repetitions were done.
+const LOOK_INTERVAL: Duration = Duration::from_millis(500);
+
+/// What to teach.
+#[derive(Clone, Debug)]
+pub(super) struct Lesson {
+    pub(super) name: String,
+    pub(super) repetitions: u32,
+    pub(super) last_s: Option<f64>,
+    pub(super) sensors: Option<Vec<String>>,
+    pub(super) channels: Option<Vec<String>>,
+    pub(super) subject: Option<String>,
+}
+
+impl Calls {
+    /// Counts exercises; those that are not loaded come from the folder.
+    pub(super) fn select(
+        &self,
+        exercises: Vec<String>,
+        plan: Plan,
+        subject: Option<String>,
+        sensors: BTreeMap<String, String>,
+        reply: Reply,
+    ) {
+        let mut kept = Vec::new();
+        for name in &exercises {
+            match self.exercises.newest(name) {
+                Ok(Some(exercise)) => kept.push(Model::Exercise { exercise: Box::new(exercise) }),
+                Ok(None) => {}
+                Err(error) => return reply.refuse(server::Refusal::failed(error)),
+            }
+        }
+        let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
+        self.request(Request::ExerciseSelect { subject, exercises, plan, sensors }, kept, reply);
+    }
+
+    /// Hands a request to the pipeline; `models` are swapped in before if it lacks them.
+    pub(super) fn request(&self, request: Request, models: Vec<Model>, reply: Reply) {
+        self.inbox.command(Command::Request { request, models, reply: Some(reply) });
+    }
+
+    /// Begins to teach.
+    pub(super) fn teach(&self, lesson: Lesson, reply: Reply) {
+        if let Err(refusal) = self.check_lesson(&lesson) {
+            return reply.refuse(refusal);
+        }
+        let columns = match &lesson.sensors {
+            Some(names) => {
+                let names = || names.iter().map(String::as_str);
+                [signals::columns(names()), signals::inertial_columns(names())].concat()
+            }
+            None => self.columns_of_wearer(lesson.channels.as_deref()),
+        };
+        let classroom =
+            Classroom { lesson, columns, inbox: self.inbox.clone(), library: self.exercises.clone() };
+        let from_s = self.clock.now().as_secs_f64();
+        self.jobs.run("exercise.teach", reply, move |job| classroom.run(job, from_s));
+    }
+
+    /// What the named channels come from; without names all that tells of who exercises.
+    fn columns_of_wearer(&self, channels: Option<&[String]>) -> Vec<String> {
+        let Some(channels) = channels else { return signals::columns_of_wearer(&self.stage) };
+        let all = signals::columns_of(&self.stage);
+        // A name that is none is refused when it is taught.
+        columns_of(channels, &all).unwrap_or(all)
+    }
+
+    fn check_lesson(&self, lesson: &Lesson) -> Result<(), server::Refusal> {
+        Library::check_name(&lesson.name).map_err(server::Refusal::bad_request)?;
+        if !(2..=100).contains(&lesson.repetitions) {
+            return Err(server::Refusal::bad_request("repetitions: give 2 to 100; 3 to 10 are good"));
+        }
+        if lesson.last_s.is_some_and(|last_s| !(1.0..=LONGEST_S).contains(&last_s)) {
+            return Err(server::Refusal::bad_request(format!("last_s: give 1 to {LONGEST_S:.0} seconds")));
+        }
+        if self.stage.sensors.is_empty() {
+            return Err(server::Refusal::bad_request("this stage has no sensors to teach from"));
+        }
+        let known = |name: &String| self.stage.sensors.iter().any(|sensor| sensor.name == *name);
+        match lesson.sensors.iter().flatten().find(|name| !known(name)) {
+            Some(name) => {
+                Err(server::Refusal::bad_request(format!("sensors: this stage has no sensor {name:?}")))
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// A lesson at work.
+struct Classroom {
+    lesson: Lesson,
+    /// What is looked at.
+    columns: Vec<String>,
+    inbox: FusionInbox,
+    library: Library,
+}
+
+impl Classroom {
+    fn run(self, job: &Job, asked_s: f64) -> Result<String, Failure> {
+        let (exercise, report) = match self.lesson.last_s {
+            Some(last_s) => self.taught(job, asked_s - last_s),
+            None => self.watch(job, asked_s),
+        }?;
+        self.keep(exercise, &report)
+    }
+
+    /// Waits until the repetitions were done.
+    #[expect(clippy::disallowed_methods, reason = "a job may sleep on its own thread")]
+    fn watch(&self, job: &Job, from_s: f64) -> Result<(Exercise, Report), Failure> {
+        let announced = self.lesson.repetitions;
+        let mut refusal = format!("saw no {announced} repetitions in {LONGEST_S:.0} s");
+        job.progress(None, Some(format!("do {announced} repetitions, then rest")));
+        // After a rest that taught nothing they may begin anew; while it lasts, when it was last seen.
+        let (mut anew_s, mut rest_s) = (from_s, None);
+        loop {
+            std::thread::sleep(LOOK_INTERVAL);
+            if job.is_cancelled() {
+                return Err("cancelled; nothing was taught".into());
+            }
+            let excerpt = self.excerpt(from_s)?;
+            let now_s = excerpt.t_s.last().copied().unwrap_or(from_s);
+            if rests(&since(&excerpt, anew_s)) {
+                rest_s = Some(now_s);
+                // What follows the last rest, or else all of it: also who rests after each repetition can teach.
+                let lesson = self.learn(&since(&excerpt, anew_s));
+                let lesson = lesson.or_else(|why| {
+                    if anew_s > from_s {
+                        self.learn(&since(&excerpt, from_s)).map_err(|_| why)
+                    } else {
+                        Err(why)
+                    }
+                });
+                match lesson {
+                    Ok(lesson) => return Ok(lesson),
+                    Err((error, report)) => {
+                        if let Some(report) = report {
+                            job.result(json!({ "report": report }));
+                        }
+                        job.progress(None, Some(format!("not yet: {error}")));
+                        refusal = error;
+                    }
+                }
+            } else if let Some(rest_s) = rest_s.take() {
+                anew_s = rest_s;
+            }
+            // Counted by what was tracked: a stage that stands still waits.
+            if now_s - from_s > LONGEST_S - 1.0 {
+                return Err(refusal.into());
+            }
+        }
+    }
+
+    fn taught(&self, job: &Job, from_s: f64) -> Result<(Exercise, Report), Failure> {
+        let excerpt = self.excerpt(from_s)?;
+        self.learn(&since(&excerpt, from_s)).map_err(|(error, report)| {
+            if let Some(report) = report {
+                job.result(json!({ "report": report }));
+            }
+            error.into()
+        })
+    }
+
+    /// What was tracked after a time.
+    fn excerpt(&self, from_s: f64) -> Result<Excerpt, Ended> {
+        let columns = self.columns.clone();
+        self.inbox.ask(|to| Command::Recent { from_s, columns, to })
+    }
+
+    fn learn(&self, stream: &Stream<'_>) -> Result<(Exercise, Report), (String, Option<Report>)> {
+        let options = Options {
+            name: self.lesson.name.trim().to_owned(),
+            repetitions: self.lesson.repetitions as usize,
+            channels: self.lesson.channels.clone(),
+        };
+        match teach(stream, &options) {
+            Ok(lesson) => Ok((lesson.exercise, lesson.report)),
+            Err(refusal) => {
+                let sentence = refusal.to_string();
+                let Refusal::Count { report, .. } = refusal else { return Err((sentence, None)) };
+                Err((sentence, Some(report)))
+            }
+        }
+    }
+
+    /// Keeps the exercise, loads it, and has it counted.
+    fn keep(&self, mut exercise: Exercise, report: &Report) -> Result<String, Failure> {
+        self.library.keep(&mut exercise)?;
+        let sentence = format!(
+            "saw {} of {} repetitions of {}, {:.0} % similar",
+            report.repetitions.len(),
+            report.announced,
+            exercise.name,
+            100.0 * report.quality
+        );
+        let subject = self.lesson.subject.clone().unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
+        let exercises = vec![exercise.name.clone()];
+        self.inbox.command(Command::LoadModel(Model::Exercise { exercise: Box::new(exercise) }));
+        let (plan, sensors) = (Plan::default(), BTreeMap::new());
+        let request = Request::ExerciseSelect { subject, exercises, plan, sensors };
+        self.inbox.command(Command::Request { request, models: Vec::new(), reply: None });
+        let remarks = report.remarks.iter().map(|remark| format!("; {remark}"));
+        Ok(std::iter::once(sentence).chain(remarks).collect())
+    }
+}
+
+/// What an excerpt holds after a time.
+fn since(excerpt: &Excerpt, from_s: f64) -> Stream<'_> {
+    let first = excerpt.t_s.partition_point(|t_s| *t_s <= from_s);
+    let values = excerpt.values.get(first * excerpt.columns.len()..).unwrap_or_default();
+    Stream { columns: &excerpt.columns, t_s: &excerpt.t_s[first..], values }
+}

@@ -1,0 +1,238 @@
+//! What clients ask the daemon to do, one call at a time.
+//!
+//! In: calls that the server has read and whose role it has checked. Out: commands and models for the fusion thread,
+//! answers. Nothing here waits for the fusion thread: it answers by itself when it has carried a command out.
+
+mod align;
+mod body;
+mod chain;
+mod exercise;
+mod faults;
+mod guided;
+mod imu;
+mod segments;
+
+use std::path::PathBuf;
+
+use tokio::sync::{mpsc, watch};
+
+use super::calibration::{Calibration, FieldMapError};
+use super::clock::StageClock;
+use super::fusion::{Command, FusionInbox};
+use super::jobs::Jobs;
+use super::models::{self, Library};
+use super::ports::ended;
+use super::recordings;
+use super::server::{PendingCall, Refusal, Reply};
+use super::track;
+use posed_pipeline::DEFAULT_SUBJECT;
+use posed_protocol::{Answer, Call, Exercises, KeptExercise, MapVersion, Recordings};
+use posed_stage::Stage;
+use posed_stage::input::{Entry, Input, Model, Plan, Request};
+
+/// Longest name of a recording, bytes.
+const NAME_BYTES: usize = 128;
+
+/// Carries out clients' calls on a live stage.
+pub(super) struct Calls {
+    stage: Stage,
+    recordings: PathBuf,
+    exercises: Library,
+    faults: Library,
+    /// Where the intrinsics of IMUs are kept.
+    imus: PathBuf,
+    segments: Library,
+    clock: StageClock,
+    inbox: FusionInbox,
+    jobs: Jobs,
+    calibration: Calibration,
+}
+
+impl Calls {
+    pub(super) fn new(
+        stage: &Stage,
+        folder: PathBuf,
+        clock: StageClock,
+        inbox: FusionInbox,
+        jobs: Jobs,
+        calibration: Calibration,
+    ) -> Self {
+        let recordings = stage.recording.folder.clone().unwrap_or_else(|| folder.join("recordings"));
+        let exercises = stage.models.exercise_folder.clone().unwrap_or_else(|| folder.join("exercises"));
+        let exercises = Library::new(exercises, "json");
+        let faults = stage.models.faults_folder.clone().unwrap_or_else(|| folder.join("faults"));
+        let faults = Library::new(faults, "json");
+        let imus = models::imu_folder(stage, &folder);
+        let segments = stage.models.segments_folder.clone().unwrap_or_else(|| folder.join("segments"));
+        let segments = Library::new(segments, "safetensors");
+        Self {
+            stage: stage.clone(),
+            recordings,
+            exercises,
+            faults,
+            imus,
+            segments,
+            clock,
+            inbox,
+            jobs,
+            calibration,
+        }
+    }
+
+    /// Until shutdown.
+    pub(super) async fn run(self, mut pending: mpsc::Receiver<PendingCall>, mut down: watch::Receiver<bool>) {
+        loop {
+            tokio::select! {
+                () = ended(&mut down) => return,
+                call = pending.recv() => match call {
+                    Some(PendingCall { call, reply }) => self.carry_out(call, reply),
+                    None => return,
+                },
+            }
+        }
+    }
+
+    fn carry_out(&self, call: Call, reply: Reply) {
+        match call {
+            Call::RecordStart { name } => match self.recording_path(name) {
+                Ok(path) => {
+                    self.inbox.command(Command::StartRecording { path, reply: Some(reply) });
+                }
+                Err(refusal) => reply.refuse(refusal),
+            },
+            Call::RecordStop {} => {
+                self.inbox.command(Command::StopRecording { reply: Some(reply) });
+            }
+            Call::ModelLoad { model } => match self.check_model(&model) {
+                Ok(()) => {
+                    self.inbox.enter(Entry { t: self.clock.now(), input: Input::Model(model) });
+                    reply.ok(None);
+                }
+                Err(refusal) => reply.refuse(refusal),
+            },
+            Call::ReplayList {} => match recordings::list(&self.recordings) {
+                Ok(names) => reply.ok(Some(Answer::Recordings(Recordings { recordings: names }))),
+                Err(error) => reply.refuse(error.into()),
+            },
+            Call::ReplayTrack { name, columns } => track::answer(&self.recordings, &name, columns, reply),
+            Call::ReplayOpen { .. } | Call::ReplaySeek { .. } | Call::ReplaySpeed { .. } => reply.error(
+                "live",
+                "this daemon tracks a live stage; open a recording with `posed replay FILE`, which serves it to clients",
+            ),
+            Call::FieldStart { sensors, spacing_m } => self.calibration.start(sensors, spacing_m, reply),
+            Call::FieldFinish { anchors } => self.calibration.finish(anchors, reply),
+            Call::FieldAccept {} => self.with_files(reply, Calibration::accept),
+            Call::FieldRollback {} => self.with_files(reply, Calibration::rollback),
+            Call::ExerciseList {} => match self.exercises.list() {
+                Ok(kept) => {
+                    let exercise = |kept: models::Kept| KeptExercise { name: kept.name, revision: kept.revision };
+                    let exercises = kept.into_iter().map(exercise).collect();
+                    reply.ok(Some(Answer::Exercises(Exercises { exercises })));
+                }
+                Err(error) => reply.refuse(Refusal::failed(error)),
+            },
+            Call::ExerciseTeach { name, repetitions, last_s, sensors, channels, subject } => {
+                let lesson = exercise::Lesson { name, repetitions, last_s, sensors, channels, subject };
+                self.teach(lesson, reply);
+            }
+            Call::ExerciseSelect { exercises, repetitions, sets, rest_s, subject, sensors } => {
+                let plan = Plan { repetitions, sets, rest_s: rest_s.unwrap_or(0.0) };
+                self.select(exercises, plan, subject, sensors.unwrap_or_default(), reply);
+            }
+            Call::ExerciseReset { subject } => {
+                let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
+                self.request(Request::ExerciseReset { subject }, Vec::new(), reply);
+            }
+            Call::FaultsTrain { last_s, recording } => self.train_faults(last_s, recording, reply),
+            Call::FaultsNameCell { row, column, class } => self.name_cell(row, column, class, reply),
+            Call::SegmentsTrain { epochs, look_ahead } => self.train_segments(epochs, look_ahead, reply),
+            Call::BodyCalibrate { how } => self.calibrate_body(how.unwrap_or_default(), reply),
+            Call::StageAlign { sensor, anchors } => self.align_stage(sensor, anchors, reply),
+            Call::ImuCalibrate { sensor } => self.calibrate_imu(sensor, reply),
+            Call::JobCancel { job } => match self.jobs.cancel(job) {
+                Ok(()) => {
+                    self.inbox.command(Command::LookAtJobs);
+                    reply.ok(None);
+                }
+                Err(error) => reply.refuse(Refusal::new("no_such_job", error)),
+            },
+        }
+    }
+
+    /// Changes the version of the field's map where it keeps nobody waiting, and returns which is in use then.
+    fn with_files(&self, reply: Reply, change: fn(&Calibration) -> Result<u32, FieldMapError>) {
+        let calibration = self.calibration.clone();
+        tokio::task::spawn_blocking(move || match change(&calibration) {
+            Ok(version) => reply.ok(Some(Answer::MapVersion(MapVersion { version }))),
+            Err(error) => reply.refuse(Refusal::failed(error)),
+        });
+    }
+
+    /// A new file in the one folder for recordings.
+    fn recording_path(&self, name: Option<String>) -> Result<PathBuf, Refusal> {
+        let name = match name {
+            Some(name) => {
+                let plain = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.' | ' ');
+                if name.is_empty()
+                    || name.len() > NAME_BYTES
+                    || name.starts_with('.')
+                    || !name.chars().all(plain)
+                {
+                    return Err(Refusal::bad_request(
+                        "name: give a file name of letters, digits, '-', '_', '.', without a path",
+                    ));
+                }
+                if name.ends_with(".mcap") { name } else { format!("{name}.mcap") }
+            }
+            None => {
+                let utc = i128::from(self.clock.epoch_utc_ns()) + i128::from(self.clock.now().as_nanos());
+                let stage = self.stage.file_name();
+                match jiff::Timestamp::from_nanosecond(utc) {
+                    Ok(utc) => format!("{stage}-{}.mcap", utc.strftime("%Y%m%d-%H%M%S")),
+                    Err(error) => {
+                        let reason = format!("the computer's clock is out of range: {error}");
+                        return Err(Refusal::bad_request(reason));
+                    }
+                }
+            }
+        };
+        std::fs::create_dir_all(&self.recordings).map_err(|error| {
+            Refusal::bad_request(format!("cannot make the folder {}: {error}", self.recordings.display()))
+        })?;
+        Ok(self.recordings.join(name))
+    }
+
+    fn check_model(&self, model: &Model) -> Result<(), Refusal> {
+        model.check().map_err(Refusal::bad_request)?;
+        if let Model::Field { map: Some(map), .. } = model {
+            // Here is time to make it fast; the fusion thread has none.
+            map.corrector();
+        }
+        if let Model::TrackerNoise { device, .. } = model
+            && !self.stage.devices.iter().any(|known| &known.name == device)
+        {
+            return Err(Refusal::bad_request(format!("device: this stage has no device {device:?}")));
+        }
+        if let Model::Mounting { sensors } = model
+            && let Some(unknown) = sensors
+                .iter()
+                .find(|mounted| !self.stage.sensors.iter().any(|known| known.name == mounted.sensor))
+        {
+            let reason = format!("sensors: this stage has no sensor {:?}", unknown.sensor);
+            return Err(Refusal::bad_request(reason));
+        }
+        if let Model::AttachedImu { sensor, .. } = model
+            && !self.stage.sensors.iter().any(|known| known.name == *sensor && known.imu.is_some())
+        {
+            let reason = format!("sensor: this stage has no sensor {sensor:?} with an `imu`");
+            return Err(Refusal::bad_request(reason));
+        }
+        if let Model::Exercise { exercise } = model {
+            models::check_exercise(&self.stage, exercise).map_err(Refusal::bad_request)?;
+        }
+        if let Model::Faults { fault_map } = model {
+            fault_map.check_sensors(&self.stage.magnetic_sensors()).map_err(Refusal::bad_request)?;
+        }
+        Ok(())
+    }
+}

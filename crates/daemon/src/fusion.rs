@@ -1,0 +1,505 @@
+//! The fusion thread: the only owner of the pipeline.
+//!
+//! It takes one event at a time from its [`Inbox`], writes it to the recording, pushes it through the pipeline and hands
+//! the outputs on: bytes to ports, poses and events to the [`Hub`]. None of those can make it wait.
+
+use std::path::PathBuf;
+use std::sync::mpsc as std_mpsc;
+use std::time::Duration;
+
+use posed_drivers::Timestamp;
+use tokio::sync::{mpsc, watch};
+
+use super::clock::StageClock;
+use super::inbox::{Event, Inbox};
+use super::jobs::{Job, Jobs};
+use super::observers::{Excerpt, GuidedCalibration, Observer, Observers, Samples, Source, Times};
+use super::ports::PortCommand;
+use super::recorder::{Recorder, RecorderState};
+use super::server::{Hub, Refusal, Reply};
+use posed_fusion::body::SEGMENTS;
+use posed_motion::fault_map::FaultMap;
+use posed_motion::fault_map::frames::Frames;
+use posed_pipeline::Pipeline;
+use posed_protocol::foxglove::Views;
+use posed_protocol::{Answer, Payload, Publisher, RecordingBegun, Status, schema};
+use posed_recording::{Header, Snapshot, WriteError};
+use posed_stage::input::{Entry, Input, Model, Request, SensorIndex};
+use posed_stage::output::{OutcomeKind, Output};
+
+/// The queue into the fusion thread.
+pub type FusionInbox = Inbox<Command>;
+
+/// The fusion thread answers at once, or is no more.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+impl FusionInbox {
+    /// What a fusion on another machine begins with. Waits: not for an asynchronous task.
+    ///
+    /// # Errors
+    /// The daemon ends, or its state cannot be written.
+    pub fn begin(&self) -> Result<Begin, BeginError> {
+        Ok(self.ask(|to| Command::Begin { to })??)
+    }
+
+    /// Begins to send samples for a guided calibration; whoever took them before gets nothing more.
+    pub(super) fn watch<S: Source>(&self, source: S) -> std_mpsc::Receiver<S::Sample> {
+        let (to, samples) = std_mpsc::sync_channel(SAMPLES_WAITING);
+        let observer = Box::new(Samples::new(source, to));
+        self.command(Command::Watch { calibration: S::CALIBRATION, observer });
+        samples
+    }
+
+    /// Sends a command that is answered with a value, and waits for it: not for an asynchronous task.
+    pub(super) fn ask<T>(&self, command: impl FnOnce(std_mpsc::Sender<T>) -> Command) -> Result<T, Ended> {
+        let (to, from) = std_mpsc::channel();
+        self.command(command(to));
+        from.recv_timeout(PATIENCE).map_err(|_| Ended)
+    }
+}
+
+/// Samples that may wait for a guided calibration: ten seconds at 100 Hz.
+const SAMPLES_WAITING: usize = 1024;
+
+/// The pipeline as it stands before an entry, for fusion on another machine.
+#[derive(Debug)]
+pub struct Begin {
+    /// Number of that entry.
+    pub next: u64,
+    /// What fusion begins with.
+    pub header: Header,
+}
+
+/// Why there is no [`Begin`].
+#[derive(Debug, thiserror::Error)]
+pub enum BeginError {
+    /// The fusion thread is no more.
+    #[error(transparent)]
+    Ended(#[from] Ended),
+    /// The state cannot be written.
+    #[error(transparent)]
+    State(#[from] rmp_serde::encode::Error),
+}
+
+/// The fusion thread is no more.
+#[derive(Clone, Copy, Debug, thiserror::Error)]
+#[error("the daemon ends")]
+pub struct Ended;
+
+/// Why nothing is recorded.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// One recording at a time.
+    #[error("{0} is being recorded already; stop that first")]
+    Already(String),
+    /// The file does not serve.
+    #[error("cannot record to {}: {error}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        error: WriteError,
+    },
+    /// The state that it begins with cannot be written.
+    #[error(transparent)]
+    State(#[from] rmp_serde::encode::Error),
+}
+
+/// A recording that is not whole.
+#[derive(Clone, Debug, thiserror::Error)]
+#[error("{name}: {reason}")]
+struct Incomplete {
+    name: String,
+    reason: String,
+}
+
+/// Chunks that wait at most: at 1000 reads per second, four seconds of a stalled machine.
+pub(super) const INBOX_CAPACITY: usize = 4096;
+/// Distance of two `status` messages when nothing changes.
+const STATUS_INTERVAL: Duration = Duration::from_secs(1);
+/// Distance of two `status` messages when things change all the time.
+const STATUS_MIN_INTERVAL: Duration = Duration::from_millis(100);
+/// Distance of two looks at a recording that is being ended.
+const ENDING_INTERVAL: Duration = Duration::from_millis(20);
+/// A wake-up that is later than this shows a host with too much to do.
+const LATE_WAKE: Duration = Duration::from_millis(1);
+/// How long its port tasks then have to bring what they should have read.
+const READERS_FIRST: Duration = Duration::from_millis(2);
+
+/// What the fusion thread can be asked between two entries.
+#[derive(Debug)]
+pub enum Command {
+    /// Begins a recording in this file.
+    StartRecording {
+        /// The file; must not exist.
+        path: PathBuf,
+        /// Who wants to know.
+        reply: Option<Reply>,
+    },
+    /// Ends the recording.
+    StopRecording {
+        /// Who wants to know.
+        reply: Option<Reply>,
+    },
+    /// Hands a request to the pipeline, if it can be carried out.
+    Request {
+        /// The request.
+        request: Request,
+        /// Models that it needs, swapped in before where the pipeline lacks them.
+        models: Vec<Model>,
+        /// Who wants to know.
+        reply: Option<Reply>,
+    },
+    /// Swaps a model in.
+    LoadModel(Model),
+    /// Copies what was tracked lately.
+    Recent {
+        /// After this time, s.
+        from_s: f64,
+        /// Of these columns, of those that there are.
+        columns: Vec<String>,
+        /// Where the copy goes.
+        to: std_mpsc::Sender<Excerpt>,
+    },
+    /// Copies the raw positions of the newest seconds.
+    Positions {
+        /// So many; absent: all that is remembered.
+        last_s: Option<f64>,
+        /// Where the copy goes.
+        to: std_mpsc::Sender<Frames>,
+    },
+    /// Copies the fault map in use.
+    Faults {
+        /// Where the copy goes.
+        to: std_mpsc::Sender<Option<Box<FaultMap>>>,
+    },
+    /// Lets a guided calibration look on, in the place of an older one of its kind.
+    Watch {
+        /// Which.
+        calibration: GuidedCalibration,
+        /// What looks on.
+        observer: Box<dyn Observer + Send>,
+    },
+    /// Reports which IMU is worn where.
+    WornImus {
+        /// Where the IMU of each segment goes.
+        to: std_mpsc::Sender<[Option<SensorIndex>; SEGMENTS]>,
+    },
+    /// Reports how the pipeline stands, for fusion on another machine; the sentence states why not.
+    Begin {
+        /// Where it goes.
+        to: std_mpsc::Sender<Result<Begin, rmp_serde::encode::Error>>,
+    },
+    /// Reports which unit a sensor is now.
+    Unit {
+        /// The sensor.
+        sensor: SensorIndex,
+        /// Where its serial number or name goes.
+        to: std_mpsc::Sender<Option<String>>,
+    },
+    /// A job was cancelled; it may be one of this thread.
+    LookAtJobs,
+    /// Ends the thread.
+    Shutdown,
+}
+
+/// A recording in progress, or one that has ended by itself and is not yet reported.
+pub(super) struct Recording {
+    pub(super) recorder: Recorder,
+    pub(super) name: String,
+    pub(super) started: Timestamp,
+    job: Job,
+}
+
+/// The thread's state.
+pub(super) struct Fusion {
+    pub(super) clock: StageClock,
+    pub(super) inbox: FusionInbox,
+    pub(super) pipeline: Pipeline,
+    pub(super) publisher: Publisher,
+    /// What recordings show to viewers.
+    pub(super) views: Views,
+    pub(super) hub: Hub,
+    pub(super) jobs: Jobs,
+    pub(super) ports: Vec<mpsc::Sender<PortCommand>>,
+    pub(super) observers: Observers,
+    pub(super) status: watch::Sender<Status>,
+    pub(super) recording: Option<Recording>,
+    /// Recordings that were stopped and still write their index, with who wants to know when they are whole.
+    pub(super) ending: Vec<(Recording, Option<Reply>)>,
+    /// Entries that the pipeline has seen.
+    pub(super) entries: u64,
+    /// What every recording of this run begins with.
+    pub(super) recording_header: Header,
+}
+
+impl Fusion {
+    /// Runs until [`Command::Shutdown`]; the recording is complete when it returns.
+    pub(super) fn run(mut self) {
+        let mut next_status = self.clock.now();
+        loop {
+            let mut wake =
+                self.pipeline.poll_timeout().map_or(next_status, |timeout| timeout.min(next_status));
+            if !self.ending.is_empty() {
+                wake = wake.min(self.clock.now() + ENDING_INTERVAL);
+                self.take_ended();
+            }
+            match self.next_event(wake) {
+                Some(Event::Entry(entry)) => self.step(&entry),
+                Some(Event::Command(Command::Shutdown)) => break,
+                Some(Event::Command(command)) => self.command(command),
+                None => {}
+            }
+            let now = self.clock.now();
+            if let Some(t) = timer_at(self.pipeline.poll_timeout(), now, self.inbox.waiting_since()) {
+                self.step(&Entry { t, input: Input::Timer });
+            }
+            if now >= next_status || self.observers.health.changed_since_status(now, STATUS_MIN_INTERVAL) {
+                next_status = now + STATUS_INTERVAL;
+                self.publish_status(now);
+            }
+        }
+        if let Some(recording) = self.recording.take() {
+            // What failed has been logged by the recorder.
+            let _ = whole(recording);
+        }
+        for (recording, reply) in self.ending.drain(..) {
+            answer(reply, whole(recording).map(|()| None));
+        }
+    }
+
+    /// The next event, or `None` at `wake`.
+    fn next_event(&self, wake: Timestamp) -> Option<Event<Command>> {
+        self.inbox.pop_until(Some(self.clock.instant(wake))).or_else(|| {
+            // A host that wakes this thread late has kept the port tasks waiting too. What they bring was there
+            // before the time-out, and must not make a frame miss it.
+            let now = self.clock.now();
+            let late = now > wake + LATE_WAKE;
+            late.then(|| self.inbox.pop_until(Some(self.clock.instant(now + READERS_FIRST)))).flatten()
+        })
+    }
+
+    /// One entry through recording and pipeline.
+    fn step(&mut self, entry: &Entry) {
+        self.entries += 1;
+        let Self { pipeline, publisher, views, hub, ports, observers, recording, clock, .. } = self;
+        observers.on_entry(entry);
+        let mut recorder = recording.as_mut().map(|recording| &mut recording.recorder);
+        if let Some(recorder) = &mut recorder {
+            recorder.entry(entry);
+        }
+        let mut published = Timestamp::ZERO;
+        pipeline.push(entry, &mut |output| {
+            observers.on_output(&output, &Times { read: entry.t, published, now: clock.now() });
+            match output {
+                Output::Transmit { device, bytes } => {
+                    if let Some(recorder) = &mut recorder {
+                        recorder.transmitted(device, entry.t, bytes);
+                    }
+                    send(ports, device, PortCommand::Transmit(bytes.to_vec()));
+                }
+                Output::SetRts { device, asserted } => send(ports, device, PortCommand::SetRts(asserted)),
+                Output::Outcome(outcome) => {
+                    if let OutcomeKind::ModelSwapped(model) = &outcome.what {
+                        views.swap(model);
+                    }
+                }
+                Output::Device { .. }
+                | Output::Warning { .. }
+                | Output::Estimate(_)
+                | Output::PoleRun(_)
+                | Output::Named
+                | Output::Body(_)
+                | Output::Truth(_) => {}
+            }
+            let Some(payload) = Payload::of(&output) else { return };
+            // Clients first: the recording has time.
+            hub.publish(&output);
+            match &mut recorder {
+                Some(recorder) => {
+                    let (stamp, message) = publisher.publish(&payload);
+                    recorder.message(stamp.topic.name(), stamp.t(), message);
+                    views.publish(&payload, &stamp, |channel, json| recorder.view(channel, stamp.t(), json));
+                }
+                None => _ = publisher.skip(&payload),
+            }
+            // What comes next is the work on segments.
+            published = clock.now();
+        });
+        observers.after_entry(pipeline);
+    }
+
+    fn command(&mut self, command: Command) {
+        match command {
+            Command::StartRecording { path, reply } => {
+                let started = self.start_recording(path);
+                self.observers.health.touch();
+                answer(reply, started.map(|begun| Some(Answer::RecordingBegun(begun))));
+            }
+            Command::StopRecording { reply } => match self.recording.take() {
+                Some(recording) => self.stop_recording(recording, reply),
+                None => answer(reply, Err("nothing is being recorded")),
+            },
+            Command::Request { request, models, reply } => {
+                for model in models {
+                    if !self.pipeline.models().iter().any(|known| known.replaced_by(&model)) {
+                        self.step(&Entry { t: self.clock.now(), input: Input::Model(model) });
+                    }
+                }
+                let checked = self.pipeline.check_request(&request);
+                if checked.is_ok() {
+                    self.step(&Entry { t: self.clock.now(), input: Input::Request(request) });
+                }
+                answer(reply, checked.map(|()| None));
+            }
+            Command::LoadModel(model) => {
+                self.step(&Entry { t: self.clock.now(), input: Input::Model(model) })
+            }
+            Command::Recent { from_s, columns, to } => {
+                let wanted = |column: &str| columns.iter().any(|wanted| wanted == column);
+                // A job that has ended meanwhile does not want it any more.
+                let _ = to.send(self.observers.recent.after(from_s, wanted));
+            }
+            Command::Positions { last_s, to } => {
+                let _ = to.send(self.observers.positions.newest(last_s, self.pipeline.room_transmitter()));
+            }
+            Command::Faults { to } => {
+                let fault_map = self.pipeline.models().iter().find_map(|model| match model {
+                    Model::Faults { fault_map } => Some(fault_map.clone()),
+                    _ => None,
+                });
+                let _ = to.send(fault_map);
+            }
+            Command::Begin { to } => _ = to.send(self.begin()),
+            Command::Watch { calibration, observer } => self.observers.watch(calibration, observer),
+            Command::WornImus { to } => _ = to.send(self.pipeline.body_imus()),
+            Command::Unit { sensor, to } => {
+                let _ = to.send(self.pipeline.unit(sensor).map(str::to_owned));
+            }
+            Command::LookAtJobs => {
+                if let Some(recording) = self.recording.take_if(|recording| recording.job.is_cancelled()) {
+                    self.stop_recording(recording, None);
+                }
+            }
+            Command::Shutdown => {}
+        }
+    }
+
+    fn stop_recording(&mut self, mut recording: Recording, reply: Option<Reply>) {
+        recording.recorder.stop("stopped by a client");
+        self.ending.push((recording, reply));
+        self.observers.health.touch();
+    }
+
+    /// Begins a recording and returns its name and its job's number.
+    pub(super) fn start_recording(&mut self, path: PathBuf) -> Result<RecordingBegun, RecordError> {
+        if let Some(recording) = &self.recording {
+            return Err(RecordError::Already(recording.name.clone()));
+        }
+        let header = self.header()?;
+        let started = header.begun;
+        let recorder = Recorder::start(&path, header, &schema::of_topics())
+            .map_err(|error| RecordError::File { path: path.clone(), error })?;
+        let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
+        self.observers.health.recording_started();
+        let job = self.jobs.begin("record.start");
+        let result = RecordingBegun { name: name.clone(), job: job.number() };
+        self.recording = Some(Recording { recorder, name, started, job });
+        Ok(result)
+    }
+
+    /// What a replay needs that begins here.
+    fn header(&self) -> Result<Header, rmp_serde::encode::Error> {
+        let publisher = rmp_serde::to_vec(&self.publisher.state())?;
+        Ok(Header {
+            begun: self.clock.now(),
+            models: self.pipeline.models().clone(),
+            // A recording of the whole run needs none: it begins where every pipeline begins.
+            snapshot: (self.entries > 0).then(|| Snapshot { pipeline: self.pipeline.snapshot(), publisher }),
+            ..self.recording_header.clone()
+        })
+    }
+
+    /// The same for another machine, and the number of the entry that follows.
+    fn begin(&self) -> Result<Begin, rmp_serde::encode::Error> {
+        Ok(Begin { next: self.entries, header: self.header()? })
+    }
+
+    /// Answers for recordings that are whole now.
+    fn take_ended(&mut self) {
+        while let Some(at) = self.ending.iter().position(|(recording, _)| recording.recorder.is_finished()) {
+            let (recording, reply) = self.ending.swap_remove(at);
+            let ended = whole(recording);
+            if let Err(reason) = &ended {
+                self.observers.health.recording_failed(reason.to_string());
+            }
+            answer(reply, ended.map(|()| None));
+        }
+    }
+
+    fn publish_status(&mut self, now: Timestamp) {
+        if let Some(recording) = self.recording.take_if(|recording| recording.recorder.is_finished())
+            && let Err(reason) = whole(recording)
+        {
+            self.observers.health.recording_failed(reason.to_string());
+        }
+        if let Some(recording) = &self.recording {
+            let megabytes = recording.recorder.bytes_written() as f64 * 1e-6;
+            recording.job.progress(None, Some(format!("{}: {megabytes:.1} MB", recording.name)));
+        }
+        let status =
+            self.observers.health.status(now, &self.pipeline.status(), self.recording.as_ref(), &self.clock);
+        self.status.send_replace(status.clone());
+        self.hub.publish_status(status);
+    }
+}
+
+/// When a time-out takes place, if it does: not before what was read before it, which may still be waiting.
+fn timer_at(due: Option<Timestamp>, now: Timestamp, waiting_since: Option<Timestamp>) -> Option<Timestamp> {
+    let t = waiting_since.map_or(now, |waiting| waiting.min(now));
+    due.filter(|&due| due <= t).map(|_| t)
+}
+
+/// Waits for the end of a recording that was stopped, and returns whether it is whole.
+fn whole(recording: Recording) -> Result<(), Incomplete> {
+    let Recording { recorder, name, job, .. } = recording;
+    let ended = match recorder.wait() {
+        RecorderState::Failed { reason } => Err(Incomplete { name: name.clone(), reason }),
+        RecorderState::Recording | RecorderState::Stopped { .. } => Ok(()),
+    };
+    job.end(ended.clone().map(|()| format!("{name} is complete")));
+    ended
+}
+
+/// Never waits: a port that takes no bytes is about to be reported as gone, and its session asks again.
+fn send(ports: &[mpsc::Sender<PortCommand>], device: u16, command: PortCommand) {
+    if let Some(port) = ports.get(usize::from(device)) {
+        let _ = port.try_send(command);
+    }
+}
+
+fn answer(reply: Option<Reply>, result: Result<Option<Answer>, impl ToString>) {
+    match (reply, result) {
+        (Some(reply), Ok(result)) => reply.ok(result),
+        (Some(reply), Err(reason)) => reply.refuse(Refusal::failed(reason)),
+        (None, Ok(_)) => {}
+        (None, Err(reason)) => tracing::error!("{}", reason.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_read_before_a_time_out_comes_before_it() {
+        let ms = |ms: i64| Timestamp::from_nanos(ms * 1_000_000);
+        assert_eq!(timer_at(None, ms(50), None), None);
+        assert_eq!(timer_at(Some(ms(40)), ms(39), None), None, "not due");
+        assert_eq!(timer_at(Some(ms(40)), ms(41), None), Some(ms(41)));
+        // The thread is late by 10 ms, and bytes of before the time-out wait in the queue: they go first.
+        assert_eq!(timer_at(Some(ms(40)), ms(50), Some(ms(38))), None);
+        // Bytes of after it do not; the time-out is entered before them in the log.
+        assert_eq!(timer_at(Some(ms(40)), ms(50), Some(ms(45))), Some(ms(45)));
+    }
+}

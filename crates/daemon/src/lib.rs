@@ -1,0 +1,320 @@
+//! The daemon: everything that owns a thread, a socket, a file or a clock.
+//!
+//! ```text
+//!  port task ┐  read, stamp                               ┌─> hub ──> server ──> clients
+//!  port task ┼──────────────> inbox ──> fusion thread ────┼─> recorder thread
+//!  timer     ┘  Entry         bounded   Pipeline::push    └─> port tasks
+//! ```
+//! Ports push what they read into one [`inbox`]; the [`fusion`] thread takes it from there, records it, pushes it
+//! through the pipeline and hands the outputs on. What clients ask for is carried out by [`calls`]. No client, disk or device makes
+//! that thread wait. It knows no other machine: a [`link`] is given to it.
+//!
+//! ```no_run
+//! use posed_daemon::{Daemon, Options};
+//! use posed_stage::Stage;
+//!
+//! # async fn example() -> Result<(), Box<dyn std::error::Error>> {
+//! let text = std::fs::read_to_string("stage.toml")?;
+//! let daemon = Daemon::start(Options::new(Stage::parse(&text)?, text, ".".into()))?;
+//! eprintln!("open {}", daemon.url());
+//! daemon.shutdown().await;
+//! # Ok(())
+//! # }
+//! ```
+
+mod calibration;
+mod calls;
+mod clock;
+pub mod find;
+mod fusion;
+mod inbox;
+mod jobs;
+mod limits;
+pub mod link;
+mod lsl;
+mod models;
+mod observers;
+mod playback;
+mod player;
+mod ports;
+mod recorder;
+pub mod recordings;
+pub mod server;
+mod service;
+mod track;
+
+use std::any::Any;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+use posed_drivers::port::Port;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::sync::{mpsc, watch};
+
+pub use self::calibration::FieldMapError;
+pub use self::clock::StageClock;
+pub use self::fusion::{Begin, BeginError, Ended, FusionInbox, RecordError};
+pub use self::models::ModelError;
+pub use self::observers::{Observer, Times};
+pub use self::playback::{Playback, PlaybackError};
+pub use self::ports::ended;
+
+use self::calibration::Calibration;
+use self::calls::Calls;
+use self::fusion::{Command, Fusion, INBOX_CAPACITY};
+use self::inbox::Inbox;
+use self::jobs::Jobs;
+use self::link::Link;
+use self::observers::Observers;
+use self::ports::{DevicePort, PortTask};
+use self::server::{BindError, Server};
+use self::service::Service;
+use posed_motion::segments::Model;
+use posed_pipeline::{Pipeline, PipelineError};
+use posed_protocol::foxglove::Views;
+use posed_protocol::{Fields, Problem, Publisher, Status, Topic};
+use posed_stage::Stage;
+use posed_stage::input::{Entry, Input};
+use posed_stage::layout::BodyLayout;
+
+/// Commands that wait for a port that writes slowly.
+const PORT_COMMANDS: usize = 256;
+
+/// What a daemon is started with.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The stage.
+    pub stage: Stage,
+    /// Its file's text, for recordings.
+    pub stage_toml: String,
+    /// Folder that relative paths of the stage file start from.
+    pub folder: PathBuf,
+    /// Where recordings, maps and exercises are kept unless the stage file specifies otherwise.
+    pub data: PathBuf,
+    /// `HOST:PORT` instead of the stage file's.
+    pub listen: Option<String>,
+    /// Record into this file from the start.
+    pub record: Option<PathBuf>,
+    /// Whether a simulator will send ground truth.
+    pub truth: bool,
+    /// The stage's clock; its epoch is when the options were made.
+    pub clock: StageClock,
+    /// What connects the stage to other machines, where its file has `[zenoh]`.
+    pub link: Option<link::Connect>,
+}
+
+impl Options {
+    /// For a stage in `folder`, which also takes what is kept, with everything else as the stage file specifies.
+    pub fn new(stage: Stage, stage_toml: String, folder: PathBuf) -> Self {
+        Self {
+            stage,
+            stage_toml,
+            data: folder.clone(),
+            folder,
+            listen: None,
+            record: None,
+            truth: false,
+            clock: StageClock::start(),
+            link: None,
+        }
+    }
+}
+
+/// Why a daemon cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The server.
+    #[error(transparent)]
+    Bind(#[from] BindError),
+    /// The pipeline.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+    /// A model that the stage file names.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The map of the field in use.
+    #[error(transparent)]
+    Field(#[from] FieldMapError),
+    /// The recording asked for.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// A thread could not be made.
+    #[error("the system gives no thread: {0}")]
+    Thread(std::io::Error),
+}
+
+/// A running daemon; ends with [`Daemon::shutdown`].
+pub struct Daemon {
+    clock: StageClock,
+    service: Service,
+    inbox: FusionInbox,
+    status: watch::Receiver<Status>,
+    ports: Vec<Option<PortTask>>,
+    fusion: std::thread::JoinHandle<()>,
+    /// Dropped at the end.
+    link: Option<Box<dyn Any + Send>>,
+}
+
+impl Daemon {
+    /// Binds the server, starts the fusion thread, opens every device's port. Needs a tokio runtime.
+    ///
+    /// # Errors
+    /// The address, the stage or the recording's file do not serve.
+    pub fn start(options: Options) -> Result<Self, StartError> {
+        let places: Vec<_> = (0..).map_while(|index| DevicePort::of(&options.stage, index)).collect();
+        let mut daemon = Self::start_without_ports(options)?;
+        for (place, port) in places.into_iter().zip(&mut daemon.ports) {
+            if let Some(task) = port.take() {
+                daemon.service.spawn(task.keep_open(place));
+            }
+        }
+        Ok(daemon)
+    }
+
+    /// Like [`Daemon::start`], but no port is opened: [`Daemon::attach`] gives devices their streams.
+    ///
+    /// # Errors
+    /// As for [`Daemon::start`].
+    pub fn start_without_ports(options: Options) -> Result<Self, StartError> {
+        let Options { stage, stage_toml, folder, data, listen, record, truth, clock, link } = options;
+        limits::raise();
+        let models = models::load(&stage, &data)?;
+        let mut config = server::Config::new(&folder, clock.epoch_utc_ns());
+        config.listen = listen;
+        config.clock = Some(clock);
+        config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
+        let inbox = Inbox::new(INBOX_CAPACITY);
+        let recordings = stage.recording.folder.clone().unwrap_or_else(|| data.join("recordings"));
+        let (mut feed, mut log, mut session) = (None, None, None);
+        if stage.zenoh.is_some() {
+            let context = link::Context { stage: &stage, clock, inbox: inbox.clone(), recordings };
+            let connected = link.ok_or_else(|| link::ABSENT.into()).and_then(|connect| connect(context));
+            match connected {
+                Ok(link) => {
+                    let Link { feed: publishes, log: logs, session: lasts } = link;
+                    (feed, log, session) = (Some(publishes), Some(logs), Some(lasts));
+                }
+                // The stage runs without it too.
+                Err(error) => {
+                    tracing::warn!("{error}");
+                    config.problems.push(Problem { code: "zenoh".to_owned(), message: error.to_string() });
+                }
+            }
+        }
+        let (server, hub, pending) = Server::bind_fed(&stage, config, feed)?;
+        let mut service = Service::start(server);
+        let jobs = Jobs::new(clock, hub.clone());
+
+        let (status_sender, status) = watch::channel(Status::default());
+        let mut commands = Vec::new();
+        let mut ports = Vec::new();
+        for device in 0..stage.devices.len() {
+            let (sender, receiver) = mpsc::channel(PORT_COMMANDS);
+            commands.push(sender);
+            let (inbox, shutdown) = (inbox.clone(), service.down());
+            let device = device as u16;
+            ports.push(Some(PortTask { device, clock, inbox, commands: receiver, shutdown }));
+        }
+        let calibration = Calibration::new(&stage, &data, clock, inbox.clone(), jobs.clone());
+        calibration.begin()?;
+        if let Some(segments) = &stage.segments {
+            // First of all entries: every recording of this run holds it, and every replay begins with it.
+            let input = Input::SegmentationNetwork(network(&stage, &segments.model)?);
+            inbox.enter(Entry { t: clock.now(), input });
+        }
+        let mut fusion = Fusion {
+            clock,
+            inbox: inbox.clone(),
+            pipeline: Pipeline::new(&stage)?,
+            publisher: Publisher::new(&stage, Fields::all()),
+            views: Views::new(&stage, clock.epoch_utc_ns()),
+            hub,
+            jobs: jobs.clone(),
+            ports: commands,
+            observers: Observers::new(&stage, calibration.clone(), log),
+            status: status_sender,
+            recording: None,
+            ending: Vec::new(),
+            entries: 0,
+            recording_header: posed_recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
+        };
+        for model in models {
+            // Before anything else, and in the log.
+            let input = Input::Model(model);
+            inbox.enter(Entry { t: clock.now(), input });
+        }
+        if let Some(path) = record {
+            fusion.start_recording(path)?;
+        }
+        #[expect(clippy::disallowed_methods, reason = "the daemon owns the fusion thread")]
+        let fusion = std::thread::Builder::new()
+            .name("fusion".into())
+            .spawn(move || fusion.run())
+            .map_err(StartError::Thread)?;
+
+        let calls = Calls::new(&stage, data, clock, inbox.clone(), jobs, calibration);
+        service.spawn(calls.run(pending, service.down()));
+        Ok(Self { clock, service, inbox, status, ports, fusion, link: session })
+    }
+
+    /// Gives a device an open stream instead of its port; it is not opened again when it ends.
+    pub fn attach<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(&mut self, device: u16, stream: S) {
+        if let Some(mut task) = self.ports.get_mut(usize::from(device)).and_then(Option::take) {
+            self.service.spawn(async move {
+                if let Some(reason) = task.pump(Port::new(stream)).await {
+                    task.closed(reason);
+                }
+            });
+        }
+    }
+
+    /// The stage's clock.
+    pub fn clock(&self) -> StageClock {
+        self.clock
+    }
+
+    /// Where entries go in: for a simulator's truth.
+    pub fn inbox(&self) -> FusionInbox {
+        self.inbox.clone()
+    }
+
+    /// The address the server listens on.
+    pub fn address(&self) -> SocketAddr {
+        self.service.address()
+    }
+
+    /// The address for VRPN clients, if the stage wants them.
+    pub fn vrpn_address(&self) -> Option<SocketAddr> {
+        self.service.vrpn_address()
+    }
+
+    /// What to open in a browser.
+    pub fn url(&self) -> &str {
+        self.service.url()
+    }
+
+    /// The newest status.
+    pub fn status(&self) -> watch::Receiver<Status> {
+        self.status.clone()
+    }
+
+    /// Ends everything: the recording is complete, clients are notified of the end. Takes less than five seconds.
+    pub async fn shutdown(self) {
+        self.inbox.command(Command::Shutdown);
+        self.service.shutdown(self.fusion).await;
+        // Its threads may be waiting for a link.
+        let _ = tokio::task::spawn_blocking(move || drop(self.link)).await;
+    }
+}
+
+/// Reads the model of segments.
+fn network(stage: &Stage, path: &Path) -> Result<Vec<u8>, ModelError> {
+    let unread = |error| ModelError::Read { path: path.to_owned(), error };
+    let bytes = std::fs::read(path).map_err(unread)?;
+    let model = Model::from_bytes(&bytes).map_err(|error| error.to_string());
+    let layout = BodyLayout::of(stage);
+    let names = stage.sensors.iter().map(|sensor| sensor.name.as_str());
+    let names = names.chain(layout.iter().flat_map(BodyLayout::places));
+    let fits = model.and_then(|model| model.columns(names));
+    fits.map_err(|reason| ModelError::File { path: path.to_owned(), reason }).map(|_| bytes)
+}

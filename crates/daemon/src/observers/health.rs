@@ -1,0 +1,363 @@
+//! What `status` says: the pipeline's counts, the links' states, how long things took, what is wrong now.
+
+use posed_drivers::{State, Timestamp};
+
+use super::super::clock::StageClock;
+use super::super::fusion::Recording;
+use super::{Observer, Times};
+use posed_fusion::faults::Cause;
+use posed_pipeline::{BodyStatus, PipelineStatus};
+use posed_protocol::{DeviceStatus, Problem, RecordingStatus, SensorStatus, StageLatency, Status};
+use posed_stage::Stage;
+use posed_stage::input::DeviceIndex;
+use posed_stage::output::{Body, Estimate, Output};
+use std::time::Duration;
+
+/// Samples of each latency between two status messages; more than a second holds.
+const SAMPLES: usize = 4096;
+/// Warnings about one device that are kept.
+const WARNINGS: usize = 4;
+
+/// Collects what the status needs; belongs to the fusion thread.
+pub(crate) struct Health {
+    devices: Vec<Device>,
+    sensors: Vec<Sensor>,
+    /// Read of a frame's last byte to its estimate, s.
+    read_to_estimate: Latency,
+    /// Capture of a frame to its estimate, s.
+    capture_to_estimate: Latency,
+    /// Work of the network of segments per frame, s; absent without one.
+    segments: Option<Latency>,
+    /// What is wrong with each segment's sensor.
+    body: Vec<Option<Cause>>,
+    recording_failure: Option<String>,
+    changed: bool,
+    last_status: Timestamp,
+}
+
+struct Sensor {
+    name: String,
+    /// Index of its device.
+    device: Option<usize>,
+    rate: Rate,
+}
+
+/// How often something is counted.
+#[derive(Default)]
+struct Rate {
+    since: Timestamp,
+    count: u64,
+    hz: Option<f64>,
+}
+
+impl Rate {
+    /// Over this long at least, s.
+    const LEAST_S: f64 = 0.9;
+
+    /// Per second since about a second ago.
+    fn of(&mut self, now: Timestamp, count: u64) -> Option<f64> {
+        let interval_s = now.seconds_since(self.since);
+        if interval_s >= Self::LEAST_S {
+            self.hz = Some(count.saturating_sub(self.count) as f64 / interval_s);
+            (self.since, self.count) = (now, count);
+        }
+        self.hz
+    }
+}
+
+struct Device {
+    name: String,
+    driver: String,
+    port: String,
+    warnings: Vec<String>,
+}
+
+impl Health {
+    pub(crate) fn new(stage: &Stage) -> Self {
+        let device = |device: &posed_stage::Device| Device {
+            name: device.name.clone(),
+            driver: device.driver.word().to_owned(),
+            port: device.port.clone(),
+            warnings: Vec::new(),
+        };
+        let sensor = |sensor: &posed_stage::Sensor| Sensor {
+            name: sensor.name.clone(),
+            device: stage.devices.iter().position(|device| device.name == sensor.device),
+            rate: Rate::default(),
+        };
+        Self {
+            devices: stage.devices.iter().map(device).collect(),
+            sensors: stage.sensors.iter().map(sensor).collect(),
+            read_to_estimate: Latency::new("read to estimate"),
+            capture_to_estimate: Latency::new("capture to estimate"),
+            segments: None,
+            body: Vec::new(),
+            recording_failure: None,
+            changed: true,
+            last_status: Timestamp::ZERO,
+        }
+    }
+
+    /// The network of segments took so long for a frame.
+    fn named(&mut self, seconds: f64) {
+        self.segments.get_or_insert_with(|| Latency::new("segments")).add(seconds);
+    }
+
+    /// A frame was estimated `after_read_s` after its last bytes had been read.
+    pub(crate) fn estimate(&mut self, after_read_s: f64, estimate: &Estimate) {
+        self.read_to_estimate.add(after_read_s);
+        self.capture_to_estimate.add(after_read_s + estimate.t_closed.seconds_since(estimate.t_valid));
+    }
+
+    /// News of the body: a sensor that becomes faulty is reported at once.
+    fn body(&mut self, body: &Body) {
+        let faults = body.segments.iter().map(|segment| segment.fault);
+        if !faults.clone().eq(self.body.iter().copied()) {
+            self.body.clear();
+            self.body.extend(faults);
+            self.changed = true;
+        }
+    }
+
+    /// A link's state changed.
+    fn device_changed(&mut self, device: DeviceIndex, state: &State) {
+        let Some(device) = self.devices.get_mut(usize::from(device)) else { return };
+        match state {
+            State::Streaming => tracing::info!(device = device.name, "streaming"),
+            State::Connecting { reason } => tracing::debug!(device = device.name, reason, "connecting"),
+            State::Silent { reason } => tracing::warn!(device = device.name, reason, "silent"),
+            State::Failed { reason } => tracing::warn!(device = device.name, reason, "failed"),
+        }
+        if matches!(state, State::Connecting { .. }) {
+            // What was wrong before belongs to the set-up before.
+            device.warnings.clear();
+        }
+        self.changed = true;
+    }
+
+    /// A sentence about a device.
+    fn warn(&mut self, device: DeviceIndex, text: &str) {
+        let Some(device) = self.devices.get_mut(usize::from(device)) else { return };
+        if device.warnings.iter().any(|known| known == text) {
+            return;
+        }
+        tracing::warn!(device = device.name, "{text}");
+        if device.warnings.len() == WARNINGS {
+            device.warnings.remove(0);
+        }
+        device.warnings.push(text.to_owned());
+        self.changed = true;
+    }
+
+    /// The recording has ended by itself.
+    pub(crate) fn recording_failed(&mut self, reason: String) {
+        tracing::error!("recording ended: {reason}");
+        self.recording_failure = Some(reason);
+        self.changed = true;
+    }
+
+    /// A recording begins: what happened to the one before is reported.
+    pub(crate) fn recording_started(&mut self) {
+        self.recording_failure = None;
+        self.changed = true;
+    }
+
+    /// Something else in the status has changed.
+    pub(crate) fn touch(&mut self) {
+        self.changed = true;
+    }
+
+    /// Whether there is something to tell and the last status is `min` old.
+    pub(crate) fn changed_since_status(&self, now: Timestamp, min: Duration) -> bool {
+        self.changed && now >= self.last_status + min
+    }
+
+    /// The status as of `now`; begins the next interval.
+    pub(crate) fn status(
+        &mut self,
+        now: Timestamp,
+        pipeline: &PipelineStatus,
+        recording: Option<&Recording>,
+        clock: &StageClock,
+    ) -> Status {
+        self.changed = false;
+        self.last_status = now;
+        let age_s = |newest: Option<Timestamp>| newest.map(|newest| now.seconds_since(newest).max(0.0));
+        let mut newest = vec![None; self.devices.len()];
+        for (sensor, counted) in self.sensors.iter().zip(&pipeline.sensors) {
+            if let Some(newest) = sensor.device.and_then(|device| newest.get_mut(device)) {
+                *newest = counted.newest.max(*newest);
+            }
+        }
+        let device =
+            |((device, counted), newest): ((&Device, &posed_pipeline::DeviceStatus), _)| DeviceStatus {
+                name: device.name.clone(),
+                driver: device.driver.clone(),
+                port: device.port.clone(),
+                state: (&counted.state).into(),
+                reason: match &counted.state {
+                    State::Streaming => None,
+                    State::Connecting { reason } | State::Silent { reason } | State::Failed { reason } => {
+                        Some(reason.clone())
+                    }
+                },
+                rate_hz: counted.rate_hz,
+                age_s: age_s(newest),
+                sigma_t_s: counted.clock.map(|clock| clock.sigma_t_s),
+                records: counted.counters.records,
+                rejected: counted.counters.rejected,
+                bytes_skipped: counted.counters.bytes_skipped,
+            };
+        let sensor = |(sensor, counted): (&mut Sensor, &posed_pipeline::SensorStatus)| SensorStatus {
+            name: sensor.name.clone(),
+            samples: counted.samples,
+            rate_hz: sensor.rate.of(now, counted.samples),
+            age_s: age_s(counted.newest),
+            lost: counted.lost,
+            estimated: counted.estimated,
+        };
+        Status {
+            t_s: now.as_secs_f64(),
+            devices: self.devices.iter().zip(&pipeline.devices).zip(newest).map(device).collect(),
+            sensors: self.sensors.iter_mut().zip(&pipeline.sensors).map(sensor).collect(),
+            latency: [&mut self.read_to_estimate, &mut self.capture_to_estimate]
+                .into_iter()
+                .chain(&mut self.segments)
+                .map(Latency::take)
+                .collect(),
+            recording: recording.map(|recording| RecordingStatus {
+                name: recording.name.clone(),
+                bytes: recording.recorder.bytes_written(),
+                started_s: recording.started.as_secs_f64(),
+            }),
+            replay: None,
+            problems: self.problems(clock, pipeline.body.as_ref()),
+            // The server knows and fills it in.
+            clients: 0,
+        }
+    }
+
+    fn problems(&self, clock: &StageClock, body: Option<&BodyStatus>) -> Vec<Problem> {
+        let problem = |code: &str, message: String| Problem { code: code.to_owned(), message };
+        let mut problems = Vec::new();
+        for device in &self.devices {
+            problems.extend(
+                device.warnings.iter().map(|text| problem("device", format!("{}: {text}", device.name))),
+            );
+        }
+        if let Some(body) = body {
+            if !body.mounted {
+                let sentence = "nobody knows how the body's sensors sit: calibrate the body (page: Runs; request \
+                                `body.calibrate`), or set mounting = \"given\" with `mount_quat_wxyz` for each";
+                problems.push(problem("body", sentence.to_owned()));
+            }
+            problems.extend(body.faults.iter().map(|(sensor, segment, fault)| {
+                let name = self.sensors.get(usize::from(*sensor)).map_or("", |sensor| sensor.name.as_str());
+                problem("body", format!("{segment}: the sensor {name} {}", said(*fault)))
+            }));
+        }
+        if let Some(reason) = &self.recording_failure {
+            problems.push(problem("recording", format!("recording ended: {reason}")));
+        }
+        if let Some(jump_s) = clock.wall_clock_jump_s() {
+            problems.push(problem(
+                "wall_clock",
+                format!(
+                    "the computer's clock was set by {jump_s:+.1} s; times of this run still count from its epoch, so \
+                     restart posed before comparing with other computers"
+                ),
+            ));
+        }
+        problems
+    }
+}
+
+impl Observer for Health {
+    fn on_output(&mut self, output: &Output<'_>, times: &Times) {
+        match *output {
+            Output::Device { device, state } => self.device_changed(device, state),
+            Output::Warning { device, text } => self.warn(device, text),
+            Output::Estimate(estimate) => self.estimate(times.now.seconds_since(times.read), estimate),
+            Output::Body(body) => self.body(body),
+            Output::Named => self.named(times.now.seconds_since(times.published)),
+            _ => {}
+        }
+    }
+}
+
+/// Durations of one interval.
+struct Latency {
+    stage: &'static str,
+    samples_s: Vec<f64>,
+}
+
+impl Latency {
+    fn new(stage: &'static str) -> Self {
+        Self { stage, samples_s: Vec::with_capacity(SAMPLES) }
+    }
+
+    fn add(&mut self, seconds: f64) {
+        if self.samples_s.len() < SAMPLES {
+            self.samples_s.push(seconds);
+        }
+    }
+
+    fn take(&mut self) -> StageLatency {
+        self.samples_s.sort_unstable_by(f64::total_cmp);
+        let quantile = |q: f64| {
+            let last = self.samples_s.len().saturating_sub(1) as f64;
+            self.samples_s.get((q * last).round() as usize).map_or(0.0, |seconds| seconds * 1e3)
+        };
+        let latency = StageLatency {
+            stage: self.stage.to_owned(),
+            p50_ms: quantile(0.5),
+            p99_ms: quantile(0.99),
+            max_ms: quantile(1.0),
+        };
+        self.samples_s.clear();
+        latency
+    }
+}
+
+/// What a sensor on the body does that it should not, and what to do.
+fn said(fault: Cause) -> &'static str {
+    match fault {
+        Cause::Missing => "sends nothing: see to its battery and cable",
+        Cause::NotFinite => "sends numbers that are not finite",
+        Cause::Stuck => "repeats itself: switch it off and on",
+        Cause::Saturated => "is at the end of its range",
+        Cause::Misfit => {
+            "does not move as its segment can: its strap has slipped, or it is swapped with another"
+        }
+        other => other.words(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_jump_of_the_wall_clock_is_a_problem_with_a_sentence() {
+        use std::sync::atomic::{AtomicI64, Ordering};
+        static UTC_NS: AtomicI64 = AtomicI64::new(1_700_000_000_000_000_000);
+        let health = Health::new(&Stage::parse("name = \"A\"\n").unwrap());
+        let clock = StageClock::with_utc(|| UTC_NS.load(Ordering::Relaxed));
+        UTC_NS.fetch_add(7_200_000_000_000, Ordering::Relaxed);
+        let problems = health.problems(&clock, None);
+        assert_eq!((problems.len(), problems[0].code.as_str()), (1, "wall_clock"));
+        assert!(problems[0].message.contains("restart posed"), "{}", problems[0].message);
+    }
+
+    #[test]
+    fn quantiles_are_those_of_the_interval() {
+        let mut latency = Latency::new("read to estimate");
+        for ms in 1..=101 {
+            latency.add(f64::from(ms) * 1e-3);
+        }
+        let taken = latency.take();
+        assert!((taken.p50_ms - 51.0).abs() < 1e-9 && (taken.p99_ms - 100.0).abs() < 1e-9);
+        assert!((taken.max_ms - 101.0).abs() < 1e-9);
+        assert!(latency.take().max_ms < 1e-9, "each interval starts anew");
+    }
+}

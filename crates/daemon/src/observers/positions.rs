@@ -1,0 +1,117 @@
+//! The last five minutes of raw positions, for learning a fault map from them.
+//!
+//! In: estimates, on the fusion thread. Out: a copy of the newest seconds as frames. Its memory is bounded; with very many
+//! sensors it reaches less far back.
+
+use std::collections::VecDeque;
+
+use nalgebra::Isometry3;
+
+use super::{Observer, Times};
+use posed_motion::fault_map::frames::Frames;
+use posed_pipeline::{raw_positions, upright};
+use posed_stage::Stage;
+use posed_stage::output::{Estimate, Output};
+
+/// How far it reaches back at most, s.
+const LONGEST_S: f64 = 300.0;
+/// Memory for the positions, bytes.
+const MOST_BYTES: usize = 32 << 20;
+
+/// The newest frames of raw positions, in device axes.
+#[derive(Debug)]
+pub(crate) struct RecentPositions {
+    sensors: Vec<String>,
+    indices: Vec<usize>,
+    t_s: VecDeque<f64>,
+    /// A position per sensor and frame; NaN where there is none.
+    positions_m: VecDeque<[f64; 3]>,
+}
+
+impl RecentPositions {
+    /// For the magnetic sensors of a stage; a stage without any costs nothing.
+    pub(crate) fn new(stage: &Stage) -> Self {
+        Self {
+            indices: stage.magnetic_indices(),
+            sensors: stage.magnetic_sensors().into_iter().map(str::to_owned).collect(),
+            t_s: VecDeque::new(),
+            positions_m: VecDeque::new(),
+        }
+    }
+
+    fn push(&mut self, estimate: &Estimate) {
+        let width = self.sensors.len();
+        if width == 0 {
+            return;
+        }
+        let now = estimate.t_valid.as_secs_f64();
+        while self.t_s.front().is_some_and(|oldest| *oldest < now - LONGEST_S)
+            || (self.t_s.len() + 1) * width * size_of::<[f64; 3]>() > MOST_BYTES
+        {
+            self.t_s.pop_front();
+            self.positions_m.drain(..width);
+        }
+        self.t_s.push_back(now);
+        raw_positions(estimate, &self.indices, |p| self.positions_m.push_back(p));
+    }
+
+    /// The newest seconds, all if absent, turned upright.
+    pub(crate) fn newest(&self, last_s: Option<f64>, room_transmitter: &Isometry3<f64>) -> Frames {
+        let from_s = match (self.t_s.back(), last_s) {
+            (Some(newest), Some(last_s)) => newest - last_s,
+            _ => f64::NEG_INFINITY,
+        };
+        let first = self.t_s.partition_point(|t_s| *t_s < from_s);
+        let positions = self.positions_m.range(first * self.sensors.len()..);
+        Frames {
+            sensors: self.sensors.clone(),
+            t_s: self.t_s.range(first..).copied().collect(),
+            positions_m: positions.flat_map(|p| upright(*p, room_transmitter)).collect(),
+        }
+    }
+}
+
+impl Observer for RecentPositions {
+    fn on_output(&mut self, output: &Output<'_>, _: &Times) {
+        if let Output::Estimate(estimate) = output {
+            self.push(estimate);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use posed_drivers::Timestamp;
+
+    use super::*;
+    use posed_stage::output::{Measured, SensorEstimate};
+
+    #[test]
+    fn it_remembers_five_minutes_and_gives_the_seconds_asked_for() {
+        let text = "name = \"t\"\n[[device]]\nname = \"d\"\ndriver = \"flock-of-birds\"\nport = \"none\"\n\
+                    [[sensor]]\nname = \"a\"\ndevice = \"d\"\naddress = 1\n\
+                    [[sensor]]\nname = \"b\"\ndevice = \"d\"\naddress = 2\n";
+        let mut recent = RecentPositions::new(&toml::from_str(text).unwrap());
+        for second in 0..400 {
+            let t_valid = Timestamp::from_secs_f64(f64::from(second));
+            let measured = Measured {
+                t_valid,
+                position_m: Some([f64::from(second), 2.0, 3.0]),
+                orientation_wxyz: None,
+                button: None,
+                inertial: None,
+            };
+            let sensor = SensorEstimate { measured: Some(measured), ..SensorEstimate::default() };
+            let sensors = vec![sensor, SensorEstimate::default()];
+            recent.push(&Estimate { t_valid, sensors, ..Estimate::default() });
+        }
+        // Upside down, as a Flock's axes are.
+        let room = Isometry3::rotation(std::f64::consts::PI * nalgebra::Vector3::x());
+        assert_eq!(recent.newest(None, &room).len(), 301);
+        let frames = recent.newest(Some(1.0), &room);
+        assert_eq!((frames.sensors.join(","), frames.t_s.clone()), ("a,b".into(), vec![398.0, 399.0]));
+        let p = frames.frame(1);
+        assert!((p[0] - 399.0).abs() < 1e-9 && (p[2] + 3.0).abs() < 1e-9, "{p:?}");
+        assert!(p[3..].iter().all(|value| value.is_nan()));
+    }
+}

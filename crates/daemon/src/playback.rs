@@ -1,0 +1,114 @@
+//! A daemon without devices: a recording served to clients as a live stage would be.
+
+use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+
+use tokio::sync::watch;
+
+use super::clock::StageClock;
+use super::jobs::Jobs;
+use super::player::{Command, Outlet, PlayError, Played, Player};
+use super::ports::ended;
+use super::server::{BindError, Config, Server};
+use super::service::Service;
+use posed_protocol::{Status, Topic};
+use posed_recording::{Header, Outline, ReadError, Reader};
+use posed_stage::{Problems, Stage};
+
+/// Why a recording cannot be served.
+#[derive(Debug, thiserror::Error)]
+pub enum PlaybackError {
+    /// It cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// Its stage file does not fit this version.
+    #[error("the recording's stage file does not fit this version of posed: {0}")]
+    Stage(#[from] Problems),
+    /// It cannot be played.
+    #[error(transparent)]
+    Play(#[from] PlayError),
+    /// The address does not serve.
+    #[error(transparent)]
+    Bind(#[from] BindError),
+    /// A thread could not be made.
+    #[error("the system gives no thread: {0}")]
+    Thread(std::io::Error),
+}
+
+/// A recording being served; ends with [`Playback::shutdown`].
+pub struct Playback {
+    service: Service,
+    status: watch::Receiver<Status>,
+    commands: mpsc::Sender<Command>,
+    player: std::thread::JoinHandle<()>,
+}
+
+impl Playback {
+    /// Serves `recording` at `speed` times real time; `replay.list` and `replay.open` speak of its folder.
+    /// Needs a tokio runtime.
+    ///
+    /// # Errors
+    /// The recording cannot be read or played, or the address does not serve.
+    pub fn start(recording: &Path, listen: Option<String>, speed: f64) -> Result<Self, PlaybackError> {
+        super::limits::raise();
+        let folder = match recording.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
+            _ => PathBuf::from("."),
+        };
+        let header: Header = Reader::open(recording)?.header().clone();
+        let stage = Stage::parse(&header.stage_toml)?;
+        let mut config = Config::new(&folder, header.epoch_utc_ns);
+        config.listen = listen;
+        config.replay = true;
+        let outline = Outline::read(recording)?;
+        if outline.topics.contains("/input/truth") {
+            config.more_topics.push(Topic::Truth);
+        }
+        let (server, hub, mut calls) = Server::bind(&stage, config)?;
+        let mut service = Service::start(server);
+
+        let (status_sender, status) = watch::channel(Status::default());
+        let (commands, received) = mpsc::channel();
+        let clock = StageClock::start();
+        let jobs = Jobs::new(clock, hub.clone());
+        let outlet = Outlet { clock, hub, jobs, status: status_sender };
+        let played = Played { path: recording.to_owned(), end: outline.end };
+        let player = Player::new(outlet, received, played, folder, speed)?;
+        #[expect(clippy::disallowed_methods, reason = "the daemon owns the player's thread")]
+        let player = std::thread::Builder::new()
+            .name("player".into())
+            .spawn(move || player.run())
+            .map_err(PlaybackError::Thread)?;
+
+        let forward = commands.clone();
+        let mut down = service.down();
+        service.spawn(async move {
+            loop {
+                tokio::select! {
+                    () = ended(&mut down) => return,
+                    call = calls.recv() => match call {
+                        Some(call) => _ = forward.send(Command::Call(call)),
+                        None => return,
+                    },
+                }
+            }
+        });
+        Ok(Self { service, status, commands, player })
+    }
+
+    /// What to open in a browser.
+    pub fn url(&self) -> &str {
+        self.service.url()
+    }
+
+    /// The newest status.
+    pub fn status(&self) -> watch::Receiver<Status> {
+        self.status.clone()
+    }
+
+    /// Ends everything; clients are notified of the end.
+    pub async fn shutdown(self) {
+        let _ = self.commands.send(Command::Shutdown);
+        self.service.shutdown(self.player).await;
+    }
+}

@@ -1,0 +1,162 @@
+//! One task per device: opens its port, reads, stamps, forwards; writes what the pipeline transmits; opens it again.
+//!
+//! It decodes nothing and knows no protocol. A port that is away costs nobody else anything.
+
+use std::time::Duration;
+
+use posed_drivers::LineEvent;
+use posed_drivers::port::{self, Port, Stream};
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::sync::{mpsc, watch};
+
+use super::clock::StageClock;
+use super::find;
+use super::fusion::FusionInbox;
+use posed_stage::input::{DeviceIndex, Entry, Input};
+use posed_stage::{Device, PortAddress, Stage};
+
+/// A port that returned is seen after half of this at the median; an attempt costs one failed `open`.
+const RETRY: Duration = Duration::from_millis(200);
+/// An attempt that hangs, such as a host that does not answer, is given up after this.
+const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
+/// Longer than anything a device sends between two wake-ups of a healthy reader.
+const READ_BYTES: usize = 4096;
+
+/// What the fusion thread asks of a port.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum PortCommand {
+    /// Write these bytes.
+    Transmit(Vec<u8>),
+    /// Set RTS (`true` = asserted).
+    SetRts(bool),
+}
+
+/// A device's task: where it reports to and when it ends.
+pub(super) struct PortTask {
+    /// Whose port.
+    pub(super) device: DeviceIndex,
+    /// Stamps what was read.
+    pub(super) clock: StageClock,
+    /// Takes what was read.
+    pub(super) inbox: FusionInbox,
+    /// What to write.
+    pub(super) commands: mpsc::Receiver<PortCommand>,
+    /// Turns true when the daemon ends.
+    pub(super) shutdown: watch::Receiver<bool>,
+}
+
+/// A device's port, as the stage file describes it.
+pub(super) struct DevicePort {
+    device: Device,
+    /// Serial numbers of its sensors, by which a search knows it.
+    serials: Vec<String>,
+    /// Ports of other devices, which are not asked.
+    taken: Vec<String>,
+}
+
+impl DevicePort {
+    /// The place of the device at `index` of a stage.
+    pub(super) fn of(stage: &Stage, index: usize) -> Option<Self> {
+        let device = stage.devices.get(index)?.clone();
+        let mine = stage.sensors.iter().filter(|sensor| sensor.device == device.name);
+        Some(Self {
+            serials: mine.filter_map(|sensor| sensor.serial.clone()).collect(),
+            taken: stage.devices.iter().map(|other| other.port.clone()).collect(),
+            device,
+        })
+    }
+
+    /// Opens the port, or finds it.
+    async fn open(&self) -> Result<Port<Stream>, String> {
+        let path = &self.device.port;
+        if path.parse() == Ok(PortAddress::Auto) {
+            let (found, port) = find::search(&self.device, &self.serials, &self.taken).await?;
+            tracing::info!("{} is at {found}", self.device.name);
+            return Ok(port);
+        }
+        match tokio::time::timeout(OPEN_TIMEOUT, port::open(path, find::options(&self.device))).await {
+            Ok(opened) => opened.map_err(|error| error.to_string()),
+            Err(_) => Err(format!("{path} does not answer; check the address and the cable")),
+        }
+    }
+}
+
+impl PortTask {
+    /// Keeps the port of a device open until shutdown; where it is looked for, it may be another one each time.
+    #[expect(clippy::disallowed_methods, reason = "the daemon retries on its own clock")]
+    pub(super) async fn keep_open(mut self, place: DevicePort) {
+        let mut reported = None;
+        loop {
+            let opened = tokio::select! {
+                () = ended(&mut self.shutdown) => return,
+                opened = place.open() => opened,
+            };
+            let reason = match opened {
+                Ok(port) => {
+                    let Some(reason) = self.pump(port).await else { return };
+                    reason
+                }
+                Err(reason) => reason,
+            };
+            // The log holds changes, not five attempts a second.
+            if reported.as_ref() != Some(&reason) {
+                tracing::warn!("{reason}");
+                self.closed(reason.clone());
+                reported = Some(reason);
+            }
+            tokio::select! {
+                () = ended(&mut self.shutdown) => return,
+                () = tokio::time::sleep(RETRY) => {}
+            }
+        }
+    }
+
+    /// Reads and writes until the port is gone, and returns why; `None` on shutdown.
+    pub(super) async fn pump<S: AsyncRead + AsyncWrite + Unpin>(
+        &mut self,
+        mut port: Port<S>,
+    ) -> Option<String> {
+        // What was meant for the port before it went away is not for this one.
+        while self.commands.try_recv().is_ok() {}
+        self.line(LineEvent::Opened { modem_lines: port.modem_lines() });
+        let mut buffer = vec![0; READ_BYTES];
+        loop {
+            let done = tokio::select! {
+                () = ended(&mut self.shutdown) => return None,
+                read = port.read(&mut buffer) => match read {
+                    Ok(n) => {
+                        let t = self.clock.now();
+                        let input = Input::Bytes { device: self.device, bytes: buffer[..n].to_vec() };
+                        self.inbox.enter(Entry { t, input });
+                        Ok(())
+                    }
+                    Err(error) => Err(error),
+                },
+                command = self.commands.recv() => match command {
+                    Some(PortCommand::Transmit(bytes)) => port.write_all(&bytes).await,
+                    Some(PortCommand::SetRts(asserted)) => port.set_rts(asserted),
+                    None => return None,
+                },
+            };
+            if let Err(error) = done {
+                return Some(format!("the port is gone ({error}); check the cable and the adapter"));
+            }
+        }
+    }
+
+    /// Tells that the port is away.
+    pub(super) fn closed(&self, reason: String) {
+        self.line(LineEvent::Closed { reason });
+    }
+
+    fn line(&self, event: LineEvent) {
+        let input = Input::Line { device: self.device, event };
+        self.inbox.enter(Entry { t: self.clock.now(), input });
+    }
+}
+
+/// Waits for the daemon's end.
+pub async fn ended(shutdown: &mut watch::Receiver<bool>) {
+    // The sender outlives every task; without it, the daemon is gone too.
+    let _ = shutdown.wait_for(|&down| down).await;
+}

@@ -1,0 +1,416 @@
+//! The recording in progress: a thread that writes, behind a queue that never blocks the fusion thread.
+//!
+//! What comes in: entries, messages and transmitted bytes, in order. What goes out: a file that grows under its
+//! final name and survives `kill -9` up to the last half second. A log with a hole cannot be replayed: where the disk
+//! does not keep up, the recording ends with a reason, and tracking goes on. The same when the disk is full.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
+use posed_drivers::Timestamp;
+
+use posed_protocol::foxglove::Channel;
+use posed_recording::{Header, WriteError, Writer};
+use posed_stage::input::{DeviceIndex, Entry, Input};
+
+/// How often everything so far is brought to the disk: half of what may be lost.
+const FLUSH_EVERY: Duration = Duration::from_millis(500);
+/// How long a flush waits for the messages of the last entry.
+const ENTRY_GRACE: Duration = Duration::from_millis(20);
+/// Things that may wait for the disk: minutes of a large stage.
+const QUEUE_ITEMS: usize = 1 << 16;
+/// Bytes that may wait for the disk.
+const QUEUE_BYTES: usize = 128 << 20;
+
+/// How a recording stands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum RecorderState {
+    /// It is being written.
+    Recording,
+    /// It was ended in order, or is about to be; the sentence states by whom.
+    Stopped {
+        /// Why.
+        reason: String,
+    },
+    /// It ended before its time; what was written so far can be read.
+    Failed {
+        /// What happened and what to do, in one sentence.
+        reason: String,
+    },
+}
+
+/// A recording in progress; belongs to the fusion thread.
+#[derive(Debug)]
+pub(super) struct Recorder {
+    /// Gone once nothing more is taken.
+    sender: Option<Sender<Job>>,
+    shared: Arc<Shared>,
+    bytes: Arc<AtomicU64>,
+    thread: JoinHandle<()>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    state: Mutex<RecorderState>,
+    /// Bytes in the queue.
+    queued: AtomicUsize,
+}
+
+#[derive(Debug)]
+enum Job {
+    Entry(Entry),
+    Message { topic: &'static str, t: Timestamp, json: Vec<u8> },
+    View { channel: Arc<Channel>, t: Timestamp, json: Vec<u8> },
+    Transmitted { device: DeviceIndex, t: Timestamp, bytes: Vec<u8> },
+}
+
+impl Recorder {
+    /// Begins a new file at `path`; `schemas` are the JSON Schemas of the published topics, by topic.
+    ///
+    /// # Errors
+    /// The file exists, the folder is missing or may not be written to, the disk is full.
+    pub(super) fn start(path: &Path, header: Header, schemas: &[(&str, String)]) -> Result<Self, WriteError> {
+        let file = OpenOptions::new().write(true).create_new(true).open(path)?;
+        // For the repair, which must not take the name from a file in use. Without locks it has to trust people.
+        let _ = file.try_lock();
+        let begun = file.try_clone().map_err(WriteError::from).and_then(|synced| {
+            let sync = move || synced.sync_data();
+            Self::start_with(BufWriter::new(file), sync, header, schemas, QUEUE_ITEMS)
+        });
+        // So that its name survives a power cut too. Not every file system can do this.
+        if let Some(folder) = path.parent() {
+            let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+            let _ = File::open(folder).and_then(|folder| folder.sync_all());
+        }
+        begun.inspect_err(|_| {
+            // A file without its front part helps nobody.
+            let _ = std::fs::remove_file(path);
+        })
+    }
+
+    /// Begins a recording into `sink`; `sync` brings what was flushed to the disk.
+    fn start_with(
+        sink: impl Write + Send + 'static,
+        mut sync: impl FnMut() -> io::Result<()> + Send + 'static,
+        header: Header,
+        schemas: &[(&str, String)],
+        queue_items: usize,
+    ) -> Result<Self, WriteError> {
+        let mut writer = Writer::new(sink, header)?;
+        schemas.iter().for_each(|(topic, schema)| writer.declare(topic, schema));
+        sync()?;
+        let bytes = writer.byte_counter();
+        let shared =
+            Arc::new(Shared { state: Mutex::new(RecorderState::Recording), queued: AtomicUsize::new(0) });
+        let (sender, receiver) = bounded(queue_items);
+        let thread = {
+            let shared = Arc::clone(&shared);
+            #[expect(clippy::disallowed_methods, reason = "the daemon owns the recorder's thread")]
+            std::thread::Builder::new().name("recorder".to_owned()).spawn(move || {
+                if let Err(error) = run(writer, &mut sync, &receiver, &shared) {
+                    tracing::error!("the recording has ended: {error}");
+                    *shared.state() = RecorderState::Failed { reason: error.to_string() };
+                }
+            })?
+        };
+        Ok(Self { sender: Some(sender), shared, bytes, thread })
+    }
+
+    /// Appends an entry, before the messages that follow from it.
+    pub(super) fn entry(&mut self, entry: &Entry) {
+        if self.sender.is_some() {
+            self.send(Job::Entry(entry.clone()));
+        }
+    }
+
+    /// Appends a message as it is published.
+    pub(super) fn message(&mut self, topic: &'static str, t: Timestamp, json: &[u8]) {
+        if self.sender.is_some() {
+            self.send(Job::Message { topic, t, json: json.to_vec() });
+        }
+    }
+
+    /// Appends a message for viewers.
+    pub(super) fn view(&mut self, channel: &Arc<Channel>, t: Timestamp, json: &[u8]) {
+        if self.sender.is_some() {
+            self.send(Job::View { channel: Arc::clone(channel), t, json: json.to_vec() });
+        }
+    }
+
+    /// Appends what is transmitted to a device.
+    pub(super) fn transmitted(&mut self, device: DeviceIndex, t: Timestamp, bytes: &[u8]) {
+        if self.sender.is_some() {
+            self.send(Job::Transmitted { device, t, bytes: bytes.to_vec() });
+        }
+    }
+
+    /// How it stands.
+    #[cfg(test)]
+    pub(super) fn state(&self) -> RecorderState {
+        self.shared.state().clone()
+    }
+
+    /// Bytes written so far.
+    pub(super) fn bytes_written(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    /// Ends the recording; the thread writes what is queued and the index. Does not wait for it.
+    pub(super) fn stop(&mut self, reason: &str) {
+        if self.sender.is_some() {
+            self.end(RecorderState::Stopped { reason: reason.to_owned() });
+        }
+    }
+
+    /// Whether nothing more is being written.
+    pub(super) fn is_finished(&self) -> bool {
+        self.thread.is_finished()
+    }
+
+    /// Stops it if nobody has, waits until the file is closed, and reports how it ended.
+    pub(super) fn wait(mut self) -> RecorderState {
+        self.stop("stopped");
+        if self.thread.join().is_err() {
+            return RecorderState::Failed {
+                reason: "the recorder has crashed; please report this".to_owned(),
+            };
+        }
+        self.shared.state().clone()
+    }
+
+    fn send(&mut self, job: Job) {
+        let Some(sender) = &self.sender else { return };
+        let size = job.size();
+        let queued = self.shared.queued.fetch_add(size, Ordering::Relaxed) + size;
+        let sent = if queued > QUEUE_BYTES { Err(TrySendError::Full(job)) } else { sender.try_send(job) };
+        match sent {
+            Ok(()) => {}
+            Err(TrySendError::Full(_)) => {
+                let reason = "the disk does not keep up; the recording ends here, record to a faster disk";
+                tracing::error!("{reason}");
+                self.end(RecorderState::Failed { reason: reason.to_owned() });
+            }
+            // The thread has said why.
+            Err(TrySendError::Disconnected(_)) => self.sender = None,
+        }
+    }
+
+    /// Takes nothing more; what is queued is still written.
+    fn end(&mut self, state: RecorderState) {
+        let mut current = self.shared.state();
+        if *current == RecorderState::Recording {
+            *current = state;
+        }
+        drop(current);
+        self.sender = None;
+    }
+}
+
+impl Shared {
+    fn state(&self) -> MutexGuard<'_, RecorderState> {
+        // A panic elsewhere cannot leave it half-changed: every change is one assignment.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Job {
+    /// Bytes that it keeps in memory, roughly.
+    fn size(&self) -> usize {
+        size_of::<Self>()
+            + match self {
+                Self::Entry(Entry { input: Input::Bytes { bytes, .. }, .. })
+                | Self::Message { json: bytes, .. }
+                | Self::View { json: bytes, .. }
+                | Self::Transmitted { bytes, .. } => bytes.len(),
+                Self::Entry(_) => 0,
+            }
+    }
+}
+
+/// The thread: writes until the queue is closed, then finishes the file.
+#[expect(clippy::disallowed_methods, reason = "the thread keeps the flush interval")]
+fn run(
+    mut writer: Writer<impl Write>,
+    sync: &mut impl FnMut() -> io::Result<()>,
+    receiver: &Receiver<Job>,
+    shared: &Shared,
+) -> Result<(), WriteError> {
+    let mut next_flush = Instant::now() + FLUSH_EVERY;
+    // Whether messages of the last entry may still come: what a crash leaves should not end between the two.
+    let mut open = false;
+    loop {
+        match receiver.recv_deadline(next_flush) {
+            Ok(job) => {
+                shared.queued.fetch_sub(job.size(), Ordering::Relaxed);
+                let begins = matches!(job, Job::Entry(_));
+                if begins && Instant::now() >= next_flush {
+                    writer.flush()?;
+                    sync()?;
+                    next_flush = Instant::now() + FLUSH_EVERY;
+                }
+                open = begins;
+                match job {
+                    Job::Entry(entry) => writer.entry(&entry)?,
+                    Job::Message { topic, t, json } => writer.message(topic, t, &json)?,
+                    Job::View { channel, t, json } => writer.view(&channel, t, &json)?,
+                    Job::Transmitted { device, t, bytes } => writer.transmitted(device, t, &bytes)?,
+                }
+            }
+            Err(RecvTimeoutError::Timeout) if open => {
+                open = false;
+                next_flush = Instant::now() + ENTRY_GRACE;
+            }
+            Err(RecvTimeoutError::Timeout) => {
+                writer.flush()?;
+                sync()?;
+                next_flush = Instant::now() + FLUSH_EVERY;
+            }
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+    }
+    let reason = match &*shared.state() {
+        RecorderState::Stopped { reason } | RecorderState::Failed { reason } => reason.clone(),
+        // The fusion thread is gone without a word.
+        RecorderState::Recording => "the daemon broke off".to_owned(),
+    };
+    writer.finish(&reason)?;
+    Ok(sync()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posed_recording::testing::{Full, chunk, header};
+    use posed_recording::{Ending, Item, Reader, RepairError};
+
+    fn read(path: &Path) -> (Vec<Item>, Option<Ending>, Option<String>) {
+        let mut reader = Reader::open(path).unwrap();
+        let items = reader.by_ref().map(Result::unwrap).collect();
+        (items, reader.ending(), reader.end_reason().map(str::to_owned))
+    }
+
+    #[test]
+    fn given_entries_and_a_stop_the_file_holds_them_and_says_why_it_ended() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        let mut recorder = Recorder::start(&path, header(), &[("sensors", "{}".to_owned())]).unwrap();
+        for n in 0..100 {
+            recorder.entry(&chunk(n));
+            recorder.message("sensors", Timestamp::from_nanos(n), b"{}");
+            recorder.transmitted(0, Timestamp::from_nanos(n), b"B");
+        }
+        assert_eq!(recorder.state(), RecorderState::Recording);
+        recorder.stop("asked to");
+        assert_eq!(recorder.wait(), RecorderState::Stopped { reason: "asked to".to_owned() });
+        let (items, ending, reason) = read(&path);
+        assert_eq!((items.len(), ending, reason.as_deref()), (300, Some(Ending::Complete), Some("asked to")));
+        assert_eq!(items[0], Item::Entry(chunk(0)));
+    }
+
+    #[test]
+    fn given_a_running_recording_all_but_the_last_flush_can_be_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        let mut recorder = Recorder::start(&path, header(), &[]).unwrap();
+        let front = recorder.bytes_written();
+        recorder.entry(&chunk(1));
+        // Until the flush comes by itself; nothing here depends on when.
+        while recorder.bytes_written() == front {
+            std::thread::yield_now();
+        }
+        let copy = folder.path().join("copy.mcap");
+        let torn = loop {
+            std::fs::copy(&path, &copy).unwrap();
+            let torn = read(&copy);
+            if !torn.0.is_empty() {
+                break torn;
+            }
+        };
+        assert_eq!(torn, (vec![Item::Entry(chunk(1))], Some(Ending::Torn), None));
+        assert!(
+            matches!(posed_recording::repair(&path, |_| ()), Err(RepairError::InUse)),
+            "it is being written"
+        );
+        recorder.wait();
+    }
+
+    #[test]
+    fn given_a_file_a_missing_folder_or_a_read_only_one_it_is_refused_with_a_sentence() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        std::fs::write(&path, "precious").unwrap();
+        let error = Recorder::start(&path, header(), &[]).unwrap_err();
+        assert!(error.to_string().contains("choose another name"), "{error}");
+        assert_eq!(std::fs::read(&path).unwrap(), b"precious");
+        let error = Recorder::start(&folder.path().join("gone/a.mcap"), header(), &[]).unwrap_err();
+        assert!(error.to_string().contains("the folder does not exist"), "{error}");
+        // Not even root may create a file here.
+        assert!(Recorder::start(Path::new("/proc/a.mcap"), header(), &[]).is_err());
+        let read_only = WriteError::from(io::Error::from(io::ErrorKind::ReadOnlyFilesystem));
+        assert!(read_only.to_string().contains("no right to write"), "{read_only}");
+    }
+
+    #[test]
+    fn given_a_full_disk_the_recording_fails_and_who_records_goes_on() {
+        let sink = Full { left: 20_000, ..Full::default() };
+        let mut recorder = Recorder::start_with(sink, || Ok(()), header(), &[], 10_000).unwrap();
+        let mut n = 0;
+        while !recorder.is_finished() {
+            // Bytes that do not compress, so that the disk fills.
+            recorder.entry(&chunk(n));
+            n += 1;
+            std::thread::yield_now();
+        }
+        recorder.entry(&chunk(n));
+        let RecorderState::Failed { reason } = recorder.wait() else { panic!("it did not fail") };
+        assert!(reason.contains("disk"), "{reason}");
+    }
+
+    #[test]
+    fn given_a_disk_that_hangs_the_recording_ends_without_a_hole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        let (release, held) = bounded::<()>(0);
+        let sink = Hanging { held, file: File::create(&path).unwrap(), free_bytes: 2000 };
+        let mut recorder = Recorder::start_with(sink, || Ok(()), header(), &[], 64).unwrap();
+        let mut n = 0;
+        while recorder.state() == RecorderState::Recording {
+            recorder.entry(&chunk(n));
+            n += 1;
+        }
+        drop(release);
+        let RecorderState::Failed { reason } = recorder.wait() else { panic!("it did not fail") };
+        assert!(reason.contains("does not keep up"), "{reason}");
+        let (items, ending, end_reason) = read(&path);
+        assert_eq!((ending, end_reason), (Some(Ending::Complete), Some(reason)));
+        let expected: Vec<_> = (0..items.len() as i64).map(|n| Item::Entry(chunk(n))).collect();
+        assert!(items == expected && items.len() >= 64 && (items.len() as i64) < n);
+    }
+
+    /// Writes the front part of a recording, then waits until it is released.
+    struct Hanging {
+        held: Receiver<()>,
+        file: File,
+        free_bytes: usize,
+    }
+
+    impl Write for Hanging {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            if self.free_bytes < bytes.len() {
+                let _ = self.held.recv();
+            }
+            self.free_bytes = self.free_bytes.saturating_sub(bytes.len());
+            self.file.write(bytes)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            self.file.flush()
+        }
+    }
+}

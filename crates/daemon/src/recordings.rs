@@ -1,0 +1,63 @@
+//! The one folder with a stage's recordings: which there are, and where.
+//!
+//! In: the folder, names that clients give. Out: names in order, paths. Never: a path that leads out of the folder.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::server::Refusal;
+
+/// Why a recording is not found.
+#[derive(Debug, thiserror::Error)]
+pub enum FindError {
+    /// The folder cannot be read.
+    #[error("cannot read the folder {}: {error}", folder.display())]
+    Folder {
+        /// The folder.
+        folder: PathBuf,
+        /// What the system said.
+        error: io::Error,
+    },
+    /// There is none of that name.
+    #[error("name: there is no recording {0:?}; replay.list names them")]
+    Unknown(String),
+}
+
+impl From<FindError> for Refusal {
+    fn from(error: FindError) -> Self {
+        match error {
+            FindError::Folder { .. } => Self::failed(error),
+            FindError::Unknown(_) => Self::new("not_found", error),
+        }
+    }
+}
+
+/// The recording of that name in a folder.
+///
+/// # Errors
+/// There is none, or the folder cannot be read.
+pub fn find(folder: &Path, name: &str) -> Result<PathBuf, FindError> {
+    if list(folder)?.iter().any(|known| known == name) {
+        Ok(folder.join(name))
+    } else {
+        Err(FindError::Unknown(name.to_owned()))
+    }
+}
+
+/// Names of the recordings in a folder, in order; none where there is no folder yet.
+///
+/// # Errors
+/// The folder cannot be read.
+pub fn list(folder: &Path) -> Result<Vec<String>, FindError> {
+    let entries = match std::fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(FindError::Folder { folder: folder.to_owned(), error }),
+    };
+    let mut names: Vec<String> = entries
+        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+        .filter(|name| name.ends_with(".mcap"))
+        .collect();
+    names.sort();
+    Ok(names)
+}

@@ -1,0 +1,263 @@
+//! One websocket: writes what its outbox holds, hands on what it reads, notices when nobody is there any more. What is said
+//! is a [`Dialect`]'s.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use axum::extract::ws::{CloseFrame, Message, WebSocket};
+use futures_util::SinkExt;
+use tokio::sync::watch;
+use tokio::time::{MissedTickBehavior, interval, timeout};
+
+use super::listen::ConnectionContext;
+use super::outbox::{Close, Form, Outbox};
+
+/// Messages written before the socket is flushed.
+const BATCH: usize = 32;
+/// Time for the closing handshake with one client.
+const GOODBYE: Duration = Duration::from_secs(1);
+
+/// Distance of the messages that are read while closing.
+const PACE: Duration = Duration::from_millis(5);
+
+/// Why a connection ends.
+enum End {
+    /// We close it.
+    Close(Close),
+    /// The other side has closed it, or it broke.
+    Gone,
+}
+
+/// What a client has said.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Heard<'a> {
+    Text(&'a str),
+    Binary(&'a [u8]),
+}
+
+/// What is spoken on a websocket; chosen by the sub-protocol.
+pub(super) trait Dialect: Send {
+    /// What is to be written to the client.
+    fn outbox(&self) -> Arc<Outbox>;
+    /// Takes a message of the client; answers go to the outbox. An error ends the connection.
+    fn hear(&mut self, heard: Heard<'_>) -> impl Future<Output = Result<(), Close>> + Send;
+    /// The connection has ended.
+    fn leave(self) -> impl Future<Output = ()> + Send;
+}
+
+/// Serves one client until it ends.
+pub(super) async fn serve(
+    socket: WebSocket,
+    dialect: impl Dialect,
+    burst: f64,
+    context: Arc<ConnectionContext>,
+) {
+    context.metrics.clients.inc();
+    let budget = Budget::new(context.limits.messages_per_s, burst);
+    let mut client = Client { socket, outbox: dialect.outbox(), dialect, budget, context };
+    let end = client.run().await;
+    let Client { mut socket, dialect, context, .. } = client;
+    context.metrics.clients.dec();
+    dialect.leave().await;
+    if let End::Close(close) = end {
+        if close != Close::SHUTDOWN {
+            context.metrics.refuse("policy");
+        }
+        goodbye(&mut socket, close).await;
+    }
+}
+
+struct Client<D> {
+    socket: WebSocket,
+    outbox: Arc<Outbox>,
+    dialect: D,
+    budget: Budget,
+    context: Arc<ConnectionContext>,
+}
+
+impl<D: Dialect> Client<D> {
+    async fn run(&mut self) -> End {
+        let mut pings = interval(self.context.limits.ping_interval);
+        pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut shutdown = self.context.shutdown.clone();
+        let outbox = Arc::clone(&self.outbox);
+        let mut heard = now();
+        loop {
+            let step = tokio::select! {
+                biased;
+                () = ended(&mut shutdown) => return End::Close(Close::SHUTDOWN),
+                incoming = self.socket.recv() => {
+                    heard = now();
+                    match incoming {
+                        Some(Ok(message)) => self.handle(message).await,
+                        Some(Err(error)) => Err(end_of(error)),
+                        None => Err(End::Gone),
+                    }
+                }
+                () = outbox.filled() => self.write().await,
+                _ = pings.tick() => {
+                    if heard.elapsed() > self.context.limits.silence_timeout {
+                        Err(End::Close(Close::SILENT))
+                    } else {
+                        self.send(Message::Ping(Default::default())).await
+                    }
+                }
+            };
+            if let Err(end) = step {
+                return end;
+            }
+        }
+    }
+
+    /// Writes all that waits, then flushes.
+    async fn write(&mut self) -> Result<(), End> {
+        loop {
+            let mut written = 0;
+            while written < BATCH {
+                let mut bytes = Vec::new();
+                let Some(form) = self.outbox.pop(&mut bytes).map_err(End::Close)? else { break };
+                self.context.metrics.bytes.inc_by(bytes.len() as u64);
+                let message = message(form, bytes)?;
+                let fed = self.socket.feed(message);
+                patiently(&self.context, fed).await?;
+                written += 1;
+            }
+            if written == 0 {
+                return Ok(());
+            }
+            let flushed = self.socket.flush();
+            patiently(&self.context, flushed).await?;
+        }
+    }
+
+    async fn send(&mut self, message: Message) -> Result<(), End> {
+        let sent = self.socket.send(message);
+        patiently(&self.context, sent).await
+    }
+
+    async fn handle(&mut self, message: Message) -> Result<(), End> {
+        self.context.metrics.requests.inc();
+        if !self.budget.spend(now()) {
+            return Err(End::Close(Close::TOO_MANY));
+        }
+        let heard = match &message {
+            Message::Text(text) => Heard::Text(text.as_str()),
+            Message::Binary(bytes) => Heard::Binary(bytes),
+            // Pings are answered by the websocket itself.
+            Message::Ping(_) | Message::Pong(_) => return Ok(()),
+            Message::Close(_) => {
+                // The websocket answers as it is read to its end.
+                let rest = async { while let Some(Ok(_)) = self.socket.recv().await {} };
+                let _ = timeout(GOODBYE, rest).await;
+                return Err(End::Gone);
+            }
+        };
+        self.dialect.hear(heard).await.map_err(End::Close)
+    }
+}
+
+fn message(form: Form, bytes: Vec<u8>) -> Result<Message, End> {
+    match form {
+        Form::Binary => Ok(Message::Binary(bytes.into())),
+        Form::Text => match String::from_utf8(bytes) {
+            Ok(text) => Ok(Message::Text(text.into())),
+            // JSON from serde_json is text.
+            Err(_) => Err(End::Gone),
+        },
+    }
+}
+
+/// The closing handshake: our reason, then what was still under way from the other side, up to its own close.
+async fn goodbye(socket: &mut WebSocket, Close { code, reason }: Close) {
+    let frame = CloseFrame { code, reason: reason.into() };
+    let closing = async {
+        socket.send(Message::Close(Some(frame))).await?;
+        // At a walking pace: who is sent away for flooding must not be read at full speed once more.
+        let mut pace = interval(PACE);
+        while let Some(Ok(_)) = socket.recv().await {
+            pace.tick().await;
+        }
+        Ok::<_, axum::Error>(())
+    };
+    let _ = timeout(GOODBYE, closing).await;
+}
+
+/// Waits for a write, but not for a client that has stopped reading for ever, and not past the shutdown.
+async fn patiently(
+    context: &ConnectionContext,
+    write: impl Future<Output = Result<(), axum::Error>>,
+) -> Result<(), End> {
+    let mut shutdown = context.shutdown.clone();
+    tokio::select! {
+        biased;
+        written = timeout(context.limits.silence_timeout, write) => match written {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(_)) => Err(End::Gone),
+            Err(_) => Err(End::Close(Close::SILENT)),
+        },
+        () = ended(&mut shutdown) => Err(End::Close(Close::SHUTDOWN)),
+    }
+}
+
+/// Resolves at shutdown.
+async fn ended(shutdown: &mut watch::Receiver<bool>) {
+    // A sender that is gone ended as well.
+    let _ = shutdown.wait_for(|ends| *ends).await;
+}
+
+fn end_of(error: axum::Error) -> End {
+    match error.into_inner().downcast::<tungstenite::Error>().map(|error| *error) {
+        Ok(tungstenite::Error::Capacity(_)) => End::Close(Close::TOO_LARGE),
+        Ok(tungstenite::Error::Utf8(_)) => {
+            End::Close(Close { code: 1007, reason: "a text message must be UTF-8" })
+        }
+        Ok(tungstenite::Error::Protocol(tungstenite::error::ProtocolError::ResetWithoutClosingHandshake)) => {
+            End::Gone
+        }
+        Ok(tungstenite::Error::Protocol(_)) => {
+            End::Close(Close { code: 1002, reason: "this is not the websocket protocol" })
+        }
+        _ => End::Gone,
+    }
+}
+
+/// Messages that a client may still send: refilled at a steady rate up to a burst.
+struct Budget {
+    per_s: f64,
+    burst: f64,
+    left: f64,
+    at: Instant,
+}
+
+impl Budget {
+    fn new(per_s: f64, burst: f64) -> Self {
+        Self { per_s, burst, left: burst, at: now() }
+    }
+
+    fn spend(&mut self, now: Instant) -> bool {
+        let elapsed_s = now.saturating_duration_since(self.at).as_secs_f64();
+        self.left = (self.left + elapsed_s * self.per_s).min(self.burst) - 1.0;
+        self.at = now;
+        self.left >= 0.0
+    }
+}
+
+#[expect(clippy::disallowed_methods, reason = "rate limit and silence of a connection")]
+fn now() -> Instant {
+    Instant::now()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_budget_allows_bursts_and_a_rate() {
+        let mut budget = Budget::new(10.0, 3.0);
+        let start = budget.at;
+        assert!((0..3).all(|_| budget.spend(start)));
+        assert!(!budget.spend(start));
+        let later = start + Duration::from_millis(250);
+        assert!(budget.spend(later), "two and a half came back, one was owed");
+    }
+}

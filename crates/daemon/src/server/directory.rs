@@ -1,0 +1,272 @@
+//! One websocket for all stages of a hub: who wants what of which stage, also of stages that come later.
+//!
+//! In: clients, what they ask for, stages that come in, what is said of all of them. Out: subscriptions at each stage's
+//! distributor, in the clients' name; the stages write into the clients' outboxes themselves. One task, one thing at a time.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use serde_json::Value;
+use tokio::sync::mpsc;
+
+use super::Limits;
+use super::client::{Dialect, Heard};
+use super::distributor::{self, ClientId};
+use super::metrics::Metrics;
+use super::outbox::{Close, Outbox, Outgoing};
+use posed_protocol::{
+    Encoding, ErrorReply, Feed, Hello, OkReply, Request, RequestId, ServerMessage, Stages, encode, parse,
+};
+use posed_stage::{Pose, Role};
+
+/// Numbers of these clients are others than those of clients of one stage.
+static NEXT: AtomicU64 = AtomicU64::new(1 << 63);
+/// Standing subscriptions of one client at most.
+const WISHES: usize = 256;
+
+/// What the directory receives.
+pub(super) enum Command {
+    Connect {
+        client: ClientId,
+        outbox: Arc<Outbox>,
+    },
+    Ask {
+        client: ClientId,
+        id: RequestId,
+        stages: Option<Vec<String>>,
+        feed: Feed,
+    },
+    Disconnect {
+        client: ClientId,
+    },
+    /// A stage has come in, perhaps in the place of an older one.
+    Joined {
+        id: Arc<str>,
+        commands: mpsc::Sender<super::Command>,
+    },
+    Tell(Stages),
+}
+
+/// What everybody gets first.
+pub(super) struct Greeting {
+    pub(super) name: String,
+    pub(super) epoch_utc: String,
+}
+
+/// See the module.
+pub(super) struct Directory {
+    metrics: Arc<Metrics>,
+    stages: BTreeMap<Arc<str>, mpsc::Sender<super::Command>>,
+    clients: BTreeMap<ClientId, Client>,
+    newest: Option<Stages>,
+}
+
+struct Client {
+    outbox: Arc<Outbox>,
+    /// Subscriptions as they were asked for, which hold for stages that come later too.
+    wishes: Vec<(RequestId, Option<Vec<String>>, Feed)>,
+}
+
+impl Directory {
+    pub(super) fn new(metrics: Arc<Metrics>) -> Self {
+        Self { metrics, stages: BTreeMap::new(), clients: BTreeMap::new(), newest: None }
+    }
+
+    /// Until nobody can ask any more.
+    pub(super) async fn run(mut self, mut asked: mpsc::Receiver<Command>) {
+        while let Some(command) = asked.recv().await {
+            match command {
+                Command::Connect { client, outbox } => {
+                    if let Some(stages) = &self.newest {
+                        tell(&outbox, &ServerMessage::Stages(stages.clone()));
+                    }
+                    for (id, stage) in &self.stages {
+                        connect(stage, client, &outbox, id).await;
+                    }
+                    self.clients.insert(client, Client { outbox, wishes: Vec::new() });
+                }
+                Command::Disconnect { client } => {
+                    self.clients.remove(&client);
+                    for stage in self.stages.values() {
+                        send(stage, distributor::Command::Disconnect { client }).await;
+                    }
+                }
+                Command::Ask { client, id, stages, feed } => self.ask(client, id, stages, feed).await,
+                Command::Joined { id, commands } => {
+                    for (client, Client { outbox, wishes }) in &self.clients {
+                        connect(&commands, *client, outbox, &id).await;
+                        for (request, stages, feed) in wishes {
+                            if wanted(stages.as_deref(), &id) {
+                                let (id, feed) = (request.clone(), feed.clone());
+                                send(&commands, distributor::Command::Feed { client: *client, id, feed })
+                                    .await;
+                            }
+                        }
+                    }
+                    self.stages.insert(id, commands);
+                }
+                Command::Tell(stages) => {
+                    for client in self.clients.values() {
+                        tell(&client.outbox, &ServerMessage::Stages(stages.clone()));
+                        self.metrics.messages.inc();
+                    }
+                    self.newest = Some(stages);
+                }
+            }
+        }
+    }
+
+    async fn ask(&mut self, client: ClientId, id: RequestId, stages: Option<Vec<String>>, feed: Feed) {
+        let Some(asking) = self.clients.get_mut(&client) else { return };
+        let outbox = Arc::clone(&asking.outbox);
+        let refuse = |code: &str, message: String| {
+            tell(
+                &outbox,
+                &ServerMessage::Error(ErrorReply { id: Some(id.clone()), code: code.into(), message }),
+            );
+        };
+        match &feed {
+            Feed::Subscribe { .. } if asking.wishes.len() >= WISHES => {
+                return refuse("busy", "too many subscriptions on one connection; unsubscribe first".into());
+            }
+            Feed::Subscribe { topics, .. } if topics.is_empty() => {
+                return refuse("bad_request", "subscribe to at least one topic".into());
+            }
+            Feed::Subscribe { .. } => asking.wishes.push((id.clone(), stages.clone(), feed.clone())),
+            Feed::Unsubscribe { topics } => {
+                for (_, of, wish) in &mut asking.wishes {
+                    if let Feed::Subscribe { topics: wished, .. } = wish
+                        && (stages.is_none() || *of == stages)
+                    {
+                        wished.retain(|topic| !topics.contains(topic));
+                    }
+                }
+                asking.wishes.retain(
+                    |(_, _, wish)| !matches!(wish, Feed::Subscribe { topics, .. } if topics.is_empty()),
+                );
+            }
+            Feed::Resume { .. } => {
+                // Each stage counts its own events.
+                if stages.as_ref().is_none_or(|stages| stages.len() != 1) {
+                    return refuse("bad_request", "resume: name the stage, as \"stages\": [\"NAME\"]".into());
+                }
+            }
+        }
+        let unknown = stages.iter().flatten().find(|name| !self.stages.contains_key(name.as_str()));
+        if let (Some(unknown), Feed::Resume { .. }) = (unknown, &feed) {
+            return refuse("unknown_stage", format!("this hub has not heard of a stage {unknown:?}"));
+        }
+        if !matches!(feed, Feed::Resume { .. }) {
+            // Before what follows from it.
+            tell(&outbox, &ServerMessage::Ok(OkReply { id: Some(id.clone()), result: None }));
+        }
+        for (name, stage) in &self.stages {
+            if wanted(stages.as_deref(), name) {
+                let (id, feed) = (id.clone(), feed.clone());
+                send(stage, distributor::Command::Feed { client, id, feed }).await;
+            }
+        }
+    }
+}
+
+fn wanted(stages: Option<&[String]>, id: &str) -> bool {
+    stages.is_none_or(|stages| stages.iter().any(|name| name == id))
+}
+
+async fn connect(
+    stage: &mpsc::Sender<super::Command>,
+    client: ClientId,
+    outbox: &Arc<Outbox>,
+    id: &Arc<str>,
+) {
+    let (outbox, stage_name) = (Arc::clone(outbox), Some(Arc::clone(id)));
+    send(stage, distributor::Command::Connect { client, outbox, stage: stage_name }).await;
+}
+
+/// A stage that has just left has nobody to tell.
+async fn send(stage: &mpsc::Sender<super::Command>, command: distributor::Command) {
+    let _ = stage.send(super::Command::Client(command)).await;
+}
+
+fn tell(outbox: &Outbox, message: &ServerMessage) {
+    outbox.push_lossless(Outgoing::Whole(encode::whole(outbox.encoding(), message)));
+}
+
+/// One client's side of it.
+pub(super) struct Member {
+    id: ClientId,
+    outbox: Arc<Outbox>,
+    directory: mpsc::Sender<Command>,
+}
+
+impl Member {
+    /// Greets the client and makes it known; `None` at shutdown.
+    pub(super) async fn begin(
+        encoding: Encoding,
+        greeting: &Greeting,
+        directory: mpsc::Sender<Command>,
+        limits: &Limits,
+    ) -> Option<Self> {
+        let id = NEXT.fetch_add(1, Ordering::Relaxed);
+        let outbox = Arc::new(Outbox::new(encoding, limits.clone()));
+        let hello = Hello {
+            version: env!("CARGO_PKG_VERSION").into(),
+            stage: greeting.name.clone(),
+            epoch_utc: greeting.epoch_utc.clone(),
+            skeleton: None,
+            height_m: None,
+            topics: Vec::new(),
+            sensors: Vec::new(),
+            transmitter: Pose::IDENTITY,
+            role: Role::Watch,
+            last_event_id: 0,
+        };
+        tell(&outbox, &ServerMessage::Hello(hello));
+        directory.send(Command::Connect { client: id, outbox: Arc::clone(&outbox) }).await.ok()?;
+        Some(Self { id, outbox, directory })
+    }
+}
+
+impl Dialect for Member {
+    fn outbox(&self) -> Arc<Outbox> {
+        Arc::clone(&self.outbox)
+    }
+
+    async fn hear(&mut self, heard: Heard<'_>) -> Result<(), Close> {
+        match read(heard) {
+            Ok((id, stages, feed)) => {
+                let command = Command::Ask { client: self.id, id, stages, feed };
+                self.directory.send(command).await.map_err(|_| Close::SHUTDOWN)
+            }
+            Err(error) => {
+                tell(&self.outbox, &ServerMessage::Error(error));
+                Ok(())
+            }
+        }
+    }
+
+    async fn leave(self) {
+        let _ = self.directory.send(Command::Disconnect { client: self.id }).await;
+    }
+}
+
+/// A request as at one stage, with `stages` beside it: names, absent for all.
+fn read(heard: Heard<'_>) -> Result<(RequestId, Option<Vec<String>>, Feed), ErrorReply> {
+    let bad = |message: String| ErrorReply { id: None, code: "bad_request".into(), message };
+    let mut value: Value = match heard {
+        Heard::Text(text) => serde_json::from_str(text).map_err(|error| bad(error.to_string()))?,
+        Heard::Binary(bytes) => rmp_serde::from_slice(bytes).map_err(|error| bad(error.to_string()))?,
+    };
+    let stages = value.as_object_mut().and_then(|map| map.remove("stages"));
+    let stages = stages.map(serde_json::from_value::<Vec<String>>).transpose();
+    let stages = stages.map_err(|_| bad("stages: give a list of names".into()))?;
+    match parse(Encoding::Json, value.to_string().as_bytes()) {
+        Ok((id, Request::Feed(feed))) => Ok((id, stages, feed)),
+        Ok((id, Request::Call(_))) => {
+            let message = "a hub shows its stages; ask the daemon of the stage itself for this".into();
+            Err(ErrorReply { id: Some(id), code: "hub".into(), message })
+        }
+        Err(error) => Err(ErrorReply { id: error.id, code: error.code.into(), message: error.message }),
+    }
+}

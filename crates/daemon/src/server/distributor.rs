@@ -1,0 +1,619 @@
+//! Who gets what: the subscriptions of all clients, and every message on its way to their outboxes.
+//!
+//! In: items from the fusion thread, commands from the clients' tasks, one at a time. Out: bytes in outboxes. Never: a
+//! socket, a clock, a wait. Each distinct (topic, fields, sensors, encoding) is serialised once.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use super::Limits;
+use super::holding::Holding;
+use super::hub::Item;
+use super::metrics::Metrics;
+use super::outbox::{Outbox, Outgoing};
+use posed_protocol::{
+    Answer, Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload,
+    Problem, RequestId, Resumed, ServerMessage, Stamp, Topic, View, encode,
+};
+
+/// Events older than this are not resumed, in microseconds.
+const EVENT_AGE_US: i64 = 600_000_000;
+
+/// Number of a connection; never used again.
+pub(super) type ClientId = u64;
+
+/// What a client's task tells the distributor.
+#[derive(Debug)]
+pub(super) enum Command {
+    /// `stage` is put into every message, for a client that sees several.
+    Connect {
+        client: ClientId,
+        outbox: Arc<Outbox>,
+        stage: Option<Arc<str>>,
+    },
+    Feed {
+        client: ClientId,
+        id: RequestId,
+        feed: Feed,
+    },
+    Disconnect {
+        client: ClientId,
+    },
+}
+
+/// See the module.
+pub(super) struct Distributor {
+    names: Arc<Names>,
+    limits: Limits,
+    metrics: Arc<Metrics>,
+    counters: Counters,
+    clients: Vec<Client>,
+    views: Vec<SharedView>,
+    last: [Option<(Stamp, Item)>; Topic::COUNT],
+    events: VecDeque<Event>,
+    /// Events that still hold: faults that have not ended, the newest model of each kind, counts.
+    current: Holding<Event>,
+    newest_us: i64,
+    /// Connections refused as of the last status.
+    refused: u64,
+    scratch: Vec<u8>,
+}
+
+struct Client {
+    id: ClientId,
+    outbox: Arc<Outbox>,
+    /// Name of this stage, for a client that sees several.
+    stage: Option<Arc<str>>,
+    subscriptions: [Option<Subscription>; Topic::COUNT],
+    seq: [u64; Topic::COUNT],
+    /// Time of the newest state sent under the present subscription.
+    sent_us: [Option<i64>; Topic::COUNT],
+}
+
+#[derive(Clone, Copy)]
+struct Subscription {
+    view: usize,
+    period_us: Option<f64>,
+    due_us: f64,
+    policy: DropPolicy,
+    /// Newest event when the subscription began: later ones came by themselves.
+    live_after: u64,
+}
+
+/// A view and how many subscriptions use it; its place is taken over once nobody does.
+struct SharedView {
+    view: View,
+    users: usize,
+    /// Body of the message being published.
+    body: Option<Arc<[u8]>>,
+}
+
+#[derive(Clone)]
+struct Event {
+    stamp: Stamp,
+    json: Arc<[u8]>,
+    message_pack: Arc<[u8]>,
+}
+
+impl Distributor {
+    pub(super) fn new(names: Arc<Names>, limits: Limits, metrics: Arc<Metrics>, counters: Counters) -> Self {
+        Self {
+            names,
+            limits,
+            metrics,
+            counters,
+            clients: Vec::new(),
+            views: Vec::new(),
+            last: Default::default(),
+            events: VecDeque::new(),
+            current: Holding::default(),
+            newest_us: i64::MIN,
+            refused: 0,
+            scratch: Vec::new(),
+        }
+    }
+
+    /// Adds to a status what only the server knows; `viewers` are clients that are not among these.
+    pub(super) fn complete(&mut self, item: &mut Item, viewers: usize) {
+        if let Item::Status(status) = item {
+            status.clients = (self.clients.len() + viewers) as u32;
+            let refused = self.metrics.refused_over_limit();
+            if refused > self.refused {
+                let new = refused - self.refused;
+                status.problems.push(Problem {
+                    code: "connections".to_owned(),
+                    message: format!(
+                        "{new} connections were refused because too many are open; end programs that connect again \
+                         and again"
+                    ),
+                });
+                self.refused = refused;
+            }
+        }
+    }
+
+    /// When and as which event an item is published; `None` where time goes back.
+    pub(super) fn stamp(&mut self, item: &Item) -> Option<Stamp> {
+        item.payload().map(|payload| self.counters.stamp(&payload))
+    }
+
+    /// Sends an item to all who want it, with its stamp. Returns the item it replaces, for its memory.
+    pub(super) fn publish(&mut self, item: Item, stamp: Option<Stamp>) -> Option<Item> {
+        let (Some(payload), Some(stamp)) = (item.payload(), stamp) else {
+            self.rewind();
+            return None;
+        };
+        self.newest_us = self.newest_us.max(stamp.t_us);
+        for shared in &mut self.views {
+            shared.body = None;
+        }
+        let topic = stamp.topic;
+        let Self { clients, views, names, scratch, metrics, .. } = self;
+        for client in clients {
+            let Some(subscription) = &mut client.subscriptions[topic.index()] else { continue };
+            if !topic.is_event() && !subscription.is_due(stamp.t_us) {
+                continue;
+            }
+            let SharedView { view, body, .. } = &mut views[subscription.view];
+            let body = body.get_or_insert_with(|| {
+                metrics.bodies.inc();
+                written(&payload, &stamp, names, view, scratch)
+            });
+            let policy = subscription.policy;
+            client.send(&stamp, Arc::clone(body), policy, metrics);
+        }
+        self.remember(stamp, item)
+    }
+
+    /// Carries out what a client's task asks for.
+    pub(super) fn handle(&mut self, command: Command) {
+        match command {
+            Command::Connect { client, outbox, stage } => self.clients.push(Client {
+                id: client,
+                outbox,
+                stage,
+                subscriptions: [None; Topic::COUNT],
+                seq: [0; Topic::COUNT],
+                sent_us: [None; Topic::COUNT],
+            }),
+            Command::Disconnect { client } => {
+                if let Some(at) = self.clients.iter().position(|c| c.id == client) {
+                    self.unsubscribe(at, &Topic::ALL);
+                    self.clients.swap_remove(at);
+                }
+            }
+            Command::Feed { client, id, feed } => {
+                let Some(at) = self.clients.iter().position(|c| c.id == client) else { return };
+                if let Err((code, message)) = self.feed(at, &id, feed) {
+                    let error = ErrorReply { id: Some(id), code: code.into(), message };
+                    self.clients[at].reply(&ServerMessage::Error(error));
+                }
+            }
+        }
+    }
+
+    /// Forgets what holds of a later time; sequence and event numbers go on.
+    fn rewind(&mut self) {
+        self.counters.rewind();
+        self.newest_us = i64::MIN;
+        self.current.clear();
+        let states = [Topic::Sensors, Topic::Body, Topic::Truth];
+        for topic in states {
+            self.last[topic.index()] = None;
+        }
+        for client in &mut self.clients {
+            client.sent_us = [None; Topic::COUNT];
+            for subscription in client.subscriptions.iter_mut().flatten() {
+                subscription.due_us = f64::NEG_INFINITY;
+            }
+        }
+    }
+
+    /// Goes on from the numbers of another place: the stamp of an item that was published there.
+    pub(super) fn follow(&mut self, stamp: &Stamp) {
+        self.counters.follow(stamp);
+    }
+
+    /// Newest event so far.
+    pub(super) fn last_event_id(&self) -> u64 {
+        self.counters.last_event_id()
+    }
+
+    fn feed(&mut self, at: usize, id: &RequestId, feed: Feed) -> Result<(), (&'static str, String)> {
+        match feed {
+            Feed::Subscribe { topics, max_rate_hz, sensors, fields, drop } => {
+                if topics.is_empty() {
+                    return Err(("bad_request", "subscribe to at least one topic".into()));
+                }
+                let period_us = match max_rate_hz {
+                    Some(rate) if rate.is_finite() && rate > 0.0 => Some(1e6 / rate),
+                    Some(_) => return Err(("bad_request", "max_rate_hz must be above 0".into())),
+                    None => None,
+                };
+                let view = self.view(at, sensors, fields)?;
+                let live_after = self.counters.last_event_id();
+                let mut begun = Vec::with_capacity(topics.len());
+                for topic in topics {
+                    if begun.iter().any(|(other, _)| *other == topic) {
+                        continue;
+                    }
+                    match self.intern(&view.for_topic(topic)) {
+                        Ok(view) => begun.push((topic, view)),
+                        Err(busy) => {
+                            // All or nothing: what there was before goes on.
+                            begun.iter().for_each(|(_, view)| self.views[*view].users -= 1);
+                            return Err(busy);
+                        }
+                    }
+                }
+                self.reply_ok(at, id, None);
+                for (topic, view) in begun {
+                    let subscription = Subscription {
+                        view,
+                        period_us,
+                        due_us: f64::NEG_INFINITY,
+                        policy: drop.unwrap_or_default(),
+                        live_after,
+                    };
+                    let replaced = self.clients[at].subscriptions[topic.index()].replace(subscription);
+                    if let Some(old) = replaced {
+                        self.views[old.view].users -= 1;
+                    }
+                    self.send_last_state(at, topic);
+                }
+            }
+            Feed::Unsubscribe { topics } => {
+                self.unsubscribe(at, &topics);
+                self.reply_ok(at, id, None);
+            }
+            Feed::Resume { after } => self.resume(at, id, after)?,
+        }
+        Ok(())
+    }
+
+    fn view(
+        &self,
+        at: usize,
+        sensors: Option<Vec<String>>,
+        fields: Option<Vec<Field>>,
+    ) -> Result<View, (&'static str, String)> {
+        let find = |name: String| {
+            let unknown = || ("unknown_sensor", format!("this stage has no sensor `{name}`"));
+            self.names.find_sensor(&name).ok_or_else(unknown)
+        };
+        let sensors = match sensors {
+            None => None,
+            Some(names) => {
+                let mut sensors = names.into_iter().map(find).collect::<Result<Vec<_>, _>>()?;
+                sensors.sort_unstable();
+                sensors.dedup();
+                Some(sensors.into_boxed_slice())
+            }
+        };
+        let fields = fields.map_or_else(Fields::default, |fields| Fields::of(&fields));
+        Ok(View { encoding: self.clients[at].outbox.encoding(), fields, sensors })
+    }
+
+    /// The place of an equal view, or a new one.
+    fn intern(&mut self, view: &View) -> Result<usize, (&'static str, String)> {
+        let equal = self.views.iter().position(|shared| shared.users > 0 && shared.view == *view);
+        let place = match equal.or_else(|| self.views.iter().position(|shared| shared.users == 0)) {
+            Some(place) => place,
+            None if self.views.len() < self.limits.views => {
+                self.views.push(SharedView { view: view.clone(), users: 0, body: None });
+                self.views.len() - 1
+            }
+            None => {
+                let message =
+                    "too many different choices of sensors and fields are in use: subscribe to all of them";
+                return Err(("busy", message.into()));
+            }
+        };
+        let shared = &mut self.views[place];
+        if shared.users == 0 {
+            shared.view = view.clone();
+        }
+        shared.users += 1;
+        Ok(place)
+    }
+
+    fn unsubscribe(&mut self, at: usize, topics: &[Topic]) {
+        for topic in topics {
+            if let Some(old) = self.clients[at].subscriptions[topic.index()].take() {
+                self.views[old.view].users -= 1;
+            }
+            self.clients[at].sent_us[topic.index()] = None;
+        }
+    }
+
+    fn send_last_state(&mut self, at: usize, topic: Topic) {
+        let client = &mut self.clients[at];
+        let Some(subscription) = &mut client.subscriptions[topic.index()] else { return };
+        let policy = subscription.policy;
+        if topic.is_event() {
+            for event in self.current.iter().filter(|event| event.stamp.topic == topic) {
+                client.send(&event.stamp, event.body(client.outbox.encoding()), policy, &self.metrics);
+            }
+        } else if let Some((stamp, item)) = &self.last[topic.index()]
+            && client.sent_us[topic.index()].is_none_or(|sent_us| sent_us < stamp.t_us)
+            && subscription.is_due(stamp.t_us)
+        {
+            let view = &self.views[subscription.view].view;
+            let Some(payload) = item.payload() else { return };
+            let body = written(&payload, stamp, &self.names, view, &mut self.scratch);
+            client.send(stamp, body, policy, &self.metrics);
+        }
+    }
+
+    fn resume(&mut self, at: usize, id: &RequestId, after: u64) -> Result<(), (&'static str, String)> {
+        let newest = self.counters.last_event_id();
+        if after > newest {
+            let message = format!(
+                "the newest event is {newest}: the daemon has restarted since {after}; resume after 0 for what it has"
+            );
+            return Err(("unknown_event", message));
+        }
+        let oldest = self.events.front().and_then(|event| event.stamp.event_id).unwrap_or(newest + 1);
+        let result = Resumed { complete: oldest <= after + 1, last_event_id: newest };
+        self.reply_ok(at, id, Some(Answer::Resumed(result)));
+        let client = &mut self.clients[at];
+        let none = !Topic::ALL.iter().any(|t| t.is_event() && client.subscriptions[t.index()].is_some());
+        for event in &self.events {
+            let event_id = event.stamp.event_id.unwrap_or(0);
+            // Without any subscription to events it is all of them; with one, the later ones came by themselves.
+            let until = match &client.subscriptions[event.stamp.topic.index()] {
+                Some(subscription) => subscription.live_after,
+                None if none => newest,
+                None => 0,
+            };
+            if event_id > after && event_id <= until {
+                let body = event.body(client.outbox.encoding());
+                client.send(&event.stamp, body, DropPolicy::Queue, &self.metrics);
+            }
+        }
+        Ok(())
+    }
+
+    fn reply_ok(&self, at: usize, id: &RequestId, result: Option<Answer>) {
+        self.clients[at].reply(&ServerMessage::Ok(OkReply { id: Some(id.clone()), result }));
+    }
+
+    fn remember(&mut self, stamp: Stamp, item: Item) -> Option<Item> {
+        let Item::Outcome(outcome) = &item else {
+            return self.last[stamp.topic.index()].replace((stamp, item)).map(|(_, old)| old);
+        };
+        let mut body = |encoding| {
+            let view = View::all(encoding);
+            written(&Payload::Outcome(outcome), &stamp, &self.names, &view, &mut self.scratch)
+        };
+        let event = Event { stamp, json: body(Encoding::Json), message_pack: body(Encoding::MessagePack) };
+        self.current.take(outcome, || event.clone());
+        self.keep(event)
+    }
+
+    /// Keeps an event for those who resume.
+    fn keep(&mut self, event: Event) -> Option<Item> {
+        self.events.push_back(event);
+        let too_old = self.newest_us.saturating_sub(EVENT_AGE_US);
+        while self.events.len() > self.limits.events
+            || self.events.front().is_some_and(|oldest| oldest.stamp.t_us < too_old)
+        {
+            self.events.pop_front();
+        }
+        None
+    }
+}
+
+impl Client {
+    fn send(&mut self, stamp: &Stamp, body: Arc<[u8]>, policy: DropPolicy, metrics: &Metrics) {
+        let topic = stamp.topic;
+        let seq = &mut self.seq[topic.index()];
+        let message = Outgoing::Shared { stage: self.stage.clone(), topic, seq: *seq, body };
+        *seq += 1;
+        metrics.messages.inc();
+        if topic.is_event() {
+            self.outbox.push_lossless(message);
+        } else {
+            self.sent_us[topic.index()] = Some(stamp.t_us);
+            metrics.dropped.inc_by(self.outbox.push_data(message, policy));
+        }
+    }
+
+    fn reply(&self, message: &ServerMessage) {
+        // Who asks many stages at once has been answered for all of them.
+        if self.stage.is_some() && matches!(message, ServerMessage::Ok(OkReply { result: None, .. })) {
+            return;
+        }
+        self.outbox.push_lossless(Outgoing::Whole(encode::whole(self.outbox.encoding(), message)));
+    }
+}
+
+impl Subscription {
+    /// Whether a message of this time may go out; at the stated rate on average, however the frames fall.
+    fn is_due(&mut self, t_us: i64) -> bool {
+        let Some(period_us) = self.period_us else { return true };
+        let t_us = t_us as f64;
+        if t_us < self.due_us {
+            return false;
+        }
+        // The next one is due a period after this one was, unless the stream had paused longer than that.
+        let next_us = self.due_us + period_us;
+        self.due_us = if next_us > t_us { next_us } else { t_us + period_us };
+        true
+    }
+}
+
+impl Event {
+    fn body(&self, encoding: Encoding) -> Arc<[u8]> {
+        match encoding {
+            Encoding::Json => Arc::clone(&self.json),
+            Encoding::MessagePack => Arc::clone(&self.message_pack),
+        }
+    }
+}
+
+fn written(
+    payload: &Payload<'_>,
+    stamp: &Stamp,
+    names: &Names,
+    view: &View,
+    scratch: &mut Vec<u8>,
+) -> Arc<[u8]> {
+    scratch.clear();
+    encode::body(payload, stamp, names, view, scratch);
+    Arc::from(scratch.as_slice())
+}
+
+#[cfg(test)]
+mod tests {
+    use posed_drivers::Timestamp;
+
+    use super::*;
+    use posed_motion::exercise::EventKind;
+    use posed_stage::Stage;
+    use posed_stage::output::{Estimate, Outcome};
+    use posed_stage::output::{ExerciseOutcome, ExerciseWhat, OutcomeKind};
+
+    fn distributor(limits: &Limits) -> Distributor {
+        let stage = Stage::parse("name = \"test\"").unwrap();
+        let names = Arc::new(Names::new(&stage));
+        Distributor::new(names, limits.clone(), Arc::new(Metrics::new()), Counters::default())
+    }
+
+    fn connect(distributor: &mut Distributor, client: ClientId, limits: &Limits) -> Arc<Outbox> {
+        let outbox = Arc::new(Outbox::new(Encoding::Json, limits.clone()));
+        distributor.handle(Command::Connect { client, outbox: Arc::clone(&outbox), stage: None });
+        outbox
+    }
+
+    fn subscribe(
+        distributor: &mut Distributor,
+        client: ClientId,
+        max_rate_hz: Option<f64>,
+        fields: &[Field],
+    ) {
+        let feed = Feed::Subscribe {
+            topics: vec![Topic::Sensors],
+            max_rate_hz,
+            sensors: None,
+            fields: Some(fields.to_vec()),
+            drop: Some(DropPolicy::Queue),
+        };
+        distributor.handle(Command::Feed { client, id: RequestId::Number(1), feed });
+    }
+
+    fn publish(distributor: &mut Distributor, item: Item) {
+        let stamp = distributor.stamp(&item);
+        distributor.publish(item, stamp);
+    }
+
+    fn frame(distributor: &mut Distributor, t_us: i64) {
+        let t_valid = Timestamp::from_nanos(t_us * 1000);
+        publish(distributor, Item::Estimate(Estimate { t_valid, ..Estimate::default() }));
+    }
+
+    #[test]
+    fn who_subscribes_late_is_reported_the_state_and_the_newest_counts() {
+        use posed_stage::output::{ExerciseState, Repetition};
+        let limits = Limits::default();
+        let mut distributor = distributor(&limits);
+        let mut say = |subject: &str, what| {
+            let what = OutcomeKind::Exercise(ExerciseOutcome { subject: subject.into(), what });
+            let t = Timestamp::ZERO;
+            publish(&mut distributor, Item::Outcome(Box::new(Outcome { t_valid: t, t_decided: t, what })));
+        };
+        let state = || ExerciseWhat::State(ExerciseState::default());
+        let repetition = |kind, count| {
+            let (exercise, set_count) = ("curl".into(), count as u32);
+            let (reason, feedback, remark) = (None, None, None);
+            let t_start_s = 0.0;
+            ExerciseWhat::Repetition(Repetition {
+                exercise,
+                kind,
+                count,
+                set_count,
+                t_start_s,
+                reason,
+                feedback,
+                remark,
+            })
+        };
+        say("a", state());
+        say("a", repetition(EventKind::Counted, 1));
+        say("b", state());
+        say("b", repetition(EventKind::Counted, 1));
+        say("b", repetition(EventKind::Counted, 2));
+        say("b", repetition(EventKind::Provisional, 2));
+        say("a", state());
+        let outbox = connect(&mut distributor, 1, &limits);
+        let feed = Feed::Subscribe {
+            topics: vec![Topic::Exercise],
+            max_rate_hz: None,
+            sensors: None,
+            fields: None,
+            drop: None,
+        };
+        distributor.handle(Command::Feed { client: 1, id: RequestId::Number(1), feed });
+        let reported: Vec<_> = received(&outbox)
+            .into_iter()
+            .skip(1)
+            .map(|message| format!("{} {} {}", message["subject"], message["event"], message["count"]))
+            .collect();
+        assert_eq!(reported, [r#""b" "state" null"#, r#""b" "counted" 2"#, r#""a" "state" null"#]);
+    }
+
+    fn received(outbox: &Outbox) -> Vec<serde_json::Value> {
+        let mut out = Vec::new();
+        let mut all = Vec::new();
+        while let Ok(Some(_)) = outbox.pop(&mut out) {
+            all.push(serde_json::from_slice(&out).unwrap());
+            out.clear();
+        }
+        all
+    }
+
+    #[test]
+    fn a_maximum_rate_is_kept_on_average_whatever_the_frames_do() {
+        let limits = Limits::default();
+        for (frame_us, max_rate_hz, expected) in [
+            (10_000, 30.0, 30),
+            (10_000, 60.0, 60),
+            (6_944, 50.0, 50),
+            (10_000, 250.0, 100),
+            (20_000, 50.0, 50),
+        ] {
+            let mut distributor = distributor(&limits);
+            let outbox = connect(&mut distributor, 1, &limits);
+            subscribe(&mut distributor, 1, Some(max_rate_hz), &[]);
+            for n in 0..(1_000_000 / frame_us) {
+                frame(&mut distributor, n * frame_us);
+            }
+            let got = received(&outbox).len() as i64 - 1;
+            assert!((expected - 1..=expected).contains(&got), "{got} of {expected} per second");
+        }
+    }
+
+    #[test]
+    fn equal_views_are_serialised_once_and_places_are_reused() {
+        let limits = Limits { views: 2, ..Limits::default() };
+        let mut distributor = distributor(&limits);
+        let outboxes: Vec<_> = (0..10).map(|client| connect(&mut distributor, client, &limits)).collect();
+        for client in 0..9 {
+            subscribe(
+                &mut distributor,
+                client,
+                None,
+                &[[Field::PositionM, Field::SigmaM][client as usize % 2]],
+            );
+        }
+        frame(&mut distributor, 0);
+        assert_eq!(distributor.metrics.bodies.get(), 2);
+        subscribe(&mut distributor, 9, None, &[Field::Device]);
+        assert_eq!(received(&outboxes[9])[0]["code"], "busy", "no third view");
+        for client in (0..9).filter(|client| client % 2 == 0) {
+            distributor.handle(Command::Disconnect { client });
+        }
+        subscribe(&mut distributor, 9, None, &[Field::Device]);
+        assert_eq!(received(&outboxes[9])[0]["type"], "ok");
+    }
+}

@@ -1,0 +1,320 @@
+//! Foxglove viewers on the daemon's own port: who has subscribed to which channel, and what each receives.
+//!
+//! In: items from the fusion thread, what viewers ask for. Out: frames in their outboxes. Never: a socket, a wait. Each message of a channel
+//! that somebody has subscribed to is written once.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use super::client::{Dialect, Heard};
+use super::distributor::ClientId;
+use super::hub::Item;
+use super::metrics::Metrics;
+use super::outbox::{Close, Outbox, Outgoing};
+use super::{Limits, Shared};
+use posed_protocol::foxglove::wire::{self, Level, Request, ServerInfo, Subscription};
+use posed_protocol::foxglove::{Channel, Publisher, channels};
+use posed_protocol::{DropPolicy, Encoding, Payload, Problem, Stamp, Topic};
+use posed_stage::Stage;
+
+/// Messages that wait for a viewer; older ones give way.
+const WAITING: usize = 1024;
+/// Sentences of the log that who subscribes later receives.
+const LOG: usize = 100;
+
+/// What a viewer's task tells.
+pub(super) enum Command {
+    Connect { client: ClientId, outbox: Arc<Outbox> },
+    Ask { client: ClientId, request: Request },
+    Disconnect { client: ClientId },
+}
+
+/// Server info and list of channels, ready to be sent.
+pub(super) struct Greeting {
+    info: String,
+    advertise: String,
+    channels: usize,
+}
+
+/// All viewers; belongs to the distributing task.
+pub(super) struct Viewers {
+    channels: Vec<Channel>,
+    publisher: Publisher,
+    metrics: Arc<Metrics>,
+    clients: Vec<Client>,
+    /// Subscriptions by channel.
+    wanted: Vec<usize>,
+    /// What is reported to who subscribes: the newest message of states that seldom change, the newest events of the log.
+    latest: Vec<VecDeque<(u64, Arc<[u8]>)>>,
+    /// Problems of the last status, with the names that viewers know them by.
+    problems: Vec<(String, Problem)>,
+    /// Viewers' clocks follow the recording's.
+    replay: bool,
+}
+
+struct Client {
+    id: ClientId,
+    outbox: Arc<Outbox>,
+    /// The viewer's number of its subscription, by channel.
+    subscriptions: Vec<Option<u32>>,
+}
+
+impl Viewers {
+    /// Nobody yet.
+    pub(super) fn new(
+        stage: &Stage,
+        topics: &[Topic],
+        epoch_utc_ns: i64,
+        replay: bool,
+        metrics: &Arc<Metrics>,
+    ) -> Self {
+        let channels = channels(stage, topics);
+        Self {
+            publisher: Publisher::new(stage, epoch_utc_ns),
+            metrics: Arc::clone(metrics),
+            clients: Vec::new(),
+            wanted: vec![0; channels.len()],
+            latest: vec![VecDeque::new(); channels.len()],
+            problems: Vec::new(),
+            replay,
+            channels,
+        }
+    }
+
+    /// What every viewer gets first. The session differs after every start, even of the same recording.
+    pub(super) fn greeting(&self, stage: &str, epoch_utc: &str) -> Greeting {
+        let session = format!("{epoch_utc} {}", std::process::id());
+        let info = ServerInfo { stage, epoch_utc, session: &session, time: self.replay };
+        Greeting {
+            info: wire::server_info(&info),
+            advertise: wire::advertise(&self.channels),
+            channels: self.channels.len(),
+        }
+    }
+
+    /// How many there are.
+    pub(super) fn count(&self) -> usize {
+        self.clients.len()
+    }
+
+    /// Tells an item to all who want it; without a stamp, time goes back.
+    pub(super) fn publish(&mut self, item: &Item, stamp: Option<&Stamp>) {
+        let (Some(payload), Some(stamp)) = (item.payload(), stamp) else {
+            self.latest.iter_mut().for_each(VecDeque::clear);
+            return;
+        };
+        let Self { channels, publisher, clients, wanted, latest, metrics, .. } = self;
+        let utc_ns = publisher.utc_ns(stamp);
+        if self.replay && matches!(payload, Payload::Estimate(_)) {
+            for client in clients.iter() {
+                client.outbox.push_data(Outgoing::Clock(utc_ns), DropPolicy::Queue);
+            }
+        }
+        let keep = |place: usize| kept(&channels[place]);
+        publisher.publish(
+            &payload,
+            stamp,
+            channels,
+            &|place| wanted[place] > 0 || keep(place) > 0,
+            &mut |place, json| {
+                let payload: Arc<[u8]> = json.into();
+                if keep(place) > 0 {
+                    if latest[place].len() >= keep(place) {
+                        latest[place].pop_front();
+                    }
+                    latest[place].push_back((utc_ns, Arc::clone(&payload)));
+                }
+                for client in clients.iter().filter(|_| wanted[place] > 0) {
+                    client.send(place, &channels[place], utc_ns, &payload, metrics);
+                }
+            },
+        );
+        if let Payload::Status(status) = payload {
+            self.tell_problems(&status.problems);
+        }
+    }
+
+    /// Carries out what a viewer's task asks for.
+    pub(super) fn handle(&mut self, command: Command) {
+        match command {
+            Command::Connect { client, outbox } => {
+                for (id, problem) in &self.problems {
+                    tell(&outbox, wire::status(Level::Warning, &problem.message, Some(id)));
+                }
+                let subscriptions = vec![None; self.channels.len()];
+                self.clients.push(Client { id: client, outbox, subscriptions });
+            }
+            Command::Disconnect { client } => {
+                if let Some(at) = self.clients.iter().position(|other| other.id == client) {
+                    let client = self.clients.swap_remove(at);
+                    let places = client.subscriptions.iter().zip(&mut self.wanted);
+                    places.filter(|(id, _)| id.is_some()).for_each(|(_, wanted)| *wanted -= 1);
+                }
+            }
+            Command::Ask { client, request } => {
+                let Some(at) = self.clients.iter().position(|other| other.id == client) else { return };
+                let refused = match request {
+                    Request::Subscribe(list) => self.subscribe(at, &list),
+                    Request::Unsubscribe(list) => self.unsubscribe(at, &list),
+                };
+                if let Some((first, others)) = refused {
+                    let more = if others > 0 {
+                        format!(" (and {others} others of the same message)")
+                    } else {
+                        String::new()
+                    };
+                    tell(
+                        &self.clients[at].outbox,
+                        wire::status(Level::Warning, &format!("{first}{more}"), None),
+                    );
+                }
+            }
+        }
+    }
+
+    /// The first entry that was refused, and how many others.
+    fn subscribe(&mut self, at: usize, list: &[Subscription]) -> Option<(String, usize)> {
+        let mut refused = Vec::new();
+        for &Subscription { id, channel_id } in list {
+            let Self { channels, clients, wanted, latest, metrics, .. } = self;
+            let client = &mut clients[at];
+            let place = wire::place(channel_id, channels.len());
+            let Some(place) = place.filter(|place| client.subscriptions[*place].is_none()) else {
+                let why = if place.is_some() { "is subscribed to already" } else { "does not exist" };
+                refused.push(format!("channel {channel_id} {why}"));
+                continue;
+            };
+            if client.subscriptions.contains(&Some(id)) {
+                refused.push(format!("subscription {id} is in use already"));
+                continue;
+            }
+            client.subscriptions[place] = Some(id);
+            wanted[place] += 1;
+            for (utc_ns, payload) in &latest[place] {
+                client.send(place, &channels[place], *utc_ns, payload, metrics);
+            }
+        }
+        first_of(refused)
+    }
+
+    fn unsubscribe(&mut self, at: usize, list: &[u32]) -> Option<(String, usize)> {
+        let mut refused = Vec::new();
+        for &id in list {
+            let subscriptions = &mut self.clients[at].subscriptions;
+            match subscriptions.iter().position(|other| *other == Some(id)) {
+                Some(place) => {
+                    subscriptions[place] = None;
+                    self.wanted[place] -= 1;
+                }
+                None => refused.push(format!("there is no subscription {id}")),
+            }
+        }
+        first_of(refused)
+    }
+
+    /// Tells what is new and takes back what is over.
+    fn tell_problems(&mut self, problems: &[Problem]) {
+        let mut named: Vec<(String, Problem)> = Vec::with_capacity(problems.len());
+        for problem in problems {
+            let same = named.iter().filter(|(_, other)| other.code == problem.code).count();
+            named.push((format!("{} {same}", problem.code), problem.clone()));
+        }
+        for new in named.iter().filter(|new| !self.problems.contains(new)) {
+            let text = wire::status(Level::Warning, &new.1.message, Some(&new.0));
+            self.clients.iter().for_each(|client| tell(&client.outbox, text.clone()));
+        }
+        let over = |(id, _): &&(String, Problem)| !named.iter().any(|(other, _)| other == id);
+        let over: Vec<&str> = self.problems.iter().filter(over).map(|(id, _)| id.as_str()).collect();
+        if !over.is_empty() {
+            let text = wire::remove_status(&over);
+            self.clients.iter().for_each(|client| tell(&client.outbox, text.clone()));
+        }
+        self.problems = named;
+    }
+}
+
+/// How many messages of a channel are kept for who subscribes later; states come by themselves many times a second.
+fn kept(channel: &Channel) -> usize {
+    match channel.published() {
+        Some(Topic::Status | Topic::Jobs) => 1,
+        _ if channel.is_log() => LOG,
+        _ => 0,
+    }
+}
+
+fn first_of(refused: Vec<String>) -> Option<(String, usize)> {
+    let others = refused.len().saturating_sub(1);
+    refused.into_iter().next().map(|first| (first, others))
+}
+
+fn tell(outbox: &Outbox, text: String) {
+    outbox.push_lossless(Outgoing::Whole(text.into_bytes()));
+}
+
+impl Client {
+    fn send(&self, place: usize, channel: &Channel, utc_ns: u64, payload: &Arc<[u8]>, metrics: &Metrics) {
+        let Some(subscription) = self.subscriptions[place] else { return };
+        let message = Outgoing::Viewed { subscription, utc_ns, payload: Arc::clone(payload) };
+        metrics.messages.inc();
+        if channel.is_lossless() {
+            self.outbox.push_lossless(message);
+        } else {
+            metrics.dropped.inc_by(self.outbox.push_data(message, DropPolicy::Queue));
+        }
+    }
+}
+
+/// One viewer's side of it.
+pub(super) struct Viewer {
+    id: ClientId,
+    outbox: Arc<Outbox>,
+    shared: Arc<Shared>,
+}
+
+impl Viewer {
+    /// Greets the viewer and makes it known; `None` at shutdown.
+    pub(super) async fn begin(shared: &Arc<Shared>) -> Option<Self> {
+        let id = shared.next_client.fetch_add(1, Ordering::Relaxed);
+        let limits = Limits { queue_messages: WAITING, ..shared.context.limits.clone() };
+        let outbox = Arc::new(Outbox::new(Encoding::Json, limits));
+        tell(&outbox, shared.viewing.info.clone());
+        tell(&outbox, shared.viewing.advertise.clone());
+        let viewer = Self { id, outbox: Arc::clone(&outbox), shared: Arc::clone(shared) };
+        viewer.command(Command::Connect { client: id, outbox }).await.ok()?;
+        Some(viewer)
+    }
+
+    /// How many channels there are.
+    pub(super) fn channels(&self) -> usize {
+        self.shared.viewing.channels
+    }
+
+    async fn command(&self, command: Command) -> Result<(), Close> {
+        self.shared.commands.send(super::Command::Viewer(command)).await.map_err(|_| Close::SHUTDOWN)
+    }
+}
+
+impl Dialect for Viewer {
+    fn outbox(&self) -> Arc<Outbox> {
+        Arc::clone(&self.outbox)
+    }
+
+    async fn hear(&mut self, heard: Heard<'_>) -> Result<(), Close> {
+        let parsed = match heard {
+            Heard::Text(text) => wire::parse(text.as_bytes()),
+            Heard::Binary(_) => {
+                Err("nothing can be published or called here: this stage is watched".to_owned())
+            }
+        };
+        match parsed {
+            Ok(request) => self.command(Command::Ask { client: self.id, request }).await?,
+            Err(sentence) => tell(&self.outbox, wire::status(Level::Error, &sentence, None)),
+        }
+        Ok(())
+    }
+
+    async fn leave(self) {
+        let _ = self.command(Command::Disconnect { client: self.id }).await;
+    }
+}

@@ -1,0 +1,203 @@
+//! What can be asked over HTTP: the page, `/ws` (and Foxglove's websocket at `/` too), `/metrics`, `/health`; and who is refused before that.
+
+use std::sync::Arc;
+
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::extract::{Extension, Path, Request, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
+use axum::middleware::{self, Next};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use axum::{Router, extract::rejection::ExtensionRejection};
+
+use super::access::Refusal;
+use super::foxglove::Viewer;
+use super::listen::{ConnectionContext, Slot};
+use super::metrics::Metrics;
+use super::requests::Requests;
+use super::{Shared, client, viewer};
+use posed_protocol::foxglove;
+use posed_protocol::{Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK};
+use posed_stage::Role;
+
+/// The page loads its own files and speaks to its own server; nothing else, from nowhere else.
+const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
+    img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// What one stage answers.
+pub(super) fn router(shared: Arc<Shared>) -> Router {
+    let context = Arc::clone(&shared.context);
+    let routes = Router::new()
+        .route("/", get(root))
+        .route("/assets/{name}", get(asset))
+        .route("/health", get(health))
+        .route("/metrics", get(metrics))
+        .route("/ws", get(websocket))
+        .with_state(shared);
+    guarded(routes, context)
+}
+
+/// Behind the checks and headers that every answer has.
+pub(super) fn guarded(routes: Router, context: Arc<ConnectionContext>) -> Router {
+    routes.layer(middleware::from_fn_with_state(context, guard))
+}
+
+pub(super) async fn health() -> &'static str {
+    "ok\n"
+}
+
+/// A file of the page.
+pub(super) async fn asset(Path(name): Path<String>) -> Response {
+    viewer::file(&format!("assets/{name}"))
+}
+
+/// Checks the Host of every request, and puts the protective headers on every answer.
+async fn guard(State(context): State<Arc<ConnectionContext>>, request: Request, next: Next) -> Response {
+    let mut response = match context.access.check_host(request.headers(), request.uri()) {
+        Ok(()) => next.run(request).await,
+        Err(refusal) => refuse(&context, "host", refusal),
+    };
+    let status = response.status();
+    let headers = response.headers_mut();
+    for (name, value) in [
+        (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::X_FRAME_OPTIONS, "DENY"),
+        (header::REFERRER_POLICY, "no-referrer"),
+        (header::CACHE_CONTROL, "no-store"),
+    ] {
+        headers.insert(name, HeaderValue::from_static(value));
+    }
+    if status != StatusCode::SWITCHING_PROTOCOLS {
+        // Connections that wait for a next request would hold places for nothing.
+        headers.insert(header::CONNECTION, HeaderValue::from_static("close"));
+    }
+    headers.insert("cross-origin-opener-policy", HeaderValue::from_static("same-origin"));
+    headers.insert("cross-origin-resource-policy", HeaderValue::from_static("same-origin"));
+    response
+}
+
+pub(super) async fn metrics(State(shared): State<Arc<Shared>>, headers: HeaderMap, uri: Uri) -> Response {
+    counts(&shared.context, &shared.metrics, &headers, &uri)
+}
+
+/// What `/metrics` says to who may ask.
+pub(super) fn counts(
+    context: &ConnectionContext,
+    metrics: &Metrics,
+    headers: &HeaderMap,
+    uri: &Uri,
+) -> Response {
+    match context.access.role(headers, uri) {
+        Ok(_) => {
+            let kind = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+            ([(header::CONTENT_TYPE, kind)], metrics.text()).into_response()
+        }
+        Err(refusal) => refuse(context, "token", refusal),
+    }
+}
+
+/// The page; and the websocket of Foxglove viewers, who are given an address without a path.
+pub(super) async fn root(
+    shared: State<Arc<Shared>>,
+    slot: Result<Extension<Arc<Slot>>, ExtensionRejection>,
+    headers: HeaderMap,
+    uri: Uri,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+) -> Response {
+    match upgrade {
+        Ok(upgrade) => {
+            let upgrade = upgrade.protocols(foxglove::wire::SUBPROTOCOLS);
+            if upgrade.selected_protocol().is_none() {
+                let sentence = "a websocket of posed's own protocol is at /ws; Foxglove viewers offer foxglove.sdk.v1 or \
+                    foxglove.websocket.v1\n";
+                return (StatusCode::BAD_REQUEST, sentence).into_response();
+            }
+            websocket(shared, slot, headers, uri, upgrade).await
+        }
+        Err(_) if !headers.contains_key(header::UPGRADE) => viewer::file("index.html"),
+        Err(rejection) => rejection.into_response(),
+    }
+}
+
+pub(super) async fn websocket(
+    State(shared): State<Arc<Shared>>,
+    slot: Result<Extension<Arc<Slot>>, ExtensionRejection>,
+    headers: HeaderMap,
+    uri: Uri,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    let role = match admit(&shared.context, &headers, &uri) {
+        Ok(role) => role,
+        Err((reason, refusal)) => return refuse(&shared.context, reason, refusal),
+    };
+    let slot = slot.ok().map(|Extension(slot)| slot);
+    let [sdk, older] = foxglove::wire::SUBPROTOCOLS;
+    let upgrade =
+        bounded(upgrade, &shared.context).protocols([SUBPROTOCOL_MSGPACK, SUBPROTOCOL_JSON, sdk, older]);
+    let protocol = upgrade.selected_protocol().and_then(|protocol| protocol.to_str().ok()).unwrap_or("");
+    let speaks = match protocol {
+        SUBPROTOCOL_MSGPACK => Speaks::Own(Encoding::MessagePack),
+        name if foxglove::wire::SUBPROTOCOLS.contains(&name) => Speaks::Foxglove,
+        _ => Speaks::Own(Encoding::Json),
+    };
+    upgrade.on_upgrade(move |socket| async move {
+        let burst = shared.context.limits.message_burst;
+        match speaks {
+            Speaks::Own(encoding) => {
+                if let Some(requests) = Requests::begin(encoding, role, &shared).await {
+                    client::serve(socket, requests, burst, Arc::clone(&shared.context)).await;
+                }
+            }
+            Speaks::Foxglove => {
+                if let Some(viewer) = Viewer::begin(&shared).await {
+                    // Some subscribe to every channel by a message of its own.
+                    let burst = burst + viewer.channels() as f64;
+                    client::serve(socket, viewer, burst, Arc::clone(&shared.context)).await;
+                }
+            }
+        }
+        drop(slot);
+    })
+}
+
+/// What a client has chosen by the sub-protocol.
+enum Speaks {
+    Own(Encoding),
+    Foxglove,
+}
+
+/// What who asks for a websocket may do, or the refusal and its reason: Origin and token are looked at.
+pub(super) fn admit(
+    context: &ConnectionContext,
+    headers: &HeaderMap,
+    uri: &Uri,
+) -> Result<Role, (&'static str, Refusal)> {
+    context.access.check_origin(headers).map_err(|refusal| ("origin", refusal))?;
+    context.access.role(headers, uri).map_err(|refusal| ("token", refusal))
+}
+
+/// The websocket with its limits.
+pub(super) fn bounded(upgrade: WebSocketUpgrade, context: &ConnectionContext) -> WebSocketUpgrade {
+    upgrade
+        // Small reads, so that a flooding client gives the others their turn.
+        .read_buffer_size(4 * 1024)
+        .write_buffer_size(64 * 1024)
+        .max_write_buffer_size(64 * 1024 * 1024)
+        .max_message_size(context.limits.message_bytes)
+        .max_frame_size(context.limits.message_bytes)
+}
+
+pub(super) fn refuse(
+    context: &ConnectionContext,
+    reason: &'static str,
+    (status, sentence): Refusal,
+) -> Response {
+    context.metrics.refuse(reason);
+    let mut response = (status, sentence + "\n").into_response();
+    if status == StatusCode::UNAUTHORIZED {
+        response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+    }
+    response
+}

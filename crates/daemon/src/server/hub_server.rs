@@ -1,0 +1,313 @@
+//! A server for many stages: each has its page, its websocket and its metrics below its name, as if it were alone; the server itself
+//! has a page and a websocket for all of them.
+//!
+//! In: items of stages with the stamps they got there. Out: the same messages as at the stages. Never: anything that changes a stage.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use axum::Router;
+use axum::extract::rejection::ExtensionRejection;
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::extract::{Extension, Path as PathOf, State};
+use axum::http::{HeaderMap, StatusCode, Uri};
+use axum::response::{IntoResponse, Redirect, Response};
+use axum::routing::get;
+use tokio::sync::{mpsc, watch};
+
+use super::directory::{self, Directory, Member};
+use super::distributor::Distributor;
+use super::hub::Item;
+use super::listen::{ConnectionContext, Slot};
+use super::listener::Listener;
+use super::metrics::Metrics;
+use super::{
+    BindError, Command, Limits, Shared, StageInfo, StageServices, client, http, rfc3339, topics_of, viewer,
+};
+use crate::ports::ended;
+use posed_protocol::{
+    Counters, Encoding, Names, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK, Stages, Stamp, Topic,
+};
+use posed_stage::Stage;
+
+/// Items that wait for a stage's distributor.
+const WAITING: usize = 256;
+
+/// A server for many stages that is bound and not yet running.
+pub struct HubServer {
+    listener: Listener,
+    registry: StageRegistry,
+    asked: mpsc::Receiver<directory::Command>,
+}
+
+/// Where stages come in; clones share it.
+#[derive(Clone)]
+pub struct StageRegistry {
+    registered: Arc<Registered>,
+}
+
+struct Registered {
+    context: Arc<ConnectionContext>,
+    stages: Mutex<BTreeMap<String, Arc<Shared>>>,
+    directory: mpsc::Sender<directory::Command>,
+    greeting: directory::Greeting,
+}
+
+/// Where one stage's items go in; clients are notified of the end when it is dropped.
+pub struct StageEndpoint {
+    items: mpsc::Sender<(Item, Stamp)>,
+    shutdown: watch::Sender<bool>,
+}
+
+impl HubServer {
+    /// Binds the address of the settings, or `listen` in its place. Needs a tokio runtime.
+    ///
+    /// # Errors
+    /// The address does not serve.
+    pub fn bind(
+        name: &str,
+        epoch_utc_ns: i64,
+        settings: &posed_stage::Server,
+        listen: Option<String>,
+        folder: &Path,
+    ) -> Result<(Self, StageRegistry), BindError> {
+        crate::limits::raise();
+        let listener = Listener::open(settings, listen, folder, Limits::default())?;
+        let (directory, asked) = mpsc::channel(1024);
+        let greeting = directory::Greeting { name: name.to_owned(), epoch_utc: rfc3339(epoch_utc_ns) };
+        let registered = Registered {
+            context: Arc::clone(&listener.context),
+            stages: Mutex::default(),
+            directory,
+            greeting,
+        };
+        let registry = StageRegistry { registered: Arc::new(registered) };
+        Ok((Self { listener, registry: registry.clone(), asked }, registry))
+    }
+
+    /// The address it listens on.
+    pub fn address(&self) -> SocketAddr {
+        self.listener.address()
+    }
+
+    /// What to open in a browser.
+    pub fn url(&self) -> String {
+        self.listener.url()
+    }
+
+    /// Serves until `shutdown` resolves.
+    pub async fn run(self, shutdown: impl Future<Output = ()>) {
+        let Self { listener, registry, asked } = self;
+        let directory = tokio::spawn(Directory::new(Arc::clone(&listener.context.metrics)).run(asked));
+        let context = Arc::clone(&listener.context);
+        let routes = Router::new()
+            .route("/", get(async || viewer::file("hub.html")))
+            .route("/assets/{name}", get(http::asset))
+            .route("/health", get(http::health))
+            .route("/metrics", get(metrics))
+            .route("/ws", get(everything))
+            .route("/{stage}", get(with_slash))
+            .route("/{stage}/", get(stage_root))
+            .route(
+                "/{stage}/assets/{name}",
+                get(async |PathOf((_, name)): PathOf<(String, String)>| http::asset(PathOf(name)).await),
+            )
+            .route("/{stage}/health", get(stage_health))
+            .route("/{stage}/metrics", get(stage_metrics))
+            .route("/{stage}/ws", get(stage_websocket))
+            .with_state(registry);
+        listener.serve(http::guarded(routes, context), shutdown).await;
+        directory.abort();
+    }
+}
+
+impl StageRegistry {
+    /// A stage comes in under a name, in the place of who had that name before.
+    pub async fn join(
+        &self,
+        id: &str,
+        stage: &Stage,
+        epoch_utc_ns: i64,
+        published: &[Topic],
+        last_event_id: u64,
+    ) -> StageEndpoint {
+        let ConnectionContext { access, limits, metrics, slots, .. } = &*self.registered.context;
+        let (shutdown, seen) = watch::channel(false);
+        let context = ConnectionContext {
+            access: access.clone(),
+            limits: limits.clone(),
+            metrics: Arc::clone(metrics),
+            slots: slots.clone(),
+            shutdown: seen,
+        };
+        let topics = topics_of(stage, published);
+        let about = StageInfo { epoch_utc_ns, topics, last_event_id, replay: false, operable: false };
+        let services = StageServices::new(stage, about, &Arc::new(context), Arc::new(Metrics::new()));
+        let (items, fed) = mpsc::channel(WAITING);
+        let commands = services.shared.commands.clone();
+        self.stages().insert(id.to_owned(), Arc::clone(&services.shared));
+        tokio::spawn(distribute(services, fed, shutdown.subscribe()));
+        let _ = self.registered.directory.send(directory::Command::Joined { id: id.into(), commands }).await;
+        StageEndpoint { items, shutdown }
+    }
+
+    /// What is said of all stages now.
+    pub async fn tell(&self, stages: Stages) {
+        let _ = self.registered.directory.send(directory::Command::Tell(stages)).await;
+    }
+
+    fn stage(&self, id: &str) -> Option<Arc<Shared>> {
+        self.stages().get(id).map(Arc::clone)
+    }
+
+    fn stages(&self) -> MutexGuard<'_, BTreeMap<String, Arc<Shared>>> {
+        // Every change is complete before anything in it could panic.
+        self.registered.stages.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl StageEndpoint {
+    /// Publishes an item with the stamp that it got at its stage.
+    pub async fn publish(&self, item: Item, stamp: Stamp) {
+        let _ = self.items.send((item, stamp)).await;
+    }
+
+    /// The way in for a thread.
+    pub fn items(&self) -> mpsc::Sender<(Item, Stamp)> {
+        self.items.clone()
+    }
+}
+
+impl Drop for StageEndpoint {
+    fn drop(&mut self) {
+        self.shutdown.send_replace(true);
+    }
+}
+
+/// Feeds a stage's clients, until the stage has left.
+async fn distribute(
+    services: StageServices,
+    mut items: mpsc::Receiver<(Item, Stamp)>,
+    mut shutdown: watch::Receiver<bool>,
+) {
+    let StageServices { shared, mut viewers, mut commands, .. } = services;
+    let (names, limits): (Arc<Names>, Limits) = (Arc::clone(&shared.names), shared.context.limits.clone());
+    let mut distributor = Distributor::new(names, limits, Arc::clone(&shared.metrics), Counters::default());
+    loop {
+        tokio::select! {
+            biased;
+            item = items.recv() => {
+                let Some((item, stamp)) = item else { return };
+                distributor.follow(&stamp);
+                match &item {
+                    Item::Estimate(_) => _ = shared.metrics.frames.inc(),
+                    Item::Status(status) => shared.metrics.take(status),
+                    _ => {}
+                }
+                viewers.publish(&item, Some(&stamp));
+                distributor.publish(item, Some(stamp));
+                shared.last_event_id.store(distributor.last_event_id(), Ordering::Relaxed);
+                tokio::task::yield_now().await;
+            }
+            Some(command) = commands.recv() => match command {
+                Command::Client(command) => distributor.handle(command),
+                Command::Viewer(command) => viewers.handle(command),
+            },
+            () = ended(&mut shutdown) => return,
+        }
+    }
+}
+
+type SlotOf = Result<Extension<Arc<Slot>>, ExtensionRejection>;
+
+async fn metrics(State(registry): State<StageRegistry>, headers: HeaderMap, uri: Uri) -> Response {
+    let context = &registry.registered.context;
+    http::counts(context, &context.metrics, &headers, &uri)
+}
+
+/// The websocket for all stages.
+async fn everything(
+    State(registry): State<StageRegistry>,
+    slot: SlotOf,
+    headers: HeaderMap,
+    uri: Uri,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    let context = Arc::clone(&registry.registered.context);
+    if let Err((reason, refusal)) = http::admit(&context, &headers, &uri) {
+        return http::refuse(&context, reason, refusal);
+    }
+    let upgrade = http::bounded(upgrade, &context).protocols([SUBPROTOCOL_MSGPACK, SUBPROTOCOL_JSON]);
+    let protocol = upgrade.selected_protocol().and_then(|protocol| protocol.to_str().ok()).unwrap_or("");
+    let encoding = if protocol == SUBPROTOCOL_MSGPACK { Encoding::MessagePack } else { Encoding::Json };
+    upgrade.on_upgrade(async move |socket| {
+        let Registered { directory, greeting, .. } = &*registry.registered;
+        if let Some(member) = Member::begin(encoding, greeting, directory.clone(), &context.limits).await {
+            client::serve(socket, member, context.limits.message_burst, Arc::clone(&context)).await;
+        }
+        drop(slot);
+    })
+}
+
+/// Relative addresses on the page begin below the stage's name.
+async fn with_slash(uri: Uri) -> Redirect {
+    let query = uri.query().map(|query| format!("?{query}")).unwrap_or_default();
+    // Relative, so that it leads nowhere else, whatever the path looks like.
+    let name = uri.path().trim_start_matches('/').to_owned();
+    Redirect::temporary(&format!("./{name}/{query}"))
+}
+
+async fn stage_root(
+    State(registry): State<StageRegistry>,
+    PathOf(id): PathOf<String>,
+    slot: SlotOf,
+    headers: HeaderMap,
+    uri: Uri,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+) -> Response {
+    match registry.stage(&id) {
+        Some(shared) => http::root(State(shared), slot, headers, uri, upgrade).await,
+        None => unknown(),
+    }
+}
+
+async fn stage_websocket(
+    State(registry): State<StageRegistry>,
+    PathOf(id): PathOf<String>,
+    slot: SlotOf,
+    headers: HeaderMap,
+    uri: Uri,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    match registry.stage(&id) {
+        Some(shared) => http::websocket(State(shared), slot, headers, uri, upgrade).await,
+        None => unknown(),
+    }
+}
+
+async fn stage_metrics(
+    State(registry): State<StageRegistry>,
+    PathOf(id): PathOf<String>,
+    headers: HeaderMap,
+    uri: Uri,
+) -> Response {
+    match registry.stage(&id) {
+        Some(shared) => http::metrics(State(shared), headers, uri).await,
+        None => unknown(),
+    }
+}
+
+async fn stage_health(State(registry): State<StageRegistry>, PathOf(id): PathOf<String>) -> Response {
+    match registry.stage(&id) {
+        Some(_) => http::health().await.into_response(),
+        None => unknown(),
+    }
+}
+
+fn unknown() -> Response {
+    (StatusCode::NOT_FOUND, "this hub has not heard of such a stage; / lists those it has\n").into_response()
+}

@@ -1,0 +1,108 @@
+//! The way into a server: the bound socket, until it lets connections in.
+
+use std::net::{SocketAddr, ToSocketAddrs};
+use std::path::Path;
+use std::sync::Arc;
+
+use tokio::net::{TcpListener, TcpSocket};
+use tokio::sync::watch;
+use tokio_rustls::TlsAcceptor;
+
+use super::access::Access;
+use super::listen::{self, ConnectionContext, Slots};
+use super::metrics::Metrics;
+use super::{BindError, DEFAULT_LISTEN, Limits, tls};
+
+/// A bound socket that nobody is let in by yet.
+pub(super) struct Listener {
+    listener: TcpListener,
+    address: SocketAddr,
+    tls: Option<TlsAcceptor>,
+    pub(super) tell: watch::Sender<bool>,
+    pub(super) context: Arc<ConnectionContext>,
+}
+
+impl Listener {
+    /// Binds the address of the settings, or `listen` in its place; relative paths begin at `folder`.
+    pub(super) fn open(
+        settings: &posed_stage::Server,
+        listen: Option<String>,
+        folder: &Path,
+        limits: Limits,
+    ) -> Result<Self, BindError> {
+        let listen = listen.or_else(|| settings.listen.clone()).unwrap_or_else(|| DEFAULT_LISTEN.into());
+        let addresses: Vec<SocketAddr> = match listen.to_socket_addrs() {
+            Ok(addresses) => addresses.collect(),
+            Err(error) => return Err(BindError::Address { listen, error }),
+        };
+        let open = addresses.iter().any(|address| !address.ip().is_loopback());
+        if open && settings.tokens.is_empty() {
+            return Err(BindError::NeedsToken { listen });
+        }
+        let tls = settings.tls.as_ref().map(|files| tls::acceptor(files, folder)).transpose()?;
+        let (listener, address) =
+            bind_first(&addresses).map_err(|error| BindError::Bind { listen: listen.clone(), error })?;
+        let (tell, shutdown) = watch::channel(false);
+        let access = Access {
+            tokens: settings.tokens.clone(),
+            allowed_origins: settings.allowed_origins.iter().map(|o| o.to_ascii_lowercase()).collect(),
+            listen_host: listen.rsplit_once(':').map_or("", |(host, _)| host).to_owned(),
+            port: address.port(),
+            tls: tls.is_some(),
+        };
+        let slots = Slots::new(limits.connections, limits.connections_per_address);
+        let context =
+            ConnectionContext { access, limits, metrics: Arc::new(Metrics::new()), slots, shutdown };
+        Ok(Self { listener, address, tls, tell, context: Arc::new(context) })
+    }
+
+    /// The address it listens on.
+    pub(super) fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// What to open in a browser.
+    pub(super) fn url(&self) -> String {
+        let scheme = if self.tls.is_some() { "https" } else { "http" };
+        let mut address = self.address;
+        if address.ip().is_unspecified() {
+            address.set_ip(std::net::Ipv4Addr::LOCALHOST.into());
+        }
+        format!("{scheme}://{address}/")
+    }
+
+    /// Lets connections in until `shutdown` resolves; then tells everybody so and waits until they have left, or the
+    /// shutdown timeout.
+    pub(super) async fn serve(self, app: axum::Router, shutdown: impl Future<Output = ()>) {
+        let Self { listener, tls, tell, context, .. } = self;
+        tokio::select! {
+            () = listen::accept(&listener, tls.as_ref(), &context, app) => {}
+            () = shutdown => {}
+        }
+        drop(listener);
+        tell.send_replace(true);
+        let _ = tokio::time::timeout(context.limits.shutdown_timeout, context.slots.all_free()).await;
+    }
+}
+
+pub(super) fn bind_first(addresses: &[SocketAddr]) -> std::io::Result<(TcpListener, SocketAddr)> {
+    let mut refused = std::io::Error::other("the name has no address");
+    for &address in addresses {
+        match bind(address) {
+            Ok(bound) => return Ok(bound),
+            Err(error) => refused = error,
+        }
+    }
+    Err(refused)
+}
+
+fn bind(address: SocketAddr) -> std::io::Result<(TcpListener, SocketAddr)> {
+    let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+    socket.set_reuseaddr(true)?;
+    // Inherited by each connection: what the kernel holds for a client that stalls is soon old, and bounded by this.
+    socket.set_send_buffer_size(256 * 1024)?;
+    socket.bind(address)?;
+    let listener = socket.listen(1024)?;
+    let address = listener.local_addr()?;
+    Ok((listener, address))
+}

@@ -1,0 +1,510 @@
+//! The server: websocket, page, metrics, health; Foxglove viewers, VRPN, VMC, LSL.
+//!
+//! In: frames, events, status from the fusion thread through a [`Hub`], connections from a socket. Out: messages to
+//! clients, their [`PendingCall`]s to the daemon. Never: anything that makes the fusion thread, or one client, wait for another.
+//!
+//! ```text
+//! fusion thread ── Hub ──> distributor ──> outbox of each client ──> its task ──> socket
+//!                               ^ subscribe, resume                     │ calls ──> daemon ── Reply ──> outbox
+//! ```
+//! One task ([`distributor`], and [`foxglove`] for its viewers) owns the subscriptions and serialises each distinct body once; one task
+//! per client ([`client`]) writes what is in its [`outbox`], which is bounded and which nobody waits for.
+
+mod access;
+mod client;
+mod directory;
+mod distributor;
+mod foxglove;
+mod holding;
+mod http;
+mod hub;
+mod hub_server;
+mod listen;
+mod listener;
+mod metrics;
+mod outbox;
+mod requests;
+mod streams;
+mod tls;
+mod viewer;
+mod vmc;
+mod vrpn;
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::mpsc;
+
+use self::distributor::Distributor;
+use self::foxglove::Viewers;
+use self::listen::ConnectionContext;
+use self::listener::Listener;
+use self::metrics::Metrics;
+use self::streams::Streaming;
+use self::vrpn::{Outlet, Vrpn};
+use super::clock::StageClock;
+use super::link::Feed;
+use posed_protocol::vrpn::{Catalogue, Publisher};
+use posed_protocol::{Counters, HelloSensor, Names, Problem, Topic};
+use posed_stage::input::SensorIndex;
+use posed_stage::layout::BodyLayout;
+use posed_stage::{Pose, Skeleton, Stage};
+
+pub use self::holding::Holding;
+pub use self::hub::{Hub, Item};
+pub use self::hub_server::{HubServer, StageEndpoint, StageRegistry};
+pub use self::requests::{PendingCall, Refusal, Reply};
+pub use self::tls::TlsError;
+
+/// Where the server listens unless the stage file or the command line specifies otherwise.
+pub const DEFAULT_LISTEN: &str = "127.0.0.1:8787";
+
+/// What the server cannot know from the stage file.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// `HOST:PORT` instead of the stage file's; port 0 lets the system choose.
+    pub listen: Option<String>,
+    /// Folder that relative paths of the stage file start from.
+    pub folder: PathBuf,
+    /// UTC of the stage's epoch, in nanoseconds since 1970.
+    pub epoch_utc_ns: i64,
+    /// Topics that are published beside `status`, `sensors`, `faults`, `field`, `jobs`, and `truth` of a simulated stage.
+    pub more_topics: Vec<Topic>,
+    /// Numbers given out before; those of a recording when one is replayed.
+    pub counters: Counters,
+    /// Whether it is a recording that is served: its time is not that of the world, and programs that the stage itself may be
+    /// serving at the same time (VRPN, VMC, LSL) are not served.
+    pub replay: bool,
+    /// The stage's clock; absent: times are those of nothing that goes on, and LSL gets nothing.
+    pub clock: Option<StageClock>,
+    /// What went wrong as the daemon was started, and does not keep it from running: reported with every status.
+    pub problems: Vec<Problem>,
+    /// What one client, and all together, may take.
+    pub limits: Limits,
+}
+
+impl Config {
+    /// For a stage whose relative paths start from `folder`.
+    pub fn new(folder: &Path, epoch_utc_ns: i64) -> Self {
+        Self {
+            listen: None,
+            folder: folder.into(),
+            epoch_utc_ns,
+            more_topics: Vec::new(),
+            counters: Counters::default(),
+            replay: false,
+            clock: None,
+            problems: Vec::new(),
+            limits: Limits::default(),
+        }
+    }
+}
+
+/// What one client, and all together, may take.
+#[derive(Clone, Debug)]
+pub struct Limits {
+    /// Connections at a time.
+    pub connections: usize,
+    /// Connections at a time from one address.
+    pub connections_per_address: usize,
+    /// Bytes of a client's message; a larger one closes with 1009.
+    pub message_bytes: usize,
+    /// Messages per second that a client may send on average; more closes with 1008.
+    pub messages_per_s: f64,
+    /// Messages that a client may send at once.
+    pub message_burst: f64,
+    /// Data messages per topic that wait for a client with `drop: latest`.
+    pub latest_messages: usize,
+    /// Data messages that wait for a client with `drop: queue`.
+    pub queue_messages: usize,
+    /// Bytes that wait for a client.
+    pub queue_bytes: usize,
+    /// Replies and events that wait for a client; more closes with 1008.
+    pub lossless_messages: usize,
+    /// Events that are kept for `resume`, ten minutes at most.
+    pub events: usize,
+    /// Distinct choices of sensors, fields and encoding over all clients.
+    pub views: usize,
+    /// Time for the TLS handshake, and again for the HTTP request.
+    pub greeting_timeout: Duration,
+    /// Distance of pings.
+    pub ping_interval: Duration,
+    /// A client that sends nothing, not even a pong, for so long is gone.
+    pub silence_timeout: Duration,
+    /// Time that all clients have for their goodbye at shutdown.
+    pub shutdown_timeout: Duration,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            connections: 512,
+            connections_per_address: 256,
+            message_bytes: 64 * 1024,
+            messages_per_s: 50.0,
+            message_burst: 200.0,
+            latest_messages: 16,
+            queue_messages: 4096,
+            queue_bytes: 8 * 1024 * 1024,
+            lossless_messages: 8192,
+            events: 4096,
+            views: 64,
+            greeting_timeout: Duration::from_secs(5),
+            ping_interval: Duration::from_secs(15),
+            silence_timeout: Duration::from_secs(45),
+            shutdown_timeout: Duration::from_secs(3),
+        }
+    }
+}
+
+/// Why the server cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum BindError {
+    /// The address cannot be read or resolved.
+    #[error("cannot listen on {listen}: {error}; give HOST:PORT, like {DEFAULT_LISTEN}")]
+    Address {
+        /// As given.
+        listen: String,
+        /// What the system said.
+        error: std::io::Error,
+    },
+    /// Beyond loopback everybody on the network could look and operate.
+    #[error(
+        "refusing to listen on {listen}, which other computers can reach, without a token: add [[server.token]] with \
+         secret (at least 16 characters) and role to the stage file, or listen on 127.0.0.1"
+    )]
+    NeedsToken {
+        /// As given.
+        listen: String,
+    },
+    /// The address is taken.
+    #[error(
+        "cannot listen on {listen}: {error}; is another posed running? choose another port with --listen"
+    )]
+    Bind {
+        /// As given.
+        listen: String,
+        /// What the system said.
+        error: std::io::Error,
+    },
+    /// The address for VRPN clients is taken, or none.
+    #[error(
+        "cannot listen on {listen} for VRPN clients: {error}; is a VRPN server running? choose another port in [vrpn]"
+    )]
+    Vrpn {
+        /// As given.
+        listen: String,
+        /// What the system said.
+        error: std::io::Error,
+    },
+    /// An avatar's address has no meaning here.
+    #[error(
+        "cannot send to {target} by VMC: {error}; write HOST:PORT into vmc.targets, like 127.0.0.1:39539"
+    )]
+    Vmc {
+        /// As given.
+        target: String,
+        /// What the system said.
+        error: std::io::Error,
+    },
+    /// Certificate or key do not serve.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
+}
+
+/// A server that is bound and not yet running.
+pub struct Server {
+    listener: Listener,
+    shared: Arc<Shared>,
+    outlets: Outlets,
+    vrpn: Option<Vrpn>,
+    hub: Hub,
+    commands: mpsc::Receiver<Command>,
+}
+
+/// What every connection to a stage needs.
+struct Shared {
+    context: Arc<ConnectionContext>,
+    /// The stage's own; those of the gate unless it leads to many stages.
+    metrics: Arc<Metrics>,
+    names: Arc<Names>,
+    greeting: Greeting,
+    /// What Foxglove viewers gets first.
+    viewing: foxglove::Greeting,
+    commands: mpsc::Sender<Command>,
+    calls: mpsc::Sender<PendingCall>,
+    /// Whether clients may change something, where their token lets them.
+    operable: bool,
+    /// Newest event, for greetings.
+    last_event_id: std::sync::atomic::AtomicU64,
+    next_client: std::sync::atomic::AtomicU64,
+}
+
+/// What clients' tasks tell the distributing one.
+enum Command {
+    /// A client of our own protocol.
+    Client(distributor::Command),
+    /// A Foxglove viewer.
+    Viewer(foxglove::Command),
+}
+
+/// What every client gets first.
+struct Greeting {
+    stage: String,
+    epoch_utc: String,
+    skeleton: Option<Skeleton>,
+    height_m: Option<f64>,
+    transmitter: Pose,
+    topics: Vec<Topic>,
+}
+
+impl Shared {
+    fn hello_sensors(&self) -> Vec<HelloSensor> {
+        let sensor = |(index, (name, device)): (usize, (&str, &str))| HelloSensor {
+            name: name.into(),
+            device: device.into(),
+            magnetic: self.names.is_magnetic(index as SensorIndex),
+        };
+        self.names.sensors().enumerate().map(sensor).collect()
+    }
+}
+
+impl Server {
+    /// Binds the stage's address. Gives the server, the handle to publish with, and the calls that clients make.
+    ///
+    /// # Errors
+    /// When the address is no address, is taken, needs a token that is not there, or TLS files do not serve.
+    pub fn bind(
+        stage: &Stage,
+        config: Config,
+    ) -> Result<(Self, Hub, mpsc::Receiver<PendingCall>), BindError> {
+        Self::bind_fed(stage, config, None)
+    }
+
+    /// The same; all that is published goes to `feed` too, for programs on other machines.
+    pub(super) fn bind_fed(
+        stage: &Stage,
+        config: Config,
+        feed: Option<Box<dyn Feed>>,
+    ) -> Result<(Self, Hub, mpsc::Receiver<PendingCall>), BindError> {
+        let listener = Listener::open(&stage.server, config.listen, &config.folder, config.limits)?;
+        let metrics = Arc::clone(&listener.context.metrics);
+        let limits = listener.context.limits.clone();
+        let topics = topics_of(stage, &config.more_topics);
+        let about = StageInfo {
+            epoch_utc_ns: config.epoch_utc_ns,
+            topics,
+            last_event_id: config.counters.last_event_id(),
+            replay: config.replay,
+            operable: true,
+        };
+        let StageServices { shared, viewers, commands, calls } =
+            StageServices::new(stage, about, &listener.context, Arc::clone(&metrics));
+        let hub = Hub::default();
+        let vrpn = match stage.vrpn.as_ref().filter(|_| !config.replay) {
+            None => None,
+            Some(settings) => {
+                let names = stage.sensors.iter().map(|sensor| sensor.name.as_str());
+                let publisher = Publisher::new(Catalogue::new(names, config.epoch_utc_ns));
+                let bound = Vrpn::bind(settings, publisher, &limits, Arc::clone(&metrics));
+                Some(bound.map_err(|(listen, error)| BindError::Vrpn { listen, error })?)
+            }
+        };
+        let (vrpn, vrpn_outlet) = vrpn.unzip();
+        let vmc = match stage.vmc.as_ref().filter(|_| !config.replay) {
+            None => None,
+            Some(settings) => {
+                let opened = vmc::Outlet::open(stage, settings, Arc::clone(&metrics));
+                Some(opened.map_err(|(target, error)| BindError::Vmc { target, error })?)
+            }
+        };
+        let lsl = stage.lsl.as_ref().zip(config.clock.filter(|_| !config.replay));
+        let lsl = lsl.map(|(settings, clock)| Streaming::start(stage, settings, clock, Arc::clone(&metrics)));
+        let distributor = Distributor::new(Arc::clone(&shared.names), limits, metrics, config.counters);
+        let outlets =
+            Outlets { distributor, viewers, vrpn: vrpn_outlet, vmc, lsl, feed, problems: config.problems };
+        let hub_in = hub.clone();
+        let server = Self { listener, shared, outlets, vrpn, hub: hub_in, commands };
+        Ok((server, hub, calls))
+    }
+
+    /// The address it listens on.
+    pub fn address(&self) -> SocketAddr {
+        self.listener.address()
+    }
+
+    /// The address for VRPN clients, if the stage wants them.
+    pub fn vrpn_address(&self) -> Option<SocketAddr> {
+        self.vrpn.as_ref().and_then(|vrpn| vrpn.address().ok())
+    }
+
+    /// What to open in a browser.
+    pub fn url(&self) -> String {
+        self.listener.url()
+    }
+
+    /// Serves until `shutdown` resolves; then tells every client goodbye (1001) and returns within the shutdown timeout.
+    pub async fn run(self, shutdown: impl Future<Output = ()>) {
+        let Self { listener, shared, outlets, vrpn, hub, commands } = self;
+        let distributing = tokio::spawn(distribute(outlets, hub, commands, Arc::clone(&shared)));
+        let others = vrpn.map(|vrpn| tokio::spawn(vrpn.run(listener.tell.subscribe())));
+        listener.serve(http::router(shared), shutdown).await;
+        distributing.abort();
+        // What it holds has then ended too.
+        let _ = distributing.await;
+        if let Some(others) = others {
+            // Notified at the same time, and bounded by itself.
+            let _ = others.await;
+        }
+    }
+}
+
+/// What a stage publishes; `more` beside what its file specifies.
+fn topics_of(stage: &Stage, more: &[Topic]) -> Vec<Topic> {
+    let mut topics = vec![Topic::Status, Topic::Sensors, Topic::Faults, Topic::Field, Topic::Jobs];
+    // Whatever is tracked can be taught and counted, and learnt to be named.
+    topics.extend((!stage.sensors.is_empty()).then_some(Topic::Exercise));
+    topics.extend((!stage.sensors.is_empty()).then_some(Topic::Segments));
+    topics.extend(BodyLayout::of(stage).is_some().then_some(Topic::Body));
+    topics.extend(stage.keyframes.is_some().then_some(Topic::Keyframes));
+    topics.extend_from_slice(more);
+    topics.extend(stage.simulation.is_some().then_some(Topic::Truth));
+    topics.sort();
+    topics.dedup();
+    topics
+}
+
+/// What clients of a stage must get first that its file does not say.
+struct StageInfo {
+    epoch_utc_ns: i64,
+    topics: Vec<Topic>,
+    last_event_id: u64,
+    replay: bool,
+    /// Whether its clients may change something, where their token lets them.
+    operable: bool,
+}
+
+/// A stage's side of a server: what its clients share, and the ends of the queues that they fill.
+struct StageServices {
+    shared: Arc<Shared>,
+    viewers: Viewers,
+    commands: mpsc::Receiver<Command>,
+    calls: mpsc::Receiver<PendingCall>,
+}
+
+impl StageServices {
+    fn new(stage: &Stage, about: StageInfo, context: &Arc<ConnectionContext>, metrics: Arc<Metrics>) -> Self {
+        let StageInfo { epoch_utc_ns, topics, last_event_id, replay, operable } = about;
+        let names = Arc::new(Names::new(stage));
+        let viewers = Viewers::new(stage, &topics, epoch_utc_ns, replay, &metrics);
+        let epoch_utc = rfc3339(epoch_utc_ns);
+        let (command_sender, commands) = mpsc::channel(1024);
+        let (call_sender, calls) = mpsc::channel(64);
+        let shared = Arc::new(Shared {
+            context: Arc::clone(context),
+            metrics,
+            viewing: viewers.greeting(&stage.name, &epoch_utc),
+            greeting: Greeting {
+                stage: stage.name.clone(),
+                epoch_utc,
+                skeleton: stage.body.as_ref().map(|body| body.skeleton),
+                height_m: stage.body.as_ref().and_then(|body| body.height_m),
+                transmitter: stage.transmitter.pose_in_room.unwrap_or(Pose::IDENTITY),
+                topics,
+            },
+            names,
+            commands: command_sender,
+            calls: call_sender,
+            operable,
+            last_event_id: last_event_id.into(),
+            next_client: 0.into(),
+        });
+        Self { shared, viewers, commands, calls }
+    }
+}
+
+/// Everything that is published to.
+struct Outlets {
+    distributor: Distributor,
+    viewers: Viewers,
+    vrpn: Option<Outlet>,
+    vmc: Option<vmc::Outlet>,
+    lsl: Option<Streaming>,
+    /// Programs on other machines.
+    feed: Option<Box<dyn Feed>>,
+    /// What went wrong as the daemon was started, and does not keep it from running.
+    problems: Vec<Problem>,
+}
+
+/// Feeds the outlets, one thing at a time; frames before commands.
+async fn distribute(
+    mut outlets: Outlets,
+    hub: Hub,
+    mut commands: mpsc::Receiver<Command>,
+    shared: Arc<Shared>,
+) {
+    use std::sync::atomic::Ordering;
+    let Outlets { distributor, viewers, vrpn, vmc, lsl, feed, problems } = &mut outlets;
+    loop {
+        while let Some(mut item) = hub.take() {
+            match &item {
+                hub::Item::Estimate(_) => _ = shared.metrics.frames.inc(),
+                hub::Item::Status(status) => shared.metrics.take(status),
+                _ => {}
+            }
+            distributor.complete(&mut item, viewers.count());
+            if let hub::Item::Status(status) = &mut item {
+                status.problems.extend(lsl.as_ref().and_then(Streaming::problem));
+                status.problems.extend_from_slice(problems);
+                status.problems.extend(feed.as_ref().and_then(|feed| feed.problem()));
+            }
+            let stamp = distributor.stamp(&item);
+            if let Some(outlet) = vrpn {
+                outlet.publish(&item);
+            }
+            if let Some(outlet) = vmc {
+                outlet.publish(&item);
+            }
+            if let (Some(streaming), Some(stamp)) = (&lsl, &stamp) {
+                streaming.publish(&item, stamp, &shared.names);
+            }
+            if let (Some(feed), Some(stamp)) = (&*feed, &stamp) {
+                feed.publish(&item, stamp, &shared.names);
+            }
+            viewers.publish(&item, stamp.as_ref());
+            if let Some(replaced) = distributor.publish(item, stamp) {
+                hub.recycle(replaced);
+            }
+            shared.last_event_id.store(distributor.last_event_id(), Ordering::Relaxed);
+            // The clients' tasks that were just woken go first.
+            tokio::task::yield_now().await;
+        }
+        tokio::select! {
+            biased;
+            () = hub.filled() => {}
+            Some(command) = commands.recv() => match command {
+                Command::Client(command) => distributor.handle(command),
+                Command::Viewer(command) => viewers.handle(command),
+            },
+        }
+    }
+}
+
+/// A UTC time in nanoseconds since 1970 as RFC 3339 writes it; empty where that cannot.
+pub fn rfc3339(utc_ns: i64) -> String {
+    match jiff::Timestamp::from_nanosecond(utc_ns.into()) {
+        Ok(utc) => format!("{utc:.9}"),
+        Err(_) => String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn epoch_has_nanoseconds() {
+        assert_eq!(super::rfc3339(1_700_000_000_000_000_001), "2023-11-14T22:13:20.000000001Z");
+        assert_eq!(super::rfc3339(0), "1970-01-01T00:00:00.000000000Z");
+    }
+}

@@ -1,0 +1,271 @@
+//! What waits to be written to one client: two bounded queues that nobody ever waits for.
+//!
+//! Replies and events are lossless, and a client that lets them pile up is disconnected. Data messages give way: the
+//! oldest is dropped and counted. The distributor fills, the client's task empties.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::Notify;
+
+use super::Limits;
+use posed_protocol::foxglove::wire;
+use posed_protocol::{DropPolicy, Encoding, Topic, encode};
+
+/// Why the daemon ends a connection, as a websocket closing code and a reason of at most 123 bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Close {
+    pub(super) code: u16,
+    pub(super) reason: &'static str,
+}
+
+impl Close {
+    pub(super) const SHUTDOWN: Self = Self { code: 1001, reason: "the daemon is shutting down" };
+    pub(super) const TOO_SLOW: Self = Self {
+        code: 1008,
+        reason: "too slow: events and replies have piled up; read faster or subscribe to less",
+    };
+    pub(super) const TOO_MANY: Self = Self { code: 1008, reason: "too many messages per second" };
+    pub(super) const SILENT: Self = Self { code: 1008, reason: "no answer to pings" };
+    pub(super) const TOO_LARGE: Self =
+        Self { code: 1009, reason: "the message is larger than this daemon takes" };
+}
+
+/// One message to write.
+#[derive(Debug)]
+pub(super) enum Outgoing {
+    /// A reply or greeting, complete.
+    Whole(Vec<u8>),
+    /// A data message: the stage's name for who sees several, the client's numbers, and the shared body.
+    Shared { stage: Option<Arc<str>>, topic: Topic, seq: u64, body: Arc<[u8]> },
+    /// The same for a Foxglove viewer: its number of the subscription, UTC in ns, the shared payload.
+    Viewed { subscription: u32, utc_ns: u64, payload: Arc<[u8]> },
+    /// What the clock of a Foxglove viewer is to show: UTC in ns.
+    Clock(u64),
+}
+
+/// What kind of websocket message it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Form {
+    Text,
+    Binary,
+}
+
+/// The queues of one client.
+#[derive(Debug)]
+pub(super) struct Outbox {
+    encoding: Encoding,
+    queues: Mutex<Queues>,
+    filled: Notify,
+    limits: Limits,
+}
+
+#[derive(Debug, Default)]
+struct Queues {
+    lossless: VecDeque<Outgoing>,
+    data: VecDeque<Outgoing>,
+    /// Bytes of both queues.
+    bytes: usize,
+    dropped: u64,
+    /// Events or replies had to be refused: the connection ends.
+    overflowed: bool,
+}
+
+impl Outbox {
+    pub(super) fn new(encoding: Encoding, limits: Limits) -> Self {
+        Self { encoding, queues: Mutex::default(), filled: Notify::new(), limits }
+    }
+
+    pub(super) fn encoding(&self) -> Encoding {
+        self.encoding
+    }
+
+    /// Queues a reply or an event. A client that has let too many pile up is closed instead.
+    pub(super) fn push_lossless(&self, message: Outgoing) {
+        let mut queues = self.lock();
+        let bytes = message.bytes();
+        let full = queues.lossless.len() >= self.limits.lossless_messages
+            || queues.bytes + bytes > self.limits.queue_bytes && !queues.lossless.is_empty();
+        if full {
+            queues.overflowed = true;
+        } else {
+            queues.bytes += bytes;
+            queues.lossless.push_back(message);
+        }
+        drop(queues);
+        self.filled.notify_one();
+    }
+
+    /// Queues a data message; the oldest ones give way. Returns how many did.
+    pub(super) fn push_data(&self, message: Outgoing, policy: DropPolicy) -> u64 {
+        let mut queues = self.lock();
+        let before = queues.dropped;
+        match policy {
+            // Topics share the queue, so the limit of "latest" counts this topic's only.
+            DropPolicy::Latest => {
+                let waiting =
+                    || queues.data.iter().enumerate().filter(|(_, item)| item.stream() == message.stream());
+                if waiting().count() >= self.limits.latest_messages
+                    && let Some((oldest, _)) = waiting().next()
+                {
+                    queues.drop_data(oldest);
+                }
+            }
+            DropPolicy::Queue => {
+                if queues.data.len() >= self.limits.queue_messages {
+                    queues.drop_data(0);
+                }
+            }
+        }
+        let bytes = message.bytes();
+        while queues.bytes + bytes > self.limits.queue_bytes && !queues.data.is_empty() {
+            queues.drop_data(0);
+        }
+        queues.bytes += bytes;
+        queues.data.push_back(message);
+        let dropped = queues.dropped - before;
+        drop(queues);
+        self.filled.notify_one();
+        dropped
+    }
+
+    /// Waits until there may be something to take.
+    pub(super) async fn filled(&self) {
+        self.filled.notified().await;
+    }
+
+    /// Appends the next message to `out`, events and replies first; `None` if nothing waits. `Err` ends the connection.
+    pub(super) fn pop(&self, out: &mut Vec<u8>) -> Result<Option<Form>, Close> {
+        let mut queues = self.lock();
+        if queues.overflowed {
+            return Err(Close::TOO_SLOW);
+        }
+        let next = queues.lossless.pop_front().or_else(|| queues.data.pop_front());
+        let Some(message) = next else { return Ok(None) };
+        queues.bytes -= message.bytes();
+        let dropped = queues.dropped;
+        drop(queues);
+        let form = match self.encoding {
+            Encoding::Json => Form::Text,
+            Encoding::MessagePack => Form::Binary,
+        };
+        Ok(Some(match message {
+            Outgoing::Whole(bytes) => {
+                out.extend_from_slice(&bytes);
+                form
+            }
+            Outgoing::Shared { stage, topic, seq, body } => {
+                out.reserve(body.len() + 128);
+                let head = encode::Head { stage: stage.as_deref(), topic, seq, dropped };
+                encode::message(self.encoding, head, &body, out);
+                form
+            }
+            Outgoing::Viewed { subscription, utc_ns, payload } => {
+                wire::message_data(subscription, utc_ns, &payload, out);
+                Form::Binary
+            }
+            Outgoing::Clock(utc_ns) => {
+                wire::time(utc_ns, out);
+                Form::Binary
+            }
+        }))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Queues> {
+        // Every change is complete before anything in it could panic.
+        self.queues.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Outgoing {
+    fn bytes(&self) -> usize {
+        match self {
+            Self::Whole(bytes) => bytes.len(),
+            Self::Shared { body, .. } | Self::Viewed { payload: body, .. } => body.len(),
+            Self::Clock(_) => size_of::<Self>(),
+        }
+    }
+
+    /// What it is one of many of.
+    fn stream(&self) -> Option<(Option<&str>, Topic)> {
+        match self {
+            Self::Shared { stage, topic, .. } => Some((stage.as_deref(), *topic)),
+            Self::Whole(_) | Self::Viewed { .. } | Self::Clock(_) => None,
+        }
+    }
+}
+
+impl Queues {
+    fn drop_data(&mut self, at: usize) {
+        if let Some(message) = self.data.remove(at) {
+            self.bytes -= message.bytes();
+            self.dropped += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn limits() -> Limits {
+        Limits {
+            latest_messages: 2,
+            queue_messages: 4,
+            lossless_messages: 3,
+            queue_bytes: 1000,
+            ..Limits::default()
+        }
+    }
+
+    fn data(topic: Topic, seq: u64, bytes: usize) -> Outgoing {
+        let body = format!("{:<1$}", r#"{"x":0}"#, bytes).into_bytes();
+        Outgoing::Shared { stage: None, topic, seq, body: body.into() }
+    }
+
+    fn taken(outbox: &Outbox) -> Vec<String> {
+        let mut out = Vec::new();
+        let mut all = Vec::new();
+        while let Ok(Some(Form::Text)) = outbox.pop(&mut out) {
+            let value: serde_json::Value = serde_json::from_slice(&out).unwrap();
+            all.push(format!("{} {} {}", value["type"].as_str().unwrap(), value["seq"], value["dropped"]));
+            out.clear();
+        }
+        all
+    }
+
+    #[test]
+    fn latest_drops_the_oldest_of_its_own_topic() {
+        let outbox = Outbox::new(Encoding::Json, limits());
+        outbox.push_data(data(Topic::Status, 0, 10), DropPolicy::Latest);
+        for seq in 0..5 {
+            outbox.push_data(data(Topic::Sensors, seq, 10), DropPolicy::Latest);
+        }
+        assert_eq!(taken(&outbox), ["status 0 3", "sensors 3 3", "sensors 4 3"]);
+    }
+
+    #[test]
+    fn a_queue_is_bounded_by_messages_and_by_bytes() {
+        let outbox = Outbox::new(Encoding::Json, limits());
+        for seq in 0..6 {
+            outbox.push_data(data(Topic::Sensors, seq, 10), DropPolicy::Queue);
+        }
+        assert_eq!(taken(&outbox), ["sensors 2 2", "sensors 3 2", "sensors 4 2", "sensors 5 2"]);
+        for seq in 6..9 {
+            outbox.push_data(data(Topic::Sensors, seq, 400), DropPolicy::Queue);
+        }
+        assert_eq!(taken(&outbox), ["sensors 7 3", "sensors 8 3"]);
+    }
+
+    #[test]
+    fn events_go_first_and_close_whom_they_flood() {
+        let outbox = Outbox::new(Encoding::Json, limits());
+        outbox.push_data(data(Topic::Sensors, 0, 10), DropPolicy::Latest);
+        outbox.push_lossless(data(Topic::Faults, 0, 10));
+        assert_eq!(taken(&outbox), ["faults 0 0", "sensors 0 0"]);
+        for seq in 1..5 {
+            outbox.push_lossless(data(Topic::Faults, seq, 10));
+        }
+        assert_eq!(outbox.pop(&mut Vec::new()), Err(Close::TOO_SLOW));
+    }
+}

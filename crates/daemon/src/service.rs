@@ -1,0 +1,74 @@
+//! What a live stage and a replay have in common: a server, a thread that feeds it, and an orderly end.
+
+use std::future::Future;
+use std::net::SocketAddr;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+
+use super::ports::ended;
+use super::server::Server;
+
+/// Time that the thread has to end, a recording included.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(4);
+
+/// A server that runs, the tasks around it, and the switch that ends them.
+pub(super) struct Service {
+    address: SocketAddr,
+    vrpn_address: Option<SocketAddr>,
+    url: String,
+    shutdown: watch::Sender<bool>,
+    tasks: JoinSet<()>,
+}
+
+impl Service {
+    /// Serves clients. Needs a tokio runtime.
+    pub(super) fn start(server: Server) -> Self {
+        let (address, vrpn_address, url) = (server.address(), server.vrpn_address(), server.url());
+        let (shutdown, mut down) = watch::channel(false);
+        let mut tasks = JoinSet::new();
+        tasks.spawn(server.run(async move { ended(&mut down).await }));
+        Self { address, vrpn_address, url, shutdown, tasks }
+    }
+
+    pub(super) fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    pub(super) fn vrpn_address(&self) -> Option<SocketAddr> {
+        self.vrpn_address
+    }
+
+    pub(super) fn url(&self) -> &str {
+        &self.url
+    }
+
+    /// True once everything is to end.
+    pub(super) fn down(&self) -> watch::Receiver<bool> {
+        self.shutdown.subscribe()
+    }
+
+    /// A task that ends when [`Self::down`] says so.
+    pub(super) fn spawn(&mut self, task: impl Future<Output = ()> + Send + 'static) {
+        self.tasks.spawn(task);
+    }
+
+    /// Ends the tasks, and waits for them and for the thread, which has been asked to end. Less than five seconds.
+    pub(super) async fn shutdown(mut self, thread: JoinHandle<()>) {
+        self.shutdown.send_replace(true);
+        let joined = tokio::task::spawn_blocking(move || thread.join().is_ok());
+        let all = async {
+            while self.tasks.join_next().await.is_some() {}
+            joined.await
+        };
+        match tokio::time::timeout(SHUTDOWN_TIMEOUT, all).await {
+            Ok(Ok(true)) => {}
+            Ok(_) => tracing::error!("the thread behind the server ended with a panic; please report this"),
+            Err(_) => tracing::error!(
+                "not everything has ended in time; a recording may lack its index: `posed info --repair` adds it"
+            ),
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! A field map: a calibration, as its file holds it.
+
+use std::path::Path;
+
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::grid::Shape;
+use super::hull::Hull;
+use super::model::{Model, Polynomial};
+use super::noise::FieldNoise;
+use super::report::Report;
+use posed_geometry::{orientation_from_wxyz, orientation_to_wxyz};
+
+/// Version of the map file; files of another version are refused.
+pub const VERSION: u32 = 1;
+/// Distance of the nodes of the grid of uncertainty, m.
+const COARSE_STEP_M: f64 = 0.25;
+/// Farther outside the hull than a model holds, the correction fades to its value at the hull over this, m.
+pub(crate) const FADE_M: f64 = 0.2;
+
+/// A rigid motion in a file: rotates, then translates.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Aligned {
+    /// Translation, m.
+    pub position_m: [f64; 3],
+    /// Rotation as a unit quaternion, scalar first. No unit quaternion counts as no rotation.
+    pub orientation_wxyz: [f64; 4],
+}
+
+impl Default for Aligned {
+    fn default() -> Self {
+        Self::from(&Isometry3::identity())
+    }
+}
+
+impl From<&Isometry3<f64>> for Aligned {
+    fn from(motion: &Isometry3<f64>) -> Self {
+        Self {
+            position_m: motion.translation.vector.into(),
+            orientation_wxyz: orientation_to_wxyz(&motion.rotation),
+        }
+    }
+}
+
+impl Aligned {
+    pub(crate) fn rotation(&self) -> UnitQuaternion<f64> {
+        orientation_from_wxyz(self.orientation_wxyz).unwrap_or_else(UnitQuaternion::identity)
+    }
+
+    /// Moves a point: `rotation * p + position_m`, m.
+    pub fn apply(&self, p: &Vector3<f64>) -> Vector3<f64> {
+        self.rotation() * p + Vector3::from(self.position_m)
+    }
+}
+
+/// A calibration of the field, as its file holds it; `FieldMap::corrector` makes it ready to use.
+///
+/// Check `report.accepted` before use: a refused map is kept so that it can be looked at. Method:
+/// `docs/methods/field.md`; accuracy: `docs/field.md`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FieldMap {
+    /// Version of the file, 1.
+    pub version: u32,
+    /// Names of the sensors it was calibrated with, in order along the pole; empty for a map from known positions.
+    pub sensors: Vec<String>,
+    /// Measured distance of neighbouring sensors of the pole, m; 0 for a map without a pole.
+    pub spacing_m: f64,
+    /// Correction of positions, transmitter frame, before the alignment.
+    pub model: Model,
+    /// Rotation vector (rad) that corrects orientations beside what the metal of the model does to them; absent where
+    /// the pole did not show one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotation: Option<Polynomial>,
+    /// Noise of the readings, as estimated from the recording.
+    pub noise: FieldNoise,
+    /// Rigid motion after the correction, from anchors: transmitter frame to that of the survey. Identity without
+    /// anchors.
+    pub alignment: Aligned,
+    /// Where the pole has been, in raw readings, transmitter frame.
+    pub hull: Hull,
+    /// Error that the map leaves, on a coarse grid, tracker noise not included.
+    pub uncertainty: Uncertainty,
+    /// What was found, and how good it is.
+    pub report: Report,
+}
+
+/// Uncertainty of a map on a grid of readings, transmitter frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Uncertainty {
+    /// Where the nodes are.
+    pub shape: Shape,
+    /// Standard deviation of a corrected position at each node, 3-D rms, m; x runs fastest.
+    pub sigma_m: Vec<f64>,
+}
+
+/// The grid of uncertainty for a hull.
+pub(crate) fn coarse(hull: &Hull) -> Shape {
+    Shape::around(&hull.bounds_m(), FADE_M, COARSE_STEP_M)
+}
+
+impl FieldMap {
+    /// Reads a map file (JSON) and checks it. A map that was refused is read as well.
+    ///
+    /// # Errors
+    /// One sentence with the path: the file cannot be read, is no field map, is of another version, or its numbers do
+    /// not fit together.
+    pub fn read(path: &Path) -> Result<Self, String> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+        let map: Self = serde_json::from_str(&text)
+            .map_err(|error| format!("{} is no field map: {error}", path.display()))?;
+        if map.version != VERSION {
+            let found = map.version;
+            return Err(format!("{} is of version {found}; this program reads {VERSION}", path.display()));
+        }
+        map.check().map_err(|reason| format!("{} is no field map: {reason}", path.display()))?;
+        Ok(map)
+    }
+
+    /// Whether the numbers of a map fit together: sizes of grids, polynomials and bumps, and a hull below 100 m. It
+    /// does not judge how good the map is.
+    ///
+    /// # Errors
+    /// A phrase that says what does not fit.
+    pub fn check(&self) -> Result<(), String> {
+        let Shape { low_m, step_m, counts } = &self.uncertainty.shape;
+        let sound = low_m.iter().all(|x| x.is_finite())
+            && step_m.is_finite()
+            && *step_m > 0.0
+            && counts.iter().all(|count| (4..=1000).contains(count));
+        if !sound || self.uncertainty.sigma_m.len() != counts.iter().product::<usize>() {
+            return Err("the grid of the uncertainty has another size".into());
+        }
+        if self.hull.reach_m.len() != super::hull::directions().count() {
+            return Err("the hull has another number of directions".into());
+        }
+        let [low, high] = self.hull.bounds_m();
+        if !(0..3).all(|axis| {
+            (high[axis] - low[axis]).is_finite() && (0.0..100.0).contains(&(high[axis] - low[axis]))
+        }) {
+            return Err("the hull is no body of less than 100 m".into());
+        }
+        for polynomial in self.model.polynomial.iter().chain(&self.rotation) {
+            polynomial.check()?;
+        }
+        if let Some(local) = &self.model.local
+            && local.centers_m.len() != local.coefficients.len()
+        {
+            return Err("the bumps have another number of coefficients".into());
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,296 @@
+//! Guides a person through the poses and movements of a calibration, and notices by itself when each was done.
+//!
+//! In: samples of the whole body as they come. Out: what to do next, in words; how far it is; and in the end when which
+//! pose or movement was held, for [`super::calibrate`]. It has no clock: time is that of the samples.
+//!
+//! A pose is done once all sensors were still for [`HOLD_S`] in it; a movement once its own sensors moved and came to rest again.
+//! Where it is to be found which sensor sits where, samples stand under the segments that sensors were taken to sit on: then any
+//! sensor may show a movement, and as many as there are on the arms a T-pose.
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use super::calibrate::{Block, Kind, Movement, Recorded};
+use super::health::usable;
+use super::{BodySamples, BodySegment, SEGMENTS};
+
+/// For so long a pose is held, s.
+const HOLD_S: f64 = 2.0;
+/// Who turns more slowly than this is still, rad/s: what an uncalibrated gyro reports at rest, and some swaying.
+const STILL_RAD_S: f64 = 0.15;
+/// Who turns faster than this moves, rad/s.
+const MOVES_RAD_S: f64 = 0.5;
+/// Rates are smoothed over so long, s.
+const SMOOTH_S: f64 = 0.15;
+/// Rest that ends a movement, s; a reversal is shorter.
+const REST_S: f64 = 1.0;
+/// Shortest movement, s.
+const MOVEMENT_S: f64 = 1.5;
+/// What belongs to a movement before it was noticed, s.
+const LEAD_S: f64 = 0.4;
+/// Between arms that hang and arms held sideways gravity turns at least so far in a sensor, rad.
+const RAISED_RAD: f64 = 0.9;
+/// Arms that hang again are within this of how they hung, rad.
+const HANGS_RAD: f64 = 0.5;
+/// Longest calibration, s: whoever takes longer has gone away. It is for the caller to stop then.
+pub const LONGEST_S: f64 = 300.0;
+
+/// How much is done.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Thoroughness {
+    /// Poses only: good to a few degrees.
+    Quick,
+    /// Poses, and the bending of elbows and knees.
+    #[default]
+    Full,
+    /// A movement of every segment: shows also which sensor sits on which segment.
+    Assign,
+}
+
+/// One calibration on its way.
+#[derive(Clone, Debug)]
+pub struct Guide {
+    present: [bool; SEGMENTS],
+    /// Whether it is known which sensor sits where.
+    assigned: bool,
+    steps: Vec<Kind>,
+    at: usize,
+    recording: Vec<Recorded>,
+    blocks: Vec<Block>,
+    /// Smoothed rates, rad/s, and forces, m/s², per sensor.
+    rates: [f64; SEGMENTS],
+    forces: [Vector3<f64>; SEGMENTS],
+    /// Directions of the force while the arms hung.
+    hung: Option<[Vector3<f64>; SEGMENTS]>,
+    still_since_s: Option<f64>,
+    moving_since_s: Option<f64>,
+    rest_since_s: Option<f64>,
+}
+
+impl Guide {
+    /// For these sensors, by [`BodySegment::index`]; `magnetic` where all of them have magnetometers: without, every sensor
+    /// needs a movement, whatever `how` asks for.
+    pub fn new(present: [bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Self {
+        Self {
+            steps: steps(&present, magnetic, how),
+            assigned: how != Thoroughness::Assign,
+            present,
+            at: 0,
+            recording: Vec::new(),
+            blocks: Vec::new(),
+            rates: [0.0; SEGMENTS],
+            forces: [Vector3::zeros(); SEGMENTS],
+            hung: None,
+            still_since_s: None,
+            moving_since_s: None,
+            rest_since_s: None,
+        }
+    }
+
+    /// Takes the samples of one time, s; times that do not rise, and all after the last step, change nothing.
+    pub fn push(&mut self, t_s: f64, samples: &BodySamples) {
+        let Some(kind) = self.steps.get(self.at).copied() else { return };
+        let dt_s = self.recording.last().map_or(0.01, |(last_s, _)| t_s - last_s);
+        if dt_s <= 0.0 {
+            return;
+        }
+        self.recording.push((t_s, *samples));
+        let gain = dt_s / (SMOOTH_S + dt_s);
+        for (index, sample) in samples.iter().enumerate() {
+            let Some(sample) = sample.filter(usable) else { continue };
+            self.rates[index] += gain * (sample.gyro_rad_s.norm() - self.rates[index]);
+            self.forces[index] += (sample.accel_m_s2 - self.forces[index]) * gain;
+        }
+        if matches!(kind, Kind::NPose | Kind::TPose) {
+            self.pose(kind, t_s)
+        } else {
+            self.movement(kind, t_s)
+        }
+    }
+
+    /// How many steps (poses and movements) are done, of how many.
+    pub fn progress(&self) -> (usize, usize) {
+        (self.at, self.steps.len())
+    }
+
+    /// What to do now, a sentence without a full stop; `None` once all is done.
+    pub fn prompt(&self) -> Option<&'static str> {
+        self.steps.get(self.at).map(|kind| words(*kind))
+    }
+
+    /// What has been recorded, and when which pose or movement was held: for [`super::calibrate::calibrate`] or
+    /// [`super::assign::assign`].
+    pub fn recorded(&self) -> (&[Recorded], &[Block]) {
+        (&self.recording, &self.blocks)
+    }
+
+    fn pose(&mut self, kind: Kind, t_s: f64) {
+        let still = self.all().all(|index| self.rates[index] < STILL_RAD_S);
+        if !still || (kind == Kind::TPose && !self.raised()) || !self.upright_again(kind) {
+            self.still_since_s = None;
+            return;
+        }
+        let since_s = *self.still_since_s.get_or_insert(t_s);
+        if t_s - since_s >= HOLD_S {
+            if kind == Kind::NPose && self.hung.is_none() {
+                self.hung = Some(self.forces);
+            }
+            self.done(Block { kind, start_s: since_s, end_s: t_s });
+        }
+    }
+
+    fn movement(&mut self, kind: Kind, t_s: f64) {
+        let moves = self.moved_by(kind).any(|index| self.rates[index] > MOVES_RAD_S);
+        let rests = self.moved_by(kind).all(|index| self.rates[index] < STILL_RAD_S);
+        if moves {
+            self.moving_since_s.get_or_insert(t_s);
+        }
+        self.rest_since_s = if rests { self.rest_since_s.or(Some(t_s)) } else { None };
+        if let (Some(began_s), Some(rest_s)) = (self.moving_since_s, self.rest_since_s)
+            && rest_s > began_s
+            && t_s - rest_s >= REST_S
+        {
+            if rest_s - began_s >= MOVEMENT_S {
+                self.done(Block { kind, start_s: began_s - LEAD_S, end_s: rest_s });
+            } else {
+                self.moving_since_s = None;
+            }
+        }
+    }
+
+    fn done(&mut self, block: Block) {
+        self.blocks.push(block);
+        self.at += 1;
+        (self.still_since_s, self.moving_since_s, self.rest_since_s) = (None, None, None);
+    }
+
+    fn all(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..SEGMENTS).filter(|index| self.present[*index])
+    }
+
+    /// Whether the arms are held sideways, as far as gravity shows it.
+    fn raised(&self) -> bool {
+        let Some(hung) = &self.hung else { return true };
+        let raised = |index: &usize| self.forces[*index].angle(&hung[*index]) > RAISED_RAD;
+        if self.assigned {
+            arms(&self.present).all(|index| raised(&index))
+        } else {
+            self.all().filter(raised).count() >= arms(&self.present).count()
+        }
+    }
+
+    /// Whether an N-pose that comes again is one: the arms hang as they did.
+    fn upright_again(&self, kind: Kind) -> bool {
+        let Some(hung) = &self.hung else { return true };
+        let hangs = |index: usize| self.forces[index].angle(&hung[index]) < HANGS_RAD;
+        kind != Kind::NPose
+            || if self.assigned { arms(&self.present).all(hangs) } else { self.all().all(hangs) }
+    }
+
+    /// The sensors that show a movement.
+    fn moved_by(&self, kind: Kind) -> impl Iterator<Item = usize> + '_ {
+        let moved = match kind {
+            Kind::Move(segment, _) => segment,
+            _ => BodySegment::Torso,
+        };
+        let only = if self.present[moved.index()] { moved } else { BodySegment::Pelvis };
+        self.all().filter(move |index| !self.assigned || *index == only.index())
+    }
+}
+
+fn arms(present: &[bool; SEGMENTS]) -> impl Iterator<Item = usize> + '_ {
+    let arms = [BodySegment::UpperArmR, BodySegment::ForearmR, BodySegment::UpperArmL, BodySegment::ForearmL];
+    arms.into_iter().map(BodySegment::index).filter(|index| present[*index])
+}
+
+/// In the order in which they are bent where it is not known who is who.
+const LIMBS: [BodySegment; 8] = [
+    BodySegment::ForearmR,
+    BodySegment::UpperArmR,
+    BodySegment::ForearmL,
+    BodySegment::UpperArmL,
+    BodySegment::ShankR,
+    BodySegment::ThighR,
+    BodySegment::ShankL,
+    BodySegment::ThighL,
+];
+
+/// What has to be done so that every sensor's mounting shows.
+fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<Kind> {
+    let has = |segment: BodySegment| present[segment.index()];
+    let mut steps = vec![Kind::NPose];
+    let with_arms = arms(present).next().is_some();
+    if with_arms {
+        steps.push(Kind::TPose);
+    }
+    if how == Thoroughness::Assign {
+        if with_arms {
+            // Arms that are lowered must not be taken for the first movement.
+            steps.push(Kind::NPose);
+        }
+        let bends = LIMBS.into_iter().filter(|limb| has(*limb));
+        steps.extend(bends.map(|limb| Kind::Move(limb, Movement::Flexion)));
+        if has(BodySegment::Torso) || has(BodySegment::Pelvis) {
+            steps.push(Kind::Bow);
+        }
+        if has(BodySegment::Torso) && has(BodySegment::Pelvis) {
+            steps.push(Kind::TrunkRotation);
+        }
+        steps.push(Kind::NPose);
+        return steps;
+    }
+    let limbs = [BodySegment::ForearmR, BodySegment::ForearmL, BodySegment::ShankR, BodySegment::ShankL];
+    // Without a field every sensor needs a movement of its own.
+    let full = how == Thoroughness::Full || !magnetic;
+    for moved in limbs.into_iter().filter(|moved| has(*moved) && full) {
+        steps.push(Kind::Move(moved, Movement::Flexion));
+    }
+    if !magnetic {
+        let thighs = [BodySegment::ThighR, BodySegment::ThighL].into_iter().filter(|thigh| has(*thigh));
+        steps.extend(thighs.map(|thigh| Kind::Move(thigh, Movement::Flexion)));
+        if has(BodySegment::Torso) || has(BodySegment::Pelvis) {
+            steps.push(Kind::Bow);
+        }
+        // The headings begin anew from a posture that looks straight ahead.
+        steps.push(Kind::NPose);
+    } else if !with_arms && !full {
+        // Something must show which way the body faces.
+        let leg = [BodySegment::ShankR, BodySegment::ShankL, BodySegment::ThighR, BodySegment::ThighL]
+            .into_iter()
+            .find(|s| has(*s));
+        steps.push(leg.map_or(Kind::Bow, |leg| Kind::Move(leg, Movement::Flexion)));
+    }
+    steps
+}
+
+/// What to do, for the person who wears the sensors.
+fn words(kind: Kind) -> &'static str {
+    match kind {
+        Kind::NPose => "Stand upright, arms hanging, palms to the body, and hold still",
+        Kind::TPose => {
+            "Raise both arms sideways to the height of the shoulders, palms down, thumbs forward, and hold still"
+        }
+        Kind::Bow => "Bow forward with a straight back and come up again, twice; then stand still",
+        Kind::TrunkRotation => "Turn the chest to the left and back, twice, hips still; then stand still",
+        Kind::Move(BodySegment::ForearmR, _) => {
+            "Bend the right elbow and let it hang again, three times; then stand still"
+        }
+        Kind::Move(BodySegment::ForearmL, _) => {
+            "Bend the left elbow and let it hang again, three times; then stand still"
+        }
+        Kind::Move(BodySegment::ShankR, _) => {
+            "Bend the right knee, heel to the back, three times; then stand still"
+        }
+        Kind::Move(BodySegment::ShankL, _) => {
+            "Bend the left knee, heel to the back, three times; then stand still"
+        }
+        Kind::Move(BodySegment::ThighR, _) => "Lift the right thigh forward, three times; then stand still",
+        Kind::Move(BodySegment::ThighL, _) => "Lift the left thigh forward, three times; then stand still",
+        Kind::Move(BodySegment::UpperArmL, _) => {
+            "Lift the stretched left arm forward, three times; then stand still"
+        }
+        Kind::Move(..) => "Lift the stretched right arm forward, three times; then stand still",
+    }
+}

@@ -1,0 +1,206 @@
+//! One limb of a body: begins an arm's or a leg's filter from its sensors' own orientations, and drives it.
+//!
+//! In: the trunk's motion, both sensors' samples and own orientations. Out: upper and lower segment to trunk. A limb
+//! of which no sensor is worn stays unknown; one with a single sensor shows the segments down to that sensor.
+
+use nalgebra::{Matrix3, SVector, UnitQuaternion, Vector3};
+use posed_state::Plain;
+
+use super::skeleton::{BodySegment, Limb, SEGMENTS, Skeleton};
+use super::{BodyParams, Sensor, SensorMount, joint_angles};
+use crate::ahrs::ImuSample;
+use crate::limb::{
+    Arm, Axes, Ball, Base, FieldReference, Leg, LimbGeometry, LimbNoise, LimbSamples, SensorReport,
+};
+
+/// Uncertainty of each angle at the start, rad.
+const START_SIGMA_RAD: f64 = 0.2;
+/// North, as [`Sensor::north`] gives it.
+const NORTH: FieldReference =
+    FieldReference { azimuth_rad: std::f64::consts::FRAC_PI_2, norm: 1.0, dip_rad: 0.0 };
+/// Elbow: flexion, pronation; knee: flexion; degrees. Some degrees beyond the anatomy of algorithms as written, because the
+/// zero of a calibration is only as good as the pose that was held.
+const ELBOW_DEG: [[f64; 2]; 2] = [[-8.0, -95.0], [158.0, 95.0]];
+const KNEE_DEG: [f64; 2] = [-8.0, 155.0];
+
+impl LimbGeometry {
+    /// Of a limb of a skeleton; `worn` by [`BodySegment::index`]. A segment without a sensor counts as if one sat at its
+    /// usual place, turned as the segment is; a trunk without one has its origin where the segment has its own.
+    pub fn of(limb: Limb, skeleton: &Skeleton, worn: &[Option<SensorMount>; SEGMENTS]) -> Self {
+        let [trunk, upper, lower] = limb.segments();
+        let mount = |segment: BodySegment| {
+            worn[segment.index()].map_or_else(UnitQuaternion::identity, |worn| worn.q_segment_sensor)
+        };
+        let offset_m = |segment: BodySegment| {
+            worn[segment.index()].map_or_else(|| skeleton.usual_sensor_m(segment), |worn| worn.offset_m)
+        };
+        let trunk_m = worn[trunk.index()].map_or_else(Vector3::zeros, |worn| worn.offset_m);
+        Self {
+            base_to_joint_m: skeleton.joint_in_parent_m(upper) - trunk_m,
+            upper_imu_m: offset_m(upper),
+            upper_to_lower_m: skeleton.joint_in_parent_m(lower),
+            lower_imu_m: offset_m(lower),
+            upper_mount: mount(upper),
+            lower_mount: mount(lower),
+        }
+    }
+}
+
+/// An elbow at rest that holds `forearm` rotated by `turn` (forearm to upper arm): flexion about z and pronation about y (by
+/// side; the carrying angle is dropped); and the least and the largest angles that it may have, rad: -8 to 158 and -95 to 95
+/// degrees.
+pub fn elbow(forearm: BodySegment, turn: &UnitQuaternion<f64>) -> (Axes<2>, [SVector<f64, 2>; 2]) {
+    let mut axes = Axes::new([Vector3::z(), Vector3::y() * forearm.side()]);
+    let [flexion, pronation, ..] = joint_angles(forearm, turn);
+    axes.angle_rad = SVector::<f64, 2>::new(flexion, pronation);
+    (axes, ELBOW_DEG.map(|row| SVector::from(row.map(f64::to_radians))))
+}
+
+/// A knee at rest that holds `shank` rotated by `turn` (shank to thigh): flexion about -z, the rest is dropped; and the least
+/// and the largest angle that it may have, rad: -8 to 155 degrees.
+pub fn knee(shank: BodySegment, turn: &UnitQuaternion<f64>) -> (Axes<1>, [SVector<f64, 1>; 2]) {
+    let mut axes = Axes::new([-Vector3::z()]);
+    axes.angle_rad = SVector::<f64, 1>::new(joint_angles(shank, turn)[0]);
+    (axes, KNEE_DEG.map(|limit| SVector::from([limit.to_radians()])))
+}
+
+/// The filter of one limb, once it has begun.
+#[derive(Clone, Debug, PartialEq, Plain)]
+#[expect(clippy::large_enum_variant, reason = "four of them, made once; no box, so that a copy is a copy")]
+enum Filter {
+    Waiting,
+    Arm(Arm),
+    Leg(Leg),
+}
+
+/// The same for whichever filter it is.
+macro_rules! with_limb {
+    ($filter:expr, $waiting:expr, $limb:ident => $value:expr) => {
+        match $filter {
+            Filter::Waiting => $waiting,
+            Filter::Arm($limb) => $value,
+            Filter::Leg($limb) => $value,
+        }
+    };
+}
+
+/// One limb.
+#[derive(Clone, Debug, PartialEq, Plain)]
+pub(super) struct LimbFilter {
+    limb: Limb,
+    geometry: LimbGeometry,
+    noise: LimbNoise,
+    /// Whether upper and lower segment wear a sensor.
+    worn: [bool; 2],
+    /// Bias of both gyros that a rest has proven, rad/s: more than the filter takes for possible.
+    offsets_rad_s: [Vector3<f64>; 2],
+    filter: Filter,
+}
+
+impl LimbFilter {
+    pub(super) fn new(
+        limb: Limb,
+        skeleton: &Skeleton,
+        worn: &[Option<SensorMount>; SEGMENTS],
+        params: &BodyParams,
+    ) -> Self {
+        let [_, upper, lower] = limb.segments();
+        Self {
+            limb,
+            geometry: LimbGeometry::of(limb, skeleton, worn),
+            noise: params.limb,
+            worn: [upper, lower].map(|segment| worn[segment.index()].is_some()),
+            offsets_rad_s: [Vector3::zeros(); 2],
+            filter: Filter::Waiting,
+        }
+    }
+
+    /// Takes the samples of one time and returns what became of them. `own` are the segments' orientations by their sensors
+    /// alone.
+    pub(super) fn push(
+        &mut self,
+        base: &Base,
+        sensors: [&Option<Sensor>; 2],
+        own: [Option<UnitQuaternion<f64>>; 2],
+        samples: [Option<ImuSample>; 2],
+        dt_s: f64,
+    ) -> [SensorReport; 2] {
+        let offsets_rad_s =
+            sensors.map(|sensor| sensor.as_ref().map_or_else(Vector3::zeros, |s| s.ahrs.offset_rad_s()));
+        if offsets_rad_s != self.offsets_rad_s {
+            self.offsets_rad_s = offsets_rad_s;
+            self.filter = Filter::Waiting;
+        }
+        if matches!(self.filter, Filter::Waiting) {
+            self.begin(base, own);
+            return [SensorReport::default(); 2];
+        }
+        // The field of a sample is replaced by what the sensor's own filter makes of it.
+        let with_north = |which: usize| {
+            samples[which].map(|sample| ImuSample {
+                gyro_rad_s: sample.gyro_rad_s - offsets_rad_s[which],
+                mag: sensors[which].as_ref().and_then(Sensor::north),
+                ..sample
+            })
+        };
+        let samples = LimbSamples { upper: with_north(0), lower: with_north(1) };
+        let at_rest = sensors.iter().all(|sensor| sensor.as_ref().is_none_or(|s| s.ahrs.at_rest()));
+        let rests = at_rest && base.angular_velocity_rad_s.norm() < 0.05;
+        with_limb!(&mut self.filter, [SensorReport::default(); 2], limb => {
+            let reports = limb.push(base, Some(&NORTH), &samples, dt_s);
+            if rests {
+                limb.observe_rest();
+            }
+            reports
+        })
+    }
+
+    /// The gyro's noise that the filter assumes, rad/s.
+    pub(super) fn gyro_noise_rad_s(&self) -> f64 {
+        self.noise.gyro_rad_s
+    }
+
+    /// Begins as soon as every worn sensor has an orientation.
+    fn begin(&mut self, base: &Base, own: [Option<UnitQuaternion<f64>>; 2]) {
+        let known = self.worn.iter().zip(&own).all(|(worn, own)| !worn || own.is_some());
+        if !known || self.worn == [false, false] {
+            return;
+        }
+        let Some(upper) = own[0].or(own[1]) else { return };
+        let lower = own[1].unwrap_or(upper);
+        let [_, _, segment] = self.limb.segments();
+        let turn = upper.inverse() * lower;
+        let q = base.q_room_base.inverse() * upper;
+        let ball = Ball { q, angular_velocity_rad_s: Vector3::zeros(), accel_rad_s2: Vector3::zeros() };
+        let (geometry, noise) = (self.geometry, self.noise);
+        self.filter = match self.limb {
+            Limb::ArmR | Limb::ArmL => {
+                let (elbow, limits) = elbow(segment, &turn);
+                Filter::Arm(Arm::new(geometry, noise, ball, elbow, limits, START_SIGMA_RAD))
+            }
+            Limb::LegR | Limb::LegL => {
+                let (knee, limits) = knee(segment, &turn);
+                Filter::Leg(Leg::new(geometry, noise, ball, knee, limits, START_SIGMA_RAD))
+            }
+        };
+    }
+
+    /// Upper and lower segment to trunk; `None` where no sensor shows it.
+    pub(super) fn orientations(&self) -> [Option<UnitQuaternion<f64>>; 2] {
+        let [upper, lower] = with_limb!(&self.filter, return [None; 2], limb => limb.orientations());
+        [Some(upper), self.worn[1].then_some(lower)]
+    }
+
+    /// Covariance of the error of both joints' turns, rad², each in the axes of the segment below; `None` before it has begun.
+    pub(super) fn turns_rad2(&self) -> Option<[Matrix3<f64>; 2]> {
+        with_limb!(&self.filter, None, limb => Some(limb.turns_rad2()))
+    }
+
+    /// Uncertainty of the upper (0) or lower (1) segment about an axis, rad.
+    pub(super) fn sigma_rad(&self, which: usize) -> f64 {
+        with_limb!(&self.filter, std::f64::consts::PI, limb => {
+            let upper = limb.upper_sigma_rad();
+            if which == 0 { upper } else { limb.lower_sigma_rad(0).hypot(upper) }
+        })
+    }
+}

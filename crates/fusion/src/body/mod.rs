@@ -1,0 +1,424 @@
+//! The whole body: ten IMUs at most, one skeleton, live.
+//!
+//! In: samples of the worn IMUs at one time, with the time since the ones before; how each sits on its segment
+//! ([`SensorMount`]). Out: a [`BodyEstimate`]: segment orientations, joint angles, their uncertainty, and the health of every
+//! sensor with the reason. It never invents a segment that no sensor shows, never stops the rest of the body because one
+//! sensor fails, and never allocates per sample.
+//!
+//! ```text
+//! torso, pelvis:  sensor ──> ahrs ────────────────────────────> segment orientation, and the base of its limbs
+//! limbs:          sensor ──> ahrs ── heading only ──┐
+//!                 sensor ── gyro, accelerometer ────┴> limb ──> joint angles ──> segment orientations
+//! ```
+//! The heading of a limb's sensor comes through its own orientation filter, whose eleven states tell a disturbance
+//! of the room from a magnet on the sensor; the limb sees it as an azimuth that cannot tilt anything. Without
+//! a magnetometer the headings hold by the gyros, the hinges of elbow and knee and rests; [`Heading::Held`] says so.
+
+mod angles;
+pub mod assign;
+pub mod calibrate;
+pub mod guide;
+mod health;
+mod inverse;
+mod limbs;
+mod skeleton;
+mod spread;
+#[cfg(test)]
+mod tests;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use posed_state::Plain;
+use serde::{Deserialize, Serialize};
+
+pub use angles::{ANGLE_NAMES, ANGLES, angles, joint_angles, joint_rotation, of_joint};
+pub use inverse::{Figure, Follower, Tracked};
+pub use limbs::{elbow, knee};
+pub use skeleton::{BodySegment, Limb, SEGMENTS, Skeleton, upright};
+pub use spread::{AngleSpread, independent};
+
+use super::ahrs::{Ahrs, CALIBRATED_HEADING_RAD, CALIBRATED_TILT_RAD, ImuSample, Params};
+use super::faults::Cause;
+use super::limb::{Base, LimbNoise};
+use health::Watch;
+use limbs::LimbFilter;
+use posed_geometry::GRAVITY_M_S2;
+
+/// Samples of the whole body at one time, sensor axes, by [`BodySegment::index`]; `None` where no sensor is worn or none
+/// came.
+pub type BodySamples = [Option<ImuSample>; SEGMENTS];
+
+/// Without a sample for so long the last rate goes on, s; then the segment holds still.
+const HOLD_S: f64 = 0.1;
+/// Rate at which a heading drifts that the gyro holds, rad/s.
+const DRIFT_RAD_S: f64 = 3e-4;
+/// After so long the sensor may have been turned, s.
+const AWAY_S: f64 = 0.5;
+/// What the first sample after that stands for, s.
+const FIRST_S: f64 = 0.01;
+
+/// So long after its first sample, or after a gap that the last rate did not bridge, a sensor's orientation is worth comparing, s: its forces have levelled it.
+const SETTLED_S: f64 = 3.0;
+
+/// For so long a heading that is to come from the field is waited for, s.
+const FIELD_S: f64 = 1.0;
+
+/// How one sensor sits on its segment: given, or found by [`calibrate::calibrate`]. The filters take it as exact.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Plain)]
+pub struct SensorMount {
+    /// Turns sensor coordinates into segment coordinates (sensor-to-segment alignment).
+    pub q_segment_sensor: UnitQuaternion<f64>,
+    /// Where it sits, segment frame, m.
+    pub offset_m: Vector3<f64>,
+    /// Without a magnetometer: what turns the sensor's level frame into the room, rad; absent: as if the first sample
+    /// found the body in a posture that looks along the room's x.
+    pub heading_rad: Option<f64>,
+}
+
+/// What the body's filters assume; the defaults serve all IMUs of MEMS class.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct BodyParams {
+    /// Of every sensor's orientation filter.
+    pub ahrs: Params,
+    /// Of the limbs' filters.
+    pub limb: LimbNoise,
+}
+
+/// Where the body's heading comes from: by the sensor of the torso, else of the pelvis, else the first that is worn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Plain)]
+pub enum Heading {
+    /// Nothing has been measured.
+    #[default]
+    Unknown,
+    /// From a field that is believed.
+    Field,
+    /// Held by the gyros for so long, s: no magnetometer, or a field that is not believed.
+    Held(f64),
+}
+
+/// The body at one time, room frame (z up). What it is worth: `docs/body.md`.
+#[derive(Clone, Debug, PartialEq, Plain)]
+pub struct BodyEstimate {
+    /// Segment to room; `None` where no sensor shows it.
+    pub orientations: [Option<UnitQuaternion<f64>>; SEGMENTS],
+    /// Root mean square of its expected error about an axis, rad; of limbs, relative to the trunk. Filter and systematic
+    /// errors of calibrated sensors; soft tissue is not in it. Pi where nothing is known.
+    pub sigma_rad: [f64; SEGMENTS],
+    /// Angles in the order of [`ANGLE_NAMES`], rad; `None` where a segment beside the joint is not known.
+    pub angles_rad: [Option<f64>; ANGLES],
+    /// How uncertain the angles are.
+    pub spread: AngleSpread,
+    /// What is wrong with the sensor on each segment, if anything, the gravest alone. It takes no sensor out of the estimate.
+    pub faults: [Option<Cause>; SEGMENTS],
+    /// Where the heading comes from.
+    pub heading: Heading,
+}
+
+impl Default for BodyEstimate {
+    fn default() -> Self {
+        Self {
+            orientations: [None; SEGMENTS],
+            sigma_rad: [std::f64::consts::PI; SEGMENTS],
+            angles_rad: [None; ANGLES],
+            spread: AngleSpread::default(),
+            faults: [None; SEGMENTS],
+            heading: Heading::Unknown,
+        }
+    }
+}
+
+impl BodyEstimate {
+    /// Joint centres: origins of all segments in the room, m, by [`BodySegment::index`], with the hips' mid-point above the
+    /// room's origin and the lower ankle at its height over the floor: IMUs show no position. A segment that is not known
+    /// stands as its parent does.
+    pub fn origins_m(&self, skeleton: &Skeleton) -> [Vector3<f64>; SEGMENTS] {
+        let all = self.completed();
+        skeleton.origins_m(&all, skeleton.standing_m(&all))
+    }
+
+    /// Orientations, segment to room, with the missing ones as straight continuations of their parents (the pelvis of the
+    /// torso); [`upright`] where nothing is known.
+    pub fn completed(&self) -> [UnitQuaternion<f64>; SEGMENTS] {
+        let known = |segment: BodySegment| self.orientations[segment.index()];
+        let mut all = [upright(); SEGMENTS];
+        for segment in Skeleton::PARENTS_FIRST {
+            all[segment.index()] = known(segment).unwrap_or_else(|| match segment.parent() {
+                Some(parent) => all[parent.index()],
+                None => known(BodySegment::Torso).unwrap_or_else(upright),
+            });
+        }
+        all
+    }
+}
+
+/// One sensor: how it is worn, its own orientation and its health.
+#[derive(Clone, Debug, PartialEq, Plain)]
+struct Sensor {
+    worn: SensorMount,
+    ahrs: Ahrs,
+    started: bool,
+    /// Time since its last sample, s, and what that one stood for.
+    behind_s: f64,
+    step_s: f64,
+    /// Time since its first sample, or since it came back, s.
+    settled_s: f64,
+    /// For so long a field is still waited for, s.
+    patience_s: f64,
+    /// Whether its samples carry a field.
+    magnetometer: bool,
+    /// From its level frame to the room, where it has no magnetometer.
+    heading: UnitQuaternion<f64>,
+    watch: Watch,
+}
+
+/// Rate, rad/s, and specific force, m/s², of a segment in its axes.
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
+struct Motion {
+    angular_velocity_rad_s: Vector3<f64>,
+    specific_force_m_s2: Vector3<f64>,
+}
+
+/// The filters of a body, live: IMUs in, a [`BodyEstimate`] out, without delay. Method: `docs/methods/body.md`; accuracy:
+/// `docs/body.md`.
+#[derive(Clone, Debug, PartialEq, Plain)]
+pub struct BodyFilter {
+    sensors: [Option<Sensor>; SEGMENTS],
+    limbs: [LimbFilter; 4],
+    /// Last motion of torso and pelvis, for their angular acceleration and for a lost sample.
+    last_motions: [Option<Motion>; 2],
+    held_s: f64,
+    estimate: BodyEstimate,
+}
+
+impl BodyFilter {
+    /// A body that has seen nothing; `worn` by [`BodySegment::index`]. It copies what it needs of `skeleton` and `params`.
+    pub fn new(skeleton: &Skeleton, worn: &[Option<SensorMount>; SEGMENTS], params: &BodyParams) -> Self {
+        let sensor = |worn: SensorMount| Sensor {
+            worn,
+            ahrs: Ahrs::new(params.ahrs.clone()),
+            started: false,
+            behind_s: 0.0,
+            step_s: 0.0,
+            settled_s: 0.0,
+            patience_s: 0.0,
+            magnetometer: false,
+            heading: UnitQuaternion::identity(),
+            watch: Watch::default(),
+        };
+        Self {
+            sensors: worn.map(|worn| worn.map(sensor)),
+            limbs: Limb::ALL.map(|limb| LimbFilter::new(limb, skeleton, worn, params)),
+            last_motions: [None; 2],
+            held_s: 0.0,
+            estimate: BodyEstimate::default(),
+        }
+    }
+
+    /// How the sensors sit, by [`BodySegment::index`].
+    pub fn mounts(&self) -> [Option<SensorMount>; SEGMENTS] {
+        self.sensors.each_ref().map(|sensor| sensor.as_ref().map(|sensor| sensor.worn))
+    }
+
+    /// Lets every sensor wait for a field, for a second at most: magnetometers are slower than gyros, and limbs that begin with a
+    /// heading of chance find no way back.
+    pub fn await_field(&mut self) {
+        self.sensors.iter_mut().flatten().for_each(|sensor| sensor.patience_s = FIELD_S);
+    }
+
+    /// Takes the samples of one time, `dt_s` after the ones before, s, and returns the estimate at that time. A time that
+    /// does not rise changes nothing. A missing sample is coasted for 0.1 s; after 0.5 s the sensor levels anew.
+    pub fn push(&mut self, samples: &BodySamples, dt_s: f64) -> &BodyEstimate {
+        self.push_aged(samples, &[0.0; SEGMENTS], dt_s)
+    }
+
+    /// As [`Self::push`], for sensors that do not measure at the same time: `ages_s` states how long before the time of the
+    /// estimate each sample was taken, s, at least 0.
+    pub fn push_aged(&mut self, samples: &BodySamples, ages_s: &[f64; SEGMENTS], dt_s: f64) -> &BodyEstimate {
+        if !dt_s.is_finite() || dt_s <= 0.0 {
+            return &self.estimate;
+        }
+        for ((sensor, sample), age_s) in self.sensors.iter_mut().zip(samples).zip(ages_s) {
+            if let Some(sensor) = sensor {
+                sensor.push(sample.as_ref(), *age_s, dt_s);
+            }
+        }
+        let orientations =
+            self.sensors.each_ref().map(|sensor| sensor.as_ref().and_then(Sensor::orientation));
+        let bases = [BodySegment::Torso, BodySegment::Pelvis].map(|trunk| self.base(trunk, samples));
+        for (limb, filter) in Limb::ALL.into_iter().zip(&mut self.limbs) {
+            let [trunk, upper, lower] = limb.segments();
+            let sensors = [&self.sensors[upper.index()], &self.sensors[lower.index()]];
+            let own = [orientations[upper.index()], orientations[lower.index()]];
+            let pair = [samples[upper.index()], samples[lower.index()]];
+            let reports = filter.push(&bases[trunk.index()], sensors, own, pair, dt_s);
+            for ((segment, report), sample) in [upper, lower].into_iter().zip(reports).zip(pair) {
+                if let (Some(sensor), Some(sample), Some(nis)) =
+                    (&mut self.sensors[segment.index()], sample, report.gyro_nis)
+                {
+                    // The filter lets the joints' rates go where the gyros say: what is left, it cannot explain.
+                    let left = nis.sqrt() * filter.gyro_noise_rad_s();
+                    sensor.watch.innovation(sample.gyro_rad_s.norm(), left, report.accel_gated, dt_s);
+                }
+            }
+        }
+        self.publish(&orientations, &bases, dt_s);
+        &self.estimate
+    }
+
+    /// The latest estimate; nothing known before the first [`Self::push`].
+    pub fn estimate(&self) -> &BodyEstimate {
+        &self.estimate
+    }
+
+    /// Motion of torso or pelvis, which its limbs hang on.
+    fn base(&mut self, trunk: BodySegment, samples: &BodySamples) -> Base {
+        let last = &mut self.last_motions[trunk.index()];
+        let Some(sensor) = &self.sensors[trunk.index()] else { return Base::room() };
+        let Some(q_room_base) = sensor.orientation() else { return Base::room() };
+        let known = Base {
+            q_room_base,
+            angular_velocity_sigma_rad_s: 0.01,
+            specific_force_sigma_m_s2: 0.2,
+            ..Base::room()
+        };
+        let Some(sample) = samples[trunk.index()].filter(health::usable) else {
+            *last = last.filter(|_| sensor.behind_s <= HOLD_S);
+            let gravity = q_room_base.inverse() * Vector3::z() * GRAVITY_M_S2;
+            return match *last {
+                Some(Motion { angular_velocity_rad_s, specific_force_m_s2 }) => {
+                    Base { angular_velocity_rad_s, specific_force_m_s2, ..known }
+                }
+                // Nothing from the trunk for long: it stands, as far as anybody knows.
+                None => Base { specific_force_m_s2: gravity, ..known },
+            };
+        };
+        let mount = &sensor.worn.q_segment_sensor;
+        let angular_velocity_rad_s = mount * (sample.gyro_rad_s - sensor.ahrs.bias_rad_s());
+        let accel_rad_s2 = last.map_or_else(Vector3::zeros, |last| {
+            (angular_velocity_rad_s - last.angular_velocity_rad_s) / sensor.step_s
+        });
+        let specific_force_m_s2 = mount * sample.accel_m_s2;
+        *last = Some(Motion { angular_velocity_rad_s, specific_force_m_s2 });
+        Base { angular_velocity_rad_s, accel_rad_s2, specific_force_m_s2, ..known }
+    }
+
+    fn publish(&mut self, own: &[Option<UnitQuaternion<f64>>; SEGMENTS], bases: &[Base; 2], dt_s: f64) {
+        let out = &mut self.estimate;
+        for trunk in [BodySegment::Torso, BodySegment::Pelvis] {
+            out.orientations[trunk.index()] = own[trunk.index()];
+            if let Some(sensor) = &self.sensors[trunk.index()] {
+                out.sigma_rad[trunk.index()] = sensor.systematic_rad(self.held_s);
+            }
+        }
+        for (limb, filter) in Limb::ALL.into_iter().zip(&self.limbs) {
+            let [trunk, upper, lower] = limb.segments();
+            let q_room_base = bases[trunk.index()].q_room_base;
+            let relative = filter.orientations();
+            for (k, segment) in [upper, lower].into_iter().enumerate() {
+                out.orientations[segment.index()] = relative[k].map(|q| q_room_base * q);
+                // The filter knows of noise alone; the error of both sensors lasts.
+                let beside = [trunk, segment].map(|s| {
+                    self.sensors[s.index()].as_ref().map_or(0.0, |sensor| sensor.systematic_rad(self.held_s))
+                });
+                out.sigma_rad[segment.index()] = filter.sigma_rad(k).hypot(beside[0]).hypot(beside[1]);
+            }
+        }
+        out.angles_rad = angles(&out.orientations);
+        let orientations = out.orientations;
+        self.estimate.spread = self.spread(&orientations);
+        let out = &mut self.estimate;
+        for segment in BodySegment::ALL {
+            let index = segment.index();
+            // Who has just begun or come back does not know yet how it is turned; nor does what hangs on it.
+            let settled = std::iter::successors(Some(segment), |s| s.parent())
+                .filter_map(|s| self.sensors[s.index()].as_ref())
+                .all(|sensor| sensor.settled_s >= SETTLED_S);
+            let Some(sensor) = &mut self.sensors[index] else { continue };
+            let body = out.orientations[index].filter(|_| settled);
+            sensor.watch.agrees(own[index], body, sensor.magnetometer, dt_s);
+            out.faults[index] = sensor.watch.fault();
+        }
+        let trunk = [BodySegment::Torso, BodySegment::Pelvis]
+            .into_iter()
+            .find_map(|s| self.sensors[s.index()].as_ref());
+        let trunk = trunk.or_else(|| self.sensors.iter().flatten().next()).filter(|sensor| sensor.started);
+        out.heading = match trunk {
+            None => Heading::Unknown,
+            Some(sensor) if sensor.magnetometer && !sensor.ahrs.magnetic_disturbance() => {
+                self.held_s = 0.0;
+                Heading::Field
+            }
+            Some(_) => {
+                self.held_s += dt_s;
+                Heading::Held(self.held_s)
+            }
+        };
+    }
+}
+
+impl Sensor {
+    /// What calibrated sensors are systematically wrong by, rms about an axis, rad: the accelerometer's bias tilts, and the magnetometer'
+    /// iron turns the heading, or without a field the gyro's bias for `held_s`.
+    fn systematic_rad(&self, held_s: f64) -> f64 {
+        let [tilt, heading] = self.lasting_rad2(held_s);
+        ((2.0 * tilt + heading) / 3.0).sqrt().min(std::f64::consts::PI)
+    }
+
+    /// The same as variances of a tilt about each level axis and of the heading, rad².
+    fn lasting_rad2(&self, held_s: f64) -> [f64; 2] {
+        let magnetometer = if self.magnetometer { CALIBRATED_HEADING_RAD } else { 0.0 };
+        [CALIBRATED_TILT_RAD.powi(2), magnetometer.powi(2) + (DRIFT_RAD_S * held_s).powi(2)]
+    }
+
+    fn push(&mut self, sample: Option<&ImuSample>, age_s: f64, dt_s: f64) {
+        self.watch.sample(sample, dt_s);
+        self.behind_s += dt_s;
+        self.settled_s = if self.started && self.behind_s <= HOLD_S { self.settled_s + dt_s } else { 0.0 };
+        let Some(sample) = sample.filter(|sample| health::usable(sample)) else { return };
+        let since_s = (self.behind_s - age_s).max(1e-4);
+        self.behind_s = age_s;
+        self.step_s = since_s;
+        if since_s > AWAY_S {
+            self.step_s = FIRST_S;
+            self.ahrs.resume();
+        }
+        self.patience_s -= self.step_s;
+        self.magnetometer |= sample.mag.is_some();
+        self.ahrs.push(sample, self.step_s);
+        if !self.started {
+            self.started = true;
+            if !self.magnetometer {
+                let heading = self.worn.heading_rad.unwrap_or_else(|| {
+                    let segment = self.ahrs.orientation_6d() * self.worn.q_segment_sensor.inverse();
+                    -yaw_from_upright(&segment)
+                });
+                self.heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading);
+            }
+        }
+    }
+
+    /// Segment to room by this sensor alone.
+    fn orientation(&self) -> Option<UnitQuaternion<f64>> {
+        let q_room_sensor = if self.magnetometer {
+            self.ahrs.orientation()
+        } else {
+            self.heading * self.ahrs.orientation_6d()
+        };
+        // Since its last sample it went on turning as it did.
+        let ahead_s = self.behind_s.min(HOLD_S);
+        let turn = UnitQuaternion::from_scaled_axis(self.ahrs.angular_velocity_rad_s() * ahead_s);
+        let waits = self.patience_s > 0.0 && !self.ahrs.has_field();
+        (self.started && !waits).then(|| q_room_sensor * turn * self.worn.q_segment_sensor.inverse())
+    }
+
+    /// What a magnetometer in the sensor would say, sensor axes: north, if the heading is believed at all.
+    fn north(&self) -> Option<Vector3<f64>> {
+        (self.started && self.magnetometer).then(|| self.ahrs.orientation().inverse() * Vector3::y())
+    }
+}
+
+/// By how far a segment is turned about the vertical from a body that looks along the room's x, rad: the twist of its turn
+/// from upright, which sitting, bowing and raised arms leave alone.
+pub(crate) fn yaw_from_upright(segment: &UnitQuaternion<f64>) -> f64 {
+    let turn = segment * upright().inverse();
+    2.0 * turn.k.atan2(turn.w)
+}

@@ -1,0 +1,262 @@
+//! Ten rigid bodies: which there are, how long they are, and where their joints sit.
+//!
+//! In: a height, or measured lengths. Out: joint centres in segment frames, and points of the whole body from its
+//! segments' orientations. It never decides an orientation. The table that both this file and `angles.rs`
+//! follow is `docs/body.md`; the simulator follows it too and shares no code with them.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use posed_state::Plain;
+use serde::{Deserialize, Serialize};
+
+/// Body segments: the length of all arrays over them.
+pub const SEGMENTS: usize = 10;
+
+/// One of the ten rigid bodies of Weber et al. (2011). Axes of each in the N-pose: x forward, y up, z to the right; the
+/// origin of a limb's segment is the joint above it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, Plain)]
+pub enum BodySegment {
+    /// Chest and everything that moves with it.
+    Torso,
+    /// Hip bones.
+    Pelvis,
+    /// Right upper arm.
+    UpperArmR,
+    /// Right forearm and hand.
+    ForearmR,
+    /// Right thigh.
+    ThighR,
+    /// Right shank and foot.
+    ShankR,
+    /// Left upper arm.
+    UpperArmL,
+    /// Left forearm and hand.
+    ForearmL,
+    /// Left thigh.
+    ThighL,
+    /// Left shank and foot.
+    ShankL,
+}
+
+impl BodySegment {
+    /// All, in the order in which arrays over segments hold them.
+    pub const ALL: [Self; SEGMENTS] = [
+        Self::Torso,
+        Self::Pelvis,
+        Self::UpperArmR,
+        Self::ForearmR,
+        Self::ThighR,
+        Self::ShankR,
+        Self::UpperArmL,
+        Self::ForearmL,
+        Self::ThighL,
+        Self::ShankL,
+    ];
+
+    /// Its name in files and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Torso => "torso",
+            Self::Pelvis => "pelvis",
+            Self::UpperArmR => "upper_arm_r",
+            Self::ForearmR => "forearm_r",
+            Self::ThighR => "thigh_r",
+            Self::ShankR => "shank_r",
+            Self::UpperArmL => "upper_arm_l",
+            Self::ForearmL => "forearm_l",
+            Self::ThighL => "thigh_l",
+            Self::ShankL => "shank_l",
+        }
+    }
+
+    /// The segment of that name, as [`Self::name`] gives it; `None` where there is none.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|segment| segment.name() == name)
+    }
+
+    /// Its place in arrays over segments, from 0 to 9, in the order of [`Self::ALL`].
+    pub fn index(self) -> usize {
+        self as usize
+    }
+
+    /// The segment it hangs on; `None` for the pelvis, the root of the body.
+    pub fn parent(self) -> Option<Self> {
+        match self {
+            Self::Pelvis => None,
+            Self::Torso | Self::ThighR | Self::ThighL => Some(Self::Pelvis),
+            Self::UpperArmR | Self::UpperArmL => Some(Self::Torso),
+            Self::ForearmR => Some(Self::UpperArmR),
+            Self::ForearmL => Some(Self::UpperArmL),
+            Self::ShankR => Some(Self::ThighR),
+            Self::ShankL => Some(Self::ThighL),
+        }
+    }
+
+    /// 1 on the right, -1 on the left, 0 in the middle.
+    pub fn side(self) -> f64 {
+        match self {
+            Self::Torso | Self::Pelvis => 0.0,
+            Self::UpperArmR | Self::ForearmR | Self::ThighR | Self::ShankR => 1.0,
+            Self::UpperArmL | Self::ForearmL | Self::ThighL | Self::ShankL => -1.0,
+        }
+    }
+}
+
+/// A limb: two segments below a ball joint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
+pub enum Limb {
+    /// Right arm.
+    ArmR,
+    /// Right leg.
+    LegR,
+    /// Left arm.
+    ArmL,
+    /// Left leg.
+    LegL,
+}
+
+impl Limb {
+    /// All, in the order in which arrays over limbs hold them.
+    pub const ALL: [Self; 4] = [Self::ArmR, Self::LegR, Self::ArmL, Self::LegL];
+
+    /// The segment that it hangs on, its upper and its lower segment, in this order.
+    pub fn segments(self) -> [BodySegment; 3] {
+        match self {
+            Self::ArmR => [BodySegment::Torso, BodySegment::UpperArmR, BodySegment::ForearmR],
+            Self::LegR => [BodySegment::Pelvis, BodySegment::ThighR, BodySegment::ShankR],
+            Self::ArmL => [BodySegment::Torso, BodySegment::UpperArmL, BodySegment::ForearmL],
+            Self::LegL => [BodySegment::Pelvis, BodySegment::ThighL, BodySegment::ShankL],
+        }
+    }
+}
+
+/// Lengths of a body, m: rigid segments with fixed joint centres.
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
+pub struct Skeleton {
+    /// Half the distance between the shoulders' centres, m.
+    pub shoulder_half_m: f64,
+    /// Half the distance between the hips' centres, m.
+    pub hip_half_m: f64,
+    /// From the hips' mid-point to the shoulders', m.
+    pub trunk_m: f64,
+    /// Shoulder to elbow, m.
+    pub upper_arm_m: f64,
+    /// Elbow to wrist, m.
+    pub forearm_m: f64,
+    /// Hip to knee, m.
+    pub thigh_m: f64,
+    /// Knee to ankle, m.
+    pub shank_m: f64,
+    /// Ankle to floor, m.
+    pub foot_m: f64,
+}
+
+impl Skeleton {
+    /// Lengths in proportion to the height, m: Drillis & Contini 1966, as Winter 2009 prints them.
+    pub fn from_height(height_m: f64) -> Self {
+        Self {
+            shoulder_half_m: 0.129 * height_m,
+            hip_half_m: 0.0955 * height_m,
+            trunk_m: 0.288 * height_m,
+            upper_arm_m: 0.186 * height_m,
+            forearm_m: 0.146 * height_m,
+            thigh_m: 0.245 * height_m,
+            shank_m: 0.246 * height_m,
+            foot_m: 0.039 * height_m,
+        }
+    }
+
+    /// The joint between a segment and its parent, in the parent's frame, m; zero for the pelvis, which has none.
+    pub fn joint_in_parent_m(&self, segment: BodySegment) -> Vector3<f64> {
+        let side = segment.side();
+        match segment {
+            BodySegment::Pelvis | BodySegment::Torso => Vector3::zeros(),
+            BodySegment::UpperArmR | BodySegment::UpperArmL => {
+                Vector3::new(0.0, 0.5 * self.trunk_m, side * self.shoulder_half_m)
+            }
+            BodySegment::ThighR | BodySegment::ThighL => Vector3::new(0.0, 0.0, side * self.hip_half_m),
+            BodySegment::ForearmR | BodySegment::ForearmL => Vector3::new(0.0, -self.upper_arm_m, 0.0),
+            BodySegment::ShankR | BodySegment::ShankL => Vector3::new(0.0, -self.thigh_m, 0.0),
+        }
+    }
+
+    /// The same joint in the segment's own frame, m: zero but for the torso, whose origin is midway between the hips' and
+    /// the shoulders' mid-points.
+    pub fn joint_in_segment_m(&self, segment: BodySegment) -> Vector3<f64> {
+        match segment {
+            BodySegment::Torso => Vector3::new(0.0, -0.5 * self.trunk_m, 0.0),
+            _ => Vector3::zeros(),
+        }
+    }
+
+    /// The segment's far end in its own frame, m: shoulders' mid-point (torso), elbow, wrist, knee, ankle; zero for the
+    /// pelvis.
+    pub fn end_in_segment_m(&self, segment: BodySegment) -> Vector3<f64> {
+        match segment {
+            BodySegment::Torso => Vector3::new(0.0, 0.5 * self.trunk_m, 0.0),
+            BodySegment::Pelvis => Vector3::zeros(),
+            BodySegment::UpperArmR | BodySegment::UpperArmL => Vector3::new(0.0, -self.upper_arm_m, 0.0),
+            BodySegment::ForearmR | BodySegment::ForearmL => Vector3::new(0.0, -self.forearm_m, 0.0),
+            BodySegment::ThighR | BodySegment::ThighL => Vector3::new(0.0, -self.thigh_m, 0.0),
+            BodySegment::ShankR | BodySegment::ShankL => Vector3::new(0.0, -self.shank_m, 0.0),
+        }
+    }
+
+    /// Where a sensor counts as sitting if that is not given, segment frame, m: in the middle of a limb's segment, at the
+    /// origin of the trunk's.
+    pub fn usual_sensor_m(&self, segment: BodySegment) -> Vector3<f64> {
+        0.5 * self.joint_in_segment_m(segment) + 0.5 * self.end_in_segment_m(segment)
+    }
+
+    /// Origins of all segments in the room, m, by [`BodySegment::index`], from their orientations (segment to room) and the
+    /// hips' mid-point in the room.
+    pub fn origins_m(
+        &self,
+        orientations: &[UnitQuaternion<f64>; SEGMENTS],
+        pelvis_m: Vector3<f64>,
+    ) -> [Vector3<f64>; SEGMENTS] {
+        let mut origins = [pelvis_m; SEGMENTS];
+        // Parents first: the pelvis, then the torso, then the limbs from above.
+        for segment in Self::PARENTS_FIRST {
+            if let Some(parent) = segment.parent() {
+                origins[segment.index()] = origins[parent.index()]
+                    + orientations[parent.index()] * self.joint_in_parent_m(segment)
+                    - orientations[segment.index()] * self.joint_in_segment_m(segment);
+            }
+        }
+        origins
+    }
+
+    /// The hips' mid-point, room, m, if the body stands on its lower ankle above the origin: x and y are zero, z is the
+    /// height.
+    pub fn standing_m(&self, orientations: &[UnitQuaternion<f64>; SEGMENTS]) -> Vector3<f64> {
+        let origins = self.origins_m(orientations, Vector3::zeros());
+        let lowest = [BodySegment::ShankR, BodySegment::ShankL]
+            .map(|shank| {
+                let index = shank.index();
+                (origins[index] + orientations[index] * self.end_in_segment_m(shank)).z
+            })
+            .into_iter()
+            .fold(f64::INFINITY, f64::min);
+        Vector3::new(0.0, 0.0, self.foot_m - lowest)
+    }
+
+    /// All segments, each after its parent.
+    pub const PARENTS_FIRST: [BodySegment; SEGMENTS] = [
+        BodySegment::Pelvis,
+        BodySegment::Torso,
+        BodySegment::UpperArmR,
+        BodySegment::ForearmR,
+        BodySegment::UpperArmL,
+        BodySegment::ForearmL,
+        BodySegment::ThighR,
+        BodySegment::ShankR,
+        BodySegment::ThighL,
+        BodySegment::ShankL,
+    ];
+}
+
+/// Segment to room in the N-pose of a body that looks along the room's x: x forward, y up, z right.
+pub fn upright() -> UnitQuaternion<f64> {
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    UnitQuaternion::new_unchecked(Quaternion::new(half, half, 0.0, 0.0))
+}

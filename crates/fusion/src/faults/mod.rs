@@ -1,0 +1,191 @@
+//! What is wrong with single measurements, by physics, and the words for it.
+//!
+//! What comes in: a measured pose in the transmitter frame, and as explicit arguments what the previous frame
+//! predicts for it and what the stage's fault map reports about it. What goes out: a [`Checked`] measurement, mirrored
+//! back where the tracker chose the wrong side of its transmitter. What it never does: filter, correct, look at the future. This module alone
+//! decides between p and -p and what is stuck; `fusion` only gates what is left.
+
+mod gate;
+mod repetition;
+mod vocabulary;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use posed_state::Plain;
+
+pub(crate) use gate::squared_distance;
+pub use gate::{Gate, Prediction};
+pub use repetition::{Evidence, ImuWords, Repeats, Repetition, Words};
+pub use vocabulary::{Cause, Class, Finding, Label, Repair, Verdict};
+
+use crate::noise::TrackerNoise;
+
+/// The fault map contradicts the prediction for so many records before it is believed.
+const CONVINCED_RECORDS: u32 = 30;
+
+/// A measured pose of one sensor in the transmitter frame.
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
+pub struct MeasuredPose {
+    /// Position, m.
+    pub position_m: Option<Vector3<f64>>,
+    /// Sensor to transmitter.
+    pub orientation: Option<UnitQuaternion<f64>>,
+}
+
+/// A measurement with its label; repaired where [`Checked::repair`] says so.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Checked {
+    /// The measurement, repaired.
+    pub pose: MeasuredPose,
+    /// What it is.
+    pub label: Label,
+    /// What was done about that.
+    pub repair: Option<Repair>,
+    /// It has no news, or false ones: no filter is to see it.
+    pub withheld: bool,
+}
+
+impl Checked {
+    /// Nothing is known against it.
+    pub fn clean(pose: MeasuredPose) -> Self {
+        Self { pose, label: Label::CLEAN, repair: None, withheld: false }
+    }
+
+    fn mirrored(pose: MeasuredPose) -> Self {
+        Self { pose, label: Label::INVERTED, repair: Some(Repair::Mirrored), withheld: false }
+    }
+
+    fn anomalous(pose: MeasuredPose, cause: Cause, withheld: bool) -> Self {
+        Self { pose, label: Label::anomalous(cause), repair: None, withheld }
+    }
+}
+
+/// The ways in which a tracker mirrors a position; the orientation stays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
+enum Mirror {
+    /// p to -p: the field of a dipole is the same there.
+    Point,
+    /// z to -z: some set-ups mirror the vertical axis only.
+    Vertical,
+}
+
+impl Mirror {
+    fn apply(self, pose: &MeasuredPose) -> MeasuredPose {
+        let position_m = pose.position_m.map(|p| match self {
+            Self::Point => -p,
+            Self::Vertical => Vector3::new(p.x, p.y, -p.z),
+        });
+        MeasuredPose { position_m, ..*pose }
+    }
+}
+
+/// The fault detector of one sensor.
+#[derive(Clone, Debug, Default, Plain)]
+pub struct Detector {
+    repetition: Repetition<MeasuredPose>,
+    /// How the latest measurement was repaired; kept while there is no prediction to judge by.
+    mirror: Option<Mirror>,
+    /// Records in a row in which prediction and fault map disagreed about the side.
+    disputed: u32,
+    /// What the map calls anomalous has lasted longer than a prediction does: it is followed, though never as good.
+    followed: bool,
+}
+
+impl Detector {
+    /// Labels one measurement.
+    ///
+    /// `prediction` is the filter's, at the measurement's time; `None` while nothing is tracked.
+    /// `others_move` states whether another sensor of the stage was moving in the previous frame; `by_map` is what the
+    /// stage's fault map reports about the sensor in this frame, if there is one. The prediction determines the side of the
+    /// transmitter, and where there is none, the map.
+    pub fn check(
+        &mut self,
+        pose: &MeasuredPose,
+        prediction: Option<&Prediction>,
+        noise: &TrackerNoise,
+        others_move: bool,
+        by_map: Option<Class>,
+    ) -> Checked {
+        let side = match by_map {
+            Some(Class::Inverted) if pose.position_m.is_some() => Some(Some(Mirror::Point)),
+            Some(Class::Clean) => Some(None),
+            _ => None,
+        };
+        if let (Some(side), None) = (side, prediction) {
+            self.mirror = side;
+        }
+        let checked = self.by_prediction(pose, prediction, noise, others_move);
+        if by_map != Some(Class::Anomalous) {
+            self.followed = false;
+        } else if checked.repair.is_none() && !checked.withheld {
+            self.followed |= prediction.is_none();
+            if !self.followed {
+                // Why, the map reports once it has said it often enough.
+                let label = Label { class: Class::Anomalous, cause: None };
+                return Checked { label, repair: Some(Repair::Coasted), withheld: true, ..checked };
+            }
+        }
+        self.settle(pose, checked, side.filter(|_| prediction.is_some()))
+    }
+
+    /// Prediction and map may disagree about the side: nothing is good then, until the map has it.
+    fn settle(&mut self, pose: &MeasuredPose, checked: Checked, by_map: Option<Option<Mirror>>) -> Checked {
+        let (Label::CLEAN | Label::INVERTED, Some(by_map)) = (checked.label, by_map) else {
+            return checked;
+        };
+        if by_map == self.mirror || self.mirror == Some(Mirror::Vertical) {
+            self.disputed = 0;
+            return checked;
+        }
+        self.disputed += 1;
+        if self.disputed < CONVINCED_RECORDS {
+            let label = Label { class: Class::Unknown, cause: Some(Cause::HemisphereInversion) };
+            return Checked { label, repair: None, ..checked };
+        }
+        // What is tracked gives way once enough records agree on the other side.
+        match by_map {
+            Some(mirror) => Checked::mirrored(mirror.apply(pose)),
+            None => Checked::clean(*pose),
+        }
+    }
+
+    fn by_prediction(
+        &mut self,
+        pose: &MeasuredPose,
+        prediction: Option<&Prediction>,
+        noise: &TrackerNoise,
+        others_move: bool,
+    ) -> Checked {
+        // A mirrored sensor repeats its mirrored words: hold the repetition against the same side.
+        let seen = self.mirror.map_or(*pose, |mirror| mirror.apply(pose));
+        let evidence = match prediction {
+            Some(prediction) if prediction.has_left(&seen, noise) => Evidence::Certain,
+            _ if others_move => Evidence::OthersMove,
+            _ => Evidence::None,
+        };
+        match self.repetition.take(*pose, evidence) {
+            Repeats::Stuck => return Checked::anomalous(seen, Cause::Stuck, true),
+            // Not yet stuck, but not where it is predicted.
+            Repeats::Suspect => return Checked::anomalous(seen, Cause::Gate, true),
+            Repeats::Changed | Repeats::Rests => {}
+        }
+        let Some(prediction) = prediction else {
+            // Nothing to judge by: it is still on the side where it was last seen.
+            return if self.mirror.is_some() { Checked::mirrored(seen) } else { Checked::clean(seen) };
+        };
+        if prediction.gate(pose, noise) != Gate::Outside {
+            self.mirror = None;
+            return Checked::clean(*pose);
+        }
+        for mirror in [Mirror::Point, Mirror::Vertical] {
+            let repaired = mirror.apply(pose);
+            if pose.position_m.is_some() && prediction.gate(&repaired, noise) == Gate::Inside {
+                self.mirror = Some(mirror);
+                return Checked::mirrored(repaired);
+            }
+        }
+        Checked::anomalous(*pose, Cause::Gate, false)
+    }
+}
+
+#[cfg(test)]
+mod tests;

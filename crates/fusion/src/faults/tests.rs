@@ -1,0 +1,111 @@
+//! Flips, repetitions and outliers against a known prediction.
+
+use nalgebra::Matrix3;
+
+use super::*;
+use posed_geometry::so3;
+
+const NOISE: TrackerNoise = TrackerNoise { r0_m: 1.0, sigma_radial_m: 1e-4, sigma_rotation_rad: 1e-3 };
+
+fn expected(position_m: Vector3<f64>) -> Prediction {
+    Prediction {
+        position_m,
+        orientation: so3::exp(&Vector3::new(0.3, -0.2, 1.0)),
+        position_m2: Matrix3::identity() * 1e-6,
+        rotation_rad2: Matrix3::identity() * 1e-5,
+        position_noise_scale: 1.0,
+        rotation_noise_scale: 1.0,
+        position_doubt_m2: 0.0,
+        reach_m: 0.02,
+        reach_rad: 0.08,
+    }
+}
+
+fn measured(prediction: &Prediction) -> MeasuredPose {
+    MeasuredPose { position_m: Some(prediction.position_m), orientation: Some(prediction.orientation) }
+}
+
+#[test]
+fn what_was_expected_is_clean_and_a_quaternions_sign_is_no_fault() {
+    let prediction = expected(Vector3::new(0.4, 0.1, -0.2));
+    let mut pose = measured(&prediction);
+    let mut detector = Detector::default();
+    assert_eq!(detector.check(&pose, Some(&prediction), &NOISE, false, None).label, Label::CLEAN);
+    let negative = -prediction.orientation.into_inner();
+    pose.orientation = Some(UnitQuaternion::new_unchecked(negative));
+    assert_eq!(detector.check(&pose, Some(&prediction), &NOISE, false, None).label, Label::CLEAN);
+}
+
+#[test]
+fn mirrored_positions_are_mirrored_back_each_by_its_own_prediction() {
+    // The whole figure flips: mutual distances stay, so each sensor must be judged by where it was.
+    for place in [[0.4, 0.1, -0.2], [0.5, -0.3, 0.3], [0.6, 0.2, 0.1]] {
+        let prediction = expected(Vector3::from(place));
+        for mirror in [Mirror::Point, Mirror::Vertical] {
+            let mut detector = Detector::default();
+            let pose = mirror.apply(&measured(&prediction));
+            let checked = detector.check(&pose, Some(&prediction), &NOISE, false, None);
+            assert_eq!((checked.label, checked.pose), (Label::INVERTED, measured(&prediction)));
+            // Without a prediction it is still there.
+            let moved = MeasuredPose { position_m: pose.position_m.map(|p| p * 1.01), ..pose };
+            let checked = detector.check(&moved, None, &NOISE, false, None);
+            assert_eq!((checked.label, checked.pose), (Label::INVERTED, mirror.apply(&moved)));
+        }
+    }
+}
+
+#[test]
+fn a_mirrored_position_with_another_orientation_is_an_outlier() {
+    let prediction = expected(Vector3::new(0.4, 0.1, -0.2));
+    let turned = prediction.orientation * so3::exp(&Vector3::new(0.0, 0.5, 0.0));
+    let pose = MeasuredPose { position_m: Some(-prediction.position_m), orientation: Some(turned) };
+    let checked = Detector::default().check(&pose, Some(&prediction), &NOISE, false, None);
+    assert_eq!(checked, Checked::anomalous(pose, Cause::Gate, false));
+}
+
+#[test]
+fn a_sensor_that_was_moving_is_suspect_at_the_first_repetition_and_stuck_at_the_fifth() {
+    let mut detector = Detector::default();
+    let frozen = measured(&expected(Vector3::new(0.4, 0.1, -0.2)));
+    let labels: Vec<_> = (0..7)
+        .map(|k| {
+            let prediction = expected(Vector3::new(0.4 + 0.005 * f64::from(k), 0.1, -0.2));
+            let checked = detector.check(&frozen, Some(&prediction), &NOISE, false, None);
+            assert_eq!(checked.withheld, k > 0);
+            checked.label
+        })
+        .collect();
+    let [suspect, stuck] = [Cause::Gate, Cause::Stuck].map(Label::anomalous);
+    assert_eq!(labels, [Label::CLEAN, suspect, suspect, suspect, stuck, stuck, stuck]);
+}
+
+#[test]
+fn a_sensor_at_rest_may_repeat_itself_until_others_move_unless_it_is_used_to() {
+    let prediction = expected(Vector3::new(0.4, 0.1, -0.2));
+    let pose = measured(&prediction);
+    let mut detector = Detector::default();
+    for _ in 0..20 {
+        assert_eq!(detector.check(&pose, Some(&prediction), &NOISE, false, None).label, Label::CLEAN);
+    }
+    assert_eq!(
+        detector.check(&pose, Some(&prediction), &NOISE, true, None).label,
+        Label::anomalous(Cause::Stuck)
+    );
+
+    let mut habitual = Detector::default();
+    for _ in 0..200 {
+        habitual.check(&pose, Some(&prediction), &NOISE, false, None);
+    }
+    assert_eq!(habitual.check(&pose, Some(&prediction), &NOISE, true, None).label, Label::CLEAN);
+}
+
+#[test]
+fn a_gate_that_is_wide_for_want_of_knowledge_does_not_vouch_for_a_jump() {
+    let mut prediction = expected(Vector3::new(0.4, 0.1, -0.2));
+    prediction.position_m2 = Matrix3::identity() * 1e-2;
+    let mut pose = measured(&prediction);
+    pose.position_m = Some(prediction.position_m + Vector3::new(0.0286, 0.0, 0.0));
+    assert_eq!(prediction.gate(&pose, &NOISE), Gate::Loose);
+    pose.position_m = Some(Vector3::repeat(f64::NAN));
+    assert_eq!(prediction.gate(&pose, &NOISE), Gate::Outside);
+}

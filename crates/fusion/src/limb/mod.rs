@@ -1,0 +1,319 @@
+//! One limb, arm or leg, as one filter over two IMUs.
+//!
+//! In: the motion of the segment that the limb hangs on (its [`Base`]), the samples of the upper and the lower
+//! IMU, and the time since the last ones. Out: joint angles, rates, their covariance, and for each sensor whether
+//! it was believed. It never clamps a state, never lets the magnetometer tilt a segment, and goes
+//! on by prediction where a sample is missing.
+//!
+//! Source: Weber et al. (2011), with the full recursion of `chain.rs`. [`Arm`] and [`Leg`] hold shoulder and hip on SO(3)
+//! and estimate the gyro biases: 21 and 18 error states. A [`Limb`] of [`Axes`] alone and without biases, as in that
+//! paper, has 15 and 12.
+//!
+//! Order of the error states: upper joint 9 (turn or angles, rates, accelerations); bias of the upper gyro 3, where
+//! estimated; lower joint 3 D; bias of the lower gyro 3.
+
+mod chain;
+mod covariance;
+mod joint;
+#[cfg(test)]
+mod tests;
+mod update;
+mod wide;
+
+use nalgebra::{Matrix3, SVector, UnitQuaternion, Vector3};
+use posed_geometry::GRAVITY_M_S2;
+use posed_state::Plain;
+use serde::{Deserialize, Serialize};
+
+use super::ahrs::ImuSample;
+use chain::Motion;
+use covariance::Covariance;
+use joint::Joint;
+pub use joint::{Axes, Ball, JointNoise};
+pub use update::{FieldReference, SensorReport};
+
+/// Arm: ball joint and two axes (flexion, pronation), with gyro biases.
+pub type Arm = Limb<Ball, 2, 21>;
+/// Leg, or any limb with a hinge below a ball joint, with gyro biases.
+pub type Leg = Limb<Ball, 1, 18>;
+
+/// The segment that a limb hangs on, in its own axes, with its origin where its IMU sits: at the time of the limb's samples.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Base {
+    /// Segment to room.
+    pub q_room_base: UnitQuaternion<f64>,
+    /// Angular velocity without the gyro's bias, rad/s.
+    pub angular_velocity_rad_s: Vector3<f64>,
+    /// Angular acceleration, rad/s².
+    pub accel_rad_s2: Vector3<f64>,
+    /// Specific force at the origin, m/s²: gravity is in it.
+    pub specific_force_m_s2: Vector3<f64>,
+    /// Standard deviation of the angular velocity per axis, rad/s: joins the noise of the limb's gyros.
+    pub angular_velocity_sigma_rad_s: f64,
+    /// Standard deviation of the specific force at the joint per axis, m/s²: joins the noise of the limb's accelerometers.
+    pub specific_force_sigma_m_s2: f64,
+}
+
+impl Base {
+    /// No IMU above the limb: the base is the room, and the joint's own acceleration counts as noise of 1 m/s².
+    pub fn room() -> Self {
+        Self {
+            q_room_base: UnitQuaternion::identity(),
+            angular_velocity_rad_s: Vector3::zeros(),
+            accel_rad_s2: Vector3::zeros(),
+            specific_force_m_s2: Vector3::z() * GRAVITY_M_S2,
+            angular_velocity_sigma_rad_s: 0.0,
+            specific_force_sigma_m_s2: 1.0,
+        }
+    }
+}
+
+/// Lengths of a limb and where its sensors sit. The filter takes them as exact.
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
+pub struct LimbGeometry {
+    /// Base's origin to the upper joint, base axes, m.
+    pub base_to_joint_m: Vector3<f64>,
+    /// Upper joint to the upper IMU, upper segment's axes, m.
+    pub upper_imu_m: Vector3<f64>,
+    /// Upper joint to the lower joint, upper segment's axes, m.
+    pub upper_to_lower_m: Vector3<f64>,
+    /// Lower joint to the lower IMU, lower segment's axes, m.
+    pub lower_imu_m: Vector3<f64>,
+    /// Upper sensor to upper segment: sensor-to-segment alignment.
+    pub upper_mount: UnitQuaternion<f64>,
+    /// Lower sensor to lower segment: sensor-to-segment alignment.
+    pub lower_mount: UnitQuaternion<f64>,
+}
+
+/// What the filter assumes; standard deviations per axis. Effect of each: `docs/methods/limb.md`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Plain)]
+pub struct LimbNoise {
+    /// How freely the joints move.
+    pub joint: JointNoise,
+    /// Noise of a gyro sample, rad/s.
+    pub gyro_rad_s: f64,
+    /// Noise of an accelerometer sample, m/s²; skin motion included.
+    pub accel_m_s2: f64,
+    /// Noise of an azimuth, rad.
+    pub heading_rad: f64,
+    /// Initial standard deviation of a gyro bias, rad/s.
+    pub bias_initial_rad_s: f64,
+    /// Random walk of a gyro bias, rad/s per sqrt(s).
+    pub bias_walk_rad_s_per_sqrt_s: f64,
+    /// How sharp an anatomical limit is, rad.
+    pub limit_rad: f64,
+    /// Range of the accelerometer, m/s²; an axis beyond 98 % of it is dropped.
+    pub accel_range_m_s2: f64,
+}
+
+impl Default for LimbNoise {
+    fn default() -> Self {
+        Self {
+            joint: JointNoise { jerk_rad_s3: 200.0, accel_tau_s: 0.3 },
+            gyro_rad_s: 0.01,
+            accel_m_s2: 0.3,
+            heading_rad: 5_f64.to_radians(),
+            bias_initial_rad_s: 0.5_f64.to_radians(),
+            bias_walk_rad_s_per_sqrt_s: 0.003_f64.to_radians(),
+            limit_rad: 1_f64.to_radians(),
+            accel_range_m_s2: 16.0 * GRAVITY_M_S2,
+        }
+    }
+}
+
+/// One limb's filter: `J` is the upper joint, D the axes of the lower one, N the number of error states (15 + 3 D with gyro
+/// biases, 9 + 3 D without). Model: Weber et al. (2011), eq. (1) and (2), corrected as `docs/methods/limb.md` lists;
+/// accuracy: `docs/body.md`. Without delay.
+#[derive(Clone, Debug, PartialEq, Plain)]
+pub struct Limb<J, const D: usize, const N: usize> {
+    geometry: LimbGeometry,
+    noise: LimbNoise,
+    /// Limits of the lower joint's angles, rad; the first row the least, the second the largest.
+    limits: [SVector<f64, D>; 2],
+    upper: J,
+    lower: Axes<D>,
+    biases: [Vector3<f64>; 2],
+    p: Covariance<N>,
+    sensors: [update::Sensor; 2],
+}
+
+/// Which of the two IMUs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Which {
+    Upper,
+    Lower,
+}
+
+/// One epoch of samples; absent: none came, and the limb moves by prediction alone.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LimbSamples {
+    /// Of the IMU above the lower joint.
+    pub upper: Option<ImuSample>,
+    /// Of the IMU below it.
+    pub lower: Option<ImuSample>,
+}
+
+#[expect(private_bounds, reason = "the two kinds of joint are a closed set")]
+impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
+    const HAS_BIAS: bool = N == 15 + 3 * D;
+    const UPPER_BIAS: usize = 9;
+    const LOWER: usize = if Self::HAS_BIAS { 12 } else { 9 };
+    const LOWER_BIAS: usize = Self::LOWER + 3 * D;
+
+    /// A limb in a given posture, of which each angle is known to `sigma_rad`; at rest, rates known to 1 rad/s, accelerations
+    /// to 10 rad/s². `limits_rad` holds the least and the largest angle of each axis of the lower joint; a limit that is
+    /// passed is measured as the limit, the state is never clamped.
+    pub fn new(
+        geometry: LimbGeometry,
+        noise: LimbNoise,
+        upper: J,
+        lower: Axes<D>,
+        limits_rad: [SVector<f64, D>; 2],
+        sigma_rad: f64,
+    ) -> Self {
+        const { assert!(N == 15 + 3 * D || N == 9 + 3 * D, "with biases or without") };
+        let mut sigmas = SVector::<f64, N>::zeros();
+        for (at, k) in [(0, 3), (Self::LOWER, D)] {
+            for i in 0..k {
+                sigmas[at + i] = sigma_rad;
+                sigmas[at + k + i] = 1.0;
+                sigmas[at + 2 * k + i] = 10.0;
+            }
+        }
+        if Self::HAS_BIAS {
+            for i in 0..3 {
+                sigmas[Self::UPPER_BIAS + i] = noise.bias_initial_rad_s;
+                sigmas[Self::LOWER_BIAS + i] = noise.bias_initial_rad_s;
+            }
+        }
+        Self {
+            geometry,
+            noise,
+            limits: limits_rad,
+            upper,
+            lower,
+            biases: [Vector3::zeros(); 2],
+            p: Covariance::from_sigmas(sigmas),
+            sensors: [update::Sensor::default(); 2],
+        }
+    }
+
+    /// Moves on by `dt_s`, s, above 0, and takes the samples of both IMUs; `field` is the field that the azimuth is compared
+    /// with, `None` where none is trusted. A sample that is `None` or not finite is a step of prediction. The azimuth
+    /// corrects the heading alone.
+    ///
+    /// Returns what became of the sample of the upper and of the lower IMU; a gated one does not stop the filter.
+    pub fn push(
+        &mut self,
+        base: &Base,
+        field: Option<&FieldReference>,
+        samples: &LimbSamples,
+        dt_s: f64,
+    ) -> [SensorReport; 2] {
+        self.predict(dt_s);
+        let upper = self.observe(Which::Upper, base, field, samples.upper.as_ref(), dt_s);
+        let lower = self.observe(Which::Lower, base, field, samples.lower.as_ref(), dt_s);
+        self.keep_limits();
+        [upper, lower]
+    }
+
+    /// Joint above: upper segment to base, or the angles of its axes, at the time of the last step.
+    pub fn upper(&self) -> &J {
+        &self.upper
+    }
+
+    /// Joint below: angles, rad, angular velocities and accelerations, at the time of the last step.
+    pub fn lower(&self) -> &Axes<D> {
+        &self.lower
+    }
+
+    /// Upper and lower segment to base, at the time of the last step; [`Self::turns_rad2`] has the covariances of their
+    /// joints.
+    pub fn orientations(&self) -> [UnitQuaternion<f64>; 2] {
+        let mut motion = Motion::<N>::of_base(Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
+        self.upper.turn(&mut motion, 0);
+        [motion.q_base_frame, motion.q_base_frame * self.lower.orientation()]
+    }
+
+    /// Gyro biases of the upper and the lower IMU, rad/s, sensor axes; zero where the filter has no states for them.
+    pub fn biases_rad_s(&self) -> &[Vector3<f64>; 2] {
+        &self.biases
+    }
+
+    /// Standard deviation of the angle about an axis of the lower joint, rad; `axis` from 0 to D - 1. As [`Self::turns_rad2`]
+    /// it holds noise, and neither systematic errors of the sensors nor soft tissue.
+    ///
+    /// # Panics
+    /// May where `axis` is not below D.
+    pub fn lower_sigma_rad(&self, axis: usize) -> f64 {
+        self.p.0[(Self::LOWER + axis, Self::LOWER + axis)].max(0.0).sqrt()
+    }
+
+    /// Covariance of the error of both joints' rotations, rad², 3 x 3: of the upper joint in the upper segment's axes, of the
+    /// lower joint in the lower segment's, where it is zero across the joint's axes. The filter's own: systematic errors of
+    /// the sensors are not in it (`docs/methods/body.md`, Uncertainty).
+    pub fn turns_rad2(&self) -> [Matrix3<f64>; 2] {
+        [self.upper.turn_rad2(&self.p, 0), Joint::<N>::turn_rad2(&self.lower, &self.p, Self::LOWER)]
+    }
+
+    /// Uncertainty of the upper segment about an axis, relative to the base, rad: root mean square over the three.
+    pub fn upper_sigma_rad(&self) -> f64 {
+        ((0..3).map(|i| self.p.0[(i, i)]).sum::<f64>() / 3.0).max(0.0).sqrt()
+    }
+
+    /// Takes all joint rates as measured to be zero, to 0.2 deg/s: call it after a step at which all sensors of the limb
+    /// rest. Holds the heading where no field is trusted.
+    pub fn observe_rest(&mut self) {
+        let sigma = 0.2_f64.to_radians();
+        let rates = [self.upper.rates(0), Joint::<N>::rates(&self.lower, Self::LOWER)];
+        for (k, range) in rates.into_iter().enumerate() {
+            for column in range {
+                let rate = if k == 0 {
+                    self.upper.rate(column, 0)
+                } else {
+                    Joint::<N>::rate(&self.lower, column, Self::LOWER)
+                };
+                self.observe_state(column, -rate, sigma * sigma);
+            }
+        }
+    }
+
+    fn predict(&mut self, dt_s: f64) {
+        self.upper.predict(&mut self.p, &self.noise.joint, dt_s, 0);
+        self.lower.predict(&mut self.p, &self.noise.joint, dt_s, Self::LOWER);
+        if Self::HAS_BIAS {
+            let walk = self.noise.bias_walk_rad_s_per_sqrt_s.powi(2) * dt_s;
+            for i in 0..3 {
+                self.p.0[(Self::UPPER_BIAS + i, Self::UPPER_BIAS + i)] += walk;
+                self.p.0[(Self::LOWER_BIAS + i, Self::LOWER_BIAS + i)] += walk;
+            }
+        }
+    }
+
+    fn correct(&mut self, dx: &SVector<f64, N>) {
+        self.upper.correct(dx, 0);
+        self.lower.correct(dx, Self::LOWER);
+        if Self::HAS_BIAS {
+            self.biases[0] += dx.fixed_rows::<3>(Self::UPPER_BIAS);
+            self.biases[1] += dx.fixed_rows::<3>(Self::LOWER_BIAS);
+        }
+    }
+
+    /// A limit that is passed pulls the angle back as a measurement; the state is never clamped.
+    fn keep_limits(&mut self) {
+        for i in 0..D {
+            let angle = self.lower.angle_rad[i];
+            let limit = angle.clamp(self.limits[0][i], self.limits[1][i]);
+            if limit != angle {
+                self.observe_state(Self::LOWER + i, limit - angle, self.noise.limit_rad.powi(2));
+            }
+        }
+    }
+}
+
+impl<const N: usize, const D: usize> Limb<Ball, D, N> {
+    /// Upper segment to base, at the time of the last step.
+    pub fn upper_orientation(&self) -> UnitQuaternion<f64> {
+        self.upper.q
+    }
+}

@@ -1,0 +1,348 @@
+//! What one IMU tells a limb: gyro, accelerometer and azimuth, gated and adapted.
+//!
+//! In: one sample and the predicted limb. Out: a correction, and a report on what was believed.
+
+use nalgebra::{SMatrix, SVector, Vector3};
+use posed_state::Plain;
+use serde::{Deserialize, Serialize};
+
+use super::chain::{Motion, Rows};
+use super::covariance::Covariance;
+use super::joint::Joint;
+use super::{Base, Limb, Which};
+use crate::ahrs::ImuSample;
+use posed_geometry::wrapped_rad;
+
+/// 99.9 % of chi squared with 3 degrees of freedom: beyond it a sample is not believed.
+const GATE_3: f64 = 16.3;
+/// 95 %: between this and the gate a sample counts for less.
+const DOUBT_3: f64 = 7.8;
+/// 99 % with 1 degree of freedom, for the azimuth.
+const GATE_1: f64 = 6.6;
+/// Normalised innovation (3 sigma) above which the measurement is linearised anew.
+const RELINEARISE: f64 = 9.0;
+/// After so long without an accepted azimuth, one is used with ten times its noise, s.
+const FIELD_PATIENCE_S: f64 = 60.0;
+/// Without a sample for so long, a joint is stale, s.
+const STALE_S: f64 = 0.5;
+/// Window of the adaptation of the accelerometer's noise, s.
+const ADAPT_S: f64 = 1.0;
+
+/// The field that the azimuth is compared with. A sample is used only within 10 % of its norm and 10 degrees of its dip.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FieldReference {
+    /// Azimuth of the field, `atan2(y, x)` in the room, rad.
+    pub azimuth_rad: f64,
+    /// Norm, in the unit of the samples, above 0.
+    pub norm: f64,
+    /// Dip below the horizontal, rad, positive downwards.
+    pub dip_rad: f64,
+}
+
+/// What became of one sensor's sample. Of a filter that is right, the normalised innovation squared is on average 3 (azimuth:
+/// 1).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SensorReport {
+    /// No sample for half a second.
+    pub stale: bool,
+    /// The sample had a number that is not finite in gyro or accelerometer, and was not used.
+    pub broken: bool,
+    /// Normalised innovation squared of the gyro (3 degrees of freedom); absent without a sample.
+    pub gyro_nis: Option<f64>,
+    /// The same of the accelerometer; above 16.3 it is not believed, above 7.8 its noise is raised.
+    pub accel_nis: Option<f64>,
+    /// The same of the azimuth (1 degree of freedom); absent without a trusted field. Above 6.6 it is not believed, for a
+    /// minute.
+    pub heading_nis: Option<f64>,
+    /// The accelerometer was not believed.
+    pub accel_gated: bool,
+    /// The azimuth was not believed, or the field's norm or dip is not the reference's.
+    pub heading_gated: bool,
+}
+
+/// What is remembered of a sensor between samples.
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
+pub(super) struct Sensor {
+    silent_s: f64,
+    without_field_s: f64,
+    /// The accelerometer's variance as the innovations show it, over its nominal one.
+    seen: f64,
+    /// Normalised innovation squared of the accelerometer per axis, low-passed: 1 where the noise is right.
+    nis_per_axis: f64,
+}
+
+impl Sensor {
+    /// Factor on the accelerometer's variance. As long as the innovations are as large as predicted it is 1: what
+    /// they show of the noise is itself noisy where the limb's own accelerations make most of them.
+    fn adapted(&self) -> f64 {
+        if (0.8..1.2).contains(&self.nis_per_axis) { 1.0 } else { self.seen.clamp(0.3, 30.0) }
+    }
+}
+
+impl Default for Sensor {
+    fn default() -> Self {
+        Self { silent_s: 0.0, without_field_s: 0.0, seen: 1.0, nis_per_axis: 1.0 }
+    }
+}
+
+/// Prediction of one IMU's sample and its derivatives.
+pub(super) struct Prediction<const N: usize> {
+    pub(super) gyro: Vector3<f64>,
+    pub(super) accel: Vector3<f64>,
+    pub(super) d_gyro: Rows<N>,
+    pub(super) d_accel: Rows<N>,
+    /// Azimuth of the measured field minus the reference's, rad.
+    pub(super) azimuth: Option<f64>,
+    /// Turn about the room's vertical per error state.
+    pub(super) d_azimuth: SMatrix<f64, 1, N>,
+    /// What a tilt does to the azimuth per error state: counted as noise, never corrected.
+    d_azimuth_by_tilt: SMatrix<f64, 1, N>,
+}
+
+#[expect(private_bounds, reason = "the two kinds of joint are a closed set")]
+impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
+    /// What the IMU should measure.
+    pub(super) fn predict_sample(
+        &self,
+        which: Which,
+        base: &Base,
+        field: Option<(&FieldReference, Vector3<f64>)>,
+    ) -> Prediction<N> {
+        let g = &self.geometry;
+        let mut motion =
+            Motion::<N>::of_base(base.angular_velocity_rad_s, base.accel_rad_s2, base.specific_force_m_s2);
+        motion.shift(&g.base_to_joint_m);
+        self.upper.turn(&mut motion, 0);
+        let (mount, bias_at) = match which {
+            Which::Upper => {
+                motion.shift(&g.upper_imu_m);
+                (&g.upper_mount, Self::UPPER_BIAS)
+            }
+            Which::Lower => {
+                motion.shift(&g.upper_to_lower_m);
+                self.lower.turn(&mut motion, Self::LOWER);
+                motion.shift(&g.lower_imu_m);
+                (&g.lower_mount, Self::LOWER_BIAS)
+            }
+        };
+        let back = mount.to_rotation_matrix().into_inner().transpose();
+        let mut d_gyro = back * motion.d_omega;
+        let mut gyro = back * motion.omega;
+        if Self::HAS_BIAS {
+            gyro += self.biases[which as usize];
+            d_gyro.fixed_view_mut::<3, 3>(0, bias_at).fill_with_identity();
+        }
+        let mut azimuth = None;
+        let mut d_azimuth = SMatrix::<f64, 1, N>::zeros();
+        let mut d_azimuth_by_tilt = d_azimuth;
+        if let Some((reference, mag)) = field {
+            let q_room_frame = base.q_room_base * motion.q_base_frame;
+            let m = q_room_frame * (mount * mag);
+            azimuth = trusted(&m, reference).then(|| wrapped_rad(m.y.atan2(m.x) - reference.azimuth_rad));
+            // Only the turn about the vertical: the azimuth never corrects the tilt.
+            let back = q_room_frame.inverse();
+            d_azimuth = (back * Vector3::z()).transpose() * motion.d_turn;
+            let tilt = Vector3::new(m.x, m.y, 0.0) * (-m.z / (m.x * m.x + m.y * m.y));
+            d_azimuth_by_tilt = (back * tilt).transpose() * motion.d_turn;
+        }
+        Prediction {
+            gyro,
+            accel: back * motion.force,
+            d_gyro,
+            d_accel: back * motion.d_force,
+            azimuth,
+            d_azimuth,
+            d_azimuth_by_tilt,
+        }
+    }
+
+    /// Takes the sample of one IMU, or its absence.
+    pub(super) fn observe(
+        &mut self,
+        which: Which,
+        base: &Base,
+        field: Option<&FieldReference>,
+        sample: Option<&ImuSample>,
+        dt_s: f64,
+    ) -> SensorReport {
+        let mut sensor = self.sensors[which as usize];
+        sensor.silent_s += dt_s;
+        sensor.without_field_s += dt_s;
+        let mut report = SensorReport::default();
+        if let Some(sample) = sample {
+            report.broken = !sample.gyro_rad_s.iter().chain(sample.accel_m_s2.iter()).all(|v| v.is_finite());
+            if !report.broken {
+                sensor.silent_s = 0.0;
+                self.use_sample(which, base, field, sample, dt_s, &mut sensor, &mut report);
+            }
+        }
+        report.stale = sensor.silent_s >= STALE_S;
+        self.sensors[which as usize] = sensor;
+        report
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "one step, cut in two for the eye")]
+    fn use_sample(
+        &mut self,
+        which: Which,
+        base: &Base,
+        field: Option<&FieldReference>,
+        sample: &ImuSample,
+        dt_s: f64,
+        sensor: &mut Sensor,
+        report: &mut SensorReport,
+    ) {
+        let columns = match which {
+            Which::Upper => Self::LOWER,
+            Which::Lower => N,
+        };
+        let mag = sample.mag.filter(|m| m.iter().all(|v| v.is_finite()));
+        let field = field.zip(mag);
+        let n = &self.noise;
+        let gyro_noise = Vector3::repeat(n.gyro_rad_s.powi(2) + base.angular_velocity_sigma_rad_s.powi(2));
+        let mut accel_noise =
+            Vector3::repeat(n.accel_m_s2.powi(2) * sensor.adapted() + base.specific_force_sigma_m_s2.powi(2));
+        for i in 0..3 {
+            if sample.accel_m_s2[i].abs() > 0.98 * n.accel_range_m_s2 {
+                accel_noise[i] = 1e12;
+            }
+        }
+        let (heading, accel_variance) = (n.heading_rad, n.accel_m_s2.powi(2));
+        let prior = self.p.clone();
+        let mut dx = SVector::<f64, N>::zeros();
+        for pass in 0..3 {
+            let prediction = self.predict_sample(which, base, field);
+            // Residuals relative to the prior: the state has already moved by `from`.
+            let from = dx;
+            if pass > 0 {
+                self.correct(&-from);
+                self.p.clone_from(&prior);
+            }
+            dx.fill(0.0);
+            *report = SensorReport { ..SensorReport::default() };
+            let gyro = sample.gyro_rad_s - prediction.gyro + prediction.d_gyro * from;
+            let accel = sample.accel_m_s2 - prediction.accel + prediction.d_accel * from;
+
+            report.gyro_nis =
+                step(&mut self.p, &mut dx, &prediction.d_gyro, columns, &gyro, &gyro_noise, |_| Some(1.0)).0;
+            let (nis, excess) = step(
+                &mut self.p,
+                &mut dx,
+                &prediction.d_accel,
+                columns,
+                &accel,
+                &accel_noise,
+                |nis| match nis {
+                    n if n > GATE_3 => None,
+                    n if n > DOUBT_3 => Some(n / 3.0),
+                    _ => Some(1.0),
+                },
+            );
+            report.accel_nis = nis;
+            report.accel_gated = nis.is_none_or(|n| n > GATE_3);
+            let relinearise = report.gyro_nis.is_some_and(|n| n > RELINEARISE)
+                || nis.is_some_and(|n| n > RELINEARISE && n <= GATE_3);
+
+            if let Some(azimuth) = prediction.azimuth {
+                let residual = wrapped_rad(-azimuth + (prediction.d_azimuth * from)[0]);
+                let patient = sensor.without_field_s < FIELD_PATIENCE_S;
+                let own = heading.powi(2) * if patient { 1.0 } else { 10.0 };
+                let nis = turn_only(&mut self.p, &mut dx, &prediction, columns, residual, own, |nis| {
+                    nis <= GATE_1 || !patient
+                });
+                report.heading_nis = nis;
+                report.heading_gated = patient && nis.is_none_or(|n| n > GATE_1);
+            } else {
+                report.heading_gated = field.is_some();
+            }
+            self.correct(&dx);
+            if !relinearise || pass == 2 {
+                // The innovation's excess over what was predicted, slowly, as a factor on the noise.
+                let gain = dt_s / (ADAPT_S + dt_s);
+                let seen = (excess / (3.0 * accel_variance)).min(100.0);
+                sensor.seen += gain * (seen - sensor.seen);
+                let per_axis = nis.unwrap_or(3.0).min(300.0) / 3.0;
+                sensor.nis_per_axis += gain * (per_axis - sensor.nis_per_axis);
+                break;
+            }
+        }
+        if report.heading_nis.is_some() && !report.heading_gated {
+            sensor.without_field_s = 0.0;
+        }
+    }
+
+    /// An error state was measured: `residual` away, with variance `noise`.
+    pub(super) fn observe_state(&mut self, column: usize, residual: f64, noise: f64) {
+        let mut h = SMatrix::<f64, 1, N>::zeros();
+        h[column] = 1.0;
+        let innovation = self.p.innovation(&h, N);
+        let (residual, noise) = (SVector::<f64, 1>::new(residual), SVector::<f64, 1>::new(noise));
+        if let Some(inverse) = innovation.inverse(&noise) {
+            let dx = self.p.update(&innovation, &inverse, &residual, &noise);
+            self.correct(&dx);
+        }
+    }
+}
+
+/// One block of rows. `trust` states by what the noise is multiplied, given the normalised innovation, or `None` to leave it out.
+/// Returns the normalised innovation squared, and the innovation's square beyond what the states explain.
+fn step<const M: usize, const N: usize>(
+    p: &mut Covariance<N>,
+    dx: &mut SVector<f64, N>,
+    h: &SMatrix<f64, M, N>,
+    columns: usize,
+    residual: &SVector<f64, M>,
+    noise: &SVector<f64, M>,
+    trust: impl Fn(f64) -> Option<f64>,
+) -> (Option<f64>, f64) {
+    let innovation = p.innovation(h, columns);
+    let residual = residual - h * *dx;
+    let excess = residual.norm_squared() - innovation.predicted.trace();
+    let Some(inverse) = innovation.inverse(noise) else { return (None, excess) };
+    let nis = residual.dot(&(inverse * residual));
+    match trust(nis) {
+        None => {}
+        Some(1.0) => *dx += p.update(&innovation, &inverse, &residual, noise),
+        Some(factor) => {
+            let noise = noise * factor;
+            if let Some(inverse) = innovation.inverse(&noise) {
+                *dx += p.update(&innovation, &inverse, &residual, &noise);
+            }
+        }
+    }
+    (Some(nis), excess)
+}
+
+/// The azimuth: its gain is that of a turn about the vertical alone, but the covariance knows that a tilt moves
+/// it too (Schmidt's consider update). Returns the normalised innovation squared.
+fn turn_only<const N: usize>(
+    p: &mut Covariance<N>,
+    dx: &mut SVector<f64, N>,
+    prediction: &Prediction<N>,
+    columns: usize,
+    residual: f64,
+    noise: f64,
+    trust: impl Fn(f64) -> bool,
+) -> Option<f64> {
+    let turn = p.innovation(&prediction.d_azimuth, columns);
+    let full = p.innovation(&(prediction.d_azimuth + prediction.d_azimuth_by_tilt), columns);
+    let residual = residual - (prediction.d_azimuth * *dx)[0];
+    let s = full.predicted[0] + noise;
+    let nis = residual * residual / s;
+    // Not larger than the turn alone deserves, nor than the whole uncertainty of the azimuth allows.
+    let gain = turn.cross / s.max(turn.predicted[0] + noise);
+    if !nis.is_finite() {
+        return None;
+    }
+    if trust(nis) {
+        p.apply(&full, &gain, &SVector::<f64, 1>::new(noise));
+        *dx += gain * residual;
+    }
+    Some(nis)
+}
+
+/// Norm within 10 % and dip within 10 degrees of the reference.
+fn trusted(m: &Vector3<f64>, reference: &FieldReference) -> bool {
+    let dip = (-m.z).atan2(m.x.hypot(m.y));
+    (m.norm() / reference.norm - 1.0).abs() < 0.1 && (dip - reference.dip_rad).abs() < 10_f64.to_radians()
+}

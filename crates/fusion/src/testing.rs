@@ -1,0 +1,44 @@
+//! What the tests of filters share: chance, and whether errors are as large as a filter reports.
+
+use std::ops::Range;
+
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Runs that a matched model is averaged over.
+const RUNS: u64 = 50;
+
+/// Seeded chance.
+pub(super) struct Random(ChaCha8Rng);
+
+impl Random {
+    pub(super) fn new(seed: u64) -> Self {
+        Self(ChaCha8Rng::seed_from_u64(seed))
+    }
+
+    pub(super) fn uniform(&mut self) -> f64 {
+        self.0.random()
+    }
+
+    pub(super) fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
+        radius * (std::f64::consts::TAU * self.uniform()).cos()
+    }
+
+    pub(super) fn vector(&mut self) -> Vector3<f64> {
+        Vector3::new(self.normal(), self.normal(), self.normal())
+    }
+}
+
+/// Share of the steps at which the normalised squared error, averaged over [`RUNS`] runs, lies within `bounds`; `run` tells the errors
+/// of one run, step by step.
+pub(super) fn consistency(bounds: &Range<f64>, mut run: impl FnMut(Random) -> Vec<f64>) -> f64 {
+    let mut sums: Vec<f64> = Vec::new();
+    for number in 0..RUNS {
+        let errors = run(Random::new(number));
+        sums.resize(errors.len(), 0.0);
+        sums.iter_mut().zip(&errors).for_each(|(sum, error)| *sum += error / RUNS as f64);
+    }
+    sums.iter().filter(|sum| bounds.contains(*sum)).count() as f64 / sums.len() as f64
+}

@@ -1,0 +1,58 @@
+//! Time stamps of a stage.
+
+use std::ops::{Add, Sub};
+use std::time::Duration;
+
+use posed_state::Plain;
+use serde::{Deserialize, Serialize};
+
+/// A point in time: nanoseconds since the stage's epoch, on the host's monotonic clock; 292 years to either side.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, Plain,
+)]
+#[serde(transparent)]
+pub struct Timestamp(i64);
+
+impl Timestamp {
+    /// The stage's epoch.
+    pub const ZERO: Self = Self(0);
+
+    /// Time `nanos` nanoseconds after the stage's epoch; negative before it.
+    pub const fn from_nanos(nanos: i64) -> Self {
+        Self(nanos)
+    }
+
+    /// Time `seconds` after the stage's epoch, rounded to the nanosecond; the ends of the range beyond it, the epoch for NaN.
+    pub fn from_secs_f64(seconds: f64) -> Self {
+        Self((seconds * 1e9).round() as i64)
+    }
+
+    /// Nanoseconds since the stage's epoch.
+    pub const fn as_nanos(self) -> i64 {
+        self.0
+    }
+
+    /// Seconds since the stage's epoch; an `f64` resolves the nanosecond for the first three months.
+    pub fn as_secs_f64(self) -> f64 {
+        self.0 as f64 * 1e-9
+    }
+
+    /// Seconds from `earlier` to `self`; negative when `self` is the earlier one.
+    pub fn seconds_since(self, earlier: Self) -> f64 {
+        (self.0 - earlier.0) as f64 * 1e-9
+    }
+}
+
+impl Add<Duration> for Timestamp {
+    type Output = Self;
+    fn add(self, duration: Duration) -> Self {
+        Self(self.0 + duration.as_nanos() as i64)
+    }
+}
+
+impl Sub<Duration> for Timestamp {
+    type Output = Self;
+    fn sub(self, duration: Duration) -> Self {
+        Self(self.0 - duration.as_nanos() as i64)
+    }
+}

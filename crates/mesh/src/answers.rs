@@ -1,0 +1,170 @@
+//! What a stage answers to other machines: its clock at once, everything else on a thread of its own.
+//!
+//! | key | answer |
+//! |---|---|
+//! | `KEY/status` | the newest `status`, JSON as on the websocket |
+//! | `KEY/recordings` | JSON list of `{name, bytes}` |
+//! | `KEY/recordings/NAME?offset=N;bytes=M` | bytes of one, at most 1 MiB; none at its end |
+//! | `KEY/clock` | [`ClockReading`] |
+//! | `KEY/ask/join?after=N` | [`Joined`](super::wire::Joined) |
+//! | `KEY/ask/begin` | [`Begin`] |
+//! | `KEY/ask/log?from=N` | [`LogChunk`](super::wire::LogChunk) |
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::thread::JoinHandle;
+
+use crossbeam_channel::{Receiver, bounded, select};
+use serde::Serialize;
+use zenoh::query::Query;
+use zenoh::{Session, Wait};
+
+use super::feed::Feed;
+use super::input_log::Log;
+use super::session::{LinkError, thread};
+use super::wire::{Begin, ClockReading, Keys};
+use posed_daemon::FusionInbox;
+use posed_daemon::StageClock;
+use posed_daemon::recordings;
+use posed_recording::Reader;
+use posed_stage::Stage;
+
+/// Questions that wait; more get no answer, and are asked again.
+const WAITING: usize = 64;
+/// Bytes of a recording in one answer at most.
+const CHUNK_BYTES: u64 = 1 << 20;
+
+/// What answers are made from.
+pub(super) struct Answers {
+    pub(super) keys: Keys,
+    pub(super) feed: Feed,
+    pub(super) log: Log,
+    pub(super) clock: StageClock,
+    pub(super) inbox: FusionInbox,
+    pub(super) recordings: PathBuf,
+    pub(super) stage_toml: String,
+}
+
+impl Answers {
+    /// Declares the stage, last of all its token, and answers until `stopped`.
+    pub(super) fn start(self, session: Session, stopped: Receiver<()>) -> Result<JoinHandle<()>, LinkError> {
+        let (failed, begun) = bounded(1);
+        let thread =
+            thread("zenoh-answers", move || match self.run(&session, &stopped, || _ = failed.send(None)) {
+                Ok(()) => _ = session.close().wait(),
+                Err(error) => _ = failed.send(Some(LinkError::Zenoh(error))),
+            })?;
+        match begun.recv() {
+            Ok(None) => Ok(thread),
+            Ok(Some(error)) => Err(error),
+            Err(_) => Err(LinkError::Crashed),
+        }
+    }
+
+    fn run(&self, session: &Session, stopped: &Receiver<()>, begun: impl FnOnce()) -> zenoh::Result<()> {
+        let (clock, run, key) = (self.clock, self.feed.run(), self.keys.clock());
+        let tell_time = move |query: Query| {
+            let reading = ClockReading { run, t_ns: clock.now().as_nanos() };
+            if let Ok(bytes) = rmp_serde::to_vec(&reading) {
+                let _ = query.reply(query.key_expr().clone(), bytes).wait();
+            }
+        };
+        let _clock = session.declare_queryable(key).callback(tell_time).wait()?;
+        let (asked, questions) = bounded::<Query>(WAITING);
+        let keys = [self.keys.status(), format!("{}/**", self.keys.recordings()), self.keys.ask("*")];
+        let declare = |key: String| {
+            let asked = asked.clone();
+            // Where too many wait, who asks sees that there is no answer.
+            session.declare_queryable(key).callback(move |query| _ = asked.try_send(query)).wait()
+        };
+        let _queryables = keys.into_iter().map(declare).collect::<zenoh::Result<Vec<_>>>()?;
+        let _lookout = self.feed.twins().look(session, &self.keys, run)?;
+        let _token = session.liveliness().declare_token(self.keys.token()).wait()?;
+        begun();
+        loop {
+            let query = select! {
+                recv(questions) -> query => query,
+                recv(stopped) -> _ => return Ok(()),
+            };
+            let Ok(query) = query else { return Ok(()) };
+            let replied = match self.answer(&query) {
+                Ok(bytes) => query.reply(query.key_expr().clone(), bytes).wait(),
+                Err(error) => query.reply_err(error.to_string()).wait(),
+            };
+            if let Err(error) = replied {
+                tracing::debug!(%error, "zenoh: an answer");
+            }
+        }
+    }
+
+    /// The answer, or why there is none.
+    fn answer(&self, query: &Query) -> zenoh::Result<Vec<u8>> {
+        let asked = query.key_expr().as_str().strip_prefix(self.keys.stage()).unwrap_or_default();
+        let number = |name: &str, absent: u64| match query.parameters().get(name) {
+            None => Ok(absent),
+            Some(text) => text.parse::<u64>().map_err(|_| format!("{name}: give a number, not {text:?}")),
+        };
+        match asked.split('/').collect::<Vec<_>>()[..] {
+            ["", "status"] => match self.feed.status() {
+                status if status.is_empty() => Err("there is no status yet".into()),
+                status => Ok(status),
+            },
+            ["", "recordings"] => self.list(),
+            ["", "recordings", name] => self.piece(name, number("offset", 0)?, number("bytes", CHUNK_BYTES)?),
+            ["", "ask", "join"] => packed(&self.feed.join(number("after", 0)?)),
+            ["", "ask", "log"] => packed(&self.log.from(number("from", 0)?)),
+            ["", "ask", "begin"] => {
+                let mut begin = self.inbox.begin()?;
+                begin.header.stage_toml.clone_from(&self.stage_toml);
+                packed(&Begin { next: begin.next, header: begin.header })
+            }
+            _ => Err(format!("{}: nothing is answered under this key", query.key_expr()).into()),
+        }
+    }
+
+    fn list(&self) -> zenoh::Result<Vec<u8>> {
+        #[derive(Serialize)]
+        struct Entry {
+            bytes: u64,
+            name: String,
+        }
+        let size = |name: &str| std::fs::metadata(self.recordings.join(name)).map_or(0, |file| file.len());
+        let entries =
+            recordings::list(&self.recordings)?.into_iter().map(|name| Entry { bytes: size(&name), name });
+        Ok(serde_json::to_vec(&entries.collect::<Vec<_>>())?)
+    }
+
+    fn piece(&self, name: &str, offset: u64, bytes: u64) -> zenoh::Result<Vec<u8>> {
+        let path = recordings::find(&self.recordings, name)?;
+        check_secrets(&path)?;
+        let read = || {
+            let mut file = File::open(&path)?;
+            file.seek(SeekFrom::Start(offset))?;
+            let mut piece = Vec::new();
+            file.take(bytes.min(CHUNK_BYTES)).read_to_end(&mut piece)?;
+            Ok::<_, std::io::Error>(piece)
+        };
+        read().map_err(|error| format!("cannot read {name}: {error}").into())
+    }
+}
+
+/// A recording holds the stage file as it was, with its tokens: those are not given away.
+fn check_secrets(path: &Path) -> zenoh::Result<()> {
+    let reader = Reader::open(path)?;
+    let secret = match Stage::parse(&reader.header().stage_toml) {
+        Ok(stage) => {
+            !stage.server.tokens.is_empty() || stage.zenoh.is_some_and(|zenoh| zenoh.password.is_some())
+        }
+        // A stage file of another version: nobody knows what is in it.
+        Err(_) => true,
+    };
+    if secret {
+        return Err("this recording holds a stage file with tokens, or one of another version: copy it from its machine".into());
+    }
+    Ok(())
+}
+
+fn packed(answer: &impl Serialize) -> zenoh::Result<Vec<u8>> {
+    Ok(rmp_serde::to_vec_named(answer)?)
+}

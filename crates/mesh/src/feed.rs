@@ -1,0 +1,231 @@
+//! What is published, on its way to other machines: kept and numbered, so that what was missed can be asked for.
+//!
+//! In: items with their stamps, on the distributor's task. Out: bytes for the thread that hands them to zenoh, behind a bounded
+//! queue: where that is full, states are lost and counted, and events are asked for later. Never: a wait. What nobody has subscribed to is not written.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use crossbeam_channel::{Receiver, Sender, bounded};
+
+use super::twins::Twins;
+use super::wire::{Bytes, Head, Joined, VERSION, write_fed};
+use posed_daemon::server::Holding;
+use posed_daemon::server::Item;
+use posed_protocol::{Encoding, Names, Payload, Problem, Stamp, Topic, View, encode};
+
+/// Messages that wait for zenoh's thread.
+const WAITING: usize = 256;
+/// Events that are kept, as for websocket clients: so many, so long, so large.
+const EVENTS: usize = 4096;
+const EVENT_AGE_US: i64 = 600_000_000;
+const EVENT_BYTES: usize = 16 << 20;
+
+/// Where items go in, and where questions about them are answered; clones share it.
+#[derive(Clone, Debug)]
+pub(crate) struct Feed {
+    shared: Arc<Shared>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    about: StageInfo,
+    kept: Mutex<Kept>,
+    wanted: Wanted,
+    twins: Twins,
+    out: Sender<Out>,
+    lost: AtomicU64,
+}
+
+/// What every hub receives of a stage.
+#[derive(Debug)]
+pub(super) struct StageInfo {
+    pub(super) key: String,
+    pub(super) run: i64,
+    pub(super) stage_toml: String,
+}
+
+/// What somebody has subscribed to.
+#[derive(Debug, Default)]
+pub(super) struct Wanted {
+    pub(super) feed: AtomicBool,
+    pub(super) topics: [AtomicBool; Topic::COUNT],
+}
+
+/// Bytes for zenoh.
+#[derive(Debug)]
+pub(super) enum Out {
+    States(Vec<u8>),
+    Events(Arc<[u8]>),
+    Public(Topic, Vec<u8>),
+}
+
+#[derive(Debug, Default)]
+struct Kept {
+    last_event_id: u64,
+    newest_us: i64,
+    events: VecDeque<Event>,
+    event_bytes: usize,
+    holding: Holding<Event>,
+    /// Newest states that come seldom.
+    status: Option<Arc<[u8]>>,
+    jobs: Option<Arc<[u8]>>,
+    /// The newest status as its public message.
+    status_json: Vec<u8>,
+    topics: [bool; Topic::COUNT],
+    seq: [u64; Topic::COUNT],
+}
+
+#[derive(Clone, Debug)]
+struct Event {
+    id: u64,
+    t_us: i64,
+    bytes: Arc<[u8]>,
+}
+
+impl Feed {
+    /// Empty; what goes out is to be taken from the other end.
+    pub(super) fn new(about: StageInfo) -> (Self, Receiver<Out>) {
+        let (out, taken) = bounded(WAITING);
+        let shared = Shared {
+            about,
+            kept: Mutex::default(),
+            wanted: Wanted::default(),
+            twins: Twins::default(),
+            out,
+            lost: AtomicU64::new(0),
+        };
+        (Self { shared: Arc::new(shared) }, taken)
+    }
+
+    /// Sends a state, and gives it back for keeping.
+    fn state(&self, bytes: Vec<u8>, is_fed: bool) -> Arc<[u8]> {
+        let kept = Arc::from(bytes.as_slice());
+        if is_fed {
+            self.send(Out::States(bytes));
+        }
+        kept
+    }
+
+    fn send(&self, out: Out) {
+        if self.shared.out.try_send(out).is_err() {
+            self.shared.lost.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// What a hub needs that has all events up to `after`.
+    pub(super) fn join(&self, after: u64) -> Joined {
+        let kept = self.kept();
+        let oldest = kept.events.front().map_or(kept.last_event_id + 1, |event| event.id);
+        let holding = kept.holding.iter().filter(|event| after == 0 && event.id < oldest);
+        let mut events: Vec<&Event> =
+            holding.chain(kept.events.iter().filter(|event| event.id > after)).collect();
+        events.sort_by_key(|event| event.id);
+        let states = [&kept.status, &kept.jobs].into_iter().flatten();
+        let bytes = |bytes: &Arc<[u8]>| Bytes(bytes.to_vec());
+        Joined {
+            wire: VERSION,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            run: self.shared.about.run,
+            stage_toml: if after == 0 { self.shared.about.stage_toml.clone() } else { String::new() },
+            topics: Topic::ALL.into_iter().filter(|topic| kept.topics[topic.index()]).collect(),
+            last_event_id: kept.last_event_id,
+            complete: oldest <= after + 1,
+            events: events.into_iter().map(|event| bytes(&event.bytes)).collect(),
+            states: states.map(bytes).collect(),
+        }
+    }
+
+    /// The newest status, as on the websocket; empty before the first.
+    pub(super) fn status(&self) -> Vec<u8> {
+        self.kept().status_json.clone()
+    }
+
+    pub(super) fn twins(&self) -> &Twins {
+        &self.shared.twins
+    }
+
+    pub(super) fn run(&self) -> i64 {
+        self.shared.about.run
+    }
+
+    pub(super) fn wanted(&self) -> &Wanted {
+        &self.shared.wanted
+    }
+
+    fn kept(&self) -> MutexGuard<'_, Kept> {
+        // Every change is complete before anything in it could panic.
+        self.shared.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl posed_daemon::link::Feed for Feed {
+    fn publish(&self, item: &Item, stamp: &Stamp, names: &Names) {
+        let Shared { about, wanted, .. } = &*self.shared;
+        let Some(payload) = item.payload() else { return };
+        let topic = stamp.topic;
+        let is_frame = matches!(item, Item::Estimate(_) | Item::Body(_) | Item::Truth(_));
+        let is_fed = wanted.feed.load(Ordering::Relaxed);
+        let mut kept = self.kept();
+        kept.newest_us = kept.newest_us.max(stamp.t_us);
+        kept.last_event_id = stamp.event_id.unwrap_or(kept.last_event_id);
+        kept.topics[topic.index()] = true;
+        if is_fed || !is_frame {
+            let head = Head { run: about.run, last_event_id: kept.last_event_id, stamp: *stamp };
+            let Some(bytes) = write_fed(&head, item) else { return };
+            match (item, stamp.event_id) {
+                (Item::Outcome(outcome), Some(id)) => {
+                    let event = Event { id, t_us: stamp.t_us, bytes: bytes.into() };
+                    kept.holding.take(outcome, || event.clone());
+                    kept.keep(event.clone());
+                    if is_fed {
+                        self.send(Out::Events(event.bytes));
+                    }
+                }
+                (Item::Status(_), _) => kept.status = Some(self.state(bytes, is_fed)),
+                (Item::Jobs(_), _) => kept.jobs = Some(self.state(bytes, is_fed)),
+                _ => self.send(Out::States(bytes)),
+            }
+        }
+        let is_public = wanted.topics[topic.index()].load(Ordering::Relaxed);
+        if is_public || topic == Topic::Status {
+            let json = kept.public(&payload, stamp, names);
+            if topic == Topic::Status {
+                kept.status_json.clone_from(&json);
+            }
+            if is_public {
+                self.send(Out::Public(topic, json));
+            }
+        }
+    }
+
+    fn problem(&self) -> Option<Problem> {
+        self.shared.twins.problem(&self.shared.about.key)
+    }
+}
+
+impl Kept {
+    fn keep(&mut self, event: Event) {
+        self.event_bytes += event.bytes.len();
+        self.events.push_back(event);
+        let too_old = self.newest_us.saturating_sub(EVENT_AGE_US);
+        while let Some(oldest) = self.events.front()
+            && (self.events.len() > EVENTS || self.event_bytes > EVENT_BYTES || oldest.t_us < too_old)
+        {
+            self.event_bytes -= oldest.bytes.len();
+            self.events.pop_front();
+        }
+    }
+
+    /// The message as a websocket client gets it who has subscribed to all fields and misses nothing.
+    fn public(&mut self, payload: &Payload<'_>, stamp: &Stamp, names: &Names) -> Vec<u8> {
+        let seq = &mut self.seq[stamp.topic.index()];
+        let head = encode::Head { stage: None, topic: stamp.topic, seq: *seq, dropped: 0 };
+        *seq += 1;
+        let (mut body, mut json) = (Vec::new(), Vec::new());
+        encode::body(payload, stamp, names, &View::all(Encoding::Json), &mut body);
+        encode::message(Encoding::Json, head, &body, &mut json);
+        json
+    }
+}

@@ -1,0 +1,67 @@
+//! What the hub reports about its stages: written by who follows each, read once a second and when something changes.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::Notify;
+
+use posed_daemon::StageClock;
+use posed_protocol::{StageEntry, StagePresence, Stages};
+
+/// Shared by all who follow a stage.
+#[derive(Clone, Debug)]
+pub(super) struct Board {
+    entries: Arc<Mutex<BTreeMap<String, StageEntry>>>,
+    changed: Arc<Notify>,
+    clock: StageClock,
+}
+
+impl Board {
+    pub(super) fn new(clock: StageClock) -> Self {
+        Self { entries: Arc::default(), changed: Arc::default(), clock }
+    }
+
+    /// Changes what is said of a stage; it goes out with the next look.
+    pub(super) fn write(&self, id: &str, change: impl FnOnce(&mut StageEntry)) {
+        let mut entries = self.entries();
+        let entry = entries.entry(id.to_owned()).or_default();
+        id.clone_into(&mut entry.id);
+        change(entry);
+    }
+
+    /// A stage has come, vanished or returned: that goes out at once. How long it had been as it was, s.
+    pub(super) fn presence(&self, id: &str, state: StagePresence) -> f64 {
+        let now_s = self.now_s();
+        let mut lasted_s = 0.0;
+        self.write(id, |entry| {
+            lasted_s = now_s - entry.since_s;
+            entry.vanished += u32::from(state == StagePresence::Gone && entry.state != state);
+            entry.state = state;
+            entry.since_s = now_s;
+            if state == StagePresence::Gone {
+                entry.frames_hz = 0.0;
+            }
+        });
+        self.changed.notify_one();
+        lasted_s
+    }
+
+    pub(super) async fn changed(&self) {
+        self.changed.notified().await;
+    }
+
+    /// All of it, now.
+    pub(super) fn stages(&self) -> Stages {
+        Stages { t_s: self.now_s(), stages: self.entries().values().cloned().collect() }
+    }
+
+    /// Hub time, s, to the microsecond.
+    fn now_s(&self) -> f64 {
+        (self.clock.now().as_nanos() / 1000) as f64 * 1e-6
+    }
+
+    fn entries(&self) -> MutexGuard<'_, BTreeMap<String, StageEntry>> {
+        // Every change is complete before anything in it could panic.
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

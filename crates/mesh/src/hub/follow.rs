@@ -1,0 +1,439 @@
+//! One stage, followed: from the first sign of its life on, through cuts and restarts.
+//!
+//! In: its feed, what it answers, whether zenoh sees its token. Out: the same items, in the hub server, events complete and in their
+//! order; what is said of it on the board. Never: a wait for an answer while frames come.
+
+use std::time::Duration;
+
+use tokio::sync::{mpsc, watch};
+use tokio::time::{MissedTickBehavior, interval};
+use zenoh::Session;
+
+use super::board::Board;
+use super::fuse::{Fuser, Taken};
+use super::questions::{Answer, Questions};
+use super::relation::Relation;
+use crate::wire::{self, Begin, Bytes, Joined, Keys, LogChunk, VERSION};
+use posed_daemon::StageClock;
+use posed_daemon::ended;
+use posed_daemon::server::Item;
+use posed_daemon::server::rfc3339;
+use posed_daemon::server::{StageEndpoint, StageRegistry};
+use posed_protocol::{LinkState, Problem, RelatedClock, StagePresence, Stamp, Status};
+use posed_stage::Stage;
+
+/// Messages of zenoh that wait for this task; more are lost, and events among them asked for.
+const WAITING: usize = 1024;
+/// Distance of two looks at what is missing.
+const LOOK: Duration = Duration::from_millis(100);
+/// Looks between two readings of the stage's clock.
+const CLOCK_EVERY: u32 = 10;
+
+/// What a follower is made from.
+pub(super) struct Follower {
+    pub(super) id: String,
+    pub(super) keys: Keys,
+    pub(super) session: Session,
+    pub(super) registry: StageRegistry,
+    pub(super) board: Board,
+    pub(super) clock: StageClock,
+    /// Whether zenoh sees its token.
+    pub(super) alive: watch::Receiver<bool>,
+    /// Whether it is to be fused here.
+    pub(super) fuse: bool,
+}
+
+/// The stage as it is known now.
+struct Following {
+    run: i64,
+    end: StageEndpoint,
+    fuser: Option<Fuser>,
+    /// Newest event that was passed on.
+    last_event_id: u64,
+    /// Newest event that the stage has spoken of.
+    newest_event_id: u64,
+    relation: Relation,
+    status: Option<(Status, Stamp)>,
+    frames: u32,
+}
+
+/// A follower at work.
+struct Work {
+    follower: Follower,
+    questions: Questions,
+    following: Option<Following>,
+    /// A question about events, or about the log, is on its way.
+    asking: bool,
+    asking_log: bool,
+}
+
+impl Follower {
+    /// Until `down`.
+    pub(super) async fn run(self, mut down: watch::Receiver<bool>) {
+        let (fed_in, mut fed) = mpsc::channel::<Vec<u8>>(WAITING);
+        let (log_in, mut log) = mpsc::channel::<Vec<u8>>(WAITING);
+        let into = |to: mpsc::Sender<Vec<u8>>| {
+            move |sample: zenoh::sample::Sample| _ = to.try_send(sample.payload().to_bytes().into_owned())
+        };
+        let feed = self.session.declare_subscriber(self.keys.feed()).callback(into(fed_in)).await;
+        let entries = match self.fuse {
+            true => Some(self.session.declare_subscriber(self.keys.log()).callback(into(log_in)).await)
+                .transpose(),
+            false => Ok(None),
+        };
+        let (_feed, _entries) = match (feed, entries) {
+            (Ok(feed), Ok(entries)) => (feed, entries),
+            (Err(error), _) | (_, Err(error)) => return tracing::error!("{}: {error}", self.id),
+        };
+        let (answers_in, mut answers) = mpsc::channel(16);
+        let questions = Questions {
+            session: self.session.clone(),
+            keys: self.keys.clone(),
+            clock: self.clock,
+            answers: answers_in,
+        };
+        let mut alive = self.alive.clone();
+        let mut work = Work { follower: self, questions, following: None, asking: false, asking_log: false };
+        let mut looks = interval(LOOK);
+        looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut look = 0;
+        let there = *alive.borrow_and_update();
+        work.presence(there).await;
+        loop {
+            tokio::select! {
+                () = ended(&mut down) => return,
+                changed = alive.changed() => {
+                    if changed.is_err() {
+                        return;
+                    }
+                    let there = *alive.borrow_and_update();
+                    work.presence(there).await;
+                }
+                Some(payload) = fed.recv() => work.fed(&payload).await,
+                Some(payload) = log.recv() => work.log(&payload),
+                Some(answer) = answers.recv() => work.answer(answer).await,
+                _ = looks.tick() => {
+                    look += 1;
+                    work.look(look);
+                }
+            }
+        }
+    }
+}
+
+impl Work {
+    fn is_there(&self) -> bool {
+        *self.follower.alive.borrow()
+    }
+
+    /// The stage has come, vanished or returned.
+    async fn presence(&mut self, there: bool) {
+        let Follower { id, board, .. } = &self.follower;
+        match (there, &mut self.following) {
+            (true, None) => _ = board.presence(id, StagePresence::Joining),
+            (true, Some(following)) => {
+                let gone_s = board.presence(id, StagePresence::Present);
+                tracing::info!("stage {id} has returned after {gone_s:.1} s");
+                // What happened meanwhile is asked for at the next look.
+                following.newest_event_id = u64::MAX;
+            }
+            (false, following) => {
+                board.presence(id, StagePresence::Gone);
+                tracing::warn!("stage {id} has vanished: it has ended, or the network to it is cut");
+                if let Some(following) = following
+                    && let Some((status, stamp)) = &mut following.status
+                {
+                    // Times rise, and the stage's own next status is later than that.
+                    stamp.t_us += 1;
+                    following.end.publish(Item::Status(Box::new(vanished(status))), *stamp).await;
+                }
+            }
+        }
+        if there {
+            self.look(0);
+        }
+    }
+
+    /// Asks for what is missing, and for the time.
+    fn look(&mut self, look: u32) {
+        if !self.is_there() {
+            return;
+        }
+        let Follower { id, board, fuse, .. } = &self.follower;
+        let Some(following) = &mut self.following else {
+            if !self.asking {
+                self.asking = true;
+                self.questions.join(0, *fuse);
+            }
+            return;
+        };
+        if following.fuser.is_none() && following.last_event_id < following.newest_event_id && !self.asking {
+            self.asking = true;
+            self.questions.join(following.last_event_id, false);
+        }
+        if let Some(fuser) = &following.fuser
+            && following.newest_event_id == u64::MAX
+            && !self.asking_log
+        {
+            self.asking_log = true;
+            self.questions.log(fuser.next());
+        }
+        if look.is_multiple_of(CLOCK_EVERY) {
+            self.questions.clock();
+            let frames_hz =
+                f64::from(std::mem::take(&mut following.frames)) / (LOOK * CLOCK_EVERY).as_secs_f64();
+            board.write(id, |entry| entry.frames_hz = frames_hz);
+        }
+    }
+
+    /// Something of the feed.
+    async fn fed(&mut self, payload: &[u8]) {
+        let (head, item) = match wire::read_fed(payload) {
+            Ok(read) => read,
+            Err(error) => {
+                return tracing::warn!("stage {}: {error}: is it of another version?", self.follower.id);
+            }
+        };
+        let Some(following) = &mut self.following else { return };
+        if head.run != following.run {
+            tracing::info!("stage {} was started anew", self.follower.id);
+            self.following = None;
+            self.follower.board.presence(&self.follower.id, StagePresence::Joining);
+            return self.look(0);
+        }
+        if following.newest_event_id != u64::MAX {
+            following.newest_event_id = following.newest_event_id.max(head.last_event_id);
+        }
+        match (item, head.stamp.event_id) {
+            (Item::Status(status), _) => following.status(&self.follower, *status, head.stamp).await,
+            (item @ Item::Jobs(_), _) => following.end.publish(item, head.stamp).await,
+            (item, _) if following.fuser.is_some() => {
+                following.frames += u32::from(matches!(item, Item::Estimate(_)));
+                self.follower
+                    .board
+                    .write(&self.follower.id, |entry| entry.last_event_id = head.last_event_id);
+            }
+            (item, None) => {
+                following.frames += u32::from(matches!(item, Item::Estimate(_)));
+                following.end.publish(item, head.stamp).await;
+            }
+            (item, Some(event_id)) => {
+                if event_id == following.last_event_id + 1 {
+                    following.event(&self.follower, item, head.stamp).await;
+                } else if event_id > following.last_event_id {
+                    // One before it is missing: all that follow come with the answer, in their order.
+                    self.look(1);
+                }
+            }
+        }
+    }
+
+    /// Entries of the input log.
+    fn log(&mut self, payload: &[u8]) {
+        match rmp_serde::from_slice::<LogChunk>(payload) {
+            Ok(chunk) => _ = self.entries(chunk),
+            Err(error) => tracing::warn!("stage {}: {error}: is it of another version?", self.follower.id),
+        }
+    }
+
+    /// Whether there was something new in it.
+    fn entries(&mut self, chunk: LogChunk) -> bool {
+        let Some(Following { run, fuser: Some(fuser), .. }) = &mut self.following else { return false };
+        if chunk.run != *run {
+            return false;
+        }
+        let before = fuser.next();
+        if let Taken::Missing(from) = fuser.take(chunk)
+            && !self.asking_log
+        {
+            self.asking_log = true;
+            self.questions.log(from);
+        }
+        fuser.next() > before
+    }
+
+    async fn answer(&mut self, answer: Answer) {
+        match answer {
+            Answer::Clock { left, reading, came } => {
+                let Some(following) = &mut self.following else { return };
+                if reading.run == following.run {
+                    let (left, came) = (left.as_nanos(), came.as_nanos());
+                    following.relation.push(left, reading.t_ns, came);
+                    if let Some(related) = following.relation.at(came) {
+                        let seconds = |ns: i64| (ns / 1000) as f64 * 1e-6;
+                        let clock = RelatedClock {
+                            offset_s: seconds(related.offset),
+                            uncertainty_s: seconds(related.uncertainty + 999),
+                            round_trip_s: seconds(related.round_trip),
+                        };
+                        self.follower.board.write(&self.follower.id, |entry| entry.clock = Some(clock));
+                    }
+                }
+            }
+            Answer::Log(answer) => {
+                self.asking_log = false;
+                let Some(following) = &mut self.following else { return };
+                let Some(fuser) = &following.fuser else { return };
+                match answer {
+                    Ok(chunk) if chunk.run == following.run && chunk.first > fuser.next() => {
+                        let missing = chunk.first - fuser.next();
+                        tracing::warn!(
+                            "stage {}: {missing} entries are lost; its fusion begins anew",
+                            self.follower.id
+                        );
+                        self.following = None;
+                    }
+                    Ok(chunk) => {
+                        following.newest_event_id = following.newest_event_id.min(u64::MAX - 1);
+                        if self.entries(chunk)
+                            && let Some(Following { fuser: Some(fuser), .. }) = &self.following
+                        {
+                            // Until nothing new comes: the next live entries then fit.
+                            self.asking_log = true;
+                            self.questions.log(fuser.next());
+                        }
+                    }
+                    Err(error) => tracing::debug!("stage {}: {error}", self.follower.id),
+                }
+            }
+            Answer::Joined { after, answer } => {
+                self.asking = false;
+                match answer {
+                    Ok(answer) => self.joined(after, *answer).await,
+                    Err(error) => tracing::debug!("stage {}: {error}", self.follower.id),
+                }
+            }
+        }
+    }
+
+    async fn joined(&mut self, after: u64, (joined, begin): (Joined, Option<Begin>)) {
+        if joined.wire != VERSION {
+            let message = format!(
+                "it runs posed {}, which speaks another version of the hub's language",
+                joined.version
+            );
+            tracing::error!("stage {}: {message}", self.follower.id);
+            let problem = Problem { code: "version".to_owned(), message };
+            return self.follower.board.write(&self.follower.id, |entry| entry.problems = vec![problem]);
+        }
+        let mut until = u64::MAX;
+        if after == 0 && self.following.is_none() {
+            match self.begin(&joined, begin).await {
+                Ok((following, fused_from)) => {
+                    until = fused_from;
+                    self.following = Some(following);
+                }
+                Err(sentence) => {
+                    tracing::error!("stage {}: {sentence}", self.follower.id);
+                    let problem = Problem { code: "join".to_owned(), message: sentence };
+                    return self
+                        .follower
+                        .board
+                        .write(&self.follower.id, |entry| entry.problems = vec![problem]);
+                }
+            }
+        }
+        let Work { follower, following: Some(following), .. } = self else { return };
+        if joined.run != following.run {
+            self.following = None;
+            return;
+        }
+        if following.newest_event_id == u64::MAX || after == 0 {
+            following.newest_event_id = joined.last_event_id;
+        }
+        let fed = |Bytes(bytes): &Bytes| wire::read_fed(bytes).ok();
+        for (head, item) in joined.events.iter().filter_map(fed) {
+            let event_id = head.stamp.event_id.unwrap_or(0);
+            if event_id > following.last_event_id && event_id <= until {
+                if after > 0 && event_id > following.last_event_id + 1 {
+                    let lost = event_id - following.last_event_id - 1;
+                    tracing::warn!(
+                        "stage {}: {lost} events are lost: it does not keep them any longer",
+                        follower.id
+                    );
+                    follower.board.write(&follower.id, |entry| entry.events_lost += lost);
+                }
+                following.event(follower, item, head.stamp).await;
+            }
+        }
+        // Nothing that could still be asked for is missing.
+        following.last_event_id = following.last_event_id.max(joined.last_event_id);
+        if after == 0 {
+            for (head, item) in joined.states.iter().filter_map(fed) {
+                match item {
+                    Item::Status(status) => following.status(follower, *status, head.stamp).await,
+                    item => following.end.publish(item, head.stamp).await,
+                }
+            }
+        }
+    }
+
+    /// The stage is known: its endpoint, and the newest event that is not fused here.
+    async fn begin(&self, joined: &Joined, begin: Option<Begin>) -> Result<(Following, u64), String> {
+        let Follower { id, registry, board, .. } = &self.follower;
+        let stage = Stage::parse(&joined.stage_toml).map_err(|problems| {
+            format!("the stage file of its posed {} does not fit this version: {problems}", joined.version)
+        })?;
+        let end = registry.join(id, &stage, joined.run, &joined.topics, joined.last_event_id).await;
+        let (fuser, until) = match begin {
+            None => (None, u64::MAX),
+            Some(begin) => {
+                let (fuser, until) = Fuser::start(&begin, end.items())?;
+                (Some(fuser), until)
+            }
+        };
+        let fused = fuser.is_some();
+        board.write(id, |entry| {
+            entry.name.clone_from(&stage.name);
+            entry.epoch_utc = Some(rfc3339(joined.run));
+            entry.fused = fused;
+            entry.clock = None;
+            entry.problems = Vec::new();
+        });
+        board.presence(id, StagePresence::Present);
+        tracing::info!("stage {id} ({:?}) has joined", stage.name);
+        let following = Following {
+            run: joined.run,
+            end,
+            fuser,
+            last_event_id: 0,
+            newest_event_id: joined.last_event_id,
+            relation: Relation::default(),
+            status: None,
+            frames: 0,
+        };
+        Ok((following, until))
+    }
+}
+
+impl Following {
+    async fn event(&mut self, follower: &Follower, item: Item, stamp: Stamp) {
+        self.last_event_id = stamp.event_id.unwrap_or(self.last_event_id);
+        let last_event_id = self.last_event_id;
+        follower.board.write(&follower.id, |entry| entry.last_event_id = last_event_id);
+        self.end.publish(item, stamp).await;
+    }
+
+    async fn status(&mut self, follower: &Follower, status: Status, stamp: Stamp) {
+        follower.board.write(&follower.id, |entry| {
+            entry.devices = status.devices.len() as u32;
+            let streaming = status.devices.iter().filter(|device| device.state == LinkState::Streaming);
+            entry.streaming = streaming.count() as u32;
+            entry.problems.clone_from(&status.problems);
+        });
+        self.status = Some((status.clone(), stamp));
+        self.end.publish(Item::Status(Box::new(status)), stamp).await;
+    }
+}
+
+/// What a stage's clients receive when it vanishes: the last status, and that it is the last.
+fn vanished(status: &Status) -> Status {
+    let mut status = status.clone();
+    let message = "the hub does not see this stage any more: its daemon has ended, or the network to it is cut; what is shown is old";
+    status.problems.push(Problem { code: "vanished".to_owned(), message: message.to_owned() });
+    for device in &mut status.devices {
+        device.state = LinkState::Silent;
+        device.reason = Some("its stage has vanished".to_owned());
+    }
+    status
+}

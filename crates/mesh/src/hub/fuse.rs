@@ -1,0 +1,112 @@
+//! Fusion of a stage on this machine, from its input log: the same pipeline, the same entries, the same messages.
+//!
+//! In: where the stage's pipeline stood, and every entry after that, in order. Out: items with the stamps that they get at the stage
+//! too. A thread of its own, as at the stage. What comes out of order is asked for again; nothing is left out.
+
+use std::thread::JoinHandle;
+
+use crossbeam_channel::{Receiver, Sender, unbounded};
+use tokio::sync::mpsc;
+
+use crate::wire::{Begin, Bytes, LogChunk};
+use posed_daemon::server::Item;
+use posed_protocol::{Payload, Stamp};
+use posed_recording::Machine;
+use posed_stage::input::Entry;
+use posed_stage::output::Output;
+
+/// A stage that is being fused; ends when dropped.
+pub(super) struct Fuser {
+    /// Number of the next entry.
+    next: u64,
+    entries: Option<Sender<Bytes>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// What came of a run of entries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Taken {
+    /// All of it was taken, or known already.
+    All,
+    /// Entries before it are missing, from this number on.
+    Missing(u64),
+}
+
+impl Fuser {
+    /// Goes on where the stage stood; gives the newest event up to there too.
+    pub(super) fn start(begin: &Begin, items: mpsc::Sender<(Item, Stamp)>) -> Result<(Self, u64), String> {
+        let (_, machine) = Machine::as_recorded(&begin.header).map_err(|error| error.to_string())?;
+        let last_event_id = machine.publisher.last_event_id();
+        let (entries, taken) = unbounded();
+        #[expect(clippy::disallowed_methods, reason = "the hub owns the threads that fuse")]
+        let thread = std::thread::Builder::new()
+            .name("fusion".to_owned())
+            .spawn(move || run(machine, &taken, &items))
+            .map_err(|error| format!("the system gives no thread for fusion: {error}"))?;
+        Ok((Self { next: begin.next, entries: Some(entries), thread: Some(thread) }, last_event_id))
+    }
+
+    /// Number of the next entry that it needs.
+    pub(super) fn next(&self) -> u64 {
+        self.next
+    }
+
+    /// Takes a run of entries.
+    pub(super) fn take(&mut self, chunk: LogChunk) -> Taken {
+        if chunk.first > self.next {
+            return Taken::Missing(self.next);
+        }
+        let known = usize::try_from(self.next - chunk.first).unwrap_or(usize::MAX);
+        for entry in chunk.entries.into_iter().skip(known) {
+            self.next += 1;
+            if let Some(entries) = &self.entries {
+                let _ = entries.send(entry);
+            }
+        }
+        Taken::All
+    }
+}
+
+impl Drop for Fuser {
+    fn drop(&mut self) {
+        self.entries = None;
+        // It ends by itself: its clients may be gone, and nobody waits for it.
+        drop(self.thread.take());
+    }
+}
+
+/// The thread: until no more entries can come, or nobody takes what is said.
+fn run(mut machine: Machine, taken: &Receiver<Bytes>, items: &mpsc::Sender<(Item, Stamp)>) {
+    for Bytes(bytes) in taken {
+        let entry: Entry = match rmp_serde::from_slice(&bytes) {
+            Ok(entry) => entry,
+            Err(error) => {
+                // To go on without it would be a silent wrong pose.
+                tracing::error!("an entry of the input log cannot be read, fusion ends: {error}");
+                return;
+            }
+        };
+        let mut gone = false;
+        let Machine { pipeline, publisher } = &mut machine;
+        pipeline.push(&entry, &mut |output| {
+            let Some(payload) = Payload::of(&output) else { return };
+            let stamp = publisher.skip(&payload);
+            if let Some(item) = owned(&output) {
+                gone |= items.blocking_send((item, stamp)).is_err();
+            }
+        });
+        if gone {
+            return;
+        }
+    }
+}
+
+fn owned(output: &Output<'_>) -> Option<Item> {
+    Some(match output {
+        Output::Estimate(estimate) => Item::Estimate((*estimate).clone()),
+        Output::Body(body) => Item::Body(Box::new((*body).clone())),
+        Output::Truth(truth) => Item::Truth(Box::new((*truth).clone())),
+        Output::Outcome(outcome) => Item::Outcome(Box::new((*outcome).clone())),
+        _ => return None,
+    })
+}

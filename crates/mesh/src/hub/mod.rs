@@ -1,0 +1,272 @@
+//! `posed hub`: many stages on one page.
+//!
+//! ```text
+//! zenoh ── tokens ──> followers ─> a follower per stage ──> server ──> pages and websockets
+//!                                   feed, answers             an endpoint per stage, one for all
+//! ```
+//! In: stages that zenoh shows. Out: the same messages as at the stages, and a board of what is there. Never: a change at a stage.
+
+mod board;
+mod follow;
+mod fuse;
+mod questions;
+mod relation;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinSet;
+use tokio::time::interval;
+use zenoh::Session;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::sample::SampleKind;
+
+use self::board::Board;
+use self::follow::Follower;
+use super::session::{self, LinkError};
+use super::wire::{Keys, RUN, TOKEN};
+use posed_daemon::server::{BindError, HubServer, StageRegistry};
+use posed_daemon::{StageClock, ended};
+use posed_protocol::Stages;
+use posed_stage::Stage;
+
+/// Distance of two words about all stages when nothing changes.
+const TELL: Duration = Duration::from_secs(1);
+/// Time that everything has to end.
+const SHUTDOWN: Duration = Duration::from_secs(4);
+
+/// What a hub is started with.
+#[derive(Clone, Debug)]
+pub struct HubOptions {
+    /// Name, access, TLS and zenoh's addresses, as in the file of a stage without devices.
+    pub stage: Stage,
+    /// Folder that relative paths of that file start from.
+    pub folder: PathBuf,
+    /// `HOST:PORT` of the page, instead of the file's.
+    pub http: Option<String>,
+    /// Stages to fuse on this machine, by their names here.
+    pub fuse: Vec<String>,
+}
+
+/// Why a hub cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum HubError {
+    /// The page's address.
+    #[error(transparent)]
+    Bind(#[from] BindError),
+    /// zenoh.
+    #[error(transparent)]
+    Zenoh(#[from] LinkError),
+}
+
+/// A running hub; ends with [`Hub::shutdown`].
+pub struct Hub {
+    address: SocketAddr,
+    url: String,
+    shutdown: watch::Sender<bool>,
+    stages: watch::Receiver<Stages>,
+    tasks: JoinSet<()>,
+    session: Session,
+}
+
+impl Hub {
+    /// Binds the page, opens zenoh, follows every stage that it shows. Needs a tokio runtime of several threads.
+    ///
+    /// # Errors
+    /// An address does not serve.
+    pub fn start(options: HubOptions) -> Result<Self, HubError> {
+        let HubOptions { stage, folder, http, fuse } = options;
+        let clock = StageClock::start();
+        let (server, registry) =
+            HubServer::bind(&stage.name, clock.epoch_utc_ns(), &stage.server, http, &folder)?;
+        let settings = stage.zenoh.unwrap_or_default();
+        #[expect(clippy::disallowed_methods, reason = "zenoh is opened where it may block")]
+        let opened = std::thread::spawn(move || session::open(&settings)).join();
+        let session = opened.map_err(|_| LinkError::Crashed)??;
+        let (shutdown, down) = watch::channel(false);
+        let (reported, stages) = watch::channel(Stages::default());
+        let (address, url) = (server.address(), server.url());
+        let mut tasks = JoinSet::new();
+        let mut server_down = down.clone();
+        tasks.spawn(server.run(async move { ended(&mut server_down).await }));
+        let board = Board::new(clock);
+        tasks.spawn(tell(board.clone(), registry.clone(), reported, down.clone()));
+        let followers = Followers {
+            session: session.clone(),
+            registry,
+            board,
+            clock,
+            fuse,
+            followed: BTreeMap::new(),
+            runs: BTreeMap::new(),
+            reported: BTreeMap::new(),
+        };
+        tasks.spawn(followers.run(down));
+        Ok(Self { address, url, shutdown, stages, tasks, session })
+    }
+
+    /// The address of the page.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// What to open in a browser.
+    pub fn url(&self) -> &str {
+        &self.url
+    }
+
+    /// What is said of all stages.
+    pub fn stages(&self) -> watch::Receiver<Stages> {
+        self.stages.clone()
+    }
+
+    /// Ends everything; clients are notified of the end.
+    pub async fn shutdown(mut self) {
+        self.shutdown.send_replace(true);
+        let all = async {
+            while self.tasks.join_next().await.is_some() {}
+            let _ = self.session.close().await;
+        };
+        if tokio::time::timeout(SHUTDOWN, all).await.is_err() {
+            tracing::error!("not everything has ended in time");
+        }
+    }
+}
+
+/// Reports what is there, once a second and when something changes.
+async fn tell(
+    board: Board,
+    registry: StageRegistry,
+    reported: watch::Sender<Stages>,
+    mut down: watch::Receiver<bool>,
+) {
+    let mut seconds = interval(TELL);
+    loop {
+        tokio::select! {
+            () = ended(&mut down) => return,
+            () = board.changed() => {}
+            _ = seconds.tick() => {}
+        }
+        let stages = board.stages();
+        reported.send_replace(stages.clone());
+        registry.tell(stages).await;
+    }
+}
+
+/// Which stages there are.
+struct Followers {
+    session: Session,
+    registry: StageRegistry,
+    board: Board,
+    clock: StageClock,
+    fuse: Vec<String>,
+    followed: BTreeMap<String, watch::Sender<bool>>,
+    /// Runs that are there now, by the stage's key.
+    runs: BTreeMap<String, BTreeSet<String>>,
+    /// What the daemons of a key with several are identified by.
+    reported: BTreeMap<String, LivelinessToken>,
+}
+
+impl Followers {
+    async fn run(mut self, mut down: watch::Receiver<bool>) {
+        let (seen_in, mut seen) = mpsc::unbounded_channel();
+        let see = move |sample: zenoh::sample::Sample| {
+            let _ = seen_in.send((sample.key_expr().as_str().to_owned(), sample.kind() == SampleKind::Put));
+        };
+        let mut subscribers = Vec::new();
+        for tokens in [format!("**/{TOKEN}"), format!("**/{RUN}/*")] {
+            let liveliness = self.session.liveliness();
+            match liveliness.declare_subscriber(tokens).history(true).callback(see.clone()).await {
+                Ok(subscriber) => subscribers.push(subscriber),
+                Err(error) => return tracing::error!("zenoh shows no stages: {error}"),
+            }
+        }
+        let mut followers = JoinSet::new();
+        loop {
+            tokio::select! {
+                () = ended(&mut down) => break,
+                Some((token, there)) = seen.recv() => match Keys::of_run(&token) {
+                    Some((keys, run)) => self.run_seen(&keys, run, there).await,
+                    None => self.seen(&token, there, &mut followers, &down),
+                },
+            }
+        }
+        while followers.join_next().await.is_some() {}
+    }
+
+    /// A daemon has come or gone: two under one key do not see each other through this hub, and are notified.
+    async fn run_seen(&mut self, keys: &Keys, run: &str, there: bool) {
+        let key = keys.stage();
+        let runs = self.runs.entry(key.to_owned()).or_default();
+        _ = if there { runs.insert(run.to_owned()) } else { runs.remove(run) };
+        if runs.len() < 2 {
+            self.reported.remove(key);
+        } else if !self.reported.contains_key(key) {
+            tracing::warn!(
+                "{} daemons run under the key {key}: give all but one another zenoh.key",
+                runs.len()
+            );
+            match self.session.liveliness().declare_token(keys.twin(&self.session.zid().to_string())).await {
+                Ok(token) => _ = self.reported.insert(key.to_owned(), token),
+                Err(error) => tracing::warn!("{key}: {error}"),
+            }
+        }
+    }
+
+    /// A token has come or gone.
+    fn seen(&mut self, token: &str, there: bool, followers: &mut JoinSet<()>, down: &watch::Receiver<bool>) {
+        let Some(keys) = Keys::of_token(token) else { return };
+        match self.followed.get(keys.stage()) {
+            Some(alive) => _ = alive.send_if_modified(|alive| std::mem::replace(alive, there) != there),
+            None if !there => {}
+            None => {
+                let id = id_of(keys.stage());
+                if self.followed.keys().any(|key| id_of(key) == id) {
+                    return tracing::warn!(
+                        "two stages are known as {id:?}: give {} another zenoh.key",
+                        keys.stage()
+                    );
+                }
+                let (alive, seen) = watch::channel(true);
+                let follower = Follower {
+                    fuse: self.fuse.contains(&id),
+                    id,
+                    session: self.session.clone(),
+                    registry: self.registry.clone(),
+                    board: self.board.clone(),
+                    clock: self.clock,
+                    alive: seen,
+                    keys: keys.clone(),
+                };
+                self.followed.insert(keys.stage().to_owned(), alive);
+                followers.spawn(follower.run(down.clone()));
+            }
+        }
+    }
+}
+
+/// A stage's name at this hub, from its key: `posed/` in front says nothing, and a path has other uses for `/`.
+fn id_of(key: &str) -> String {
+    let name = key.strip_prefix("posed/").unwrap_or(key).replace('/', ".");
+    // The hub's own addresses.
+    if matches!(name.as_str(), "ws" | "assets" | "health" | "metrics") {
+        format!("{name}.stage")
+    } else {
+        name
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::id_of;
+
+    #[test]
+    fn a_stage_is_known_by_its_key() {
+        assert_eq!(id_of("posed/stage-a"), "stage-a");
+        assert_eq!(id_of("hall-2/left/a"), "hall-2.left.a");
+        assert_eq!(id_of("posed/ws"), "ws.stage");
+    }
+}

@@ -1,0 +1,26 @@
+//! More than one machine, over zenoh: a stage's end of it, and the hub that follows many stages.
+//!
+//! ```text
+//! distributor ── Feed ──┐ bounded          ┌──> KEY/feed/*, KEY/topics/*   hubs, other programs
+//! fusion thread ── Log ─┴─> own threads ───┼──> KEY/log                    fusion on another machine
+//!                                          └──> answers: KEY/status, KEY/recordings/**, KEY/ask/*
+//! ```
+//! In: what a stage publishes, with its stamps, and the entries of its input log, by [`connect`] in
+//! [`posed_daemon::Options::link`]. Out: the same under the stage's key. What is published is kept for a while and numbered, so that
+//! who has missed something asks for it. [`Hub`] takes it on another machine and shows it. Never: a wait of the fusion thread
+//! or of the distributor, or a change at a stage by another machine.
+
+mod answers;
+mod feed;
+mod hub;
+mod input_log;
+mod link;
+mod session;
+mod twins;
+mod wire;
+
+pub use self::hub::{Hub, HubError, HubOptions};
+pub use self::link::connect;
+pub use self::session::LinkError;
+/// Of the version that stages and hubs speak.
+pub use zenoh;

@@ -1,0 +1,126 @@
+//! A zenoh session as stages and hubs need it: TCP only, nothing looked for by itself, broken links noticed and repaired quickly.
+
+use std::thread::JoinHandle;
+
+use serde_json::json;
+use zenoh::{Config, Session, Wait};
+
+use posed_stage::Zenoh;
+
+/// A link that has brought nothing for so long is given up, ms. Short, because TCP alone would send again only many seconds after
+/// a long cut is repaired; four signs of life fit in, so that loss does not end a link.
+const LEASE_MS: u32 = 2000;
+/// Time of one attempt to open a link, in round trips: TCP's one and zenoh's two, with room for a packet that is sent again. An attempt
+/// that began in a cut must not outlast it by much.
+const OPEN_ROUND_TRIPS: f64 = 5.0;
+/// The least, ms: sending again takes 200 ms on any link.
+const OPEN_MS: f64 = 500.0;
+/// Who is connected to has time, ms: it does not know how far away the other one is.
+const ACCEPT_MS: u32 = 10_000;
+/// Distance of two attempts, ms.
+const RETRY_MS: u32 = 100;
+/// Longest wait for room in zenoh's queue before a link is given up, microseconds.
+const BLOCKED_US: u32 = 1_000_000;
+/// Largest message that is taken in, bytes.
+const MESSAGE_BYTES: u32 = 64 << 20;
+
+/// Why a stage is not on zenoh.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    /// The stage file cannot be written without what is nobody else's business.
+    #[error("{0}")]
+    Stage(String),
+    /// An address does not serve.
+    #[error("[zenoh]: cannot begin (listening on {ends:?}): {error}")]
+    Open {
+        /// Addresses to listen on.
+        ends: String,
+        /// What zenoh said.
+        error: zenoh::Error,
+    },
+    /// Something else that zenoh said.
+    #[error("[zenoh]: {0}")]
+    Zenoh(#[from] zenoh::Error),
+    /// It has panicked.
+    #[error("[zenoh]: zenoh has crashed at its start")]
+    Crashed,
+    /// A thread could not be made.
+    #[error("the system gives no thread for zenoh: {0}")]
+    Thread(std::io::Error),
+}
+
+/// Opens a session; blocks for a moment, and must not be called on a tokio thread.
+pub(crate) fn open(settings: &Zenoh) -> Result<Session, LinkError> {
+    let config = config(settings)?;
+    let ends = settings.listen.join(", ");
+    zenoh::open(config).wait().map_err(|error| LinkError::Open { ends, error })
+}
+
+fn config(settings: &Zenoh) -> zenoh::Result<Config> {
+    let ends = |list: &[String]| serde_json::to_string(list);
+    let retry = json!({"period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS, "period_increase_factor": 1});
+    let open_ms = (OPEN_ROUND_TRIPS * settings.round_trip_ms).max(OPEN_MS) as u32;
+    let mut config = Config::default();
+    for (key, value) in [
+        ("mode", "\"peer\"".to_owned()),
+        ("listen/endpoints", ends(&settings.listen)?),
+        ("connect/endpoints", ends(&settings.connect)?),
+        ("connect/timeout_ms", "-1".to_owned()),
+        ("connect/exit_on_failure", "false".to_owned()),
+        ("connect/retry", retry.to_string()),
+        ("scouting/multicast/enabled", "false".to_owned()),
+        ("scouting/gossip/enabled", "false".to_owned()),
+        ("open/return_conditions/connect_scouted", "false".to_owned()),
+        ("open/return_conditions/declares", "false".to_owned()),
+        ("transport/unicast/open_timeout", open_ms.to_string()),
+        ("transport/unicast/accept_timeout", ACCEPT_MS.to_string()),
+        ("transport/link/tx/lease", LEASE_MS.to_string()),
+        ("transport/link/tx/keep_alive", "4".to_owned()),
+        ("transport/link/tx/queue/congestion_control/block/wait_before_close", BLOCKED_US.to_string()),
+        ("transport/link/rx/max_message_size", MESSAGE_BYTES.to_string()),
+    ] {
+        config.insert_json5(key, &value)?;
+    }
+    let text = |text: &Option<String>| serde_json::to_string(text);
+    if settings.user.is_some() {
+        config.insert_json5("transport/auth/usrpwd/user", &text(&settings.user)?)?;
+        config.insert_json5("transport/auth/usrpwd/password", &text(&settings.password)?)?;
+    }
+    if let Some(users) = &settings.users {
+        let users = serde_json::to_string(users)?;
+        config.insert_json5("transport/auth/usrpwd/dictionary_file", &users)?;
+    }
+    Ok(config)
+}
+
+/// Runs what may wait for zenoh.
+#[expect(clippy::disallowed_methods, reason = "who calls zenoh may wait")]
+pub(super) fn thread<T: Send + 'static>(
+    name: &str,
+    run: impl FnOnce() -> T + Send + 'static,
+) -> Result<JoinHandle<T>, LinkError> {
+    let spawned = std::thread::Builder::new().name(name.to_owned()).spawn(run);
+    spawned.map_err(LinkError::Thread)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn zenoh_knows_every_key_that_is_set() {
+        let settings = Zenoh {
+            listen: vec!["tcp/127.0.0.1:0".to_owned()],
+            connect: vec!["tcp/hub.local:7447".to_owned()],
+            user: Some("a".to_owned()),
+            password: Some("b".to_owned()),
+            users: Some("/etc/posed/users".into()),
+            ..Zenoh::default()
+        };
+        let config = config(&settings).unwrap();
+        let said = config.to_string();
+        for part in ["hub.local:7447", "\"lease\":2000", "\"/etc/posed/users\"", "\"mode\":\"peer\""] {
+            assert!(said.contains(part), "{part} in {said}");
+        }
+    }
+}

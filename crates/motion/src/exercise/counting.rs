@@ -1,0 +1,425 @@
+//! Counting on the grid of frames: observations in, events out.
+//!
+//! What comes in: frames of channels. What goes out: events. Observation -> log ratio per state -> short-time Viterbi ->
+//! path -> passage -> gate -> event; what is certain is counted or rejected, what looks complete on the path that is best
+//! now is provisional.
+
+use posed_state::Plain;
+
+use super::align::trim;
+use super::event::{Event, EventKind};
+use super::exercise::Exercise;
+use super::exercise_topology::{ExerciseTopology, PathState};
+use super::feedback::{Feedback, describe};
+use super::frames::{Differentiator, Frame};
+use super::hint::{Follower, Hint};
+use super::hmm::{LogRatio, Movement};
+use super::judge::{Measures, Reason, judge, measure};
+use super::passage::{Mark, Passage};
+use super::viterbi::ShortTimeViterbi;
+
+/// Least bound on the delay of the path, s; below, background wins before the movement has shown itself.
+const LEAST_DELAY_S: f64 = 0.8;
+/// Bound on the delay as a share of the longest exercise: half a repetition costs no exactness.
+const DELAY_SHARE: f64 = 0.5;
+
+/// One exercise with what it sees.
+#[derive(Clone, Debug, Plain)]
+struct Watched {
+    exercise: Exercise,
+    /// The sizes in which it is looked for.
+    sizes: Vec<Size>,
+    /// Where its channels are among all.
+    channels: Vec<usize>,
+    values: Vec<f64>,
+    differentiator: Differentiator,
+    /// Ring of observations, a frame per slot.
+    observations: Vec<f64>,
+    count: u64,
+    /// A repetition that was said to be provisional: its first and last frame.
+    pending: Option<[u64; 2]>,
+    /// Last frame of the repetition that was counted last.
+    counted_until: Option<u64>,
+    follower: Follower,
+}
+
+/// An exercise in one size.
+#[derive(Clone, Debug, Plain)]
+struct Size {
+    movement: Movement,
+    ratio: LogRatio,
+}
+
+impl Size {
+    fn new(exercise: &Exercise, size: f64) -> Self {
+        let movement = exercise.movement.sized(size);
+        Self { ratio: LogRatio::new(&movement), movement }
+    }
+}
+
+/// See the module.
+#[derive(Clone, Debug, Plain)]
+pub(super) struct Counting {
+    rate_hz: f64,
+    watched: Vec<Watched>,
+    exercise_topology: ExerciseTopology,
+    viterbi: ShortTimeViterbi,
+    log_density: Vec<f64>,
+    /// Number on the grid of the decoder's first frame.
+    origin: Option<u64>,
+    /// Ring of states that are certain, a frame per slot, and number of frames in it ever.
+    states: Vec<u16>,
+    certain: u64,
+    /// Where the certain path is.
+    passage: Passage,
+    /// What a state made certain.
+    marks: Vec<Mark>,
+    /// Frames and states that a push made certain.
+    emitted: Vec<(u64, u16)>,
+    /// Path of the repetition that is judged.
+    path: Vec<u16>,
+    hint: Option<Hint>,
+}
+
+impl Counting {
+    pub(super) fn new(exercises: Vec<Exercise>, all: &[String], rate_hz: f64) -> Self {
+        let exercise_topology =
+            ExerciseTopology::new(exercises.iter().map(|exercise| (exercise.states(), exercise.sizes.len())));
+        let longest_s = exercises.iter().map(|exercise| exercise.durations.longest_s).fold(0.0, f64::max);
+        let median_s = exercises.iter().map(|exercise| exercise.durations.median_s).fold(0.0, f64::max);
+        let bound = (LEAST_DELAY_S.max(DELAY_SHARE * median_s) * rate_hz).ceil() as usize;
+        let slowest = exercises.iter().map(|exercise| exercise.gate.duration[1]).fold(1.0, f64::max);
+        // A repetition that does not fit is too slow to count.
+        let capacity = (slowest * longest_s * rate_hz).ceil() as usize + 2 * bound + 8;
+        let watched: Vec<Watched> = exercises
+            .into_iter()
+            .map(|exercise| {
+                let width = exercise.channels.len();
+                let place = |channel: &String| all.iter().position(|other| other == channel).unwrap_or(0);
+                Watched {
+                    sizes: exercise.sizes.iter().map(|size| Size::new(&exercise, *size)).collect(),
+                    channels: exercise.channels.iter().map(place).collect(),
+                    values: vec![f64::NAN; width],
+                    differentiator: Differentiator::new(rate_hz, width),
+                    observations: vec![f64::NAN; 2 * width * capacity],
+                    count: 0,
+                    pending: None,
+                    counted_until: None,
+                    follower: Follower::new(rate_hz, width),
+                    exercise,
+                }
+            })
+            .collect();
+        Self {
+            rate_hz,
+            viterbi: ShortTimeViterbi::new(exercise_topology.topology(), Some(bound)),
+            log_density: vec![0.0; exercise_topology.states()],
+            exercise_topology,
+            watched,
+            origin: None,
+            states: vec![0; capacity],
+            certain: 0,
+            passage: Passage::default(),
+            marks: Vec::with_capacity(4),
+            emitted: Vec::with_capacity(2 * bound + 8),
+            path: Vec::with_capacity(capacity),
+            hint: None,
+        }
+    }
+
+    /// The exercises, in the order of their index.
+    pub(super) fn exercises(&self) -> impl Iterator<Item = &Exercise> {
+        self.watched.iter().map(|watched| &watched.exercise)
+    }
+
+    /// Repetitions of an exercise counted so far.
+    pub(super) fn count(&self, exercise: usize) -> u64 {
+        self.watched.get(exercise).map_or(0, |watched| watched.count)
+    }
+
+    /// Begins to count from 0.
+    pub(super) fn reset(&mut self) {
+        for watched in &mut self.watched {
+            watched.count = 0;
+        }
+    }
+
+    /// What deviates just now.
+    pub(super) fn hint(&self) -> Option<Hint> {
+        self.hint
+    }
+
+    /// End of a frame of the grid, s.
+    pub(super) fn end_s(&self, index: u64) -> f64 {
+        (index + 1) as f64 / self.rate_hz
+    }
+
+    /// Number of frames in the rings.
+    fn capacity(&self) -> u64 {
+        self.states.len() as u64
+    }
+
+    /// Time at the beginning of one of the decoder's frames, s.
+    fn t_s(&self, frame: u64) -> f64 {
+        (self.origin.unwrap_or(0) + frame) as f64 / self.rate_hz
+    }
+
+    pub(super) fn push(&mut self, frame: Frame<'_>, t_s: f64, each: &mut impl FnMut(Event)) {
+        if frame.after_gap {
+            // What was going on is over, as far as anybody can tell.
+            self.finish(each);
+            self.origin = None;
+            for watched in &mut self.watched {
+                watched.differentiator.reset();
+                watched.counted_until = None;
+            }
+        }
+        let now = self.viterbi.frames();
+        let origin = *self.origin.get_or_insert(frame.index.wrapping_sub(now));
+        debug_assert_eq!(origin.wrapping_add(now), frame.index, "the grid has no holes but after a gap");
+        let slot = (now % self.capacity()) as usize;
+        for (index, watched) in self.watched.iter_mut().enumerate() {
+            for (value, channel) in watched.values.iter_mut().zip(&watched.channels) {
+                *value = frame.values[*channel];
+            }
+            let observation = watched.differentiator.push(&watched.values);
+            let width = observation.len();
+            watched.observations[slot * width..(slot + 1) * width].copy_from_slice(observation);
+            for (number, size) in watched.sizes.iter().enumerate() {
+                size.ratio
+                    .write(observation, &mut self.log_density[self.exercise_topology.range(index, number)]);
+            }
+        }
+        let emitted = &mut self.emitted;
+        self.viterbi.push(&self.log_density, &mut |frame, state| emitted.push((frame, state as u16)));
+        self.walk(t_s, each);
+        self.look_ahead(t_s, each);
+        self.hint = self.follow(slot);
+    }
+
+    /// What deviates in the repetition that the best path is in.
+    fn follow(&mut self, slot: usize) -> Option<Hint> {
+        let best = self.viterbi.best()?;
+        let place = self.exercise_topology.place(best);
+        let mut hint = None;
+        for (index, watched) in self.watched.iter_mut().enumerate() {
+            match place {
+                PathState::Within { exercise, state, .. } if exercise == index => {
+                    let width = 2 * watched.channels.len();
+                    let observation = &watched.observations[slot * width..(slot + 1) * width];
+                    let log_ratio = self.log_density[best];
+                    let Watched { follower, exercise, .. } = watched;
+                    hint = Some(follower.follow(exercise, index, state, observation, log_ratio));
+                }
+                _ => watched.follower.leave(),
+            }
+        }
+        hint
+    }
+
+    pub(super) fn finish(&mut self, each: &mut impl FnMut(Event)) {
+        self.hint = None;
+        let t_s = self.t_s(self.viterbi.frames());
+        let emitted = &mut self.emitted;
+        self.viterbi.finish(&mut |frame, state| emitted.push((frame, state as u16)));
+        self.walk(t_s, each);
+        if let Some(start) = self.passage.open() {
+            let last = self.states[(self.certain.saturating_sub(1) % self.capacity()) as usize];
+            if let PathState::Within { exercise, state, .. } = self.exercise_topology.place(usize::from(last))
+                // Nothing follows, so the last states are as good as an end.
+                && state + 2 >= self.watched[exercise].exercise.states()
+            {
+                self.conclude(exercise, start, self.certain, t_s, each);
+            }
+        }
+        self.passage = Passage::default();
+        for exercise in 0..self.watched.len() {
+            self.withdraw(exercise, u64::MAX, t_s, each);
+        }
+    }
+
+    /// Follows the path that has become certain.
+    fn walk(&mut self, t_s: f64, each: &mut impl FnMut(Event)) {
+        for item in 0..self.emitted.len() {
+            let (frame, state) = self.emitted[item];
+            let slot = (frame % self.capacity()) as usize;
+            self.states[slot] = state;
+            self.certain = frame + 1;
+            let mut passage = self.passage;
+            passage
+                .step(&self.exercise_topology, frame, usize::from(state), &mut |mark| self.marks.push(mark));
+            self.passage = passage;
+            for index in 0..self.marks.len() {
+                match self.marks[index] {
+                    Mark::Begun { exercise, start } => {
+                        let t_start_s = self.t_s(start);
+                        each(self.event(exercise, EventKind::Started, [t_start_s; 2], t_s));
+                    }
+                    Mark::Complete { exercise, start, end } => {
+                        self.conclude(exercise, start, end, t_s, each);
+                    }
+                }
+            }
+            self.marks.clear();
+        }
+        self.emitted.clear();
+    }
+
+    /// Copies the certain states of `start..end` to `path`; false where they are forgotten.
+    fn recall(&mut self, start: u64, end: u64) -> bool {
+        self.path.clear();
+        let known = self.viterbi.frames().saturating_sub(start) <= self.capacity();
+        for frame in if known { start..end } else { 0..0 } {
+            self.path.push(self.states[(frame % self.capacity()) as usize]);
+        }
+        known
+    }
+
+    /// The size that the repetition on `path` has; a repetition stays in one.
+    fn size(&self) -> Option<usize> {
+        match self.exercise_topology.place(usize::from(*self.path.first()?)) {
+            PathState::Within { size, .. } => Some(size),
+            PathState::Background => None,
+        }
+    }
+
+    /// Measures of the repetition on `path`, which begins at frame `start`, and its first and last frame.
+    fn measures(&self, exercise: usize, start: u64) -> Option<(Measures, [u64; 2])> {
+        let capacity = self.capacity();
+        let number = self.size()?;
+        let first = self.exercise_topology.range(exercise, number).start;
+        let watched = &self.watched[exercise];
+        let Size { movement, ratio } = watched.sizes.get(number)?;
+        let states = self.path.iter().map(|state| usize::from(*state) - first);
+        let moving = trim(states.clone(), ratio.states());
+        let width = 2 * watched.channels.len();
+        let rows = states.enumerate().skip(moving.start).take(moving.len()).map(|(index, state)| {
+            let slot = ((start + index as u64) % capacity) as usize;
+            (&watched.observations[slot * width..(slot + 1) * width], state)
+        });
+        let mut measures = measure(movement, ratio, &watched.exercise.channels, self.rate_hz, rows);
+        measures.gain *= watched.exercise.sizes[number];
+        Some((measures, [start + moving.start as u64, start + moving.end as u64 - 1]))
+    }
+
+    /// Judges the certain repetition of the frames `start..end`.
+    fn conclude(&mut self, exercise: usize, start: u64, end: u64, t_s: f64, each: &mut impl FnMut(Event)) {
+        let judged = if self.recall(start, end) { self.measures(exercise, start) } else { None };
+        let (span, verdict) = match judged {
+            Some((measures, span)) => (span, self.verdict(exercise, &measures, span)),
+            None => ([start, end - 1], Err(Reason::TooSlow)),
+        };
+        // A provisional one that is not this one is none.
+        self.withdraw(exercise, span[0], t_s, each);
+        self.watched[exercise].pending = None;
+        let kind = if verdict.is_ok() { EventKind::Counted } else { EventKind::Rejected };
+        if verdict.is_ok() {
+            self.watched[exercise].count += 1;
+            self.watched[exercise].counted_until = Some(span[1]);
+        }
+        let times = [self.t_s(span[0]), self.t_s(span[1] + 1)];
+        let mut event = self.event(exercise, kind, times, t_s);
+        event.reason = verdict.err();
+        event.measures = judged.map(|(measures, _)| measures);
+        if let Some((measures, span)) = judged {
+            event.feedback = self.feedback(exercise, start, span, &measures);
+            let taught = &self.watched[exercise].exercise;
+            event.remark = event.feedback.and_then(|feedback| feedback.remark(taught));
+        }
+        each(event);
+    }
+
+    fn verdict(&self, exercise: usize, measures: &Measures, span: [u64; 2]) -> Result<(), Reason> {
+        let Watched { exercise, counted_until, .. } = &self.watched[exercise];
+        judge(measures, &exercise.gate, &exercise.durations)?;
+        let refractory = exercise.durations.refractory_s() * self.rate_hz;
+        match counted_until {
+            Some(last) if span[1] < *last || ((span[1] - last) as f64) < refractory => Err(Reason::TooSoon),
+            _ => Ok(()),
+        }
+    }
+
+    fn feedback(&self, exercise: usize, start: u64, span: [u64; 2], measures: &Measures) -> Option<Feedback> {
+        let watched = &self.watched[exercise];
+        let (first, width) =
+            (self.exercise_topology.range(exercise, self.size()?).start, 2 * watched.channels.len());
+        let rows = (span[0]..=span[1]).map(|frame| {
+            let slot = (frame % self.capacity()) as usize;
+            let state = usize::from(self.path[(frame - start) as usize]) - first;
+            (&watched.observations[slot * width..(slot + 1) * width], state)
+        });
+        describe(&watched.exercise, measures, rows)
+    }
+
+    /// Looks at the path that is best now: a repetition at its end is provisional.
+    fn look_ahead(&mut self, t_s: f64, each: &mut impl FnMut(Event)) {
+        let certain = self.certain;
+        for exercise in 0..self.watched.len() {
+            // The path has passed it and found none.
+            let until = if self.passage.open().is_some() { 0 } else { certain };
+            self.withdraw(exercise, until, t_s, each);
+        }
+        let Some(best) = self.viterbi.best() else { return };
+        let ended = match self.exercise_topology.place(best) {
+            PathState::Background => true,
+            PathState::Within { exercise, state, .. } => {
+                let states = self.watched[exercise].exercise.states();
+                4 * state < states || state + 1 == states
+            }
+        };
+        if !ended || self.viterbi.frames() == certain {
+            return;
+        }
+        let (first, path) = self.viterbi.provisional();
+        debug_assert_eq!(first, certain, "what is certain was taken");
+        let (mut passage, mut complete) = (self.passage, None);
+        for (frame, state) in (first..).zip(path) {
+            passage.step(&self.exercise_topology, frame, usize::from(*state), &mut |mark| {
+                if let Mark::Complete { exercise, start, end } = mark {
+                    complete = Some((exercise, start, end));
+                }
+            });
+        }
+        let Some((exercise, start, end)) = complete else { return };
+        if !self.recall(start, end.min(certain)) {
+            return;
+        }
+        let (first, path) = self.viterbi.provisional();
+        let from = start.max(first) - first;
+        self.path.extend_from_slice(path.get(from as usize..(end - first) as usize).unwrap_or(&[]));
+        let Some((measures, span)) = self.measures(exercise, start) else { return };
+        if self.verdict(exercise, &measures, span).is_err() {
+            return;
+        }
+        let watched = &mut self.watched[exercise];
+        let near = (watched.exercise.durations.refractory_s() * self.rate_hz) as u64;
+        if watched.pending.is_some_and(|pending| pending[1].abs_diff(span[1]) <= near) {
+            return;
+        }
+        if watched.pending.is_some() {
+            self.withdraw(exercise, u64::MAX, t_s, each);
+        }
+        self.watched[exercise].pending = Some(span);
+        let times = [self.t_s(span[0]), self.t_s(span[1] + 1)];
+        let mut event = self.event(exercise, EventKind::Provisional, times, t_s);
+        event.measures = Some(measures);
+        each(event);
+    }
+
+    /// Takes a provisional repetition back that ended before frame `until`.
+    fn withdraw(&mut self, exercise: usize, until: u64, t_s: f64, each: &mut impl FnMut(Event)) {
+        if let Some(span) = self.watched[exercise].pending
+            && span[1] < until
+        {
+            self.watched[exercise].pending = None;
+            let times = [self.t_s(span[0]), self.t_s(span[1] + 1)];
+            each(self.event(exercise, EventKind::Withdrawn, times, t_s));
+        }
+    }
+
+    fn event(&self, exercise: usize, kind: EventKind, [t_start_s, t_s]: [f64; 2], t_decided_s: f64) -> Event {
+        let count = self.watched[exercise].count;
+        let (reason, measures, feedback, remark) = (None, None, None, None);
+        Event { t_s, t_start_s, t_decided_s, exercise, kind, count, reason, measures, feedback, remark }
+    }
+}

@@ -1,0 +1,577 @@
+//! Teaching: from one recording of a few repetitions to an exercise.
+//!
+//! What comes in: a stream, a name, the announced number of repetitions. What goes out: the exercise and a report of
+//! where the repetitions were, or a refusal with its reason. What it never does: teach from a demonstration in which it does
+//! not see what was announced.
+//!
+//! Weber et al. 2011, section III: period, motifs, one hidden Markov model per candidate, refinement, choice. The
+//! period and the phase at which a repetition begins are not decided beforehand: each likely pair is a hypothesis that
+//! is refined to the end, for decoding costs a millisecond; the one that sees the announced number wins.
+
+use std::ops::Range;
+
+use serde::{Deserialize, Serialize};
+
+use super::align::{Repetition, repetitions};
+use super::exercise::{Durations, Exercise, Gate};
+use super::feedback::log_jerk;
+use super::hmm::{LogRatio, Movement, equal_parts, estimate, median, range, states_for};
+use super::judge::{Measures, is_alike, measure};
+use super::kinds::{kinds, largest, siblings};
+use super::material::{Material, RATE_HZ, Stream};
+use super::motif::motifs;
+use super::psd::{periods, repeatability};
+use super::smaller::{LEAST_GAIN, interval, sizes_down_to, smaller};
+
+/// Shortest repetition, s.
+const SHORTEST_S: f64 = 0.5;
+/// Periods tried.
+const PERIODS: usize = 6;
+/// Motifs tried per period.
+const MOTIFS: usize = 2;
+/// Phases tried per motif.
+const PHASES: usize = 8;
+/// Rounds of estimation and decoding per hypothesis.
+const ROUNDS: usize = 2;
+/// Rounds for the chosen one.
+const LAST_ROUNDS: usize = 3;
+/// A channel is used if this much of its variance within repetitions is the same in all of them.
+const LEAST_COMMON: f64 = 0.25;
+/// A channel is used if it moves so much, the largest of its kind being 1.
+const LEAST_MOVED: f64 = 0.15;
+
+/// Frames per second while hypotheses are compared.
+const SEARCH_HZ: f64 = 12.5;
+/// Least log ratio per frame of a repetition that counts, the taught median being 1: other days are less alike.
+const LEAST_RATIO: f64 = 0.15;
+
+/// How much a cut in full motion costs.
+const AT_REST: f64 = 0.6;
+
+/// How much movement as strong as the repetitions', left over before and after them, costs.
+const LEFT_OVER: f64 = 0.1;
+
+/// How much a repetition costs that ends elsewhere than it began.
+const OPEN: f64 = 0.6;
+
+/// What to teach, as announced by the person who shows it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// Name of the exercise, as in events.
+    pub name: String,
+    /// How many repetitions the recording holds; at least 2.
+    pub repetitions: usize,
+    /// Channels to use, as `all_channels` names them; chosen automatically by how much they move when not named.
+    pub channels: Option<Vec<String>>,
+}
+
+/// A taught exercise and how good the demonstration was.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lesson {
+    /// The exercise.
+    pub exercise: Exercise,
+    /// What was seen.
+    pub report: Report,
+}
+
+/// What was seen in a demonstration.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Announced number of repetitions.
+    pub announced: usize,
+    /// Where the repetitions were, in order of time.
+    pub repetitions: Vec<TaughtRepetition>,
+    /// Mean similarity of each repetition with the others, from 0 (nothing alike) to 1 (all the same).
+    pub quality: f64,
+    /// What could be better, in sentences; empty when nothing.
+    pub remarks: Vec<String>,
+}
+
+/// A repetition of the demonstration.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TaughtRepetition {
+    /// Beginning, s.
+    pub t_start_s: f64,
+    /// End, s.
+    pub t_end_s: f64,
+    /// Its measures against a model of the other repetitions.
+    pub measures: Measures,
+}
+
+/// Why a demonstration was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum Refusal {
+    /// Fewer than two repetitions announced.
+    #[error("an exercise is taught from at least 2 repetitions; {0} announced")]
+    TooFew(usize),
+    /// A channel was named that is not there.
+    #[error("the recording has no channel `{0}`")]
+    NoChannel(String),
+    /// The recording is too short for what was announced.
+    #[error("the recording lasts {seconds:.1} s: too short for {announced} repetitions")]
+    TooShort {
+        /// Length of the recording.
+        seconds: f64,
+        /// Announced repetitions.
+        announced: usize,
+    },
+    /// Nothing in it repeats itself.
+    #[error("nothing in the recording repeats itself {0} times")]
+    NothingRepeats(usize),
+    /// Another number than announced.
+    #[error("found {} of {}: {reason}", report.repetitions.len(), report.announced)]
+    Count {
+        /// What was seen.
+        report: Report,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+impl Hypothesis {
+    /// The paths of all repetitions.
+    fn all(&self) -> impl Iterator<Item = &Vec<(usize, usize)>> {
+        self.found.iter().chain(&self.smaller).map(|repetition| &repetition.path)
+    }
+}
+
+/// A way to see the recording.
+struct Hypothesis {
+    movement: Movement,
+    /// Repetitions that are like each other.
+    found: Vec<Repetition>,
+    /// Those of them that are alike but smaller.
+    smaller: Vec<Repetition>,
+    score: f64,
+    /// How far from where it began the worst of the repetitions ends, from 0 to 1: all of its way.
+    open: f64,
+}
+
+/// Teaches an exercise from a recording of a few repetitions. Offline; the same recording gives the same exercise.
+///
+/// Method: `docs/methods/exercise.md`; how well taught exercises count on other days and people: `docs/exercise.md`.
+///
+/// # Errors
+/// Fewer than two repetitions are announced, a channel is not there, the recording is too short, nothing repeats
+/// itself, or another number of repetitions than announced was seen, which the error reports.
+pub fn teach(stream: &Stream<'_>, options: &Options) -> Result<Lesson, Refusal> {
+    let announced = options.repetitions;
+    if announced < 2 {
+        return Err(Refusal::TooFew(announced));
+    }
+    // Hypotheses are compared on a coarse grid, the best one is refined on the fine one.
+    let coarse = material(stream, options, SEARCH_HZ)?;
+    let (seconds, longest) =
+        (coarse.frames() as f64 / coarse.rate_hz, coarse.frames() as f64 / announced as f64);
+    let shortest = SHORTEST_S * coarse.rate_hz;
+    if longest < shortest {
+        return Err(Refusal::TooShort { seconds, announced });
+    }
+    let mut hypotheses = Vec::new();
+    for period in periods(&coarse.values, coarse.width(), coarse.rate_hz, [shortest, longest], PERIODS) {
+        for starts in starts_of(&coarse, period, announced) {
+            for phase in 0..PHASES {
+                let shift = (phase as f64 / PHASES as f64 - 0.5) * period;
+                let segments: Vec<_> =
+                    starts.iter().filter_map(|start| moved(*start, shift, period, coarse.frames())).collect();
+                if segments.len() + 1 < announced {
+                    continue;
+                }
+                let refined = refine(&coarse, &segments, options, ROUNDS);
+                hypotheses.extend(refined.map(|(_, hypothesis)| hypothesis));
+            }
+        }
+    }
+    let Some(best) = best_of(&hypotheses) else { return Err(Refusal::NothingRepeats(announced)) };
+    let fine = material(stream, options, RATE_HZ)?;
+    let factor = fine.rate_hz / coarse.rate_hz;
+    let segments: Vec<_> = segments_of(best)
+        .iter()
+        .filter_map(|segment| {
+            moved(segment.start as f64 * factor, 0.0, segment.len() as f64 * factor, fine.frames())
+        })
+        .collect();
+    match refine(&fine, &segments, options, LAST_ROUNDS) {
+        Some((material, mut hypothesis)) => {
+            let missing = announced.saturating_sub(hypothesis.found.len());
+            let (movement, found) = (&hypothesis.movement, &hypothesis.found);
+            hypothesis.smaller = smaller(&material, movement, found, missing);
+            conclude(&material, &hypothesis, options)
+        }
+        None => Err(Refusal::NothingRepeats(announced)),
+    }
+}
+
+/// First what is repeated and how often; then, among the hypotheses that see it as often, where it begins and ends. The
+/// second question must not decide the first: the way to a repetition is part of the path of an open one.
+fn best_of(hypotheses: &[Hypothesis]) -> Option<&Hypothesis> {
+    let highest = |score: fn(&Hypothesis) -> f64, count: Option<usize>| {
+        let asked = hypotheses.iter().filter(|one| count.is_none_or(|count| one.found.len() == count));
+        asked.reduce(|best, next| if score(next) > score(best) { next } else { best })
+    };
+    let often = highest(|one| one.score, None)?.found.len();
+    highest(|one| one.score * (1.0 - OPEN * one.open), Some(often))
+}
+
+/// The channels that move, on a grid of at most `most_hz`.
+fn material(stream: &Stream<'_>, options: &Options, most_hz: f64) -> Result<Material, Refusal> {
+    let all = Material::new(stream, options.channels.as_deref(), most_hz).map_err(Refusal::NoChannel)?;
+    Ok(without_still_channels(&all))
+}
+
+/// Where the motif finder sees the repetitions of a period.
+fn starts_of(all: &Material, period: f64, announced: usize) -> Vec<Vec<f64>> {
+    let weights = repeatability(&all.values, all.width(), period, 0..all.frames());
+    let highest = weights.iter().copied().fold(0.0, f64::max);
+    // What repeats itself half as well as the best channel hardly counts.
+    let weights: Vec<f64> = weights.iter().map(|weight| (weight / highest.max(1e-9)).powi(2)).collect();
+    let chosen: Vec<usize> = (0..weights.len()).filter(|channel| weights[*channel] > 0.1).collect();
+    let scaled = all.only(&chosen).scaled(&chosen.iter().map(|c| weights[*c].sqrt()).collect::<Vec<_>>());
+    motifs(&scaled, chosen.len(), period as usize, announced, MOTIFS)
+        .into_iter()
+        .map(|motif| motif.starts.iter().map(|start| *start as f64).collect())
+        .collect()
+}
+
+/// A segment of `length` frames from `start + shift` on; `None` where it leaves the recording.
+fn moved(start: f64, shift: f64, length: f64, frames: usize) -> Option<std::ops::Range<usize>> {
+    let from = start + shift;
+    (from >= 0.0 && from + length <= frames as f64 + 1.0)
+        .then(|| from as usize..((from + length) as usize).min(frames))
+}
+
+fn segments_of(hypothesis: &Hypothesis) -> Vec<std::ops::Range<usize>> {
+    let states = hypothesis.movement.states.mean.first().map_or(0, Vec::len);
+    hypothesis.found.iter().map(|repetition| repetition.range(states)).collect()
+}
+
+/// Estimates and decodes by turns, from rough segments.
+fn refine(
+    all: &Material,
+    segments: &[std::ops::Range<usize>],
+    options: &Options,
+    iterations: usize,
+) -> Option<(Material, Hypothesis)> {
+    let states = states_for(median(segments.iter().map(|segment| segment.len() as f64))?);
+    let mut alignments = equal_parts(segments, states);
+    let chosen: Vec<usize> = match options.channels {
+        Some(_) => (0..all.width()).collect(),
+        None => common_channels(all, states, &alignments),
+    };
+    if chosen.is_empty() {
+        return None;
+    }
+    let material = all.only(&chosen);
+    let width = 2 * material.width();
+    let kinds = kinds(&material.channels);
+    let mut hypothesis = None;
+    for _ in 0..iterations {
+        let movement = estimate(
+            &material.observations,
+            &kinds,
+            states,
+            &alignments,
+            &idle(alignments.iter(), material.frames()),
+        );
+        let found = repetitions(&material.observations, width, &[LogRatio::new(&movement)]);
+        let (found, log_ratio) = alike(&material, &movement, found);
+        if found.len() < 2 {
+            return None;
+        }
+        alignments = found.iter().map(|repetition| repetition.path.clone()).collect();
+        let announced = options.repetitions;
+        let off = found.len().abs_diff(announced) as f64 / announced as f64;
+        let score = log_ratio * (1.0 - off).max(0.0).powi(2) * steadiness(&material, &found, states);
+        // One is enough: the last repetition and the way back to rest, taken together, are like the others otherwise.
+        let open =
+            found.iter().map(|one| openness(&material, &movement, one.range(states))).fold(0.0, f64::max);
+        hypothesis = Some(Hypothesis { movement, found, smaller: Vec::new(), score, open });
+    }
+    hypothesis.map(|hypothesis| (material, hypothesis))
+}
+
+/// How likely the repetitions are cut at the right places, from 0 to 1: they follow each other without long gaps,
+/// begin and end where the movement is slow, and leave no half of a movement over before the first and after the last.
+fn steadiness(material: &Material, found: &[Repetition], states: usize) -> f64 {
+    let ranges: Vec<_> = found.iter().map(|repetition| repetition.range(states)).collect();
+    let (Some(first), Some(last)) = (ranges.first(), ranges.last()) else { return 0.0 };
+    let busy: usize = ranges.iter().map(ExactSizeIterator::len).sum();
+    let covered = busy as f64 / (last.end - first.start).max(1) as f64;
+    let width = material.width();
+    let scales: Vec<f64> = (0..width)
+        .map(|channel| {
+            let speeds = ranges
+                .iter()
+                .flat_map(|range| range.clone())
+                .map(|frame| material.observations[frame * 2 * width + width + channel]);
+            super::hmm::spread(speeds).map_or(0.0, |(_, sd)| if sd > 0.0 { 1.0 / sd } else { 0.0 })
+        })
+        .collect();
+    // The velocity at a frame spans the frames before it: the cut lies in the middle of that span.
+    let middle = super::frames::velocity_span(material.rate_hz).div_ceil(2);
+    let speed = |frame: usize| -> f64 {
+        let row = (frame + middle).min(material.frames() - 1) * 2 * width + width;
+        let velocities = &material.observations[row..row + width];
+        velocities.iter().zip(&scales).filter(|(v, _)| v.is_finite()).map(|(v, s)| (v * s).powi(2)).sum()
+    };
+    let cuts: f64 = ranges.iter().map(|range| speed(range.start)).sum::<f64>() / ranges.len() as f64;
+    // A channel's mean square is 1 in these units.
+    let at_rest = 1.0 - AT_REST * (cuts / width as f64).sqrt().min(1.0);
+    let edge = 1 + busy / (2 * ranges.len());
+    let edges = (first.start.saturating_sub(edge)..first.start)
+        .chain(last.end..(last.end + edge).min(material.frames()));
+    let left_over = edges.map(|frame| speed(frame).min(2.0 * width as f64)).sum::<f64>() / (2 * edge) as f64;
+    let complete = 1.0 - LEFT_OVER * (left_over / width as f64).min(1.0);
+    covered.sqrt() * at_rest * complete
+}
+
+/// How far from where it began a movement ends, from 0 to 1: all of its way.
+fn openness(material: &Material, movement: &Movement, frames: Range<usize>) -> f64 {
+    let width = material.width();
+    let (mut apart, mut way) = (0.0, 0.0);
+    for (channel, amplitude) in movement.amplitude[..width].iter().enumerate() {
+        let value = |frame: usize| material.observations[frame * 2 * width + channel] / amplitude;
+        let values = frames.clone().map(value).filter(|value| value.is_finite());
+        let Some((first, last)) = values.clone().next().zip(values.clone().next_back()) else { continue };
+        let (low, high) = range(values);
+        apart += (last - first).powi(2);
+        way += (high - low).powi(2);
+    }
+    if way > 0.0 { (apart / way).sqrt() } else { 0.0 }
+}
+
+/// The repetitions that are like most of them, and the middle between the mean and the least of their log ratios per
+/// frame.
+fn alike(material: &Material, movement: &Movement, found: Vec<Repetition>) -> (Vec<Repetition>, f64) {
+    let ratio = LogRatio::new(movement);
+    let states = ratio.states();
+    let measured: Vec<Measures> = found
+        .iter()
+        .map(|repetition| {
+            let rows = material.along(repetition.moving(states));
+            measure(movement, &ratio, &material.channels, material.rate_hz, rows)
+        })
+        .collect();
+    let middle = |value: fn(&Measures) -> f64| median(measured.iter().map(value)).unwrap_or(0.0);
+    let (duration_s, log_ratio) = (middle(|m| m.duration_s), middle(|m| m.mean_log_ratio));
+    let (mut sum, mut least, mut kept) = (0.0, f64::INFINITY, Vec::with_capacity(found.len()));
+    for (repetition, measures) in found.into_iter().zip(&measured) {
+        if is_alike(measures, duration_s, log_ratio) {
+            sum += measures.mean_log_ratio;
+            least = least.min(measures.mean_log_ratio);
+            kept.push(repetition);
+        }
+    }
+    // One that is unlike the others is more likely half of something else than one of them.
+    let mean = if kept.is_empty() { 0.0 } else { sum / kept.len() as f64 };
+    (kept, 0.5 * (mean + least.min(mean)))
+}
+
+/// Frames that belong to none of the paths.
+fn idle<'a>(paths: impl Iterator<Item = &'a Vec<(usize, usize)>>, frames: usize) -> Vec<usize> {
+    let mut busy = vec![false; frames];
+    for (frame, _) in paths.flatten() {
+        busy[*frame] = true;
+    }
+    (0..frames).filter(|frame| !busy[*frame]).collect()
+}
+
+/// Channels without a value or without any movement say nothing and would only be in the way.
+fn without_still_channels(all: &Material) -> Material {
+    let moving: Vec<usize> = (0..all.width())
+        .filter(|channel| {
+            let column = all.values.iter().skip(*channel).step_by(all.width()).copied();
+            let there = column.clone().filter(|value| value.is_finite()).count();
+            2 * there >= all.frames()
+                && super::hmm::spread(column).is_some_and(|(mean, sd)| sd > 1e-9 * mean.abs())
+        })
+        .collect();
+    all.only(&moving)
+}
+
+/// Channels that do the same in every repetition, and enough of it: the mean course explains most of their variance.
+fn common_channels(all: &Material, states: usize, alignments: &[Vec<(usize, usize)>]) -> Vec<usize> {
+    let width = all.width();
+    let mut moved = Vec::with_capacity(width);
+    let mut common: Vec<(f64, usize)> = (0..width)
+        .map(|channel| {
+            let cells = alignments.iter().flatten().filter_map(|(frame, state)| {
+                let value = all.values[frame * width + channel];
+                value.is_finite().then_some((value, *state))
+            });
+            let mut moments = vec![(0.0, 0.0); states];
+            let (mut n, mut sum, mut square) = (0.0, 0.0, 0.0);
+            for (value, state) in cells {
+                moments[state].0 += 1.0;
+                moments[state].1 += value;
+                n += 1.0;
+                sum += value;
+                square += value * value;
+            }
+            let total = square - sum * sum / f64::max(n, 1.0);
+            let within: f64 =
+                moments.iter().filter(|(n, _)| *n > 0.0).map(|(n, sum)| sum * sum / n).sum::<f64>();
+            let between = within - sum * sum / f64::max(n, 1.0);
+            moved.push((between / f64::max(n, 1.0)).max(0.0).sqrt());
+            (if total > 1e-12 * square { between / total } else { 0.0 }, channel)
+        })
+        .collect();
+    let most = largest(&kinds(&all.channels), &moved);
+    common.retain(|(_, channel)| moved[*channel] >= LEAST_MOVED * most[*channel]);
+    common.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let best = common.first().map_or(0.0, |(share, _)| *share);
+    let mut chosen: Vec<usize> = common
+        .iter()
+        .filter(|(share, _)| *share >= LEAST_COMMON.min(0.9 * best))
+        .map(|(_, channel)| *channel)
+        .collect();
+    chosen.sort_unstable();
+    chosen
+}
+
+/// Judges the chosen hypothesis: the exercise, or the reason why not.
+fn conclude(material: &Material, hypothesis: &Hypothesis, options: &Options) -> Result<Lesson, Refusal> {
+    let announced = options.repetitions;
+    let (segments, measures): (Vec<_>, Vec<_>) = against_the_others(material, hypothesis).into_iter().unzip();
+    let repetitions: Vec<TaughtRepetition> = segments
+        .iter()
+        .zip(&measures)
+        .map(|(segment, measures)| TaughtRepetition {
+            t_start_s: material.t_s(segment.start),
+            t_end_s: material.t_s(segment.end),
+            measures: *measures,
+        })
+        .collect();
+    let quality = measures.iter().map(|measures| measures.similarity).sum::<f64>() / measures.len() as f64;
+    let mut report = Report { announced, repetitions, quality: quality.clamp(0.0, 1.0), remarks: Vec::new() };
+    if report.repetitions.len().abs_diff(announced) > tolerance(announced) {
+        let reason = reason_of(&report);
+        return Err(Refusal::Count { report, reason });
+    }
+    let lengths = || segments.iter().map(|segment| segment.len() as f64 / material.rate_hz);
+    let (shortest_s, longest_s) = range(lengths());
+    let durations = Durations {
+        shortest_s,
+        median_s: median(lengths()).unwrap_or(longest_s),
+        longest_s,
+        interval_s: interval(&segments).unwrap_or(0.0) / material.rate_hz,
+    };
+    report.remarks = remarks_of(&report, &durations);
+    let least = measures.iter().map(|measures| measures.gain).fold(1.0, f64::min);
+    let sizes = sizes_down_to(least);
+    let mut exercise = Exercise::new(
+        options.name.clone(),
+        material.rate_hz,
+        material.channels.clone(),
+        hypothesis.movement.turned(&siblings(&material.channels)),
+        durations,
+        gate_of(&measures, sizes.last().copied().unwrap_or(1.0)),
+    );
+    exercise.sizes = sizes;
+    let width = 2 * material.width();
+    let jerks = segments.iter().map(|segment| {
+        let rows = material.observations[segment.start * width..segment.end * width].chunks_exact(width);
+        log_jerk(rows, &exercise)
+    });
+    exercise.log_jerk = jerks.sum::<f64>() / segments.len() as f64;
+    Ok(Lesson { exercise, report })
+}
+
+/// How far the number seen may be from the number announced: people miscount long sets.
+fn tolerance(announced: usize) -> usize {
+    if announced < 8 { 0 } else { announced / 5 }
+}
+
+/// Every repetition with its measures against a model of the others of full size, in order.
+fn against_the_others(material: &Material, hypothesis: &Hypothesis) -> Vec<(Range<usize>, Measures)> {
+    let states = hypothesis.movement.states.mean[0].len();
+    let alignments: Vec<_> = hypothesis.found.iter().map(|repetition| repetition.path.clone()).collect();
+    let idle = idle(hypothesis.all(), material.frames());
+    let kinds = kinds(&material.channels);
+    let full = (0..alignments.len()).map(|left_out| {
+        let mut others = alignments.clone();
+        others.remove(left_out);
+        (&hypothesis.found[left_out], 1.0, estimate(&material.observations, &kinds, states, &others, &idle))
+    });
+    let (sizes, siblings) = (sizes_down_to(0.0), siblings(&material.channels));
+    let smaller = hypothesis.smaller.iter().map(|repetition| {
+        let size = sizes[repetition.size];
+        (repetition, size, hypothesis.movement.sized(size))
+    });
+    let mut measured: Vec<_> = full
+        .chain(smaller)
+        .map(|(repetition, size, movement)| {
+            let rows = material.along(repetition.path.iter());
+            let movement = movement.turned(&siblings);
+            let mut measures =
+                measure(&movement, &LogRatio::new(&movement), &material.channels, material.rate_hz, rows);
+            measures.gain *= size;
+            (repetition.range(states), measures)
+        })
+        .collect();
+    measured.sort_by_key(|(range, _)| range.start);
+    measured
+}
+
+/// What a repetition must be like, from how much the taught ones differ from each other.
+fn gate_of(measures: &[Measures], smallest: f64) -> Gate {
+    let middle = |value: fn(&Measures) -> f64| median(measures.iter().map(value)).unwrap_or(0.0);
+    let lowest = |value: fn(&Measures) -> f64| measures.iter().map(value).fold(f64::INFINITY, f64::min);
+    let log_ratio = middle(|m| m.mean_log_ratio).max(0.0);
+    Gate {
+        mean_log_ratio: LEAST_RATIO * log_ratio,
+        fifth_log_ratio: (lowest(|m| m.fifth_log_ratio) - 3.0).min(-log_ratio),
+        // What was taught as a repetition is one, however small.
+        gain: [(LEAST_GAIN * smallest).min(0.85 * lowest(|m| m.gain)), 1.7],
+        similarity: (lowest(|m| m.similarity) - 0.15).clamp(0.6, 0.75),
+        duration: [0.4, 2.5],
+        visited: 0.45,
+    }
+}
+
+/// What is wrong with a demonstration in which not the announced number was seen.
+fn reason_of(report: &Report) -> String {
+    let seen = &report.repetitions;
+    if seen.len() > report.announced {
+        return "the recording holds more repetitions than announced, or other movements like them"
+            .to_owned();
+    }
+    let lengths: Vec<f64> = seen.iter().map(|seen| seen.t_end_s - seen.t_start_s).collect();
+    let typical = median(lengths.iter().copied()).unwrap_or(1.0);
+    for (index, pair) in seen.windows(2).enumerate() {
+        let gap = pair[1].t_start_s - pair[0].t_end_s;
+        let (number, from, to) = (index + 2, pair[0].t_end_s, pair[1].t_start_s);
+        if gap > 1.4 * typical {
+            return format!("number {number}, from {from:.1} to {to:.1} s, was much slower");
+        }
+        if gap > 0.3 * typical {
+            return format!("number {number}, from {from:.1} to {to:.1} s, was different");
+        }
+    }
+    "the others differ too much from these; do them evenly, with a short rest before and after".to_owned()
+}
+
+fn remarks_of(report: &Report, durations: &Durations) -> Vec<String> {
+    let mut remarks = Vec::new();
+    if report.repetitions.len() != report.announced {
+        remarks.push(format!(
+            "saw {} repetitions, {} were announced: {}",
+            report.repetitions.len(),
+            report.announced,
+            reason_of(report)
+        ));
+    }
+    if durations.longest_s > 1.6 * durations.shortest_s {
+        remarks.push(format!(
+            "uneven speed: repetitions took {:.1} to {:.1} s",
+            durations.shortest_s, durations.longest_s
+        ));
+    }
+    for (index, seen) in report.repetitions.iter().enumerate() {
+        if seen.measures.similarity < 0.8 {
+            let (number, percent) = (index + 1, 100.0 * seen.measures.similarity);
+            remarks.push(format!("number {number} is only {percent:.0} % like the others"));
+        }
+    }
+    remarks
+}

@@ -1,0 +1,292 @@
+//! Learning the rules of a stage from a recording that nobody labelled.
+//!
+//! What comes in: a recording, with all its faults. What goes out: [`Rules`], and what hindsight reports about each frame and
+//! sensor: a flip and a jump are seen from both ends, and a place is judged by what the whole recording specifies is usual.
+//! What it never does: run live.
+
+use super::Labels;
+use super::frames::Frames;
+use super::hindsight::{Recording, Step};
+use super::memory::{Habit, Point, distance, turned};
+use super::pairs::{Pairs, quantile};
+use super::rules::{Rules, frame_label, position};
+use posed_fusion::faults::{Cause, Evidence, Label, Repeats, Repetition};
+
+/// In a recording, a step whose mirror image is so many times shorter is a flip; shorter steps are motion, m.
+const FLIP_RATIO: f64 = 0.3;
+const SMALLEST_FLIP_M: f64 = 0.1;
+/// A deviation from a steady motion is a jump beyond so many times the largest usual one, or the usual one, and
+/// never below this, m.
+const JUMP_LARGEST: f64 = 1.5;
+const JUMP_USUAL: f64 = 4.0;
+const SMALLEST_JUMP_M: f64 = 0.04;
+/// In hindsight none is below so many times what the sensor usually bends in so many frames to either side.
+const JUMP_TREMBLE: f64 = 3.0;
+const TREMBLE_FRAMES: usize = 12;
+
+/// Heads are so far above feet, at least, where names tell which side is clean, m.
+const UPRIGHT_M: f64 = 0.1;
+
+/// Shares of the distances that are taken for faults, at either end, round by round.
+const RANGES_LEAVE_OUT: [f64; 4] = [0.05, 0.02, 0.01, 0.003];
+
+impl Rules {
+    /// Learns from a recording without labels, and labels it with hindsight; no labels for no sensors. It is not
+    /// causal: a frame is labelled by those after it too. The rules are described in `docs/methods/fault-map.md`.
+    pub fn learn(frames: &Frames) -> (Self, Labels) {
+        let sensors = frames.sensors.len();
+        let sides = sides(frames);
+        let stuck = stuck(frames);
+        let mut places: Vec<Option<Point>> = Vec::with_capacity(sides.len());
+        for k in 0..frames.len() {
+            let frame = frames.frame(k);
+            places.extend(
+                (0..sensors)
+                    .map(|sensor| Some(turned(position(frame, sensor)?, sides[k * sensors + sensor]))),
+            );
+        }
+        let habits: Vec<Habit> =
+            (0..sensors).map(|sensor| habit(frames.len(), |k| places[k * sensors + sensor])).collect();
+        places.iter_mut().zip(&stuck).filter(|(_, stuck)| **stuck).for_each(|(place, _)| *place = None);
+        let steps = steps(&places, sensors);
+        let recording = Recording { sensors, frame_s: frame_s(frames), places: &places, steps: &steps };
+        let (away, pairs) = recording.away(|round, away| {
+            let outside = RANGES_LEAVE_OUT[round.min(RANGES_LEAVE_OUT.len() - 1)];
+            let place = |k: usize, sensor: usize| {
+                let at = k * sensors + sensor;
+                places[at].filter(|_| !away[at])
+            };
+            Pairs::learn(sensors, frames.len(), outside, place)
+        });
+        let label = |at: usize| match (places[at], stuck[at], away[at], sides[at]) {
+            (_, true, ..) => Label::anomalous(Cause::Stuck),
+            (None, ..) => Label::MISSING,
+            (_, _, true, _) => Label::anomalous(Cause::Jump),
+            (_, _, _, true) => Label::INVERTED,
+            _ => Label::CLEAN,
+        };
+        let sensor_labels: Vec<Label> = (0..places.len()).map(label).collect();
+        let frame_labels = sensor_labels.chunks_exact(sensors.max(1)).map(frame_label).collect();
+        (Self::new(habits, pairs), Labels { frames: frame_labels, sensors: sensor_labels })
+    }
+}
+
+/// The usual time between two frames, s.
+fn frame_s(frames: &Frames) -> f64 {
+    let mut steps: Vec<f64> = frames.t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    quantile(&mut steps, 0.5)
+}
+
+/// Which positions repeat those before them, often enough, while other sensors move.
+fn stuck(frames: &Frames) -> Vec<bool> {
+    let sensors = frames.sensors.len();
+    let mut stuck = vec![false; frames.len() * sensors];
+    let moved = |k: usize, sensor: usize| {
+        let (now, before) = (position(frames.frame(k), sensor), position(frames.frame(k - 1), sensor));
+        now.zip(before).is_some_and(|(now, before)| now != before)
+    };
+    let moving: Vec<bool> =
+        (0..frames.len()).map(|k| k > 0 && (0..sensors).any(|sensor| moved(k, sensor))).collect();
+    for sensor in 0..sensors {
+        let mut words = Repetition::default();
+        // Hindsight: what is stuck was so from its first repetition.
+        let mut since = 0;
+        for k in 0..frames.len() {
+            let Some(p) = position(frames.frame(k), sensor) else { continue };
+            let evidence = if moving[k] { Evidence::OthersMove } else { Evidence::None };
+            match words.take(p, evidence) {
+                Repeats::Changed => since = k + 1,
+                Repeats::Stuck => {
+                    let there = |k: &usize| moving[*k] && position(frames.frame(*k), sensor).is_some();
+                    (since..=k).filter(there).for_each(|k| stuck[k * sensors + sensor] = true);
+                    since = k + 1;
+                }
+                Repeats::Rests | Repeats::Suspect => {}
+            }
+        }
+    }
+    stuck
+}
+
+/// What separates each position from the one before.
+///
+/// A sensor that is pulled trembles, and what trembles for long would make jumps of no step at all: steps are held against
+/// what the sensor trembles around them.
+fn steps(places: &[Option<Point>], sensors: usize) -> Vec<Step> {
+    let frames = places.len() / sensors.max(1);
+    let mut steps = vec![Step::Steady; places.len()];
+    for sensor in 0..sensors {
+        let bends = bends(frames, |k| places[k * sensors + sensor]);
+        let tremble_m = tremble(&bends);
+        let beyond = bends.iter().zip(&tremble_m).filter_map(|(bend, tremble)| Some((*bend)? - tremble));
+        let jump_m = jump(beyond.collect());
+        let mut last: Option<(usize, Point, Point)> = None;
+        for (k, tremble_m) in tremble_m.into_iter().enumerate() {
+            let at = k * sensors + sensor;
+            let Some(p) = places[at] else { continue };
+            let mut step = [0.0; 3];
+            match last {
+                Some((before, here, speed)) if before + 1 == k => {
+                    let expected: Point = std::array::from_fn(|c| here[c] + speed[c]);
+                    let off = distance(p, expected) / jump_m.max(tremble_m);
+                    if off > 1.0 {
+                        steps[at] = Step::Jump(off);
+                    } else {
+                        step = std::array::from_fn(|c| p[c] - here[c]);
+                    }
+                }
+                _ => steps[at] = Step::Gap,
+            }
+            last = Some((k, p, step));
+        }
+    }
+    steps
+}
+
+/// How far a track bends in each frame, m: off a steady motion through the two frames before.
+fn bends(frames: usize, here: impl Fn(usize) -> Option<Point>) -> Vec<Option<f64>> {
+    let bend = |k: usize| {
+        let (a, b, c) = (here(k.checked_sub(2)?)?, here(k - 1)?, here(k)?);
+        Some(distance(c, std::array::from_fn(|axis| 2.0 * b[axis] - a[axis])))
+    };
+    (0..frames).map(bend).collect()
+}
+
+/// What a track may bend around each frame because it trembles, m.
+fn tremble(bends: &[Option<f64>]) -> Vec<f64> {
+    let around = |k: usize| {
+        let span = k.saturating_sub(TREMBLE_FRAMES)..(k + TREMBLE_FRAMES + 1).min(bends.len());
+        let mut bends: Vec<f64> = bends[span].iter().copied().flatten().collect();
+        JUMP_TREMBLE * quantile(&mut bends, 0.5)
+    };
+    (0..bends.len()).map(around).collect()
+}
+
+/// The smallest bend that is a jump, m.
+fn jump(mut bends: Vec<f64>) -> f64 {
+    let largest = JUMP_LARGEST * quantile(&mut bends, 0.995);
+    let usual = JUMP_USUAL * quantile(&mut bends, 0.95);
+    largest.min(usual).max(SMALLEST_JUMP_M)
+}
+
+/// How a sensor moves, from a recording of it on its clean side.
+fn habit(frames: usize, here: impl Fn(usize) -> Option<Point>) -> Habit {
+    let mut steps: Vec<f64> = (1..frames).filter_map(|k| Some(distance(here(k)?, here(k - 1)?))).collect();
+    let axis =
+        |c: usize| quantile(&mut (0..frames).filter_map(|k| Some(here(k)?[c])).collect::<Vec<_>>(), 0.5);
+    Habit {
+        jump_m: jump(bends(frames, &here).into_iter().flatten().collect()),
+        step_m: quantile(&mut steps, 0.95),
+        home_m: [axis(0), axis(1), axis(2)],
+    }
+}
+
+/// Which positions of a recording are on the wrong side: a sensor's side changes with each flip, and the side on
+/// which it is longer is the clean one. The figure's own upward axis decides where the names tell it.
+fn sides(frames: &Frames) -> Vec<bool> {
+    let sensors = frames.sensors.len();
+    let mut sides = vec![false; frames.len() * sensors];
+    for sensor in 0..sensors {
+        let mut last: Option<[f64; 3]> = None;
+        let (mut inverted, mut count, mut total) = (false, 0usize, 0usize);
+        for k in 0..frames.len() {
+            let Some(p) = position(frames.frame(k), sensor) else { continue };
+            if let Some(last) = last {
+                let (step, mirrored) = (distance(p, last), distance(turned(p, true), last));
+                inverted ^= step > SMALLEST_FLIP_M && mirrored < FLIP_RATIO * step;
+            }
+            last = Some(p);
+            sides[k * sensors + sensor] = inverted;
+            count += usize::from(inverted);
+            total += 1;
+        }
+        if 2 * count > total {
+            (0..frames.len()).for_each(|k| sides[k * sensors + sensor] ^= true);
+        }
+    }
+    if upside_down(frames, &sides) {
+        sides.iter_mut().for_each(|side| *side = !*side);
+    }
+    sides
+}
+
+/// Whether heads are below feet in most frames, where sensors are named after segments.
+fn upside_down(frames: &Frames, sides: &[bool]) -> bool {
+    let named = |words: &[&str]| -> Vec<usize> {
+        let is = |name: &String| words.iter().any(|word| name.to_lowercase().contains(word));
+        (0..frames.sensors.len()).filter(|sensor| is(&frames.sensors[*sensor])).collect()
+    };
+    let (high, low) =
+        (named(&["head", "torso", "thorax"]), named(&["pelvis", "root", "foot", "shank", "toes"]));
+    let sensors = frames.sensors.len();
+    let mean = |k: usize, group: &[usize]| {
+        let z = |sensor: &usize| {
+            let p = position(frames.frame(k), *sensor)?;
+            Some(if sides[k * sensors + sensor] { -p[2] } else { p[2] })
+        };
+        let heights: Vec<f64> = group.iter().filter_map(z).collect();
+        (!heights.is_empty()).then(|| heights.iter().sum::<f64>() / heights.len() as f64)
+    };
+    let (mut up, mut down) = (0, 0);
+    for k in 0..frames.len() {
+        if let (Some(high), Some(low)) = (mean(k, &high), mean(k, &low)) {
+            up += usize::from(high - low > UPRIGHT_M);
+            down += usize::from(low - high > UPRIGHT_M);
+        }
+    }
+    down > up
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posed_fusion::faults::Class;
+
+    /// Four sensors that sway; `place` may move the last.
+    fn frames(count: usize, place: impl Fn(usize, Point) -> Point) -> Frames {
+        let mut frames =
+            Frames { sensors: ["a", "b", "c", "d"].map(str::to_owned).into(), ..Frames::default() };
+        for k in 0..count {
+            let t = k as f64 / 60.0;
+            let sway = 0.2 * (0.9 * t).sin();
+            let mut row: Vec<f64> = Vec::new();
+            for sensor in 0..4 {
+                let s = f64::from(sensor);
+                let p = [1.5 + sway, 0.3 * s, 0.4 + 0.1 * s + 0.02 * (3.0 * t + s).sin()];
+                row.extend(if sensor == 3 { place(k, p) } else { p });
+            }
+            frames.push(t, &row);
+        }
+        frames
+    }
+
+    #[test]
+    fn a_pull_is_labelled_from_its_first_frame_to_its_last_and_freezing_too() {
+        let recording = frames(1200, |k, p| match k {
+            300..420 => [p[0] + 0.2, p[1], p[2] + 0.1],
+            _ => p,
+        });
+        let (_, labels) = Rules::learn(&recording);
+        let bad: Vec<usize> = (0..1200).filter(|k| labels.frames[*k].class == Class::Anomalous).collect();
+        assert_eq!(bad, (300..420).collect::<Vec<_>>());
+
+        // Interference trembles, too, and lasts so long that most of its steps would pass for usual ones.
+        let recording = frames(1200, |k, p| {
+            let tremble = |c: f64| 0.012 * (0.7 * (k * k) as f64 + c).sin();
+            match k {
+                300..460 => [p[0] + 0.12 + tremble(0.0), p[1] + tremble(1.0), p[2] + 0.08 + tremble(2.0)],
+                _ => p,
+            }
+        });
+        let (_, labels) = Rules::learn(&recording);
+        let bad: Vec<usize> = (0..1200).filter(|k| labels.frames[*k].class == Class::Anomalous).collect();
+        assert_eq!(bad, (300..460).collect::<Vec<_>>());
+
+        let mut recording = frames(600, |_, p| p);
+        let held = recording.frame(99)[9..12].to_vec();
+        (100..160).for_each(|k| recording.frame_mut(k)[9..12].copy_from_slice(&held));
+        let (_, labels) = Rules::learn(&recording);
+        let bad: Vec<usize> = (0..600).filter(|k| labels.frames[*k].cause == Some(Cause::Stuck)).collect();
+        assert_eq!(bad, (100..160).collect::<Vec<_>>());
+    }
+}

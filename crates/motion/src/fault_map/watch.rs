@@ -1,0 +1,167 @@
+//! A network and its rules over a stream of frames.
+//!
+//! What comes in: frames. What goes out: a [`Judged`] per frame. What it never does: look at the future, allocate.
+
+use posed_state::Plain;
+
+use super::FaultMap;
+use super::habits::{Link, PositionChain, Steps};
+use super::rules::{Labeller, frame_label};
+use super::som::Winner;
+use posed_fusion::faults::{Cause, Class, Label};
+
+/// A label of the map counts once so many of the last five frames have it.
+const DEBOUNCE: u32 = 3;
+/// A map that is discontent with more than this share of so many frames has not seen these movements: rules decide.
+const NOVELTY: f64 = 0.015;
+const MEMORY_FRAMES: f64 = 1000.0;
+/// The map is content with a sensor below this share of what is unusual.
+const CONTENT: f64 = 0.5;
+/// Least weight of a frame in how unusual a sensor is on average.
+const WORN_WEIGHT: f64 = 0.002;
+const RECENT: u8 = 0b1_1111;
+
+/// Labels a stream of frames: rules and self-organising map together, one frame at a time, without delay beyond 3 of 5
+/// frames.
+#[derive(Clone, Debug, PartialEq, Plain)]
+pub struct Watch {
+    labeller: Labeller,
+    /// Positions as the map sees them, and the first layer's answer.
+    seen: Vec<f64>,
+    indices: Vec<f64>,
+    by_rules: Vec<Label>,
+    steps: Steps,
+    /// Per sensor: the map found nothing unusual in the latest frame.
+    content: Vec<bool>,
+    /// Per sensor, how unusual its places are on average: how it is put on in this session.
+    worn: Vec<f64>,
+    frames: u32,
+    labels: Vec<Label>,
+    distances_m: Vec<f64>,
+    /// Per sensor, one bit for each of the last five frames: the map calls it anomalous.
+    recent: Vec<u8>,
+    /// The same of the frame.
+    recent_frame: u8,
+    guess: usize,
+    /// Share of the latest frames with which the rules are content and the map is not.
+    alone: f64,
+}
+
+/// What a frame and each of its sensors are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Judged<'a> {
+    /// Rules and map together, for the frame.
+    pub label: Label,
+    /// What the rules say; the map's only part in it is how soon a sensor that jumped is believed again.
+    pub by_rules: Class,
+    /// What the map alone says, of this frame with the four before it.
+    pub by_map: Class,
+    /// The winner of the second layer; `None` if no sensor is there.
+    pub winner: Option<Winner>,
+    /// Rules and map together, one label per sensor in the fault map's order.
+    pub sensors: &'a [Label],
+    /// Per sensor: distance from the nearest position of training, in the axes that the map looks at, m; NaN where
+    /// missing.
+    pub distances_m: &'a [f64],
+}
+
+impl Watch {
+    pub(super) fn new(fault_map: &FaultMap) -> Self {
+        let sensors = fault_map.sensors.len();
+        let nothing = vec![Label::MISSING; sensors];
+        Self {
+            labeller: fault_map.rules.labeller(),
+            seen: vec![f64::NAN; 3 * sensors],
+            indices: vec![f64::NAN; sensors],
+            by_rules: nothing.clone(),
+            steps: Steps::new(sensors),
+            content: vec![false; sensors],
+            worn: vec![0.0; sensors],
+            frames: 0,
+            labels: nothing,
+            distances_m: vec![f64::NAN; sensors],
+            recent: vec![0; sensors],
+            recent_frame: 0,
+            guess: 0,
+            alone: 1.5 * NOVELTY,
+        }
+    }
+
+    /// Labels the next frame: x, y, z of each sensor, m, in the fault map's order, NaN where missing. `fault_map` is
+    /// the one that made this watch, or one with other classes of cells (`FaultMap::is_renamed`).
+    ///
+    /// The rules answer in the same frame; the map is heard once 3 of the latest 5 frames agree, and after some 400
+    /// frames in which it found little. Rates of detection: `docs/faults.md`.
+    ///
+    /// # Panics
+    /// `frame` holds fewer than three numbers a sensor.
+    pub fn push(&mut self, fault_map: &FaultMap, frame: &[f64]) -> Judged<'_> {
+        fault_map.rules.label_beside(&mut self.labeller, frame, &self.content, &mut self.by_rules);
+        fault_map.motion.follow(&mut self.steps, frame);
+        fault_map.see(frame, self.labeller.size(), &mut self.seen);
+        let mut strange = false;
+        for sensor in 0..fault_map.sensors.len() {
+            let look = fault_map.look(sensor, &self.seen, [PositionChain::WORN_M, Link::WORN_M]);
+            self.indices[sensor] = look.index;
+            self.distances_m[sensor] = look.distance_m;
+            let off = self.worn[sensor];
+            // A sensor on a neuron of inverted frames, in a figure that is not, is wrong too.
+            let bad = matches!(look.class, Class::Anomalous)
+                || look.ratio - off > fault_map.usual_ratio
+                || fault_map.motion.class(&self.steps, sensor) == Class::Anomalous;
+            let content = look.ratio - off < CONTENT * fault_map.usual_ratio;
+            self.content[sensor] = !bad && content && look.class == Class::Clean;
+            if self.by_rules[sensor].class == Class::Clean {
+                let weight = WORN_WEIGHT.max(1.0 / f64::from(self.frames + 1));
+                self.worn[sensor] += weight * (look.ratio - self.worn[sensor]);
+            }
+            let recent = &mut self.recent[sensor];
+            *recent = (*recent << 1 | u8::from(bad)) & RECENT;
+            strange |= lasts(*recent);
+        }
+        self.frames = self.frames.saturating_add(1);
+        let winner = fault_map.map.winner_from(&self.indices, self.guess);
+        self.guess = winner.map_or(0, |winner| winner.cell);
+        let cell = winner.map_or(Class::Unknown, |winner| fault_map.cells[winner.cell]);
+        let far = winner.is_some_and(|winner| winner.distance > fault_map.usual_distance);
+        self.recent_frame = (self.recent_frame << 1 | u8::from(far)) & RECENT;
+        let bad_frame = lasts(self.recent_frame);
+        let by_map = match cell {
+            Class::Inverted => Class::Inverted,
+            _ if strange || bad_frame => Class::Anomalous,
+            _ => Class::Clean,
+        };
+        self.labels.copy_from_slice(&self.by_rules);
+        let by_rules = frame_label(&self.by_rules);
+        let alone = by_rules.class == Class::Clean && by_map == Class::Anomalous;
+        self.alone += (f64::from(u8::from(alone)) - self.alone) / MEMORY_FRAMES;
+        let label = if alone && self.alone < NOVELTY {
+            for (label, recent) in self.labels.iter_mut().zip(&self.recent) {
+                if label.class == Class::Clean && lasts(*recent) {
+                    *label = Label::anomalous(Cause::Map);
+                }
+            }
+            Label::anomalous(if strange { Cause::Map } else { Cause::Distance })
+        } else {
+            by_rules
+        };
+        Judged {
+            label,
+            by_rules: by_rules.class,
+            by_map,
+            winner,
+            sensors: &self.labels,
+            distances_m: &self.distances_m,
+        }
+    }
+
+    /// Size of this body over that of the training's, 0.7 to 1.4; 1 until it is known.
+    pub fn size(&self) -> f64 {
+        self.labeller.size()
+    }
+}
+
+/// Whether the latest frame and enough of those before it are bad.
+fn lasts(recent: u8) -> bool {
+    recent & 1 == 1 && recent.count_ones() >= DEBOUNCE
+}

@@ -1,0 +1,388 @@
+//! The body, live: from worn IMUs, from magnetic trackers, or from both.
+//!
+//! What comes in: closed frames and their estimates. What goes out: segments, joint angles and their health at the time of
+//! the newest sample. IMUs alone stand above the room's origin; trackers on the same body say where it is, and trackers alone
+//! show the whole figure. What it never does: publish a body before it knows how its sensors sit.
+
+mod epochs;
+#[cfg(test)]
+mod tests;
+
+use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
+use posed_state::{Plain, State};
+
+pub use self::epochs::ImuRecords;
+use self::epochs::{Epoch, Epochs};
+use super::PipelineError;
+use crate::frame::Frame;
+use posed_fusion::body::{
+    AngleSpread, BodyEstimate, BodyFilter, BodyParams, BodySegment, Figure, Follower, Heading, SEGMENTS,
+    SensorMount, Skeleton, Tracked, angles,
+};
+use posed_fusion::faults::Cause;
+use posed_geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
+use posed_stage::input::{MountedSensor, SensorIndex};
+use posed_stage::layout::{Wearers, skeleton_of};
+use posed_stage::output::{Body, Estimate, PoseEstimate, PositionSource, SegmentEstimate, SegmentState};
+use posed_stage::{Mounting, Stage};
+
+/// Expected error of a segment that trackers show, and of one between them, rad.
+const TRACKED_RAD: f64 = 0.05;
+const BETWEEN_RAD: f64 = 0.15;
+
+#[derive(Clone, Debug, State)]
+pub(super) struct BodyStage {
+    #[state(keep)]
+    skeleton: Skeleton,
+    wearing: [Option<SensorIndex>; SEGMENTS],
+    trackers: Vec<WornTracker>,
+    epochs: Epochs,
+    solver: Solver,
+    /// The hips' mid-point where trackers last saw it, m.
+    pelvis_m: Option<Vector3<f64>>,
+    tracked: Vec<Tracked>,
+    out: Body,
+}
+
+/// A magnetic tracker on the body.
+#[derive(Clone, Copy, Debug, Plain)]
+struct WornTracker {
+    sensor: SensorIndex,
+    segment: BodySegment,
+    /// Sensor to segment; beside IMUs only its place counts.
+    segment_from_sensor: Isometry3<f64>,
+}
+
+/// How the body is found.
+#[derive(Clone, Debug, Plain)]
+enum Solver {
+    /// It is not known how the sensors sit.
+    Waiting,
+    Imus(Box<BodyFilter>),
+    Trackers(Box<Follower>),
+}
+
+impl BodyStage {
+    /// `None` where nobody wears the stage's sensors.
+    pub(super) fn new(stage: &Stage) -> Result<Option<Self>, PipelineError> {
+        let Some(body) = &stage.body else { return Ok(None) };
+        if body.skeleton != posed_stage::Skeleton::Human {
+            return Ok(None);
+        }
+        let wearers = Wearers::of(stage).map_err(|sensors| PipelineError::Worn { sensors })?;
+        if wearers == Wearers::default() {
+            return Ok(None);
+        }
+        let lacks = PipelineError::Value { key: "body.height_m", expected: "the person's height, m" };
+        let skeleton = skeleton_of(body).ok_or(lacks)?;
+        let given = body.mounting == Mounting::Given;
+        let mut trackers = Vec::with_capacity(wearers.trackers.len());
+        let mut turns_known = true;
+        for (index, segment) in &wearers.trackers {
+            let sensor = &stage.sensors[usize::from(*index)];
+            let turn = sensor.mount_quat_wxyz.and_then(orientation_from_wxyz);
+            turns_known &= turn.is_some();
+            let place_m = sensor.offset_m.map_or_else(|| skeleton.usual_sensor_m(*segment), Vector3::from);
+            let segment_from_sensor = Isometry3::from_parts(place_m.into(), turn.unwrap_or_default());
+            trackers.push(WornTracker { sensor: *index, segment: *segment, segment_from_sensor });
+        }
+        let imus = wearers.imus;
+        let field = all_have_field(stage, &imus);
+        let solver = if imus.iter().any(Option::is_some) {
+            if given {
+                Solver::imus(&skeleton, &mounting(stage, &imus, &skeleton)?, field)
+            } else {
+                Solver::Waiting
+            }
+        } else if turns_known {
+            Solver::Trackers(Box::new(Follower::new(skeleton)))
+        } else {
+            Solver::Waiting
+        };
+        Ok(Some(Self {
+            skeleton,
+            wearing: wearing(&imus, &trackers),
+            tracked: Vec::with_capacity(trackers.len()),
+            trackers,
+            epochs: Epochs::new(imus, field),
+            solver,
+            pelvis_m: None,
+            out: Body {
+                t_valid: Default::default(),
+                heading: Heading::Unknown,
+                position_source: PositionSource::Origin,
+                segments: vec![SegmentEstimate::default(); SEGMENTS],
+                angles_rad: Default::default(),
+                spread: AngleSpread::default(),
+            },
+        }))
+    }
+
+    /// Takes a closed frame; the body, if there is news of it.
+    pub(super) fn frame(&mut self, frame: &Frame, estimate: &Estimate) -> Option<&Body> {
+        match &mut self.solver {
+            Solver::Waiting => return None,
+            Solver::Imus(filter) => {
+                let mut t = None;
+                self.epochs.frame(frame, |Epoch { t: at, dt_s, samples, ages_s }| {
+                    filter.push_aged(samples, ages_s, *dt_s);
+                    t = Some(*at);
+                });
+                self.out.t_valid = t?;
+                let found = filter.estimate().clone();
+                self.place(&found, estimate);
+            }
+            Solver::Trackers(follower) => {
+                self.tracked.clear();
+                for worn in &self.trackers {
+                    let Some(pose) = shown(estimate, worn.sensor)
+                        .and_then(|pose| isometry(pose.position_m?, pose.orientation_wxyz))
+                    else {
+                        continue;
+                    };
+                    let WornTracker { segment, segment_from_sensor, .. } = *worn;
+                    self.tracked.push(Tracked { segment, room_from_sensor: pose, segment_from_sensor });
+                }
+                let figure = follower.push(&self.tracked)?;
+                self.out.t_valid = estimate.t_valid;
+                self.follow(&figure);
+            }
+        }
+        Some(&self.out)
+    }
+
+    /// Takes how the sensors sit, and where; `index` finds one by its name. False where one of them is not on the body, one of the
+    /// body is left out, two IMUs are on one segment, or a segment that wore none has one.
+    pub(super) fn mount(
+        &mut self,
+        sensors: &[MountedSensor],
+        index: impl Fn(&str) -> Option<SensorIndex>,
+    ) -> bool {
+        let mut all = [None; SEGMENTS];
+        let mut imus = [None; SEGMENTS];
+        let mut trackers = self.trackers.clone();
+        let mut tracked = 0;
+        for mounted in sensors {
+            let (Some(sensor), Some(pose)) =
+                (index(&mounted.sensor), isometry(mounted.offset_m, mounted.mount_quat_wxyz))
+            else {
+                return false;
+            };
+            let was = self.epochs.imus().iter().position(|imu| *imu == Some(sensor));
+            let found = mounted.segment.as_deref().and_then(BodySegment::named);
+            let mut trackers = trackers.iter_mut();
+            let tracker = trackers.find(|tracker| {
+                tracker.sensor == sensor && found.is_none_or(|found| found == tracker.segment)
+            });
+            if let Some(was) = was {
+                let segment = found.map_or(was, BodySegment::index);
+                let offset_m = pose.translation.vector;
+                all[segment] =
+                    Some(SensorMount { q_segment_sensor: pose.rotation, offset_m, heading_rad: None });
+                if imus[segment].replace(sensor).is_some() {
+                    return false;
+                }
+            } else if let Some(tracker) = tracker {
+                tracker.segment_from_sensor = pose;
+                tracked += 1;
+            } else {
+                return false;
+            }
+        }
+        // The same sensors on the same segments, if in another order.
+        let mut known = self.epochs.imus().iter().zip(&imus);
+        if known.any(|(was, is)| was.is_some() != is.is_some() || (was.is_some() && !imus.contains(was))) {
+            return false;
+        }
+        if imus.iter().any(Option::is_some) {
+            self.epochs.wear(imus);
+            self.solver = Solver::imus(&self.skeleton, &all, self.epochs.field());
+        } else if tracked == trackers.len() {
+            self.solver = Solver::Trackers(Box::new(Follower::new(self.skeleton)));
+        } else {
+            return false;
+        }
+        self.wearing = wearing(&imus, &trackers);
+        self.trackers = trackers;
+        self.pelvis_m = None;
+        true
+    }
+
+    /// A sensor's samples are corrected otherwise from now on: a body that wears it begins anew.
+    pub(super) fn restart(&mut self, sensor: SensorIndex) {
+        if let Solver::Imus(filter) = &self.solver
+            && self.epochs.imus().contains(&Some(sensor))
+        {
+            self.solver = Solver::imus(&self.skeleton, &filter.mounts(), self.epochs.field());
+        }
+    }
+
+    /// The latest body; none before the first.
+    pub(super) fn latest(&self) -> Option<&Body> {
+        (self.out.segments.iter().any(|segment| segment.state != SegmentState::Missing)).then_some(&self.out)
+    }
+
+    /// The IMU on each segment, as far as it is known by now.
+    pub(super) fn imus(&self) -> &[Option<SensorIndex>; SEGMENTS] {
+        self.epochs.imus()
+    }
+
+    /// Whether it is known how the sensors sit.
+    pub(super) fn is_mounted(&self) -> bool {
+        !matches!(self.solver, Solver::Waiting)
+    }
+
+    /// What is wrong with the sensors on it.
+    pub(super) fn faults(&self) -> impl Iterator<Item = (SensorIndex, &'static str, Cause)> {
+        let ill = |segment: BodySegment| {
+            let fault = self.out.segments[segment.index()].fault?;
+            Some((self.wearing[segment.index()]?, segment.name(), fault))
+        };
+        BodySegment::ALL.into_iter().filter_map(ill)
+    }
+
+    /// Fills in what IMUs show.
+    fn place(&mut self, found: &BodyEstimate, estimate: &Estimate) {
+        let all = found.completed();
+        let from_hips = self.skeleton.origins_m(&all, Vector3::zeros());
+        let standing_m = self.skeleton.standing_m(&all);
+        let (mut sum, mut count) = (Vector3::zeros(), 0.0);
+        for worn in &self.trackers {
+            let index = worn.segment.index();
+            if let Some(position_m) = shown(estimate, worn.sensor).and_then(|pose| pose.position_m)
+                && found.orientations[index].is_some()
+            {
+                let place = from_hips[index] + all[index] * worn.segment_from_sensor.translation.vector;
+                sum += Vector3::from(position_m) - place;
+                count += 1.0;
+            }
+        }
+        if count > 0.0 {
+            self.pelvis_m = Some(sum / count);
+        }
+        let (pelvis_m, position_source) = match self.pelvis_m {
+            Some(pelvis_m) if count > 0.0 => (pelvis_m, PositionSource::Trackers),
+            Some(pelvis_m) => (pelvis_m, PositionSource::Held),
+            None => (standing_m, PositionSource::Origin),
+        };
+        self.out.position_source = position_source;
+        self.out.heading = found.heading;
+        self.out.angles_rad = found.angles_rad;
+        self.out.spread = found.spread;
+        for (index, out) in self.out.segments.iter_mut().enumerate() {
+            let shown = found.orientations[index];
+            let fault = found.faults[index];
+            let state = match (shown, fault) {
+                (None, _) => SegmentState::Missing,
+                (Some(_), Some(_)) => SegmentState::Suspect,
+                (Some(_), None) if self.wearing[index].is_none() => SegmentState::Inferred,
+                (Some(_), None) => SegmentState::Ok,
+            };
+            *out = SegmentEstimate {
+                state,
+                fault,
+                sensor: self.wearing[index],
+                position_m: shown.map(|_| (pelvis_m + from_hips[index]).into()),
+                orientation_wxyz: shown.as_ref().map(orientation_to_wxyz),
+                sigma_rad: found.sigma_rad[index],
+            };
+        }
+    }
+
+    /// Fills in what trackers alone show.
+    fn follow(&mut self, figure: &Figure) {
+        let origins = self.skeleton.origins_m(&figure.orientations, figure.pelvis_m);
+        self.out.position_source = PositionSource::Trackers;
+        self.out.heading = Heading::Field;
+        self.out.angles_rad = angles(&figure.orientations.map(Some));
+        for segment in BodySegment::ALL {
+            let index = segment.index();
+            let seen = self.tracked.iter().any(|tracked| tracked.segment == segment);
+            let worn = self.trackers.iter().any(|tracker| tracker.segment == segment);
+            let (state, fault) = match (seen, worn) {
+                (true, _) => (SegmentState::Ok, None),
+                (false, true) => (SegmentState::Suspect, Some(Cause::Missing)),
+                (false, false) => (SegmentState::Inferred, None),
+            };
+            self.out.segments[index] = SegmentEstimate {
+                state,
+                fault,
+                sensor: self.wearing[index],
+                position_m: Some(origins[index].into()),
+                orientation_wxyz: Some(orientation_to_wxyz(&figure.orientations[index])),
+                sigma_rad: if seen { TRACKED_RAD } else { BETWEEN_RAD },
+            };
+        }
+        for segment in BodySegment::ALL {
+            let Some(parent) = segment.parent() else { continue };
+            let of = |segment: BodySegment| self.out.segments[segment.index()].sigma_rad.powi(2);
+            let [above, q] = [parent, segment].map(|of| figure.orientations[of.index()]);
+            let turn_rad2 = Matrix3::identity() * (of(parent) + of(segment));
+            self.out.spread.set(segment, &(above.inverse() * q), &turn_rad2);
+        }
+    }
+}
+
+impl Solver {
+    fn imus(skeleton: &Skeleton, worn: &[Option<SensorMount>; SEGMENTS], field: bool) -> Self {
+        let mut filter = BodyFilter::new(skeleton, worn, &BodyParams::default());
+        if field {
+            filter.await_field();
+        }
+        Self::Imus(Box::new(filter))
+    }
+}
+
+/// The sensor of each segment that is asked first: an IMU, else a tracker.
+fn wearing(
+    imus: &[Option<SensorIndex>; SEGMENTS],
+    trackers: &[WornTracker],
+) -> [Option<SensorIndex>; SEGMENTS] {
+    BodySegment::ALL.map(|segment| {
+        let tracker = trackers.iter().find(|tracker| tracker.segment == segment);
+        imus[segment.index()].or(tracker.map(|tracker| tracker.sensor))
+    })
+}
+
+/// How a sensor sits on its segment, as the stage file specifies; `None` where it does not say how it is turned.
+pub fn worn(sensor: &posed_stage::Sensor, segment: BodySegment, skeleton: &Skeleton) -> Option<SensorMount> {
+    let q_segment_sensor: UnitQuaternion<f64> = orientation_from_wxyz(sensor.mount_quat_wxyz?)?;
+    let offset_m = sensor.offset_m.map_or_else(|| skeleton.usual_sensor_m(segment), Vector3::from);
+    Some(SensorMount { q_segment_sensor, offset_m, heading_rad: None })
+}
+
+/// The mountings that a stage file gives.
+fn mounting(
+    stage: &Stage,
+    imus: &[Option<SensorIndex>; SEGMENTS],
+    skeleton: &Skeleton,
+) -> Result<[Option<SensorMount>; SEGMENTS], PipelineError> {
+    let mut all = [None; SEGMENTS];
+    for segment in BodySegment::ALL {
+        let Some(index) = imus[segment.index()] else { continue };
+        let worn = worn(&stage.sensors[usize::from(index)], segment, skeleton);
+        let lacks = PipelineError::Value {
+            key: "sensor.mount_quat_wxyz",
+            expected: "a quaternion for each sensor on the body, since its mounting is given",
+        };
+        all[segment.index()] = Some(worn.ok_or(lacks)?);
+    }
+    Ok(all)
+}
+
+/// Whether all of these sensors measure a field that their heading may follow.
+pub fn all_have_field(stage: &Stage, imus: &[Option<SensorIndex>; SEGMENTS]) -> bool {
+    imus.iter().flatten().all(|index| has_field(stage, *index))
+}
+
+/// The pose of a tracker that may be used, or that its IMU carries on.
+fn shown(estimate: &Estimate, sensor: SensorIndex) -> Option<&PoseEstimate> {
+    let sensor = estimate.sensors.get(usize::from(sensor))?;
+    sensor.pose.as_ref().filter(|_| sensor.state.is_usable() || sensor.coasted)
+}
+
+fn has_field(stage: &Stage, index: SensorIndex) -> bool {
+    let sensor = &stage.sensors[usize::from(index)];
+    let device = stage.devices.iter().find(|device| device.name == sensor.device);
+    sensor.magnetometer && device.is_some_and(|device| device.driver.measures_field())
+}

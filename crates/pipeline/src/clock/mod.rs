@@ -1,0 +1,400 @@
+//! Capture times: from a record's arrival and its device's counter to `t_valid` with an uncertainty.
+//!
+//! What comes in: samples in the order of their arrival. What goes out: one [`Stamp`] per sample. What it
+//! never does: read a clock; assume that bytes come in at the line's pace; let `t_valid` run backwards.
+//!
+//! The device measures cycle `x` at `t(x) = a + P x`. One read tells two things: its bytes were on the host's
+//! side at or before `t_read`, a bound that delays of any kind cannot break, and the first of them not before
+//! `t_previous_read`, since a read delivers all there is ([`reads`]). A burst adapter makes both loose, but their phases
+//! differ from cycle to cycle, and over a [`Window`] the gap between the bounds closes: `P` is a robust fit,
+//! `a` the middle of the gap, the stated uncertainty its width. Where reads follow the bytes closely the lower
+//! bound says nothing (nothing came since the last cycle), and the usual lateness takes its place.
+//!
+//! A device that counts states how much time lies between two of its cycles. Its ticks are only as long as its crystal
+//! is right, so `x` is its count in nominal periods and `P` is within [`CRYSTAL`] of nominal: that makes the fit
+//! right from the first second on, and lost cycles cost nothing.
+//!
+//! Cycles that leave no trace on the wire make the driver's count fall behind. The same bounds show it: a
+//! cycle cannot have been read before it was measured, nor have waited through an earlier read. The first is
+//! proof. The second may be a host that stamped the earlier read late, so it is believed on [`Trial`]: times follow at
+//! once, but count and window only when [`CONFIRMED`] reads agree, and none that contradicts has come before.
+
+mod arrival;
+mod interval;
+pub mod offset;
+mod reads;
+mod window;
+
+use posed_drivers::{DeviceTime, Sample, Timestamp};
+use posed_state::Plain;
+use std::time::Duration;
+
+pub use arrival::ArrivalClock;
+use interval::Interval;
+use reads::{Evidence, Reads};
+use window::{Fit, Nominal, Window};
+
+/// Uncertainty that remains when the bounds meet: stamps and adapters are not better than this, s.
+const SIGMA_FLOOR_S: f64 = 1e-4;
+/// Slack of a bound before it counts as broken, s.
+const TOLERANCE_S: f64 = 3e-4;
+/// Share of a period by which one cycle's time may be corrected.
+const SLEW: f64 = 0.05;
+/// So many of the latest [`INCONSISTENT_SPAN`] cycles outside their bounds mean another phase: start again.
+const INCONSISTENT_LIMIT: u32 = 32;
+const INCONSISTENT_SPAN: u32 = 64;
+/// Bytes that a UART may keep to itself, beyond those that the bounds allow for.
+const FIFO_BYTES: f64 = 9.0;
+/// By how much less than whole cycles a read may be late and still mean that they are missing, s.
+const LATE_BY_LESS_S: f64 = 5e-5;
+/// Share of a period by which the bounds of a window may contradict each other.
+const CONTRADICTION: f64 = 0.4;
+/// Reads that must agree on cycles that left no trace.
+const CONFIRMED: u32 = 3;
+/// Cycles after which a suspicion that was neither confirmed nor refuted is dropped.
+const TRIAL_CYCLES: u32 = 64;
+/// How far a device's counter may be off, as a share: crystals are within 100 ppm, ceramic resonators within 0.5 %.
+const CRYSTAL: f64 = 1e-3;
+/// Period of a device that counts and has not said its rate, s.
+const UNREPORTED_PERIOD_S: f64 = 0.01;
+/// Least spacing of two cycles of one device, ns.
+const LEAST_STEP_NS: i64 = 1_000;
+
+/// What is known of a line beforehand.
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
+pub struct Settings {
+    /// Time of one byte on the line, s.
+    pub byte_time_s: f64,
+    /// Constant delay from measurement to the first byte of the cycle, s.
+    pub measurement_delay_s: f64,
+}
+
+/// Capture time of one sample.
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
+pub struct Stamp {
+    /// When the measurement was true; the same for all samples of one cycle.
+    pub t_valid: Timestamp,
+    /// Standard deviation of `t_valid`, s.
+    pub sigma_s: f64,
+    /// Whether this sample begins a cycle.
+    pub begins_cycle: bool,
+    /// Cycles that are missing in front of this one: nothing of them came through.
+    pub cycles_skipped: u32,
+}
+
+/// Clock model of one device.
+#[derive(Clone, Debug, Plain)]
+pub struct Clock {
+    settings: Settings,
+    /// Period to believe until the data speak, s.
+    nominal_period_s: Option<f64>,
+    reads: Reads,
+    window: Window,
+    fit: Option<Fit>,
+    origin: Option<Origin>,
+    /// Intervals of the cycles in units of `x`: 1 but for devices that count.
+    interval: Interval,
+    /// Cycles that the driver's count is behind (Cycle only).
+    renumbered: i64,
+    trial: Option<Trial>,
+    last: Option<Cycle>,
+    /// Bytes that usually follow in the chunk of a cycle's first record.
+    usual_bytes_after: u32,
+    inconsistent: u32,
+    inconsistent_seen: u32,
+}
+
+/// Where internal times and counts begin, so that doubles keep their precision.
+#[derive(Clone, Copy, Debug, Plain)]
+struct Origin {
+    t: Timestamp,
+    index: u64,
+    /// Ticks of the device's counter per unit of `x`; 1 where it does not count.
+    ticks: f64,
+    /// Nominal duration of that many ticks, s, where the device counts.
+    counted_s: Option<f64>,
+}
+
+impl Origin {
+    fn new(sample: &Sample, raw: u64, nominal_period_s: Option<f64>) -> Self {
+        let t = sample.arrival.t_read;
+        match sample.t_device {
+            DeviceTime::Cycle(_) => Self { t, index: raw, ticks: 1.0, counted_s: None },
+            DeviceTime::Counter { tick_s, .. } => {
+                let ticks = (nominal_period_s.unwrap_or(UNREPORTED_PERIOD_S) / tick_s).round().max(1.0);
+                Self { t, index: raw, ticks, counted_s: Some(ticks * tick_s) }
+            }
+        }
+    }
+
+    /// Position of a count on the clock's own axis.
+    fn x(&self, raw: u64) -> f64 {
+        raw.wrapping_sub(self.index) as i64 as f64 / self.ticks
+    }
+}
+
+/// A suspicion that cycles have left no trace.
+#[derive(Clone, Copy, Debug, Plain)]
+struct Trial {
+    /// How many.
+    shift: i64,
+    /// Reads that say so, and the latest of them.
+    agreeing: u32,
+    t_read: Timestamp,
+    /// Cycles since it began.
+    cycles: u32,
+}
+
+/// The latest cycle.
+#[derive(Clone, Copy, Debug, Plain)]
+struct Cycle {
+    /// The device's own count.
+    raw: u64,
+    /// Count after renumbering, from the origin.
+    x: f64,
+    t_valid: Timestamp,
+    sigma_s: f64,
+}
+
+impl Clock {
+    /// A clock that has seen nothing yet.
+    pub fn new(settings: Settings) -> Self {
+        Self {
+            settings,
+            nominal_period_s: None,
+            reads: Reads::new(),
+            window: Window::new(),
+            fit: None,
+            origin: None,
+            interval: Interval::default(),
+            renumbered: 0,
+            trial: None,
+            last: None,
+            usual_bytes_after: 0,
+            inconsistent: 0,
+            inconsistent_seen: 0,
+        }
+    }
+
+    /// Tells the rate that the device claims, Hz; believed only until the data speak, and only if they
+    /// do not contradict it.
+    pub fn set_nominal_rate_hz(&mut self, rate_hz: Option<f64>) {
+        let period = rate_hz.filter(|rate| rate.is_finite() && *rate > 0.0).map(f64::recip);
+        self.nominal_period_s = period.filter(|period| *period < 60.0).or(self.nominal_period_s);
+    }
+
+    /// The line has a wire on which bytes take their time; without this word the clock finds out, where it can.
+    pub fn know_wire(&mut self) {
+        self.reads.know_wire();
+        self.window.know_wire();
+    }
+
+    /// Forgets the phase: the device or its line began anew. The period is kept as the nominal one.
+    pub fn restart(&mut self) {
+        if let Some(period) = self.period_s() {
+            self.nominal_period_s = Some(period);
+        }
+        self.window.clear();
+        self.fit = None;
+        self.origin = None;
+        self.interval = Interval::default();
+        self.renumbered = 0;
+        self.trial = None;
+        self.usual_bytes_after = 0;
+        self.inconsistent = 0;
+        self.inconsistent_seen = 0;
+        // `last` stays: time goes on rising over a restart.
+    }
+
+    /// Measured period of a cycle, s, once known.
+    pub fn period_s(&self) -> Option<f64> {
+        self.fit.map(|fit| fit.period_s * self.interval.x()).filter(|_| self.window.is_settled())
+    }
+
+    /// Measured period, or the nominal one before that, s.
+    pub fn period_or_nominal_s(&self) -> Option<f64> {
+        self.period_s().or(self.nominal_period_s)
+    }
+
+    /// Standard deviation of the latest `t_valid`, s.
+    pub fn sigma_t_s(&self) -> Option<f64> {
+        self.last.map(|cycle| cycle.sigma_s)
+    }
+
+    /// Capture time of the latest cycle.
+    pub fn latest(&self) -> Option<Timestamp> {
+        self.last.map(|cycle| cycle.t_valid)
+    }
+
+    /// Takes the next sample and returns when it was measured.
+    pub fn push(&mut self, sample: &Sample) -> Stamp {
+        let (raw, counted) = match sample.t_device {
+            DeviceTime::Cycle(cycle) => (cycle, false),
+            DeviceTime::Counter { ticks, .. } => (ticks, true),
+        };
+        if self.last.is_some_and(|last| raw < last.raw) {
+            self.restart();
+        }
+        if self.reads.push(&sample.arrival) {
+            self.window.know_wire();
+        }
+        let known = self.origin.is_some();
+        let nominal = self.nominal_period_s;
+        let origin = *self.origin.get_or_insert_with(|| Origin::new(sample, raw, nominal));
+        let begins_cycle = !known || self.last.is_none_or(|last| raw != last.raw);
+        let count = origin.x(raw);
+        let byte_s = self.settings.byte_time_s;
+        let mut evidence =
+            self.reads.evidence(&sample.arrival, origin.t, count + self.renumbered as f64, byte_s);
+        if begins_cycle && self.fit.is_some_and(|fit| self.window.may_judge(fit.prompt)) {
+            self.check(&evidence, !counted);
+            if self.fit.is_none() {
+                // The check found another phase and started again.
+                return self.push(sample);
+            }
+        }
+        let tried = self.trial.map_or(0, |trial| trial.shift);
+        let x = count + (self.renumbered + tried) as f64;
+        evidence.x = x;
+        if self.trial.is_some() {
+            // Evidence of a count that may be wrong would bend the line.
+        } else if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S)
+            || self.fit.is_none()
+        {
+            let nominal = origin.counted_s.map(Nominal::Counted).or(nominal.map(Nominal::Reported));
+            self.fit = self.window.fit(nominal);
+            if !counted && self.fit.is_some_and(|fit| fit.crossing > CONTRADICTION * fit.period_s) {
+                // A cycle was lost before the line was firm enough to show it, or the device has changed its phase.
+                self.restart();
+                return self.push(sample);
+            }
+        } else if let Some(fit) = &mut self.fit {
+            fit.tighten(&evidence);
+        }
+        if begins_cycle { self.begin_cycle(raw, x, origin, known, &evidence) } else { self.repeat() }
+    }
+
+    /// Holds a cycle's bounds against the model, and puts the count right where they contradict it.
+    fn check(&mut self, evidence: &Evidence, may_renumber: bool) {
+        let Some(fit) = self.fit else { return };
+        let period = fit.period_s;
+        let tolerance = TOLERANCE_S.min(0.3 * period);
+        let late = evidence.upper - fit.line(evidence.x);
+        // Bytes may have lain in a UART's buffer while the earlier read took place.
+        let early_tolerance = (TOLERANCE_S + FIFO_BYTES * self.settings.byte_time_s).min(0.3 * period);
+        let early = evidence.lower.map_or(f64::NEG_INFINITY, |lower| lower - fit.line(evidence.x));
+        let usual = fit.prompt && late <= fit.upper + fit.lateness + tolerance;
+        let mut inconsistent = fit.prompt && !usual;
+        if late < fit.lower - tolerance {
+            // Read before it was measured: a shift was wrong, or the line is.
+            let ahead = ((fit.lower - tolerance - late) / period).ceil() as i64;
+            inconsistent = self.renumbered < ahead;
+            self.renumber(if inconsistent { 0 } else { -ahead });
+        } else if early > fit.upper + early_tolerance {
+            // It would have waited through an earlier read: the count is behind, if a whole number fits.
+            let n = ((early - fit.upper - tolerance) / period).ceil();
+            let fits = late - n * period >= fit.lower - tolerance;
+            inconsistent = !fits || !may_renumber;
+            if fits && may_renumber {
+                self.suspect(n as i64, evidence.t_read);
+            }
+        } else if fit.prompt && late > fit.upper + 0.5 * period {
+            // Late by whole periods on a prompt line, with nothing queued behind it: cycles are missing. A
+            // late reader would have found the following cycles in the same chunk.
+            let n = ((late - fit.upper) / period).round();
+            let rest = late - n * period;
+            // A host that was late by a little less than a cycle would have found no more either.
+            let fits = rest >= fit.upper - LATE_BY_LESS_S && rest <= fit.upper + fit.lateness + tolerance;
+            if fits && evidence.bytes_after <= self.usual_bytes_after {
+                inconsistent = !may_renumber;
+                self.renumber(if may_renumber { n as i64 } else { 0 });
+            }
+        } else if usual {
+            self.usual_bytes_after = self.usual_bytes_after.max(evidence.bytes_after);
+        }
+        if let Some(trial) = &mut self.trial {
+            trial.cycles += 1;
+            let refuted = late - trial.shift as f64 * period < fit.lower - tolerance;
+            if refuted || trial.cycles > TRIAL_CYCLES {
+                self.trial = None;
+            } else if trial.agreeing >= CONFIRMED {
+                let shift = trial.shift;
+                self.renumber(shift);
+            }
+        }
+        self.count_consistency(inconsistent);
+    }
+
+    fn renumber(&mut self, shift: i64) {
+        self.renumbered += shift;
+        self.trial = None;
+    }
+
+    /// One more read says that at least so many cycles left no trace.
+    fn suspect(&mut self, shift: i64, t_read: Timestamp) {
+        let begun = Trial { shift, agreeing: 1, t_read, cycles: 0 };
+        let trial = self.trial.get_or_insert(begun);
+        if shift > trial.shift {
+            *trial = begun;
+        } else if trial.t_read != t_read {
+            trial.agreeing += 1;
+            trial.t_read = t_read;
+        }
+    }
+
+    fn count_consistency(&mut self, inconsistent: bool) {
+        self.inconsistent_seen += 1;
+        self.inconsistent += u32::from(inconsistent);
+        if self.inconsistent >= INCONSISTENT_LIMIT {
+            self.restart();
+        } else if self.inconsistent_seen >= INCONSISTENT_SPAN {
+            self.inconsistent_seen = 0;
+            self.inconsistent = 0;
+        }
+    }
+
+    fn begin_cycle(&mut self, raw: u64, x: f64, origin: Origin, known: bool, evidence: &Evidence) -> Stamp {
+        let (relative_s, sigma_s, period_s) = match &self.fit {
+            Some(fit) => (fit.line(x) + fit.middle, fit.sigma, fit.period_s),
+            None => (evidence.upper, 1e-2, 1e-2),
+        };
+        let model_ns = ((relative_s - self.settings.measurement_delay_s) * 1e9).round() as i64;
+        let mut t_ns = origin.t.as_nanos().saturating_add(model_ns);
+        let mut cycles_skipped = 0;
+        if let Some(last) = self.last {
+            let steps = x - last.x;
+            if known && steps > 0.0 {
+                if origin.counted_s.is_some() {
+                    self.interval.push(steps);
+                }
+                cycles_skipped = ((steps / self.interval.x()).round() as u32).saturating_sub(1);
+                let expected_ns = last.t_valid.as_nanos().saturating_add((steps * period_s * 1e9) as i64);
+                let error_ns = t_ns.saturating_sub(expected_ns);
+                let limit_ns = (SLEW * period_s * steps * 1e9) as i64;
+                // A renumbering or a first fit is put right at once, a correction of the phase bit by bit.
+                if self.window.is_settled() && error_ns.saturating_abs() < (0.5 * period_s * 1e9) as i64 {
+                    t_ns = expected_ns + error_ns.clamp(-limit_ns, limit_ns);
+                }
+            }
+            t_ns = t_ns.max(last.t_valid.as_nanos() + LEAST_STEP_NS);
+        }
+        let t_valid = Timestamp::from_nanos(t_ns);
+        self.last = Some(Cycle { raw, x, t_valid, sigma_s });
+        Stamp { t_valid, sigma_s, begins_cycle: true, cycles_skipped }
+    }
+
+    fn repeat(&self) -> Stamp {
+        let (t_valid, sigma_s) =
+            self.last.map_or((Timestamp::ZERO, 0.0), |last| (last.t_valid, last.sigma_s));
+        Stamp { t_valid, sigma_s, begins_cycle: false, cycles_skipped: 0 }
+    }
+
+    /// Capture time that the model gives for `cycles` after the latest one; `None` before the period is known.
+    pub fn predict(&self, cycles: u32) -> Option<Timestamp> {
+        let period_s = self.period_or_nominal_s()?;
+        Some(self.latest()? + Duration::from_secs_f64(period_s * f64::from(cycles)))
+    }
+}
+
+#[cfg(test)]
+mod tests;

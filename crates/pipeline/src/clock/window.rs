@@ -1,0 +1,393 @@
+//! The evidence of the latest cycles, and the line through it.
+
+use super::reads::Evidence;
+use super::{CRYSTAL, SIGMA_FLOOR_S};
+use posed_state::Plain;
+
+/// Cycles in one block.
+const BLOCK_CYCLES: u32 = 8;
+/// Blocks in the window: 3072 cycles, half a minute at 100 Hz.
+const BLOCKS: usize = 384;
+/// From so many blocks on the fitted period is better than a nominal one.
+const SETTLED_BLOCKS: usize = 6;
+/// From so many on it is good enough under bursts to tell one cycle from the next.
+const FIRM_BLOCKS: usize = 12;
+/// Share of blocks whose lower bound may be wrong: a late reader stamps it late.
+const TRIMMED: f64 = 0.15;
+
+/// Periods that a device may have, s; arrivals without sense must not give others.
+const PERIOD_RANGE_S: std::ops::Range<f64> = 1e-4..60.0;
+/// One block in so many is taken to be free of delays by the host.
+const UNDISTURBED: usize = 8;
+/// Candidate periods on either side of the first estimate.
+const GRID: usize = 8;
+/// Inflation of the spread between bounds, so that two sigmas hold also for simulated bursts in step with the cycles.
+const STILL_PHASES: f64 = 1.8;
+
+/// What is known of the period before the data speak, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Nominal {
+    /// A rate that the device claims: a hint.
+    Reported(f64),
+    /// Ticks of the device's counter: no further off than [`CRYSTAL`].
+    Counted(f64),
+}
+
+impl Nominal {
+    /// The period nearest to a measured one that can be.
+    fn limit(nominal: Option<Self>, period_s: f64) -> f64 {
+        match nominal {
+            Some(Self::Counted(period)) => period_s.clamp(period * (1.0 - CRYSTAL), period * (1.0 + CRYSTAL)),
+            _ => period_s,
+        }
+    }
+}
+
+/// A bound at one cycle.
+#[derive(Clone, Copy, Debug, Plain)]
+struct Point {
+    x: f64,
+    t: f64,
+}
+
+/// The tightest bounds of a few cycles.
+#[derive(Clone, Copy, Debug, Plain)]
+struct Block {
+    cycles: u32,
+    samples: f64,
+    sum_x: f64,
+    sum_paced: f64,
+    sum_prompt: f64,
+    upper: Point,
+    lower: Option<Point>,
+    paced: Point,
+}
+
+/// `t = base_t + period (x - base_x)` plus something between `lower` and `upper`.
+#[derive(Clone, Copy, Debug, Plain)]
+pub(super) struct Fit {
+    pub(super) period_s: f64,
+    base_x: f64,
+    base_t: f64,
+    /// Bounds of the offset from the line, s.
+    pub(super) upper: f64,
+    pub(super) lower: f64,
+    /// Best offset from the line, s, and its standard deviation.
+    pub(super) middle: f64,
+    pub(super) sigma: f64,
+    /// How late a read usually is at most, s: twice the mean, and what pacing, if there were any, would take
+    /// off the upper bound.
+    pub(super) lateness: f64,
+    /// Reads follow the bytes closely.
+    pub(super) prompt: bool,
+    /// By how much the bounds of the window contradict each other whatever the line, s.
+    pub(super) crossing: f64,
+}
+
+impl Fit {
+    /// The line without its offset, s.
+    pub(super) fn line(&self, x: f64) -> f64 {
+        self.base_t + self.period_s * (x - self.base_x)
+    }
+
+    /// Takes the one bound that needs no second opinion.
+    pub(super) fn tighten(&mut self, evidence: &Evidence) {
+        let upper = evidence.upper - self.line(evidence.x);
+        if upper < self.upper {
+            self.lower = self.lower.min(upper);
+            self.upper = upper;
+            self.middle = self.middle.min(upper);
+        }
+    }
+}
+
+/// A sliding window of blocks.
+#[derive(Clone, Debug, Plain)]
+pub(super) struct Window {
+    /// Ring, oldest at `start` once full.
+    blocks: Vec<Block>,
+    next: usize,
+    /// Sums over the first cycles, for a period before there are blocks: n, x, t, xx, xt.
+    sums: [f64; 5],
+    #[state(skip)]
+    scratch: Vec<f64>,
+}
+
+impl Window {
+    pub(super) fn new() -> Self {
+        Self {
+            blocks: Vec::with_capacity(BLOCKS),
+            next: 0,
+            sums: [0.0; 5],
+            scratch: Vec::with_capacity(BLOCKS),
+        }
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.blocks.clear();
+        self.next = 0;
+        self.sums = [0.0; 5];
+    }
+
+    /// Bytes have turned out to take their time on a wire.
+    pub(super) fn know_wire(&mut self) {
+        for block in &mut self.blocks {
+            block.upper = block.paced;
+        }
+    }
+
+    /// Whether the period comes from the data.
+    pub(super) fn is_settled(&self) -> bool {
+        self.blocks.len() > SETTLED_BLOCKS
+    }
+
+    /// Whether the line is firm enough to doubt the count of cycles by it: bursts need more cycles for that.
+    pub(super) fn may_judge(&self, prompt: bool) -> bool {
+        self.blocks.len() > if prompt { SETTLED_BLOCKS } else { FIRM_BLOCKS }
+    }
+
+    /// Adds one arrival; returns whether it is time to fit again.
+    pub(super) fn push(
+        &mut self,
+        evidence: &Evidence,
+        begins_cycle: bool,
+        fit: Option<&Fit>,
+        tolerance_s: f64,
+    ) -> bool {
+        // A lower bound above the upper one was stamped late; it would only pull the middle up.
+        let lower = match fit {
+            Some(fit) if self.is_settled() => {
+                evidence.lower.filter(|lower| lower - fit.line(evidence.x) <= fit.upper + tolerance_s)
+            }
+            _ => evidence.lower,
+        };
+        let settled = self.is_settled();
+        if !settled {
+            let (x, t) = (evidence.x, evidence.upper);
+            for (sum, term) in self.sums.iter_mut().zip([1.0, x, t, x * x, x * t]) {
+                *sum += term;
+            }
+        }
+        let period = fit.map_or(0.0, |fit| fit.period_s);
+        let full = self.newest().is_none_or(|block| begins_cycle && block.cycles >= BLOCK_CYCLES);
+        if full {
+            self.start_block(evidence, lower);
+        } else {
+            let at = self.newest_index();
+            let block = &mut self.blocks[at];
+            block.cycles += u32::from(begins_cycle);
+            block.samples += 1.0;
+            block.sum_x += evidence.x;
+            block.sum_paced += evidence.paced;
+            block.sum_prompt += evidence.prompt;
+            let offset = |point: &Point| point.t - period * point.x;
+            let upper = Point { x: evidence.x, t: evidence.upper };
+            if offset(&upper) < offset(&block.upper) {
+                block.upper = upper;
+            }
+            let paced = Point { x: evidence.x, t: evidence.paced };
+            if offset(&paced) < offset(&block.paced) {
+                block.paced = paced;
+            }
+            if let Some(t) = lower {
+                let lower = Point { x: evidence.x, t };
+                if block.lower.as_ref().is_none_or(|held| offset(&lower) > offset(held)) {
+                    block.lower = Some(lower);
+                }
+            }
+        }
+        full || !settled
+    }
+
+    fn newest_index(&self) -> usize {
+        (self.next + BLOCKS - 1) % BLOCKS
+    }
+
+    fn newest(&self) -> Option<&Block> {
+        self.blocks.get(self.newest_index())
+    }
+
+    fn start_block(&mut self, evidence: &Evidence, lower: Option<f64>) {
+        let x = evidence.x;
+        let block = Block {
+            cycles: 1,
+            samples: 1.0,
+            sum_x: x,
+            sum_paced: evidence.paced,
+            sum_prompt: evidence.prompt,
+            upper: Point { x, t: evidence.upper },
+            lower: lower.map(|t| Point { x, t }),
+            paced: Point { x, t: evidence.paced },
+        };
+        if self.blocks.len() < BLOCKS {
+            self.blocks.push(block);
+        } else {
+            self.blocks[self.next] = block;
+        }
+        self.next = (self.next + 1) % BLOCKS;
+    }
+
+    /// The line through the window; `None` while there is not enough to know a period.
+    pub(super) fn fit(&mut self, nominal: Option<Nominal>) -> Option<Fit> {
+        let settled = self.is_settled();
+        let period_s = match nominal {
+            Some(Nominal::Counted(period_s)) if !settled => Some(period_s),
+            Some(Nominal::Reported(period_s)) if !settled => self.first_slope(Some(period_s)),
+            None if !settled => self.first_slope(None),
+            _ => self.slope().map(|period_s| Nominal::limit(nominal, period_s)),
+        };
+        let period_s = period_s.filter(|period_s| PERIOD_RANGE_S.contains(period_s))?;
+        let newest = *self.newest()?;
+        let base = newest.upper;
+        let offset = |point: &Point| point.t - base.t - period_s * (point.x - base.x);
+        let (upper, bound) = self.bounds(period_s, base);
+        let paced = self.blocks.iter().map(|block| offset(&block.paced)).fold(f64::INFINITY, f64::min);
+        // A read is late by up to twice the mean; and nobody knows yet whether bytes take their time.
+        let mut lateness = |sum: fn(&Block) -> f64, n: usize| {
+            self.scratch.clear();
+            self.scratch.extend(self.blocks.iter().map(|block| {
+                offset(&Point { x: block.sum_x / block.samples, t: sum(block) / block.samples })
+            }));
+            let usual = nth(&mut self.scratch, n, false)?;
+            Some(2.0 * (usual - paced).max(0.0) + (upper - paced).max(0.0))
+        };
+        let middle = self.blocks.len() / 2;
+        let prompt = lateness(|block| block.sum_prompt, middle)? < 0.5 * period_s;
+        let median = lateness(|block| block.sum_paced, middle)?;
+        let bursts = bound > upper - median;
+        // On a prompt line the blocks that fared best speak: a host that is late now and then gives no information about how
+        // late reads usually are.
+        let undisturbed = self.blocks.len() / UNDISTURBED;
+        let lateness = if prompt { lateness(|block| block.sum_paced, undisturbed)? } else { median };
+        let lower = bound.max(upper - lateness);
+        // Bounds that cross by a little, from an imperfect slope, share the error.
+        let (lower, upper) = if lower > upper { (upper, lower) } else { (lower, upper) };
+        let half = 0.5 * (upper - lower);
+        let first = Fit {
+            period_s,
+            base_x: base.x,
+            base_t: base.t,
+            upper,
+            lower,
+            middle: 0.5 * (upper + lower),
+            sigma: (half * half / 3.0 + SIGMA_FLOOR_S * SIGMA_FLOOR_S).sqrt(),
+            lateness,
+            prompt,
+            crossing: 0.0,
+        };
+        Some(if settled && bursts { self.posterior(first, base, nominal) } else { first })
+    }
+
+    /// Offsets of the tightest upper and lower bound from a line of the given period through `base`.
+    fn bounds(&mut self, period_s: f64, base: Point) -> (f64, f64) {
+        let offset = |point: &Point| point.t - base.t - period_s * (point.x - base.x);
+        let mut upper = f64::INFINITY;
+        self.scratch.clear();
+        for block in &self.blocks {
+            upper = upper.min(offset(&block.upper));
+            self.scratch.extend(block.lower.as_ref().map(offset));
+        }
+        let trimmed = (TRIMMED * self.scratch.len() as f64) as usize;
+        (upper, nth(&mut self.scratch, trimmed, true).unwrap_or(f64::NEG_INFINITY))
+    }
+
+    /// Mean and spread of all lines between the bounds, each as likely as any other.
+    ///
+    /// With bursts in step with the cycles the middles of the blocks jump by whole phases and least squares
+    /// follows the jumps; what the bounds allow as a whole is honest about it. Where they allow no line at all,
+    /// bytes were kept for longer than the lower bounds admit, and those give way.
+    fn posterior(&mut self, first: Fit, base: Point, nominal: Option<Nominal>) -> Fit {
+        let Some(oldest) = self.blocks.get(self.next % self.blocks.len()) else { return first };
+        let span = (base.x - oldest.upper.x).max(1.0);
+        let reach = (2.0 * (first.upper - first.lower) + 1e-3) / span;
+        let candidates: [(f64, f64, f64); 2 * GRID + 1] = std::array::from_fn(|i| {
+            let candidate = Nominal::limit(nominal, first.period_s + reach * (i as f64 / GRID as f64 - 1.0));
+            let (upper, bound) = self.bounds(candidate, base);
+            (candidate, upper, bound.max(upper - first.lateness))
+        });
+        let most =
+            candidates.iter().map(|&(_, upper, lower)| upper - lower).fold(f64::NEG_INFINITY, f64::max);
+        let crossing = (-most).max(0.0);
+        let (mut weight, mut period, mut mean, mut square) = (0.0, 0.0, 0.0, 0.0);
+        for (candidate, upper, lower) in candidates {
+            let lower = lower - crossing;
+            let room = upper - lower + SIGMA_FLOOR_S;
+            if room > 0.0 {
+                let middle = 0.5 * (upper + lower);
+                weight += room;
+                period += room * candidate;
+                mean += room * middle;
+                square += room * (middle * middle + room * room / 12.0);
+            }
+        }
+        if weight.is_nan() || weight <= 0.0 {
+            return first;
+        }
+        let (period_s, middle) = (period / weight, mean / weight);
+        if !PERIOD_RANGE_S.contains(&period_s) {
+            return first;
+        }
+        let variance = (square / weight - middle * middle).max(0.0);
+        let (upper, bound) = self.bounds(period_s, base);
+        let lower = (bound - crossing).max(upper - first.lateness).min(middle);
+        // Phases that stand still give less than independent bounds would; the factor covers it.
+        let sigma = STILL_PHASES * (variance + SIGMA_FLOOR_S * SIGMA_FLOOR_S).sqrt();
+        Fit { period_s, upper: upper.max(middle), lower, middle, sigma, crossing, ..first }
+    }
+
+    /// Period from the first cycles, by least squares and the nominal one.
+    fn first_slope(&self, nominal_period_s: Option<f64>) -> Option<f64> {
+        let [n, x, t, xx, xt] = self.sums;
+        let spread = n * xx - x * x;
+        let span = (12.0 * spread / (n * n)).sqrt();
+        let measured = (n * xt - x * t) / spread;
+        match nominal_period_s {
+            None => (span > 3.0).then_some(measured),
+            Some(nominal) if span < 3.0 => Some(nominal),
+            Some(nominal) => {
+                // A slow line makes a unit skip whole cycles, so that its period is a multiple of the nominal.
+                let multiple = (measured / nominal).round().max(1.0) * nominal;
+                Some(if (measured / multiple - 1.0).abs() < 0.2 { multiple } else { measured })
+            }
+        }
+    }
+
+    /// Period from the middles of the blocks' bounds, by least squares without the outliers.
+    fn slope(&self) -> Option<f64> {
+        let first = self.blocks.first()?.upper;
+        let middle = |block: &Block| {
+            let lower = block.lower.unwrap_or(block.upper);
+            let x = 0.5 * (block.upper.x + lower.x) - first.x;
+            (x, 0.5 * (block.upper.t + lower.t) - first.t)
+        };
+        let bounded = || self.blocks.iter().filter(|block| block.lower.is_some()).map(middle);
+        let (mut a, mut b) = least_squares(bounded())?;
+        for _ in 0..2 {
+            let residual = |(x, t): (f64, f64)| (t - a - b * x).abs();
+            let (sum, n) = bounded().fold((0.0, 0.0), |(sum, n), point| (sum + residual(point), n + 1.0));
+            let limit = 2.0 * sum / n + 1e-5;
+            (a, b) = least_squares(bounded().filter(|&point| residual(point) <= limit))?;
+        }
+        Some(b)
+    }
+}
+
+/// Intercept and slope.
+fn least_squares(points: impl Iterator<Item = (f64, f64)> + Clone) -> Option<(f64, f64)> {
+    let (n, x, t) = points.clone().fold((0.0, 0.0, 0.0), |(n, x, t), p| (n + 1.0, x + p.0, t + p.1));
+    let (mean_x, mean_t) = (x / n, t / n);
+    let (xx, xt) = points.fold((0.0, 0.0), |(xx, xt), p| {
+        (xx + (p.0 - mean_x) * (p.0 - mean_x), xt + (p.0 - mean_x) * (p.1 - mean_t))
+    });
+    let slope = xt / xx;
+    slope.is_finite().then_some((mean_t - slope * mean_x, slope))
+}
+
+/// The n-th smallest (or largest) value.
+fn nth(values: &mut [f64], n: usize, largest: bool) -> Option<f64> {
+    if n >= values.len() {
+        return None;
+    }
+    let order = |a: &f64, b: &f64| if largest { b.total_cmp(a) } else { a.total_cmp(b) };
+    Some(*values.select_nth_unstable_by(n, order).1)
+}

@@ -1,0 +1,208 @@
+//! The exercise stage: counts taught exercises in what the stage tracks.
+//!
+//! What comes in: estimates, exercises, and what clients ask. What goes out: outcomes of the subjects' repetitions. What
+//! it never does: cost anything while nobody counts. An exercise that is loaded is counted for the subject
+//! [`DEFAULT_SUBJECT`] until that subject selects its own.
+
+mod subject;
+
+use std::collections::BTreeMap;
+
+use posed_state::State;
+
+use self::subject::Subject;
+use posed_motion::exercise::{Counter, Exercise};
+use posed_stage::Stage;
+use posed_stage::input::{Plan, Request};
+use posed_stage::name::Name;
+use posed_stage::output::{Body, Estimate, Outcome};
+use posed_stage::signals::{self, BodyColumns, InertialColumns};
+
+/// Who moves unless a client specifies otherwise.
+pub const DEFAULT_SUBJECT: &str = "default";
+/// Subjects at a time.
+const SUBJECTS: usize = 64;
+/// Exercises that one subject can be counted in at once, and longest set.
+const SELECTED: usize = 32;
+const LONGEST_SET: u32 = 10_000;
+/// Longest name of a subject, bytes.
+const NAME_BYTES: usize = 64;
+
+/// All exercises and who does them.
+#[derive(Clone, Debug, State)]
+pub(super) struct ExerciseStage {
+    #[state(keep)]
+    columns: Vec<String>,
+    #[state(keep)]
+    inertial: InertialColumns,
+    #[state(keep)]
+    body: BodyColumns,
+    row: Vec<Option<f64>>,
+    /// The newest of each name.
+    #[state(keep)]
+    library: Vec<Exercise>,
+    subjects: Vec<Subject>,
+}
+
+impl ExerciseStage {
+    /// For a stage with its sensors and its body.
+    pub(super) fn new(stage: &Stage) -> Self {
+        let columns = signals::columns_of(stage);
+        let row = Vec::with_capacity(columns.len());
+        let (inertial, body) = (InertialColumns::of(stage), BodyColumns::of(stage));
+        Self { columns, inertial, body, row, library: Vec::new(), subjects: Vec::new() }
+    }
+
+    /// Takes an exercise; false where the stage lacks one of its channels.
+    pub(super) fn load(&mut self, exercise: &Exercise) -> bool {
+        if Counter::new(vec![exercise.clone()], &self.columns).is_err() {
+            return false;
+        }
+        match self.library.iter_mut().find(|known| known.name == exercise.name) {
+            Some(known) => known.clone_from(exercise),
+            None => self.library.push(exercise.clone()),
+        }
+        true
+    }
+
+    /// Counts what is loaded for the default subject, if that one has not selected anything.
+    pub(super) fn loaded(&mut self, estimate: &Estimate, say: &mut impl FnMut(&Outcome)) {
+        if self.subjects.iter().any(|subject| subject.name() == DEFAULT_SUBJECT && subject.has_selected()) {
+            return;
+        }
+        // Exercises of other frame rates have to be selected alone.
+        let rate_hz = self.library.first().map(|exercise| exercise.rate_hz);
+        let fitting = self.library.iter().filter(|exercise| Some(exercise.rate_hz) == rate_hz);
+        let names: Vec<String> = fitting.take(SELECTED).map(|exercise| exercise.name.clone()).collect();
+        let counter = self.counter(&names, &BTreeMap::new()).ok();
+        self.select(DEFAULT_SUBJECT, counter, Plan::default(), false, estimate, say);
+    }
+
+    /// Whether a request can be carried out.
+    ///
+    /// # Errors
+    /// A sentence about what stands against it.
+    pub(super) fn check(&self, request: &Request) -> Result<(), String> {
+        match request {
+            Request::ExerciseSelect { subject, exercises, plan, sensors } => {
+                let known = self.subjects.iter().any(|known| known.name() == subject);
+                if subject.is_empty() || subject.len() > NAME_BYTES {
+                    return Err(format!("subject: give a name of 1 to {NAME_BYTES} bytes"));
+                }
+                if !known && self.subjects.len() >= SUBJECTS {
+                    return Err(format!("subject: there are {SUBJECTS} subjects already"));
+                }
+                if exercises.len() > SELECTED {
+                    return Err(format!("exercises: at most {SELECTED} at once"));
+                }
+                let in_range = |count: Option<u32>| count.is_none_or(|n| (1..=LONGEST_SET).contains(&n));
+                if !in_range(plan.repetitions) || !in_range(plan.sets) {
+                    return Err(format!("repetitions, sets: give 1 to {LONGEST_SET}"));
+                }
+                if !(0.0..=3600.0).contains(&plan.rest_s) {
+                    return Err("rest_s: give 0 to 3600 seconds".into());
+                }
+                if exercises.is_empty() { Ok(()) } else { self.counter(exercises, sensors).map(drop) }
+            }
+            Request::ExerciseReset { subject } => {
+                let known = self.subjects.iter().any(|known| known.name() == subject);
+                if known { Ok(()) } else { Err(format!("subject: nothing is counted for {subject:?}")) }
+            }
+            Request::FieldStart { .. } | Request::FieldFinish {} => {
+                Err("this is no request about exercises".into())
+            }
+        }
+    }
+
+    /// Carries out a request; one that cannot be is not.
+    pub(super) fn request(
+        &mut self,
+        request: &Request,
+        estimate: &Estimate,
+        say: &mut impl FnMut(&Outcome),
+    ) -> bool {
+        if self.check(request).is_err() {
+            return false;
+        }
+        match request {
+            Request::ExerciseSelect { subject, exercises, plan, sensors } => {
+                let counter = self.counter(exercises, sensors).ok();
+                self.select(subject, counter, *plan, true, estimate, say);
+            }
+            Request::ExerciseReset { subject } => {
+                if let Some(known) = self.subjects.iter_mut().find(|known| known.name() == subject) {
+                    known.reset(estimate.t_valid, say);
+                }
+            }
+            Request::FieldStart { .. } | Request::FieldFinish {} => {}
+        }
+        true
+    }
+
+    /// Follows a frame.
+    pub(super) fn frame(&mut self, estimate: &Estimate, body: Option<&Body>, say: &mut impl FnMut(&Outcome)) {
+        if self.subjects.is_empty() {
+            return;
+        }
+        signals::write(estimate, &mut self.row);
+        self.inertial.append(estimate, &mut self.row);
+        self.body.append(body, estimate, &mut self.row);
+        for subject in &mut self.subjects {
+            subject.frame(estimate.t_valid, &self.row, say);
+        }
+    }
+
+    /// Counts these exercises with the sensors that stand for those they were taught with.
+    fn counter(&self, names: &[String], sensors: &BTreeMap<String, String>) -> Result<Counter, String> {
+        let mut exercises = Vec::with_capacity(names.len());
+        for name in names {
+            if exercises.iter().any(|known: &Exercise| known.name == *name) {
+                return Err(format!("exercises: {name:?} stands there twice"));
+            }
+            let known = self.library.iter().find(|exercise| exercise.name == *name);
+            exercises
+                .push(known.cloned().ok_or_else(|| format!("exercises: no exercise {name:?} is loaded"))?);
+        }
+        let on_stage = |sensor: &str| self.columns.iter().any(|column| behind(column, sensor).is_some());
+        if let Some(worn) = sensors.values().find(|worn| !on_stage(worn)) {
+            return Err(format!("sensors: this stage has no sensor {worn:?}"));
+        }
+        let mut channels = exercises.iter().flat_map(|exercise| &exercise.channels);
+        let taught = |channel: &String| sensors.keys().any(|sensor| behind(channel, sensor).is_some());
+        if !sensors.is_empty() && !channels.any(taught) {
+            return Err("sensors: these exercises were taught with none of them".into());
+        }
+        for channel in exercises.iter_mut().flat_map(|exercise| &mut exercise.channels) {
+            let renamed =
+                sensors.iter().find_map(|(from, to)| Some(format!("{to}{}", behind(channel, from)?)));
+            if let Some(renamed) = renamed {
+                *channel = renamed;
+            }
+        }
+        Counter::new(exercises, &self.columns).map_err(|error| error.to_string())
+    }
+
+    fn select(
+        &mut self,
+        subject: &str,
+        counter: Option<Counter>,
+        plan: Plan,
+        explicit: bool,
+        estimate: &Estimate,
+        say: &mut impl FnMut(&Outcome),
+    ) {
+        let new = Subject::new(Name::from(subject), counter, plan, explicit);
+        new.say_state(estimate.t_valid, say);
+        match self.subjects.iter_mut().find(|known| known.name() == subject) {
+            Some(known) => *known = new,
+            None => self.subjects.push(new),
+        }
+    }
+}
+
+/// What stands behind the name of a sensor in the name of its channel, `_qw` for example.
+fn behind<'a>(channel: &'a str, sensor: &str) -> Option<&'a str> {
+    let part = channel.strip_prefix(sensor)?;
+    let known = ["_up_x", "_up_y", "_up_z"];
+    (known.contains(&part) || signals::is_part(part)).then_some(part)
+}

@@ -1,0 +1,129 @@
+//! The fault map, live: what it reports about each frame before anything is filtered.
+//!
+//! What comes in: closed frames, in device axes. What goes out: a label per frame, and [`Advice`] per sensor. What it never
+//! does: change a record, or look at a prediction. It states what `posed faults detect` reports about the same positions.
+
+use nalgebra::{Isometry3, Point3};
+use posed_state::{Plain, State};
+
+use crate::frame::Frame;
+use posed_fusion::faults::{Cause, Class, Label};
+use posed_motion::fault_map::{FaultMap, FaultMapError, Watch};
+use posed_stage::input::SensorIndex;
+use posed_stage::output::{Estimate, FrameLabel};
+
+/// A fault is published once this many of the last five frames have it.
+const LASTS: u32 = 3;
+const RECENT: u8 = 0b1_1111;
+
+/// What the map reports about a sensor in a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
+pub(super) struct Advice {
+    pub(super) label: Label,
+    /// From the nearest place where the sensor was in training, m.
+    pub(super) distance_m: Option<f64>,
+    /// What has been wrong with it for most of the last frames, as it was first called.
+    pub(super) lasting: Option<Cause>,
+    /// One bit for each of the last five frames: it was not clean.
+    recent: u8,
+}
+
+impl Advice {
+    const NONE: Self = Self { label: Label::MISSING, distance_m: None, lasting: None, recent: 0 };
+
+    fn take(&mut self, label: Label, distance_m: f64) {
+        let bad = matches!(label.class, Class::Inverted | Class::Anomalous);
+        self.recent = (self.recent << 1 | u8::from(bad)) & RECENT;
+        let lasts = self.recent.count_ones() >= LASTS;
+        // A jump that ends as a wrong distance is one fault, not two. A flip may follow another fault, and says more.
+        let first = self.lasting.filter(|_| label != Label::INVERTED);
+        self.lasting = first.or(label.cause.filter(|_| bad)).filter(|_| lasts);
+        self.distance_m = Some(distance_m).filter(|distance| distance.is_finite());
+        self.label = label;
+    }
+}
+
+#[derive(Clone, Debug, State)]
+pub(super) struct FaultMapStage {
+    #[state(keep)]
+    fault_map: FaultMap,
+    watch: Watch,
+    /// The stage's sensor that each of the network's is.
+    #[state(keep)]
+    order: Vec<SensorIndex>,
+    /// The frame in transmitter axes turned z up, in the network's order; NaN where missing.
+    positions_m: Vec<f64>,
+    /// By the stage's sensors; absent where the network does not know one.
+    advice: Vec<Option<Advice>>,
+}
+
+impl FaultMapStage {
+    /// For a stage with these sensors, those of magnetic trackers marked.
+    ///
+    /// # Errors
+    /// The network knows other sensors than the stage's magnetic ones.
+    pub(super) fn new<'a>(
+        fault_map: &FaultMap,
+        sensors: impl Iterator<Item = (&'a str, bool)>,
+    ) -> Result<Self, FaultMapError> {
+        let sensors: Vec<(&str, bool)> = sensors.collect();
+        let magnetic: Vec<&str> = sensors.iter().filter(|sensor| sensor.1).map(|sensor| sensor.0).collect();
+        fault_map.check_sensors(&magnetic)?;
+        let at = |name: &String| sensors.iter().position(|sensor| sensor.0 == name).unwrap_or_default();
+        Ok(Self {
+            watch: fault_map.watch(),
+            order: fault_map.sensors.iter().map(|name| at(name) as SensorIndex).collect(),
+            positions_m: vec![f64::NAN; 3 * fault_map.sensors.len()],
+            advice: sensors.iter().map(|sensor| sensor.1.then_some(Advice::NONE)).collect(),
+            fault_map: fault_map.clone(),
+        })
+    }
+
+    /// Takes a network whose cells have other names, and goes on; false where more than that is different.
+    pub(super) fn rename(&mut self, fault_map: &FaultMap) -> bool {
+        let renamed = self.fault_map.is_renamed(fault_map);
+        if renamed {
+            self.fault_map.clone_from(fault_map);
+        }
+        renamed
+    }
+
+    /// Labels a frame; `room` is where the transmitter stands.
+    pub(super) fn frame(&mut self, frame: &Frame, room: &Isometry3<f64>) -> FrameLabel {
+        for (sensor, p) in self.order.iter().zip(self.positions_m.chunks_exact_mut(3)) {
+            let newest = frame.sensors.get(usize::from(*sensor)).and_then(|slot| slot.samples.last());
+            let position_m = newest.and_then(|sample| sample.measured.position_m);
+            p.copy_from_slice(&position_m.map_or([f64::NAN; 3], |p| upright(p, room)));
+        }
+        let judged = self.watch.push(&self.fault_map, &self.positions_m);
+        for (index, sensor) in self.order.iter().enumerate() {
+            if let Some(advice) = &mut self.advice[usize::from(*sensor)] {
+                advice.take(judged.sensors[index], judged.distances_m[index]);
+            }
+        }
+        FrameLabel {
+            label: judged.label.class,
+            cause: judged.label.cause,
+            distance: judged.winner.map(|winner| winner.distance),
+            cell: judged.winner.map(|winner| winner.cell as u32),
+        }
+    }
+
+    /// What is said of a sensor of the stage in this frame.
+    pub(super) fn advice(&self, sensor: usize) -> Option<&Advice> {
+        self.advice.get(sensor)?.as_ref()
+    }
+}
+
+/// The raw positions of some sensors of a frame, in device axes, m; NaN where there is none.
+pub fn raw_positions(estimate: &Estimate, sensors: &[usize], mut take: impl FnMut([f64; 3])) {
+    for sensor in sensors {
+        let measured = estimate.sensors.get(*sensor).and_then(|sensor| sensor.measured.as_ref());
+        take(measured.and_then(|measured| measured.position_m).unwrap_or([f64::NAN; 3]));
+    }
+}
+
+/// A position in transmitter axes turned z up, m: as fault maps see it.
+pub fn upright(position_m: [f64; 3], room_transmitter: &Isometry3<f64>) -> [f64; 3] {
+    (room_transmitter.rotation * Point3::from(position_m)).coords.into()
+}

@@ -1,0 +1,142 @@
+//! Key poses, live: a track per watched sensor.
+//!
+//! What comes in: closed frames. What goes out: the statistic of each watched sensor, and an outcome per provisional,
+//! confirmed or withdrawn key pose. What it never does: look at poses that may not be used as good. What is said agrees
+//! with `posed keyframes` on a recording.
+
+use nalgebra::Isometry3;
+use posed_drivers::Timestamp;
+use posed_state::State;
+
+use super::PipelineError;
+use posed_motion::keyframes::track::Track;
+use posed_motion::keyframes::{Detector, Event, Hinge, HingeSettings};
+use posed_stage::Stage;
+use posed_stage::input::SensorIndex;
+use posed_stage::output::{
+    Change, Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output, Phase, SensorEstimate,
+};
+
+/// Frames whose mean interval is taken for the stage's, where the file does not say it.
+const MEASURED_FRAMES: u32 = 30;
+
+/// Room for the events of one frame; more than enough, as a sensor has three at most.
+const EVENTS: usize = 256;
+
+#[derive(Clone, Debug, State)]
+pub(super) struct Keyframes {
+    #[state(keep)]
+    settings: HingeSettings,
+    #[state(keep)]
+    watched: Vec<SensorIndex>,
+    /// Absent where the stage file does not say a rate, until it is measured.
+    tracks: Vec<Track>,
+    first: Option<Timestamp>,
+    seen: u32,
+    /// Times of the latest frames, the newest at `frames % len`.
+    times: Vec<Timestamp>,
+    frames: u64,
+    /// What became known with the latest frame, and of which time.
+    events: Vec<(Timestamp, KeyPoseEvent)>,
+}
+
+impl Keyframes {
+    /// `None` where the stage does not ask for key poses.
+    pub(super) fn new(stage: &Stage) -> Result<Option<Self>, PipelineError> {
+        let Some(posed_stage::Keyframes { sensors, window_frames: window, false_alarms_per_min }) =
+            &stage.keyframes
+        else {
+            return Ok(None);
+        };
+        let index = |name: &String| {
+            let found = stage.sensors.iter().position(|sensor| sensor.name == *name);
+            found
+                .map(|index| index as SensorIndex)
+                .ok_or(PipelineError::Value { key: "keyframes.sensors", expected: "names of sensors" })
+        };
+        let watched = match sensors {
+            Some(names) => names.iter().map(index).collect::<Result<_, _>>()?,
+            None => (0..stage.sensors.len() as SensorIndex).collect(),
+        };
+        let settings = HingeSettings {
+            window: usize::from(*window),
+            false_alarms_per_min: *false_alarms_per_min,
+            frame_rate_hz: stage.frame_rate_hz.unwrap_or(0.0),
+            orientation: true,
+        };
+        let mut keyframes = Self {
+            settings,
+            watched,
+            tracks: Vec::new(),
+            first: None,
+            seen: 0,
+            times: Vec::new(),
+            frames: 0,
+            events: Vec::with_capacity(EVENTS),
+        };
+        if stage.frame_rate_hz.is_some() {
+            keyframes.begin();
+        }
+        Ok(Some(keyframes))
+    }
+
+    /// Makes the tracks, now that the rate is known.
+    fn begin(&mut self) {
+        let track = Track::new(Detector::new(Hinge::new(self.settings)));
+        self.times = vec![Timestamp::ZERO; track.reach_frames() + 1];
+        self.tracks = vec![track; self.watched.len()];
+    }
+
+    /// Takes a closed frame, and gives it the statistic of each sensor.
+    pub(super) fn frame(&mut self, estimate: &mut Estimate) {
+        let now = estimate.t_valid;
+        if self.times.is_empty() {
+            let first = *self.first.get_or_insert(now);
+            if self.seen < MEASURED_FRAMES {
+                self.seen += 1;
+                return;
+            }
+            let span_s = now.seconds_since(first);
+            self.settings.frame_rate_hz = f64::from(self.seen) / span_s.max(1e-3);
+            self.begin();
+        }
+        let count = self.times.len() as u64;
+        self.times[(self.frames % count) as usize] = now;
+        self.frames += 1;
+        let Self { watched, tracks, times, events, .. } = self;
+        let time = |frame: u64| times[(frame % count) as usize];
+        for (sensor, track) in watched.iter().zip(tracks) {
+            let Some(estimate) = estimate.sensors.get_mut(usize::from(*sensor)) else { continue };
+            let pose = usable(estimate);
+            let trace = track.push(pose.as_ref(), &mut |event| {
+                let (phase, key) = match event {
+                    Event::Provisional(key) => (Phase::Provisional, key),
+                    Event::Confirmed(key) => (Phase::Confirmed, key),
+                    Event::Withdrawn(key) => (Phase::Withdrawn, key),
+                };
+                let event = KeyPoseEvent { sensor: *sensor, phase, score: key.score, corner: key.corner };
+                events.push((time(key.frame), event));
+            });
+            let change = trace.zip(track.threshold()).map(|(trace, threshold)| Change {
+                t_valid: time(trace.frame),
+                score: trace.score.value,
+                threshold,
+            });
+            estimate.change = change;
+        }
+    }
+
+    /// Reports what became known with the frame.
+    pub(super) fn outcomes(&mut self, estimate: &Estimate, say: &mut impl FnMut(Output<'_>)) {
+        for (t_valid, event) in self.events.drain(..) {
+            let what = OutcomeKind::KeyPose(event);
+            say(Output::Outcome(&Outcome { t_valid, t_decided: estimate.t_valid, what }));
+        }
+    }
+}
+
+/// The pose of a sensor, if it may be used as good; without a position or an orientation, that part stays put.
+fn usable(sensor: &SensorEstimate) -> Option<Isometry3<f64>> {
+    let pose = sensor.usable_pose()?;
+    posed_geometry::isometry(pose.position_m.unwrap_or_default(), pose.orientation_wxyz)
+}

@@ -1,0 +1,596 @@
+//! The pipeline: input log in, outputs out.
+//!
+//! What comes in: [`Entry`]s in their total order. What goes out: [`Output`]s, during the call. What it never
+//! does: read a clock, start a thread, allocate per frame once warm, depend on anything but the entries. One
+//! input, then all outputs are drained; the same entries give the same outputs, and a pipeline restored from
+//! a snapshot goes on as if nothing had happened.
+//!
+//! ```
+//! use posed_drivers::Timestamp;
+//! use posed_pipeline::Pipeline;
+//! use posed_stage::Stage;
+//! use posed_stage::input::{Entry, Input};
+//!
+//! let text = "name = \"s\"\n[[device]]\nname = \"d\"\ndriver = \"fastrak\"\nport = \"auto\"\n\
+//!     [[sensor]]\nname = \"hand\"\ndevice = \"d\"\naddress = 1\n";
+//! let stage = Stage::parse(text)?;
+//! let mut pipeline = Pipeline::new(&stage)?;
+//! let mut outputs = 0;
+//! pipeline.push(&Entry { t: Timestamp::ZERO, input: Input::Timer }, &mut |_| outputs += 1);
+//! let mut again = Pipeline::restore(&stage, pipeline.models(), &pipeline.snapshot())?;
+//! assert_eq!(again.snapshot(), pipeline.snapshot());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod attached;
+mod body;
+mod chain;
+pub mod clock;
+mod device;
+mod exercise;
+mod fault_map;
+mod field;
+pub mod frame;
+mod inertial;
+mod keyframes;
+mod magnetic;
+mod naming;
+mod sensor;
+mod session;
+mod source;
+mod status;
+mod units;
+
+use nalgebra::Isometry3;
+use posed_drivers::{LineEvent, Sample, Timestamp, session::Output as SessionOutput};
+use posed_state::State;
+use thiserror::Error;
+
+use crate::frame::{Assembler, Frame};
+use attached::Attached;
+use body::BodyStage;
+pub use body::{ImuRecords, all_have_field, worn};
+use chain::ChainStage;
+use device::{Device, owner};
+pub use exercise::DEFAULT_SUBJECT;
+use exercise::ExerciseStage;
+use fault_map::FaultMapStage;
+pub use fault_map::{raw_positions, upright};
+use field::Field;
+use keyframes::Keyframes;
+use naming::Naming;
+use posed_fusion::body::SEGMENTS;
+use posed_fusion::noise::TrackerNoise;
+use posed_motion::fault_map::FaultMap;
+use posed_stage::input::{DeviceIndex, Entry, Input, Model, Request, SensorIndex};
+use posed_stage::output::{Estimate, Outcome, OutcomeKind, Output, SensorEstimate};
+use posed_stage::{LoadedModels, Stage};
+use sensor::Sensor;
+use source::Source;
+pub use status::{BodyStatus, ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
+use units::Units;
+
+/// A stage file that no pipeline can be made of, or a snapshot that does not fit it.
+#[derive(Debug, Error)]
+pub enum PipelineError {
+    /// A sensor names a device that is not there.
+    #[error("sensor {sensor:?} belongs to device {device:?}, which the stage does not have")]
+    UnknownDevice {
+        /// The sensor.
+        sensor: String,
+        /// The name it gives.
+        device: String,
+    },
+    /// A driver refuses its settings.
+    #[error("device {device:?}: {source}")]
+    Settings {
+        /// The device.
+        device: String,
+        /// What the driver expects.
+        source: posed_drivers::flock::SettingsError,
+    },
+    /// Two IMUs sit on one segment.
+    #[error("sensors {:?} and {:?} sit on the same segment: give each a `segment` of its own", sensors[0], sensors[1])]
+    Worn {
+        /// The two.
+        sensors: [String; 2],
+    },
+    /// A number that the pipeline cannot work with.
+    #[error("{key}: expected {expected}")]
+    Value {
+        /// The key in the stage file.
+        key: &'static str,
+        /// What it must be.
+        expected: &'static str,
+    },
+    /// The snapshot is not one, or of another version.
+    #[error("the snapshot cannot be read: {0}")]
+    Snapshot(#[from] posed_state::Damaged),
+}
+
+/// All stages from bytes to outcomes.
+#[derive(Clone, Debug, State)]
+pub struct Pipeline {
+    now: Timestamp,
+    #[state(each)]
+    devices: Vec<Device>,
+    /// The clocks of all devices, in their order.
+    #[state(each)]
+    sources: Vec<Source>,
+    #[state(each)]
+    sensors: Vec<Sensor>,
+    frames: Assembler,
+    room_transmitter: Isometry3<f64>,
+    field: Field,
+    estimate: Estimate,
+    attached: Attached,
+    /// Boxed: few stages have any.
+    units: Box<Units>,
+    exercise: ExerciseStage,
+    /// Absent where nobody wears the sensors. Boxed: most stages have none.
+    #[state(each)]
+    body: Option<Box<BodyStage>>,
+    /// Absent where the stage has no chain of hinges.
+    #[state(each)]
+    chain: Option<Box<ChainStage>>,
+    /// Absent where the stage does not ask for them.
+    #[state(each)]
+    keyframes: Option<Keyframes>,
+    models_refused: u64,
+    requests_refused: u64,
+    /// Boxed: most stages have none.
+    #[state(each)]
+    naming: Option<Box<Naming>>,
+    #[state(each)]
+    faults: Option<Box<FaultMapStage>>,
+    #[state(keep)]
+    models: LoadedModels,
+}
+
+impl Pipeline {
+    /// A pipeline for a stage, before its first input.
+    ///
+    /// # Errors
+    /// The stage file contradicts itself.
+    pub fn new(stage: &Stage) -> Result<Self, PipelineError> {
+        let positive = |value: f64| value.is_finite() && value > 0.0;
+        let check =
+            |ok: bool, key, expected| if ok { Ok(()) } else { Err(PipelineError::Value { key, expected }) };
+        let rate_ok = stage.frame_rate_hz.is_none_or(|rate| positive(rate) && rate <= 10_000.0);
+        check(rate_ok, "frame_rate_hz", "a rate from above 0 to 10000")?;
+        let wait = stage.frame_wait_ms;
+        check((0.0..=10_000.0).contains(&wait), "frame_wait_ms", "0 to 10000")?;
+        let owners =
+            stage.sensors.iter().map(|sensor| owner(stage, sensor)).collect::<Result<Vec<_>, _>>()?;
+        let mut sources = Vec::new();
+        let devices: Vec<Device> = (0..stage.devices.len())
+            .map(|index| Device::new(stage, index, &owners, &mut sources))
+            .collect::<Result<_, _>>()?;
+        let mut timed_by = vec![0; stage.sensors.len()];
+        for placed in devices.iter().flat_map(|device| &device.sensors) {
+            timed_by[usize::from(placed.sensor)] = placed.source;
+        }
+        let room_transmitter = match &stage.transmitter.pose_in_room {
+            None => Isometry3::identity(),
+            Some(pose) => posed_geometry::isometry(pose.position_m, pose.orientation_wxyz).ok_or(
+                PipelineError::Value {
+                    key: "transmitter.pose_in_room",
+                    expected: "finite numbers and a quaternion",
+                },
+            )?,
+        };
+        Ok(Self {
+            now: Timestamp::ZERO,
+            frames: Assembler::new(sources.len(), &timed_by, stage.frame_rate_hz, wait),
+            sensors: stage
+                .sensors
+                .iter()
+                .zip(&owners)
+                .map(|(sensor, &device)| {
+                    let driver = &stage.devices[usize::from(device)].driver;
+                    Sensor::new(sensor, device, driver, stage.faults.repair)
+                })
+                .collect(),
+            devices,
+            sources,
+            room_transmitter,
+            field: Field::new(stage),
+            estimate: Estimate {
+                sensors: vec![SensorEstimate::default(); stage.sensors.len()],
+                ..Estimate::default()
+            },
+            attached: Attached::new(stage)?,
+            units: Box::new(Units::new(stage.sensors.len())),
+            exercise: ExerciseStage::new(stage),
+            body: BodyStage::new(stage)?.map(Box::new),
+            chain: ChainStage::new(stage).map(Box::new),
+            keyframes: Keyframes::new(stage)?,
+            models_refused: 0,
+            requests_refused: 0,
+            naming: None,
+            faults: None,
+            models: LoadedModels::default(),
+        })
+    }
+
+    /// Takes the next entry of the input log and returns all that follows from it.
+    ///
+    /// Entries that name a device which the stage does not have are ignored.
+    pub fn push(&mut self, entry: &Entry, say: &mut impl FnMut(Output<'_>)) {
+        self.now = self.now.max(entry.t);
+        let now = self.now;
+        match &entry.input {
+            Input::Bytes { device, bytes } => {
+                if let Some(owner) = self.devices.get_mut(usize::from(*device)) {
+                    owner.session.get_mut().handle_bytes(now, bytes);
+                    self.drain(*device, say);
+                }
+            }
+            Input::Line { device, event } => self.line(*device, event, say),
+            Input::Timer => {
+                for device in 0..self.devices.len() {
+                    let session = self.devices[device].session.get_mut();
+                    if session.poll_timeout().is_some_and(|timeout| timeout <= now) {
+                        session.handle_timeout(now);
+                    }
+                    self.drain(device as DeviceIndex, say);
+                }
+            }
+            Input::Model(model) => self.swap(model, say),
+            Input::Request(request) => self.request(request, say),
+            Input::SegmentationNetwork(bytes) => self.name_with(bytes, say),
+            Input::Truth(truth) => say(Output::Truth(truth)),
+        }
+        self.close_frames(say);
+    }
+
+    /// When to push [`Input::Timer`] if nothing else comes.
+    pub fn poll_timeout(&self) -> Option<Timestamp> {
+        let sessions = self.devices.iter().filter_map(|device| device.session.get().poll_timeout());
+        sessions.chain(self.frames.poll_timeout(self.now)).min()
+    }
+
+    /// All that has changed since the pipeline was made and the models swapped in: see [`posed_state`].
+    pub fn snapshot(&self) -> Vec<u8> {
+        posed_state::snapshot(self)
+    }
+
+    /// A pipeline that goes on from a snapshot taken on the same stage with the same models.
+    ///
+    /// # Errors
+    /// The bytes are no snapshot of this version, or of a stage with other devices, sensors or models.
+    pub fn restore(stage: &Stage, models: &LoadedModels, snapshot: &[u8]) -> Result<Self, PipelineError> {
+        let mut pipeline = Self::new(stage)?;
+        models.entries().for_each(|input| pipeline.push(&Entry { t: Timestamp::ZERO, input }, &mut |_| {}));
+        posed_state::restore(&mut pipeline, snapshot)?;
+        Ok(pipeline)
+    }
+
+    /// The models in use.
+    pub fn models(&self) -> &LoadedModels {
+        &self.models
+    }
+
+    /// What the pipeline has counted and measured.
+    pub fn status(&self) -> PipelineStatus {
+        PipelineStatus {
+            devices: self.devices.iter().map(|device| device.status(&self.sources)).collect(),
+            sensors: (0..)
+                .zip(&self.sensors)
+                .map(|(index, sensor)| {
+                    let device = &self.devices[usize::from(sensor.device())];
+                    sensor.status(device.counted(index, &self.sensors).as_ref())
+                })
+                .collect(),
+            body: self
+                .body
+                .as_ref()
+                .map(|body| BodyStatus { mounted: body.is_mounted(), faults: body.faults().collect() })
+                .or_else(|| {
+                    let mounted = self.chain.as_ref()?.is_mounted();
+                    Some(BodyStatus { mounted, faults: Vec::new() })
+                }),
+            models_refused: self.models_refused,
+            requests_refused: self.requests_refused,
+        }
+    }
+
+    fn line(&mut self, device: DeviceIndex, event: &LineEvent, say: &mut impl FnMut(Output<'_>)) {
+        let now = self.now;
+        let Some(owner) = self.devices.get_mut(usize::from(device)) else { return };
+        if matches!(event, LineEvent::Opened { modem_lines: true }) {
+            self.sources[owner.source_range()].iter_mut().for_each(Source::know_wire);
+        }
+        owner.session.get_mut().handle_line(now, event);
+        self.drain(device, say);
+    }
+
+    /// All that a session has to say.
+    fn drain(&mut self, device: DeviceIndex, say: &mut impl FnMut(Output<'_>)) {
+        let index = usize::from(device);
+        while let Some(output) = self.devices[index].session.get_mut().poll_output() {
+            match output {
+                SessionOutput::Transmit(bytes) => say(Output::Transmit { device, bytes: &bytes }),
+                SessionOutput::SetRts(asserted) => say(Output::SetRts { device, asserted }),
+                SessionOutput::Warning(text) => say(Output::Warning { device, text: &text }),
+                SessionOutput::StateChanged => {
+                    self.state_changed(device);
+                    say(Output::Device { device, state: self.devices[index].session.get().state() });
+                }
+                SessionOutput::Sample(sample) => self.sample(device, &sample),
+            }
+        }
+    }
+
+    fn state_changed(&mut self, device: DeviceIndex) {
+        let owner = &mut self.devices[usize::from(device)];
+        match owner.turned() {
+            Some(true) => {
+                let rate_hz = owner.session.get().rate_hz();
+                self.sources[owner.source_range()].iter_mut().for_each(|source| source.restart(rate_hz));
+            }
+            Some(false) => owner.source_range().for_each(|source| self.frames.stop(source as u16)),
+            None => {}
+        }
+    }
+
+    fn sample(&mut self, device: DeviceIndex, sample: &Sample) {
+        let owner = &self.devices[usize::from(device)];
+        let route = owner.route(sample.address, &self.sensors);
+        let sensor = route.sensor.map(|index| &mut self.sensors[usize::from(index)]);
+        if sensor.as_ref().is_some_and(|sensor| !sensor.times(&sample.measurement)) {
+            // It joins the next record of its sensor, at that one's time.
+            if let Some(sensor) = sensor {
+                sensor.record(self.now, &sample.measurement);
+            }
+            return;
+        }
+        let source = &mut self.sources[usize::from(route.source)];
+        let stamp = source.push(sample);
+        let period_s = source.period_or_nominal_s();
+        self.frames.stamp(route.source, &stamp, period_s, self.now);
+        if let (Some(index), Some(sensor)) = (route.sensor, sensor)
+            && let Some(mut measured) = sensor.record(stamp.t_valid, &sample.measurement)
+        {
+            if !self.units.is_empty()
+                && self.units.correct(index, owner.unit(sample.address, sensor), &mut measured)
+            {
+                sensor.restart();
+                self.attached.restart(index);
+                self.body.iter_mut().for_each(|body| body.restart(index));
+                self.chain.iter_mut().for_each(|chain| chain.restart(index));
+            }
+            self.frames.sample(index, measured);
+        }
+        if stamp.begins_cycle
+            && route.sensor.is_some()
+            && let Some(period_s) = period_s
+        {
+            for placed in owner.sensors.iter().filter(|placed| placed.source == route.source) {
+                self.sensors[usize::from(placed.sensor)].set_interval_s(period_s);
+            }
+        }
+    }
+
+    fn close_frames(&mut self, say: &mut impl FnMut(Output<'_>)) {
+        let Self {
+            frames,
+            sensors,
+            estimate,
+            room_transmitter,
+            now,
+            field,
+            keyframes,
+            exercise,
+            naming,
+            body,
+            chain,
+            faults,
+            attached,
+            ..
+        } = self;
+        while let Some(frame) = frames.poll(*now) {
+            estimate.fault = faults.as_mut().map(|faults| faults.frame(frame, room_transmitter));
+            estimate_frame(frame, sensors, field, room_transmitter, faults.as_deref(), estimate);
+            attached.frame(frame, sensors, room_transmitter, estimate);
+            if let Some(body) = body
+                && let Some(body) = body.frame(frame, estimate)
+            {
+                say(Output::Body(body));
+            }
+            if let Some(chain) = chain
+                && let Some(body) = chain.frame(frame)
+            {
+                say(Output::Body(body));
+            }
+            // Never both: a stage has one skeleton.
+            let segments = body.as_ref().and_then(|body| body.latest());
+            let body = segments.or_else(|| chain.as_ref().and_then(|chain| chain.latest()));
+            if let Some(keyframes) = keyframes {
+                keyframes.frame(estimate);
+            }
+            say(Output::Estimate(estimate));
+            if let Some(naming) = naming {
+                naming.push(estimate, segments, say);
+            }
+            for (index, sensor) in sensors.iter_mut().enumerate() {
+                sensor.outcomes(index as SensorIndex, frame, say);
+            }
+            field.frame(estimate, sensors, room_transmitter, say);
+            if let Some(keyframes) = keyframes {
+                keyframes.outcomes(estimate, say);
+            }
+            exercise.frame(estimate, body, &mut |outcome| say(Output::Outcome(outcome)));
+        }
+    }
+
+    fn name_with(&mut self, bytes: &[u8], say: &mut impl FnMut(Output<'_>)) {
+        let segments = self.body.is_some();
+        match Naming::new(bytes, self.sensors.iter().map(Sensor::name), segments) {
+            Ok(mut naming) => {
+                if let Some(before) = &mut self.naming {
+                    naming.follow(before, self.estimate.t_valid, say);
+                }
+                self.naming = Some(Box::new(naming));
+                self.models.insert_network(bytes);
+            }
+            // Whoever sends one has looked first, to say what is wrong.
+            Err(_) => self.models_refused += 1,
+        }
+    }
+
+    fn swap(&mut self, model: &Model, say: &mut impl FnMut(Output<'_>)) {
+        let accepted = model.check().is_ok() && self.apply(model);
+        if !accepted {
+            self.models_refused += 1;
+            return;
+        }
+        self.models.insert(model);
+        // Nothing is measured by a swap; it speaks of the frame before it.
+        let t = self.estimate.t_valid;
+        say(Output::Outcome(&Outcome {
+            t_valid: t,
+            t_decided: t,
+            what: OutcomeKind::ModelSwapped(model.clone()),
+        }));
+        if let Model::Exercise { .. } = model {
+            self.exercise.loaded(&self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
+        }
+    }
+
+    /// Whether a request can be carried out now; [`Input::Request`] then does.
+    ///
+    /// # Errors
+    /// A sentence about what stands against it.
+    pub fn check_request(&self, request: &Request) -> Result<(), String> {
+        self.exercise.check(request)
+    }
+
+    fn request(&mut self, request: &Request, say: &mut impl FnMut(Output<'_>)) {
+        // It speaks of the frame before it.
+        let t = self.estimate.t_valid;
+        let field = self.field.request(request, t, self.sensors.iter().map(Sensor::name), say);
+        let done = field
+            || self.exercise.request(request, &self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
+        self.requests_refused += u64::from(!done);
+    }
+
+    /// Takes a model whose numbers are right; false where it speaks of nothing that is here.
+    fn apply(&mut self, model: &Model) -> bool {
+        match model {
+            Model::Transmitter { position_m, orientation_wxyz } => {
+                let pose = posed_geometry::isometry(*position_m, *orientation_wxyz);
+                self.room_transmitter = pose.unwrap_or(self.room_transmitter);
+                self.attached.moved();
+                pose.is_some()
+            }
+            Model::TrackerNoise { device, r0_m, sigma_radial_m, sigma_rotation_rad } => {
+                let noise = TrackerNoise {
+                    r0_m: *r0_m,
+                    sigma_radial_m: *sigma_radial_m,
+                    sigma_rotation_rad: *sigma_rotation_rad,
+                };
+                let Some(owner) = self.devices.iter().position(|owner| owner.name == *device) else {
+                    return false;
+                };
+                for sensor in self.sensors.iter_mut().filter(|sensor| usize::from(sensor.device()) == owner) {
+                    sensor.set_noise(noise);
+                }
+                true
+            }
+            Model::Field { map, .. } => {
+                self.field.swap(map.clone());
+                true
+            }
+            Model::Mounting { sensors: mounted } => {
+                let Self { body, sensors, .. } = self;
+                let index = |name: &str| {
+                    sensors.iter().position(|sensor| sensor.name() == name).map(|index| index as SensorIndex)
+                };
+                body.as_mut().is_some_and(|body| body.mount(mounted, index))
+            }
+            Model::Chain { calibration } => {
+                self.chain.as_mut().is_some_and(|chain| chain.calibrate(calibration))
+            }
+            Model::AttachedImu { sensor, quat_wxyz, offset_m, clock_offset_s } => {
+                let sensor = self.sensors.iter().position(|known| known.name() == sensor);
+                let pose = posed_geometry::isometry(*offset_m, *quat_wxyz);
+                let found = sensor.zip(pose).map(|(sensor, pose)| (sensor as SensorIndex, pose));
+                found.is_some_and(|(sensor, pose)| self.attached.attach(sensor, &pose, *clock_offset_s))
+            }
+            Model::Imu { unit, intrinsics } => {
+                self.units.load(unit, intrinsics);
+                true
+            }
+            Model::Exercise { exercise } => self.exercise.load(exercise),
+            Model::Faults { fault_map } => self.watch_faults(fault_map),
+        }
+    }
+
+    fn watch_faults(&mut self, fault_map: &FaultMap) -> bool {
+        if self.faults.as_mut().is_some_and(|faults| faults.rename(fault_map)) {
+            return true;
+        }
+        let sensors = self.sensors.iter().map(|sensor| (sensor.name(), sensor.is_magnetic()));
+        let made = FaultMapStage::new(fault_map, sensors);
+        let accepted = made.is_ok();
+        self.faults = made.ok().map(Box::new).or(self.faults.take());
+        accepted
+    }
+
+    /// The newest record of a magnetic sensor that was believed in the last frame: capture time, and sensor to transmitter,
+    /// corrected. `None` where none was, or none that is a whole pose.
+    pub fn estimated_pose(&self, sensor: SensorIndex) -> Option<(Timestamp, Isometry3<f64>)> {
+        let believed = self.sensors.get(usize::from(sensor))?.estimated_pose()?;
+        Some((believed.t, believed.pose))
+    }
+
+    /// The IMU on each segment of the body, as far as it is known by now.
+    pub fn body_imus(&self) -> [Option<SensorIndex>; SEGMENTS] {
+        self.body.as_ref().map_or([None; SEGMENTS], |body| *body.imus())
+    }
+
+    /// Which unit is the sensor now: the serial number that its device reports, or else the stage file, or else its name.
+    pub fn unit(&self, sensor: SensorIndex) -> Option<&str> {
+        let known = self.sensors.get(usize::from(sensor))?;
+        let owner = &self.devices[usize::from(known.device())];
+        let infos = owner.session.get().sensors().iter();
+        let mut at = infos.map(|info| info.address).filter(|address| {
+            let route = owner.route(*address, &self.sensors);
+            route.sensor == Some(sensor)
+        });
+        let alone = || known.serial().unwrap_or(known.name());
+        Some(at.next().map_or_else(alone, |address| owner.unit(address, known)))
+    }
+
+    /// Where the transmitter stands in the room.
+    pub fn room_transmitter(&self) -> &Isometry3<f64> {
+        &self.room_transmitter
+    }
+}
+
+/// Checks, filters and publishes all sensors of a frame.
+fn estimate_frame(
+    frame: &Frame,
+    sensors: &mut [Sensor],
+    field: &Field,
+    room: &Isometry3<f64>,
+    faults: Option<&FaultMapStage>,
+    estimate: &mut Estimate,
+) {
+    estimate.frame = frame.number;
+    estimate.t_valid = frame.t_valid;
+    estimate.t_closed = frame.t_closed;
+    estimate.sigma_t_s = frame.sigma_t_s;
+    // Motion in the previous frame: an explicit argument to the stuck test, like the prediction.
+    let moving = sensors.iter().filter(|sensor| sensor.is_moving()).count();
+    let slots = sensors.iter_mut().zip(&frame.sensors).zip(&mut estimate.sensors);
+    for (index, ((sensor, slot), out)) in slots.enumerate() {
+        let others_move = moving > usize::from(sensor.is_moving());
+        let advice = faults.and_then(|faults| faults.advice(index));
+        *out = sensor.estimate(slot, frame, others_move, field, room, advice);
+    }
+}
+
+#[cfg(test)]
+mod tests;

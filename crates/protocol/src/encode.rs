@@ -1,0 +1,262 @@
+//! Data messages as bytes: a body that clients share, and a head of their own in front of it.
+//!
+//! A body is a complete map without `type`, `seq` and `dropped`; [`message`] puts these three first and takes the rest
+//! over as it is. Nothing is serialised a second time.
+
+use serde::{Deserialize, Serialize};
+
+use super::body::FigureBody;
+use super::message::{
+    ExerciseEvent, Fault, FaultChange, FieldChange, FieldEvent, Jobs, KeyPose, SegmentBody, Status,
+};
+use super::sensors::{SensorsBody, TruthBody};
+use super::{Names, Stamp, Topic, View, exercise, round};
+use posed_stage::input::{Model, Truth};
+use posed_stage::output::{Body, Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output};
+
+/// How messages are written; chosen by the websocket sub-protocol.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Encoding {
+    /// JSON text messages.
+    #[default]
+    Json,
+    /// MessagePack binary messages, maps with text keys.
+    MessagePack,
+}
+
+/// What a data message is made from.
+#[derive(Clone, Copy, Debug)]
+pub enum Payload<'a> {
+    /// To `sensors`.
+    Estimate(&'a Estimate),
+    /// To `body`.
+    Body(&'a Body),
+    /// To `truth`.
+    Truth(&'a Truth),
+    /// To the topic of the event.
+    Outcome(&'a Outcome),
+    /// To `status`; its `t_s` is when it was true, and is rounded on the way.
+    Status(&'a Status),
+    /// To `jobs`; its `t_s` is when it was true, and is rounded on the way.
+    Jobs(&'a Jobs),
+}
+
+impl<'a> Payload<'a> {
+    /// What clients receive of an output, if anything.
+    pub fn of(output: &Output<'a>) -> Option<Self> {
+        match *output {
+            Output::Estimate(estimate) => Some(Self::Estimate(estimate)),
+            Output::Body(body) => Some(Self::Body(body)),
+            Output::Outcome(outcome) => Some(Self::Outcome(outcome)),
+            Output::Truth(truth) => Some(Self::Truth(truth)),
+            Output::Transmit { .. }
+            | Output::SetRts { .. }
+            | Output::Named
+            | Output::Device { .. }
+            | Output::PoleRun(_)
+            | Output::Warning { .. } => None,
+        }
+    }
+
+    /// Where it is published.
+    pub fn topic(&self) -> Topic {
+        match self {
+            Self::Estimate(_) => Topic::Sensors,
+            Self::Body(_) => Topic::Body,
+            Self::Truth(_) => Topic::Truth,
+            Self::Status(_) => Topic::Status,
+            Self::Jobs(_) => Topic::Jobs,
+            Self::Outcome(outcome) => match outcome.what {
+                OutcomeKind::Fault { .. } => Topic::Faults,
+                OutcomeKind::ModelSwapped(Model::Exercise { .. }) | OutcomeKind::Exercise(_) => {
+                    Topic::Exercise
+                }
+                OutcomeKind::ModelSwapped(Model::Faults { .. }) => Topic::Faults,
+                OutcomeKind::ModelSwapped(_) | OutcomeKind::Field(_) => Topic::Field,
+                OutcomeKind::KeyPose(_) => Topic::Keyframes,
+                OutcomeKind::MotionSegment(_) => Topic::Segments,
+            },
+        }
+    }
+}
+
+/// Appends the body of a message to `out`.
+pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, out: &mut Vec<u8>) {
+    let encoding = view.encoding;
+    match *payload {
+        Payload::Estimate(estimate) => write(encoding, &SensorsBody { stamp, estimate, names, view }, out),
+        Payload::Body(body) => write(encoding, &FigureBody { stamp, body, names }, out),
+        Payload::Truth(truth) => write(encoding, &TruthBody { stamp, truth, names, view }, out),
+        Payload::Status(status) => write(encoding, &rounded_status(status, stamp), out),
+        Payload::Jobs(jobs) => write(encoding, &rounded_jobs(jobs, stamp), out),
+        Payload::Outcome(outcome) => {
+            let t_s = stamp.t_s();
+            let event_id = stamp.event_id.unwrap_or(0);
+            let t_valid_s = round::seconds(super::publisher::microseconds(outcome.t_valid));
+            match &outcome.what {
+                OutcomeKind::Fault { sensor, cause, active } => {
+                    let sensor = names.sensor(*sensor).to_owned();
+                    let change = FaultChange::Fault { sensor, cause: *cause, active: *active };
+                    write(encoding, &Fault { t_s, event_id, t_valid_s, change }, out);
+                }
+                OutcomeKind::ModelSwapped(Model::Faults { fault_map }) => {
+                    let (rows, columns) = fault_map.size();
+                    let change = FaultChange::Map {
+                        revision: fault_map.revision,
+                        sensors: fault_map.sensors.clone(),
+                        rows,
+                        columns,
+                        cells: fault_map.cells.clone(),
+                        usual_distance: round::significant(fault_map.usual_distance),
+                    };
+                    write(encoding, &Fault { t_s, event_id, t_valid_s, change }, out);
+                }
+                OutcomeKind::ModelSwapped(Model::Exercise { exercise }) => {
+                    let change = exercise::loaded(exercise);
+                    write(encoding, &ExerciseEvent { t_s, event_id, t_valid_s, subject: None, change }, out);
+                }
+                OutcomeKind::Exercise(outcome) => {
+                    let change = exercise::change(&outcome.what);
+                    let subject = Some(outcome.subject.to_string());
+                    write(encoding, &ExerciseEvent { t_s, event_id, t_valid_s, subject, change }, out);
+                }
+                OutcomeKind::KeyPose(event) => {
+                    let sensor = names.sensor(event.sensor).to_owned();
+                    let KeyPoseEvent { phase, corner, .. } = *event;
+                    let score = round::to(1e3, event.score);
+                    let key = KeyPose { t_s, event_id, t_valid_s, sensor, phase, score, corner };
+                    write(encoding, &key, out);
+                }
+                OutcomeKind::MotionSegment(segment) => {
+                    let body = SegmentBody {
+                        t_s,
+                        event_id,
+                        t_valid_s,
+                        event: segment.event,
+                        segment: segment.segment,
+                        label: segment.label.clone(),
+                        confidence: round::to(1e3, segment.confidence),
+                        delay_s: round::to(1e3, segment.delay_s),
+                    };
+                    write(encoding, &body, out);
+                }
+                OutcomeKind::ModelSwapped(model) => {
+                    let change = FieldChange::swapped(model);
+                    write(encoding, &FieldEvent { t_s, event_id, t_valid_s, change }, out);
+                }
+                OutcomeKind::Field(news) => {
+                    let change = FieldChange::news(news, names);
+                    write(encoding, &FieldEvent { t_s, event_id, t_valid_s, change }, out);
+                }
+            }
+        }
+    }
+}
+
+/// What differs from client to client in front of a shared body.
+#[derive(Clone, Copy, Debug)]
+pub struct Head<'a> {
+    /// The stage, for a client of a hub that sees several.
+    pub stage: Option<&'a str>,
+    /// Where it is published.
+    pub topic: Topic,
+    /// Counts this topic's messages to this client from 0.
+    pub seq: u64,
+    /// Data messages that were dropped for this client so far.
+    pub dropped: u64,
+}
+
+/// Appends a whole message to `out`: the client's head and the shared body.
+pub fn message(encoding: Encoding, head: Head<'_>, body: &[u8], out: &mut Vec<u8>) {
+    use std::io::Write;
+    let Head { stage, topic, seq, dropped } = head;
+    let Some((&opening, rest)) = body.split_first() else { return };
+    match encoding {
+        Encoding::Json => {
+            // Writing to a Vec cannot fail.
+            let _ = write!(out, r#"{{"type":"{}","seq":{seq},"dropped":{dropped},"#, topic.name());
+            if let Some(stage) = stage {
+                out.extend_from_slice(br#""stage":"#);
+                let _ = serde_json::to_writer(&mut *out, stage);
+                out.push(b',');
+            }
+            out.extend_from_slice(rest);
+        }
+        Encoding::MessagePack => {
+            // Bodies have at most 12 keys, so the count of keys is the low half of the first byte, and three more fit.
+            debug_assert!((0x80..=0x8c).contains(&opening), "a body is a small map");
+            match opening + 3 + u8::from(stage.is_some()) {
+                small @ ..=0x8f => out.push(small),
+                large => out.extend_from_slice(&[0xde, 0, large - 0x80]),
+            }
+            for (key, value) in [("seq", seq), ("dropped", dropped)] {
+                push_text(key, out);
+                let _ = rmp_serde::encode::write(out, &value);
+            }
+            push_text("type", out);
+            push_text(topic.name(), out);
+            if let Some(stage) = stage {
+                push_text("stage", out);
+                let _ = rmp_serde::encode::write(out, stage);
+            }
+            out.extend_from_slice(rest);
+        }
+    }
+}
+
+/// MessagePack's text of up to 31 bytes.
+fn push_text(text: &str, out: &mut Vec<u8>) {
+    out.push(0xa0 | text.len() as u8);
+    out.extend_from_slice(text.as_bytes());
+}
+
+/// A message without a shared body: `hello`, replies.
+pub fn whole<T: Serialize>(encoding: Encoding, message: &T) -> Vec<u8> {
+    let mut out = Vec::new();
+    write(encoding, message, &mut out);
+    out
+}
+
+fn write<T: Serialize + ?Sized>(encoding: Encoding, value: &T, out: &mut Vec<u8>) {
+    let from = out.len();
+    let written = match encoding {
+        Encoding::Json => serde_json::to_writer(&mut *out, value).map_err(|e| e.to_string()),
+        Encoding::MessagePack => rmp_serde::encode::write_named(&mut *out, value).map_err(|e| e.to_string()),
+    };
+    if let Err(error) = written {
+        // Our own types are maps with text keys: neither encoding can refuse them.
+        debug_assert!(false, "a message could not be written: {error}");
+        out.truncate(from);
+    }
+}
+
+fn rounded_status(status: &Status, stamp: &Stamp) -> Status {
+    let mut status = Status { t_s: stamp.t_s(), ..status.clone() };
+    for device in &mut status.devices {
+        device.rate_hz = device.rate_hz.map(|rate| round::to(round::RATE, rate));
+        device.age_s = device.age_s.map(|age| round::to(round::AGE, age));
+        device.sigma_t_s = device.sigma_t_s.map(|sigma| round::to(round::CLOCK, sigma));
+    }
+    for sensor in &mut status.sensors {
+        sensor.rate_hz = sensor.rate_hz.map(|rate| round::to(round::RATE, rate));
+        sensor.age_s = sensor.age_s.map(|age| round::to(round::AGE, age));
+    }
+    for stage in &mut status.latency {
+        for value in [&mut stage.p50_ms, &mut stage.p99_ms, &mut stage.max_ms] {
+            *value = round::to(1e3, *value);
+        }
+    }
+    if let Some(recording) = &mut status.recording {
+        recording.started_s = round::to(1e6, recording.started_s);
+    }
+    status
+}
+
+fn rounded_jobs(jobs: &Jobs, stamp: &Stamp) -> Jobs {
+    let mut jobs = Jobs { t_s: stamp.t_s(), ..jobs.clone() };
+    for job in &mut jobs.jobs {
+        job.progress = job.progress.map(|progress| round::to(1e3, progress));
+        job.remaining_s = job.remaining_s.map(|t| round::to(1e1, t));
+    }
+    jobs
+}

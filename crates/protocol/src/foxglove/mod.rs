@@ -1,0 +1,171 @@
+//! What Foxglove and Lichtblick are shown: channels of published schemas, live on a websocket and in recordings.
+//!
+//! What comes in: the pipeline's outputs with the stamps that clients know them by, and what a viewer says. What goes out: JSON messages
+//! by channel, frames of the Foxglove websocket protocol. What it never does: show a pose that is not good as if it were, own
+//! a socket or a clock.
+//!
+//! | channel | schema | holds |
+//! |---|---|---|
+//! | `/tf` | `foxglove.FrameTransforms` | `room` to `transmitter`, to every sensor by name, to `body/SEGMENT` |
+//! | `/sensors/NAME/pose` | `foxglove.PoseInFrame` | one sensor, while it is good |
+//! | `/scene/sensors` | `foxglove.SceneUpdate` | sensors as balls, coloured by how far to trust them, with their names |
+//! | `/scene/body` | `foxglove.SceneUpdate` | the skeleton |
+//! | `/log` | `foxglove.Log` | events as sentences |
+//! | `/truth` | `foxglove.PosesInFrame` | ground truth of a simulated stage |
+//! | `/posed/TOPIC` | `posed.TOPIC` | our own messages, as on our own websocket with all fields |
+//!
+//! Numbers are rounded as on our own websocket, so both say the same pose.
+
+mod log;
+mod publisher;
+mod scene;
+mod schema;
+#[cfg(test)]
+mod tests;
+pub mod wire;
+
+use std::sync::Arc;
+
+use crate::{Payload, Stamp, Topic};
+use posed_stage::Stage;
+use posed_stage::input::{Model, SensorIndex};
+use posed_stage::layout::BodyLayout;
+
+pub use self::publisher::Publisher;
+
+/// Frame of reference that everything is in: z up, m.
+const ROOM: &str = "room";
+
+/// One kind of message, under its own name.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Channel {
+    /// Its name in the viewer.
+    pub topic: String,
+    /// Name of its schema, such as `foxglove.FrameTransforms`.
+    pub schema_name: String,
+    /// The schema, JSON.
+    pub schema: String,
+    content: Content,
+}
+
+/// What a channel holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Content {
+    Transforms,
+    Pose(SensorIndex),
+    Sensors,
+    Body,
+    Log,
+    Truth,
+    Published(Topic),
+}
+
+impl Channel {
+    /// Whether nothing of it may be left out: events, rather than states of which the newest counts.
+    pub fn is_lossless(&self) -> bool {
+        match self.content {
+            Content::Log => true,
+            Content::Published(topic) => topic.is_event(),
+            _ => false,
+        }
+    }
+
+    /// The topic whose messages it carries as they are.
+    pub fn published(&self) -> Option<Topic> {
+        match self.content {
+            Content::Published(topic) => Some(topic),
+            _ => None,
+        }
+    }
+
+    /// Whether it is the log.
+    pub fn is_log(&self) -> bool {
+        self.content == Content::Log
+    }
+
+    fn new(topic: impl Into<String>, schema_name: &str, content: Content) -> Self {
+        Self {
+            topic: topic.into(),
+            schema_name: schema_name.to_owned(),
+            schema: schema::published(schema_name).to_string(),
+            content,
+        }
+    }
+}
+
+/// The channels of a stage in schemas that viewers know; `truth` states whether there is ground truth.
+pub fn views(stage: &Stage, truth: bool) -> Vec<Channel> {
+    let mut channels = vec![Channel::new("/tf", "foxglove.FrameTransforms", Content::Transforms)];
+    for (index, sensor) in (0..).zip(&stage.sensors) {
+        let topic = format!("/sensors/{}/pose", sensor.name);
+        channels.push(Channel::new(topic, "foxglove.PoseInFrame", Content::Pose(index)));
+    }
+    if !stage.magnetic_indices().is_empty() {
+        channels.push(Channel::new("/scene/sensors", "foxglove.SceneUpdate", Content::Sensors));
+    }
+    if BodyLayout::of(stage).is_some() {
+        channels.push(Channel::new("/scene/body", "foxglove.SceneUpdate", Content::Body));
+    }
+    channels.push(Channel::new("/log", "foxglove.Log", Content::Log));
+    if truth {
+        channels.push(Channel::new("/truth", "foxglove.PosesInFrame", Content::Truth));
+    }
+    channels
+}
+
+/// The channels that a recording holds beside our own messages, and who writes them.
+#[derive(Clone, Debug)]
+pub struct Views {
+    channels: Vec<Arc<Channel>>,
+    publisher: Publisher,
+}
+
+impl Views {
+    /// Of a stage whose epoch is `epoch_utc_ns`.
+    pub fn new(stage: &Stage, epoch_utc_ns: i64) -> Self {
+        // Truth comes from a simulator beside any stage; a channel without messages is not written.
+        let channels = views(stage, true).into_iter().map(Arc::new).collect();
+        Self { channels, publisher: Publisher::new(stage, epoch_utc_ns) }
+    }
+
+    /// Takes over what a model changes in what is shown.
+    pub fn swap(&mut self, model: &Model) {
+        self.publisher.swap(model);
+    }
+
+    /// Writes what a payload is on each channel.
+    pub fn publish(
+        &mut self,
+        payload: &Payload<'_>,
+        stamp: &Stamp,
+        mut say: impl FnMut(&Arc<Channel>, &[u8]),
+    ) {
+        let Self { channels, publisher } = self;
+        publisher
+            .publish(payload, stamp, channels, &|_| true, &mut |place, json| say(&channels[place], json));
+    }
+}
+
+/// [`views`] and the messages of these topics as they are.
+pub fn channels(stage: &Stage, topics: &[Topic]) -> Vec<Channel> {
+    let mut channels = views(stage, topics.contains(&Topic::Truth));
+    for &topic in topics {
+        channels.push(Channel {
+            topic: format!("/posed/{}", topic.name()),
+            schema_name: format!("posed.{}", topic.name()),
+            schema: crate::schema::of_topic(topic),
+            content: Content::Published(topic),
+        });
+    }
+    channels
+}
+
+/// What the fuzz target does with any message of a viewer: it is understood or refused with a sentence.
+#[doc(hidden)]
+pub fn fuzz_viewer(data: &[u8]) {
+    match wire::parse(data) {
+        Ok(wire::Request::Subscribe(list)) => assert!(list.len() <= data.len()),
+        Ok(wire::Request::Unsubscribe(list)) => assert!(list.len() <= data.len()),
+        Err(sentence) => assert!(!sentence.is_empty() && sentence.len() < 400),
+    }
+}

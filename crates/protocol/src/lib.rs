@@ -1,0 +1,63 @@
+//! What clients and the daemon say to each other on the websocket, and how it is written.
+//!
+//! In: the pipeline's outputs, the daemon's status, bytes that clients sent. Out: messages in JSON or MessagePack,
+//! parsed requests, the JSON Schema and TypeScript types of both. Never: a socket, a clock, a thread.
+//!
+//! Everything is a map with a `type`. A *data message* belongs to a [`Topic`] and starts with `type`, `seq`, `dropped`,
+//! which differ from client to client, followed by a *body* which all clients with the same [`View`] share: the body is
+//! written once per frame, the head once per client (see [`encode`]).
+//!
+//! ```
+//! use posed_protocol::{Encoding, Feed, Request, parse};
+//!
+//! let (id, request) = parse(Encoding::Json, br#"{"type": "subscribe", "id": 1, "topics": ["sensors"]}"#)?;
+//! assert!(matches!(request, Request::Feed(Feed::Subscribe { .. })), "{id:?}");
+//! assert!(parse(Encoding::Json, b"{}").is_err());
+//! # Ok::<(), posed_protocol::ParseError>(())
+//! ```
+//!
+//! # Resolution of numbers
+//! Positions and their sigma 1e-5 m and 1e-6 m, quaternions 1e-6, times 1e-6 s, velocities 1e-4 m/s and 1e-4 rad/s,
+//! angles 1e-3 degrees,
+//! covariances four significant digits, rates 1e-3 Hz, ages 1 ms. Both encodings carry the rounded number.
+
+mod body;
+pub mod encode;
+mod exercise;
+pub mod foxglove;
+pub mod lsl;
+mod message;
+mod names;
+mod plain;
+mod publisher;
+mod request;
+pub(crate) mod round;
+pub mod schema;
+mod sensors;
+mod topic;
+mod typescript;
+pub mod vmc;
+pub mod vrpn;
+
+pub use encode::{Encoding, Payload};
+pub use message::{
+    Answer, Begun, Change, Data, Deviation, DeviceStatus, ErrorReply, ExerciseChange, ExerciseEvent,
+    Exercises, Fault, FaultChange, FieldChange, FieldEvent, Figure, HeadingSource, Hello, HelloSensor, Job,
+    JobState, Jobs, JointEntry, Judged, KeptExercise, KeptFile, KeyPose, LinkState, MapVersion, Measured,
+    OkReply, Problem, Quality, RecordingBegun, RecordingStatus, Recordings, RelatedClock, ReplayStatus,
+    Resumed, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage, StageEntry,
+    StageLatency, StagePresence, Stages, Started, Status, Tracked, TruthEntry, Truths,
+};
+pub use names::Names;
+pub use publisher::{Counters, Publisher, PublisherState, Stamp};
+pub use request::{
+    AnchorSpec, Call, DropPolicy, Feed, ParseError, Request, RequestId, RoomPoint, Speed, SpeedWord,
+    fuzz_client_message, parse,
+};
+pub use sensors::{Field, Fields, View};
+pub use topic::Topic;
+
+/// Version of the protocol and name of the websocket sub-protocol with JSON text messages.
+pub const SUBPROTOCOL_JSON: &str = "posed.v1";
+/// Name of the sub-protocol with the same messages in MessagePack.
+pub const SUBPROTOCOL_MSGPACK: &str = "posed.v1.msgpack";

@@ -1,0 +1,145 @@
+//! What `ok` carries as `result`.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// What a request was answered with; which one gets which: [`Answers`]. All others are answered with `ok` alone.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Answer {
+    /// To `resume`.
+    Resumed(Resumed),
+    /// To `record.start`; before [`Started`], which is a part of it.
+    RecordingBegun(RecordingBegun),
+    /// To all that is a job.
+    Started(Started),
+    /// To `replay.list`.
+    Recordings(Recordings),
+    /// To `replay.track`.
+    Tracked(Tracked),
+    /// To `exercise.list`.
+    Exercises(Exercises),
+    /// To `field.accept` and `field.rollback`.
+    MapVersion(MapVersion),
+    /// To `faults.name_cell`.
+    KeptFile(KeptFile),
+}
+
+/// Which events follow.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Resumed {
+    /// Whether none of those that were missed is too old to be known.
+    pub complete: bool,
+    /// The newest of the stage.
+    pub last_event_id: u64,
+}
+
+/// A recording that has begun.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct RecordingBegun {
+    /// Name of the file in the folder of recordings.
+    pub name: String,
+    /// Its job.
+    pub job: u64,
+}
+
+/// A job that has begun; the topic `jobs` reports its progress.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Started {
+    /// Its number.
+    pub job: u64,
+}
+
+/// The recordings of the folder.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Recordings {
+    /// Their names, in order.
+    pub recordings: Vec<String>,
+}
+
+/// Channels of a whole recording.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Tracked {
+    /// Where no channel was asked for.
+    Channels {
+        /// The names of all.
+        columns: Vec<String>,
+    },
+    /// Those that were asked for, thinned out.
+    Rows {
+        /// Time of each row, s.
+        t_s: Vec<f64>,
+        /// Each row, in the order that was asked for; null where nothing was measured.
+        values: Vec<Vec<Option<f64>>>,
+    },
+}
+
+/// The exercises of the stage's folder.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Exercises {
+    /// By name.
+    pub exercises: Vec<KeptExercise>,
+}
+
+/// An exercise that can be selected.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct KeptExercise {
+    /// Its name.
+    pub name: String,
+    /// The newest revision: how often it was taught.
+    pub revision: u32,
+}
+
+/// The map of the field that is in use now.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct MapVersion {
+    /// Its version.
+    pub version: u32,
+}
+
+/// A file that was written.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct KeptFile {
+    /// The revision of what it holds.
+    pub revision: u32,
+    /// Its name.
+    pub file: String,
+}
+
+/// The `result` of each request that has one, by the request's `type`.
+#[derive(JsonSchema)]
+#[expect(dead_code, reason = "a table for the published schema")]
+pub(crate) struct Answers {
+    resume: Resumed,
+    #[serde(rename = "record.start")]
+    record_start: RecordingBegun,
+    #[serde(rename = "replay.list")]
+    replay_list: Recordings,
+    #[serde(rename = "replay.track")]
+    replay_track: Tracked,
+    #[serde(rename = "replay.seek")]
+    replay_seek: Started,
+    #[serde(rename = "field.finish")]
+    field_finish: Started,
+    #[serde(rename = "field.accept")]
+    field_accept: MapVersion,
+    #[serde(rename = "field.rollback")]
+    field_rollback: MapVersion,
+    #[serde(rename = "exercise.list")]
+    exercise_list: Exercises,
+    #[serde(rename = "exercise.teach")]
+    exercise_teach: Started,
+    #[serde(rename = "faults.train")]
+    faults_train: Started,
+    #[serde(rename = "faults.name_cell")]
+    faults_name_cell: KeptFile,
+    #[serde(rename = "segments.train")]
+    segments_train: Started,
+    #[serde(rename = "body.calibrate")]
+    body_calibrate: Started,
+    #[serde(rename = "stage.align")]
+    stage_align: Started,
+    #[serde(rename = "imu.calibrate")]
+    imu_calibrate: Started,
+}

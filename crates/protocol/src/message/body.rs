@@ -1,0 +1,78 @@
+//! Topic `body`: segments and joint angles of the person who wears the sensors.
+
+use std::collections::BTreeMap;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use posed_fusion::faults::Cause;
+use posed_stage::output::{PositionSource, SegmentState};
+
+/// Body of `body`: one time of the whole figure.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Figure {
+    /// Capture time of the newest sample in it, s; rises strictly.
+    pub t_s: f64,
+    /// Where the heading comes from.
+    pub heading: HeadingSource,
+    /// For how long it has been held without a field that is believed, s; 0 otherwise.
+    pub heading_held_s: f64,
+    /// Where the position comes from.
+    pub position_source: PositionSource,
+    /// The segments, parents and children by the skeleton of the stage.
+    pub segments: Vec<SegmentEntry>,
+    /// The joints between them.
+    pub joints: Vec<JointEntry>,
+}
+
+/// Where a body's heading comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum HeadingSource {
+    /// Nothing was measured yet.
+    Unknown,
+    /// From the magnetic field, or from magnetic trackers.
+    Field,
+    /// Held by the gyros: there is no field, or none that is believed.
+    Held,
+}
+
+/// A segment.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SegmentEntry {
+    /// Its name.
+    pub name: String,
+    /// How far to trust it.
+    pub state: SegmentState,
+    /// Its origin in the room, m; null where nothing shows it.
+    pub position_m: Option<[f64; 3]>,
+    /// Segment to room, unit quaternion, scalar first; null where nothing shows it.
+    pub orientation_wxyz: Option<[f64; 4]>,
+    /// Root mean square of its expected error about an axis, degrees; of limbs, against the trunk.
+    pub sigma_deg: f64,
+    /// Its sensor; null where it wears none.
+    pub sensor: Option<String>,
+    /// What is wrong with that sensor; null where nothing is.
+    pub fault: Option<Cause>,
+}
+
+/// A joint.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct JointEntry {
+    /// Its name.
+    pub name: String,
+    /// How far to trust it: as the worse of the segments beside it.
+    pub state: SegmentState,
+    /// The segment whose sensor is faulty or missing, if any: why the joint is not `ok`.
+    pub limited_by: Option<String>,
+    /// Its angles by name, degrees; null where a segment beside it is not known.
+    pub angles_deg: BTreeMap<String, Option<f64>>,
+    /// Root mean square of the expected error of one angle, degrees.
+    pub sigma_deg: f64,
+    /// Standard deviation of each angle, degrees, by the same names; null where the angle is.
+    pub angle_sigmas_deg: BTreeMap<String, Option<f64>>,
+    /// Covariance of the angles in `covariance_of`, rad²: the upper triangle row by row; null where they are.
+    pub covariance_rad2: Option<Vec<f64>>,
+    /// The independent angles, in the order of the covariance's rows: a shoulder's flexion and abduction follow from the others.
+    pub covariance_of: Vec<String>,
+}

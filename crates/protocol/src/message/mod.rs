@@ -1,0 +1,90 @@
+//! Messages from the daemon to a client, as types: the source of the schema. One file per topic.
+//!
+//! `sensors` and `truth` are written from borrowed frames by [`super::encode`]; the types here describe the result, and a
+//! test reads every written message back through them. Times are seconds since the stage's epoch.
+
+mod answer;
+mod body;
+mod exercise;
+mod faults;
+mod field;
+mod hello;
+mod jobs;
+mod keyframes;
+mod reply;
+mod segments;
+mod sensors;
+mod stages;
+mod status;
+mod truth;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub(super) use self::answer::Answers;
+pub use self::answer::{
+    Answer, Exercises, KeptExercise, KeptFile, MapVersion, RecordingBegun, Recordings, Resumed, Started,
+    Tracked,
+};
+pub use self::body::{Figure, HeadingSource, JointEntry, SegmentEntry};
+pub use self::exercise::{Begun, Deviation, ExerciseChange, ExerciseEvent, Judged};
+pub use self::faults::{Fault, FaultChange};
+pub use self::field::{FieldChange, FieldEvent};
+pub use self::hello::{Hello, HelloSensor};
+pub use self::jobs::{Job, JobState, Jobs};
+pub use self::keyframes::KeyPose;
+pub use self::reply::{ErrorReply, OkReply};
+pub use self::segments::SegmentBody;
+pub use self::sensors::{Change, Measured, Quality, SensorEntry, Sensors};
+pub use self::stages::{RelatedClock, StageEntry, StagePresence, Stages};
+pub use self::status::{
+    DeviceStatus, LinkState, Problem, RecordingStatus, ReplayStatus, SensorStatus, StageLatency, Status,
+};
+pub use self::truth::{TruthEntry, Truths};
+
+/// Everything a client can receive.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "type", rename_all = "snake_case")]
+pub enum ServerMessage {
+    /// First message on every connection.
+    Hello(Hello),
+    /// A request was carried out.
+    Ok(OkReply),
+    /// A request was refused, or could not be read.
+    Error(ErrorReply),
+    /// Health.
+    Status(Data<Status>),
+    /// Poses of one frame.
+    Sensors(Data<Sensors>),
+    /// Segments and joints at one time.
+    Body(Data<Figure>),
+    /// Ground truth of one instant.
+    Truth(Data<Truths>),
+    /// All jobs, running and lately ended.
+    Jobs(Data<Jobs>),
+    /// A fault began or ended, or the fault map changed.
+    Faults(Data<Fault>),
+    /// A sensor's motion changed.
+    Keyframes(Data<KeyPose>),
+    /// A model of the field changed.
+    Field(Data<FieldEvent>),
+    /// A repetition, or what belongs to it.
+    Exercise(Data<ExerciseEvent>),
+    /// A segment of the motion begins.
+    Segments(Data<SegmentBody>),
+    /// All stages of a hub; only on a hub's own websocket.
+    Stages(Stages),
+}
+
+/// What every data message starts with, and its body.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[schemars(rename = "{B}Message")]
+pub struct Data<B> {
+    /// Counts this topic's messages to this client from 0; a gap is a message that was dropped.
+    pub seq: u64,
+    /// Data messages of all topics that were dropped for this client so far.
+    pub dropped: u64,
+    /// The rest.
+    #[serde(flatten)]
+    pub body: B,
+}

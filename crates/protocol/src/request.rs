@@ -1,0 +1,538 @@
+//! Messages from a client to the daemon, and how bytes become one.
+//!
+//! Nothing a client sends may end in a panic: whatever cannot be read is a [`ParseError`] with the request's id, if it
+//! had one, a code and a sentence.
+
+use std::collections::BTreeMap;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::{Encoding, Field, Topic};
+use posed_fusion::body::guide::Thoroughness;
+use posed_fusion::faults::Class;
+use posed_stage::input::Model;
+
+/// What a client calls its request; replies carry it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum RequestId {
+    /// A whole number.
+    Number(i64),
+    /// A text of up to 64 bytes.
+    Text(String),
+}
+
+/// A request that was read.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Request {
+    /// About what this client receives.
+    Feed(Feed),
+    /// Something for the daemon to do.
+    Call(Call),
+}
+
+/// Requests about what this client receives.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Feed {
+    /// Subscribes to topics; again for the same topic: with the new options. The reply is followed by the last state.
+    Subscribe {
+        /// Which ones.
+        topics: Vec<Topic>,
+        /// At most so many messages per second and topic, events excepted; absent: every frame.
+        #[serde(default)]
+        max_rate_hz: Option<f64>,
+        /// Only these sensors, by name; absent: all.
+        #[serde(default)]
+        sensors: Option<Vec<String>>,
+        /// What `sensors` and `truth` say of each sensor, beside its name and state; absent: `device`, `position_m`,
+        /// `orientation_wxyz`, `sigma_m`.
+        #[serde(default)]
+        fields: Option<Vec<Field>>,
+        /// What to do when this client is too slow; absent: `latest`.
+        #[serde(default)]
+        drop: Option<DropPolicy>,
+    },
+    /// Ends subscriptions.
+    Unsubscribe {
+        /// Which ones.
+        topics: Vec<Topic>,
+    },
+    /// Sends the events of the subscribed topics that came after one, of the last ten minutes.
+    Resume {
+        /// The last `event_id` that the client has; 0: all.
+        after: u64,
+    },
+}
+
+/// Requests for the daemon. All but `replay.list` and `exercise.list` need the role `operate`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "type", deny_unknown_fields)]
+pub enum Call {
+    /// Begins a recording.
+    #[serde(rename = "record.start")]
+    RecordStart {
+        /// File name within the recordings' folder, without a path; absent: stage and time.
+        #[serde(default)]
+        name: Option<String>,
+    },
+    /// Ends the recording.
+    #[serde(rename = "record.stop")]
+    RecordStop {},
+    /// Names the recordings.
+    #[serde(rename = "replay.list")]
+    ReplayList {},
+    /// Opens a recording.
+    #[serde(rename = "replay.open")]
+    ReplayOpen {
+        /// A name that `replay.list` gave.
+        name: String,
+    },
+    /// Reads a few channels of a whole recording, to compare runs; answered when it is read.
+    #[serde(rename = "replay.track")]
+    ReplayTrack {
+        /// A name that `replay.list` gave.
+        name: String,
+        /// Up to six channels; absent: only their names are answered.
+        #[serde(default)]
+        columns: Vec<String>,
+    },
+    /// Goes to a time in the open recording.
+    #[serde(rename = "replay.seek")]
+    ReplaySeek {
+        /// Seconds since the recording's epoch.
+        t_s: f64,
+    },
+    /// Sets the speed of the replay.
+    #[serde(rename = "replay.speed")]
+    ReplaySpeed {
+        /// Multiple of real time; 0 pauses.
+        speed: Speed,
+    },
+    /// Begins a guided calibration of the field: move the pole, and follow what the topic `field` says.
+    #[serde(rename = "field.start")]
+    FieldStart {
+        /// The pole's sensors by name, in their order along it.
+        sensors: Vec<String>,
+        /// Measured distance between neighbours, m.
+        spacing_m: f64,
+    },
+    /// Ends the guided calibration and solves it, as a job.
+    #[serde(rename = "field.finish")]
+    FieldFinish {
+        /// Surveyed points that a sensor of the pole stood on meanwhile; three or more make positions absolute.
+        #[serde(default)]
+        anchors: Vec<AnchorSpec>,
+    },
+    /// Uses the map of the last calibration from the next frame on, and keeps it as the stage's newest version.
+    #[serde(rename = "field.accept")]
+    FieldAccept {},
+    /// Goes back to the version before; to no map before the first.
+    #[serde(rename = "field.rollback")]
+    FieldRollback {},
+    /// Names the exercises that can be selected: those in the stage's folder.
+    #[serde(rename = "exercise.list")]
+    ExerciseList {},
+    /// Teaches an exercise from what is tracked; a job. The exercise is kept as a file, loaded, and counted for the
+    /// subject from then on.
+    #[serde(rename = "exercise.teach")]
+    ExerciseTeach {
+        /// Name of the exercise: 1 to 64 letters, digits, spaces, `-` and `_`.
+        name: String,
+        /// How many repetitions it is taught from; 3 to 10 are good.
+        repetitions: u32,
+        /// The repetitions lie in the last so many seconds; absent: they are about to be done, and the job ends once
+        /// they were done and the subject rests.
+        #[serde(default)]
+        last_s: Option<f64>,
+        /// Only these sensors, by name; absent: all.
+        #[serde(default)]
+        sensors: Option<Vec<String>>,
+        /// Only these channels; absent: those that do the same in every repetition.
+        #[serde(default)]
+        channels: Option<Vec<String>>,
+        /// Who moves; absent: `default`.
+        #[serde(default)]
+        subject: Option<String>,
+    },
+    /// Counts exercises from 0 for a subject, and no others.
+    #[serde(rename = "exercise.select")]
+    ExerciseSelect {
+        /// Their names; none ends the counting.
+        exercises: Vec<String>,
+        /// Repetitions of a set; absent: one set without end.
+        #[serde(default)]
+        repetitions: Option<u32>,
+        /// Sets of each exercise; absent: no end.
+        #[serde(default)]
+        sets: Option<u32>,
+        /// Rest after a set, s; absent: none.
+        #[serde(default)]
+        rest_s: Option<f64>,
+        /// Who moves; absent: `default`.
+        #[serde(default)]
+        subject: Option<String>,
+        /// For each sensor that the exercises were taught with the one that this subject wears; absent: the same.
+        #[serde(default)]
+        sensors: Option<BTreeMap<String, String>>,
+    },
+    /// Counts a subject's exercises from 0 again.
+    #[serde(rename = "exercise.reset")]
+    ExerciseReset {
+        /// Who moves; absent: `default`.
+        #[serde(default)]
+        subject: Option<String>,
+    },
+    /// Learns a fault map; a job. It is kept as a file, and takes the place of the one in use.
+    #[serde(rename = "faults.train")]
+    FaultsTrain {
+        /// From the last so many seconds; absent: from all that is remembered, five minutes at most.
+        #[serde(default)]
+        last_s: Option<f64>,
+        /// From a recording instead: a name that `replay.list` gave.
+        #[serde(default)]
+        recording: Option<String>,
+    },
+    /// Gives a cell of the fault map another class; kept as a file.
+    #[serde(rename = "faults.name_cell")]
+    FaultsNameCell {
+        /// Row, from 0.
+        row: usize,
+        /// Column, from 0.
+        column: usize,
+        /// What frames of this cell are.
+        class: Class,
+    },
+    /// Learns to name segments of the motion from the recordings that have labels beside them (`TAKE.labels.csv` or `TAKE.eaf`); a
+    /// job. The model is kept as a file, and takes the place of the one in use.
+    #[serde(rename = "segments.train")]
+    SegmentsTrain {
+        /// Most epochs; absent: 30.
+        #[serde(default)]
+        epochs: Option<u32>,
+        /// Frames of 1/24 s that the network may look ahead: the fewer, the sooner labels are sure; absent: 121.
+        #[serde(default)]
+        look_ahead: Option<usize>,
+    },
+    /// Finds how the body's sensors sit, and with `assign` on which segment each does, from poses and movements that the job's message
+    /// asks for one after the other; a job. It notices by itself when each was done, and swaps in what it found if it is good to
+    /// five degrees. Its result has `quality_deg` and `sensors` by segment.
+    #[serde(rename = "body.calibrate")]
+    BodyCalibrate {
+        /// How much is asked for; absent: `full`.
+        #[serde(default)]
+        how: Option<Thoroughness>,
+    },
+    /// Finds how the transmitter stands in the room, and how the IMU sits on a magnetic sensor that has one; a job, whose message
+    /// states what to do next. Both are swapped in if they are good.
+    #[serde(rename = "stage.align")]
+    StageAlign {
+        /// The magnetic sensor, by name; absent: the first that has an IMU, else the first.
+        #[serde(default)]
+        sensor: Option<String>,
+        /// Surveyed points of the room that the sensor is held at, in this order; three or more where no IMU is attached to it.
+        #[serde(default)]
+        anchors: Vec<RoomPoint>,
+    },
+    /// Finds the intrinsics of an IMU that is placed in one direction after the other and turned between; a job, whose message
+    /// states what to do next and whose result states which directions were held. They are kept as a file of the unit and used from
+    /// then on, if they are good.
+    #[serde(rename = "imu.calibrate")]
+    ImuCalibrate {
+        /// The sensor, by name; absent: the only IMU of the stage.
+        #[serde(default)]
+        sensor: Option<String>,
+    },
+    /// Cancels a job.
+    #[serde(rename = "job.cancel")]
+    JobCancel {
+        /// Its number.
+        job: u64,
+    },
+    /// Swaps a model in between two frames.
+    #[serde(rename = "model.load")]
+    ModelLoad {
+        /// The model, in full.
+        model: Model,
+    },
+}
+
+impl Call {
+    /// Whether it needs the role `operate`.
+    pub fn changes_something(&self) -> bool {
+        !matches!(self, Self::ReplayList {} | Self::ReplayTrack { .. } | Self::ExerciseList {})
+    }
+}
+
+/// A surveyed point that a sensor of the pole stood on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AnchorSpec {
+    /// For messages.
+    pub name: String,
+    /// The sensor, by name.
+    pub sensor: String,
+    /// From when, stream time, s.
+    pub t_start: f64,
+    /// Until when, stream time, s.
+    pub t_end: f64,
+    /// The point in the transmitter frame, m.
+    pub position_m: [f64; 3],
+}
+
+/// A surveyed point of the room.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RoomPoint {
+    /// For messages.
+    pub name: String,
+    /// Where it is, room, m.
+    pub position_m: [f64; 3],
+}
+
+/// What to do with messages for which a client is too slow. Either way the oldest goes first and is counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum DropPolicy {
+    /// Keep a few of the newest: for who shows them.
+    #[default]
+    Latest,
+    /// Keep a long queue: for who stores them.
+    Queue,
+}
+
+/// Speed of a replay.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Speed {
+    /// Multiple of real time; 0 pauses.
+    Times(f64),
+    /// A word.
+    Word(SpeedWord),
+}
+
+impl Speed {
+    /// Multiple of real time; infinity is as fast as it goes.
+    pub fn times(self) -> f64 {
+        match self {
+            Self::Times(times) => times,
+            Self::Word(SpeedWord::Max) => f64::INFINITY,
+        }
+    }
+}
+
+/// A speed in words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SpeedWord {
+    /// As fast as it goes.
+    Max,
+}
+
+/// Why a client's message is no request.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ParseError {
+    /// The request's id, where that much could be read.
+    pub id: Option<RequestId>,
+    /// For programs.
+    pub code: &'static str,
+    /// For people.
+    pub message: String,
+}
+
+const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
+const CALLS: [&str; 23] = [
+    "record.start",
+    "record.stop",
+    "replay.list",
+    "replay.track",
+    "replay.open",
+    "replay.seek",
+    "replay.speed",
+    "field.start",
+    "field.finish",
+    "field.accept",
+    "field.rollback",
+    "exercise.list",
+    "exercise.teach",
+    "exercise.select",
+    "exercise.reset",
+    "body.calibrate",
+    "faults.train",
+    "faults.name_cell",
+    "segments.train",
+    "stage.align",
+    "imu.calibrate",
+    "job.cancel",
+    "model.load",
+];
+const LONGEST_ID: usize = 64;
+
+/// Reads one message of a client: a flat map with `type` and `id`.
+///
+/// # Errors
+/// Reports why it is none, with the request's id where there is one.
+pub fn parse(encoding: Encoding, bytes: &[u8]) -> Result<(RequestId, Request), ParseError> {
+    let refuse = |id: Option<&RequestId>, code, message| ParseError { id: id.cloned(), code, message };
+    let value: Value = match encoding {
+        Encoding::Json => serde_json::from_slice(bytes).map_err(|e| format!("this is not JSON: {e}")),
+        Encoding::MessagePack => read_message_pack(bytes),
+    }
+    .map_err(|message| refuse(None, "bad_message", message))?;
+    let Value::Object(mut map) = value else {
+        return Err(refuse(None, "bad_message", "a message is a map with `type` and `id`".into()));
+    };
+    let id = match map.remove("id") {
+        None => Err("every request needs an `id`, a whole number or a text"),
+        Some(id) => match serde_json::from_value(id) {
+            Ok(RequestId::Text(text)) if text.len() > LONGEST_ID => Err("an `id` has at most 64 bytes"),
+            Ok(id) => Ok(id),
+            Err(_) => Err("an `id` is a whole number or a text"),
+        },
+    }
+    .map_err(|message| refuse(None, "bad_request", message.into()))?;
+    let Some(kind) = map.get("type").and_then(Value::as_str).map(str::to_owned) else {
+        return Err(refuse(Some(&id), "bad_request", "every request needs a `type`".into()));
+    };
+    let read = if FEEDS.contains(&kind.as_str()) {
+        serde_json::from_value(Value::Object(map)).map(Request::Feed)
+    } else if CALLS.contains(&kind.as_str()) {
+        serde_json::from_value(Value::Object(map)).map(Request::Call)
+    } else {
+        return Err(refuse(Some(&id), "unknown_type", unknown_type(&kind)));
+    };
+    match read {
+        Ok(request) => Ok((id, request)),
+        Err(error) => Err(refuse(Some(&id), "bad_request", format!("{}: {error}", shortened(&kind)))),
+    }
+}
+
+fn read_message_pack(bytes: &[u8]) -> Result<Value, String> {
+    let mut rest = bytes;
+    let mut deserializer = rmp_serde::Deserializer::new(&mut rest);
+    // Nested maps are read by recursion: requests are flat, so a few levels are plenty.
+    deserializer.set_max_depth(32);
+    let value = Value::deserialize(&mut deserializer).map_err(|e| format!("this is not MessagePack: {e}"))?;
+    if rest.is_empty() { Ok(value) } else { Err("bytes follow the message".into()) }
+}
+
+fn unknown_type(kind: &str) -> String {
+    let nearest = FEEDS
+        .iter()
+        .chain(&CALLS)
+        .map(|known| (strsim::damerau_levenshtein(known, &shortened(kind)), *known))
+        .min_by_key(|(distance, _)| *distance);
+    match nearest {
+        Some((distance, known)) if distance <= 3 => {
+            format!("there is no request `{}`; did you mean `{known}`?", shortened(kind))
+        }
+        _ => format!("there is no request `{}` in this version", shortened(kind)),
+    }
+}
+
+fn shortened(text: &str) -> String {
+    text.chars().take(40).collect()
+}
+
+/// Body of the fuzz target: bytes of a client in either encoding, and what can be read is written and read again.
+pub fn fuzz_client_message(data: &[u8]) {
+    for encoding in [Encoding::Json, Encoding::MessagePack] {
+        let Ok((id, request)) = parse(encoding, data) else { continue };
+        let again = match &request {
+            Request::Feed(feed) => serde_json::to_value(feed),
+            Request::Call(call) => serde_json::to_value(call),
+        };
+        let Ok(Value::Object(mut map)) = again else { panic!("a request is a map") };
+        map.insert("id".into(), serde_json::json!(id));
+        let text = Value::Object(map).to_string();
+        assert_eq!(parse(Encoding::Json, text.as_bytes()), Ok((id, request)), "{text}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn json(text: &str) -> Result<(RequestId, Request), ParseError> {
+        parse(Encoding::Json, text.as_bytes())
+    }
+
+    #[test]
+    fn reads_every_request() {
+        for text in [
+            r#"{"type":"subscribe","id":1,"topics":["sensors"],"max_rate_hz":30,"sensors":["a"],"fields":["raw"],"drop":"queue"}"#,
+            r#"{"type":"unsubscribe","id":"x","topics":["status","body"]}"#,
+            r#"{"type":"resume","id":1,"after":7}"#,
+            r#"{"type":"record.start","id":1}"#,
+            r#"{"type":"record.stop","id":1}"#,
+            r#"{"type":"replay.list","id":1}"#,
+            r#"{"type":"replay.track","id":1,"name":"a.mcap","columns":["a.x"]}"#,
+            r#"{"type":"replay.open","id":1,"name":"a.mcap"}"#,
+            r#"{"type":"replay.seek","id":1,"t_s":3}"#,
+            r#"{"type":"replay.speed","id":1,"speed":"max"}"#,
+            r#"{"type":"replay.speed","id":1,"speed":0.5}"#,
+            r#"{"type":"field.start","id":1,"sensors":["a","b","c"],"spacing_m":0.3}"#,
+            r#"{"type":"field.finish","id":1,"anchors":[{"name":"p","sensor":"a","t_start":1,"t_end":2,"position_m":[1,0,0]}]}"#,
+            r#"{"type":"field.accept","id":1}"#,
+            r#"{"type":"field.rollback","id":1}"#,
+            r#"{"type":"job.cancel","id":1,"job":3}"#,
+            r#"{"type":"stage.align","id":1,"sensor":"a","anchors":[{"name":"door","position_m":[1,0,0]}]}"#,
+            r#"{"type":"imu.calibrate","id":1,"sensor":"a"}"#,
+            r#"{"type":"exercise.list","id":1}"#,
+            r#"{"type":"exercise.teach","id":1,"name":"curl","repetitions":5,"last_s":30,"sensors":["a"]}"#,
+            r#"{"type":"exercise.select","id":1,"exercises":["curl"],"repetitions":10,"sets":3,"rest_s":60}"#,
+            r#"{"type":"exercise.reset","id":1,"subject":"a"}"#,
+            r#"{"type":"faults.train","id":1,"last_s":120}"#,
+            r#"{"type":"faults.train","id":1,"recording":"a.mcap"}"#,
+            r#"{"type":"faults.name_cell","id":1,"row":0,"column":3,"class":"clean"}"#,
+            r#"{"type":"model.load","id":1,"model":{"kind":"transmitter","position_m":[0,0,1],"orientation_wxyz":[1,0,0,0]}}"#,
+        ] {
+            let request = json(text).unwrap_or_else(|error| panic!("{text}: {error:?}"));
+            let value: Value = serde_json::from_str(text).unwrap();
+            let packed = rmp_serde::to_vec(&value).unwrap();
+            assert_eq!(parse(Encoding::MessagePack, &packed).unwrap(), request, "{text}");
+            fuzz_client_message(text.as_bytes());
+            fuzz_client_message(&packed);
+        }
+    }
+
+    #[test]
+    fn says_what_is_wrong_and_with_which_request() {
+        let errors = [
+            "{",
+            "[]",
+            r#"{"type":"subscribe","topics":[]}"#,
+            r#"{"type":"subscribe","id":1.5,"topics":[]}"#,
+            r#"{"id":1}"#,
+            r#"{"id":2,"type":"subscrib"}"#,
+            r#"{"id":3,"type":"teleport.home"}"#,
+            r#"{"id":4,"type":"subscribe","topics":["sensor"]}"#,
+            r#"{"id":5,"type":"subscribe","topics":["sensors"],"rate":3}"#,
+            r#"{"id":"six","type":"resume"}"#,
+        ]
+        .map(|text| {
+            let error = json(text).expect_err(text);
+            format!("{text}\n  -> {:?} {}: {}", error.id, error.code, error.message)
+        });
+        insta::assert_snapshot!(errors.join("\n"));
+    }
+
+    #[test]
+    fn deep_nesting_is_an_error() {
+        let text = format!("{}{}", "[".repeat(30_000), "]".repeat(30_000));
+        assert_eq!(json(&text).unwrap_err().code, "bad_message");
+        let packed = vec![0x91; 60_000];
+        assert_eq!(parse(Encoding::MessagePack, &packed).unwrap_err().code, "bad_message");
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_a_request_or_an_error(data in proptest::collection::vec(any::<u8>(), 0..200)) {
+            fuzz_client_message(&data);
+        }
+    }
+}

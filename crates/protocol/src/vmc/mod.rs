@@ -1,0 +1,188 @@
+//! The skeleton for programs that speak VMC (Virtual Motion Capture) over OSC: avatars of the Unity humanoid kind.
+//!
+//! What comes in: the body and the frames of the pipeline. What goes out: datagrams, each complete in itself. What it never does: send a bone that
+//! sensors do not show, own a socket.
+//!
+//! # Axes
+//! The room (right-handed, z up) becomes Unity's (left-handed, y up, z forward) by (x, y, z) -> (x, z, y), M with determinant -1; rotations R
+//! become M R Mᵀ: the vector part v of the quaternion becomes -M v. A bone's rotation is distinguished from the T-pose of a figure that looks along Unity's z (arms
+//! level, palms down), relative to its parent bone.
+
+mod bones;
+#[cfg(test)]
+mod tests;
+
+use nalgebra::{Isometry3, Rotation3, UnitQuaternion, Vector3};
+use posed_drivers::Timestamp;
+use rosc::{OscBundle, OscMessage, OscPacket, OscTime, OscType, encoder};
+
+use self::bones::Bone;
+use posed_fusion::body::Skeleton;
+use posed_geometry::isometry;
+use posed_stage::Stage;
+use posed_stage::layout::skeleton_of;
+use posed_stage::output::{Body, Estimate};
+
+/// Port on which programs listen by custom.
+pub const DEFAULT_TARGET: &str = "127.0.0.1:39539";
+/// Frames per second unless the stage file specifies otherwise.
+pub const DEFAULT_RATE_HZ: f64 = 60.0;
+/// Largest datagram, bytes: below what an Ethernet frame holds.
+const DATAGRAM: usize = 1400;
+/// What a bundle of nothing takes, bytes, and what each message takes beside its own bytes.
+const BUNDLE: usize = 16;
+const ELEMENT: usize = 4;
+/// "At once".
+const NOW: OscTime = OscTime { seconds: 0, fractional: 1 };
+
+/// Turns bodies into datagrams.
+#[derive(Clone, Debug)]
+pub struct Publisher {
+    skeleton: Option<Skeleton>,
+    /// From the room to what is sent: the turn that the stage file asks for.
+    turn: UnitQuaternion<f64>,
+    /// Lengths of the avatar over those of the person.
+    scale: f64,
+    /// Names of the sensors that are sent as trackers.
+    trackers: Vec<(usize, String)>,
+    period_s: f64,
+    due_s: f64,
+    /// The newest good sensors, in the room.
+    sensors: Vec<(usize, Isometry3<f64>)>,
+}
+
+impl Publisher {
+    /// For a stage whose file says so.
+    pub fn new(stage: &Stage, settings: &posed_stage::Vmc) -> Self {
+        let person_m = stage.body.as_ref().and_then(|body| body.height_m);
+        let scale = settings.height_m.zip(person_m).map_or(1.0, |(avatar_m, person_m)| avatar_m / person_m);
+        let trackers = if settings.trackers { stage.magnetic_indices() } else { Vec::new() };
+        Self {
+            skeleton: stage.body.as_ref().and_then(skeleton_of),
+            turn: Rotation3::from_axis_angle(&Vector3::z_axis(), settings.heading_deg.to_radians()).into(),
+            scale,
+            trackers: trackers.into_iter().map(|at| (at, stage.sensors[at].name.clone())).collect(),
+            period_s: 1.0 / settings.rate_hz.unwrap_or(DEFAULT_RATE_HZ),
+            due_s: f64::NEG_INFINITY,
+            sensors: Vec::new(),
+        }
+    }
+
+    /// Says the datagrams of a body, if one is due.
+    pub fn body(&mut self, body: &Body, say: impl FnMut(&[u8])) {
+        if !self.is_due(body.t_valid) {
+            return;
+        }
+        let bones = match &self.skeleton {
+            Some(skeleton) => bones::of(body, skeleton, self.turn, self.scale),
+            None => Vec::new(),
+        };
+        self.say(body.t_valid, &bones, say);
+    }
+
+    /// Takes over the sensors of a frame; returns them where nobody wears any, for then no body comes.
+    pub fn frame(&mut self, estimate: &Estimate, say: impl FnMut(&[u8])) {
+        self.sensors.clear();
+        for &(at, _) in &self.trackers {
+            let pose = estimate.sensors.get(at).and_then(|sensor| sensor.usable_pose());
+            let place = pose.and_then(|pose| isometry(pose.position_m?, pose.orientation_wxyz));
+            self.sensors.extend(place.map(|place| (at, place)));
+        }
+        if self.skeleton.is_none() && self.is_due(estimate.t_valid) {
+            self.say(estimate.t_valid, &[], say);
+        }
+    }
+
+    /// Reports that nothing has been tracked lately, if so: to be called now and then.
+    pub fn look(&mut self, t_s: f64, say: impl FnMut(&[u8])) {
+        // Somewhat more than the largest distance of two frames.
+        if t_s > self.due_s + 1.0 {
+            self.sensors.clear();
+            self.say(Timestamp::from_secs_f64(t_s), &[], say);
+        }
+    }
+
+    /// Lets time start anew.
+    pub fn rewind(&mut self) {
+        self.due_s = f64::NEG_INFINITY;
+        self.sensors.clear();
+    }
+
+    /// At the stated rate on average, however the frames fall.
+    fn is_due(&mut self, t: Timestamp) -> bool {
+        let t_s = t.as_nanos() as f64 * 1e-9;
+        if t_s < self.due_s {
+            return false;
+        }
+        let next_s = self.due_s + self.period_s;
+        self.due_s = if next_s > t_s { next_s } else { t_s + self.period_s };
+        true
+    }
+
+    fn say(&self, t: Timestamp, bones: &[Bone], mut say: impl FnMut(&[u8])) {
+        let t_s = (t.as_nanos() as f64 * 1e-9) as f32;
+        let loaded = i32::from(!bones.is_empty());
+        let mut messages = vec![
+            message("/VMC/Ext/OK", [OscType::Int(loaded)]),
+            message("/VMC/Ext/T", [OscType::Float(t_s)]),
+        ];
+        if loaded == 1 {
+            messages.push(placed("/VMC/Ext/Root/Pos", "root", Vector3::zeros(), UnitQuaternion::identity()));
+        }
+        messages.extend(
+            bones.iter().map(|bone| placed("/VMC/Ext/Bone/Pos", bone.name, bone.offset_m, bone.rotation)),
+        );
+        for (at, place) in &self.sensors {
+            let Some((_, name)) = self.trackers.iter().find(|(tracker, _)| tracker == at) else { continue };
+            let position_m = unity_vector(self.turn * place.translation.vector) * self.scale;
+            let rotation = unity_rotation(self.turn * place.rotation);
+            messages.push(placed("/VMC/Ext/Tra/Pos", name, position_m, rotation));
+        }
+        bundles(messages, &mut say);
+    }
+}
+
+/// Positions in Unity's axes.
+fn unity_vector(room: Vector3<f64>) -> Vector3<f64> {
+    Vector3::new(room.x, room.z, room.y)
+}
+
+/// Rotations in Unity's axes.
+fn unity_rotation(room: UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+    let vector = -unity_vector(room.imag());
+    UnitQuaternion::new_unchecked(nalgebra::Quaternion::from_parts(room.w, vector))
+}
+
+fn message(address: &str, args: impl Into<Vec<OscType>>) -> OscMessage {
+    OscMessage { addr: address.to_owned(), args: args.into() }
+}
+
+/// Name, position, rotation with the scalar last.
+fn placed(address: &str, name: &str, position_m: Vector3<f64>, rotation: UnitQuaternion<f64>) -> OscMessage {
+    let numbers = position_m.iter().chain(rotation.coords.iter()).map(|value| OscType::Float(*value as f32));
+    message(address, std::iter::once(OscType::String(name.to_owned())).chain(numbers).collect::<Vec<_>>())
+}
+
+/// Packs messages into as few datagrams as they need.
+fn bundles(messages: Vec<OscMessage>, say: &mut impl FnMut(&[u8])) {
+    let mut content = Vec::new();
+    let mut bytes = BUNDLE;
+    let mut send = |content: &mut Vec<OscPacket>| {
+        let bundle = OscBundle { timetag: NOW, content: std::mem::take(content) };
+        // Names without NUL cannot be refused, and stage files hold none.
+        if let Ok(datagram) = encoder::encode(&OscPacket::Bundle(bundle)) {
+            say(&datagram);
+        }
+    };
+    for message in messages {
+        let packet = OscPacket::Message(message);
+        let length = ELEMENT + encoder::encode(&packet).map_or(0, |bytes| bytes.len());
+        if bytes + length > DATAGRAM && !content.is_empty() {
+            send(&mut content);
+            bytes = BUNDLE;
+        }
+        bytes += length;
+        content.push(packet);
+    }
+    send(&mut content);
+}

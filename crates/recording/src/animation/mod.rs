@@ -1,0 +1,156 @@
+//! A body's movement as files that other programs open: BVH, TRC and binary glTF.
+//!
+//! In: a skeleton, and segment orientations over time (room, z up). Out: files with y up and metres, in the axes of a
+//! body that looks along the room's x: x forward, y up, z right, as ISB and OpenSim have it. It never leaves a
+//! half-written file behind, and never invents frames but to make them equally spaced.
+
+mod bvh;
+mod glb;
+#[cfg(test)]
+mod tests;
+mod trc;
+
+use std::io::Write;
+use std::path::Path;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use thiserror::Error;
+
+use crate::atomic_file::AtomicFile;
+use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton, upright};
+
+/// Kinds of files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// Biovision hierarchy: Blender and most animation programs.
+    Bvh,
+    /// Track row column: joint centres as markers, for OpenSim.
+    Trc,
+    /// Binary glTF: an animated skeleton for browsers.
+    Glb,
+}
+
+impl Format {
+    /// By the end of a file's name.
+    pub fn of(path: &Path) -> Option<Self> {
+        match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
+            "bvh" => Some(Self::Bvh),
+            "trc" => Some(Self::Trc),
+            "glb" => Some(Self::Glb),
+            _ => None,
+        }
+    }
+}
+
+/// Why an animation cannot be written.
+#[derive(Debug, Error)]
+pub enum AnimationError {
+    /// Fewer than two frames.
+    #[error("an animation takes two frames at least, and there are {0}")]
+    TooShort(usize),
+    /// The file cannot be written.
+    #[error("cannot write {file}: {source}")]
+    Io {
+        /// Which file.
+        file: String,
+        /// Why.
+        source: std::io::Error,
+    },
+}
+
+/// One time of a body: y up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Frame {
+    t_s: f64,
+    orientations: [UnitQuaternion<f64>; SEGMENTS],
+    pelvis_m: Vector3<f64>,
+}
+
+/// A body's movement.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Animation {
+    skeleton: Skeleton,
+    frames: Vec<Frame>,
+}
+
+impl Animation {
+    /// No frame yet.
+    pub fn new(skeleton: Skeleton) -> Self {
+        Self { skeleton, frames: Vec::new() }
+    }
+
+    /// Appends a time, s: segments to room, and the hips' mid-point in the room, m. Times that do not rise are left out.
+    pub fn push(&mut self, t_s: f64, orientations: [UnitQuaternion<f64>; SEGMENTS], pelvis_m: Vector3<f64>) {
+        if self.frames.last().is_none_or(|last| t_s > last.t_s) {
+            let up = upright().inverse();
+            self.frames.push(Frame {
+                t_s,
+                orientations: orientations.map(|q| up * q),
+                pelvis_m: up * pelvis_m,
+            });
+        }
+    }
+
+    /// Writes the file, whole or not at all.
+    ///
+    /// # Errors
+    /// Too few frames, or a file that cannot be written.
+    pub fn write(&self, path: &Path, format: Format) -> Result<(), AnimationError> {
+        let (rate_hz, frames) = self.even()?;
+        let bytes = match format {
+            Format::Bvh => bvh::text(&self.skeleton, rate_hz, &frames).into_bytes(),
+            Format::Trc => trc::text(&self.skeleton, rate_hz, &frames, path).into_bytes(),
+            Format::Glb => glb::bytes(&self.skeleton, &frames),
+        };
+        let failed = |source| AnimationError::Io { file: path.display().to_string(), source };
+        let mut file = AtomicFile::create(path).map_err(failed)?;
+        file.write_all(&bytes).map_err(failed)?;
+        file.commit().map_err(failed)
+    }
+
+    /// Equally spaced frames at the mean rate: the formats know no other. Between two frames segments turn the
+    /// shortest way.
+    fn even(&self) -> Result<(f64, Vec<Frame>), AnimationError> {
+        let [first, .., last] = self.frames.as_slice() else {
+            return Err(AnimationError::TooShort(self.frames.len()));
+        };
+        let steps = self.frames.len() - 1;
+        let span_s = last.t_s - first.t_s;
+        let mut at = 0;
+        let frames = (0..=steps)
+            .map(|k| {
+                let t_s = first.t_s + span_s * k as f64 / steps as f64;
+                while at + 2 < self.frames.len() && self.frames[at + 1].t_s <= t_s {
+                    at += 1;
+                }
+                between(&self.frames[at], &self.frames[at + 1], t_s)
+            })
+            .collect();
+        Ok((steps as f64 / span_s, frames))
+    }
+}
+
+fn between(a: &Frame, b: &Frame, t_s: f64) -> Frame {
+    let part = ((t_s - a.t_s) / (b.t_s - a.t_s)).clamp(0.0, 1.0);
+    let turn = |i: usize| {
+        let step = posed_geometry::so3::log(&(a.orientations[i].inverse() * b.orientations[i]));
+        a.orientations[i] * posed_geometry::so3::exp(&(step * part))
+    };
+    Frame { t_s, orientations: std::array::from_fn(turn), pelvis_m: a.pelvis_m.lerp(&b.pelvis_m, part) }
+}
+
+/// From a segment's joint to the joint of a child, the segment's frame, m.
+fn offset_m(skeleton: &Skeleton, child: BodySegment) -> Vector3<f64> {
+    let Some(parent) = child.parent() else { return Vector3::zeros() };
+    skeleton.joint_in_parent_m(child) - skeleton.joint_in_segment_m(parent)
+}
+
+/// From a segment's joint to its far end, the segment's frame, m.
+fn end_m(skeleton: &Skeleton, segment: BodySegment) -> Vector3<f64> {
+    skeleton.end_in_segment_m(segment) - skeleton.joint_in_segment_m(segment)
+}
+
+/// Segments that hang on another.
+fn children(parent: BodySegment) -> impl Iterator<Item = BodySegment> {
+    BodySegment::ALL.into_iter().filter(move |segment| segment.parent() == Some(parent))
+}

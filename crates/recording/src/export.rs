@@ -1,0 +1,135 @@
+//! Files that other programs open: messages as JSON lines, poses as CSV.
+
+use std::io::Write;
+use std::path::Path;
+
+use nalgebra::Isometry3;
+
+use super::ending::ReadError;
+use super::header::Header;
+use super::reader::{Item, Reader};
+use crate::atomic_file::AtomicFile;
+use crate::table::{PoseColumns, PoseRow, PoseWriter, Poses, TableError, Which};
+use posed_geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
+use posed_stage::Stage;
+use posed_stage::input::{Input, Model};
+
+/// Frame of reference of exported poses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Frame {
+    /// z up, metres.
+    #[default]
+    Room,
+    /// The tracker's own axes.
+    Transmitter,
+}
+
+/// Writes every message of a recording, one line each, in order; the number of lines. `progress` receives the bytes
+/// of the recording read so far.
+///
+/// # Errors
+/// The recording cannot be read or the file cannot be written; nothing is left behind.
+pub fn jsonl(recording: &Path, output: &Path, mut progress: impl FnMut(u64)) -> Result<u64, TableError> {
+    let failed = |source| TableError::Recording { file: recording.display().to_string(), source };
+    let write = |source| TableError::Io { tried: "write", file: output.display().to_string(), source };
+    let mut reader = Reader::open(recording).map_err(failed)?;
+    let mut file = AtomicFile::create(output).map_err(write)?;
+    let mut lines = 0;
+    while let Some(item) = reader.next() {
+        progress(reader.bytes_read());
+        if let Item::Message(message) = item.map_err(failed)? {
+            file.write_all(&message.json).and_then(|()| file.write_all(b"\n")).map_err(write)?;
+            lines += 1;
+        }
+    }
+    file.commit().map_err(write)?;
+    Ok(lines)
+}
+
+/// Writes the filtered poses of a recording with a column `state`; the number of rows. `progress` receives the bytes
+/// of the recording read so far.
+///
+/// # Errors
+/// The recording cannot be read or the file cannot be written; nothing is left behind.
+pub fn csv(
+    recording: &Path,
+    output: &Path,
+    frame: Frame,
+    mut progress: impl FnMut(u64),
+) -> Result<u64, TableError> {
+    let failed = |source| TableError::Recording { file: recording.display().to_string(), source };
+    let mut reader = Reader::open(recording).map_err(failed)?;
+    let mut transmitter = match frame {
+        Frame::Room => None,
+        Frame::Transmitter => Some(Transmitter::at_beginning(reader.header()).map_err(failed)?),
+    };
+    let columns = PoseColumns { sensor: true, orientation: true, state: true };
+    let mut writer = PoseWriter::create(output, columns)?;
+    let mut rows = 0;
+    // Holds the rows of one message, and the sensors' names.
+    let mut poses = Poses::default();
+    while let Some(item) = reader.next() {
+        progress(reader.bytes_read());
+        match item.map_err(failed)? {
+            Item::Entry(entry) => {
+                if let (Some(transmitter), Input::Model(model)) = (&mut transmitter, &entry.input) {
+                    transmitter.swap(model);
+                }
+            }
+            Item::Message(message) if &*message.topic == "sensors" => {
+                poses.rows.clear();
+                poses.append_message(&message.json, Which::All).map_err(failed)?;
+                if let Some(transmitter) = &transmitter {
+                    poses.rows.iter_mut().for_each(|row| transmitter.turn(row));
+                }
+                for row in &poses.rows {
+                    writer.row(poses.name(row), row)?;
+                }
+                rows += poses.rows.len() as u64;
+            }
+            Item::Message(_) | Item::Transmitted { .. } => {}
+        }
+    }
+    writer.finish()?;
+    Ok(rows)
+}
+
+/// Where the transmitter stands, as the log goes on.
+struct Transmitter {
+    room_from_transmitter: Isometry3<f64>,
+}
+
+impl Transmitter {
+    fn at_beginning(header: &Header) -> Result<Self, ReadError> {
+        let stage = Stage::parse(&header.stage_toml)
+            .map_err(|problems| ReadError::NotARecording(format!("its stage file is wrong: {problems}")))?;
+        let room_from_transmitter = match stage.transmitter.pose_in_room {
+            None => Isometry3::identity(),
+            Some(pose) => isometry(pose.position_m, pose.orientation_wxyz).ok_or_else(|| {
+                ReadError::NotARecording("its transmitter's orientation is no quaternion".to_owned())
+            })?,
+        };
+        let mut transmitter = Self { room_from_transmitter };
+        header.models.iter().for_each(|model| transmitter.swap(model));
+        Ok(transmitter)
+    }
+
+    /// A model whose numbers are none changes nothing, as in the pipeline.
+    fn swap(&mut self, model: &Model) {
+        if let Model::Transmitter { position_m, orientation_wxyz } = model
+            && let Some(placed) = isometry(*position_m, *orientation_wxyz)
+        {
+            self.room_from_transmitter = placed;
+        }
+    }
+
+    /// From room to transmitter axes.
+    fn turn(&self, row: &mut PoseRow) {
+        let transmitter_from_room = self.room_from_transmitter.inverse();
+        row.position_m =
+            row.position_m.map(|position| transmitter_from_room.transform_point(&position.into()).into());
+        row.orientation_wxyz = row.orientation_wxyz.and_then(orientation_from_wxyz).map(|room_from_sensor| {
+            orientation_to_wxyz(&(transmitter_from_room.rotation * room_from_sensor))
+        });
+    }
+}

@@ -1,0 +1,78 @@
+//! Recordings: MCAP files of the input log, what was sent to the devices, and the published messages.
+//!
+//! What comes in: entries, messages and bytes in the order in which the fusion thread saw and made them. What goes
+//! out: a file that other programs open, the same entries in the same order, and what a replay of them says.
+//! What it never does: own a thread or a clock, or hide a hole in the log.
+//!
+//! ```
+//! use posed_recording::table::{Imu, TableReader};
+//!
+//! let text = "t,ax,ay,az,gx,gy,gz\n0.00,0,0,9.80665,0,0,0.1\n0.01,0,0,9.80665,,,\n";
+//! let imu = Imu::from_table(TableReader::new("imu.csv", text.as_bytes())?, None)?;
+//! assert_eq!(imu.rows.len(), 2);
+//! assert_eq!(imu.rows[1].gyro_rad_s, None, "an empty cell is no value");
+//! # Ok::<(), posed_recording::table::TableError>(())
+//! ```
+//!
+//! # Layout of a file
+//! Profile `posed`. In front, outside of any chunk: the attachments `stage.toml`, `models.msgpack`
+//! (models swapped in before), `snapshot/pipeline` and `snapshot/publisher` (state, for a recording begun mid-run),
+//! then the metadata record `posed` (version, epoch, names). Then chunks with these topics:
+//!
+//! | topic | encoding | holds |
+//! |---|---|---|
+//! | `/input/DEVICE/bytes` | raw | a chunk as read |
+//! | `/input/DEVICE/line` | MessagePack | a [`LineEvent`](posed_drivers::LineEvent) |
+//! | `/input/timer` | empty | a deadline has passed |
+//! | `/input/segmentation_network` | bytes | a trained network's file |
+//! | `/input/model`, `/input/request`, `/input/truth` | MessagePack | a model in full, what a client asked, ground truth |
+//! | `/output/DEVICE/bytes` | raw | what was transmitted |
+//! | `/posed/TOPIC` | JSON | a message as the websocket publishes it at the full rate |
+//! | `/tf`, `/scene/...`, `/log`, ... | JSON | the same for viewers, see [`posed_protocol::foxglove`]; skipped by our own reader |
+//!
+//! `log_time` is the epoch in UTC plus the entry's time, to the nanosecond. `sequence` of the input topics is one
+//! counter over all of them: file order and counter say the same, and a gap is a hole. The others count by topic.
+//! The last record is the metadata `posed.end`, whose `reason` states why the recording ended.
+
+pub mod animation;
+pub mod atomic_file;
+pub mod compare;
+pub mod export;
+pub mod info;
+pub mod outline;
+pub mod positions;
+pub mod reader;
+mod records;
+pub mod repair;
+pub mod replay;
+pub mod table;
+pub mod writer;
+
+mod ending;
+mod header;
+pub mod machine;
+pub mod movement;
+#[cfg(any(test, feature = "testing"))]
+pub mod testing;
+#[cfg(test)]
+mod tests;
+
+pub use compare::{Comparison, Difference, Golden, GoldenError, is_replayed};
+pub use ending::{Ending, ReadError};
+pub use header::{Header, Snapshot};
+pub use info::Info;
+pub use machine::{Machine, MachineError};
+pub use outline::Outline;
+pub use reader::{Item, Message, Reader};
+pub use repair::{RepairError, Repaired, repair};
+pub use replay::{Mapping, Replayable, Verdict, VerifyError, verify};
+pub use writer::{WriteError, Writer};
+
+/// Largest message, attachment or chunk that is written, and that a reader believes without having seen a
+/// file of that size, bytes.
+pub const MAX_RECORD_BYTES: usize = 64 << 20;
+
+/// Whether a file is named like a recording (`.mcap`) rather than like a table.
+pub fn is_recording(path: &std::path::Path) -> bool {
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"))
+}

@@ -1,0 +1,86 @@
+//! The body's movement of a recording, for programs that draw or analyse it.
+
+use std::path::Path;
+
+use nalgebra::Vector3;
+use thiserror::Error;
+
+use super::{Item, ReadError, Reader};
+use crate::animation::{Animation, AnimationError, Format};
+use posed_fusion::body::{BodyEstimate, BodySegment, Skeleton};
+use posed_geometry::orientation_from_wxyz;
+use posed_protocol::Figure;
+use posed_stage::Stage;
+use posed_stage::layout::skeleton_of;
+
+/// Why a recording cannot be turned into an animation.
+#[derive(Debug, Error)]
+pub enum MovementError {
+    /// It cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// It holds no body.
+    #[error(
+        "the recording holds no body: its stage has no [body] with `height_m`, or nobody knew how its sensors sat"
+    )]
+    NoBody,
+    /// The animation cannot be written.
+    #[error(transparent)]
+    Animation(#[from] AnimationError),
+}
+
+/// Writes the body of a recording as an animation; the number of its frames. Segments that nothing showed stand as their
+/// parents do. `progress` receives the bytes of the recording read so far.
+///
+/// # Errors
+/// The recording cannot be read or holds no body, or the file cannot be written; nothing is left behind.
+pub fn animation(
+    recording: &Path,
+    output: &Path,
+    format: Format,
+    mut progress: impl FnMut(u64),
+) -> Result<u64, MovementError> {
+    let mut reader = Reader::open(recording)?;
+    let stage = Stage::parse(&reader.header().stage_toml)
+        .map_err(|problems| ReadError::NotARecording(format!("its stage file is wrong: {problems}")))?;
+    let skeleton = stage.body.as_ref().and_then(skeleton_of).ok_or(MovementError::NoBody)?;
+    let mut animation = Animation::new(skeleton);
+    let mut frames = 0;
+    while let Some(item) = reader.next() {
+        progress(reader.bytes_read());
+        let Item::Message(message) = item? else { continue };
+        if &*message.topic != "body" {
+            continue;
+        }
+        let figure: Figure = serde_json::from_slice(&message.json)
+            .map_err(|error| ReadError::NotARecording(format!("a `body` message cannot be read: {error}")))?;
+        push(&mut animation, &skeleton, &figure);
+        frames += 1;
+    }
+    if frames == 0 {
+        return Err(MovementError::NoBody);
+    }
+    animation.write(output, format)?;
+    Ok(frames)
+}
+
+fn push(animation: &mut Animation, skeleton: &Skeleton, figure: &Figure) {
+    let mut estimate = BodyEstimate::default();
+    let mut seen: Option<(BodySegment, Vector3<f64>)> = None;
+    for entry in &figure.segments {
+        let Some(segment) = BodySegment::named(&entry.name) else { continue };
+        estimate.orientations[segment.index()] = entry.orientation_wxyz.and_then(orientation_from_wxyz);
+        if let Some(position_m) = entry.position_m
+            && (seen.is_none() || segment == BodySegment::Pelvis)
+        {
+            seen = Some((segment, position_m.into()));
+        }
+    }
+    let all = estimate.completed();
+    let from_hips = skeleton.origins_m(&all, Vector3::zeros());
+    let pelvis_m = seen.map_or_else(
+        || skeleton.standing_m(&all),
+        |(segment, position_m)| position_m - from_hips[segment.index()],
+    );
+    animation.push(figure.t_s, all, pelvis_m);
+}

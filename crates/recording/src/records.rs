@@ -1,0 +1,192 @@
+//! MCAP records in file order, from a whole file, a torn one or a damaged one.
+//!
+//! What comes in: bytes. What goes out: attachments, metadata, messages with their channels; each chunk only once
+//! it is complete and its checksum right. Nothing of ours is decoded here; [`super::reader`] does.
+
+use std::collections::BTreeMap;
+use std::io::{self, Read};
+use std::sync::Arc;
+
+use mcap::records::{Metadata, Record as Raw, op};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{Attachment, Channel, McapError, Message, Schema};
+
+use super::MAX_RECORD_BYTES;
+use super::ending::{Ending, ReadError};
+
+/// What a file is made of, as far as a recording cares.
+pub(super) enum Record {
+    Attachment(Attachment<'static>),
+    Metadata(Metadata),
+    Message(Message<'static>),
+}
+
+/// Iterates the records of a file.
+pub(super) struct Records<R> {
+    source: R,
+    reader: LinearReader,
+    schemas: BTreeMap<u16, Arc<Schema<'static>>>,
+    channels: BTreeMap<u16, Arc<Channel<'static>>>,
+    /// Bytes taken from the source.
+    position: u64,
+    /// The data section is over: what follows is the index, which repeats schemas and channels.
+    summary: bool,
+    /// Set once there is nothing more to say.
+    pub(super) ending: Option<Ending>,
+}
+
+impl<R: Read> Records<R> {
+    /// `file_bytes` is the size of the file, where known: no record is longer.
+    pub(super) fn new(source: R, file_bytes: u64) -> Self {
+        let longest = usize::try_from(file_bytes).unwrap_or(usize::MAX).max(MAX_RECORD_BYTES);
+        let options = LinearReaderOptions::default()
+            .with_prevalidate_chunk_crcs(true)
+            .with_validate_data_section_crc(true)
+            .with_record_length_limit(longest);
+        Self {
+            source,
+            reader: LinearReader::new_with_options(options),
+            schemas: BTreeMap::new(),
+            channels: BTreeMap::new(),
+            position: 0,
+            summary: false,
+            ending: None,
+        }
+    }
+
+    /// Bytes taken from the source.
+    pub(super) fn position(&self) -> u64 {
+        self.position
+    }
+
+    /// The next record; `None` at the end, see [`Records::ending`].
+    pub(super) fn next(&mut self) -> Result<Option<Record>, ReadError> {
+        while self.ending.is_none() {
+            let step = match self.reader.next_event() {
+                None => Ok(Step::End),
+                Some(Err(error)) => Err(error),
+                Some(Ok(LinearReadEvent::ReadRequest(bytes))) => Ok(Step::Read(bytes)),
+                // No record has this number: the file ends in zeros, as after a power cut.
+                Some(Ok(LinearReadEvent::Record { opcode: 0, .. })) => Ok(Step::Torn),
+                Some(Ok(LinearReadEvent::Record { opcode, data })) => match opcode {
+                    op::SCHEMA | op::CHANNEL | op::MESSAGE | op::ATTACHMENT | op::METADATA => {
+                        mcap::parse_record(opcode, data).map(|record| Step::Record(record.into_owned()))
+                    }
+                    op::DATA_END => {
+                        self.summary = true;
+                        Ok(Step::Skip)
+                    }
+                    _ => Ok(Step::Skip),
+                },
+            };
+            match step {
+                Ok(Step::Skip) => {}
+                Ok(Step::End) => self.ending = Some(Ending::Complete),
+                Ok(Step::Torn) | Err(McapError::UnexpectedEof) => self.ending = Some(Ending::Torn),
+                Ok(Step::Read(bytes)) => self.fill(bytes)?,
+                Ok(Step::Record(record)) => {
+                    if let Some(record) =
+                        self.take(record).inspect_err(|_| self.ending = Some(Ending::Torn))?
+                    {
+                        return Ok(Some(record));
+                    }
+                }
+                Err(error) => {
+                    self.ending = Some(Ending::Torn);
+                    return Err(self.error(error));
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    fn fill(&mut self, bytes: usize) -> Result<(), ReadError> {
+        let read = loop {
+            match self.source.read(self.reader.insert(bytes)) {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => {
+                    self.ending = Some(Ending::Torn);
+                    return Err(ReadError::Io(error));
+                }
+                Ok(read) => break read,
+            }
+        };
+        self.reader.notify_read(read);
+        self.position += read as u64;
+        Ok(())
+    }
+
+    fn take(&mut self, record: Raw<'static>) -> Result<Option<Record>, ReadError> {
+        if self.summary {
+            return Ok(None);
+        }
+        match record {
+            Raw::Schema { header, data } => {
+                let schema = Schema { id: header.id, name: header.name, encoding: header.encoding, data };
+                let (id, schema) = (schema.id, Arc::new(schema));
+                if self.schemas.insert(id, Arc::clone(&schema)).is_some_and(|old| old != schema) {
+                    return Err(self.corrupt(format!("schema {} changes midway", schema.name)));
+                }
+            }
+            Raw::Channel(channel) => {
+                let schema = match channel.schema_id {
+                    0 => None,
+                    id => Some(self.schemas.get(&id).cloned().ok_or_else(|| {
+                        self.corrupt(format!("channel {} names an unknown schema", channel.topic))
+                    })?),
+                };
+                let mcap::records::Channel { id, topic, message_encoding, metadata, .. } = channel;
+                let channel = Arc::new(Channel { id, topic, schema, message_encoding, metadata });
+                if self.channels.insert(id, Arc::clone(&channel)).is_some_and(|old| old != channel) {
+                    return Err(self.corrupt(format!("channel {} changes midway", channel.topic)));
+                }
+            }
+            Raw::Message { header, data } => {
+                let channel = self.channels.get(&header.channel_id).cloned().ok_or_else(|| {
+                    self.corrupt(format!("message of unknown channel {}", header.channel_id))
+                })?;
+                return Ok(Some(Record::Message(Message {
+                    channel,
+                    sequence: header.sequence,
+                    log_time: header.log_time,
+                    publish_time: header.publish_time,
+                    data,
+                })));
+            }
+            Raw::Attachment { header, data, .. } => {
+                return Ok(Some(Record::Attachment(Attachment {
+                    log_time: header.log_time,
+                    create_time: header.create_time,
+                    name: header.name,
+                    media_type: header.media_type,
+                    data,
+                })));
+            }
+            Raw::Metadata(metadata) => return Ok(Some(Record::Metadata(metadata))),
+            _ => {}
+        }
+        Ok(None)
+    }
+
+    fn error(&self, error: McapError) -> ReadError {
+        match error {
+            McapError::BadMagic if self.position <= mcap::MAGIC.len() as u64 => {
+                ReadError::NotARecording("it does not begin as an MCAP file".to_owned())
+            }
+            other => self.corrupt(other.to_string()),
+        }
+    }
+
+    /// Damage before the last byte taken.
+    pub(super) fn corrupt(&self, reason: String) -> ReadError {
+        ReadError::Corrupt { before_byte: self.position, reason }
+    }
+}
+
+enum Step {
+    Skip,
+    Read(usize),
+    Record(Raw<'static>),
+    Torn,
+    End,
+}

@@ -1,0 +1,106 @@
+//! Completing a torn or damaged recording.
+//!
+//! Everything before the break is copied into a new file beside the old one, which takes its name only once it is
+//! on the disk: at every moment there is either the old file or the new one.
+
+use std::fs::{File, TryLockError};
+use std::io::{self, BufReader, Write};
+use std::path::Path;
+
+use mcap::write::NoSeek;
+
+use super::ending::{Ending, ReadError};
+use super::header::METADATA_END;
+use super::reader::Reader;
+use super::records::{Record, Records};
+use super::writer::{WriteError, options};
+use crate::atomic_file::AtomicFile;
+
+/// What a repair has done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Repaired {
+    /// It was complete; nothing was touched.
+    WasComplete,
+    /// It is complete now.
+    Completed {
+        /// Messages of all topics that were saved.
+        messages: u64,
+    },
+}
+
+/// Why a recording could not be repaired; it is as it was.
+#[derive(Debug, thiserror::Error)]
+pub enum RepairError {
+    /// There is nothing to save.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// Somebody is writing it.
+    #[error("the recording is still being written; stop it first")]
+    InUse,
+    /// The new file could not be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+}
+
+impl From<io::Error> for RepairError {
+    fn from(error: io::Error) -> Self {
+        Self::Write(error.into())
+    }
+}
+
+/// Completes the recording at `path`, in place; `progress` receives the bytes looked at so far.
+///
+/// # Errors
+/// It is no recording, it is being written, or the folder cannot be written to; it is as it was.
+pub fn repair(path: &Path, mut progress: impl FnMut(u64)) -> Result<Repaired, RepairError> {
+    let original = File::open(path).map_err(ReadError::Io)?;
+    // The recorder holds the lock. A file system without locks does not stop the repair.
+    if matches!(original.try_lock(), Err(TryLockError::WouldBlock)) {
+        return Err(RepairError::InUse);
+    }
+    let mut reader = Reader::open(path)?;
+    let mut sound = true;
+    while let Some(item) = reader.next() {
+        progress(reader.bytes_read());
+        sound &= item.is_ok();
+    }
+    if sound && reader.ending() == Some(Ending::Complete) {
+        return Ok(Repaired::WasComplete);
+    }
+    let bytes = original.metadata().map_err(ReadError::Io)?.len();
+    let source = BufReader::new(original);
+    let mut file = AtomicFile::create(path)?;
+    let messages = reader.sound_messages();
+    copy(Records::new(source, bytes), messages, &mut file)?;
+    file.commit()?;
+    Ok(Repaired::Completed { messages })
+}
+
+/// Copies records until `messages` messages are over, or to the first that cannot be read.
+fn copy<R: io::Read>(mut records: Records<R>, messages: u64, sink: impl Write) -> Result<(), RepairError> {
+    let mut mcap = options().create(NoSeek::new(sink)).map_err(WriteError::from)?;
+    let mut copied_messages = 0;
+    loop {
+        let copied = match records.next() {
+            Ok(Some(Record::Message(_))) if copied_messages == messages => break,
+            Ok(Some(Record::Message(message))) => {
+                copied_messages += 1;
+                mcap.write(&message)
+            }
+            Ok(Some(Record::Attachment(attachment))) => mcap.attach(&attachment),
+            // The old end comes back below, behind whatever follows it.
+            Ok(Some(Record::Metadata(metadata))) if metadata.name == METADATA_END => Ok(()),
+            Ok(Some(Record::Metadata(metadata))) => mcap.write_metadata(&metadata),
+            Ok(None) | Err(ReadError::Corrupt { .. }) => break,
+            Err(error) => return Err(error.into()),
+        };
+        copied.map_err(WriteError::from)?;
+    }
+    let reason = "broke off; completed by `posed info --repair`".to_owned();
+    let metadata = [("reason".to_owned(), reason)].into();
+    mcap.write_metadata(&mcap::records::Metadata { name: METADATA_END.to_owned(), metadata })
+        .map_err(WriteError::from)?;
+    mcap.finish().map_err(WriteError::from)?;
+    mcap.into_inner().into_inner().flush()?;
+    Ok(())
+}

@@ -1,0 +1,73 @@
+//! Sequences out of recordings: the joints are the stage's sensors and the segments of its body.
+//!
+//! What comes in: `sensors` and `body` messages. What goes out: a frame per `sensors` message. Where a sensor is called as the segment that it
+//! sits on, the joint is the segment, as it is live.
+
+use std::path::Path;
+
+use super::poses::SensorsMessage;
+use super::{SequenceFrame, Sequences, TableError};
+use crate::{Item, ReadError, Reader};
+use posed_protocol::Figure;
+
+impl Sequences {
+    /// Reads the usable positions of a recording (`.mcap`). A torn recording gives what it has.
+    ///
+    /// # Errors
+    /// The recording is damaged, or is none.
+    pub fn read_recording(path: &Path) -> Result<Self, TableError> {
+        let failed = |source| TableError::Recording { file: path.display().to_string(), source };
+        let mut rows: Vec<(f64, Vec<Option<[f64; 3]>>)> = Vec::new();
+        let mut joints: Vec<String> = Vec::new();
+        let mut body: Vec<(usize, [f64; 3])> = Vec::new();
+        for item in Reader::open(path).map_err(failed)? {
+            let Item::Message(message) = item.map_err(failed)? else { continue };
+            match &*message.topic {
+                "body" => {
+                    let figure = figure(&message.json).map_err(failed)?;
+                    body.clear();
+                    for segment in figure.segments {
+                        if let Some(position_m) = segment.position_m {
+                            body.push((intern(&mut joints, &segment.name), position_m));
+                        }
+                    }
+                }
+                "sensors" => {
+                    let message = SensorsMessage::parse(&message.json).map_err(failed)?;
+                    let mut row = Vec::with_capacity(joints.len());
+                    let mut put = |at: usize, position_m| {
+                        row.resize(row.len().max(at + 1), None);
+                        row[at] = Some(position_m);
+                    };
+                    for sensor in message.sensors.iter().filter(|sensor| sensor.state.is_usable()) {
+                        if let Some(position_m) = sensor.position_m {
+                            put(intern(&mut joints, &sensor.name), position_m);
+                        }
+                    }
+                    body.iter().for_each(|(at, position_m)| put(*at, *position_m));
+                    rows.push((message.t_s, row));
+                }
+                _ => {}
+            }
+        }
+        let mut sequences = Self { joints, ..Self::default() };
+        for (t_s, mut row) in rows {
+            row.resize(sequences.joints.len(), None);
+            sequences.frames.push(SequenceFrame { t_s, ..SequenceFrame::default() });
+            sequences.positions_m.append(&mut row);
+        }
+        Ok(sequences)
+    }
+}
+
+fn figure(json: &[u8]) -> Result<Figure, ReadError> {
+    serde_json::from_slice(json)
+        .map_err(|error| ReadError::NotARecording(format!("a `body` message cannot be read: {error}")))
+}
+
+fn intern(joints: &mut Vec<String>, name: &str) -> usize {
+    joints.iter().position(|known| known == name).unwrap_or_else(|| {
+        joints.push(name.to_owned());
+        joints.len() - 1
+    })
+}

@@ -1,0 +1,135 @@
+//! Labelled sequences as folders hold them: labels in a column, or in a file beside the sequence.
+//!
+//! What comes in: `walk.csv` (or `.csv.gz`), a sequence, or `walk.mcap`, a recording. If `walk.labels.csv` or `walk.eaf` stands beside it, its
+//! labels count instead of the column's: what `posed segments label` wrote and somebody corrected. What goes out: sequences,
+//! in the order of their names.
+
+use std::path::{Path, PathBuf};
+
+use super::{SegmentLabels, SequenceOptions, Sequences, TableError, elan};
+use crate::is_recording;
+
+/// A sequence, and the name of its file.
+pub type Named = (String, Sequences);
+
+/// Reads a sequence, or a recording (`.mcap`), whose sensors and segments of the body are the joints; with the labels beside it.
+///
+/// # Errors
+/// A file cannot be read, the labels beside it are not its labels, its times do not rise.
+pub fn read(path: &Path, options: &SequenceOptions) -> Result<Sequences, TableError> {
+    let mut sequences =
+        if is_recording(path) { Sequences::read_recording(path)? } else { Sequences::read(path, options)? };
+    match beside(path) {
+        Some(Beside::Elan(path)) => elan::read(&path, &mut sequences)?,
+        Some(Beside::Rows(path)) => correct(&path, &mut sequences)?,
+        None => {}
+    }
+    sequences.labelled |= beside(path).is_some();
+    let rising = sequences.frames.windows(2).all(|pair| pair[0].t_s < pair[1].t_s);
+    if rising { Ok(sequences) } else { Err(wrong(path, "the times do not rise from row to row")) }
+}
+
+/// Reads a sequence, or all of a folder; of recordings in it those that have labels beside them.
+///
+/// # Errors
+/// As for [`read`]; there are none, or one has no label at all.
+pub fn read_folder(folder: &Path, options: &SequenceOptions) -> Result<Vec<Named>, TableError> {
+    if !folder.is_dir() {
+        return labelled(&[folder.to_owned()], options);
+    }
+    let paths: Vec<PathBuf> = files(folder)?
+        .into_iter()
+        .filter(|path| if is_recording(path) { beside(path).is_some() } else { is_sequence(path) })
+        .collect();
+    if paths.is_empty() {
+        let what = "there are no .csv or .csv.gz files, and no recordings with labels beside them";
+        return Err(wrong(folder, what));
+    }
+    labelled(&paths, options)
+}
+
+/// Reads the recordings of a folder that have labels beside them; none is no error, nor is no folder.
+///
+/// # Errors
+/// As for [`read`]; one has no label at all.
+pub fn read_recordings(folder: &Path) -> Result<Vec<Named>, TableError> {
+    if !folder.is_dir() {
+        return Ok(Vec::new());
+    }
+    let mut paths = files(folder)?;
+    paths.retain(|path| is_recording(path) && beside(path).is_some());
+    labelled(&paths, &SequenceOptions::default())
+}
+
+/// The file's name without `.csv`, `.csv.gz` or `.mcap`.
+pub fn stem(path: &Path) -> String {
+    let name = name(path);
+    let ends = [".csv.gz", ".csv", ".mcap"];
+    ends.iter().find_map(|end| name.strip_suffix(end)).unwrap_or(&name).to_owned()
+}
+
+fn labelled(paths: &[PathBuf], options: &SequenceOptions) -> Result<Vec<Named>, TableError> {
+    let read = |path: &PathBuf| {
+        let sequences = read(path, options)?;
+        if sequences.frames.iter().all(|frame| frame.label.is_none()) {
+            let stem = stem(path);
+            let what = format!(
+                "no frame has a label; give a column `label`, or labels beside it in {stem}.labels.csv or {stem}.eaf"
+            );
+            return Err(wrong(path, &what));
+        }
+        Ok((name(path), sequences))
+    };
+    paths.iter().map(read).collect()
+}
+
+fn files(folder: &Path) -> Result<Vec<PathBuf>, TableError> {
+    let failed = |source| TableError::Io { tried: "read", file: folder.display().to_string(), source };
+    let entries = std::fs::read_dir(folder).map_err(failed)?;
+    let mut paths = entries
+        .map(|entry| entry.map(|entry| entry.path()))
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(failed)?;
+    paths.retain(|path| path.is_file());
+    paths.sort();
+    Ok(paths)
+}
+
+fn is_sequence(path: &Path) -> bool {
+    let name = name(path);
+    (name.ends_with(".csv") || name.ends_with(".csv.gz")) && !stem(path).ends_with(".labels")
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// Labels in a file of their own.
+enum Beside {
+    Rows(PathBuf),
+    Elan(PathBuf),
+}
+
+fn beside(path: &Path) -> Option<Beside> {
+    let stem = stem(path);
+    let there = |end: &str| Some(path.with_file_name(format!("{stem}{end}"))).filter(|path| path.is_file());
+    there(".labels.csv").map(Beside::Rows).or_else(|| there(".eaf").map(Beside::Elan))
+}
+
+/// Takes the labels of a file of segment labels, one row per frame.
+fn correct(path: &Path, sequences: &mut Sequences) -> Result<(), TableError> {
+    let labels = SegmentLabels::read(path)?;
+    let (frames, found) = (sequences.frames.len(), labels.rows.len());
+    if found != frames {
+        let what = format!("expected a row for each of the sequence's {frames} frames, found {found}");
+        return Err(wrong(path, &what));
+    }
+    for (frame, row) in sequences.frames.iter_mut().zip(labels.rows) {
+        frame.label = row.label;
+    }
+    Ok(())
+}
+
+fn wrong(path: &Path, what: &str) -> TableError {
+    TableError::Labels { file: path.display().to_string(), what: what.to_owned() }
+}

@@ -1,0 +1,380 @@
+//! Writing a recording, to anything that takes bytes.
+//!
+//! Append-only: a chunk is built in memory and written whole, so that what is cut off at any byte is a readable
+//! prefix. [`Writer::flush`] ends the chunk; who owns the file syncs it. No thread, no clock.
+
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
+use mcap::{Attachment, Compression, McapError, WriteOptions};
+use posed_drivers::Timestamp;
+
+use super::MAX_RECORD_BYTES;
+use super::header::{Header, METADATA_END, Part};
+use posed_protocol::foxglove::Channel;
+use posed_stage::input::{DeviceIndex, Entry, Input};
+
+/// Uncompressed bytes after which a chunk is closed by itself.
+const CHUNK_BYTES: u64 = 1 << 20;
+
+/// Why nothing more can be written.
+#[derive(Debug, thiserror::Error)]
+pub enum WriteError {
+    /// No space or no quota is left.
+    #[error("the disk is full; delete old recordings or record to another disk")]
+    DiskFull,
+    /// The folder or the file may not be written to.
+    #[error("no right to write there; choose a folder that this user may write to ({0})")]
+    Refused(io::Error),
+    /// A file of that name is there already.
+    #[error("a file of that name is there already; choose another name")]
+    Exists,
+    /// The folder is missing.
+    #[error("the folder does not exist; make it first")]
+    NoFolder,
+    /// Anything else that the system said.
+    #[error("the recording cannot be written: {0}")]
+    Io(io::Error),
+    /// An entry of a device that the header does not name.
+    #[error("entry of device {device}, but the recording's stage has {devices} devices")]
+    UnknownDevice {
+        /// The entry's.
+        device: DeviceIndex,
+        /// How many the header names.
+        devices: usize,
+    },
+    /// A message or attachment above [`MAX_RECORD_BYTES`].
+    #[error("{what} has {bytes} bytes; a recording holds at most {MAX_RECORD_BYTES} in one piece")]
+    TooLarge {
+        /// What.
+        what: String,
+        /// Its size.
+        bytes: usize,
+    },
+    /// Something that the format cannot hold.
+    #[error("the recording cannot hold this: {0}")]
+    Format(String),
+}
+
+impl From<io::Error> for WriteError {
+    fn from(error: io::Error) -> Self {
+        use io::ErrorKind as Kind;
+        match error.kind() {
+            Kind::StorageFull | Kind::QuotaExceeded | Kind::FileTooLarge => Self::DiskFull,
+            Kind::PermissionDenied | Kind::ReadOnlyFilesystem => Self::Refused(error),
+            Kind::AlreadyExists => Self::Exists,
+            Kind::NotFound => Self::NoFolder,
+            _ => Self::Io(error),
+        }
+    }
+}
+
+impl From<McapError> for WriteError {
+    fn from(error: McapError) -> Self {
+        match error {
+            McapError::Io(error) => error.into(),
+            other => Self::Format(other.to_string()),
+        }
+    }
+}
+
+/// Writes one recording.
+///
+/// After an error nothing more is written; the file is a readable prefix.
+pub struct Writer<W: Write> {
+    mcap: mcap::Writer<NoSeek<Counting<W>>>,
+    header: Header,
+    /// Channels already declared, by topic.
+    channels: BTreeMap<String, OpenChannel>,
+    /// Names and texts of schemas, by topic.
+    schemas: BTreeMap<String, (String, String)>,
+    /// Topics of the devices, made once: input bytes, input line, output bytes.
+    device_topics: Vec<[String; 3]>,
+    /// Counts entries, over all input topics.
+    entries: u32,
+    bytes: Arc<AtomicU64>,
+    scratch: Vec<u8>,
+}
+
+struct OpenChannel {
+    id: u16,
+    /// Counts messages.
+    sequence: u32,
+}
+
+/// What a channel holds, as its metadata says it.
+pub(super) const KIND: &str = "kind";
+/// The device a channel belongs to, as its metadata says it.
+pub(super) const DEVICE: &str = "device";
+
+impl<W: Write> Writer<W> {
+    /// Begins a recording and flushes its front part.
+    ///
+    /// # Errors
+    /// The sink refuses, or a part of the header is too large.
+    pub fn new(sink: W, header: Header) -> Result<Self, WriteError> {
+        let bytes = Arc::new(AtomicU64::new(0));
+        let sink = Counting { sink, bytes: Arc::clone(&bytes) };
+        let mut mcap = options().create(NoSeek::new(sink))?;
+        let time = header.log_time(header.begun);
+        for Part { name, media_type, data } in header.attachments().map_err(WriteError::Format)? {
+            check_size(name, data.len())?;
+            let (name, media_type) = (name.to_owned(), media_type.to_owned());
+            mcap.attach(&Attachment {
+                log_time: time,
+                create_time: time,
+                name,
+                media_type,
+                data: data.into(),
+            })?;
+        }
+        mcap.write_metadata(&header.metadata().map_err(WriteError::Format)?)?;
+        mcap.flush()?;
+        let device_topics = header.devices.iter().map(|device| {
+            [
+                format!("/input/{device}/bytes"),
+                format!("/input/{device}/line"),
+                format!("/output/{device}/bytes"),
+            ]
+        });
+        Ok(Self {
+            mcap,
+            device_topics: device_topics.collect(),
+            header,
+            channels: BTreeMap::new(),
+            schemas: BTreeMap::new(),
+            entries: 0,
+            bytes,
+            scratch: Vec::new(),
+        })
+    }
+
+    /// Gives the JSON Schema of a published topic; call it before the topic's first message.
+    pub fn declare(&mut self, topic: &str, json_schema: &str) {
+        let schema = (format!("posed.{topic}"), json_schema.to_owned());
+        self.schemas.insert(format!("/posed/{topic}"), schema);
+    }
+
+    /// Appends a message of a channel that viewers know: it is for them, and no part of a replay.
+    ///
+    /// # Errors
+    /// The sink refuses, or the message is too large.
+    pub fn view(&mut self, channel: &Channel, t: Timestamp, json: &[u8]) -> Result<(), WriteError> {
+        if !self.schemas.contains_key(&channel.topic) {
+            let schema = (channel.schema_name.clone(), channel.schema.clone());
+            self.schemas.insert(channel.topic.clone(), schema);
+        }
+        self.write(Destination::View(&channel.topic), t, None, json)
+    }
+
+    /// Appends an entry of the input log. Entries keep the order of the calls.
+    ///
+    /// # Errors
+    /// The sink refuses, the device is unknown, or the entry is too large.
+    pub fn entry(&mut self, entry: &Entry) -> Result<(), WriteError> {
+        let mut scratch = std::mem::take(&mut self.scratch);
+        scratch.clear();
+        let pack = |result: Result<(), rmp_serde::encode::Error>| {
+            result.map_err(|error| WriteError::Format(error.to_string()))
+        };
+        let (place, data): (Destination<'_>, &[u8]) = match &entry.input {
+            Input::Bytes { device, bytes } => (Destination::Device(*device, 0, "bytes"), bytes),
+            Input::Line { device, event } => {
+                pack(rmp_serde::encode::write_named(&mut scratch, event))?;
+                (Destination::Device(*device, 1, "line"), &scratch)
+            }
+            Input::Timer => (Destination::Stage("/input/timer", "timer"), &[]),
+            Input::Model(model) => {
+                pack(rmp_serde::encode::write_named(&mut scratch, model))?;
+                (Destination::Stage("/input/model", "model"), &scratch)
+            }
+            Input::Request(request) => {
+                pack(rmp_serde::encode::write_named(&mut scratch, request))?;
+                (Destination::Stage("/input/request", "request"), &scratch)
+            }
+            Input::SegmentationNetwork(bytes) => {
+                (Destination::Stage("/input/segmentation_network", "segmentation_network"), bytes)
+            }
+            Input::Truth(truth) => {
+                pack(rmp_serde::encode::write_named(&mut scratch, truth))?;
+                (Destination::Stage("/input/truth", "truth"), &scratch)
+            }
+        };
+        let sequence = self.entries;
+        let written = self.write(place, entry.t, Some(sequence), data);
+        self.scratch = scratch;
+        written?;
+        self.entries = self.entries.wrapping_add(1);
+        Ok(())
+    }
+
+    /// Appends a message as it was published.
+    ///
+    /// # Errors
+    /// The sink refuses, or the message is too large.
+    pub fn message(&mut self, topic: &str, t: Timestamp, json: &[u8]) -> Result<(), WriteError> {
+        self.write(Destination::Published(topic), t, None, json)
+    }
+
+    /// Appends what was transmitted to a device.
+    ///
+    /// # Errors
+    /// The sink refuses, or the device is unknown.
+    pub fn transmitted(&mut self, device: DeviceIndex, t: Timestamp, bytes: &[u8]) -> Result<(), WriteError> {
+        self.write(Destination::Device(device, 2, "transmitted"), t, None, bytes)
+    }
+
+    /// Ends the chunk and hands everything to the sink: all so far survives.
+    ///
+    /// # Errors
+    /// The sink refuses.
+    pub fn flush(&mut self) -> Result<(), WriteError> {
+        Ok(self.mcap.flush()?)
+    }
+
+    /// Ends the recording with its index, and gives the sink back, flushed.
+    ///
+    /// # Errors
+    /// The sink refuses.
+    pub fn finish(mut self, reason: &str) -> Result<W, WriteError> {
+        let metadata = BTreeMap::from([("reason".to_owned(), reason.to_owned())]);
+        self.mcap.write_metadata(&Metadata { name: METADATA_END.to_owned(), metadata })?;
+        self.mcap.finish()?;
+        let mut sink = self.mcap.into_inner().into_inner().sink;
+        sink.flush()?;
+        Ok(sink)
+    }
+
+    /// Bytes handed to the sink so far.
+    pub fn bytes_written(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    /// The counter behind [`Writer::bytes_written`], for whoever shows it elsewhere.
+    pub fn byte_counter(&self) -> Arc<AtomicU64> {
+        Arc::clone(&self.bytes)
+    }
+
+    fn write(
+        &mut self,
+        place: Destination<'_>,
+        t: Timestamp,
+        sequence: Option<u32>,
+        data: &[u8],
+    ) -> Result<(), WriteError> {
+        let published;
+        let topic = match place {
+            Destination::Device(device, which, _) => match self.device_topics.get(usize::from(device)) {
+                Some(topics) => topics[which].as_str(),
+                None => {
+                    return Err(WriteError::UnknownDevice { device, devices: self.device_topics.len() });
+                }
+            },
+            Destination::Stage(topic, _) | Destination::View(topic) => topic,
+            Destination::Published(topic) => {
+                published = format!("/posed/{topic}");
+                published.as_str()
+            }
+        };
+        check_size(topic, data.len())?;
+        if !self.channels.contains_key(topic) {
+            let schema = self.schemas.get(topic);
+            let id = add_channel(&mut self.mcap, topic, &place, &self.header.devices, schema)?;
+            self.channels.insert(topic.to_owned(), OpenChannel { id, sequence: 0 });
+        }
+        let Some(channel) = self.channels.get_mut(topic) else {
+            return Err(WriteError::Format(format!("channel {topic} is gone")));
+        };
+        let sequence = sequence.unwrap_or(channel.sequence);
+        channel.sequence = channel.sequence.wrapping_add(1);
+        let time = self.header.log_time(t);
+        let header = MessageHeader { channel_id: channel.id, sequence, log_time: time, publish_time: time };
+        Ok(self.mcap.write_to_known_channel(&header, data)?)
+    }
+}
+
+/// Where a message goes.
+#[derive(Clone, Copy)]
+enum Destination<'a> {
+    /// A device, which of its topics, and the kind of that topic.
+    Device(DeviceIndex, usize, &'static str),
+    /// Topic and kind.
+    Stage(&'static str, &'static str),
+    /// A published topic's name.
+    Published(&'a str),
+    /// Topic of a channel for viewers; readers of the log see by the lack of a kind that it is nothing to them.
+    View(&'a str),
+}
+
+fn add_channel<W: Write + io::Seek>(
+    mcap: &mut mcap::Writer<W>,
+    topic: &str,
+    place: &Destination<'_>,
+    devices: &[String],
+    schema: Option<&(String, String)>,
+) -> Result<u16, WriteError> {
+    let (kind, encoding) = match *place {
+        Destination::Device(_, _, kind @ ("bytes" | "transmitted")) => {
+            (Some(kind), "application/octet-stream")
+        }
+        Destination::Stage(_, kind @ "timer") => (Some(kind), "application/octet-stream"),
+        Destination::Device(_, _, kind) | Destination::Stage(_, kind) => (Some(kind), "msgpack"),
+        Destination::Published(_) => (Some("message"), "json"),
+        Destination::View(_) => (None, "json"),
+    };
+    let mut metadata: BTreeMap<_, _> =
+        kind.map(|kind| (KIND.to_owned(), kind.to_owned())).into_iter().collect();
+    if let Destination::Device(device, ..) = *place
+        && let Some(name) = devices.get(usize::from(device))
+    {
+        metadata.insert(DEVICE.to_owned(), name.clone());
+    }
+    let schema = match schema {
+        Some((name, text)) => mcap.add_schema(name, "jsonschema", text.as_bytes())?,
+        None => 0,
+    };
+    Ok(mcap.add_channel(schema, topic, encoding, &metadata)?)
+}
+
+/// How every file of ours is written; also by the repair.
+pub(super) fn options() -> WriteOptions {
+    WriteOptions::new()
+        .profile("posed")
+        .library(concat!("posed ", env!("CARGO_PKG_VERSION")))
+        .compression(Some(Compression::Zstd))
+        // In the caller's thread: the others have work of their own.
+        .compression_threads(0)
+        .chunk_size(Some(CHUNK_BYTES))
+        // Nothing behind the end of the file is ever patched: see the module's doc.
+        .disable_seeking(true)
+}
+
+fn check_size(what: &str, bytes: usize) -> Result<(), WriteError> {
+    // A chunk may go over its size by one message, and is itself one record.
+    if bytes > MAX_RECORD_BYTES - 2 * CHUNK_BYTES as usize {
+        return Err(WriteError::TooLarge { what: what.to_owned(), bytes });
+    }
+    Ok(())
+}
+
+/// Counts what passes through.
+struct Counting<W> {
+    sink: W,
+    bytes: Arc<AtomicU64>,
+}
+
+impl<W: Write> Write for Counting<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.sink.write(bytes)?;
+        self.bytes.fetch_add(written as u64, Ordering::Relaxed);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.sink.flush()
+    }
+}

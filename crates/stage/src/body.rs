@@ -1,0 +1,149 @@
+//! The `[body]` table: who wears the sensors, and how.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Segments of the `human` skeleton; a sensor with such a name, or such a `segment`, sits there.
+pub const SEGMENTS: [&str; 10] = [
+    "torso",
+    "pelvis",
+    "upper_arm_r",
+    "forearm_r",
+    "thigh_r",
+    "shank_r",
+    "upper_arm_l",
+    "forearm_l",
+    "thigh_l",
+    "shank_l",
+];
+
+/// The static poses that a calibration can hold.
+pub(super) const POSES: [&str; 2] = ["n_pose", "t_pose"];
+/// The movements that concern both sides.
+pub(super) const TRUNK_MOVEMENTS: [&str; 2] = ["bow", "trunk_rotation"];
+/// The movements of the `human` skeleton that a calibration can hold; each with `_r` or `_l` behind it.
+pub(super) const MOVEMENTS: [&str; 9] = [
+    "elbow_flexion",
+    "elbow_pronation",
+    "shoulder_flexion",
+    "shoulder_abduction",
+    "shoulder_rotation",
+    "knee_flexion",
+    "hip_flexion",
+    "hip_abduction",
+    "hip_rotation",
+];
+
+/// The body that wears the sensors.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Body {
+    /// Which segments there are and how they hang together.
+    #[serde(default)]
+    pub skeleton: Skeleton,
+    /// Height of the person, m; gives the segments' lengths where they are not measured.
+    #[schemars(range(min = 0.3, max = 2.6))]
+    pub height_m: Option<f64>,
+    /// Lengths that were measured, each in place of the height's.
+    pub lengths_m: Option<Lengths>,
+    /// Where the sensors sit on their segments.
+    #[serde(default)]
+    pub mounting: Mounting,
+    /// Segments of a custom skeleton, parents first.
+    #[serde(default)]
+    pub segments: Vec<SegmentSpec>,
+    /// For a recorded file: when which pose or movement was held.
+    #[serde(default)]
+    pub calibration: Vec<Calibration>,
+}
+
+/// Measured lengths of the human skeleton, between joint centres; absent ones follow from the height.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Lengths {
+    /// Between the shoulders, m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub shoulders: Option<f64>,
+    /// Between the hips, m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub hips: Option<f64>,
+    /// From the hips' mid-point to the shoulders', m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub trunk: Option<f64>,
+    /// Shoulder to elbow, m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub upper_arm: Option<f64>,
+    /// Elbow to wrist, m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub forearm: Option<f64>,
+    /// Hip to knee, m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub thigh: Option<f64>,
+    /// Knee to ankle, m.
+    #[schemars(range(min = 0.05, max = 1.0))]
+    pub shank: Option<f64>,
+    /// Ankle to floor, m.
+    #[schemars(range(min = 0.01, max = 0.5))]
+    pub ankle: Option<f64>,
+}
+
+/// Which segments a body has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Skeleton {
+    /// Torso, pelvis, arms and legs.
+    #[default]
+    Human,
+    /// What `[[body.segments]]` says.
+    Custom,
+}
+
+/// How it is known where the sensors sit on their segments.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Mounting {
+    /// From poses and movements; without any, from the movement alone.
+    #[default]
+    Calibrate,
+    /// Each sensor on the body says `segment` and `mount_quat_wxyz`.
+    Given,
+}
+
+/// A segment of a custom skeleton.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SegmentSpec {
+    /// Unique name.
+    #[schemars(length(min = 1, max = 64))]
+    pub name: String,
+    /// Name of the segment it hangs on; absent for the root.
+    pub parent: Option<String>,
+    /// Name of the joint to its parent; absent for the root.
+    pub joint: Option<String>,
+    /// How the joint moves; absent for the root.
+    pub kind: Option<JointKind>,
+}
+
+/// How a joint moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum JointKind {
+    /// About one axis.
+    Hinge,
+    /// About two axes.
+    TwoAxis,
+    /// About all three.
+    Ball,
+}
+
+/// When which pose or movement was held, in a recorded file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Calibration {
+    /// A pose (`n_pose`, `t_pose`) or a movement (`elbow_flexion_r`, ...; `JOINT_flexion` in a custom skeleton).
+    pub kind: String,
+    /// Its begin in the file's time, s.
+    pub start_s: f64,
+    /// Its end in the file's time, s.
+    pub end_s: f64,
+}

@@ -1,0 +1,303 @@
+//! The input log: all that the pipeline ever sees, in one total order.
+//!
+//! A recording holds these entries, and a replay feeds them again: same entries, same outputs.
+
+use std::collections::BTreeMap;
+
+use posed_drivers::{LineEvent, Timestamp};
+use posed_state::Plain;
+use serde::{Deserialize, Serialize};
+
+use posed_field::Prepared;
+use posed_fusion::body::BodySegment;
+use posed_fusion::chain::live::ChainCalibration;
+use posed_fusion::intrinsics::Intrinsics;
+use posed_motion::exercise::Exercise;
+use posed_motion::fault_map::FaultMap;
+
+/// Index of a device in the stage file's `[[device]]` list.
+pub type DeviceIndex = u16;
+/// Index of a sensor in the stage file's `[[sensor]]` list.
+pub type SensorIndex = u16;
+
+/// Lengths of the field that can be those of a device's own records, which have about 1.
+const FIELD_NORM: std::ops::RangeInclusive<f64> = 0.1..=10.0;
+
+/// One entry of the input log.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Entry {
+    /// Host time of the entry. Entries of several devices may be a few microseconds out of order; the
+    /// pipeline's own time is the latest one seen.
+    pub t: Timestamp,
+    /// What came in.
+    pub input: Input,
+}
+
+/// What can come in.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Input {
+    /// A read chunk of a device; `Entry::t` is its stamp.
+    Bytes {
+        /// Who sent it.
+        device: DeviceIndex,
+        /// The bytes as read.
+        #[serde(with = "posed_geometry::bytes")]
+        bytes: Vec<u8>,
+    },
+    /// A device's line opened, closed, or lost bytes.
+    Line {
+        /// Whose line.
+        device: DeviceIndex,
+        /// What happened.
+        event: LineEvent,
+    },
+    /// A deadline of the pipeline (see `Pipeline::poll_timeout`) has passed.
+    Timer,
+    /// A model is swapped in, in full.
+    Model(Model),
+    /// A client asks for something that changes what the pipeline does.
+    Request(Request),
+    /// A trained network of segments is swapped in: its file in full. None or an unusable one changes nothing.
+    SegmentationNetwork(#[serde(with = "posed_geometry::bytes")] Vec<u8>),
+    /// Ground truth from a simulator, passed through to the `truth` topic.
+    Truth(Truth),
+}
+
+/// A model that can be swapped in between two frames.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Model {
+    /// Where the transmitter stands in the room.
+    Transmitter {
+        /// Position of the transmitter in the room, m.
+        position_m: [f64; 3],
+        /// Turns transmitter coordinates into room coordinates.
+        orientation_wxyz: [f64; 4],
+    },
+    /// How noisy the tracker is: standard deviations at the reference distance `r0_m`.
+    TrackerNoise {
+        /// The device it speaks of, by name.
+        device: String,
+        /// Reference distance from the transmitter, m.
+        r0_m: f64,
+        /// Standard deviation along the transmitter ray at `r0_m`, m (grows with r^4).
+        sigma_radial_m: f64,
+        /// Rotation standard deviation at `r0_m`, rad (grows with r^3).
+        sigma_rotation_rad: f64,
+    },
+    /// Where metal bends the field: what a file of `posed field solve` holds.
+    Field {
+        /// Number of the map on its stage, from 1; 0 is none.
+        version: u32,
+        /// The map; null takes the present one away.
+        #[schemars(with = "Option<serde_json::Map<String, serde_json::Value>>")]
+        map: Option<Prepared>,
+    },
+    /// How the body's sensors sit, as a calibration found it.
+    Mounting {
+        /// One per sensor on the body.
+        sensors: Vec<MountedSensor>,
+    },
+    /// How the sensors of a chain of hinges sit and where its axes are, as a calibration found it.
+    Chain {
+        /// One entry per segment of the stage file.
+        calibration: Box<ChainCalibration>,
+    },
+    /// How an IMU sits on the magnetic sensor that it is attached to, as `stage.align` found it.
+    AttachedImu {
+        /// The magnetic sensor, by name.
+        sensor: String,
+        /// Turns the IMU's coordinates into the magnetic sensor's.
+        quat_wxyz: [f64; 4],
+        /// From the magnetic sensor to the IMU, the magnetic sensor's axes, m.
+        offset_m: [f64; 3],
+        /// Capture time of a magnetic record on the IMU's clock minus the one it is given, s.
+        clock_offset_s: f64,
+    },
+    /// Intrinsics of an IMU; they take the place of those before, and filters that knew the unit begin anew.
+    Imu {
+        /// The unit: its serial number, or the name of its sensor where neither device nor stage file tell one.
+        unit: String,
+        /// As in its file; the field in the unit that the device itself measures in, about 1.
+        intrinsics: Box<Intrinsics>,
+    },
+    /// A taught exercise; it takes the place of the one of its name.
+    Exercise {
+        /// The exercise, as in its file.
+        exercise: Box<Exercise>,
+    },
+    /// A fault map; it takes the place of the one before. Clients send none: it is longer than a message may be.
+    #[schemars(skip)]
+    Faults {
+        /// The network, as in its file.
+        fault_map: Box<FaultMap>,
+    },
+}
+
+/// How one sensor sits on its segment.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MountedSensor {
+    /// The sensor, by name.
+    pub sensor: String,
+    /// The segment it was found on, by name; absent: where it was taken to sit before.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub segment: Option<String>,
+    /// Turns sensor coordinates into segment coordinates.
+    pub mount_quat_wxyz: [f64; 4],
+    /// Where it sits, segment frame, m.
+    pub offset_m: [f64; 3],
+}
+
+/// What clients ask of the pipeline.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Request {
+    /// Counts these exercises from 0 for a subject, and no others.
+    ExerciseSelect {
+        /// Who moves.
+        subject: String,
+        /// Names of exercises that were loaded; none ends the counting.
+        exercises: Vec<String>,
+        /// How much is to be done.
+        plan: Plan,
+        /// Which sensor of this subject stands for which one that the exercises were taught with.
+        #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+        sensors: BTreeMap<String, String>,
+    },
+    /// Counts a subject's exercises from 0 again.
+    ExerciseReset {
+        /// Who moves.
+        subject: String,
+    },
+    /// Begins to collect what a pole's sensors read, to calibrate the field; what was collected before is forgotten.
+    FieldStart {
+        /// The sensors by name, in their order along the pole.
+        sensors: Vec<String>,
+        /// Measured distance between neighbours, m.
+        spacing_m: f64,
+    },
+    /// Ends that: the recording goes to the solver.
+    FieldFinish {},
+}
+
+/// How much of an exercise is to be done.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Plain)]
+#[serde(deny_unknown_fields)]
+pub struct Plan {
+    /// Repetitions of a set; absent: one set without end.
+    pub repetitions: Option<u32>,
+    /// Sets of each exercise; absent: no end.
+    pub sets: Option<u32>,
+    /// Rest after a set, s.
+    pub rest_s: f64,
+}
+
+impl Model {
+    /// Whether `newer` takes this model's place.
+    pub fn replaced_by(&self, newer: &Self) -> bool {
+        match (self, newer) {
+            (Self::Transmitter { .. }, Self::Transmitter { .. }) => true,
+            (Self::Mounting { .. }, Self::Mounting { .. }) => true,
+            (Self::Chain { .. }, Self::Chain { .. }) => true,
+            (Self::AttachedImu { sensor, .. }, Self::AttachedImu { sensor: of, .. }) => sensor == of,
+            (Self::TrackerNoise { device, .. }, Self::TrackerNoise { device: of, .. }) => device == of,
+            (Self::Field { .. }, Self::Field { .. }) => true,
+            (Self::Imu { unit, .. }, Self::Imu { unit: of, .. }) => unit == of,
+            (Self::Exercise { exercise }, Self::Exercise { exercise: newer }) => exercise.name == newer.name,
+            (Self::Faults { .. }, Self::Faults { .. }) => true,
+            _ => false,
+        }
+    }
+
+    /// Whether the numbers make a model.
+    ///
+    /// # Errors
+    /// One sentence that names the key and what it must be.
+    pub fn check(&self) -> Result<(), String> {
+        match self {
+            Self::Transmitter { position_m, orientation_wxyz } => {
+                if posed_geometry::isometry(*position_m, *orientation_wxyz).is_none() {
+                    return Err(
+                        "position_m, orientation_wxyz: give finite numbers and a quaternion that is not zero"
+                            .into(),
+                    );
+                }
+            }
+            Self::TrackerNoise { r0_m, sigma_radial_m, sigma_rotation_rad, .. } => {
+                let numbers = [
+                    ("r0_m", r0_m),
+                    ("sigma_radial_m", sigma_radial_m),
+                    ("sigma_rotation_rad", sigma_rotation_rad),
+                ];
+                if let Some((key, value)) = numbers.into_iter().find(|(_, v)| !(v.is_finite() && **v > 0.0)) {
+                    return Err(format!("{key}: give a positive number, not {value}"));
+                }
+            }
+            Self::Field { map, .. } => {
+                if let Some(map) = map {
+                    map.map().check().map_err(|reason| format!("map: {reason}"))?;
+                }
+            }
+            Self::Mounting { sensors } => {
+                let good = |sensor: &MountedSensor| {
+                    posed_geometry::isometry(sensor.offset_m, sensor.mount_quat_wxyz).is_some()
+                };
+                let nowhere = sensors
+                    .iter()
+                    .filter_map(|sensor| sensor.segment.as_ref())
+                    .find(|name| BodySegment::named(name).is_none());
+                if let Some(name) = nowhere {
+                    return Err(format!("segment: {name:?} is no segment of the body"));
+                }
+                if let Some(bad) = sensors.iter().find(|sensor| !good(sensor)) {
+                    return Err(format!(
+                        "sensors: give {:?} finite numbers and a quaternion that is not zero",
+                        bad.sensor
+                    ));
+                }
+            }
+            Self::AttachedImu { quat_wxyz, offset_m, clock_offset_s, .. } => {
+                if posed_geometry::isometry(*offset_m, *quat_wxyz).is_none() || !clock_offset_s.is_finite() {
+                    return Err("offset_m, quat_wxyz, clock_offset_s: give finite numbers and a quaternion that is not zero".into());
+                }
+            }
+            Self::Chain { calibration } => calibration.check()?,
+            Self::Imu { unit, intrinsics } => {
+                intrinsics.check()?;
+                let norm = intrinsics.mag.as_ref().map_or(1.0, |mag| mag.norm);
+                if unit.is_empty() || !FIELD_NORM.contains(&norm) {
+                    return Err(format!(
+                        "unit, mag.norm: name the unit, and calibrate with the device's own records, whose field is about 1, not {norm:.3}"
+                    ));
+                }
+            }
+            Self::Exercise { exercise } => exercise.check().map_err(|error| error.to_string())?,
+            // Read from its file, it holds together; whether it is of these sensors, the pipeline knows.
+            Self::Faults { .. } => {}
+        }
+        Ok(())
+    }
+}
+
+/// Ground truth of one capture instant.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Truth {
+    /// Capture time, exact.
+    pub t_valid: Timestamp,
+    /// One per simulated sensor.
+    pub sensors: Vec<TruthSensor>,
+}
+
+/// Ground truth of one sensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TruthSensor {
+    /// Stage-wide sensor.
+    pub sensor: SensorIndex,
+    /// Position in the room, m.
+    pub position_m: [f64; 3],
+    /// Sensor to room.
+    pub orientation_wxyz: [f64; 4],
+    /// What the simulator did to the record: `clean`, `inverted`, `stuck`, `jump`, `disturbed`.
+    pub class: String,
+}

@@ -1,0 +1,220 @@
+//! What a stage's body is made of, by name: its segments and joints, their angles, and which sensor sits where.
+//!
+//! In: a stage. Out: names and indices that the pipeline, messages and exercises share. It knows no measurement.
+
+use std::borrow::Cow;
+use std::ops::Range;
+
+use nalgebra::Vector3;
+
+use crate::Stage;
+use crate::input::SensorIndex;
+use posed_fusion::body::{ANGLE_NAMES, BodySegment, SEGMENTS, Skeleton, of_joint};
+use posed_fusion::chain::ChainSegment;
+
+/// Names and places of a stage's body.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BodyLayout {
+    /// Segments, in the order in which [`crate::output::Body`] has them.
+    pub segments: Vec<SegmentLayout>,
+    /// Angles that the sensors can show, by their index in [`crate::output::Body::angles_rad`].
+    pub shown_angles: Vec<usize>,
+    /// Whether it is known where its segments are: a chain of hinges has no lengths.
+    pub has_places: bool,
+}
+
+/// One segment and the joint above it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SegmentLayout {
+    /// Its name.
+    pub name: Cow<'static, str>,
+    /// The joint's name; empty where it hangs on none.
+    pub joint: Cow<'static, str>,
+    /// Index of the segment it hangs on.
+    pub parent: Option<usize>,
+    /// The joint's angles, by their index in [`crate::output::Body::angles_rad`].
+    pub angles: Range<usize>,
+}
+
+/// Who sits on the body's segments.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Wearers {
+    /// The IMU on each segment.
+    pub imus: [Option<SensorIndex>; SEGMENTS],
+    /// Magnetic trackers, each with its segment.
+    pub trackers: Vec<(SensorIndex, BodySegment)>,
+}
+
+impl Wearers {
+    /// The sensors of a stage that sit on segments of the human skeleton.
+    ///
+    /// # Errors
+    /// Two IMUs on one segment: their names.
+    pub fn of(stage: &Stage) -> Result<Self, [String; 2]> {
+        let mut wearers = Self::default();
+        for (index, sensor) in (0..).zip(&stage.sensors) {
+            let Some(segment) = segment_of(sensor) else { continue };
+            if !stage.is_imu(sensor) {
+                wearers.trackers.push((index, segment));
+            } else if let Some(first) = wearers.imus[segment.index()].replace(index) {
+                return Err([stage.sensors[usize::from(first)].name.clone(), sensor.name.clone()]);
+            }
+        }
+        Ok(wearers)
+    }
+
+    fn has(&self, segment: BodySegment) -> bool {
+        self.imus[segment.index()].is_some() || self.trackers.iter().any(|(_, at)| *at == segment)
+    }
+}
+
+/// The lengths of a stage's body: by its height, and what was measured in its place. `None` without a height.
+pub fn skeleton_of(body: &crate::Body) -> Option<Skeleton> {
+    let height_m = body.height_m.filter(|height_m| height_m.is_finite() && *height_m > 0.0)?;
+    let by_height = Skeleton::from_height(height_m);
+    let measured = body.lengths_m.unwrap_or_default();
+    Some(Skeleton {
+        shoulder_half_m: measured.shoulders.map_or(by_height.shoulder_half_m, |width_m| 0.5 * width_m),
+        hip_half_m: measured.hips.map_or(by_height.hip_half_m, |width_m| 0.5 * width_m),
+        trunk_m: measured.trunk.unwrap_or(by_height.trunk_m),
+        upper_arm_m: measured.upper_arm.unwrap_or(by_height.upper_arm_m),
+        forearm_m: measured.forearm.unwrap_or(by_height.forearm_m),
+        thigh_m: measured.thigh.unwrap_or(by_height.thigh_m),
+        shank_m: measured.shank.unwrap_or(by_height.shank_m),
+        foot_m: measured.ankle.unwrap_or(by_height.foot_m),
+    })
+}
+
+/// Where a sensor sits: as it says itself, else by its name.
+pub fn segment_of(sensor: &crate::Sensor) -> Option<BodySegment> {
+    BodySegment::named(sensor.sits_on())
+}
+
+/// Where a sensor sits on a segment, segment axes, m; `None` where the stage file does not say, or says that it sits on another.
+pub fn offset_on(sensor: &crate::Sensor, segment: BodySegment) -> Option<Vector3<f64>> {
+    sensor.offset_m.filter(|_| segment_of(sensor) == Some(segment)).map(Vector3::from)
+}
+
+impl BodyLayout {
+    /// Of a stage whose human body wears sensors; `None` without.
+    pub fn of(stage: &Stage) -> Option<Self> {
+        let body = stage.body.as_ref()?;
+        if body.skeleton != crate::Skeleton::Human {
+            return ChainLayout::of(stage).map(Self::of_chain);
+        }
+        let wearers = Wearers::of(stage).ok()?;
+        if wearers == Wearers::default() {
+            return None;
+        }
+        let segments = BodySegment::ALL.map(|segment| SegmentLayout {
+            name: segment.name().into(),
+            joint: of_joint(segment).next().map_or("", |angle| joint_and_angle(ANGLE_NAMES[angle]).0).into(),
+            parent: segment.parent().map(BodySegment::index),
+            angles: of_joint(segment),
+        });
+        // Trackers alone show the whole figure, IMUs what lies between two sensors.
+        let imus = wearers.imus.iter().any(Option::is_some);
+        let shown = |segment: &BodySegment| {
+            let parent = segment.parent();
+            parent.is_some_and(|parent| !imus || (wearers.has(*segment) && wearers.has(parent)))
+        };
+        let shown_angles = BodySegment::ALL.into_iter().filter(shown).flat_map(of_joint).collect();
+        Some(Self { segments: segments.into(), shown_angles, has_places: true })
+    }
+
+    fn of_chain(chain: ChainLayout) -> Self {
+        let ChainLayout { segments, .. } = chain;
+        let shown_angles = (0..segments.len()).filter(|at| segments[*at].hinge.is_some()).collect();
+        let segments = segments.into_iter().enumerate().map(|(at, segment)| {
+            let (parent, joint) =
+                segment.hinge.map_or((None, String::new()), |(parent, joint)| (Some(parent), joint));
+            let angles = if parent.is_some() { at..at + 1 } else { 0..0 };
+            SegmentLayout { name: segment.name.into(), joint: joint.into(), parent, angles }
+        });
+        Self { segments: segments.collect(), shown_angles, has_places: false }
+    }
+
+    /// Names of the segments whose places are known.
+    pub fn places(&self) -> impl Iterator<Item = &str> + Clone {
+        self.segments.iter().filter(|_| self.has_places).map(|segment| &*segment.name)
+    }
+
+    /// Joint and angle of one of the angles: `elbow_r` and `flexion`.
+    pub fn angle(&self, index: usize) -> (&str, &'static str) {
+        let above = self.segments.iter().find(|segment| segment.angles.contains(&index));
+        above.map_or(("", ""), |segment| (&segment.joint, segment.angle(index)))
+    }
+
+    /// Columns of the angles for exercises: `elbow_r_flexion_deg` and so on, as `posed body solve` writes them.
+    pub fn columns(&self) -> impl Iterator<Item = String> {
+        self.shown_angles.iter().map(|index| {
+            let (joint, angle) = self.angle(*index);
+            format!("{joint}_{angle}_deg")
+        })
+    }
+}
+
+impl SegmentLayout {
+    /// What one of the joint's angles is called; a hinge of a chain has its flexion alone.
+    pub fn angle(&self, index: usize) -> &'static str {
+        let human = BodySegment::named(&self.name).is_some_and(|segment| of_joint(segment) == self.angles);
+        if human { joint_and_angle(ANGLE_NAMES[index]).1 } else { "flexion" }
+    }
+}
+
+/// A custom skeleton of hinges with an IMU on each segment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ChainLayout {
+    /// The segments, parents first.
+    pub segments: Vec<ChainSegment>,
+    /// The IMU on each.
+    pub imus: Vec<SensorIndex>,
+}
+
+impl ChainLayout {
+    /// `None` where a stage has no such chain: a joint that is no hinge, a segment without an IMU, or more segments than a body has.
+    pub fn of(stage: &Stage) -> Option<Self> {
+        let body = stage.body.as_ref().filter(|body| body.skeleton == crate::Skeleton::Custom)?;
+        if body.segments.is_empty() || body.segments.len() > SEGMENTS {
+            return None;
+        }
+        let mut segments: Vec<ChainSegment> = Vec::new();
+        let mut imus = Vec::new();
+        for segment in &body.segments {
+            let hinge = match (&segment.parent, &segment.joint) {
+                (Some(parent), Some(joint)) if segment.kind == Some(crate::JointKind::Hinge) => {
+                    Some((segments.iter().position(|known| known.name == *parent)?, joint.clone()))
+                }
+                (None, _) => None,
+                _ => return None,
+            };
+            let sits = |sensor: &crate::Sensor| stage.is_imu(sensor) && sensor.sits_on() == segment.name;
+            imus.push(stage.sensors.iter().position(sits)? as SensorIndex);
+            segments.push(ChainSegment { name: segment.name.clone(), hinge });
+        }
+        Some(Self { segments, imus })
+    }
+}
+
+/// The joint and the angle that a name of [`ANGLE_NAMES`] is made of: `elbow_r` and `flexion`.
+pub fn joint_and_angle(name: &'static str) -> (&'static str, &'static str) {
+    name.rsplit_once('_').unwrap_or((name, name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn measured_lengths_take_the_place_of_those_of_the_height() {
+        let text = "name = \"a\"\n[body]\nheight_m = 2.0\nlengths_m = { thigh = 0.41, shoulders = 0.4 }";
+        let skeleton = skeleton_of(Stage::parse(text).unwrap().body.as_ref().unwrap()).unwrap();
+        let by_height = Skeleton::from_height(2.0);
+        assert_eq!((skeleton.thigh_m, skeleton.shoulder_half_m), (0.41, 0.2));
+        assert_eq!(
+            Skeleton { thigh_m: by_height.thigh_m, shoulder_half_m: by_height.shoulder_half_m, ..skeleton },
+            by_height
+        );
+        assert!(Stage::parse(&text.replace("0.41", "4.1")).is_err());
+    }
+}

@@ -1,0 +1,455 @@
+//! The stage file: which devices and sensors there are, who wears them, and who may look.
+//!
+//! What comes in: TOML text. What goes out: a [`Stage`], or every [`Problem`] of the text with its line, key
+//! and fix. What it never does: fill a gap by guessing, accept an unknown key, touch a device.
+//!
+//! Every key carries its unit. `config/README.md` is the reference, and a test holds it against these types.
+//! The shape of the file is checked against the JSON schema of the types (`shape.rs`), so that a range written at
+//! a field is both documentation and check; what spans several tables is in `rules/`.
+
+mod attached;
+mod body;
+mod check;
+mod driver;
+mod field;
+pub mod input;
+mod keyframes;
+pub mod layout;
+mod models;
+pub mod name;
+pub mod output;
+mod port;
+mod problem;
+mod rules;
+mod shape;
+pub mod signals;
+#[cfg(test)]
+mod tests;
+mod zenoh;
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use posed_motion::fault_map::FaultMap;
+
+pub use attached::AttachedImu;
+pub use body::{Body, Calibration, JointKind, Lengths, Mounting, SEGMENTS, SegmentSpec, Skeleton};
+pub use check::{Report, check, check_in, check_table};
+pub use driver::{Driver, TimeBase};
+pub use field::FieldWatch;
+pub use keyframes::Keyframes;
+pub use models::LoadedModels;
+pub use port::{PortAddress, PortAddressError};
+pub use problem::{LoadError, Problem, Problems};
+pub use zenoh::Zenoh;
+
+/// A stage file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Stage {
+    /// Shown to clients.
+    #[schemars(length(min = 1, max = 200))]
+    pub name: String,
+    /// Ticks of the stage clock per second; absent: the ticks follow the fastest device.
+    #[schemars(range(min = 1.0, max = 1000.0))]
+    pub frame_rate_hz: Option<f64>,
+    /// How long a frame waits for its last sensors, ms.
+    #[serde(default = "default_frame_wait_ms")]
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub frame_wait_ms: f64,
+    /// The magnetic transmitter.
+    #[serde(default)]
+    pub transmitter: Transmitter,
+    /// Devices; everything published keeps their order.
+    #[serde(default, rename = "device")]
+    pub devices: Vec<Device>,
+    /// Sensors; everything published keeps their order.
+    #[serde(default, rename = "sensor")]
+    pub sensors: Vec<Sensor>,
+    /// What watches over the tracker's field; absent: nothing does.
+    pub field: Option<FieldWatch>,
+    /// The body that wears the sensors; absent: nobody does.
+    pub body: Option<Body>,
+    /// Key poses, live; absent: they are not looked for.
+    pub keyframes: Option<Keyframes>,
+    /// What names the segments of the motion; absent: nothing does.
+    pub segments: Option<Segments>,
+    /// Websocket, page and metrics.
+    #[serde(default)]
+    pub server: Server,
+    /// Programs that speak VRPN; absent: they are not served.
+    pub vrpn: Option<Vrpn>,
+    /// Avatars that are sent the skeleton by VMC over OSC; absent: none.
+    pub vmc: Option<Vmc>,
+    /// Programs that read Lab Streaming Layer; absent: nothing is offered.
+    pub lsl: Option<Lsl>,
+    /// Hubs and other programs on other machines, by zenoh; absent: the stage stays on this one.
+    pub zenoh: Option<Zenoh>,
+    /// Models that are loaded at the start.
+    #[serde(default)]
+    pub models: Models,
+    /// What is done about faults.
+    #[serde(default)]
+    pub faults: Faults,
+    /// Where recordings go and come from.
+    #[serde(default)]
+    pub recording: Recording,
+    /// What `posed demo` and `posed simulate` put in the devices' place; checked by the simulator.
+    #[serde(default)]
+    #[schemars(with = "Option<serde_json::Map<String, serde_json::Value>>")]
+    pub simulation: Option<toml::Table>,
+}
+
+impl Stage {
+    /// Reads a stage from the text of its file.
+    ///
+    /// Paths stay as they stand in the text; files they name are not looked at ([`Stage::load`] does both).
+    ///
+    /// # Errors
+    /// Every problem of the text, not only the first.
+    pub fn parse(text: &str) -> Result<Self, Problems> {
+        check::parse(text, None)
+    }
+
+    /// Reads a stage from its file; relative paths in it begin at the file's folder.
+    ///
+    /// # Errors
+    /// The file cannot be read, or every problem that it has.
+    pub fn load(path: &Path) -> Result<Self, LoadError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| LoadError::Read { path: path.to_owned(), error })?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let mut stage = check::parse(&text, Some(folder))
+            .map_err(|problems| LoadError::Wrong { path: path.to_owned(), problems })?;
+        if let Some(tls) = &mut stage.server.tls {
+            tls.certificate = folder.join(&tls.certificate);
+            tls.key = folder.join(&tls.key);
+        }
+        if let Some(map) = &mut stage.models.field {
+            *map = folder.join(&*map);
+        }
+        for exercise in &mut stage.models.exercises {
+            *exercise = folder.join(&*exercise);
+        }
+        if let Some(faults) = &mut stage.models.faults {
+            *faults = folder.join(&*faults);
+        }
+        if let Some(segments) = &mut stage.segments {
+            segments.model = folder.join(&segments.model);
+        }
+        if let Some(users) = stage.zenoh.as_mut().and_then(|zenoh| zenoh.users.as_mut()) {
+            *users = folder.join(&*users);
+        }
+        let Self { models, recording, .. } = &mut stage;
+        let Models { faults_folder, exercise_folder, imu_folder, segments_folder, .. } = models;
+        let kept = [faults_folder, exercise_folder, imu_folder, segments_folder, &mut recording.folder];
+        for kept in kept.into_iter().flatten() {
+            *kept = folder.join(&*kept);
+        }
+        Ok(stage)
+    }
+
+    /// The stage's name as part of the name of a file: small letters, digits and hyphens.
+    pub fn file_name(&self) -> String {
+        let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
+        self.name.chars().map(plain).collect()
+    }
+
+    /// The driver of a sensor's device.
+    pub fn driver_of(&self, sensor: &Sensor) -> Option<&Driver> {
+        self.devices.iter().find(|device| device.name == sensor.device).map(|device| &device.driver)
+    }
+
+    /// Whether a sensor is an IMU rather than one of a magnetic tracker.
+    pub fn is_imu(&self, sensor: &Sensor) -> bool {
+        self.driver_of(sensor).is_some_and(Driver::is_inertial)
+    }
+
+    /// Indices of the sensors of magnetic trackers, in their order.
+    pub fn magnetic_indices(&self) -> Vec<usize> {
+        let sensors = self.sensors.iter().enumerate();
+        sensors.filter(|(_, sensor)| !self.is_imu(sensor)).map(|(index, _)| index).collect()
+    }
+
+    /// Names of the sensors of magnetic trackers, in their order.
+    pub fn magnetic_sensors(&self) -> Vec<&str> {
+        self.magnetic_indices().into_iter().map(|index| self.sensors[index].name.as_str()).collect()
+    }
+
+    /// Reads a fault map for this stage.
+    ///
+    /// # Errors
+    /// One sentence: it cannot be read, is none, or knows other sensors than the stage's magnetic ones.
+    pub fn read_faults(&self, path: &Path) -> Result<FaultMap, String> {
+        rules::models::read_faults(path, self)
+    }
+}
+
+/// What the fuzz target does with any bytes: a text is right exactly if it parses, and every problem has a line.
+#[doc(hidden)]
+pub fn fuzz(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    let report = check(text);
+    assert_eq!(report.ok, Stage::parse(text).is_ok());
+    assert_eq!(report.ok, report.problems.is_empty());
+    let lines = 1 + text.matches('\n').count();
+    for problem in report.problems.iter().chain(&report.warnings) {
+        assert!((1..=lines).contains(&problem.line), "{problem:?}");
+    }
+}
+
+fn default_frame_wait_ms() -> f64 {
+    5.0
+}
+
+/// The magnetic transmitter.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Transmitter {
+    /// Transmitter to room; absent: the room's axes are the tracker's own.
+    pub pose_in_room: Option<Pose>,
+}
+
+/// A pose: the named frame in the room.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Pose {
+    /// Position, m.
+    pub position_m: [f64; 3],
+    /// Unit quaternion, scalar first.
+    pub orientation_wxyz: [f64; 4],
+}
+
+impl Pose {
+    /// The room's own axes.
+    pub const IDENTITY: Self = Self { position_m: [0.0; 3], orientation_wxyz: [1.0, 0.0, 0.0, 0.0] };
+}
+
+/// One device.
+///
+/// Its own keys and those of its driver stand in one table. Unknown keys are refused by the driver's settings,
+/// which get all keys that are not listed here.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+pub struct Device {
+    /// Unique name.
+    #[schemars(length(min = 1, max = 64))]
+    pub name: String,
+    /// Path of a serial port, `tcp://HOST:PORT`, `udp://HOST:PORT` or `auto`.
+    pub port: String,
+    /// UDP port of this computer that the device sends to, for `udp://HOST:PORT`; absent: any.
+    #[schemars(range(min = 1))]
+    pub local_port: Option<u16>,
+    /// Line rate, bit/s.
+    #[serde(default = "default_baud")]
+    #[schemars(range(min = 1))]
+    pub baud: u32,
+    /// Constant delay from measurement to the record's first byte, ms.
+    #[serde(default)]
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub measurement_delay_ms: f64,
+    /// The driver and its settings.
+    #[serde(flatten)]
+    pub driver: Driver,
+}
+
+fn default_baud() -> u32 {
+    115_200
+}
+
+/// One sensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Sensor {
+    /// Unique name; a segment's name gives it a role.
+    #[schemars(length(min = 1, max = 64))]
+    pub name: String,
+    /// Name of its device.
+    pub device: String,
+    /// Address on the device; 0 is a stand-alone unit.
+    pub address: u16,
+    /// Serial number as the device reports it: the sensor is the unit with this number, at whatever address it answers.
+    #[schemars(length(min = 1, max = 64))]
+    pub serial: Option<String>,
+    /// Whether the heading of an inertial sensor follows its magnetometer; without, it starts at 0 and drifts.
+    #[serde(default = "default_magnetometer", skip_serializing_if = "is_default_magnetometer")]
+    pub magnetometer: bool,
+    /// How far an inertial sensor's rate gyro lags behind its time stamps, ms.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub gyro_delay_ms: f64,
+    /// The body segment it sits on; absent: its name, if that is a segment's.
+    pub segment: Option<String>,
+    /// Unit quaternion that turns sensor coordinates into segment coordinates, scalar first.
+    pub mount_quat_wxyz: Option<[f64; 4]>,
+    /// Position on the segment, in the segment's frame with its origin at the proximal joint, m.
+    pub offset_m: Option<[f64; 3]>,
+    /// The IMU that is attached to this magnetic sensor: both become one pose, which goes on where the tracker fails.
+    pub imu: Option<AttachedImu>,
+}
+
+impl Sensor {
+    /// Name of the segment it would sit on: as it says itself, else its own.
+    pub fn sits_on(&self) -> &str {
+        self.segment.as_ref().unwrap_or(&self.name)
+    }
+}
+
+/// A key that was not written is not written back: not every driver's sensors may have it.
+fn is_default_magnetometer(value: &bool) -> bool {
+    *value == default_magnetometer()
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
+fn default_magnetometer() -> bool {
+    true
+}
+
+/// Segments of the motion, named by a trained network.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Segments {
+    /// The model that `posed segments train` wrote; its joints are sensors, by name.
+    pub model: PathBuf,
+}
+
+/// Websocket, page and metrics.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Server {
+    /// Address to listen on; absent: 127.0.0.1:8787. Anything but loopback needs a token.
+    pub listen: Option<String>,
+    /// Who may do what.
+    #[serde(default, rename = "token")]
+    pub tokens: Vec<Token>,
+    /// Origins of browser pages that may connect, beside the daemon's own.
+    #[serde(default)]
+    pub allowed_origins: Vec<String>,
+    /// Certificate and key for TLS.
+    pub tls: Option<Tls>,
+}
+
+/// An access token.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Token {
+    /// The secret, at least 16 characters.
+    #[schemars(length(min = 16, max = 512))]
+    pub secret: String,
+    /// What its bearer may do.
+    pub role: Role,
+}
+
+/// What a client may do.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Role {
+    /// Subscribe.
+    Watch,
+    /// Subscribe and request.
+    Operate,
+}
+
+/// TLS by files.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Tls {
+    /// PEM file with the certificate chain.
+    pub certificate: PathBuf,
+    /// PEM file with the private key.
+    pub key: PathBuf,
+}
+
+/// Programs that speak VRPN: every sensor is a tracker of its own name.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Vrpn {
+    /// Address to listen on, TCP and UDP; absent: 127.0.0.1:3883. VRPN knows no tokens: who reaches the address sees all poses.
+    pub listen: Option<String>,
+    /// Whether other computers may ask to be called back, as most VRPN programs do; without, they need `tcp://` in the name of the tracker.
+    #[serde(default)]
+    pub call_back: bool,
+}
+
+/// Avatars that are sent the skeleton by VMC (Virtual Motion Capture) over OSC.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Vmc {
+    /// Addresses that datagrams are sent to, HOST:PORT; absent: 127.0.0.1:39539.
+    pub targets: Option<Vec<String>>,
+    /// Frames per second, Hz; absent: 60.
+    #[schemars(range(min = 1.0, max = 200.0))]
+    pub rate_hz: Option<f64>,
+    /// Turn of the room about its vertical before it is sent, counter-clockwise from above, degrees. With 0, who looks along the room's y looks forward.
+    #[serde(default)]
+    #[schemars(range(min = -360.0, max = 360.0))]
+    pub heading_deg: f64,
+    /// Height of the avatar, m: positions are scaled to it; absent: the person's.
+    #[schemars(range(min = 0.1, max = 10.0))]
+    pub height_m: Option<f64>,
+    /// Whether magnetic sensors are sent too, as trackers of their names.
+    #[serde(default)]
+    pub trackers: bool,
+}
+
+/// Streams of Lab Streaming Layer: poses, joint angles, events. liblsl must be installed.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Lsl {
+    /// The file of liblsl; absent: where the system has it.
+    pub library: Option<PathBuf>,
+}
+
+/// Models that are loaded at the start; relative paths begin at the stage file.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Models {
+    /// Files of taught exercises; all of them are counted until a client selects others.
+    #[serde(default)]
+    pub exercises: Vec<PathBuf>,
+    /// The one folder that `exercise.teach` writes to and `exercise.select` looks in; absent: `exercises` beside the stage file.
+    pub exercise_folder: Option<PathBuf>,
+    /// The fault map that `posed faults train` or `faults.train` wrote; it knows the stage's magnetic sensors, by name.
+    pub faults: Option<PathBuf>,
+    /// The one folder that `faults.train` and `faults.name_cell` write to; absent: `faults` beside the stage file.
+    pub faults_folder: Option<PathBuf>,
+    /// The one folder that `imu.calibrate` writes to, one file per IMU with its serial number as its name; what `posed imu calibrate`
+    /// writes may lie there too. All of them are used from the start on. Absent: `imus` beside the stage file.
+    pub imu_folder: Option<PathBuf>,
+    /// The one folder that `segments.train` writes to; absent: `segments` beside the stage file.
+    pub segments_folder: Option<PathBuf>,
+    /// A map of the field, as `posed field solve` writes it; used until `field.accept` has brought a newer one.
+    pub field: Option<PathBuf>,
+}
+
+/// What is done about faults of magnetic sensors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Faults {
+    /// Whether poses are published that were mirrored back or that bridge a short fault; without, there is none then.
+    #[serde(default = "default_repair")]
+    pub repair: bool,
+}
+
+impl Default for Faults {
+    fn default() -> Self {
+        Self { repair: default_repair() }
+    }
+}
+
+fn default_repair() -> bool {
+    true
+}
+
+/// Where recordings live.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Recording {
+    /// The one folder that `record.start` writes to and `replay.list` reads; absent: `recordings` beside the stage file.
+    pub folder: Option<PathBuf>,
+}

@@ -1,0 +1,149 @@
+//! The body: segments, who sits where, and when a pose was held.
+
+use super::super::body::{MOVEMENTS, POSES, SEGMENTS, TRUNK_MOVEMENTS};
+use super::super::problem::Notes;
+use super::{Item, suggest, unique};
+
+pub(super) fn check(root: &Item<'_, '_>, notes: &mut Notes<'_>) {
+    let sensors = root.items("sensor");
+    let Some(body) = root.item("body") else {
+        for sensor in &sensors {
+            for key in ["segment", "mount_quat_wxyz", "offset_m"] {
+                if let Some(value) = sensor.get(key) {
+                    notes.problem(
+                        &value.span(),
+                        key,
+                        "nobody wears this sensor",
+                        "add a [body] table, or remove the key",
+                    );
+                }
+            }
+        }
+        return;
+    };
+    let segments = body.items("segments");
+    let custom = body.text("skeleton").is_some_and(|skeleton| skeleton.value == "custom");
+    if custom {
+        tree(&body, &segments, notes);
+    } else if let Some(list) = body.get("segments") {
+        let fix = "set skeleton = \"custom\", or remove [[body.segments]]";
+        notes.problem(&list.span(), "segments", "the human skeleton has its own segments", fix);
+    }
+    let names: Vec<&str> = if custom {
+        segments.iter().filter_map(|segment| Some(segment.text("name")?.value)).collect()
+    } else {
+        SEGMENTS.to_vec()
+    };
+    worn(&body, &sensors, &names, notes);
+    calibrations(&body, &segments, custom, notes);
+}
+
+/// A custom skeleton is a tree with its root first and parents before their children.
+fn tree(body: &Item<'_, '_>, segments: &[Item<'_, '_>], notes: &mut Notes<'_>) {
+    if segments.is_empty() {
+        let at = body.get("skeleton").map_or(body.header.clone(), |skeleton| skeleton.span());
+        notes.problem(
+            &at,
+            "segments",
+            "a custom skeleton has no segments",
+            "add [[body.segments]], or set skeleton = \"human\"",
+        );
+    }
+    unique(segments, "name", "segment", notes);
+    unique(segments, "joint", "segment", notes);
+    let mut earlier: Vec<&str> = Vec::new();
+    for segment in segments {
+        match segment.text("parent") {
+            Some(parent) if !earlier.contains(&parent.value) => {
+                let message = format!("`{}` is no segment above this one", parent.value);
+                let fix =
+                    suggest(parent.value, &earlier, "put the root first, and parents before their children");
+                notes.problem(&parent.at, "parent", message, fix);
+            }
+            Some(_) => {
+                for key in ["joint", "kind"].into_iter().filter(|key| !segment.has(key)) {
+                    let message = format!("the key `{key}` of a segment with a parent is missing");
+                    let fix = if key == "joint" {
+                        "add `joint`: the name of the joint to the parent"
+                    } else {
+                        "add `kind`: `hinge`, `two_axis` or `ball`"
+                    };
+                    notes.problem(&segment.header, key, message, fix);
+                }
+            }
+            None if segment.has("parent") => {}
+            None => {
+                if !earlier.is_empty() {
+                    let fix = "add `parent`: a skeleton hangs together, and only its first segment has none";
+                    notes.problem(&segment.header, "parent", "a second root", fix);
+                }
+                for key in ["joint", "kind"] {
+                    if let Some(value) = segment.get(key) {
+                        notes.problem(
+                            &value.span(),
+                            key,
+                            "the root hangs on no joint",
+                            "remove it, or add `parent`",
+                        );
+                    }
+                }
+            }
+        }
+        earlier.extend(segment.text("name").map(|name| name.value));
+    }
+}
+
+fn worn(body: &Item<'_, '_>, sensors: &[Item<'_, '_>], names: &[&str], notes: &mut Notes<'_>) {
+    let given = body.text("mounting").is_some_and(|mounting| mounting.value == "given");
+    for sensor in sensors {
+        let segment = sensor.text("segment");
+        if let Some(segment) = segment.as_ref().filter(|segment| !names.contains(&segment.value)) {
+            let fix = suggest(segment.value, names, "add [[body.segments]]");
+            notes.problem(&segment.at, "segment", format!("there is no segment `{}`", segment.value), fix);
+        }
+        let role = sensor.text("name").is_some_and(|name| names.contains(&name.value));
+        let on_body = sensor.has("segment") || role;
+        if given && on_body && !sensor.has("mount_quat_wxyz") {
+            let fix = "add `mount_quat_wxyz` (sensor to segment), or set mounting = \"calibrate\"";
+            notes.problem(
+                &sensor.header,
+                "mount_quat_wxyz",
+                "the mounting is given, but not for this sensor",
+                fix,
+            );
+        }
+        if !on_body {
+            for key in ["mount_quat_wxyz", "offset_m"] {
+                if let Some(value) = sensor.get(key) {
+                    notes.problem(&value.span(), key, "this sensor sits on no segment", "add `segment`");
+                }
+            }
+        }
+    }
+}
+
+fn calibrations(body: &Item<'_, '_>, segments: &[Item<'_, '_>], custom: bool, notes: &mut Notes<'_>) {
+    let mut words: Vec<String> = POSES.iter().map(ToString::to_string).collect();
+    if custom {
+        let joints = segments.iter().filter_map(|segment| Some(segment.text("joint")?.value));
+        words.extend(joints.map(|joint| format!("{joint}_flexion")));
+    } else {
+        words.extend(TRUNK_MOVEMENTS.map(str::to_owned));
+        words.extend(
+            MOVEMENTS.iter().flat_map(|movement| ["r", "l"].map(|side| format!("{movement}_{side}"))),
+        );
+    }
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    for calibration in body.items("calibration") {
+        if let Some(kind) = calibration.text("kind").filter(|kind| !words.contains(&kind.value)) {
+            let message = format!("`{}` is no pose or movement of this skeleton", kind.value);
+            notes.problem(&kind.at, "kind", message, suggest(kind.value, &words, ""));
+        }
+        if let (Some(start), Some(end)) = (calibration.number("start_s"), calibration.number("end_s"))
+            && start.value >= end.value
+        {
+            let message = format!("it ends at {} s, not after its start at {} s", end.value, start.value);
+            notes.problem(&end.at, "end_s", message, "write an end_s that is later than start_s");
+        }
+    }
+}

@@ -1,0 +1,146 @@
+//! Who may connect, and the files that the server needs.
+
+use std::fs;
+use std::net::{IpAddr, SocketAddr};
+use std::path::Path;
+
+use super::super::problem::Notes;
+use super::{Item, unique};
+
+pub(super) fn check(server: &Item<'_, '_>, folder: Option<&Path>, notes: &mut Notes<'_>) {
+    let tokens = server.items("token");
+    unique(&tokens, "secret", "token", notes);
+    for token in &tokens {
+        if let Some(secret) = token.text("secret")
+            && !secret.value.chars().all(|c| c.is_ascii_graphic())
+        {
+            let fix = "use letters, digits and punctuation of ASCII";
+            notes.problem(&secret.at, "secret", "spaces and special letters do not pass an HTTP header", fix);
+        }
+    }
+    if let Some(listen) = server.text("listen") {
+        match loopback(listen.value) {
+            None => {
+                let message = format!("`{}` is no address to listen on", listen.value);
+                notes.problem(
+                    &listen.at,
+                    "listen",
+                    message,
+                    "write \"ADDRESS:PORT\", such as \"127.0.0.1:8787\"",
+                );
+            }
+            Some(false) if tokens.is_empty() => {
+                let message = "anyone in the network could connect, for there is no token";
+                let fix = "add a [[server.token]] with secret and role, or listen on \"127.0.0.1:8787\"";
+                notes.problem(&listen.at, "listen", message, fix);
+            }
+            Some(_) => {}
+        }
+    }
+    for origin in
+        server.get("allowed_origins").and_then(|list| list.get_ref().as_array()).into_iter().flatten()
+    {
+        let Some(text) = origin.get_ref().as_str() else { continue };
+        let host = text.strip_prefix("https://").or_else(|| text.strip_prefix("http://"));
+        if host.is_none_or(|host| host.is_empty() || host.contains(['/', '*', ' '])) {
+            let message = format!("`{text}` is no origin");
+            let fix = "write scheme, host and port without a path, such as \"https://trainer.example:8443\"";
+            notes.problem(&origin.span(), "allowed_origins", message, fix);
+        }
+    }
+    if let (Some(tls), Some(folder)) = (server.item("tls"), folder) {
+        pem(&tls, "certificate", "CERTIFICATE", folder, notes);
+        pem(&tls, "key", "PRIVATE KEY", folder, notes);
+    }
+}
+
+/// The address for VRPN clients.
+pub(super) fn check_vrpn(vrpn: &Item<'_, '_>, notes: &mut Notes<'_>) {
+    let Some(listen) = vrpn.text("listen") else { return };
+    if loopback(listen.value).is_none() {
+        let message = format!("`{}` is no address to listen on", listen.value);
+        let fix = "write \"ADDRESS:PORT\", such as \"127.0.0.1:3883\" or \"0.0.0.0:3883\"";
+        notes.problem(&listen.at, "listen", message, fix);
+    }
+}
+
+/// Where avatars are. Names are looked up when the daemon starts.
+pub(super) fn check_vmc(vmc: &Item<'_, '_>, notes: &mut Notes<'_>) {
+    for target in vmc.get("targets").and_then(|list| list.get_ref().as_array()).into_iter().flatten() {
+        let Some(text) = target.get_ref().as_str() else { continue };
+        let is_target = text.rsplit_once(':').is_some_and(|(host, port)| {
+            !host.is_empty() && !host.contains(['/', ' ']) && port.parse::<u16>().is_ok_and(|port| port > 0)
+        });
+        if !is_target {
+            let message = format!("`{text}` is no address to send to");
+            let fix = "write \"HOST:PORT\", such as \"192.168.1.20:39539\"";
+            notes.problem(&target.span(), "targets", message, fix);
+        }
+    }
+}
+
+/// Whether an address to listen on is this machine's own; `None` if it is no address.
+fn loopback(listen: &str) -> Option<bool> {
+    if let Ok(address) = listen.parse::<SocketAddr>() {
+        return Some(match address.ip() {
+            IpAddr::V4(ip) => ip.is_loopback(),
+            IpAddr::V6(ip) => ip.is_loopback() || ip.to_ipv4_mapped().is_some_and(|ip| ip.is_loopback()),
+        });
+    }
+    let (host, port) = listen.rsplit_once(':')?;
+    port.parse::<u16>().ok()?;
+    (host == "localhost").then_some(true)
+}
+
+/// A file that must hold a PEM block of some kind.
+fn pem(tls: &Item<'_, '_>, key: &str, block: &str, folder: &Path, notes: &mut Notes<'_>) {
+    let Some(path) = tls.text(key) else { return };
+    let full = folder.join(path.value);
+    match fs::read(&full) {
+        Err(error) => {
+            let message = format!("cannot read {}: {error}", full.display());
+            notes.problem(
+                &path.at,
+                key,
+                message,
+                "name a PEM file that this user may read; relative paths begin at the stage file",
+            );
+        }
+        Ok(bytes) => {
+            let text = String::from_utf8_lossy(&bytes);
+            if !text.lines().any(|line| line.starts_with("-----BEGIN") && line.contains(block)) {
+                let message = format!("{} holds no {block} block", full.display());
+                notes.problem(&path.at, key, message, "name a PEM file");
+            }
+        }
+    }
+}
+
+/// The model is read when the daemon starts.
+pub(super) fn segments_model(segments: &Item<'_, '_>, folder: &Path, notes: &mut Notes<'_>) {
+    let Some(path) = segments.text("model") else { return };
+    let full = folder.join(path.value);
+    if !full.is_file() {
+        let message = format!("there is no file `{}`", full.display());
+        notes.problem(&path.at, "model", message, "name a model that `posed segments train` wrote");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::loopback;
+
+    #[test]
+    fn only_this_machine_is_loopback() {
+        for own in ["127.0.0.1:8787", "127.8.8.8:1", "[::1]:8787", "[::ffff:127.0.0.1]:80", "localhost:8787"]
+        {
+            assert_eq!(loopback(own), Some(true), "{own}");
+        }
+        for open in ["0.0.0.0:8787", "[::]:8787", "192.168.1.7:8787"] {
+            assert_eq!(loopback(open), Some(false), "{open}");
+        }
+        for wrong in ["8787", ":8787", "127.0.0.1", "stage.example:8787", "127.0.0.1:99999", "localhost:x"] {
+            assert_eq!(loopback(wrong), None, "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! Where other machines are, and under which key a stage is known to them.
+
+use std::path::Path;
+
+use super::super::problem::Notes;
+use super::Item;
+
+pub(super) fn check(zenoh: &Item<'_, '_>, folder: Option<&Path>, notes: &mut Notes<'_>) {
+    let mut ends = 0;
+    for key in ["listen", "connect"] {
+        for end in zenoh.get(key).and_then(|list| list.get_ref().as_array()).into_iter().flatten() {
+            ends += 1;
+            let Some(text) = end.get_ref().as_str() else { continue };
+            if !is_endpoint(text) {
+                let message = format!("`{text}` is no address of zenoh");
+                let fix = "write \"tcp/HOST:PORT\", such as \"tcp/192.168.1.20:7447\"";
+                notes.problem(&end.span(), key, message, fix);
+            }
+        }
+    }
+    if ends == 0 {
+        let message = "nobody can be reached: there is neither an address to listen on nor one to connect to";
+        notes.problem(
+            &zenoh.header,
+            "connect",
+            message,
+            "write connect = [\"tcp/HOST:PORT\"] with the hub's address",
+        );
+    }
+    if let Some(key) = zenoh.text("key")
+        && !is_key(key.value)
+    {
+        let message = format!("`{}` is no key", key.value);
+        let fix = "write letters, digits, `-` and `_`, with `/` between, such as \"hall-2/stage-a\"";
+        notes.problem(&key.at, "key", message, fix);
+    }
+    for (key, other) in [("user", "password"), ("password", "user")] {
+        if let (Some(given), false) = (zenoh.text(key), zenoh.has(other)) {
+            notes.problem(
+                &given.at,
+                key,
+                format!("it has no effect without `{other}`"),
+                format!("add `{other}`"),
+            );
+        }
+    }
+    if let (Some(users), Some(folder)) = (zenoh.text("users"), folder) {
+        let full = folder.join(users.value);
+        if !full.is_file() {
+            let message = format!("there is no file `{}`", full.display());
+            notes.problem(
+                &users.at,
+                "users",
+                message,
+                "name a file with a line NAME:PASSWORD for each who may connect",
+            );
+        }
+    }
+}
+
+/// TCP to a host and a port, with nothing behind that would change what zenoh does.
+fn is_endpoint(text: &str) -> bool {
+    text.strip_prefix("tcp/").and_then(|address| address.rsplit_once(':')).is_some_and(|(host, port)| {
+        !host.is_empty() && !host.contains(['/', ' ', '#', '?']) && port.parse::<u16>().is_ok()
+    })
+}
+
+fn is_key(text: &str) -> bool {
+    let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_');
+    text.split('/').all(|chunk| !chunk.is_empty() && chunk.chars().all(plain))
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::check;
+
+    #[test]
+    fn what_zenoh_could_not_use_is_reported_with_its_line_and_a_mend() {
+        for (text, key) in [
+            ("listen = [\"udp/0.0.0.0:7447\"]", "listen"),
+            ("connect = [\"tcp/hub:7447#bind=1.2.3.4:1\"]", "connect"),
+            ("connect = [\"tcp/hub\"]", "connect"),
+            ("key = \"a\"", "connect"),
+            ("connect = [\"tcp/hub:7447\"]\nkey = \"posed/**\"", "key"),
+            ("connect = [\"tcp/hub:7447\"]\nkey = \"/a\"", "key"),
+            ("connect = [\"tcp/hub:7447\"]\nuser = \"a\"", "user"),
+            ("connect = [\"tcp/hub:7447\"]\nround_trip_ms = 0", "round_trip_ms"),
+            ("conect = []", "conect"),
+        ] {
+            let report = check(&format!("name = \"s\"\n[zenoh]\n{text}\n"));
+            let problem = report.problems.iter().find(|problem| problem.key == key);
+            assert!(problem.is_some_and(|problem| problem.line >= 2), "{text}: {:?}", report.problems);
+        }
+        let right = "name = \"s\"\n[zenoh]\nlisten = [\"tcp/[::]:7447\"]\nconnect = [\"tcp/hub:7447\"]\nkey = \"hall/a-1\"\n";
+        assert!(check(right).ok, "{:?}", check(right).problems);
+    }
+}

@@ -1,0 +1,220 @@
+//! What the stage tracks, as a stream of named columns: what exercises are taught from and counted in.
+//!
+//! What comes in: an estimate. What goes out: one row of numbers, none where a sensor has no pose that may be used.
+//! What it never does: hand out a coasting or a suspect pose. Live, in recordings and in files the columns have the
+//! same names, so an exercise taught in one is counted in the others.
+
+use crate::Stage;
+use crate::layout::BodyLayout;
+use crate::output::{Body, Estimate};
+
+/// A body older than this against the estimate's time is none, s.
+pub const BODY_AGE_S: f64 = 0.05;
+
+/// Columns of one sensor, behind its name: position in the room (m) and orientation (sensor to room).
+const PARTS: [&str; 7] = ["_x_m", "_y_m", "_z_m", "_qw", "_qx", "_qy", "_qz"];
+
+/// Names of the columns of these sensors: `NAME_x_m, NAME_y_m, NAME_z_m, NAME_qw, NAME_qx, NAME_qy, NAME_qz` each.
+pub fn columns<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Vec<String> {
+    let of = |name: &str| PARTS.map(|part| format!("{name}{part}"));
+    sensors.into_iter().flat_map(of).collect()
+}
+
+/// Columns of what an inertial sensor measured, behind its name, in sensor axes: specific force (m/s², +g upwards at rest) and
+/// angular rate (rad/s).
+const INERTIAL_PARTS: [&str; 6] = ["_ax", "_ay", "_az", "_gx", "_gy", "_gz"];
+
+/// Names of the columns of what these inertial sensors measured: `NAME_ax, NAME_ay, NAME_az, NAME_gx, NAME_gy, NAME_gz` each.
+pub fn inertial_columns<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Vec<String> {
+    let of = |name: &str| INERTIAL_PARTS.map(|part| format!("{name}{part}"));
+    sensors.into_iter().flat_map(of).collect()
+}
+
+/// Names of all columns of a stage: the poses of its sensors, what its inertial sensors measured where no body is made of
+/// them, then the angles of its body.
+pub fn columns_of(stage: &Stage) -> Vec<String> {
+    let mut columns = columns(stage.sensors.iter().map(|sensor| sensor.name.as_str()));
+    columns.extend(InertialColumns::of(stage).names(stage));
+    columns.extend(BodyLayout::of(stage).iter().flat_map(BodyLayout::columns));
+    columns
+}
+
+/// Those of [`columns_of`] that tell of who exercises: where the stage has a body, not those of sensors that nobody wears, which may move
+/// for ever.
+pub fn columns_of_wearer(stage: &Stage) -> Vec<String> {
+    let Some(layout) = BodyLayout::of(stage) else { return columns_of(stage) };
+    let worn =
+        |sensor: &&crate::Sensor| layout.segments.iter().any(|segment| segment.name == sensor.sits_on());
+    let mut columns = columns(stage.sensors.iter().filter(worn).map(|sensor| sensor.name.as_str()));
+    columns.extend(layout.columns());
+    columns
+}
+
+/// Whether this is how a column of a sensor goes on behind the sensor's name.
+pub fn is_part(text: &str) -> bool {
+    PARTS.iter().chain(&INERTIAL_PARTS).any(|part| *part == text)
+}
+
+/// Appends one sensor's values, in the order of [`columns`]; an inertial sensor has no position.
+pub fn append(position_m: Option<[f64; 3]>, orientation_wxyz: Option<[f64; 4]>, row: &mut Vec<Option<f64>>) {
+    row.extend(position_m.map_or([None; 3], |position| position.map(Some)));
+    row.extend(orientation_wxyz.map_or([None; 4], |orientation| orientation.map(Some)));
+}
+
+/// Writes the values of all sensors of an estimate to `row`, in the order of [`columns`].
+pub fn write(estimate: &Estimate, row: &mut Vec<Option<f64>>) {
+    row.clear();
+    for sensor in &estimate.sensors {
+        let pose = sensor.usable_pose();
+        append(pose.and_then(|pose| pose.position_m), pose.map(|pose| pose.orientation_wxyz), row);
+    }
+}
+
+/// What single inertial sensors measured, a wrist watch for example: which sensors these are. The sensors of a body
+/// are none: their movement is in its angles.
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct InertialColumns(Vec<usize>);
+
+impl InertialColumns {
+    /// Of a stage.
+    pub fn of(stage: &Stage) -> Self {
+        if BodyLayout::of(stage).is_some() {
+            return Self::default();
+        }
+        let sensors = stage.sensors.iter().enumerate();
+        Self(sensors.filter(|(_, sensor)| stage.is_imu(sensor)).map(|(index, _)| index).collect())
+    }
+
+    /// The columns' names.
+    pub fn names(&self, stage: &Stage) -> Vec<String> {
+        inertial_columns(self.0.iter().filter_map(|index| Some(stage.sensors.get(*index)?.name.as_str())))
+    }
+
+    /// Index of each sensor in the stage file.
+    pub fn sensors(&self) -> &[usize] {
+        &self.0
+    }
+
+    /// Appends the newest record of each sensor to what [`write()`] wrote; none where it may not be used.
+    pub fn append(&self, estimate: &Estimate, row: &mut Vec<Option<f64>>) {
+        for index in &self.0 {
+            let sensor = estimate.sensors.get(*index).filter(|sensor| sensor.state.is_usable());
+            let inertial = sensor.and_then(|sensor| sensor.measured?.inertial).unwrap_or_default();
+            append_inertial(inertial.specific_force_m_s2, inertial.angular_velocity_rad_s, row);
+        }
+    }
+}
+
+/// Appends what one inertial sensor measured, in the order of [`inertial_columns`].
+pub fn append_inertial(
+    specific_force_m_s2: Option<[f64; 3]>,
+    angular_velocity_rad_s: Option<[f64; 3]>,
+    row: &mut Vec<Option<f64>>,
+) {
+    for vector in [specific_force_m_s2, angular_velocity_rad_s] {
+        row.extend(vector.map_or([None; 3], |vector| vector.map(Some)));
+    }
+}
+
+/// The body's part of the columns of a stage: which angles there are.
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct BodyColumns(Vec<usize>);
+
+impl BodyColumns {
+    /// Of a stage; none without a body.
+    pub fn of(stage: &Stage) -> Self {
+        Self(BodyLayout::of(stage).map_or_else(Vec::new, |layout| layout.shown_angles))
+    }
+
+    /// Appends the body's angles, degrees, to what [`write()`] and [`InertialColumns::append`] wrote of the estimate; none where the body is older than it by
+    /// more than 50 ms.
+    pub fn append(&self, body: Option<&Body>, estimate: &Estimate, row: &mut Vec<Option<f64>>) {
+        let fresh = |body: &&Body| estimate.t_valid.seconds_since(body.t_valid) <= BODY_AGE_S;
+        let body = body.filter(fresh);
+        row.extend(self.0.iter().map(|angle| Some(body?.angles_rad[*angle]?.to_degrees())));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::output::{PoseEstimate, SensorEstimate, SensorState};
+
+    #[test]
+    fn a_row_has_a_value_per_column_and_none_of_a_suspect_pose() {
+        let pose = PoseEstimate {
+            position_m: Some([1.0, 2.0, 3.0]),
+            orientation_wxyz: [1.0, 0.0, 0.0, 0.0],
+            velocity_m_s: Some([0.0; 3]),
+            angular_velocity_rad_s: [0.0; 3],
+            covariance: [0.0; 21],
+            sigma_m: Some(0.0),
+        };
+        let sensor = |state| SensorEstimate {
+            state,
+            pose: Some(pose),
+            measured: None,
+            fault: None,
+            ..SensorEstimate::default()
+        };
+        let sensors = vec![sensor(SensorState::Ok), sensor(SensorState::Suspect)];
+        let mut row = vec![None];
+        write(&Estimate { sensors, ..Estimate::default() }, &mut row);
+        let columns = columns(["left", "right"]);
+        assert_eq!(columns.len(), row.len());
+        assert_eq!((columns[2].as_str(), row[2]), ("left_z_m", Some(3.0)));
+        assert_eq!((columns[10].as_str(), row[10]), ("right_qw", None));
+    }
+
+    #[test]
+    fn a_single_inertial_sensor_gives_what_it_measured_and_the_sensors_of_a_body_do_not() {
+        let text = "name = \"s\"\n[[device]]\nname = \"chain\"\ndriver = \"xbus\"\nport = \"auto\"\n\
+                    [[sensor]]\nname = \"watch\"\ndevice = \"chain\"\naddress = 1\n";
+        let stage: Stage = toml::from_str(text).unwrap();
+        let columns = columns_of(&stage);
+        assert_eq!(columns[7..], ["ax", "ay", "az", "gx", "gy", "gz"].map(|axis| format!("watch_{axis}")));
+        let measured = |state| SensorEstimate {
+            state,
+            measured: Some(crate::output::Measured {
+                t_valid: posed_drivers::Timestamp::default(),
+                position_m: None,
+                orientation_wxyz: None,
+                button: None,
+                inertial: Some(crate::output::Inertial {
+                    angular_velocity_rad_s: Some([4.0, 5.0, 6.0]),
+                    specific_force_m_s2: Some([1.0, 2.0, 3.0]),
+                    ..Default::default()
+                }),
+            }),
+            ..SensorEstimate::default()
+        };
+        let row = |state| {
+            let mut row = Vec::new();
+            let estimate = Estimate { sensors: vec![measured(state)], ..Estimate::default() };
+            write(&estimate, &mut row);
+            InertialColumns::of(&stage).append(&estimate, &mut row);
+            row
+        };
+        assert_eq!(row(SensorState::Ok)[7..], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0].map(Some));
+        assert_eq!(row(SensorState::Stuck)[7..], [None; 6]);
+        let worn = format!(
+            "{text}segment = \"forearm_r\"\n[body]\nskeleton = \"human\"\nheight_m = 1.8\nmounting = \"calibrate\"\n"
+        );
+        let worn: Stage = toml::from_str(&worn).unwrap();
+        assert_eq!(InertialColumns::of(&worn), InertialColumns::default());
+    }
+
+    #[test]
+    fn a_wearer_has_no_channels_of_what_nobody_wears() {
+        let text = "name = \"s\"\n[[device]]\nname = \"flock\"\ndriver = \"flock-of-birds\"\nport = \"auto\"\n\
+                    [[sensor]]\nname = \"forearm_r\"\ndevice = \"flock\"\naddress = 1\n\
+                    [[sensor]]\nname = \"wand\"\ndevice = \"flock\"\naddress = 2\n";
+        let free: Stage = toml::from_str(text).unwrap();
+        assert_eq!(columns_of_wearer(&free), columns_of(&free));
+        let worn: Stage = toml::from_str(&format!("{text}[body]\nheight_m = 1.8\n")).unwrap();
+        let all = columns_of(&worn);
+        let expected: Vec<String> = all.iter().filter(|name| !name.starts_with("wand")).cloned().collect();
+        assert_eq!(columns_of_wearer(&worn), expected);
+        assert_eq!(expected.len(), all.len() - PARTS.len());
+    }
+}

@@ -1,0 +1,79 @@
+//! `[zenoh]`: how a stage and a hub find each other.
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+use super::Stage;
+
+/// Hubs and other programs on other machines, by zenoh over TCP. Nothing is looked for: one end listens, the other connects.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Zenoh {
+    /// Addresses to listen on, `tcp/ADDRESS:PORT`. zenoh's own link is not encrypted: only on a network that is trusted.
+    #[serde(default)]
+    pub listen: Vec<String>,
+    /// Addresses of hubs, of routers or of stages to connect to, `tcp/HOST:PORT`; tried again for ever.
+    #[serde(default)]
+    pub connect: Vec<String>,
+    /// Longest time that a packet takes on these connections to the other end and back, ms. An attempt to connect lasts five times as
+    /// long, and 500 ms at least: over a slower way none succeeds; the shorter, the sooner poses flow again after a cut.
+    #[serde(default = "default_round_trip_ms")]
+    #[schemars(range(min = 1, max = 5000))]
+    pub round_trip_ms: f64,
+    /// Where the stage's messages are in zenoh; absent: `posed/` and the stage's name in small letters, digits and hyphens.
+    #[schemars(length(min = 1, max = 200))]
+    pub key: Option<String>,
+    /// Name to give to an end that listens and asks for one.
+    pub user: Option<String>,
+    /// The password that goes with it.
+    #[schemars(length(min = 16, max = 512))]
+    pub password: Option<String>,
+    /// File of those whom an end that listens lets in, a line `NAME:PASSWORD` for each; absent: everybody.
+    pub users: Option<PathBuf>,
+}
+
+fn default_round_trip_ms() -> f64 {
+    100.0
+}
+
+impl Default for Zenoh {
+    fn default() -> Self {
+        Self {
+            listen: Vec::new(),
+            connect: Vec::new(),
+            round_trip_ms: default_round_trip_ms(),
+            key: None,
+            user: None,
+            password: None,
+            users: None,
+        }
+    }
+}
+
+impl Zenoh {
+    /// The key below which everything of `stage` is.
+    pub fn key_of(&self, stage: &Stage) -> String {
+        self.key.clone().unwrap_or_else(|| format!("posed/{}", stage.file_name()))
+    }
+}
+
+impl Stage {
+    /// The text of a stage file that says the same of devices, sensors and body, without what is nobody else's business: tokens,
+    /// addresses, passwords, folders.
+    ///
+    /// # Errors
+    /// One sentence, where it cannot be written.
+    pub fn shareable_toml(&self) -> Result<String, String> {
+        let stage = Self {
+            server: super::Server::default(),
+            vrpn: None,
+            vmc: None,
+            lsl: None,
+            zenoh: None,
+            recording: super::Recording::default(),
+            ..self.clone()
+        };
+        toml::to_string(&stage).map_err(|error| format!("the stage file cannot be passed on: {error}"))
+    }
+}

@@ -1,0 +1,46 @@
+//! The one writer.
+
+/// Appends plain data to bytes, little-endian, for [`Reader`](crate::Reader) to take in the same order.
+#[derive(Debug, Default)]
+pub struct Writer {
+    bytes: Vec<u8>,
+}
+
+impl Writer {
+    /// Appends a byte.
+    pub fn byte(&mut self, byte: u8) {
+        self.bytes.push(byte);
+    }
+
+    /// Appends 64 bits, little-endian.
+    pub fn word(&mut self, word: u64) {
+        self.bytes.extend_from_slice(&word.to_le_bytes());
+    }
+
+    /// Appends a number of items, as 32 bits.
+    ///
+    /// # Panics
+    /// There are more than fit in 32 bits: more than any memory of a stage.
+    pub fn length(&mut self, length: usize) {
+        let length = u32::try_from(length).expect("a state of less than 4 G items");
+        self.bytes.extend_from_slice(&length.to_le_bytes());
+    }
+
+    /// Appends bytes without their number: the reader must know it.
+    pub fn raw(&mut self, bytes: &[u8]) {
+        self.bytes.extend_from_slice(bytes);
+    }
+
+    /// Appends the bits of numbers, eight bytes each, without how many there are: the reader must know it.
+    pub fn floats(&mut self, values: &[f64]) {
+        self.bytes.reserve(8 * values.len());
+        for value in values {
+            self.bytes.extend_from_slice(&value.to_bits().to_le_bytes());
+        }
+    }
+
+    /// All bytes appended so far.
+    pub fn into_bytes(self) -> Vec<u8> {
+        self.bytes
+    }
+}

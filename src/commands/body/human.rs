@@ -1,0 +1,281 @@
+//! `posed body solve` of the human skeleton: calibrates, runs the live filter over the file, writes angles or an animation.
+
+use posed_fusion::ahrs::ImuSample;
+use posed_fusion::body::assign::assign;
+use posed_fusion::body::calibrate::{Block, Kind, Recorded, calibrate};
+use posed_fusion::body::{
+    ANGLE_NAMES, BodyEstimate, BodyFilter, BodyParams, BodySegment, Heading, SEGMENTS, SensorMount, Skeleton,
+    of_joint,
+};
+use posed_fusion::faults::Cause;
+use posed_geometry::orientation_to_wxyz;
+use posed_recording::animation::{self, Animation};
+use posed_recording::table::{Imu, TableError, TableWriter};
+use posed_stage::layout::{offset_on, skeleton_of};
+use posed_stage::{Body, Mounting, Sensor, Stage};
+
+use super::{Error, Solve, epochs, one_each, places, print, print_json};
+
+/// The answer.
+#[derive(serde::Serialize)]
+struct Summary {
+    epochs: usize,
+    sensors: Vec<SensorSummary>,
+    warnings: Vec<String>,
+    /// For how long the heading was held without a field at the end, s; 0 where a field was believed.
+    heading_held_s: f64,
+}
+
+#[derive(serde::Serialize)]
+struct SensorSummary {
+    name: String,
+    segment: &'static str,
+    /// Sensor to segment.
+    mount_quat_wxyz: [f64; 4],
+    offset_m: [f64; 3],
+    /// Root mean square disagreement of poses and movements, degrees; absent where the mounting was given.
+    quality_deg: Option<f64>,
+    /// What was wrong with it, first of a kind with its time.
+    faults: Vec<FaultSummary>,
+}
+
+#[derive(serde::Serialize)]
+struct FaultSummary {
+    fault: Cause,
+    t: f64,
+}
+
+pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Result<(), Error> {
+    let skeleton = skeleton_of(body).ok_or_else(|| {
+        Error::failed("the stage's [body] lacks `height_m`, which gives the segments' lengths")
+    })?;
+    let names = BodySegment::ALL.map(BodySegment::name);
+    let mut places = places(stage, imu, &names);
+    if args.assign && imu.sensors.len() == SEGMENTS && places.iter().all(Option::is_none) {
+        places = (0..SEGMENTS).map(Some).collect();
+    }
+    one_each(imu, &places, &names, false)?;
+    if places.iter().all(Option::is_none) {
+        return Err(Error::Failed(format!(
+            "no sensor of the file sits on a segment (sensors: {}): name them like segments ({}), or give them \
+             `segment` in the stage file",
+            imu.sensors.join(", "),
+            names.join(", ")
+        )));
+    }
+    let blocks = blocks(body)?;
+    let mut recording = recording(imu, &places)?;
+    // Of each segment the file's sensor.
+    let mut worn_at =
+        BodySegment::ALL.map(|segment| places.iter().position(|place| *place == Some(segment.index())));
+    if args.assign {
+        if let Some(at) = places.iter().position(Option::is_none) {
+            return Err(Error::Failed(format!(
+                "--assign: give {} one of the segments that are worn, no matter which",
+                imu.sensors[at]
+            )));
+        }
+        let assignment = assign(&recording, &blocks).map_err(Error::failed)?;
+        worn_at = assignment.place(&worn_at);
+        recording = assignment.placed(&recording);
+    }
+    let name = |segment: BodySegment| Some(imu.sensors[worn_at[segment.index()]?].as_str());
+    let sensors = BodySegment::ALL.map(|segment| {
+        let name = name(segment)?;
+        stage.sensors.iter().find(|sensor| sensor.name == name)
+    });
+    let present = worn_at.map(|at| at.is_some());
+    let mut warnings = Vec::new();
+    let (worn, quality) = match body.mounting {
+        Mounting::Given if !args.assign => (given(&sensors, &present, &skeleton)?, [None; SEGMENTS]),
+        _ => {
+            let offsets = BodySegment::ALL.map(|segment| offset_on(sensors[segment.index()]?, segment));
+            let found = calibrate(&recording, &blocks, &skeleton, &offsets).map_err(Error::failed)?;
+            warnings = found.warnings;
+            (found.worn, found.quality_deg)
+        }
+    };
+
+    let mut filter = BodyFilter::new(&skeleton, &worn, &BodyParams::default());
+    if recording.iter().any(|(_, samples)| samples.iter().flatten().any(|sample| sample.mag.is_some())) {
+        filter.await_field();
+    }
+    let nominal_s = match recording.as_slice() {
+        [first, .., last] => (last.0 - first.0) / (recording.len() - 1) as f64,
+        _ => 0.01,
+    };
+    let mut last_s = None;
+    let mut estimates = Vec::with_capacity(recording.len());
+    for (t_s, samples) in &recording {
+        let dt_s = last_s.map_or(nominal_s, |last| t_s - last);
+        last_s = Some(*t_s);
+        estimates.push((*t_s, filter.push(samples, dt_s).clone()));
+    }
+    write(args, &present, &skeleton, &estimates)?;
+
+    let summary = Summary {
+        epochs: estimates.len(),
+        sensors: BodySegment::ALL
+            .into_iter()
+            .filter_map(|segment| {
+                let worn = worn[segment.index()]?;
+                Some(SensorSummary {
+                    name: name(segment)?.to_owned(),
+                    segment: segment.name(),
+                    mount_quat_wxyz: orientation_to_wxyz(&worn.q_segment_sensor),
+                    offset_m: worn.offset_m.into(),
+                    quality_deg: quality[segment.index()],
+                    faults: faults(segment, &estimates),
+                })
+            })
+            .collect(),
+        warnings,
+        heading_held_s: match filter.estimate().heading {
+            Heading::Held(seconds) => seconds,
+            Heading::Field | Heading::Unknown => 0.0,
+        },
+    };
+    tell(args, &summary)
+}
+
+fn tell(args: &Solve, summary: &Summary) -> Result<(), Error> {
+    if args.json {
+        return print_json(summary);
+    }
+    let mut text = format!("{} epochs\n", summary.epochs);
+    for sensor in &summary.sensors {
+        if args.assign {
+            text += &format!("{} sits on {}\n", sensor.name, sensor.segment);
+        }
+        if let Some(quality) = sensor.quality_deg {
+            text += &format!("{}: mounting good to {quality:.1} degrees\n", sensor.segment);
+        }
+        for fault in &sensor.faults {
+            text += &format!("{}: {:?} at {:.2} s\n", sensor.segment, fault.fault, fault.t);
+        }
+    }
+    for warning in &summary.warnings {
+        text += &format!("{warning}\n");
+    }
+    if summary.heading_held_s > 0.0 {
+        text += &format!(
+            "the heading was held by the gyros for the last {:.0} s: no field was believed\n",
+            summary.heading_held_s
+        );
+    }
+    print(&text)
+}
+
+/// Samples by segment. A body of which not every sensor has a magnetometer is solved without.
+fn recording(imu: &Imu, places: &[Option<usize>]) -> Result<Vec<Recorded>, Error> {
+    let epochs = epochs(imu, places, SEGMENTS);
+    let mut magnetic = [false; SEGMENTS];
+    for (_, samples) in &epochs {
+        for (has, sample) in magnetic.iter_mut().zip(samples) {
+            *has |= sample.is_some_and(|sample| sample.mag.is_some());
+        }
+    }
+    let all = places.iter().flatten().all(|place| magnetic[*place]);
+    let mut recording: Vec<Recorded> = Vec::with_capacity(epochs.len());
+    for (t_s, samples) in epochs {
+        let at = |index: usize| samples[index].map(|s| ImuSample { mag: s.mag.filter(|_| all), ..s });
+        recording.push((t_s, std::array::from_fn(at)));
+    }
+    if recording.is_empty() {
+        return Err(Error::failed("the file has no complete sample of a sensor on the body"));
+    }
+    Ok(recording)
+}
+
+fn blocks(body: &Body) -> Result<Vec<Block>, Error> {
+    body.calibration
+        .iter()
+        .map(|block| {
+            let kind = Kind::named(&block.kind)
+                .ok_or_else(|| Error::Failed(format!("`{}` is no pose or movement", block.kind)))?;
+            Ok(Block { kind, start_s: block.start_s, end_s: block.end_s })
+        })
+        .collect()
+}
+
+/// The stage file's own mountings.
+fn given(
+    sensors: &[Option<&Sensor>; SEGMENTS],
+    present: &[bool; SEGMENTS],
+    skeleton: &Skeleton,
+) -> Result<[Option<SensorMount>; SEGMENTS], Error> {
+    let mut worn = [None; SEGMENTS];
+    for segment in BodySegment::ALL.into_iter().filter(|segment| present[segment.index()]) {
+        let sensor = sensors[segment.index()];
+        let given = sensor.and_then(|sensor| posed_pipeline::worn(sensor, segment, skeleton));
+        worn[segment.index()] = Some(given.ok_or_else(|| {
+            Error::Failed(format!(
+                "the sensor on `{}` has no `mount_quat_wxyz` in the stage file: give one, or set mounting = \"calibrate\"",
+                segment.name()
+            ))
+        })?);
+    }
+    Ok(worn)
+}
+
+fn faults(segment: BodySegment, estimates: &[(f64, BodyEstimate)]) -> Vec<FaultSummary> {
+    let mut found: Vec<FaultSummary> = Vec::new();
+    for (t, estimate) in estimates {
+        if let Some(fault) = estimate.faults[segment.index()]
+            && found.iter().all(|known| known.fault != fault)
+        {
+            found.push(FaultSummary { fault, t: *t });
+        }
+    }
+    found
+}
+
+fn write(
+    args: &Solve,
+    present: &[bool; SEGMENTS],
+    skeleton: &Skeleton,
+    estimates: &[(f64, BodyEstimate)],
+) -> Result<(), Error> {
+    match animation::Format::of(&args.output) {
+        None => table(args, present, estimates).map_err(Error::failed),
+        Some(format) => {
+            let mut animation = Animation::new(*skeleton);
+            for (t_s, estimate) in estimates {
+                let orientations = estimate.completed();
+                animation.push(*t_s, orientations, skeleton.standing_m(&orientations));
+            }
+            animation.write(&args.output, format).map_err(Error::failed)
+        }
+    }
+}
+
+/// The table of angles: segments that a sensor shows, joints between two of them.
+fn table(
+    args: &Solve,
+    present: &[bool; SEGMENTS],
+    estimates: &[(f64, BodyEstimate)],
+) -> Result<(), TableError> {
+    let segments: Vec<BodySegment> = BodySegment::ALL.into_iter().filter(|s| present[s.index()]).collect();
+    let angles: Vec<usize> = segments
+        .iter()
+        .filter(|segment| segment.parent().is_some_and(|parent| present[parent.index()]))
+        .flat_map(|segment| of_joint(*segment))
+        .collect();
+    let mut columns = vec!["t".to_owned()];
+    for segment in &segments {
+        columns.extend(["qw", "qx", "qy", "qz"].map(|part| format!("{}_{part}", segment.name())));
+    }
+    columns.extend(angles.iter().map(|angle| format!("{}_deg", ANGLE_NAMES[*angle])));
+    let mut table = TableWriter::create(&args.output, &columns)?;
+    for (t_s, estimate) in estimates {
+        table.number(*t_s)?;
+        for segment in &segments {
+            table.vector(estimate.orientations[segment.index()].as_ref().map(orientation_to_wxyz))?;
+        }
+        for angle in &angles {
+            table.vector(estimate.angles_rad[*angle].map(|angle| [angle.to_degrees()]))?;
+        }
+        table.end_row()?;
+    }
+    table.finish()
+}

@@ -1,0 +1,255 @@
+//! Asks ports what is there: each at one rate after the other, for one kind of device after the other.
+
+use std::io;
+use std::time::Duration;
+
+use posed_daemon::StageClock;
+use posed_daemon::find::{self, Answer, Kind};
+use posed_drivers::flock::examine::Failure;
+use posed_drivers::port::{self, Options, PortError};
+
+use super::{PortReport, SensorReport};
+
+/// Longest that one question to a line takes, a Flock's reset apart.
+const QUESTION: Duration = Duration::from_millis(1600);
+
+/// What to ask for.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Wanted {
+    /// At this line rate only.
+    pub(super) baud: Option<u32>,
+    /// For this kind only.
+    pub(super) kind: Option<Kind>,
+}
+
+/// Asks all ports side by side, none longer than `limit`; the reports keep the order of the ports.
+pub(super) async fn all(ports: Vec<String>, wanted: Wanted, limit: Duration) -> Vec<PortReport> {
+    let tasks: Vec<_> = ports
+        .into_iter()
+        .map(|port| {
+            let task = tokio::spawn({
+                let port = port.clone();
+                async move { tokio::time::timeout(limit, one(&port, wanted, limit)).await }
+            });
+            (port, task)
+        })
+        .collect();
+    let mut reports = Vec::new();
+    for (port, task) in tasks {
+        reports.push(match task.await {
+            Ok(Ok(report)) => report,
+            Ok(Err(_)) | Err(_) => PortReport {
+                port,
+                problem: Some("no answer in time".to_owned()),
+                fix: Some(
+                    "ask again at one rate with --baud RATE, or for one device with --driver".to_owned(),
+                ),
+                ..PortReport::default()
+            },
+        });
+    }
+    reports
+}
+
+/// Units that announce themselves on the network, and trackers that look for a server.
+pub(super) async fn network() -> Vec<PortReport> {
+    let (units, trackers) = tokio::join!(
+        find::announcements(find::ANNOUNCED),
+        find::slimevr_trackers(find::ANNOUNCED + find::ANNOUNCED)
+    );
+    let mut reports: Vec<PortReport> = units
+        .unwrap_or_default()
+        .into_iter()
+        .map(|unit| PortReport {
+            port: unit.port(),
+            local_port: Some(unit.sends_to).filter(|port| *port > 0),
+            driver: Some("x-imu3"),
+            model: Some(format!("x-IMU3 {:?}", unit.name)),
+            sensors: vec![SensorReport { address: 0, serial: Some(unit.serial) }],
+            ..PortReport::default()
+        })
+        .collect();
+    // Where the port is taken, a server serves them already.
+    let trackers = trackers.unwrap_or_default();
+    if !trackers.is_empty() {
+        let sensors = (1..).zip(trackers).map(|(n, mac)| SensorReport { address: n, serial: Some(mac) });
+        reports.push(PortReport {
+            port: "udp://0.0.0.0:6969".to_owned(),
+            driver: Some("slimevr"),
+            sensors: sensors.collect(),
+            ..PortReport::default()
+        });
+    }
+    reports
+}
+
+/// The questions to a port, in their order: the likeliest rates of every kind first.
+fn questions(port: &str, wanted: Wanted) -> Vec<(Kind, u32)> {
+    let network = port.contains("://");
+    let kinds: Vec<Kind> = match wanted.kind {
+        Some(kind) => vec![kind],
+        None if port.starts_with("udp://") && port.ends_with(":5000") => vec![Kind::MotionStar],
+        None if port.starts_with("udp://") || port.ends_with(":7000") => vec![Kind::XImu3],
+        None if network && port.ends_with(":6000") => vec![Kind::MotionStar],
+        None => Kind::SERIAL.to_vec(),
+    };
+    let rates = |kind: Kind| match wanted.baud {
+        Some(baud) => vec![baud],
+        // A device on the network has one rate, set where the line is.
+        None if network => vec![115_200],
+        None => kind.bauds().to_vec(),
+    };
+    let most = kinds.iter().map(|kind| rates(*kind).len()).max().unwrap_or(0);
+    let mut questions: Vec<(Kind, u32)> = (0..most)
+        .flat_map(|n| kinds.iter().filter_map(move |kind| Some((*kind, *rates(*kind).get(n)?))))
+        .collect();
+    // A Flock's questions take longest: its rarest rates come last.
+    questions.sort_by_key(|(kind, baud)| *kind == Kind::Flock && *baud < 9600);
+    questions
+}
+
+/// Asks one port until something answers.
+async fn one(port: &str, wanted: Wanted, limit: Duration) -> PortReport {
+    let questions = questions(port, wanted);
+    let first = questions.first().map_or(115_200, |(_, baud)| *baud);
+    let mut line = match port::open(port, Options::baud(first)).await {
+        Ok(line) => line,
+        Err(error) => return refused(port, &error),
+    };
+    let clock = StageClock::start();
+    let mut failure = Failure::Silent;
+    let mut asked: Vec<(Kind, u32)> = Vec::new();
+    for (kind, baud) in questions {
+        if Duration::from_secs_f64(clock.now().as_secs_f64().max(0.0)) + QUESTION > limit {
+            break;
+        }
+        let answer = match line.set_baud(baud) {
+            Ok(()) => find::ask(&mut line, kind, asked.is_empty()).await,
+            Err(error) => Err(error),
+        };
+        match answer {
+            Ok(Ok(answer)) => return found(port, kind, baud, answer),
+            // Bytes at one rate say more than silence at the others.
+            Ok(Err(Failure::Silent)) => {}
+            Ok(Err(other)) => failure = other,
+            Err(error) => return lost(port, &error),
+        }
+        asked.push((kind, baud));
+    }
+    nothing(port, &asked, failure)
+}
+
+fn found(port: &str, kind: Kind, baud: u32, answer: Answer) -> PortReport {
+    let identity = answer.identity;
+    let sensors = identity.sensors.into_iter();
+    let (problem, fix) = identity.problem.unzip();
+    PortReport {
+        port: port.to_owned(),
+        driver: Some(kind.word()),
+        revision: identity.revision,
+        model: identity.model,
+        baud: (!port.contains("://")).then_some(baud),
+        addressing: answer.addressing,
+        rate_hz: identity.rate_hz,
+        sensors: sensors.map(|info| SensorReport { address: info.address, serial: info.serial }).collect(),
+        problem,
+        fix,
+        ..PortReport::default()
+    }
+}
+
+fn nothing(port: &str, asked: &[(Kind, u32)], failure: Failure) -> PortReport {
+    let mut bauds: Vec<u32> = Vec::new();
+    for (_, baud) in asked {
+        if !bauds.contains(baud) {
+            bauds.push(*baud);
+        }
+    }
+    let rates = match bauds.as_slice() {
+        _ if port.contains("://") => String::new(),
+        [] => String::new(),
+        [only] => format!(" at {only} baud"),
+        [..] => {
+            let rates: Vec<String> = bauds.iter().map(ToString::to_string).collect();
+            format!(" at any rate ({} baud)", rates.join(", "))
+        }
+    };
+    let (problem, fix) = match failure {
+        Failure::Silent => (
+            format!("nothing answers{rates}"),
+            "check that the device has power and the cable; on a Flock of Birds that its FLY switch (8) is up, that its \
+             baud switches (1 to 3) are not all up, and that the cable is a straight one, whose RTS wire must not be held \
+             high, for that keeps the unit in reset",
+        ),
+        Failure::Unintelligible => (
+            format!("bytes come in, but no answer that a known device would give{rates}"),
+            "check that this is the tracker's port, that no other program uses it, and that the device is at one of the \
+             rates asked (a Flock's baud switches 1 to 3); then switch it off and on",
+        ),
+        Failure::DoesNotStop => (
+            format!("bytes keep coming, although the stop command{rates}"),
+            "check the line from the computer to the unit (pin 3 of the cable), and switch the unit off and on",
+        ),
+    };
+    PortReport {
+        port: port.to_owned(),
+        problem: Some(problem),
+        fix: Some(fix.to_owned()),
+        ..PortReport::default()
+    }
+}
+
+fn refused(port: &str, error: &PortError) -> PortReport {
+    let (problem, fix) = match error {
+        PortError::Missing { .. } => (
+            "there is no such port".to_owned(),
+            "check the cable and the adapter; `posed doctor` without a port lists those there are",
+        ),
+        PortError::NotAllowed { .. } => (
+            "this user may not open the port".to_owned(),
+            "join the group dialout (sudo usermod -aG dialout $USER), then log in again",
+        ),
+        PortError::Busy { .. } => ("another program has the port open".to_owned(), "end that program"),
+        PortError::Unreachable { source, .. } => (
+            format!("the device server cannot be reached: {source}"),
+            "check the address, and that the server runs",
+        ),
+        PortError::Other { reason, .. } => (
+            format!("the port cannot be opened: {reason}"),
+            "there may be no hardware behind it; try another port",
+        ),
+    };
+    PortReport {
+        port: port.to_owned(),
+        problem: Some(problem),
+        fix: Some(fix.to_owned()),
+        ..PortReport::default()
+    }
+}
+
+fn lost(port: &str, error: &io::Error) -> PortReport {
+    PortReport {
+        port: port.to_owned(),
+        problem: Some(format!("the port failed: {error}")),
+        fix: Some("check the adapter and its cable; there may be no hardware behind this port".to_owned()),
+        ..PortReport::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_rate_of_every_kind_is_asked_and_the_likeliest_first() {
+        let asked = questions("/dev/ttyUSB0", Wanted::default());
+        assert_eq!(asked.len(), Kind::SERIAL.iter().map(|kind| kind.bauds().len()).sum::<usize>());
+        let first: Vec<Kind> = asked[..4].iter().map(|(kind, _)| *kind).collect();
+        assert_eq!(first, Kind::SERIAL);
+        assert_eq!(asked.last(), Some(&(Kind::Flock, 2400)));
+        let star = questions("tcp://10.0.0.2:6000", Wanted::default());
+        assert_eq!(star, [(Kind::MotionStar, 115_200)]);
+        let one = Wanted { baud: Some(9600), kind: Some(Kind::Fastrak) };
+        assert_eq!(questions("/dev/ttyS0", one), [(Kind::Fastrak, 9600)]);
+    }
+}

@@ -1,0 +1,57 @@
+//! `posed exercise`: teaching and counting from files.
+
+mod count;
+mod teach;
+
+use clap::Subcommand;
+
+use std::path::Path;
+
+use posed_recording::is_recording;
+use posed_recording::table::{Streams, TableReader};
+
+use super::Error;
+
+/// What to do with exercises.
+#[derive(clap::Args)]
+#[command(subcommand_required = true, arg_required_else_help = true)]
+#[command(after_help = "Examples:\n  \
+    posed exercise teach curls.csv --name curl --repetitions 5 -o curl.json\n  \
+    posed exercise count curl.json --in session.csv -o events.csv")]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Learns an exercise from a recording of a few repetitions.
+    Teach(teach::Args),
+    /// Counts repetitions of taught exercises in a recording.
+    Count(count::Args),
+}
+
+/// Reads a recording (`.mcap`), or of a CSV file the columns that `needed` chooses among those that are there (none:
+/// all).
+fn read(
+    path: &Path,
+    rate_hz: Option<f64>,
+    needed: impl FnOnce(&[String]) -> Result<Option<Vec<String>>, String>,
+) -> Result<Streams, Error> {
+    let lacks = |sentence: String| Error::Failed(format!("{}: {sentence}", path.display()));
+    if is_recording(path) {
+        let streams = Streams::read_recording(path).map_err(Error::failed)?;
+        needed(&streams.columns).map_err(lacks)?;
+        return Ok(streams);
+    }
+    let table = TableReader::open(path).map_err(Error::failed)?;
+    let columns = needed(table.columns()).map_err(lacks)?;
+    Streams::from_table(table, columns.as_deref(), rate_hz).map_err(Error::failed)
+}
+
+pub(crate) fn run(args: Args) -> Result<(), Error> {
+    match args.command {
+        Command::Teach(args) => teach::run(args),
+        Command::Count(args) => count::run(args),
+    }
+}

@@ -1,0 +1,70 @@
+//! `posed export REC.mcap`: files that other programs open.
+
+use std::path::PathBuf;
+
+use posed_recording::animation;
+use posed_recording::export::{self, Frame};
+use posed_recording::movement;
+
+use super::progress::Progress;
+use super::{Error, print, print_json};
+
+/// What to export, and as what.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  posed export take-1.mcap --to csv -o poses.csv\n  \
+    posed export take-1.mcap --to csv --frame transmitter -o poses.csv.gz\n  \
+    posed export take-1.mcap --to jsonl -o messages.jsonl\n  \
+    posed export take-1.mcap --to bvh -o take-1.bvh")]
+pub(crate) struct Args {
+    /// The recording.
+    recording: PathBuf,
+    /// csv: filtered poses with their state. jsonl: every published message, one on each line. bvh, trc, glb: the body.
+    #[arg(long, value_enum)]
+    to: Format,
+    /// The file to write; csv is zipped where it ends in .gz.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Axes of the poses in a csv file.
+    #[arg(long, value_enum, default_value = "room")]
+    frame: Frame,
+    /// Print one JSON object: rows (of an animation its frames).
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Format {
+    Jsonl,
+    Csv,
+    Bvh,
+    Trc,
+    Glb,
+}
+
+pub(crate) fn run(args: Args) -> Result<(), Error> {
+    let Args { recording, to, output, frame, json } = args;
+    let mut progress = Progress::over(&recording, "exporting");
+    if frame != Frame::Room && to != Format::Csv {
+        return Err(Error::Usage("--frame is for --to csv; everything else is in the room's axes".into()));
+    }
+    let mut body = |format| {
+        movement::animation(&recording, &output, format, |bytes| progress.at(bytes)).map_err(Error::failed)
+    };
+    let rows = match to {
+        Format::Bvh => body(animation::Format::Bvh)?,
+        Format::Trc => body(animation::Format::Trc)?,
+        Format::Glb => body(animation::Format::Glb)?,
+        Format::Jsonl => {
+            export::jsonl(&recording, &output, |bytes| progress.at(bytes)).map_err(Error::failed)?
+        }
+        Format::Csv => {
+            export::csv(&recording, &output, frame, |bytes| progress.at(bytes)).map_err(Error::failed)?
+        }
+    };
+    drop(progress);
+    if json {
+        print_json(&serde_json::json!({ "rows": rows }))
+    } else {
+        print(&format!("{}: {rows} rows\n", output.display()))
+    }
+}

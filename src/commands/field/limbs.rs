@@ -1,0 +1,122 @@
+//! From a stage file's body to joints and bones between its sensors.
+
+use nalgebra::Vector3;
+use posed_field::{Bone, Joint, Limbs};
+use posed_fusion::body::BodySegment;
+use posed_geometry::orientation_from_wxyz;
+use posed_stage::layout::skeleton_of;
+use posed_stage::{Mounting, Stage};
+
+use super::Error;
+
+/// A bone in proportion to the height is known to this share, a measured one to this, m.
+const PROPORTION: f64 = 0.02;
+const MEASURED_M: f64 = 5e-4;
+
+/// A bone that was measured, as the command line gives it.
+#[derive(Clone, Debug)]
+pub(super) struct Measured {
+    segment: String,
+    length_m: f64,
+}
+
+/// Reads `SEGMENT=LENGTH`.
+pub(super) fn measured(text: &str) -> Result<Measured, String> {
+    let wrong = || "write SEGMENT=LENGTH in metres, such as upper_arm_r=0.31".to_owned();
+    let (segment, length) = text.split_once('=').ok_or_else(wrong)?;
+    let length_m: f64 = length.trim().parse().map_err(|_| wrong())?;
+    if (0.02..2.0).contains(&length_m) {
+        Ok(Measured { segment: segment.trim().to_owned(), length_m })
+    } else {
+        Err(wrong())
+    }
+}
+
+/// A segment that wears a sensor.
+struct Wears<'a> {
+    name: &'a str,
+    parent: Option<&'a str>,
+    /// Index among the sensors that are asked for.
+    sensor: usize,
+    worn: &'a posed_stage::Sensor,
+}
+
+/// The names of the sensors that sit on segments, and how they hang together.
+pub(super) fn of_stage(stage: &Stage, measured: &[Measured]) -> Result<(Vec<String>, Limbs), Error> {
+    let body = stage.body.as_ref().ok_or_else(|| Error::Failed("the stage file has no [body]".into()))?;
+    let human = body.skeleton == posed_stage::Skeleton::Human;
+    let parent = |name: &str| -> Option<&str> {
+        if human {
+            return BodySegment::named(name)?.parent().map(BodySegment::name);
+        }
+        body.segments.iter().find(|segment| segment.name == name)?.parent.as_deref()
+    };
+    let is_segment = |name: &str| {
+        if human { BodySegment::named(name).is_some() } else { body.segments.iter().any(|s| s.name == name) }
+    };
+    let mut names = Vec::new();
+    let mut wearing: Vec<Wears<'_>> = Vec::new();
+    for worn in &stage.sensors {
+        let name = worn.segment.as_deref().unwrap_or(&worn.name);
+        if is_segment(name) && wearing.iter().all(|other| other.name != name) {
+            wearing.push(Wears { name, parent: parent(name), sensor: names.len(), worn });
+            names.push(worn.name.clone());
+        }
+    }
+    for bone in measured {
+        if !wearing.iter().any(|segment| segment.name == bone.segment) {
+            return Err(Error::Usage(format!("--bone: no sensor sits on {:?}", bone.segment)));
+        }
+    }
+    // A measured bone is worth more than proportions, and the two may contradict each other.
+    let skeleton = skeleton_of(body).filter(|_| human && measured.is_empty());
+    let given = body.mounting == Mounting::Given;
+    let mut limbs = Limbs::default();
+    for child in &wearing {
+        let Some(parent) = wearing.iter().find(|other| Some(other.name) == child.parent) else { continue };
+        let places = skeleton.as_ref().zip(BodySegment::named(child.name)).map(|(skeleton, segment)| {
+            [skeleton.joint_in_segment_m(segment), skeleton.joint_in_parent_m(segment)]
+        });
+        let way = |wears: &Wears<'_>, place: Option<Vector3<f64>>| {
+            let turn = orientation_from_wxyz(wears.worn.mount_quat_wxyz?)?;
+            let offset = Vector3::from(wears.worn.offset_m?);
+            given.then_some(turn.inverse() * (place? - offset))
+        };
+        limbs.joints.push(Joint {
+            name: format!("{} to {}", parent.name, child.name),
+            sensors: [child.sensor, parent.sensor],
+            ways_m: [way(child, places.map(|p| p[0])), way(parent, places.map(|p| p[1]))],
+        });
+    }
+    for segment in &wearing {
+        let joints: Vec<usize> =
+            (0..limbs.joints.len()).filter(|j| limbs.joints[*j].sensors.contains(&segment.sensor)).collect();
+        let place = |joint: usize| {
+            let other = limbs.joints[joint].sensors[0];
+            let skeleton = skeleton.as_ref()?;
+            if other == segment.sensor {
+                return Some(skeleton.joint_in_segment_m(BodySegment::named(segment.name)?));
+            }
+            let child = wearing.iter().find(|wears| wears.sensor == other)?;
+            Some(skeleton.joint_in_parent_m(BodySegment::named(child.name)?))
+        };
+        for (k, first) in joints.iter().enumerate() {
+            for second in &joints[k + 1..] {
+                let reported = measured.iter().find(|bone| bone.segment == segment.name && joints.len() == 2);
+                let proportion = place(*first).zip(place(*second)).map(|(a, b)| (a - b).norm());
+                let length_m =
+                    reported.map(|bone| bone.length_m).or(proportion).filter(|length| *length > 0.02);
+                let sigma_m =
+                    if reported.is_some() { MEASURED_M } else { PROPORTION * length_m.unwrap_or(0.0) };
+                let name = segment.name.to_owned();
+                let joints = [*first, *second];
+                limbs.bones.push(Bone { name, sensor: segment.sensor, joints, length_m, sigma_m });
+            }
+        }
+    }
+    if limbs.joints.is_empty() {
+        let text = "no two sensors sit on segments that meet in a joint: name sensors after segments";
+        return Err(Error::Failed(text.into()));
+    }
+    Ok((names, limbs))
+}

@@ -1,0 +1,112 @@
+//! A fault map for a simulated stage, learnt from a rehearsal: some time of its own movement, before it begins.
+//!
+//! What comes in: a stage with a `[simulation]` table. What goes out: a network that knows where its magnetic sensors are,
+//! and what they look like with faults put in; nobody labels anything. What it never does: wait, or touch a port.
+
+use std::path::Path;
+
+use posed_drivers::{LineEvent, Timestamp};
+use posed_motion::fault_map::frames::Frames;
+use posed_motion::fault_map::som::Training;
+use posed_motion::fault_map::{FaultMap, Size};
+use posed_pipeline::{Pipeline, raw_positions, upright};
+use posed_simulator::figure::{Fault, inject};
+use posed_simulator::stage::Output as Virtual;
+use posed_stage::Stage;
+use posed_stage::input::{Entry, Input};
+use posed_stage::output::Output;
+
+use super::{Error, simulation};
+
+/// How long it takes, in the stage's own time, s: until the demo has done each of its movements.
+const LENGTH_S: f64 = 77.0;
+/// Share of the frames that get a fault.
+const BAD_SHARE: f64 = 0.4;
+
+/// Learns the map; `None` where there are too few sensors to tell anything.
+pub(crate) fn learn_faults(stage: &Stage, folder: &Path) -> Result<Option<FaultMap>, Error> {
+    let mut frames = positions(stage, folder)?;
+    let sensors = frames.sensors.len();
+    let span_s = frames.t_s.last().zip(frames.t_s.first()).map_or(0.0, |(last, first)| last - first);
+    if sensors < 2 || span_s <= 0.0 {
+        return Ok(None);
+    }
+    let rate_hz = (frames.len() - 1) as f64 / span_s;
+    inject(&mut frames.positions_m, sensors, rate_hz, 1, BAD_SHARE, &Fault::ALL);
+    Ok(FaultMap::train(&frames, Size::default(), &Training::default()).ok().map(|(fault_map, _)| fault_map))
+}
+
+/// The raw positions of the magnetic sensors, as the stage itself will see them: every frame that has them all.
+fn positions(stage: &Stage, folder: &Path) -> Result<Frames, Error> {
+    let indices = stage.magnetic_indices();
+    // Only devices that carry such sensors are switched on.
+    let is_on = |device: usize| {
+        let name = &stage.devices[device].name;
+        indices.iter().any(|index| stage.sensors[*index].device == *name)
+    };
+    let mut devices = simulation::virtual_stage(stage, folder)?;
+    let mut pipeline = Pipeline::new(stage).map_err(Error::failed)?;
+    let sensors = stage.magnetic_sensors().into_iter().map(str::to_owned).collect();
+    let mut frames = Frames { sensors, ..Frames::default() };
+    let mut now = Timestamp::ZERO;
+    let mut row = Vec::with_capacity(3 * indices.len());
+    let mut push = |pipeline: &mut Pipeline, now, input, answers: &mut Vec<(usize, Vec<u8>)>| {
+        let room = *pipeline.room_transmitter();
+        pipeline.push(&Entry { t: now, input }, &mut |output| match output {
+            Output::Transmit { device, bytes } => answers.push((usize::from(device), bytes.to_vec())),
+            Output::Estimate(estimate) => {
+                row.clear();
+                raw_positions(estimate, &indices, |p| row.extend(upright(p, &room)));
+                if row.iter().all(|value| value.is_finite()) {
+                    frames.push(estimate.t_valid.as_secs_f64(), &row);
+                }
+            }
+            _ => {}
+        });
+    };
+    let mut answers = Vec::new();
+    for device in (0..stage.devices.len()).filter(|device| is_on(*device)) {
+        let event = LineEvent::Opened { modem_lines: false };
+        push(&mut pipeline, now, Input::Line { device: device as u16, event }, &mut answers);
+    }
+    let end = Timestamp::from_secs_f64(LENGTH_S);
+    while now < end {
+        answers.drain(..).for_each(|(device, bytes)| devices.write(device, now, &bytes));
+        let due = [devices.poll_timeout(), pipeline.poll_timeout()];
+        now = due.into_iter().flatten().min().unwrap_or(end).clamp(now, end);
+        devices.step(now);
+        while let Some(event) = devices.poll_event() {
+            if let Virtual::Data(bytes) = event.output
+                && is_on(event.device)
+            {
+                push(&mut pipeline, now, Input::Bytes { device: event.device as u16, bytes }, &mut answers);
+            }
+        }
+        if pipeline.poll_timeout().is_some_and(|due| due <= now) {
+            push(&mut pipeline, now, Input::Timer, &mut answers);
+        }
+    }
+    Ok(frames)
+}
+
+#[cfg(test)]
+mod tests {
+    use posed_fusion::faults::Class;
+
+    use super::*;
+
+    #[test]
+    fn the_demo_learns_cells_of_all_kinds_and_finds_its_own_movement_clean() {
+        let stage = Stage::parse(include_str!("../../config/demo.toml")).unwrap();
+        let fault_map = learn_faults(&stage, Path::new("")).unwrap().unwrap();
+        for class in [Class::Clean, Class::Inverted, Class::Anomalous] {
+            assert!(fault_map.cells.contains(&class), "{class:?}");
+        }
+        let frames = positions(&stage, Path::new("")).unwrap();
+        let mut watch = fault_map.watch();
+        let bad = (0..frames.len())
+            .filter(|k| watch.push(&fault_map, frames.frame(*k)).label.class != Class::Clean)
+            .count();
+        assert!(frames.len() > 4000 && bad * 100 < frames.len(), "{bad} of {}", frames.len());
+    }
+}

@@ -1,0 +1,76 @@
+//! `posed run STAGE.toml`: the daemon on the stage's own devices.
+
+use std::path::{Path, PathBuf};
+
+use posed_daemon::{Daemon, Options};
+use posed_stage::{PortAddress, Stage};
+
+use super::{Error, watch};
+
+/// What to run.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  posed run stage.toml\n  posed run stage.toml --record take-1.mcap\n\n\
+    Ctrl-C or SIGTERM ends it within 5 s with exit code 0.")]
+pub(crate) struct Args {
+    /// The stage file; `posed check` states whether it is right, `posed doctor --write-stage` writes a first one.
+    stage: PathBuf,
+    /// Record everything that comes in, from the first byte on.
+    #[arg(long, value_name = "REC.mcap")]
+    record: Option<PathBuf>,
+    /// Address for the page and the websocket, in place of the stage's; anything but loopback needs a token in the stage.
+    #[arg(long, value_name = "HOST:PORT")]
+    listen: Option<String>,
+    /// Where recordings, maps of the field and of faults, and taught exercises are kept unless the stage file specifies otherwise;
+    /// absent: beside the stage file.
+    #[arg(long, value_name = "FOLDER")]
+    data: Option<PathBuf>,
+    /// Another port for a device than the stage file specifies; may be given for several.
+    #[arg(long = "port", value_name = "DEVICE=PORT", value_parser = port)]
+    ports: Vec<(String, String)>,
+}
+
+fn port(text: &str) -> Result<(String, String), String> {
+    let (device, port) = text.split_once('=').ok_or("write DEVICE=PORT, like flock=/dev/ttyUSB1")?;
+    port.parse::<PortAddress>().map_err(|error| error.to_string())?;
+    Ok((device.to_owned(), port.to_owned()))
+}
+
+pub(crate) fn run(args: Args) -> Result<(), Error> {
+    let text =
+        std::fs::read_to_string(&args.stage).map_err(|error| Error::file("read", &args.stage, &error))?;
+    let mut stage = Stage::load(&args.stage).map_err(Error::failed)?;
+    for (name, port) in args.ports {
+        match stage.devices.iter_mut().find(|device| device.name == name) {
+            Some(device) => device.port = port,
+            None => return Err(Error::Usage(format!("--port: the stage has no device {name:?}"))),
+        }
+    }
+    let folder = args.stage.parent().unwrap_or(Path::new("")).to_owned();
+    let data = args.data.unwrap_or_else(|| folder.clone());
+    let options =
+        Options { listen: args.listen, record: args.record, data, ..self::options(stage, text, folder) };
+    runtime()?.block_on(async {
+        let daemon = Daemon::start(options).map_err(Error::failed)?;
+        watch::announce(daemon.vrpn_address())?;
+        let ended = watch::until_end(daemon.url(), daemon.status(), None).await;
+        daemon.shutdown().await;
+        ended
+    })
+}
+
+/// What every daemon of this program is started with.
+pub(crate) fn options(stage: Stage, text: String, folder: PathBuf) -> Options {
+    let options = Options::new(stage, text, folder);
+    #[cfg(feature = "zenoh")]
+    let options = Options { link: Some(posed_mesh::connect), ..options };
+    options
+}
+
+/// Two threads for sockets and ports; the fusion thread is the daemon's own.
+pub(crate) fn runtime() -> Result<tokio::runtime::Runtime, Error> {
+    tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(|error| Error::Failed(format!("cannot start: {error}")))
+}

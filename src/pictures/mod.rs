@@ -1,0 +1,7 @@
+//! Pictures (SVG) of what commands found.
+
+pub(crate) mod exercise;
+pub(crate) mod faults;
+pub(crate) mod keyframes;
+pub(crate) mod segments;
+mod svg;
