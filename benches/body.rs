@@ -3,7 +3,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_baselines::limbs::EulerBody;
 use posed_fusion::ahrs::ImuSample;
-use posed_fusion::body::calibrate::{Block, Kind, Recorded, calibrate};
+use posed_fusion::body::{Block, BlockKind, Recorded, calibrate};
 use posed_fusion::body::{
     ANGLE_NAMES, BodyFilter, BodyParams, BodySamples, BodySegment, SEGMENTS, SensorMount, Skeleton, angles,
 };
@@ -113,7 +113,7 @@ fn record(case: &Case) -> Run {
     let blocks = script
         .blocks()
         .into_iter()
-        .filter_map(|b| Some(Block { kind: Kind::named(b.kind)?, start_s: b.start_s, end_s: b.end_s }))
+        .filter_map(|b| Some(Block { kind: BlockKind::named(b.kind)?, start_s: b.start_s, end_s: b.end_s }))
         .collect();
     Run { recording, truth, wearer, script, blocks }
 }

@@ -4,8 +4,8 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use posed_baselines::fault_map;
-use posed_motion::fault_map::frames::Frames;
-use posed_motion::fault_map::som::Training;
+use posed_motion::fault_map::Frames;
+use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
 
 /// Sensors that sway about places of their own.

@@ -13,10 +13,10 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use posed_field::Prepared;
-use posed_fusion::chain::calibrate::calibrate;
+use posed_fusion::chain::calibrate;
 use posed_motion::exercise::{Exercise, Options, Stream, teach};
-use posed_motion::fault_map::frames::Frames;
-use posed_motion::fault_map::som::Training;
+use posed_motion::fault_map::Frames;
+use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
 use posed_pipeline::{Pipeline, raw_positions};
 use posed_simulator::faults::{Bytes, Fault};

@@ -9,9 +9,9 @@
 use std::path::{Path, PathBuf};
 
 use posed_fusion::faults::{Class, Label};
-use posed_motion::fault_map::frames::Frames;
-use posed_motion::fault_map::rules::{Rules, frame_label};
-use posed_motion::fault_map::som::Training;
+use posed_motion::fault_map::Frames;
+use posed_motion::fault_map::{Rules, frame_label};
+use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
 use posed_recording::table::{SequenceOptions, Sequences, Unit, Up};
 use posed_simulator::figure::{Fault, Figure, SENSORS, Truth, inject};
@@ -196,7 +196,7 @@ fn agreement(paths: &[PathBuf]) {
         "\n| automatic labels agree | 0 deg | 45 deg | 90 deg | 180 deg | 270 deg |\n|---|---|---|---|---|---|"
     );
     for path in paths {
-        let name = posed_recording::table::labelled::stem(path);
+        let name = posed_recording::table::stem(path);
         let turned = |(seed, turn_deg): (u64, f64)| {
             let session = capture(path, turn_deg, seed, 0.4)?;
             let (_, labels) = Rules::learn(&session.frames);

@@ -12,17 +12,17 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 /// A datagram and where it comes from, or goes to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Datagram<'a> {
-    /// The far end.
+    /// The far end: address and UDP port. Scope and flow label of IPv6 are not in the envelope and read as 0.
     pub peer: SocketAddr,
-    /// What was sent.
+    /// What was sent: the payload, without the envelope.
     pub data: &'a [u8],
 }
 
 impl Datagram<'_> {
-    /// Appends the envelope.
+    /// Appends the envelope to `out`: 9 bytes (IPv4) or 21 bytes (IPv6), then the data.
     ///
     /// # Panics
-    /// With more data than a datagram holds.
+    /// With more data than its length field counts: 65528 bytes (IPv4), 65516 bytes (IPv6). No UDP datagram holds so many.
     pub fn encode_into(&self, out: &mut Vec<u8>) {
         let start = out.len();
         out.extend([0, 0]);
@@ -42,12 +42,15 @@ impl Datagram<'_> {
         out[start..start + 2].copy_from_slice(&len.to_be_bytes());
     }
 
-    /// Bytes of the envelope.
+    /// Bytes of the whole envelope, the data included.
     pub fn envelope_len(&self) -> usize {
         2 + 1 + if self.peer.is_ipv4() { 4 } else { 16 } + 2 + self.data.len()
     }
 
-    /// The envelope; see [`Datagram::encode_into`].
+    /// The whole envelope; see [`Datagram::encode_into`].
+    ///
+    /// # Panics
+    /// As [`Datagram::encode_into`].
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(self.envelope_len());
         self.encode_into(&mut out);
@@ -55,7 +58,10 @@ impl Datagram<'_> {
     }
 }
 
-/// The datagrams of a chunk, each as `Ok`; in the end `Err` with the number of bytes that are none, if any.
+/// The datagrams of a chunk, in order, each as `Ok`; in the end `Err` with the number of bytes that are none, if any.
+///
+/// The chunk must begin with an envelope. An envelope that is cut short, or of another family than 4 and 6, ends the reading:
+/// all bytes from there on are in the `Err`. Lengths alone part the envelopes; there is no mark to find the next one by.
 pub fn datagrams(chunk: &[u8]) -> impl Iterator<Item = Result<Datagram<'_>, usize>> {
     let mut rest = chunk;
     std::iter::from_fn(move || {

@@ -33,7 +33,7 @@ fn cut_both_ways<T: PartialEq + Debug>(
     assert_eq!(whole, pieces, "pieces of {step} bytes make a difference");
 }
 
-/// Xbus messages and captures.
+/// Xbus messages and captures. The first byte of `data` is the size of the pieces less one, the others are the stream.
 ///
 /// # Panics
 /// Where what comes out depends on the pieces, a byte is unaccounted for, or a message changes when written.
@@ -67,7 +67,7 @@ pub fn xbus_wire(data: &[u8]) {
     });
 }
 
-/// x-IMU3 lines and data.
+/// x-IMU3 lines and data; `data` as for [`xbus_wire`].
 ///
 /// # Panics
 /// Where what comes out depends on the pieces.
@@ -93,7 +93,7 @@ pub fn x_imu3_wire(data: &[u8]) {
     });
 }
 
-/// Fastrak records, binary and text.
+/// Fastrak records. The first byte of `data` chooses: bit 7 text, bit 6 button, bits 5 to 0 the size of the pieces less one.
 ///
 /// # Panics
 /// Where what comes out depends on the pieces, or no longer reads the same when it was written.
@@ -123,7 +123,7 @@ pub fn fastrak_wire(data: &[u8]) {
     });
 }
 
-/// MotionStar packets and records.
+/// MotionStar packets and records; `data` as for [`xbus_wire`].
 ///
 /// # Panics
 /// Where what comes out depends on the pieces, or a packet changes when written.
@@ -162,7 +162,8 @@ pub fn slimevr_wire(data: &[u8]) {
     }
 }
 
-/// An Xbus session that hears anything, at any time; returns how many samples it published.
+/// An Xbus session that hears anything, at any time; returns how many samples it published. The first byte of `data` chooses
+/// trackers and answers to the set-up, the others are the script of [`session`].
 ///
 /// # Panics
 /// See [`session`].
@@ -289,6 +290,9 @@ pub fn slimevr_session(data: &[u8]) -> usize {
 }
 
 /// Opens a line, answers with `lead`, then lets the script talk; returns how many samples came out.
+///
+/// A byte of the script up to 0x3F lets the next deadline pass; 0x3F + n, up to 0x5F, lets n half milliseconds pass; 0x60 closes
+/// the line, 0x61 opens it, 0x62 drops bytes; 0x62 + n gives the n bytes behind it to the session.
 ///
 /// # Panics
 /// Where a sample is no measurement, or the session wants to be woken at one time for ever.

@@ -19,7 +19,7 @@ pub use udp::{UdpStream, shared as shared_udp};
 /// Why a port could not be opened; each states what to check.
 #[derive(Debug, Error)]
 pub enum PortError {
-    /// No such file.
+    /// No such file: the port does not exist.
     #[error(
         "{port} does not exist; check the cable and the adapter, or see `posed doctor` for the ports there are"
     )]
@@ -35,13 +35,13 @@ pub enum PortError {
         /// The port as named in the stage file.
         port: String,
     },
-    /// Another program has it.
+    /// Another program has it (a serial port is opened exclusively), or another socket has the local UDP port.
     #[error("{port} is in use by another program; end that one first")]
     Busy {
         /// The port as named in the stage file.
         port: String,
     },
-    /// Nobody listens at the address.
+    /// The address of a socket cannot be resolved, reached or bound.
     #[error("{port} cannot be reached: {source}; check the address and that the device server runs")]
     Unreachable {
         /// The port as named in the stage file.
@@ -67,12 +67,12 @@ pub struct Port<S> {
 }
 
 impl<S: AsyncRead + AsyncWrite + Unpin> Port<S> {
-    /// A port without modem lines over any stream.
+    /// A port without modem lines over any stream, for tests and pseudo-terminals.
     pub fn new(stream: S) -> Self {
         Self { stream, set_rts: None }
     }
 
-    /// Whether RTS can be set; pseudo-terminals and sockets have no such line.
+    /// Whether RTS can be set. Pseudo-terminals and sockets have no such line.
     pub fn modem_lines(&self) -> bool {
         self.set_rts.is_some()
     }
@@ -88,10 +88,11 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Port<S> {
         }
     }
 
-    /// Reads at least one byte; safe to drop while it waits.
+    /// Reads what is there, at least one byte, into the front of `buffer`; returns how many. Safe to drop while it waits.
     ///
     /// # Errors
-    /// The port is gone: an unplugged port reads zero bytes for ever, which counts as an error here.
+    /// The port is gone: an unplugged port reads zero bytes for ever, which counts as an error here (`UnexpectedEof`). So does
+    /// an empty `buffer`. Other errors are those of the operating system.
     pub async fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         match self.stream.read(buffer).await? {
             0 => Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the port was closed or unplugged")),
@@ -99,17 +100,18 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Port<S> {
         }
     }
 
-    /// Writes all bytes.
+    /// Writes all bytes. On a socket for datagrams each call sends one; the server's takes envelopes ([`crate::datagram`]), one
+    /// datagram each. Dropped while it waits, it may have written a part.
     ///
     /// # Errors
-    /// The port is gone.
+    /// The port is gone. A peer for datagrams that cannot be reached is no error.
     pub async fn write_all(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.stream.write_all(bytes).await
     }
 }
 
 impl Port<Stream> {
-    /// Sets the line rate of a serial port; does nothing at a device server, which has its own.
+    /// Sets the line rate of a serial port, bit/s; does nothing at a socket: a device server has its own rate.
     ///
     /// Unlike opening the port again this does not raise RTS, which would reset a Flock.
     ///
@@ -126,37 +128,37 @@ impl Port<Stream> {
 /// How a port is opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Options {
-    /// Line rate of a serial port, bit/s.
+    /// Line rate of a serial port, bit/s; sockets pass over it.
     pub baud: u32,
-    /// Who is at the other end of a socket for datagrams.
+    /// Who is at the other end of a socket for datagrams; serial ports and TCP pass over it.
     pub udp: Udp,
 }
 
 /// The other end of a socket for datagrams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Udp {
-    /// One device, at the port's address; it sends to this port of this computer, or to any.
+    /// One device, at the port's address; only its datagrams are read.
     Peer {
-        /// Port of this computer.
+        /// Port of this computer to which the device sends, shared with other sockets that ask for it; `None`: any free port.
         local_port: Option<u16>,
     },
-    /// Any number of devices, which send to the port's address; datagrams come and go in envelopes.
+    /// Any number of devices, which send to the port's address, one of this computer; datagrams come and go in envelopes.
     Server,
 }
 
 impl Options {
-    /// A serial port with this line rate, or a socket for one device.
+    /// A serial port with this line rate, bit/s, or a socket for one device that sends to any port of this computer.
     pub const fn baud(baud: u32) -> Self {
         Self { baud, udp: Udp::Peer { local_port: None } }
     }
 }
 
-/// What [`open`] opens.
+/// What [`open`] opens. Needs a Tokio runtime to read and write.
 #[derive(Debug)]
 pub enum Stream {
     /// A serial port or a pseudo-terminal.
     Serial(SerialStream),
-    /// A device server.
+    /// A device server, or a device with a TCP port of its own.
     Tcp(TcpStream),
     /// Datagrams.
     Udp(UdpStream),
@@ -199,10 +201,12 @@ impl AsyncWrite for Stream {
 
 /// Opens a serial port (8 data bits, no parity, 1 stop bit, raw, exclusive), `tcp://HOST:PORT` or `udp://HOST:PORT`.
 ///
-/// RTS is let go at once, where it exists: opening a port raises it, and it holds a Flock in reset.
+/// RTS is let go at once, where it exists: opening a port raises it, and it holds a Flock in reset. TCP sends without delay (no
+/// Nagle). Under Linux an FTDI adapter is set to a latency of 1 ms; where that is not allowed, its bytes may come in bursts of
+/// 16 ms. The opening has no time limit of its own: an address that does not answer takes as long as the operating system waits.
 ///
 /// # Errors
-/// Each states what the operator should check.
+/// [`PortError`]: the port is missing, not allowed, in use or not reachable. Each states what the operator should check.
 pub async fn open(port: &str, options: Options) -> Result<Port<Stream>, PortError> {
     if let Some(address) = port.strip_prefix("tcp://") {
         let unreachable = |source| PortError::Unreachable { port: port.into(), source };
@@ -234,10 +238,10 @@ pub async fn open(port: &str, options: Options) -> Result<Port<Stream>, PortErro
     Ok(Port { stream: Stream::Serial(serial), set_rts: modem_lines.then_some(set_rts) })
 }
 
-/// Serial ports of this machine that a device may be at, sorted by name.
+/// Serial ports of this machine that a device may be at, by path, sorted by name; empty where the system does not list them.
 ///
 /// Pseudo-terminals are not listed, but for those that the environment variable `POSED_PORTS` names: paths of ports, or
-/// of folders with ports, separated by colons.
+/// of folders with ports, separated by colons (semicolons on Windows). Nothing is opened: a listed port may be in use.
 pub fn list() -> Vec<String> {
     let mut ports: Vec<String> =
         tokio_serial::available_ports().unwrap_or_default().into_iter().map(|port| port.port_name).collect();

@@ -13,15 +13,15 @@ use crate::session::SensorInfo;
 /// What a device reports about itself.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Identity {
-    /// Model, as the device writes it.
+    /// Model as the device writes it, or the family where only that is known; `None`: it does not report one.
     pub model: Option<String>,
-    /// Software revision.
+    /// Software revision as text; `None` where it is not reported.
     pub revision: Option<String>,
-    /// Measurement rate as it is set, Hz.
+    /// Measurement rate as it is set, Hz; `None`: not asked, or not reported.
     pub rate_hz: Option<f64>,
-    /// Its sensors, by address.
+    /// Its sensors, by rising address; empty where it has none, which is a [`Identity::problem`].
     pub sensors: Vec<SensorInfo>,
-    /// What is wrong with it, in one sentence, and what to do about it.
+    /// What is wrong with it, in one sentence, and what to do about it; `None`: nothing.
     pub problem: Option<(String, String)>,
 }
 
@@ -30,7 +30,7 @@ pub struct Identity {
 pub enum NoAnswer {
     /// Not a byte came.
     Silent,
-    /// Bytes came, but no answer of such a device.
+    /// Bytes came, but no answer of such a device: another device, another line rate, or a stream that did not stop.
     Unintelligible,
 }
 
@@ -59,7 +59,10 @@ pub(crate) trait Listener: fmt::Debug + Send {
     fn identity(&self) -> Option<Identity>;
 }
 
-/// One inquiry at one port.
+/// One inquiry at one port: some questions in a row, each with a time limit.
+///
+/// What it finds is the device's own word. Of the protocols only Xbus has a checksum (of one byte); elsewhere the form of the
+/// answer must do, so another device that answers in the same form is taken for this one.
 #[derive(Debug)]
 pub struct Inquiry {
     questions: Vec<Question>,
@@ -80,7 +83,7 @@ impl Inquiry {
         inquiry
     }
 
-    /// Bytes were read.
+    /// Bytes were read at `now`, cut anywhere. Without effect once there is a result.
     pub fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
         self.heard |= !bytes.is_empty();
         self.listener.listen(bytes);
@@ -89,14 +92,14 @@ impl Inquiry {
         }
     }
 
-    /// The time of [`Self::poll_timeout`] has come.
+    /// The time of [`Self::poll_timeout`] has come. A call before that time does nothing.
     pub fn handle_timeout(&mut self, now: Timestamp) {
         if self.poll_timeout().is_some_and(|at| at <= now) {
             self.next(now);
         }
     }
 
-    /// Bytes to send, until `None`.
+    /// Bytes to send, until `None`. Poll after every input: a question that is not fetched is replaced by the next.
     pub fn poll_transmit(&mut self) -> Option<Vec<u8>> {
         self.transmit.take()
     }
@@ -106,7 +109,7 @@ impl Inquiry {
         self.result.is_none().then_some(self.until)
     }
 
-    /// What was found, once done.
+    /// What was found; `None` while questions are open. An `Err` in it states that no device of this kind answered.
     pub fn result(&self) -> Option<&Result<Identity, NoAnswer>> {
         self.result.as_ref()
     }

@@ -35,11 +35,11 @@ pub enum LineEvent {
 #[derive(Clone, Debug, PartialEq, Plain)]
 #[expect(clippy::large_enum_variant, reason = "nearly all outputs are samples, and none may allocate")]
 pub enum Output {
-    /// Write these bytes to the line.
+    /// Write these bytes to the line, whole and in order; SlimeVR: one envelope ([`crate::datagram`]).
     Transmit(Vec<u8>),
-    /// Set the RTS line (`true` = asserted).
+    /// Set the RTS line (`true` = asserted); comes only on a line with modem lines.
     SetRts(bool),
-    /// A measurement.
+    /// A measurement of a sensor that the session was asked for, in the order of arrival.
     Sample(Sample),
     /// The state has changed; read it with [`Session::state`].
     StateChanged,
@@ -73,53 +73,61 @@ pub enum State {
 /// What a session has seen since it was made; never reset.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Plain)]
 pub struct Counters {
-    /// Records accepted.
+    /// Records accepted, those included that give no sample (of a sensor that was not asked for, or without a measurement).
+    /// A Flock's records that are dropped while birds settle count, too.
     pub records: u64,
-    /// Records seen on the line and refused: wrong length, unknown address, out of order, impossible values.
+    /// Records seen on the line and refused: wrong length or checksum, unknown address, out of order, impossible values. An
+    /// estimate where damage swallowed records.
     pub rejected: u64,
-    /// Bytes that belong to no accepted record and to no answer.
+    /// Bytes that belong to no accepted record and to no answer, those dropped before the session included. Of a whole
+    /// message, packet or record that was refused for its contents the bytes may be missing here.
     pub bytes_skipped: u64,
 }
 
 /// A sensor as its device names it.
 #[derive(Clone, Debug, PartialEq, Eq, Plain)]
 pub struct SensorInfo {
-    /// Address on the device.
+    /// Address on the device, that of [`Sample::address`].
     pub address: u16,
-    /// Serial number, where the device reports one.
+    /// Serial number, as text; for SlimeVR the tracker's network address (MAC or IP). `None` where the device reports none, or
+    /// has not done so yet.
     pub serial: Option<String>,
 }
 
 /// What one sensor is known to have measured without its record coming in; never reset.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Plain)]
 pub struct Loss {
-    /// Address on the device.
+    /// Address on the device, that of [`Sample::address`].
     pub address: u16,
-    /// Records lost.
+    /// Records lost: by a counter of the device where it has one, else by order or by time.
     pub lost: u64,
-    /// Whether some of them were inferred from time rather than counted by the device.
+    /// Whether some of them were inferred (from time, from order, from packets of which none says what it held) rather than
+    /// counted by the device.
     pub estimated: bool,
 }
 
 /// A device session without IO; see the module's contract.
 pub trait Session {
-    /// The line opened, closed, or lost bytes.
+    /// The line opened, closed, or lost bytes. `Opened` begins the set-up anew, whatever went before.
     fn handle_line(&mut self, now: Timestamp, event: &LineEvent);
-    /// Bytes were read at `now`, any number of them.
+    /// Bytes were read at `now`, any number of them, cut anywhere; SlimeVR: whole envelopes only ([`crate::datagram`]).
+    /// `now` must not lie before that of an earlier call.
     fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]);
-    /// The time asked for by [`Session::poll_timeout`] has come.
+    /// The time asked for by [`Session::poll_timeout`] has come. A call before that time does nothing.
     fn handle_timeout(&mut self, now: Timestamp);
-    /// The next output, until `None`.
+    /// The next output, in order, until `None`. Outputs that nobody polls pile up.
     fn poll_output(&mut self) -> Option<Output>;
-    /// When to call [`Session::handle_timeout`].
+    /// When to call [`Session::handle_timeout`]; `None`: only an input can change anything. It may change with every input.
     fn poll_timeout(&self) -> Option<Timestamp>;
     /// What the session is doing.
     fn state(&self) -> &State;
-    /// What it has counted.
+    /// What it has counted since it was made.
     fn counters(&self) -> Counters;
-    /// The sensors that stream, in the order of their records; empty until known.
+    /// The sensors that stream, in the order of their records; empty until known. Flock and Xbus list those of the device, asked
+    /// for or not; the other drivers, and a Flock that is only listened to, list those asked for, there or not.
     fn sensors(&self) -> &[SensorInfo];
-    /// Nominal measurement rate in Hz, once known.
+    /// Nominal records per second of each sensor (x-IMU3: inertial ones), once known; nominal means by settings and answers, not
+    /// measured. `None` for SlimeVR, whose trackers send on change, and for a Flock that is only listened to.
     fn rate_hz(&self) -> Option<f64>;
     /// Records lost per sensor, in the order of [`Session::sensors`]; empty where a driver cannot know.
     fn losses(&self) -> &[Loss] {

@@ -15,13 +15,13 @@ use crate::line::{RecordByte, WireByte};
 use crate::motion::Body;
 use crate::truth::{Loss, TruthCycle};
 
-/// A virtual device; see the module.
+/// A virtual device; see the module. All times are those of the stage's clock and must not go backwards.
 pub trait Device: fmt::Debug + Send {
     /// Bytes of the host arrive: any piece of a stream, or one datagram (in its envelope, where the device has
     /// several peers).
     fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]);
 
-    /// The host sets the RTS line, where there is one.
+    /// The host sets the RTS line (`true` = asserted); does nothing where the device has none.
     fn handle_rts(&mut self, _now: Timestamp, _asserted: bool) {}
 
     /// Time has passed: does everything that is due at or before `now`.
@@ -30,7 +30,7 @@ pub trait Device: fmt::Debug + Send {
     /// The next output, until `None`.
     fn poll_output(&mut self) -> Option<DeviceOutput>;
 
-    /// When something happens next.
+    /// When something happens next; `None`: never, unless bytes arrive.
     fn poll_timeout(&self) -> Option<Timestamp>;
 }
 
@@ -39,13 +39,13 @@ pub trait Device: fmt::Debug + Send {
 pub enum DeviceOutput {
     /// Bytes that go onto the wire in one go; over a network one datagram.
     Send(Vec<WireByte>),
-    /// A datagram of one of several units that share a server.
+    /// A datagram of one of several units that share a server, and that unit's network address.
     SendFrom(SocketAddr, Vec<WireByte>),
     /// A reset at this time: bytes that would leave later never do.
     Cut(Timestamp),
-    /// Truth of a measurement cycle.
+    /// Ground truth of a measurement cycle; it comes for every cycle, whether a record is sent or not.
     Truth(TruthCycle),
-    /// A fault hit something.
+    /// A fault of the script has begun, or hit a measurement.
     Fault(FaultHit),
     /// A record that was due and is never sent.
     Lost(Loss),
@@ -56,11 +56,11 @@ pub enum DeviceOutput {
 pub struct Sensor {
     /// Index in the stage's list of sensors.
     pub index: usize,
-    /// The body.
+    /// The body that it rides on.
     pub body: Body,
-    /// Which segment of it.
+    /// Index of the segment of that body, as in [`Body::segments`].
     pub segment: usize,
-    /// Sensor to segment, m.
+    /// How the sensor sits on the segment: sensor to segment, m.
     pub mount: Isometry3<f64>,
 }
 

@@ -11,9 +11,9 @@ use std::f64::consts::TAU;
 
 use crate::random::{Purpose, Random};
 
-/// Samples per second.
+/// Samples per second of every recording.
 pub const RATE_HZ: f64 = 100.0;
-/// Names of the angles of a sample, in their order; all of the right side.
+/// Names of the angles of a sample, degrees, in their order; all of the right side.
 pub const ANGLES: [&str; 7] = [
     "shoulder_flexion_deg",
     "shoulder_abduction_deg",
@@ -28,7 +28,7 @@ const WIDTH: usize = ANGLES.len();
 /// Angles while somebody stands, degrees.
 const STANDING: [f64; WIDTH] = [4.0, 6.0, 12.0, 0.0, 4.0, 5.0, 3.0];
 
-/// What can be trained.
+/// An exercise that a person can repeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exercise {
     /// The elbow bends with a weight, palm up.
@@ -48,7 +48,7 @@ impl Exercise {
     pub const ALL: [Self; 5] =
         [Self::Curl, Self::WallPushUp, Self::Squat, Self::ShoulderRaise, Self::KneeLift];
 
-    /// Its name.
+    /// Its name in plain words, in lower case.
     pub fn name(self) -> &'static str {
         match self {
             Self::Curl => "curl",
@@ -89,13 +89,13 @@ impl Exercise {
         }
     }
 
-    /// Indices of the angles that take part by 40 degrees and more.
+    /// Indices in [`ANGLES`] of the angles that take part by 40 degrees and more.
     pub fn main_angles(self) -> impl Iterator<Item = usize> {
         self.reach().into_iter().enumerate().filter(|(_, reach)| reach.abs() >= 40.0).map(|(angle, _)| angle)
     }
 }
 
-/// Somebody, and how this body moves.
+/// Somebody: tempo, range of movement, unsteadiness, fatigue, and how this person's sensors always sit.
 #[derive(Clone, Debug)]
 pub struct Person {
     seed: u64,
@@ -116,7 +116,7 @@ pub struct Person {
 }
 
 impl Person {
-    /// The `seed`-th person.
+    /// The `seed`-th person: the same seed gives the same person.
     pub fn new(seed: u64) -> Self {
         let mut random = Random::new(seed, Purpose::Signals(40));
         let mut between = |low: f64, high: f64| random.within(low, high);
@@ -140,12 +140,13 @@ impl Person {
     }
 }
 
-/// What somebody does for a while.
+/// What somebody does for a while, as an estimate of the body would show it, with the true repetitions.
 #[derive(Clone, Debug, Default)]
 pub struct Recording {
-    /// Angles, [`ANGLES`] per sample, degrees.
+    /// Angles, degrees: the seven of [`ANGLES`] for each sample, one sample after the other at [`RATE_HZ`]; noise, offsets and
+    /// crosstalk are in them.
     pub angles_deg: Vec<f64>,
-    /// Beginning and end of every true repetition, s.
+    /// Begin and end of every true repetition, s after the first sample.
     pub repetitions: Vec<[f64; 2]>,
 }
 
@@ -156,18 +157,18 @@ pub enum Variant {
     Right,
     /// One angle falls short of its turning point by so many degrees.
     Short {
-        /// Index of the angle.
+        /// Index of the angle in [`ANGLES`].
         angle: usize,
-        /// How far.
+        /// How far it falls short, degrees.
         by_deg: f64,
     },
-    /// All angles go so far of their way.
+    /// All angles go this share of their way, from 0 to 1.
     Partly(f64),
     /// The largest angle goes one way, all others the opposite one.
     WrongPhase,
 }
 
-/// A person on one day: makes a recording piece by piece.
+/// A person on one day: makes a recording piece by piece. Each call appends to the recording; all is seeded by person and day.
 #[derive(Debug)]
 pub struct Day {
     person: Person,
@@ -181,7 +182,8 @@ pub struct Day {
 }
 
 impl Day {
-    /// The `day`-th day of a person, standing.
+    /// The `day`-th day of a person, who stands: the same person and day give the same recording. Days below 1000 share no noise
+    /// with those of other persons.
     pub fn new(person: &Person, day: u64) -> Self {
         let mut random = Random::new(person.seed.wrapping_mul(1000).wrapping_add(day), Purpose::Signals(41));
         Self {
@@ -195,12 +197,12 @@ impl Day {
         }
     }
 
-    /// The recording.
+    /// Ends the day and gives its recording.
     pub fn finish(self) -> Recording {
         self.recording
     }
 
-    /// Time so far, s.
+    /// Length of the recording so far, s.
     pub fn t_s(&self) -> f64 {
         (self.recording.angles_deg.len() / WIDTH) as f64 / RATE_HZ
     }
@@ -234,7 +236,7 @@ impl Day {
         }
     }
 
-    /// Stays about as it is.
+    /// Stays in the present position for `seconds`, with a slight sway.
     pub fn rest(&mut self, seconds: f64) {
         let (at, phase) = (self.now_deg, self.between(0.0, TAU));
         for sample in 0..(seconds * RATE_HZ) as usize {
@@ -246,17 +248,19 @@ impl Day {
         self.now_deg = at;
     }
 
-    /// Takes up the position in which an exercise begins.
+    /// Takes up the position in which an exercise begins, within 1.2 s.
     pub fn prepare(&mut self, exercise: Exercise) {
         self.go(exercise.low(), 1.2);
     }
 
-    /// Stands.
+    /// Goes to standing, within 1.2 s.
     pub fn stand(&mut self) {
         self.go(STANDING, 1.2);
     }
 
-    /// A repetition, `tired` from 0 to 1; one that is right is noted as true.
+    /// A repetition and the pause after it, `tired` from 0 to 1: a tired person is slower and goes less far.
+    ///
+    /// [`Variant::Right`] and [`Variant::Short`] are noted as true repetitions, the others are not.
     pub fn repetition(&mut self, exercise: Exercise, variant: Variant, tired: f64) {
         let person = self.person.clone();
         let slower = 1.0 + person.fatigue * tired;
@@ -291,7 +295,7 @@ impl Day {
         self.rest(pause_s);
     }
 
-    /// A set: takes position, repeats, stands again.
+    /// A set of so many repetitions of one variant, with growing fatigue: waits, takes position, repeats, stands again, waits.
     pub fn set(&mut self, exercise: Exercise, repetitions: usize, variant: Variant) {
         let wait_s = self.between(1.5, 4.0);
         self.rest(wait_s);
@@ -307,7 +311,7 @@ impl Day {
         self.rest(wait_s);
     }
 
-    /// Walks.
+    /// Walks for `seconds`, then stands; no repetition is noted.
     pub fn walk(&mut self, seconds: f64) {
         let cadence_hz = self.between(0.8, 1.05);
         let size = self.between(0.8, 1.2);
@@ -329,7 +333,7 @@ impl Day {
         self.stand();
     }
 
-    /// Takes a sip: the forearm as in a curl, the arm forward, a long hold.
+    /// Takes a sip: the forearm as in a curl, the arm forward, a long hold; no repetition is noted.
     pub fn drink(&mut self) {
         let (up_s, hold_s, down_s) = (self.between(0.9, 1.6), self.between(1.0, 3.0), self.between(0.8, 1.6));
         self.stand();
@@ -338,7 +342,7 @@ impl Day {
         self.go(STANDING, down_s);
     }
 
-    /// So many seconds of movement that is no repetition of anything.
+    /// At least so many seconds of movement that is no repetition of anything: the last piece is finished.
     pub fn other(&mut self, seconds: f64) {
         let end_s = self.t_s() + seconds;
         while self.t_s() < end_s {

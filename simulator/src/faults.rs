@@ -170,7 +170,7 @@ pub struct Bytes {
 }
 
 impl Fault {
-    /// Its word in scripts and logs.
+    /// Its word in scripts and logs, as in the key `kind`.
     pub fn name(&self) -> &'static str {
         match self {
             Self::LostBytes(_) => "lost-bytes",
@@ -199,7 +199,8 @@ impl Fault {
         }
     }
 
-    /// From when to when it lasts, s; a single moment where both are equal.
+    /// From when to when it lasts, s of the stage's clock; a single moment where both are equal, infinite where it lasts for
+    /// good.
     pub fn span_s(&self) -> (f64, f64) {
         match *self {
             Self::LostBytes(bytes)
@@ -230,7 +231,7 @@ impl Fault {
         }
     }
 
-    /// The bird it is about, if it is about one.
+    /// Address of the unit or sensor that it is about; `None` for faults of the link and of the whole device.
     pub fn address(&self) -> Option<u16> {
         match *self {
             Self::BirdDies { address, .. }
@@ -269,18 +270,18 @@ impl Fault {
     }
 }
 
-/// What a fault hit.
+/// What a fault of the script hit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FaultHit {
-    /// When.
+    /// When, on the stage's clock.
     pub t: Timestamp,
-    /// [`Fault::name`].
+    /// The fault, by [`Fault::name`].
     pub fault: &'static str,
     /// The sensor whose record or unit was hit; absent where it was none or all of them.
     pub address: Option<u16>,
-    /// Measurement cycle of the record that was hit.
+    /// Measurement cycle of the record or measurement that was hit; absent where it was none.
     pub cycle: Option<u64>,
-    /// Which byte of the record, from 0.
+    /// Which byte of the record, from 0; absent where it was no single byte.
     pub byte: Option<u16>,
 }
 

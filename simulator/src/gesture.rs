@@ -9,7 +9,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use crate::random::{Purpose, Random};
 
-/// Frames of a gesture.
+/// Number of frames of a gesture.
 pub const FRAMES: usize = 1000;
 /// Frames at which its velocity changes.
 pub const CHANGES: [usize; 6] = [140, 250, 300, 500, 700, 820];
@@ -20,7 +20,7 @@ pub const NOISE: [(f64, f64); 7] =
 /// How the pieces between the changes look.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shape {
-    /// Constant velocities, in the room.
+    /// Constant velocities: linear in the room, angular in body axes.
     Straight,
     /// Velocities that grow or shrink by up to half over a piece.
     Bent,
@@ -28,16 +28,16 @@ pub enum Shape {
     Swaying,
 }
 
-/// What to make.
+/// What to make: a rigid motion of seven pieces.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gesture {
-    /// Which one of its kind.
+    /// Which one of its kind: the same gesture gives the same poses.
     pub seed: u64,
     /// How its pieces look.
     pub shape: Shape,
     /// Length of the box that the path about fills, m.
     pub size_m: f64,
-    /// How far it turns in all, about, degrees.
+    /// How far it turns in all, degrees, about: each piece turns about an axis of its own at 0.7 to 1.3 times the mean rate.
     pub turn_deg: f64,
 }
 
@@ -47,7 +47,9 @@ impl Gesture {
         Self { seed, shape: Shape::Bent, size_m: 2.0, turn_deg: 300.0 }
     }
 
-    /// Its poses without noise.
+    /// Its [`FRAMES`] poses without noise: body to the frame of reference, m; the first is the identity.
+    ///
+    /// At each of [`CHANGES`] both velocities turn by a right angle or more; between them they are smooth.
     pub fn poses(&self) -> Vec<Isometry3<f64>> {
         let mut random = Random::new(self.seed, Purpose::Signals(0));
         let direction =
@@ -95,7 +97,8 @@ impl Gesture {
         poses
     }
 
-    /// Its poses with white noise of the given standard deviations per axis: m, degrees.
+    /// Its poses with white Gaussian noise of the given standard deviations per axis, as in [`NOISE`]: positions, m; rotations,
+    /// degrees, in body axes. The noise is seeded too.
     pub fn noisy(&self, (sigma_m, sigma_deg): (f64, f64)) -> Vec<Isometry3<f64>> {
         let mut random = Random::new(self.seed, Purpose::Signals(1));
         let mut vector = |sigma: f64| Vector3::new(random.normal(), random.normal(), random.normal()) * sigma;
@@ -108,7 +111,7 @@ impl Gesture {
     }
 }
 
-/// False positives and misses of detections, as the paper counts: a detection less than 10 frames from a change is a
+/// False positives and misses of detections (frame numbers in any order), as the paper counts: a detection less than 10 frames from a change is a
 /// hit, further ones near the same change and all others are false.
 pub fn count_errors(detections: impl IntoIterator<Item = usize>) -> (usize, usize) {
     let mut hit = [false; CHANGES.len()];

@@ -46,7 +46,7 @@ impl Clock {
         Self::since(Instant::now())
     }
 
-    /// Time since the epoch.
+    /// Time since the epoch; the epoch while that lies ahead.
     #[expect(clippy::disallowed_methods, reason = "real time enters the simulator here")]
     pub fn now(&self) -> Timestamp {
         Timestamp::ZERO + Instant::now().saturating_duration_since(self.epoch)
@@ -61,13 +61,14 @@ pub type Watcher = Arc<dyn Fn(&Event) + Send + Sync>;
 pub struct DeviceInfo {
     /// Its name in the stage.
     pub name: String,
-    /// Its driver.
+    /// Its driver, as in the stage file.
     pub driver: String,
     /// Path or address of the port; the same after unplugging and replugging.
     pub port: String,
 }
 
-/// Devices that run on tasks of their own; stopped by [`Host::stop`] or by dropping it.
+/// Devices that run on tasks of their own, in real time; stopped by [`Host::stop`] or by dropping it. A dropped host may leave
+/// events that the watcher has not seen.
 pub struct Host {
     devices: Vec<DeviceInfo>,
     stop: watch::Sender<bool>,
@@ -76,7 +77,8 @@ pub struct Host {
 
 impl Host {
     /// Gives each device its port: a loopback socket where the stage has it on a network, at the same port
-    /// number, else a pseudo-terminal with a link of its name in `folder`, which is made if absent.
+    /// number, else a pseudo-terminal with a link of its name in `folder`, which is made if absent. In a link's name, what is
+    /// neither letter, digit nor `-` is `_`. Every x-IMU3 on UDP is announced once a second to port 10000 of this machine.
     ///
     /// # Errors
     /// What the operating system said about the folder, a link, a pseudo-terminal or a socket.
@@ -127,7 +129,7 @@ impl Host {
     /// Stops all devices; the watcher has had everything up to now when this returns.
     ///
     /// # Errors
-    /// The first device that had failed.
+    /// The first device found that had failed, or whose task had panicked; the rest are then ended as by dropping.
     pub async fn stop(mut self) -> io::Result<()> {
         self.stop.send_replace(true);
         while let Some(task) = self.tasks.join_next().await {
@@ -139,10 +141,14 @@ impl Host {
 
 /// Runs a device on a byte stream (a socket pair, an in-memory duplex) until the other side hangs up.
 ///
-/// A stream has no rate: nothing is checked. Unplugging closes it for good.
+/// A stream has no rate: nothing is checked. Unplugging closes it for good: the device then runs on without a host, and this
+/// returns only by being dropped.
 ///
 /// # Errors
-/// What the stream or the operating system's timer said.
+/// What the stream or the operating system's timer said; a broken pipe on writing is none.
+///
+/// # Panics
+/// Outside a tokio runtime with IO.
 pub async fn serve_stream<S>(
     device: VirtualDevice,
     stream: S,

@@ -15,9 +15,9 @@ use crate::truth::Loss;
 /// A byte on the wire.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WireByte {
-    /// When its last bit is at the host's end.
+    /// When its last bit is at the host's end, on the stage's clock.
     pub t: Timestamp,
-    /// The byte.
+    /// The byte as the device sent it.
     pub byte: u8,
     /// The record that it belongs to; absent for answers.
     pub record: Option<RecordByte>,
@@ -26,9 +26,9 @@ pub struct WireByte {
 /// Where a byte stands in its record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RecordByte {
-    /// Measurement cycle.
+    /// Measurement cycle, as in [`TruthCycle`](crate::truth::TruthCycle).
     pub cycle: u64,
-    /// Sensor; absent where the record holds those of all sensors of the device.
+    /// Address of the sensor; absent where the record holds those of all sensors of the device.
     pub address: Option<u16>,
     /// Place in the record, from 0.
     pub index: u16,
@@ -48,13 +48,13 @@ impl RecordByte {
 /// What the host sees of a line.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LineOutput {
-    /// Bytes to read.
+    /// Bytes that the host can read now.
     Data(Vec<u8>),
     /// The port is gone.
     Unplugged,
     /// The port is back.
     Replugged,
-    /// A fault hit something.
+    /// A fault of the script hit something.
     Fault(FaultHit),
     /// A record did not reach the host, or not as it was sent.
     Lost(Loss),
@@ -65,9 +65,9 @@ pub enum LineOutput {
 pub struct LineConfig {
     /// Line rate of the device, bit/s.
     pub baud: u32,
-    /// Bytes that the UART collects before the host gets them; it delivers at once when the line falls idle.
+    /// Bytes that the UART collects before the host gets them, at least 1; it delivers at once when the line falls idle.
     pub fifo_bytes: usize,
-    /// Time between two deliveries of the adapter; zero: none.
+    /// Time between two deliveries of the adapter; zero: it delivers at once.
     pub burst: Duration,
 }
 
@@ -85,7 +85,10 @@ struct Chunk {
     pieces: Pieces,
 }
 
-/// The line of one device.
+/// The line of one device. Its damage is seeded.
+///
+/// Modelled: the UART's collecting, bursts of a USB adapter, damaged bytes, unplugging, and the garbage that a wrong line rate
+/// makes. The script damages bytes of records alone, never answers, nor what the host sends.
 #[derive(Debug)]
 pub struct Line {
     config: LineConfig,

@@ -90,14 +90,15 @@ impl Port for Pty {
     }
 }
 
-/// A pseudo-terminal that only speaks: what the host sends is thrown away.
+/// A pseudo-terminal in raw mode that only speaks: what the host sends is thrown away, its line rate does not matter.
 pub struct Speaker(Pty);
 
 impl Speaker {
-    /// Opens a pseudo-terminal and puts a link to it at `link`; the link goes when this is dropped.
+    /// Opens a pseudo-terminal and puts a link to it at `link`; the link goes when this is dropped. An old link there is
+    /// replaced.
     ///
     /// # Errors
-    /// What the operating system said about the link or the pseudo-terminal.
+    /// Something that is no link is at `link`, or the operating system refuses the link or the pseudo-terminal.
     ///
     /// # Panics
     /// Outside a tokio runtime with IO.
@@ -105,10 +106,10 @@ impl Speaker {
         Pty::open(link).map(Self)
     }
 
-    /// Says these bytes; what nobody has read for 16 KiB is lost, as on a serial line.
+    /// Says these bytes at once, at no line rate; what nobody has read for 16 KiB is lost, as on a serial line.
     ///
     /// # Errors
-    /// The pseudo-terminal is gone.
+    /// The operating system refuses to write to the pseudo-terminal.
     pub fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
         if let Some(ends) = &self.0.ends {
             // Unread, the host's commands would fill its side of the line and block it.

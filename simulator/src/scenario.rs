@@ -252,7 +252,7 @@ pub enum ScenarioError {
     /// A value makes no sense.
     #[error("simulation.{key}: {problem}")]
     Invalid {
-        /// Path of the key.
+        /// Path of the key below `simulation`.
         key: String,
         /// What is wrong and what to write.
         problem: String,
@@ -272,7 +272,9 @@ fn invalid(key: impl Into<String>, problem: impl Into<String>) -> ScenarioError 
 }
 
 impl Scenario {
-    /// Checks all numbers and names against the stage.
+    /// Checks numbers, and names against the stage. It opens no file; that a body has a sensor's segment and that a device can
+    /// have its sensors' addresses, [`VirtualStage::new`](crate::stage::VirtualStage::new) checks. The numbers of `excitation`
+    /// and `hum` are taken as they are.
     ///
     /// # Errors
     /// The first key that is wrong.

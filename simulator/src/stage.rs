@@ -51,22 +51,22 @@ pub enum Output {
     Unplugged,
     /// The port is back.
     Replugged,
-    /// Truth of a measurement cycle.
+    /// Ground truth of a measurement cycle, when it is measured: before its record can be read.
     Truth(TruthCycle),
-    /// A fault hit something.
+    /// A fault of the script hit something.
     Fault(FaultHit),
     /// A record will not reach the host, or not as it was measured.
     Lost(Loss),
 }
 
-/// An output, its time and its device.
+/// An output with its time and its device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Event {
-    /// When.
+    /// When, on the stage's clock.
     pub t: Timestamp,
     /// Index in the stage's list of devices.
     pub device: usize,
-    /// What.
+    /// What happened.
     pub output: Output,
 }
 
@@ -110,7 +110,7 @@ impl Link {
     }
 }
 
-/// A device and its link.
+/// A device and its link, without IO. Times are those of the stage's clock and must not go backwards.
 #[derive(Debug)]
 pub struct VirtualDevice {
     index: usize,
@@ -128,24 +128,25 @@ impl VirtualDevice {
         &self.name
     }
 
-    /// Its driver's name.
+    /// Its driver's name, as in the stage file.
     pub fn driver(&self) -> &str {
         &self.driver
     }
 
-    /// Its port in the stage.
+    /// Its port in the stage; `auto` of SlimeVR trackers is the address where all their servers listen.
     pub fn port(&self) -> &str {
         &self.port
     }
 
-    /// The rate that the host has set on its port; another one than the device's makes garbage of all bytes.
+    /// The rate that the host has set on its port, bit/s; one that is off by more than 2 % makes garbage of what the device
+    /// sends, and loses what the host sends. Until it is set, the rates agree. A device on UDP takes no notice.
     pub fn set_host_baud(&mut self, baud: u32) {
         if let Link::Line(line) = &mut self.link {
             line.set_host_baud(baud);
         }
     }
 
-    /// Bytes of the host arrive at `now`.
+    /// Bytes of the host arrive at `now`, after everything that was due before. They are lost while the port is unplugged.
     pub fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
         self.handle_timeout(now);
         if self.link.is_plugged() {
@@ -154,7 +155,7 @@ impl VirtualDevice {
         }
     }
 
-    /// The host sets the RTS line, where there is one: asserted holds the unit in reset.
+    /// The host sets the RTS line (`true` = asserted), where there is one: on a Flock, asserted holds the unit in reset.
     pub fn handle_rts(&mut self, now: Timestamp, asserted: bool) {
         self.handle_timeout(now);
         if self.link.is_plugged() {
@@ -175,12 +176,12 @@ impl VirtualDevice {
         self.device.handle_timeout(now);
     }
 
-    /// When something happens next.
+    /// When something happens next; `None`: never, unless bytes arrive.
     pub fn poll_timeout(&self) -> Option<Timestamp> {
         [self.device.poll_timeout(), self.link.poll_timeout()].into_iter().flatten().min()
     }
 
-    /// The next output, until `None`.
+    /// The next output, in the order in which it came about, until `None`.
     pub fn poll_event(&mut self) -> Option<Event> {
         self.output.pop_front()
     }
@@ -236,10 +237,12 @@ pub struct VirtualStage {
 }
 
 impl VirtualStage {
-    /// Builds the devices of a stage; paths in the scenario are relative to `folder`.
+    /// Builds the devices of a stage, which get power at the stage's epoch; paths in the scenario are relative to `folder`. The
+    /// same stage, scenario and input give the same bytes.
     ///
     /// # Errors
-    /// The first thing in the scenario that makes no sense, or a file of motion that cannot be read.
+    /// The first thing in the scenario that makes no sense, a device or an address that cannot be simulated, or a file of motion
+    /// that cannot be read.
     pub fn new(stage: &StageSpec, scenario: &Scenario, folder: &Path) -> Result<Self, ScenarioError> {
         scenario.check(stage)?;
         let riders = scenario.riders(stage, folder)?;
@@ -277,7 +280,8 @@ impl VirtualStage {
         &mut self.devices[device]
     }
 
-    /// The host writes to a device at `now`.
+    /// The host writes to a device at `now`, which must not lie before the last step. The answers come with the next
+    /// [`VirtualStage::step`].
     ///
     /// # Panics
     /// If there is no such device.
@@ -285,7 +289,7 @@ impl VirtualStage {
         self.devices[device].handle_bytes(now, bytes);
     }
 
-    /// Lets time pass: everything that is due at or before `until` happens.
+    /// Lets time pass: everything that is due at or before `until` happens, as fast as the processor allows.
     pub fn step(&mut self, until: Timestamp) {
         for device in &mut self.devices {
             device.handle_timeout(until);
@@ -297,12 +301,12 @@ impl VirtualStage {
         self.events.make_contiguous()[fresh..].sort_by_key(|event| event.t);
     }
 
-    /// When something happens next.
+    /// When something happens next in any device; `None`: never, unless the host writes.
     pub fn poll_timeout(&self) -> Option<Timestamp> {
         self.devices.iter().filter_map(VirtualDevice::poll_timeout).min()
     }
 
-    /// The next event in the order of times, until `None`.
+    /// The next event, until `None`: in the order of times within a step, steps one after the other.
     pub fn poll_event(&mut self) -> Option<Event> {
         self.events.pop_front()
     }

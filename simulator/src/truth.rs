@@ -1,4 +1,4 @@
-//! Ground truth: the ground truth, for every sensor in every measurement cycle, and how it reaches a file.
+//! Ground truth: where every sensor is in every measurement cycle, what was done to its measurement, and how that reaches a file.
 
 use std::io::{self, Write};
 
@@ -6,15 +6,16 @@ use nalgebra::{Isometry3, Vector3};
 use posed_drivers::Timestamp;
 use serde::{Deserialize, Serialize};
 
-/// What the simulator did to a measurement.
+/// What the simulator did to a measurement; of inertial sensors only `Clean` and, in a disturbed magnetic field, `Disturbed`
+/// occur.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Class {
     /// Nothing but noise and mild distortion.
     Clean,
-    /// The position is mirrored through the transmitter.
+    /// The position is mirrored through the transmitter (hemisphere inversion).
     Inverted,
-    /// The words of an earlier cycle are repeated.
+    /// Nothing new is measured: the words of an earlier cycle are repeated.
     Stuck,
     /// The first measurement after being stuck.
     Jump,
@@ -35,29 +36,32 @@ impl Class {
     }
 }
 
-/// Truth of one sensor.
+/// Ground truth of one sensor in one cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthRow {
     /// Index in the stage's list of sensors.
     pub sensor: usize,
-    /// Sensor to room, m.
+    /// True pose at the cycle's time: sensor to room, m.
     pub pose: Isometry3<f64>,
     /// What happened to the measurement.
     pub class: Class,
-    /// Measured without noise, minus true, in room axes, m; mirroring and repeating left out.
+    /// Position that is measured without noise, minus the true one, in room axes, m; mirroring and repeating left out. Zero out
+    /// of range and for inertial sensors.
     pub distortion_m: Vector3<f64>,
 }
 
-/// Truth of one measurement cycle of one device.
+/// Ground truth of one measurement cycle of one device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TruthCycle {
-    /// Capture time, exact.
+    /// Capture time on the stage's clock, exact: free of the device's drift and of all delays.
     pub t: Timestamp,
     /// Index in the stage's list of devices.
     pub device: usize,
-    /// The device's number of the cycle.
+    /// Number of the cycle, from 0; it goes on while the device is off, and where the device's own counter restarts. Each unit of
+    /// an x-IMU3 device and each SlimeVR tracker counts its own.
     pub cycle: u64,
-    /// One row for each of the device's sensors.
+    /// One row for each sensor that is measured in this cycle: all of the device's, but the one station of a Fastrak whose turn
+    /// it is, the one unit of an x-IMU3 device, or those of one SlimeVR tracker.
     pub sensors: Vec<TruthRow>,
 }
 
@@ -70,7 +74,7 @@ pub struct Loss {
     pub address: Option<u16>,
 }
 
-/// Writes truth as CSV: `t,sensor,x,y,z,qw,qx,qy,qz,class,distortion_x,distortion_y,distortion_z`.
+/// Writes ground truth as CSV, one row per sensor and cycle: `t,sensor,x,y,z,qw,qx,qy,qz,class,distortion_x,distortion_y,distortion_z`.
 pub struct TruthWriter<W: Write> {
     writer: W,
     sensors: Vec<String>,
@@ -79,20 +83,21 @@ pub struct TruthWriter<W: Write> {
 impl<W: Write> TruthWriter<W> {
     /// Begins a file: a comment with the UTC time of t = 0, then the header.
     ///
-    /// `sensors` are the names by index; `epoch_utc` is RFC 3339.
+    /// `sensors` are the names by index, written as they are; `epoch_utc` is RFC 3339.
     ///
     /// # Errors
-    /// What the writer says.
+    /// The writer fails.
     pub fn new(mut writer: W, sensors: Vec<String>, epoch_utc: &str) -> io::Result<Self> {
         writeln!(writer, "# epoch_utc = {epoch_utc}")?;
         writeln!(writer, "t,sensor,x,y,z,qw,qx,qy,qz,class,distortion_x,distortion_y,distortion_z")?;
         Ok(Self { writer, sensors })
     }
 
-    /// Writes the rows of a cycle.
+    /// Writes the rows of a cycle: time in s with nanoseconds, pose in the room (m; quaternion w, x, y, z), class, distortion in
+    /// m. A sensor without a name has an empty one.
     ///
     /// # Errors
-    /// What the writer says.
+    /// The writer fails; a row may then be there in part.
     pub fn write(&mut self, cycle: &TruthCycle) -> io::Result<()> {
         let nanos = cycle.t.as_nanos();
         let (sign, nanos) = if nanos < 0 { ("-", nanos.unsigned_abs()) } else { ("", nanos.unsigned_abs()) };
@@ -120,10 +125,10 @@ impl<W: Write> TruthWriter<W> {
         Ok(())
     }
 
-    /// Writes what is still in memory and gives the writer back.
+    /// Flushes the writer and gives it back.
     ///
     /// # Errors
-    /// What the writer says.
+    /// The writer fails.
     pub fn finish(mut self) -> io::Result<W> {
         self.writer.flush()?;
         Ok(self.writer)

@@ -9,9 +9,9 @@ use super::{Error, output, print, print_json, tell};
 use crate::pictures::faults as picture;
 use posed_baselines::fault_map;
 use posed_fusion::faults::{Cause, Class, Label};
-use posed_motion::fault_map::frames::Frames;
-use posed_motion::fault_map::som::{Training, Width};
-use posed_motion::fault_map::study::{self, Report};
+use posed_motion::fault_map::Frames;
+use posed_motion::fault_map::{Training, Width};
+use posed_motion::fault_map::{Separation, separation, separation_by_size};
 use posed_motion::fault_map::{FaultMap, FaultMapError, Labels, Size};
 use posed_recording::table::{PoseColumns, PoseRow, PoseWriter, Poses, TableError, TableWriter};
 use posed_recording::{is_recording, positions};
@@ -174,7 +174,7 @@ struct Trained {
     sensors: usize,
     epochs: usize,
     classes: Counts,
-    map: Report,
+    map: Separation,
 }
 
 #[derive(Default, Serialize)]
@@ -213,7 +213,7 @@ fn train(args: &TrainArgs) -> Result<(), Error> {
         .train(&frames, size)
         .map_err(|error| Error::failed(format!("{}: {error}", args.poses.display())))?;
     let classes: Vec<Class> = labels.frames.iter().map(|label| label.class).collect();
-    let map = study::measure(&fault_map, &frames, &classes);
+    let map = separation(&fault_map, &frames, &classes);
     output::replace(&args.output, |file| {
         serde_json::to_writer(&mut *file, &fault_map).map_err(std::io::Error::from)?;
         file.write_all(b"\n")
@@ -335,12 +335,12 @@ fn write_repaired(path: &Path, frames: &Frames, labels: &Labels) -> Result<(), T
 
 #[derive(Serialize)]
 struct Studied {
-    sizes: Vec<Report>,
+    sizes: Vec<Separation>,
 }
 
 fn study(args: &StudyArgs) -> Result<(), Error> {
     let frames = read(&args.poses)?;
-    let (_, labels) = posed_motion::fault_map::rules::Rules::learn(&frames);
+    let (_, labels) = posed_motion::fault_map::Rules::learn(&frames);
     let classes: Vec<Class> = labels.frames.iter().map(|label| label.class).collect();
     let bar = ProgressBar::new((STUDIED_NEURONS.len() * STUDIED_SIDES.len()) as u64);
     if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} sizes, {eta} left") {
@@ -351,7 +351,7 @@ fn study(args: &StudyArgs) -> Result<(), Error> {
         bar.inc(1);
         Ok(fault_map)
     };
-    let sizes = study::sizes(&frames, &classes, &STUDIED_NEURONS, &STUDIED_SIDES, train)
+    let sizes = separation_by_size(&frames, &classes, &STUDIED_NEURONS, &STUDIED_SIDES, train)
         .map_err(|error| Error::failed(format!("{}: {error}", args.poses.display())))?;
     bar.finish_and_clear();
     if args.json {
@@ -359,7 +359,7 @@ fn study(args: &StudyArgs) -> Result<(), Error> {
     }
     print("neurons side used  share overlaps par purity grouping error\n")?;
     for report in &sizes {
-        let Report { neurons, side, used, overlaps, changeovers, .. } = report;
+        let Separation { neurons, side, used, overlaps, changeovers, .. } = report;
         print(&format!(
             "{neurons:7} {side:4} {used:4} {:5.1}% {overlaps:8} {changeovers:3} {:6.4} {:8.3} {:.4}\n",
             100.0 * report.used_share,

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use nalgebra::Vector3;
 use posed_fusion::ahrs::ImuSample;
 use posed_fusion::intrinsics::{Intrinsics, calibrate};
-use posed_recording::atomic_file::AtomicFile;
+use posed_recording::AtomicFile;
 use posed_stage::output::Inertial;
 
 use super::{Error, imus, print, print_json};

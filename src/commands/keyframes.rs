@@ -7,8 +7,8 @@ use serde::Serialize;
 
 use super::{Error, output, print_json, tell};
 use posed_baselines::change_points::{MeanDifference, MeanDifferenceSettings, ScrewPath};
-use posed_motion::keyframes::path::{Deviation, Spline};
-use posed_motion::keyframes::track::{BRIDGED_FRAMES, bridge};
+use posed_motion::keyframes::{Deviation, Spline};
+use posed_motion::keyframes::{BRIDGED_FRAMES, bridge};
 use posed_motion::keyframes::{Detector, Hinge, HingeSettings, KeyPose, Trace};
 use posed_recording::table::{PoseRow, Poses, TableWriter};
 

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use posed_recording::atomic_file::AtomicFile;
+use posed_recording::AtomicFile;
 
 use super::Error;
 

@@ -6,8 +6,8 @@
 use std::path::Path;
 
 use posed_drivers::{LineEvent, Timestamp};
-use posed_motion::fault_map::frames::Frames;
-use posed_motion::fault_map::som::Training;
+use posed_motion::fault_map::Frames;
+use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
 use posed_pipeline::{Pipeline, raw_positions, upright};
 use posed_simulator::figure::{Fault, inject};

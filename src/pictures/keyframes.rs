@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Vector3};
 
 use super::svg::Svg;
-use posed_motion::keyframes::path::Spline;
+use posed_motion::keyframes::Spline;
 use posed_motion::keyframes::{KeyPose, Trace};
 
 const WIDTH: f64 = 960.0;

@@ -3,7 +3,7 @@
 use super::svg::Svg;
 use posed_recording::table::Sequences;
 
-use posed_motion::segments::measures::runs;
+use posed_motion::segments::runs;
 
 const WIDTH: f64 = 960.0;
 const LEFT: f64 = 150.0;

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use posed_drivers::Timestamp;
-use posed_fusion::align::guide::Guide;
+use posed_fusion::align::Guide;
 use posed_fusion::align::{AlignError, AnchorPoint, Found, Recording, align_recording};
 use posed_geometry::{isometry, orientation_to_wxyz};
 use posed_pipeline::Pipeline;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use posed_fusion::chain;
-use posed_fusion::chain::calibrate::calibrate;
+use posed_fusion::chain::calibrate;
 use posed_pipeline::Pipeline;
 use posed_recording::table::TableReader;
 use posed_simulator::truth::TruthCycle;

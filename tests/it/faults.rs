@@ -1,9 +1,9 @@
 //! Faulty frames of a simulated figure: trained on one session, tested on another person's.
 
 use posed_fusion::faults::{Class, Label};
-use posed_motion::fault_map::frames::Frames;
-use posed_motion::fault_map::rules::frame_label;
-use posed_motion::fault_map::som::Training;
+use posed_motion::fault_map::Frames;
+use posed_motion::fault_map::frame_label;
+use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
 use posed_simulator::figure::{Fault, Figure, SENSORS, Truth, inject};
 

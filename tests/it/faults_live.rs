@@ -3,8 +3,8 @@
 use std::sync::LazyLock;
 
 use posed_fusion::faults::{Cause, Class, Repair};
-use posed_motion::fault_map::frames::Frames;
-use posed_motion::fault_map::som::Training;
+use posed_motion::fault_map::Frames;
+use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
 use posed_pipeline::{Pipeline, raw_positions, upright};
 use posed_simulator::faults::Fault;

@@ -166,7 +166,7 @@ fn from_the_recording(rig: &Rig, stage_toml: &str, map: &FieldMap) {
     let (take, field, out) = (path("take.mcap"), path("field.json"), path("out.csv"));
     let solved = posed(["field", "solve", &take, "--spacing-m", "0.15", "-o", &field, "--corrected", &out]);
     assert!(solved.status.success(), "{}", String::from_utf8_lossy(&solved.stderr));
-    assert_eq!(FieldMap::read(field.as_ref()).unwrap(), *map);
+    assert_eq!(posed_stage::read_field_map(field.as_ref()).unwrap(), *map);
     let corrector = map.corrector();
     let good = rig.estimates().flat_map(|estimate| &estimate.sensors).filter(|s| s.state == SensorState::Ok);
     let expected: Vec<Vector3<f64>> = good

@@ -2,7 +2,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_drivers::Timestamp;
-use posed_fusion::intrinsics::guide::Guide;
+use posed_fusion::intrinsics::Guide;
 use posed_pipeline::Pipeline;
 use posed_simulator::inertial::ImuClass;
 use posed_simulator::motion::{ImuCalibration, Motion};

@@ -1,7 +1,7 @@
 //! Key poses on generated gestures: the published table, the default beside it, the path, and real dwells.
 
 use posed_baselines::change_points::{MeanDifference, MeanDifferenceSettings, ScrewPath};
-use posed_motion::keyframes::path::Spline;
+use posed_motion::keyframes::Spline;
 use posed_motion::keyframes::{Detector, Hinge, HingeSettings, Statistic};
 use posed_simulator::gesture::{Gesture, NOISE, Shape, count_errors};
 

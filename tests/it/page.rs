@@ -506,7 +506,7 @@ async fn an_imu_is_calibrated_in_the_browser_and_its_file_kept() {
     browser.picture("imu").await;
     let file = browser.row("unit-figures", 4).await;
     let kept =
-        posed_fusion::intrinsics::Intrinsics::read(&folder.path().join("imus").join(&file[1])).unwrap();
+        posed_stage::read_intrinsics(&folder.path().join("imus").join(&file[1])).unwrap();
     assert!(kept.directions >= 12 && kept.mag.is_some(), "{kept:?}");
     done(browser, posed).await;
 }

@@ -29,7 +29,7 @@
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use posed_geometry::se3;
-use posed_motion::keyframes::path::{Deviation, segment_ends};
+use posed_motion::keyframes::{Deviation, segment_ends};
 use posed_motion::keyframes::{KeyPose, Score, Statistic, Window};
 use posed_state::Plain;
 
@@ -41,16 +41,16 @@ const SCORE_HALF: usize = 10;
 /// The running sums are formed anew after so many frames, so that rounding cannot pile up.
 const RENEW_FRAMES: u32 = 1000;
 
-/// Settings of [`MeanDifference`].
+/// Settings of [`MeanDifference`]. The default: `N` = 30 frames, 0.1 m per radian, `x` = 0.5, smoothed.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub struct MeanDifferenceSettings {
-    /// `N`: half width of the mask, and the reach within which a peak must exceed all others, frames.
+    /// `N`: half width of the mask, and the reach within which a peak must exceed all others, frames; 0 counts as 1.
     pub window: usize,
     /// What a turn by 1 rad counts as against a displacement, m. The paper adds rad and cm: 0.01.
     pub metres_per_radian: f64,
     /// `x`: a peak must exceed this share of the mean twist before it.
     pub acceptance: f64,
-    /// Smooth the motion and the statistic, as the paper does.
+    /// Smooth the motion and the statistic, as the paper does; it costs 18 frames of delay.
     pub smooth: bool,
 }
 
@@ -63,7 +63,8 @@ impl Default for MeanDifferenceSettings {
 /// Scaled twist: its length is the Frobenius norm of the paper's 4 x 4 matrix.
 type Scaled = [f64; 6];
 
-/// The statistic `eta`, frame by frame, with a constant cost.
+/// The statistic `eta`, frame by frame, with a constant cost: poses (m; sensor to the frame of reference) in, scores in m per
+/// frame out, [`lag_frames`](Statistic::lag_frames) late. Every change counts as a corner. It has no randomness.
 #[derive(Clone, Debug, Plain)]
 pub struct MeanDifference {
     settings: MeanDifferenceSettings,
@@ -213,20 +214,22 @@ impl Sums {
     }
 }
 
-/// A path of one screw motion per segment.
+/// A path of one screw motion per motion segment, between key poses: constant linear and angular velocity in the sensor's axes.
 #[derive(Clone, Debug)]
 pub struct ScrewPath {
     keys: Vec<(usize, Isometry3<f64>)>,
 }
 
 impl ScrewPath {
-    /// The path through the recorded key poses and both ends; `None` for fewer than two poses.
+    /// The path through the recorded key poses and both ends of a recording (m; sensor to the frame of reference), evenly spaced
+    /// frames; `None` for fewer than two poses. Key poses outside the recording or out of order are left out.
     pub fn new(poses: &[Isometry3<f64>], keys: &[KeyPose]) -> Option<Self> {
         let ends = segment_ends(poses.len(), keys)?;
         Some(Self { keys: ends.into_iter().map(|(frame, _)| (frame, poses[frame])).collect() })
     }
 
-    /// Pose at a frame.
+    /// Pose at a frame, which may lie between two: sensor to the frame of reference, m; the first and the last pose beyond the
+    /// ends.
     pub fn pose(&self, frame: f64) -> Isometry3<f64> {
         let after = self.keys.partition_point(|(key, _)| (*key as f64) <= frame);
         let last = after.clamp(1, self.keys.len() - 1);
@@ -236,7 +239,8 @@ impl ScrewPath {
         a * se3::exp(&se3::Twist { angular: twist.angular * s, linear: twist.linear * s })
     }
 
-    /// Distance from the recording, over some of its frames.
+    /// Root mean square distance from the recording, over some of its frames (both ends included; those beyond it are left out):
+    /// m, rad.
     pub fn deviation(&self, poses: &[Isometry3<f64>], frames: std::ops::RangeInclusive<usize>) -> Deviation {
         Deviation::of(|frame| self.pose(frame as f64), poses, frames)
     }

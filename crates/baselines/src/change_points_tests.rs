@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::*;
-use posed_motion::keyframes::path::Spline;
+use posed_motion::keyframes::Spline;
 use posed_motion::keyframes::{Detector, Event};
 
 const N: usize = 12;

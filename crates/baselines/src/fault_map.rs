@@ -23,17 +23,17 @@
 //! - Cells are named by physics where the paper asks an operator. What its network does not have (chains of distances
 //!   between sensors and of steps) is trained by the batch rule.
 
-use posed_motion::fault_map::frames::Frames;
-use posed_motion::fault_map::som::{Kernel, Rule, Som, Training, Width};
+use posed_motion::fault_map::Frames;
+use posed_motion::fault_map::{Kernel, Rule, Som, Training, Width};
 use posed_motion::fault_map::{FaultMap, FaultMapError, Labels, Size};
 
 /// A smaller step is none: weights are of the order of one.
 const NEGLIGIBLE: f64 = 1e-9;
 
-/// One row after the other: every neuron moves towards it, the winner most.
+/// The paper's rule of learning, one row after the other: every neuron moves towards it, the winner most.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RowByRow {
-    /// Step at the start, as a share of the way; falls linearly to zero.
+    /// Step at the start, as a share of the way, from 0 to 1; falls linearly to zero over the training. 0.5 by default.
     pub alpha: f64,
 }
 
@@ -75,10 +75,11 @@ pub fn published() -> Training {
     Training { epochs: 100, width: Width::Fixed, subset: 0, stop: false, body: false, ..Training::default() }
 }
 
-/// Trains a network row by row; `training` is [`published`] or a change of it.
+/// Trains a fault map row by row on frames of positions (m), and names the frames; `training` is [`published`] or a change of it.
+/// The same frames, size and seed give the same map. Chains that the paper does not have take from `training` the seed alone.
 ///
 /// # Errors
-/// There are fewer than ten frames.
+/// There are fewer than ten frames, or no sensors.
 pub fn train(frames: &Frames, size: Size, training: &Training) -> Result<(FaultMap, Labels), FaultMapError> {
     let beside = Training { seed: training.seed, ..Training::default() };
     FaultMap::train_by(&mut RowByRow::default(), frames, size, training, &beside)
@@ -87,7 +88,7 @@ pub fn train(frames: &Frames, size: Size, training: &Training) -> Result<(FaultM
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posed_motion::fault_map::som::Winner;
+    use posed_motion::fault_map::Winner;
 
     #[test]
     fn an_update_by_hand() {

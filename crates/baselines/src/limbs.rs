@@ -29,9 +29,9 @@ use posed_fusion::body::{BodyParams, BodySamples, BodySegment, Limb, SEGMENTS, S
 use posed_fusion::body::{elbow, joint_angles, knee};
 use posed_fusion::limb::{Axes, Base, FieldReference, LimbGeometry, LimbNoise, LimbSamples};
 
-/// Shoulder of three axes, elbow of two: 15 states.
+/// Shoulder of three axes, elbow of two: 15 states, no gyro biases.
 pub type EulerArm = posed_fusion::limb::Limb<Axes<3>, 2, 15>;
-/// Hip of three axes, knee of one: 12 states.
+/// Hip of three axes, knee of one: 12 states, no gyro biases.
 pub type EulerLeg = posed_fusion::limb::Limb<Axes<3>, 1, 12>;
 
 /// Uncertainty of each angle at the start, rad.
@@ -42,7 +42,10 @@ const REST_RAD_S: f64 = 0.05;
 const NORTH: FieldReference =
     FieldReference { azimuth_rad: std::f64::consts::FRAC_PI_2, norm: 1.0, dip_rad: 0.0 };
 
-/// A body of Euler limbs.
+/// A body of Euler limbs: orientation filters on torso and pelvis, an [`EulerArm`] or [`EulerLeg`] on each limb. Causal, without
+/// delay.
+///
+/// It goes astray where an arm or a leg points sideways; beside the live filter: `docs/body.md`.
 #[derive(Clone, Debug)]
 pub struct EulerBody {
     sensors: [Option<Sensor>; SEGMENTS],
@@ -79,7 +82,8 @@ enum Filter {
 }
 
 impl EulerBody {
-    /// A body that has seen nothing; `worn` by [`BodySegment::index`].
+    /// A body that has seen nothing, of these lengths; `worn` says how each sensor sits, by [`BodySegment::index`], `None` where
+    /// none is worn.
     pub fn new(skeleton: &Skeleton, worn: &[Option<SensorMount>; SEGMENTS], params: &BodyParams) -> Self {
         let sensor = |worn: SensorMount| {
             let ahrs = Ahrs::new(params.ahrs.clone());
@@ -100,8 +104,9 @@ impl EulerBody {
         }
     }
 
-    /// Takes the samples of one time, `dt_s` after the ones before; segments to room, by [`BodySegment::index`]. A limb
-    /// begins, and is shown, once both of its sensors and its trunk's have had a sample.
+    /// Takes the samples of one time (sensor axes), `dt_s` seconds, above 0, after the ones before; segments to room (z up), by
+    /// [`BodySegment::index`]. A limb begins, and is shown, once both of its sensors and its trunk's have had a sample; `None`
+    /// before. A sample that is missing later is a step of prediction for a limb, and rest for torso and pelvis.
     pub fn push(&mut self, samples: &BodySamples, dt_s: f64) -> &[Option<UnitQuaternion<f64>>; SEGMENTS] {
         for (sensor, sample) in self.sensors.iter_mut().zip(samples) {
             if let (Some(sensor), Some(sample)) = (sensor, sample) {

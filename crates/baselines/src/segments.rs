@@ -25,15 +25,17 @@
 
 use posed_motion::segments::{Augmentation, Features, Norm, Options, Shape};
 
-/// The network for `inputs` features a frame: three for each row of the image, of which the paper has 224. Resized from as many
-/// joints, these can express no more than the joints' own rows, [`SegmentationNetwork::folded`](posed_motion::segments::SegmentationNetwork::folded).
+/// Shape of the network for `inputs` features a frame and `classes` labels. `inputs` are three for each row of the image, of
+/// which the paper has 224. Resized from the joints of a body, these can express no more than the joints' own rows:
+/// [`SegmentationNetwork::folded`](posed_motion::segments::SegmentationNetwork::folded).
 pub fn shape(inputs: usize, classes: usize) -> Shape {
     let filters = vec![64, 64, 128, 256, 512];
     Shape { inputs, filters, width: 3, classes, ahead: None, norm: Norm::Hidden }
 }
 
-/// Its training: whole sequences at their own rate, one per step, Adam at a constant 1e-3, each coordinate from 0 to 1; nothing
-/// is changed, masked or averaged, and the likeliest class of each frame is its label. [`Features::rows`] resizes the image.
+/// Training of the network of [`shape`]: whole sequences at their own rate, one per step, Adam at a constant 1e-3, 25 passes,
+/// each coordinate from 0 to 1; nothing is changed, masked or averaged, and the likeliest class of each frame is its label.
+/// [`Features::rows`] resizes the image.
 pub fn options() -> Options {
     let Shape { filters, width, ahead, norm, .. } = shape(0, 0);
     Options {

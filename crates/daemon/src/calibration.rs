@@ -13,10 +13,10 @@ use super::fusion::FusionInbox;
 use super::jobs::Jobs;
 use super::observers::{Observer, Times};
 use super::server::Reply;
-use posed_field::{Anchor, FieldMap, PoleRun, Prepared, solve};
+use posed_field::{Anchor, PoleRun, Prepared, solve};
 use posed_protocol::AnchorSpec;
-use posed_recording::atomic_file::AtomicFile;
-use posed_stage::Stage;
+use posed_recording::AtomicFile;
+use posed_stage::{Stage, read_field_map};
 use posed_stage::input::{Entry, Input, Model, Request};
 use posed_stage::output::Output;
 
@@ -26,7 +26,7 @@ const ACTIVE: &str = "active";
 /// Why the version of the field's map stays as it is.
 #[derive(Debug, thiserror::Error)]
 pub enum FieldMapError {
-    /// A map cannot be read; its own sentence.
+    /// A map cannot be read: a sentence that names the file.
     #[error("{0}")]
     Read(String),
     /// Nothing was calibrated.
@@ -107,8 +107,8 @@ impl Calibration {
     pub(super) fn begin(&self) -> Result<(), FieldMapError> {
         let map = match (self.active(), &self.given) {
             (0, None) => return Ok(()),
-            (0, Some(path)) => FieldMap::read(path),
-            (version, _) => FieldMap::read(&self.file(version)),
+            (0, Some(path)) => read_field_map(path),
+            (version, _) => read_field_map(&self.file(version)),
         };
         self.swap(self.active(), Some(Prepared::new(map.map_err(FieldMapError::Read)?)));
         Ok(())
@@ -227,8 +227,8 @@ impl Calibration {
         let version = active - 1;
         let map = match (version, &self.given) {
             (0, None) => None,
-            (0, Some(path)) => Some(FieldMap::read(path)),
-            _ => Some(FieldMap::read(&self.file(version))),
+            (0, Some(path)) => Some(read_field_map(path)),
+            _ => Some(read_field_map(&self.file(version))),
         };
         let map = map.transpose().map_err(FieldMapError::Read)?;
         let unmarked = |error| FieldMapError::Mark { folder: self.folder.clone(), error };

@@ -28,7 +28,7 @@ impl StageClock {
         Self { origin: Instant::now(), epoch_utc_ns: utc(), utc }
     }
 
-    /// Time since the epoch.
+    /// Time since the epoch; it never goes backwards, whatever is done to the computer's clock.
     pub fn now(&self) -> Timestamp {
         Timestamp::from_nanos(self.origin.elapsed().as_nanos() as i64)
     }
@@ -43,8 +43,8 @@ impl StageClock {
         self.epoch_utc_ns
     }
 
-    /// By how many seconds the wall clock has moved against this clock since the epoch, if that is more
-    /// than half a second: somebody set the computer's clock.
+    /// By how many seconds the wall clock has moved against this clock since the epoch, forwards positive, if that is more than
+    /// half a second: somebody set the computer's clock. `None`: it has not.
     pub fn wall_clock_jump_s(&self) -> Option<f64> {
         let off_ns = (self.utc)() - self.epoch_utc_ns - self.now().as_nanos();
         (off_ns.unsigned_abs() as u128 > JUMP.as_nanos()).then_some(off_ns as f64 * 1e-9)

@@ -20,7 +20,7 @@ use tokio::net::UdpSocket;
 use super::clock::StageClock;
 use posed_stage::{Device, Driver};
 
-/// Units announce themselves once a second.
+/// How long to listen for announcements: x-IMU3 units announce themselves once a second.
 pub const ANNOUNCED: Duration = Duration::from_millis(1300);
 /// Longest that a port may take to open.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
@@ -56,7 +56,7 @@ impl Kind {
         }
     }
 
-    /// Line rates at which it may be, the likeliest first.
+    /// Line rates at which it may be, bit/s, the likeliest first; none for a MotionStar, which is on a network.
     pub fn bauds(self) -> &'static [u32] {
         match self {
             Self::Flock => &flock::probe::BAUD_RATES,
@@ -67,7 +67,7 @@ impl Kind {
         }
     }
 
-    /// The kind of a driver's devices; SlimeVR trackers come by themselves.
+    /// The kind of a driver's devices; `None` for SlimeVR, whose trackers come by themselves.
     pub fn of(driver: &Driver) -> Option<Self> {
         match driver {
             Driver::FlockOfBirds(_) => Some(Self::Flock),
@@ -85,11 +85,14 @@ impl Kind {
 pub struct Answer {
     /// What it reports about itself.
     pub identity: Identity,
-    /// How units on a Flock's bus are numbered.
+    /// How units on a Flock's bus are numbered; absent for all other kinds.
     pub addressing: Option<Addressing>,
 }
 
-/// Asks an open port for one kind of device; `reset` lets a Flock out of its reset first.
+/// Asks an open port for one kind of device; `reset` lets a Flock out of its reset first, where the port has an RTS line.
+///
+/// The inner result is the answer, or why there is none: nothing came, or nothing that such a device says. It ends by time-outs
+/// of its own.
 ///
 /// # Errors
 /// The port is gone.
@@ -199,7 +202,7 @@ fn of_flock(findings: &Findings) -> Answer {
     }
 }
 
-/// How the port of a device is opened.
+/// How the port of a device is opened: its line rate, and on UDP whether this computer is the server (SlimeVR) or a peer.
 pub fn options(device: &Device) -> Options {
     let udp = match device.driver {
         Driver::SlimeVr(_) => Udp::Server,
@@ -210,10 +213,12 @@ pub fn options(device: &Device) -> Options {
 
 /// Looks for a device on all serial ports but `taken`, and by its announcement where it makes one.
 ///
-/// `serials` are the units that are meant; without any, the first device that answers is. The port comes open.
+/// `serials` are the units that are meant; without any, the first device that answers is. Serial ports are asked at the device's
+/// own line rate. Gives the name of the port and the open port. For SlimeVR, whose trackers come by themselves, it asks nobody
+/// and opens `udp://0.0.0.0:6969`.
 ///
 /// # Errors
-/// One sentence for the operator.
+/// No device answers, none with such a serial number, or the port that was found does not open: one sentence for the operator.
 pub async fn search(
     device: &Device,
     serials: &[String],
@@ -265,7 +270,7 @@ fn is_meant(identity: &Identity, serials: &[String]) -> bool {
     serials.is_empty() || serials.iter().any(reported)
 }
 
-/// The x-IMU3 units that announce themselves within `time`, each once.
+/// The x-IMU3 units that announce themselves within `time`, each once, in the order of their coming. Takes the whole `time`.
 ///
 /// # Errors
 /// The port of the announcements cannot be listened to.
@@ -296,7 +301,8 @@ async fn collect(socket: &UdpSocket, time: Duration, each: &mut impl FnMut(&[u8]
     }
 }
 
-/// Network addresses of the SlimeVR trackers that look for a server within `time`, in the order of their coming.
+/// Network addresses of the SlimeVR trackers that look for a server within `time`, like `A4:CF:12:D4:E5:F6`, each once, in the
+/// order of their coming. Takes the whole `time`.
 ///
 /// # Errors
 /// Their port cannot be listened to: a server is running.

@@ -19,7 +19,7 @@ use super::recorder::{Recorder, RecorderState};
 use super::server::{Hub, Refusal, Reply};
 use posed_fusion::body::SEGMENTS;
 use posed_motion::fault_map::FaultMap;
-use posed_motion::fault_map::frames::Frames;
+use posed_motion::fault_map::Frames;
 use posed_pipeline::Pipeline;
 use posed_protocol::foxglove::Views;
 use posed_protocol::{Answer, Payload, Publisher, RecordingBegun, Status, schema};
@@ -27,17 +27,18 @@ use posed_recording::{Header, Snapshot, WriteError};
 use posed_stage::input::{Entry, Input, Model, Request, SensorIndex};
 use posed_stage::output::{OutcomeKind, Output};
 
-/// The queue into the fusion thread.
+/// The queue into the fusion thread; clones share it. Only the daemon takes from it.
 pub type FusionInbox = Inbox<Command>;
 
 /// The fusion thread answers at once, or is no more.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 impl FusionInbox {
-    /// What a fusion on another machine begins with. Waits: not for an asynchronous task.
+    /// What a fusion on another machine begins with: the pipeline as it stands now. Waits, ten seconds at most: not for an
+    /// asynchronous task.
     ///
     /// # Errors
-    /// The daemon ends, or its state cannot be written.
+    /// The daemon ends or does not answer in time, or its state cannot be written.
     pub fn begin(&self) -> Result<Begin, BeginError> {
         Ok(self.ask(|to| Command::Begin { to })??)
     }
@@ -64,16 +65,16 @@ const SAMPLES_WAITING: usize = 1024;
 /// The pipeline as it stands before an entry, for fusion on another machine.
 #[derive(Debug)]
 pub struct Begin {
-    /// Number of that entry.
+    /// Number of that entry: so many entries the pipeline has taken, the first has number 0.
     pub next: u64,
-    /// What fusion begins with.
+    /// What fusion begins with: the header of a recording that begins here.
     pub header: Header,
 }
 
 /// Why there is no [`Begin`].
 #[derive(Debug, thiserror::Error)]
 pub enum BeginError {
-    /// The fusion thread is no more.
+    /// The fusion thread gives no answer.
     #[error(transparent)]
     Ended(#[from] Ended),
     /// The state cannot be written.
@@ -81,7 +82,7 @@ pub enum BeginError {
     State(#[from] rmp_serde::encode::Error),
 }
 
-/// The fusion thread is no more.
+/// The fusion thread is no more, or has not answered within ten seconds.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 #[error("the daemon ends")]
 pub struct Ended;
@@ -89,7 +90,7 @@ pub struct Ended;
 /// Why nothing is recorded.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
-    /// One recording at a time.
+    /// Another recording of this name is in progress: there is one at a time.
     #[error("{0} is being recorded already; stop that first")]
     Already(String),
     /// The file does not serve.

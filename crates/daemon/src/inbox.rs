@@ -48,7 +48,8 @@ impl<C> Inbox<C> {
         Self { shared: Arc::new(Shared { queue, filled: Condvar::new(), capacity }) }
     }
 
-    /// Appends something for the pipeline and the log.
+    /// Appends something for the pipeline and the log. Never waits: where the queue is full, its oldest read chunk gives way, and
+    /// a mark of the loss stays in its place. Entries of all other kinds are never dropped.
     pub fn enter(&self, entry: Entry) {
         self.push(Event::Entry(entry));
     }

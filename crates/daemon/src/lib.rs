@@ -83,28 +83,31 @@ const PORT_COMMANDS: usize = 256;
 /// What a daemon is started with.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The stage.
+    /// The stage, as its file describes it.
     pub stage: Stage,
-    /// Its file's text, for recordings.
+    /// The text of its file, which every recording holds.
     pub stage_toml: String,
     /// Folder that relative paths of the stage file start from.
     pub folder: PathBuf,
-    /// Where recordings, maps and exercises are kept unless the stage file specifies otherwise.
+    /// Folder where recordings, field maps, intrinsics of IMUs and exercises are kept unless the stage file specifies otherwise.
     pub data: PathBuf,
-    /// `HOST:PORT` instead of the stage file's.
+    /// `HOST:PORT` to listen on instead of the stage file's; port 0 lets the system choose. Absent: the stage file's, else
+    /// [`server::DEFAULT_LISTEN`].
     pub listen: Option<String>,
-    /// Record into this file from the start.
+    /// Record into this file from the start; it must not exist. Absent: nothing is recorded until a client asks for it.
     pub record: Option<PathBuf>,
-    /// Whether a simulator will send ground truth.
+    /// Whether a simulator will send ground truth: the topic `truth` is published then, as it is for every simulated stage.
     pub truth: bool,
     /// The stage's clock; its epoch is when the options were made.
     pub clock: StageClock,
-    /// What connects the stage to other machines, where its file has `[zenoh]`.
+    /// What connects the stage to other machines, where its file has `[zenoh]`. Absent, such a stage runs without, and its status
+    /// reports the problem.
     pub link: Option<link::Connect>,
 }
 
 impl Options {
-    /// For a stage in `folder`, which also takes what is kept, with everything else as the stage file specifies.
+    /// For a stage in `folder`, which also takes what is kept, with everything else as the stage file specifies. Starts the
+    /// clock.
     pub fn new(stage: Stage, stage_toml: String, folder: PathBuf) -> Self {
         Self {
             stage,
@@ -123,19 +126,19 @@ impl Options {
 /// Why a daemon cannot start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
-    /// The server.
+    /// The server cannot listen.
     #[error(transparent)]
     Bind(#[from] BindError),
-    /// The pipeline.
+    /// The pipeline refuses the stage.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
-    /// A model that the stage file names.
+    /// A model that the stage file names, or one that is kept, cannot be read or does not fit the stage.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// The map of the field in use.
+    /// The field map in use cannot be read.
     #[error(transparent)]
     Field(#[from] FieldMapError),
-    /// The recording asked for.
+    /// The recording asked for cannot begin.
     #[error(transparent)]
     Record(#[from] RecordError),
     /// A thread could not be made.
@@ -143,7 +146,7 @@ pub enum StartError {
     Thread(std::io::Error),
 }
 
-/// A running daemon; ends with [`Daemon::shutdown`].
+/// A running daemon; ends with [`Daemon::shutdown`]. Dropped without it, the fusion thread goes on and a recording does not end.
 pub struct Daemon {
     clock: StageClock,
     service: Service,
@@ -156,10 +159,14 @@ pub struct Daemon {
 }
 
 impl Daemon {
-    /// Binds the server, starts the fusion thread, opens every device's port. Needs a tokio runtime.
+    /// Binds the server, starts the fusion thread, opens every device's port. Reads files: it may block for a moment. A port that
+    /// does not open is no error: it is tried again until the end.
     ///
     /// # Errors
-    /// The address, the stage or the recording's file do not serve.
+    /// The address, the stage, one of its models or the recording's file do not serve; see [`StartError`].
+    ///
+    /// # Panics
+    /// Outside a tokio runtime with IO.
     pub fn start(options: Options) -> Result<Self, StartError> {
         let places: Vec<_> = (0..).map_while(|index| DevicePort::of(&options.stage, index)).collect();
         let mut daemon = Self::start_without_ports(options)?;
@@ -174,6 +181,9 @@ impl Daemon {
     /// Like [`Daemon::start`], but no port is opened: [`Daemon::attach`] gives devices their streams.
     ///
     /// # Errors
+    /// As for [`Daemon::start`].
+    ///
+    /// # Panics
     /// As for [`Daemon::start`].
     pub fn start_without_ports(options: Options) -> Result<Self, StartError> {
         let Options { stage, stage_toml, folder, data, listen, record, truth, clock, link } = options;
@@ -257,7 +267,11 @@ impl Daemon {
         Ok(Self { clock, service, inbox, status, ports, fusion, link: session })
     }
 
-    /// Gives a device an open stream instead of its port; it is not opened again when it ends.
+    /// Gives a device (index in the stage's list) an open stream instead of its port; it is not opened again when it ends. Does
+    /// nothing where the stage has no such device, or where its port or another stream serves it already.
+    ///
+    /// # Panics
+    /// Outside a tokio runtime.
     pub fn attach<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(&mut self, device: u16, stream: S) {
         if let Some(mut task) = self.ports.get_mut(usize::from(device)).and_then(Option::take) {
             self.service.spawn(async move {
@@ -268,37 +282,39 @@ impl Daemon {
         }
     }
 
-    /// The stage's clock.
+    /// The stage's clock: the one of the options.
     pub fn clock(&self) -> StageClock {
         self.clock
     }
 
-    /// Where entries go in: for a simulator's truth.
+    /// Where entries for the pipeline go in, beside what the ports read: a simulator's ground truth.
     pub fn inbox(&self) -> FusionInbox {
         self.inbox.clone()
     }
 
-    /// The address the server listens on.
+    /// The address the server listens on, with the port that the system chose if it was 0.
     pub fn address(&self) -> SocketAddr {
         self.service.address()
     }
 
-    /// The address for VRPN clients, if the stage wants them.
+    /// The address for VRPN clients; `None` where the stage does not serve them.
     pub fn vrpn_address(&self) -> Option<SocketAddr> {
         self.service.vrpn_address()
     }
 
-    /// What to open in a browser.
+    /// The address to open in a browser: `http://HOST:PORT/` or `https://...`, on loopback where the server listens on all
+    /// addresses.
     pub fn url(&self) -> &str {
         self.service.url()
     }
 
-    /// The newest status.
+    /// The newest status: at least one a second; empty before the first.
     pub fn status(&self) -> watch::Receiver<Status> {
         self.status.clone()
     }
 
-    /// Ends everything: the recording is complete, clients are notified of the end. Takes less than five seconds.
+    /// Ends everything: the recording is complete, clients are notified of the end. Takes less than five seconds, and what a link
+    /// to other machines takes to end. What does not end in time is left behind, and the log says so.
     pub async fn shutdown(self) {
         self.inbox.command(Command::Shutdown);
         self.service.shutdown(self.fusion).await;

@@ -24,19 +24,19 @@ pub type Connect = fn(Context<'_>) -> Result<Link, Box<dyn std::error::Error + S
 pub struct Context<'a> {
     /// The stage.
     pub stage: &'a Stage,
-    /// Its clock.
+    /// The stage's clock.
     pub clock: StageClock,
-    /// Answers how the pipeline stands.
+    /// The queue into the fusion thread, which answers how the pipeline stands (`FusionInbox::begin`).
     pub inbox: FusionInbox,
     /// The folder that recordings are in.
     pub recordings: PathBuf,
 }
 
-/// A link at work.
+/// A link at work: the three ends that the daemon keeps.
 pub struct Link {
     /// Takes what is published.
     pub feed: Box<dyn Feed>,
-    /// Takes the input log.
+    /// Takes the input log, on the fusion thread: every entry, in order.
     pub log: Box<dyn Observer + Send>,
     /// Dropped when the stage has ended, where it may block.
     pub session: Box<dyn Any + Send>,
@@ -44,9 +44,9 @@ pub struct Link {
 
 /// Takes what is published, on the server's task: it must not wait.
 pub trait Feed: Send {
-    /// An item with its stamp.
+    /// Takes an item with the stamp that clients of this stage get; `names` are those of the stage's sensors.
     fn publish(&self, item: &Item, stamp: &Stamp, names: &Names);
 
-    /// What is wrong with the link now, if anything, for the status.
+    /// What is wrong with the link now, for the status; `None`: nothing.
     fn problem(&self) -> Option<Problem>;
 }

@@ -6,10 +6,9 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use posed_fusion::intrinsics::Intrinsics;
 use posed_motion::exercise::{Exercise, ExerciseError, columns_of};
-use posed_recording::atomic_file::AtomicFile;
-use posed_stage::Stage;
+use posed_recording::AtomicFile;
+use posed_stage::{Stage, read_intrinsics};
 use posed_stage::input::Model;
 use posed_stage::signals;
 
@@ -105,7 +104,7 @@ fn imus(stage: &Stage, folder: &Path) -> Result<Vec<Model>, ModelError> {
     paths.retain(|path| path.extension().is_some_and(|extension| extension == "json"));
     paths.sort();
     let model = |path: &PathBuf| {
-        let intrinsics = Intrinsics::read(path).map_err(ModelError::Refused)?;
+        let intrinsics = read_intrinsics(path).map_err(ModelError::Refused)?;
         let unit = intrinsics.unit.clone().unwrap_or_default();
         let model = Model::Imu { unit, intrinsics: Box::new(intrinsics) };
         model.check().map_err(|reason| ModelError::File { path: path.clone(), reason })?;

@@ -27,7 +27,7 @@ pub enum PlaybackError {
     /// It cannot be played.
     #[error(transparent)]
     Play(#[from] PlayError),
-    /// The address does not serve.
+    /// The server cannot listen.
     #[error(transparent)]
     Bind(#[from] BindError),
     /// A thread could not be made.
@@ -44,11 +44,15 @@ pub struct Playback {
 }
 
 impl Playback {
-    /// Serves `recording` at `speed` times real time; `replay.list` and `replay.open` speak of its folder.
-    /// Needs a tokio runtime.
+    /// Serves `recording` at `speed` times real time (0 is a pause, infinity as fast as it goes); `replay.list` and `replay.open`
+    /// speak of its folder. `listen`: `HOST:PORT` instead of the one in the recording's stage file. VRPN, VMC and LSL are not
+    /// served.
     ///
     /// # Errors
-    /// The recording cannot be read or played, or the address does not serve.
+    /// The recording cannot be read or played, or the address does not serve; see [`PlaybackError`].
+    ///
+    /// # Panics
+    /// Outside a tokio runtime with IO.
     pub fn start(recording: &Path, listen: Option<String>, speed: f64) -> Result<Self, PlaybackError> {
         super::limits::raise();
         let folder = match recording.parent() {
@@ -96,17 +100,17 @@ impl Playback {
         Ok(Self { service, status, commands, player })
     }
 
-    /// What to open in a browser.
+    /// The address to open in a browser, as [`Daemon::url`](super::Daemon::url).
     pub fn url(&self) -> &str {
         self.service.url()
     }
 
-    /// The newest status.
+    /// The newest status: about one a second; empty before the first.
     pub fn status(&self) -> watch::Receiver<Status> {
         self.status.clone()
     }
 
-    /// Ends everything; clients are notified of the end.
+    /// Ends everything; clients are notified of the end. Takes less than five seconds.
     pub async fn shutdown(self) {
         let _ = self.commands.send(Command::Shutdown);
         self.service.shutdown(self.player).await;

@@ -19,7 +19,7 @@ use super::server::{Hub, PendingCall, Refusal};
 use super::track;
 use posed_pipeline::Pipeline;
 use posed_protocol::{Answer, Call, Recordings, ReplayStatus, Started, Status};
-use posed_recording::{Item, Outline, ReadError, Reader, machine};
+use posed_recording::{Item, Machine, MachineError, Outline, ReadError, Reader};
 use posed_stage::Stage;
 use posed_stage::input::Entry;
 
@@ -101,7 +101,7 @@ impl Player {
     ) -> Result<Self, PlayError> {
         let Outlet { clock, hub, jobs, status } = outlet;
         let playing = Playing::open(played, None, speed, clock.now())?;
-        let stage = Stage::parse(&playing.reader.header().stage_toml).map_err(machine::MachineError::from)?;
+        let stage = Stage::parse(&playing.reader.header().stage_toml).map_err(MachineError::from)?;
         let health = Health::new(&stage);
         Ok(Self { clock, commands, hub, jobs, status, folder, stage, health, playing, seeking: None })
     }
@@ -285,7 +285,7 @@ impl Playing {
     /// Opens a recording at its beginning; on the stage of a running server, where that has one.
     fn open(played: Played, server: Option<&Stage>, speed: f64, now: Timestamp) -> Result<Self, PlayError> {
         let reader = Reader::open(&played.path)?;
-        let (stage, machine) = machine::Machine::as_recorded(reader.header())?;
+        let (stage, machine) = Machine::as_recorded(reader.header())?;
         let names =
             |stage: &Stage| stage.sensors.iter().map(|sensor| sensor.name.clone()).collect::<Vec<_>>();
         if let Some(server) = server
@@ -361,7 +361,7 @@ pub enum PlayError {
     Read(#[from] ReadError),
     /// It cannot be replayed.
     #[error(transparent)]
-    Machine(#[from] machine::MachineError),
+    Machine(#[from] MachineError),
     /// Clients know other sensors.
     #[error(
         "that recording was made on stage {stage:?} with other sensors; end this replay and open it with `posed replay`"

@@ -155,7 +155,7 @@ impl PortTask {
     }
 }
 
-/// Waits for the daemon's end.
+/// Waits until `shutdown` turns true or its sender is gone: the daemon's end.
 pub async fn ended(shutdown: &mut watch::Receiver<bool>) {
     // The sender outlives every task; without it, the daemon is gone too.
     let _ = shutdown.wait_for(|&down| down).await;

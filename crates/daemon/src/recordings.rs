@@ -18,7 +18,7 @@ pub enum FindError {
         /// What the system said.
         error: io::Error,
     },
-    /// There is none of that name.
+    /// There is no recording of that name.
     #[error("name: there is no recording {0:?}; replay.list names them")]
     Unknown(String),
 }
@@ -32,10 +32,10 @@ impl From<FindError> for Refusal {
     }
 }
 
-/// The recording of that name in a folder.
+/// Path of the recording of that name in a folder; `name` is the file's name as [`list`] gives it, and never leads elsewhere.
 ///
 /// # Errors
-/// There is none, or the folder cannot be read.
+/// There is none of that name, or the folder cannot be read.
 pub fn find(folder: &Path, name: &str) -> Result<PathBuf, FindError> {
     if list(folder)?.iter().any(|known| known == name) {
         Ok(folder.join(name))
@@ -44,7 +44,7 @@ pub fn find(folder: &Path, name: &str) -> Result<PathBuf, FindError> {
     }
 }
 
-/// Names of the recordings in a folder, in order; none where there is no folder yet.
+/// Names of the files in a folder that end in `.mcap`, in order; none where there is no folder yet. Nothing is opened.
 ///
 /// # Errors
 /// The folder cannot be read.

@@ -1,7 +1,7 @@
 //! Levenberg-Marquardt over a [`Problem`], and what held-out blocks say about its result.
 
 use nalgebra::{DMatrix, DVector};
-use rayon::prelude::*;
+use posed_geometry::parallel::*;
 
 use super::model::Model;
 use super::problem::{Normal, Problem};

@@ -1,7 +1,7 @@
 //! Four numbers on a regular grid, looked up smoothly.
 
 use nalgebra::Vector3;
-use rayon::prelude::*;
+use posed_geometry::parallel::*;
 use serde::{Deserialize, Serialize};
 
 use super::patch::Patch;

@@ -1,6 +1,5 @@
 //! A field map: a calibration, as its file holds it.
 
-use std::path::Path;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -100,21 +99,19 @@ pub(crate) fn coarse(hull: &Hull) -> Shape {
 }
 
 impl FieldMap {
-    /// Reads a map file (JSON) and checks it. A map that was refused is read as well.
+    /// Takes the contents of a map file (JSON) and checks them. A map that was refused is read as well.
     ///
     /// # Errors
-    /// One sentence with the path: the file cannot be read, is no field map, is of another version, or its numbers do
-    /// not fit together.
-    pub fn read(path: &Path) -> Result<Self, String> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| format!("cannot read {}: {error}", path.display()))?;
-        let map: Self = serde_json::from_str(&text)
-            .map_err(|error| format!("{} is no field map: {error}", path.display()))?;
+    /// A phrase that follows the name of the file: it is no field map, is of another version, or its numbers do not fit
+    /// together.
+    pub fn from_json(text: &[u8]) -> Result<Self, String> {
+        let map: Self =
+            serde_json::from_slice(text).map_err(|error| format!("is no field map: {error}"))?;
         if map.version != VERSION {
             let found = map.version;
-            return Err(format!("{} is of version {found}; this program reads {VERSION}", path.display()));
+            return Err(format!("is of version {found}; this program reads {VERSION}"));
         }
-        map.check().map_err(|reason| format!("{} is no field map: {reason}", path.display()))?;
+        map.check().map_err(|reason| format!("is no field map: {reason}"))?;
         Ok(map)
     }
 

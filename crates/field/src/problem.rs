@@ -6,7 +6,7 @@
 //! sensors on either side of a joint of a body: the joint's place is unknown, but both must put it there.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
-use rayon::prelude::*;
+use posed_geometry::parallel::*;
 
 use super::model::metal::{Metal, SOURCE_PARAMETERS};
 use super::model::rotation::by_metal;

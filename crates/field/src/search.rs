@@ -4,7 +4,7 @@
 //! are then fitted in place and strength.
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
-use rayon::prelude::*;
+use posed_geometry::parallel::*;
 
 use super::fit::{Fit, fit};
 use super::model::metal::{Metal, times};

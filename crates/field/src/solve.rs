@@ -4,7 +4,7 @@
 //! estimate the spacing, or accept a map that it cannot show to be better on blocks that it has not seen.
 
 use nalgebra::{Isometry3, Vector3};
-use rayon::prelude::*;
+use posed_geometry::parallel::*;
 
 use super::anchors::{Anchor, LEAST_ANCHORS, dwells, judge, rigid};
 use super::coverage;

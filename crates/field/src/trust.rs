@@ -5,7 +5,7 @@
 //! the same reading; no map can distinguish them, but it can say so.
 
 use nalgebra::{Matrix3, Vector3};
-use rayon::prelude::*;
+use posed_geometry::parallel::*;
 
 use super::grid::{Grid, Shape};
 use super::hull::Hull;

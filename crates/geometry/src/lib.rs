@@ -17,6 +17,7 @@
 //! ```
 
 pub mod bytes;
+pub mod parallel;
 pub mod se3;
 pub mod so3;
 mod time;

@@ -6,9 +6,9 @@
 //!                                          └──> answers: KEY/status, KEY/recordings/**, KEY/ask/*
 //! ```
 //! In: what a stage publishes, with its stamps, and the entries of its input log, by [`connect`] in
-//! [`posed_daemon::Options::link`]. Out: the same under the stage's key. What is published is kept for a while and numbered, so that
-//! who has missed something asks for it. [`Hub`] takes it on another machine and shows it. Never: a wait of the fusion thread
-//! or of the distributor, or a change at a stage by another machine.
+//! [`posed_daemon::Options::link`]. Out: the same under the stage's key. What is published is kept for a while and numbered, so
+//! that who has missed something asks for it. [`Hub`] takes it on another machine and shows it. Never: a wait of the fusion
+//! thread or of the distributor, or a change at a stage by another machine.
 
 mod answers;
 mod feed;
@@ -22,5 +22,5 @@ mod wire;
 pub use self::hub::{Hub, HubError, HubOptions};
 pub use self::link::connect;
 pub use self::session::LinkError;
-/// Of the version that stages and hubs speak.
+/// zenoh, of the version that stages and hubs speak.
 pub use zenoh;

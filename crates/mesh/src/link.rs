@@ -19,10 +19,11 @@ use super::wire::Keys;
 use posed_daemon::link::{Context, Link};
 use posed_protocol::Topic;
 
-/// Connects a stage as `[zenoh]` of its file specifies.
+/// Connects a stage as `[zenoh]` of its file specifies, or as that table's defaults do. Blocks while zenoh opens. Dropping the
+/// link's session takes the stage off zenoh and waits for its threads to end.
 ///
 /// # Errors
-/// As in [`LinkError`].
+/// A [`LinkError`].
 pub fn connect(context: Context<'_>) -> zenoh::Result<Link> {
     Ok(Threads::start(context)?)
 }

@@ -33,7 +33,7 @@ pub enum LinkError {
     /// An address does not serve.
     #[error("[zenoh]: cannot begin (listening on {ends:?}): {error}")]
     Open {
-        /// Addresses to listen on.
+        /// Addresses to listen on, joined by commas.
         ends: String,
         /// What zenoh said.
         error: zenoh::Error,

@@ -8,7 +8,7 @@ use posed_state::State;
 
 use crate::frame::Frame;
 use posed_fusion::body::{ANGLES, AngleSpread, Heading};
-use posed_fusion::chain::live::{ChainCalibration, LiveChain};
+use posed_fusion::chain::{ChainCalibration, LiveChain};
 use posed_geometry::orientation_to_wxyz;
 use posed_stage::Stage;
 use posed_stage::input::SensorIndex;

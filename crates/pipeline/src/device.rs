@@ -27,7 +27,7 @@ pub(super) struct SensorRoute {
 
 #[derive(Clone, Debug, posed_state::State)]
 pub(super) struct Device {
-    #[state(keep)]
+    #[state(same)]
     pub(super) name: String,
     pub(super) session: DeviceSession,
     /// By address.

@@ -115,7 +115,8 @@ impl FaultMapStage {
     }
 }
 
-/// The raw positions of some sensors of a frame, in device axes, m; NaN where there is none.
+/// Gives the raw position of each of these sensors (indices in the stage) in this frame to `take`, in their order: device axes,
+/// m; NaN where there is none, or no such sensor.
 pub fn raw_positions(estimate: &Estimate, sensors: &[usize], mut take: impl FnMut([f64; 3])) {
     for sensor in sensors {
         let measured = estimate.sensors.get(*sensor).and_then(|sensor| sensor.measured.as_ref());
@@ -123,7 +124,8 @@ pub fn raw_positions(estimate: &Estimate, sensors: &[usize], mut take: impl FnMu
     }
 }
 
-/// A position in transmitter axes turned z up, m: as fault maps see it.
+/// A position in transmitter axes turned z up, m: as fault maps see it. `room_transmitter` is transmitter to room, of which only
+/// the rotation counts: the origin stays at the transmitter. NaN stays NaN.
 pub fn upright(position_m: [f64; 3], room_transmitter: &Isometry3<f64>) -> [f64; 3] {
     (room_transmitter.rotation * Point3::from(position_m)).coords.into()
 }

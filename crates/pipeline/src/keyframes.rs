@@ -9,7 +9,7 @@ use posed_drivers::Timestamp;
 use posed_state::State;
 
 use super::PipelineError;
-use posed_motion::keyframes::track::Track;
+use posed_motion::keyframes::Track;
 use posed_motion::keyframes::{Detector, Event, Hinge, HingeSettings};
 use posed_stage::Stage;
 use posed_stage::input::SensorIndex;
@@ -25,6 +25,7 @@ const EVENTS: usize = 256;
 
 #[derive(Clone, Debug, State)]
 pub(super) struct Keyframes {
+    /// Without the rate, where the stage file does not say it.
     #[state(keep)]
     settings: HingeSettings,
     #[state(keep)]
@@ -74,15 +75,16 @@ impl Keyframes {
             frames: 0,
             events: Vec::with_capacity(EVENTS),
         };
-        if stage.frame_rate_hz.is_some() {
-            keyframes.begin();
+        if let Some(frame_rate_hz) = stage.frame_rate_hz {
+            keyframes.begin(frame_rate_hz);
         }
         Ok(Some(keyframes))
     }
 
     /// Makes the tracks, now that the rate is known.
-    fn begin(&mut self) {
-        let track = Track::new(Detector::new(Hinge::new(self.settings)));
+    fn begin(&mut self, frame_rate_hz: f64) {
+        let settings = HingeSettings { frame_rate_hz, ..self.settings };
+        let track = Track::new(Detector::new(Hinge::new(settings)));
         self.times = vec![Timestamp::ZERO; track.reach_frames() + 1];
         self.tracks = vec![track; self.watched.len()];
     }
@@ -97,8 +99,7 @@ impl Keyframes {
                 return;
             }
             let span_s = now.seconds_since(first);
-            self.settings.frame_rate_hz = f64::from(self.seen) / span_s.max(1e-3);
-            self.begin();
+            self.begin(f64::from(self.seen) / span_s.max(1e-3));
         }
         let count = self.times.len() as u64;
         self.times[(self.frames % count) as usize] = now;

@@ -73,29 +73,29 @@ use units::Units;
 /// A stage file that no pipeline can be made of, or a snapshot that does not fit it.
 #[derive(Debug, Error)]
 pub enum PipelineError {
-    /// A sensor names a device that is not there.
+    /// A sensor names a device that the stage does not have.
     #[error("sensor {sensor:?} belongs to device {device:?}, which the stage does not have")]
     UnknownDevice {
-        /// The sensor.
+        /// The sensor, by name.
         sensor: String,
-        /// The name it gives.
+        /// The name that its key `device` gives.
         device: String,
     },
-    /// A driver refuses its settings.
+    /// A driver refuses its settings, or the addresses of its sensors.
     #[error("device {device:?}: {source}")]
     Settings {
-        /// The device.
+        /// The device, by name.
         device: String,
-        /// What the driver expects.
+        /// The key that is wrong, and what the driver expects.
         source: posed_drivers::flock::SettingsError,
     },
-    /// Two IMUs sit on one segment.
+    /// Two IMUs sit on one segment of the human skeleton.
     #[error("sensors {:?} and {:?} sit on the same segment: give each a `segment` of its own", sensors[0], sensors[1])]
     Worn {
-        /// The two.
+        /// The two, by name.
         sensors: [String; 2],
     },
-    /// A number that the pipeline cannot work with.
+    /// A value that the pipeline cannot work with, or one that it lacks.
     #[error("{key}: expected {expected}")]
     Value {
         /// The key in the stage file.
@@ -103,12 +103,13 @@ pub enum PipelineError {
         /// What it must be.
         expected: &'static str,
     },
-    /// The snapshot is not one, or of another version.
+    /// The snapshot is damaged, of another version of the program, or of a stage with other parts.
     #[error("the snapshot cannot be read: {0}")]
     Snapshot(#[from] posed_state::Damaged),
 }
 
-/// All stages from bytes to outcomes.
+/// All stages from bytes of devices to outcomes, as plain data: see the crate. Its estimates are causal: a frame knows what
+/// arrived until it closed.
 #[derive(Clone, Debug, State)]
 pub struct Pipeline {
     now: Timestamp,
@@ -148,10 +149,13 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
-    /// A pipeline for a stage, before its first input.
+    /// A pipeline for a stage, before its first input: time is the stage's epoch, no model is in use, not even those that the
+    /// stage file names. It opens no file.
     ///
     /// # Errors
-    /// The stage file contradicts itself.
+    /// All but [`PipelineError::Snapshot`]: a sensor of an unknown device, settings that a driver refuses, two IMUs on one
+    /// segment, a value out of its range, a name that no sensor has, sensors on a human body without `height_m`.
+    /// [`Stage::parse`] refuses most of it, but neither two IMUs on one segment nor the missing height.
     pub fn new(stage: &Stage) -> Result<Self, PipelineError> {
         let positive = |value: f64| value.is_finite() && value > 0.0;
         let check =
@@ -213,9 +217,10 @@ impl Pipeline {
         })
     }
 
-    /// Takes the next entry of the input log and returns all that follows from it.
+    /// Takes the next entry of the input log and gives all that follows from it to `say`, in order, before it returns.
     ///
-    /// Entries that name a device which the stage does not have are ignored.
+    /// Its time is the latest that an entry had: one that is earlier does not set it back. Of bytes and lines of a device that
+    /// the stage does not have, only the time is taken. Nothing can fail: what is wrong is counted ([`Self::status`]).
     pub fn push(&mut self, entry: &Entry, say: &mut impl FnMut(Output<'_>)) {
         self.now = self.now.max(entry.t);
         let now = self.now;
@@ -244,21 +249,25 @@ impl Pipeline {
         self.close_frames(say);
     }
 
-    /// When to push [`Input::Timer`] if nothing else comes.
+    /// Host time at which to push [`Input::Timer`] if nothing else comes before, possibly past already; `None`: nothing is due.
+    /// Ask again after every entry.
     pub fn poll_timeout(&self) -> Option<Timestamp> {
         let sessions = self.devices.iter().filter_map(|device| device.session.get().poll_timeout());
         sessions.chain(self.frames.poll_timeout(self.now)).min()
     }
 
-    /// All that has changed since the pipeline was made and the models swapped in: see [`posed_state`].
+    /// All that has changed since the pipeline was made and the models swapped in, as bytes for [`Self::restore`]: see
+    /// [`posed_state`]. Neither the stage nor the models are in it.
     pub fn snapshot(&self) -> Vec<u8> {
         posed_state::snapshot(self)
     }
 
-    /// A pipeline that goes on from a snapshot taken on the same stage with the same models.
+    /// A pipeline that goes on from a snapshot taken on the same stage with the same models ([`Self::models`]): the same entries
+    /// give it the same outputs.
     ///
     /// # Errors
-    /// The bytes are no snapshot of this version, or of a stage with other devices, sensors or models.
+    /// As [`Self::new`]; [`PipelineError::Snapshot`] where the bytes are no snapshot of this version, or of a stage with other
+    /// devices, sensors or models as far as the bytes show it.
     pub fn restore(stage: &Stage, models: &LoadedModels, snapshot: &[u8]) -> Result<Self, PipelineError> {
         let mut pipeline = Self::new(stage)?;
         models.entries().for_each(|input| pipeline.push(&Entry { t: Timestamp::ZERO, input }, &mut |_| {}));
@@ -266,12 +275,12 @@ impl Pipeline {
         Ok(pipeline)
     }
 
-    /// The models in use.
+    /// The models in use: those of the log that were accepted, the newest of each kind.
     pub fn models(&self) -> &LoadedModels {
         &self.models
     }
 
-    /// What the pipeline has counted and measured.
+    /// What the pipeline has counted and measured until its last entry; a copy.
     pub fn status(&self) -> PipelineStatus {
         PipelineStatus {
             devices: self.devices.iter().map(|device| device.status(&self.sources)).collect(),
@@ -458,10 +467,11 @@ impl Pipeline {
         }
     }
 
-    /// Whether a request can be carried out now; [`Input::Request`] then does.
+    /// Whether a request about exercises can be carried out now; [`Input::Request`] then does.
     ///
     /// # Errors
-    /// A sentence about what stands against it.
+    /// A sentence about what stands against it. Requests about the field are refused here in any case; [`Self::push`] carries
+    /// them out all the same.
     pub fn check_request(&self, request: &Request) -> Result<(), String> {
         self.exercise.check(request)
     }
@@ -538,19 +548,22 @@ impl Pipeline {
         accepted
     }
 
-    /// The newest record of a magnetic sensor that was believed in the last frame: capture time, and sensor to transmitter,
-    /// corrected. `None` where none was, or none that is a whole pose.
+    /// The newest record of a magnetic sensor that was believed in the last frame: capture time, and sensor to transmitter, m,
+    /// corrected by the field's map. A measurement, not filtered. `None` where none was believed, or none that is a whole pose,
+    /// and for IMUs and sensors that the stage does not have.
     pub fn estimated_pose(&self, sensor: SensorIndex) -> Option<(Timestamp, Isometry3<f64>)> {
         let believed = self.sensors.get(usize::from(sensor))?.estimated_pose()?;
         Some((believed.t, believed.pose))
     }
 
-    /// The IMU on each segment of the body, as far as it is known by now.
+    /// The IMU on each segment of the human body, by `BodySegment::index`: as the stage file has it, or as the last mounting
+    /// found it. `None` where a segment wears none; all are without a human body.
     pub fn body_imus(&self) -> [Option<SensorIndex>; SEGMENTS] {
         self.body.as_ref().map_or([None; SEGMENTS], |body| *body.imus())
     }
 
-    /// Which unit is the sensor now: the serial number that its device reports, or else the stage file, or else its name.
+    /// Which unit is the sensor now: the serial number that its device reports, or else that of the stage file, or else its name.
+    /// `None` where the stage has no such sensor.
     pub fn unit(&self, sensor: SensorIndex) -> Option<&str> {
         let known = self.sensors.get(usize::from(sensor))?;
         let owner = &self.devices[usize::from(known.device())];
@@ -563,7 +576,8 @@ impl Pipeline {
         Some(at.next().map_or_else(alone, |address| owner.unit(address, known)))
     }
 
-    /// Where the transmitter stands in the room.
+    /// Where the transmitter stands: transmitter to room, m. By the latest `Model::Transmitter`, else by
+    /// `transmitter.pose_in_room` of the stage file, else the identity.
     pub fn room_transmitter(&self) -> &Isometry3<f64> {
         &self.room_transmitter
     }

@@ -29,7 +29,7 @@ enum Kind {
 
 #[derive(Clone, Debug, State)]
 pub(super) struct Sensor {
-    #[state(keep)]
+    #[state(same)]
     name: String,
     /// Serial number that the stage file asks for.
     #[state(keep)]

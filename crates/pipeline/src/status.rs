@@ -5,40 +5,41 @@ use posed_drivers::{Counters, State, Timestamp};
 use posed_fusion::faults::Cause;
 use posed_stage::input::SensorIndex;
 
-/// Counts and measured rates; a copy.
+/// Counts since the pipeline was made (a restored one goes on with those of its snapshot), and measured rates; a copy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PipelineStatus {
-    /// In the stage's order.
+    /// One per device, in the stage's order.
     pub devices: Vec<DeviceStatus>,
-    /// In the stage's order.
+    /// One per sensor, in the stage's order.
     pub sensors: Vec<SensorStatus>,
-    /// The body; absent where nobody wears the sensors.
+    /// The body, human or a chain of hinges; absent where nobody wears the sensors.
     pub body: Option<BodyStatus>,
-    /// Models that were not swapped in: not finite, or of an unknown device.
+    /// Models and networks that were not swapped in: their numbers are wrong, or they speak of what the stage does not have.
     pub models_refused: u64,
-    /// Requests that could not be carried out.
+    /// Requests that could not be carried out; they changed nothing.
     pub requests_refused: u64,
 }
 
-/// The body.
+/// What is known of the body that wears the sensors.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BodyStatus {
-    /// Whether it is known how the sensors sit; without, there is no body.
+    /// Whether it is known how the sensors sit, given or by calibration; without, no body is published.
     pub mounted: bool,
-    /// Sensors that are faulty, with their segments.
+    /// Sensors that are faulty in the latest body, each with the name of its segment and why; none on a chain of hinges.
     pub faults: Vec<(SensorIndex, &'static str, Cause)>,
 }
 
-/// One device.
+/// What is known of one device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceStatus {
     /// What its session is doing.
     pub state: State,
-    /// Measured rate of its cycles, Hz, once known.
+    /// Measured rate of its cycles, Hz, on the host's clock; absent before it is known, while the device does not stream, and
+    /// for devices without cycles. Of units with clocks of their own, that of the first that is known.
     pub rate_hz: Option<f64>,
-    /// Records, rejected ones, skipped bytes.
+    /// Records, rejected ones, skipped bytes, as its session counts them; never reset.
     pub counters: Counters,
-    /// Clock model, once there is one.
+    /// Clock model; absent as [`Self::rate_hz`] is.
     pub clock: Option<ClockStatus>,
 }
 
@@ -47,19 +48,19 @@ pub struct DeviceStatus {
 pub struct ClockStatus {
     /// Measured interval of its cycles on the host's clock, s.
     pub period_s: f64,
-    /// Standard deviation of its capture times, s.
+    /// Standard deviation of its latest capture time, s: an estimate of the model itself.
     pub sigma_t_s: f64,
 }
 
-/// One sensor.
+/// What was received of one sensor, and what is missing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SensorStatus {
-    /// Samples received.
+    /// Samples that came into frames, whatever their state.
     pub samples: u64,
-    /// Capture time of the newest one.
+    /// Capture time of the newest one; absent before the first.
     pub newest: Option<Timestamp>,
-    /// Expected samples that were not published as `ok`.
+    /// Expected samples that did not come, and frames whose samples were not published as `ok`.
     pub lost: u64,
-    /// Part of `lost` comes from the time that passed: nothing on the line tells how many samples there were.
+    /// Part of `lost` comes from the time that passed: nothing on the line shows how many samples there were.
     pub estimated: bool,
 }

@@ -1,7 +1,7 @@
 //! Data messages as bytes: a body that clients share, and a head of their own in front of it.
 //!
-//! A body is a complete map without `type`, `seq` and `dropped`; [`message`] puts these three first and takes the rest
-//! over as it is. Nothing is serialised a second time.
+//! A body is a complete map without `type`, `seq` and `dropped`; [`message`] puts these three first, with `stage` for a client of
+//! a hub, and takes the rest over as it is. Nothing is serialised a second time.
 
 use serde::{Deserialize, Serialize};
 
@@ -42,7 +42,7 @@ pub enum Payload<'a> {
 }
 
 impl<'a> Payload<'a> {
-    /// What clients receive of an output, if anything.
+    /// What clients receive of an output; `None` for bytes to devices, their states and warnings, and what only the daemon uses.
     pub fn of(output: &Output<'a>) -> Option<Self> {
         match *output {
             Output::Estimate(estimate) => Some(Self::Estimate(estimate)),
@@ -58,7 +58,7 @@ impl<'a> Payload<'a> {
         }
     }
 
-    /// Where it is published.
+    /// The topic that it is published on.
     pub fn topic(&self) -> Topic {
         match self {
             Self::Estimate(_) => Topic::Sensors,
@@ -80,7 +80,9 @@ impl<'a> Payload<'a> {
     }
 }
 
-/// Appends the body of a message to `out`.
+/// Appends the body of a message to `out`, in the view's encoding: to be completed by [`message`]. Numbers are rounded to the
+/// stated resolution, `t_s` is the time of `stamp`. The view's sensors and fields count for `sensors` and `truth` alone; a sensor
+/// of the view that the frame lacks is `missing`. An event whose stamp has no number gets 0.
 pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, out: &mut Vec<u8>) {
     let encoding = view.encoding;
     match *payload {
@@ -166,7 +168,11 @@ pub struct Head<'a> {
     pub dropped: u64,
 }
 
-/// Appends a whole message to `out`: the client's head and the shared body.
+/// Appends a whole message to `out`: the client's head and the shared body, which [`body()`] wrote in the same encoding. An empty
+/// body makes no message.
+///
+/// # Panics
+/// In debug builds, where a MessagePack body is no map of twelve keys or fewer.
 pub fn message(encoding: Encoding, head: Head<'_>, body: &[u8], out: &mut Vec<u8>) {
     use std::io::Write;
     let Head { stage, topic, seq, dropped } = head;
@@ -210,7 +216,11 @@ fn push_text(text: &str, out: &mut Vec<u8>) {
     out.extend_from_slice(text.as_bytes());
 }
 
-/// A message without a shared body: `hello`, replies.
+/// The bytes of a message without a shared body: `hello`, replies. Empty where the encoding cannot hold it, which none of our own
+/// types is.
+///
+/// # Panics
+/// In debug builds, where the encoding cannot hold it.
 pub fn whole<T: Serialize>(encoding: Encoding, message: &T) -> Vec<u8> {
     let mut out = Vec::new();
     write(encoding, message, &mut out);

@@ -1,7 +1,7 @@
 //! What Lab Streaming Layer receives: poses, joint angles and events as three streams.
 //!
-//! What comes in: frames, bodies, messages of events. What goes out: the streams' names and channels, and samples with their capture time. What it
-//! never does: call liblsl (`posed_daemon` does), or fill a gap: what is not good is not a number.
+//! What comes in: frames, bodies, messages of events. What goes out: the streams' names and channels, and samples with their
+//! capture time. What it never does: call liblsl (`posed_daemon` does), or fill a gap: what is not good is not a number.
 
 use posed_drivers::Timestamp;
 
@@ -29,29 +29,29 @@ pub struct Stream {
 /// One number of a stream, in the words of the XDF meta-data.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Channel {
-    /// Its name.
+    /// Its name: `SENSOR_x` and so on to `SENSOR_qw`, or `JOINT_ANGLE`.
     pub label: String,
-    /// What it is.
+    /// What it is: `PositionX` to `PositionZ`, `OrientationX` to `OrientationW`, or `JointAngle`.
     pub kind: &'static str,
-    /// Its unit.
+    /// Its unit: `meters`, `quaternion` (a component, without unit) or `degrees`.
     pub unit: &'static str,
 }
 
-/// Something to be reported.
+/// One sample of one stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
     /// Which stream, by its place in [`Streams::list`].
     pub stream: usize,
     /// Capture time of poses and angles, stream time at which an event was decided.
     pub t: Timestamp,
-    /// What.
+    /// Its numbers or its text.
     pub data: Data,
 }
 
 /// What a sample holds.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Data {
-    /// One number per channel; NaN where it is not good.
+    /// One number per channel, in the order of the channels; NaN where it is not good.
     Numbers(Vec<f64>),
     /// An event: its message in JSON.
     Text(String),
@@ -93,12 +93,14 @@ impl Streams {
         Self { list, sensors: names.sensor_count(), angles, poses_at, angles_at, events_at }
     }
 
-    /// What to offer.
+    /// What to offer: poses, joint angles, events, in this order; events alone are always there.
     pub fn list(&self) -> &[Stream] {
         &self.list
     }
 
-    /// A frame.
+    /// The poses of a frame: of each sensor, in the stage file's order, its position in the room, m, and its orientation, sensor
+    /// to room, a quaternion with its scalar last. NaN where a pose may not be used as good, and for the position of a sensor
+    /// that measures none. `None` on a stage without sensors.
     pub fn frame(&self, estimate: &Estimate) -> Option<Sample> {
         let mut numbers = vec![f64::NAN; PER_SENSOR * self.sensors];
         for (numbers, sensor) in numbers.chunks_mut(PER_SENSOR).zip(&estimate.sensors) {
@@ -112,14 +114,14 @@ impl Streams {
         Some(Sample { stream: self.poses_at?, t: estimate.t_valid, data: Data::Numbers(numbers) })
     }
 
-    /// Joint angles, degrees.
+    /// Joint angles of a body, degrees; NaN where one is not known. `None` on a stage whose sensors show no joint angle.
     pub fn body(&self, body: &Body) -> Option<Sample> {
         let degrees = |angle: &usize| body.angles_rad[*angle].map_or(f64::NAN, f64::to_degrees);
         let numbers = self.angles.iter().map(degrees).collect();
         Some(Sample { stream: self.angles_at?, t: body.t_valid, data: Data::Numbers(numbers) })
     }
 
-    /// An event, by the message that our own clients get.
+    /// An event: `json` is the message that our own clients get, `stamp` has its time.
     pub fn event(&self, stamp: &Stamp, json: String) -> Sample {
         Sample { stream: self.events_at, t: stamp.t(), data: Data::Text(json) }
     }

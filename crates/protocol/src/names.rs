@@ -35,32 +35,32 @@ impl Names {
         }
     }
 
-    /// The body's segments, where the sensors are worn.
+    /// Segments and angles of the body that wears the sensors; `None` on a stage without one.
     pub fn body(&self) -> Option<&BodyLayout> {
         self.body.as_ref()
     }
 
-    /// A device's name.
+    /// A device's name; empty for an index that the stage does not have.
     pub fn device(&self, device: DeviceIndex) -> &str {
         self.devices.get(usize::from(device)).map_or("", String::as_str)
     }
 
-    /// A sensor's name.
+    /// A sensor's name; empty for an index that the stage does not have.
     pub fn sensor(&self, sensor: SensorIndex) -> &str {
         self.sensors.get(usize::from(sensor)).map_or("", |sensor| &sensor.name)
     }
 
-    /// Whether a sensor is a magnetic tracker's.
+    /// Whether a sensor is a magnetic tracker's; `false` for an index that the stage does not have.
     pub fn is_magnetic(&self, sensor: SensorIndex) -> bool {
         self.sensors.get(usize::from(sensor)).is_some_and(|sensor| sensor.magnetic)
     }
 
-    /// Name of the device that a sensor belongs to.
+    /// Name of the device that a sensor belongs to; empty for an index that the stage does not have.
     pub fn device_of(&self, sensor: SensorIndex) -> &str {
         self.sensors.get(usize::from(sensor)).map_or("", |sensor| &sensor.device)
     }
 
-    /// The sensor of that name.
+    /// Index of the sensor of that name; `None` where the stage has none.
     pub fn find_sensor(&self, name: &str) -> Option<SensorIndex> {
         let at = self.sensors.iter().position(|sensor| sensor.name == name)?;
         SensorIndex::try_from(at).ok()
@@ -71,7 +71,7 @@ impl Names {
         self.sensors.len()
     }
 
-    /// Name and device of every sensor, in order.
+    /// Name and device's name of every sensor, in the order of their indices.
     pub fn sensors(&self) -> impl ExactSizeIterator<Item = (&str, &str)> {
         self.sensors.iter().map(|sensor| (sensor.name.as_str(), sensor.device.as_str()))
     }

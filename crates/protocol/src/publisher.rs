@@ -12,27 +12,27 @@ use posed_stage::Stage;
 /// When and as which event a payload is published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stamp {
-    /// Where.
+    /// The topic it is published on.
     pub topic: Topic,
     /// Time of the message in microseconds since the stage's epoch; rises strictly within the topic.
     pub t_us: i64,
-    /// Stage-wide number, for events.
+    /// Stage-wide number of an event, from 1; `None` for states.
     pub event_id: Option<u64>,
 }
 
 impl Stamp {
-    /// Time of the message, s.
+    /// Time of the message since the stage's epoch, s.
     pub fn t_s(&self) -> f64 {
         round::seconds(self.t_us)
     }
 
-    /// Time of the message.
+    /// Time of the message since the stage's epoch, to the microsecond.
     pub fn t(&self) -> Timestamp {
         Timestamp::from_nanos(self.t_us.saturating_mul(1000))
     }
 }
 
-/// Numbers given out so far.
+/// Numbers given out so far: of events, and the newest time of each topic. The default has given out none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counters {
     events: u64,
@@ -40,7 +40,9 @@ pub struct Counters {
 }
 
 impl Counters {
-    /// Stamps a payload: the next event number, and its time, moved up to keep it rising.
+    /// Stamps a payload: the next event number, and its time, moved up to keep it rising by 1 µs at least within the topic. The
+    /// time is the capture time of frames, bodies and ground truth, the stream time at which an event was decided, the host time
+    /// of `status` and `jobs`; to the nearest microsecond.
     pub fn stamp(&mut self, payload: &Payload<'_>) -> Stamp {
         let topic = payload.topic();
         let t_us = match payload {
@@ -61,7 +63,7 @@ impl Counters {
         Stamp { topic, t_us, event_id }
     }
 
-    /// Goes on after a stamp that was given elsewhere.
+    /// Goes on after a stamp that was given elsewhere; one without an event number leaves the count of events.
     pub fn follow(&mut self, stamp: &Stamp) {
         self.last_t_us[stamp.topic.index()] = Some(stamp.t_us);
         if let Some(event_id) = stamp.event_id {
@@ -104,7 +106,7 @@ pub struct PublisherState {
 }
 
 impl Publisher {
-    /// Starts counting; `fields` are those of `sensors` and `truth`.
+    /// Starts counting, for all sensors of a stage; `fields` are those of `sensors` and `truth`.
     pub fn new(stage: &Stage, fields: Fields) -> Self {
         Self {
             names: Names::new(stage),
@@ -121,7 +123,7 @@ impl Publisher {
         PublisherState { counters: self.counters, seq: self.seq }
     }
 
-    /// Goes on from a stored state.
+    /// Goes on from a stored state; stage and fields stay those of [`Publisher::new`].
     pub fn restore(&mut self, state: PublisherState) {
         self.counters = state.counters;
         self.seq = state.seq;
@@ -132,14 +134,15 @@ impl Publisher {
         self.counters.last_event_id()
     }
 
-    /// Counts a payload without writing it: while nothing records.
+    /// Counts a payload without writing it, and returns its stamp: while nothing records.
     pub fn skip(&mut self, payload: &Payload<'_>) -> Stamp {
         let stamp = self.counters.stamp(payload);
         self.seq[stamp.topic.index()] += 1;
         stamp
     }
 
-    /// Writes the message of a payload; the bytes stay valid until the next call.
+    /// Writes the message of a payload; returns its stamp and the message, JSON text whose `dropped` is 0. The bytes stay valid
+    /// until the next call.
     pub fn publish(&mut self, payload: &Payload<'_>) -> (Stamp, &[u8]) {
         let stamp = self.counters.stamp(payload);
         let seq = &mut self.seq[stamp.topic.index()];

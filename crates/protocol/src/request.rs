@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::{Encoding, Field, Topic};
-use posed_fusion::body::guide::Thoroughness;
+use posed_fusion::body::Thoroughness;
 use posed_fusion::faults::Class;
 use posed_stage::input::Model;
 
@@ -260,7 +260,7 @@ pub enum Call {
 }
 
 impl Call {
-    /// Whether it needs the role `operate`.
+    /// Whether it needs the role `operate`: all do but `replay.list`, `replay.track` and `exercise.list`.
     pub fn changes_something(&self) -> bool {
         !matches!(self, Self::ReplayList {} | Self::ReplayTrack { .. } | Self::ExerciseList {})
     }
@@ -334,11 +334,11 @@ pub enum SpeedWord {
 /// Why a client's message is no request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ParseError {
-    /// The request's id, where that much could be read.
+    /// The request's id; `None` where not even that could be read.
     pub id: Option<RequestId>,
-    /// For programs.
+    /// For programs: `bad_message`, `bad_request` or `unknown_type`.
     pub code: &'static str,
-    /// For people.
+    /// For people: what is wrong, in one sentence.
     pub message: String,
 }
 
@@ -370,10 +370,13 @@ const CALLS: [&str; 23] = [
 ];
 const LONGEST_ID: usize = 64;
 
-/// Reads one message of a client: a flat map with `type` and `id`.
+/// Reads one message of a client: a flat map with `type` and `id`, whole in `bytes`. Whether names and numbers in it make sense
+/// on the stage is not looked at.
 ///
 /// # Errors
-/// Reports why it is none, with the request's id where there is one.
+/// Reports why it is none, with the request's id where there is one: `bad_message` is no JSON or MessagePack or no map,
+/// `bad_request` has no `id` or `type` that serves or keys that do not fit its type, `unknown_type` is a request that this
+/// version does not have.
 pub fn parse(encoding: Encoding, bytes: &[u8]) -> Result<(RequestId, Request), ParseError> {
     let refuse = |id: Option<&RequestId>, code, message| ParseError { id: id.cloned(), code, message };
     let value: Value = match encoding {
@@ -437,6 +440,9 @@ fn shortened(text: &str) -> String {
 }
 
 /// Body of the fuzz target: bytes of a client in either encoding, and what can be read is written and read again.
+///
+/// # Panics
+/// What was read does not come back as the same request.
 pub fn fuzz_client_message(data: &[u8]) {
     for encoding in [Encoding::Json, Encoding::MessagePack] {
         let Ok((id, request)) = parse(encoding, data) else { continue };

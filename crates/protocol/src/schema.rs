@@ -47,7 +47,7 @@ pub fn json_schema() -> Value {
     })
 }
 
-/// JSON Schema of one topic's messages, self-contained, for recordings and viewers: of the plain kind that viewers read.
+/// JSON Schema of one topic's messages as text, self-contained, for recordings and viewers: of the plain kind that viewers read.
 pub fn of_topic(topic: Topic) -> String {
     let mut generator = SchemaSettings::draft2020_12().for_serialize().into_generator();
     let schema = match topic {
@@ -72,7 +72,7 @@ pub fn of_topics() -> Vec<(&'static str, String)> {
     Topic::ALL.into_iter().map(|topic| (topic.name(), of_topic(topic))).collect()
 }
 
-/// TypeScript types of the same messages.
+/// TypeScript types of the messages of [`json_schema`], as the text of a file.
 pub fn typescript() -> String {
     typescript::from_schema(&json_schema())
 }

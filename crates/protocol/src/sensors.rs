@@ -86,7 +86,7 @@ pub struct View {
     pub encoding: Encoding,
     /// What is said of each sensor.
     pub fields: Fields,
-    /// Which sensors, ascending; `None` is all.
+    /// Indices of the sensors, ascending; `None` is all.
     pub sensors: Option<Box<[SensorIndex]>>,
 }
 

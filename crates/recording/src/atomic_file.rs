@@ -29,7 +29,7 @@ impl AtomicFile {
     /// Begins to write what will become `path`.
     ///
     /// # Errors
-    /// The folder does not exist or may not be written to.
+    /// The folder does not exist or may not be written to, or `path` names no file.
     pub fn create(path: &Path) -> io::Result<Self> {
         // Through a link, so that the link stays and its target is replaced.
         let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
@@ -55,7 +55,7 @@ impl AtomicFile {
         Ok(Self { file: BufWriter::new(target), path })
     }
 
-    /// Gives the file its name; it is on the disk before it does.
+    /// Gives the file its name, in the place of one that is there; its content is on the disk before that.
     ///
     /// # Errors
     /// The disk is full or the rename was refused; the old file is as it was.

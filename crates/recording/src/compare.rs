@@ -17,7 +17,7 @@ const NOT_REPLAYED: [&str; 2] = ["status", "jobs"];
 /// Keys of a message that differ from client to client.
 const PER_CLIENT: [&str; 2] = ["seq", "dropped"];
 
-/// Whether a replay must say the same on this topic.
+/// Whether a replay must say the same on this topic: on all but `status` and `jobs`, which depend on the wall clock and the load.
 pub fn is_replayed(topic: &str) -> bool {
     !NOT_REPLAYED.contains(&topic)
 }
@@ -46,10 +46,10 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Compares two messages; `line` is for the [`Difference`].
+    /// Compares two messages, JSON texts; `line` is for the [`Difference`]. `seq` and `dropped` do not count.
     ///
     /// # Errors
-    /// They differ.
+    /// The first place at which they differ.
     pub fn compare(&self, line: u64, expected: &[u8], got: &[u8]) -> Result<(), Box<Difference>> {
         if shared(expected) == shared(got) {
             return Ok(());
@@ -108,15 +108,16 @@ impl Golden<BufReader<File>> {
 }
 
 impl<R: BufRead> Golden<R> {
-    /// Compares with these lines.
+    /// Compares with these lines: one JSON message each, empty ones left out.
     pub fn new(lines: R, comparison: Comparison) -> Self {
         Self { lines, comparison, line: 0, text: String::new() }
     }
 
-    /// Holds the next message against the next line.
+    /// Holds the next message, JSON text, against the next line. A topic that is not replayed (see [`is_replayed`]) is passed
+    /// over, in the file too.
     ///
     /// # Errors
-    /// They differ, the file ends, or it cannot be read.
+    /// They differ, the file ends, it cannot be read, or a line of it is no message.
     pub fn message(&mut self, topic: &str, json: &[u8]) -> Result<(), GoldenError> {
         if !is_replayed(topic) {
             return Ok(());
@@ -130,7 +131,7 @@ impl<R: BufRead> Golden<R> {
         Ok(self.comparison.compare(self.line, self.text.as_bytes(), json)?)
     }
 
-    /// Reports that no message follows.
+    /// To be called when no message follows.
     ///
     /// # Errors
     /// The file holds more, or cannot be read.

@@ -20,7 +20,7 @@ pub enum ReadError {
     /// It is something else, or was cut before its front part was complete.
     #[error("this is no recording of posed: {0}")]
     NotARecording(String),
-    /// Bytes have changed since they were written.
+    /// Bytes have changed since they were written, or a channel holds what this version does not know.
     #[error(
         "the recording is damaged before byte {before_byte}: {reason}; `posed info --repair` saves what comes before"
     )]

@@ -24,8 +24,8 @@ pub enum Frame {
     Transmitter,
 }
 
-/// Writes every message of a recording, one line each, in order; the number of lines. `progress` receives the bytes
-/// of the recording read so far.
+/// Writes every published message of a recording as it is (JSON), one line each, in order; returns the number of lines.
+/// `progress` receives the bytes of the recording read so far.
 ///
 /// # Errors
 /// The recording cannot be read or the file cannot be written; nothing is left behind.
@@ -46,11 +46,14 @@ pub fn jsonl(recording: &Path, output: &Path, mut progress: impl FnMut(u64)) -> 
     Ok(lines)
 }
 
-/// Writes the filtered poses of a recording with a column `state`; the number of rows. `progress` receives the bytes
-/// of the recording read so far.
+/// Writes the filtered poses of a recording as CSV; returns the number of rows. Columns: `t` (capture time, s), `sensor`, `x,y,z`
+/// (m), `qw,qx,qy,qz` (sensor to `frame`) and `state`; a row for every sensor with a pose in a `sensors` message, suspect ones
+/// too. For [`Frame::Transmitter`] poses are taken back from the room by where the transmitter stood at that time. `progress`
+/// receives the bytes of the recording read so far.
 ///
 /// # Errors
-/// The recording cannot be read or the file cannot be written; nothing is left behind.
+/// The recording cannot be read, for transmitter axes its stage file does not fit this version, or the file cannot be written;
+/// nothing is left behind.
 pub fn csv(
     recording: &Path,
     output: &Path,

@@ -39,7 +39,7 @@ pub struct Header {
     pub sensors: Vec<String>,
     /// Models that were in use when the recording began.
     pub models: LoadedModels,
-    /// State at the beginning, for a recording begun mid-run.
+    /// State at the beginning, for a recording begun mid-run; `None` for one that begins with the run.
     pub snapshot: Option<Snapshot>,
 }
 
@@ -62,7 +62,8 @@ pub(super) struct Part {
 }
 
 impl Header {
-    /// Header of a recording that begins with the run of `stage`, read from `stage_toml`.
+    /// Header of a recording that begins with the run of `stage`, read from `stage_toml`; `epoch_utc_ns` is the UTC of its epoch,
+    /// ns since 1970. No models, no snapshot.
     pub fn new(stage: &Stage, stage_toml: &str, epoch_utc_ns: i64) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION").to_owned(),

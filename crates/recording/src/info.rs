@@ -31,13 +31,13 @@ pub struct Info {
     pub duration_s: f64,
     /// Whether it begins with a snapshot, that is in the middle of a run.
     pub mid_run: bool,
-    /// Size of the file.
+    /// Size of the file, bytes.
     pub bytes: u64,
-    /// The stage's devices.
+    /// The stage's devices, in the stage file's order.
     pub devices: Vec<DeviceInfo>,
-    /// Names of the stage's sensors.
+    /// Names of the stage's sensors, in the stage file's order.
     pub sensors: Vec<String>,
-    /// Number of entries and messages by topic.
+    /// Number of entries and messages by MCAP topic, up to the first damage; channels for viewers are not counted.
     pub topics: BTreeMap<String, u64>,
 }
 
@@ -56,7 +56,7 @@ impl Info {
     /// Reads a recording through; `progress` receives the bytes read so far.
     ///
     /// # Errors
-    /// It cannot be opened, or is no recording. Damage further on is not an error: [`Info::problem`] says it.
+    /// It cannot be opened or read, or is no recording. Damage further on is not an error: [`Info::problem`] says it.
     pub fn read(path: &Path, mut progress: impl FnMut(u64)) -> Result<Self, ReadError> {
         let mut reader = Reader::open(path)?;
         let header = reader.header().clone();

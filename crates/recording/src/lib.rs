@@ -35,28 +35,29 @@
 //! The last record is the metadata `posed.end`, whose `reason` states why the recording ended.
 
 pub mod animation;
-pub mod atomic_file;
-pub mod compare;
+mod atomic_file;
+mod compare;
 pub mod export;
-pub mod info;
-pub mod outline;
+mod info;
+mod outline;
 pub mod positions;
-pub mod reader;
+mod reader;
 mod records;
-pub mod repair;
-pub mod replay;
+mod repair;
+mod replay;
 pub mod table;
-pub mod writer;
+mod writer;
 
 mod ending;
 mod header;
-pub mod machine;
+mod machine;
 pub mod movement;
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;
 #[cfg(test)]
 mod tests;
 
+pub use atomic_file::AtomicFile;
 pub use compare::{Comparison, Difference, Golden, GoldenError, is_replayed};
 pub use ending::{Ending, ReadError};
 pub use header::{Header, Snapshot};
@@ -68,11 +69,12 @@ pub use repair::{RepairError, Repaired, repair};
 pub use replay::{Mapping, Replayable, Verdict, VerifyError, verify};
 pub use writer::{WriteError, Writer};
 
-/// Largest message, attachment or chunk that is written, and that a reader believes without having seen a
-/// file of that size, bytes.
+/// Largest message, attachment or chunk that is written, and that a reader believes without having seen a file of that size,
+/// bytes. A message or an attachment stays 2 MiB below, so that the chunk around it fits.
 pub const MAX_RECORD_BYTES: usize = 64 << 20;
 
-/// Whether a file is named like a recording (`.mcap`) rather than like a table.
+/// Whether a file is named like a recording (`.mcap`, in letters of either case) rather than like a table; the file is not looked
+/// at.
 pub fn is_recording(path: &std::path::Path) -> bool {
     path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"))
 }

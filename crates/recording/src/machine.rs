@@ -32,10 +32,10 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// As it was recorded: says the same messages again, byte for byte.
+    /// As it was recorded: says the same messages again, byte for byte. Returns the recorded stage too.
     ///
     /// # Errors
-    /// The recording's stage file or snapshot is of another version.
+    /// The recording's stage file or snapshot is of another version, or no pipeline can be made.
     pub fn as_recorded(header: &Header) -> Result<(Stage, Self), MachineError> {
         let stage = Stage::parse(&header.stage_toml)?;
         let mut publisher = Publisher::new(&stage, Fields::all());

@@ -29,11 +29,13 @@ pub enum MovementError {
     Animation(#[from] AnimationError),
 }
 
-/// Writes the body of a recording as an animation; the number of its frames. Segments that nothing showed stand as their
-/// parents do. `progress` receives the bytes of the recording read so far.
+/// Writes the body of a recording as an animation; returns the number of its `body` messages, which are its frames. Segments that
+/// nothing showed stand as their parents do. The hips are where the pelvis, or else the first segment with a position, puts them;
+/// without any position they are above the room's origin, with the lower foot on the floor. `progress` receives the bytes of the
+/// recording read so far.
 ///
 /// # Errors
-/// The recording cannot be read or holds no body, or the file cannot be written; nothing is left behind.
+/// The recording cannot be read, holds no body or only one frame of it, or the file cannot be written; nothing is left behind.
 pub fn animation(
     recording: &Path,
     output: &Path,

@@ -20,7 +20,7 @@ use super::reader::Reader;
 pub struct Outline {
     /// Stage time of its last entry or message.
     pub end: Timestamp,
-    /// Its MCAP topics.
+    /// Its MCAP topics; those for viewers only where they come from the index.
     pub topics: BTreeSet<String>,
 }
 

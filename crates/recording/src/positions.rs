@@ -8,7 +8,7 @@ use std::path::Path;
 use super::ending::ReadError;
 use super::machine::{Machine, MachineError};
 use super::reader::{Item, Reader};
-use posed_motion::fault_map::frames::Frames;
+use posed_motion::fault_map::Frames;
 use posed_pipeline::{raw_positions, upright};
 use posed_stage::output::Output;
 
@@ -23,10 +23,11 @@ pub enum PositionsError {
     Machine(#[from] MachineError),
 }
 
-/// Positions of all magnetic sensors in transmitter axes turned z up, frame by frame.
+/// Raw positions of all magnetic sensors in transmitter axes turned z up, m, frame by frame; NaN where a sensor sent none. Times
+/// are capture times, s. A torn recording gives what it has.
 ///
 /// # Errors
-/// The recording is damaged, or of another version.
+/// The recording cannot be read, is damaged, or is of another version.
 pub fn read(path: &Path) -> Result<Frames, PositionsError> {
     let mut reader = Reader::open(path)?;
     let (stage, machine) = Machine::as_recorded(reader.header())?;

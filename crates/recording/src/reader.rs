@@ -27,11 +27,11 @@ pub enum Item {
     Message(Message),
     /// Bytes that were sent to a device.
     Transmitted {
-        /// To whom.
+        /// To which device.
         device: DeviceIndex,
-        /// When.
+        /// Stage time at which they were sent.
         t: Timestamp,
-        /// What.
+        /// The bytes.
         bytes: Vec<u8>,
     },
 }
@@ -39,15 +39,16 @@ pub enum Item {
 /// A published message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Message {
-    /// Where, for example `sensors`.
+    /// The topic it was published on, for example `sensors`.
     pub topic: Arc<str>,
-    /// Time of the message.
+    /// Time of the message, stage time.
     pub t: Timestamp,
     /// The message, JSON text.
     pub json: Vec<u8>,
 }
 
-/// Iterates the items of a recording. After an error it ends.
+/// Iterates the items of a recording in the order in which they were written; channels for viewers are left out. After an error
+/// it ends.
 pub struct Reader<R> {
     records: Records<R>,
     header: Header,
@@ -75,10 +76,10 @@ enum Kind {
 }
 
 impl Reader<BufReader<File>> {
-    /// Opens a recording.
+    /// Opens a recording and reads its front part.
     ///
     /// # Errors
-    /// The file cannot be opened, or is no recording.
+    /// The file cannot be opened or read, or is no recording.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let file = File::open(path)?;
         let bytes = file.metadata()?.len();
@@ -119,12 +120,12 @@ impl<R: Read> Reader<R> {
         &self.header
     }
 
-    /// How it ends; known once the iterator has ended without an error.
+    /// How it ends; `None` until the iterator has ended without an error.
     pub fn ending(&self) -> Option<Ending> {
         if self.failed { None } else { self.records.ending }
     }
 
-    /// Why the recording was ended, in one sentence; known at its end, if it was ended in order.
+    /// Why the recording was ended, in one sentence; `None` before its end, and of one that was not ended in order.
     pub fn end_reason(&self) -> Option<&str> {
         self.end_reason.as_deref()
     }

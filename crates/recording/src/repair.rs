@@ -34,7 +34,7 @@ pub enum RepairError {
     /// There is nothing to save.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// Somebody is writing it.
+    /// Somebody is writing it: its file is locked.
     #[error("the recording is still being written; stop it first")]
     InUse,
     /// The new file could not be written.
@@ -48,7 +48,8 @@ impl From<io::Error> for RepairError {
     }
 }
 
-/// Completes the recording at `path`, in place; `progress` receives the bytes looked at so far.
+/// Completes the recording at `path`, in place: keeps what comes before the first damage, hole or break and gives it an index.
+/// `progress` receives the bytes looked at so far.
 ///
 /// # Errors
 /// It is no recording, it is being written, or the folder cannot be written to; it is as it was.

@@ -19,7 +19,7 @@ use posed_stage::input::{DeviceIndex, Entry, Input, SensorIndex};
 
 /// What can be replayed: the pipeline with its publisher.
 pub trait Replayable {
-    /// Takes the next entry and returns every message that follows from it: topic, time, JSON text.
+    /// Takes the next entry and gives `publish` every message that follows from it, in order: topic, stage time, JSON text.
     fn push(&mut self, entry: &Entry, publish: &mut dyn FnMut(&str, Timestamp, &[u8]));
 }
 
@@ -33,7 +33,7 @@ pub struct Mapping {
 }
 
 impl Mapping {
-    /// Maps a recording onto `stage`.
+    /// Maps a recording onto `stage`. Sensors that the stage does not have lose their ground truth, and are not named.
     pub fn new(header: &Header, stage: &Stage) -> Self {
         let index = |at: Option<usize>| at.and_then(|at| u16::try_from(at).ok());
         let device = |name: &String| index(stage.devices.iter().position(|device| device.name == *name));
@@ -46,7 +46,7 @@ impl Mapping {
         }
     }
 
-    /// The entry as the stage sees it; `None` for a device that it does not have.
+    /// The entry as the stage sees it, its device and sensors by the stage's indices; `None` for a device that it does not have.
     pub fn entry(&self, mut entry: Entry) -> Option<Entry> {
         match &mut entry.input {
             Input::Bytes { device, .. } | Input::Line { device, .. } => {
@@ -70,7 +70,7 @@ pub struct Verdict {
     pub entries: u64,
     /// Messages that were recorded and said again.
     pub messages: u64,
-    /// How the recording ends. A torn one may lack the messages of its last entries.
+    /// How the recording ends; always there. A torn one may lack the messages of its last entries.
     pub ending: Option<Ending>,
 }
 
@@ -80,13 +80,13 @@ pub enum VerifyError {
     /// The recording cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// The first message that the replay says differently.
+    /// The first message that the replay says differently, or that only one of the two has.
     #[error("the replay differs: {0}")]
     Different(#[from] Box<Difference>),
 }
 
-/// Replays a recording into `machine`, which stands as the recording began, and compares what it says with what
-/// was recorded.
+/// Replays a recording into `machine`, which stands as the recording began, and compares what it says with what was recorded,
+/// message by message, on all topics that are replayed (see [`is_replayed`]).
 ///
 /// # Errors
 /// The recording cannot be read, or a message differs.

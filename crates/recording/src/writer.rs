@@ -47,7 +47,7 @@ pub enum WriteError {
         /// How many the header names.
         devices: usize,
     },
-    /// A message or attachment above [`MAX_RECORD_BYTES`].
+    /// An entry, a message or an attachment of more than [`MAX_RECORD_BYTES`] less 2 MiB.
     #[error("{what} has {bytes} bytes; a recording holds at most {MAX_RECORD_BYTES} in one piece")]
     TooLarge {
         /// What.
@@ -84,7 +84,8 @@ impl From<McapError> for WriteError {
 
 /// Writes one recording.
 ///
-/// After an error nothing more is written; the file is a readable prefix.
+/// After an error of the sink, write nothing more: the file is a readable prefix. What is refused for its device or its size is
+/// left out, and the recording goes on without a hole.
 pub struct Writer<W: Write> {
     mcap: mcap::Writer<NoSeek<Counting<W>>>,
     header: Header,
@@ -115,7 +116,7 @@ impl<W: Write> Writer<W> {
     /// Begins a recording and flushes its front part.
     ///
     /// # Errors
-    /// The sink refuses, or a part of the header is too large.
+    /// The sink refuses, or a part of the header is too large or cannot be packed.
     pub fn new(sink: W, header: Header) -> Result<Self, WriteError> {
         let bytes = Arc::new(AtomicU64::new(0));
         let sink = Counting { sink, bytes: Arc::clone(&bytes) };
@@ -153,13 +154,14 @@ impl<W: Write> Writer<W> {
         })
     }
 
-    /// Gives the JSON Schema of a published topic; call it before the topic's first message.
+    /// Gives the JSON Schema of a published topic (`sensors`, not `/posed/sensors`); call it before the topic's first message,
+    /// for later it has no effect.
     pub fn declare(&mut self, topic: &str, json_schema: &str) {
         let schema = (format!("posed.{topic}"), json_schema.to_owned());
         self.schemas.insert(format!("/posed/{topic}"), schema);
     }
 
-    /// Appends a message of a channel that viewers know: it is for them, and no part of a replay.
+    /// Appends a message (JSON text, `t` in stage time) of a channel that viewers know: it is for them, and no part of a replay.
     ///
     /// # Errors
     /// The sink refuses, or the message is too large.
@@ -212,7 +214,7 @@ impl<W: Write> Writer<W> {
         Ok(())
     }
 
-    /// Appends a message as it was published.
+    /// Appends a message as it was published: its topic (`sensors`, not `/posed/sensors`), its stage time, its JSON text.
     ///
     /// # Errors
     /// The sink refuses, or the message is too large.
@@ -220,15 +222,15 @@ impl<W: Write> Writer<W> {
         self.write(Destination::Published(topic), t, None, json)
     }
 
-    /// Appends what was transmitted to a device.
+    /// Appends what was transmitted to a device at stage time `t`.
     ///
     /// # Errors
-    /// The sink refuses, or the device is unknown.
+    /// The sink refuses, the device is unknown, or it is too much in one piece.
     pub fn transmitted(&mut self, device: DeviceIndex, t: Timestamp, bytes: &[u8]) -> Result<(), WriteError> {
         self.write(Destination::Device(device, 2, "transmitted"), t, None, bytes)
     }
 
-    /// Ends the chunk and hands everything to the sink: all so far survives.
+    /// Ends the chunk and hands everything to the sink: once the sink is on the disk, all so far survives.
     ///
     /// # Errors
     /// The sink refuses.
@@ -236,7 +238,7 @@ impl<W: Write> Writer<W> {
         Ok(self.mcap.flush()?)
     }
 
-    /// Ends the recording with its index, and gives the sink back, flushed.
+    /// Ends the recording with its index, and gives the sink back, flushed. `reason`, one sentence, states why it ended.
     ///
     /// # Errors
     /// The sink refuses.
@@ -249,7 +251,7 @@ impl<W: Write> Writer<W> {
         Ok(sink)
     }
 
-    /// Bytes handed to the sink so far.
+    /// Bytes that the sink has taken so far.
     pub fn bytes_written(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed)
     }

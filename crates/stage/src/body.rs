@@ -3,7 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Segments of the `human` skeleton; a sensor with such a name, or such a `segment`, sits there.
+/// Names of the segments of the `human` skeleton, in the order of [`posed_fusion::body::BodySegment::ALL`]; a sensor with such a
+/// name, or such a `segment`, sits there.
 pub const SEGMENTS: [&str; 10] = [
     "torso",
     "pelvis",

@@ -18,27 +18,31 @@ pub(super) static SCHEMA: LazyLock<serde_json::Value> =
 /// What is to be said about a stage file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Report {
-    /// Whether `posed run` would take it.
+    /// Whether it makes a [`Stage`], as far as was looked: [`check`] looks at no file that it names. Warnings do not count.
     pub ok: bool,
     /// What is wrong, in the order of the lines; empty if `ok`.
     pub problems: Vec<Problem>,
-    /// What works, but hardly as it was meant.
+    /// What works, but hardly as it was meant, in the order of the lines.
     pub warnings: Vec<Problem>,
 }
 
-/// Says all that is wrong with the text of a stage file; files that it names are not looked at.
+/// Reports all that is wrong with the text of a stage file; files that it names are not looked at. A text that is no TOML has
+/// problems like any other.
 pub fn check(text: &str) -> Report {
     report(text, None).1
 }
 
-/// As [`check`], and looks at the files that the stage names; relative paths begin at `folder`.
+/// As [`check`], and looks at the files that the stage names; relative paths begin at `folder`. A file that cannot be read, or
+/// holds something else, is a problem at the key that names it.
 pub fn check_in(text: &str, folder: &Path) -> Report {
     report(text, Some(folder)).1
 }
 
-/// Holds one table of a stage file against the JSON schema of its type, for tables whose types live elsewhere.
+/// Holds the table `key` of a stage file against the JSON schema of its type (as `schemars` makes it), for tables whose types
+/// live elsewhere.
 ///
-/// Gives its problems in the order of the lines; none if there is no such table, or the text is no TOML.
+/// It checks shape and ranges, not whether the type can be read. Gives its problems in the order of the lines; none if there is
+/// no such table, or the text is no TOML.
 pub fn check_table(text: &str, key: &str, schema: &serde_json::Value) -> Vec<Problem> {
     let mut notes = Notes::new(text);
     if let Ok(document) = DeTable::parse(text)

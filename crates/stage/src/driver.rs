@@ -31,19 +31,20 @@ pub enum Driver {
     SlimeVr(slimevr::Settings),
 }
 
-/// What times the samples of a device.
+/// What times the samples of a device ([`Driver::time_base`]). Samples of equal values share a clock within their device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimeBase {
-    /// One clock for all sensors.
+    /// One clock for all sensors: they measure in common cycles.
     Device,
-    /// A clock in each unit.
+    /// A clock in each unit, by its address.
     Unit(u16),
-    /// None: samples come when there is something new.
+    /// None: samples come when there is something new. The number is the tracker whose packets they come in: the low byte of
+    /// the address.
     OnChange(u16),
 }
 
 impl Driver {
-    /// The driver's word in the stage file.
+    /// The driver's word in the stage file, as the key `driver` has it.
     pub fn word(&self) -> &'static str {
         match self {
             Self::FlockOfBirds(_) => "flock-of-birds",
@@ -60,12 +61,12 @@ impl Driver {
         matches!(self, Self::Xbus(_) | Self::XImu3(_) | Self::SlimeVr(_))
     }
 
-    /// Whether the sensors of an inertial driver measure the magnetic field.
+    /// Whether the sensors of an inertial driver send the magnetic field; false for magnetic trackers.
     pub fn measures_field(&self) -> bool {
         matches!(self, Self::Xbus(_) | Self::XImu3(_))
     }
 
-    /// Which clock times the sensor at `address`; equal values share one.
+    /// Which clock times the sensor at `address` on the device; equal values share one.
     pub fn time_base(&self, address: u16) -> TimeBase {
         match self {
             Self::XImu3(_) => TimeBase::Unit(address),
@@ -75,7 +76,8 @@ impl Driver {
         }
     }
 
-    /// How much earlier than it is sent a record is true by the device's own doing, s.
+    /// How much earlier than it is sent a record is true by the device's own doing, s, at least 0: half of what an x-IMU3
+    /// averages over. `measurement_delay_ms` of the stage file comes on top.
     pub fn delay_s(&self) -> f64 {
         match self {
             Self::XImu3(settings) => settings.averaging_s(),
@@ -83,7 +85,8 @@ impl Driver {
         }
     }
 
-    /// Rate of the line that limits the device at `port`, bit/s; `None` where bytes cost no time that is known.
+    /// Rate of the line that limits the device, bit/s: `baud`, or `None` where bytes cost no time that is known. `port` and
+    /// `baud` are those of the stage file; a `port` that is no address counts as a line.
     pub fn line_baud(&self, port: &str, baud: u32) -> Option<u32> {
         let limited = match port.parse::<PortAddress>() {
             Ok(PortAddress::Udp { .. }) => false,
@@ -94,10 +97,10 @@ impl Driver {
         limited.then_some(baud)
     }
 
-    /// Whether the device can be at such a port.
+    /// Whether the device can be at such a port. Nobody looks whether it is.
     ///
     /// # Errors
-    /// What to write instead.
+    /// What to write instead, as part of a sentence.
     pub fn check_port(&self, port: &PortAddress) -> Result<(), &'static str> {
         let (fits, instead) = match (self, port) {
             (Self::SlimeVr(_), port) => (
@@ -117,10 +120,12 @@ impl Driver {
         if fits { Ok(()) } else { Err(instead) }
     }
 
-    /// Whether a session for the addresses `wanted` can be made.
+    /// Whether a session with these settings can be made for the sensors at the addresses `wanted`. The line rate is no part of
+    /// the check: 115200 bit/s are taken.
     ///
     /// # Errors
-    /// The first key that cannot be so.
+    /// The first key that cannot be so, and what it must be: a setting out of its range, or `address` where the addresses cannot
+    /// be on one device, which has one at least.
     pub fn check(&self, wanted: &[u16]) -> Result<(), SettingsError> {
         const BAUD: u32 = 115_200;
         match self {

@@ -10,14 +10,14 @@ use serde::{Deserialize, Serialize};
 
 use posed_field::Prepared;
 use posed_fusion::body::BodySegment;
-use posed_fusion::chain::live::ChainCalibration;
+use posed_fusion::chain::ChainCalibration;
 use posed_fusion::intrinsics::Intrinsics;
 use posed_motion::exercise::Exercise;
 use posed_motion::fault_map::FaultMap;
 
-/// Index of a device in the stage file's `[[device]]` list.
+/// Index of a device in the stage file's `[[device]]` list ([`crate::Stage::devices`]), from 0.
 pub type DeviceIndex = u16;
-/// Index of a sensor in the stage file's `[[sensor]]` list.
+/// Index of a sensor in the stage file's `[[sensor]]` list ([`crate::Stage::sensors`]), from 0.
 pub type SensorIndex = u16;
 
 /// Lengths of the field that can be those of a device's own records, which have about 1.
@@ -26,7 +26,7 @@ const FIELD_NORM: std::ops::RangeInclusive<f64> = 0.1..=10.0;
 /// One entry of the input log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Entry {
-    /// Host time of the entry. Entries of several devices may be a few microseconds out of order; the
+    /// Host time of the entry, since the stage's epoch. Entries of several devices may be a few microseconds out of order; the
     /// pipeline's own time is the latest one seen.
     pub t: Timestamp,
     /// What came in.
@@ -40,7 +40,7 @@ pub enum Input {
     Bytes {
         /// Who sent it.
         device: DeviceIndex,
-        /// The bytes as read.
+        /// The bytes of one read, as the device sent them.
         #[serde(with = "posed_geometry::bytes")]
         bytes: Vec<u8>,
     },
@@ -53,11 +53,14 @@ pub enum Input {
     },
     /// A deadline of the pipeline (see `Pipeline::poll_timeout`) has passed.
     Timer,
-    /// A model is swapped in, in full.
+    /// A model is swapped in, in full. One whose numbers are wrong ([`Model::check`]), or that speaks of what the stage has not,
+    /// changes nothing but a count of the status.
     Model(Model),
-    /// A client asks for something that changes what the pipeline does.
+    /// A client asks for something that changes what the pipeline does. What cannot be done changes nothing but a count of the
+    /// status.
     Request(Request),
-    /// A trained network of segments is swapped in: its file in full. None or an unusable one changes nothing.
+    /// A trained network of segments is swapped in: its file in full. An empty or an unusable one changes nothing but a count of
+    /// the status.
     SegmentationNetwork(#[serde(with = "posed_geometry::bytes")] Vec<u8>),
     /// Ground truth from a simulator, passed through to the `truth` topic.
     Truth(Truth),
@@ -149,35 +152,36 @@ pub struct MountedSensor {
     pub offset_m: [f64; 3],
 }
 
-/// What clients ask of the pipeline.
+/// What clients ask of the pipeline. `Pipeline::check_request` tells beforehand whether it can be done.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Request {
     /// Counts these exercises from 0 for a subject, and no others.
     ExerciseSelect {
-        /// Who moves.
+        /// Who moves: 1 to 64 bytes; 64 subjects at most.
         subject: String,
-        /// Names of exercises that were loaded; none ends the counting.
+        /// Names of exercises that were loaded, each once, 32 at most, all taught at one frame rate; none ends the counting.
         exercises: Vec<String>,
         /// How much is to be done.
         plan: Plan,
-        /// Which sensor of this subject stands for which one that the exercises were taught with.
+        /// By the sensor that the exercises were taught with: the sensor of this subject that stands for it. Empty: they are the
+        /// same.
         #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
         sensors: BTreeMap<String, String>,
     },
-    /// Counts a subject's exercises from 0 again.
+    /// Counts a subject's exercises from 0 again; what is under way goes on.
     ExerciseReset {
-        /// Who moves.
+        /// Who moves; one for whom something was selected or is counted by default.
         subject: String,
     },
     /// Begins to collect what a pole's sensors read, to calibrate the field; what was collected before is forgotten.
     FieldStart {
         /// The sensors by name, in their order along the pole.
         sensors: Vec<String>,
-        /// Measured distance between neighbours, m.
+        /// Measured distance between neighbours, m, above 0.
         spacing_m: f64,
     },
-    /// Ends that: the recording goes to the solver.
+    /// Ends that: the recording goes out as `Output::PoleRun`, empty where none was under way. The map is solved elsewhere.
     FieldFinish {},
 }
 
@@ -185,16 +189,17 @@ pub enum Request {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Plain)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
-    /// Repetitions of a set; absent: one set without end.
+    /// Repetitions of a set, 1 to 10000; absent: one set without end.
     pub repetitions: Option<u32>,
-    /// Sets of each exercise; absent: no end.
+    /// Sets of each exercise, 1 to 10000; absent: no end.
     pub sets: Option<u32>,
-    /// Rest after a set, s.
+    /// Rest after a set, s, 0 to 3600; 0 by default.
     pub rest_s: f64,
 }
 
 impl Model {
-    /// Whether `newer` takes this model's place.
+    /// Whether `newer` takes this model's place: it is of the same kind, and speaks of the same device, magnetic sensor, unit or
+    /// exercise where the kind has several.
     pub fn replaced_by(&self, newer: &Self) -> bool {
         match (self, newer) {
             (Self::Transmitter { .. }, Self::Transmitter { .. }) => true,
@@ -210,7 +215,8 @@ impl Model {
         }
     }
 
-    /// Whether the numbers make a model.
+    /// Whether the numbers make a model: finite, in their ranges, quaternions not zero (they are normalised later). Whether the
+    /// stage has what it speaks of, only the pipeline knows. A fault map is not looked at.
     ///
     /// # Errors
     /// One sentence that names the key and what it must be.
@@ -280,23 +286,23 @@ impl Model {
     }
 }
 
-/// Ground truth of one capture instant.
+/// Ground truth of one capture instant of one simulated device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Truth {
     /// Capture time, exact.
     pub t_valid: Timestamp,
-    /// One per simulated sensor.
+    /// One per sensor of that device.
     pub sensors: Vec<TruthSensor>,
 }
 
 /// Ground truth of one sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TruthSensor {
-    /// Stage-wide sensor.
+    /// Which sensor of the stage.
     pub sensor: SensorIndex,
     /// Position in the room, m.
     pub position_m: [f64; 3],
-    /// Sensor to room.
+    /// Sensor to room, unit, scalar first.
     pub orientation_wxyz: [f64; 4],
     /// What the simulator did to the record: `clean`, `inverted`, `stuck`, `jump`, `disturbed`.
     pub class: String,

@@ -12,12 +12,12 @@ use crate::input::SensorIndex;
 use posed_fusion::body::{ANGLE_NAMES, BodySegment, SEGMENTS, Skeleton, of_joint};
 use posed_fusion::chain::ChainSegment;
 
-/// Names and places of a stage's body.
+/// Names and places of a stage's body: the human skeleton, or a chain of hinges.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BodyLayout {
     /// Segments, in the order in which [`crate::output::Body`] has them.
     pub segments: Vec<SegmentLayout>,
-    /// Angles that the sensors can show, by their index in [`crate::output::Body::angles_rad`].
+    /// Angles that the sensors can show, by their index in [`crate::output::Body::angles_rad`], rising segment by segment.
     pub shown_angles: Vec<usize>,
     /// Whether it is known where its segments are: a chain of hinges has no lengths.
     pub has_places: bool,
@@ -30,26 +30,26 @@ pub struct SegmentLayout {
     pub name: Cow<'static, str>,
     /// The joint's name; empty where it hangs on none.
     pub joint: Cow<'static, str>,
-    /// Index of the segment it hangs on.
+    /// Index in [`BodyLayout::segments`] of the segment it hangs on; `None` for the root.
     pub parent: Option<usize>,
-    /// The joint's angles, by their index in [`crate::output::Body::angles_rad`].
+    /// The joint's angles, by their index in [`crate::output::Body::angles_rad`]; empty for the root.
     pub angles: Range<usize>,
 }
 
-/// Who sits on the body's segments.
+/// Which sensors sit on the segments of the human skeleton.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Wearers {
-    /// The IMU on each segment.
+    /// The IMU on each segment, by [`BodySegment::index`]; `None` where none sits.
     pub imus: [Option<SensorIndex>; SEGMENTS],
-    /// Magnetic trackers, each with its segment.
+    /// Magnetic trackers, each with its segment, in the stage's order; several may sit on one segment.
     pub trackers: Vec<(SensorIndex, BodySegment)>,
 }
 
 impl Wearers {
-    /// The sensors of a stage that sit on segments of the human skeleton.
+    /// The sensors of a stage that sit on segments of the human skeleton ([`segment_of`]), whether or not the stage has a body.
     ///
     /// # Errors
-    /// Two IMUs on one segment: their names.
+    /// Two IMUs on one segment: their names, the earlier one first.
     pub fn of(stage: &Stage) -> Result<Self, [String; 2]> {
         let mut wearers = Self::default();
         for (index, sensor) in (0..).zip(&stage.sensors) {
@@ -68,7 +68,8 @@ impl Wearers {
     }
 }
 
-/// The lengths of a stage's body: by its height, and what was measured in its place. `None` without a height.
+/// The lengths of a stage's body, m: in proportion to `body.height_m` ([`Skeleton::from_height`]), each replaced by what
+/// `body.lengths_m` gives. `None` without a height, or with one that is not above 0.
 pub fn skeleton_of(body: &crate::Body) -> Option<Skeleton> {
     let height_m = body.height_m.filter(|height_m| height_m.is_finite() && *height_m > 0.0)?;
     let by_height = Skeleton::from_height(height_m);
@@ -85,18 +86,23 @@ pub fn skeleton_of(body: &crate::Body) -> Option<Skeleton> {
     })
 }
 
-/// Where a sensor sits: as it says itself, else by its name.
+/// The segment of the human skeleton that a sensor sits on: by its `segment`, else by its name; `None` where that is none of
+/// its names.
 pub fn segment_of(sensor: &crate::Sensor) -> Option<BodySegment> {
     BodySegment::named(sensor.sits_on())
 }
 
-/// Where a sensor sits on a segment, segment axes, m; `None` where the stage file does not say, or says that it sits on another.
+/// Where a sensor sits on a segment: `offset_m` of the stage file, segment frame, m; `None` where the stage file does not say,
+/// or says that it sits on another.
 pub fn offset_on(sensor: &crate::Sensor, segment: BodySegment) -> Option<Vector3<f64>> {
     sensor.offset_m.filter(|_| segment_of(sensor) == Some(segment)).map(Vector3::from)
 }
 
 impl BodyLayout {
-    /// Of a stage whose human body wears sensors; `None` without.
+    /// Of a stage whose body wears sensors. `None` without a body, without a sensor on the human skeleton, with two IMUs on one
+    /// of its segments, or with a custom skeleton that is no [`ChainLayout`].
+    ///
+    /// With an IMU on the body an angle is shown where both segments beside the joint wear a sensor; trackers alone show all.
     pub fn of(stage: &Stage) -> Option<Self> {
         let body = stage.body.as_ref()?;
         if body.skeleton != crate::Skeleton::Human {
@@ -134,18 +140,20 @@ impl BodyLayout {
         Self { segments: segments.collect(), shown_angles, has_places: false }
     }
 
-    /// Names of the segments whose places are known.
+    /// Names of the segments whose places are known: all, or none for a chain of hinges.
     pub fn places(&self) -> impl Iterator<Item = &str> + Clone {
         self.segments.iter().filter(|_| self.has_places).map(|segment| &*segment.name)
     }
 
-    /// Joint and angle of one of the angles: `elbow_r` and `flexion`.
+    /// Joint and angle of the angle at `index` of [`crate::output::Body::angles_rad`]: `elbow_r` and `flexion`. Both are empty
+    /// where no joint has it.
     pub fn angle(&self, index: usize) -> (&str, &'static str) {
         let above = self.segments.iter().find(|segment| segment.angles.contains(&index));
         above.map_or(("", ""), |segment| (&segment.joint, segment.angle(index)))
     }
 
-    /// Columns of the angles for exercises: `elbow_r_flexion_deg` and so on, as `posed body solve` writes them.
+    /// Columns of [`Self::shown_angles`] for exercises, in their order: `elbow_r_flexion_deg` and so on, as `posed body solve`
+    /// writes them; degrees.
     pub fn columns(&self) -> impl Iterator<Item = String> {
         self.shown_angles.iter().map(|index| {
             let (joint, angle) = self.angle(*index);
@@ -155,7 +163,10 @@ impl BodyLayout {
 }
 
 impl SegmentLayout {
-    /// What one of the joint's angles is called; a hinge of a chain has its flexion alone.
+    /// What one of the joint's angles is called, `index` being one of [`Self::angles`]; a hinge of a chain has its flexion alone.
+    ///
+    /// # Panics
+    /// The segment is one of the human skeleton, and `index` is beyond its 25 angles.
     pub fn angle(&self, index: usize) -> &'static str {
         let human = BodySegment::named(&self.name).is_some_and(|segment| of_joint(segment) == self.angles);
         if human { joint_and_angle(ANGLE_NAMES[index]).1 } else { "flexion" }
@@ -165,14 +176,15 @@ impl SegmentLayout {
 /// A custom skeleton of hinges with an IMU on each segment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ChainLayout {
-    /// The segments, parents first.
+    /// The segments in the order of the stage file, parents first; 1 to 10.
     pub segments: Vec<ChainSegment>,
-    /// The IMU on each.
+    /// The IMU on each, in the same order; of several the first in the stage file.
     pub imus: Vec<SensorIndex>,
 }
 
 impl ChainLayout {
-    /// `None` where a stage has no such chain: a joint that is no hinge, a segment without an IMU, or more segments than a body has.
+    /// Of a stage with a custom skeleton. `None` where that is no such chain: no segment, more than 10, a joint that is no hinge,
+    /// a parent that is not above its child, or a segment without an IMU.
     pub fn of(stage: &Stage) -> Option<Self> {
         let body = stage.body.as_ref().filter(|body| body.skeleton == crate::Skeleton::Custom)?;
         if body.segments.is_empty() || body.segments.len() > SEGMENTS {
@@ -196,7 +208,7 @@ impl ChainLayout {
     }
 }
 
-/// The joint and the angle that a name of [`ANGLE_NAMES`] is made of: `elbow_r` and `flexion`.
+/// The joint and the angle that a name of [`ANGLE_NAMES`] is made of: `elbow_r` and `flexion`. A name without `_` is both.
 pub fn joint_and_angle(name: &'static str) -> (&'static str, &'static str) {
     name.rsplit_once('_').unwrap_or((name, name))
 }

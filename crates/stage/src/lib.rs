@@ -12,6 +12,7 @@ mod body;
 mod check;
 mod driver;
 mod field;
+mod files;
 pub mod input;
 mod keyframes;
 pub mod layout;
@@ -38,6 +39,7 @@ pub use body::{Body, Calibration, JointKind, Lengths, Mounting, SEGMENTS, Segmen
 pub use check::{Report, check, check_in, check_table};
 pub use driver::{Driver, TimeBase};
 pub use field::FieldWatch;
+pub use files::{read_field_map, read_intrinsics};
 pub use keyframes::Keyframes;
 pub use models::LoadedModels;
 pub use port::{PortAddress, PortAddressError};
@@ -112,10 +114,14 @@ impl Stage {
         check::parse(text, None)
     }
 
-    /// Reads a stage from its file; relative paths in it begin at the file's folder.
+    /// Reads a stage from its file, and looks at the files that it names.
+    ///
+    /// Relative paths begin at the file's folder and are joined with it in the result: those of `server.tls`, `models`,
+    /// `segments`, `zenoh.users` and `recording`. `lsl.library` and what is in `simulation` stay as they are written. Warnings
+    /// are left out: [`check_in`] gives them.
     ///
     /// # Errors
-    /// The file cannot be read, or every problem that it has.
+    /// [`LoadError::Read`] where the file cannot be read as UTF-8; [`LoadError::Wrong`] with every problem that it has.
     pub fn load(path: &Path) -> Result<Self, LoadError> {
         let text = std::fs::read_to_string(path)
             .map_err(|error| LoadError::Read { path: path.to_owned(), error })?;
@@ -150,34 +156,37 @@ impl Stage {
         Ok(stage)
     }
 
-    /// The stage's name as part of the name of a file: small letters, digits and hyphens.
+    /// The stage's name as part of the name of a file: ASCII letters in lower case, ASCII digits, and a hyphen for every other
+    /// character. Stages of different names may have the same.
     pub fn file_name(&self) -> String {
         let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
         self.name.chars().map(plain).collect()
     }
 
-    /// The driver of a sensor's device.
+    /// The driver of a sensor's device; `None` where the stage has no device of that name, which [`Stage::parse`] refuses.
     pub fn driver_of(&self, sensor: &Sensor) -> Option<&Driver> {
         self.devices.iter().find(|device| device.name == sensor.device).map(|device| &device.driver)
     }
 
-    /// Whether a sensor is an IMU rather than one of a magnetic tracker.
+    /// Whether a sensor is an IMU (it measures no position) rather than one of a magnetic tracker; false where its device is not
+    /// known.
     pub fn is_imu(&self, sensor: &Sensor) -> bool {
         self.driver_of(sensor).is_some_and(Driver::is_inertial)
     }
 
-    /// Indices of the sensors of magnetic trackers, in their order.
+    /// Indices in [`Stage::sensors`] of the sensors of magnetic trackers, rising; empty where all are IMUs.
     pub fn magnetic_indices(&self) -> Vec<usize> {
         let sensors = self.sensors.iter().enumerate();
         sensors.filter(|(_, sensor)| !self.is_imu(sensor)).map(|(index, _)| index).collect()
     }
 
-    /// Names of the sensors of magnetic trackers, in their order.
+    /// Names of the sensors of magnetic trackers, in the order of [`Stage::sensors`].
     pub fn magnetic_sensors(&self) -> Vec<&str> {
         self.magnetic_indices().into_iter().map(|index| self.sensors[index].name.as_str()).collect()
     }
 
-    /// Reads a fault map for this stage.
+    /// Reads the fault map in the file at `path`, which is taken as it stands, and holds its sensors against the stage's magnetic
+    /// ones: the same names, in any order.
     ///
     /// # Errors
     /// One sentence: it cannot be read, is none, or knows other sensors than the stage's magnetic ones.
@@ -187,6 +196,9 @@ impl Stage {
 }
 
 /// What the fuzz target does with any bytes: a text is right exactly if it parses, and every problem has a line.
+///
+/// # Panics
+/// That does not hold: the fuzz target has found a fault.
 #[doc(hidden)]
 pub fn fuzz(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else { return };
@@ -222,7 +234,7 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// The room's own axes.
+    /// No shift and no rotation: the frame is the room's own.
     pub const IDENTITY: Self = Self { position_m: [0.0; 3], orientation_wxyz: [1.0, 0.0, 0.0, 0.0] };
 }
 
@@ -289,7 +301,7 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// Name of the segment it would sit on: as it says itself, else its own.
+    /// Name of the segment it would sit on: its `segment` in the stage file, else its own name, which need not be a segment's.
     pub fn sits_on(&self) -> &str {
         self.segment.as_ref().unwrap_or(&self.name)
     }

@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::input::{Input, Model};
 
-/// See the module.
+/// The models in use: the newest of each kind ([`Model::replaced_by`]), and the file of the segmentation network. What a pipeline
+/// needs beside its stage file and its snapshot to go on ([`Self::entries`]).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LoadedModels {
     swapped: Vec<Model>,
@@ -17,7 +18,7 @@ pub struct LoadedModels {
 }
 
 impl LoadedModels {
-    /// Takes a model in the place of the one that it replaces, if there is one.
+    /// Takes a model in the place of the one that it replaces, else behind all others. Its numbers are not checked.
     pub fn insert(&mut self, model: &Model) {
         match self.swapped.iter_mut().find(|known| known.replaced_by(model)) {
             Some(known) => known.clone_from(model),
@@ -25,7 +26,7 @@ impl LoadedModels {
         }
     }
 
-    /// Takes the file of a segmentation network.
+    /// Takes the file of a segmentation network in place of the one before; an empty one leaves none. It is not read.
     pub fn insert_network(&mut self, file: &[u8]) {
         self.network.clear();
         self.network.extend_from_slice(file);
@@ -41,12 +42,13 @@ impl LoadedModels {
         &self.network
     }
 
-    /// Whether there is none.
+    /// Whether there is neither a model nor a segmentation network.
     pub fn is_empty(&self) -> bool {
         self.swapped.is_empty() && self.network.is_empty()
     }
 
-    /// What a new pipeline takes in order to use them.
+    /// What a new pipeline takes in order to use them: the models in the order of [`Self::iter`], then the network if there is
+    /// one. Each is a copy.
     pub fn entries(&self) -> impl Iterator<Item = Input> {
         let network = Some(&self.network).filter(|file| !file.is_empty());
         self.swapped.iter().cloned().map(Input::Model).chain(network.cloned().map(Input::SegmentationNetwork))

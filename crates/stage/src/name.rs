@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// A shared text.
+/// A text that its clones share: cloning allocates nothing. Files and messages hold it as a plain string.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, posed_state::Plain)]
 pub struct Name(Arc<str>);
 

@@ -16,7 +16,8 @@ use posed_field::{PoleRun, Progress, Warning};
 use posed_fusion::ahrs::ImuSample;
 use posed_fusion::faults::{Cause, Class, Finding, ImuWords, Label, Repair, Verdict};
 
-/// One output of `Pipeline::push`; borrowed, valid during the call.
+/// One output of `Pipeline::push`; borrowed, valid during the call. The order of outputs is part of the answer: the same entries
+/// give the same outputs in the same order.
 #[derive(Debug)]
 pub enum Output<'a> {
     /// Write these bytes to a device's line.
@@ -33,11 +34,11 @@ pub enum Output<'a> {
         /// `true` = asserted.
         asserted: bool,
     },
-    /// There is news of the body; comes before the estimate of its frame.
+    /// There is news of the body; comes before the estimate of its frame, once per frame at most.
     Body(&'a Body),
-    /// A frame has closed: poses of all sensors at one time.
+    /// A frame has closed: poses of all sensors at one time. Frames come in order of time.
     Estimate(&'a Estimate),
-    /// Something happened that no client may miss.
+    /// Something happened that no client may miss. What a frame has shown comes behind its estimate.
     Outcome(&'a Outcome),
     /// A device's state changed.
     Device {
@@ -46,7 +47,7 @@ pub enum Output<'a> {
         /// Its new state.
         state: &'a State,
     },
-    /// One sentence for the operator about a device.
+    /// One sentence for the operator about a device, as its session gives it.
     Warning {
         /// Which device.
         device: DeviceIndex,
@@ -57,20 +58,22 @@ pub enum Output<'a> {
     PoleRun(&'a PoleRun),
     /// The network of segments has seen the frame of the last [`Output::Estimate`]: what happened since then was its work.
     Named,
-    /// Ground truth, passed through.
+    /// Ground truth of a simulator, passed through as it came in.
     Truth(&'a Truth),
 }
 
-/// Poses of all sensors at one tick of the stage clock.
+/// Poses of all sensors at one tick of the stage clock. Causal: of what arrived until the frame closed, each sensor predicted to
+/// the tick.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Plain)]
 pub struct Estimate {
-    /// Number of the frame, from 0.
+    /// Number of the frame, from 0; ticks that were left out during a silence have none.
     pub frame: u64,
-    /// The tick: capture time that the values belong to.
+    /// The tick: capture time that the values belong to, on the host's clock since the stage's epoch. It rises strictly.
     pub t_valid: Timestamp,
     /// Host time at which the frame closed (time of the entry that closed it).
     pub t_closed: Timestamp,
-    /// Standard deviation of `t_valid` itself, s.
+    /// Standard deviation of `t_valid` itself, s: that of the latest cycle of the device whose cycles are the ticks; with
+    /// `frame_rate_hz` in the stage file, of any device.
     pub sigma_t_s: f64,
     /// What the fault map reports about the frame; absent where the stage has none.
     pub fault: Option<FrameLabel>,
@@ -100,8 +103,8 @@ pub enum SensorState {
 }
 
 impl SensorState {
-    /// The state of a sensor of whose newest record in the frame this was found; `None` where there is no record. The one
-    /// place where findings become states.
+    /// The state of a sensor of whose newest record in the frame this was found; `None` where there is no record, which gives
+    /// [`Self::Missing`]. The one place where findings become states.
     pub fn of(finding: Option<&Finding>) -> Self {
         let Some(Finding { verdict, label, extrapolated, late, .. }) = finding else { return Self::Missing };
         match (verdict, *label) {
@@ -114,7 +117,7 @@ impl SensorState {
         }
     }
 
-    /// Whether a pose in this state may be used as good.
+    /// Whether a pose in this state may be used as good: `Ok`, `Repaired` and `Extrapolated` only.
     pub fn is_usable(self) -> bool {
         matches!(self, Self::Ok | Self::Repaired | Self::Extrapolated)
     }
@@ -123,36 +126,39 @@ impl SensorState {
 /// One sensor in one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Plain)]
 pub struct SensorEstimate {
-    /// How far to trust it.
+    /// How far to trust it. Of a sensor with an attached IMU it speaks of the tracker's own record.
     pub state: SensorState,
-    /// Filtered pose in the room at the frame's time; absent before the first good measurement and
-    /// after coasting too long.
+    /// Filtered pose in the room, predicted to the frame's time. Absent before its filter has begun (a magnetic sensor needs
+    /// three agreeing records), after coasting for 0.5 s, in magnetic formats without a position, and, where no IMU is attached,
+    /// for a repaired record while `faults.repair` of the stage file is false. Read `state` before using it: a coasted pose is
+    /// here too.
     pub pose: Option<PoseEstimate>,
-    /// The raw record, in device axes, where one arrived.
+    /// The newest raw record of the frame, in device axes; absent where none arrived.
     pub measured: Option<Measured>,
     /// What the fault map reports about it; absent where the stage has none, or not for this sensor.
     pub fault: Option<SensorLabel>,
     /// No record of this frame is in the pose: the IMU that is attached to the sensor carries it on.
     pub coasted: bool,
-    /// The statistic of key poses; absent where they are not looked for, or not yet.
+    /// The statistic of key poses; absent where the sensor is not watched for them (`[keyframes]` of the stage file), or not yet.
     pub change: Option<Change>,
 }
 
 impl SensorEstimate {
-    /// Its pose, if it may be used as good.
+    /// Its pose in the room, if there is one and its state allows to use it as good ([`SensorState::is_usable`]).
     pub fn usable_pose(&self) -> Option<&PoseEstimate> {
         self.pose.as_ref().filter(|_| self.state.is_usable())
     }
 }
 
-/// The statistic of key poses of a sensor at an earlier frame: it needs the frames around it.
+/// The statistic of key poses of a sensor at an earlier frame: it needs the frames around it, `keyframes.window_frames` to either
+/// side.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Plain)]
 pub struct Change {
     /// Capture time of the frame that it speaks of.
     pub t_valid: Timestamp,
-    /// How clear a change of motion there would be: without unit, comparable between sensors.
+    /// How clear a change of motion there would be, at least 0: without unit, comparable between sensors.
     pub score: f64,
-    /// What a peak must exceed to be a key pose.
+    /// What the score of a peak must exceed to be a key pose; it follows from `[keyframes]` of the stage file.
     pub threshold: f64,
 }
 
@@ -182,62 +188,67 @@ pub struct SensorLabel {
     pub repair: Option<Repair>,
 }
 
-/// A filtered pose with its uncertainty; room frame.
+/// A filtered pose with its uncertainty: an estimate, causal. Room frame: z up, or the tracker's own axes where nothing places
+/// the transmitter (`transmitter.pose_in_room`, `Model::Transmitter`).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Plain)]
 pub struct PoseEstimate {
-    /// Position, m; absent where the sensor measures none.
+    /// Position in the room, m; absent where the sensor measures none (an IMU alone).
     pub position_m: Option<[f64; 3]>,
-    /// Sensor to room, unit.
+    /// Sensor to room, unit, scalar first and not negative. The identity where the sensor measures no orientation: its
+    /// covariance then is that of an unknown one.
     pub orientation_wxyz: [f64; 4],
-    /// Velocity, m/s; absent with the position.
+    /// Velocity in the room, m/s; absent with the position.
     pub velocity_m_s: Option<[f64; 3]>,
-    /// Angular velocity in sensor axes, rad/s.
+    /// Angular velocity in sensor axes, rad/s; zero where the sensor measures no orientation.
     pub angular_velocity_rad_s: [f64; 3],
     /// Covariance of (position in room, m; rotation error in sensor axes, rad): upper triangle of the
-    /// 6 x 6 matrix, row by row; the position's part is zero where there is none.
+    /// 6 x 6 matrix, row by row; the position's part is zero where there is none. The two are taken as uncorrelated.
     pub covariance: [f64; 21],
-    /// Root mean square of the expected 3-D position error, m; absent with the position.
+    /// Root mean square of the expected 3-D position error, m, the root of the trace of the position's covariance; absent with
+    /// the position.
     pub sigma_m: Option<f64>,
 }
 
-/// A raw record in device axes.
+/// A raw record in device axes: of a magnetic tracker those of the transmitter, of an IMU the frame z up that the unit chose.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Plain)]
 pub struct Measured {
-    /// Capture time of this record.
+    /// Capture time of this record, as the device's clock model gives it; at or before the frame's.
     pub t_valid: Timestamp,
-    /// Position in device axes, m.
+    /// Position in device axes, m; absent in formats without one, and of IMUs.
     pub position_m: Option<[f64; 3]>,
-    /// Sensor to device axes.
+    /// Sensor to device axes, scalar first; absent where the record holds none. Of an IMU it is what the unit computes itself.
     pub orientation_wxyz: Option<[f64; 4]>,
-    /// Button byte.
+    /// Button byte as sent; absent where the device sends none.
     pub button: Option<u8>,
-    /// What a body-worn sensor measured, in its own axes.
+    /// What a body-worn sensor measured, in its own axes; absent of magnetic trackers.
     pub inertial: Option<Inertial>,
 }
 
 /// What a body-worn sensor measured, in sensor axes; absent is what the record does not hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Plain)]
 pub struct Inertial {
-    /// Angular rate, rad/s.
+    /// Angular velocity as the unit sends it, rad/s.
     pub angular_velocity_rad_s: Option<[f64; 3]>,
     /// Specific force (+g upwards at rest), m/s².
     pub specific_force_m_s2: Option<[f64; 3]>,
     /// Acceleration with gravity taken out by the device, m/s².
     pub linear_acceleration_m_s2: Option<[f64; 3]>,
-    /// Magnetic field, about 1 at the place of calibration.
+    /// Magnetic field, in units of the field at the place of the device's own calibration: about 1.
     pub magnetic_field: Option<[f64; 3]>,
-    /// The same by the unit's intrinsics, where they are known.
+    /// [`Self::uncorrected`] with the unit's intrinsics applied (`Model::Imu`); absent where they are not known, or the record
+    /// holds no whole sample.
     pub corrected: Option<ImuSample>,
 }
 
 impl Inertial {
-    /// What orientation filters take: corrected, where the unit's intrinsics are known; `None` of a unit that tells its
-    /// orientation only.
+    /// What orientation filters take, sensor axes: corrected, where the unit's intrinsics are known; `None` where the record
+    /// lacks angular velocity or specific force, as of a unit that sends its orientation only.
     pub fn sample(&self) -> Option<ImuSample> {
         self.corrected.or_else(|| self.uncorrected())
     }
 
-    /// What tells whether the unit repeats itself; `None` of one that sends no angular velocity.
+    /// What shows whether the unit repeats itself, uncorrected: angular velocity, and specific force or else linear acceleration.
+    /// `None` of one that sends no angular velocity.
     pub fn words(&self) -> Option<ImuWords> {
         let acceleration = self.specific_force_m_s2.or(self.linear_acceleration_m_s2);
         Some(ImuWords {
@@ -246,7 +257,7 @@ impl Inertial {
         })
     }
 
-    /// The same as the unit measured it.
+    /// The sample as the unit measured it, sensor axes; `None` where the record lacks angular velocity or specific force.
     pub fn uncorrected(&self) -> Option<ImuSample> {
         Some(ImuSample {
             gyro_rad_s: self.angular_velocity_rad_s?.into(),
@@ -259,33 +270,33 @@ impl Inertial {
 /// Something that happened; clients get every one of these.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Outcome {
-    /// Time it speaks of.
+    /// Capture time it speaks of; of what no measurement shows, such as a swap of models, that of the latest frame.
     pub t_valid: Timestamp,
-    /// Stream time at which it was decided.
+    /// Capture time of the frame with which it was decided: the delay of the decision is this less `t_valid`.
     pub t_decided: Timestamp,
-    /// What.
+    /// What happened.
     pub what: OutcomeKind,
 }
 
 /// What happened.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum OutcomeKind {
-    /// A sensor's fault label began (`true`) or ended (`false`).
+    /// A sensor's fault label began (`true`) or ended (`false`). A sensor has one cause at a time: another one ends it first.
     Fault {
         /// Which sensor.
         sensor: SensorIndex,
         /// Which fault.
         cause: Cause,
-        /// Began or ended.
+        /// `true` where it began with this frame, `false` where it ended.
         active: bool,
     },
-    /// A model was swapped in.
+    /// A model was swapped in: frames after `t_valid` use it. A segmentation network has no such outcome.
     ModelSwapped(Model),
     /// Something happened with an exercise.
     Exercise(ExerciseOutcome),
-    /// A sensor's motion changed.
+    /// A sensor's motion changed, or an earlier report of it is withdrawn.
     KeyPose(KeyPoseEvent),
-    /// A segment of the motion begins; `t_valid` is when.
+    /// A segment of the motion begins, or an earlier report of it is withdrawn; `t_valid` is when it begins.
     MotionSegment(MotionSegment),
     /// The field is disturbed, or has drifted, or a guided calibration goes on.
     Field(FieldNews),
@@ -296,7 +307,7 @@ pub enum OutcomeKind {
 pub enum FieldNews {
     /// A disturbance began or ended, or the field has drifted.
     Warning(Warning),
-    /// How far a guided calibration is.
+    /// How far a guided calibration is: when it begins, once a second, and when it ends.
     Progress(Progress),
 }
 
@@ -307,7 +318,7 @@ pub struct KeyPoseEvent {
     pub sensor: SensorIndex,
     /// Whether it is for good.
     pub phase: Phase,
-    /// The statistic there.
+    /// The statistic there, without unit ([`Change::score`]).
     pub score: f64,
     /// Whether the velocity changes at once, within a frame or two.
     pub corner: bool,
@@ -325,18 +336,18 @@ pub enum Phase {
     Withdrawn,
 }
 
-/// What is said of a segment.
+/// What is reported of a segment of the motion. A confirmation is final; a provisional one is confirmed or withdrawn.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotionSegment {
-    /// What is said.
+    /// What is reported.
     pub event: SegmentEvent,
-    /// Number of the segment, from 1.
+    /// Number of the segment, from 1; the same in all reports of one segment, and it goes on over a change of models.
     pub segment: u64,
-    /// What it shows.
+    /// What it shows: one of the model's labels.
     pub label: String,
-    /// Probability of the label at the segment's first frame, 0 to 1.
+    /// Probability of the label at the segment's first frame, 0 to 1; 0 where it is withdrawn.
     pub confidence: f64,
-    /// How long after its beginning a segment is confirmed at the latest, s.
+    /// How long after its beginning a segment is confirmed at the latest, s: a property of the model.
     pub delay_s: f64,
 }
 

@@ -3,45 +3,46 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// Where a device is to be found.
+/// Where a device is to be found: the key `port` of a `[[device]]`, read with `parse()`. Whether a driver's device can be there:
+/// [`crate::Driver::check_port`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PortAddress {
     /// The daemon looks for the device on all serial ports.
     Auto,
-    /// A serial port or pseudo-terminal by its path, such as `/dev/ttyUSB0`.
+    /// A serial port or pseudo-terminal by its absolute path, such as `/dev/ttyUSB0`. Nobody has looked whether it is there.
     Serial(PathBuf),
-    /// A serial server: `tcp://HOST:PORT`.
+    /// A serial server, or a device with a socket of its own: `tcp://HOST:PORT`.
     Tcp {
         /// Host name or address, without the brackets of an IPv6 address.
         host: String,
-        /// TCP port.
+        /// TCP port, from 1.
         port: u16,
     },
     /// A device that speaks UDP: `udp://HOST:PORT`.
     Udp {
         /// Host name or address, without the brackets of an IPv6 address.
         host: String,
-        /// UDP port.
+        /// UDP port, from 1.
         port: u16,
     },
 }
 
-/// Why a text is no port.
+/// Why a text is no [`PortAddress`]; its sentence is for the operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PortAddressError {
-    /// Nothing is given.
+    /// The text is empty.
     #[error("the port is empty")]
     Empty,
-    /// A URL of a kind that is not known.
+    /// A URL of another kind than `tcp://` and `udp://`.
     #[error("only tcp:// and udp:// are known")]
     Scheme,
-    /// No host.
+    /// No host, or one with white space or `/` in it.
     #[error("the host is missing")]
     Host,
-    /// No port number, or an impossible one.
+    /// No port number, or none from 1 to 65535.
     #[error("the port number is missing or not from 1 to 65535")]
     Number,
-    /// A name that is no path.
+    /// Neither `auto` nor a URL nor an absolute path.
     #[error("a serial port is given by its path, which begins with /")]
     Relative,
 }

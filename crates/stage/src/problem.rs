@@ -6,16 +6,16 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-/// One thing that is wrong, or doubtful, in a stage file.
+/// One thing that is wrong, or doubtful, in a stage file. `Display` writes it in one line: line, key, message, fix.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Problem {
     /// Line in the file, from 1. A missing key points at the header of its table, a duplicate at the second one.
     pub line: usize,
     /// The key it is about, as it stands in the file (or should stand there); may be empty for broken TOML.
     pub key: String,
-    /// What is wrong.
+    /// What is wrong, without line and key.
     pub message: String,
-    /// What to do about it.
+    /// What to do about it, in words for whoever wrote the file.
     pub fix: String,
 }
 
@@ -29,7 +29,8 @@ impl fmt::Display for Problem {
     }
 }
 
-/// All that is wrong with a stage file, in the order of its lines; never empty.
+/// All that is wrong with a stage file, in the order of its lines; never empty where this crate gives it. `Display` writes a line
+/// for each.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub struct Problems(pub Vec<Problem>);
 
@@ -49,17 +50,17 @@ pub enum LoadError {
     /// The file cannot be read.
     #[error("cannot read the stage file {}: {error}", path.display())]
     Read {
-        /// Which file.
+        /// Which file, as it was asked for.
         path: PathBuf,
-        /// What the system said.
+        /// What the system said; `InvalidData` where the file is no UTF-8.
         error: std::io::Error,
     },
     /// The file can be read, and is wrong.
     #[error("the stage file {} is not right:\n{problems}", path.display())]
     Wrong {
-        /// Which file.
+        /// Which file, as it was asked for.
         path: PathBuf,
-        /// What is wrong with it.
+        /// All that is wrong with it.
         problems: Problems,
     },
 }

@@ -8,13 +8,14 @@ use crate::Stage;
 use crate::layout::BodyLayout;
 use crate::output::{Body, Estimate};
 
-/// A body older than this against the estimate's time is none, s.
+/// A body that is older than the estimate by more than this counts as absent, s.
 pub const BODY_AGE_S: f64 = 0.05;
 
 /// Columns of one sensor, behind its name: position in the room (m) and orientation (sensor to room).
 const PARTS: [&str; 7] = ["_x_m", "_y_m", "_z_m", "_qw", "_qx", "_qy", "_qz"];
 
-/// Names of the columns of these sensors: `NAME_x_m, NAME_y_m, NAME_z_m, NAME_qw, NAME_qx, NAME_qy, NAME_qz` each.
+/// Names of the columns of these sensors, seven each: `NAME_x_m, NAME_y_m, NAME_z_m` (position in the room, m) and
+/// `NAME_qw, NAME_qx, NAME_qy, NAME_qz` (sensor to room).
 pub fn columns<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Vec<String> {
     let of = |name: &str| PARTS.map(|part| format!("{name}{part}"));
     sensors.into_iter().flat_map(of).collect()
@@ -24,14 +25,16 @@ pub fn columns<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Vec<String> {
 /// angular rate (rad/s).
 const INERTIAL_PARTS: [&str; 6] = ["_ax", "_ay", "_az", "_gx", "_gy", "_gz"];
 
-/// Names of the columns of what these inertial sensors measured: `NAME_ax, NAME_ay, NAME_az, NAME_gx, NAME_gy, NAME_gz` each.
+/// Names of the columns of what these inertial sensors measured, six each, sensor axes: `NAME_ax, NAME_ay, NAME_az` (specific
+/// force, m/s², +g upwards at rest) and `NAME_gx, NAME_gy, NAME_gz` (angular velocity, rad/s).
 pub fn inertial_columns<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Vec<String> {
     let of = |name: &str| INERTIAL_PARTS.map(|part| format!("{name}{part}"));
     sensors.into_iter().flat_map(of).collect()
 }
 
-/// Names of all columns of a stage: the poses of its sensors, what its inertial sensors measured where no body is made of
-/// them, then the angles of its body.
+/// Names of all columns of a stage: the poses of its sensors ([`columns`]), what its inertial sensors measured
+/// ([`inertial_columns`]) where the stage has no body, then the angles of its body ([`BodyLayout::columns`]). A row of them is
+/// what [`write()`], [`InertialColumns::append`] and [`BodyColumns::append`] write, in this order.
 pub fn columns_of(stage: &Stage) -> Vec<String> {
     let mut columns = columns(stage.sensors.iter().map(|sensor| sensor.name.as_str()));
     columns.extend(InertialColumns::of(stage).names(stage));
@@ -39,8 +42,8 @@ pub fn columns_of(stage: &Stage) -> Vec<String> {
     columns
 }
 
-/// Those of [`columns_of`] that tell of who exercises: where the stage has a body, not those of sensors that nobody wears, which may move
-/// for ever.
+/// Those of [`columns_of`] that describe who exercises: where the stage has a body, not those of sensors that nobody wears, which
+/// may move for ever.
 pub fn columns_of_wearer(stage: &Stage) -> Vec<String> {
     let Some(layout) = BodyLayout::of(stage) else { return columns_of(stage) };
     let worn =
@@ -50,18 +53,20 @@ pub fn columns_of_wearer(stage: &Stage) -> Vec<String> {
     columns
 }
 
-/// Whether this is how a column of a sensor goes on behind the sensor's name.
+/// Whether this is how a column of a sensor goes on behind the sensor's name: `_x_m` or `_gz`, for example.
 pub fn is_part(text: &str) -> bool {
     PARTS.iter().chain(&INERTIAL_PARTS).any(|part| *part == text)
 }
 
-/// Appends one sensor's values, in the order of [`columns`]; an inertial sensor has no position.
+/// Appends one sensor's seven values to `row`, in the order of [`columns`]: position in the room, m, and sensor to room, scalar
+/// first. What is absent is `None` in each of its columns; an inertial sensor has no position.
 pub fn append(position_m: Option<[f64; 3]>, orientation_wxyz: Option<[f64; 4]>, row: &mut Vec<Option<f64>>) {
     row.extend(position_m.map_or([None; 3], |position| position.map(Some)));
     row.extend(orientation_wxyz.map_or([None; 4], |orientation| orientation.map(Some)));
 }
 
-/// Writes the values of all sensors of an estimate to `row`, in the order of [`columns`].
+/// Writes the poses of all sensors of an estimate to `row`, in the order of [`columns`], in place of what was in it. A pose that
+/// may not be used as good ([`crate::output::SensorEstimate::usable_pose`]) is `None` in all its columns.
 pub fn write(estimate: &Estimate, row: &mut Vec<Option<f64>>) {
     row.clear();
     for sensor in &estimate.sensors {
@@ -76,7 +81,7 @@ pub fn write(estimate: &Estimate, row: &mut Vec<Option<f64>>) {
 pub struct InertialColumns(Vec<usize>);
 
 impl InertialColumns {
-    /// Of a stage.
+    /// The inertial sensors of a stage; none where it has a [`BodyLayout`].
     pub fn of(stage: &Stage) -> Self {
         if BodyLayout::of(stage).is_some() {
             return Self::default();
@@ -85,17 +90,18 @@ impl InertialColumns {
         Self(sensors.filter(|(_, sensor)| stage.is_imu(sensor)).map(|(index, _)| index).collect())
     }
 
-    /// The columns' names.
+    /// The columns' names ([`inertial_columns`]); `stage` is the one that these were made of.
     pub fn names(&self, stage: &Stage) -> Vec<String> {
         inertial_columns(self.0.iter().filter_map(|index| Some(stage.sensors.get(*index)?.name.as_str())))
     }
 
-    /// Index of each sensor in the stage file.
+    /// Index of each sensor in the stage file, rising.
     pub fn sensors(&self) -> &[usize] {
         &self.0
     }
 
-    /// Appends the newest record of each sensor to what [`write()`] wrote; none where it may not be used.
+    /// Appends the newest record of each sensor to what [`write()`] wrote, as the unit measured it: its intrinsics are not
+    /// applied. `None` where the sensor's state is not usable, or the record lacks the value.
     pub fn append(&self, estimate: &Estimate, row: &mut Vec<Option<f64>>) {
         for index in &self.0 {
             let sensor = estimate.sensors.get(*index).filter(|sensor| sensor.state.is_usable());
@@ -105,7 +111,8 @@ impl InertialColumns {
     }
 }
 
-/// Appends what one inertial sensor measured, in the order of [`inertial_columns`].
+/// Appends what one inertial sensor measured, six values in sensor axes, in the order of [`inertial_columns`]; what is absent is
+/// `None`.
 pub fn append_inertial(
     specific_force_m_s2: Option<[f64; 3]>,
     angular_velocity_rad_s: Option<[f64; 3]>,
@@ -121,13 +128,14 @@ pub fn append_inertial(
 pub struct BodyColumns(Vec<usize>);
 
 impl BodyColumns {
-    /// Of a stage; none without a body.
+    /// The angles of a stage's body that its sensors can show; none without a [`BodyLayout`].
     pub fn of(stage: &Stage) -> Self {
         Self(BodyLayout::of(stage).map_or_else(Vec::new, |layout| layout.shown_angles))
     }
 
-    /// Appends the body's angles, degrees, to what [`write()`] and [`InertialColumns::append`] wrote of the estimate; none where the body is older than it by
-    /// more than 50 ms.
+    /// Appends the body's angles, degrees, in the order of [`BodyLayout::columns`], to what [`write()`] and
+    /// [`InertialColumns::append`] wrote of the estimate. An angle that is not known is `None`; all are where there is no body,
+    /// or it is older than the estimate by more than [`BODY_AGE_S`].
     pub fn append(&self, body: Option<&Body>, estimate: &Estimate, row: &mut Vec<Option<f64>>) {
         let fresh = |body: &&Body| estimate.t_valid.seconds_since(body.t_valid) <= BODY_AGE_S;
         let body = body.filter(fresh);

@@ -52,18 +52,20 @@ impl Default for Zenoh {
 }
 
 impl Zenoh {
-    /// The key below which everything of `stage` is.
+    /// The key expression of zenoh below which everything of `stage` is: `zenoh.key` of the stage file, else `posed/` and
+    /// [`Stage::file_name`].
     pub fn key_of(&self, stage: &Stage) -> String {
         self.key.clone().unwrap_or_else(|| format!("posed/{}", stage.file_name()))
     }
 }
 
 impl Stage {
-    /// The text of a stage file that says the same of devices, sensors and body, without what is nobody else's business: tokens,
-    /// addresses, passwords, folders.
+    /// The text of a stage file that says the same of devices, sensors and body, for other machines: without the tables `server`,
+    /// `vrpn`, `vmc`, `lsl`, `zenoh` and `recording`, and so without tokens and passwords. What `models`, `segments` and
+    /// `simulation` name, and the devices' ports, stay in it.
     ///
     /// # Errors
-    /// One sentence, where it cannot be written.
+    /// One sentence, where it cannot be written as TOML.
     pub fn shareable_toml(&self) -> Result<String, String> {
         let stage = Self {
             server: super::Server::default(),

@@ -15,8 +15,9 @@ pub fn plain(input: TokenStream) -> TokenStream {
 
 /// Writes every field in its order, and reads them in place; the variant of an enum must be the one that is there.
 ///
-/// A field with `#[state(keep)]` is neither written nor read: whoever made the value put it there. What a box holds is read in
-/// place with `#[state(inner)]`, the items of a list one by one with `#[state(each)]`.
+/// A field with `#[state(keep)]` is neither written nor read: whoever made the value put it there. One with `#[state(same)]` is
+/// written, and what is read must equal what is there: names. What a box holds is read in place with `#[state(inner)]`, the items
+/// of a list one by one with `#[state(each)]`.
 #[proc_macro_derive(State, attributes(state))]
 pub fn state(input: TokenStream) -> TokenStream {
     let input = parse_macro_input!(input as DeriveInput);
@@ -131,6 +132,16 @@ impl Parts {
             let (at, inner) = (place(member), innermost(&field.ty));
             let kind = match way(field)? {
                 Way::Keep => continue,
+                Way::Same => {
+                    let kind = &field.ty;
+                    parts.save.extend(quote!(<#kind as ::posed_state::Plain>::save(&#at, to);));
+                    parts.load.extend(quote! {
+                        if <#kind as ::posed_state::Plain>::read(from)? != #at {
+                            return ::core::result::Result::Err(::posed_state::Damaged::OtherParts);
+                        }
+                    });
+                    kind
+                }
                 Way::Whole => {
                     parts.save.extend(quote!(::posed_state::State::save_state(&#at, to);));
                     parts.load.extend(quote!(::posed_state::State::load_state(&mut #at, from)?;));
@@ -164,6 +175,7 @@ impl Parts {
 enum Way {
     Whole,
     Keep,
+    Same,
     Inner,
     Each,
 }
@@ -174,9 +186,10 @@ fn way(field: &Field) -> syn::Result<Way> {
     };
     match attribute.parse_args::<Ident>()?.to_string().as_str() {
         "keep" => Ok(Way::Keep),
+        "same" => Ok(Way::Same),
         "inner" => Ok(Way::Inner),
         "each" => Ok(Way::Each),
-        _ => Err(syn::Error::new_spanned(attribute, "expected `keep`, `inner` or `each`")),
+        _ => Err(syn::Error::new_spanned(attribute, "expected `keep`, `same`, `inner` or `each`")),
     }
 }
 

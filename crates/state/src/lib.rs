@@ -5,7 +5,8 @@
 //! with memory, make code for more than one format.
 //!
 //! A [`Plain`] is written and read whole. A [`State`] is read in place: what made it has put its parameters and models there
-//! (`#[state(keep)]`), and only what changed since comes from the bytes. Every value is a state.
+//! (`#[state(keep)]`), and only what changed since comes from the bytes. What must be as it was, like the name of a part, is written
+//! too and compared (`#[state(same)]`). Every value is a state.
 //!
 //! ```
 //! use posed_state::{State, Plain, restore, snapshot};

@@ -5,13 +5,16 @@ use crate::probe::{Identity, Inquiry, Listener, Question};
 use crate::sample::Timestamp;
 use crate::session::SensorInfo;
 
-/// Line rates, the likeliest first.
+/// Line rates, bit/s, the likeliest first.
 pub const BAUD_RATES: [u32; 4] = [115_200, 9_600, 38_400, 19_200];
 
 /// Bytes that are kept: more than all answers together.
 const KEPT: usize = 4096;
 
-/// An inquiry of about 0.7 s where nothing answers. A stream is stopped.
+/// An inquiry of about 0.7 s where nothing answers, up to 1.3 s where a unit does; `now` is the time at which the port is open.
+///
+/// It stops a stream and does not start it again. Serial numbers are not asked for; a unit that does not state which stations
+/// are on counts as one with station 1.
 pub fn inquiry(now: Timestamp) -> Inquiry {
     let mut questions = vec![Question::new(*b"\rc", 300), Question::new(*b"S", 400)];
     questions.extend((1..=STATIONS).map(|station| Question::new(format!("l{station}\r"), 150)));

@@ -19,44 +19,47 @@ const TEXT_NORM: f64 = 0.02;
 /// Longest line of text that is waited for.
 const MAX_LINE: usize = 200;
 
-/// What the records look like.
+/// What the records look like: both sides of the line must agree, for a record does not tell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
 pub struct Shape {
-    /// Lines of decimals instead of binary numbers.
+    /// Lines of decimals instead of binary numbers (single precision, least significant byte first).
     pub text: bool,
-    /// Whether the stylus button follows the pose.
+    /// Whether the stylus button follows the pose: a space and `0` or `1`.
     pub button: bool,
 }
 
 impl Shape {
-    /// Bytes of a binary record: header, 7 numbers, button, terminator.
+    /// Bytes of a binary record: header 3, seven numbers of 4, button 2 where there is one, terminator 2.
     pub const fn binary_len(self) -> usize {
         3 + 28 + if self.button { 2 } else { 0 } + 2
     }
 
-    /// Items of the output list.
+    /// Items of the output list as the command takes them: 2 position, 11 quaternion, 16 stylus button where wanted, 1 CR LF.
     pub const fn items(self) -> &'static str {
         if self.button { "2,11,16,1" } else { "2,11,1" }
     }
 }
 
-/// One record.
+/// One record. It is plausible, not proven: the protocol has no checksum.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Record {
     /// Station, 1 to 4.
     pub station: u8,
     /// A space when all is well, else the unit's letter for what is not.
     pub status: u8,
-    /// Position of the sensor in the transmitter frame, m.
+    /// Position of the sensor in the transmitter frame, m; each coordinate within 10 m. Centimetres on the wire.
     pub position_m: [f64; 3],
-    /// Unit quaternion, sensor to transmitter.
+    /// Unit quaternion (w, x, y, z), sensor to transmitter, normalised when read.
     pub orientation_wxyz: [f64; 4],
-    /// Whether the stylus button is down, where asked for.
+    /// Whether the stylus button is down; `None` where the shape has no button.
     pub button: Option<bool>,
 }
 
 impl Record {
-    /// Reads a binary record; `None` unless all of it fits.
+    /// Reads a binary record that fills `bytes`, terminator included.
+    ///
+    /// `None` unless all of it fits: length, header, button, terminator, coordinates within 10 m, norm of the quaternion within
+    /// 0.005 of 1.
     pub fn parse_binary(bytes: &[u8], shape: Shape) -> Option<Self> {
         if bytes.len() != shape.binary_len() {
             return None;
@@ -74,7 +77,10 @@ impl Record {
         Self::new(*header, values, button, BINARY_NORM)
     }
 
-    /// Reads a line of text, CR LF or not; `None` unless all of it fits.
+    /// Reads a line of text, with CR LF or without.
+    ///
+    /// `None` unless all of it fits: header, seven numbers and the button, coordinates within 10 m, norm of the quaternion
+    /// within 0.02 of 1 (text has few decimals). Numbers may touch where a minus sign parts them.
     pub fn parse_text(line: &[u8], shape: Shape) -> Option<Self> {
         let line = line.trim_ascii_end();
         let (header, rest) = line.split_first_chunk::<3>()?;
@@ -118,7 +124,8 @@ impl Record {
         })
     }
 
-    /// Appends the record as it travels.
+    /// Appends the record as it travels, terminator included: centimetres, single precision in binary, four decimals in text.
+    /// The station must be 1 to 4. Where the shape has a button and the record none, the button is up.
     pub fn encode(&self, shape: Shape, out: &mut Vec<u8>) {
         out.extend([DATA, b'0' + self.station, self.status]);
         let values = self.position_m.map(|value| value / CM).into_iter().chain(self.orientation_wxyz);
@@ -157,13 +164,13 @@ impl<'a> Iterator for Fields<'a> {
 /// What the stream of a unit holds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Piece {
-    /// A record, and the place in the stream of its first byte.
+    /// A record, and the place in the stream of its first byte: bytes pushed before it.
     Record(u64, Record),
-    /// An answer to the status question.
+    /// An answer to the status question: recognised by its form alone, its contents are not read.
     Status,
 }
 
-/// Cuts a stream of bytes into records.
+/// Cuts a stream of bytes into records. What comes out does not depend on how the bytes were cut.
 ///
 /// A record that does not fit gives up only its first byte, since the next one may begin inside it.
 #[derive(Clone, Debug, Plain)]
@@ -178,12 +185,12 @@ pub struct Splitter {
 }
 
 impl Splitter {
-    /// A splitter before the first byte.
+    /// A splitter before the first byte, for records of this shape only.
     pub fn new(shape: Shape) -> Self {
         Self { shape, buffer: Vec::new(), start: 0, origin: 0, in_sync: true, rejected: 0, bytes_skipped: 0 }
     }
 
-    /// Takes more bytes.
+    /// Takes more bytes, in the order of the stream.
     pub fn push(&mut self, bytes: &[u8]) {
         self.buffer.drain(..self.start);
         self.origin += self.start as u64;
@@ -191,7 +198,7 @@ impl Splitter {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// The next piece, or `None` until more bytes come.
+    /// The next piece, or `None` until more bytes come. Bytes of no piece are skipped and counted.
     pub fn find(&mut self) -> Option<Piece> {
         loop {
             let pending = &self.buffer[self.start..];
@@ -248,19 +255,19 @@ impl Splitter {
         }
     }
 
-    /// Bytes are missing here, or the stream has ended: what is pending is no record.
+    /// Bytes are missing here, or the stream has ended: what is pending is no record and counts as skipped.
     pub fn interrupt(&mut self) {
         self.bytes_skipped += (self.buffer.len() - self.start) as u64;
         self.start = self.buffer.len();
         self.in_sync = true;
     }
 
-    /// Times that sync was lost.
+    /// Times that sync was lost: at least so many records were refused.
     pub fn rejected(&self) -> u64 {
         self.rejected
     }
 
-    /// Bytes of no record and no answer.
+    /// Bytes of no record and no answer; line ends between answers are not counted.
     pub fn bytes_skipped(&self) -> u64 {
         self.bytes_skipped
     }

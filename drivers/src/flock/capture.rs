@@ -16,27 +16,27 @@ use thiserror::Error;
 
 use super::wire::{Format, QuaternionSense, Range, Record};
 
-/// What the caller knows better than the file.
+/// What the caller knows better than the file. The default knows nothing, and takes quaternions in the vendor's sense.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Plain)]
 pub struct Options {
-    /// Record format of all units in a capture without the host's side.
+    /// Record format of all units in a capture without the host's side; `None`: that which fits most records of each.
     pub format: Option<Format>,
-    /// Full scale of positions; absent: what the session says, else 36 inches.
+    /// Full scale of positions; `None`: what the session says, else 36 inches.
     pub range: Option<Range>,
-    /// Meaning of quaternions.
+    /// Which rotation the quaternions describe; nothing in a file tells it.
     pub quaternion_sense: QuaternionSense,
 }
 
-/// One record of a capture.
+/// One record of a capture, decoded with [`super::wire::Tolerance::CAPTURE`]: poses of a start-up are among them.
 #[derive(Clone, Debug, PartialEq, Plain)]
 pub struct CapturedRecord {
-    /// Time of the line with the record's first byte, exactly as written; `None` without a log.
+    /// Time of the line with the record's first byte, exactly as written, in the unit of the log; `None` without a log.
     pub t: Option<String>,
-    /// Address; 0 without group mode.
+    /// Address of the bird; 0 without group mode.
     pub address: u8,
-    /// Its format.
+    /// Its format, by the session or guessed: see [`Decoded::warnings`].
     pub format: Format,
-    /// Its values, SI, orientation sensor to transmitter.
+    /// Its values: position in the transmitter frame, m; orientation sensor to transmitter.
     pub record: Record,
 }
 
@@ -49,24 +49,24 @@ pub struct Summary {
     pub rejected: u64,
     /// Bytes of the unit that are neither record nor answer.
     pub bytes_skipped: u64,
-    /// Answers to the host's questions.
+    /// Answers to the host's questions; 0 without the host's side.
     pub answers: u64,
 }
 
 /// A decoded capture.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Decoded {
-    /// All records in order.
+    /// All records in the order of the file.
     pub records: Vec<CapturedRecord>,
-    /// Full scale of the positions.
+    /// Full scale of the positions at the end of the file; a record has that which held when it came.
     pub range: Range,
     /// Counts.
     pub summary: Summary,
-    /// Sentences for the user: what had to be guessed.
+    /// Sentences for the user: what had to be guessed. Empty: nothing.
     pub warnings: Vec<String>,
 }
 
-/// Why a file is no capture.
+/// Why a file is no capture, in words for the user.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum CaptureError {
     /// There is nothing in it.
@@ -88,7 +88,10 @@ pub enum CaptureError {
     NoRecords,
 }
 
-/// Decodes a capture; tells a log from raw bytes by itself.
+/// Decodes a capture; tells a log from raw bytes by itself: a file with one line of a log is a log.
+///
+/// Records have no checksum. Raw bytes that are no Flock's at all may hold pieces that look like records: see the warnings and
+/// the share of [`Summary::bytes_skipped`].
 ///
 /// # Errors
 /// An empty file, a broken line of a log, raw bytes without any record.

@@ -22,15 +22,15 @@ const QUIET: Duration = Duration::from_millis(40);
 const STOP_LIMIT: Duration = Duration::from_millis(600);
 /// Tries to stop a stream.
 const STOP_TRIES: u8 = 3;
-/// Measured rate of a unit that does not tell its own.
+/// Measurement rate that a unit which does not tell its own is taken to have, Hz: the nominal one after power-up.
 pub const POWER_UP_RATE_HZ: f64 = 103.3;
 
 /// One unit of a flock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
 pub struct Unit {
-    /// Address on the bus.
+    /// Address on the bus, from 1.
     pub address: u8,
-    /// What it is and does.
+    /// What it is and does, as it was at the examination.
     pub status: UnitStatus,
 }
 
@@ -41,20 +41,20 @@ impl Unit {
     }
 }
 
-/// What an examination found.
+/// What an examination found: the unit's own answers, which carry no checksum. What it did not answer has a default.
 #[derive(Clone, Debug, PartialEq, Plain)]
 pub struct Findings {
-    /// Software revision: integer part, fraction.
+    /// Software revision: integer part, fraction in hundredths ((3, 67) is 3.67).
     pub revision: (u8, u8),
     /// Status of the unit on the line.
     pub status: BirdStatus,
-    /// Model as the unit writes it, without padding; empty where it does not tell.
+    /// Model as the unit writes it, without padding; empty where it does not tell. Bytes that are not UTF-8 are replaced.
     pub model: String,
-    /// How units are numbered.
+    /// How units are numbered: as the caller has fixed it, else as the unit reports it, else normal.
     pub addressing: Addressing,
-    /// Units that answer on the bus, by rising address; empty for a stand-alone unit.
+    /// Units that are accessible on the bus, by rising address; empty for a stand-alone unit.
     pub units: Vec<Unit>,
-    /// Measurement rate, Hz.
+    /// Measurement rate that the unit is set to, Hz, 10 to 200; [`POWER_UP_RATE_HZ`] where it does not tell, or tells another.
     pub rate_hz: f64,
 }
 
@@ -70,7 +70,7 @@ impl Findings {
             || self.units.iter().any(|unit| unit.status.has(UnitStatus::EXTENDED_RANGE))
     }
 
-    /// Addresses that have a sensor; 0 for a stand-alone unit.
+    /// Addresses of accessible units that have a sensor, rising; `[0]` for a stand-alone unit, whether it has one or not.
     pub fn sensors(&self) -> Vec<u8> {
         if self.stand_alone() {
             return vec![0];
@@ -80,19 +80,19 @@ impl Findings {
     }
 }
 
-/// Why an examination failed.
+/// Why an examination failed; [`Failure::advice`] has the words for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Failure {
     /// Not a byte came.
     Silent,
-    /// Bytes came, but no answers.
+    /// Bytes came, but no answers to the first questions.
     Unintelligible,
-    /// The stream could not be stopped.
+    /// The stream could not be stopped in three tries.
     DoesNotStop,
 }
 
 impl Failure {
-    /// What to check, for the operator.
+    /// What to check, for the operator; `baud` is the line rate that was tried, bit/s.
     pub fn advice(self, baud: u32) -> String {
         match self {
             Self::Silent => format!(
@@ -114,11 +114,11 @@ impl Failure {
 /// Progress of an examination after an input.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Progress {
-    /// Not done yet.
+    /// Not done yet: wait for bytes, or for the next deadline.
     Busy,
-    /// Done.
+    /// Done: give it no more inputs.
     Found(Box<Findings>),
-    /// Failed.
+    /// Failed: give it no more inputs.
     Failed(Failure),
 }
 
@@ -133,7 +133,8 @@ enum Step {
     Rate,
 }
 
-/// A running examination.
+/// A running examination: after every input drain [`Self::poll_transmit`], and wait for [`Self::poll_timeout`]. It stops a
+/// stream and changes nothing else.
 #[derive(Clone, Debug, Plain)]
 pub struct Examination {
     step: Step,
@@ -152,7 +153,8 @@ pub struct Examination {
 }
 
 impl Examination {
-    /// Begins: stops a stream, then asks, `tries` times each.
+    /// Begins: stops a stream, then asks for revision and status, `tries` times each (at least once), and for the rest twice
+    /// each. `addressing` fixes how units are numbered; `None`: as the unit reports it.
     pub fn new(now: Timestamp, addressing: Option<Addressing>, tries: u8) -> Self {
         Self {
             step: Step::Stop,
@@ -176,7 +178,7 @@ impl Examination {
         }
     }
 
-    /// Bytes to send, until `None`.
+    /// Bytes to send, in order, until `None`.
     pub fn poll_transmit(&mut self) -> Option<Vec<u8>> {
         self.transmits.pop_front()
     }
@@ -194,7 +196,7 @@ impl Examination {
         std::mem::take(&mut self.bytes_skipped)
     }
 
-    /// Bytes were read.
+    /// Bytes were read at `now`, cut anywhere. While the stream is being stopped they only prolong the wait.
     pub fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) -> Progress {
         self.heard |= !bytes.is_empty();
         let Some(asker) = &mut self.asker else {
@@ -209,7 +211,7 @@ impl Examination {
         }
     }
 
-    /// The time of [`Self::poll_timeout`] has come.
+    /// The time of [`Self::poll_timeout`] has come. A call before that time does nothing.
     pub fn handle_timeout(&mut self, now: Timestamp) -> Progress {
         let Some(asker) = &mut self.asker else {
             return self.stopping(now);

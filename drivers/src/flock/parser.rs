@@ -42,13 +42,13 @@ const CONTINUES_WITHIN: u16 = 511;
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "nearly all events are samples, and none may allocate")]
 pub enum Event {
-    /// A record to believe.
+    /// A record to believe. Its cycle number is that of its place in the order.
     Sample(Sample),
-    /// A bird's records have stopped; it is no longer waited for.
+    /// A bird's records have stopped (three clean cycles without one); it is no longer waited for. By its address.
     Left(u8),
-    /// It is back.
+    /// It is back, after two of its records; those two are not published. By its address.
     Returned(u8),
-    /// A whole piece that ends in the address of a bird which is not known here.
+    /// A whole piece that ends in the address of a bird which is not known here. One alone may be damage. Only in group mode.
     Stranger(u8),
 }
 
@@ -79,7 +79,11 @@ struct Piece {
     published: bool,
 }
 
-/// Cuts records out of a stream; see the module's words.
+/// Cuts records out of a stream; see the module's words. Positions are in m in the transmitter frame, orientations sensor to
+/// transmitter.
+///
+/// What it believes has the right form, place and, for matrices and quaternions, norm; a flipped bit in a position or an angle
+/// can pass.
 #[derive(Clone, Debug, Plain)]
 pub struct Splitter {
     slots: Vec<Slot>,
@@ -105,6 +109,8 @@ pub struct Splitter {
 
 impl Splitter {
     /// A splitter for these running birds, by rising address; a single one without group mode has address 0.
+    ///
+    /// `baud` (bit/s) says how long two bytes take, the time for which a doubtful record is held back.
     pub fn new(birds: &[(u8, Shape)], scale: Scale, tolerance: Tolerance, baud: u32) -> Self {
         Self {
             slots: birds
@@ -132,27 +138,27 @@ impl Splitter {
         self.cycle = cycle;
     }
 
-    /// Number of the cycle whose records come next.
+    /// Number of the cycle whose record comes next.
     pub fn cycle(&self) -> u64 {
         self.cycle
     }
 
-    /// Whether the last record ended its cycle.
+    /// Whether the last record ended its cycle, or none has come yet.
     pub fn at_cycle_start(&self) -> bool {
         self.next == 0
     }
 
-    /// Takes what has been counted since the last call.
+    /// Takes what has been counted since the last call. Records of absent birds count as refused.
     pub fn take_counters(&mut self) -> Counters {
         std::mem::take(&mut self.counters)
     }
 
-    /// When [`Self::handle_timeout`] has a record to release.
+    /// When [`Self::handle_timeout`] has a record to release; `None` while none is held back.
     pub fn poll_timeout(&self) -> Option<Timestamp> {
         self.hold_until
     }
 
-    /// Takes one read chunk.
+    /// Takes one read chunk, read at `now`, and calls `emit` with what it completes, in order.
     pub fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8], emit: &mut impl FnMut(Event)) {
         if bytes.is_empty() {
             return;
@@ -187,7 +193,7 @@ impl Splitter {
         }
     }
 
-    /// Releases the record that waited for a stray byte.
+    /// Releases the record that waited for a stray byte. A call before [`Self::poll_timeout`] does nothing.
     pub fn handle_timeout(&mut self, now: Timestamp, emit: &mut impl FnMut(Event)) {
         if self.hold_until.is_some_and(|until| now >= until) {
             self.hold_until = None;
@@ -198,14 +204,14 @@ impl Splitter {
         }
     }
 
-    /// Bytes of the stream were lost before they came here.
+    /// So many bytes of the stream were lost before they came here; the open piece is given up.
     pub fn handle_dropped(&mut self, bytes: u64) {
         self.abandon_piece();
         self.after_lone_first_byte = false;
         self.skip(bytes);
     }
 
-    /// The stream has stopped: counts what was left open.
+    /// The stream has stopped: counts what was left open. The order is found anew by the next record.
     pub fn finish(&mut self) {
         self.abandon_piece();
         let cycle_len = self.bytes_before(self.slots.len());

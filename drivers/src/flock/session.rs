@@ -34,7 +34,8 @@ const LONGEST_PAUSE: Duration = Duration::from_millis(250);
 /// How long after its port was opened a unit may be starting: until then no answer is no news.
 const POWER_UP: Duration = Duration::from_secs(3);
 
-/// A live session with one Flock of Birds; see the module's words.
+/// A live session with one Flock of Birds; see the module's words. Samples are poses in the transmitter frame, of the birds
+/// asked for; the unit's own estimate, without checksum, cut and checked by [`super::parser`].
 #[derive(Clone, Debug, posed_state::State)]
 pub struct FlockSession {
     #[state(keep)]
@@ -73,10 +74,11 @@ enum Phase {
 }
 
 impl FlockSession {
-    /// A session for the birds `wanted`: `[0]` for a stand-alone unit, else addresses on the flock's bus.
+    /// A session for the birds `wanted`: `[0]` for a stand-alone unit, else addresses on the flock's bus, in any order. `baud`
+    /// is the line rate, bit/s, above 0: it limits the rate of records. Closed until the line opens.
     ///
     /// # Errors
-    /// A setting is out of its range, or the addresses cannot be on one flock.
+    /// A setting is out of its range; `wanted` is empty, names an address twice, 0 beside others, or one above 126.
     pub fn new(settings: Settings, baud: u32, wanted: &[u16]) -> Result<Self, SettingsError> {
         settings.validate()?;
         let bad = SettingsError { key: "address", expected: "0 alone, or different numbers from 1 to 126" };
@@ -108,7 +110,8 @@ impl FlockSession {
         })
     }
 
-    /// Records that were not published because birds had just been started, well formed or not.
+    /// Records that were not published because birds had just been started or had come back, well formed or not; since the
+    /// session was made.
     pub fn records_settling(&self) -> u64 {
         self.settling
     }
@@ -119,7 +122,8 @@ impl FlockSession {
         reported.map(|(_, serial)| serial.to_string())
     }
 
-    /// What the last examination found.
+    /// What the last examination found, with the rate and the running units as set-up has changed them; `None` before the first,
+    /// and always where the session only listens.
     pub fn findings(&self) -> Option<&Findings> {
         self.findings.as_ref()
     }

@@ -90,13 +90,13 @@ impl Settings {
     }
 }
 
-/// A setting out of its range.
+/// A setting out of its range, of this driver or another: the first one that was found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error("{key} must be {expected}")]
 pub struct SettingsError {
-    /// The key.
+    /// The key as the stage file names it.
     pub key: &'static str,
-    /// What it may be.
+    /// What it may be, in words.
     pub expected: &'static str,
 }
 

@@ -66,12 +66,12 @@ impl Format {
         }
     }
 
-    /// The format selected by a command byte.
+    /// The format selected by a command byte; `None` for a byte that selects none.
     pub fn from_command(byte: u8) -> Option<Self> {
         Self::ALL.into_iter().find(|format| format.command() == byte)
     }
 
-    /// Bits 4 to 1 of the bird status word.
+    /// Code of the format in bits 4 to 1 of the bird status word; MotionStar uses the same codes.
     pub const fn status_code(self) -> u8 {
         match self {
             Self::Position => 1,
@@ -84,7 +84,7 @@ impl Format {
         }
     }
 
-    /// The format named by bits 4 to 1 of the bird status word.
+    /// The format named by bits 4 to 1 of the bird status word, given as a number; `None` for a code of no format.
     pub fn from_status_code(code: u8) -> Option<Self> {
         Self::ALL.into_iter().find(|format| format.status_code() == code)
     }
@@ -102,7 +102,7 @@ impl Format {
         !matches!(self, Self::Position)
     }
 
-    /// Number of 14-bit words of a record.
+    /// Number of words of a record: 14 bits each from a Flock, 16 from a MotionStar.
     pub const fn words(self) -> usize {
         match self {
             Self::Position | Self::Angles => 3,
@@ -158,7 +158,7 @@ impl Range {
         }
     }
 
-    /// Full scale in metres.
+    /// Full scale in metres: the position of a word at its limit, to either side.
     pub fn metres(self) -> f64 {
         f64::from(self.inches()) * 0.0254
     }
@@ -216,7 +216,7 @@ impl Hemisphere {
     /// All six.
     pub const ALL: [Self; 6] = [Self::Forward, Self::Aft, Self::Right, Self::Left, Self::Lower, Self::Upper];
 
-    /// The two data bytes: axis, sign.
+    /// The two data bytes of the command and of parameter 22: axis, sign.
     pub const fn bytes(self) -> [u8; 2] {
         match self {
             Self::Forward => [0x00, 0x00],
@@ -228,12 +228,12 @@ impl Hemisphere {
         }
     }
 
-    /// The hemisphere named by two data bytes.
+    /// The hemisphere named by two data bytes; `None` for others than the six pairs.
     pub fn from_bytes(bytes: [u8; 2]) -> Option<Self> {
         Self::ALL.into_iter().find(|hemisphere| hemisphere.bytes() == bytes)
     }
 
-    /// Unit vector into the half-space, transmitter axes.
+    /// Unit vector into the half-space, transmitter axes (x forward, y right, z down).
     pub const fn direction(self) -> [f64; 3] {
         match self {
             Self::Forward => [1.0, 0.0, 0.0],
@@ -278,7 +278,7 @@ impl Addressing {
         }
     }
 
-    /// The mode named by parameter 19.
+    /// The mode named by the value of parameter 19; `None` for 2 and what is above 3.
     pub const fn from_code(code: u8) -> Option<Self> {
         match code {
             0 => Some(Self::Normal),
@@ -288,7 +288,8 @@ impl Addressing {
         }
     }
 
-    /// Writes the prefix that hands the next command to the unit `address`.
+    /// Appends the prefix that hands the next command, and only that, to the unit `address`; one byte, or two for addresses
+    /// above 31 and in super-expanded mode. Whether the mode has such an address is not checked.
     pub fn prefix(self, address: u8, out: &mut Vec<u8>) {
         match (self, address) {
             (Self::SuperExpanded, _) => out.extend([0xA0, address]),
@@ -316,7 +317,7 @@ pub enum ReportRate {
 }
 
 impl ReportRate {
-    /// Cycles from one report to the next.
+    /// Measurement cycles from one report to the next.
     pub const fn cycles(self) -> u16 {
         match self {
             Self::Every => 1,

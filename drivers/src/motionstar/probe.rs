@@ -5,7 +5,9 @@ use crate::probe::{Identity, Inquiry, Listener, Question};
 use crate::sample::Timestamp;
 use crate::session::SensorInfo;
 
-/// An inquiry of at most 1.5 s. A stream is stopped.
+/// An inquiry of at most 1.5 s; `now` is the time at which the socket is open.
+///
+/// It stops a stream, and wakes the system; it sets nothing. A unit's serial number and model are not asked for.
 pub fn inquiry(now: Timestamp) -> Inquiry {
     let ask = |sequence, kind, wait_ms| {
         let mut packet = Vec::new();

@@ -116,7 +116,11 @@ struct Bird {
     range_m: f64,
 }
 
-/// A live session with one MotionStar.
+/// A live session with one MotionStar: samples are poses in the transmitter frame, of the birds asked for.
+///
+/// Their time is the server's, ms since 1970, one for all records of a packet. The full scale of positions is read from each
+/// bird, not set. Losses are counted by the packets' numbers, one record of each bird for a missing packet; after a break by
+/// time.
 #[derive(Clone, Debug, posed_state::State)]
 pub struct MotionStarSession {
     #[state(keep)]
@@ -137,10 +141,10 @@ pub struct MotionStarSession {
 }
 
 impl MotionStarSession {
-    /// A session for the birds `wanted`, by their address on the bus.
+    /// A session for the birds `wanted`, by their address on the bus, in any order. Closed until the line opens.
     ///
     /// # Errors
-    /// A setting or an address is out of its range.
+    /// A setting is out of its range; `wanted` is empty, names an address twice, or one that is not 1 to 126.
     pub fn new(settings: Settings, wanted: &[u16]) -> Result<Self, SettingsError> {
         settings.validate()?;
         let bad = SettingsError { key: "address", expected: "different numbers from 1 to 126" };

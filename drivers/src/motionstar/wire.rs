@@ -9,7 +9,7 @@ use crate::flock::wire::{Format, QuaternionSense, rotation};
 
 /// Bytes of a packet's header.
 pub const HEADER: usize = 16;
-/// Most bytes of a body: records of all units in the longest format, with buttons.
+/// Most bytes of a body: 126 records of the longest format (12 words), each with head and buttons.
 pub const MAX_BODY: usize = 126 * (2 + 24 + 2);
 /// Most bytes of a body without records: the status of a system with all units, and some to spare.
 const MAX_PLAIN_BODY: usize = 256;
@@ -21,7 +21,10 @@ const FULL_SCALE: f64 = 32768.0;
 const QUATERNION_NORM: f64 = 0.0015;
 const MATRIX: f64 = 0.03;
 
-/// Types of packets.
+/// Types of packets, by the vendor's names.
+///
+/// Client to server: 10, 11, 30, 101 to 106. Server to client: 20, 21, 31 and 201 to 206, the answers to these in turn; 40, the
+/// question came at the wrong time; 50, it was not known; 210 and 212, data; 211, an acknowledgement.
 pub mod kind {
     #![expect(missing_docs, reason = "the vendor's names")]
     pub const WAKE_UP: u8 = 10;
@@ -48,7 +51,7 @@ pub mod kind {
     pub const DATA_ACK: u8 = 211;
     pub const DATA_SINGLE: u8 = 212;
 
-    /// Whether a packet of this type exists.
+    /// Whether a packet of this type exists, in either direction.
     pub const fn is_known(kind: u8) -> bool {
         matches!(kind, 10 | 11 | 20 | 21 | 30 | 31 | 40 | 50 | 101..=106 | 201..=206 | 210..=212)
     }
@@ -57,24 +60,24 @@ pub mod kind {
 /// Header of a packet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Header {
-    /// Number of the packet; an answer repeats that of its question.
+    /// Number of the packet, with wrap; an answer repeats that of its question, data packets step by one.
     pub sequence: u16,
-    /// Server's time: milliseconds of the second.
+    /// Server's time: milliseconds of the second; this driver sends 0.
     pub millis: u16,
-    /// Server's time: seconds since 1970.
+    /// Server's time: seconds since 1970, by the clock of the server; this driver sends 0.
     pub seconds: u32,
     /// Type, see [`kind`].
     pub kind: u8,
-    /// 0 for the whole system, else a unit's address.
+    /// 0 for the whole system, else a unit's address, 1 to 126.
     pub unit: u8,
-    /// Error, see [`error_words`].
+    /// Error, 0 for none; see [`error_words`].
     pub error: u8,
-    /// More about the error.
+    /// More about the error; its meaning is not documented.
     pub error_extension: u16,
 }
 
 impl Header {
-    /// Appends a packet with this header.
+    /// Appends a packet: this header (16 bytes, big-endian), with the length of the body, and the body.
     ///
     /// # Panics
     /// With more than [`MAX_BODY`] bytes of body.
@@ -116,9 +119,9 @@ impl Header {
 /// Where a packet lies in [`Packets`]; good until the next [`Packets::push`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Found {
-    /// Place in the stream of the header's first byte.
+    /// Place in the stream of the header's first byte: bytes pushed before it.
     pub place: u64,
-    /// The header.
+    /// The header; its fields are possible, not proven.
     pub header: Header,
     body: (usize, usize),
 }
@@ -139,7 +142,7 @@ pub struct Packets {
 }
 
 impl Packets {
-    /// Takes more bytes.
+    /// Takes more bytes, in the order of the stream. Earlier [`Found`]s are void from here on.
     pub fn push(&mut self, bytes: &[u8]) {
         let done = self.before.map_or(self.start, |(_, body)| body);
         self.buffer.drain(..done);
@@ -150,6 +153,8 @@ impl Packets {
     }
 
     /// The next packet, or `None` until more bytes come. Bytes that can be no header are skipped one by one.
+    ///
+    /// A data packet is checked to hold records of known formats that fill it; the body of another packet is not checked.
     pub fn find(&mut self) -> Option<Found> {
         loop {
             let pending = &self.buffer[self.start..];
@@ -185,25 +190,28 @@ impl Packets {
         })
     }
 
-    /// The body of a packet.
+    /// The body of a packet, as it came.
+    ///
+    /// # Panics
+    /// May panic, or give other bytes, where `found` is from before the last [`Packets::push`], or from other packets.
     pub fn body(&self, found: Found) -> &[u8] {
         &self.buffer[found.body.0..found.body.1]
     }
 
-    /// Bytes are missing here, or the stream has ended: what is pending is no packet.
+    /// Bytes are missing here, or the stream has ended: what is pending is no packet and counts as skipped.
     pub fn interrupt(&mut self) {
         self.bytes_skipped += (self.buffer.len() - self.start) as u64;
         self.start = self.buffer.len();
         self.before = None;
     }
 
-    /// Bytes of no packet.
+    /// Bytes of no packet so far.
     pub fn bytes_skipped(&self) -> u64 {
         self.bytes_skipped
     }
 }
 
-/// What the whole system reports about itself (answer 201 for unit 0).
+/// What the whole system reports about itself (answer 201 for unit 0); 16 bytes, then one per address.
 #[derive(Clone, Debug, PartialEq, Eq, Plain)]
 pub struct SystemStatus {
     /// The body as it came; it is sent back with another rate.
@@ -211,23 +219,24 @@ pub struct SystemStatus {
 }
 
 impl SystemStatus {
-    /// Reads the body; `None` when it is too short.
+    /// Reads the body; `None` when it has less than 16 bytes. Its contents are not checked.
     pub fn parse(body: &[u8]) -> Option<Self> {
         (body.len() >= 16).then(|| Self { body: body.to_vec() })
     }
 
-    /// Measurements per second; `None` when the digits are none.
+    /// Measurement rate as it is set, Hz (six digits of mHz on the wire); `None` when the digits are none.
     pub fn rate_hz(&self) -> Option<f64> {
         let digits = std::str::from_utf8(&self.body[5..11]).ok()?;
         digits.trim().parse::<u32>().ok().map(|millihertz| f64::from(millihertz) / 1000.0)
     }
 
-    /// Addresses of units with a sensor that can be reached.
+    /// Addresses of units that are accessible and have a sensor, rising. A controller that claims a sensor is among them.
     pub fn sensors(&self) -> impl Iterator<Item = u8> + '_ {
         (1..=126).zip(&self.body[16..]).filter(|(_, flags)| *flags & 0xA0 == 0xA0).map(|(address, _)| address)
     }
 
-    /// The body that sets another rate, Hz: the first 16 bytes only, as long as some servers take.
+    /// The body that sets another measurement rate, Hz, held within 0 and 999.999: the first 16 bytes only, as long as some
+    /// servers take.
     pub fn with_rate(&self, rate_hz: f64) -> Vec<u8> {
         let mut body = self.body[..16].to_vec();
         let digits = format!("{:06}", (rate_hz * 1000.0).round().clamp(0.0, 999_999.0) as u32);
@@ -236,7 +245,7 @@ impl SystemStatus {
     }
 }
 
-/// Bytes of a bird's status.
+/// Bytes of a bird's status, asked for and sent back.
 pub const BIRD_STATUS: usize = 70;
 
 /// What one bird reports about itself (answer 201 for its address).
@@ -247,7 +256,7 @@ pub struct BirdStatus {
 }
 
 impl BirdStatus {
-    /// Reads the body; `None` when it has not the right length.
+    /// Reads the body; `None` when it has not [`BIRD_STATUS`] bytes. Its contents are not checked.
     pub fn parse(body: &[u8]) -> Option<Self> {
         (body.len() == BIRD_STATUS).then(|| Self { body: body.to_vec() })
     }
@@ -257,13 +266,14 @@ impl BirdStatus {
         self.body[0] & 0x04 != 0
     }
 
-    /// Full scale of positions, m; `None` for a unit of length other than inches.
+    /// Full scale of positions, m (12 bits of inches on the wire); `None` for a unit of length other than inches, and for 0.
     pub fn range_m(&self) -> Option<f64> {
         let word = u16::from_be_bytes([self.body[8], self.body[9]]);
         (word >> 12 == 0 && word != 0).then(|| f64::from(word & 0x0FFF) * 0.0254)
     }
 
-    /// The body that sets format, one record per `report_every` cycles, hemisphere code, and the button bytes.
+    /// The body that sets format, one record per `report_every` cycles, hemisphere code (0 forward, 1 aft, 2 upper, 3 lower, 4
+    /// left, 5 right: not the Flock's bytes), and whether records carry button bytes. All else stays as the bird reported it.
     pub fn with(&self, format: Format, report_every: u8, hemisphere: u8, button: bool) -> Vec<u8> {
         let mut body = self.body.clone();
         body[5] = if button { body[5] | 0x08 } else { body[5] & !0x08 };
@@ -277,17 +287,18 @@ impl BirdStatus {
 /// One record of a data packet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Record<'a> {
-    /// Address of the unit.
+    /// Address of the unit, 0 to 127 as sent.
     pub address: u8,
-    /// Code of the format.
+    /// Code of the format, see [`Format::status_code`]; besides 0 no data, 14 feed-through, 15 bad data.
     pub code: u8,
-    /// Words, two bytes each.
+    /// Words as sent: big-endian, signed, 32768 to full scale.
     pub words: &'a [[u8; 2]],
-    /// Button bytes.
+    /// Button bytes as sent; `None` where the record has none.
     pub buttons: Option<[u8; 2]>,
 }
 
-/// The records of a data packet; `None` for one that they do not fill.
+/// The records of a data packet, in order; `None` when they do not fill the body exactly. Their formats are not checked: that is
+/// for [`Record::pose`].
 pub fn records(body: &[u8]) -> Option<impl Iterator<Item = Record<'_>>> {
     let mut check = body;
     while let Some((_, rest)) = next_record(check) {
@@ -334,20 +345,24 @@ fn next_record(bytes: &[u8]) -> Option<(Record<'_>, &[u8])> {
     Some((Record { address: unit & 0x7F, code: form >> 4, words: words.as_chunks().0, buttons }, rest))
 }
 
-/// A pose: position in m, orientation as unit quaternion sensor to transmitter.
+/// A pose, position in m, orientation as unit quaternion sensor to transmitter: the device's own estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
-    /// Position, m.
+    /// Position of the sensor in the transmitter frame, m; `None` in formats without.
     pub position_m: Option<[f64; 3]>,
-    /// Orientation.
+    /// Unit quaternion (w, x, y, z), sensor to transmitter; `None` in the position format.
     pub orientation_wxyz: Option<[f64; 4]>,
 }
 
 impl Record<'_> {
-    /// The pose; `Ok(None)` for a record without one (no data, a wand's buttons).
+    /// The pose; `Ok(None)` for a record without one (code 0 no data, 14 feed-through, such as a wand's buttons).
+    ///
+    /// `range_m` is the full scale of positions in m ([`BirdStatus::range_m`]), `sense` what the quaternion on the wire means.
     ///
     /// # Errors
-    /// The record says that its data are bad, or they are no pose: it must not be used.
+    /// The record must not be used: it says that its data are bad, its format is not known or has another number of words, a
+    /// quaternion's norm is further than 0.0015 from 1, or a matrix further than 0.03 from orthonormal. Positions and angles can
+    /// be anything, so damage in them alone is not found.
     pub fn pose(&self, range_m: f64, sense: QuaternionSense) -> Result<Option<Pose>, BadRecord> {
         if self.code == 0 || self.code == 14 {
             return Ok(None);
@@ -387,11 +402,14 @@ impl Record<'_> {
     }
 }
 
-/// A record that must not be used.
+/// A record that must not be used; see [`Record::pose`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BadRecord;
 
-/// Appends a record.
+/// Appends a record to `out`: `pose` in m and as unit quaternion sensor to transmitter, scaled by `range_m` (full scale, m).
+///
+/// Values beyond full scale are held at it. What the format needs and the pose lacks is the origin, or the identity. `address`
+/// must be below 128.
 pub fn encode_record(
     address: u8,
     format: Format,
@@ -434,7 +452,8 @@ fn sensed([w, x, y, z]: [f64; 4], sense: QuaternionSense) -> [f64; 4] {
     }
 }
 
-/// What an error code of a header means, in words.
+/// What an error code of a header means, in words; codes as in the vendor's guide. Older servers number some of them otherwise,
+/// so show the code, too.
 pub fn error_words(code: u8) -> &'static str {
     match code {
         1..=3 => "packets of ours did not arrive",

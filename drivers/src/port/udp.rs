@@ -17,7 +17,11 @@ use crate::datagram::{Datagram, datagrams};
 /// Longest datagram that a server takes: what an Ethernet frame holds.
 const LONGEST: usize = 1500;
 
-/// A socket for datagrams.
+/// A socket for datagrams as a stream: each read gives one datagram, each write sends one.
+///
+/// Towards one peer a datagram longer than the buffer of the read is cut. A server reads at most 1500 bytes of a datagram,
+/// and drops it where its envelope does not fit the buffer; a write takes one envelope, and drops what is none. Empty
+/// datagrams of a peer are passed over.
 #[derive(Debug)]
 pub struct UdpStream {
     socket: UdpSocket,
@@ -48,19 +52,23 @@ impl UdpStream {
         Ok(Self { socket, server })
     }
 
-    /// Where it is bound.
+    /// Address and port of this computer that it is bound to.
     ///
     /// # Errors
-    /// The socket is gone.
+    /// The operating system refuses to say it: the socket is gone.
     pub fn local_addr(&self) -> io::Result<SocketAddr> {
         self.socket.local_addr()
     }
 }
 
-/// A socket at a port of this computer that others may listen to as well.
+/// A socket at an address of this computer that others may listen to as well (address reuse).
 ///
 /// # Errors
-/// The port cannot be had.
+/// The socket cannot be made or bound: the address is not one of this computer, or another program has the port and
+/// does not share it.
+///
+/// # Panics
+/// Outside a Tokio runtime.
 pub fn shared(local: SocketAddr) -> io::Result<UdpSocket> {
     let socket = Socket::new(Domain::for_address(local), Type::DGRAM, Some(Protocol::UDP))?;
     socket.set_reuse_address(true)?;

@@ -88,7 +88,11 @@ struct Tracker {
     timed_out: bool,
 }
 
-/// The server of all trackers on one socket.
+/// The server of all trackers on one socket: samples are orientations (z up, heading of the tracker's own) and accelerations
+/// without gravity, both computed by the tracker.
+///
+/// It answers whoever asks, unauthenticated: a device that claims the network address of a tracker is taken for it. Losses are
+/// estimates: packets are numbered, not samples.
 #[derive(Clone, Debug, posed_state::State)]
 pub struct SlimeVrSession {
     #[state(keep)]
@@ -111,10 +115,12 @@ pub struct SlimeVrSession {
 }
 
 impl SlimeVrSession {
-    /// A server for the sensors `wanted`, see the module for their addresses.
+    /// A server for the sensors `wanted`, see the module for their addresses; up to 64 trackers with up to 16 sensors each.
+    /// Closed until the line opens.
     ///
     /// # Errors
-    /// A text is no network address, or an address no sensor's.
+    /// A text under `trackers` is no network address, or is there twice, or there are too many; `wanted` is empty, names a
+    /// sensor twice, or one of a tracker that the settings do not have.
     pub fn new(settings: Settings, wanted: &[u16]) -> Result<Self, SettingsError> {
         let bad = SettingsError {
             key: "trackers",

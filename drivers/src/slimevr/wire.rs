@@ -5,70 +5,71 @@ const MOST_M_S2: f64 = 1000.0;
 /// Bytes in front of the body: type and packet number.
 const HEADER: usize = 12;
 
-/// A packet of a tracker.
+/// A packet of a tracker: head parsed, items still in their bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Packet<'a> {
-    /// Number of the packet; 0 in handshakes and returned pings.
+    /// Number of the packet since the handshake; 0 in handshakes, returned pings, and where a tracker does not count.
     pub number: u64,
     kind: u32,
     body: &'a [u8],
 }
 
-/// What a tracker says, one item of a packet.
+/// What a tracker says, one item of a packet. Nothing but its form and the size of its numbers has been checked.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Item<'a> {
     /// It is there.
     Heartbeat,
     /// It looks for a server.
     Handshake(Handshake<'a>),
-    /// Orientation of a sensor: unit quaternion, sensor to a z-up frame of any heading.
+    /// Orientation of a sensor as the tracker computed it: sensor to a z-up frame of the sensor's own heading.
     Rotation {
         /// Number of the sensor on the tracker.
         sensor: u8,
-        /// w, x, y, z.
+        /// Unit quaternion w, x, y, z (x, y, z, w on the wire); a norm further than 0.05 from 1 is refused.
         orientation_wxyz: [f64; 4],
     },
-    /// Acceleration without gravity, sensor axes, m/s².
+    /// Acceleration without gravity, m/s², each coordinate within 1000. In axes of the sensor from protocol 22 on; before, the
+    /// sensor's x, y, z are y, -x, z of these.
     Acceleration {
         /// Number of the sensor on the tracker.
         sensor: u8,
         /// x, y, z.
         acceleration_m_s2: [f64; 3],
     },
-    /// Both at once.
+    /// Orientation and acceleration at once, as in [`Item::Rotation`] and [`Item::Acceleration`].
     Motion {
         /// Number of the sensor on the tracker.
         sensor: u8,
-        /// w, x, y, z.
+        /// Unit quaternion w, x, y, z; 16 bits each on the wire.
         orientation_wxyz: [f64; 4],
-        /// x, y, z.
+        /// x, y, z, m/s²; steps of 1/128 m/s² on the wire.
         acceleration_m_s2: [f64; 3],
     },
-    /// A ping of ours comes back.
+    /// A ping of ours comes back, with the identifier that was sent.
     Pong(u32),
-    /// Charge.
+    /// Charge of the battery.
     Battery {
-        /// Volts, where reported.
+        /// Voltage, V; `None` where the tracker reports none, or no number.
         volts: Option<f64>,
-        /// 0 to 1.
+        /// Share of a full charge, held within 0 and 1.
         level: f64,
     },
     /// A sensor has an error.
     Error {
         /// Number of the sensor on the tracker.
         sensor: u8,
-        /// Number of the error.
+        /// Number of the error; what it means depends on the sensor type.
         code: u8,
     },
     /// What a sensor is.
     SensorInfo(SensorInfo),
     /// What the tracker can do, and it asks what the server can.
     FeatureFlags,
-    /// Something else that trackers send.
+    /// Something else that trackers send, by its type: known, and without use here.
     Other(u32),
 }
 
-/// A tracker's first words. Imitations leave out fields from the end.
+/// A tracker's first words. Imitations leave out fields from the end: numbers are then 0, the firmware empty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Handshake<'a> {
     /// Type of the board.
@@ -79,9 +80,9 @@ pub struct Handshake<'a> {
     pub mcu: u32,
     /// Version of the protocol; 0 where not reported.
     pub protocol: u32,
-    /// Version of the firmware.
+    /// Version of the firmware as text of the tracker's; need not be UTF-8.
     pub firmware: &'a [u8],
-    /// Network address of the tracker; none where it is zero.
+    /// Network address of the tracker; `None` where it is left out or zero. Claimed, not proven.
     pub mac: Option<[u8; 6]>,
 }
 
@@ -92,25 +93,27 @@ pub struct SensorInfo {
     pub sensor: u8,
     /// 0 offline, 1 ok, 2 error.
     pub state: u8,
-    /// Type.
+    /// Type of the sensor's chip, by the number that the firmware gives to it; 0 where left out.
     pub kind: u8,
-    /// Place on the body as the tracker is set, 0 for none.
+    /// Place on the body as the tracker is set, 0 for none, by the numbers of the firmware.
     pub position: u8,
 }
 
-/// Reads a datagram of a tracker; `None` when it cannot be one.
+/// Reads the head of a tracker's datagram (without envelope): type and number, 12 bytes. `None` when it is shorter, or the type
+/// is above 255. Whether the type is known, and the body whole, shows in [`Packet::items`].
 pub fn parse(datagram: &[u8]) -> Option<Packet<'_>> {
     let (&[0, 0, 0, kind], rest) = datagram.split_first_chunk()? else { return None };
     let (number, body) = rest.split_first_chunk()?;
     Some(Packet { number: u64::from_be_bytes(*number), kind: kind.into(), body })
 }
 
-/// An item that is damaged or cannot have been measured.
+/// An item that is damaged, of an unknown type, or cannot have been measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Refused;
 
 impl<'a> Packet<'a> {
-    /// Calls `each` with every item of the packet, those of a bundle one by one.
+    /// Calls `each` with every item of the packet, those of a bundle one by one, in order. A bundle that is cut short ends with
+    /// one `Err`; an item that is refused does not end it.
     pub fn items(&self, mut each: impl FnMut(Result<Item<'a>, Refused>)) {
         let mut rest = self.body;
         match self.kind {
@@ -232,7 +235,7 @@ fn handshake(body: &[u8]) -> Handshake<'_> {
     handshake
 }
 
-/// The server's answer to a handshake.
+/// The server's answer to a handshake: 64 bytes, of which the tracker checks the text.
 pub fn handshake_reply() -> Vec<u8> {
     let mut reply = b"\x03Hey OVR =D 5".to_vec();
     reply.resize(64, 0);
@@ -247,27 +250,28 @@ fn server_packet(kind: u8, body: &[u8]) -> Vec<u8> {
     packet
 }
 
-/// The server is there.
+/// The server is there: 12 bytes. A tracker that hears nothing for 3 s looks for its server anew.
 pub fn heartbeat() -> Vec<u8> {
     server_packet(1, &[])
 }
 
-/// A ping; the tracker returns it unchanged.
+/// A ping with an identifier of the caller's choice; the tracker returns it unchanged ([`Item::Pong`]).
 pub fn ping(id: u32) -> Vec<u8> {
     server_packet(10, &id.to_be_bytes())
 }
 
-/// What the server can: bundles, compact bundles.
+/// What the server can: bundles and compact bundles, without which trackers send one item per datagram.
 pub fn feature_flags() -> Vec<u8> {
     server_packet(22, &[3])
 }
 
-/// A sensor's state has been taken note of. This packet has no number.
+/// A sensor's state has been taken note of; until this comes with the state that it sent, the tracker repeats itself. This
+/// packet has no number.
 pub fn sensor_info_ack(sensor: u8, state: u8) -> Vec<u8> {
     vec![0, 0, 0, 15, sensor, state]
 }
 
-/// A packet of a tracker, for tests and virtual trackers.
+/// A packet of a tracker as it travels, for tests and virtual trackers: type and number big-endian, then the body.
 pub fn encode(number: u64, kind: u32, body: &[u8]) -> Vec<u8> {
     let mut packet = kind.to_be_bytes().to_vec();
     packet.extend(number.to_be_bytes());
@@ -275,7 +279,8 @@ pub fn encode(number: u64, kind: u32, body: &[u8]) -> Vec<u8> {
     packet
 }
 
-/// Body of a rotation (type 17).
+/// Body of a rotation (type 17) of a unit quaternion w, x, y, z: data type 1 (normal), x, y, z, w in single precision, accuracy
+/// 0.
 pub fn rotation_body(sensor: u8, [w, x, y, z]: [f64; 4]) -> Vec<u8> {
     let mut body = vec![sensor, 1];
     body.extend([x, y, z, w].iter().flat_map(|&value| (value as f32).to_be_bytes()));
@@ -283,14 +288,15 @@ pub fn rotation_body(sensor: u8, [w, x, y, z]: [f64; 4]) -> Vec<u8> {
     body
 }
 
-/// Body of an acceleration (type 4), m/s².
+/// Body of an acceleration (type 4), x, y, z in m/s², single precision.
 pub fn acceleration_body(sensor: u8, values: [f64; 3]) -> Vec<u8> {
     let mut body: Vec<u8> = values.iter().flat_map(|&value| (value as f32).to_be_bytes()).collect();
     body.push(sensor);
     body
 }
 
-/// Body of rotation and acceleration in fixed point (type 23).
+/// Body of rotation and acceleration in fixed point (type 23): x, y, z, w in 1/32768, then m/s² in 1/128. Values beyond 16 bits
+/// are held at their limit (256 m/s²).
 pub fn motion_body(sensor: u8, [w, x, y, z]: [f64; 4], acceleration_m_s2: [f64; 3]) -> Vec<u8> {
     let q = [x, y, z, w].map(|value| (value * 32768.0).round().clamp(-32768.0, 32767.0) as i16);
     let a = acceleration_m_s2.map(|value| (value * 128.0).round().clamp(-32768.0, 32767.0) as i16);
@@ -299,7 +305,8 @@ pub fn motion_body(sensor: u8, [w, x, y, z]: [f64; 4], acceleration_m_s2: [f64; 
     body
 }
 
-/// Body of a handshake of the current protocol.
+/// Body of a handshake of the current form, as a SlimeVR board with a BNO085 on an ESP8266 sends it. `firmware` has at most 255
+/// bytes: a longer one gives a body that does not read back.
 pub fn handshake_body(mac: [u8; 6], protocol: u32, firmware: &str) -> Vec<u8> {
     let mut body: Vec<u8> = [9, 4, 1, 0, 0, 0, protocol].into_iter().flat_map(u32::to_be_bytes).collect();
     body.push(firmware.len() as u8);

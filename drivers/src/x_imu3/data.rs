@@ -10,29 +10,31 @@ use posed_geometry::GRAVITY_M_S2;
 /// A data message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stamped<'a> {
-    /// Microseconds since the unit was switched on, or of the clock that its network shares.
+    /// Microseconds since the unit was switched on, or of the clock that its network shares; at most a hundred years. The time
+    /// of the last sample of those that a message is the average of.
     pub time_us: u64,
-    /// What it says.
+    /// What it says, in the units of the wire.
     pub data: Data<'a>,
 }
 
-/// What a data message reports.
+/// What a data message reports, in the units of the wire. Numbers are finite; whether they can have been measured is for
+/// [`Data::measurement`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Data<'a> {
     /// `I`: angular rate, degrees/s; acceleration, g.
     Inertial {
-        /// Degrees per second.
+        /// Angular rate in sensor axes, degrees per second.
         gyroscope: [f64; 3],
-        /// g.
+        /// Specific force in sensor axes, g; +1 upwards at rest.
         accelerometer: [f64; 3],
     },
-    /// `M`: 1 is the field at the place of calibration.
+    /// `M`: magnetic field in sensor axes; 1 is the field at the place of calibration.
     Magnetometer([f64; 3]),
-    /// `H`: acceleration, g.
+    /// `H`: specific force of the accelerometer for shocks, sensor axes, g.
     HighG([f64; 3]),
-    /// `Q`: w, x, y, z; sensor to Earth.
+    /// `Q`: w, x, y, z; sensor to Earth, in the unit's axes convention (set-up selects east, north, up). Not normalised.
     Quaternion([f64; 4]),
-    /// `R`: row by row.
+    /// `R`: rotation matrix, row by row, sensor to Earth.
     Matrix([f64; 9]),
     /// `A`: roll, pitch, yaw in degrees.
     Euler([f64; 3]),
@@ -42,19 +44,19 @@ pub enum Data<'a> {
     Earth(Option<[f64; 4]>, [f64; 3]),
     /// `U`, older firmware: initialising, angular rate recovery, acceleration recovery, magnetic recovery.
     AhrsFlags([bool; 4]),
-    /// `U`, newer firmware: text.
+    /// `U`, newer firmware: text, as sent.
     AhrsText(&'a [u8]),
     /// `T`: degrees Celsius.
     Temperature(f64),
-    /// `B`: percentage, volts, charging (0 no, 1 yes, 2 complete, 3 on hold).
+    /// `B`: percentage, V, charging (0 no, 1 yes, 2 complete, 3 on hold).
     Battery([f64; 3]),
-    /// `W`: percentage, dBm.
+    /// `W`: strength of the radio signal: percentage, dBm.
     Rssi([f64; 2]),
-    /// `N`: text.
+    /// `N`: text for the user, as sent; need not be UTF-8.
     Notification(&'a [u8]),
-    /// `F`: text.
+    /// `F`: text for the user, as sent; need not be UTF-8.
     Error(&'a [u8]),
-    /// Accessories, edges, buttons, time code: letter and bytes.
+    /// `S` accessories, `Y` edges, `O` buttons, `C` time code: letter and bytes.
     Other(u8, &'a [u8]),
 }
 
@@ -63,7 +65,10 @@ const MAX_VALUES: usize = 9;
 /// Longest time stamp that is believed: a hundred years.
 const MAX_TIME_US: u64 = 100 * 366 * 86_400 * 1_000_000;
 
-/// Decodes data, binary or text; `None` where letter, length or form do not fit, and for commands.
+/// Decodes data, binary (little-endian, single precision) or text. `None` where letter, length or form do not fit, a number is
+/// not finite, the time stamp is above a hundred years, and for commands.
+///
+/// There is no checksum: what fits may still be damaged.
 pub fn decode<'a>(body: &Body<'a>) -> Option<Stamped<'a>> {
     let stamped = match *body {
         Body::Command(_) => return None,
@@ -157,7 +162,7 @@ const MOST_HIGH_G: f64 = 300.0;
 const MOST_FIELD: f64 = 50.0;
 
 impl Data<'_> {
-    /// Letter on the wire.
+    /// Letter on the wire, without the mark of binary data.
     pub fn letter(&self) -> u8 {
         match self {
             Data::Inertial { .. } => b'I',
@@ -178,12 +183,11 @@ impl Data<'_> {
         }
     }
 
-    /// The measurement in SI, for the messages that the session asks for.
-    ///
-    /// `Ok(None)` for others.
+    /// The measurement in SI, sensor axes, for the messages that can be one: `I`, `M`, `Q` and `L`. `Ok(None)` for others.
     ///
     /// # Errors
-    /// The values cannot have been measured: the message was damaged.
+    /// The values cannot have been measured, so the message was damaged: above 2500 degrees/s, 30 g, 300 g (`H`), or 50 times
+    /// the field; a quaternion whose norm is further than 0.001 from 1. Damage within these bounds is not found.
     pub fn measurement(&self) -> Result<Option<Measurement>, Impossible> {
         let within = |values: &[f64], most: f64| {
             if values.iter().all(|value| value.abs() <= most) { Ok(()) } else { Err(Impossible) }
@@ -222,7 +226,7 @@ impl Data<'_> {
     }
 }
 
-/// Values that cannot have been measured.
+/// Values that cannot have been measured; see [`Data::measurement`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Impossible;
 
@@ -241,13 +245,14 @@ fn unit(q: [f64; 4]) -> Option<[f64; 4]> {
     (0.999..=1.001).contains(&norm).then(|| q.map(|value| value / norm))
 }
 
-/// Bytes of a binary message behind its letter: time stamp and single precision values.
+/// Bytes of a binary message behind its letter: time stamp (8 bytes) and single precision values, little-endian, not stuffed;
+/// see [`super::wire::binary`].
 pub fn encode(time_us: u64, values: &[f64]) -> Vec<u8> {
     let values = values.iter().flat_map(|&value| (value as f32).to_le_bytes());
     time_us.to_le_bytes().into_iter().chain(values).collect()
 }
 
-/// A text message: four decimals, held at 999999.9999, no minus zero.
+/// A text message, LF included: letter, microseconds, values with four decimals, held at ±999999.9999, no minus zero.
 pub fn encode_text(letter: u8, time_us: u64, values: &[f64]) -> Vec<u8> {
     let mut out = format!("{},{time_us}", char::from(letter));
     for value in values {

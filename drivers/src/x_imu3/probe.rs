@@ -7,12 +7,14 @@ use crate::probe::{Identity, Inquiry, Listener, Question};
 use crate::sample::Timestamp;
 use crate::session::SensorInfo;
 
-/// Line rates, the likeliest first.
+/// Line rates, bit/s, the likeliest first.
 pub const BAUD_RATES: [u32; 2] = [115_200, 921_600];
 /// UDP port on which units announce themselves once a second.
 pub const ANNOUNCEMENTS: u16 = 10_000;
 
-/// An inquiry of about 0.6 s: a ping to one unit, then to all of a chain. It disturbs no stream.
+/// An inquiry of about 0.6 s: a ping to one unit, then to all of a chain; `now` is the time at which the port is open.
+///
+/// It disturbs no stream. A unit that answers the first ping ends it at once; of a chain those count that answer within 0.35 s.
 pub fn inquiry(now: Timestamp) -> Inquiry {
     let ping = wire::command(0, "ping", &Value::Null);
     let mut to_all = vec![MUX, MUX];
@@ -68,23 +70,24 @@ impl Listener for Answers {
     }
 }
 
-/// A unit that has announced itself.
+/// A unit that has announced itself on a network: what it claims, not proven.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Announcement {
-    /// Name and serial number.
+    /// Name as the user set it; empty where the datagram has none.
     pub name: String,
     /// Serial number.
     pub serial: String,
-    /// Address of the unit.
+    /// Address of the unit, as text and as it claims; not checked to be one.
     pub ip: String,
     /// UDP port of the computer that the unit sends to; 0 where it answers whoever asks.
     pub sends_to: u16,
-    /// UDP port of the unit.
+    /// UDP port of the unit, above 0.
     pub listens_on: u16,
 }
 
 impl Announcement {
-    /// Reads the datagram; `None` where it is no announcement.
+    /// Reads a datagram from port [`ANNOUNCEMENTS`], a JSON object. `None` where it is no announcement: serial number, address
+    /// and the port of the unit must be there.
     pub fn parse(datagram: &[u8]) -> Option<Self> {
         let value: Value = serde_json::from_slice(datagram).ok()?;
         let text = |key| value.get(key).and_then(Value::as_str).map(str::to_owned);
@@ -98,7 +101,7 @@ impl Announcement {
         })
     }
 
-    /// The port as a stage file names it.
+    /// The port as a stage file names it: `udp://IP:PORT`, of the unit.
     pub fn port(&self) -> String {
         format!("udp://{}:{}", self.ip, self.listens_on)
     }

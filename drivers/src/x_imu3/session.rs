@@ -52,7 +52,8 @@ impl Settings {
         }
     }
 
-    /// How much earlier than it is sent an inertial message is true, s: it is the average of several samples.
+    /// How much earlier than it is sent an inertial message is true, s: it is the average of several samples of 2.5 ms. The
+    /// device time of inertial samples is dated back by it, their arrival is not.
     pub fn averaging_s(&self) -> f64 {
         0.5 * f64::from(self.divisor() - 1) / SAMPLE_RATE_HZ
     }
@@ -82,7 +83,11 @@ impl Settings {
     }
 }
 
-/// A live session with one unit, or with all units of a chain.
+/// A live session with one unit, or with all units of a chain. Samples are in sensor axes; orientations are the unit's own,
+/// sensor to east-north-up.
+///
+/// There is no checksum: messages must have the length of their letter, values that can be measured, and a time stamp that fits
+/// the host's clock within 1 s. Losses are estimated from gaps of the time stamps.
 #[derive(Clone, Debug, posed_state::State)]
 pub struct XImu3Session {
     #[state(keep)]
@@ -101,11 +106,12 @@ pub struct XImu3Session {
 }
 
 impl XImu3Session {
-    /// A session for the units `wanted`: `[0]` for one without a multiplexer, else channel bytes
-    /// (`256 * outer + inner` behind two multiplexers).
+    /// A session for the units `wanted`: `[0]` for one without a multiplexer, else channel bytes (`256 * outer + inner` behind
+    /// two multiplexers), in any order. Closed until the line opens.
     ///
     /// # Errors
-    /// A setting is out of its range, or an address is none.
+    /// A setting is out of its range; `wanted` is empty, names a unit twice, 0 beside others, or what is no address
+    /// ([`super::wire::is_address`]).
     pub fn new(settings: Settings, wanted: &[u16]) -> Result<Self, SettingsError> {
         settings.validate()?;
         let mut addresses = wanted.to_vec();

@@ -8,7 +8,7 @@ use posed_state::Plain;
 
 /// End of every message.
 pub const LF: u8 = 0x0A;
-/// Longest message that is waited for.
+/// Longest message that is waited for, bytes without LF; a longer one is skipped.
 pub const MAX_LINE: usize = 4096;
 /// First byte of a message of a chain; as a channel it means all units.
 pub const MUX: u8 = b'^';
@@ -18,7 +18,7 @@ const ESCAPE: u8 = 0xDB;
 const ESCAPED_LF: u8 = 0xDC;
 const ESCAPED_ESCAPE: u8 = 0xDD;
 
-/// Cuts a stream of bytes into lines.
+/// Cuts a stream of bytes into lines. What comes out does not depend on how the bytes were cut.
 #[derive(Clone, Debug, Default, Plain)]
 pub struct Lines {
     buffer: Vec<u8>,
@@ -34,14 +34,14 @@ pub struct Lines {
 /// Where a line lies in [`Lines`]; good until the next [`Lines::push`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Line {
-    /// Place in the stream of the line's first byte.
+    /// Place in the stream of the line's first byte: bytes pushed before it.
     pub place: u64,
     start: usize,
     end: usize,
 }
 
 impl Lines {
-    /// Takes more bytes.
+    /// Takes more bytes, in the order of the stream. Earlier [`Line`]s are void from here on.
     pub fn push(&mut self, bytes: &[u8]) {
         self.buffer.drain(..self.start);
         self.origin += self.start as u64;
@@ -50,7 +50,7 @@ impl Lines {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// The next line, or `None` until more bytes come.
+    /// The next line, empty ones included, or `None` until more bytes come.
     pub fn find(&mut self) -> Option<Line> {
         loop {
             match self.buffer[self.searched..].iter().position(|&byte| byte == LF) {
@@ -81,7 +81,10 @@ impl Lines {
         }
     }
 
-    /// The line without its LF.
+    /// The line without its LF, as it came.
+    ///
+    /// # Panics
+    /// May panic, or give other bytes, where `line` is from before the last [`Lines::push`], or from other lines.
     pub fn line(&self, line: Line) -> &[u8] {
         &self.buffer[line.start..line.end]
     }
@@ -106,10 +109,10 @@ impl Lines {
     }
 }
 
-/// A message, still in its bytes.
+/// A message, still in its bytes. Its form has been checked, and nothing else: there is no checksum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Message<'a> {
-    /// Unit of a chain: its channel, or for a hub behind a hub `256 * outer + inner`; 0 without a multiplexer.
+    /// Unit of a chain: its channel, or for a hub behind a hub `256 * outer + inner`; 0 without a multiplexer, and for channel 0.
     pub address: u16,
     /// What it is.
     pub body: Body<'a>,
@@ -122,7 +125,7 @@ pub enum Body<'a> {
     Command(&'a [u8]),
     /// Data as text: the whole line.
     Text(&'a [u8]),
-    /// Data in binary: the letter, and what follows, unstuffed.
+    /// Data in binary: the letter without its mark, and what follows (time stamp, arguments), unstuffed.
     Binary(u8, &'a [u8]),
 }
 
@@ -177,14 +180,15 @@ fn address_into(address: u16, out: &mut Vec<u8>) {
     }
 }
 
-/// Whether a unit may have this address: no channel of it is LF or [`MUX`].
+/// Whether a unit may have this address: 0 (no multiplexer), or channels of which none is LF or [`MUX`] and the inner one is not
+/// 0.
 pub fn is_address(address: u16) -> bool {
     let [outer, inner] = address.to_be_bytes();
     let usable = |channel| channel != LF && channel != MUX;
     address == 0 || inner != 0 && usable(outer) && usable(inner)
 }
 
-/// A command as it travels.
+/// A command as it travels, LF included: channels of `address`, then a JSON object with this one key. Value null asks.
 pub fn command(address: u16, key: &str, value: &serde_json::Value) -> Vec<u8> {
     let mut out = Vec::new();
     address_into(address, &mut out);
@@ -193,7 +197,8 @@ pub fn command(address: u16, key: &str, value: &serde_json::Value) -> Vec<u8> {
     out
 }
 
-/// A binary data message as it travels: letter, then time stamp and arguments, stuffed.
+/// Appends a binary data message as it travels, LF included: channels of `address`, letter with its mark, then `data` (time
+/// stamp and arguments, see [`super::data::encode`]), stuffed.
 pub fn binary(address: u16, letter: u8, data: &[u8], out: &mut Vec<u8>) {
     address_into(address, out);
     out.push(letter | BINARY);
@@ -207,7 +212,8 @@ pub fn binary(address: u16, letter: u8, data: &[u8], out: &mut Vec<u8>) {
     out.push(LF);
 }
 
-/// The key of an answer in its plain form (lower case, letters and digits only), and its value.
+/// The key of an answer in its plain form (see [`plain_key`]), and its value; `None` where the bytes are no JSON object with
+/// exactly one key.
 pub fn answer(json: &[u8]) -> Option<(String, serde_json::Value)> {
     let object: serde_json::Map<String, serde_json::Value> = serde_json::from_slice(json).ok()?;
     let mut entries = object.into_iter();
@@ -215,7 +221,7 @@ pub fn answer(json: &[u8]) -> Option<(String, serde_json::Value)> {
     entries.next().is_none().then(|| (plain_key(&key), value))
 }
 
-/// A key as devices compare it.
+/// A key as devices compare it: ASCII letters and digits only, in lower case.
 pub fn plain_key(key: &str) -> String {
     key.chars().filter(char::is_ascii_alphanumeric).map(|letter| letter.to_ascii_lowercase()).collect()
 }

@@ -18,9 +18,9 @@ use super::number::be16;
 /// A message, or one tracker's part of it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Record {
-    /// Bus identifier; that of the tracker for its part of a chain's message.
+    /// Bus identifier as sent (255 the master or a stand-alone device); that of the tracker for its part of a chain's message.
     pub bid: u8,
-    /// Message identifier.
+    /// Message identifier, see [`message`].
     pub mid: u8,
     /// What a data message holds; empty for others.
     pub items: Items,
@@ -34,14 +34,18 @@ pub struct Record {
 }
 
 impl Record {
-    /// Number of the tracker whose data this is, a stand-alone one's is 1; `None` for messages without data.
+    /// Number of the tracker whose data this is, a stand-alone one's is 1; `None` for messages without data, and for data that
+    /// could not be decoded.
     pub fn tracker(&self) -> Option<u16> {
         let is_data = matches!(self.mid, message::MTDATA | message::MTDATA2) && self.data.is_none();
         is_data.then_some(if self.bid == message::MASTER { 1 } else { self.bid.into() })
     }
 }
 
-/// What a data message holds, each under its name; numbers as sent, in 64 bits.
+/// What a data message holds, each under its name; numbers as sent, in 64 bits; `None`: not in this message.
+///
+/// Units and axes are those of [`Value`]: acceleration m/s², rate of turn rad/s, time fine 0.1 ms, time coarse s, velocity m/s.
+/// The counters are as sent, with their wraps. Nothing is checked to be possible, or normalised.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[expect(missing_docs, reason = "the names and units are those of the values of mtdata2")]
 pub struct Items {
@@ -62,7 +66,7 @@ pub struct Items {
     /// w, x, y, z.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quaternion: Option<[f64; 4]>,
-    /// Row by row, sensor to room.
+    /// Row by row, sensor to the frame of `axes`; of a legacy message as sent, see [`mtdata::Orientation::Matrix`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rotation_matrix: Option<[f64; 9]>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -105,9 +109,9 @@ pub struct Items {
 /// Satellites in view.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GnssSat {
-    /// Time of week.
+    /// Time of week, ms.
     pub itow_ms: u32,
-    /// Each of them.
+    /// Each of them, in the order of the receiver.
     pub satellites: Vec<Satellite>,
 }
 
@@ -118,9 +122,9 @@ pub struct Satellite {
     pub gnss_id: u8,
     /// Number within the system.
     pub sv_id: u8,
-    /// Carrier to noise ratio.
+    /// Carrier to noise ratio, dBHz.
     pub cno_dbhz: u8,
-    /// Quality, use and health.
+    /// Quality, use and health, as sent.
     pub flags: u8,
 }
 
@@ -132,7 +136,7 @@ pub struct Other {
     /// Its name, where it is known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<&'static str>,
-    /// Its numbers, where they are known.
+    /// Its numbers, where they are known and an `f64` holds them; else empty.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub values: Vec<f64>,
     /// Its bytes, hexadecimal.
@@ -142,17 +146,19 @@ pub struct Other {
 /// Counts over a capture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Summary {
-    /// Records given out.
+    /// Records given out, those of messages without data included.
     pub records: u64,
     /// Bytes of no message.
     pub bytes_skipped: u64,
     /// Candidates refused for their checksum or their impossible contents.
     pub bad_checksums: u64,
-    /// Data messages missing between those that came, by the counters of the devices.
+    /// Data messages missing between those that came, by the counters of the devices; of messages without a counter none is
+    /// missed.
     pub packets_lost: u64,
 }
 
-/// Decodes a capture piece by piece.
+/// Decodes a capture piece by piece; what comes out does not depend on the pieces. Every message has a right checksum, of one
+/// byte: a false match is possible.
 #[derive(Clone, Debug, Default)]
 pub struct Decoder {
     framer: Framer,
@@ -168,7 +174,7 @@ impl Decoder {
         Self::default()
     }
 
-    /// Takes more bytes and gives out the records that they complete.
+    /// Takes more bytes and gives out the records that they complete, in order.
     pub fn push(&mut self, bytes: &[u8], mut emit: impl FnMut(Record)) {
         let mut framer = std::mem::take(&mut self.framer);
         framer.push(bytes);
@@ -178,7 +184,7 @@ impl Decoder {
         self.framer = framer;
     }
 
-    /// Ends the capture; what is pending counts as skipped.
+    /// Ends the capture and returns its counts; what is pending counts as skipped.
     pub fn finish(mut self) -> Summary {
         self.framer.interrupt();
         self.summary()
@@ -249,7 +255,7 @@ impl Decoder {
         }
     }
 
-    /// Counts so far.
+    /// Counts so far; bytes still pending are not among them.
     pub fn summary(&self) -> Summary {
         Summary {
             bytes_skipped: self.framer.bytes_skipped(),
@@ -259,7 +265,7 @@ impl Decoder {
     }
 }
 
-/// Decodes a whole capture.
+/// Decodes a whole capture: gives its records to `emit`, in order, and returns the counts. Any bytes will do.
 pub fn decode(bytes: &[u8], emit: impl FnMut(Record)) -> Summary {
     let mut decoder = Decoder::new();
     decoder.push(bytes, emit);

@@ -4,9 +4,9 @@ use posed_state::Plain;
 
 /// Number of values of the packet and sample counters.
 pub const PACKETS: u64 = 1 << 16;
-/// `sample_time_fine` of the MTi 10 and 100 series starts again after a day of 10 kHz ticks.
+/// `sample_time_fine` of the MTi 10 and 100 series starts again after so many ticks: a day of 10 kHz.
 pub const DAY: u64 = 864_000_000;
-/// `sample_time_fine` of the MTi 1 and 600 series.
+/// `sample_time_fine` of the MTi 1 and 600 series starts again after so many ticks: 32 bits.
 pub const FULL: u64 = 1 << 32;
 /// Seconds per tick of `sample_time_fine`.
 pub const SAMPLE_TIME_TICK_S: f64 = 1e-4;
@@ -16,7 +16,7 @@ pub const SAMPLE_TIME_TICK_S: f64 = 1e-4;
 pub enum Step {
     /// The first value.
     First,
-    /// As many steps forward; 0 is a repetition.
+    /// As many steps forward; 0 is a repetition. A restart that lands a little ahead looks the same.
     Forward(u64),
     /// The device has started its counter again.
     Restarted,
@@ -30,8 +30,8 @@ pub struct PacketCounter {
 }
 
 impl PacketCounter {
-    /// Takes the next value. A step over half the range is a restart: so many lost packets in a row
-    /// would have been a silence of minutes.
+    /// Takes the next value. A step over half the range is a restart: so many lost packets in a row would have been a silence of
+    /// minutes. A loss is known modulo 65536 only.
     pub fn step(&mut self, value: u16) -> Step {
         let step = match self.last {
             None => Step::First,
@@ -48,7 +48,7 @@ impl PacketCounter {
         step
     }
 
-    /// The count without its wraps.
+    /// The count without its wraps, from the first value on; 0 before it. A restart sets it back to the value that came.
     pub fn unwrapped(&self) -> u64 {
         self.unwrapped
     }
@@ -65,7 +65,8 @@ impl SampleTime {
     /// A step this great across a wrap, a minute, is a restart instead.
     const MOST: u64 = 600_000;
 
-    /// Takes the next value.
+    /// Takes the next value, in ticks of 0.1 ms. One that goes back is a wrap if it lies less than a minute ahead across the end
+    /// of a day, or of 32 bits; else a restart.
     pub fn step(&mut self, value: u32) -> Step {
         let step = match self.last.replace(value) {
             None => Step::First,
@@ -84,7 +85,7 @@ impl SampleTime {
         step
     }
 
-    /// The time in ticks of 0.1 ms, without its wraps.
+    /// The time in ticks of 0.1 ms, without its wraps, from the first value on; 0 before it. A restart sets it back.
     pub fn unwrapped(&self) -> u64 {
         self.unwrapped
     }

@@ -16,24 +16,24 @@ use super::{message, mtdata2};
 pub const PREAMBLE: u8 = 0xFA;
 /// Most data bytes of a message.
 pub const MAX_DATA: usize = 2048;
-/// Bytes around the data of a message of up to 254 data bytes.
+/// Bytes around the data of a message of up to 254 data bytes; a longer one has two more.
 pub const OVERHEAD: usize = 5;
 /// Length byte that announces a two-byte length.
 const EXTENDED: u8 = 0xFF;
 
-/// One message.
+/// One message. From a [`Framer`] its checksum was right: a sum of one byte, which 1 in 256 random messages has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame<'a> {
     /// Bus identifier: 0xFF the master or a stand-alone device, 1 and up the trackers of a bus.
     pub bid: u8,
-    /// Message identifier, see [`message`].
+    /// Message identifier, see [`message`]; a name that is not known is possible.
     pub mid: u8,
     /// Data, at most [`MAX_DATA`] bytes.
     pub data: &'a [u8],
 }
 
 impl Frame<'_> {
-    /// Appends the message as it travels.
+    /// Appends the message as it travels: preamble, identifiers, length, data, checksum.
     ///
     /// # Panics
     /// With more than [`MAX_DATA`] bytes of data.
@@ -54,6 +54,9 @@ impl Frame<'_> {
     }
 
     /// The message as it travels; see [`Frame::encode_into`].
+    ///
+    /// # Panics
+    /// With more than [`MAX_DATA`] bytes of data.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(self.data.len() + OVERHEAD + 2);
         self.encode_into(&mut out);
@@ -121,14 +124,15 @@ fn has_form(mid: u8, data: &[u8]) -> bool {
 pub struct Found {
     /// Place in the stream of the preamble: bytes pushed before it.
     pub place: u64,
-    /// Bytes on the line.
+    /// Bytes on the line, preamble and checksum included.
     pub len: usize,
     bid: u8,
     mid: u8,
     data: (usize, usize),
 }
 
-/// Finds messages in a stream of bytes; see the module.
+/// Finds messages in a stream of bytes; see the module. A false match is possible: random bytes behind a preamble have a right
+/// checksum once in 256 times, fewer after a loss of sync, where name and length must fit, too.
 #[derive(Clone, Debug, Default, Plain)]
 pub struct Framer {
     buffer: Vec<u8>,
@@ -144,7 +148,7 @@ pub struct Framer {
 }
 
 impl Framer {
-    /// Bytes so far that belong to no message.
+    /// Bytes so far that belong to no message; those still pending are not counted.
     pub fn bytes_skipped(&self) -> u64 {
         self.bytes_skipped
     }
@@ -154,7 +158,7 @@ impl Framer {
         self.bad_checksums
     }
 
-    /// Takes more bytes.
+    /// Takes more bytes, in the order of the stream. Earlier [`Found`]s are void from here on.
     pub fn push(&mut self, bytes: &[u8]) {
         if self.start > 0 {
             self.buffer.drain(..self.start);
@@ -164,7 +168,7 @@ impl Framer {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// The next message, or `None` until more bytes come.
+    /// The next message with a right checksum, in the order of the stream, or `None` until more bytes come.
     pub fn find(&mut self) -> Option<Found> {
         loop {
             let pending = &self.buffer[self.start..];
@@ -218,11 +222,14 @@ impl Framer {
     }
 
     /// The message found.
+    ///
+    /// # Panics
+    /// May panic, or give other bytes, where `found` is from before the last [`Framer::push`], or from another framer.
     pub fn frame(&self, found: Found) -> Frame<'_> {
         Frame { bid: found.bid, mid: found.mid, data: &self.buffer[found.data.0..found.data.1] }
     }
 
-    /// Gives up what is pending: bytes are missing here, or the stream has ended.
+    /// Gives up what is pending, which counts as skipped: bytes are missing here, or the stream has ended.
     pub fn interrupt(&mut self) {
         self.skip(self.buffer.len() - self.start);
     }

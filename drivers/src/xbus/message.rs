@@ -14,7 +14,7 @@ pub const MASTER: u8 = 0xFF;
 pub const REQ_DEVICE_ID: u8 = 0x00;
 /// Makes an Xbus Master find its trackers (reply: 4 bytes per tracker, in the order of the bus).
 pub const INIT_BUS: u8 = 0x02;
-/// Sampling period, in ticks of 1/115200 s.
+/// Sampling period, 2 bytes, in ticks of 1/115200 s.
 pub const PERIOD: u8 = 0x04;
 /// Asks for the [`Configuration`].
 pub const REQ_CONFIGURATION: u8 = 0x0C;
@@ -22,9 +22,9 @@ pub const REQ_CONFIGURATION: u8 = 0x0C;
 pub const CONFIGURATION: u8 = 0x0D;
 /// Begins to measure.
 pub const GOTO_MEASUREMENT: u8 = 0x10;
-/// Asks for the firmware revision.
+/// Asks for the firmware revision (reply: major, minor, revision, one byte each; newer devices add 8 bytes).
 pub const REQ_FIRMWARE: u8 = 0x12;
-/// Stops measuring.
+/// Stops measuring: settings can be read and written now.
 pub const GOTO_CONFIG: u8 = 0x30;
 /// Data message of older devices and of an Xbus Master, see [`super::mtdata`].
 pub const MTDATA: u8 = 0x32;
@@ -36,21 +36,21 @@ pub const WAKE_UP: u8 = 0x3E;
 pub const WAKE_UP_ACK: u8 = 0x3F;
 /// Starts the device anew.
 pub const RESET: u8 = 0x40;
-/// An error: code, and the bus identifier at fault where there is one.
+/// An error: code (see [`error_words`]), and the bus identifier at fault where there is one.
 pub const ERROR: u8 = 0x42;
 /// A warning of a device with a satellite receiver.
 pub const WARNING: u8 = 0x43;
-/// What newer devices send, and how often.
+/// What newer devices send, and how often: see [`output_configuration`].
 pub const OUTPUT_CONFIGURATION: u8 = 0xC0;
-/// What older devices send.
+/// What older devices send, 2 bytes: [`Layout::mode`].
 pub const OUTPUT_MODE: u8 = 0xD0;
-/// How older devices send it.
+/// How older devices send it, 4 bytes: [`Layout::settings`].
 pub const OUTPUT_SETTINGS: u8 = 0xD2;
 
-/// Ticks of a period per second.
+/// Ticks of a period per second: a rate in Hz is this by the period.
 pub const PERIOD_TICKS_PER_S: f64 = 115_200.0;
 
-/// Whether a message of this name may have `len` bytes of data; false for unknown names.
+/// Whether a message of this name may have `len` bytes of data; false for unknown names. Contents are not looked at.
 pub fn fits(mid: u8, len: usize) -> bool {
     match mid {
         0x00 | 0x02 | 0x07 | 0x09 | 0x0A | 0x0C | 0x10..=0x12 | 0x1C | 0x30 | 0x31 | 0x34 | 0x3E | 0x3F => {
@@ -81,7 +81,10 @@ pub fn fits(mid: u8, len: usize) -> bool {
     }
 }
 
-/// A request as it travels.
+/// A request as it travels, from host to device; `bid` is [`MASTER`], or that of a tracker on the bus.
+///
+/// # Panics
+/// With more than [`super::frame::MAX_DATA`] bytes of data.
 pub fn request(bid: u8, mid: u8, data: &[u8]) -> Vec<u8> {
     Frame { bid, mid, data }.encode()
 }
@@ -102,7 +105,7 @@ pub enum DeviceKind {
 }
 
 impl DeviceKind {
-    /// The kind identified by the type digit of a device identifier.
+    /// The kind identified by the type digit (bits 23 to 20) of a device identifier.
     pub const fn of(device_id: u64) -> Self {
         match (device_id & 0x00F0_0000) >> 20 {
             0 => Self::Mt9,
@@ -119,7 +122,7 @@ pub fn device_id_text(id: u64) -> String {
     if id <= u64::from(u32::MAX) { format!("{id:08X}") } else { format!("{id:016X}") }
 }
 
-/// Reads a device identifier of 4 or 8 bytes.
+/// Reads a device identifier of 4 or 8 bytes, big-endian; `None` for another length.
 pub fn device_id(data: &[u8]) -> Option<u64> {
     match data.len() {
         4 => data.first_chunk().map(|&bytes| u64::from(u32::from_be_bytes(bytes))),
@@ -133,9 +136,9 @@ pub fn device_id(data: &[u8]) -> Option<u64> {
 pub struct Tracker {
     /// Device identifier.
     pub device_id: u32,
-    /// Bytes of its block in a data message, as the device reports.
+    /// Bytes of its block in a data message, as the device reports. Decoding goes by [`Layout::block_len`] instead.
     pub data_len: u16,
-    /// What the block holds.
+    /// What the block holds; not checked, see [`Layout::check`].
     pub layout: Layout,
 }
 
@@ -144,16 +147,18 @@ pub struct Tracker {
 pub struct Configuration {
     /// Device identifier of the master; of the tracker itself where it stands alone.
     pub master_id: u64,
-    /// Sampling period, in ticks of 1/115200 s.
+    /// Sampling period, in ticks of 1/115200 s; 0 counts as 1.
     pub period_ticks: u16,
     /// Periods left out after each message.
     pub skip_factor: u16,
-    /// Trackers, in the order of their bus identifiers 1, 2, ...
+    /// Trackers, in the order of their bus identifiers 1, 2, ...; a stand-alone device lists itself.
     pub trackers: Vec<Tracker>,
 }
 
 impl Configuration {
-    /// Reads the data of a configuration message; `None` when its length does not fit its contents.
+    /// Reads the data of a configuration message, of 118 bytes or more; `None` when its length does not fit its contents.
+    ///
+    /// Devices of the 600 series have a master identifier of 8 bytes, others of 4: the length tells which.
     pub fn parse(data: &[u8]) -> Option<Self> {
         // The MTi-600 series has a master identifier of 8 bytes, and all the rest 4 bytes later.
         let shift = match data.len() % 20 {
@@ -184,7 +189,7 @@ impl Configuration {
         Some(Self { master_id, period_ticks: be16(rest, 0)?, skip_factor: be16(rest, 2)?, trackers })
     }
 
-    /// The data of a configuration message; fields that [`Configuration`] does not have are zero.
+    /// The data of a configuration message, big-endian; fields that [`Configuration`] does not have are zero.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::new();
         match u32::try_from(self.master_id) {
@@ -205,19 +210,22 @@ impl Configuration {
         out
     }
 
-    /// Whether a chain of trackers stands behind a master.
+    /// Whether a chain of trackers stands behind a master: its identifier is that of an Xbus Master, or not that of the first
+    /// tracker.
     pub fn is_chain(&self) -> bool {
         DeviceKind::of(self.master_id) == DeviceKind::XbusMaster
             || self.trackers.first().is_some_and(|first| u64::from(first.device_id) != self.master_id)
     }
 
-    /// Data messages per second.
+    /// Data messages per second, Hz, by the period and the skip factor.
     pub fn rate_hz(&self) -> f64 {
         PERIOD_TICKS_PER_S / f64::from(self.period_ticks.max(1)) / f64::from(self.skip_factor + 1)
     }
 }
 
-/// The pairs of identifier and rate (Hz) of an output configuration.
+/// The pairs of identifier (see [`super::mtdata2::id`]) and rate in Hz of an output configuration, in order; 0xFFFF: with every
+/// message. `None` where the length is no multiple of 4. The answer states what the device does, which need not be what was
+/// asked.
 pub fn output_configuration(data: &[u8]) -> Option<Vec<(u16, u16)>> {
     if !data.len().is_multiple_of(4) {
         return None;
@@ -225,7 +233,7 @@ pub fn output_configuration(data: &[u8]) -> Option<Vec<(u16, u16)>> {
     data.chunks_exact(4).map(|pair| Some((be16(pair, 0)?, be16(pair, 2)?))).collect()
 }
 
-/// What an error code means, in words.
+/// What an error code means, in words for the operator; a sentence that says so for unknown codes.
 pub fn error_words(code: u8) -> &'static str {
     match code {
         0x01 => "no communication on the bus: check the cable between master and trackers",

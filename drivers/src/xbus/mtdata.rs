@@ -9,12 +9,13 @@ use thiserror::Error;
 
 use super::number::{Number, be16};
 
-/// What a tracker's block holds: its output mode and settings.
+/// What a tracker's block holds: its output mode and settings, as the configuration message states them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Plain)]
 pub struct Layout {
-    /// Output mode: which quantities.
+    /// Output mode: which quantities; bits as in the constants below.
     pub mode: u16,
-    /// Output settings: in which form.
+    /// Output settings: in which form. Bits 3 and 2 orientation (0 quaternion, 1 Euler, 2 matrix), 9 and 8 number format
+    /// ([`Number::from_code`]), 4 to 6 and 10, 11 switch parts off; [`Layout::COUNTER`], [`Layout::NED`].
     pub settings: u32,
 }
 
@@ -30,15 +31,15 @@ pub enum LayoutError {
 }
 
 impl Layout {
-    /// Unprocessed words.
+    /// Unprocessed words, without any of the processed quantities beside them.
     pub const RAW: u16 = 0x4000;
     /// Temperature.
     pub const TEMPERATURE: u16 = 0x0001;
-    /// Acceleration, rate of turn, magnetic field.
+    /// Acceleration, rate of turn, magnetic field; settings may switch each off.
     pub const CALIBRATED: u16 = 0x0002;
     /// Orientation.
     pub const ORIENTATION: u16 = 0x0004;
-    /// Analogue inputs.
+    /// Analogue inputs; settings may switch each off.
     pub const AUXILIARY: u16 = 0x0008;
     /// Position (MTi-G).
     pub const POSITION: u16 = 0x0010;
@@ -89,7 +90,7 @@ impl Layout {
         self.settings & 3 == Self::COUNTER
     }
 
-    /// The format of real numbers.
+    /// The format of real numbers in the block.
     pub const fn number(self) -> Number {
         Number::from_code((self.settings >> 8) as u16 & 3)
     }
@@ -103,7 +104,7 @@ impl Layout {
         }
     }
 
-    /// Bytes of the block, without the sample counter.
+    /// Bytes of the block, without the sample counter, for a layout that [`Self::check`] accepts.
     pub fn block_len(self) -> usize {
         let triple = |there: bool| if there { 3 } else { 0 };
         let calibrated = self.has(Self::CALIBRATED);
@@ -121,6 +122,9 @@ impl Layout {
     }
 
     /// Reads a block; `None` unless its length is [`Layout::block_len`].
+    ///
+    /// A block says nothing of its own form: one of another layout with the same length reads as wrong numbers. Check the layout
+    /// first ([`Self::check`]).
     pub fn decode(self, block: &[u8]) -> Option<Block> {
         if block.len() != self.block_len() {
             return None;
@@ -152,7 +156,8 @@ impl Layout {
         })
     }
 
-    /// Appends `block`; parts that the layout selects and the block lacks are zero.
+    /// Appends `block`; parts that the layout selects and the block lacks are zero, parts that it does not select are left out.
+    /// An orientation must have the form that the settings select.
     pub fn encode(self, block: &Block, out: &mut Vec<u8>) {
         let number = self.number();
         let mut numbers = |values: &[f64]| values.iter().for_each(|&value| number.encode(value, out));
@@ -197,7 +202,8 @@ impl Layout {
     }
 }
 
-/// The orientation of a block, in the form that the settings select.
+/// The orientation of a block, in the form that the settings select: sensor to the axes of the settings ([`Layout::NED`]), as
+/// the device computed it; not normalised.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Orientation {
     /// w, x, y, z.
@@ -209,28 +215,29 @@ pub enum Orientation {
     Matrix([[f64; 3]; 3]),
 }
 
-/// What one tracker sent in one message.
+/// What one tracker sent in one message, in the units of the wire; `None`, also in [`Block::auxiliary`]: the layout does not
+/// have it. Vectors are in sensor axes, but for position and velocity.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Block {
     /// Acceleration, rate of turn, magnetic field (3 words each) and temperature as converted, unscaled.
     pub raw: Option<[u16; 10]>,
     /// Temperature, degrees Celsius.
     pub temperature_c: Option<f64>,
-    /// Acceleration, m/s².
+    /// Acceleration, m/s², gravity included (+g upwards at rest).
     pub acceleration: Option<[f64; 3]>,
-    /// Rate of turn, rad/s.
+    /// Rate of turn, rad/s: angular velocity.
     pub rate_of_turn: Option<[f64; 3]>,
     /// Magnetic field, about 1 at the place of calibration.
     pub magnetic_field: Option<[f64; 3]>,
-    /// Orientation.
+    /// Orientation as the device computed it.
     pub orientation: Option<Orientation>,
-    /// Analogue inputs.
+    /// Analogue inputs 1 and 2, as converted, unscaled.
     pub auxiliary: [Option<u16>; 2],
     /// Position (MTi-G): latitude and longitude in degrees, altitude in m.
     pub position: Option<[f64; 3]>,
-    /// Velocity (MTi-G), m/s.
+    /// Velocity (MTi-G), m/s, in the axes that the device is set to.
     pub velocity: Option<[f64; 3]>,
-    /// Status byte.
+    /// Status byte, as sent.
     pub status: Option<u8>,
 }
 

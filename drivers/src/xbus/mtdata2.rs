@@ -13,7 +13,7 @@ pub use super::orientation::Axes;
 /// Identifier without its number format and axes.
 const KIND: u16 = 0xFFF0;
 
-/// Identifiers, number format and axes zero.
+/// Identifiers, number format (bits 1 and 0) and axes (bits 3 and 2) zero. Units and meaning: [`Value`], under the same names.
 pub mod id {
     #![expect(missing_docs, reason = "the names of the values")]
     pub const TEMPERATURE: u16 = 0x0810;
@@ -55,28 +55,29 @@ pub mod id {
 pub struct Item<'a> {
     /// Identifier as sent, number format and axes included.
     pub id: u16,
-    /// What it says.
+    /// What it says; [`Value::Other`] where that is not known.
     pub value: Value<'a>,
-    /// Its bytes.
+    /// Its bytes, without identifier and size; at most 255.
     pub data: &'a [u8],
 }
 
-/// What an item says. Numbers are in the units of the wire, and exact.
+/// What an item says. Numbers are in the units of the wire, and exact; vectors in sensor axes, where nothing else is said. None
+/// is checked to be possible: floats may be NaN, quaternions of another norm than 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Value<'a> {
     /// Degrees Celsius.
     Temperature(f64),
     /// Universal time.
     Utc(Utc),
-    /// One step per message.
+    /// One step per message; wraps after 65535 ([`super::counter::PacketCounter`]).
     PacketCounter(u16),
-    /// Ticks of 0.1 ms.
+    /// Ticks of 0.1 ms; wraps after a day or after 2^32 ([`super::counter::SampleTime`]).
     SampleTimeFine(u32),
     /// Seconds.
     SampleTimeCoarse(u32),
     /// First and last frame.
     FrameRange(u16, u16),
-    /// One step per message.
+    /// One step per message; wraps after 255.
     PacketCounter8(u8),
     /// Ticks.
     SampleTime64(u64),
@@ -86,29 +87,29 @@ pub enum Value<'a> {
     Quaternion([f64; 4]),
     /// Rows of the matrix, sensor to [`axes`] (it travels column by column).
     RotationMatrix([[f64; 3]; 3]),
-    /// Roll, pitch, yaw in degrees.
+    /// Roll, pitch, yaw in degrees: rotations about z, then y, then x; sensor to [`axes`].
     EulerDeg([f64; 3]),
     /// Pa.
     Pressure(u32),
     /// Change of velocity over the last output period, m/s.
     DeltaV([f64; 3]),
-    /// m/s², gravity included.
+    /// m/s², gravity included (+g upwards at rest).
     Acceleration([f64; 3]),
     /// m/s² in [`axes`], gravity taken out.
     FreeAcceleration([f64; 3]),
-    /// m/s², before the filter.
+    /// m/s², gravity included, before the filter.
     AccelerationHighRate([f64; 3]),
     /// m above the ellipsoid.
     Altitude(f64),
-    /// Position, m, fixed to the Earth.
+    /// Position in the axes fixed to the Earth (centre, equator, pole), m.
     Ecef([f64; 3]),
-    /// Degrees.
+    /// Latitude, longitude, degrees.
     LatLon([f64; 2]),
     /// Satellite position, velocity and time.
     GnssPvt(GnssPvt),
     /// Satellites in view.
     GnssSat(GnssSat<'a>),
-    /// rad/s.
+    /// Angular velocity, rad/s.
     RateOfTurn([f64; 3]),
     /// Rotation over the last output period, w, x, y, z.
     DeltaQ([f64; 4]),
@@ -116,23 +117,24 @@ pub enum Value<'a> {
     RateOfTurnHighRate([f64; 3]),
     /// Acceleration, rate of turn, magnetic field (3 words each) and temperature as converted, unscaled.
     Raw([u16; 10]),
-    /// About 1 at the place of calibration.
+    /// In units of the field's strength at the place of calibration (so about 1).
     MagneticField([f64; 3]),
     /// m/s in [`axes`].
     Velocity([f64; 3]),
     /// Flags.
     StatusByte(u8),
-    /// Flags.
+    /// Flags: bit 0 self-test passed, 1 filter valid, 2 satellite fix, 8 to 16 a range exceeded (accelerometer, gyro,
+    /// magnetometer; x, y, z each), 19 any of these.
     StatusWord(u32),
     /// Device identifier.
     DeviceId(u64),
     /// Number that the user gave to the device.
     LocationId(u16),
-    /// Not known, or of another size than known.
+    /// An identifier that is not known, or another size than it asks for.
     Other,
 }
 
-/// Axes named by an identifier; meant for orientation, free acceleration and velocity.
+/// Axes named by an identifier (bits 3 and 2); meant for what [`has_axes`].
 pub fn axes(id: u16) -> Axes {
     match id & 0x000C {
         0x4 => Axes::Ned,
@@ -141,7 +143,7 @@ pub fn axes(id: u16) -> Axes {
     }
 }
 
-/// Whether the value of an identifier is expressed in [`axes`].
+/// Whether the value of an identifier is expressed in [`axes`]: orientation, free acceleration, velocity.
 pub fn has_axes(id: u16) -> bool {
     matches!(
         id & KIND,
@@ -149,7 +151,7 @@ pub fn has_axes(id: u16) -> bool {
     )
 }
 
-/// Universal time as the device reports it.
+/// Universal time as the device reports it; whether it is one is not checked.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Utc {
     /// Nanoseconds of the second.
@@ -182,10 +184,10 @@ macro_rules! wire_record {
         pub struct $name { $($(#[$doc])* pub $field: $type,)* }
 
         impl $name {
-            /// Bytes on the wire.
+            /// Bytes of the record on the wire.
             pub const LEN: usize = 0 $(+ size_of::<$type>())*;
 
-            /// Reads the record; `None` unless it fills `data`.
+            /// Reads the record, big-endian; `None` unless it fills `data`. Values are not checked.
             pub fn parse(data: &[u8]) -> Option<Self> {
                 if data.len() != Self::LEN {
                     return None;
@@ -200,7 +202,7 @@ macro_rules! wire_record {
                 Some(Self { $($field),* })
             }
 
-            /// Appends the record.
+            /// Appends the record as it travels, [`Self::LEN`] bytes.
             pub fn encode(&self, out: &mut Vec<u8>) {
                 $(out.extend(self.$field.to_be_bytes());)*
             }
@@ -209,7 +211,8 @@ macro_rules! wire_record {
 }
 
 wire_record! {
-    /// Satellite position, velocity and time. Integers as sent, each with the unit of the wire in its name.
+    /// Satellite position, velocity and time. Integers as sent, each with the unit of the wire in its name (`e7`: 1e-7). The
+    /// receiver's own estimate: look at `fix_type`, `valid` and the accuracies before any use. Velocity is north, east, down.
     GnssPvt {
         /// Time of week.
         itow_ms: u32,
@@ -267,7 +270,7 @@ wire_record! {
         head_acc_deg_e5: u32,
         /// Heading of the vehicle, 1e-5 degrees.
         head_veh_deg_e5: i32,
-        /// Dilution of precision, 0.01: geometry.
+        /// Dilution of precision, 0.01 in this and the next six: geometry.
         gdop_e2: u16,
         /// Position.
         pdop_e2: u16,
@@ -287,7 +290,7 @@ wire_record! {
 /// Satellites in view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GnssSat<'a> {
-    /// Time of week.
+    /// Time of week, ms.
     pub itow_ms: u32,
     satellites: &'a [[u8; 4]],
 }
@@ -301,13 +304,13 @@ impl GnssSat<'_> {
             .then_some(GnssSat { itow_ms: u32::from_be_bytes([t3, t2, t1, t0]), satellites })
     }
 
-    /// System, satellite, carrier to noise ratio (dBHz) and flags of each.
+    /// System, satellite, carrier to noise ratio (dBHz) and flags of each, in the order of the receiver.
     pub fn satellites(&self) -> impl Iterator<Item = [u8; 4]> + '_ {
         self.satellites.iter().copied()
     }
 }
 
-/// Whether items fill `data` exactly.
+/// Whether items, known or not, fill `data` exactly; false for no data. A message without it is damaged.
 pub fn fills(data: &[u8]) -> bool {
     let mut rest = data;
     while let [_, _, size, after @ ..] = rest {
@@ -319,7 +322,7 @@ pub fn fills(data: &[u8]) -> bool {
     rest.is_empty() && !data.is_empty()
 }
 
-/// The items of a message. Bytes at the end that are no item are left out: see [`fills`].
+/// The items of a message, in order. Bytes at the end that are no item are left out: see [`fills`].
 pub fn items(data: &[u8]) -> impl Iterator<Item = Item<'_>> {
     let mut rest = data;
     std::iter::from_fn(move || {
@@ -392,7 +395,7 @@ fn decode(id: u16, data: &[u8]) -> Option<Value<'_>> {
     })
 }
 
-/// Appends an item with the given bytes.
+/// Appends an item with the given bytes: identifier (big-endian), size, bytes.
 ///
 /// # Panics
 /// With more than 255 bytes.
@@ -402,7 +405,8 @@ pub fn encode_bytes(id: u16, data: &[u8], out: &mut Vec<u8>) {
     out.extend(data);
 }
 
-/// Appends an item of real numbers, in the number format that `id` names.
+/// Appends an item of real numbers, in the number format that `id` names. They must fit 255 bytes (31 of double precision): more
+/// give an item with a wrong size.
 pub fn encode_numbers(id: u16, values: &[f64], out: &mut Vec<u8>) {
     let number = Number::from_code(id);
     out.extend(id.to_be_bytes());

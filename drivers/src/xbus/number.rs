@@ -19,7 +19,7 @@ impl Number {
     /// All formats, in the order of their codes.
     pub const ALL: [Self; 4] = [Self::Float32, Self::Fp1220, Self::Fp1632, Self::Float64];
 
-    /// The format of the low two bits of `code`.
+    /// The format of the low two bits of `code`; other bits are passed over.
     pub const fn from_code(code: u16) -> Self {
         Self::ALL[(code & 3) as usize]
     }
@@ -38,9 +38,9 @@ impl Number {
         }
     }
 
-    /// Reads one number from the front of `bytes`; `None` when there are too few.
+    /// Reads one big-endian number from the front of `bytes`; `None` when there are too few.
     ///
-    /// Exact: each format fits an `f64`.
+    /// Exact: each format fits an `f64`. A float may be infinite or NaN.
     pub fn decode(self, bytes: &[u8]) -> Option<f64> {
         Some(match self {
             Self::Float32 => f64::from(f32::from_be_bytes(*bytes.first_chunk()?)),
@@ -55,7 +55,7 @@ impl Number {
         })
     }
 
-    /// Reads `N` numbers that fill `bytes` exactly.
+    /// Reads `N` numbers that fill `bytes` exactly; `None` when they do not.
     pub fn decode_array<const N: usize>(self, bytes: &[u8]) -> Option<[f64; N]> {
         if bytes.len() != N * self.size() {
             return None;
@@ -67,7 +67,8 @@ impl Number {
         Some(values)
     }
 
-    /// Appends `value`, rounded to the nearest number of the format and held at its limits.
+    /// Appends `value`, big-endian, rounded to the nearest number of the format. Fixed point is held at its limits, and 0 for
+    /// NaN; single precision goes to infinity beyond its own.
     pub fn encode(self, value: f64, out: &mut Vec<u8>) {
         match self {
             Self::Float32 => out.extend((value as f32).to_be_bytes()),

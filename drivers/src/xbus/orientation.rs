@@ -2,7 +2,7 @@
 
 use crate::flock::wire::rotation;
 
-/// Axes of the frame in which a device gives orientation and velocity.
+/// Axes of the frame in which a device gives orientation, free acceleration and velocity; right-handed, all three.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Axes {

@@ -6,13 +6,16 @@ use crate::probe::{Identity, Inquiry, Listener, Question};
 use crate::sample::Timestamp;
 use crate::session::SensorInfo;
 
-/// Line rates, the likeliest first.
+/// Line rates, bit/s, the likeliest first.
 pub const BAUD_RATES: [u32; 6] = [115_200, 460_800, 921_600, 230_400, 57_600, 38_400];
 
 const IDENTIFY: usize = 2;
 const FIND_TRACKERS: usize = 4;
 
-/// An inquiry of about 0.3 s where nothing answers. A device that measures is stopped and goes on in the end.
+/// An inquiry of about 0.3 s where nothing answers, up to 2.8 s where a chain does; `now` is the time at which the port is open.
+///
+/// A device that measures is stopped and goes on in the end; one that waited for settings measures from then on. RTS is left as
+/// it is, though an Xbus Master does not transmit without it.
 pub fn inquiry(now: Timestamp) -> Inquiry {
     let ask = |mid, wait_ms| Question::new(message::request(MASTER, mid, &[]), wait_ms);
     let questions = vec![

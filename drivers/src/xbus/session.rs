@@ -31,7 +31,11 @@ const SILENT_PERIODS: f64 = 20.0;
 /// Refused data messages in a row after which the device is set up again.
 const MOST_REFUSED: u32 = 10;
 
-/// A live session with one device or one chain.
+/// A live session with one device or one chain. Samples are in sensor axes; orientations are the device's own, sensor to a z-up
+/// frame.
+///
+/// Messages have a checksum of one byte; on top of it angular velocity, specific force and field must be possible. Losses are
+/// counted by the device's packet counter, over a new set-up by time.
 #[derive(Clone, Debug, posed_state::State)]
 pub struct XbusSession {
     #[state(keep)]
@@ -67,12 +71,13 @@ enum Phase {
 }
 
 impl XbusSession {
-    /// A session for the trackers `wanted`, by bus address; a stand-alone device has address 1 (or 0).
+    /// A session for the trackers `wanted`, by bus address, in any order; a stand-alone device has address 1 (or 0).
     ///
-    /// `baud` is 0 where the line has no such limit.
+    /// `baud` is the line rate, bit/s, to which the measurement rate is limited; 0 where the line has no such limit. Closed
+    /// until the line opens.
     ///
     /// # Errors
-    /// A setting or an address is out of its range.
+    /// A setting is out of its range; `wanted` is empty, names an address twice, 0 beside others, or one above 20.
     pub fn new(settings: Settings, baud: u32, wanted: &[u16]) -> Result<Self, SettingsError> {
         settings.validate()?;
         let mut addresses = wanted.to_vec();

@@ -4,7 +4,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-/// Segments, in the order of all arrays here.
+/// Names of the body segments, in the order of all arrays here; `_r` is the right side, `_l` the left.
 pub const SEGMENT_NAMES: [&str; 10] = [
     "torso",
     "pelvis",
@@ -18,7 +18,7 @@ pub const SEGMENT_NAMES: [&str; 10] = [
     "shank_l",
 ];
 
-/// Lengths, m.
+/// Lengths of a body, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Build {
     /// Between the shoulders.
@@ -38,7 +38,7 @@ pub struct Build {
 }
 
 impl Build {
-    /// Proportions of Drillis and Contini (1966).
+    /// The lengths of a body of this height, m, in the proportions of Drillis and Contini (1966).
     pub fn of_height(height_m: f64) -> Self {
         Self {
             shoulder_width_m: 0.258 * height_m,
@@ -52,31 +52,33 @@ impl Build {
     }
 }
 
-/// Angles of all joints, rad, signs as in the table; index 0 is the right side, 1 the left.
+/// Where the pelvis is in the room, and the angles of all joints, rad, signs as in the table of `docs/body.md`; index 0 is the
+/// right side, 1 the left. The default has all angles zero: the N-pose of a person who looks along the room's x.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Posture {
-    /// Hips' mid-point in the room, m.
+    /// Mid-point of the hips in the room (z up), m.
     pub pelvis_m: Vector3<f64>,
-    /// Turn of the pelvis to the left from looking along the room's x; forward tilt; list to the right.
+    /// Pelvis, rad: heading to the left of the room's x; forward tilt; list to the right.
     pub pelvis: [f64; 3],
-    /// Spine: flexion, lateral, rotation.
+    /// Torso against the pelvis, rad: flexion, lateral flexion, rotation.
     pub spine: [f64; 3],
-    /// Shoulder: plane, elevation, rotation.
+    /// Upper arm against the torso, rad: plane of elevation, elevation, rotation.
     pub shoulder: [[f64; 3]; 2],
-    /// How a raised shoulder departs from those, about its x and z; smooth where the arm hangs, unlike plane and elevation.
+    /// How a raised shoulder departs from those, about its x and z, rad; smooth where the arm hangs, unlike plane and elevation.
     pub shoulder_lean: [[f64; 2]; 2],
-    /// Elbow: flexion, pronation.
+    /// Forearm against the upper arm, rad: flexion, pronation.
     pub elbow: [[f64; 2]; 2],
-    /// Hip: flexion, adduction, rotation.
+    /// Thigh against the pelvis, rad: flexion, adduction, rotation.
     pub hip: [[f64; 3]; 2],
-    /// Knee flexion.
+    /// Shank against the thigh, rad: knee flexion.
     pub knee: [f64; 2],
 }
 
-/// Where a segment is: its axes as columns in the room, and its origin, m.
+/// Where a segment is in the room (z up). The origin is the proximal joint of a limb's segment, the mid-point of the hips for the
+/// pelvis, and the middle between hips and shoulders for the torso.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
-    /// Segment to room.
+    /// Segment to room: a rotation whose columns are forward, up and right of a person in the N-pose.
     pub axes: Matrix3<f64>,
     /// Origin in the room, m.
     pub origin_m: Vector3<f64>,
@@ -101,7 +103,7 @@ fn about_z(angle: f64) -> Matrix3<f64> {
 }
 
 impl Posture {
-    /// Where every segment is.
+    /// Where every segment of a body of these lengths is in the room: rigid segments, joints without translation.
     pub fn place(&self, build: &Build) -> TrueBody {
         // Segment axes (forward, up, right) of a body that looks along the room's x (z up).
         let upright = Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0);

@@ -56,10 +56,10 @@ const SQUATS_HZ: f64 = 0.35;
 const RAMP_S: f64 = 3.0;
 const SET_RAMP_S: f64 = 1.0;
 
-/// A span of the script, named as in a stage file.
+/// A span of the script, named as in a stage file; its times are seconds of the script.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BlockSpan {
-    /// `n_pose`, `elbow_flexion_r`, ...
+    /// The pose or movement: `n_pose`, `t_pose`, `elbow_flexion_r`, ...
     pub kind: &'static str,
     /// Its begin, s.
     pub start_s: f64,
@@ -67,14 +67,14 @@ pub struct BlockSpan {
     pub end_s: f64,
 }
 
-/// Poses, movements, an activity.
+/// What the person does over time: poses and movements of a calibration, if asked for, then an activity without end.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Script {
     /// What follows the calibration.
     pub activity: Activity,
-    /// Whether poses and movements come first.
+    /// Whether poses and movements come first: an N-pose, a T-pose and 13 movements in 88.5 s.
     pub calibration: bool,
-    /// Which way the person faces at first, rad.
+    /// Which way the person faces at first, rad: 0 is along the room's x, positive to the left.
     pub facing: f64,
 }
 
@@ -101,7 +101,7 @@ const CHANGE_S: f64 = 2.0;
 const MOVE_S: f64 = 5.0;
 
 impl Script {
-    /// When which pose or movement is held.
+    /// When which pose or movement is held, in the order of time; empty without a calibration.
     pub fn blocks(&self) -> Vec<BlockSpan> {
         if !self.calibration {
             return Vec::new();
@@ -118,12 +118,14 @@ impl Script {
         blocks
     }
 
-    /// When the activity begins, s.
+    /// When the activity begins, s of the script: 88.5 after a calibration, else 0.
     pub fn activity_s(&self) -> f64 {
         if self.calibration { movement_s(MOVEMENTS.len()) } else { 0.0 }
     }
 
-    /// The posture at a time.
+    /// The posture at `t_s` seconds of the script, any time; before 0 the person stands in an N-pose.
+    ///
+    /// The hips begin above the room's origin, 0.07 m higher than the legs are long. There is no floor: feet may slide.
     pub fn at(&self, t_s: f64, build: &Build) -> Posture {
         let mut posture = Posture {
             pelvis: [self.facing, 0.0, 0.0],

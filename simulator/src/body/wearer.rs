@@ -13,31 +13,34 @@ const STEP_S: f64 = 1e-3;
 const FIELD_UT: f64 = 48.0;
 const DIP_RAD: f64 = 1.13;
 
-/// Errors of one class of units; standard deviations from which each unit's are drawn.
+/// Errors of one class of units: standard deviations per axis, from which each unit's biases, gains and noise are drawn.
+///
+/// Biases and gains are constant. Random walks, saturation, quantisation, delays and lost samples are not modelled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorErrors {
-    /// Of a gyro sample, rad/s.
+    /// White noise of a gyro sample, rad/s.
     pub gyro_noise_rad_s: f64,
-    /// Of a gyro's bias, rad/s.
+    /// Bias of a gyro, rad/s.
     pub gyro_bias_rad_s: f64,
-    /// Of an accelerometer sample, m/s².
+    /// White noise of an accelerometer sample, m/s².
     pub accel_noise_m_s2: f64,
-    /// Of an accelerometer's bias, m/s².
+    /// Bias of an accelerometer, m/s².
     pub accel_bias_m_s2: f64,
-    /// Scale and cross-axis errors of both, fraction.
+    /// Scale and cross-axis errors of gyro and accelerometer, each element of the gain matrix, fraction.
     pub scale: f64,
-    /// Of a magnetometer sample, uT.
+    /// White noise of a magnetometer sample, uT.
     pub mag_noise_ut: f64,
-    /// Of the field attached to the sensor, uT.
+    /// Field attached to the sensor (hard iron), uT.
     pub mag_bias_ut: f64,
-    /// How far the sensor plays on the skin per acceleration, m per m/s², and turns with it, rad per m; 0: rigid.
+    /// How far the sensor plays on the skin per acceleration, m per m/s²; 0: rigid. The play turns the sensor as `skin_rad_m`
+    /// says; its own displacement is not in the samples.
     pub skin_m: f64,
-    /// See `skin_m`.
+    /// Standard deviation of how far the sensor turns with the play, rad per m, about each segment axis for each direction.
     pub skin_rad_m: f64,
 }
 
 impl SensorErrors {
-    /// None at all.
+    /// No errors at all: samples of an ideal unit that is worn rigidly.
     pub const NONE: Self = Self {
         gyro_noise_rad_s: 0.0,
         gyro_bias_rad_s: 0.0,
@@ -77,59 +80,60 @@ impl SensorErrors {
     }
 }
 
-/// The field of the room differs from the earth's for a time.
+/// A span in which the magnetic field of the room differs from the earth's, for all sensors alike; spans that overlap add up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Disturbance {
-    /// Its begin, s.
+    /// Its begin, s of the script.
     pub start_s: f64,
-    /// Its end, s.
+    /// Its end, s of the script, excluded.
     pub end_s: f64,
-    /// By how much its azimuth turns, rad.
+    /// By how much the field's azimuth turns, rad, counter-clockwise from above.
     pub azimuth_rad: f64,
-    /// Factor on its norm.
+    /// Factor on the field's norm, which is 48 uT.
     pub norm: f64,
-    /// Added to its dip, rad.
+    /// Added to the field's dip, rad, which is 1.13 rad downwards.
     pub dip_rad: f64,
 }
 
-/// Who wears what.
+/// Who wears what: the input of [`Wearer::new`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct WearerSpec {
     /// What the person does.
     pub script: Script,
-    /// Lengths.
+    /// Lengths of the body, m.
     pub build: Build,
-    /// Of all sensors.
+    /// Errors of all ten sensors.
     pub errors: SensorErrors,
-    /// Whether there are magnetometers.
+    /// Whether the sensors have magnetometers; without, [`Sample::mag_ut`] is absent.
     pub magnetometer: bool,
-    /// Of the room's field.
+    /// Disturbances of the room's magnetic field; empty: the earth's field alone (x east, y north, z up).
     pub disturbances: Vec<Disturbance>,
-    /// Samples per second.
+    /// Samples per second of every sensor, above 0.
     pub rate_hz: f64,
-    /// How far the person is from the ideal pose and movement, standard deviation per axis, rad.
+    /// How far the person is from the ideal pose and movement, standard deviation per joint angle, rad; constant over time; 0:
+    /// not at all.
     pub clumsiness_rad: f64,
-    /// Seed of mountings and errors.
+    /// Seed of mountings, errors and clumsiness: the same specification gives the same samples.
     pub seed: u64,
 }
 
-/// One sensor at one time, sensor axes.
+/// What one sensor measures at one time, in its own axes, with its errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// Rate, rad/s.
+    /// Angular velocity, rad/s.
     pub gyro_rad_s: Vector3<f64>,
-    /// Specific force, m/s².
+    /// Specific force, m/s² (+g on the axis that points up, at rest).
     pub accel_m_s2: Vector3<f64>,
-    /// Field, uT.
+    /// Magnetic field, uT; absent without a magnetometer.
     pub mag_ut: Option<Vector3<f64>>,
 }
 
-/// Truth of one time.
+/// Ground truth of one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
-    /// Time, s.
+    /// Time of the script, s.
     pub t_s: f64,
-    /// Segments.
+    /// Where the segments are in the room, in the order of [`SEGMENT_NAMES`].
     pub body: [Placement; 10],
 }
 
@@ -145,7 +149,10 @@ struct Unit {
     noise: Random,
 }
 
-/// The person with ten sensors.
+/// The person with ten sensors, one on each of [`SEGMENT_NAMES`]; gives samples frame by frame. Seeded, without clock.
+///
+/// Angular velocity and specific force are differences of the exact poses over 1 ms; the magnetic field is the same in the whole
+/// room.
 #[derive(Clone, Debug)]
 pub struct Wearer {
     spec: WearerSpec,
@@ -154,7 +161,10 @@ pub struct Wearer {
 }
 
 impl Wearer {
-    /// Draws mountings and errors.
+    /// Draws mountings and errors; the first frame is at 0 s.
+    ///
+    /// A sensor sits in any orientation, 2 cm (standard deviation per axis) from the middle of a limb's segment, or from the
+    /// origin of torso and pelvis.
     pub fn new(spec: WearerSpec) -> Self {
         let build = spec.build;
         let unit = |index: usize| {
@@ -185,18 +195,27 @@ impl Wearer {
         Self { spec, units, frame: 0 }
     }
 
-    /// Sensor to segment, and the sensor's place in the segment, m.
+    /// True mounting of the sensor on a segment (index in [`SEGMENT_NAMES`]): sensor to segment, and its place in segment axes,
+    /// m.
+    ///
+    /// # Panics
+    /// There is no such segment.
     pub fn mounting(&self, segment: usize) -> (UnitQuaternion<f64>, Vector3<f64>) {
         (self.units[segment].mount, self.units[segment].offset_m)
     }
 
-    /// Puts a sensor on anew, turned by a rotation vector in segment axes, rad: a strap that slipped.
+    /// Turns the sensor on a segment (index in [`SEGMENT_NAMES`]) by a rotation vector in segment axes, rad: a strap that
+    /// slipped. Its place stays.
+    ///
+    /// # Panics
+    /// There is no such segment.
     pub fn slip(&mut self, segment: usize, turn_rad: Vector3<f64>) {
         let unit = &mut self.units[segment];
         unit.mount = UnitQuaternion::from_scaled_axis(turn_rad) * unit.mount;
     }
 
-    /// The next frame: samples of all segments, and the truth.
+    /// The next frame, `1 / rate_hz` after the last: the sample of each segment's sensor, in the order of [`SEGMENT_NAMES`], and
+    /// the ground truth of the same time.
     pub fn step(&mut self) -> ([Sample; 10], Truth) {
         let t_s = self.frame as f64 / self.spec.rate_hz;
         self.frame += 1;

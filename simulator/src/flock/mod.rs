@@ -32,7 +32,7 @@ use unit::{Measured, Unit};
 /// One unit of the chain.
 #[derive(Clone, Debug)]
 pub struct UnitConfig {
-    /// Its sensor, if one is plugged in.
+    /// Its sensor; absent where none is plugged in.
     pub sensor: Option<Sensor>,
     /// It is an extended range controller.
     pub extended_controller: bool,
@@ -45,11 +45,11 @@ pub struct UnitConfig {
 pub struct FlockConfig {
     /// Index in the stage's list of devices.
     pub device: usize,
-    /// Line rate, bit/s.
+    /// Line rate, bit/s; 0 counts as 1.
     pub baud: u32,
     /// The only unit stands alone (address 0); else the units have addresses 1, 2, ...
     pub stand_alone: bool,
-    /// The units.
+    /// The units, in the order of their addresses.
     pub units: Vec<UnitConfig>,
     /// Address mode switches.
     pub addressing: Addressing,
@@ -57,21 +57,21 @@ pub struct FlockConfig {
     pub revision: [u8; 2],
     /// An extended range transmitter: words are fractions of 144 inches.
     pub extended_range: bool,
-    /// Nominal rate at power-up, Hz.
+    /// Nominal measurement rate at power-up, Hz; the host may set another one.
     pub rate_hz: f64,
     /// How much slower than nominal the unit's clock runs, parts per million.
     pub drift_ppm: f64,
-    /// From measurement to the record's first bit.
+    /// From measurement to the record's first bit, constant.
     pub measurement_delay: Duration,
     /// From power or reset to the first command that is understood.
     pub boot: Duration,
-    /// Transmitter to room.
+    /// Transmitter to room, m.
     pub transmitter_in_room: Isometry3<f64>,
-    /// Field, noise, limits.
+    /// Field, metal, noise and limits of range, in the transmitter frame.
     pub tracker: Tracker,
     /// A distortion above this makes a measurement `disturbed`, m.
     pub disturbed_above_m: f64,
-    /// What goes wrong; faults of the line are not for the units.
+    /// What goes wrong; the units leave faults of the line to [`crate::line`].
     pub faults: Vec<Fault>,
 }
 
@@ -96,7 +96,10 @@ struct Ready {
     units: Vec<Option<Measured>>,
 }
 
-/// A chain of units on a line; see the module.
+/// A chain of units on a line; see the module. Power comes at the stage's epoch; noise, phase and settling are seeded.
+///
+/// Modelled: commands and their delays, the measurement clock, range and saturation, settling after a start, the script's faults.
+/// Not modelled: the units' filters, synchronisation and metal detection; their settings are kept and change nothing.
 #[derive(Debug)]
 pub struct VirtualFlock {
     config: FlockConfig,

@@ -18,47 +18,49 @@ pub enum ImuClass {
     Mpu,
 }
 
-/// Errors of three axes of one kind, in the unit of what they measure.
+/// Errors of three axes of one kind, in the unit of what they measure; the default has none. What is drawn is drawn from the
+/// scenario's seed, normal, per axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AxisErrors {
     /// White noise, one-sided density, unit/sqrt(Hz). A sample of `dt` seconds has the deviation
     /// `density / sqrt(2 dt)`: what a filter at the Nyquist frequency lets through.
     pub noise_density: f64,
-    /// Deviation of the constant offset, drawn once per sensor.
+    /// Standard deviation of the offset at the start, drawn once per sensor.
     pub bias: f64,
-    /// Random walk of the offset, unit/sqrt(s).
+    /// Random walk of the offset, unit/sqrt(s); 0: it is constant.
     pub bias_walk: f64,
-    /// Deviation of the relative scale error of each axis, drawn once.
+    /// Standard deviation of the relative scale error of each axis, drawn once.
     pub scale: f64,
-    /// Deviation of the share of each axis that another one feels, drawn once.
+    /// Standard deviation of the share of each axis that another one feels, drawn once.
     pub misalignment: f64,
-    /// Greatest value; 0: none.
+    /// Largest magnitude that an axis reports; 0: no limit.
     pub range: f64,
-    /// Quantisation step; 0: none.
+    /// Quantisation step; 0: not quantised.
     pub step: f64,
 }
 
-/// Errors of the orientation that a device computes: slow wander of inclination and heading.
+/// Errors of the orientation that a device computes: slow wander of inclination and heading, a Gauss-Markov process of 10 s in
+/// room axes. It is drawn for itself and does not follow the errors of the device's gyroscope, accelerometer and magnetometer.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FilterErrors {
-    /// Deviation of roll and pitch, rad.
+    /// Standard deviation of the tilt about each level axis, rad.
     pub tilt_rad: f64,
-    /// Deviation of the heading, rad.
+    /// Standard deviation of the heading, rad.
     pub heading_rad: f64,
-    /// The heading has any constant offset, drawn once: the device trusts no magnetometer.
+    /// The heading has any constant offset as well, uniform over the circle, drawn once: the device trusts no magnetometer.
     pub any_heading: bool,
 }
 
-/// All errors of an inertial sensor.
+/// All errors of an inertial sensor; the default has none. Delays, temperature and the mounting's play are not modelled.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ImuErrors {
-    /// Angular rate, rad/s.
+    /// Of the gyroscope: angular velocity, rad/s.
     pub gyroscope: AxisErrors,
-    /// Specific force, m/s².
+    /// Of the accelerometer: specific force, m/s².
     pub accelerometer: AxisErrors,
-    /// Magnetic field, in units of the field at the place of calibration.
+    /// Of the magnetometer: magnetic field, in units of the field at the place of calibration.
     pub magnetometer: AxisErrors,
-    /// Orientation.
+    /// Of the orientation that the device computes.
     pub filter: FilterErrors,
 }
 

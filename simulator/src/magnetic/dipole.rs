@@ -2,10 +2,10 @@
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
-/// Field of three unit dipoles along the axes at `p_m` from them, one column per dipole.
+/// Field of three unit dipoles along the axes at `p_m` (m) from them, one column per dipole, 1/m^3.
 ///
 /// K(p) = r^-3 (3 u u' - I) with r = |p|, u = p / r, in units of mu0 m / 4 pi. It is even, K(p) = K(-p),
-/// which is why a device cannot tell p from -p.
+/// which is why a device cannot tell p from -p. It is not finite at the dipoles themselves.
 pub fn field_matrix(p_m: &Vector3<f64>) -> Matrix3<f64> {
     let r = p_m.norm();
     let u = p_m / r;
@@ -14,12 +14,13 @@ pub fn field_matrix(p_m: &Vector3<f64>) -> Matrix3<f64> {
 
 /// What a sensor of the given orientation (sensor to transmitter) reads in that field: S = A' B.
 ///
-/// Rows are the sensor's axes, columns the source's.
+/// `field` is that of [`field_matrix`] or [`Environment::field`](super::Environment::field), in 1/m^3 as the result. Rows are the
+/// sensor's axes, columns the source's.
 pub fn signal_matrix(field: &Matrix3<f64>, orientation: &UnitQuaternion<f64>) -> Matrix3<f64> {
     orientation.to_rotation_matrix().matrix().transpose() * field
 }
 
-/// What a device makes of its signals.
+/// The pose that a device solves from its signals.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Solution {
     /// Position of the sensor in the transmitter frame, m.
@@ -28,11 +29,12 @@ pub struct Solution {
     pub orientation: UnitQuaternion<f64>,
 }
 
-/// Solves the pure dipole model for the pose.
+/// Solves the pure dipole model for the pose, in the transmitter frame; `signals` in 1/m^3, as of [`signal_matrix`].
 ///
 /// S'S = r^-6 (3 u u' + I): the range comes from the trace, the direction is the leading eigenvector, its
 /// sign is chosen so that the position lies on the side of `hemisphere` (an axis in the transmitter
-/// frame), and A' = S K^-1 is projected to a rotation by a singular value decomposition.
+/// frame, of any length), and A' = S K^-1 is projected to a rotation by a singular value decomposition. The model knows no metal:
+/// with it, position and orientation are distorted.
 ///
 /// `None` when the signals hold no pose: zero, not finite, or of rank below two.
 pub fn solve(signals: &Matrix3<f64>, hemisphere: &Vector3<f64>) -> Option<Solution> {

@@ -15,7 +15,7 @@ pub enum Excitation {
         /// Carrier frequency, Hz.
         frequency_hz: f64,
     },
-    /// Direct current pulses, sampled this long after the current was switched.
+    /// Direct current pulses: eddy currents have decayed for a while when the field is sampled.
     PulsedDc {
         /// Delay from the step of the current to the sample, s.
         sample_delay_s: f64,
@@ -45,14 +45,15 @@ pub fn iron_response(relative_permeability: f64) -> f64 {
     2.0 * (relative_permeability - 1.0) / (relative_permeability + 2.0)
 }
 
-/// A metal sphere that answers to the transmitter alone.
+/// A metal sphere, as a dipole that the transmitter alone induces: it does not answer to other metal, nor to how the
+/// transmitter's field varies over its size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sphere {
     /// Centre in the transmitter frame, m.
     pub center_m: Vector3<f64>,
     /// Radius, m.
     pub radius_m: f64,
-    /// Response q: -1 a perfect conductor, +2 infinitely soft iron.
+    /// Response q, from -1, a perfect conductor, to +2, infinitely soft iron; by [`conductor_response`] or [`iron_response`].
     pub response: f64,
 }
 
@@ -73,12 +74,12 @@ impl Sphere {
     }
 }
 
-/// A metal plane, as an image of the source.
+/// A metal plane without end, as an image of the source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Floor {
     /// Normal of the plane in the transmitter frame, towards the transmitter.
     pub normal: Unit<Vector3<f64>>,
-    /// Distance of the transmitter from the plane, m.
+    /// Distance of the transmitter from the plane, m, not negative.
     pub distance_m: f64,
     /// Strength of the image: 0 none, +1 perfect iron, -1 perfect conductor.
     pub strength: f64,
@@ -95,17 +96,17 @@ impl Floor {
     }
 }
 
-/// All metal of a scene.
+/// All metal of a scene; the default has none. Objects add up: they do not answer to one another.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Environment {
-    /// Spheres.
+    /// Metal objects, as spheres.
     pub spheres: Vec<Sphere>,
     /// The floor, if it holds metal.
     pub floor: Option<Floor>,
 }
 
 impl Environment {
-    /// Field of the source and all metal at `p_m` (transmitter frame), one column per source axis.
+    /// Field of the source and all metal at `p_m` (transmitter frame, m), one column per source axis, 1/m^3.
     pub fn field(&self, p_m: &Vector3<f64>) -> Matrix3<f64> {
         let mut field = field_matrix(p_m);
         for sphere in &self.spheres {

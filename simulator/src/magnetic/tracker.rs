@@ -6,7 +6,7 @@ use super::dipole::{Solution, signal_matrix, solve};
 use super::metal::{Environment, Sphere};
 use crate::random::Random;
 
-/// A stray field of the mains, the same for all sensors.
+/// A stray field of the mains: a sine, the same at all places and in the signals of all three source axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hum {
     /// Mains frequency, Hz.
@@ -15,9 +15,9 @@ pub struct Hum {
     pub amplitude: Vector3<f64>,
     /// Phase at t = 0, rad.
     pub phase_rad: f64,
-    /// From when on, s.
+    /// From when on, s of the stage's clock.
     pub from_s: f64,
-    /// Until when, s.
+    /// Until when, s of the stage's clock, excluded; infinite: for good.
     pub until_s: f64,
 }
 
@@ -26,13 +26,16 @@ pub struct Hum {
 pub struct Passing {
     /// The object.
     pub sphere: Sphere,
-    /// From when on, s.
+    /// From when on, s of the stage's clock.
     pub from_s: f64,
-    /// Until when, s.
+    /// Until when, s of the stage's clock, excluded; infinite: for good.
     pub until_s: f64,
 }
 
-/// The physical part of a tracker: source, metal, noise, limits.
+/// The physical part of a tracker: source, metal, noise, limits; all in the transmitter frame.
+///
+/// Modelled: the dipole field, metal as dipoles and an image, white noise on each signal, hum, clipping and loss of range. Not
+/// modelled: the motion of a sensor during a cycle, the device's filters, and calibration errors of its coils.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tracker {
     /// Metal around the transmitter.
@@ -41,13 +44,13 @@ pub struct Tracker {
     pub passing: Vec<Passing>,
     /// Standard deviation of each of the nine signals, in units of mu0 m / 4 pi (1/m^3).
     ///
-    /// It gives r^4 s / sqrt(54) along the ray and sqrt(5) / 3 r^4 s across it.
+    /// It gives a position noise of r^4 s / sqrt(54) along the ray and sqrt(5) / 3 r^4 s across it, m, at r metres.
     pub sigma_signal: f64,
-    /// Stray field of the mains.
+    /// Stray field of the mains; absent: none.
     pub hum: Option<Hum>,
-    /// Beyond this distance the signals are too weak, m.
+    /// Beyond this distance from the transmitter the signals are too weak, m.
     pub max_range_m: f64,
-    /// Nearer than this the amplifiers saturate, m.
+    /// Nearer than this to the transmitter the amplifiers saturate, m: each signal is clipped at 2 / r^3 of it.
     pub min_range_m: f64,
 }
 
@@ -56,18 +59,20 @@ pub struct Tracker {
 pub enum Signal {
     /// A pose was solved.
     Good,
-    /// Too far away: the device repeats its last words.
+    /// Too far away, or signals that hold no pose: the device repeats its last words.
     Weak,
-    /// Too near: signals were clipped, the pose is wrong.
+    /// Too near: signals were clipped, the pose is wrong; within 1 mm there is none.
     Saturated,
 }
 
 /// What one sensor measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
-    /// The pose that the device solves, in the transmitter frame; absent when `signal` is `Weak`.
+    /// The pose that the device solves, in the transmitter frame; absent when `signal` is `Weak`, and within 1 mm of the
+    /// transmitter.
     pub solution: Option<Solution>,
-    /// The position that it would solve without noise, on the true side of the transmitter, minus the true one, m.
+    /// The position that it would solve without noise, on the true side of the transmitter, minus the true one; transmitter
+    /// frame, m. Metal, hum and clipping are in it. Zero where there is none.
     pub distortion_m: Vector3<f64>,
     /// Whether the solution lies on the other side of the transmitter than the sensor.
     pub mirrored: bool,

@@ -5,7 +5,7 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
-/// What is wrong with a BVH file, and where.
+/// What is wrong with the text of a BVH file, and where.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}, column {column}: expected {expected}, found {found}")]
 pub struct BvhError {
@@ -36,11 +36,11 @@ struct Joint {
     channels: Vec<Channel>,
 }
 
-/// A parsed file.
+/// A parsed file: a hierarchy of joints and the values of their channels in every frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bvh {
     joints: Vec<Joint>,
-    /// Time between frames, s.
+    /// Time between frames, s, above 0.
     pub frame_time_s: f64,
     /// All channel values, frame after frame.
     values: Vec<f64>,
@@ -83,12 +83,12 @@ impl Bvh {
         self.joints.iter().map(|joint| joint.name.as_str())
     }
 
-    /// How many frames there are.
+    /// How many frames there are, at least one.
     pub fn frames(&self) -> usize {
         self.values.len() / self.channels
     }
 
-    /// Poses of all joints in a frame: joint to file axes, lengths in the file's unit.
+    /// Poses of all joints in a frame, in the order of [`Bvh::names`]: joint to file axes, lengths in the file's unit.
     ///
     /// # Panics
     /// If there is no such frame.

@@ -102,7 +102,7 @@ pub enum FileError {
     },
 }
 
-/// The motion in a file: named tracks in the room.
+/// The motion in a file: named tracks in the room, cubic splines through the file's samples with rest at both ends of each track.
 #[derive(Clone, Debug)]
 pub struct Tracks {
     tracks: Vec<(String, PoseSpline)>,
@@ -113,10 +113,11 @@ pub struct Tracks {
 }
 
 impl Tracks {
-    /// Reads a file, relative to `folder`.
+    /// Reads a file, relative to `folder`, and turns it into the room. Rows of a CSV file without a position are left out;
+    /// without all four quaternion columns, orientations are the file's axes.
     ///
     /// # Errors
-    /// See [`FileError`].
+    /// The file cannot be read, or its name or content is not one of those kinds: see [`FileError`].
     pub fn read(file: &File, folder: &Path) -> Result<Self, FileError> {
         let path = folder.join(&file.path);
         let io = |source| FileError::Io { path: path.clone(), source };
@@ -156,12 +157,13 @@ impl Tracks {
         Self { tracks, speed: file.speed, ending: file.ending, span_s }
     }
 
-    /// Names of the tracks: sensors of a CSV file, joints of a BVH file.
+    /// Names of the tracks, in the order of their indices: sensors of a CSV file, joints of a BVH file.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.tracks.iter().map(|(name, _)| name.as_str())
     }
 
-    /// Pose of a track in the room at `t_s` after the beginning.
+    /// Pose of a track in the room (sensor or joint to room, m) at `t_s` seconds after the beginning, any time; before and after
+    /// a track's own samples its first and last pose are held.
     ///
     /// # Panics
     /// If there is no such track.

@@ -2,7 +2,8 @@
 //!
 //! What comes in: a description ([`Motion`], as in the stage file) or a file of real motion. What goes
 //! out: poses of named segments in the room, twice continuously differentiable in time, so that a
-//! simulated IMU on them would feel no jumps. It knows no sensors and no devices.
+//! simulated IMU on them would feel no jumps. (Where a file of motion begins and is held at its end, only the
+//! velocity is continuous.) It knows no sensors and no devices.
 
 mod bvh;
 mod file;
@@ -51,10 +52,10 @@ pub enum Motion {
 }
 
 impl Motion {
-    /// Whether its numbers make sense; else which one does not.
+    /// Whether its periods are above 0 and its places are numbers. Not every key is checked, and a file is not opened.
     ///
     /// # Errors
-    /// A sentence that names the key.
+    /// A sentence that names the first key that makes no sense.
     pub fn check(&self) -> Result<(), String> {
         let above_zero = |key: &str, value: f64| {
             if value.is_finite() && value > 0.0 {
@@ -114,16 +115,16 @@ impl Motion {
     }
 }
 
-/// Linear and angular velocity, both in room axes.
+/// Linear velocity of a segment's origin and angular velocity of the segment, both in room axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Twist {
-    /// m/s.
+    /// Linear velocity, m/s.
     pub linear_m_s: Vector3<f64>,
-    /// rad/s.
+    /// Angular velocity, rad/s.
     pub angular_rad_s: Vector3<f64>,
 }
 
-/// A body in motion: named segments with a pose at each time.
+/// A body in motion: named segments with a pose at each time. No randomness: the same motion gives the same poses.
 #[derive(Clone, Debug)]
 pub struct Body {
     motion: Motion,
@@ -134,8 +135,10 @@ pub struct Body {
 impl Body {
     /// Makes a motion ready; reads its file, if it has one, relative to `folder`.
     ///
+    /// The numbers of the motion are taken as they are: [`Motion::check`] judges them.
+    ///
     /// # Errors
-    /// The file cannot be read or holds no motion; the error names line and column.
+    /// The file cannot be read or holds no motion; the error names line and column of what is wrong in its text.
     pub fn new(motion: Motion, folder: &Path) -> Result<Self, FileError> {
         let tracks = match &motion {
             Motion::File(file) => Some(Arc::new(Tracks::read(file, folder)?)),
@@ -161,7 +164,7 @@ impl Body {
     /// Pose of the `segment`-th segment in the room (segment to room, m) at `t_s`, which may be any time.
     ///
     /// # Panics
-    /// If the body has no such segment.
+    /// If a person or a file has no such segment; other bodies then give the pose of one that they have.
     pub fn pose(&self, segment: usize, t_s: f64) -> Isometry3<f64> {
         match &self.motion {
             Motion::Still(still) => still.pose(),
@@ -181,6 +184,9 @@ impl Body {
     /// Velocity of the segment's origin and of its rotation at `t_s`.
     ///
     /// A five-point difference over 0.4 ms: exact to about 1e-6 of the fastest motion here.
+    ///
+    /// # Panics
+    /// As for [`Body::pose`].
     pub fn twist(&self, segment: usize, t_s: f64) -> Twist {
         const H_S: f64 = 1e-4;
         let at = |n: f64| self.pose(segment, t_s + n * H_S);

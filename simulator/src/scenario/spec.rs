@@ -2,10 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The parts of a stage file that the simulator needs, without the types of its reader.
+/// The parts of a stage file that the simulator needs, without the types of its reader. Nothing in it is checked.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StageSpec {
-    /// Position (m) and quaternion (w, x, y, z) of the transmitter in the room; absent: the room's axes are the tracker's.
+    /// Position (m) and quaternion (w, x, y, z) of the transmitter in the room, transmitter to room; absent: the room's axes are
+    /// the tracker's.
     pub transmitter_in_room: Option<([f64; 3], [f64; 4])>,
     /// Devices, in the stage's order.
     pub devices: Vec<DeviceSpec>,
@@ -52,20 +53,22 @@ impl StageSpec {
 /// A device of the stage; by its keys in a stage file.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 pub struct DeviceSpec {
-    /// Its name.
+    /// Its name, by which a scenario and the sensors name it.
     pub name: String,
     /// Its driver: `flock-of-birds`, `xbus`, `x-imu3`, `slimevr`, `motionstar`, `fastrak`.
     pub driver: String,
-    /// Its port: `tcp://...` and `udp://...` name a network, anything else a serial line.
+    /// Its port: `tcp://...` and `udp://...` name a network, anything else a serial line; empty by default. `auto` of SlimeVR is
+    /// `udp://127.0.0.1:6969`.
     #[serde(default)]
     pub port: String,
-    /// What its units call themselves, in the order of their numbers, where the stage names them (SlimeVR).
+    /// What its units call themselves, in the order of their numbers, where the stage names them: network addresses like
+    /// `A4:CF:12:D4:E5:F6` (SlimeVR). A unit without one gets an address of its own.
     #[serde(default, rename = "trackers")]
     pub serials: Vec<String>,
-    /// Line rate, bit/s.
+    /// Line rate, bit/s: 115 200 where a stage file has none, 0 in the `Default` of this type.
     #[serde(default = "usual_baud")]
     pub baud: u32,
-    /// Constant delay from measurement to the record's first bit, ms.
+    /// Constant delay from measurement to the record's first bit, ms; below 0 counts as 0, the default.
     #[serde(default)]
     pub measurement_delay_ms: f64,
 }
@@ -91,10 +94,10 @@ fn usual_baud() -> u32 {
 /// A sensor of the stage; by its keys in a stage file.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct SensorSpec {
-    /// Its name.
+    /// Its name, by which a scenario names it.
     pub name: String,
     /// Name of its device.
     pub device: String,
-    /// Address on the device.
+    /// Address on the device, as in the stage file: the driver says what it means.
     pub address: u16,
 }

@@ -1,8 +1,8 @@
 //! `posed body solve` of the human skeleton: calibrates, runs the live filter over the file, writes angles or an animation.
 
 use posed_fusion::ahrs::ImuSample;
-use posed_fusion::body::assign::assign;
-use posed_fusion::body::calibrate::{Block, Kind, Recorded, calibrate};
+use posed_fusion::body::assign;
+use posed_fusion::body::{Block, BlockKind, Recorded, calibrate};
 use posed_fusion::body::{
     ANGLE_NAMES, BodyEstimate, BodyFilter, BodyParams, BodySegment, Heading, SEGMENTS, SensorMount, Skeleton,
     of_joint,
@@ -191,7 +191,7 @@ fn blocks(body: &Body) -> Result<Vec<Block>, Error> {
     body.calibration
         .iter()
         .map(|block| {
-            let kind = Kind::named(&block.kind)
+            let kind = BlockKind::named(&block.kind)
                 .ok_or_else(|| Error::Failed(format!("`{}` is no pose or movement", block.kind)))?;
             Ok(Block { kind, start_s: block.start_s, end_s: block.end_s })
         })

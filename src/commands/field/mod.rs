@@ -45,5 +45,5 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 
 /// Reads a map.
 fn read_map(path: &Path) -> Result<FieldMap, Error> {
-    FieldMap::read(path).map_err(Error::Failed)
+    posed_stage::read_field_map(path).map_err(Error::Failed)
 }

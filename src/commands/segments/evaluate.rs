@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use posed_motion::segments::label;
-use posed_motion::segments::measures::Measures;
+use posed_motion::segments::Measures;
 
 use crate::pictures::segments as picture;
-use posed_recording::table::labelled;
+use posed_recording::table::read_labelled_folder;
 use serde::Serialize;
 
 use super::super::{Error, output, print, print_json};
@@ -59,7 +59,7 @@ struct File {
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let model = load(&args.model)?;
     let card = &model.card;
-    let files = labelled::read_folder(&args.folder, &args.reading.options()).map_err(Error::failed)?;
+    let files = read_labelled_folder(&args.folder, &args.reading.options()).map_err(Error::failed)?;
     let mut labels = card.labels.clone();
     // A label that the model does not know is named wrong, not left out.
     let truths: Vec<_> = files.iter().map(|(_, file)| picture::classes(file, &mut labels)).collect();

@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use posed_motion::segments::{label, measures};
+use posed_motion::segments::{label, runs};
 
 use crate::pictures::segments as picture;
-use posed_recording::table::{SegmentLabel, SegmentLabels, elan, labelled};
+use posed_recording::table::{SegmentLabel, SegmentLabels, read_labelled, write_elan};
 use serde::Serialize;
 
 use super::super::{Error, output, print, print_json};
@@ -56,7 +56,7 @@ struct MotionSegment<'a> {
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let model = load(&args.model)?;
     let card = &model.card;
-    let file = labelled::read(&args.sequence, &args.reading.options()).map_err(Error::failed)?;
+    let file = read_labelled(&args.sequence, &args.reading.options()).map_err(Error::failed)?;
     let name = args.sequence.display().to_string();
     if file.frames.is_empty() {
         return Err(Error::Failed(format!("{name}: there are no frames")));
@@ -72,11 +72,11 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
             let t_s = sequence.t_s.get(frame).or(sequence.t_s.last()).copied().unwrap_or(0.0);
             t_s - sequence.t_s[0]
         };
-        let runs = measures::runs(classes.iter().copied());
+        let segments = runs(classes.iter().copied());
         let segment = |(class, first, end): (u16, usize, usize)| {
             (card.labels[usize::from(class)].as_str(), after_s(first), after_s(end))
         };
-        let text = elan::write(runs.into_iter().map(segment));
+        let text = write_elan(segments.into_iter().map(segment));
         output::replace(&args.output, |file| file.write_all(text.as_bytes()))?;
     } else {
         let row = |((class, confidence), t_s): (&(u16, f64), &f64)| SegmentLabel {
@@ -94,7 +94,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         let svg = picture::draw(&names, &[bands]);
         output::replace(path, |file| file.write_all(svg.as_bytes()))?;
     }
-    let segments: Vec<MotionSegment<'_>> = measures::runs(classes.iter().copied())
+    let segments: Vec<MotionSegment<'_>> = runs(classes.iter().copied())
         .into_iter()
         .map(|(class, first, end)| MotionSegment {
             label: &card.labels[usize::from(class)],

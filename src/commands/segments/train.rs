@@ -6,7 +6,7 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use posed_motion::segments::{Augmentation, Epoch, Options, Trainer};
 use posed_recording::table::TrainingSet;
-use posed_recording::table::labelled;
+use posed_recording::table::read_labelled_folder;
 use serde::Serialize;
 
 use super::super::{Error, output, print, print_json, tell};
@@ -126,7 +126,7 @@ impl Args {
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let options = args.options()?;
-    let files = labelled::read_folder(&args.folder, &args.reading.options()).map_err(Error::failed)?;
+    let files = read_labelled_folder(&args.folder, &args.reading.options()).map_err(Error::failed)?;
     let set = TrainingSet::new(&files, |_| true).map_err(Error::Failed)?;
     set.notes.iter().for_each(|note| tell(note));
     let mut trainer = set.trainer(options).map_err(Error::Failed)?;

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use posed_recording::table::elan;
+use posed_recording::table::write_elan;
 use serde_json::json;
 
 use super::process::{Posed, ok, record_start, refused, replays, two_devices, until};
@@ -33,7 +33,7 @@ async fn a_labelled_recording_is_learnt_and_named_by_at_once() {
     let why = jobs["jobs"].as_array().unwrap().last().unwrap()["message"].as_str().unwrap().to_owned();
     assert!(why.contains("has labels beside it"), "{why}");
 
-    let labels = elan::write([("swing", 0.0, 2.0), ("rest", 2.0, 5.0)]);
+    let labels = write_elan([("swing", 0.0, 2.0), ("rest", 2.0, 5.0)]);
     fs::write(folder.path().join("recordings/take.eaf"), labels).unwrap();
     ok(&mut client, record_start("learnt")).await;
     for revision in 1..=2 {

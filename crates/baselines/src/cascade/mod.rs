@@ -35,16 +35,18 @@ const SHRINK: f64 = 0.7;
 /// Epochs of the network in each round.
 const EPOCHS: usize = 10;
 
-/// A cascade after some rounds.
+/// A cascade after some rounds: a correction of positions alone, without a statement of its uncertainty.
 #[derive(Clone, Debug)]
 pub struct Cascade {
-    /// From measured to corrected positions.
+    /// From measured to corrected positions, both in the transmitter frame, m.
     pub network: DistortionNetwork,
-    /// Rms distance of network and filter after each round, 3-D, m: the figure of the paper.
+    /// Rms distance of network and filter after each round, 3-D, m: the figure of the paper, which is no error against ground
+    /// truth.
     pub residuals_m: Vec<f64>,
 }
 
-/// Runs the cascade, outliers taken out first; `None` where a recording has no usable frame.
+/// Runs the cascade over a recording (transmitter frame, m; left unchanged), outliers taken out first. `iterations`: rounds, 0
+/// counts as 1. It has no randomness: the same recording gives the same cascade. `None` where a recording has no usable frame.
 pub fn cascade(run: &PoleRun, iterations: usize) -> Option<Cascade> {
     let mut run = run.clone();
     let noise = estimate_noise(&run);

@@ -7,7 +7,8 @@ const INPUTS: usize = 6;
 const HIDDEN: usize = 5;
 const PARAMETERS: usize = HIDDEN * (INPUTS + 1) + 3 * (HIDDEN + 1);
 
-/// A trained network.
+/// A network from measured to corrected positions, both in the transmitter frame, m. Outside the readings that it was trained on
+/// it extrapolates.
 #[derive(Clone, Debug)]
 pub struct DistortionNetwork {
     center_m: Vector3<f64>,
@@ -16,7 +17,8 @@ pub struct DistortionNetwork {
 }
 
 impl DistortionNetwork {
-    /// A network that starts near the identity on these readings; `None` without any.
+    /// An untrained network, which corrects nothing: the identity, scaled to the box of these readings. `pairs` as for
+    /// [`DistortionNetwork::train`], of which it takes the readings alone; `None` without any. No randomness.
     pub fn new(pairs: &[(Vector3<f64>, Vector3<f64>)]) -> Option<Self> {
         let (first, _) = pairs.first()?;
         let (mut low, mut high) = (*first, *first);
@@ -53,7 +55,7 @@ impl DistortionNetwork {
         })
     }
 
-    /// The corrected position, m.
+    /// The corrected position of a measured one, transmitter frame, m.
     pub fn correct(&self, z: &Vector3<f64>) -> Vector3<f64> {
         z + self.output(&self.hidden(&self.inputs(z))) * self.scale_m
     }
@@ -81,7 +83,8 @@ impl DistortionNetwork {
         pairs.iter().map(|(z, p)| (self.correct(z) - p).norm_squared()).sum()
     }
 
-    /// Trains on pairs of reading and target, m; returns the rms that is left, 3-D, m.
+    /// Trains on pairs of measured position and target (transmitter frame, m) by so many steps of Levenberg-Marquardt, on from
+    /// where it stands; returns the rms distance that is left, 3-D, m, and 0 without pairs.
     pub fn train(&mut self, pairs: &[(Vector3<f64>, Vector3<f64>)], epochs: usize) -> f64 {
         let mut damping = 1e-3;
         let mut square = self.square_m2(pairs);

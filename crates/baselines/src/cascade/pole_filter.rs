@@ -21,10 +21,10 @@ const ROUNDS: usize = 5;
 type Error = SVector<f64, 10>;
 type Covariance = SMatrix<f64, 10, 10>;
 
-/// Where the pole is and how it moves.
+/// Where the pole is and how it moves, in the frame of the readings: the transmitter's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoleState {
-    /// Middle, m.
+    /// Middle of the pole, m.
     pub middle_m: Vector3<f64>,
     /// Direction, and two axes across it, as columns of a rotation.
     axes: Matrix3<f64>,
@@ -35,12 +35,12 @@ pub struct PoleState {
 }
 
 impl PoleState {
-    /// Direction, unit.
+    /// Direction of the pole, unit, towards greater offsets.
     pub fn direction(&self) -> Vector3<f64> {
         self.axes.column(0).into_owned()
     }
 
-    /// Where the sensor `offset_m` from the middle is, m.
+    /// Where the sensor `offset_m` from the middle is, m; offsets as of [`PoleRun::offset_m`].
     pub fn place(&self, offset_m: f64) -> Vector3<f64> {
         self.middle_m + self.axes.column(0) * offset_m
     }
@@ -76,7 +76,7 @@ impl PoleState {
     }
 }
 
-/// The filter, frame by frame.
+/// The iterated extended Kalman filter, frame by frame. [`smooth`] moves it on between frames.
 #[derive(Clone, Debug)]
 pub struct PoleFilter {
     /// The present estimate.
@@ -85,7 +85,8 @@ pub struct PoleFilter {
 }
 
 impl PoleFilter {
-    /// Starts from one frame: positions (m) and places along the pole (m); at least three.
+    /// Starts at rest from one frame: positions (transmitter frame, m) and places along the pole (from its middle, m) of at least
+    /// three sensors. With fewer the state means nothing.
     pub fn new(readings: &[(Vector3<f64>, f64)]) -> Self {
         let (points, offsets): (Vec<_>, Vec<_>) = readings.iter().copied().unzip();
         let (middle_m, along) = fit_line(&points, &offsets);
@@ -118,7 +119,8 @@ impl PoleFilter {
         transition
     }
 
-    /// Takes in one frame, iterated.
+    /// Takes in the readings of one frame, as for [`PoleFilter::new`], at the time of the state, five iterations at most; `noise`
+    /// is that of a reading. A covariance that cannot be inverted leaves the state as it is.
     pub fn update(&mut self, readings: &[(Vector3<f64>, f64)], noise: &FieldNoise) {
         let Some(prior) = self.covariance.try_inverse() else { return };
         let predicted = self.state;
@@ -159,8 +161,9 @@ struct Step {
     transition: Covariance,
 }
 
-/// Filters a recording and smooths it backwards (Rauch, Tung and Striebel); `map` corrects the readings first. One
-/// state per frame, none where too few sensors were measured.
+/// Filters a recording and smooths it backwards (Rauch, Tung and Striebel); `map` corrects the readings (transmitter frame, m)
+/// first. One state per frame, none where fewer than three sensors were measured. It is not causal; over a gap of 0.5 s or more
+/// the filter starts anew and nothing is handed back.
 pub fn smooth(
     run: &PoleRun,
     noise: &FieldNoise,

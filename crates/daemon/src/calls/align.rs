@@ -13,7 +13,7 @@ use super::super::observers::{AlignmentSample, AlignmentSource};
 use super::super::server::{Refusal, Reply};
 use super::Calls;
 use super::guided::{self, Guided};
-use posed_fusion::align::guide::{Guide, LONGEST_S};
+use posed_fusion::align::Guide;
 use posed_fusion::align::{Found, align_recording, stand};
 use posed_geometry::orientation_to_wxyz;
 use posed_protocol::RoomPoint;
@@ -172,7 +172,7 @@ impl Guided for Alignment<'_> {
     type Source = AlignmentSource;
     const NAME: &'static str = "alignment";
     const UNCHANGED: &'static str = "the stage stands as it did before";
-    const LONGEST_S: f64 = LONGEST_S;
+    const LONGEST_S: f64 = Guide::LONGEST_S;
 
     fn prompt(&self) -> Option<String> {
         self.guide.prompt()

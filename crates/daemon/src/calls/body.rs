@@ -12,9 +12,9 @@ use super::super::observers::BodySource;
 use super::super::server::{Refusal, Reply};
 use super::Calls;
 use super::guided::{self, Guided};
-use posed_fusion::body::assign::assign;
-use posed_fusion::body::calibrate::{Block, Calibrated, CalibrationError, Recorded, calibrate};
-use posed_fusion::body::guide::{Guide, LONGEST_S, Thoroughness};
+use posed_fusion::body::assign;
+use posed_fusion::body::{Block, Calibrated, CalibrationError, Recorded, calibrate};
+use posed_fusion::body::{Guide, Thoroughness};
 use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton};
 use posed_geometry::orientation_to_wxyz;
 use posed_pipeline::all_have_field;
@@ -168,7 +168,7 @@ impl Guided for Body {
     type Source = BodySource;
     const NAME: &'static str = "calibration";
     const UNCHANGED: &'static str = "the sensors count as they did before";
-    const LONGEST_S: f64 = LONGEST_S;
+    const LONGEST_S: f64 = Guide::LONGEST_S;
 
     fn prompt(&self) -> Option<String> {
         self.guide.prompt().map(str::to_owned)

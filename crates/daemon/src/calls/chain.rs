@@ -12,8 +12,8 @@ use super::super::observers::ChainSource;
 use super::super::server::Reply;
 use super::Calls;
 use super::guided::{self, Guided};
-use posed_fusion::chain::calibrate::calibrate;
-use posed_fusion::chain::guide::{Guide, LONGEST_S};
+use posed_fusion::chain::calibrate;
+use posed_fusion::chain::Guide;
 use posed_fusion::chain::{ChainSegment, Epoch};
 use posed_stage::input::{Model, SensorIndex};
 use posed_stage::layout::ChainLayout;
@@ -70,7 +70,7 @@ impl Guided for Guide {
     type Source = ChainSource;
     const NAME: &'static str = "calibration";
     const UNCHANGED: &'static str = "the sensors count as they did before";
-    const LONGEST_S: f64 = LONGEST_S;
+    const LONGEST_S: f64 = Guide::LONGEST_S;
 
     fn prompt(&self) -> Option<String> {
         self.prompt().map(str::to_owned)

@@ -17,9 +17,9 @@ use super::super::server::{Refusal, Reply};
 use super::Calls;
 use super::guided::{self, Guided};
 use posed_fusion::ahrs::ImuSample;
-use posed_fusion::intrinsics::guide::{Guide, LONGEST_S, PATIENCE_S, Progress};
+use posed_fusion::intrinsics::{Guide, Progress};
 use posed_fusion::intrinsics::{Intrinsics, SIDES};
-use posed_recording::atomic_file::AtomicFile;
+use posed_recording::AtomicFile;
 use posed_stage::Driver;
 use posed_stage::input::{Model, SensorIndex};
 
@@ -160,7 +160,7 @@ impl Guided for Imu<'_> {
 
     fn is_left(&self) -> bool {
         let (since_s, idle_s) = self.guide.times_s();
-        idle_s > PATIENCE_S || since_s > LONGEST_S
+        idle_s > Guide::PATIENCE_S || since_s > Guide::LONGEST_S
     }
 }
 

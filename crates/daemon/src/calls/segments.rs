@@ -15,7 +15,7 @@ use super::super::server::Reply;
 use super::Calls;
 use posed_motion::segments::{Epoch, Options, Trainer};
 use posed_recording::table::TrainingSet;
-use posed_recording::table::labelled;
+use posed_recording::table::read_labelled_recordings;
 use posed_stage::input::{Entry, Input};
 use posed_stage::layout::BodyLayout;
 
@@ -64,7 +64,7 @@ impl Calls {
 impl School {
     fn train(&self, job: &Job, options: Options) -> Result<String, Failure> {
         job.progress(None, Some("reading the labelled recordings".into()));
-        let files = labelled::read_recordings(&self.recordings)?;
+        let files = read_labelled_recordings(&self.recordings)?;
         if files.is_empty() {
             return Err(format!(
                 "no recording in {} has labels beside it; label TAKE.mcap in TAKE.eaf or TAKE.labels.csv",

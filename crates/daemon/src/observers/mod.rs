@@ -24,7 +24,8 @@ use posed_stage::Stage;
 use posed_stage::input::Entry;
 use posed_stage::output::Output;
 
-/// Looks on; nothing that it does may make the fusion thread wait.
+/// Looks on while the fusion thread works, on that thread; nothing that it does may make it wait. Each method does nothing by
+/// default.
 pub trait Observer {
     /// An entry, before the pipeline takes it. Every one comes, in order; the first has number 0.
     fn on_entry(&mut self, _entry: &Entry) {}
@@ -42,14 +43,14 @@ impl fmt::Debug for dyn Observer + Send {
     }
 }
 
-/// Stage times of an output.
+/// Times around an output, on the stage's clock.
 #[derive(Clone, Copy, Debug)]
 pub struct Times {
-    /// The entry was read.
+    /// When the entry that the output comes from was read.
     pub read: Timestamp,
-    /// The output before this one of the same entry was published; zero where there is none.
+    /// When the output before this one of the same entry was published; zero where there is none.
     pub published: Timestamp,
-    /// Now.
+    /// When the output came out of the pipeline.
     pub now: Timestamp,
 }
 

@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 use nalgebra::Isometry3;
 
 use super::{Observer, Times};
-use posed_motion::fault_map::frames::Frames;
+use posed_motion::fault_map::Frames;
 use posed_pipeline::{raw_positions, upright};
 use posed_stage::Stage;
 use posed_stage::output::{Estimate, Output};

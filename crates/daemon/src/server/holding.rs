@@ -44,7 +44,8 @@ enum Key {
 }
 
 impl<T> Holding<T> {
-    /// Takes an event in; `value` is what is kept of it where it holds.
+    /// Takes an event in: it replaces an older one on the same matter, or ends it. `value` is what is kept of it, asked for only
+    /// where it holds.
     pub fn take(&mut self, outcome: &Outcome, value: impl FnOnce() -> T) {
         // What holds until something else is said is reported to who subscribes later.
         let state = match &outcome.what {
@@ -99,7 +100,7 @@ impl<T> Holding<T> {
         }
     }
 
-    /// All that holds.
+    /// All that holds, in the order in which it was said.
     pub fn iter(&self) -> impl Iterator<Item = &T> {
         self.holds.iter().map(|(_, value)| value)
     }

@@ -88,7 +88,7 @@ impl Hub {
         }
     }
 
-    /// Publishes a frame; copies it into memory that earlier frames have left.
+    /// Publishes a frame's poses; copies them into memory that earlier frames have left.
     pub fn publish_estimate(&self, estimate: &Estimate) {
         let mut memory = self.lock().spares.pop().map(|spare| spare.sensors).unwrap_or_default();
         let Estimate { frame, t_valid, t_closed, sigma_t_s, fault, ref sensors } = *estimate;
@@ -112,7 +112,7 @@ impl Hub {
         self.push(Item::Rewind);
     }
 
-    /// Items that were dropped because the server itself was too slow.
+    /// Items that were dropped so far because the server itself was too slow.
     pub fn dropped(&self) -> u64 {
         self.lock().dropped
     }

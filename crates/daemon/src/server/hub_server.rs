@@ -64,10 +64,15 @@ pub struct StageEndpoint {
 }
 
 impl HubServer {
-    /// Binds the address of the settings, or `listen` in its place. Needs a tokio runtime.
+    /// Binds the address of the settings, or `listen` (`HOST:PORT`) in its place, and gives the registry by which stages come in.
+    /// `name` is what its own clients see, `epoch_utc_ns` the UTC of its epoch in nanoseconds since 1970; relative paths of the
+    /// settings start from `folder`.
     ///
     /// # Errors
-    /// The address does not serve.
+    /// The address does not serve, needs a token that is not there, or TLS files do not serve; see [`BindError`].
+    ///
+    /// # Panics
+    /// Outside a tokio runtime with IO.
     pub fn bind(
         name: &str,
         epoch_utc_ns: i64,
@@ -89,17 +94,18 @@ impl HubServer {
         Ok((Self { listener, registry: registry.clone(), asked }, registry))
     }
 
-    /// The address it listens on.
+    /// The address it listens on, with the port that the system chose if it was 0.
     pub fn address(&self) -> SocketAddr {
         self.listener.address()
     }
 
-    /// What to open in a browser.
+    /// The address to open in a browser, where all stages are listed.
     pub fn url(&self) -> String {
         self.listener.url()
     }
 
-    /// Serves until `shutdown` resolves.
+    /// Serves until `shutdown` resolves; then tells the hub's own clients goodbye (1001) and returns once all have left, within
+    /// the shutdown timeout. Clients of a stage get theirs when its [`StageEndpoint`] is dropped.
     pub async fn run(self, shutdown: impl Future<Output = ()>) {
         let Self { listener, registry, asked } = self;
         let directory = tokio::spawn(Directory::new(Arc::clone(&listener.context.metrics)).run(asked));
@@ -126,7 +132,10 @@ impl HubServer {
 }
 
 impl StageRegistry {
-    /// A stage comes in under a name, in the place of who had that name before.
+    /// A stage comes in under the name `id`, in the place of who had that name before, whose clients stay with the old endpoint.
+    ///
+    /// `epoch_utc_ns`: UTC of the stage's epoch, in nanoseconds since 1970. `published`: topics beside those that its file shows.
+    /// `last_event_id`: number of its newest event. Clients here may look on and change nothing.
     pub async fn join(
         &self,
         id: &str,
@@ -155,7 +164,7 @@ impl StageRegistry {
         StageEndpoint { items, shutdown }
     }
 
-    /// What is said of all stages now.
+    /// Tells clients of the hub itself how all stages are now.
     pub async fn tell(&self, stages: Stages) {
         let _ = self.registered.directory.send(directory::Command::Tell(stages)).await;
     }
@@ -171,12 +180,12 @@ impl StageRegistry {
 }
 
 impl StageEndpoint {
-    /// Publishes an item with the stamp that it got at its stage.
+    /// Publishes an item with the stamp that it got at its stage. Waits while 256 items wait.
     pub async fn publish(&self, item: Item, stamp: Stamp) {
         let _ = self.items.send((item, stamp)).await;
     }
 
-    /// The way in for a thread.
+    /// The way in for a thread: what [`StageEndpoint::publish`] takes, where sending may block.
     pub fn items(&self) -> mpsc::Sender<(Item, Stamp)> {
         self.items.clone()
     }

@@ -64,7 +64,7 @@ pub const DEFAULT_LISTEN: &str = "127.0.0.1:8787";
 /// What the server cannot know from the stage file.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// `HOST:PORT` instead of the stage file's; port 0 lets the system choose.
+    /// `HOST:PORT` instead of the stage file's; port 0 lets the system choose. Absent: the stage file's, else [`DEFAULT_LISTEN`].
     pub listen: Option<String>,
     /// Folder that relative paths of the stage file start from.
     pub folder: PathBuf,
@@ -86,7 +86,8 @@ pub struct Config {
 }
 
 impl Config {
-    /// For a stage whose relative paths start from `folder`.
+    /// For a live stage whose relative paths start from `folder`; `epoch_utc_ns` is the UTC of its epoch, in nanoseconds since
+    /// 1970. No clock, no more topics, default limits.
     pub fn new(folder: &Path, epoch_utc_ns: i64) -> Self {
         Self {
             listen: None,
@@ -102,38 +103,38 @@ impl Config {
     }
 }
 
-/// What one client, and all together, may take.
+/// What one client, and all together, may take. The numbers are taken as they are.
 #[derive(Clone, Debug)]
 pub struct Limits {
-    /// Connections at a time.
+    /// Connections at a time; 512 by default. One more is refused with HTTP status 503.
     pub connections: usize,
-    /// Connections at a time from one address.
+    /// Connections at a time from one IP address; 256 by default.
     pub connections_per_address: usize,
-    /// Bytes of a client's message; a larger one closes with 1009.
+    /// Bytes of a client's message; a larger one closes with 1009. 64 KiB by default.
     pub message_bytes: usize,
-    /// Messages per second that a client may send on average; more closes with 1008.
+    /// Messages per second that a client may send on average; more closes with 1008. 50 by default.
     pub messages_per_s: f64,
-    /// Messages that a client may send at once.
+    /// Messages that a client may send at once; 200 by default.
     pub message_burst: f64,
-    /// Data messages per topic that wait for a client with `drop: latest`.
+    /// Data messages per topic that wait for a client with `drop: latest`; 16 by default. One more takes the oldest one's place.
     pub latest_messages: usize,
-    /// Data messages that wait for a client with `drop: queue`.
+    /// Data messages that wait for a client with `drop: queue`; 4096 by default. One more takes the oldest one's place.
     pub queue_messages: usize,
-    /// Bytes that wait for a client.
+    /// Bytes that wait for a client, replies and events included; 8 MiB by default. Data messages give way.
     pub queue_bytes: usize,
-    /// Replies and events that wait for a client; more closes with 1008.
+    /// Replies and events that wait for a client; more closes with 1008. 8192 by default.
     pub lossless_messages: usize,
-    /// Events that are kept for `resume`, ten minutes at most.
+    /// Events that are kept for `resume`, ten minutes at most; 4096 by default.
     pub events: usize,
-    /// Distinct choices of sensors, fields and encoding over all clients.
+    /// Distinct choices of sensors, fields and encoding over all clients; 64 by default. One more is refused.
     pub views: usize,
-    /// Time for the TLS handshake, and again for the HTTP request.
+    /// Time for the TLS handshake, and again for the HTTP request; 5 s by default.
     pub greeting_timeout: Duration,
-    /// Distance of pings.
+    /// Time between two pings; 15 s by default.
     pub ping_interval: Duration,
-    /// A client that sends nothing, not even a pong, for so long is gone.
+    /// A client that sends nothing, not even a pong, for so long is gone; 45 s by default.
     pub silence_timeout: Duration,
-    /// Time that all clients have for their goodbye at shutdown.
+    /// Time that all clients have for their goodbye at shutdown; 3 s by default.
     pub shutdown_timeout: Duration,
 }
 
@@ -179,7 +180,7 @@ pub enum BindError {
         /// As given.
         listen: String,
     },
-    /// The address is taken.
+    /// The address is taken, or is none of this computer's.
     #[error(
         "cannot listen on {listen}: {error}; is another posed running? choose another port with --listen"
     )]
@@ -272,10 +273,14 @@ impl Shared {
 }
 
 impl Server {
-    /// Binds the stage's address. Gives the server, the handle to publish with, and the calls that clients make.
+    /// Binds the stage's address, and that for VRPN. Gives the server, the handle to publish with, and the calls that clients
+    /// make. Nobody is let in before [`Server::run`].
     ///
     /// # Errors
-    /// When the address is no address, is taken, needs a token that is not there, or TLS files do not serve.
+    /// When an address is no address, is taken, needs a token that is not there, or TLS files do not serve; see [`BindError`].
+    ///
+    /// # Panics
+    /// Outside a tokio runtime with IO.
     pub fn bind(
         stage: &Stage,
         config: Config,
@@ -330,17 +335,17 @@ impl Server {
         Ok((server, hub, calls))
     }
 
-    /// The address it listens on.
+    /// The address it listens on, with the port that the system chose if it was 0.
     pub fn address(&self) -> SocketAddr {
         self.listener.address()
     }
 
-    /// The address for VRPN clients, if the stage wants them.
+    /// The address for VRPN clients; `None` where the stage does not serve them, and for a replay.
     pub fn vrpn_address(&self) -> Option<SocketAddr> {
         self.vrpn.as_ref().and_then(|vrpn| vrpn.address().ok())
     }
 
-    /// What to open in a browser.
+    /// The address to open in a browser: `http://HOST:PORT/` or `https://...`, on loopback where it listens on all addresses.
     pub fn url(&self) -> String {
         self.listener.url()
     }
@@ -492,7 +497,7 @@ async fn distribute(
     }
 }
 
-/// A UTC time in nanoseconds since 1970 as RFC 3339 writes it; empty where that cannot.
+/// A UTC time in nanoseconds since 1970 as RFC 3339 writes it, with nine decimals and `Z`; empty where that cannot.
 pub fn rfc3339(utc_ns: i64) -> String {
     match jiff::Timestamp::from_nanosecond(utc_ns.into()) {
         Ok(utc) => format!("{utc:.9}"),

@@ -18,7 +18,7 @@ use posed_stage::Role;
 /// A client's request that the daemon carries out.
 #[derive(Debug)]
 pub struct PendingCall {
-    /// What to do; the client's role allows it.
+    /// What to do; the client's role allows it, but it may make no sense for this stage.
     pub call: Call,
     /// Where the answer goes.
     pub reply: Reply,
@@ -56,13 +56,13 @@ pub struct Reply {
 }
 
 impl Reply {
-    /// It is done; `result` is what was asked for, if something was.
+    /// Answers that it is done; `result` is what was asked for, `None` where there is nothing to tell.
     pub fn ok(mut self, result: Option<Answer>) {
         let id = self.id.take();
         self.send(&ServerMessage::Ok(OkReply { id, result }));
     }
 
-    /// It is not done: a code for programs, a sentence for people.
+    /// Answers that it is not done: a code for programs, a sentence for people.
     pub fn error(mut self, code: &str, message: impl Into<String>) {
         let id = self.id.take();
         self.send(&ServerMessage::Error(ErrorReply { id, code: code.into(), message: message.into() }));

@@ -20,8 +20,6 @@ const MOVED_S: f64 = 25.0;
 const TURNS_RAD_S: f64 = 0.5;
 /// And so far to and fro about a second axis (standard deviation), rad.
 const SPREAD_RAD: f64 = 0.3;
-/// Longest alignment, s; it is for the caller to stop then.
-pub const LONGEST_S: f64 = 300.0;
 
 /// An alignment on its way.
 #[derive(Clone, Debug)]
@@ -39,6 +37,9 @@ pub struct Guide {
 }
 
 impl Guide {
+    /// Longest alignment, s; it is for the caller to stop then.
+    pub const LONGEST_S: f64 = 300.0;
+
     /// An alignment that begins with these anchors (names, and places in the room, m), in this order; then, with an `imu`,
     /// the movement.
     pub fn new(anchors: Vec<(String, Vector3<f64>)>, imu: bool) -> Self {

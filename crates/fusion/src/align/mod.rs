@@ -12,7 +12,7 @@
 //!   are linear, and the bias, which turns with the sensor, is distinguished from gravity, which does not.
 //! - X: its tilt by that gravity, its heading by A (where that has one) or by anchors.
 
-pub mod guide;
+mod guide;
 mod recording;
 #[cfg(test)]
 mod tests;
@@ -21,6 +21,7 @@ use nalgebra::{Isometry3, Matrix3, SMatrix, SVector, Translation3, UnitQuaternio
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+pub use guide::Guide;
 pub use recording::{Found, Recording, align_recording};
 
 use posed_geometry::so3::log;

@@ -11,7 +11,7 @@ use nalgebra::Vector3;
 use pathfinding::prelude::{Matrix, kuhn_munkres_min};
 use thiserror::Error;
 
-use super::calibrate::{Block, Kind, Movement, Recorded};
+use super::calibrate::{Block, BlockKind, Movement, Recorded};
 use super::skeleton::{BodySegment, SEGMENTS};
 
 /// A sensor that fits another segment nearly as well, by a sum of squared shares of the fastest, cannot be distinguished from the one there.
@@ -106,7 +106,7 @@ pub fn assign(recording: &[Recorded], blocks: &[Block]) -> Result<Assignment, As
         }
     }
     let departure = |sensor: usize, segment: BodySegment| -> f64 {
-        let of = |(kind, turned): &(Kind, Vec<f64>)| {
+        let of = |(kind, turned): &(BlockKind, Vec<f64>)| {
             share(segment, *kind).map_or(0.0, |share| (turned[sensor] - share).powi(2))
         };
         movements.iter().map(of).sum()
@@ -123,8 +123,8 @@ pub fn assign(recording: &[Recorded], blocks: &[Block]) -> Result<Assignment, As
         let (second, other) = kuhn_munkres_min(&without);
         if worn.len() > 1 && (second - least) as f64 <= MARGIN * PER_UNIT {
             let fix = match segment {
-                BodySegment::Torso | BodySegment::Pelvis => Kind::TrunkRotation,
-                limb => Kind::Move(limb, Movement::Flexion),
+                BodySegment::Torso | BodySegment::Pelvis => BlockKind::TrunkRotation,
+                limb => BlockKind::Move(limb, Movement::Flexion),
             };
             let (first, second) = (segment.name(), worn[other[sensor]].name());
             return Err(AssignError::Alike { first, second, fix: fix.name() });
@@ -172,7 +172,7 @@ fn shares_turned(
 }
 
 /// Whoever was to move did so more than those who were to rest.
-fn was_done(kind: Kind, turned: &[f64], found: &[usize], worn: &[BodySegment]) -> Result<(), AssignError> {
+fn was_done(kind: BlockKind, turned: &[f64], found: &[usize], worn: &[BodySegment]) -> Result<(), AssignError> {
     let by = |wanted: f64| {
         let asked = move |(_, segment): &(f64, BodySegment)| share(*segment, kind) == Some(wanted);
         turned.iter().copied().zip(found.iter().map(|at| worn[*at])).filter(asked)
@@ -189,17 +189,17 @@ fn was_done(kind: Kind, turned: &[f64], found: &[usize], worn: &[BodySegment]) -
 
 /// How much a segment turns in a movement, as a part of what turns most. `None` where people differ: a shank hangs or is
 /// stretched when the thigh is lifted, arms hang or are held when the trunk moves.
-fn share(segment: BodySegment, kind: Kind) -> Option<f64> {
+fn share(segment: BodySegment, kind: BlockKind) -> Option<f64> {
     let legs = [BodySegment::ThighR, BodySegment::ThighL, BodySegment::ShankR, BodySegment::ShankL];
     match kind {
-        Kind::NPose | Kind::TPose => None,
-        Kind::Bow if matches!(segment, BodySegment::Torso | BodySegment::Pelvis) => Some(1.0),
-        Kind::TrunkRotation if segment == BodySegment::Torso => Some(1.0),
-        Kind::TrunkRotation if segment == BodySegment::Pelvis => Some(0.0),
-        Kind::Bow | Kind::TrunkRotation => legs.contains(&segment).then_some(0.0),
-        Kind::Move(moved, _) if segment == moved => Some(1.0),
-        Kind::Move(moved, _) if segment.parent() == Some(moved) => None,
-        Kind::Move(..) => Some(0.0),
+        BlockKind::NPose | BlockKind::TPose => None,
+        BlockKind::Bow if matches!(segment, BodySegment::Torso | BodySegment::Pelvis) => Some(1.0),
+        BlockKind::TrunkRotation if segment == BodySegment::Torso => Some(1.0),
+        BlockKind::TrunkRotation if segment == BodySegment::Pelvis => Some(0.0),
+        BlockKind::Bow | BlockKind::TrunkRotation => legs.contains(&segment).then_some(0.0),
+        BlockKind::Move(moved, _) if segment == moved => Some(1.0),
+        BlockKind::Move(moved, _) if segment.parent() == Some(moved) => None,
+        BlockKind::Move(..) => Some(0.0),
     }
 }
 

@@ -40,7 +40,7 @@ const BALL_DEG: f64 = 6.0;
 
 /// What can be held or done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Kind {
+pub enum BlockKind {
     /// Upright, arms hanging, thumbs forward.
     NPose,
     /// Upright, arms sideways, thumbs forward.
@@ -66,7 +66,7 @@ pub enum Movement {
     Pronation,
 }
 
-impl Kind {
+impl BlockKind {
     /// From its name in a stage file, such as `n_pose` or `elbow_flexion_r`; `None` where there is no such pose or movement.
     pub fn named(name: &str) -> Option<Self> {
         match name {
@@ -128,7 +128,7 @@ impl Kind {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Block {
     /// What.
-    pub kind: Kind,
+    pub kind: BlockKind,
     /// Its begin, s.
     pub start_s: f64,
     /// Its end, s.
@@ -250,10 +250,10 @@ pub fn calibrate(
     let blocks = if blocks.is_empty() { &alone } else { blocks };
     let session = Session { recording, present, magnetic, tracks: tracks(recording, &present, magnetic) };
 
-    let poses = |kind: Kind| -> Result<Vec<Held>, CalibrationError> {
+    let poses = |kind: BlockKind| -> Result<Vec<Held>, CalibrationError> {
         blocks.iter().filter(|block| block.kind == kind).map(|block| session.held(block)).collect()
     };
-    let (standing, spread) = (poses(Kind::NPose)?, poses(Kind::TPose)?);
+    let (standing, spread) = (poses(BlockKind::NPose)?, poses(BlockKind::TPose)?);
     if standing.is_empty() && spread.is_empty() {
         return Err(CalibrationError::NoPose);
     }
@@ -317,12 +317,12 @@ fn alone(recording: &[Recorded], present: &[bool; SEGMENTS]) -> Vec<Block> {
     let (Some((start_s, _)), Some((end_s, _))) = (recording.first(), recording.last()) else {
         return Vec::new();
     };
-    let mut blocks = vec![Block { kind: Kind::NPose, start_s: *start_s, end_s: start_s + 1.0 }];
+    let mut blocks = vec![Block { kind: BlockKind::NPose, start_s: *start_s, end_s: start_s + 1.0 }];
     for segment in [BodySegment::ForearmR, BodySegment::ForearmL, BodySegment::ShankR, BodySegment::ShankL] {
         let parent = segment.parent().map_or(0, BodySegment::index);
         if present[segment.index()] && present[parent] {
             blocks.push(Block {
-                kind: Kind::Move(segment, Movement::Flexion),
+                kind: BlockKind::Move(segment, Movement::Flexion),
                 start_s: *start_s,
                 end_s: *end_s,
             });
@@ -425,8 +425,8 @@ impl Session<'_> {
             reason,
         };
         let (segment, movement) = match block.kind {
-            Kind::NPose | Kind::TPose => return Ok(()),
-            Kind::Bow => {
+            BlockKind::NPose | BlockKind::TPose => return Ok(()),
+            BlockKind::Bow => {
                 for segment in [BodySegment::Torso, BodySegment::Pelvis] {
                     if self.present[segment.index()] {
                         let sensor =
@@ -436,7 +436,7 @@ impl Session<'_> {
                 }
                 return Ok(());
             }
-            Kind::TrunkRotation => {
+            BlockKind::TrunkRotation => {
                 if self.present[BodySegment::Torso.index()] {
                     let sensor =
                         main_axis(&self.tracks[BodySegment::Torso.index()][range]).map_err(failed)?;
@@ -445,7 +445,7 @@ impl Session<'_> {
                 }
                 return Ok(());
             }
-            Kind::Move(segment, movement) => (segment, movement),
+            BlockKind::Move(segment, movement) => (segment, movement),
         };
         let Some(parent) = segment.parent() else { return Ok(()) };
         if !self.present[segment.index()] {

@@ -10,7 +10,7 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::calibrate::{Block, Kind, Movement, Recorded};
+use super::calibrate::{Block, BlockKind, Movement, Recorded};
 use super::health::usable;
 use super::{BodySamples, BodySegment, SEGMENTS};
 
@@ -32,8 +32,6 @@ const LEAD_S: f64 = 0.4;
 const RAISED_RAD: f64 = 0.9;
 /// Arms that hang again are within this of how they hung, rad.
 const HANGS_RAD: f64 = 0.5;
-/// Longest calibration, s: whoever takes longer has gone away. It is for the caller to stop then.
-pub const LONGEST_S: f64 = 300.0;
 
 /// How much is done.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -55,7 +53,7 @@ pub struct Guide {
     present: [bool; SEGMENTS],
     /// Whether it is known which sensor sits where.
     assigned: bool,
-    steps: Vec<Kind>,
+    steps: Vec<BlockKind>,
     at: usize,
     recording: Vec<Recorded>,
     blocks: Vec<Block>,
@@ -70,6 +68,9 @@ pub struct Guide {
 }
 
 impl Guide {
+    /// Longest calibration, s: whoever takes longer has gone away. It is for the caller to stop then.
+    pub const LONGEST_S: f64 = 300.0;
+
     /// For these sensors, by [`BodySegment::index`]; `magnetic` where all of them have magnetometers: without, every sensor
     /// needs a movement, whatever `how` asks for.
     pub fn new(present: [bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Self {
@@ -103,7 +104,7 @@ impl Guide {
             self.rates[index] += gain * (sample.gyro_rad_s.norm() - self.rates[index]);
             self.forces[index] += (sample.accel_m_s2 - self.forces[index]) * gain;
         }
-        if matches!(kind, Kind::NPose | Kind::TPose) {
+        if matches!(kind, BlockKind::NPose | BlockKind::TPose) {
             self.pose(kind, t_s)
         } else {
             self.movement(kind, t_s)
@@ -126,22 +127,22 @@ impl Guide {
         (&self.recording, &self.blocks)
     }
 
-    fn pose(&mut self, kind: Kind, t_s: f64) {
+    fn pose(&mut self, kind: BlockKind, t_s: f64) {
         let still = self.all().all(|index| self.rates[index] < STILL_RAD_S);
-        if !still || (kind == Kind::TPose && !self.raised()) || !self.upright_again(kind) {
+        if !still || (kind == BlockKind::TPose && !self.raised()) || !self.upright_again(kind) {
             self.still_since_s = None;
             return;
         }
         let since_s = *self.still_since_s.get_or_insert(t_s);
         if t_s - since_s >= HOLD_S {
-            if kind == Kind::NPose && self.hung.is_none() {
+            if kind == BlockKind::NPose && self.hung.is_none() {
                 self.hung = Some(self.forces);
             }
             self.done(Block { kind, start_s: since_s, end_s: t_s });
         }
     }
 
-    fn movement(&mut self, kind: Kind, t_s: f64) {
+    fn movement(&mut self, kind: BlockKind, t_s: f64) {
         let moves = self.moved_by(kind).any(|index| self.rates[index] > MOVES_RAD_S);
         let rests = self.moved_by(kind).all(|index| self.rates[index] < STILL_RAD_S);
         if moves {
@@ -182,17 +183,17 @@ impl Guide {
     }
 
     /// Whether an N-pose that comes again is one: the arms hang as they did.
-    fn upright_again(&self, kind: Kind) -> bool {
+    fn upright_again(&self, kind: BlockKind) -> bool {
         let Some(hung) = &self.hung else { return true };
         let hangs = |index: usize| self.forces[index].angle(&hung[index]) < HANGS_RAD;
-        kind != Kind::NPose
+        kind != BlockKind::NPose
             || if self.assigned { arms(&self.present).all(hangs) } else { self.all().all(hangs) }
     }
 
     /// The sensors that show a movement.
-    fn moved_by(&self, kind: Kind) -> impl Iterator<Item = usize> + '_ {
+    fn moved_by(&self, kind: BlockKind) -> impl Iterator<Item = usize> + '_ {
         let moved = match kind {
-            Kind::Move(segment, _) => segment,
+            BlockKind::Move(segment, _) => segment,
             _ => BodySegment::Torso,
         };
         let only = if self.present[moved.index()] { moved } else { BodySegment::Pelvis };
@@ -218,79 +219,79 @@ const LIMBS: [BodySegment; 8] = [
 ];
 
 /// What has to be done so that every sensor's mounting shows.
-fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<Kind> {
+fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<BlockKind> {
     let has = |segment: BodySegment| present[segment.index()];
-    let mut steps = vec![Kind::NPose];
+    let mut steps = vec![BlockKind::NPose];
     let with_arms = arms(present).next().is_some();
     if with_arms {
-        steps.push(Kind::TPose);
+        steps.push(BlockKind::TPose);
     }
     if how == Thoroughness::Assign {
         if with_arms {
             // Arms that are lowered must not be taken for the first movement.
-            steps.push(Kind::NPose);
+            steps.push(BlockKind::NPose);
         }
         let bends = LIMBS.into_iter().filter(|limb| has(*limb));
-        steps.extend(bends.map(|limb| Kind::Move(limb, Movement::Flexion)));
+        steps.extend(bends.map(|limb| BlockKind::Move(limb, Movement::Flexion)));
         if has(BodySegment::Torso) || has(BodySegment::Pelvis) {
-            steps.push(Kind::Bow);
+            steps.push(BlockKind::Bow);
         }
         if has(BodySegment::Torso) && has(BodySegment::Pelvis) {
-            steps.push(Kind::TrunkRotation);
+            steps.push(BlockKind::TrunkRotation);
         }
-        steps.push(Kind::NPose);
+        steps.push(BlockKind::NPose);
         return steps;
     }
     let limbs = [BodySegment::ForearmR, BodySegment::ForearmL, BodySegment::ShankR, BodySegment::ShankL];
     // Without a field every sensor needs a movement of its own.
     let full = how == Thoroughness::Full || !magnetic;
     for moved in limbs.into_iter().filter(|moved| has(*moved) && full) {
-        steps.push(Kind::Move(moved, Movement::Flexion));
+        steps.push(BlockKind::Move(moved, Movement::Flexion));
     }
     if !magnetic {
         let thighs = [BodySegment::ThighR, BodySegment::ThighL].into_iter().filter(|thigh| has(*thigh));
-        steps.extend(thighs.map(|thigh| Kind::Move(thigh, Movement::Flexion)));
+        steps.extend(thighs.map(|thigh| BlockKind::Move(thigh, Movement::Flexion)));
         if has(BodySegment::Torso) || has(BodySegment::Pelvis) {
-            steps.push(Kind::Bow);
+            steps.push(BlockKind::Bow);
         }
         // The headings begin anew from a posture that looks straight ahead.
-        steps.push(Kind::NPose);
+        steps.push(BlockKind::NPose);
     } else if !with_arms && !full {
         // Something must show which way the body faces.
         let leg = [BodySegment::ShankR, BodySegment::ShankL, BodySegment::ThighR, BodySegment::ThighL]
             .into_iter()
             .find(|s| has(*s));
-        steps.push(leg.map_or(Kind::Bow, |leg| Kind::Move(leg, Movement::Flexion)));
+        steps.push(leg.map_or(BlockKind::Bow, |leg| BlockKind::Move(leg, Movement::Flexion)));
     }
     steps
 }
 
 /// What to do, for the person who wears the sensors.
-fn words(kind: Kind) -> &'static str {
+fn words(kind: BlockKind) -> &'static str {
     match kind {
-        Kind::NPose => "Stand upright, arms hanging, palms to the body, and hold still",
-        Kind::TPose => {
+        BlockKind::NPose => "Stand upright, arms hanging, palms to the body, and hold still",
+        BlockKind::TPose => {
             "Raise both arms sideways to the height of the shoulders, palms down, thumbs forward, and hold still"
         }
-        Kind::Bow => "Bow forward with a straight back and come up again, twice; then stand still",
-        Kind::TrunkRotation => "Turn the chest to the left and back, twice, hips still; then stand still",
-        Kind::Move(BodySegment::ForearmR, _) => {
+        BlockKind::Bow => "Bow forward with a straight back and come up again, twice; then stand still",
+        BlockKind::TrunkRotation => "Turn the chest to the left and back, twice, hips still; then stand still",
+        BlockKind::Move(BodySegment::ForearmR, _) => {
             "Bend the right elbow and let it hang again, three times; then stand still"
         }
-        Kind::Move(BodySegment::ForearmL, _) => {
+        BlockKind::Move(BodySegment::ForearmL, _) => {
             "Bend the left elbow and let it hang again, three times; then stand still"
         }
-        Kind::Move(BodySegment::ShankR, _) => {
+        BlockKind::Move(BodySegment::ShankR, _) => {
             "Bend the right knee, heel to the back, three times; then stand still"
         }
-        Kind::Move(BodySegment::ShankL, _) => {
+        BlockKind::Move(BodySegment::ShankL, _) => {
             "Bend the left knee, heel to the back, three times; then stand still"
         }
-        Kind::Move(BodySegment::ThighR, _) => "Lift the right thigh forward, three times; then stand still",
-        Kind::Move(BodySegment::ThighL, _) => "Lift the left thigh forward, three times; then stand still",
-        Kind::Move(BodySegment::UpperArmL, _) => {
+        BlockKind::Move(BodySegment::ThighR, _) => "Lift the right thigh forward, three times; then stand still",
+        BlockKind::Move(BodySegment::ThighL, _) => "Lift the left thigh forward, three times; then stand still",
+        BlockKind::Move(BodySegment::UpperArmL, _) => {
             "Lift the stretched left arm forward, three times; then stand still"
         }
-        Kind::Move(..) => "Lift the stretched right arm forward, three times; then stand still",
+        BlockKind::Move(..) => "Lift the stretched right arm forward, three times; then stand still",
     }
 }

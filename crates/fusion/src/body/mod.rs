@@ -15,9 +15,9 @@
 //! a magnetometer the headings hold by the gyros, the hinges of elbow and knee and rests; [`Heading::Held`] says so.
 
 mod angles;
-pub mod assign;
-pub mod calibrate;
-pub mod guide;
+mod assign;
+mod calibrate;
+mod guide;
 mod health;
 mod inverse;
 mod limbs;
@@ -31,6 +31,9 @@ use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 pub use angles::{ANGLE_NAMES, ANGLES, angles, joint_angles, joint_rotation, of_joint};
+pub use assign::{AssignError, Assignment, assign};
+pub use calibrate::{Block, Calibrated, CalibrationError, BlockKind, Movement, REPEAT_DEG, Recorded, calibrate};
+pub use guide::{Guide, Thoroughness};
 pub use inverse::{Figure, Follower, Tracked};
 pub use limbs::{elbow, knee};
 pub use skeleton::{BodySegment, Limb, SEGMENTS, Skeleton, upright};

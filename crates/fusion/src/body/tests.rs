@@ -3,7 +3,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_simulator::body::{Activity, Build, Script, SensorErrors, Wearer, WearerSpec};
 
-use super::calibrate::{Block, CalibrationError, Kind, Recorded, calibrate};
+use super::calibrate::{Block, CalibrationError, BlockKind, Recorded, calibrate};
 use super::*;
 
 type V = Vector3<f64>;
@@ -59,9 +59,9 @@ fn angles_come_back_from_the_poses_by_hand() {
 #[test]
 fn kinds_of_calibration_are_found_by_their_names() {
     for name in ["n_pose", "t_pose", "bow", "elbow_pronation_l", "hip_rotation_r", "shoulder_abduction_l"] {
-        assert_eq!(Kind::named(name).unwrap().name(), name);
+        assert_eq!(BlockKind::named(name).unwrap().name(), name);
     }
-    assert_eq!(Kind::named("knee_pronation_r"), None);
+    assert_eq!(BlockKind::named("knee_pronation_r"), None);
 }
 
 #[test]
@@ -117,7 +117,7 @@ pub(super) fn record(wearer: &mut Wearer, seconds: f64) -> (Vec<Recorded>, Vec<O
 
 fn blocks(activity: Activity) -> Vec<Block> {
     let spans = script(activity).blocks().into_iter();
-    spans.map(|b| Block { kind: Kind::named(b.kind).unwrap(), start_s: b.start_s, end_s: b.end_s }).collect()
+    spans.map(|b| Block { kind: BlockKind::named(b.kind).unwrap(), start_s: b.start_s, end_s: b.end_s }).collect()
 }
 
 /// Root mean square of the difference of an angle after `from_s`, degrees.

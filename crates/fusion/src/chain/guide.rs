@@ -13,8 +13,6 @@ const STILL_RAD_S: f64 = 0.15;
 /// For so long the chain is to move, s, with rates above this, rad/s.
 const MOVE_S: f64 = 30.0;
 const MOVES_RAD_S: f64 = 0.3;
-/// Longest calibration, s; it is for the caller to stop then.
-pub const LONGEST_S: f64 = 300.0;
 
 /// A calibration on its way: 1.5 s of stillness, then 30 s of movement.
 #[derive(Clone, Debug, Default)]
@@ -25,6 +23,9 @@ pub struct Guide {
 }
 
 impl Guide {
+    /// Longest calibration, s; it is for the caller to stop then.
+    pub const LONGEST_S: f64 = 300.0;
+
     /// Takes the samples of one time, one per segment; times that do not rise change nothing. Whoever moves before the zero
     /// posture has been held begins that anew.
     pub fn push(&mut self, epoch: Epoch) {

@@ -6,16 +6,20 @@
 //! Zero is the posture in which the recording begins (its first quarter of a second) and bending from there is positive; in that
 //! posture all segment frames are parallel, x and z of the root level and z as near to its first hinge's axis as that allows.
 
-pub mod calibrate;
-pub mod guide;
+mod calibrate;
+mod guide;
 mod joint;
-pub mod live;
+mod live;
 #[cfg(test)]
 mod tests;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+
+pub use calibrate::calibrate;
+pub use guide::Guide;
+pub use live::{CalibratedHinge, CalibratedSegment, ChainCalibration, LiveChain, LivePose};
 
 use super::ahrs::{ImuSample, Params, smoothed};
 use super::mounting::{HingeAxes, Refused, hinge_axes};

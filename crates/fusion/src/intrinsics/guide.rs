@@ -9,10 +9,6 @@ use super::super::ahrs::ImuSample;
 use super::rests::{Directions, RestFinder, SIDES};
 use super::{CROSS_DIRECTIONS, Intrinsics, IntrinsicsError, MIN_DIRECTIONS, fit, solve};
 
-/// Without a new direction for so long nobody is at work any more, s; it is for the caller to stop then.
-pub const PATIENCE_S: f64 = 60.0;
-/// Longest calibration, s; it is for the caller to stop then.
-pub const LONGEST_S: f64 = 600.0;
 /// From so much on of the sphere the field was seen all around.
 const SEEN_ENOUGH: f64 = 0.01;
 /// A field this far from the last one, as a part of it, is a new one.
@@ -52,6 +48,11 @@ pub struct Progress {
 }
 
 impl Guide {
+    /// Without a new direction for so long nobody is at work any more, s; it is for the caller to stop then.
+    pub const PATIENCE_S: f64 = 60.0;
+    /// Longest calibration, s; it is for the caller to stop then.
+    pub const LONGEST_S: f64 = 600.0;
+
     /// A calibration that has seen nothing; with `magnetometer` the field is fitted too, and asked for.
     pub fn new(magnetometer: bool) -> Self {
         Self {

@@ -9,10 +9,8 @@
 //! recording, lie on an ellipsoid whose centre is the hard iron and whose shape is the soft iron; it is fitted as a quadric.
 
 mod fit;
-pub mod guide;
+mod guide;
 mod rests;
-
-use std::path::Path;
 
 use nalgebra::{Matrix3, Vector3};
 use posed_state::Plain;
@@ -20,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use self::fit::{fit_ellipsoid, fit_gravity, gain};
+pub use self::guide::{Guide, Progress};
 pub use self::rests::SIDES;
 use self::rests::{Directions, MIN_REST_S, Rest, RestFinder};
 use super::ahrs::ImuSample;
@@ -136,19 +135,13 @@ impl Intrinsics {
 }
 
 impl Intrinsics {
-    /// Reads a file of `posed imu calibrate` or `imu.calibrate` (JSON); a file that does not name its unit is that of its
-    /// name.
+    /// Takes the contents of a file of `posed imu calibrate` or `imu.calibrate` (JSON).
     ///
     /// # Errors
-    /// One sentence with the path: it cannot be read, or holds no intrinsics ([`Self::check`]).
-    pub fn read(path: &Path) -> Result<Self, String> {
-        let shown = path.display();
-        let text = std::fs::read(path).map_err(|error| format!("cannot read {shown}: {error}"))?;
-        let mut found: Self = serde_json::from_slice(&text).map_err(|error| format!("{shown}: {error}"))?;
-        found.check().map_err(|reason| format!("{shown}: {reason}"))?;
-        if found.unit.is_none() {
-            found.unit = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
-        }
+    /// A phrase: these are no intrinsics ([`Self::check`]).
+    pub fn from_json(text: &[u8]) -> Result<Self, String> {
+        let found: Self = serde_json::from_slice(text).map_err(|error| error.to_string())?;
+        found.check()?;
         Ok(found)
     }
 
@@ -341,21 +334,13 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_of_the_unit_that_it_or_its_name_says_and_nonsense_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("0123ABCD.json");
+    fn what_was_written_is_read_again_and_nonsense_is_refused() {
         let mut found = calibrate(&recording(&many()), 0.01).unwrap();
-        let write = |found: &Intrinsics| std::fs::write(&path, serde_json::to_vec(found).unwrap()).unwrap();
-        write(&found);
-        assert_eq!(Intrinsics::read(&path).unwrap().unit.as_deref(), Some("0123ABCD"));
-        found.unit = Some("98:76".into());
-        write(&found);
-        assert_eq!(Intrinsics::read(&path).unwrap(), found);
+        let again = |found: &Intrinsics| Intrinsics::from_json(&serde_json::to_vec(found).unwrap());
+        assert_eq!(again(&found).as_ref(), Ok(&found));
         found.accel_scale[1] = 0.0;
-        write(&found);
-        assert!(Intrinsics::read(&path).unwrap_err().ends_with("accel_scale: give three numbers near 1"));
-        std::fs::write(&path, "{}").unwrap();
-        assert!(Intrinsics::read(&path).unwrap_err().contains("missing field"));
+        assert!(again(&found).unwrap_err().ends_with("accel_scale: give three numbers near 1"));
+        assert!(Intrinsics::from_json(b"{}").unwrap_err().contains("missing field"));
     }
 
     #[test]

@@ -4,7 +4,8 @@
 //! zenoh ── tokens ──> followers ─> a follower per stage ──> server ──> pages and websockets
 //!                                   feed, answers             an endpoint per stage, one for all
 //! ```
-//! In: stages that zenoh shows. Out: the same messages as at the stages, and a board of what is there. Never: a change at a stage.
+//! In: stages that zenoh shows. Out: the same messages as at the stages, and a board of what is there. Never: a change at a
+//! stage.
 
 mod board;
 mod follow;
@@ -45,19 +46,20 @@ pub struct HubOptions {
     pub stage: Stage,
     /// Folder that relative paths of that file start from.
     pub folder: PathBuf,
-    /// `HOST:PORT` of the page, instead of the file's.
+    /// `HOST:PORT` of the page, instead of the file's; `None`: the file's, or the default.
     pub http: Option<String>,
-    /// Stages to fuse on this machine, by their names here.
+    /// Stages to fuse on this machine from their input logs, by their names at this hub
+    /// ([`StageEntry::id`](posed_protocol::StageEntry)). A name that no stage has is passed over.
     pub fuse: Vec<String>,
 }
 
 /// Why a hub cannot start.
 #[derive(Debug, thiserror::Error)]
 pub enum HubError {
-    /// The page's address.
+    /// The page's address does not serve, or its TLS does not.
     #[error(transparent)]
     Bind(#[from] BindError),
-    /// zenoh.
+    /// zenoh cannot be opened.
     #[error(transparent)]
     Zenoh(#[from] LinkError),
 }
@@ -73,10 +75,14 @@ pub struct Hub {
 }
 
 impl Hub {
-    /// Binds the page, opens zenoh, follows every stage that it shows. Needs a tokio runtime of several threads.
+    /// Binds the page, opens zenoh, follows every stage that it shows. Needs a tokio runtime of several threads; blocks while
+    /// zenoh opens.
     ///
     /// # Errors
-    /// An address does not serve.
+    /// An address does not serve, for the page or for zenoh, or zenoh's settings do not.
+    ///
+    /// # Panics
+    /// Outside of a tokio runtime.
     pub fn start(options: HubOptions) -> Result<Self, HubError> {
         let HubOptions { stage, folder, http, fuse } = options;
         let clock = StageClock::start();
@@ -108,7 +114,7 @@ impl Hub {
         Ok(Self { address, url, shutdown, stages, tasks, session })
     }
 
-    /// The address of the page.
+    /// The address that the page listens on; its port is the one given by the system where 0 was asked for.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -118,12 +124,12 @@ impl Hub {
         &self.url
     }
 
-    /// What is said of all stages.
+    /// What is reported of all stages: a new value once a second and when a stage comes or goes; empty before the first.
     pub fn stages(&self) -> watch::Receiver<Stages> {
         self.stages.clone()
     }
 
-    /// Ends everything; clients are notified of the end.
+    /// Ends everything; clients are notified of the end. What has not ended after 4 s is cut off, with an error in the log.
     pub async fn shutdown(mut self) {
         self.shutdown.send_replace(true);
         let all = async {

@@ -8,15 +8,15 @@
 
 mod body;
 mod file;
-pub mod frames;
+mod frames;
 mod habits;
 mod hindsight;
 mod learning;
 mod memory;
 mod pairs;
-pub mod rules;
-pub mod som;
-pub mod study;
+mod rules;
+mod som;
+mod separation;
 mod watch;
 
 use posed_state::Plain;
@@ -24,11 +24,13 @@ use serde::{Deserialize, Serialize};
 
 use body::Body;
 use file::File;
-use frames::Frames;
+pub use frames::Frames;
 use habits::{Link, Motion, PositionChain, PositionMatch};
 use posed_fusion::faults::{Class, Label};
-use rules::Rules;
-use som::{Batch, Rule, Som, Training};
+pub use rules::{Labeller, Rules, frame_label};
+use som::Batch;
+pub use separation::{Separation, separation, separation_by_size};
+pub use som::{Kernel, Rule, Som, Training, Width, Winner, neighbourhood};
 pub use watch::{Judged, Watch};
 
 /// A cell has a class if this share of its training frames has it.

@@ -105,7 +105,7 @@ fn labels_agree_with_the_truth_and_overlaps_stay_at_par() {
     let (fault_map, labels) = FaultMap::train(&frames, Size::default(), &training()).unwrap();
     let agree = labels.frames.iter().zip(&classes).filter(|(label, class)| label.class == **class).count();
     assert!(agree as f64 >= 0.95 * 407.0, "{agree} of 407");
-    let report = study::measure(&fault_map, &frames, &classes);
+    let report = separation(&fault_map, &frames, &classes);
     assert!(report.overlaps <= report.changeovers + 1, "{report:?}");
     assert!(report.purity > 0.98, "{report:?}");
 }

@@ -12,9 +12,9 @@
 mod basis;
 mod hinge;
 mod law;
-pub mod path;
+mod path;
 mod peaks;
-pub mod track;
+mod track;
 mod window;
 
 use nalgebra::Isometry3;
@@ -22,7 +22,9 @@ use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 pub use hinge::{Hinge, HingeSettings};
+pub use path::{Deviation, Spline, Velocity, segment_ends};
 pub use peaks::Score;
+pub use track::{BRIDGED_FRAMES, Track, bridge};
 use peaks::{Peak, Peaks};
 pub use window::Window;
 

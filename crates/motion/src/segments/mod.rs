@@ -20,7 +20,7 @@ mod joints;
 mod labeller;
 mod layer;
 mod loss;
-pub mod measures;
+mod measures;
 mod model;
 mod network;
 #[cfg(test)]
@@ -39,6 +39,7 @@ pub use input::{Features, Memory, Position, Preparation};
 pub use labeller::{Labeller, Tick, label};
 pub use layer::Layer;
 pub use loss::{Loss, best, cross_entropy, softmax};
+pub use measures::{Measures, OVERLAPS, runs};
 pub use model::{Card, Decision, Model, ModelError, Provenance};
 pub use network::{Norm, SegmentationNetwork, Shape, Workspace};
 pub use options::Options;

@@ -7,7 +7,7 @@
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rayon::prelude::*;
+use posed_geometry::parallel::*;
 use serde::{Deserialize, Serialize};
 
 use super::adam::Adam;

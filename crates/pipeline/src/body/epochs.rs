@@ -40,7 +40,7 @@ pub(super) struct Epochs {
     records: ImuRecords,
 }
 
-/// From records of worn IMUs to samples.
+/// From records of worn IMUs to samples, one sensor per segment. Causal: it keeps the last record of each.
 #[derive(Clone, Debug, Plain)]
 pub struct ImuRecords {
     /// Whether all sensors have magnetometers; a body of which some lack them is solved without.
@@ -133,13 +133,21 @@ impl Epochs {
 }
 
 impl ImuRecords {
-    /// Of a body that has a magnetometer in every sensor, or none that counts.
+    /// Before the first record. `field`: every sensor of the body has a magnetometer that its heading may follow
+    /// ([`all_have_field`](super::all_have_field)); without, the samples carry no field.
     pub fn new(field: bool) -> Self {
         Self { field, sensors: [Last::default(); SEGMENTS] }
     }
 
-    /// What a record of the sensor on a segment reports about rate and force; a unit that only tells its orientation shows them by its
-    /// change. `None` for a record that is no later than the one before.
+    /// The sample, sensor axes, that a record of the sensor on `segment` (`BodySegment::index`) holds: corrected by the unit's
+    /// intrinsics where those are known.
+    ///
+    /// Of a unit that sends its orientation only it is an estimate: the mean angular velocity since the orientation before, zero
+    /// without one in the last 0.2 s; as specific force gravity along the reported vertical, with the linear acceleration if
+    /// there is one; no field. `None` for a record that is no later than the one before, or that holds neither.
+    ///
+    /// # Panics
+    /// `segment` is not below 10.
     pub fn sample(&mut self, segment: usize, measured: &Measured) -> Option<ImuSample> {
         let last = &mut self.sensors[segment];
         let since_s = last.t.map(|before| measured.t_valid.seconds_since(before));

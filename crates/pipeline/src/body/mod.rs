@@ -344,7 +344,9 @@ fn wearing(
     })
 }
 
-/// How a sensor sits on its segment, as the stage file specifies; `None` where it does not say how it is turned.
+/// How a sensor sits on `segment`, as the stage file specifies: `mount_quat_wxyz`, sensor to segment, and `offset_m`, segment
+/// frame, m; where that is absent, the usual place on a segment of this skeleton ([`Skeleton::usual_sensor_m`]). It does not look
+/// whether the sensor sits on that segment. `None` where the file does not say how it is turned.
 pub fn worn(sensor: &posed_stage::Sensor, segment: BodySegment, skeleton: &Skeleton) -> Option<SensorMount> {
     let q_segment_sensor: UnitQuaternion<f64> = orientation_from_wxyz(sensor.mount_quat_wxyz?)?;
     let offset_m = sensor.offset_m.map_or_else(|| skeleton.usual_sensor_m(segment), Vector3::from);
@@ -370,7 +372,11 @@ fn mounting(
     Ok(all)
 }
 
-/// Whether all of these sensors measure a field that their heading may follow.
+/// Whether all of these sensors measure a field that their heading may follow: their driver sends one, and `magnetometer` of the
+/// stage file is not false. True where there is no sensor.
+///
+/// # Panics
+/// An index is that of no sensor of the stage.
 pub fn all_have_field(stage: &Stage, imus: &[Option<SensorIndex>; SEGMENTS]) -> bool {
     imus.iter().flatten().all(|index| has_field(stage, *index))
 }

@@ -12,7 +12,7 @@ use super::{LEAST_STEP_NS, Settings, Stamp};
 /// What a wireless network's delay varies by, s.
 const SIGMA_S: f64 = 5e-3;
 
-/// A clock that believes arrivals.
+/// A clock that believes arrivals, less the constant delay of its [`Settings`]. What the network adds stays in its capture times.
 #[derive(Clone, Debug, Plain)]
 pub struct ArrivalClock {
     settings: Settings,
@@ -20,12 +20,16 @@ pub struct ArrivalClock {
 }
 
 impl ArrivalClock {
-    /// A clock that has seen nothing yet.
+    /// A clock that has seen nothing yet; of its settings only the delay counts.
     pub fn new(settings: Settings) -> Self {
         Self { settings, last: None }
     }
 
-    /// Takes the next sample and returns when it was measured; samples of one packet share their time.
+    /// Takes the next sample, in order of arrival, and returns when it was measured; samples of one packet share their time, and
+    /// those of the next are later. No cycle counts as skipped.
+    ///
+    /// # Panics
+    /// The settings' `measurement_delay_s` is negative or not finite.
     pub fn push(&mut self, sample: &Sample) -> Stamp {
         let (DeviceTime::Cycle(packet) | DeviceTime::Counter { ticks: packet, .. }) = sample.t_device;
         let delay = Duration::from_secs_f64(self.settings.measurement_delay_s);
@@ -42,7 +46,7 @@ impl ArrivalClock {
         Stamp { t_valid, sigma_s: SIGMA_S, begins_cycle, cycles_skipped: 0 }
     }
 
-    /// Standard deviation of a capture time, s, once there was one.
+    /// Standard deviation of a capture time, s: 5 ms, taken and not measured. `None` before the first sample.
     pub fn sigma_t_s(&self) -> Option<f64> {
         self.last.map(|_| SIGMA_S)
     }

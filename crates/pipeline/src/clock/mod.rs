@@ -60,29 +60,33 @@ const UNREPORTED_PERIOD_S: f64 = 0.01;
 /// Least spacing of two cycles of one device, ns.
 const LEAST_STEP_NS: i64 = 1_000;
 
-/// What is known of a line beforehand.
+/// What is known of a device and its line beforehand. Both are taken as exact.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub struct Settings {
-    /// Time of one byte on the line, s.
+    /// Time of one byte on the line, s, at least 0: 10 bits at `baud` of the stage file; 0 where bytes cost no time that is
+    /// known.
     pub byte_time_s: f64,
-    /// Constant delay from measurement to the first byte of the cycle, s.
+    /// Constant delay from measurement to the first byte of the cycle, s, at least 0: `measurement_delay_ms` of the stage file
+    /// and what the driver knows. An error of it shifts every capture time, and no stated uncertainty shows it.
     pub measurement_delay_s: f64,
 }
 
-/// Capture time of one sample.
+/// Capture time of one sample: an estimate on the host's clock, made when the sample arrived and not revised.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub struct Stamp {
-    /// When the measurement was true; the same for all samples of one cycle.
+    /// When the measurement was true; the same for all samples of one cycle, and later than that of the cycle before.
     pub t_valid: Timestamp,
-    /// Standard deviation of `t_valid`, s.
+    /// Standard deviation of `t_valid`, s, as the clock states it: a [`Clock`] by what the bounds of its window leave, 0.01
+    /// before its first fit.
     pub sigma_s: f64,
     /// Whether this sample begins a cycle.
     pub begins_cycle: bool,
-    /// Cycles that are missing in front of this one: nothing of them came through.
+    /// Cycles that are missing in front of this one: nothing of them came through. By the device's count or the clock's estimate
+    /// of it; 0 after a restart, for samples inside a cycle, and for devices without cycles.
     pub cycles_skipped: u32,
 }
 
-/// Clock model of one device.
+/// Clock model of one device that measures in cycles. Causal; it allocates nothing per sample.
 #[derive(Clone, Debug, Plain)]
 pub struct Clock {
     settings: Settings,
@@ -176,20 +180,22 @@ impl Clock {
         }
     }
 
-    /// Tells the rate that the device claims, Hz; believed only until the data speak, and only if they
-    /// do not contradict it.
+    /// Sets the rate of the cycles that the device claims, Hz; believed only until the data speak, and only if they
+    /// do not contradict it. `None`, and what is no rate above 1/60 Hz, leaves the one before.
     pub fn set_nominal_rate_hz(&mut self, rate_hz: Option<f64>) {
         let period = rate_hz.filter(|rate| rate.is_finite() && *rate > 0.0).map(f64::recip);
         self.nominal_period_s = period.filter(|period| *period < 60.0).or(self.nominal_period_s);
     }
 
-    /// The line has a wire on which bytes take their time; without this word the clock finds out, where it can.
+    /// States that the line has a wire on which bytes take their time; without this word the clock finds out, where records
+    /// arrive in two pieces.
     pub fn know_wire(&mut self) {
         self.reads.know_wire();
         self.window.know_wire();
     }
 
-    /// Forgets the phase: the device or its line began anew. The period is kept as the nominal one.
+    /// Forgets the phase: the device or its line began anew. The period is kept as the nominal one, and capture times go on
+    /// rising.
     pub fn restart(&mut self) {
         if let Some(period) = self.period_s() {
             self.nominal_period_s = Some(period);
@@ -206,27 +212,28 @@ impl Clock {
         // `last` stays: time goes on rising over a restart.
     }
 
-    /// Measured period of a cycle, s, once known.
+    /// Measured interval of the cycles on the host's clock, s; `None` before some 50 cycles have shown it.
     pub fn period_s(&self) -> Option<f64> {
         self.fit.map(|fit| fit.period_s * self.interval.x()).filter(|_| self.window.is_settled())
     }
 
-    /// Measured period, or the nominal one before that, s.
+    /// Measured interval of the cycles, or before that the nominal one, s; `None` where neither is known.
     pub fn period_or_nominal_s(&self) -> Option<f64> {
         self.period_s().or(self.nominal_period_s)
     }
 
-    /// Standard deviation of the latest `t_valid`, s.
+    /// Standard deviation of the latest `t_valid`, s; `None` before the first sample.
     pub fn sigma_t_s(&self) -> Option<f64> {
         self.last.map(|cycle| cycle.sigma_s)
     }
 
-    /// Capture time of the latest cycle.
+    /// Capture time of the latest cycle; `None` before the first sample.
     pub fn latest(&self) -> Option<Timestamp> {
         self.last.map(|cycle| cycle.t_valid)
     }
 
-    /// Takes the next sample and returns when it was measured.
+    /// Takes the next sample, in order of arrival, and returns when it was measured. A count that goes back is a device that
+    /// began anew.
     pub fn push(&mut self, sample: &Sample) -> Stamp {
         let (raw, counted) = match sample.t_device {
             DeviceTime::Cycle(cycle) => (cycle, false),
@@ -389,7 +396,8 @@ impl Clock {
         Stamp { t_valid, sigma_s, begins_cycle: false, cycles_skipped: 0 }
     }
 
-    /// Capture time that the model gives for `cycles` after the latest one; `None` before the period is known.
+    /// Capture time that the model gives for `cycles` after the latest one, by the measured or else the nominal interval; `None`
+    /// before the first sample, or where no interval is known.
     pub fn predict(&self, cycles: u32) -> Option<Timestamp> {
         let period_s = self.period_or_nominal_s()?;
         Some(self.latest()? + Duration::from_secs_f64(period_s * f64::from(cycles)))

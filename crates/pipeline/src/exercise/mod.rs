@@ -18,7 +18,8 @@ use posed_stage::name::Name;
 use posed_stage::output::{Body, Estimate, Outcome};
 use posed_stage::signals::{self, BodyColumns, InertialColumns};
 
-/// Who moves unless a client specifies otherwise.
+/// Name of the subject that moves unless a client specifies otherwise: loaded exercises are counted for it until it selects its
+/// own.
 pub const DEFAULT_SUBJECT: &str = "default";
 /// Subjects at a time.
 const SUBJECTS: usize = 64;

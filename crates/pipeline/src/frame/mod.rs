@@ -25,7 +25,7 @@ use device::Device;
 use posed_stage::input::{DeviceIndex, SensorIndex};
 use posed_stage::output::Measured;
 
-/// How long ticks go on without a sample, s.
+/// How long ticks go on without a sample of any device, s; then they stop until one arrives.
 pub const COAST_S: f64 = 0.5;
 /// A sensor that has missed so many cycles is no longer waited for.
 const UNHEARD_CYCLES: f64 = 5.0;
@@ -39,42 +39,44 @@ const FASTER: f64 = 0.99;
 pub struct FrameSample {
     /// The record, with its capture time.
     pub measured: Measured,
-    /// It belongs to an earlier frame, which had closed.
+    /// It belongs to an earlier frame, which had closed when it arrived.
     pub late: bool,
 }
 
 /// One sensor in a frame.
 #[derive(Clone, Debug, Default, PartialEq, Plain)]
 pub struct FrameSensor {
-    /// All samples since the last tick, oldest first; the newest is the frame's value.
+    /// All samples since the last tick, and late ones, oldest first; the newest is the frame's value. Empty where none came.
     pub samples: Vec<FrameSample>,
-    /// Cycles of the sensor's device without a sample that this frame accounts for.
+    /// Cycles of the sensor's device without a sample that this frame accounts for: counted by the cycles of the device's clock,
+    /// so an estimate where the device was away.
     pub missed: u32,
 }
 
 impl FrameSensor {
-    /// Whether the sensor's device should have measured it since the last tick.
+    /// Whether the sensor's device should have measured it since the last tick: false where no cycle of a slower device fell into
+    /// the frame, and once the device has stopped.
     pub fn expected(&self) -> bool {
         self.missed > 0 || !self.samples.is_empty()
     }
 }
 
-/// All sensors at one tick.
+/// The samples of all sensors up to one tick, as they came: nothing is filtered or interpolated.
 #[derive(Clone, Debug, Default, PartialEq, Plain)]
 pub struct Frame {
     /// Number of the frame, from 0.
     pub number: u64,
-    /// The tick.
+    /// The tick: a capture time on the host's clock, later than that of the frame before.
     pub t_valid: Timestamp,
     /// Host time at which it closed.
     pub t_closed: Timestamp,
-    /// Standard deviation of `t_valid`, s.
+    /// Standard deviation of `t_valid`, s: that of the latest cycle of the stage clock's device, or of any with a frame rate.
     pub sigma_t_s: f64,
-    /// Ticks that were left out in front of this one, while the stage was silent.
+    /// Ticks that were left out in front of this one, while the stage was silent for longer than [`COAST_S`].
     pub ticks_left_out: u64,
-    /// The tick comes from the clock model: no record says that the device measured then.
+    /// The tick comes from the clock model: no record shows that the device measured then. False for ticks of a frame rate.
     pub by_model: bool,
-    /// In the stage's order.
+    /// One per sensor, in the stage's order.
     pub sensors: Vec<FrameSensor>,
 }
 
@@ -142,7 +144,9 @@ impl Sensor {
     }
 }
 
-/// Sorts samples into frames.
+/// Sorts samples into frames. What it calls a device is whatever has a clock of its own: a device, or one unit of a device.
+///
+/// Push in order of arrival: [`Self::stamp`] and [`Self::sample`] for each sample, then [`Self::poll`] until `None`.
 #[derive(Clone, Debug, State)]
 pub struct Assembler {
     /// Fixed interval of the ticks, s; `None`: they follow the fastest device.
@@ -165,7 +169,11 @@ pub struct Assembler {
 }
 
 impl Assembler {
-    /// An assembler for `sensors`, each given by its device. `frame_rate_hz` fixes the ticks.
+    /// An assembler before its first sample, for `devices` clocks and for `sensors`, each given by its clock, from 0.
+    ///
+    /// `frame_rate_hz` (Hz, above 0) fixes the ticks to multiples of its period since the stage's epoch; with `None` they follow
+    /// the fastest device. `frame_wait_ms` (ms, at least 0) is how long a frame waits for its last sensors beyond their lag.
+    /// The pipeline takes both from the stage file. A sensor of a clock that is not there makes later calls panic.
     pub fn new(
         devices: usize,
         sensors: &[DeviceIndex],
@@ -203,7 +211,11 @@ impl Assembler {
         }
     }
 
-    /// A device has measured: takes the stamp of one of its samples, `period_s` as its clock knows it.
+    /// A device has measured: takes the stamp of one of its samples, the interval of its cycles, s, above 0, as its clock knows
+    /// it (`None`: not yet), and the host time. The device counts as running from now on.
+    ///
+    /// # Panics
+    /// There is no such device.
     pub fn stamp(&mut self, device: DeviceIndex, stamp: &Stamp, period_s: Option<f64>, now: Timestamp) {
         let index = usize::from(device);
         self.devices[index].stamp(stamp.t_valid, period_s, now);
@@ -219,7 +231,11 @@ impl Assembler {
         }
     }
 
-    /// Takes a sample of one sensor.
+    /// Takes a sample of one sensor, whose capture times must not go back. It joins the first frame whose tick is not before it;
+    /// one that is not after the last closed tick is late and joins the next frame.
+    ///
+    /// # Panics
+    /// There is no such sensor.
     pub fn sample(&mut self, sensor: SensorIndex, measured: Measured) {
         let late = self.last_closed.is_some_and(|closed| measured.t_valid <= closed);
         let sensor = &mut self.sensors[usize::from(sensor)];
@@ -227,12 +243,18 @@ impl Assembler {
         sensor.queue.push_back(FrameSample { measured, late });
     }
 
-    /// A device has stopped: nothing more is expected of it.
+    /// A device has stopped: nothing more is expected of it until its next [`Self::stamp`].
+    ///
+    /// # Panics
+    /// There is no such device.
     pub fn stop(&mut self, device: DeviceIndex) {
         self.devices[usize::from(device)].stop();
     }
 
-    /// The next frame that is complete, or has waited long enough; call until `None`.
+    /// The next frame that at the host time `now` is complete or has waited long enough; call until `None`.
+    ///
+    /// # Panics
+    /// `frame_wait_ms` was negative or not finite.
     pub fn poll(&mut self, now: Timestamp) -> Option<&Frame> {
         self.schedule_model(now);
         let tick = *self.pending.front()?;
@@ -244,7 +266,11 @@ impl Assembler {
         Some(&self.frame)
     }
 
-    /// When [`Assembler::poll`] has something to do without further input.
+    /// Host time at which [`Assembler::poll`] has something to do without further input, possibly `now` or before; `None` where
+    /// only input can bring a frame.
+    ///
+    /// # Panics
+    /// As [`Assembler::poll`].
     pub fn poll_timeout(&self, now: Timestamp) -> Option<Timestamp> {
         match self.pending.front() {
             Some(tick) => Some(self.deadline(tick.t, now).unwrap_or(now)),

@@ -1,8 +1,8 @@
 //! What Foxglove and Lichtblick are shown: channels of published schemas, live on a websocket and in recordings.
 //!
-//! What comes in: the pipeline's outputs with the stamps that clients know them by, and what a viewer says. What goes out: JSON messages
-//! by channel, frames of the Foxglove websocket protocol. What it never does: show a pose that is not good as if it were, own
-//! a socket or a clock.
+//! What comes in: the pipeline's outputs with the stamps that clients know them by, and what a viewer says. What goes out: JSON
+//! messages by channel, frames of the Foxglove websocket protocol. What it never does: show a pose that is not good as if it
+//! were, own a socket or a clock.
 //!
 //! | channel | schema | holds |
 //! |---|---|---|
@@ -70,7 +70,7 @@ impl Channel {
         }
     }
 
-    /// The topic whose messages it carries as they are.
+    /// The topic whose messages it carries as they are; `None` of a channel in a schema of Foxglove's.
     pub fn published(&self) -> Option<Topic> {
         match self.content {
             Content::Published(topic) => Some(topic),
@@ -121,19 +121,20 @@ pub struct Views {
 }
 
 impl Views {
-    /// Of a stage whose epoch is `epoch_utc_ns`.
+    /// Of a stage whose epoch is `epoch_utc_ns`, ns since 1970.
     pub fn new(stage: &Stage, epoch_utc_ns: i64) -> Self {
         // Truth comes from a simulator beside any stage; a channel without messages is not written.
         let channels = views(stage, true).into_iter().map(Arc::new).collect();
         Self { channels, publisher: Publisher::new(stage, epoch_utc_ns) }
     }
 
-    /// Takes over what a model changes in what is shown.
+    /// Takes over what a model changes in what is shown: where the transmitter stands. [`Views::publish`] does so by itself.
     pub fn swap(&mut self, model: &Model) {
         self.publisher.swap(model);
     }
 
-    /// Writes what a payload is on each channel.
+    /// Gives `say` the message (JSON text) of every channel that shows something of a payload. Poses are in the room, m; `stamp`
+    /// is that of the payload's own message, and times are UTC.
     pub fn publish(
         &mut self,
         payload: &Payload<'_>,

@@ -68,7 +68,7 @@ struct Log<'a> {
 }
 
 impl Publisher {
-    /// For a stage whose epoch is `epoch_utc_ns`.
+    /// For a stage whose epoch is `epoch_utc_ns`, ns since 1970.
     pub fn new(stage: &Stage, epoch_utc_ns: i64) -> Self {
         let names = Names::new(stage);
         let segments = names.body().map_or(&[][..], |layout| &layout.segments);
@@ -87,7 +87,7 @@ impl Publisher {
         }
     }
 
-    /// Takes over what a model changes in what is shown.
+    /// Takes over what a model changes in what is shown: where the transmitter stands. [`Publisher::publish`] does so by itself.
     pub fn swap(&mut self, model: &Model) {
         if let Model::Transmitter { position_m, orientation_wxyz } = model
             && self.transmitter.is_some()
@@ -97,12 +97,14 @@ impl Publisher {
         }
     }
 
-    /// UTC of a message, ns since 1970.
+    /// UTC of a message, ns since 1970; 0 for what lies before.
     pub fn utc_ns(&self, stamp: &Stamp) -> u64 {
         u64::try_from(self.epoch_utc_ns.saturating_add(stamp.t().as_nanos())).unwrap_or(0)
     }
 
-    /// Writes what a payload is on each of the channels that are `wanted` (by their place in the list): place, message.
+    /// Gives `say` the message of every channel that is `wanted` (by its place in `channels`) and shows something of a payload:
+    /// place, JSON text. Poses are in the room, m; one that is not good is left out, or drawn in another colour. `stamp` is that
+    /// of the payload's own message.
     pub fn publish(
         &mut self,
         payload: &Payload<'_>,

@@ -56,7 +56,7 @@ pub struct ServerInfo<'a> {
     pub time: bool,
 }
 
-/// The first message.
+/// The first message to a viewer, JSON text.
 pub fn server_info(info: &ServerInfo<'_>) -> String {
     let capabilities: &[&str] = if info.time { &["time"] } else { &[] };
     json!({
@@ -70,7 +70,7 @@ pub fn server_info(info: &ServerInfo<'_>) -> String {
     .to_string()
 }
 
-/// What there is; a channel's number is its place in the list, from 1.
+/// What there is, JSON text; a channel's number is its place in the list, from 1.
 pub fn advertise(channels: &[Channel]) -> String {
     #[derive(Serialize)]
     #[serde(rename_all = "camelCase")]
@@ -96,13 +96,13 @@ pub fn advertise(channels: &[Channel]) -> String {
     json!({ "op": "advertise", "channels": channels }).to_string()
 }
 
-/// The place in the list of a channel's number.
+/// The place, from 0, of a channel's number in a list of `channels` channels; `None` for a number that was not advertised.
 pub fn place(channel_id: u64, channels: usize) -> Option<usize> {
     let place = usize::try_from(channel_id).ok()?.checked_sub(1)?;
     (place < channels).then_some(place)
 }
 
-/// A sentence that the viewer shows; with an `id` until another one or [`remove_status`] takes its place.
+/// A sentence that the viewer shows, as JSON text; with an `id` until another one or [`remove_status`] takes its place.
 pub fn status(level: Level, message: &str, id: Option<&str>) -> String {
     let mut status = json!({ "op": "status", "level": level as u8, "message": message });
     if let Some(id) = id {
@@ -111,12 +111,13 @@ pub fn status(level: Level, message: &str, id: Option<&str>) -> String {
     status.to_string()
 }
 
-/// Takes sentences back.
+/// Takes the sentences of these ids back, JSON text.
 pub fn remove_status(ids: &[&str]) -> String {
     json!({ "op": "removeStatus", "statusIds": ids }).to_string()
 }
 
-/// Appends a message of a channel to `out`.
+/// Appends a message of a channel to `out` as a binary frame: `subscription` is the viewer's number, `utc_ns` the message's time,
+/// ns since 1970, `payload` its JSON text.
 pub fn message_data(subscription: u32, utc_ns: u64, payload: &[u8], out: &mut Vec<u8>) {
     out.reserve(13 + payload.len());
     out.push(1);
@@ -125,7 +126,7 @@ pub fn message_data(subscription: u32, utc_ns: u64, payload: &[u8], out: &mut Ve
     out.extend_from_slice(payload);
 }
 
-/// Appends the time that the viewer's clock is to show.
+/// Appends the time that the viewer's clock is to show, UTC, ns since 1970, as a binary frame.
 pub fn time(utc_ns: u64, out: &mut Vec<u8>) {
     out.push(2);
     out.extend_from_slice(&utc_ns.to_le_bytes());

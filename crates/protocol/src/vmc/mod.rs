@@ -1,12 +1,12 @@
 //! The skeleton for programs that speak VMC (Virtual Motion Capture) over OSC: avatars of the Unity humanoid kind.
 //!
-//! What comes in: the body and the frames of the pipeline. What goes out: datagrams, each complete in itself. What it never does: send a bone that
-//! sensors do not show, own a socket.
+//! What comes in: the body and the frames of the pipeline. What goes out: datagrams, each complete in itself. What it never does:
+//! send a bone that sensors do not show, own a socket.
 //!
 //! # Axes
-//! The room (right-handed, z up) becomes Unity's (left-handed, y up, z forward) by (x, y, z) -> (x, z, y), M with determinant -1; rotations R
-//! become M R Mᵀ: the vector part v of the quaternion becomes -M v. A bone's rotation is distinguished from the T-pose of a figure that looks along Unity's z (arms
-//! level, palms down), relative to its parent bone.
+//! The room (right-handed, z up) becomes Unity's (left-handed, y up, z forward) by (x, y, z) -> (x, z, y), M with determinant -1;
+//! rotations R become M R Mᵀ: the vector part v of the quaternion becomes -M v. A bone's rotation is measured from the T-pose of
+//! a figure that looks along Unity's z (arms level, palms down), relative to its parent bone.
 
 mod bones;
 #[cfg(test)]
@@ -52,7 +52,7 @@ pub struct Publisher {
 }
 
 impl Publisher {
-    /// For a stage whose file says so.
+    /// For a stage, as `[vmc]` of its file has it. Bones need the height of the body in the stage file; without it none are sent.
     pub fn new(stage: &Stage, settings: &posed_stage::Vmc) -> Self {
         let person_m = stage.body.as_ref().and_then(|body| body.height_m);
         let scale = settings.height_m.zip(person_m).map_or(1.0, |(avatar_m, person_m)| avatar_m / person_m);
@@ -68,7 +68,8 @@ impl Publisher {
         }
     }
 
-    /// Says the datagrams of a body, if one is due.
+    /// Gives `say` the datagrams of a body, if one is due by the rate: the bones that sensors show, relative to their parents, in
+    /// Unity's axes, m, and the trackers of the newest frame. Where no bone is shown the avatar counts as not loaded.
     pub fn body(&mut self, body: &Body, say: impl FnMut(&[u8])) {
         if !self.is_due(body.t_valid) {
             return;
@@ -80,7 +81,8 @@ impl Publisher {
         self.say(body.t_valid, &bones, say);
     }
 
-    /// Takes over the sensors of a frame; returns them where nobody wears any, for then no body comes.
+    /// Takes over the sensors of a frame whose poses may be used as good. Gives `say` their datagrams, if they are due, on a
+    /// stage without the height of a body, for then no bones come.
     pub fn frame(&mut self, estimate: &Estimate, say: impl FnMut(&[u8])) {
         self.sensors.clear();
         for &(at, _) in &self.trackers {
@@ -93,7 +95,8 @@ impl Publisher {
         }
     }
 
-    /// Reports that nothing has been tracked lately, if so: to be called now and then.
+    /// To be called now and then with the stage time, s: if what is due has not come for more than 1 s, forgets the trackers and
+    /// gives `say` a datagram that reports no bones.
     pub fn look(&mut self, t_s: f64, say: impl FnMut(&[u8])) {
         // Somewhat more than the largest distance of two frames.
         if t_s > self.due_s + 1.0 {
@@ -102,7 +105,7 @@ impl Publisher {
         }
     }
 
-    /// Lets time start anew.
+    /// Lets time start anew, as after a jump in a replay, and forgets the trackers.
     pub fn rewind(&mut self) {
         self.due_s = f64::NEG_INFINITY;
         self.sensors.clear();

@@ -1,11 +1,11 @@
 //! What programs that speak VRPN receive: every sensor is a tracker of its own name.
 //!
-//! What comes in: frames and outcomes, and what a client says. What goes out: bytes, the same for all clients. What it never does: tell a pose
-//! that is not good (the protocol cannot say so), open a file because a client asks, own a socket.
+//! What comes in: frames and outcomes, and what a client says. What goes out: bytes, the same for all clients. What it never
+//! does: tell a pose that is not good (the protocol cannot say so), open a file because a client asks, own a socket.
 //!
-//! A tracker has sensor 0. Positions are in the room, m; a sensor that measures none is at the origin. Velocities and accelerations are
-//! linear in room axes, and turns in room axes made within [`TURN_S`]. The filter has no acceleration: it is the difference of the
-//! velocities of two frames.
+//! A tracker has sensor 0. Positions are in the room, m; a sensor that measures none is at the origin. Velocities and
+//! accelerations are linear in room axes, and turns in room axes made within [`TURN_S`]. The filter has no acceleration: it is
+//! the difference of the velocities of two frames.
 
 mod peer;
 pub mod wire;
@@ -60,7 +60,7 @@ pub struct Publisher {
     trackers: Vec<Tracker>,
 }
 
-/// What was reported one sensor.
+/// What was reported of one sensor.
 #[derive(Clone, Debug, Default)]
 struct Tracker {
     /// Time, velocity and rate (room axes) of the frame before.
@@ -69,13 +69,14 @@ struct Tracker {
 }
 
 impl Catalogue {
-    /// Of sensors of these names on a stage whose epoch is `epoch_utc_ns`. Names are cut to what clients take.
+    /// Of sensors of these names, in the stage file's order, on a stage whose epoch is `epoch_utc_ns`, ns since 1970. Names are
+    /// cut to [`wire::MAX_NAME`] bytes.
     pub fn new<'a>(names: impl IntoIterator<Item = &'a str>, epoch_utc_ns: i64) -> Self {
         let cut = |name: &str| name[..name.floor_char_boundary(wire::MAX_NAME)].to_owned();
         Self { epoch_utc_ns, names: names.into_iter().map(cut).collect() }
     }
 
-    /// What every connection begins with, after the greetings: who speaks, and of what.
+    /// The bytes that every connection begins with, after the greetings: who speaks, and of what.
     pub fn descriptions(&self) -> Vec<u8> {
         let mut out = Vec::new();
         for (number, name) in (0..).zip(&self.names) {
@@ -104,12 +105,13 @@ impl Publisher {
         Self { catalogue: Arc::new(catalogue), trackers }
     }
 
-    /// What there is.
+    /// What there is on the stage.
     pub fn catalogue(&self) -> Arc<Catalogue> {
         Arc::clone(&self.catalogue)
     }
 
-    /// Appends the messages of a frame.
+    /// Appends the messages of a frame: of each sensor its button, where it changed, and, where its pose may be used as good,
+    /// pose, velocity and acceleration. Frames and units: see the module; no acceleration after a gap.
     pub fn frame(&mut self, estimate: &Estimate, out: &mut Vec<u8>) {
         let (t, utc_ns) = (estimate.t_valid, self.catalogue.utc_ns(estimate.t_valid));
         for (sender, (tracker, sensor)) in (0..).zip(self.trackers.iter_mut().zip(&estimate.sensors)) {
@@ -122,7 +124,7 @@ impl Publisher {
         }
     }
 
-    /// Appends the sentence of an outcome, if it has one.
+    /// Appends the sentence of an outcome; only a fault has one, a warning while it lasts.
     pub fn outcome(&self, outcome: &Outcome, out: &mut Vec<u8>) {
         let OutcomeKind::Fault { sensor, cause, active } = outcome.what else { return };
         let Some(name) = self.catalogue.names.get(usize::from(sensor)) else { return };

@@ -16,7 +16,8 @@ impl Peer {
     /// Takes a message; what is to be answered is appended to `out`. What is not understood is passed over.
     ///
     /// # Errors
-    /// The client is not to be served any longer.
+    /// The client is not to be served any longer: it asks for a log file, or a number or a name that it describes is out of
+    /// range.
     pub fn take(
         &mut self,
         message: Message<'_>,

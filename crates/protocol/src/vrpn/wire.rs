@@ -1,7 +1,7 @@
 //! Messages of VRPN 7.x on a TCP connection, both ways.
 //!
-//! What comes in: values, or bytes in pieces of any size. What goes out: the other of the two. All integers and doubles are big-endian. The
-//! length in a header does not count the padding that brings the next message to a multiple of eight bytes.
+//! What comes in: values, or bytes in pieces of any size. What goes out: the other of the two. All integers and doubles are
+//! big-endian. The length in a header does not count the padding that brings the next message to a multiple of eight bytes.
 
 /// What each side says first.
 pub const GREETING: [u8; 24] = *b"vrpn: ver. 07.38  0\0\0\0\0\0";
@@ -67,7 +67,7 @@ pub struct Message<'a> {
 }
 
 impl Message<'_> {
-    /// The number and name that a description ([`system::SENDER`], [`system::TYPE`]) tells.
+    /// The number (0 to 1999) and the name that a description ([`system::SENDER`], [`system::TYPE`]) gives.
     ///
     /// # Errors
     /// The number or the name is out of range.
@@ -135,7 +135,7 @@ pub struct From {
     pub utc_ns: i64,
 }
 
-/// Appends a message.
+/// Appends a message: its header, `payload`, and zeros up to a multiple of eight bytes. The time is cut to the microsecond.
 pub fn message(from: From, payload: &[u8], out: &mut Vec<u8>) {
     let seconds = from.utc_ns.div_euclid(1_000_000_000) as u32;
     let micros = (from.utc_ns.rem_euclid(1_000_000_000) / 1000) as u32;
@@ -163,7 +163,7 @@ pub fn description(system: i32, number: i32, name: &str, utc_ns: i64, out: &mut 
     message(From { sender: number, kind: system, utc_ns }, &payload, out);
 }
 
-/// Appends a pose: position, m, and orientation sensor to room.
+/// Appends a pose: position in the room, m, and orientation, sensor to room, unit quaternion with its scalar first.
 pub fn pose(from: From, position_m: [f64; 3], orientation_wxyz: [f64; 4], out: &mut Vec<u8>) {
     let mut payload = Doubles::<64>::new();
     payload.put(&position_m);
@@ -171,7 +171,8 @@ pub fn pose(from: From, position_m: [f64; 3], orientation_wxyz: [f64; 4], out: &
     message(from, &payload.bytes, out);
 }
 
-/// Appends a velocity or an acceleration: linear, m/s or m/s², and the turn made in `dt_s`.
+/// Appends a velocity or an acceleration in room axes: linear, m/s or m/s², and what is turned in `dt_s` (s), or by how much that
+/// changes in a second, a unit quaternion with its scalar first. `from.kind` states which of the two it is.
 pub fn motion(from: From, linear: [f64; 3], turn_wxyz: [f64; 4], dt_s: f64, out: &mut Vec<u8>) {
     let mut payload = Doubles::<72>::new();
     payload.put(&linear);
@@ -180,7 +181,7 @@ pub fn motion(from: From, linear: [f64; 3], turn_wxyz: [f64; 4], dt_s: f64, out:
     message(from, &payload.bytes, out);
 }
 
-/// Appends a button that was pressed or released.
+/// Appends a button, by its number from 0, that was pressed or released.
 pub fn button(from: From, number: i32, pressed: bool, out: &mut Vec<u8>) {
     let mut payload = [0; 8];
     payload[..4].copy_from_slice(&number.to_be_bytes());

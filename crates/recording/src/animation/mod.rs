@@ -22,16 +22,16 @@ use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton, upright};
 /// Kinds of files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
-    /// Biovision hierarchy: Blender and most animation programs.
+    /// Biovision hierarchy: Blender and most animation programs. Offsets in m, angles in degrees, Z then X then Y.
     Bvh,
-    /// Track row column: joint centres as markers, for OpenSim.
+    /// Track row column: joint centres as markers, m, for OpenSim.
     Trc,
-    /// Binary glTF: an animated skeleton for browsers.
+    /// Binary glTF: an animated skeleton for browsers, m; its time begins with 0.
     Glb,
 }
 
 impl Format {
-    /// By the end of a file's name.
+    /// By the end of a file's name, in letters of either case; `None` for any other end.
     pub fn of(path: &Path) -> Option<Self> {
         match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
             "bvh" => Some(Self::Bvh),
@@ -74,12 +74,13 @@ pub struct Animation {
 }
 
 impl Animation {
-    /// No frame yet.
+    /// An animation of this skeleton without a frame.
     pub fn new(skeleton: Skeleton) -> Self {
         Self { skeleton, frames: Vec::new() }
     }
 
-    /// Appends a time, s: segments to room, and the hips' mid-point in the room, m. Times that do not rise are left out.
+    /// Appends a frame: its time, s; the orientations, segment to room, by [`BodySegment::index`]; the hips' mid-point in the
+    /// room, m. A frame whose time does not rise is left out.
     pub fn push(&mut self, t_s: f64, orientations: [UnitQuaternion<f64>; SEGMENTS], pelvis_m: Vector3<f64>) {
         if self.frames.last().is_none_or(|last| t_s > last.t_s) {
             let up = upright().inverse();
@@ -91,10 +92,11 @@ impl Animation {
         }
     }
 
-    /// Writes the file, whole or not at all.
+    /// Writes the file, whole or not at all. Frames are brought to equal distances at their mean rate, as many as there are;
+    /// between two frames segments turn the shortest way.
     ///
     /// # Errors
-    /// Too few frames, or a file that cannot be written.
+    /// Fewer than two frames, or a file that cannot be written.
     pub fn write(&self, path: &Path, format: Format) -> Result<(), AnimationError> {
         let (rate_hz, frames) = self.even()?;
         let bytes = match format {

@@ -8,8 +8,9 @@ use super::{Sequences, TableError};
 /// The tier that is written, and read first.
 const TIER: &str = "segments";
 
-/// An annotation file with segments: label, beginning and end, s since the sequence's first frame.
-pub fn write<'a>(segments: impl IntoIterator<Item = (&'a str, f64, f64)>) -> String {
+/// The text of an annotation file with segments: label, beginning and end, s since the sequence's first frame. Times are rounded
+/// to whole milliseconds, as the format has them.
+pub fn write_elan<'a>(segments: impl IntoIterator<Item = (&'a str, f64, f64)>) -> String {
     let milliseconds = |t_s: f64| (t_s * 1000.0).round();
     let (mut slots, mut annotations) = (String::new(), String::new());
     for (number, (label, first, end)) in segments.into_iter().enumerate() {
@@ -40,12 +41,12 @@ pub fn write<'a>(segments: impl IntoIterator<Item = (&'a str, f64, f64)>) -> Str
     )
 }
 
-/// Takes the labels of an annotation file: of its tier `segments`, or of its only one. Frames outside every
-/// annotation have no label.
+/// Takes the labels of an annotation file: of its tier `segments`, or of its only one. Frames outside every annotation have no
+/// label, but for the last frame: it then has the last annotation's.
 ///
 /// # Errors
 /// The file cannot be read, or is none of ELAN's.
-pub fn read(path: &Path, sequences: &mut Sequences) -> Result<(), TableError> {
+pub(super) fn read_elan(path: &Path, sequences: &mut Sequences) -> Result<(), TableError> {
     let file = path.display().to_string();
     let text = match std::fs::read_to_string(path) {
         Ok(text) => text,
@@ -114,13 +115,13 @@ mod tests {
         let classes: Vec<usize> = (0..100).map(|frame| usize::from((30..71).contains(&frame))).collect();
         let at = |frame: usize| frame as f64 / 72.0;
         let text =
-            write([(labels[0], 0.0, at(30)), (labels[1], at(30), at(71)), (labels[0], at(71), at(99))]);
+            write_elan([(labels[0], 0.0, at(30)), (labels[1], at(30), at(71)), (labels[0], at(71), at(99))]);
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.eaf");
         std::fs::write(&path, text).unwrap();
         let frames = t_s.iter().map(|t_s| SequenceFrame { t_s: *t_s, ..SequenceFrame::default() }).collect();
         let mut sequences = Sequences { frames, ..Sequences::default() };
-        read(&path, &mut sequences).unwrap();
+        read_elan(&path, &mut sequences).unwrap();
         for (frame, class) in sequences.frames.iter().zip(classes) {
             assert_eq!(frame.label.as_deref(), Some(labels[class]), "{}", frame.t_s);
         }

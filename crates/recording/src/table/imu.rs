@@ -18,23 +18,23 @@ pub struct Imu {
 /// One IMU at one time, in its own axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuRow {
-    /// Time, s.
+    /// Time, s; its zero is the file's.
     pub t_s: f64,
     /// Index in [`Imu::sensors`].
     pub sensor: usize,
-    /// Specific force, m/s².
+    /// Specific force, m/s² (+g on the axis that points up, at rest); `None` where the cells are empty.
     pub accel_m_s2: Option<[f64; 3]>,
-    /// Angular velocity, rad/s.
+    /// Angular velocity, rad/s; `None` where the cells are empty.
     pub gyro_rad_s: Option<[f64; 3]>,
-    /// Magnetic field, in any unit of constant scale.
+    /// Magnetic field, in any unit of constant scale; `None` where the cells are empty or the file has no such columns.
     pub mag: Option<[f64; 3]>,
 }
 
 impl Imu {
-    /// Reads samples from a CSV file; `rate_hz` is for files without a column `t`.
+    /// Reads samples from a CSV file; `rate_hz`, above 0, is for files without a column `t`.
     ///
     /// # Errors
-    /// The file cannot be read; a cell is not what it should be.
+    /// The file cannot be read; otherwise as [`Imu::from_table`].
     pub fn read(path: &Path, rate_hz: Option<f64>) -> Result<Self, TableError> {
         Self::from_table(TableReader::open(path)?, rate_hz)
     }
@@ -42,7 +42,7 @@ impl Imu {
     /// Reads samples from CSV; without a column `t` every sensor's rows are `1 / rate_hz` apart, from 0.
     ///
     /// # Errors
-    /// A column is missing; a cell is not what it should be.
+    /// A column is missing, or both `t` and a rate that serves; a cell is not what it should be.
     pub fn from_table(mut table: TableReader, rate_hz: Option<f64>) -> Result<Self, TableError> {
         let clock = Clock::new(&table, rate_hz)?;
         let accel = table.require(["ax", "ay", "az"])?;

@@ -1,7 +1,7 @@
 //! Sequences out of recordings: the joints are the stage's sensors and the segments of its body.
 //!
-//! What comes in: `sensors` and `body` messages. What goes out: a frame per `sensors` message. Where a sensor is called as the segment that it
-//! sits on, the joint is the segment, as it is live.
+//! What comes in: `sensors` and `body` messages. What goes out: a frame per `sensors` message. Where a sensor is called as the
+//! segment that it sits on, the joint is the segment, as it is live.
 
 use std::path::Path;
 
@@ -11,7 +11,8 @@ use crate::{Item, ReadError, Reader};
 use posed_protocol::Figure;
 
 impl Sequences {
-    /// Reads the usable positions of a recording (`.mcap`). A torn recording gives what it has.
+    /// Reads positions in the room, m, from a recording (`.mcap`): a frame per `sensors` message, with the sensors whose pose may
+    /// be used as good and the segments of the newest `body` message before it. No labels. A torn recording gives what it has.
     ///
     /// # Errors
     /// The recording is damaged, or is none.

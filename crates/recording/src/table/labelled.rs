@@ -1,26 +1,28 @@
 //! Labelled sequences as folders hold them: labels in a column, or in a file beside the sequence.
 //!
-//! What comes in: `walk.csv` (or `.csv.gz`), a sequence, or `walk.mcap`, a recording. If `walk.labels.csv` or `walk.eaf` stands beside it, its
-//! labels count instead of the column's: what `posed segments label` wrote and somebody corrected. What goes out: sequences,
-//! in the order of their names.
+//! What comes in: `walk.csv` (or `.csv.gz`), a sequence, or `walk.mcap`, a recording. If `walk.labels.csv` or `walk.eaf` stands
+//! beside it, its labels count instead of the column's: what `posed segments label` wrote and somebody corrected. What goes out:
+//! sequences, in the order of their names.
 
 use std::path::{Path, PathBuf};
 
-use super::{SegmentLabels, SequenceOptions, Sequences, TableError, elan};
+use super::elan::read_elan;
+use super::{SegmentLabels, SequenceOptions, Sequences, TableError};
 use crate::is_recording;
 
 /// A sequence, and the name of its file.
 pub type Named = (String, Sequences);
 
-/// Reads a sequence, or a recording (`.mcap`), whose sensors and segments of the body are the joints; with the labels beside it.
+/// Reads a sequence, or a recording (`.mcap`), whose sensors and segments of the body are the joints; with the labels beside it,
+/// which take the place of its column `label`; its column `transition` stays. `options` are for tables.
 ///
 /// # Errors
 /// A file cannot be read, the labels beside it are not its labels, its times do not rise.
-pub fn read(path: &Path, options: &SequenceOptions) -> Result<Sequences, TableError> {
+pub fn read_labelled(path: &Path, options: &SequenceOptions) -> Result<Sequences, TableError> {
     let mut sequences =
         if is_recording(path) { Sequences::read_recording(path)? } else { Sequences::read(path, options)? };
     match beside(path) {
-        Some(Beside::Elan(path)) => elan::read(&path, &mut sequences)?,
+        Some(Beside::Elan(path)) => read_elan(&path, &mut sequences)?,
         Some(Beside::Rows(path)) => correct(&path, &mut sequences)?,
         None => {}
     }
@@ -29,11 +31,11 @@ pub fn read(path: &Path, options: &SequenceOptions) -> Result<Sequences, TableEr
     if rising { Ok(sequences) } else { Err(wrong(path, "the times do not rise from row to row")) }
 }
 
-/// Reads a sequence, or all of a folder; of recordings in it those that have labels beside them.
+/// Reads a sequence, or all of a folder in the order of their names; of recordings in it those that have labels beside them.
 ///
 /// # Errors
-/// As for [`read`]; there are none, or one has no label at all.
-pub fn read_folder(folder: &Path, options: &SequenceOptions) -> Result<Vec<Named>, TableError> {
+/// As for [`read_labelled`]; there are none, or one has no label at all.
+pub fn read_labelled_folder(folder: &Path, options: &SequenceOptions) -> Result<Vec<Named>, TableError> {
     if !folder.is_dir() {
         return labelled(&[folder.to_owned()], options);
     }
@@ -48,11 +50,12 @@ pub fn read_folder(folder: &Path, options: &SequenceOptions) -> Result<Vec<Named
     labelled(&paths, options)
 }
 
-/// Reads the recordings of a folder that have labels beside them; none is no error, nor is no folder.
+/// Reads the recordings of a folder that have labels beside them, in the order of their names; none is no error, nor is no
+/// folder.
 ///
 /// # Errors
-/// As for [`read`]; one has no label at all.
-pub fn read_recordings(folder: &Path) -> Result<Vec<Named>, TableError> {
+/// As for [`read_labelled`]; one has no label at all.
+pub fn read_labelled_recordings(folder: &Path) -> Result<Vec<Named>, TableError> {
     if !folder.is_dir() {
         return Ok(Vec::new());
     }
@@ -61,7 +64,7 @@ pub fn read_recordings(folder: &Path) -> Result<Vec<Named>, TableError> {
     labelled(&paths, &SequenceOptions::default())
 }
 
-/// The file's name without `.csv`, `.csv.gz` or `.mcap`.
+/// The file's name without `.csv`, `.csv.gz` or `.mcap`, in small letters; another end stays.
 pub fn stem(path: &Path) -> String {
     let name = name(path);
     let ends = [".csv.gz", ".csv", ".mcap"];
@@ -70,7 +73,7 @@ pub fn stem(path: &Path) -> String {
 
 fn labelled(paths: &[PathBuf], options: &SequenceOptions) -> Result<Vec<Named>, TableError> {
     let read = |path: &PathBuf| {
-        let sequences = read(path, options)?;
+        let sequences = read_labelled(path, options)?;
         if sequences.frames.iter().all(|frame| frame.label.is_none()) {
             let stem = stem(path);
             let what = format!(

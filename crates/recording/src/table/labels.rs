@@ -14,11 +14,11 @@ pub struct SegmentLabels {
 /// What one frame shows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SegmentLabel {
-    /// Time, s; absent where a person's file has none.
+    /// Time, s; `None` where a person's file has none.
     pub t_s: Option<f64>,
-    /// The label; absent where nobody knows.
+    /// The label; `None` where nobody knows.
     pub label: Option<String>,
-    /// Probability that the label is right, 0 to 1.
+    /// Probability that the label is right, 0 to 1, as who labelled estimates it; `None` where nobody says.
     pub confidence: Option<f64>,
 }
 
@@ -52,7 +52,7 @@ impl SegmentLabels {
         Ok(labels)
     }
 
-    /// Writes the file.
+    /// Writes the file; confidences to four decimals.
     ///
     /// # Errors
     /// The file cannot be written; nothing is left behind.

@@ -6,11 +6,11 @@
 //!
 //! [`Poses`] also come from recordings.
 
-pub mod elan;
+mod elan;
 mod error;
 mod imu;
 mod joints;
-pub mod labelled;
+mod labelled;
 mod labels;
 mod poses;
 mod reader;
@@ -22,8 +22,10 @@ mod tests;
 mod training_set;
 mod writer;
 
+pub use elan::write_elan;
 pub use error::TableError;
 pub use imu::{Imu, ImuRow};
+pub use labelled::{Named, read_labelled, read_labelled_folder, read_labelled_recordings, stem};
 pub use labels::{SegmentLabel, SegmentLabels};
 pub use poses::{PoseColumns, PoseRow, PoseWriter, Poses, Which};
 pub use reader::TableReader;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use posed_motion::fault_map::frames::Frames;
+use posed_motion::fault_map::Frames;
 use serde::Deserialize;
 
 use super::{TableError, TableReader, TableWriter, intern};
@@ -21,15 +21,15 @@ pub struct Poses {
 /// One sensor at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseRow {
-    /// Time, s.
+    /// Time, s; of a recording, capture time since the stage's epoch.
     pub t_s: f64,
     /// Index in [`Poses::sensors`].
     pub sensor: usize,
-    /// Position in the file's frame (the room unless said otherwise), m.
+    /// Position in the file's frame (the room unless said otherwise), m; `None` where there is none.
     pub position_m: Option<[f64; 3]>,
-    /// Sensor to the file's frame, unit quaternion, scalar first.
+    /// Sensor to the file's frame, unit quaternion, scalar first; `None` where there is none.
     pub orientation_wxyz: Option<[f64; 4]>,
-    /// How far to trust it, where the row is from a recording.
+    /// How far to trust it; `None` unless the row is from a recording.
     pub state: Option<SensorState>,
 }
 
@@ -58,10 +58,10 @@ impl Poses {
         }
     }
 
-    /// Reads poses from CSV.
+    /// Reads poses from CSV. Quaternions whose norm is within 1 % of one are normalised; a column `state` is not read.
     ///
     /// # Errors
-    /// A column is missing; a cell is not what it should be.
+    /// A column is missing; a cell is not what it should be, or a quaternion is farther from a unit one.
     pub fn from_table(mut table: TableReader) -> Result<Self, TableError> {
         let [t, x, y, z] = table.require(["t", "x", "y", "z"])?;
         let quaternion = table.all_or_none(["qw", "qx", "qy", "qz"])?;
@@ -147,7 +147,11 @@ impl Poses {
         writer.finish()
     }
 
-    /// Sorts positions into frames: rows of equal time, a second row of the same sensor beginning a new one.
+    /// Sorts positions into frames, m, in the file's own axes: rows of equal time that follow each other, a second row of the
+    /// same sensor beginning a new one. NaN where a sensor has no position.
+    ///
+    /// # Panics
+    /// A row names a sensor that is not in `sensors`.
     pub fn frames(&self) -> Frames {
         let width = 3 * self.sensors.len();
         let mut frames = Frames { sensors: self.sensors.clone(), ..Frames::default() };
@@ -168,7 +172,7 @@ impl Poses {
         frames
     }
 
-    /// Name of a row's sensor.
+    /// Name of a row's sensor; empty where it has none.
     pub fn name(&self, row: &PoseRow) -> &str {
         self.sensors.get(row.sensor).map_or("", String::as_str)
     }
@@ -210,7 +214,8 @@ impl PoseWriter {
         Ok(Self { table: TableWriter::create(path, &names)?, columns })
     }
 
-    /// Appends a row of the sensor called `name`.
+    /// Appends a row of the sensor called `name`; columns that the file does not have are left out, what is `None` is an empty
+    /// cell.
     ///
     /// # Errors
     /// The disk is full.

@@ -35,7 +35,7 @@ impl TableReader {
     /// Opens a file and reads its header row.
     ///
     /// # Errors
-    /// It cannot be read, is empty, or names a column twice.
+    /// It cannot be read, has no header row, or is no UTF-8 text in lines of less than 1 MiB.
     pub fn open(path: &Path) -> Result<Self, TableError> {
         let name = path.display().to_string();
         match File::open(path) {
@@ -79,7 +79,7 @@ impl TableReader {
         &self.columns
     }
 
-    /// Index of a column, if it is there.
+    /// Index of a column; `None` where it is not there.
     ///
     /// # Errors
     /// It is there twice.
@@ -107,10 +107,10 @@ impl TableReader {
         Ok(columns)
     }
 
-    /// Indices of columns of which either all are there or none.
+    /// Indices of columns of which either all are there or none (`None`).
     ///
     /// # Errors
-    /// Some are there and some are not.
+    /// Some are there and some are not, or one is there twice.
     pub fn all_or_none<const N: usize>(&self, names: [&str; N]) -> Result<Option<[usize; N]>, TableError> {
         for name in names {
             if self.column(name)?.is_some() {
@@ -120,10 +120,10 @@ impl TableReader {
         Ok(None)
     }
 
-    /// Goes to the next row; `false` at the end of the file.
+    /// Goes to the next row, over comments and empty lines; `false` at the end of the file.
     ///
     /// # Errors
-    /// The file cannot be read, or a row has another number of cells than the header.
+    /// The file cannot be read or is no text, a quote is not closed, or a row has another number of cells than the header.
     pub fn next_row(&mut self) -> Result<bool, TableError> {
         if !self.read_row()? {
             return Ok(false);
@@ -135,7 +135,7 @@ impl TableReader {
         Ok(true)
     }
 
-    /// A cell of the current row, without the spaces around it.
+    /// A cell of the current row, without the spaces around it; empty for a column that is not there.
     pub fn text(&self, column: usize) -> &str {
         let Some(&end) = self.ends.get(column) else { return "" };
         let start = if column == 0 { 0 } else { self.ends[column - 1] };
@@ -145,7 +145,7 @@ impl TableReader {
     /// A number of the current row; `None` where the cell is empty.
     ///
     /// # Errors
-    /// The cell holds something else.
+    /// The cell holds something else, or a number that is not finite.
     pub fn number(&self, column: usize) -> Result<Option<f64>, TableError> {
         let text = self.text(column);
         if text.is_empty() {
@@ -199,7 +199,7 @@ impl TableReader {
         }
     }
 
-    /// An error about the header row, whatever row is the current one.
+    /// An error about the header row: to be asked for before the first row, for it names the current line.
     pub fn header_error(&self, expected: &str, found: &str) -> TableError {
         // Asked for before the first row is read: the header's line is still the current one.
         self.line_error(self.line, expected, found)

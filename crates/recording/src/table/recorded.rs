@@ -54,17 +54,20 @@ impl RecordedStreams {
         Ok(Self { path: path.to_owned(), reader, sensors, inertial, angles, columns, row, body: None })
     }
 
-    /// Names of the channels.
+    /// Names of the channels: of each sensor those of [`signals::columns`] (room, m, unit quaternion), of inertial sensors
+    /// without a body those of [`signals::inertial_columns`], of a body its joint angles (`JOINT_ANGLE_deg`). A stage file of
+    /// another version shows the first kind alone.
     pub fn columns(&self) -> &[String] {
         &self.columns
     }
 
-    /// Values of the newest row, in the order of the columns.
+    /// Values of the newest row, in the order of the columns; empty before the first. `None` where a sensor has no pose that may
+    /// be used as good, and for angles that are not known or older than 0.05 s ([`signals::BODY_AGE_S`]).
     pub fn row(&self) -> &[Option<f64>] {
         &self.row
     }
 
-    /// Goes on to the next row; its time in s, or `None` at the end.
+    /// Goes on to the next row; returns its capture time, s, or `None` at the end.
     ///
     /// # Errors
     /// The recording is damaged.

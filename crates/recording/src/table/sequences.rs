@@ -13,18 +13,18 @@ pub struct Sequences {
     pub labelled: bool,
     /// One per row.
     pub frames: Vec<SequenceFrame>,
-    /// Positions in room axes (z up), m: one frame after the other, in the order of `joints`.
+    /// Positions in room axes (z up), m: one frame after the other, in the order of `joints`; `None` where one is missing.
     pub positions_m: Vec<Option<[f64; 3]>>,
 }
 
 /// One row beside its positions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SequenceFrame {
-    /// Time, s.
+    /// Time, s; its zero is the file's.
     pub t_s: f64,
-    /// What it shows.
+    /// What it shows; `None` where nobody says.
     pub label: Option<String>,
-    /// Between two labels: not scored.
+    /// Between two labels: neither learned nor scored.
     pub transition: bool,
 }
 
@@ -53,7 +53,7 @@ pub enum Up {
 /// How to read a file of sequences.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SequenceOptions {
-    /// Rate of a file without a column `t`, Hz.
+    /// Rate of a file without a column `t`, Hz, above 0; `None` where it has one.
     pub rate_hz: Option<f64>,
     /// Unit of its positions.
     pub unit: Unit,
@@ -62,10 +62,10 @@ pub struct SequenceOptions {
 }
 
 impl Sequences {
-    /// Reads a CSV file.
+    /// Reads a CSV file; positions are brought to metres and to room axes.
     ///
     /// # Errors
-    /// The file cannot be read, has no joints, a joint lacks an axis, a cell is not what it should be.
+    /// The file cannot be read; otherwise as [`Sequences::from_table`].
     pub fn read(path: &Path, options: &SequenceOptions) -> Result<Self, TableError> {
         Self::from_table(TableReader::open(path)?, options)
     }
@@ -73,7 +73,7 @@ impl Sequences {
     /// Reads CSV; see [`Sequences::read`].
     ///
     /// # Errors
-    /// It has no joints, a joint lacks an axis, a cell is not what it should be.
+    /// It has no joints, or neither a column `t` nor a rate that serves; a joint lacks an axis, a cell is not what it should be.
     pub fn from_table(mut table: TableReader, options: &SequenceOptions) -> Result<Self, TableError> {
         let clock = Clock::new(&table, options.rate_hz)?;
         let mut joints: Vec<String> = Vec::new();
@@ -125,13 +125,13 @@ impl Sequences {
         Ok(sequences)
     }
 
-    /// Positions of one frame, in the order of `joints`.
+    /// Positions of one frame in room axes, m, in the order of `joints`; empty where there is no such frame.
     pub fn positions_m(&self, frame: usize) -> &[Option<[f64; 3]>] {
         let width = self.joints.len();
         self.positions_m.get(frame * width..(frame + 1) * width).unwrap_or(&[])
     }
 
-    /// Writes the sequences in metres, y up: as [`SequenceOptions::default`] reads them.
+    /// Writes the sequences in metres, y up: as [`SequenceOptions::default`] reads them. Labels are left out unless `labelled`.
     ///
     /// # Errors
     /// The file cannot be written; nothing is left behind.

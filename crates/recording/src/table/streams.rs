@@ -12,15 +12,16 @@ pub struct Streams {
     pub columns: Vec<String>,
     /// Times, s.
     pub t_s: Vec<f64>,
-    /// Values, one time after the other, in the order of `columns`.
+    /// Values in the unit that the column's name says, one time after the other, in the order of `columns`; `None` where one is
+    /// missing.
     pub values: Vec<Option<f64>>,
 }
 
 impl Streams {
-    /// Reads channels from a CSV file: `columns`, or all but `t`. `rate_hz` is for files without a column `t`.
+    /// Reads channels from a CSV file: `columns`, or all but `t`. `rate_hz`, above 0, is for files without a column `t`.
     ///
     /// # Errors
-    /// The file cannot be read, a column is missing, a cell is no number.
+    /// The file cannot be read; otherwise as [`Streams::from_table`].
     pub fn read(path: &Path, columns: Option<&[String]>, rate_hz: Option<f64>) -> Result<Self, TableError> {
         Self::from_table(TableReader::open(path)?, columns, rate_hz)
     }
@@ -28,7 +29,7 @@ impl Streams {
     /// Reads channels from CSV; see [`Streams::read`].
     ///
     /// # Errors
-    /// A column is missing, a cell is no number.
+    /// A column is missing or there is none, there is neither a column `t` nor a rate that serves, a cell is no number.
     pub fn from_table(
         mut table: TableReader,
         columns: Option<&[String]>,
@@ -56,7 +57,7 @@ impl Streams {
         Ok(streams)
     }
 
-    /// Reads what the live stage sees, of every frame of a recording: the columns of [`posed_stage::signals::columns`].
+    /// Reads what the live stage sees, of every frame of a recording: the columns of [`RecordedStreams::columns`].
     ///
     /// # Errors
     /// The recording is damaged, or is none.
@@ -70,13 +71,13 @@ impl Streams {
         Ok(streams)
     }
 
-    /// Values at one time, in the order of `columns`.
+    /// Values at one time, in the order of `columns`; empty where there is no such time.
     pub fn row(&self, index: usize) -> &[Option<f64>] {
         let width = self.columns.len();
         self.values.get(index * width..(index + 1) * width).unwrap_or(&[])
     }
 
-    /// Writes the channels.
+    /// Writes the channels, with their times in a column `t`.
     ///
     /// # Errors
     /// The file cannot be written; nothing is left behind.

@@ -10,11 +10,11 @@ use super::labelled::Named;
 pub struct TrainingSet {
     /// The joints that all files have, in the order of the first.
     pub joints: Vec<String>,
-    /// All labels, by name.
+    /// All labels in alphabetical order: a class is its index here.
     pub labels: Vec<String>,
     /// Names of the files and their numbers of frames.
     pub files: Vec<(String, u64)>,
-    /// Joints that are gone without, in sentences.
+    /// Joints that are left out because a file lacks them, one sentence each.
     pub notes: Vec<String>,
     sequences: Vec<Sequence>,
 }
@@ -23,7 +23,7 @@ impl TrainingSet {
     /// From files, with those of their joints that are `wanted`.
     ///
     /// # Errors
-    /// One sentence: the files have no joint in common.
+    /// One sentence: there is no file, or the files have no wanted joint in common.
     pub fn new(files: &[Named], wanted: impl Fn(&str) -> bool) -> Result<Self, String> {
         let mut joints = files.first().map(|(_, file)| file.joints.clone()).unwrap_or_default();
         joints.retain(|joint| wanted(joint));
@@ -61,18 +61,18 @@ impl TrainingSet {
         Trainer::new(options, self.joints.clone(), &self.labels, self.sequences.clone())
     }
 
-    /// Frames of all files.
+    /// Number of frames of all files together.
     pub fn frames(&self) -> u64 {
         self.files.iter().map(|(_, frames)| frames).sum()
     }
 }
 
 impl Sequences {
-    /// As a network takes it. `joints` is the model's order; one that the file lacks is missing in every frame.
-    /// `labels` are its classes.
+    /// As a network takes it. `joints` is the model's order; one that the file lacks is missing in every frame. `labels` are its
+    /// classes, in their order; a frame without a label, or between two, has none.
     ///
     /// # Errors
-    /// A label that is not among them.
+    /// One sentence: a label that is not among them.
     pub fn sequence(&self, joints: &[String], labels: &[String]) -> Result<Sequence, String> {
         let column = |joint: &String| self.joints.iter().position(|name| name == joint);
         let columns: Vec<Option<usize>> = joints.iter().map(column).collect();

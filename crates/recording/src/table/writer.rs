@@ -53,7 +53,7 @@ impl TableWriter {
         self.csv.write_field(text).map_err(|error| self.failed(error))
     }
 
-    /// Appends a cell with a number, in the fewest digits that read back as the same number.
+    /// Appends a cell with a number, in the fewest digits that read back as the same number; an empty one for what is not finite.
     ///
     /// # Errors
     /// The disk is full.
@@ -84,7 +84,7 @@ impl TableWriter {
     /// Ends the row.
     ///
     /// # Errors
-    /// The disk is full.
+    /// The disk is full, or the row has another number of cells than the header.
     pub fn end_row(&mut self) -> Result<(), TableError> {
         self.csv.write_record(None::<&[u8]>).map_err(|error| self.failed(error))
     }

@@ -8,10 +8,11 @@ use crate::input::SensorIndex;
 use posed_fusion::body::{ANGLES, AngleSpread, Heading};
 use posed_fusion::faults::Cause;
 
-/// Segments and joint angles at one time; the order of both is that of [`crate::layout::BodyLayout`].
+/// Segments and joint angles at one time, an estimate without delay; the order of both is that of [`crate::layout::BodyLayout`].
+/// What it is worth: `docs/body.md`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Plain)]
 pub struct Body {
-    /// Capture time of the newest sample in it.
+    /// Time that it belongs to: with IMUs on the human skeleton the capture time of the newest sample in it, else the frame's.
     pub t_valid: Timestamp,
     /// Where its heading comes from.
     pub heading: Heading,
@@ -19,9 +20,10 @@ pub struct Body {
     pub position_source: PositionSource,
     /// One per segment.
     pub segments: Vec<SegmentEstimate>,
-    /// Joint angles, rad; `None` where a segment beside the joint is not known.
+    /// Joint angles, rad, in the order of [`posed_fusion::body::ANGLE_NAMES`], of a chain the flexions by segment; `None` where a
+    /// segment beside the joint is not known.
     pub angles_rad: [Option<f64>; ANGLES],
-    /// How uncertain they are.
+    /// How uncertain the angles are; of a chain by segment too.
     pub spread: AngleSpread,
 }
 
@@ -30,16 +32,18 @@ pub struct Body {
 pub struct SegmentEstimate {
     /// How far to trust it.
     pub state: SegmentState,
-    /// What is wrong with its sensor.
+    /// What is wrong with its sensor, the gravest alone; absent where nothing is known against it, and on a chain of hinges.
     pub fault: Option<Cause>,
-    /// Its sensor: of several, the one that is asked first.
+    /// Its sensor: of several, the one that is asked first, an IMU before a tracker; absent where it wears none.
     #[serde(default)]
     pub sensor: Option<SensorIndex>,
-    /// Its origin in the room, m.
+    /// Its origin in the room, m: for a limb's segment the joint above it. Absent where nothing shows the segment, and on a chain
+    /// of hinges, which has no lengths.
     pub position_m: Option<[f64; 3]>,
-    /// Segment to room.
+    /// Segment to room, unit, scalar first; absent where nothing shows the segment.
     pub orientation_wxyz: Option<[f64; 4]>,
-    /// Root mean square of its expected error about an axis, rad; of limbs, relative to the trunk.
+    /// Root mean square of its expected error about an axis, rad; of limbs that IMUs show, relative to the trunk; of a chain's
+    /// segment, of the angle to its parent, of its root, of the tilt. Soft tissue is not in it. Pi where it is missing.
     pub sigma_rad: f64,
 }
 
@@ -72,7 +76,7 @@ pub enum SegmentState {
 }
 
 impl SegmentState {
-    /// Sensors tell where it is, its own or those around it.
+    /// Whether sensors show it, its own or those around it: `Ok` and `Inferred`.
     pub fn is_shown(self) -> bool {
         matches!(self, Self::Ok | Self::Inferred)
     }

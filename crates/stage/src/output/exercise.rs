@@ -5,10 +5,11 @@ use serde::{Deserialize, Serialize};
 use crate::name::Name;
 use posed_motion::exercise::{EventKind, Feedback, Reason, Remark};
 
-/// Something happened with the exercises of a subject.
+/// Something happened with the exercises of a subject. Of a repetition, the outcome's `t_valid` is its end, or its beginning
+/// where it has only begun.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExerciseOutcome {
-    /// Who moves.
+    /// Who moves: as in `Request::ExerciseSelect`, or `posed_pipeline::DEFAULT_SUBJECT`.
     pub subject: Name,
     /// What happened.
     pub what: ExerciseWhat,
@@ -21,28 +22,29 @@ pub enum ExerciseWhat {
     State(ExerciseState),
     /// A repetition began, seems complete, counts, or does not.
     Repetition(Repetition),
-    /// What deviates while it happens; none: what was said before is over.
+    /// What deviates while it happens; `None`: what was reported before is over. Four a second at most.
     Hint(Option<LiveHint>),
 }
 
-/// A repetition.
+/// A repetition of an exercise. A count is final; what is provisional is counted, rejected or withdrawn later.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Repetition {
     /// Name of the exercise.
     pub exercise: Name,
     /// What happened with it.
     pub kind: EventKind,
-    /// Repetitions since the exercise was selected or reset; only rises.
+    /// Repetitions counted since the exercise was selected or reset, with this one if it counts; until then it only rises.
     pub count: u64,
-    /// Repetitions of the set.
+    /// Repetitions counted in the present set, with this one if it counts.
     pub set_count: u32,
-    /// Beginning, s.
+    /// Beginning of the repetition, s since the stage's epoch, as capture times are.
     pub t_start_s: f64,
-    /// Why it does not count.
+    /// Why it does not count; absent unless it is rejected.
     pub reason: Option<Reason>,
-    /// What deviated most, with the name of its channel.
+    /// What deviated most, with the name of its channel; absent unless it is counted or rejected, and where nothing can be
+    /// compared.
     pub feedback: Option<(Name, Feedback)>,
-    /// The same in words.
+    /// What to say of it; absent where all was as taught.
     pub remark: Option<Remark>,
 }
 
@@ -55,7 +57,7 @@ pub struct LiveHint {
     pub phase: f64,
     /// For half a second the movement has been likelier to be something else.
     pub anomaly: bool,
-    /// The channel that deviates and what it does.
+    /// The name of the channel that deviates, and what it does; absent where only the anomaly is worth a word.
     pub remark: Option<(Name, Remark)>,
 }
 

@@ -33,7 +33,7 @@ pub(super) fn check(models: &Item<'_, '_>, folder: &Path, notes: &mut Notes<'_>)
     super::folder_key(models, "imu_folder", folder, notes);
     super::folder_key(models, "segments_folder", folder, notes);
     if let Some(map) = models.text("field")
-        && let Err(reason) = posed_field::FieldMap::read(&folder.join(map.value))
+        && let Err(reason) = crate::read_field_map(&folder.join(map.value))
     {
         notes.problem(&map.at, "field", reason, "name a map that `posed field solve` wrote");
     }

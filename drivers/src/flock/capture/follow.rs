@@ -51,10 +51,13 @@ struct Follower<'a> {
     guessed: u64,
 }
 
-/// Decodes the lines of a log.
+/// Decodes the lines of a log, in order: records with what the session says of their units, and counts.
+///
+/// Where the session does not say the format of a unit, the first one that fits is taken, and a warning tells how many records
+/// that concerns. A log without records is no error.
 ///
 /// # Errors
-/// There are no lines.
+/// [`CaptureError::Empty`]: there are no lines.
 pub fn decode(lines: &[Line], options: Options) -> Result<Decoded, CaptureError> {
     if lines.is_empty() {
         return Err(CaptureError::Empty);

@@ -19,23 +19,25 @@ pub enum Side {
 /// One line of a log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Line {
-    /// Time as written.
+    /// Time as written: a decimal number, in the unit of the log.
     pub t: String,
     /// Who spoke.
     pub side: Side,
-    /// What.
+    /// What was sent, escapes undone.
     pub bytes: Vec<u8>,
 }
 
-/// Whether a file has at least one line of a log.
+/// Whether a file has at least one line of a log; its data need not be whole.
 pub fn is_log(file: &[u8]) -> bool {
     file.split(|&byte| byte == b'\n').any(|line| split(line).is_some())
 }
 
-/// Reads all lines; those without data (comments, empty ones) are passed over.
+/// Reads all lines; those that are none of a log (comments, empty ones) are passed over.
+///
+/// Where a line can be read in several ways that give the stated number of bytes, escapes are read as escapes.
 ///
 /// # Errors
-/// A line whose data do not have the stated number of bytes.
+/// [`CaptureError::Line`]: a line whose data do not have the stated number of bytes.
 pub fn parse(file: &[u8]) -> Result<Vec<Line>, CaptureError> {
     let mut lines = Vec::new();
     for (i, text) in file.split(|&byte| byte == b'\n').enumerate() {

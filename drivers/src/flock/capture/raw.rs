@@ -21,10 +21,10 @@ struct Reading {
 /// Button bytes that a unit sends.
 const BUTTONS: [u8; 4] = [0x00, 0x10, 0x30, 0x70];
 
-/// Decodes raw bytes.
+/// Decodes raw bytes: records in order, without times, and counts. What could be read in more than one way is in the warnings.
 ///
 /// # Errors
-/// No way of reading gives a single record.
+/// [`CaptureError::NoRecords`]: no way of reading gives a single record; so for an empty file.
 pub fn decode(file: &[u8], options: Options) -> Result<Decoded, CaptureError> {
     let pieces: Vec<&[u8]> = cut(file);
     let scale =

@@ -8,7 +8,8 @@ use thiserror::Error;
 use super::value::parameter;
 use super::{Addressing, Format, ReportRate};
 
-/// One command, without its prefix.
+/// One command, without its prefix. Words among its data are signed 16-bit numbers, least significant byte first; 32768 is one
+/// (for sin and cos), 180 degrees (angles) or the full scale (positions).
 #[derive(Clone, Debug, PartialEq, Eq, Plain)]
 pub enum Command {
     /// One record, or one of each running bird in group mode. Ends STREAM.
@@ -25,48 +26,48 @@ pub enum Command {
     Sleep,
     /// Record format.
     Format(Format),
-    /// Hemisphere: axis and sign byte as sent; see `Hemisphere::from_bytes`.
+    /// Hemisphere: axis and sign byte as sent; see [`super::Hemisphere::from_bytes`].
     Hemisphere([u8; 2]),
-    /// sin, cos of azimuth, elevation, roll, as words.
+    /// Reference frame of the transmitter: sin, cos of azimuth, elevation, roll, as words.
     ReferenceFrame1([i16; 6]),
-    /// Azimuth, elevation, roll, as words.
+    /// The same: azimuth, elevation, roll, as words; newer firmware.
     ReferenceFrame2([i16; 3]),
-    /// sin, cos of azimuth, elevation, roll, as words.
+    /// Alignment of the sensor: sin, cos of azimuth, elevation, roll, as words.
     AngleAlign1([i16; 6]),
-    /// Azimuth, elevation, roll, as words.
+    /// The same: azimuth, elevation, roll, as words; newer firmware.
     AngleAlign2([i16; 3]),
-    /// x, y, z, as words.
+    /// Offset of the position: x, y, z, as words; newer firmware.
     Offset([i16; 3]),
     /// Take the present orientation as zero.
     Boresight,
-    /// Undo that.
+    /// Undo [`Command::Boresight`].
     RemoveBoresight,
     /// Metal detection: flag, value.
     Metal([u8; 2]),
-    /// Asks for one byte.
+    /// Asks for one byte: the error of metal detection.
     MetalError,
     /// Whether records carry a button byte.
     ButtonMode(bool),
-    /// Asks for one byte.
+    /// Asks for one byte: the buttons now.
     ButtonRead,
     /// Synchronisation mode; 255 asks for two words.
     Sync(u8),
     /// Address and number (0 to 3) of the transmitter to use.
     NextTransmitter {
-        /// Unit that it is plugged into.
+        /// Unit that it is plugged into, 0 to 15: the command has four bits for it.
         address: u8,
         /// Number at that unit.
         number: u8,
     },
-    /// The master resets the slaves.
+    /// The master resets the slaves, which forget what they were set to.
     FbbReset,
-    /// Asks for a parameter.
+    /// Asks for a parameter, by its number; see [`super::value::PARAMETERS`].
     Examine(u8),
     /// Sets a parameter.
     Change {
         /// Its number.
         parameter: u8,
-        /// Its data, of the parameter's length.
+        /// Its data, of the parameter's length; [`Command::encode`] does not check it.
         data: Vec<u8>,
     },
     /// Go on sending.
@@ -79,7 +80,7 @@ pub enum Command {
     ReadMemory {
         /// PROM rather than RAM.
         prom: bool,
-        /// Where.
+        /// Address of the byte; least significant byte first on the wire.
         address: u16,
     },
     /// Asks for one address word (0x80 to 0x90); a factory test command.
@@ -87,7 +88,7 @@ pub enum Command {
 }
 
 impl Command {
-    /// Appends the command's bytes.
+    /// Appends the bytes of the command, without prefix.
     pub fn encode(&self, out: &mut Vec<u8>) {
         let words = |out: &mut Vec<u8>, words: &[i16]| out.extend(words.iter().flat_map(|w| w.to_le_bytes()));
         match *self {
@@ -144,7 +145,7 @@ impl Command {
         }
     }
 
-    /// The command's bytes behind the prefix of `to`; without a prefix it is the master's.
+    /// The command's bytes behind the prefix of `to`; `None`: without a prefix, so it is the master's (the unit on the line).
     pub fn to_bytes(&self, to: Option<u8>, addressing: Addressing) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(8);
         if let Some(address) = to {
@@ -166,12 +167,12 @@ impl Command {
     }
 }
 
-/// A command and the unit that it was for.
+/// A command and the unit that it was for, as the bytes state it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Addressed {
     /// Address of the prefix; `None` = the unit on the line.
     pub to: Option<u8>,
-    /// The command.
+    /// The command, without its prefix.
     pub command: Command,
 }
 
@@ -203,7 +204,7 @@ pub struct CommandParser {
 }
 
 impl CommandParser {
-    /// A parser for units with this addressing.
+    /// A parser before the first byte, for units with this addressing.
     pub fn new(addressing: Addressing) -> Self {
         Self { addressing, ..Self::default() }
     }
@@ -213,14 +214,20 @@ impl CommandParser {
         self.prefix_open || self.to.is_some() || !self.open.is_empty()
     }
 
-    /// Forgets an unfinished command.
+    /// Forgets an unfinished command and its prefix.
     pub fn reset(&mut self) {
         self.to = None;
         self.prefix_open = false;
         self.open.clear();
     }
 
-    /// Takes one byte; returns the command or the refusal that it completes.
+    /// Takes one byte; returns the command or the refusal that it completes, `None` while more bytes are needed.
+    ///
+    /// Commands have neither frame nor checksum: after a lost byte the data of one command may be read as others.
+    ///
+    /// # Errors
+    /// The inner `Err`: the byte begins no command, or the parameter may not be examined or changed. The bytes so far are
+    /// dropped.
     pub fn push(&mut self, byte: u8) -> Option<Result<Addressed, Refused>> {
         if self.prefix_open {
             self.prefix_open = false;

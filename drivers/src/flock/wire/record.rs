@@ -17,7 +17,7 @@ pub const MAX_LEN: usize = 2 * MAX_WORDS + 2;
 /// Full scale of a word.
 const FULL_SCALE: f64 = 32768.0;
 
-/// What decides the length of a bird's records.
+/// What decides the length of a bird's records. The record itself does not tell it: only the answers of set-up do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
 pub struct Shape {
     /// Which words.
@@ -29,7 +29,7 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// Bytes of a record.
+    /// Bytes of a record: two per word, button and address where they are on; 6 to [`MAX_LEN`].
     #[expect(clippy::len_without_is_empty, reason = "a record is never empty")]
     pub const fn len(self) -> usize {
         2 * self.format.words() + self.button as usize + self.group as usize
@@ -66,16 +66,16 @@ impl Tolerance {
     pub const CAPTURE: Self = Self { quaternion_norm: 0.05, matrix: 0.1 };
 }
 
-/// A decoded record.
+/// A decoded record, in SI units. It is plausible, not proven: the protocol has no checksum.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub struct Record {
-    /// Position of the sensor in the transmitter frame, m.
+    /// Position of the sensor in the transmitter frame (x forward, y right, z down), m; `None` in formats without.
     pub position_m: Option<[f64; 3]>,
-    /// Unit quaternion, sensor to transmitter.
+    /// Unit quaternion (w, x, y, z), sensor to transmitter, normalised when decoded; `None` in the position format.
     pub orientation_wxyz: Option<[f64; 4]>,
-    /// Button byte.
+    /// Button byte as sent; `None` where the shape has none.
     pub button: Option<u8>,
-    /// Address byte.
+    /// Address byte, 0 to 127 as sent; `None` without group mode.
     pub address: Option<u8>,
 }
 
@@ -99,12 +99,14 @@ pub enum RecordError {
     /// The words describe no rotation.
     #[error("the orientation is {error:.4} away from a rotation")]
     NotARotation {
-        /// Deviation in the measure of [`Tolerance`].
+        /// Deviation in the measure of [`Tolerance`]; infinite for a mirrored matrix.
         error: f64,
     },
 }
 
 /// Reads the words of a record whose length and phase bits are right; unused words are zero.
+///
+/// Words are in steps of 4 (14 bits in the upper part of 16), 32768 to full scale.
 ///
 /// # Errors
 /// [`RecordError::Length`] and [`RecordError::Phase`].
@@ -122,7 +124,7 @@ pub fn words(bytes: &[u8], shape: Shape) -> Result<[i16; MAX_WORDS], RecordError
     Ok(words)
 }
 
-/// One word from its two bytes.
+/// One word from its two bytes of 7 bits, least significant first; bit 7 of each is passed over.
 pub const fn word_from_bytes(low: u8, high: u8) -> i16 {
     (((high as u16 & 0x7F) << 9) | ((low as u16 & 0x7F) << 2)) as i16
 }
@@ -134,10 +136,12 @@ pub const fn word_to_bytes(word: i16) -> [u8; 2] {
 
 /// Decodes one record.
 ///
-/// Output: position in m, orientation as unit quaternion sensor to transmitter, whatever the format.
+/// Output: position in m, orientation as unit quaternion sensor to transmitter, whatever the format. `scale` holds what the
+/// words do not tell: full scale and meaning of quaternions. Positions and angles can be anything, so damage in them that keeps
+/// length and phase bits is not found.
 ///
 /// # Errors
-/// Wrong length, wrong phase bits, or an orientation further than `tolerance` from a rotation.
+/// Wrong length, wrong phase bits, or a matrix or quaternion further than `tolerance` from a rotation.
 pub fn decode(bytes: &[u8], shape: Shape, scale: Scale, tolerance: Tolerance) -> Result<Record, RecordError> {
     let words = words(bytes, shape)?;
     let position_m = shape
@@ -176,7 +180,8 @@ pub fn decode(bytes: &[u8], shape: Shape, scale: Scale, tolerance: Tolerance) ->
     })
 }
 
-/// The words of a pose: position in m, orientation sensor to transmitter. Values beyond full scale saturate.
+/// The words of a pose: position in m, orientation as unit quaternion sensor to transmitter. Values beyond full scale saturate;
+/// words that the format has not are zero. On the wire each word loses its two low bits.
 pub fn pose_words(
     position_m: [f64; 3],
     orientation_wxyz: [f64; 4],
@@ -207,7 +212,8 @@ pub fn pose_words(
     values.map(|value| (value * FULL_SCALE).round().clamp(-32768.0, 32767.0) as i16)
 }
 
-/// Appends a record of these words; `button` and `address` are used where the shape has them.
+/// Appends a record of these words to `out`, phase bit included; `button` and `address` (7 bits each) are used where the shape
+/// has them, words beyond those of the format are not.
 pub fn encode_words(words: &[i16; MAX_WORDS], button: u8, address: u8, shape: Shape, out: &mut Vec<u8>) {
     let start = out.len();
     for &word in &words[..shape.format.words()] {
@@ -222,7 +228,8 @@ pub fn encode_words(words: &[i16; MAX_WORDS], button: u8, address: u8, shape: Sh
     out[start] |= PHASE_BIT;
 }
 
-/// Appends the record of a pose: position in m, orientation as unit quaternion sensor to transmitter.
+/// Appends the record of a pose to `out`: position in m, orientation as unit quaternion sensor to transmitter; see
+/// [`pose_words`] and [`encode_words`].
 pub fn encode(
     position_m: [f64; 3],
     orientation_wxyz: [f64; 4],

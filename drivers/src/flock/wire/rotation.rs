@@ -3,7 +3,7 @@
 //! All of them describe R, sensor to transmitter axes: `R = Rz(azimuth) Ry(elevation) Rx(roll)`,
 //! quaternions are Hamilton, scalar first.
 
-/// Unit quaternion of azimuth, elevation, roll in radians.
+/// Unit quaternion (w, x, y, z) of azimuth, elevation, roll in radians: rotations about z, then y, then x of the turned axes.
 pub fn from_angles([azimuth, elevation, roll]: [f64; 3]) -> [f64; 4] {
     let (sa, ca) = (azimuth / 2.0).sin_cos();
     let (se, ce) = (elevation / 2.0).sin_cos();
@@ -16,7 +16,8 @@ pub fn from_angles([azimuth, elevation, roll]: [f64; 3]) -> [f64; 4] {
     ]
 }
 
-/// Azimuth, elevation, roll of a unit quaternion, in radians; elevation in +-pi/2, and roll 0 at its ends.
+/// Azimuth, elevation, roll of a unit quaternion, in radians: azimuth and roll within ±pi, elevation within ±pi/2, and roll 0 at
+/// its ends.
 pub fn to_angles(q_wxyz: [f64; 4]) -> [f64; 3] {
     let m = to_matrix(q_wxyz);
     let elevation = (-m[6]).clamp(-1.0, 1.0).asin();
@@ -27,7 +28,7 @@ pub fn to_angles(q_wxyz: [f64; 4]) -> [f64; 3] {
     [m[3].atan2(m[0]), elevation, m[7].atan2(m[8])]
 }
 
-/// Rotation matrix of a unit quaternion, row by row.
+/// Rotation matrix of a unit quaternion (w, x, y, z), row by row: sensor to transmitter, if the quaternion is.
 pub fn to_matrix([w, x, y, z]: [f64; 4]) -> [f64; 9] {
     [
         1.0 - 2.0 * (y * y + z * z),
@@ -42,7 +43,8 @@ pub fn to_matrix([w, x, y, z]: [f64; 4]) -> [f64; 9] {
     ]
 }
 
-/// Unit quaternion of a nearly orthonormal matrix, row by row (Shepperd 1978: divide by the largest component).
+/// Unit quaternion of a nearly orthonormal matrix, row by row (Shepperd 1978: divide by the largest component). Its sign is that
+/// which makes the largest component positive. Whether the matrix is a rotation is for [`orthonormality_error`].
 pub fn from_matrix(m: [f64; 9]) -> [f64; 4] {
     let trace = m[0] + m[4] + m[8];
     let squares = [1.0 + trace, 1.0 + 2.0 * m[0] - trace, 1.0 + 2.0 * m[4] - trace, 1.0 + 2.0 * m[8] - trace];
@@ -56,18 +58,19 @@ pub fn from_matrix(m: [f64; 9]) -> [f64; 4] {
     normalised(q)
 }
 
-/// `q / |q|`; the identity for a quaternion of no length.
+/// `q / |q|`; the identity for a quaternion of no length, or with NaN in it.
 pub fn normalised(q: [f64; 4]) -> [f64; 4] {
     let norm = norm(q);
     if norm > 0.0 { q.map(|c| c / norm) } else { [1.0, 0.0, 0.0, 0.0] }
 }
 
-/// |q|.
+/// Euclidean norm |q|; 1 for a rotation.
 pub fn norm(q: [f64; 4]) -> f64 {
     (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt()
 }
 
-/// Largest deviation of `m * transpose(m)` from the identity, or infinity for a mirrored matrix.
+/// Largest deviation of an element of `m * transpose(m)` from the identity, `m` row by row; infinity for a mirrored or singular
+/// matrix, and for NaN. 0 for a rotation.
 pub fn orthonormality_error(m: [f64; 9]) -> f64 {
     let row = |i: usize| [m[3 * i], m[3 * i + 1], m[3 * i + 2]];
     let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];

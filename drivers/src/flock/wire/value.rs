@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Addressing, Format, Range};
 
-/// Parameter numbers that the driver uses.
+/// Parameter numbers that the driver uses; lengths and write access: [`PARAMETERS`].
 pub mod parameter {
     #![expect(missing_docs, reason = "the names are those of the table below")]
     pub const BIRD_STATUS: u8 = 0x00;
@@ -31,7 +31,7 @@ pub mod parameter {
     pub const FBB_AUTO_CONFIG: u8 = 0x32;
 }
 
-/// One parameter of EXAMINE and CHANGE VALUE.
+/// One parameter of EXAMINE and CHANGE VALUE. A unit whose firmware is too old for it does not answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parameter {
     /// Its number.
@@ -45,7 +45,7 @@ pub struct Parameter {
 }
 
 impl Parameter {
-    /// Bytes that EXAMINE VALUE answers.
+    /// Bytes that EXAMINE VALUE answers, without head or checksum.
     pub const fn read_len(&self, addressing: Addressing) -> usize {
         self.read[addressing as usize] as usize
     }
@@ -110,12 +110,12 @@ pub const PARAMETERS: [Parameter; 36] = [
     Parameter { number: 0x32, name: "FBB AUTO-CONFIGURATION", read: [5, 7, 19], write: Some([1; 3]) },
 ];
 
-/// The parameter of this number.
+/// The parameter of this number; `None` where none is known.
 pub fn parameter(number: u8) -> Option<&'static Parameter> {
     PARAMETERS.iter().find(|parameter| parameter.number == number)
 }
 
-/// The BIRD STATUS word, parameter 0.
+/// The BIRD STATUS word, parameter 0: what the unit on the line does. Bits: the constants; bits 4 to 1: [`Self::format`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Plain)]
 #[serde(transparent)]
 pub struct BirdStatus(pub u16);
@@ -146,7 +146,7 @@ impl BirdStatus {
     /// Streaming.
     pub const STREAMING: u16 = 1 << 0;
 
-    /// Reads the answer of EXAMINE VALUE.
+    /// Reads the answer of EXAMINE VALUE, least significant byte first.
     pub const fn from_bytes(bytes: [u8; 2]) -> Self {
         Self(u16::from_le_bytes(bytes))
     }
@@ -156,7 +156,7 @@ impl BirdStatus {
         self.0 & mask == mask
     }
 
-    /// The record format, where bits 4 to 1 name one.
+    /// The record format, where bits 4 to 1 name one; `None`: factory data, or nothing that is known.
     pub fn format(self) -> Option<Format> {
         Format::from_status_code(((self.0 >> 1) & 0x0F) as u8)
     }
@@ -167,7 +167,7 @@ impl BirdStatus {
     }
 }
 
-/// One unit's byte of the FLOCK SYSTEM STATUS, parameter 36.
+/// One unit's byte of the FLOCK SYSTEM STATUS, parameter 36; byte k of the answer is that of address k + 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Plain)]
 #[serde(transparent)]
 pub struct UnitStatus(pub u8);
@@ -189,7 +189,7 @@ impl UnitStatus {
         self.0 & mask == mask
     }
 
-    /// Lowest number of a transmitter at this unit.
+    /// Lowest number (0 to 3) of a transmitter at this unit; `None` where it has none.
     pub const fn transmitter(self) -> Option<u8> {
         match (self.0 & Self::TRANSMITTERS).trailing_zeros() {
             n @ 0..=3 => Some(n as u8),
@@ -198,7 +198,7 @@ impl UnitStatus {
     }
 }
 
-/// What a unit does on an error.
+/// What a unit does on an error, by the vendor's table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorClass {
     /// It stops and blinks the code for ever.
@@ -209,7 +209,7 @@ pub enum ErrorClass {
     Noted,
 }
 
-/// An error code in words and its class; parameters 10 and 16.
+/// An error code in words and its class; parameters 10 and 16. Codes above 35 are unknown, and [`ErrorClass::Noted`].
 pub fn error(code: u8) -> (&'static str, ErrorClass) {
     use ErrorClass::{Fatal, Noted, Warning};
     match code {
@@ -246,22 +246,22 @@ pub fn error(code: u8) -> (&'static str, ErrorClass) {
     }
 }
 
-/// Measurement rate in Hz of parameter 7's word.
+/// Measurement rate in Hz of parameter 7's word: 1/256 Hz per step.
 pub fn rate_hz(word: u16) -> f64 {
     f64::from(word) / 256.0
 }
 
-/// Parameter 7's word of a rate in Hz (103.3 Hz is `4D 67`).
+/// Parameter 7's word of a rate in Hz (103.3 Hz is `4D 67` on the wire), rounded to 1/256 Hz, at most 255.996 Hz.
 pub fn rate_word(rate_hz: f64) -> u16 {
     (rate_hz * 256.0).clamp(0.0, 65535.0).round() as u16
 }
 
-/// Measurement rate in Hz of parameter 6's count at this crystal; a speed of 0 reads as 20 MHz.
+/// Measurement rate in Hz of parameter 6's count at this crystal (MHz); a speed of 0 reads as 20 MHz.
 pub fn rate_of_count_hz(count: u16, crystal_mhz: u8) -> f64 {
     1000.0 / (4.0 * f64::from(count) * clock_us(crystal_mhz) / 1000.0 + 0.3)
 }
 
-/// Parameter 6's count for a rate in Hz at this crystal.
+/// Parameter 6's count for a rate in Hz at this crystal (MHz, 0 as 20); held within 16 bits, rounded to the nearest.
 pub fn count_of_rate(rate_hz: f64, crystal_mhz: u8) -> u16 {
     let settle_ms = (1000.0 / rate_hz - 0.3) / 4.0;
     (settle_ms * 1000.0 / clock_us(crystal_mhz)).clamp(0.0, 65535.0).round() as u16
@@ -271,7 +271,7 @@ fn clock_us(crystal_mhz: u8) -> f64 {
     8.0 / f64::from(if crystal_mhz == 0 { 20 } else { crystal_mhz })
 }
 
-/// Parameter 3's value for a range; none for extended range, which ignores it.
+/// Parameter 3's value for a range; `None` for extended range, which ignores it.
 pub const fn scaling_word(range: Range) -> Option<u16> {
     match range {
         Range::In36 => Some(0),

@@ -8,7 +8,7 @@ use posed_fusion::faults::Class;
 
 /// How well the second layer separates the classes of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct Separation {
     /// Neurons per sensor.
     pub neurons: usize,
     /// Rows of the second layer.
@@ -31,7 +31,7 @@ pub struct Report {
 
 /// Measures a fault map against one class per frame; frames of unknown class are left out. The frames are in the order
 /// of its sensors.
-pub fn measure(fault_map: &FaultMap, frames: &Frames, classes: &[Class]) -> Report {
+pub fn separation(fault_map: &FaultMap, frames: &Frames, classes: &[Class]) -> Separation {
     let (rows, columns) = fault_map.size();
     let mut counts = vec![[0usize; 4]; rows * columns];
     let (mut error, mut total) = (0.0, 0usize);
@@ -59,7 +59,7 @@ pub fn measure(fault_map: &FaultMap, frames: &Frames, classes: &[Class]) -> Repo
         }
     }
     let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
-    Report {
+    Separation {
         neurons: fault_map.places.first().map_or(0, |places| places.classes.len()),
         side: rows,
         used: cells.len(),
@@ -77,17 +77,17 @@ pub fn measure(fault_map: &FaultMap, frames: &Frames, classes: &[Class]) -> Repo
 ///
 /// # Errors
 /// The first one of `train`.
-pub fn sizes(
+pub fn separation_by_size(
     frames: &Frames,
     classes: &[Class],
     neurons: &[usize],
     sides: &[usize],
     mut train: impl FnMut(Size) -> Result<FaultMap, FaultMapError>,
-) -> Result<Vec<Report>, FaultMapError> {
+) -> Result<Vec<Separation>, FaultMapError> {
     let mut reports = Vec::new();
     for &neurons in neurons {
         for &side in sides {
-            reports.push(measure(&train(Size { neurons, side })?, frames, classes));
+            reports.push(separation(&train(Size { neurons, side })?, frames, classes));
         }
     }
     Ok(reports)
