@@ -3,10 +3,10 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_baselines::limbs::EulerBody;
 use posed_fusion::ahrs::ImuSample;
-use posed_fusion::body::{Block, BlockKind, Recorded, calibrate};
 use posed_fusion::body::{
     ANGLE_NAMES, BodyFilter, BodyParams, BodySamples, BodySegment, SEGMENTS, SensorMount, Skeleton, angles,
 };
+use posed_fusion::body::{Block, BlockKind, Recorded, calibrate};
 use posed_geometry::so3;
 use posed_simulator::body::{Activity, Build, Disturbance, Script, SensorErrors, Wearer, WearerSpec};
 
@@ -256,15 +256,15 @@ fn main() {
             return;
         }
         match solve(case) {
-            Ok(f) => say(&format!(
+            Ok(f) => emit(&format!(
                 "| {name} | {:?} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} ({}) |",
                 case.activity, f.elbow, f.pronation, f.knee, f.shoulder, f.hip, f.torso, f.heading, f.worst
             )),
-            Err(error) => say(&format!("| {name} | {:?} | {error} |", case.activity)),
+            Err(error) => emit(&format!("| {name} | {:?} | {error} |", case.activity)),
         }
     };
-    say("| case | activity | elbow | pronation | knee | shoulder | hip | torso | worst heading |");
-    say("|---|---|---|---|---|---|---|---|---|");
+    emit("| case | activity | elbow | pronation | knee | shoulder | hip | torso | worst heading |");
+    emit("|---|---|---|---|---|---|---|---|---|");
     for activity in ACTIVITIES {
         row("perfect mounting", &Case::new(activity, Mounting::Perfect));
         row("perfect, Euler", &Case { euler: true, ..Case::new(activity, Mounting::Perfect) });
@@ -304,8 +304,8 @@ fn main() {
 /// Whether the expected errors are those that are made: ten people, mean over all activities. `cargo bench --bench body nees`
 fn consistency() {
     const PEOPLE: u64 = 10;
-    say("| segment | normalised squared error per axis |");
-    say("|---|---|");
+    emit("| segment | normalised squared error per axis |");
+    emit("|---|---|");
     let mut sums = [0.0; SEGMENTS];
     for activity in ACTIVITIES {
         for seed in 1..=PEOPLE {
@@ -316,7 +316,7 @@ fn consistency() {
         }
     }
     for (segment, sum) in BodySegment::ALL.iter().zip(&sums) {
-        say(&format!("| {} | {sum:.2} |", segment.name()));
+        emit(&format!("| {} | {sum:.2} |", segment.name()));
     }
 }
 
@@ -336,7 +336,7 @@ fn speed() {
         best_us = best_us.min((busy_ns() - begun) as f64 * 1e-3 / run.recording.len() as f64);
     }
     let bodies = 1e6 / (RATE_HZ * best_us);
-    say(&format!(
+    emit(&format!(
         "\nAn epoch of ten IMUs takes {best_us:.1} us of processor time: one core holds {bodies:.0} bodies at 100 Hz."
     ));
 }
@@ -349,6 +349,6 @@ fn busy_ns() -> u64 {
 
 /// The table goes to stdout.
 #[expect(clippy::print_stdout, reason = "a bench prints its table")]
-fn say(line: &str) {
+fn emit(line: &str) {
     println!("{line}");
 }

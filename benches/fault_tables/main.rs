@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 
 use posed_fusion::faults::{Class, Label};
 use posed_motion::fault_map::Frames;
-use posed_motion::fault_map::{Rules, frame_label};
 use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
+use posed_motion::fault_map::{Rules, frame_label};
 use posed_recording::table::{SequenceOptions, Sequences, Unit, Up};
 use posed_simulator::figure::{Fault, Figure, SENSORS, Truth, inject};
 
@@ -21,8 +21,8 @@ use posed_simulator::figure::{Fault, Figure, SENSORS, Truth, inject};
 struct Table([[usize; 4]; 4]);
 
 impl Table {
-    fn add(&mut self, truth: Class, said: Class) {
-        self.0[truth as usize][said as usize] += 1;
+    fn add(&mut self, truth: Class, emitted: Class) {
+        self.0[truth as usize][emitted as usize] += 1;
     }
 
     fn line(&self, name: &str) -> String {
@@ -122,9 +122,9 @@ impl Session {
         for (k, (truth, kind)) in self.classes.iter().zip(&self.kinds).enumerate() {
             fault_map.rules().label(&mut labeller, frames.frame(k), &mut labels);
             let judged = watch.push(fault_map, frames.frame(k));
-            let said = [frame_label(&labels).class, judged.by_map, judged.label.class];
-            for (table, said) in tables.by_class.iter_mut().zip(said) {
-                table.add(*truth, said);
+            let emitted = [frame_label(&labels).class, judged.by_map, judged.label.class];
+            for (table, emitted) in tables.by_class.iter_mut().zip(emitted) {
+                table.add(*truth, emitted);
             }
             let kind = match (truth, kind) {
                 (Class::Anomalous, Truth::Inverted) => 0,
@@ -135,8 +135,8 @@ impl Session {
             };
             let counts = &mut tables.by_kind[kind];
             counts[0] += 1;
-            for (count, said) in counts[1..].iter_mut().zip(said) {
-                *count += usize::from(said == Class::Anomalous);
+            for (count, emitted) in counts[1..].iter_mut().zip(emitted) {
+                *count += usize::from(emitted == Class::Anomalous);
             }
         }
     }

@@ -105,12 +105,12 @@ async fn keep(page: &mut Page, url: &str) -> Vec<Value> {
     let relayed = async {
         loop {
             tokio::select! {
-                said = daemon.next() => {
-                    let said = said.unwrap().unwrap();
-                    if let Message::Text(text) = &said {
+                emitted = daemon.next() => {
+                    let emitted = emitted.unwrap().unwrap();
+                    if let Message::Text(text) = &emitted {
                         kept.push(serde_json::from_str(text).unwrap());
                     }
-                    page.send(said).await.unwrap();
+                    page.send(emitted).await.unwrap();
                 }
                 asked = page.next() => daemon.send(asked.unwrap().unwrap()).await.unwrap(),
             }

@@ -81,12 +81,12 @@ pub fn x_imu3_wire(data: &[u8]) {
             lines.push(piece);
             while let Some(found) = lines.find() {
                 let line = lines.line(found);
-                let said = x_imu3::wire::parse(line, &mut scratch).map(|message| {
+                let emitted = x_imu3::wire::parse(line, &mut scratch).map(|message| {
                     let stamped = x_imu3::data::decode(&message.body);
                     let measured = stamped.map(|stamped| stamped.data.measurement());
                     format!("{message:?} {stamped:?} {measured:?}")
                 });
-                out.push((found.place, said));
+                out.push((found.place, emitted));
             }
         }
         (out, lines.bytes_skipped())

@@ -322,7 +322,7 @@ impl Line {
                 }
                 let mut bytes: Vec<u8> = pieces.bytes.iter().map(|byte| byte.byte).collect();
                 if self.rates_agree() {
-                    pieces.damaged.iter().for_each(|&loss| self.tell(due, loss));
+                    pieces.damaged.iter().for_each(|&loss| self.report(due, loss));
                 } else {
                     self.lose(due, &pieces);
                     self.garble(&mut bytes);
@@ -336,12 +336,12 @@ impl Line {
 
     /// All records of these pieces are lost.
     fn lose(&mut self, t: Timestamp, pieces: &Pieces) {
-        pieces.damaged.iter().for_each(|&loss| self.tell(t, loss));
-        pieces.bytes.iter().flat_map(|byte| &byte.record).for_each(|record| self.tell(t, record.loss()));
+        pieces.damaged.iter().for_each(|&loss| self.report(t, loss));
+        pieces.bytes.iter().flat_map(|byte| &byte.record).for_each(|record| self.report(t, record.loss()));
     }
 
     /// Tells that a record is lost; its bytes come one after the other, perhaps in several pieces.
-    fn tell(&mut self, t: Timestamp, loss: Loss) {
+    fn report(&mut self, t: Timestamp, loss: Loss) {
         if self.last_loss.replace(loss) != Some(loss) {
             self.output.push_back((t, LineOutput::Lost(loss)));
         }

@@ -83,14 +83,14 @@ impl Host {
         }
     }
 
-    pub(crate) fn tell(&mut self, bytes: &[u8]) {
+    pub(crate) fn report(&mut self, bytes: &[u8]) {
         self.stage.write(0, self.now, bytes);
     }
 
     /// Writes, waits, and gives what was read meanwhile.
     pub(crate) fn ask(&mut self, bytes: &[u8], wait_ms: f64) -> Vec<u8> {
         self.chunks.clear();
-        self.tell(bytes);
+        self.report(bytes);
         self.wait_ms(wait_ms);
         self.read()
     }
@@ -102,15 +102,15 @@ impl Host {
 
     /// Runs a group of birds: configured, every bird in this format, streaming.
     pub(crate) fn stream_group(&mut self, birds: u8, format: u8) {
-        self.tell(&[b'P', 0x32, birds]);
+        self.report(&[b'P', 0x32, birds]);
         self.wait_ms(400.0);
-        self.tell(b"P\x23\x01");
+        self.report(b"P\x23\x01");
         for bird in 1..=birds {
-            self.tell(&[0xF0 + bird, format]);
+            self.report(&[0xF0 + bird, format]);
         }
         self.chunks.clear();
         self.truth.clear();
-        self.tell(b"@");
+        self.report(b"@");
     }
 }
 
@@ -204,8 +204,8 @@ impl<S: Session> Pair<S> {
     }
 
     fn listen(&mut self) {
-        while let Some(said) = self.session.poll_output() {
-            match said {
+        while let Some(emitted) = self.session.poll_output() {
+            match emitted {
                 Said::Transmit(bytes) => self.stage.write(0, self.now, &bytes),
                 Said::SetRts(on) => self.stage.device_mut(0).handle_rts(self.now, on),
                 Said::Sample(sample) => self.samples.push(sample),

@@ -88,8 +88,8 @@ impl Pair {
     }
 
     fn listen(&mut self, now: Timestamp) {
-        while let Some(said) = self.session.poll_output() {
-            match said {
+        while let Some(emitted) = self.session.poll_output() {
+            match emitted {
                 Said::Transmit(bytes) if self.plugged => self.stage.write(0, now, &bytes),
                 Said::Sample(sample) => self.samples.push((now, sample)),
                 Said::Warning(warning) => self.warnings.push(warning),

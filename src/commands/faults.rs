@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use super::{Error, output, print, print_json, tell};
+use super::{Error, notify, output, print, print_json};
 use crate::pictures::faults as picture;
 use posed_baselines::fault_map;
 use posed_fusion::faults::{Cause, Class, Label};
 use posed_motion::fault_map::Frames;
-use posed_motion::fault_map::{Training, Width};
-use posed_motion::fault_map::{Separation, separation, separation_by_size};
 use posed_motion::fault_map::{FaultMap, FaultMapError, Labels, Size};
+use posed_motion::fault_map::{Separation, separation, separation_by_size};
+use posed_motion::fault_map::{Training, Width};
 use posed_recording::table::{PoseColumns, PoseRow, PoseWriter, Poses, TableError, TableWriter};
 use posed_recording::{is_recording, positions};
 
@@ -231,7 +231,7 @@ fn train(args: &TrainArgs) -> Result<(), Error> {
     if args.json {
         return print_json(&summary);
     }
-    tell(&format!("{} frames: {}; {} epochs", summary.frames, summary.classes.sentence(), summary.epochs));
+    notify(&format!("{} frames: {}; {} epochs", summary.frames, summary.classes.sentence(), summary.epochs));
     Ok(())
 }
 
@@ -277,7 +277,7 @@ fn detect(args: &DetectArgs) -> Result<(), Error> {
     if args.json {
         return print_json(&summary);
     }
-    tell(&format!("{} frames: {}", summary.frames, summary.classes.sentence()));
+    notify(&format!("{} frames: {}", summary.frames, summary.classes.sentence()));
     Ok(())
 }
 

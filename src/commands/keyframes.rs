@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use nalgebra::Isometry3;
 use serde::Serialize;
 
-use super::{Error, output, print_json, tell};
+use super::{Error, notify, output, print_json};
 use posed_baselines::change_points::{MeanDifference, MeanDifferenceSettings, ScrewPath};
-use posed_motion::keyframes::{Deviation, Spline};
 use posed_motion::keyframes::{BRIDGED_FRAMES, bridge};
 use posed_motion::keyframes::{Detector, Hinge, HingeSettings, KeyPose, Trace};
+use posed_motion::keyframes::{Deviation, Spline};
 use posed_recording::table::{PoseRow, Poses, TableWriter};
 
 /// Where to look, and how.
@@ -95,7 +95,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     if args.json {
         return print_json(&summary);
     }
-    tell(&format!("{} frames at {:.4} Hz, {} changes", summary.frames, summary.rate_hz, summary.keys));
+    notify(&format!("{} frames at {:.4} Hz, {} changes", summary.frames, summary.rate_hz, summary.keys));
     Ok(())
 }
 

@@ -189,7 +189,7 @@ pub(crate) fn main() -> ExitCode {
         Err(error @ Error::Failed(_)) => (1, error),
         Err(error @ Error::Usage(_)) => (2, error),
     };
-    tell(&format!("posed: {error}"));
+    notify(&format!("posed: {error}"));
     ExitCode::from(code)
 }
 
@@ -228,7 +228,7 @@ pub(crate) fn print_json(answer: &impl serde::Serialize) -> Result<(), Error> {
 }
 
 /// Says something to the person at the terminal that is no part of the answer, on stderr.
-pub(crate) fn tell(sentence: &str) {
+pub(crate) fn notify(sentence: &str) {
     // Nothing is lost with it where even stderr is gone.
     let _ = writeln!(io::stderr(), "{sentence}");
 }

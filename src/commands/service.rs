@@ -19,30 +19,30 @@ pub(crate) struct Manager {
 impl Manager {
     /// Reports that the daemon serves.
     pub(crate) fn ready() -> Self {
-        say(&[NotifyState::Ready]);
+        emit(&[NotifyState::Ready]);
         Self { watched: sd_notify::watchdog_enabled().is_some(), reported: None }
     }
 
     /// Reports that the daemon lives: once for each status that its thread has made.
     pub(crate) fn alive(&mut self, words: impl FnOnce() -> String) {
         if self.watched {
-            say(&[NotifyState::Watchdog]);
+            emit(&[NotifyState::Watchdog]);
         }
         #[expect(clippy::disallowed_methods, reason = "how often a person may look is wall time")]
         let now = Instant::now();
         if self.reported.is_none_or(|reported| now >= reported + WORDS_INTERVAL) {
             self.reported = Some(now);
-            say(&[NotifyState::Status(&words())]);
+            emit(&[NotifyState::Status(&words())]);
         }
     }
 
     /// Reports that it ends.
     pub(crate) fn stopping(self) {
-        say(&[NotifyState::Stopping]);
+        emit(&[NotifyState::Stopping]);
     }
 }
 
-fn say(what: &[NotifyState<'_>]) {
+fn emit(what: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(what) {
         tracing::debug!(%error, "the service manager does not listen");
     }

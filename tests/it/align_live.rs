@@ -272,9 +272,9 @@ fn the_imu_carries_the_pose_through_a_dropout_and_a_replay_says_the_same() {
     // The body goes on with it.
     let during = |body: &&Body| (8.1..8.35).contains(&body.t_valid.as_secs_f64());
     let bodies: Vec<&Body> = rig
-        .said
+        .emitted
         .iter()
-        .filter_map(|said| match said {
+        .filter_map(|emitted| match emitted {
             Said::Body(body) => Some(&**body),
             _ => None,
         })
@@ -309,8 +309,8 @@ fn an_alignment_is_a_model_of_the_log() {
     let after = replay(&mut pipeline, &rest);
     assert_eq!(pipeline.status().models_refused, 0);
     // Nobody knew where the transmitter stood, and now it is known.
-    let off = |said: &[Said]| {
-        let errors = said.iter().rev().filter_map(|said| match said {
+    let off = |emitted: &[Said]| {
+        let errors = emitted.iter().rev().filter_map(|emitted| match emitted {
             Said::Estimate(estimate) => error(&rig, estimate),
             _ => None,
         });

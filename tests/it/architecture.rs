@@ -20,7 +20,7 @@ fn table(text: &str) -> BTreeMap<String, BTreeSet<String>> {
 #[test]
 fn the_table_of_crates_is_that_of_the_manifests() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("ARCHITECTURE.md");
-    let mut said = table(&std::fs::read_to_string(path).unwrap());
-    said.insert("posed-state-derive".to_owned(), BTreeSet::new());
-    assert_eq!(said, uses());
+    let mut emitted = table(&std::fs::read_to_string(path).unwrap());
+    emitted.insert("posed-state-derive".to_owned(), BTreeSet::new());
+    assert_eq!(emitted, uses());
 }

@@ -119,9 +119,9 @@ impl SimulatedBody {
 }
 
 fn bodies(rig: &Rig) -> Vec<&Body> {
-    rig.said
+    rig.emitted
         .iter()
-        .filter_map(|said| match said {
+        .filter_map(|emitted| match emitted {
             Said::Body(body) => Some(&**body),
             _ => None,
         })
@@ -233,7 +233,7 @@ fn a_replay_that_begins_in_the_middle_says_the_same_body() {
     let mut pipeline = Pipeline::new(&worn.stage).unwrap();
     let before = replay(&mut pipeline, &rig.log[..middle]).len();
     let mut restored = Pipeline::restore(&worn.stage, pipeline.models(), &pipeline.snapshot()).unwrap();
-    assert_eq!(replay(&mut restored, &rig.log[middle..]), rig.said[before..]);
+    assert_eq!(replay(&mut restored, &rig.log[middle..]), rig.emitted[before..]);
 }
 
 #[test]
@@ -324,8 +324,8 @@ fn angles_are_columns_of_exercises() {
     let angles = BodyColumns::of(&worn.stage);
     let mut body = None;
     let (mut row, mut most) = (Vec::new(), f64::MIN);
-    for said in &rig.said {
-        match said {
+    for emitted in &rig.emitted {
+        match emitted {
             Said::Body(news) => body = Some(&**news),
             Said::Estimate(estimate) => {
                 signals::write(estimate, &mut row);
@@ -369,7 +369,7 @@ fn the_demo_shows_a_body_that_stands_where_it_stands() {
     assert_eq!(rig.pipeline.status().body.unwrap().faults, []);
     // A stream of entries without sense does not disturb it.
     let entry = Entry { t: rig.now, input: Input::Timer };
-    let mut said = Vec::new();
-    rig.pipeline.push(&entry, &mut |output| said.extend(keep(&output)));
-    assert!(said.iter().all(|said| !matches!(said, Said::Body(_))));
+    let mut emitted = Vec::new();
+    rig.pipeline.push(&entry, &mut |output| emitted.extend(keep(&output)));
+    assert!(emitted.iter().all(|emitted| !matches!(emitted, Said::Body(_))));
 }

@@ -32,9 +32,10 @@ fn truth_rad(rig: &Rig, t_s: f64) -> Option<f64> {
     Some((thigh.inverse() * shank).angle())
 }
 
-fn bodies(said: &[Said]) -> Vec<&Body> {
-    said.iter()
-        .filter_map(|said| match said {
+fn bodies(emitted: &[Said]) -> Vec<&Body> {
+    emitted
+        .iter()
+        .filter_map(|emitted| match emitted {
             Said::Body(body) => Some(&**body),
             _ => None,
         })
@@ -45,7 +46,7 @@ fn bodies(said: &[Said]) -> Vec<&Body> {
 fn a_chain_is_calibrated_and_then_followed_as_well_as_a_file_of_it() {
     let mut rig = leg(2);
     rig.run_until(36.0);
-    assert!(bodies(&rig.said).is_empty(), "nothing is said before the axes are known");
+    assert!(bodies(&rig.emitted).is_empty(), "nothing is said before the axes are known");
     assert!(!rig.pipeline.status().body.unwrap().mounted);
     let stage = Stage::parse(STAGE).unwrap();
     let layout = ChainLayout::of(&stage).unwrap();
@@ -71,7 +72,7 @@ fn a_chain_is_calibrated_and_then_followed_as_well_as_a_file_of_it() {
             .collect()
     };
     let of_live = pairs(
-        bodies(&rig.said)
+        bodies(&rig.emitted)
             .iter()
             .filter_map(|body| Some((body.t_valid.as_secs_f64(), body.angles_rad[1]?)))
             .collect(),
@@ -85,7 +86,7 @@ fn a_chain_is_calibrated_and_then_followed_as_well_as_a_file_of_it() {
     for (found, truth) in &of_file {
         file += (found - truth - zero_file).powi(2);
     }
-    for body in bodies(&rig.said).iter().filter(|body| late(&body.t_valid.as_secs_f64())) {
+    for body in bodies(&rig.emitted).iter().filter(|body| late(&body.t_valid.as_secs_f64())) {
         expected += body.spread.sigma_rad[1].powi(2);
     }
     let rms = |sum: f64, n: f64| (sum / n).sqrt().to_degrees();
@@ -105,7 +106,7 @@ fn a_chain_is_calibrated_and_then_followed_as_well_as_a_file_of_it() {
     let mut pipeline = Pipeline::new(&stage).unwrap();
     let before = replay(&mut pipeline, &rig.log[..middle]).len();
     let mut restored = Pipeline::restore(&stage, pipeline.models(), &pipeline.snapshot()).unwrap();
-    assert!(replay(&mut restored, &rig.log[middle..]) == rig.said[before..]);
+    assert!(replay(&mut restored, &rig.log[middle..]) == rig.emitted[before..]);
     assert!(signals::columns_of(&stage).iter().any(|column| column == "knee_flexion_deg"));
 
     // A recording is solved as it is, by the stage that it knows.

@@ -86,8 +86,8 @@ fn session(repetitions: u32) -> Rig {
     rig
 }
 
-fn outcomes(said: &[Said]) -> impl Iterator<Item = (&str, &ExerciseWhat)> {
-    said.iter().filter_map(|said| match said {
+fn outcomes(emitted: &[Said]) -> impl Iterator<Item = (&str, &ExerciseWhat)> {
+    emitted.iter().filter_map(|emitted| match emitted {
         Said::Outcome(outcome) => match &outcome.what {
             OutcomeKind::Exercise(exercise) => Some((&*exercise.subject, &exercise.what)),
             _ => None,
@@ -96,20 +96,20 @@ fn outcomes(said: &[Said]) -> impl Iterator<Item = (&str, &ExerciseWhat)> {
     })
 }
 
-fn repetitions<'a>(said: &'a [Said], subject: &str) -> Vec<&'a Repetition> {
-    outcomes(said)
+fn repetitions<'a>(emitted: &'a [Said], subject: &str) -> Vec<&'a Repetition> {
+    outcomes(emitted)
         .filter(|(of, _)| *of == subject)
         .filter_map(|(_, what)| if let ExerciseWhat::Repetition(it) = what { Some(it) } else { None })
         .collect()
 }
 
-fn counts(said: &[Said], subject: &str) -> Vec<u64> {
+fn counts(emitted: &[Said], subject: &str) -> Vec<u64> {
     let counted = |it: &&Repetition| it.kind == EventKind::Counted;
-    repetitions(said, subject).into_iter().filter(counted).map(|it| it.count).collect()
+    repetitions(emitted, subject).into_iter().filter(counted).map(|it| it.count).collect()
 }
 
-fn states(said: &[Said], subject: &str) -> Vec<ExerciseState> {
-    outcomes(said)
+fn states(emitted: &[Said], subject: &str) -> Vec<ExerciseState> {
+    outcomes(emitted)
         .filter(|(of, _)| *of == subject)
         .filter_map(
             |(_, what)| if let ExerciseWhat::State(state) = what { Some(state.clone()) } else { None },
@@ -121,12 +121,12 @@ fn states(said: &[Said], subject: &str) -> Vec<ExerciseState> {
 fn what_is_loaded_is_counted_in_order_and_provisional_before_it_counts() {
     let mut rig = session(6);
     rig.run_until(24.0);
-    assert_eq!(counts(&rig.said, "default"), [1, 2, 3, 4, 5, 6]);
-    let kinds: Vec<EventKind> = repetitions(&rig.said, "default").iter().map(|it| it.kind).collect();
+    assert_eq!(counts(&rig.emitted, "default"), [1, 2, 3, 4, 5, 6]);
+    let kinds: Vec<EventKind> = repetitions(&rig.emitted, "default").iter().map(|it| it.kind).collect();
     let provisional = kinds.iter().filter(|kind| **kind == EventKind::Provisional).count();
     assert!(provisional >= 5 && !kinds.contains(&EventKind::Rejected), "{kinds:?}");
     let mut last = 0.0;
-    for it in repetitions(&rig.said, "default").iter().filter(|it| it.kind == EventKind::Counted) {
+    for it in repetitions(&rig.emitted, "default").iter().filter(|it| it.kind == EventKind::Counted) {
         assert!(it.t_start_s > last && it.t_start_s > 2.5, "{it:?}");
         last = it.t_start_s;
     }
@@ -138,15 +138,15 @@ fn sets_rests_and_subjects_are_kept_apart() {
     rig.run_until(1.0);
     rig.push(select(Plan { repetitions: Some(3), sets: Some(2), rest_s: 2.0 }));
     rig.run_until(10.8);
-    assert_eq!(counts(&rig.said, "patient"), [1, 2]);
+    assert_eq!(counts(&rig.emitted, "patient"), [1, 2]);
     rig.push(Input::Request(Request::ExerciseReset { subject: "patient".into() }));
     rig.run_until(27.0);
-    assert_eq!(counts(&rig.said, "default"), [1, 2, 3, 4, 5, 6, 7]);
-    let counted = repetitions(&rig.said, "patient");
+    assert_eq!(counts(&rig.emitted, "default"), [1, 2, 3, 4, 5, 6, 7]);
+    let counted = repetitions(&rig.emitted, "patient");
     let sets: Vec<u32> =
         counted.iter().filter(|it| it.kind == EventKind::Counted).map(|it| it.set_count).collect();
     assert_eq!(sets, [1, 2, 1, 2, 3, 1, 2], "reset after two, then a set of three");
-    let states = states(&rig.said, "patient");
+    let states = states(&rig.emitted, "patient");
     let progress = |state: &ExerciseState| {
         let one = &state.exercises[0];
         (one.count, one.set, one.set_count, one.rest_until_s.is_some(), one.done)
@@ -173,8 +173,8 @@ fn who_wears_the_sensors_the_other_way_round_is_counted_once_that_is_said() {
     rig.push(Input::Model(Model::Exercise { exercise: Box::new(swapped) }));
     rig.push(Input::Request(with_sensors([("s0-0", "s0-1"), ("s0-1", "s0-0")])));
     rig.run_until(18.0);
-    assert_eq!(counts(&rig.said, "patient"), [1, 2, 3, 4]);
-    assert_eq!(counts(&rig.said, "default"), [0; 0]);
+    assert_eq!(counts(&rig.emitted, "patient"), [1, 2, 3, 4]);
+    assert_eq!(counts(&rig.emitted, "default"), [0; 0]);
 }
 
 #[test]
@@ -209,7 +209,7 @@ fn requests_without_sense_are_refused_and_change_nothing() {
         },
         Request::ExerciseReset { subject: "a".into() },
     ];
-    let before = rig.said.len();
+    let before = rig.emitted.len();
     for (index, request) in refused.into_iter().enumerate() {
         assert!(rig.pipeline.check_request(&request).is_err(), "{request:?}");
         rig.push(Input::Request(request));
@@ -219,7 +219,7 @@ fn requests_without_sense_are_refused_and_change_nothing() {
     let mut foreign = CURL.clone();
     foreign.channels[0] = "knee_flexion_deg".into();
     rig.push(Input::Model(Model::Exercise { exercise: Box::new(foreign) }));
-    assert_eq!((rig.pipeline.status().models_refused, rig.said.len()), (1, before));
+    assert_eq!((rig.pipeline.status().models_refused, rig.emitted.len()), (1, before));
 }
 
 #[test]
@@ -236,16 +236,20 @@ fn the_log_says_the_same_again_from_any_snapshot() {
             rig.pipeline.models().clone(),
             rig.pipeline.snapshot(),
             rig.log.len(),
-            rig.said.len(),
+            rig.emitted.len(),
         ));
     }
     rig.run_until(16.0);
-    assert!(counts(&rig.said, "patient").len() >= 3);
+    assert!(counts(&rig.emitted, "patient").len() >= 3);
     let stage = stage(&[2]);
-    assert_eq!(replay(&mut Pipeline::new(&stage).unwrap(), &rig.log), rig.said);
-    for (models, snapshot, entries, said) in snapshots {
+    assert_eq!(replay(&mut Pipeline::new(&stage).unwrap(), &rig.log), rig.emitted);
+    for (models, snapshot, entries, emitted) in snapshots {
         let mut restored = Pipeline::restore(&stage, &models, &snapshot).unwrap();
-        assert_eq!(replay(&mut restored, &rig.log[entries..]), rig.said[said..], "from entry {entries}");
+        assert_eq!(
+            replay(&mut restored, &rig.log[entries..]),
+            rig.emitted[emitted..],
+            "from entry {entries}"
+        );
         assert_eq!(restored.snapshot(), rig.pipeline.snapshot(), "from entry {entries}");
     }
 }
@@ -361,8 +365,8 @@ fn wearer(rig: &Rig, stage: &Stage, span_s: Range<f64>) -> (Vec<String>, Vec<f64
         columns.iter().filter_map(|column| all.iter().position(|other| other == column)).collect();
     let angles = BodyColumns::of(stage);
     let (mut t_s, mut values, mut row, mut body) = (Vec::new(), Vec::new(), Vec::new(), None);
-    for said in &rig.said {
-        match said {
+    for emitted in &rig.emitted {
+        match emitted {
             Said::Body(newest) => body = Some(&**newest),
             Said::Estimate(estimate) if span_s.contains(&estimate.t_valid.as_secs_f64()) => {
                 t_s.push(estimate.t_valid.as_secs_f64());
@@ -396,8 +400,8 @@ fn the_demos_person_rests_after_a_set_is_taught_by_it_and_counted_in_the_next_on
     rig.push(Input::Model(Model::Exercise { exercise: Box::new(lesson.exercise) }));
     rig.push(select(Plan { repetitions: Some(5), sets: Some(2), rest_s: 3.0 }));
     rig.run_until(64.0);
-    assert_eq!(counts(&rig.said, "patient"), (1..=10).collect::<Vec<_>>());
-    assert!(states(&rig.said, "patient").last().unwrap().exercises[0].done);
+    assert_eq!(counts(&rig.emitted, "patient"), (1..=10).collect::<Vec<_>>());
+    assert!(states(&rig.emitted, "patient").last().unwrap().exercises[0].done);
 }
 
 /// The messages of `exercise` in a session of six curls.

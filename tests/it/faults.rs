@@ -2,8 +2,8 @@
 
 use posed_fusion::faults::{Class, Label};
 use posed_motion::fault_map::Frames;
-use posed_motion::fault_map::frame_label;
 use posed_motion::fault_map::Training;
+use posed_motion::fault_map::frame_label;
 use posed_motion::fault_map::{FaultMap, Size};
 use posed_simulator::figure::{Fault, Figure, SENSORS, Truth, inject};
 

@@ -100,9 +100,9 @@ fn labels_are_those_of_the_offline_command_and_repairs_are_marked() {
     let mut watch = NETWORK.watch();
     for (k, estimate) in rig.estimates().enumerate() {
         let judged = watch.push(&NETWORK, frames.frame(k));
-        let said = estimate.fault.unwrap();
-        assert_eq!((said.label, said.cause), (judged.label.class, judged.label.cause), "frame {k}");
-        assert_eq!(said.cell, judged.winner.map(|winner| winner.cell as u32));
+        let emitted = estimate.fault.unwrap();
+        assert_eq!((emitted.label, emitted.cause), (judged.label.class, judged.label.cause), "frame {k}");
+        assert_eq!(emitted.cell, judged.winner.map(|winner| winner.cell as u32));
         for (sensor, label) in estimate.sensors.iter().zip(judged.sensors) {
             let fault = sensor.fault.unwrap();
             assert_eq!((fault.label, fault.cause), (label.class, label.cause), "frame {k}");
@@ -129,9 +129,9 @@ fn labels_are_those_of_the_offline_command_and_repairs_are_marked() {
     let clean = from_to(&rig, 3.0, 5.9).iter().filter(|e| e.fault.unwrap().label == Class::Clean).count();
     assert!(clean * 100 >= 99 * good, "{clean} of {good}");
     let faults: Vec<_> = rig
-        .said
+        .emitted
         .iter()
-        .filter_map(|said| match said {
+        .filter_map(|emitted| match emitted {
             Said::Outcome(outcome) => match outcome.what {
                 OutcomeKind::Fault { sensor: 3, cause, active } if outcome.t_valid.as_secs_f64() > 5.0 => {
                     Some((cause, active))
@@ -192,8 +192,8 @@ fn a_replay_that_begins_in_the_middle_says_the_same() {
     let before = replay(&mut pipeline, &rig.log[..middle]).len();
     let mut restored = Pipeline::restore(&walking(), pipeline.models(), &pipeline.snapshot()).unwrap();
     // NaN is not itself; text is.
-    let text = |said: &[Said]| said.iter().map(|said| format!("{said:?}")).collect::<Vec<_>>();
-    assert_eq!(text(&replay(&mut restored, &rig.log[middle..])), text(&rig.said[before..]));
+    let text = |emitted: &[Said]| emitted.iter().map(|emitted| format!("{emitted:?}")).collect::<Vec<_>>();
+    assert_eq!(text(&replay(&mut restored, &rig.log[middle..])), text(&rig.emitted[before..]));
 }
 
 #[test]
@@ -215,6 +215,6 @@ fn a_map_of_other_sensors_is_refused_and_renaming_a_cell_goes_on() {
     rig.push(model(&renamed));
     rig.run_until(4.2);
     assert_eq!(rig.pipeline.status().models_refused, 0);
-    let swapped = |said: &&Said| matches!(said, Said::Outcome(outcome) if matches!(outcome.what, OutcomeKind::ModelSwapped(_)));
-    assert_eq!(rig.said.iter().filter(swapped).count(), 2);
+    let swapped = |emitted: &&Said| matches!(emitted, Said::Outcome(outcome) if matches!(outcome.what, OutcomeKind::ModelSwapped(_)));
+    assert_eq!(rig.emitted.iter().filter(swapped).count(), 2);
 }

@@ -64,8 +64,8 @@ fn given_a_map_every_pose_is_corrected_from_the_next_frame_on() {
     assert!(good > 400 && corrected_m < 0.01 && moved_m > 0.008, "{good} {corrected_m} {moved_m}");
     let sigma = corrected().flat_map(|e| &e.sensors).find_map(|sensor| sensor.pose).unwrap().sigma_m.unwrap();
     assert!(sigma.is_finite() && sigma > 0.0);
-    let swapped = rig.said.iter().any(|said| {
-        matches!(said, Said::Outcome(outcome)
+    let swapped = rig.emitted.iter().any(|emitted| {
+        matches!(emitted, Said::Outcome(outcome)
             if matches!(outcome.what, OutcomeKind::ModelSwapped(Model::Field { version: 1, .. })))
     });
     assert!(swapped);
@@ -92,9 +92,9 @@ fn given_a_guided_run_the_pole_is_collected_and_handed_out() {
     rig.push(Input::Request(Request::FieldStart { sensors, spacing_m: 0.3 }));
     rig.run_until(6.0);
     let progress: Vec<_> = rig
-        .said
+        .emitted
         .iter()
-        .filter_map(|said| match said {
+        .filter_map(|emitted| match emitted {
             Said::Outcome(outcome) => match &outcome.what {
                 OutcomeKind::Field(FieldNews::Progress(progress)) => Some(progress.clone()),
                 _ => None,
@@ -194,7 +194,7 @@ fn given_the_stage_with_a_pole_its_guided_run_makes_a_map_that_brings_poses_to_t
     rig.push(Input::Request(Request::FieldStart { sensors, spacing_m: 0.15 }));
     rig.run_until(22.0);
     let [before, uncorrected] = off_m(&rig, &stage, 500);
-    let last = rig.said.iter().rev().find_map(|said| match said {
+    let last = rig.emitted.iter().rev().find_map(|emitted| match emitted {
         Said::Outcome(Outcome { what: OutcomeKind::Field(FieldNews::Progress(progress)), .. }) => {
             Some(progress)
         }
@@ -228,7 +228,7 @@ fn quiet_minutes() -> u32 {
 
 /// What was said of disturbances so far: when, by what, and whether it began. Forgets all else.
 fn disturbances(rig: &mut Rig, news: &mut Vec<(f64, Cause, bool)>) {
-    news.extend(rig.said.iter().filter_map(|said| match said {
+    news.extend(rig.emitted.iter().filter_map(|emitted| match emitted {
         Said::Outcome(Outcome {
             t_decided,
             what: OutcomeKind::Field(FieldNews::Warning(Warning::Disturbed { cause, active, .. })),
@@ -331,18 +331,18 @@ fn given_steel_that_is_brought_in_reference_and_pair_tell_of_it_within_half_a_se
     }
     rig.run_until(brought_s);
     // What poses are worth before and while the steel is there.
-    let sigma_m = |said: &[Said]| {
-        let poses = said.iter().filter_map(|said| match said {
+    let sigma_m = |emitted: &[Said]| {
+        let poses = emitted.iter().filter_map(|emitted| match emitted {
             Said::Estimate(estimate) => estimate.sensors[0].pose?.sigma_m,
             _ => None,
         });
         poses.fold(0.0, f64::max)
     };
-    let before_m = sigma_m(&rig.said);
+    let before_m = sigma_m(&rig.emitted);
     disturbances(&mut rig, &mut news);
     assert!(news.is_empty(), "no false alarm: {news:?}");
     rig.run_until(brought_s + 4.0);
-    let while_m = sigma_m(&rig.said);
+    let while_m = sigma_m(&rig.emitted);
     disturbances(&mut rig, &mut news);
     rig.run_until(brought_s + 12.0);
     disturbances(&mut rig, &mut news);

@@ -163,17 +163,17 @@ impl Reader {
     fn shell(&self, page: &str, script: &str) {
         let address = self.daemon.as_ref().map_or("127.0.0.1:8787", |daemon| &daemon.1);
         let done = self.command(&script.replace("127.0.0.1:8787/", &format!("{address}/"))).output().unwrap();
-        let said = String::from_utf8_lossy(&done.stderr).into_owned();
-        assert!(done.status.success(), "{page}: {script}\n{said}");
+        let emitted = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert!(done.status.success(), "{page}: {script}\n{emitted}");
     }
 
     fn serve(&mut self, page: &str, line: &str) {
         let mut command = self.command(&format!("exec {line} --listen 127.0.0.1:0"));
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
-        let mut said = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut said).unwrap();
-        let address = said.split("http://").nth(1).and_then(|rest| rest.split('/').next());
-        let address = address.unwrap_or_else(|| panic!("{page}: {line} said {said:?}")).to_owned();
+        let mut emitted = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut emitted).unwrap();
+        let address = emitted.split("http://").nth(1).and_then(|rest| rest.split('/').next());
+        let address = address.unwrap_or_else(|| panic!("{page}: {line} said {emitted:?}")).to_owned();
         self.daemon = Some((child, address, line.starts_with("posed demo")));
     }
 

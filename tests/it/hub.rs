@@ -276,15 +276,15 @@ async fn fused_elsewhere_a_stage_says_the_same() {
     frames(&mut there, 30).await;
     proxy.open.send_replace(true);
     move_transmitter(&mut operator, 0.75).await;
-    let mut said = std::collections::BTreeMap::new();
+    let mut emitted = std::collections::BTreeMap::new();
     let (mut events, mut compared) = (0, 0);
-    while said.len() < 150 {
+    while emitted.len() < 150 {
         let text = there.next_text().await;
-        said.insert(key(&text), text);
+        emitted.insert(key(&text), text);
     }
     while compared < 100 {
         let text = here.next_text().await;
-        if let Some(expected) = said.remove(&key(&text)) {
+        if let Some(expected) = emitted.remove(&key(&text)) {
             events += usize::from(text.starts_with(r#"{"type":"field""#));
             assert_eq!(body(&text), body(&expected), "byte for byte");
             compared += 1;

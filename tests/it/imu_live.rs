@@ -57,10 +57,10 @@ fn truth(rig: &Rig, t_s: f64) -> Option<UnitQuaternion<f64>> {
 }
 
 /// Root mean square at rest, of how far the force that filters take points from straight up, degrees, and of the rate, deg/s.
-fn at_rest(rig: &Rig, said: &[Said]) -> [f64; 2] {
+fn at_rest(rig: &Rig, emitted: &[Said]) -> [f64; 2] {
     let (mut sums, mut count) = ([0.0; 2], 0.0);
-    for said in said {
-        let Said::Estimate(estimate) = said else { continue };
+    for emitted in emitted {
+        let Said::Estimate(estimate) = emitted else { continue };
         let t_s = estimate.t_valid.as_secs_f64();
         if !(0.2..1.3).contains(&(t_s % 2.2)) {
             continue;
@@ -97,18 +97,18 @@ fn a_unit_that_was_placed_in_all_directions_is_corrected_from_then_on() {
         };
         let run = |log: &[Entry]| {
             let mut pipeline = Pipeline::new(&stage).unwrap();
-            let said = replay(&mut pipeline, log);
+            let emitted = replay(&mut pipeline, log);
             assert_eq!(pipeline.status().models_refused, 0);
-            said
+            emitted
         };
-        let [raw, corrected] = [run(&rig.log), run(&with(&unit))].map(|said| at_rest(&rig, &said));
+        let [raw, corrected] = [run(&rig.log), run(&with(&unit))].map(|emitted| at_rest(&rig, &emitted));
         println!("unit {seed}: {raw:.2?} degrees and deg/s uncorrected, {corrected:.2?} corrected");
         // That all axes are turned together, no length shows.
         assert!(corrected[0] < 1.5 && corrected[0] < 0.5 * raw[0], "{raw:?} before, {corrected:?} after");
         assert!(raw[1] > 1.0 && corrected[1] < 0.5, "{raw:?} before, {corrected:?} after");
         // Another unit's do nothing.
-        let estimates = |said: Vec<Said>| -> Vec<Said> {
-            said.into_iter().filter(|said| matches!(said, Said::Estimate(_))).collect()
+        let estimates = |emitted: Vec<Said>| -> Vec<Said> {
+            emitted.into_iter().filter(|emitted| matches!(emitted, Said::Estimate(_))).collect()
         };
         assert!(estimates(run(&with("0BADCAFE"))) == estimates(run(&rig.log)));
     }
@@ -123,7 +123,7 @@ fn a_calibration_in_the_middle_begins_anew_at_once_and_a_replay_says_the_same() 
     rig.push(Input::Model(Model::Imu { unit, intrinsics: Box::new(found.clone()) }));
     let swapped = rig.now;
     rig.run_until(44.0);
-    let after = |said: &&posed_stage::output::Estimate| said.t_valid > swapped;
+    let after = |emitted: &&posed_stage::output::Estimate| emitted.t_valid > swapped;
     // What the unit tells stays as it is; only the filters take the corrected numbers.
     let record = rig.estimates().filter(after).last().unwrap().sensors[0].measured.unwrap().inertial.unwrap();
     assert_eq!(record.corrected, record.uncorrected().map(|reported| found.apply(&reported)));
@@ -142,7 +142,7 @@ fn a_calibration_in_the_middle_begins_anew_at_once_and_a_replay_says_the_same() 
     let mut pipeline = Pipeline::new(&stage).unwrap();
     let before = replay(&mut pipeline, &rig.log[..middle]).len();
     let mut restored = Pipeline::restore(&stage, pipeline.models(), &pipeline.snapshot()).unwrap();
-    assert!(replay(&mut restored, &rig.log[middle..]) == rig.said[before..]);
+    assert!(replay(&mut restored, &rig.log[middle..]) == rig.emitted[before..]);
 }
 
 #[test]

@@ -31,9 +31,10 @@ fn curling() -> (Stage, Rig) {
     (stage_file, rig)
 }
 
-fn key_poses(said: &[Said]) -> Vec<(&Outcome, &KeyPoseEvent)> {
-    said.iter()
-        .filter_map(|said| match said {
+fn key_poses(emitted: &[Said]) -> Vec<(&Outcome, &KeyPoseEvent)> {
+    emitted
+        .iter()
+        .filter_map(|emitted| match emitted {
             Said::Outcome(outcome) => match &outcome.what {
                 OutcomeKind::KeyPose(event) => Some((outcome, event)),
                 _ => None,
@@ -46,7 +47,7 @@ fn key_poses(said: &[Said]) -> Vec<(&Outcome, &KeyPoseEvent)> {
 #[test]
 fn they_are_those_of_the_offline_detector_and_late_by_the_stated_delay() {
     let (_, rig) = curling();
-    let events = key_poses(&rig.said);
+    let events = key_poses(&rig.emitted);
     let estimates: Vec<_> = rig.estimates().collect();
     // The stage's rate is measured over its first frames.
     let first = 30;
@@ -103,14 +104,14 @@ fn a_replay_that_begins_in_the_middle_says_the_same() {
     let mut pipeline = Pipeline::new(&stage_file).unwrap();
     let before = replay(&mut pipeline, &rig.log[..middle]).len();
     let mut restored = Pipeline::restore(&stage_file, pipeline.models(), &pipeline.snapshot()).unwrap();
-    assert_eq!(replay(&mut restored, &rig.log[middle..]), rig.said[before..]);
+    assert_eq!(replay(&mut restored, &rig.log[middle..]), rig.emitted[before..]);
 }
 
 #[test]
 fn a_stage_that_does_not_ask_gets_none() {
     let mut rig = Rig::new(&stage(&[1]), &Scenario::default());
     rig.run_until(5.0);
-    assert!(key_poses(&rig.said).is_empty());
+    assert!(key_poses(&rig.emitted).is_empty());
     let mut wrong = stage(&[1]);
     let sensors = Some(vec!["nobody".to_owned()]);
     wrong.keyframes = Some(Keyframes { sensors, window_frames: 30, false_alarms_per_min: 1.0 });

@@ -23,7 +23,7 @@ fn the_service_has_no_more_rights_than_is_said() {
         println!("skipped: there is no systemd-analyze");
         return;
     };
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let emitted = String::from_utf8_lossy(&output.stdout).into_owned();
     if !output.status.success() {
         let why = String::from_utf8_lossy(&output.stderr).into_owned();
         // Older than 250.
@@ -31,9 +31,9 @@ fn the_service_has_no_more_rights_than_is_said() {
         println!("skipped: this systemd-analyze cannot look at a file");
         return;
     }
-    let exposure = number(&said, "exposure level for posed.service: ");
+    let exposure = number(&emitted, "exposure level for posed.service: ");
     let stated = number(&file("docs/installing.md"), "exposure of ");
-    assert!(exposure <= stated, "{exposure}, and the documents say {stated}:\n{said}");
+    assert!(exposure <= stated, "{exposure}, and the documents say {stated}:\n{emitted}");
     // A directive that systemd does not know is ignored with a warning, and protects nothing.
     let verified = String::from_utf8_lossy(&analyze(&["verify"]).unwrap().stderr).into_owned();
     assert!(!verified.contains("Unknown") && !verified.contains("Failed to parse"), "{verified}");

@@ -285,11 +285,11 @@ fn strapped(folder: &Path, activity: &str, worn: &[(&str, &str)]) -> std::path::
          activity = \"ACTIVITY\"\nheight_m = 1.7\n[[simulation.device]]\nname = \"chain\"\nboot_ms = 0.0\n",
     )
     .replace("ACTIVITY", activity);
-    for (index, (said, segment)) in worn.iter().enumerate() {
+    for (index, (emitted, segment)) in worn.iter().enumerate() {
         let turn = 0.4 * index as f64;
         let (sin, cos) = turn.sin_cos();
         text += &format!(
-            "[[sensor]]\nname = \"{said}\"\ndevice = \"chain\"\naddress = {}\n[[simulation.sensor]]\nname = \"{said}\"\n\
+            "[[sensor]]\nname = \"{emitted}\"\ndevice = \"chain\"\naddress = {}\n[[simulation.sensor]]\nname = \"{emitted}\"\n\
              body = \"person\"\nsegment = \"{segment}\"\nmount_quat_wxyz = [{cos}, {}, 0.0, {}]\n",
             index + 1,
             0.6 * sin,
@@ -505,8 +505,7 @@ async fn an_imu_is_calibrated_in_the_browser_and_its_file_kept() {
     browser.until("document.getElementById('unit-figures').rows.length === 5").await;
     browser.picture("imu").await;
     let file = browser.row("unit-figures", 4).await;
-    let kept =
-        posed_stage::read_intrinsics(&folder.path().join("imus").join(&file[1])).unwrap();
+    let kept = posed_stage::read_intrinsics(&folder.path().join("imus").join(&file[1])).unwrap();
     assert!(kept.directions >= 12 && kept.mag.is_some(), "{kept:?}");
     done(browser, posed).await;
 }

@@ -99,7 +99,7 @@ fn report(rig: &Rig, from_s: f64, sigma_signal: f64) -> Report {
 fn two_clean_birds_are_published_without_a_loss() {
     let mut rig = Rig::new(&stage(&[2]), &scenario(vec![flock(0, 100.0)]));
     rig.run_until(16.0);
-    assert!(rig.said.contains(&Said::State(0, State::Streaming)));
+    assert!(rig.emitted.contains(&Said::State(0, State::Streaming)));
     let report = report(&rig, 5.0, 2e-4);
     assert_eq!(report.ok, 2 * report.frames, "every sample is ok");
     assert_eq!((report.wrong_5_sigma, report.wrong_20_mm), (0, 0));
@@ -146,14 +146,14 @@ fn the_same_entries_give_the_same_outputs_also_from_a_snapshot() {
     let mut rig = Rig::new(&stage_file, &scenario(vec![device, flock(1, 103.3)]));
     rig.run_until(4.3217);
     let snapshot = rig.pipeline.snapshot();
-    let (said_before, log_before) = (rig.said.len(), rig.log.len());
+    let (said_before, log_before) = (rig.emitted.len(), rig.log.len());
     let model = Model::Transmitter { position_m: [0.0, 0.0, 1.0], orientation_wxyz: [0.0, 1.0, 0.0, 0.0] };
     rig.push(Input::Model(model));
     rig.run_until(6.0);
-    assert_eq!(replay(&mut Pipeline::new(&stage_file).unwrap(), &rig.log), rig.said);
+    assert_eq!(replay(&mut Pipeline::new(&stage_file).unwrap(), &rig.log), rig.emitted);
     let mut restored = Pipeline::restore(&stage_file, rig.pipeline.models(), &snapshot).unwrap();
     assert_eq!(restored.snapshot(), snapshot);
-    assert_eq!(replay(&mut restored, &rig.log[log_before..]), rig.said[said_before..]);
+    assert_eq!(replay(&mut restored, &rig.log[log_before..]), rig.emitted[said_before..]);
     assert_eq!(restored.status(), rig.pipeline.status());
     assert!(Pipeline::restore(&stage(&[2, 2]), rig.pipeline.models(), &snapshot).is_err());
     // As many devices and sensors, under other names.
@@ -234,9 +234,9 @@ fn a_hemisphere_flip_is_repaired_at_once() {
     let report = report(&rig, 5.0, 2e-4);
     assert_eq!(report.wrong_20_mm, 0);
     let outcomes: Vec<_> = rig
-        .said
+        .emitted
         .iter()
-        .filter_map(|said| match said {
+        .filter_map(|emitted| match emitted {
             Said::Outcome(outcome) if outcome.t_valid.as_secs_f64() > 5.0 => Some(&outcome.what),
             _ => None,
         })

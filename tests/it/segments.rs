@@ -85,8 +85,8 @@ fn wrong_files_are_refused_with_the_reason() {
     let refused = |words: &str, reason: &str| {
         let output = posed(folder, words);
         assert_eq!(output.status.code(), Some(1), "{words}");
-        let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(said.contains(reason), "{said}");
+        let emitted = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(emitted.contains(reason), "{emitted}");
     };
     refused("segments label m.safetensors a.csv --rate-hz 30 --unit mm -o l.csv", "--unit");
     refused("segments label a.csv a.csv --rate-hz 30 -o l.csv", "no model");

@@ -145,8 +145,8 @@ impl Metadata {
     /// The workspace's, for this machine: what other systems would need has not been fetched.
     fn read() -> Self {
         let compiler = Command::new("rustc").arg("-vV").output().unwrap();
-        let said = String::from_utf8(compiler.stdout).unwrap();
-        let host = said.lines().find_map(|line| line.strip_prefix("host: ")).unwrap();
+        let emitted = String::from_utf8(compiler.stdout).unwrap();
+        let host = emitted.lines().find_map(|line| line.strip_prefix("host: ")).unwrap();
         let text = cargo(&["metadata", "--format-version", "1", "--all-features", "--filter-platform", host]);
         serde_json::from_str(&text).unwrap()
     }

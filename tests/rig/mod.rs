@@ -153,7 +153,7 @@ pub(crate) struct Rig {
     /// Records that did not reach the host, by device and time.
     pub(crate) losses: Vec<(usize, Timestamp, Loss)>,
     pub(crate) log: Vec<Entry>,
-    pub(crate) said: Vec<Said>,
+    pub(crate) emitted: Vec<Said>,
     pub(crate) sleepy: Option<Sleepy>,
     /// When something of the tracking was last said, and when each entry of `said` was.
     pub(crate) said_at: Vec<Timestamp>,
@@ -168,7 +168,7 @@ impl Rig {
             truth: Vec::new(),
             losses: Vec::new(),
             log: Vec::new(),
-            said: Vec::new(),
+            emitted: Vec::new(),
             sleepy: None,
             said_at: Vec::new(),
         };
@@ -243,25 +243,25 @@ impl Rig {
         self.truth = Vec::new();
         self.losses = Vec::new();
         self.log = Vec::new();
-        self.said = Vec::new();
+        self.emitted = Vec::new();
         self.said_at = Vec::new();
     }
 
     pub(crate) fn push(&mut self, input: Input) {
         let entry = Entry { t: self.now, input };
-        let Self { pipeline, virtual_stage, said, said_at, now, .. } = self;
+        let Self { pipeline, virtual_stage, emitted, said_at, now, .. } = self;
         pipeline.push(&entry, &mut |output| {
             if let Output::Transmit { device, bytes } = &output {
                 virtual_stage.write(usize::from(*device), *now, bytes);
             }
-            said.extend(keep(&output));
-            said_at.resize(said.len(), *now);
+            emitted.extend(keep(&output));
+            said_at.resize(emitted.len(), *now);
         });
         self.log.push(entry);
     }
 
     pub(crate) fn estimates(&self) -> impl Iterator<Item = &Estimate> {
-        self.said.iter().filter_map(|said| match said {
+        self.emitted.iter().filter_map(|emitted| match emitted {
             Said::Estimate(estimate) => Some(estimate),
             _ => None,
         })
@@ -282,9 +282,9 @@ pub(crate) fn keep(output: &Output<'_>) -> Option<Said> {
 
 /// Feeds entries to a pipeline.
 pub(crate) fn replay(pipeline: &mut Pipeline, log: &[Entry]) -> Vec<Said> {
-    let mut said = Vec::new();
+    let mut emitted = Vec::new();
     for entry in log {
-        pipeline.push(entry, &mut |output| said.extend(keep(&output)));
+        pipeline.push(entry, &mut |output| emitted.extend(keep(&output)));
     }
-    said
+    emitted
 }

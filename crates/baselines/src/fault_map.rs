@@ -24,8 +24,8 @@
 //!   between sensors and of steps) is trained by the batch rule.
 
 use posed_motion::fault_map::Frames;
-use posed_motion::fault_map::{Kernel, Rule, Som, Training, Width};
 use posed_motion::fault_map::{FaultMap, FaultMapError, Labels, Size};
+use posed_motion::fault_map::{Kernel, Rule, Som, Training, Width};
 
 /// A smaller step is none: weights are of the order of one.
 const NEGLIGIBLE: f64 = 1e-9;

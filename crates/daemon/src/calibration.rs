@@ -16,9 +16,9 @@ use super::server::Reply;
 use posed_field::{Anchor, PoleRun, Prepared, solve};
 use posed_protocol::AnchorSpec;
 use posed_recording::AtomicFile;
-use posed_stage::{Stage, read_field_map};
 use posed_stage::input::{Entry, Input, Model, Request};
 use posed_stage::output::Output;
+use posed_stage::{Stage, read_field_map};
 
 /// Names the version in use.
 const ACTIVE: &str = "active";
@@ -181,7 +181,7 @@ impl Calibration {
                     Err(reasons.join("; "))
                 }
             };
-            let said = outcome.as_ref().map(|_| {
+            let emitted = outcome.as_ref().map(|_| {
                 format!(
                     "{}: {:.2} mm held out, {:.2} mm without; field.accept uses it",
                     report.model,
@@ -189,9 +189,9 @@ impl Calibration {
                     1e3 * report.raw_m
                 )
             });
-            let said = said.map_err(|reason| reason.clone().into());
+            let emitted = emitted.map_err(|reason| reason.clone().into());
             this.lock().candidate = Some(outcome);
-            said
+            emitted
         });
     }
 

@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 
 use posed_motion::exercise::{Exercise, ExerciseError, columns_of};
 use posed_recording::AtomicFile;
-use posed_stage::{Stage, read_intrinsics};
 use posed_stage::input::Model;
 use posed_stage::signals;
+use posed_stage::{Stage, read_intrinsics};
 
 /// What is wrong with a model, its file or its folder.
 #[derive(Debug, thiserror::Error)]

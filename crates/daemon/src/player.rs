@@ -322,10 +322,10 @@ impl Playing {
     }
 
     /// Plays the next entry.
-    fn step(&mut self, mut say: impl FnMut(&posed_stage::output::Output<'_>)) {
+    fn step(&mut self, mut emit: impl FnMut(&posed_stage::output::Output<'_>)) {
         if let Some(entry) = self.next.take() {
             self.at = self.at.max(entry.t);
-            self.pipeline.push(&entry, &mut |output| say(&output));
+            self.pipeline.push(&entry, &mut |output| emit(&output));
             self.read_next();
         }
     }

@@ -59,7 +59,7 @@ pub(crate) fn visited(run: &PoleRun, hull: &Hull) -> f64 {
 /// Where the pole has been so far, and where it should go.
 pub(crate) fn look(run: &PoleRun, hull: &Hull) -> Coverage {
     let mut reasons = Vec::new();
-    let mut say = |code, text: String| reasons.push(Reason { code, text });
+    let mut emit = |code, text: String| reasons.push(Reason { code, text });
     let (mut middles, mut directions) = (Vec::new(), Vec::new());
     let mut row = Vec::new();
     for frame in &run.frames {
@@ -77,7 +77,7 @@ pub(crate) fn look(run: &PoleRun, hull: &Hull) -> Coverage {
         middles.iter().fold(Matrix3::zeros(), |s, m| s + (m - mean) * (m - mean).transpose() / count);
     let (least, axis) = weakest(&spread);
     if least.max(0.0).sqrt() < LEAST_WANDER_M {
-        say(
+        emit(
             Code::Coverage,
             format!(
                 "the middle of the pole moved only {:.0} mm along {}; carry it farther that way",
@@ -89,7 +89,7 @@ pub(crate) fn look(run: &PoleRun, hull: &Hull) -> Coverage {
     let turning = directions.iter().fold(Matrix3::zeros(), |s, d| s + d * d.transpose() / count);
     let (least, axis) = weakest(&turning);
     if least < LEAST_DIRECTION {
-        say(
+        emit(
             Code::Excitation,
             format!("the pole was hardly ever held along {}; hold it that way", text_of(&axis)),
         );
@@ -103,14 +103,14 @@ pub(crate) fn look(run: &PoleRun, hull: &Hull) -> Coverage {
         if (*seen as f64) < LEAST_OCTANT * count && least >= LEAST_DIRECTION {
             let axis =
                 Vector3::new(if k & 1 == 1 { -1.0 } else { 1.0 }, if k & 2 == 2 { -1.0 } else { 1.0 }, 1.0);
-            say(Code::Excitation, format!("the pole was never held along {}", text_of(&axis.normalize())));
+            emit(Code::Excitation, format!("the pole was never held along {}", text_of(&axis.normalize())));
         }
     }
     let held = octants.iter().filter(|seen| **seen as f64 >= LEAST_OCTANT * count && **seen > 0).count();
     let (cells, empty) = cells(run, hull);
     if cells < LEAST_COVERED {
         let near = empty.iter().sum::<Vector3<f64>>() / empty.len().max(1) as f64;
-        say(
+        emit(
             Code::Coverage,
             format!(
                 "only {:.0} % of the volume was visited; go near x = {:.1} m, y = {:.1} m, z = {:.1} m",

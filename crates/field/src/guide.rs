@@ -76,7 +76,7 @@ impl Guide {
         &mut self,
         t_s: f64,
         reading: impl Fn(usize) -> Option<PoleReading>,
-        say: &mut impl FnMut(Progress),
+        emit: &mut impl FnMut(Progress),
     ) {
         if self.kept_s.is_some_and(|kept| t_s < kept + KEEP_S) || self.run.frames.len() >= MOST_FRAMES {
             return;
@@ -94,7 +94,7 @@ impl Guide {
         let reported = *self.reported_s.get_or_insert(t_s);
         if t_s >= reported + REPORT_S {
             self.reported_s = Some(t_s);
-            say(self.progress(true));
+            emit(self.progress(true));
         }
     }
 
@@ -158,16 +158,16 @@ mod tests {
     #[test]
     fn given_a_pole_that_stands_still_the_hint_says_what_to_do() {
         let mut guide = Guide::new(["a", "b", "c", "d"].map(String::from).to_vec(), 0.3);
-        let mut said = Vec::new();
+        let mut emitted = Vec::new();
         for k in 0..3000 {
             let reading = |sensor: usize| {
                 let position_m = Vector3::new(1.0, 0.0, 0.3 * sensor as f64 + 0.001 * f64::from(k % 7));
                 Some(PoleReading { position_m, orientation: None })
             };
-            guide.push(f64::from(k) / 100.0, reading, &mut |progress| said.push(progress));
+            guide.push(f64::from(k) / 100.0, reading, &mut |progress| emitted.push(progress));
         }
-        assert!((28..=30).contains(&said.len()), "{}", said.len());
-        let last = said.last().unwrap();
+        assert!((28..=30).contains(&emitted.len()), "{}", emitted.len());
+        let last = emitted.last().unwrap();
         assert!(last.hint.contains("moved only") || last.hint.contains("hardly ever"), "{last:?}");
         assert!(last.residual_m < 1e-6 && last.seconds > 28.0 && last.instants > 500);
         assert!(guide.run().frames.len() >= last.instants);

@@ -1,6 +1,5 @@
 //! A field map: a calibration, as its file holds it.
 
-
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -105,8 +104,7 @@ impl FieldMap {
     /// A phrase that follows the name of the file: it is no field map, is of another version, or its numbers do not fit
     /// together.
     pub fn from_json(text: &[u8]) -> Result<Self, String> {
-        let map: Self =
-            serde_json::from_slice(text).map_err(|error| format!("is no field map: {error}"))?;
+        let map: Self = serde_json::from_slice(text).map_err(|error| format!("is no field map: {error}"))?;
         if map.version != VERSION {
             let found = map.version;
             return Err(format!("is of version {found}; this program reads {VERSION}"));

@@ -181,7 +181,7 @@ impl Channel {
     }
 
     /// Judges a full block; `quiet`: no channel is disturbed, so that this one may learn.
-    fn judge(&mut self, quiet: bool, say: &mut impl FnMut(Warning)) {
+    fn judge(&mut self, quiet: bool, emit: &mut impl FnMut(Warning)) {
         let block = std::mem::take(&mut self.block);
         if block.count < LEAST_READINGS {
             return;
@@ -203,14 +203,14 @@ impl Channel {
         let cause = if self.is_pair() { Cause::RigidPair } else { Cause::ReferenceSensor };
         let deviation_m = self.deviation_m;
         self.alarm.step(offset, sigma_m, BEGIN_SIGMAS, &mut |active| {
-            say(Warning::Disturbed { cause, sensors, deviation_m, active });
+            emit(Warning::Disturbed { cause, sensors, deviation_m, active });
         });
         if !self.is_pair() {
             let spread = (self.baseline.hum_squares / f64::from(BASELINE_BLOCKS - 1)).sqrt();
             let over = Vector3::x() * (hum_m - self.baseline.hum_mean).max(0.0);
             let spread = spread.max(0.5 * self.baseline.hum_mean).max(LEAST_SIGMA_M);
             self.hum.step(over, spread, HUM_SIGMAS, &mut |active| {
-                say(Warning::Disturbed { cause: Cause::Hum, sensors, deviation_m: hum_m, active });
+                emit(Warning::Disturbed { cause: Cause::Hum, sensors, deviation_m: hum_m, active });
             });
         }
         if quiet && !self.alarm.active && !self.hum.active && self.alarm.blocks == 0 {
@@ -221,7 +221,7 @@ impl Channel {
         self.drifted_s = if far { self.drifted_s + BLOCK_S } else { 0.0 };
         if self.drifted_s > DRIFT_S && !self.drifted {
             self.drifted = true;
-            say(Warning::Drifted { sensors, deviation_m: drift_m });
+            emit(Warning::Drifted { sensors, deviation_m: drift_m });
         }
     }
 }
@@ -249,13 +249,13 @@ impl Baseline {
 }
 
 impl Alarm {
-    fn step(&mut self, offset: Vector3<f64>, sigma_m: f64, begin: f64, say: &mut impl FnMut(bool)) {
+    fn step(&mut self, offset: Vector3<f64>, sigma_m: f64, begin: f64, emit: &mut impl FnMut(bool)) {
         let far = offset.norm() / sigma_m;
         if self.active {
             self.blocks = if far < END_SIGMAS { self.blocks + 1 } else { 0 };
             if self.blocks == END_BLOCKS {
                 *self = Self::default();
-                say(false);
+                emit(false);
             }
             return;
         }
@@ -264,7 +264,7 @@ impl Alarm {
         self.last = offset;
         if self.blocks == BEGIN_BLOCKS {
             (self.active, self.blocks) = (true, 0);
-            say(true);
+            emit(true);
         }
     }
 }
@@ -312,12 +312,17 @@ impl Watch {
     ///
     /// A block ends after 0.15 s, or at once where time runs backwards; one with fewer than three readings is left out.
     /// A disturbance takes two blocks in a row beyond 5 standard deviations to begin, and seven below 3 to end.
-    pub fn push(&mut self, t_s: f64, seen: impl Fn(usize) -> WatchedPosition, say: &mut impl FnMut(Warning)) {
+    pub fn push(
+        &mut self,
+        t_s: f64,
+        seen: impl Fn(usize) -> WatchedPosition,
+        emit: &mut impl FnMut(Warning),
+    ) {
         for at in 0..self.channels.len() {
             let quiet = !self.is_disturbed();
             let channel = &mut self.channels[at];
             if channel.block.begun_s.is_some_and(|begun| t_s - begun >= BLOCK_S || t_s < begun) {
-                channel.judge(quiet, say);
+                channel.judge(quiet, emit);
             }
             if let Some(value) = channel.value(&seen) {
                 channel.add(t_s, value, self.mains_hz);

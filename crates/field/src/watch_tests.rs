@@ -15,7 +15,7 @@ struct Bench {
     random: ChaCha8Rng,
     watch: Watch,
     frame: u64,
-    said: Vec<(f64, Warning)>,
+    emitted: Vec<(f64, Warning)>,
 }
 
 impl Bench {
@@ -25,7 +25,7 @@ impl Bench {
             random: ChaCha8Rng::seed_from_u64(5),
             watch: Watch::new(&settings),
             frame: 0,
-            said: Vec::new(),
+            emitted: Vec::new(),
         }
     }
 
@@ -45,8 +45,8 @@ impl Bench {
                 tracked_m: Some(p),
                 sigma_m: 7e-4,
             });
-            let said = &mut self.said;
-            self.watch.push(t, |k| seen[k], &mut |warning| said.push((t, warning)));
+            let emitted = &mut self.emitted;
+            self.watch.push(t, |k| seen[k], &mut |warning| emitted.push((t, warning)));
             self.frame += 1;
         }
     }
@@ -60,12 +60,12 @@ fn still(_: f64) -> Vector3<f64> {
 fn half_an_hour_of_motion_raises_no_alarm_and_a_steel_object_does_within_half_a_second() {
     let mut bench = Bench::new();
     bench.run(1800.0, still, |_| 0.0);
-    assert!(bench.said.is_empty(), "{:?}", bench.said);
+    assert!(bench.emitted.is_empty(), "{:?}", bench.emitted);
     bench.run(3.0, |_| Vector3::new(0.001, -0.002, 0.001), |_| 0.0);
     let (t, Warning::Disturbed { cause: Cause::ReferenceSensor, active: true, deviation_m, .. }) =
-        bench.said[0]
+        bench.emitted[0]
     else {
-        panic!("{:?}", bench.said)
+        panic!("{:?}", bench.emitted)
     };
     assert!(t - 1800.0 < 0.5, "{t}");
     assert!((deviation_m - 6f64.sqrt() * 1e-3).abs() < 5e-4);
@@ -75,7 +75,7 @@ fn half_an_hour_of_motion_raises_no_alarm_and_a_steel_object_does_within_half_a_
     assert!(near > 5e-4 && (far / near - 16.0).abs() < 1e-6);
     bench.run(3.0, still, |_| 0.0);
     assert!(!bench.watch.is_disturbed() && bench.watch.doubt_m2(1.0) == 0.0);
-    assert_eq!(bench.said.len(), 2);
+    assert_eq!(bench.emitted.len(), 2);
 }
 
 #[test]
@@ -84,9 +84,9 @@ fn a_pair_that_comes_apart_is_a_disturbance() {
     bench.run(30.0, still, |_| 0.0);
     bench.run(2.0, still, |_| 0.006);
     let (t, Warning::Disturbed { cause: Cause::RigidPair, sensors: [1, 2], active: true, .. }) =
-        bench.said[0]
+        bench.emitted[0]
     else {
-        panic!("{:?}", bench.said)
+        panic!("{:?}", bench.emitted)
     };
     assert!(t - 30.0 < 0.5, "{t}");
 }
@@ -98,10 +98,10 @@ fn mains_hum_on_a_sensor_at_rest_is_heard() {
     // 50 Hz at 100 Hz: every other reading is wrong by as much to the other side.
     bench.run(2.0, |t| Vector3::y() * 0.004 * (std::f64::consts::TAU * 50.0 * t + 1.0).cos(), |_| 0.0);
     let hum = bench
-        .said
+        .emitted
         .iter()
         .find(|(_, w)| matches!(w, Warning::Disturbed { cause: Cause::Hum, active: true, .. }));
-    assert!(hum.is_some_and(|(t, _)| t - 20.0 < 0.5), "{:?}", bench.said);
+    assert!(hum.is_some_and(|(t, _)| t - 20.0 < 0.5), "{:?}", bench.emitted);
 }
 
 #[test]
@@ -109,7 +109,11 @@ fn a_slow_drift_is_no_disturbance_but_asks_for_a_new_calibration() {
     let mut bench = Bench::new();
     bench.run(60.0, still, |_| 0.0);
     bench.run(900.0, |t| Vector3::z() * (6e-6 * (t - 60.0)), |_| 0.0);
-    assert!(matches!(bench.said[..], [(_, Warning::Drifted { sensors: [0, 0], .. })]), "{:?}", bench.said);
+    assert!(
+        matches!(bench.emitted[..], [(_, Warning::Drifted { sensors: [0, 0], .. })]),
+        "{:?}",
+        bench.emitted
+    );
 }
 
 #[test]

@@ -166,16 +166,16 @@ fn event(session: &Session, key: String) -> zenoh::Result<Publisher<'static>> {
 fn follow(
     publisher: &Publisher<'static>,
     feed: &Feed,
-    tell: impl Fn(&Feed, bool) + Send + Sync + 'static,
+    report: impl Fn(&Feed, bool) + Send + Sync + 'static,
 ) -> zenoh::Result<()> {
-    let tell = Arc::new(tell);
-    let (listening, reported) = (feed.clone(), Arc::clone(&tell));
+    let report = Arc::new(report);
+    let (listening, reported) = (feed.clone(), Arc::clone(&report));
     publisher
         .matching_listener()
         .callback(move |status| reported(&listening, status.matching()))
         .background()
         .wait()?;
-    tell(feed, publisher.matching_status().wait()?.matching());
+    report(feed, publisher.matching_status().wait()?.matching());
     Ok(())
 }
 

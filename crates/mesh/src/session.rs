@@ -118,9 +118,9 @@ mod tests {
             ..Zenoh::default()
         };
         let config = config(&settings).unwrap();
-        let said = config.to_string();
+        let emitted = config.to_string();
         for part in ["hub.local:7447", "\"lease\":2000", "\"/etc/posed/users\"", "\"mode\":\"peer\""] {
-            assert!(said.contains(part), "{part} in {said}");
+            assert!(emitted.contains(part), "{part} in {emitted}");
         }
     }
 }

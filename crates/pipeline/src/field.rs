@@ -105,7 +105,7 @@ impl Field {
         request: &Request,
         t: Timestamp,
         names: impl Iterator<Item = &'a str> + Clone,
-        say: &mut impl FnMut(Output<'_>),
+        emit: &mut impl FnMut(Output<'_>),
     ) -> bool {
         match request {
             Request::FieldStart { sensors, spacing_m } => {
@@ -117,16 +117,16 @@ impl Field {
                     return false;
                 }
                 let mut guide = Guide::new(sensors.clone(), *spacing_m);
-                tell(t, FieldNews::Progress(guide.progress(true)), say);
+                report(t, FieldNews::Progress(guide.progress(true)), emit);
                 self.collecting = Some(Collecting { sensors: indices, guide });
             }
             Request::FieldFinish {} => {
                 let mut collected = self.collecting.take();
                 if let Some(Collecting { guide, .. }) = &mut collected {
-                    tell(t, FieldNews::Progress(guide.progress(false)), say);
+                    report(t, FieldNews::Progress(guide.progress(false)), emit);
                 }
                 let nothing = PoleRun { sensors: Vec::new(), spacing_m: 0.0, frames: Vec::new() };
-                say(Output::PoleRun(collected.as_ref().map_or(&nothing, |collected| collected.guide.run())));
+                emit(Output::PoleRun(collected.as_ref().map_or(&nothing, |collected| collected.guide.run())));
             }
             Request::ExerciseSelect { .. } | Request::ExerciseReset { .. } => return false,
         }
@@ -139,14 +139,14 @@ impl Field {
         estimate: &Estimate,
         sensors: &[Sensor],
         room: &Isometry3<f64>,
-        say: &mut impl FnMut(Output<'_>),
+        emit: &mut impl FnMut(Output<'_>),
     ) {
         let t = estimate.t_valid;
         let Self { watch, collecting, .. } = self;
         if let Some(watch) = watch {
             let seen = |index: usize| seen(index, estimate, sensors, room);
             watch.push(t.as_secs_f64(), seen, &mut |warning: Warning| {
-                tell(t, FieldNews::Warning(warning), say);
+                report(t, FieldNews::Warning(warning), emit);
             });
         }
         let disturbed = watch.as_ref().is_some_and(Watch::is_disturbed);
@@ -155,15 +155,15 @@ impl Field {
         {
             let reading = |slot: usize| sensors.get(along[slot])?.pole_reading(t);
             guide.push(t.as_secs_f64(), reading, &mut |progress| {
-                tell(t, FieldNews::Progress(progress), say);
+                report(t, FieldNews::Progress(progress), emit);
             });
         }
     }
 }
 
-fn tell(t: Timestamp, news: FieldNews, say: &mut impl FnMut(Output<'_>)) {
+fn report(t: Timestamp, news: FieldNews, emit: &mut impl FnMut(Output<'_>)) {
     let what = OutcomeKind::Field(news);
-    say(Output::Outcome(&Outcome { t_valid: t, t_decided: t, what }));
+    emit(Output::Outcome(&Outcome { t_valid: t, t_decided: t, what }));
 }
 
 /// Where the watch sees a sensor: in the transmitter frame, where the map is.

@@ -128,10 +128,10 @@ impl Keyframes {
     }
 
     /// Reports what became known with the frame.
-    pub(super) fn outcomes(&mut self, estimate: &Estimate, say: &mut impl FnMut(Output<'_>)) {
+    pub(super) fn outcomes(&mut self, estimate: &Estimate, emit: &mut impl FnMut(Output<'_>)) {
         for (t_valid, event) in self.events.drain(..) {
             let what = OutcomeKind::KeyPose(event);
-            say(Output::Outcome(&Outcome { t_valid, t_decided: estimate.t_valid, what }));
+            emit(Output::Outcome(&Outcome { t_valid, t_decided: estimate.t_valid, what }));
         }
     }
 }

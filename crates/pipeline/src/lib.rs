@@ -221,32 +221,32 @@ impl Pipeline {
     ///
     /// Its time is the latest that an entry had: one that is earlier does not set it back. Of bytes and lines of a device that
     /// the stage does not have, only the time is taken. Nothing can fail: what is wrong is counted ([`Self::status`]).
-    pub fn push(&mut self, entry: &Entry, say: &mut impl FnMut(Output<'_>)) {
+    pub fn push(&mut self, entry: &Entry, emit: &mut impl FnMut(Output<'_>)) {
         self.now = self.now.max(entry.t);
         let now = self.now;
         match &entry.input {
             Input::Bytes { device, bytes } => {
                 if let Some(owner) = self.devices.get_mut(usize::from(*device)) {
                     owner.session.get_mut().handle_bytes(now, bytes);
-                    self.drain(*device, say);
+                    self.drain(*device, emit);
                 }
             }
-            Input::Line { device, event } => self.line(*device, event, say),
+            Input::Line { device, event } => self.line(*device, event, emit),
             Input::Timer => {
                 for device in 0..self.devices.len() {
                     let session = self.devices[device].session.get_mut();
                     if session.poll_timeout().is_some_and(|timeout| timeout <= now) {
                         session.handle_timeout(now);
                     }
-                    self.drain(device as DeviceIndex, say);
+                    self.drain(device as DeviceIndex, emit);
                 }
             }
-            Input::Model(model) => self.swap(model, say),
-            Input::Request(request) => self.request(request, say),
-            Input::SegmentationNetwork(bytes) => self.name_with(bytes, say),
-            Input::Truth(truth) => say(Output::Truth(truth)),
+            Input::Model(model) => self.swap(model, emit),
+            Input::Request(request) => self.request(request, emit),
+            Input::SegmentationNetwork(bytes) => self.name_with(bytes, emit),
+            Input::Truth(truth) => emit(Output::Truth(truth)),
         }
-        self.close_frames(say);
+        self.close_frames(emit);
     }
 
     /// Host time at which to push [`Input::Timer`] if nothing else comes before, possibly past already; `None`: nothing is due.
@@ -304,27 +304,27 @@ impl Pipeline {
         }
     }
 
-    fn line(&mut self, device: DeviceIndex, event: &LineEvent, say: &mut impl FnMut(Output<'_>)) {
+    fn line(&mut self, device: DeviceIndex, event: &LineEvent, emit: &mut impl FnMut(Output<'_>)) {
         let now = self.now;
         let Some(owner) = self.devices.get_mut(usize::from(device)) else { return };
         if matches!(event, LineEvent::Opened { modem_lines: true }) {
             self.sources[owner.source_range()].iter_mut().for_each(Source::know_wire);
         }
         owner.session.get_mut().handle_line(now, event);
-        self.drain(device, say);
+        self.drain(device, emit);
     }
 
     /// All that a session has to say.
-    fn drain(&mut self, device: DeviceIndex, say: &mut impl FnMut(Output<'_>)) {
+    fn drain(&mut self, device: DeviceIndex, emit: &mut impl FnMut(Output<'_>)) {
         let index = usize::from(device);
         while let Some(output) = self.devices[index].session.get_mut().poll_output() {
             match output {
-                SessionOutput::Transmit(bytes) => say(Output::Transmit { device, bytes: &bytes }),
-                SessionOutput::SetRts(asserted) => say(Output::SetRts { device, asserted }),
-                SessionOutput::Warning(text) => say(Output::Warning { device, text: &text }),
+                SessionOutput::Transmit(bytes) => emit(Output::Transmit { device, bytes: &bytes }),
+                SessionOutput::SetRts(asserted) => emit(Output::SetRts { device, asserted }),
+                SessionOutput::Warning(text) => emit(Output::Warning { device, text: &text }),
                 SessionOutput::StateChanged => {
                     self.state_changed(device);
-                    say(Output::Device { device, state: self.devices[index].session.get().state() });
+                    emit(Output::Device { device, state: self.devices[index].session.get().state() });
                 }
                 SessionOutput::Sample(sample) => self.sample(device, &sample),
             }
@@ -381,7 +381,7 @@ impl Pipeline {
         }
     }
 
-    fn close_frames(&mut self, say: &mut impl FnMut(Output<'_>)) {
+    fn close_frames(&mut self, emit: &mut impl FnMut(Output<'_>)) {
         let Self {
             frames,
             sensors,
@@ -405,12 +405,12 @@ impl Pipeline {
             if let Some(body) = body
                 && let Some(body) = body.frame(frame, estimate)
             {
-                say(Output::Body(body));
+                emit(Output::Body(body));
             }
             if let Some(chain) = chain
                 && let Some(body) = chain.frame(frame)
             {
-                say(Output::Body(body));
+                emit(Output::Body(body));
             }
             // Never both: a stage has one skeleton.
             let segments = body.as_ref().and_then(|body| body.latest());
@@ -418,27 +418,27 @@ impl Pipeline {
             if let Some(keyframes) = keyframes {
                 keyframes.frame(estimate);
             }
-            say(Output::Estimate(estimate));
+            emit(Output::Estimate(estimate));
             if let Some(naming) = naming {
-                naming.push(estimate, segments, say);
+                naming.push(estimate, segments, emit);
             }
             for (index, sensor) in sensors.iter_mut().enumerate() {
-                sensor.outcomes(index as SensorIndex, frame, say);
+                sensor.outcomes(index as SensorIndex, frame, emit);
             }
-            field.frame(estimate, sensors, room_transmitter, say);
+            field.frame(estimate, sensors, room_transmitter, emit);
             if let Some(keyframes) = keyframes {
-                keyframes.outcomes(estimate, say);
+                keyframes.outcomes(estimate, emit);
             }
-            exercise.frame(estimate, body, &mut |outcome| say(Output::Outcome(outcome)));
+            exercise.frame(estimate, body, &mut |outcome| emit(Output::Outcome(outcome)));
         }
     }
 
-    fn name_with(&mut self, bytes: &[u8], say: &mut impl FnMut(Output<'_>)) {
+    fn name_with(&mut self, bytes: &[u8], emit: &mut impl FnMut(Output<'_>)) {
         let segments = self.body.is_some();
         match Naming::new(bytes, self.sensors.iter().map(Sensor::name), segments) {
             Ok(mut naming) => {
                 if let Some(before) = &mut self.naming {
-                    naming.follow(before, self.estimate.t_valid, say);
+                    naming.follow(before, self.estimate.t_valid, emit);
                 }
                 self.naming = Some(Box::new(naming));
                 self.models.insert_network(bytes);
@@ -448,7 +448,7 @@ impl Pipeline {
         }
     }
 
-    fn swap(&mut self, model: &Model, say: &mut impl FnMut(Output<'_>)) {
+    fn swap(&mut self, model: &Model, emit: &mut impl FnMut(Output<'_>)) {
         let accepted = model.check().is_ok() && self.apply(model);
         if !accepted {
             self.models_refused += 1;
@@ -457,13 +457,13 @@ impl Pipeline {
         self.models.insert(model);
         // Nothing is measured by a swap; it speaks of the frame before it.
         let t = self.estimate.t_valid;
-        say(Output::Outcome(&Outcome {
+        emit(Output::Outcome(&Outcome {
             t_valid: t,
             t_decided: t,
             what: OutcomeKind::ModelSwapped(model.clone()),
         }));
         if let Model::Exercise { .. } = model {
-            self.exercise.loaded(&self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
+            self.exercise.loaded(&self.estimate, &mut |outcome| emit(Output::Outcome(outcome)));
         }
     }
 
@@ -476,12 +476,12 @@ impl Pipeline {
         self.exercise.check(request)
     }
 
-    fn request(&mut self, request: &Request, say: &mut impl FnMut(Output<'_>)) {
+    fn request(&mut self, request: &Request, emit: &mut impl FnMut(Output<'_>)) {
         // It speaks of the frame before it.
         let t = self.estimate.t_valid;
-        let field = self.field.request(request, t, self.sensors.iter().map(Sensor::name), say);
+        let field = self.field.request(request, t, self.sensors.iter().map(Sensor::name), emit);
         let done = field
-            || self.exercise.request(request, &self.estimate, &mut |outcome| say(Output::Outcome(outcome)));
+            || self.exercise.request(request, &self.estimate, &mut |outcome| emit(Output::Outcome(outcome)));
         self.requests_refused += u64::from(!done);
     }
 

@@ -81,11 +81,11 @@ impl Naming {
     }
 
     /// Takes the place of another model, whose open segments nobody will decide on.
-    pub(super) fn follow(&mut self, before: &mut Self, t: Timestamp, say: &mut impl FnMut(Output<'_>)) {
+    pub(super) fn follow(&mut self, before: &mut Self, t: Timestamp, emit: &mut impl FnMut(Output<'_>)) {
         let Self { model, open, segments, last, .. } = before;
         self.segments = *segments;
         let gone = std::mem::take(open);
-        let mut events = Events { model, open, segments, last, t_decided: t, say };
+        let mut events = Events { model, open, segments, last, t_decided: t, emit };
         gone.into_iter().for_each(|open| events.withdraw(open));
     }
 
@@ -94,7 +94,7 @@ impl Naming {
         &mut self,
         estimate: &Estimate,
         body: Option<&Body>,
-        say: &mut impl FnMut(Output<'_>),
+        emit: &mut impl FnMut(Output<'_>),
     ) {
         for (position, joint) in self.positions.iter_mut().zip(&self.joints) {
             let sensor = joint.sensor.and_then(|sensor| estimate.sensors.get(usize::from(sensor)));
@@ -103,9 +103,9 @@ impl Naming {
             *position = segment.or_else(|| pose?.position_m);
         }
         let Self { model, labeller, positions, open, segments, last, .. } = self;
-        let mut events = Events { model, open, segments, last, t_decided: estimate.t_valid, say };
+        let mut events = Events { model, open, segments, last, t_decided: estimate.t_valid, emit };
         labeller.push(model, estimate.t_valid.as_secs_f64(), positions, &mut |tick| events.take(tick));
-        say(Output::Named);
+        emit(Output::Named);
     }
 }
 
@@ -116,7 +116,7 @@ struct Events<'a, F> {
     segments: &'a mut u64,
     last: &'a mut [Option<(u16, f64)>; 2],
     t_decided: Timestamp,
-    say: &'a mut F,
+    emit: &'a mut F,
 }
 
 impl<F: FnMut(Output<'_>)> Events<'_, F> {
@@ -184,6 +184,6 @@ impl<F: FnMut(Output<'_>)> Events<'_, F> {
         let what =
             OutcomeKind::MotionSegment(output::MotionSegment { event, segment, label, confidence, delay_s });
         let t_valid = Timestamp::from_secs_f64(start_s);
-        (self.say)(Output::Outcome(&Outcome { t_valid, t_decided: self.t_decided, what }));
+        (self.emit)(Output::Outcome(&Outcome { t_valid, t_decided: self.t_decided, what }));
     }
 }

@@ -257,7 +257,7 @@ impl Sensor {
     }
 
     /// Reports which fault began or ended with this frame.
-    pub(super) fn outcomes(&mut self, sensor: SensorIndex, frame: &Frame, say: &mut impl FnMut(Output<'_>)) {
+    pub(super) fn outcomes(&mut self, sensor: SensorIndex, frame: &Frame, emit: &mut impl FnMut(Output<'_>)) {
         if self.fault == self.published {
             return;
         }
@@ -265,7 +265,7 @@ impl Sensor {
         for (cause, active) in [(self.published, false), (self.fault, true)] {
             if let Some(cause) = cause {
                 let what = OutcomeKind::Fault { sensor, cause, active };
-                say(Output::Outcome(&Outcome { t_valid: t, t_decided: t, what }));
+                emit(Output::Outcome(&Outcome { t_valid: t, t_decided: t, what }));
             }
         }
         self.published = self.fault;

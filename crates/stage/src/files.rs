@@ -22,8 +22,8 @@ pub fn read_field_map(path: &Path) -> Result<FieldMap, String> {
 /// # Errors
 /// One sentence with the path: it cannot be read, or [`Intrinsics::from_json`] refuses it.
 pub fn read_intrinsics(path: &Path) -> Result<Intrinsics, String> {
-    let mut found = Intrinsics::from_json(&contents(path)?)
-        .map_err(|reason| format!("{}: {reason}", path.display()))?;
+    let mut found =
+        Intrinsics::from_json(&contents(path)?).map_err(|reason| format!("{}: {reason}", path.display()))?;
     if found.unit.is_none() {
         found.unit = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
     }

@@ -191,27 +191,27 @@ impl Device for Pretended {
             if now < one.next {
                 continue;
             }
-            let mut say = |number: u64, kind: u32, body: &[u8]| {
+            let mut emit = |number: u64, kind: u32, body: &[u8]| {
                 let data = wire::encode(number, kind, body);
                 self.out.push_back(Datagram { peer: one.peer, data: &data }.encode());
             };
             if !one.connected {
                 one.next = now + Duration::from_secs(1);
-                say(0, 3, &wire::handshake_body(one.mac, one.protocol, "0.6.0"));
+                emit(0, 3, &wire::handshake_body(one.mac, one.protocol, "0.6.0"));
                 continue;
             }
             one.next = now + Duration::from_millis(10);
             let mut number = one.number;
             if !one.acknowledged {
                 number += 1;
-                say(number, 15, &[0, 1, 4, 0, 3, 1, 7, 0]);
+                emit(number, 15, &[0, 1, 4, 0, 3, 1, 7, 0]);
             }
             if !one.bundles {
                 number += 1;
-                say(number, 22, &[6]);
+                emit(number, 22, &[6]);
             }
             number += 1;
-            say(number, 23, &wire::motion_body(0, [0.5, -0.5, 0.5, 0.5], [1.0, -2.5, 0.5]));
+            emit(number, 23, &wire::motion_body(0, [0.5, -0.5, 0.5, 0.5], [1.0, -2.5, 0.5]));
             one.number = number;
         }
         self.out.pop_front()

@@ -130,7 +130,7 @@ fn a_phase_cut_begins_in_the_middle_of_a_record() {
 #[test]
 fn a_stalled_unit_answers_later() {
     let mut host = run(vec![Fault::Stall { at_s: 3.0, duration_s: 2.0 }], 3.5);
-    host.tell(b"?O\x01");
+    host.report(b"?O\x01");
     host.wait_until(seconds(4.999));
     assert_eq!(bytes_between(&host, 3.01, 5.0), b"");
     host.wait_until(seconds(5.2));
@@ -159,7 +159,7 @@ fn a_dead_bird_is_missing_until_it_returns() {
     host.ask(b"?", 50.0);
     assert_eq!(host.ask(b"O\x10", 50.0), [13, 2]);
     assert_eq!(host.ask(b"O\x24", 100.0)[..2], [0xE1, 0]);
-    host.tell(b"@");
+    host.report(b"@");
     host.truth.clear();
     host.wait_until(seconds(4.7));
     assert!(addresses(&host, 4.02, 4.7).contains(&2));

@@ -60,7 +60,7 @@ fn a_pair_answers_as_recorded() {
     let start = host.now;
     host.ask(b"P\x32\x02", 50.0);
     host.chunks.clear();
-    host.tell(b"O\x16");
+    host.report(b"O\x16");
     host.wait_ms(400.0);
     assert_eq!(host.read(), [0, 0]);
     let answered_ms = host.chunks[0].0.seconds_since(start) * 1e3;
@@ -199,7 +199,7 @@ fn the_start_up_sequences_in_use_lead_to_a_stream() {
 fn a_slow_line_skips_whole_frames() {
     let mut host = pair(19200);
     host.stream_group(2, b'Y');
-    host.tell(b"\xF1M\x01\xF2M\x01");
+    host.report(b"\xF1M\x01\xF2M\x01");
     host.wait_ms(100.0);
     let bytes = host.ask(b"", 1000.0);
     // 2 x 14 bytes take 14.6 ms, a cycle 9.7 ms: every second cycle.
@@ -250,7 +250,7 @@ fn errors_are_noted_and_read_once() {
 fn stand_alone_streams_every_cycle_and_stops_with_one_more_record() {
     let mut host = alone(19200);
     host.ask(b"Y", 20.0);
-    host.tell(b"@");
+    host.report(b"@");
     let bytes = host.ask(b"", 1000.0);
     assert!((12 * 103..=12 * 104).contains(&bytes.len()), "{}", bytes.len());
     host.wait_until(Timestamp::from_secs_f64(4.0));
@@ -268,7 +268,7 @@ fn report_rates_sleep_and_flow_control() {
     host.ask(b"T", 400.0);
     assert!((3..=4).contains(&count(host.ask(b"", 1000.0))));
     host.ask(b"Q", 400.0);
-    host.tell(b"\x13");
+    host.report(b"\x13");
     host.wait_ms(20.0);
     assert_eq!(host.ask(b"O\x01", 100.0), b"");
     let bytes = host.ask(b"\x11", 15.0);
@@ -368,7 +368,7 @@ fn capture_times_precede_the_first_bit_by_the_stated_delay_and_drift_with_the_cl
     let device =
         DeviceScenario { drift_ppm: 50.0, rate_hz: 100.0, fifo_bytes: 1, ..DeviceScenario::default() };
     let mut host = Host::new(&[0], 115_200, device);
-    host.tell(b"Y@");
+    host.report(b"Y@");
     host.wait_until(Timestamp::from_secs_f64(20.0));
     let truth: Vec<Timestamp> = host.truth.iter().map(|cycle| cycle.t).collect();
     let period_s = truth[1900].seconds_since(truth[900]) / 1000.0;

@@ -134,7 +134,7 @@ impl SlimeVr {
     }
 
     /// A datagram of a tracker that is no record.
-    fn say(&self, chassis: &mut Chassis, t: Timestamp, k: usize, packet: &[u8]) {
+    fn emit(&self, chassis: &mut Chassis, t: Timestamp, k: usize, packet: &[u8]) {
         let wire = chassis.transmitter.answer(t, packet);
         chassis.emit(DeviceOutput::SendFrom(self.trackers[k].peer, wire));
     }
@@ -246,7 +246,7 @@ impl SlimeVr {
         } else {
             packets.push(wire::encode(0, 3, &wire::handshake_body(tracker.mac, PROTOCOL, "0.6.0")));
         }
-        packets.iter().for_each(|packet| self.say(chassis, t, k, packet));
+        packets.iter().for_each(|packet| self.emit(chassis, t, k, packet));
     }
 
     /// A datagram of the server.
@@ -274,10 +274,10 @@ impl SlimeVr {
         match data {
             [0, 0, 0, 1, ..] => {
                 let packet = tracker.packet(0, &[]);
-                self.say(chassis, t, k, &packet);
+                self.emit(chassis, t, k, &packet);
             }
             // A ping goes back as it came.
-            [0, 0, 0, 10, ..] => self.say(chassis, t, k, data),
+            [0, 0, 0, 10, ..] => self.emit(chassis, t, k, data),
             [0, 0, 0, 15, sensor, 1] => {
                 if let Some(s) = tracker.sensors.iter().position(|(number, _)| number == sensor) {
                     tracker.acknowledged[s] = true;
@@ -287,7 +287,7 @@ impl SlimeVr {
             // Set a configuration flag: taken note of.
             [0, 0, 0, 25, _, _, _, _, _, _, _, _, sensor, high, low, _] => {
                 let packet = tracker.packet(24, &[*sensor, *high, *low]);
-                self.say(chassis, t, k, &packet);
+                self.emit(chassis, t, k, &packet);
             }
             _ => {}
         }
@@ -329,7 +329,7 @@ impl Unit for SlimeVr {
             // Remote command and sensor configuration are what this firmware can.
             let packet = tracker.packet(22, &[6]);
             if !is_quiet {
-                self.say(chassis, t, k, &packet);
+                self.emit(chassis, t, k, &packet);
             }
         } else {
             tracker.next_battery = t + BATTERY;
@@ -338,7 +338,7 @@ impl Unit for SlimeVr {
                 [volts, tracker.level].iter().flat_map(|v| (*v as f32).to_be_bytes()).collect();
             let packet = tracker.packet(12, &body);
             if !is_quiet {
-                self.say(chassis, t, k, &packet);
+                self.emit(chassis, t, k, &packet);
             }
         }
     }
@@ -355,7 +355,7 @@ impl Unit for SlimeVr {
             (Fault::Error { address, code, .. }, Some(k)) => {
                 let packet = self.trackers[k].packet(14, &[(address >> 8) as u8, *code]);
                 if !self.is_quiet(chassis, k, t) {
-                    self.say(chassis, t, k, &packet);
+                    self.emit(chassis, t, k, &packet);
                 }
             }
             (Fault::LowBattery { .. }, Some(k)) => {

@@ -33,7 +33,7 @@ impl Xbus {
             (message::GOTO_CONFIG, _) => {
                 // Data that is still leaving arrives before the answer.
                 self.state = State::Config;
-                self.say(t, bid, mid + 1, &[]);
+                self.emit(t, bid, mid + 1, &[]);
             }
             (message::RESET, _) => {
                 self.answers.clear();
@@ -73,7 +73,7 @@ impl Xbus {
                 } else if self.message_len() > MAX_DATA {
                     Err(0x1A)
                 } else {
-                    self.say(t, bid, mid + 1, &[]);
+                    self.emit(t, bid, mid + 1, &[]);
                     self.measure(chassis, t);
                     return;
                 }
@@ -92,7 +92,7 @@ impl Xbus {
                     .iter()
                     .flat_map(|&k| self.trackers[k].device_id.to_be_bytes())
                     .collect::<Vec<_>>();
-                self.say(t + SCAN, bid, mid + 1, &ids);
+                self.emit(t + SCAN, bid, mid + 1, &ids);
                 return;
             }
             // Bus power.
@@ -160,8 +160,8 @@ impl Xbus {
             _ => Err(UNKNOWN),
         };
         match answer {
-            Ok(data) => self.say(t, bid, mid + 1, &data),
-            Err(code) => self.say(t, MASTER, message::ERROR, &[code]),
+            Ok(data) => self.emit(t, bid, mid + 1, &data),
+            Err(code) => self.emit(t, MASTER, message::ERROR, &[code]),
         }
     }
 

@@ -147,7 +147,7 @@ impl Xbus {
         }
     }
 
-    fn say(&mut self, t: Timestamp, bid: u8, mid: u8, data: &[u8]) {
+    fn emit(&mut self, t: Timestamp, bid: u8, mid: u8, data: &[u8]) {
         self.answers.push_back((t + ANSWER, Frame { bid, mid, data }.encode()));
     }
 

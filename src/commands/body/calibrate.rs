@@ -71,7 +71,7 @@ pub(super) fn run(args: &Calibrate) -> Result<(), Error> {
                         return outcome(args, job);
                     }
                     if let Some(sentence) = job.message.filter(|sentence| *sentence != reported) {
-                        say(args, &sentence)?;
+                        emit(args, &sentence)?;
                         reported = sentence;
                     }
                 }
@@ -82,7 +82,7 @@ pub(super) fn run(args: &Calibrate) -> Result<(), Error> {
 }
 
 /// A prompt; beside JSON, where only people look.
-fn say(args: &Calibrate, sentence: &str) -> Result<(), Error> {
+fn emit(args: &Calibrate, sentence: &str) -> Result<(), Error> {
     if args.json {
         tracing::info!("{sentence}");
         return Ok(());

@@ -2,11 +2,11 @@
 
 use posed_fusion::ahrs::ImuSample;
 use posed_fusion::body::assign;
-use posed_fusion::body::{Block, BlockKind, Recorded, calibrate};
 use posed_fusion::body::{
     ANGLE_NAMES, BodyEstimate, BodyFilter, BodyParams, BodySegment, Heading, SEGMENTS, SensorMount, Skeleton,
     of_joint,
 };
+use posed_fusion::body::{Block, BlockKind, Recorded, calibrate};
 use posed_fusion::faults::Cause;
 use posed_geometry::orientation_to_wxyz;
 use posed_recording::animation::{self, Animation};
@@ -135,10 +135,10 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
             Heading::Field | Heading::Unknown => 0.0,
         },
     };
-    tell(args, &summary)
+    notify(args, &summary)
 }
 
-fn tell(args: &Solve, summary: &Summary) -> Result<(), Error> {
+fn notify(args: &Solve, summary: &Summary) -> Result<(), Error> {
     if args.json {
         return print_json(summary);
     }

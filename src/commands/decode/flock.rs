@@ -26,7 +26,7 @@ pub(super) fn run(file: &Path, options: Options, target: Target<'_>) -> Result<(
         target.write(|file| csv(records, file), |file| json_lines(records, file))?;
     }
     let summary = Summary::of(&decoded);
-    target.tell(&summary, &summary.sentence())
+    target.notify(&summary, &summary.sentence())
 }
 
 fn csv(records: &[CapturedRecord], file: &mut dyn Write) -> io::Result<()> {

@@ -16,7 +16,7 @@ use posed_recording::{Header, Machine, WriteError, Writer};
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input};
 
-use super::super::{Error, output, tell};
+use super::super::{Error, notify, output};
 
 /// A unit's own rate at power-up, Hz; for captures without times.
 const RATE_HZ: f64 = 103.3;
@@ -57,7 +57,7 @@ pub(super) fn write(
              stream; the recording holds its bytes, and -o FILE.csv all records"
         );
     }
-    tell(&format!("time 0 of the recording is {origin}"));
+    notify(&format!("time 0 of the recording is {origin}"));
     Ok(())
 }
 

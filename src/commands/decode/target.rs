@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::super::{Error, output, print, print_json, tell};
+use super::super::{Error, notify, output, print, print_json};
 
 /// Where records and their summary go.
 #[derive(Clone, Copy)]
@@ -49,11 +49,11 @@ impl<'a> Target<'a> {
     }
 
     /// Reports what there was, as was asked for.
-    pub(super) fn tell(&self, summary: &impl Serialize, sentence: &str) -> Result<(), Error> {
+    pub(super) fn notify(&self, summary: &impl Serialize, sentence: &str) -> Result<(), Error> {
         if self.json {
             return print_json(summary);
         }
-        tell(sentence);
+        notify(sentence);
         Ok(())
     }
 }

@@ -44,7 +44,7 @@ pub(super) fn run(file: &Path, target: Target<'_>) -> Result<(), Error> {
     }
     target.write(|file| csv(&records, file), |file| lines_of(&records, file))?;
     let Summary { records, rejected, bytes_skipped } = summary;
-    target.tell(&summary, &format!("{records} records, {rejected} rejected, {bytes_skipped} bytes skipped"))
+    target.notify(&summary, &format!("{records} records, {rejected} rejected, {bytes_skipped} bytes skipped"))
 }
 
 fn decode(bytes: &[u8]) -> (Vec<Record>, Summary) {

@@ -28,7 +28,7 @@ pub(super) fn run(file: &Path, target: Target<'_>) -> Result<(), Error> {
         "{} records, {} bytes skipped, {} bad checksums, {} packets lost",
         summary.records, summary.bytes_skipped, summary.bad_checksums, summary.packets_lost
     );
-    target.tell(&summary, &sentence)
+    target.notify(&summary, &sentence)
 }
 
 /// One row per tracker and data message.

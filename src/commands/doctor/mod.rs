@@ -148,7 +148,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     if let Some(path) = &args.write_stage {
         let text = stage::text(&report.ports)?;
         output::create(path, |file| file.write_all(text.as_bytes()))?;
-        super::tell(&format!("wrote {}; next: posed run {0}", path.display()));
+        super::notify(&format!("wrote {}; next: posed run {0}", path.display()));
     }
     Ok(())
 }

@@ -8,7 +8,7 @@ use posed_geometry::{orientation_from_wxyz, orientation_to_wxyz};
 use posed_recording::is_recording;
 use posed_recording::table::{Poses, TableError, TableWriter};
 
-use super::{Error, collect, print_json, read_map, tell};
+use super::{Error, collect, notify, print_json, read_map};
 
 /// A map, and the poses to correct.
 #[derive(clap::Args)]
@@ -39,7 +39,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     if args.json {
         return print_json(&summary);
     }
-    tell(&format!("{} rows, {} outside of what was calibrated", summary.rows, summary.extrapolated));
+    notify(&format!("{} rows, {} outside of what was calibrated", summary.rows, summary.extrapolated));
     Ok(())
 }
 

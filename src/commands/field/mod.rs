@@ -12,7 +12,7 @@ use std::path::Path;
 
 use posed_field::FieldMap;
 
-use super::{Error, output, print, print_json, tell};
+use super::{Error, notify, output, print, print_json};
 
 /// What to do with a field.
 #[derive(clap::Args)]

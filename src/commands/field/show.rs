@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use posed_field::svg;
 
-use super::{Error, output, read_map, tell};
+use super::{Error, notify, output, read_map};
 
 /// A map, and where to draw it.
 #[derive(clap::Args)]
@@ -23,6 +23,6 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     }
     let map = read_map(&args.field)?;
     output::replace(&args.output, |file| file.write_all(svg(&map).as_bytes()))?;
-    tell(&format!("wrote {}", args.output.display()));
+    notify(&format!("wrote {}", args.output.display()));
     Ok(())
 }

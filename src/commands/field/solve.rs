@@ -10,7 +10,7 @@ use posed_recording::is_recording;
 use posed_recording::table::{Poses, TableReader, TableWriter};
 use posed_stage::Stage;
 
-use super::{Error, collect, limbs, output, print, print_json, tell};
+use super::{Error, collect, limbs, notify, output, print, print_json};
 
 /// A recording of the pole, and what is known of it.
 #[derive(clap::Args)]
@@ -103,7 +103,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     } else {
         print(&sentences(report))?;
         if report.accepted {
-            tell(&format!("wrote {}", args.output.display()));
+            notify(&format!("wrote {}", args.output.display()));
         }
     }
     if report.accepted { Ok(()) } else { Err(Error::Reported) }

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use posed_motion::segments::label;
 use posed_motion::segments::Measures;
+use posed_motion::segments::label;
 
 use crate::pictures::segments as picture;
 use posed_recording::table::read_labelled_folder;

@@ -3,7 +3,7 @@
 use posed_motion::segments::Model;
 use posed_recording::table::{SequenceOptions, Sequences, Unit, Up};
 
-use super::super::{Error, tell};
+use super::super::{Error, notify};
 
 /// How to read sequences.
 #[derive(clap::Args)]
@@ -33,7 +33,7 @@ pub(super) fn fits(name: &str, file: &Sequences, model: &Model) -> Result<(), Er
     let missing: Vec<&str> =
         preparation.joints.iter().filter(|joint| !file.joints.contains(joint)).map(String::as_str).collect();
     if !missing.is_empty() {
-        tell(&format!("{name}: goes without {}, which the model knows", missing.join(", ")));
+        notify(&format!("{name}: goes without {}, which the model knows", missing.join(", ")));
     }
     let columns: Vec<usize> =
         (0..file.joints.len()).filter(|index| preparation.joints.contains(&file.joints[*index])).collect();

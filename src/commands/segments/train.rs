@@ -9,7 +9,7 @@ use posed_recording::table::TrainingSet;
 use posed_recording::table::read_labelled_folder;
 use serde::Serialize;
 
-use super::super::{Error, output, print, print_json, tell};
+use super::super::{Error, notify, output, print, print_json};
 use super::files::Reading;
 
 /// What to learn from, and how.
@@ -128,7 +128,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let options = args.options()?;
     let files = read_labelled_folder(&args.folder, &args.reading.options()).map_err(Error::failed)?;
     let set = TrainingSet::new(&files, |_| true).map_err(Error::Failed)?;
-    set.notes.iter().for_each(|note| tell(note));
+    set.notes.iter().for_each(|note| notify(note));
     let mut trainer = set.trainer(options).map_err(Error::Failed)?;
     let aside = aside(&args.output);
     if args.resume {

@@ -34,7 +34,7 @@ fn outputs_repeat_from_every_snapshot() {
             rig.pipeline.models().clone(),
             rig.pipeline.snapshot(),
             rig.log.len(),
-            rig.said.len(),
+            rig.emitted.len(),
         ));
         if until_s == 4.4444 {
             rig.push(Input::Model(Model::Transmitter {
@@ -51,11 +51,15 @@ fn outputs_repeat_from_every_snapshot() {
     }
     rig.run_until(11.0);
     assert!(rig.estimates().count() > 700);
-    assert_eq!(replay(&mut Pipeline::new(&stage).unwrap(), &rig.log), rig.said);
-    for (models, snapshot, entries, said) in snapshots {
+    assert_eq!(replay(&mut Pipeline::new(&stage).unwrap(), &rig.log), rig.emitted);
+    for (models, snapshot, entries, emitted) in snapshots {
         let mut restored = Pipeline::restore(&stage, &models, &snapshot).unwrap();
         assert_eq!(restored.snapshot(), snapshot, "at entry {entries}");
-        assert_eq!(replay(&mut restored, &rig.log[entries..]), rig.said[said..], "from entry {entries}");
+        assert_eq!(
+            replay(&mut restored, &rig.log[entries..]),
+            rig.emitted[emitted..],
+            "from entry {entries}"
+        );
         assert_eq!(restored.status(), rig.pipeline.status(), "from entry {entries}");
         assert_eq!(restored.snapshot(), rig.pipeline.snapshot(), "from entry {entries}");
     }

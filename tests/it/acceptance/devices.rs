@@ -31,9 +31,10 @@ fn never_wrong(rig: &Rig, device: usize, until_s: f64) -> Judgement {
 
 /// When a sensor is first published as `ok` after `t_s`, in seconds after it, on the host's clock.
 fn back_after(rig: &Rig, sensor: usize, t_s: f64) -> f64 {
-    let ok = |said: &Said| matches!(said, Said::Estimate(e) if e.sensors[sensor].state == SensorState::Ok);
-    let mut said = rig.said.iter().zip(&rig.said_at);
-    let found = said.find(|(said, at)| at.as_secs_f64() > t_s && ok(said));
+    let ok =
+        |emitted: &Said| matches!(emitted, Said::Estimate(e) if e.sensors[sensor].state == SensorState::Ok);
+    let mut emitted = rig.emitted.iter().zip(&rig.said_at);
+    let found = emitted.find(|(emitted, at)| at.as_secs_f64() > t_s && ok(emitted));
     found.expect("it does not come back").1.as_secs_f64() - t_s
 }
 
@@ -44,7 +45,7 @@ fn count(rig: &Rig, sensor: usize, span: (f64, f64), states: &[SensorState]) -> 
 }
 
 fn warned(rig: &Rig, words: &str) -> bool {
-    rig.said.iter().any(|said| matches!(said, Said::Warning(_, text) if text.contains(words)))
+    rig.emitted.iter().any(|emitted| matches!(emitted, Said::Warning(_, text) if text.contains(words)))
 }
 
 #[test]
@@ -224,9 +225,8 @@ fn errors_of_a_unit_are_reported_in_words_and_fatal_ones_end_the_stream() {
     // A RAM failure stops the unit, and the reason is reported. The session tries again; this one lets itself be run.
     let rig = run(vec![error(1, 0)], 9.0);
     assert_eq!(count(&rig, 0, (6.02, 7.0), &[SensorState::Ok]).0, 0);
-    let reported = rig
-        .said
-        .iter()
-        .any(|said| matches!(said, Said::State(_, State::Failed { reason }) if reason.contains("error 1")));
+    let reported = rig.emitted.iter().any(
+        |emitted| matches!(emitted, Said::State(_, State::Failed { reason }) if reason.contains("error 1")),
+    );
     assert!(reported, "{:?}", rig.pipeline.status().devices[0].state);
 }

@@ -100,7 +100,7 @@ fn each_device_leaves_in_turn_and_the_others_lose_nothing() {
     let mut rig = rig(&stage, devices.collect(), 1.0);
     rig.run_until(FIRST_S - 0.5);
     for (device, status) in stage.devices.iter().zip(rig.pipeline.status().devices) {
-        assert_eq!(status.state, State::Streaming, "{}: {:?}", device.name, rig.said.last());
+        assert_eq!(status.state, State::Streaming, "{}: {:?}", device.name, rig.emitted.last());
     }
     for round in 0..rounds {
         for (index, device) in stage.devices.iter().enumerate() {
@@ -281,9 +281,9 @@ fn orientations_follow_the_truth_and_replay_to_the_bit() {
     // A snapshot in the middle, put away and taken up again, changes nothing.
     let middle = rig.log.len() / 2;
     let mut pipeline = posed_pipeline::Pipeline::new(&stage).unwrap();
-    let mut said = replay(&mut pipeline, &rig.log[..middle]);
+    let mut emitted = replay(&mut pipeline, &rig.log[..middle]);
     let mut restored =
         posed_pipeline::Pipeline::restore(&stage, pipeline.models(), &pipeline.snapshot()).unwrap();
-    said.extend(replay(&mut restored, &rig.log[middle..]));
-    assert!(said == rig.said, "a restored pipeline reports something else");
+    emitted.extend(replay(&mut restored, &rig.log[middle..]));
+    assert!(emitted == rig.emitted, "a restored pipeline reports something else");
 }

@@ -136,16 +136,16 @@ fn corrupt_recordings_and_stage_files_are_refused_with_a_sentence() {
         vec!["export", path, "--to", "csv", "-o", out.to_str().unwrap()],
     ] {
         let output = posed(&args);
-        let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert_eq!(output.status.code(), Some(1), "{args:?}: {said}");
-        assert!(said.starts_with("posed: ") && said.contains("recording"), "{args:?}: {said}");
+        let emitted = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(1), "{args:?}: {emitted}");
+        assert!(emitted.starts_with("posed: ") && emitted.contains("recording"), "{args:?}: {emitted}");
         assert!(!out.exists());
     }
     let stage = folder.path().join("bad.toml");
     fs::write(&stage, "name = \"A\"\nfrme_wait_ms = 3\n").unwrap();
     let output = posed(["run", stage.to_str().unwrap()]);
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.code() == Some(1) && said.contains("line 2: frme_wait_ms"), "{said}");
+    let emitted = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(1) && emitted.contains("line 2: frme_wait_ms"), "{emitted}");
 }
 
 #[tokio::test]
@@ -187,8 +187,8 @@ async fn a_port_without_permission_names_the_group_to_join() {
         command
     };
     let doctor = nobody(&["doctor", port.to_str().unwrap(), "--json"]).output().unwrap();
-    let said = String::from_utf8_lossy(&doctor.stdout).into_owned();
-    assert!(doctor.status.code() == Some(1) && said.contains("dialout"), "{said}");
+    let emitted = String::from_utf8_lossy(&doctor.stdout).into_owned();
+    assert!(doctor.status.code() == Some(1) && emitted.contains("dialout"), "{emitted}");
     let posed = Posed::spawn(&mut nobody(&["run", stage.to_str().unwrap(), "--listen", "127.0.0.1:0"]));
     let mut client = posed.subscriber(&["status"]).await;
     until(&mut client, "the group", |message| {

@@ -56,7 +56,7 @@ async fn a_map_is_learnt_named_kept_and_loaded() {
     let text = fs::read_to_string(&stage).unwrap().replace("of two", "of three");
     fs::write(&stage, text).unwrap();
     let output = posed([std::ffi::OsStr::new("check"), stage.as_os_str()]);
-    let said = String::from_utf8_lossy(&output.stdout);
+    let emitted = String::from_utf8_lossy(&output.stdout);
     assert_eq!(output.status.code(), Some(1));
-    assert!(said.contains("expected the sensors of one,of two, found of one,of three"), "{said}");
+    assert!(emitted.contains("expected the sensors of one,of two, found of one,of three"), "{emitted}");
 }

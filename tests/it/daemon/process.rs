@@ -151,8 +151,8 @@ pub(crate) fn one_device(folder: &Path, port: &str, more: &str) -> PathBuf {
 /// Runs a command that must succeed.
 pub(crate) fn succeed<I: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = I>) {
     let output = posed(args);
-    let said = [output.stdout, output.stderr].concat();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&said));
+    let emitted = [output.stdout, output.stderr].concat();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&emitted));
 }
 
 /// Holds a recording against its own replay in every way there is: byte for byte.

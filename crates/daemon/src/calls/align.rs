@@ -143,7 +143,7 @@ impl Session {
         let load = |model| self.inbox.command(Command::LoadModel(model));
         let position_m = room.translation.vector.into();
         load(Model::Transmitter { position_m, orientation_wxyz: orientation_to_wxyz(&room.rotation) });
-        let mut said = "it is known how the transmitter stands".to_owned();
+        let mut emitted = "it is known how the transmitter stands".to_owned();
         if let Some(Found { alignment, clock_offset_s, .. }) = imu {
             load(Model::AttachedImu {
                 sensor: self.name.clone(),
@@ -151,14 +151,14 @@ impl Session {
                 offset_m: alignment.lever_m.into(),
                 clock_offset_s: *clock_offset_s,
             });
-            said += &format!(
+            emitted += &format!(
                 ", and how the IMU sits on {:?}: {:.2} degrees and {:.1} mm are left",
                 self.name,
                 alignment.residual_rad.to_degrees(),
                 1e3 * alignment.residual_m
             );
         }
-        Ok(format!("{said}; write both into the stage file to keep them"))
+        Ok(format!("{emitted}; write both into the stage file to keep them"))
     }
 }
 

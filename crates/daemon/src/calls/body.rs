@@ -14,8 +14,8 @@ use super::Calls;
 use super::guided::{self, Guided};
 use posed_fusion::body::assign;
 use posed_fusion::body::{Block, Calibrated, CalibrationError, Recorded, calibrate};
-use posed_fusion::body::{Guide, Thoroughness};
 use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton};
+use posed_fusion::body::{Guide, Thoroughness};
 use posed_geometry::orientation_to_wxyz;
 use posed_pipeline::all_have_field;
 use posed_stage::Stage;
@@ -122,9 +122,9 @@ impl Session {
     }
 
     /// What there is to say of each segment.
-    fn by_segment(&self, say: impl Fn(BodySegment) -> Value) -> Map<String, Value> {
-        let said = BodySegment::ALL.into_iter().map(|segment| (segment.name().to_owned(), say(segment)));
-        said.filter(|(_, value)| !value.is_null()).collect()
+    fn by_segment(&self, emit: impl Fn(BodySegment) -> Value) -> Map<String, Value> {
+        let emitted = BodySegment::ALL.into_iter().map(|segment| (segment.name().to_owned(), emit(segment)));
+        emitted.filter(|(_, value)| !value.is_null()).collect()
     }
 
     /// Who does not sit where the stage file has it.

@@ -107,7 +107,7 @@ impl Session {
             out.commit()
         };
         write().map_err(|error| format!("cannot write {}: {error}", path.display()))?;
-        let mut result = said(&guide.progress());
+        let mut result = emitted(&guide.progress());
         result["intrinsics"] = json!(found);
         result["file"] = json!(file);
         job.result(result);
@@ -142,7 +142,7 @@ impl Guided for Imu<'_> {
 
     fn report(&mut self, job: &Job, prompt: &str) {
         let progress = self.guide.progress();
-        job.result(said(&progress));
+        job.result(emitted(&progress));
         job.progress(Some(share(&progress)), Some(prompt.to_owned()));
     }
 
@@ -165,7 +165,7 @@ impl Guided for Imu<'_> {
 }
 
 /// What was held and what is missing, for programs.
-fn said(progress: &Progress) -> Value {
+fn emitted(progress: &Progress) -> Value {
     let which = |held: bool| {
         SIDES
             .iter()

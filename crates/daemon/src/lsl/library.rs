@@ -148,10 +148,10 @@ impl Outlet {
     }
 
     /// Tells a text.
-    pub(super) fn text(&self, said: &str, t_s: f64) {
+    pub(super) fn text(&self, emitted: &str, t_s: f64) {
         if self.channels == 0 {
-            let said = text(said);
-            let list = [said.as_ptr()];
+            let emitted = text(emitted);
+            let list = [emitted.as_ptr()];
             // SAFETY: one text is read, for the outlet has one channel, and copied.
             unsafe { (self.library.push_text)(self.handle.as_ptr(), list.as_ptr(), t_s) };
         }

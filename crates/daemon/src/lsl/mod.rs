@@ -47,7 +47,7 @@ impl Lsl {
     }
 
     /// Tells a sample; whether it is: not where the thread is behind.
-    pub(super) fn tell(&self, sample: Sample) -> bool {
+    pub(super) fn report(&self, sample: Sample) -> bool {
         self.sender.as_ref().is_some_and(|sender| sender.try_send(sample).is_ok())
     }
 }

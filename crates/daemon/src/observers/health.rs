@@ -253,7 +253,7 @@ impl Health {
             }
             problems.extend(body.faults.iter().map(|(sensor, segment, fault)| {
                 let name = self.sensors.get(usize::from(*sensor)).map_or("", |sensor| sensor.name.as_str());
-                problem("body", format!("{segment}: the sensor {name} {}", said(*fault)))
+                problem("body", format!("{segment}: the sensor {name} {}", emitted(*fault)))
             }));
         }
         if let Some(reason) = &self.recording_failure {
@@ -320,7 +320,7 @@ impl Latency {
 }
 
 /// What a sensor on the body does that it should not, and what to do.
-fn said(fault: Cause) -> &'static str {
+fn emitted(fault: Cause) -> &'static str {
     match fault {
         Cause::Missing => "sends nothing: see to its battery and cable",
         Cause::NotFinite => "sends numbers that are not finite",

@@ -10,8 +10,8 @@ use nalgebra::Isometry3;
 
 use super::{Observer, Times};
 use posed_fusion::ahrs::ImuSample;
-use posed_fusion::body::SEGMENTS;
 use posed_fusion::body::Recorded;
+use posed_fusion::body::SEGMENTS;
 use posed_fusion::chain::Epoch;
 use posed_pipeline::{ImuRecords, Pipeline};
 use posed_stage::input::SensorIndex;

@@ -79,7 +79,7 @@ impl Directory {
             match command {
                 Command::Connect { client, outbox } => {
                     if let Some(stages) = &self.newest {
-                        tell(&outbox, &ServerMessage::Stages(stages.clone()));
+                        report(&outbox, &ServerMessage::Stages(stages.clone()));
                     }
                     for (id, stage) in &self.stages {
                         connect(stage, client, &outbox, id).await;
@@ -108,7 +108,7 @@ impl Directory {
                 }
                 Command::Tell(stages) => {
                     for client in self.clients.values() {
-                        tell(&client.outbox, &ServerMessage::Stages(stages.clone()));
+                        report(&client.outbox, &ServerMessage::Stages(stages.clone()));
                         self.metrics.messages.inc();
                     }
                     self.newest = Some(stages);
@@ -121,7 +121,7 @@ impl Directory {
         let Some(asking) = self.clients.get_mut(&client) else { return };
         let outbox = Arc::clone(&asking.outbox);
         let refuse = |code: &str, message: String| {
-            tell(
+            report(
                 &outbox,
                 &ServerMessage::Error(ErrorReply { id: Some(id.clone()), code: code.into(), message }),
             );
@@ -159,7 +159,7 @@ impl Directory {
         }
         if !matches!(feed, Feed::Resume { .. }) {
             // Before what follows from it.
-            tell(&outbox, &ServerMessage::Ok(OkReply { id: Some(id.clone()), result: None }));
+            report(&outbox, &ServerMessage::Ok(OkReply { id: Some(id.clone()), result: None }));
         }
         for (name, stage) in &self.stages {
             if wanted(stages.as_deref(), name) {
@@ -189,7 +189,7 @@ async fn send(stage: &mpsc::Sender<super::Command>, command: distributor::Comman
     let _ = stage.send(super::Command::Client(command)).await;
 }
 
-fn tell(outbox: &Outbox, message: &ServerMessage) {
+fn report(outbox: &Outbox, message: &ServerMessage) {
     outbox.push_lossless(Outgoing::Whole(encode::whole(outbox.encoding(), message)));
 }
 
@@ -222,7 +222,7 @@ impl Member {
             role: Role::Watch,
             last_event_id: 0,
         };
-        tell(&outbox, &ServerMessage::Hello(hello));
+        report(&outbox, &ServerMessage::Hello(hello));
         directory.send(Command::Connect { client: id, outbox: Arc::clone(&outbox) }).await.ok()?;
         Some(Self { id, outbox, directory })
     }
@@ -240,7 +240,7 @@ impl Dialect for Member {
                 self.directory.send(command).await.map_err(|_| Close::SHUTDOWN)
             }
             Err(error) => {
-                tell(&self.outbox, &ServerMessage::Error(error));
+                report(&self.outbox, &ServerMessage::Error(error));
                 Ok(())
             }
         }

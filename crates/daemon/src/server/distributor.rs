@@ -517,7 +517,7 @@ mod tests {
         use posed_stage::output::{ExerciseState, Repetition};
         let limits = Limits::default();
         let mut distributor = distributor(&limits);
-        let mut say = |subject: &str, what| {
+        let mut emit = |subject: &str, what| {
             let what = OutcomeKind::Exercise(ExerciseOutcome { subject: subject.into(), what });
             let t = Timestamp::ZERO;
             publish(&mut distributor, Item::Outcome(Box::new(Outcome { t_valid: t, t_decided: t, what })));
@@ -538,13 +538,13 @@ mod tests {
                 remark,
             })
         };
-        say("a", state());
-        say("a", repetition(EventKind::Counted, 1));
-        say("b", state());
-        say("b", repetition(EventKind::Counted, 1));
-        say("b", repetition(EventKind::Counted, 2));
-        say("b", repetition(EventKind::Provisional, 2));
-        say("a", state());
+        emit("a", state());
+        emit("a", repetition(EventKind::Counted, 1));
+        emit("b", state());
+        emit("b", repetition(EventKind::Counted, 1));
+        emit("b", repetition(EventKind::Counted, 2));
+        emit("b", repetition(EventKind::Provisional, 2));
+        emit("a", state());
         let outbox = connect(&mut distributor, 1, &limits);
         let feed = Feed::Subscribe {
             topics: vec![Topic::Exercise],

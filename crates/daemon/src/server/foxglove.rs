@@ -140,7 +140,7 @@ impl Viewers {
         match command {
             Command::Connect { client, outbox } => {
                 for (id, problem) in &self.problems {
-                    tell(&outbox, wire::status(Level::Warning, &problem.message, Some(id)));
+                    report(&outbox, wire::status(Level::Warning, &problem.message, Some(id)));
                 }
                 let subscriptions = vec![None; self.channels.len()];
                 self.clients.push(Client { id: client, outbox, subscriptions });
@@ -164,7 +164,7 @@ impl Viewers {
                     } else {
                         String::new()
                     };
-                    tell(
+                    report(
                         &self.clients[at].outbox,
                         wire::status(Level::Warning, &format!("{first}{more}"), None),
                     );
@@ -222,13 +222,13 @@ impl Viewers {
         }
         for new in named.iter().filter(|new| !self.problems.contains(new)) {
             let text = wire::status(Level::Warning, &new.1.message, Some(&new.0));
-            self.clients.iter().for_each(|client| tell(&client.outbox, text.clone()));
+            self.clients.iter().for_each(|client| report(&client.outbox, text.clone()));
         }
         let over = |(id, _): &&(String, Problem)| !named.iter().any(|(other, _)| other == id);
         let over: Vec<&str> = self.problems.iter().filter(over).map(|(id, _)| id.as_str()).collect();
         if !over.is_empty() {
             let text = wire::remove_status(&over);
-            self.clients.iter().for_each(|client| tell(&client.outbox, text.clone()));
+            self.clients.iter().for_each(|client| report(&client.outbox, text.clone()));
         }
         self.problems = named;
     }
@@ -248,7 +248,7 @@ fn first_of(refused: Vec<String>) -> Option<(String, usize)> {
     refused.into_iter().next().map(|first| (first, others))
 }
 
-fn tell(outbox: &Outbox, text: String) {
+fn report(outbox: &Outbox, text: String) {
     outbox.push_lossless(Outgoing::Whole(text.into_bytes()));
 }
 
@@ -278,8 +278,8 @@ impl Viewer {
         let id = shared.next_client.fetch_add(1, Ordering::Relaxed);
         let limits = Limits { queue_messages: WAITING, ..shared.context.limits.clone() };
         let outbox = Arc::new(Outbox::new(Encoding::Json, limits));
-        tell(&outbox, shared.viewing.info.clone());
-        tell(&outbox, shared.viewing.advertise.clone());
+        report(&outbox, shared.viewing.info.clone());
+        report(&outbox, shared.viewing.advertise.clone());
         let viewer = Self { id, outbox: Arc::clone(&outbox), shared: Arc::clone(shared) };
         viewer.command(Command::Connect { client: id, outbox }).await.ok()?;
         Some(viewer)
@@ -309,7 +309,7 @@ impl Dialect for Viewer {
         };
         match parsed {
             Ok(request) => self.command(Command::Ask { client: self.id, request }).await?,
-            Err(sentence) => tell(&self.outbox, wire::status(Level::Error, &sentence, None)),
+            Err(sentence) => report(&self.outbox, wire::status(Level::Error, &sentence, None)),
         }
         Ok(())
     }

@@ -165,7 +165,7 @@ impl StageRegistry {
     }
 
     /// Tells clients of the hub itself how all stages are now.
-    pub async fn tell(&self, stages: Stages) {
+    pub async fn report(&self, stages: Stages) {
         let _ = self.registered.directory.send(directory::Command::Tell(stages)).await;
     }
 

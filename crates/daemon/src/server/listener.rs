@@ -18,7 +18,7 @@ pub(super) struct Listener {
     listener: TcpListener,
     address: SocketAddr,
     tls: Option<TlsAcceptor>,
-    pub(super) tell: watch::Sender<bool>,
+    pub(super) report: watch::Sender<bool>,
     pub(super) context: Arc<ConnectionContext>,
 }
 
@@ -42,7 +42,7 @@ impl Listener {
         let tls = settings.tls.as_ref().map(|files| tls::acceptor(files, folder)).transpose()?;
         let (listener, address) =
             bind_first(&addresses).map_err(|error| BindError::Bind { listen: listen.clone(), error })?;
-        let (tell, shutdown) = watch::channel(false);
+        let (report, shutdown) = watch::channel(false);
         let access = Access {
             tokens: settings.tokens.clone(),
             allowed_origins: settings.allowed_origins.iter().map(|o| o.to_ascii_lowercase()).collect(),
@@ -53,7 +53,7 @@ impl Listener {
         let slots = Slots::new(limits.connections, limits.connections_per_address);
         let context =
             ConnectionContext { access, limits, metrics: Arc::new(Metrics::new()), slots, shutdown };
-        Ok(Self { listener, address, tls, tell, context: Arc::new(context) })
+        Ok(Self { listener, address, tls, report, context: Arc::new(context) })
     }
 
     /// The address it listens on.
@@ -74,13 +74,13 @@ impl Listener {
     /// Lets connections in until `shutdown` resolves; then tells everybody so and waits until they have left, or the
     /// shutdown timeout.
     pub(super) async fn serve(self, app: axum::Router, shutdown: impl Future<Output = ()>) {
-        let Self { listener, tls, tell, context, .. } = self;
+        let Self { listener, tls, report, context, .. } = self;
         tokio::select! {
             () = listen::accept(&listener, tls.as_ref(), &context, app) => {}
             () = shutdown => {}
         }
         drop(listener);
-        tell.send_replace(true);
+        report.send_replace(true);
         let _ = tokio::time::timeout(context.limits.shutdown_timeout, context.slots.all_free()).await;
     }
 }

@@ -354,7 +354,7 @@ impl Server {
     pub async fn run(self, shutdown: impl Future<Output = ()>) {
         let Self { listener, shared, outlets, vrpn, hub, commands } = self;
         let distributing = tokio::spawn(distribute(outlets, hub, commands, Arc::clone(&shared)));
-        let others = vrpn.map(|vrpn| tokio::spawn(vrpn.run(listener.tell.subscribe())));
+        let others = vrpn.map(|vrpn| tokio::spawn(vrpn.run(listener.report.subscribe())));
         listener.serve(http::router(shared), shutdown).await;
         distributing.abort();
         // What it holds has then ended too.

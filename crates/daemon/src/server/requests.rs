@@ -119,11 +119,11 @@ impl Requests {
         });
         outbox.push_lossless(Outgoing::Whole(encode::whole(encoding, &hello)));
         let requests = Self { id, role, outbox: Arc::clone(&outbox), shared: Arc::clone(shared) };
-        requests.tell(distributor::Command::Connect { client: id, outbox, stage: None }).await.ok()?;
+        requests.report(distributor::Command::Connect { client: id, outbox, stage: None }).await.ok()?;
         Some(requests)
     }
 
-    async fn tell(&self, command: distributor::Command) -> Result<(), Close> {
+    async fn report(&self, command: distributor::Command) -> Result<(), Close> {
         self.shared.commands.send(Command::Client(command)).await.map_err(|_| Close::SHUTDOWN)
     }
 
@@ -163,7 +163,7 @@ impl Dialect for Requests {
         };
         match parsed {
             Ok((id, Request::Feed(feed))) => {
-                self.tell(distributor::Command::Feed { client: self.id, id, feed }).await?;
+                self.report(distributor::Command::Feed { client: self.id, id, feed }).await?;
             }
             Ok((id, Request::Call(call))) => self.call(id, call),
             Err(ParseError { id, code, message }) => {
@@ -176,6 +176,6 @@ impl Dialect for Requests {
     }
 
     async fn leave(self) {
-        let _ = self.tell(distributor::Command::Disconnect { client: self.id }).await;
+        let _ = self.report(distributor::Command::Disconnect { client: self.id }).await;
     }
 }

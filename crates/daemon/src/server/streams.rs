@@ -58,7 +58,7 @@ impl Streaming {
             Item::Truth(_) | Item::Status(_) | Item::Jobs(_) | Item::Rewind => None,
         };
         if let Some(sample) = sample
-            && !lsl.tell(sample)
+            && !lsl.report(sample)
         {
             self.metrics.lsl_lost.inc();
         }

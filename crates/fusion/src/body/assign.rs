@@ -172,7 +172,12 @@ fn shares_turned(
 }
 
 /// Whoever was to move did so more than those who were to rest.
-fn was_done(kind: BlockKind, turned: &[f64], found: &[usize], worn: &[BodySegment]) -> Result<(), AssignError> {
+fn was_done(
+    kind: BlockKind,
+    turned: &[f64],
+    found: &[usize],
+    worn: &[BodySegment],
+) -> Result<(), AssignError> {
     let by = |wanted: f64| {
         let asked = move |(_, segment): &(f64, BodySegment)| share(*segment, kind) == Some(wanted);
         turned.iter().copied().zip(found.iter().map(|at| worn[*at])).filter(asked)

@@ -274,7 +274,9 @@ fn words(kind: BlockKind) -> &'static str {
             "Raise both arms sideways to the height of the shoulders, palms down, thumbs forward, and hold still"
         }
         BlockKind::Bow => "Bow forward with a straight back and come up again, twice; then stand still",
-        BlockKind::TrunkRotation => "Turn the chest to the left and back, twice, hips still; then stand still",
+        BlockKind::TrunkRotation => {
+            "Turn the chest to the left and back, twice, hips still; then stand still"
+        }
         BlockKind::Move(BodySegment::ForearmR, _) => {
             "Bend the right elbow and let it hang again, three times; then stand still"
         }
@@ -287,8 +289,12 @@ fn words(kind: BlockKind) -> &'static str {
         BlockKind::Move(BodySegment::ShankL, _) => {
             "Bend the left knee, heel to the back, three times; then stand still"
         }
-        BlockKind::Move(BodySegment::ThighR, _) => "Lift the right thigh forward, three times; then stand still",
-        BlockKind::Move(BodySegment::ThighL, _) => "Lift the left thigh forward, three times; then stand still",
+        BlockKind::Move(BodySegment::ThighR, _) => {
+            "Lift the right thigh forward, three times; then stand still"
+        }
+        BlockKind::Move(BodySegment::ThighL, _) => {
+            "Lift the left thigh forward, three times; then stand still"
+        }
         BlockKind::Move(BodySegment::UpperArmL, _) => {
             "Lift the stretched left arm forward, three times; then stand still"
         }

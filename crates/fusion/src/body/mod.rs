@@ -32,7 +32,9 @@ use serde::{Deserialize, Serialize};
 
 pub use angles::{ANGLE_NAMES, ANGLES, angles, joint_angles, joint_rotation, of_joint};
 pub use assign::{AssignError, Assignment, assign};
-pub use calibrate::{Block, Calibrated, CalibrationError, BlockKind, Movement, REPEAT_DEG, Recorded, calibrate};
+pub use calibrate::{
+    Block, BlockKind, Calibrated, CalibrationError, Movement, REPEAT_DEG, Recorded, calibrate,
+};
 pub use guide::{Guide, Thoroughness};
 pub use inverse::{Figure, Follower, Tracked};
 pub use limbs::{elbow, knee};

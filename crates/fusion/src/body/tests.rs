@@ -3,7 +3,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_simulator::body::{Activity, Build, Script, SensorErrors, Wearer, WearerSpec};
 
-use super::calibrate::{Block, CalibrationError, BlockKind, Recorded, calibrate};
+use super::calibrate::{Block, BlockKind, CalibrationError, Recorded, calibrate};
 use super::*;
 
 type V = Vector3<f64>;
@@ -117,7 +117,9 @@ pub(super) fn record(wearer: &mut Wearer, seconds: f64) -> (Vec<Recorded>, Vec<O
 
 fn blocks(activity: Activity) -> Vec<Block> {
     let spans = script(activity).blocks().into_iter();
-    spans.map(|b| Block { kind: BlockKind::named(b.kind).unwrap(), start_s: b.start_s, end_s: b.end_s }).collect()
+    spans
+        .map(|b| Block { kind: BlockKind::named(b.kind).unwrap(), start_s: b.start_s, end_s: b.end_s })
+        .collect()
 }
 
 /// Root mean square of the difference of an angle after `from_s`, degrees.

@@ -99,7 +99,7 @@ impl Hub {
         let mut server_down = down.clone();
         tasks.spawn(server.run(async move { ended(&mut server_down).await }));
         let board = Board::new(clock);
-        tasks.spawn(tell(board.clone(), registry.clone(), reported, down.clone()));
+        tasks.spawn(report(board.clone(), registry.clone(), reported, down.clone()));
         let followers = Followers {
             session: session.clone(),
             registry,
@@ -143,7 +143,7 @@ impl Hub {
 }
 
 /// Reports what is there, once a second and when something changes.
-async fn tell(
+async fn report(
     board: Board,
     registry: StageRegistry,
     reported: watch::Sender<Stages>,
@@ -158,7 +158,7 @@ async fn tell(
         }
         let stages = board.stages();
         reported.send_replace(stages.clone());
-        registry.tell(stages).await;
+        registry.report(stages).await;
     }
 }
 

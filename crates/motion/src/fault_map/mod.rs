@@ -15,8 +15,8 @@ mod learning;
 mod memory;
 mod pairs;
 mod rules;
-mod som;
 mod separation;
+mod som;
 mod watch;
 
 use posed_state::Plain;
@@ -28,8 +28,8 @@ pub use frames::Frames;
 use habits::{Link, Motion, PositionChain, PositionMatch};
 use posed_fusion::faults::{Class, Label};
 pub use rules::{Labeller, Rules, frame_label};
-use som::Batch;
 pub use separation::{Separation, separation, separation_by_size};
+use som::Batch;
 pub use som::{Kernel, Rule, Som, Training, Width, Winner, neighbourhood};
 pub use watch::{Judged, Watch};
 

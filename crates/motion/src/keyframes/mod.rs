@@ -24,8 +24,8 @@ use serde::{Deserialize, Serialize};
 pub use hinge::{Hinge, HingeSettings};
 pub use path::{Deviation, Spline, Velocity, segment_ends};
 pub use peaks::Score;
-pub use track::{BRIDGED_FRAMES, Track, bridge};
 use peaks::{Peak, Peaks};
+pub use track::{BRIDGED_FRAMES, Track, bridge};
 pub use window::Window;
 
 /// A value per frame whose peaks are the key poses; each value belongs to an earlier frame.

@@ -38,20 +38,20 @@ impl<S: Statistic + Clone> Track<S> {
     /// Returns the statistic at an earlier frame; `None` for a missing pose and until a window is full. Frames of
     /// events and of the statistic count from the stream's first. Bridging frames are taken with the pose that ends the
     /// gap.
-    pub fn push(&mut self, pose: Option<&Isometry3<f64>>, say: &mut impl FnMut(Event)) -> Option<Trace> {
+    pub fn push(&mut self, pose: Option<&Isometry3<f64>>, emit: &mut impl FnMut(Event)) -> Option<Trace> {
         let now = self.frames;
         self.frames += 1;
         let Some(pose) = pose else {
             self.missing += 1;
             if self.missing == BRIDGED_FRAMES + 1 && self.last.take().is_some() {
-                self.detector.finish(&mut in_stream(self.start, now, say));
+                self.detector.finish(&mut in_stream(self.start, now, emit));
             }
             return None;
         };
         match self.last {
             Some(last) => {
                 for bridge in bridge(&last, pose, self.missing) {
-                    self.detector.push(&bridge, &mut in_stream(self.start, now, say));
+                    self.detector.push(&bridge, &mut in_stream(self.start, now, emit));
                 }
             }
             None => {
@@ -59,7 +59,7 @@ impl<S: Statistic + Clone> Track<S> {
                 self.start = now;
             }
         }
-        let trace = self.detector.push(pose, &mut in_stream(self.start, now, say));
+        let trace = self.detector.push(pose, &mut in_stream(self.start, now, emit));
         self.last = Some(*pose);
         self.missing = 0;
         trace.map(|trace| Trace { frame: self.start + trace.frame, ..trace })
@@ -77,10 +77,10 @@ impl<S: Statistic + Clone> Track<S> {
 }
 
 /// Frames of an event in the stream's numbers, decided now.
-fn in_stream(start: u64, now: u64, say: &mut impl FnMut(Event)) -> impl FnMut(Event) {
+fn in_stream(start: u64, now: u64, emit: &mut impl FnMut(Event)) -> impl FnMut(Event) {
     move |event| {
         let key = |key: KeyPose| KeyPose { frame: start + key.frame, decided: now, ..key };
-        say(match event {
+        emit(match event {
             Event::Provisional(pose) => Event::Provisional(key(pose)),
             Event::Confirmed(pose) => Event::Confirmed(key(pose)),
             Event::Withdrawn(pose) => Event::Withdrawn(key(pose)),

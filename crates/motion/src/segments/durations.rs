@@ -53,12 +53,12 @@ impl Decoder {
 
     /// Takes the probabilities of the next frame, one per class; `say` hears frame number and class of each frame that
     /// became certain, in order. The first and the last segment of a stream may be shorter than the minimum.
-    pub fn push(&mut self, probabilities: &[f32], say: &mut impl FnMut(u64, usize)) {
+    pub fn push(&mut self, probabilities: &[f32], emit: &mut impl FnMut(u64, usize)) {
         for (log_density, class) in self.log_density.iter_mut().zip(&self.class) {
             *log_density = f64::from(probabilities[usize::from(*class)]).max(LEAST).ln();
         }
         let class = &self.class;
-        self.viterbi.push(&self.log_density, &mut |frame, state| say(frame, usize::from(class[state])));
+        self.viterbi.push(&self.log_density, &mut |frame, state| emit(frame, usize::from(class[state])));
     }
 
     /// Class in which the best path ends now; `None` before the first frame.
@@ -67,9 +67,9 @@ impl Decoder {
     }
 
     /// Ends the stream; `say` hears frame number and class of the frames that are left.
-    pub fn finish(&mut self, say: &mut impl FnMut(u64, usize)) {
+    pub fn finish(&mut self, emit: &mut impl FnMut(u64, usize)) {
         let class = &self.class;
-        self.viterbi.finish(&mut |frame, state| say(frame, usize::from(class[state])));
+        self.viterbi.finish(&mut |frame, state| emit(frame, usize::from(class[state])));
     }
 }
 
@@ -80,16 +80,16 @@ mod tests {
     fn decode(minimum: &[usize], bound: usize, frames: &[usize]) -> Vec<usize> {
         let mut decoder = Decoder::new(minimum, -2.0, bound);
         let mut classes = Vec::new();
-        let mut say = |frame: u64, class| {
+        let mut emit = |frame: u64, class| {
             assert_eq!(frame, classes.len() as u64);
             classes.push(class);
         };
         for class in frames {
             let mut probabilities = vec![0.1; minimum.len()];
             probabilities[*class] = 0.8;
-            decoder.push(&probabilities, &mut say);
+            decoder.push(&probabilities, &mut emit);
         }
-        decoder.finish(&mut say);
+        decoder.finish(&mut emit);
         classes
     }
 

@@ -92,7 +92,7 @@ impl Labeller {
     ///
     /// # Panics
     /// The positions are not as many as the model's joints.
-    pub fn push(&mut self, model: &Model, t_s: f64, positions: &[Position], say: &mut impl FnMut(Tick)) {
+    pub fn push(&mut self, model: &Model, t_s: f64, positions: &[Position], emit: &mut impl FnMut(Tick)) {
         let preparation = &model.card.preparation;
         assert_eq!(positions.len(), preparation.joints.len(), "joints");
         if !t_s.is_finite() {
@@ -102,7 +102,7 @@ impl Labeller {
             Some(last_s) if t_s <= last_s => return,
             Some(last_s) if t_s - last_s <= GAP_S.max(1.5 / preparation.rate_hz) => {}
             _ => {
-                self.finish(model, say);
+                self.finish(model, emit);
                 self.start_s = t_s;
                 self.last_s = Some(t_s);
                 self.last.clear();
@@ -123,7 +123,7 @@ impl Labeller {
             if let Some(scores) = self.stream.push(&model.network, features) {
                 self.buffer.clear();
                 self.buffer.extend_from_slice(scores);
-                self.score(model, say);
+                self.score(model, emit);
             }
         }
         self.last_s = Some(t_s);
@@ -132,7 +132,7 @@ impl Labeller {
     }
 
     /// Ends the stream: `say` hears all ticks that are left, final, and the next frame begins a new stream.
-    pub fn finish(&mut self, model: &Model, say: &mut impl FnMut(Tick)) {
+    pub fn finish(&mut self, model: &Model, emit: &mut impl FnMut(Tick)) {
         if self.last_s.take().is_none() {
             return;
         }
@@ -140,12 +140,12 @@ impl Labeller {
         stream.finish(&model.network, &mut |scores| {
             self.buffer.clear();
             self.buffer.extend_from_slice(scores);
-            self.score(model, say);
+            self.score(model, emit);
         });
         let Self { decoder, probabilities, slots, start_s, .. } = self;
         let rate_hz = model.card.preparation.rate_hz;
         decoder.finish(&mut |tick, class| {
-            say(decision(tick, class, *start_s, rate_hz, probabilities, *slots, model.card.labels.len()));
+            emit(decision(tick, class, *start_s, rate_hz, probabilities, *slots, model.card.labels.len()));
         });
         let (stream, decoder) = (*self.fresh).clone();
         (self.stream, self.decoder) = (stream, decoder);
@@ -154,7 +154,7 @@ impl Labeller {
     }
 
     /// Takes the scores in `buffer` for the next tick.
-    fn score(&mut self, model: &Model, say: &mut impl FnMut(Tick)) {
+    fn score(&mut self, model: &Model, emit: &mut impl FnMut(Tick)) {
         let classes = model.card.labels.len();
         let rate_hz = model.card.preparation.rate_hz;
         softmax(&mut self.buffer);
@@ -162,11 +162,11 @@ impl Labeller {
         self.probabilities[slot..slot + classes].copy_from_slice(&self.buffer);
         let Self { decoder, buffer, probabilities, slots, start_s, .. } = self;
         decoder.push(buffer, &mut |tick, class| {
-            say(decision(tick, class, *start_s, rate_hz, probabilities, *slots, classes));
+            emit(decision(tick, class, *start_s, rate_hz, probabilities, *slots, classes));
         });
         // Provisional is what the best path reports about its end: one odd frame changes nothing.
         let class = self.decoder.best().unwrap_or_else(|| best(&self.buffer));
-        say(Tick {
+        emit(Tick {
             t_s: self.start_s + self.scored as f64 / rate_hz,
             class: class as u16,
             confidence: f64::from(self.buffer[class]),
@@ -201,15 +201,15 @@ fn decision(
 pub fn label(model: &Model, sequence: &Sequence) -> Vec<(u16, f64)> {
     let mut labeller = Labeller::new(model);
     let mut ticks: Vec<Tick> = Vec::new();
-    let mut say = |tick: Tick| {
+    let mut emit = |tick: Tick| {
         if !tick.provisional {
             ticks.push(tick);
         }
     };
     for (frame, t_s) in sequence.t_s.iter().enumerate() {
-        labeller.push(model, *t_s, sequence.positions(frame), &mut say);
+        labeller.push(model, *t_s, sequence.positions(frame), &mut emit);
     }
-    labeller.finish(model, &mut say);
+    labeller.finish(model, &mut emit);
     let mut next = 0;
     let mut frames = Vec::with_capacity(sequence.frames());
     for t_s in &sequence.t_s {

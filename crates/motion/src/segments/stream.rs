@@ -51,7 +51,7 @@ impl Stream {
     }
 
     /// Ends the stream; `say` hears the scores of the frames that are left, in order.
-    pub fn finish(&mut self, network: &SegmentationNetwork<f32>, say: &mut impl FnMut(&[f32])) {
+    pub fn finish(&mut self, network: &SegmentationNetwork<f32>, emit: &mut impl FnMut(&[f32])) {
         for layer in 0..self.rings.len() {
             // What came in from outside, or has come from the layer below, which is complete by now.
             let frames = self.rings[layer].taken;
@@ -59,7 +59,7 @@ impl Stream {
                 self.column.clear();
                 self.column.resize(network.layers()[layer].inputs, 0.0);
                 if self.run(network, layer) {
-                    say(&self.column);
+                    emit(&self.column);
                 }
             }
         }

@@ -4,10 +4,10 @@
 //! number of threads. What it never does: look at a clock, learn from frames without a label, at masked borders or
 //! in the held-out part.
 
+use posed_geometry::parallel::*;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use posed_geometry::parallel::*;
 use serde::{Deserialize, Serialize};
 
 use super::adam::Adam;

@@ -80,7 +80,7 @@ impl Epochs {
     }
 
     /// Takes a frame, and returns its epochs in order.
-    pub(super) fn frame(&mut self, frame: &Frame, mut say: impl FnMut(&Epoch)) {
+    pub(super) fn frame(&mut self, frame: &Frame, mut emit: impl FnMut(&Epoch)) {
         let records = |index: &SensorIndex| frame.sensors[usize::from(*index)].samples.as_slice();
         let most = self.imus.iter().flatten().map(|index| records(index).len()).max().unwrap_or(0);
         let begun = self.frame.replace(frame.t_valid).unwrap_or(frame.t_valid);
@@ -88,7 +88,7 @@ impl Epochs {
             let dt_s = self.last.map_or(0.0, |last| frame.t_valid.seconds_since(last));
             if dt_s >= SILENT_S {
                 self.last = Some(frame.t_valid);
-                say(&Epoch { t: frame.t_valid, dt_s, samples: [None; SEGMENTS], ages_s: [0.0; SEGMENTS] });
+                emit(&Epoch { t: frame.t_valid, dt_s, samples: [None; SEGMENTS], ages_s: [0.0; SEGMENTS] });
             }
             return;
         }
@@ -109,7 +109,7 @@ impl Epochs {
                 }
             }
             if let Some(epoch) = self.epoch(&newest) {
-                say(&epoch);
+                emit(&epoch);
             }
         }
     }

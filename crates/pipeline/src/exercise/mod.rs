@@ -67,7 +67,7 @@ impl ExerciseStage {
     }
 
     /// Counts what is loaded for the default subject, if that one has not selected anything.
-    pub(super) fn loaded(&mut self, estimate: &Estimate, say: &mut impl FnMut(&Outcome)) {
+    pub(super) fn loaded(&mut self, estimate: &Estimate, emit: &mut impl FnMut(&Outcome)) {
         if self.subjects.iter().any(|subject| subject.name() == DEFAULT_SUBJECT && subject.has_selected()) {
             return;
         }
@@ -76,7 +76,7 @@ impl ExerciseStage {
         let fitting = self.library.iter().filter(|exercise| Some(exercise.rate_hz) == rate_hz);
         let names: Vec<String> = fitting.take(SELECTED).map(|exercise| exercise.name.clone()).collect();
         let counter = self.counter(&names, &BTreeMap::new()).ok();
-        self.select(DEFAULT_SUBJECT, counter, Plan::default(), false, estimate, say);
+        self.select(DEFAULT_SUBJECT, counter, Plan::default(), false, estimate, emit);
     }
 
     /// Whether a request can be carried out.
@@ -120,7 +120,7 @@ impl ExerciseStage {
         &mut self,
         request: &Request,
         estimate: &Estimate,
-        say: &mut impl FnMut(&Outcome),
+        emit: &mut impl FnMut(&Outcome),
     ) -> bool {
         if self.check(request).is_err() {
             return false;
@@ -128,11 +128,11 @@ impl ExerciseStage {
         match request {
             Request::ExerciseSelect { subject, exercises, plan, sensors } => {
                 let counter = self.counter(exercises, sensors).ok();
-                self.select(subject, counter, *plan, true, estimate, say);
+                self.select(subject, counter, *plan, true, estimate, emit);
             }
             Request::ExerciseReset { subject } => {
                 if let Some(known) = self.subjects.iter_mut().find(|known| known.name() == subject) {
-                    known.reset(estimate.t_valid, say);
+                    known.reset(estimate.t_valid, emit);
                 }
             }
             Request::FieldStart { .. } | Request::FieldFinish {} => {}
@@ -141,7 +141,12 @@ impl ExerciseStage {
     }
 
     /// Follows a frame.
-    pub(super) fn frame(&mut self, estimate: &Estimate, body: Option<&Body>, say: &mut impl FnMut(&Outcome)) {
+    pub(super) fn frame(
+        &mut self,
+        estimate: &Estimate,
+        body: Option<&Body>,
+        emit: &mut impl FnMut(&Outcome),
+    ) {
         if self.subjects.is_empty() {
             return;
         }
@@ -149,7 +154,7 @@ impl ExerciseStage {
         self.inertial.append(estimate, &mut self.row);
         self.body.append(body, estimate, &mut self.row);
         for subject in &mut self.subjects {
-            subject.frame(estimate.t_valid, &self.row, say);
+            subject.frame(estimate.t_valid, &self.row, emit);
         }
     }
 
@@ -190,10 +195,10 @@ impl ExerciseStage {
         plan: Plan,
         explicit: bool,
         estimate: &Estimate,
-        say: &mut impl FnMut(&Outcome),
+        emit: &mut impl FnMut(&Outcome),
     ) {
         let new = Subject::new(Name::from(subject), counter, plan, explicit);
-        new.say_state(estimate.t_valid, say);
+        new.say_state(estimate.t_valid, emit);
         match self.subjects.iter_mut().find(|known| known.name() == subject) {
             Some(known) => *known = new,
             None => self.subjects.push(new),

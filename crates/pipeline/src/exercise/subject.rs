@@ -74,37 +74,37 @@ impl Subject {
     }
 
     /// Counts from 0 again; what is under way goes on.
-    pub(super) fn reset(&mut self, t: Timestamp, say: &mut impl FnMut(&Outcome)) {
+    pub(super) fn reset(&mut self, t: Timestamp, emit: &mut impl FnMut(&Outcome)) {
         for progress in &mut self.exercises {
             (progress.count, progress.sets, progress.set_count) = (0, 0, 0);
             progress.rest_until_s = None;
         }
-        self.say_state(t, say);
+        self.say_state(t, emit);
     }
 
     /// Reports what is counted and how far it is.
-    pub(super) fn say_state(&self, t: Timestamp, say: &mut impl FnMut(&Outcome)) {
+    pub(super) fn say_state(&self, t: Timestamp, emit: &mut impl FnMut(&Outcome)) {
         let Plan { repetitions, sets, rest_s } = self.plan;
         let exercises = self.exercises.iter().map(|progress| progress.state(&self.plan)).collect();
         let state = ExerciseState { exercises, repetitions, sets, rest_s };
-        self.say(t, t, ExerciseWhat::State(state), say);
+        self.emit(t, t, ExerciseWhat::State(state), emit);
     }
 
     /// Follows a frame with the row of signals.
-    pub(super) fn frame(&mut self, t: Timestamp, row: &[Option<f64>], say: &mut impl FnMut(&Outcome)) {
+    pub(super) fn frame(&mut self, t: Timestamp, row: &[Option<f64>], emit: &mut impl FnMut(&Outcome)) {
         let Some(mut counter) = self.counter.take() else { return };
         let t_s = t.as_secs_f64();
-        counter.push(t_s, row, &mut |event| self.event(t, event, say));
-        self.hint(t, counter.hint(), &counter, say);
+        counter.push(t_s, row, &mut |event| self.event(t, event, emit));
+        self.hint(t, counter.hint(), &counter, emit);
         self.counter = Some(counter);
         let rested = |progress: &mut Progress| progress.rest_until_s.take_if(|end_s| *end_s <= t_s).is_some();
         // All of them: `any` would stop at the first.
         if self.exercises.iter_mut().filter_map(|progress| rested(progress).then_some(())).count() > 0 {
-            self.say_state(t, say);
+            self.say_state(t, emit);
         }
     }
 
-    fn event(&mut self, t: Timestamp, event: Event, say: &mut impl FnMut(&Outcome)) {
+    fn event(&mut self, t: Timestamp, event: Event, emit: &mut impl FnMut(&Outcome)) {
         let plan = self.plan;
         let progress = &mut self.exercises[event.exercise];
         let mut completed = false;
@@ -135,14 +135,14 @@ impl Subject {
             feedback: feedback.and_then(|feedback| Some((channel(feedback.channel)?, feedback))),
             remark: event.remark,
         };
-        self.say(Timestamp::from_secs_f64(event.t_s), t, ExerciseWhat::Repetition(repetition), say);
+        self.emit(Timestamp::from_secs_f64(event.t_s), t, ExerciseWhat::Repetition(repetition), emit);
         if completed {
-            self.say_state(t, say);
+            self.say_state(t, emit);
         }
     }
 
     /// Reports what deviates now, when that changes.
-    fn hint(&mut self, t: Timestamp, hint: Option<Hint>, counter: &Counter, say: &mut impl FnMut(&Outcome)) {
+    fn hint(&mut self, t: Timestamp, hint: Option<Hint>, counter: &Counter, emit: &mut impl FnMut(&Outcome)) {
         let remark = hint.and_then(|hint| hint.remark(counter.exercises().nth(hint.exercise)?));
         let what = hint.and_then(|hint| {
             let deviates = remark.map(|_| (hint.channel, hint.deviation > 0.0));
@@ -153,7 +153,7 @@ impl Subject {
             return;
         }
         self.hinted = Hinted { what, t_s };
-        let said = hint.filter(|_| what.is_some()).and_then(|hint| {
+        let emitted = hint.filter(|_| what.is_some()).and_then(|hint| {
             let progress = self.exercises.get(hint.exercise)?;
             let channel = progress.channels.get(hint.channel).cloned();
             Some(LiveHint {
@@ -163,18 +163,18 @@ impl Subject {
                 remark: channel.zip(remark),
             })
         });
-        self.say(t, t, ExerciseWhat::Hint(said), say);
+        self.emit(t, t, ExerciseWhat::Hint(emitted), emit);
     }
 
-    fn say(
+    fn emit(
         &self,
         t_valid: Timestamp,
         t_decided: Timestamp,
         what: ExerciseWhat,
-        say: &mut impl FnMut(&Outcome),
+        emit: &mut impl FnMut(&Outcome),
     ) {
         let what = OutcomeKind::Exercise(ExerciseOutcome { subject: self.name.clone(), what });
-        say(&Outcome { t_valid, t_decided, what });
+        emit(&Outcome { t_valid, t_decided, what });
     }
 }
 

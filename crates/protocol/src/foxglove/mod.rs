@@ -139,11 +139,11 @@ impl Views {
         &mut self,
         payload: &Payload<'_>,
         stamp: &Stamp,
-        mut say: impl FnMut(&Arc<Channel>, &[u8]),
+        mut emit: impl FnMut(&Arc<Channel>, &[u8]),
     ) {
         let Self { channels, publisher } = self;
         publisher
-            .publish(payload, stamp, channels, &|_| true, &mut |place, json| say(&channels[place], json));
+            .publish(payload, stamp, channels, &|_| true, &mut |place, json| emit(&channels[place], json));
     }
 }
 

@@ -111,7 +111,7 @@ impl Publisher {
         stamp: &Stamp,
         channels: &[impl Borrow<Channel>],
         wanted: &dyn Fn(usize) -> bool,
-        say: &mut dyn FnMut(usize, &[u8]),
+        emit: &mut dyn FnMut(usize, &[u8]),
     ) {
         if let Payload::Outcome(Outcome { what: OutcomeKind::ModelSwapped(model), .. }) = payload {
             self.swap(model);
@@ -157,13 +157,13 @@ impl Publisher {
                     let head = encode::Head { stage: None, topic, seq: *seq, dropped: 0 };
                     encode::message(Encoding::Json, head, &body, &mut self.message);
                     *seq += 1;
-                    say(place, &self.message);
+                    emit(place, &self.message);
                     continue;
                 }
                 _ => continue,
             }
             if !body.is_empty() {
-                say(place, &body);
+                emit(place, &body);
             }
         }
         self.body = body;

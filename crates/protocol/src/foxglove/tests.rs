@@ -84,13 +84,13 @@ fn figure() -> Body {
 }
 
 /// Messages by topic that follow from payloads.
-fn said(payloads: &[Payload<'_>]) -> BTreeMap<String, Vec<Value>> {
+fn emitted(payloads: &[Payload<'_>]) -> BTreeMap<String, Vec<Value>> {
     let stage = stage();
     let topics = [Topic::Status, Topic::Sensors, Topic::Body, Topic::Faults, Topic::Truth];
     let channels = channels(&stage, &topics);
     let mut publisher = Publisher::new(&stage, EPOCH_UTC_NS);
     let mut counters = Counters::default();
-    let mut said: BTreeMap<String, Vec<Value>> = BTreeMap::new();
+    let mut emitted: BTreeMap<String, Vec<Value>> = BTreeMap::new();
     for payload in payloads {
         let stamp = counters.stamp(payload);
         publisher.publish(payload, &stamp, &channels, &|_| true, &mut |place, json| {
@@ -98,10 +98,10 @@ fn said(payloads: &[Payload<'_>]) -> BTreeMap<String, Vec<Value>> {
             let message: Value = serde_json::from_slice(json).unwrap();
             let schema: Value = serde_json::from_str(&channel.schema).unwrap();
             fits(&message, &schema, &channel.topic);
-            said.entry(channel.topic.clone()).or_default().push(message);
+            emitted.entry(channel.topic.clone()).or_default().push(message);
         });
     }
-    said
+    emitted
 }
 
 /// As the viewers' parser reads it: what it refuses, and what does not fit, fails. Null is what is not known.
@@ -138,14 +138,14 @@ fn fits(value: &Value, schema: &Value, at: &str) {
 #[test]
 fn a_good_sensor_is_a_frame_a_pose_and_a_ball() {
     let estimate = estimate(SensorState::Ok, 0.1);
-    let said = said(&[Payload::Estimate(&estimate)]);
-    let frames = &said["/tf"][0]["transforms"];
+    let emitted = emitted(&[Payload::Estimate(&estimate)]);
+    let frames = &emitted["/tf"][0]["transforms"];
     let children: Vec<_> = frames.as_array().unwrap().iter().map(|frame| &frame["child_frame_id"]).collect();
     assert_eq!(children, ["transmitter", "sensors/left"], "the right one is missing");
     assert_eq!(frames[0]["translation"]["z"], 1.0);
     assert_eq!(frames[1]["timestamp"]["sec"], 1_700_000_001);
     assert_eq!(frames[1]["timestamp"]["nsec"], 250_000_000);
-    let pose = &said["/sensors/left/pose"][0]["pose"];
+    let pose = &emitted["/sensors/left/pose"][0]["pose"];
     assert_eq!((&pose["position"]["x"], &pose["position"]["z"]), (&0.1.into(), &1.23457.into()));
     // To six digits, as on our own websocket.
     let half_turn = (1e6 * std::f64::consts::FRAC_1_SQRT_2).round() / 1e6;
@@ -153,25 +153,26 @@ fn a_good_sensor_is_a_frame_a_pose_and_a_ball() {
         (&pose["orientation"]["w"], &pose["orientation"]["z"]),
         (&half_turn.into(), &half_turn.into())
     );
-    assert!(!said.contains_key("/sensors/right/pose"));
-    let entity = &said["/scene/sensors"][0]["entities"][0];
+    assert!(!emitted.contains_key("/sensors/right/pose"));
+    let entity = &emitted["/scene/sensors"][0]["entities"][0];
     assert_eq!((&entity["id"], &entity["texts"][0]["text"]), (&"sensors".into(), &"left".into()));
     assert_eq!(
         (entity["spheres"].as_array().unwrap().len(), entity["cubes"].as_array().unwrap().len()),
         (1, 1)
     );
-    assert_eq!(said["/posed/sensors"][0]["sensors"][0]["position_m"][2], 1.23457);
+    assert_eq!(emitted["/posed/sensors"][0]["sensors"][0]["position_m"][2], 1.23457);
 }
 
 #[test]
 fn what_is_not_good_is_shown_as_such_or_not_at_all() {
     let [suspect, none] = [estimate(SensorState::Suspect, 0.1), estimate(SensorState::Ok, f64::NAN)];
-    let said = said(&[Payload::Estimate(&suspect), Payload::Estimate(&none)]);
-    for frames in &said["/tf"] {
+    let emitted = emitted(&[Payload::Estimate(&suspect), Payload::Estimate(&none)]);
+    for frames in &emitted["/tf"] {
         assert_eq!(frames["transforms"].as_array().unwrap().len(), 1, "the transmitter only");
     }
-    assert!(!said.contains_key("/sensors/left/pose"));
-    let balls = |at: usize| said["/scene/sensors"][at]["entities"][0]["spheres"].as_array().unwrap().clone();
+    assert!(!emitted.contains_key("/sensors/left/pose"));
+    let balls =
+        |at: usize| emitted["/scene/sensors"][at]["entities"][0]["spheres"].as_array().unwrap().clone();
     assert!(balls(0)[0]["color"]["r"].as_f64() > balls(0)[0]["color"]["b"].as_f64(), "orange");
     assert!(balls(1).is_empty());
 }
@@ -179,9 +180,9 @@ fn what_is_not_good_is_shown_as_such_or_not_at_all() {
 #[test]
 fn the_body_is_a_figure_of_the_right_size() {
     let body = figure();
-    let said = said(&[Payload::Body(&body)]);
-    assert_eq!(said["/tf"][0]["transforms"].as_array().unwrap().len(), 8, "two of ten are not good");
-    let entity = &said["/scene/body"][0]["entities"][0];
+    let emitted = emitted(&[Payload::Body(&body)]);
+    assert_eq!(emitted["/tf"][0]["transforms"].as_array().unwrap().len(), 8, "two of ten are not good");
+    let entity = &emitted["/scene/body"][0]["entities"][0];
     let lines = &entity["lines"][0];
     let points = lines["points"].as_array().unwrap();
     // Nine segments, hips and shoulders, without the missing shank; the pelvis itself has no length.
@@ -210,21 +211,21 @@ fn events_truth_and_a_moved_transmitter_are_reported() {
     }];
     let truth = Truth { t_valid: t, sensors };
     let (estimate, status) = (estimate(SensorState::Ok, 0.1), Status::default());
-    let said = said(&[
+    let emitted = emitted(&[
         Payload::Outcome(&fault),
         Payload::Outcome(&moved),
         Payload::Truth(&truth),
         Payload::Status(&status),
         Payload::Estimate(&estimate),
     ]);
-    let log = &said["/log"];
+    let log = &emitted["/log"];
     assert_eq!((&log[0]["level"], &log[0]["name"]), (&3.into(), &"right".into()));
     assert_eq!(log[0]["message"], "the pose is not where it can be");
     assert_eq!(log[1]["level"], 2);
-    assert_eq!(said["/truth"][0]["poses"][0]["position"]["z"], 3.0);
-    assert_eq!(said["/tf"][0]["transforms"][0]["translation"]["x"], 0.5);
-    assert_eq!(said["/posed/faults"][0]["event_id"], 1);
-    assert!(said.contains_key("/posed/status"));
+    assert_eq!(emitted["/truth"][0]["poses"][0]["position"]["z"], 3.0);
+    assert_eq!(emitted["/tf"][0]["transforms"][0]["translation"]["x"], 0.5);
+    assert_eq!(emitted["/posed/faults"][0]["event_id"], 1);
+    assert!(emitted.contains_key("/posed/status"));
 }
 
 #[test]

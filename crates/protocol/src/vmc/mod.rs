@@ -70,7 +70,7 @@ impl Publisher {
 
     /// Gives `say` the datagrams of a body, if one is due by the rate: the bones that sensors show, relative to their parents, in
     /// Unity's axes, m, and the trackers of the newest frame. Where no bone is shown the avatar counts as not loaded.
-    pub fn body(&mut self, body: &Body, say: impl FnMut(&[u8])) {
+    pub fn body(&mut self, body: &Body, emit: impl FnMut(&[u8])) {
         if !self.is_due(body.t_valid) {
             return;
         }
@@ -78,12 +78,12 @@ impl Publisher {
             Some(skeleton) => bones::of(body, skeleton, self.turn, self.scale),
             None => Vec::new(),
         };
-        self.say(body.t_valid, &bones, say);
+        self.emit(body.t_valid, &bones, emit);
     }
 
     /// Takes over the sensors of a frame whose poses may be used as good. Gives `say` their datagrams, if they are due, on a
     /// stage without the height of a body, for then no bones come.
-    pub fn frame(&mut self, estimate: &Estimate, say: impl FnMut(&[u8])) {
+    pub fn frame(&mut self, estimate: &Estimate, emit: impl FnMut(&[u8])) {
         self.sensors.clear();
         for &(at, _) in &self.trackers {
             let pose = estimate.sensors.get(at).and_then(|sensor| sensor.usable_pose());
@@ -91,17 +91,17 @@ impl Publisher {
             self.sensors.extend(place.map(|place| (at, place)));
         }
         if self.skeleton.is_none() && self.is_due(estimate.t_valid) {
-            self.say(estimate.t_valid, &[], say);
+            self.emit(estimate.t_valid, &[], emit);
         }
     }
 
     /// To be called now and then with the stage time, s: if what is due has not come for more than 1 s, forgets the trackers and
     /// gives `say` a datagram that reports no bones.
-    pub fn look(&mut self, t_s: f64, say: impl FnMut(&[u8])) {
+    pub fn look(&mut self, t_s: f64, emit: impl FnMut(&[u8])) {
         // Somewhat more than the largest distance of two frames.
         if t_s > self.due_s + 1.0 {
             self.sensors.clear();
-            self.say(Timestamp::from_secs_f64(t_s), &[], say);
+            self.emit(Timestamp::from_secs_f64(t_s), &[], emit);
         }
     }
 
@@ -122,7 +122,7 @@ impl Publisher {
         true
     }
 
-    fn say(&self, t: Timestamp, bones: &[Bone], mut say: impl FnMut(&[u8])) {
+    fn emit(&self, t: Timestamp, bones: &[Bone], mut emit: impl FnMut(&[u8])) {
         let t_s = (t.as_nanos() as f64 * 1e-9) as f32;
         let loaded = i32::from(!bones.is_empty());
         let mut messages = vec![
@@ -141,7 +141,7 @@ impl Publisher {
             let rotation = unity_rotation(self.turn * place.rotation);
             messages.push(placed("/VMC/Ext/Tra/Pos", name, position_m, rotation));
         }
-        bundles(messages, &mut say);
+        bundles(messages, &mut emit);
     }
 }
 
@@ -167,14 +167,14 @@ fn placed(address: &str, name: &str, position_m: Vector3<f64>, rotation: UnitQua
 }
 
 /// Packs messages into as few datagrams as they need.
-fn bundles(messages: Vec<OscMessage>, say: &mut impl FnMut(&[u8])) {
+fn bundles(messages: Vec<OscMessage>, emit: &mut impl FnMut(&[u8])) {
     let mut content = Vec::new();
     let mut bytes = BUNDLE;
     let mut send = |content: &mut Vec<OscPacket>| {
         let bundle = OscBundle { timetag: NOW, content: std::mem::take(content) };
         // Names without NUL cannot be refused, and stage files hold none.
         if let Ok(datagram) = encoder::encode(&OscPacket::Bundle(bundle)) {
-            say(&datagram);
+            emit(&datagram);
         }
     };
     for message in messages {

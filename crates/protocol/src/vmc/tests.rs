@@ -186,13 +186,13 @@ fn what_sensors_do_not_show_is_not_sent_and_nothing_is_said_to_be_nothing() {
     let messages = received(&mut Publisher::new(&stage, &settings), &body);
     assert_eq!(messages["/VMC/Ext/OK"], [OscType::Int(0)]);
     assert_eq!(messages.len(), 2);
-    let mut said = 0;
+    let mut emitted = 0;
     let mut publisher = Publisher::new(&stage, &settings);
     received(&mut publisher, &body);
-    publisher.look(2.0, |_| said += 1);
-    assert_eq!(said, 0, "half a second ago");
-    publisher.look(3.0, |_| said += 1);
-    assert_eq!(said, 1);
+    publisher.look(2.0, |_| emitted += 1);
+    assert_eq!(emitted, 0, "half a second ago");
+    publisher.look(3.0, |_| emitted += 1);
+    assert_eq!(emitted, 1);
 }
 
 #[test]
@@ -230,9 +230,9 @@ fn the_rate_is_kept_and_trackers_are_sent_in_room_axes() {
 fn bytes_are_those_of_the_protocol() {
     let (stage, settings) = stage("");
     let mut publisher = Publisher::new(&stage, &settings);
-    let mut said = Vec::new();
-    publisher.look(1.5, |datagram| said.push(datagram.to_vec()));
+    let mut emitted = Vec::new();
+    publisher.look(1.5, |datagram| emitted.push(datagram.to_vec()));
     let mut expected = b"#bundle\0\0\0\0\0\0\0\0\x01\0\0\0\x14/VMC/Ext/OK\0,i\0\0\0\0\0\0".to_vec();
     expected.extend_from_slice(b"\0\0\0\x14/VMC/Ext/T\0\0,f\0\0\x3f\xc0\0\0");
-    assert_eq!(said, [expected]);
+    assert_eq!(emitted, [expected]);
 }

@@ -224,8 +224,8 @@ mod tests {
     #[test]
     fn a_frame_is_a_pose_a_velocity_and_what_has_changed() {
         let mut publisher = Publisher::new(Catalogue::new(["hand"], 1_000_000_000));
-        let mut said = Vec::new();
-        let mut tell = |publisher: &mut Publisher, estimate: &Estimate| {
+        let mut emitted = Vec::new();
+        let mut report = |publisher: &mut Publisher, estimate: &Estimate| {
             let mut bytes = Vec::new();
             publisher.frame(estimate, &mut bytes);
             assert!(
@@ -234,13 +234,13 @@ mod tests {
             );
             let mut messages = wire::Messages::default();
             messages.push(&bytes);
-            said.clear();
+            emitted.clear();
             while let Some(message) = messages.find().unwrap() {
-                said.push((message.kind, message.payload.to_vec()));
+                emitted.push((message.kind, message.payload.to_vec()));
             }
-            said.clone()
+            emitted.clone()
         };
-        let first = tell(&mut publisher, &estimate(1.0, 0.5, SensorState::Ok, 0));
+        let first = report(&mut publisher, &estimate(1.0, 0.5, SensorState::Ok, 0));
         assert_eq!(first.iter().map(|(kind, _)| *kind).collect::<Vec<_>>(), [POSE, VELOCITY]);
         let half = 0.5_f64.sqrt();
         assert_eq!(doubles(&first[0].1), [1.0, 2.0, 3.0, 0.0, half, 0.0, half]);
@@ -248,14 +248,14 @@ mod tests {
         assert_eq!((velocity[0], velocity[7]), (0.5, TURN_S));
         // 2 rad/s about the sensor's x axis are -2 rad/s about the room's z axis.
         assert!((velocity[5] + 0.01_f64.sin()).abs() < 1e-12, "{velocity:?}");
-        let second = tell(&mut publisher, &estimate(1.01, 0.6, SensorState::Repaired, 1));
+        let second = report(&mut publisher, &estimate(1.01, 0.6, SensorState::Repaired, 1));
         assert_eq!(
             second.iter().map(|(kind, _)| *kind).collect::<Vec<_>>(),
             [BUTTON, POSE, VELOCITY, ACCELERATION]
         );
         assert!((doubles(&second[3].1)[0] - 10.0).abs() < 1e-6);
-        assert_eq!(tell(&mut publisher, &estimate(1.02, 0.6, SensorState::Suspect, 1)), []);
-        let back = tell(&mut publisher, &estimate(1.03, 0.6, SensorState::Ok, 1));
+        assert_eq!(report(&mut publisher, &estimate(1.02, 0.6, SensorState::Suspect, 1)), []);
+        let back = report(&mut publisher, &estimate(1.03, 0.6, SensorState::Ok, 1));
         assert_eq!(back.len(), 2, "no acceleration over a gap");
     }
 

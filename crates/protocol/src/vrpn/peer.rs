@@ -50,16 +50,16 @@ mod tests {
     fn pings_of_known_trackers_are_answered_and_logs_refused() {
         let catalogue = Catalogue::new(["a", "b"], 0);
         let mut peer = Peer::default();
-        let mut said = Vec::new();
-        wire::description(system::SENDER, 7, "b", 0, &mut said);
-        wire::description(system::SENDER, 8, "c", 0, &mut said);
-        wire::description(system::TYPE, 3, PING, 0, &mut said);
+        let mut emitted = Vec::new();
+        wire::description(system::SENDER, 7, "b", 0, &mut emitted);
+        wire::description(system::SENDER, 8, "c", 0, &mut emitted);
+        wire::description(system::TYPE, 3, PING, 0, &mut emitted);
         for sender in [7, 8, 9] {
-            wire::message(From { sender, kind: 3, utc_ns: 0 }, &[], &mut said);
+            wire::message(From { sender, kind: 3, utc_ns: 0 }, &[], &mut emitted);
         }
-        wire::message(From { sender: 1, kind: 5, utc_ns: 0 }, b"what nobody knows", &mut said);
+        wire::message(From { sender: 1, kind: 5, utc_ns: 0 }, b"what nobody knows", &mut emitted);
         let mut messages = wire::Messages::default();
-        messages.push(&said);
+        messages.push(&emitted);
         let mut out = Vec::new();
         while let Some(message) = messages.find().unwrap() {
             peer.take(message, &catalogue, &mut out).unwrap();

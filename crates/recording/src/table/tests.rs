@@ -39,7 +39,7 @@ fn poses_have_sensors_gaps_and_unit_quaternions() {
 
 #[test]
 fn poses_that_are_wrong_are_refused() {
-    for (text, said) in [
+    for (text, emitted) in [
         ("t,x,y\n", "`z` among them"),
         ("t,x,y,z,qw\n", "`qx` among them"),
         ("t,x,y,z\n,1,2,3\n", "line 2, column t: expected a number, found an empty cell"),
@@ -48,7 +48,7 @@ fn poses_that_are_wrong_are_refused() {
         ("t,x,y,z,qw,qx,qy,qz\n0,1,2,3,0.7,0,0,0\n", "column qw: expected a unit quaternion"),
     ] {
         let error = Poses::from_table(table(text)).unwrap_err().to_string();
-        assert!(error.contains(said), "{error}");
+        assert!(error.contains(emitted), "{error}");
     }
 }
 
@@ -91,13 +91,13 @@ fn sequences_are_turned_to_metres_and_z_up() {
     let options = SequenceOptions { up: Up::Z, unit: Unit::Cm, ..options };
     let sequences = Sequences::from_table(table(text), &options).unwrap();
     assert_eq!(sequences.positions_m(0), [Some([10.0, 20.0, 30.0])]);
-    for (text, said) in [
+    for (text, emitted) in [
         ("t,hip_x,hip_y\n", "`hip_z` among them"),
         ("t,label\n", "NAME_x,NAME_y,NAME_z"),
         ("t,a_x,a_y,a_z,transition\n0,1,2,3,yes\n", "column transition: expected 0 or 1"),
     ] {
         let error = Sequences::from_table(table(text), &SequenceOptions::default()).unwrap_err().to_string();
-        assert!(error.contains(said), "{error}");
+        assert!(error.contains(emitted), "{error}");
     }
 }
 
