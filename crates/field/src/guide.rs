@@ -68,7 +68,7 @@ impl Guide {
     }
 
     /// Takes a frame at time `t_s` (s, rising). `reading`: what the sensor of that index along the pole read, `None`
-    /// where it is missing or not believed. `say` hears the progress once a second.
+    /// where it is missing or not believed. `emit` gets the progress once a second.
     ///
     /// A frame less than 0.03 s after the last one kept is left out, one with fewer than three sensors is not recorded,
     /// and nothing is kept beyond 20,000 frames (ten minutes).

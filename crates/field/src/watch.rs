@@ -307,7 +307,7 @@ impl Watch {
         self.channels.iter().any(|channel| channel.alarm.active || channel.hum.active)
     }
 
-    /// Takes a frame at time `t_s` (s). `seen`: where the sensor of an index is; `say` hears each warning when it
+    /// Takes a frame at time `t_s` (s). `seen`: where the sensor of an index is; `emit` gets each warning when it
     /// begins and ends.
     ///
     /// A block ends after 0.15 s, or at once where time runs backwards; one with fewer than three readings is left out.

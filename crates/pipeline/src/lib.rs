@@ -217,7 +217,7 @@ impl Pipeline {
         })
     }
 
-    /// Takes the next entry of the input log and gives all that follows from it to `say`, in order, before it returns.
+    /// Takes the next entry of the input log and gives all that follows from it to `emit`, in order, before it returns.
     ///
     /// Its time is the latest that an entry had: one that is earlier does not set it back. Of bytes and lines of a device that
     /// the stage does not have, only the time is taken. Nothing can fail: what is wrong is counted ([`Self::status`]).

@@ -32,7 +32,7 @@ impl<S: Statistic + Clone> Track<S> {
         Self { fresh: detector.clone(), detector, last: None, missing: 0, frames: 0, start: 0 }
     }
 
-    /// Takes the next frame: a pose (m; sensor to the frame of reference) or `None` where it is missing. `say` hears
+    /// Takes the next frame: a pose (m; sensor to the frame of reference) or `None` where it is missing. `emit` gets
     /// events.
     ///
     /// Returns the statistic at an earlier frame; `None` for a missing pose and until a window is full. Frames of

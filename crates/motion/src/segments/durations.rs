@@ -51,7 +51,7 @@ impl Decoder {
         }
     }
 
-    /// Takes the probabilities of the next frame, one per class; `say` hears frame number and class of each frame that
+    /// Takes the probabilities of the next frame, one per class; `emit` gets frame number and class of each frame that
     /// became certain, in order. The first and the last segment of a stream may be shorter than the minimum.
     pub fn push(&mut self, probabilities: &[f32], emit: &mut impl FnMut(u64, usize)) {
         for (log_density, class) in self.log_density.iter_mut().zip(&self.class) {
@@ -66,7 +66,7 @@ impl Decoder {
         self.viterbi.best().map(|state| usize::from(self.class[state]))
     }
 
-    /// Ends the stream; `say` hears frame number and class of the frames that are left.
+    /// Ends the stream; `emit` gets frame number and class of the frames that are left.
     pub fn finish(&mut self, emit: &mut impl FnMut(u64, usize)) {
         let class = &self.class;
         self.viterbi.finish(&mut |frame, state| emit(frame, usize::from(class[state])));

@@ -86,7 +86,7 @@ impl Labeller {
         card.shape.delay() as f64 / card.preparation.rate_hz + card.decision.wait_s
     }
 
-    /// Takes the positions of the model's joints at `t_s` (s), z up, m; `say` hears ticks. A frame that is not after
+    /// Takes the positions of the model's joints at `t_s` (s), z up, m; `emit` gets ticks. A frame that is not after
     /// the last one, or whose time is not finite, is left out; positions are interpolated to ticks, and a longer gap
     /// ends the stream.
     ///
@@ -131,7 +131,7 @@ impl Labeller {
         self.last.extend_from_slice(positions);
     }
 
-    /// Ends the stream: `say` hears all ticks that are left, final, and the next frame begins a new stream.
+    /// Ends the stream: `emit` gets all ticks that are left, final, and the next frame begins a new stream.
     pub fn finish(&mut self, model: &Model, emit: &mut impl FnMut(Tick)) {
         if self.last_s.take().is_none() {
             return;

@@ -50,7 +50,7 @@ impl Stream {
         self.run(network, 0).then_some(self.column.as_slice())
     }
 
-    /// Ends the stream; `say` hears the scores of the frames that are left, in order.
+    /// Ends the stream; `emit` gets the scores of the frames that are left, in order.
     pub fn finish(&mut self, network: &SegmentationNetwork<f32>, emit: &mut impl FnMut(&[f32])) {
         for layer in 0..self.rings.len() {
             // What came in from outside, or has come from the layer below, which is complete by now.

@@ -133,7 +133,7 @@ impl Views {
         self.publisher.swap(model);
     }
 
-    /// Gives `say` the message (JSON text) of every channel that shows something of a payload. Poses are in the room, m; `stamp`
+    /// Gives `emit` the message (JSON text) of every channel that shows something of a payload. Poses are in the room, m; `stamp`
     /// is that of the payload's own message, and times are UTC.
     pub fn publish(
         &mut self,

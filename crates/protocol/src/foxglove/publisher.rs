@@ -102,7 +102,7 @@ impl Publisher {
         u64::try_from(self.epoch_utc_ns.saturating_add(stamp.t().as_nanos())).unwrap_or(0)
     }
 
-    /// Gives `say` the message of every channel that is `wanted` (by its place in `channels`) and shows something of a payload:
+    /// Gives `emit` the message of every channel that is `wanted` (by its place in `channels`) and shows something of a payload:
     /// place, JSON text. Poses are in the room, m; one that is not good is left out, or drawn in another colour. `stamp` is that
     /// of the payload's own message.
     pub fn publish(

@@ -68,7 +68,7 @@ impl Publisher {
         }
     }
 
-    /// Gives `say` the datagrams of a body, if one is due by the rate: the bones that sensors show, relative to their parents, in
+    /// Gives `emit` the datagrams of a body, if one is due by the rate: the bones that sensors show, relative to their parents, in
     /// Unity's axes, m, and the trackers of the newest frame. Where no bone is shown the avatar counts as not loaded.
     pub fn body(&mut self, body: &Body, emit: impl FnMut(&[u8])) {
         if !self.is_due(body.t_valid) {
@@ -81,7 +81,7 @@ impl Publisher {
         self.emit(body.t_valid, &bones, emit);
     }
 
-    /// Takes over the sensors of a frame whose poses may be used as good. Gives `say` their datagrams, if they are due, on a
+    /// Takes over the sensors of a frame whose poses may be used as good. Gives `emit` their datagrams, if they are due, on a
     /// stage without the height of a body, for then no bones come.
     pub fn frame(&mut self, estimate: &Estimate, emit: impl FnMut(&[u8])) {
         self.sensors.clear();
@@ -96,7 +96,7 @@ impl Publisher {
     }
 
     /// To be called now and then with the stage time, s: if what is due has not come for more than 1 s, forgets the trackers and
-    /// gives `say` a datagram that reports no bones.
+    /// gives `emit` a datagram that reports no bones.
     pub fn look(&mut self, t_s: f64, emit: impl FnMut(&[u8])) {
         // Somewhat more than the largest distance of two frames.
         if t_s > self.due_s + 1.0 {
