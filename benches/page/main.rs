@@ -42,7 +42,7 @@ struct Args {
 const PROBE: &str = include_str!("probe.js");
 
 /// The views, by the word in the address.
-const VIEWS: [&str; 6] = ["stage-view", "trainer", "health", "runs", "analysis", "replay"];
+const VIEWS: [&str; 6] = ["stage-view", "trainer", "health", "calibrate-record", "analysis", "replay"];
 
 #[tokio::main]
 async fn main() {

@@ -123,7 +123,7 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser.click("tab-health").await;
     browser.until("document.getElementById('latency').rows.length >= 1").await;
     browser.picture("health").await;
-    browser.click("tab-runs").await;
+    browser.click("tab-calibrate-record").await;
     browser.value("document.getElementById('record-name').value = 'take'").await;
     browser.click("record-start").await;
     browser.until("document.getElementById('recording').textContent.startsWith('recording take.mcap')").await;
@@ -136,10 +136,10 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     browser
         .until("document.getElementById('segments-says').textContent.includes('has labels beside it')")
         .await;
-    browser.click("tab-runs").await;
+    browser.click("tab-calibrate-record").await;
     browser.click("record-stop").await;
     browser.until("document.getElementById('jobs').textContent.includes('take.mcap is complete')").await;
-    browser.picture("runs").await;
+    browser.picture("calibrate-record").await;
     done(browser, posed).await;
 
     let recording = folder.path().join("recordings/take.mcap");
@@ -186,7 +186,7 @@ async fn the_field_is_calibrated_in_the_browser_and_the_stage_shows_what_the_map
     let stage = folder.path().join("pole.toml");
     std::fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/config/field-pole.toml"), &stage).unwrap();
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
+    let mut browser = Browser::open(&format!("http://{}/#calibrate-record", posed.address)).await;
     browser.until(LIVE).await;
     let text = |id: &str| format!("document.getElementById('{id}').textContent");
     browser.until(&format!("{}.startsWith('Poses are the tracker')", text("field-map"))).await;
@@ -228,7 +228,7 @@ async fn the_field_is_calibrated_in_the_browser_and_the_stage_shows_what_the_map
     browser.value(&cut.replace("value = 0", "value = 0.5")).await;
     browser.until(PAINTED).await;
     browser.picture("field").await;
-    browser.click("tab-runs").await;
+    browser.click("tab-calibrate-record").await;
     browser.click("field-rollback").await;
     browser.until(&format!("{}.startsWith('Poses are the tracker')", text("field-map"))).await;
     done(browser, posed).await;
@@ -323,7 +323,7 @@ async fn guided(browser: &mut Browser, [button, prompt]: [&str; 2], step: &str, 
 /// The page of a stage whose body is to be calibrated.
 async fn calibrating(stage: &Path, how: &str) -> (Posed, Browser) {
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
+    let mut browser = Browser::open(&format!("http://{}/#calibrate-record", posed.address)).await;
     browser.until("document.getElementById('problems').textContent.includes('calibrate the body')").await;
     browser.value(&format!("document.getElementById('calibrate-how').value = '{how}'")).await;
     (posed, browser)
@@ -431,7 +431,7 @@ async fn the_stage_is_aligned_in_the_browser() {
     let stage = folder.path().join("wand.toml");
     std::fs::write(&stage, WAND).unwrap();
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
+    let mut browser = Browser::open(&format!("http://{}/#calibrate-record", posed.address)).await;
     browser.until(LIVE).await;
     // Tilted by ten degrees about y, and by nothing about x; the magnetometer decides on the heading.
     let right = |keys: &str| {
@@ -494,7 +494,7 @@ async fn an_imu_is_calibrated_in_the_browser_and_its_file_kept() {
     let stage = folder.path().join("table.toml");
     std::fs::write(&stage, TABLE).unwrap();
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
+    let mut browser = Browser::open(&format!("http://{}/#calibrate-record", posed.address)).await;
     browser.until(LIVE).await;
     browser.click("unit-calibrate").await;
     let text = |id: &str| format!("document.getElementById('{id}').textContent");
@@ -560,7 +560,7 @@ async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
     std::fs::write(&stage, leg::STAGE.replace("/dev/none", "auto") + LINKS).unwrap();
     write_links(&folder.path().join("links.csv"));
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
-    let mut browser = Browser::open(&format!("http://{}/#runs", posed.address)).await;
+    let mut browser = Browser::open(&format!("http://{}/#calibrate-record", posed.address)).await;
     guided(&mut browser, CALIBRATE, "2 of 2: Bend every hinge", "axes of the chain are known").await;
     assert_eq!(browser.row("mounting", 0).await[0], "knee");
     browser.click("tab-analysis").await;
@@ -614,7 +614,7 @@ async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_devic
         "[...document.getElementById('devices').rows[0].cells].map((cell) => cell.textContent).join(' ')";
     browser.until(&format!("/^one .*connecting: .*check the cable/.test({first})")).await;
     browser.until(&format!("/^one .*streaming/.test({first})")).await;
-    browser.click("tab-runs").await;
+    browser.click("tab-calibrate-record").await;
     browser.until(&format!("{}.includes('exercise.teach · done')", text("jobs"))).await;
     browser.click("tab-trainer").await;
     browser.until("document.querySelectorAll('#exercises input').length === 1").await;

@@ -9,7 +9,7 @@ import type { View } from "./view";
 import { AnalysisView } from "./views/analysis";
 import { HealthView } from "./views/health";
 import { ReplayView } from "./views/replay";
-import { RunsView } from "./views/runs";
+import { CalibrateRecordView } from "./views/calibrate-record";
 import { StageView } from "./views/stage";
 import { TrainerView } from "./views/trainer";
 
@@ -37,7 +37,7 @@ const views: View[] = [
   new StageView(context),
   new TrainerView(context),
   new HealthView(context),
-  new RunsView(context),
+  new CalibrateRecordView(context),
   new AnalysisView(context),
   new ReplayView(context),
 ];

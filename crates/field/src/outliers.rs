@@ -4,6 +4,7 @@
 //! range repeats its last words; one wild spike would inflate the hull, so that the hull comes last.
 
 use nalgebra::Vector3;
+use posed_geometry::repetition::{Evidence, Repeats, Repetition};
 use serde::Serialize;
 
 use super::hull::Hull;
@@ -11,8 +12,7 @@ use super::noise::FieldNoise;
 use super::pole::{PoleRun, median};
 use super::problem::line;
 
-/// Shortest run of equal words that is stuck, and how far the others must have moved meanwhile, m.
-const STUCK_RUN: usize = 3;
+/// A sensor that repeats its words while the others have moved so far is stuck, m.
 const STUCK_MOTION_M: f64 = 0.01;
 /// Deviations from the pole, against their neighbours in time, that are spikes: in standard deviations, and at least m.
 const SPIKE_SIGMAS: f64 = 6.0;
@@ -97,23 +97,29 @@ fn drop_reading(
     rejected.push(Rejected { t_s: run.frames[frame].t_s, sensor, reason });
 }
 
-/// Runs of equal words, but for the first of each, which was measured.
+/// Words that stand still while the pole moves, but for the first of each run, which was measured.
 fn stuck(run: &mut PoleRun, rejected: &mut Vec<Rejected>) {
-    let frames = run.frames.len();
     for sensor in 0..run.sensors.len() {
-        let mut start = 0;
-        while start < frames {
-            let first = position(run, start, sensor);
-            let mut end = start + 1;
-            while end < frames && first.is_some() && position(run, end, sensor) == first {
-                end += 1;
+        let mut repetition = Repetition::default();
+        let (mut first, mut repeated, mut dropped) = (0, Vec::new(), Vec::new());
+        for frame in 0..run.frames.len() {
+            let Some(position_m) = position(run, frame, sensor) else { continue };
+            let moved = others_moved(run, first, frame, sensor) > STUCK_MOTION_M;
+            let evidence = if moved { Evidence::Certain } else { Evidence::None };
+            let repeats = repetition.take(<[f64; 3]>::from(position_m), evidence);
+            if repeats == Repeats::Changed {
+                repeated.clear();
+                first = frame;
+            } else {
+                repeated.push(frame);
             }
-            if end - start >= STUCK_RUN && others_moved(run, start, end - 1, sensor) > STUCK_MOTION_M {
-                for frame in start + 1..end {
-                    drop_reading(run, frame, sensor, Reason::Stuck, rejected);
-                }
+            // By hindsight all of a run is known to be stuck, from its first repetition on.
+            if repeats == Repeats::Stuck {
+                dropped.append(&mut repeated);
             }
-            start = end;
+        }
+        for frame in dropped {
+            drop_reading(run, frame, sensor, Reason::Stuck, rejected);
         }
     }
 }
@@ -207,5 +213,42 @@ fn hull(run: &mut PoleRun, rejected: &mut Vec<Rejected>) {
                 drop_reading(run, frame, sensor, Reason::Hull, rejected);
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{PoleFrame, PoleReading};
+
+    /// A pole of four sensors that goes `step_m` along x from frame to frame; the second repeats its words in frames 5 to 10.
+    fn run(step_m: f64) -> PoleRun {
+        let frame = |k: usize| PoleFrame {
+            t_s: k as f64 * 0.01,
+            readings: (0..4)
+                .map(|sensor| {
+                    let k = if sensor == 1 && (5..=10).contains(&k) { 5 } else { k };
+                    let position_m = Vector3::new(k as f64 * step_m, sensor as f64 * 0.1, 0.3);
+                    Some(PoleReading { position_m, orientation: None })
+                })
+                .collect(),
+        };
+        PoleRun {
+            sensors: ["a", "b", "c", "d"].map(String::from).to_vec(),
+            spacing_m: 0.1,
+            frames: (0..20).map(frame).collect(),
+        }
+    }
+
+    #[test]
+    fn words_that_stand_still_while_the_pole_moves_are_rejected_and_the_first_is_kept() {
+        let mut rejected = Vec::new();
+        stuck(&mut run(0.01), &mut rejected);
+        let frames: Vec<_> = rejected.iter().map(|r| ((r.t_s * 100.0).round() as usize, r.sensor)).collect();
+        assert_eq!(frames, [(6, 1), (7, 1), (8, 1), (9, 1), (10, 1)]);
+        rejected.clear();
+        // At rest all repeat themselves.
+        stuck(&mut run(0.0), &mut rejected);
+        assert_eq!(rejected, []);
     }
 }

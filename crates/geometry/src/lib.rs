@@ -3,7 +3,7 @@
 //! What comes in: vectors, unit quaternions, poses. What goes out: the same. Conventions: radians and
 //! metres; Hamilton quaternions; errors are local (right-multiplied): `R = R_hat * exp(error)`.
 //!
-//! Time stamps, gravity and a few small things that all crates share stand here, too.
+//! Time stamps, gravity, the stuck test and a few small things that all crates share stand here, too.
 //!
 //! ```
 //! use posed_geometry::{GRAVITY_M_S2, isometry, se3, wrapped_rad};
@@ -18,6 +18,7 @@
 
 pub mod bytes;
 pub mod parallel;
+pub mod repetition;
 pub mod se3;
 pub mod so3;
 mod time;

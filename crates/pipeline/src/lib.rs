@@ -402,6 +402,7 @@ impl Pipeline {
             estimate.fault = faults.as_mut().map(|faults| faults.frame(frame, room_transmitter));
             estimate_frame(frame, sensors, field, room_transmitter, faults.as_deref(), estimate);
             attached.frame(frame, sensors, room_transmitter, estimate);
+            estimate.sensors.iter_mut().for_each(SensorEstimate::withhold_non_finite);
             if let Some(body) = body
                 && let Some(body) = body.frame(frame, estimate)
             {

@@ -192,16 +192,13 @@ impl Serialize for Entry<'_> {
         let length = self.fields.0.count_ones() as usize + usize::from(has(Field::Velocity))
             - usize::from(has(Field::Fault) && fault.is_none())
             - usize::from(has(Field::Change) && change.is_none());
-        // A pose that is no number is no pose, whatever came before: it is shown as absent and not to be trusted.
-        let broken = self.values.pose.as_ref().is_some_and(|pose| !is_finite(pose));
-        let pose = if broken { None } else { self.values.pose.as_ref() };
-        let state = if broken { SensorState::Suspect } else { self.values.state };
+        let pose = self.values.pose.as_ref();
         let mut entry = serializer.serialize_struct("SensorEntry", length)?;
         entry.serialize_field("name", self.names.sensor(self.sensor))?;
         if has(Field::Device) {
             entry.serialize_field("device", self.names.device_of(self.sensor))?;
         }
-        entry.serialize_field("state", &state)?;
+        entry.serialize_field("state", &self.values.state)?;
         if has(Field::PositionM) {
             entry.serialize_field(
                 "position_m",
@@ -250,11 +247,6 @@ fn change(change: &output::Change) -> Change {
         score: round::to(1e3, change.score),
         threshold: round::to(1e3, change.threshold),
     }
-}
-
-fn is_finite(pose: &PoseEstimate) -> bool {
-    let position = pose.position_m.iter().flatten();
-    position.chain(&pose.orientation_wxyz).chain(&pose.sigma_m).all(|value| value.is_finite())
 }
 
 fn measured(measured: &output::Measured) -> Measured {

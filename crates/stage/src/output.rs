@@ -148,6 +148,14 @@ impl SensorEstimate {
     pub fn usable_pose(&self) -> Option<&PoseEstimate> {
         self.pose.as_ref().filter(|_| self.state.is_usable())
     }
+
+    /// Takes a pose away that holds a number which is not finite: whatever came before, it is no pose and not to be trusted.
+    pub fn withhold_non_finite(&mut self) {
+        if self.pose.as_ref().is_some_and(|pose| !pose.is_finite()) {
+            self.pose = None;
+            self.state = SensorState::Suspect;
+        }
+    }
 }
 
 /// The statistic of key poses of a sensor at an earlier frame: it needs the frames around it, `keyframes.window_frames` to either
@@ -207,6 +215,15 @@ pub struct PoseEstimate {
     /// Root mean square of the expected 3-D position error, m, the root of the trace of the position's covariance; absent with
     /// the position.
     pub sigma_m: Option<f64>,
+}
+
+impl PoseEstimate {
+    /// Whether every number of it is finite.
+    pub fn is_finite(&self) -> bool {
+        let vectors = [self.position_m, self.velocity_m_s, Some(self.angular_velocity_rad_s)];
+        let mut numbers = vectors.iter().flatten().flatten().chain(&self.orientation_wxyz);
+        numbers.all(|x| x.is_finite()) && self.covariance.iter().chain(&self.sigma_m).all(|x| x.is_finite())
+    }
 }
 
 /// A raw record in device axes: of a magnetic tracker those of the transmitter, of an IMU the frame z up that the unit chose.
@@ -361,4 +378,37 @@ pub enum SegmentEvent {
     Confirmed,
     /// It did not.
     Withdrawn,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pose_that_is_no_number_is_withheld() {
+        let whole = PoseEstimate {
+            position_m: Some([0.1, 0.2, 0.3]),
+            orientation_wxyz: [1.0, 0.0, 0.0, 0.0],
+            velocity_m_s: Some([0.0; 3]),
+            angular_velocity_rad_s: [0.0; 3],
+            covariance: [0.0; 21],
+            sigma_m: Some(1e-3),
+        };
+        let settled = |pose: PoseEstimate| {
+            let mut sensor =
+                SensorEstimate { state: SensorState::Ok, pose: Some(pose), ..Default::default() };
+            sensor.withhold_non_finite();
+            (sensor.state, sensor.pose)
+        };
+        assert_eq!(settled(whole), (SensorState::Ok, Some(whole)));
+        let mut covariance = whole.covariance;
+        covariance[20] = f64::INFINITY;
+        for broken in [
+            PoseEstimate { velocity_m_s: Some([0.0, f64::NAN, 0.0]), ..whole },
+            PoseEstimate { angular_velocity_rad_s: [f64::NAN; 3], ..whole },
+            PoseEstimate { covariance, ..whole },
+        ] {
+            assert_eq!(settled(broken), (SensorState::Suspect, None));
+        }
+    }
 }

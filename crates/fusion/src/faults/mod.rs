@@ -6,16 +6,17 @@
 //! decides between p and -p and what is stuck; `fusion` only gates what is left.
 
 mod gate;
-mod repetition;
 mod vocabulary;
+mod words;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_state::Plain;
 
 pub(crate) use gate::squared_distance;
 pub use gate::{Gate, Prediction};
-pub use repetition::{Evidence, ImuWords, Repeats, Repetition, Words};
+pub use posed_geometry::repetition::{Evidence, Repeats, Repetition, Words};
 pub use vocabulary::{Cause, Class, Finding, Label, Repair, Verdict};
+pub use words::ImuWords;
 
 use crate::noise::TrackerNoise;
 

@@ -1,4 +1,4 @@
-//! A network as `FAULTS.json` holds it, and whether such a file holds together.
+//! A fault map as `FAULTS.json` holds it, and whether such a file holds together.
 
 use serde::{Deserialize, Serialize};
 

@@ -81,7 +81,7 @@ pub struct FaultMap {
     rules: Rules,
     /// Passes that the training of the second layer took.
     pub epochs: usize,
-    /// Which state of a stage's network this is; counted up when it is learnt anew or a cell is renamed.
+    /// Which state of a stage's fault map this is; counted up when it is learnt anew or a cell is renamed.
     pub revision: u32,
 }
 
@@ -89,9 +89,9 @@ pub struct FaultMap {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FaultMapError {
     /// The recording has other sensors.
-    #[error("expected the sensors {expected}, found {found}; train a network for these sensors")]
+    #[error("expected the sensors {expected}, found {found}; train a fault map for these sensors")]
     Sensors {
-        /// Those of the network.
+        /// Those of the fault map.
         expected: String,
         /// Those of the recording.
         found: String,
@@ -113,7 +113,7 @@ pub enum FaultMapError {
         columns: usize,
     },
     /// The file does not hold together.
-    #[error("not a network: {0}")]
+    #[error("not a fault map: {0}")]
     File(&'static str),
 }
 

@@ -138,7 +138,7 @@ fn another_session_is_labelled_without_training() {
 }
 
 #[test]
-fn a_network_survives_its_file_and_refuses_other_sensors() {
+fn a_fault_map_survives_its_file_and_refuses_other_sensors() {
     let (frames, _) = session(100, 8, |_, _| Class::Clean);
     let size = Size { neurons: 11, side: 5 };
     let (fault_map, _) = FaultMap::train(&frames, size, &training()).unwrap();

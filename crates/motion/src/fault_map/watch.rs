@@ -1,4 +1,4 @@
-//! A network and its rules over a stream of frames.
+//! A fault map and its rules over a stream of frames.
 //!
 //! What comes in: frames. What goes out: a [`Judged`] per frame. What it never does: look at the future, allocate.
 

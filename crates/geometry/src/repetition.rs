@@ -8,10 +8,7 @@
 //! rest it may send the same for minutes. That is a fault where the words should have changed: because the sensor itself
 //! moved, or because others move and this one's words used to change.
 
-use nalgebra::Vector3;
 use posed_state::Plain;
-
-use super::MeasuredPose;
 
 /// Weight of one sample in the habit of changing, and the habit from which on repetition is unusual; both without unit.
 const HABIT_WEIGHT: f64 = 1.0 / 64.0;
@@ -23,27 +20,9 @@ pub trait Words: Copy + PartialEq {
     const STUCK_SAMPLES: u32;
 }
 
-/// A pose of a magnetic sensor.
-impl Words for MeasuredPose {
-    const STUCK_SAMPLES: u32 = 5;
-}
-
 /// A position of a magnetic sensor (x, y, z), m.
 impl Words for [f64; 3] {
     const STUCK_SAMPLES: u32 = 5;
-}
-
-/// What an IMU sends of its motion. The magnetometer is left out: it is often slower than the gyro.
-#[derive(Clone, Copy, Debug, PartialEq, Plain)]
-pub struct ImuWords {
-    /// Angular velocity, sensor axes, rad/s.
-    pub angular_velocity_rad_s: Vector3<f64>,
-    /// Specific force, or acceleration without gravity where the unit sends that only; sensor axes, m/s².
-    pub acceleration_m_s2: Option<Vector3<f64>>,
-}
-
-impl Words for ImuWords {
-    const STUCK_SAMPLES: u32 = 11;
 }
 
 /// What speaks for that a sample should differ from the one before.

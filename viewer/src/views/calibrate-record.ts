@@ -7,8 +7,8 @@ import { Alignment } from "./alignment";
 import { Calibration } from "./calibration";
 import { Units } from "./units";
 
-export class RunsView implements View {
-  readonly id = "runs";
+export class CalibrateRecordView implements View {
+  readonly id = "calibrate-record";
   readonly title = "Calibrate & record";
   readonly element: HTMLElement;
   private readonly says = el("p", { class: "says", role: "alert" });
