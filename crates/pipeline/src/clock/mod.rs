@@ -18,8 +18,12 @@
 //! cycle cannot have been read before it was measured, nor have waited through an earlier read. The first is
 //! proof. The second may be a host that stamped the earlier read late, so it is believed on [`Trial`]: times follow at
 //! once, but count and window only when [`CONFIRMED`] reads agree, and none that contradicts has come before.
+//!
+//! A count that its own read contradicts is doubted ([`doubt`]): such a cycle is taken for the next one, and the window does
+//! not see it. No capture time lies after its read, whatever the device says.
 
 mod arrival;
+mod doubt;
 mod interval;
 pub mod offset;
 mod reads;
@@ -30,6 +34,7 @@ use posed_state::Plain;
 use std::time::Duration;
 
 pub use arrival::ArrivalClock;
+use doubt::{Count, Doubt, Opinion};
 use interval::Interval;
 use reads::{Evidence, Reads};
 use window::{Fit, Nominal, Window};
@@ -101,6 +106,7 @@ pub struct Clock {
     /// Cycles that the driver's count is behind (Cycle only).
     renumbered: i64,
     trial: Option<Trial>,
+    doubt: Doubt,
     last: Option<Cycle>,
     /// Bytes that usually follow in the chunk of a cycle's first record.
     usual_bytes_after: u32,
@@ -152,10 +158,11 @@ struct Trial {
 /// The latest cycle.
 #[derive(Clone, Copy, Debug, Plain)]
 struct Cycle {
-    /// The device's own count.
+    /// The device's own count: the latest that was believed.
     raw: u64,
     /// Count after renumbering, from the origin.
     x: f64,
+    t_read: Timestamp,
     t_valid: Timestamp,
     sigma_s: f64,
 }
@@ -173,6 +180,7 @@ impl Clock {
             interval: Interval::default(),
             renumbered: 0,
             trial: None,
+            doubt: Doubt::default(),
             last: None,
             usual_bytes_after: 0,
             inconsistent: 0,
@@ -206,6 +214,7 @@ impl Clock {
         self.interval = Interval::default();
         self.renumbered = 0;
         self.trial = None;
+        self.doubt = Doubt::default();
         self.usual_bytes_after = 0;
         self.inconsistent = 0;
         self.inconsistent_seen = 0;
@@ -239,11 +248,14 @@ impl Clock {
             DeviceTime::Cycle(cycle) => (cycle, false),
             DeviceTime::Counter { ticks, .. } => (ticks, true),
         };
-        if self.last.is_some_and(|last| raw < last.raw) {
-            self.restart();
-        }
         if self.reads.push(&sample.arrival) {
             self.window.know_wire();
+        }
+        match self.opinion(raw, sample.arrival.t_read) {
+            Opinion::Believed => {}
+            Opinion::BeganAnew => self.restart(),
+            Opinion::Doubted => return self.next_cycle(sample.arrival.t_read),
+            Opinion::DoubtedAgain => return self.repeat(),
         }
         let known = self.origin.is_some();
         let nominal = self.nominal_period_s;
@@ -279,6 +291,35 @@ impl Clock {
             fit.tighten(&evidence);
         }
         if begins_cycle { self.begin_cycle(raw, x, origin, known, &evidence) } else { self.repeat() }
+    }
+
+    /// What to think of a count before it is used.
+    fn opinion(&mut self, raw: u64, t_read: Timestamp) -> Opinion {
+        let (Some(origin), Some(last)) = (self.origin, self.last) else { return Opinion::Believed };
+        let Some(fit) = self.fit else {
+            // Nothing is known of the line yet, so that there is nothing to lose.
+            return if raw < last.raw { Opinion::BeganAnew } else { Opinion::Believed };
+        };
+        self.doubt.judge(&Count {
+            raw,
+            last: last.raw,
+            tick_s: origin.counted_s.unwrap_or(fit.period_s) / origin.ticks,
+            ahead_s: fit.line(origin.x(raw)) + fit.lower - t_read.seconds_since(origin.t),
+            settled: self.window.is_settled(),
+            t_read,
+        })
+    }
+
+    /// Stamps a cycle whose count is not believed: so many usual intervals after the latest as fit between the reads.
+    fn next_cycle(&mut self, t_read: Timestamp) -> Stamp {
+        let (Some(last), Some(fit)) = (self.last, self.fit) else { return self.repeat() };
+        let period_s = fit.period_s * self.interval.x();
+        let cycles = (t_read.seconds_since(last.t_read) / period_s).round().max(1.0);
+        let t_valid = last.t_valid + Duration::from_secs_f64(cycles * period_s);
+        let t_valid = rising(t_valid.min(t_read), last.t_valid);
+        let sigma_s = last.sigma_s.max(0.5 * period_s);
+        self.last = Some(Cycle { x: last.x + cycles * self.interval.x(), t_read, t_valid, sigma_s, ..last });
+        Stamp { t_valid, sigma_s, begins_cycle: true, cycles_skipped: cycles as u32 - 1 }
     }
 
     /// Holds a cycle's bounds against the model, and puts the count right where they contradict it.
@@ -383,10 +424,11 @@ impl Clock {
                     t_ns = expected_ns + error_ns.clamp(-limit_ns, limit_ns);
                 }
             }
-            t_ns = t_ns.max(last.t_valid.as_nanos() + LEAST_STEP_NS);
         }
-        let t_valid = Timestamp::from_nanos(t_ns);
-        self.last = Some(Cycle { raw, x, t_valid, sigma_s });
+        // Nothing was measured after it was read.
+        let t_valid = Timestamp::from_nanos(t_ns).min(evidence.t_read);
+        let t_valid = self.last.map_or(t_valid, |last| rising(t_valid, last.t_valid));
+        self.last = Some(Cycle { raw, x, t_read: evidence.t_read, t_valid, sigma_s });
         Stamp { t_valid, sigma_s, begins_cycle: true, cycles_skipped }
     }
 
@@ -402,6 +444,11 @@ impl Clock {
         let period_s = self.period_or_nominal_s()?;
         Some(self.latest()? + Duration::from_secs_f64(period_s * f64::from(cycles)))
     }
+}
+
+/// A capture time after the one before.
+fn rising(t_valid: Timestamp, before: Timestamp) -> Timestamp {
+    t_valid.max(Timestamp::from_nanos(before.as_nanos().saturating_add(LEAST_STEP_NS)))
 }
 
 #[cfg(test)]
