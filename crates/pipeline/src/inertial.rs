@@ -25,6 +25,11 @@ const LEAST_INTERVAL_S: f64 = 2e-3;
 /// Standard deviation of the orientation about an axis of a unit that computes it itself and does not say how good it is, rad.
 const SIGMA_OWN: f64 = 0.02;
 
+/// So long a part of a record waits for the rest, in intervals of the records, and s before those are known: what waited longer
+/// is of another time.
+const WAITS_INTERVALS: f64 = 1.5;
+const WAITS_AT_FIRST_S: f64 = 0.1;
+
 #[derive(Clone, Debug, Plain)]
 pub(super) struct Inertial {
     filter: Ahrs,
@@ -32,11 +37,33 @@ pub(super) struct Inertial {
     /// Whether records with rates have come: what lacks them only adds to the next one that has them.
     has_rates: bool,
     /// What came since the latest record, for the next.
-    more: output::Inertial,
-    more_wxyz: Option<[f64; 4]>,
+    specific_force_m_s2: Waiting<[f64; 3]>,
+    linear_acceleration_m_s2: Waiting<[f64; 3]>,
+    magnetic_field: Waiting<[f64; 3]>,
+    orientation_wxyz: Waiting<[f64; 4]>,
+    /// When the latest record came, and how long after the one before it, s.
+    recorded: Option<Timestamp>,
+    interval_s: Option<f64>,
     began: Option<Timestamp>,
     last: Option<Oriented>,
     repetition: Repetition<ImuWords>,
+}
+
+/// A part of a record that came in a message of its own.
+#[derive(Clone, Copy, Debug, Plain)]
+struct Waiting<T>(Option<(Timestamp, T)>);
+
+impl<T: Copy> Waiting<T> {
+    const NONE: Self = Self(None);
+
+    fn put(&mut self, t: Timestamp, part: Option<T>) {
+        self.0 = part.map(|part| (t, part)).or(self.0);
+    }
+
+    /// The part, unless it has waited for longer than `longest_s` at `t`.
+    fn take(&mut self, t: Timestamp, longest_s: f64) -> Option<T> {
+        self.0.take().filter(|(came, _)| t.seconds_since(*came) <= longest_s).map(|(_, part)| part)
+    }
 }
 
 /// Orientation after a record.
@@ -54,8 +81,12 @@ impl Inertial {
             filter: Ahrs::new(Params { gyro_delay_s, ..Params::default() }),
             magnetometer,
             has_rates: false,
-            more: output::Inertial::default(),
-            more_wxyz: None,
+            specific_force_m_s2: Waiting::NONE,
+            linear_acceleration_m_s2: Waiting::NONE,
+            magnetic_field: Waiting::NONE,
+            orientation_wxyz: Waiting::NONE,
+            recorded: None,
+            interval_s: None,
             began: None,
             last: None,
             repetition: Repetition::default(),
@@ -92,18 +123,29 @@ impl Inertial {
         };
         let completes = self.times(measurement);
         self.has_rates |= angular_velocity_rad_s.is_some();
-        let more = &mut self.more;
-        more.angular_velocity_rad_s = angular_velocity_rad_s;
-        more.specific_force_m_s2 = specific_force_m_s2.or(more.specific_force_m_s2);
-        more.linear_acceleration_m_s2 = linear_acceleration_m_s2.or(more.linear_acceleration_m_s2);
-        more.magnetic_field = magnetic_field.or(more.magnetic_field);
-        self.more_wxyz = orientation_wxyz.or(self.more_wxyz);
-        completes.then(|| Measured {
+        self.specific_force_m_s2.put(t_valid, specific_force_m_s2);
+        self.linear_acceleration_m_s2.put(t_valid, linear_acceleration_m_s2);
+        self.magnetic_field.put(t_valid, magnetic_field);
+        self.orientation_wxyz.put(t_valid, orientation_wxyz);
+        if !completes {
+            return None;
+        }
+        // The interval before a break is that of the records after it.
+        let since_s = self.recorded.replace(t_valid).map(|before| t_valid.seconds_since(before));
+        self.interval_s = since_s.filter(|since_s| *since_s <= COAST_S).or(self.interval_s);
+        let longest_s = self.interval_s.map_or(WAITS_AT_FIRST_S, |interval_s| WAITS_INTERVALS * interval_s);
+        Some(Measured {
             t_valid,
             position_m: None,
-            orientation_wxyz: self.more_wxyz.take(),
+            orientation_wxyz: self.orientation_wxyz.take(t_valid, longest_s),
             button: None,
-            inertial: Some(std::mem::take(&mut self.more)),
+            inertial: Some(output::Inertial {
+                angular_velocity_rad_s,
+                specific_force_m_s2: self.specific_force_m_s2.take(t_valid, longest_s),
+                linear_acceleration_m_s2: self.linear_acceleration_m_s2.take(t_valid, longest_s),
+                magnetic_field: self.magnetic_field.take(t_valid, longest_s),
+                ..output::Inertial::default()
+            }),
         })
     }
 
@@ -134,9 +176,10 @@ impl Inertial {
         let dt_s = match since_s {
             Some(dt_s) if dt_s <= 0.0 => return None,
             Some(dt_s) if dt_s <= COAST_S => dt_s,
-            // The sensor may have been turned meanwhile.
+            // The sensor may have been turned meanwhile: a return is settled like a start.
             Some(_) => {
                 self.filter.resume();
+                self.began = None;
                 LEAST_INTERVAL_S
             }
             None => LEAST_INTERVAL_S,
@@ -187,5 +230,118 @@ impl Inertial {
         let turn = orientation.to_rotation_matrix().into_inner();
         self.filter.rotation_rad2()
             + turn.transpose() * Matrix3::from_diagonal(&level.component_mul(&level)) * turn
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STEP_S: f64 = 0.01;
+    /// Earth's field in the room: north and down.
+    const FIELD: Vector3<f64> = Vector3::new(0.0, 0.4, -0.9);
+
+    struct Unit {
+        inertial: Inertial,
+        /// Sensor to room, truly.
+        truth: UnitQuaternion<f64>,
+        t: Timestamp,
+    }
+
+    impl Unit {
+        fn new() -> Self {
+            Self {
+                inertial: Inertial::new(true, 0.0),
+                truth: UnitQuaternion::identity(),
+                t: Timestamp::from_secs_f64(1.0),
+            }
+        }
+
+        fn message(&mut self, measurement: Measurement) -> Option<Measured> {
+            self.inertial.record(self.t, &measurement)
+        }
+
+        /// The unit's magnetometer and its own orientation, each a message that waits for the next rates.
+        fn parts(&mut self) {
+            let mag = (self.truth.inverse() * FIELD).into();
+            let wxyz = posed_geometry::orientation_to_wxyz(&self.truth);
+            for (magnetic_field, orientation_wxyz) in [(Some(mag), None), (None, Some(wxyz))] {
+                let part = self.message(Measurement::Imu {
+                    angular_velocity_rad_s: None,
+                    specific_force_m_s2: None,
+                    linear_acceleration_m_s2: None,
+                    magnetic_field,
+                    orientation_wxyz,
+                });
+                assert!(part.is_none() || !self.inertial.has_rates);
+            }
+        }
+
+        /// Rates and specific force: the record, what was found of it, and the error of the orientation, rad.
+        fn rates(&mut self, k: u32) -> (Measured, Finding, f64) {
+            // Noise, so that no words repeat.
+            let noise = 1e-4 * f64::from(k % 7);
+            let gravity = self.truth.inverse() * Vector3::new(0.0, 0.0, posed_geometry::GRAVITY_M_S2);
+            let record = self.message(Measurement::Imu {
+                angular_velocity_rad_s: Some([noise, 0.0, 0.0]),
+                specific_force_m_s2: Some(gravity.into()),
+                linear_acceleration_m_s2: None,
+                magnetic_field: None,
+                orientation_wxyz: None,
+            });
+            let record = record.expect("rates complete a record");
+            let finding = self.inertial.measure(&record);
+            let pose = self.inertial.at(self.t).0.expect("a sample has just come");
+            let orientation =
+                posed_geometry::orientation_from_wxyz(pose.orientation_wxyz).expect("a unit quaternion");
+            self.t = self.t + std::time::Duration::from_secs_f64(STEP_S);
+            (record, finding, orientation.angle_to(&self.truth))
+        }
+
+        fn run(&mut self, records: u32) {
+            for k in 0..records {
+                if k % 5 == 0 {
+                    self.parts();
+                }
+                self.rates(k);
+            }
+        }
+    }
+
+    #[test]
+    fn after_a_break_nothing_old_is_used_and_a_return_is_settled_like_a_start() {
+        for (break_s, turned_rad) in [(0.6, 1.0), (3.0, 1.6), (60.0, -2.5)] {
+            let mut unit = Unit::new();
+            unit.run(1000);
+            // These wait for rates that do not come any more.
+            unit.parts();
+            unit.t = unit.t + std::time::Duration::from_secs_f64(break_s);
+            unit.truth = UnitQuaternion::from_scaled_axis(Vector3::new(0.2, 0.0, turned_rad));
+            for k in 0..200 {
+                let (record, finding, error_rad) = unit.rates(k);
+                let inertial = record.inertial.expect("of an IMU");
+                assert!(k > 0 || (record.orientation_wxyz.is_none() && inertial.magnetic_field.is_none()));
+                assert!(
+                    finding.verdict == Verdict::Suspect || error_rad < 0.1,
+                    "{break_s} s: record {k} is {:?} and {error_rad} rad off",
+                    finding.verdict
+                );
+                if k % 5 == 4 {
+                    unit.parts();
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_slow_unit_keeps_its_parts() {
+        let mut unit = Unit::new();
+        for k in 0..50 {
+            unit.parts();
+            // The rates of a unit at 2 Hz come late.
+            unit.t = unit.t + std::time::Duration::from_secs_f64(if k == 0 { 0.05 } else { 0.4 });
+            let (record, ..) = unit.rates(k);
+            assert!(k < 2 || record.orientation_wxyz.is_some(), "record {k}");
+        }
     }
 }
