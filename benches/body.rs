@@ -106,8 +106,8 @@ fn record(case: &Case) -> Run {
         });
         recording.push((at.t_s, samples));
         // Without magnetometers the body's own facing is the room's x.
-        let turn = if case.magnetometer { 0.0 } else { -script.facing };
-        let room = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
+        let rotation_rad = if case.magnetometer { 0.0 } else { -script.facing };
+        let room = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), rotation_rad);
         truth.push(at.body.map(|placement| room * UnitQuaternion::from_matrix(&placement.axes)));
     }
     let blocks = script
@@ -188,7 +188,7 @@ fn solve(case: &Case) -> Result<Figures, String> {
             let d = found[k].unwrap_or(f64::NAN) - expected[k].unwrap_or(f64::NAN);
             so3::log(&so3::exp(&(Vector3::z() * d))).z.to_degrees()
         };
-        let turn = |segment: BodySegment| {
+        let rotation = |segment: BodySegment| {
             let k = segment.index();
             let Some(parent) = segment.parent() else { return f64::NAN };
             let p = parent.index();
@@ -226,8 +226,8 @@ fn solve(case: &Case) -> Result<Figures, String> {
         sums[0] += pair(off("elbow_r_flexion"), off("elbow_l_flexion"));
         sums[1] += pair(off("elbow_r_pronation"), off("elbow_l_pronation"));
         sums[2] += pair(off("knee_r_flexion"), off("knee_l_flexion"));
-        sums[3] += pair(turn(BodySegment::UpperArmR), turn(BodySegment::UpperArmL));
-        sums[4] += pair(turn(BodySegment::ThighR), turn(BodySegment::ThighL));
+        sums[3] += pair(rotation(BodySegment::UpperArmR), rotation(BodySegment::UpperArmL));
+        sums[4] += pair(rotation(BodySegment::ThighR), rotation(BodySegment::ThighL));
         sums[5] += torso * torso;
         sums[6] += heading * heading;
         count += 1.0;

@@ -75,7 +75,7 @@ impl Session {
             posture.pelvis[0] += 1.2 * wander(2, 31.0);
             posture.place(&build)
         };
-        let turn = |axes: Matrix3<f64>| {
+        let rotation = |axes: Matrix3<f64>| {
             UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes))
         };
         let standing = place(0.0);
@@ -95,7 +95,7 @@ impl Session {
                     SKIN_M * (TAU * t_s * (0.7 + 0.2 * axis as f64) + sensor as f64).sin()
                 });
                 let p = segment.origin_m + segment.axes * (seats[sensor] + skin);
-                let q = turn(segment.axes) * mounts[sensor];
+                let q = rotation(segment.axes) * mounts[sensor];
                 let mut signals = signal_matrix(&environment.field(&p), &q);
                 signals.apply(|s| *s += SIGMA_SIGNAL * normal(&mut random));
                 let solution = solve(&signals, &Vector3::x()).expect("a pose");

@@ -89,7 +89,7 @@ struct Activity {
     targets: [f64; ANGLES],
     /// Share of the walking speed, and turning rate in rad/s.
     walk: f64,
-    turn: f64,
+    angular_velocity_rad_s: f64,
 }
 
 impl Actions {
@@ -104,7 +104,7 @@ impl Actions {
         let mut sequence = Self { frames: Vec::new(), labels: Vec::new() };
         let dt = 1.0 / RATE_HZ;
         let mut angles = person.rest;
-        let mut rates = [0.0; ANGLES];
+        let mut angular_velocities_rad_s = [0.0; ANGLES];
         let (mut place, mut heading) =
             ([3.0 * random.uniform(), 3.0 * random.uniform()], TAU * random.uniform());
         let (mut speed, mut turning, mut phase) = (0.0, 0.0, TAU * random.uniform());
@@ -123,11 +123,12 @@ impl Actions {
             for (index, angle) in angles.iter_mut().enumerate() {
                 let target = person.rest[index] + reach * (activity.targets[index] - person.rest[index]);
                 let pull = person.stiffness * person.stiffness * (target - *angle);
-                rates[index] += dt * (pull - 2.0 * person.stiffness * rates[index]);
-                *angle += dt * rates[index];
+                angular_velocities_rad_s[index] +=
+                    dt * (pull - 2.0 * person.stiffness * angular_velocities_rad_s[index]);
+                *angle += dt * angular_velocities_rad_s[index];
             }
             speed += dt * 4.0 * (activity.walk * person.stride * person.tempo - speed);
-            turning += dt * 5.0 * (activity.turn - turning);
+            turning += dt * 5.0 * (activity.angular_velocity_rad_s - turning);
             heading += dt * turning;
             place[0] += dt * speed * heading.cos();
             place[1] += dt * speed * heading.sin();
@@ -251,7 +252,8 @@ impl Script {
         self.last = label;
         let mut within = |low: f64, high: f64| random.within(low, high);
         let slow = 1.9 / person.tempo;
-        let mut activity = Activity { label, duration_s: 0.0, targets: person.rest, walk: 0.0, turn: 0.0 };
+        let mut activity =
+            Activity { label, duration_s: 0.0, targets: person.rest, walk: 0.0, angular_velocity_rad_s: 0.0 };
         match label {
             0 => activity.duration_s = within(0.8, 2.2),
             1 | 2 => {
@@ -264,7 +266,8 @@ impl Script {
             }
             3 | 4 => {
                 activity.duration_s = within(0.8, 1.5) * slow;
-                activity.turn = within(1.2, 2.2) * if label == 3 { 1.0 } else { -1.0 } / slow;
+                activity.angular_velocity_rad_s =
+                    within(1.2, 2.2) * if label == 3 { 1.0 } else { -1.0 } / slow;
             }
             9 => {
                 activity.duration_s = within(1.0, 2.0) * slow;

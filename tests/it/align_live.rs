@@ -151,10 +151,10 @@ fn swapped_in(found: &Found, t: Timestamp) -> [Entry; 2] {
 fn errors(rig: &Rig, from_s: f64) -> ([f64; 2], usize, [f64; 2]) {
     let (mut carried, mut count, mut all) = ([0.0_f64; 2], 0, [0.0_f64; 2]);
     for estimate in rig.estimates().filter(|estimate| estimate.t_valid.as_secs_f64() > from_s) {
-        let Some((position_m, turn_rad)) = error(rig, estimate) else { continue };
+        let Some((position_m, rotation_rad)) = error(rig, estimate) else { continue };
         let worst = if estimate.sensors[0].coasted { &mut carried } else { &mut all };
         worst[0] = worst[0].max(position_m);
-        worst[1] = worst[1].max(turn_rad);
+        worst[1] = worst[1].max(rotation_rad);
         count += usize::from(estimate.sensors[0].coasted);
     }
     (carried, count, all)
@@ -206,11 +206,14 @@ fn a_tilted_transmitter_and_its_imu_are_found_to_half_a_degree_and_five_millimet
             room_m: transmitter().transform_point(&Vector3::from(place).into()).coords,
         });
         let found = align_recording(&recorded(&rig.log), &anchors, false).unwrap();
-        let turn = turned(&found).to_degrees();
-        let place_mm = 1e3
+        let rotation_deg = turned(&found).to_degrees();
+        let position_mm = 1e3
             * (found.alignment.room_from_transmitter.translation.vector - transmitter().translation.vector)
                 .norm();
-        assert!(turn < 0.5 && place_mm < 5.0, "transmitter: {turn} degrees, {place_mm} mm");
+        assert!(
+            rotation_deg < 0.5 && position_mm < 5.0,
+            "transmitter: {rotation_deg} degrees, {position_mm} mm"
+        );
     }
 }
 

@@ -137,7 +137,7 @@ fn q(body: &Body, segment: BodySegment) -> UnitQuaternion<f64> {
 fn errors(worn: &SimulatedBody, rig: &Rig, from_s: f64) -> (f64, f64) {
     let names = ["elbow_r_flexion", "elbow_l_flexion", "knee_r_flexion", "knee_l_flexion", "hip_r_flexion"];
     let mut sums = [0.0; 5];
-    let mut turns = [0.0; SEGMENTS];
+    let mut rotations = [0.0; SEGMENTS];
     let mut count = 0.0;
     for body in bodies(rig).iter().filter(|body| body.t_valid.as_secs_f64() > from_s).step_by(20) {
         let truth = worn.truth(rig, body.t_valid.as_secs_f64());
@@ -149,13 +149,13 @@ fn errors(worn: &SimulatedBody, rig: &Rig, from_s: f64) -> (f64, f64) {
         }
         for (segment, truth) in BodySegment::ALL.into_iter().zip(&truth) {
             let Some(truth) = truth else { continue };
-            turns[segment.index()] += q(body, segment).angle_to(&truth.rotation).powi(2);
+            rotations[segment.index()] += q(body, segment).angle_to(&truth.rotation).powi(2);
         }
         count += 1.0;
     }
     assert!(count > 5.0, "{count} bodies");
     let worst = |sums: &[f64]| f64::sqrt(sums.iter().copied().fold(0.0, f64::max) / count).to_degrees();
-    (worst(&sums), worst(&turns))
+    (worst(&sums), worst(&rotations))
 }
 
 #[test]
@@ -165,8 +165,11 @@ fn ten_trackers_of_a_chain_show_a_person_who_squats() {
     let all = bodies(&rig);
     assert!(all.len() > 700, "{} bodies in 9 s", all.len());
     assert!(all.windows(2).all(|pair| pair[0].t_valid < pair[1].t_valid));
-    let (angle_deg, turn_deg) = errors(&worn, &rig, 4.0);
-    assert!(angle_deg < 2.0 && turn_deg < 4.0, "angles {angle_deg:.2}, segments {turn_deg:.2} degrees");
+    let (angle_deg, rotation_deg) = errors(&worn, &rig, 4.0);
+    assert!(
+        angle_deg < 2.0 && rotation_deg < 4.0,
+        "angles {angle_deg:.2}, segments {rotation_deg:.2} degrees"
+    );
     let last = all.last().unwrap();
     assert!(last.segments.iter().all(|segment| segment.state == SegmentState::Ok), "{last:?}");
     assert_eq!((last.heading, last.position_source), (Heading::Field, PositionSource::Origin));
@@ -246,10 +249,10 @@ fn units_with_clocks_of_their_own_and_units_that_only_tell_their_orientation_sho
     ] {
         let worn = worn(device, &arm, address, reaching.clone());
         let rig = worn.run(8.0);
-        let (angle_deg, turn_deg) = errors(&worn, &rig, 4.0);
+        let (angle_deg, rotation_deg) = errors(&worn, &rig, 4.0);
         assert!(
-            angle_deg < limits.0 && turn_deg < limits.1,
-            "{device}: {angle_deg:.2}, {turn_deg:.2} degrees"
+            angle_deg < limits.0 && rotation_deg < limits.1,
+            "{device}: {angle_deg:.2}, {rotation_deg:.2} degrees"
         );
     }
 }
@@ -269,8 +272,11 @@ fn trackers_alone_show_the_whole_figure_and_where_it_is() {
     let mut worn = worn(device, &segments, |n| n, person.clone());
     worn.scenario.max_range_m = Some(3.0);
     let rig = worn.run(8.0);
-    let (angle_deg, turn_deg) = errors(&worn, &rig, 4.0);
-    assert!(angle_deg < 6.0 && turn_deg < 6.0, "angles {angle_deg:.2}, segments {turn_deg:.2} degrees");
+    let (angle_deg, rotation_deg) = errors(&worn, &rig, 4.0);
+    assert!(
+        angle_deg < 6.0 && rotation_deg < 6.0,
+        "angles {angle_deg:.2}, segments {rotation_deg:.2} degrees"
+    );
     let last = *bodies(&rig).last().unwrap();
     assert_eq!(last.position_source, PositionSource::Trackers);
     let state = |segment: BodySegment| last.segments[segment.index()].state;

@@ -41,9 +41,9 @@ fn rows(path: &Path, names: &[&str]) -> Vec<(f64, Vec<Option<PoleReading>>)> {
     let mut rows = Vec::new();
     while table.next_row().unwrap() {
         let t_s = table.required_number(t).unwrap();
-        let reading = |(place, turn): &([usize; 3], [usize; 4])| {
+        let reading = |(place, orientation): &([usize; 3], [usize; 4])| {
             let mm = table.vector(*place).unwrap()?;
-            let wxyz = turn.map(|column| table.required_number(column).unwrap());
+            let wxyz = orientation.map(|column| table.required_number(column).unwrap());
             Some(PoleReading {
                 position_m: Vector3::from(mm) / 1e3,
                 orientation: orientation_from_wxyz(wxyz),
@@ -109,8 +109,8 @@ fn given_maps_of_a_real_tracker_none_is_accepted_that_makes_its_landmarks_worse(
             let Some(map) = solve(run, &[], &mut |_| {}).map else { continue };
             let corrector: Corrector = map.corrector();
             let corrected_m = landmarks_m(&touched, |reading| {
-                let turn = corrector.orientation(&reading.position_m, &reading.orientation.unwrap());
-                (corrector.position(&reading.position_m), turn)
+                let orientation = corrector.orientation(&reading.position_m, &reading.orientation.unwrap());
+                (corrector.position(&reading.position_m), orientation)
             });
             let bad = corrected_m > raw_m + 1e-5;
             worse += usize::from(bad);

@@ -51,7 +51,7 @@ pub struct EulerBody {
     sensors: [Option<Sensor>; SEGMENTS],
     limbs: [EulerLimb; 4],
     /// Last rate of torso and pelvis, segment axes, for their angular acceleration.
-    last_rates_rad_s: [Option<Vector3<f64>>; 2],
+    last_angular_velocities_rad_s: [Option<Vector3<f64>>; 2],
     orientations: [Option<UnitQuaternion<f64>>; SEGMENTS],
 }
 
@@ -99,7 +99,7 @@ impl EulerBody {
         Self {
             sensors: worn.map(|worn| worn.map(sensor)),
             limbs: Limb::ALL.map(limb),
-            last_rates_rad_s: [None; 2],
+            last_angular_velocities_rad_s: [None; 2],
             orientations: [None; SEGMENTS],
         }
     }
@@ -144,7 +144,7 @@ impl EulerBody {
             specific_force_sigma_m_s2: 0.2,
             ..Base::room()
         };
-        let last = &mut self.last_rates_rad_s[trunk.index()];
+        let last = &mut self.last_angular_velocities_rad_s[trunk.index()];
         let Some(sample) = samples[trunk.index()] else {
             *last = None;
             return Some(Base {
@@ -231,16 +231,16 @@ impl EulerLimb {
         let [z, x, y, ..] = joint_angles(thigh, &(base.q_room_base.inverse() * upper));
         let mut axes = Axes::new([Vector3::z(), Vector3::x() * side, Vector3::y() * side]);
         axes.angle_rad = SVector::<f64, 3>::new(z, x, y);
-        let turn = upper.inverse() * lower;
+        let rotation = upper.inverse() * lower;
         let (geometry, noise) = (self.geometry, self.noise);
         self.filter = match self.limb {
             Limb::ArmR | Limb::ArmL => {
-                let (elbow, limits) = elbow(segment, &turn);
+                let (elbow, limits) = elbow(segment, &rotation);
                 let arm = EulerArm::new(geometry, noise, axes, elbow, limits, START_SIGMA_RAD);
                 Filter::Arm(Box::new(arm))
             }
             Limb::LegR | Limb::LegL => {
-                let (knee, limits) = knee(segment, &turn);
+                let (knee, limits) = knee(segment, &rotation);
                 let leg = EulerLeg::new(geometry, noise, axes, knee, limits, START_SIGMA_RAD);
                 Filter::Leg(Box::new(leg))
             }

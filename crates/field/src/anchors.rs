@@ -74,9 +74,9 @@ pub fn rigid(pairs: &[(Vector3<f64>, Vector3<f64>)]) -> Isometry3<f64> {
     let svd = spread.svd(true, true);
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Isometry3::identity() };
     let sign = (u * v_t).determinant().signum();
-    let turn = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
-    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(turn));
-    Isometry3::from_parts(Translation3::from(to - turn * from), turn)
+    let rotation = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+    Isometry3::from_parts(Translation3::from(to - rotation * from), rotation)
 }
 
 /// What the anchors say of a map.

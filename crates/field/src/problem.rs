@@ -218,8 +218,11 @@ impl Problem {
                     scratch.shift[k] = turned(evaluator.metal(), z, &scratch.y[k], &ways[k]);
                     for (change, metal) in derivatives.chunks_exact_mut(3).zip(&moved) {
                         let y = scratch.y[k] + Vector3::from_column_slice(change) * STEP;
-                        let turn = (turned(Some(metal), z, &y, &ways[k]) - scratch.shift[k]) / STEP;
-                        change.iter_mut().zip(turn.iter()).for_each(|(change, turn)| *change += turn);
+                        let by_rotation = (turned(Some(metal), z, &y, &ways[k]) - scratch.shift[k]) / STEP;
+                        change
+                            .iter_mut()
+                            .zip(by_rotation.iter())
+                            .for_each(|(change, by_rotation)| *change += by_rotation);
                     }
                 }
                 for parameter in 0..parameters {

@@ -30,7 +30,7 @@ pub(super) struct Inertial {
     filter: Ahrs,
     magnetometer: bool,
     /// Whether records with rates have come: what lacks them only adds to the next one that has them.
-    has_rates: bool,
+    has_angular_velocity: bool,
     /// What came since the latest record, for the next.
     more: output::Inertial,
     more_wxyz: Option<[f64; 4]>,
@@ -53,7 +53,7 @@ impl Inertial {
         Self {
             filter: Ahrs::new(Params { gyro_delay_s, ..Params::default() }),
             magnetometer,
-            has_rates: false,
+            has_angular_velocity: false,
             more: output::Inertial::default(),
             more_wxyz: None,
             began: None,
@@ -72,7 +72,7 @@ impl Inertial {
     pub(super) fn times(&self, measurement: &Measurement) -> bool {
         match measurement {
             Measurement::Imu { angular_velocity_rad_s, orientation_wxyz, .. } => {
-                angular_velocity_rad_s.is_some() || (!self.has_rates && orientation_wxyz.is_some())
+                angular_velocity_rad_s.is_some() || (!self.has_angular_velocity && orientation_wxyz.is_some())
             }
             Measurement::Pose { .. } => true,
         }
@@ -91,7 +91,7 @@ impl Inertial {
             return None;
         };
         let completes = self.times(measurement);
-        self.has_rates |= angular_velocity_rad_s.is_some();
+        self.has_angular_velocity |= angular_velocity_rad_s.is_some();
         let more = &mut self.more;
         more.angular_velocity_rad_s = angular_velocity_rad_s;
         more.specific_force_m_s2 = specific_force_m_s2.or(more.specific_force_m_s2);
@@ -180,12 +180,12 @@ impl Inertial {
 
     /// Covariance of the orientation's error in sensor axes, rad²: the filter's own, and what the unit's calibration has left.
     fn rotation_rad2(&self, orientation: &UnitQuaternion<f64>) -> Matrix3<f64> {
-        if !self.has_rates {
+        if !self.has_angular_velocity {
             return Matrix3::identity() * SIGMA_OWN.powi(2);
         }
         let level = Vector3::new(CALIBRATED_TILT_RAD, CALIBRATED_TILT_RAD, CALIBRATED_HEADING_RAD);
-        let turn = orientation.to_rotation_matrix().into_inner();
+        let rotation = orientation.to_rotation_matrix().into_inner();
         self.filter.rotation_rad2()
-            + turn.transpose() * Matrix3::from_diagonal(&level.component_mul(&level)) * turn
+            + rotation.transpose() * Matrix3::from_diagonal(&level.component_mul(&level)) * rotation
     }
 }

@@ -377,21 +377,21 @@ impl Record<'_> {
         }
         let [x, y, z, ..] = values;
         let position_m = format.has_position().then(|| [x, y, z].map(|value| value * range_m));
-        let turn = &values[if format.has_position() { 3 } else { 0 }..];
+        let orientation = &values[if format.has_position() { 3 } else { 0 }..];
         let orientation_wxyz = match format {
             Format::Position => None,
             Format::Angles | Format::PositionAngles => {
-                Some(rotation::from_angles([0, 1, 2].map(|k| turn[k] * std::f64::consts::PI)))
+                Some(rotation::from_angles([0, 1, 2].map(|k| orientation[k] * std::f64::consts::PI)))
             }
             Format::Matrix | Format::PositionMatrix => {
-                let matrix = std::array::from_fn(|k| turn[k]);
+                let matrix = std::array::from_fn(|k| orientation[k]);
                 if rotation::orthonormality_error(matrix) > MATRIX {
                     return Err(BadRecord);
                 }
                 Some(rotation::from_matrix(matrix))
             }
             Format::Quaternion | Format::PositionQuaternion => {
-                let q = std::array::from_fn(|k| turn[k]);
+                let q = std::array::from_fn(|k| orientation[k]);
                 if (rotation::norm(q) - 1.0).abs() > QUATERNION_NORM {
                     return Err(BadRecord);
                 }

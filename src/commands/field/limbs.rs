@@ -78,9 +78,9 @@ pub(super) fn of_stage(stage: &Stage, measured: &[Measured]) -> Result<(Vec<Stri
             [skeleton.joint_in_segment_m(segment), skeleton.joint_in_parent_m(segment)]
         });
         let way = |wears: &Wears<'_>, place: Option<Vector3<f64>>| {
-            let turn = orientation_from_wxyz(wears.worn.mount_quat_wxyz?)?;
+            let rotation = orientation_from_wxyz(wears.worn.mount_quat_wxyz?)?;
             let offset = Vector3::from(wears.worn.offset_m?);
-            given.then_some(turn.inverse() * (place? - offset))
+            given.then_some(rotation.inverse() * (place? - offset))
         };
         limbs.joints.push(Joint {
             name: format!("{} to {}", parent.name, child.name),

@@ -10,9 +10,9 @@ use super::metal::{FoundPosition, Metal};
 /// The device takes A' = S K(z)^-1 for the orientation, where S = A_true' B(p); so E is the rotation nearest to
 /// B(p) K(z)^-1.
 pub(crate) fn by_metal(metal: &Metal, z: &Vector3<f64>, p: &Vector3<f64>) -> UnitQuaternion<f64> {
-    let turn = field(z).try_inverse().and_then(|inverse| nearest_rotation(metal.field(p) * inverse));
-    turn.map_or_else(UnitQuaternion::identity, |turn| {
-        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(turn))
+    let rotation = field(z).try_inverse().and_then(|inverse| nearest_rotation(metal.field(p) * inverse));
+    rotation.map_or_else(UnitQuaternion::identity, |rotation| {
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation))
     })
 }
 

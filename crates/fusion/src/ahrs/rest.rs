@@ -82,21 +82,23 @@ impl Rest {
         mag: Option<Vector3<f64>>,
         dt_s: f64,
     ) {
-        let rate = self.gyro.push(gyro, dt_s, params.tau_s);
-        let force = self.accel.push(accel, dt_s, params.tau_s);
+        let angular_velocity_rad_s = self.gyro.push(gyro, dt_s, params.tau_s);
+        let specific_force_m_s2 = self.accel.push(accel, dt_s, params.tau_s);
         let field = mag.map_or(self.mag.stage[1], |mag| self.mag.push(mag, dt_s, params.tau_s));
-        let moving = (gyro - rate).norm_squared() > params.gyro_rad_s.powi(2)
-            || (accel - force).norm_squared() > params.accel_m_s2.powi(2);
-        let steady = !moving && rate.amax() <= params.factory_bias_rad_s;
+        let moving = (gyro - angular_velocity_rad_s).norm_squared() > params.gyro_rad_s.powi(2)
+            || (accel - specific_force_m_s2).norm_squared() > params.accel_m_s2.powi(2);
+        let steady = !moving && angular_velocity_rad_s.amax() <= params.factory_bias_rad_s;
         self.steady_s = if steady { self.steady_s + dt_s } else { 0.0 };
-        let still = !moving && rate.amax() <= params.bias_clip_rad_s;
+        let still = !moving && angular_velocity_rad_s.amax() <= params.bias_clip_rad_s;
         self.still_s = if still { self.still_s + dt_s } else { 0.0 };
         self.at_rest = self.still_s >= params.min_s;
         self.reference = match self.reference.take() {
             _ if self.steady_s < params.tau_s => None,
-            None => {
-                Some(RestReference { directions: [force, field], ago_s: 0.0, turned_rad: Vector3::zeros() })
-            }
+            None => Some(RestReference {
+                directions: [specific_force_m_s2, field],
+                ago_s: 0.0,
+                turned_rad: Vector3::zeros(),
+            }),
             Some(reference) => Some(RestReference {
                 ago_s: reference.ago_s + dt_s,
                 turned_rad: reference.turned_rad + gyro * dt_s,

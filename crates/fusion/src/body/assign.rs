@@ -149,25 +149,30 @@ fn shares_turned(
 ) -> Result<Vec<f64>, AssignError> {
     let inside = |(t_s, _): &&Recorded| (block.start_s..=block.end_s).contains(t_s);
     let turned = |segment: &BodySegment| {
-        let rates: Vec<Vector3<f64>> = recording
+        let angular_velocities_rad_s: Vec<Vector3<f64>> = recording
             .iter()
             .filter(inside)
             .filter_map(|(_, samples)| Some(samples[segment.index()]?.gyro_rad_s))
-            .filter(|rate| rate.iter().all(|value| value.is_finite()))
+            .filter(|angular_velocity_rad_s| angular_velocity_rad_s.iter().all(|value| value.is_finite()))
             .collect();
-        if rates.len() < ENOUGH_SAMPLES {
+        if angular_velocities_rad_s.len() < ENOUGH_SAMPLES {
             return Err(AssignError::Silent { taken_for: segment.name(), movement: block.kind.name() });
         }
-        let count = rates.len() as f64;
-        let mean = rates.iter().sum::<Vector3<f64>>() / count;
-        Ok((rates.iter().map(|rate| (rate - mean).norm_squared()).sum::<f64>() / count).sqrt())
+        let count = angular_velocities_rad_s.len() as f64;
+        let mean = angular_velocities_rad_s.iter().sum::<Vector3<f64>>() / count;
+        Ok((angular_velocities_rad_s
+            .iter()
+            .map(|angular_velocity_rad_s| (angular_velocity_rad_s - mean).norm_squared())
+            .sum::<f64>()
+            / count)
+            .sqrt())
     };
     let mut turned = worn.iter().map(turned).collect::<Result<Vec<f64>, _>>()?;
     let most = turned.iter().copied().fold(0.0, f64::max);
     if most < MOVES_RAD_S {
         return Err(AssignError::Still(block.kind.name()));
     }
-    turned.iter_mut().for_each(|rate| *rate /= most);
+    turned.iter_mut().for_each(|angular_velocity| *angular_velocity /= most);
     Ok(turned)
 }
 

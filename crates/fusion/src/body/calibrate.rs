@@ -35,7 +35,7 @@ const POSE_DEG: f64 = 3.0;
 const FACING_DEG: f64 = 5.0;
 const HINGE_DEG: f64 = 2.0;
 /// How far the segment above a joint must turn meanwhile, root mean square, to show the axis without a magnetometer, rad.
-const PARENT_TURNS_RAD: f64 = 0.35;
+const PARENT_ROTATES_RAD: f64 = 0.35;
 const BALL_DEG: f64 = 6.0;
 
 /// What can be held or done.
@@ -389,23 +389,27 @@ impl Session<'_> {
                 segment: segment.name(),
                 problem,
             };
-            let rates: Vec<Vector3<f64>> = self.recording[range.clone()]
+            let angular_velocities_rad_s: Vec<Vector3<f64>> = self.recording[range.clone()]
                 .iter()
                 .filter_map(|(_, samples)| samples[index].map(|sample| sample.gyro_rad_s))
-                .filter(|rate| rate.iter().all(|value| value.is_finite()))
+                .filter(|angular_velocity_rad_s| angular_velocity_rad_s.iter().all(|value| value.is_finite()))
                 .collect();
-            if rates.len() < 10 {
+            if angular_velocities_rad_s.len() < 10 {
                 return Err(wrong("has no samples then"));
             }
-            let mean = rates.iter().sum::<Vector3<f64>>() / rates.len() as f64;
+            let mean =
+                angular_velocities_rad_s.iter().sum::<Vector3<f64>>() / angular_velocities_rad_s.len() as f64;
             if mean.norm() > BIAS_RAD_S {
                 return Err(wrong(
                     "turns by more than 2 degrees per second at rest: its gyro has a bias that no filter here corrects; run \
                      `posed imu calibrate` on the unit first",
                 ));
             }
-            let moved =
-                rates.iter().map(|rate| (rate - mean).norm_squared()).sum::<f64>() / rates.len() as f64;
+            let moved = angular_velocities_rad_s
+                .iter()
+                .map(|angular_velocity_rad_s| (angular_velocity_rad_s - mean).norm_squared())
+                .sum::<f64>()
+                / angular_velocities_rad_s.len() as f64;
             if moved.sqrt() > HELD_RAD_S {
                 return Err(wrong("moved: stand still and repeat it"));
             }
@@ -500,7 +504,7 @@ impl Session<'_> {
         let (before, behind) = (&self.tracks[a][range.clone()], &self.tracks[b][range.clone()]);
         // Headings of their own tie the two together only as far as both turn: above a parent that stands still, the joint shows
         // its axis in the sensor below alone.
-        if !self.magnetic && turned_rad(before) < PARENT_TURNS_RAD {
+        if !self.magnetic && turned_rad(before) < PARENT_ROTATES_RAD {
             return main_axis(behind).map(|axis| [None, Some(axis)]);
         }
         let steps_s: Vec<f64> = range
@@ -552,9 +556,9 @@ fn relative_axis(
     let mut spread = Matrix3::zeros();
     let mut mean = Vector3::zeros();
     for q in &relative {
-        let turn = so3::log(&(start.inverse() * q));
-        spread += turn * turn.transpose();
-        mean += turn;
+        let rotation_vector_rad = so3::log(&(start.inverse() * q));
+        spread += rotation_vector_rad * rotation_vector_rad.transpose();
+        mean += rotation_vector_rad;
     }
     let n = relative.len() as f64;
     spread /= n;
@@ -603,9 +607,10 @@ impl Facing<'_> {
             ];
             for arm in arms.into_iter().filter(|arm| self.magnetic || *arm == segment) {
                 let (Some(low), Some(high)) = (low[arm.index()], high[arm.index()]) else { continue };
-                let turn = so3::log(&(high * low.inverse()));
-                if turn.norm() > 0.8 {
-                    sum += forward(&(turn.normalize() * -arm.side()), &Vector3::x()) / FACING_DEG;
+                let rotation_vector_rad = so3::log(&(high * low.inverse()));
+                if rotation_vector_rad.norm() > 0.8 {
+                    sum +=
+                        forward(&(rotation_vector_rad.normalize() * -arm.side()), &Vector3::x()) / FACING_DEG;
                 }
             }
         }

@@ -20,7 +20,7 @@ use posed_geometry::so3;
 const N: usize = 27;
 /// Standard deviations that weigh trackers: position, m, and turn, rad; skin more than sensor.
 const POSITION_M: f64 = 0.01;
-const TURN_RAD: f64 = 0.05;
+const ROTATION_RAD: f64 = 0.05;
 /// Departure from the frame before where nothing else speaks, rad and m.
 const STAY: f64 = 0.5;
 /// Step of the differences.
@@ -143,16 +143,16 @@ impl Follower {
     }
 
     fn figure(&self, trackers: &[Tracked]) -> Figure {
-        let (mut place, mut turn) = (0.0, 0.0);
+        let (mut position, mut rotation) = (0.0, 0.0);
         for (p, r) in self.residuals(&self.joints, trackers) {
-            place += p.norm_squared();
-            turn += r.norm_squared();
+            position += p.norm_squared();
+            rotation += r.norm_squared();
         }
         let n = trackers.len() as f64;
         Figure {
             orientations: self.joints.orientations(),
             pelvis_m: self.joints.pelvis_m,
-            residual: ((place / n).sqrt(), (turn / n).sqrt()),
+            residual: ((position / n).sqrt(), (rotation / n).sqrt()),
         }
     }
 
@@ -166,16 +166,18 @@ impl Follower {
         let origins = self.skeleton.origins_m(&orientations, joints.pelvis_m);
         trackers.iter().map(move |tracker| {
             let q = orientations[tracker.segment.index()];
-            let place = origins[tracker.segment.index()] + q * tracker.segment_from_sensor.translation.vector;
-            let turn = tracker.room_from_sensor.rotation.inverse() * q * tracker.segment_from_sensor.rotation;
-            (place - tracker.room_from_sensor.translation.vector, so3::log(&turn))
+            let position_m =
+                origins[tracker.segment.index()] + q * tracker.segment_from_sensor.translation.vector;
+            let rotation =
+                tracker.room_from_sensor.rotation.inverse() * q * tracker.segment_from_sensor.rotation;
+            (position_m - tracker.room_from_sensor.translation.vector, so3::log(&rotation))
         })
     }
 
     fn cost(&self, joints: &Joints, before: &Joints, trackers: &[Tracked]) -> f64 {
         let fit: f64 = self
             .residuals(joints, trackers)
-            .map(|(p, r)| p.norm_squared() / POSITION_M.powi(2) + r.norm_squared() / TURN_RAD.powi(2))
+            .map(|(p, r)| p.norm_squared() / POSITION_M.powi(2) + r.norm_squared() / ROTATION_RAD.powi(2))
             .sum();
         fit + joints.since(before).norm_squared() / (STAY * STAY)
     }
@@ -195,7 +197,7 @@ impl Follower {
                 let mut out = SVector::<f64, 6>::zeros();
                 for (p, r) in self.residuals(joints, one) {
                     out.fixed_rows_mut::<3>(0).copy_from(&(p / POSITION_M));
-                    out.fixed_rows_mut::<3>(3).copy_from(&(r / TURN_RAD));
+                    out.fixed_rows_mut::<3>(3).copy_from(&(r / ROTATION_RAD));
                 }
                 out
             };

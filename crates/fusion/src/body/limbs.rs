@@ -46,21 +46,21 @@ impl LimbGeometry {
     }
 }
 
-/// An elbow at rest that holds `forearm` rotated by `turn` (forearm to upper arm): flexion about z and pronation about y (by
+/// An elbow at rest that holds `forearm` rotated by `rotation` (forearm to upper arm): flexion about z and pronation about y (by
 /// side; the carrying angle is dropped); and the least and the largest angles that it may have, rad: -8 to 158 and -95 to 95
 /// degrees.
-pub fn elbow(forearm: BodySegment, turn: &UnitQuaternion<f64>) -> (Axes<2>, [SVector<f64, 2>; 2]) {
+pub fn elbow(forearm: BodySegment, rotation: &UnitQuaternion<f64>) -> (Axes<2>, [SVector<f64, 2>; 2]) {
     let mut axes = Axes::new([Vector3::z(), Vector3::y() * forearm.side()]);
-    let [flexion, pronation, ..] = joint_angles(forearm, turn);
+    let [flexion, pronation, ..] = joint_angles(forearm, rotation);
     axes.angle_rad = SVector::<f64, 2>::new(flexion, pronation);
     (axes, ELBOW_DEG.map(|row| SVector::from(row.map(f64::to_radians))))
 }
 
-/// A knee at rest that holds `shank` rotated by `turn` (shank to thigh): flexion about -z, the rest is dropped; and the least
+/// A knee at rest that holds `shank` rotated by `rotation` (shank to thigh): flexion about -z, the rest is dropped; and the least
 /// and the largest angle that it may have, rad: -8 to 155 degrees.
-pub fn knee(shank: BodySegment, turn: &UnitQuaternion<f64>) -> (Axes<1>, [SVector<f64, 1>; 2]) {
+pub fn knee(shank: BodySegment, rotation: &UnitQuaternion<f64>) -> (Axes<1>, [SVector<f64, 1>; 2]) {
     let mut axes = Axes::new([-Vector3::z()]);
-    axes.angle_rad = SVector::<f64, 1>::new(joint_angles(shank, turn)[0]);
+    axes.angle_rad = SVector::<f64, 1>::new(joint_angles(shank, rotation)[0]);
     (axes, KNEE_DEG.map(|limit| SVector::from([limit.to_radians()])))
 }
 
@@ -169,17 +169,17 @@ impl LimbFilter {
         let Some(upper) = own[0].or(own[1]) else { return };
         let lower = own[1].unwrap_or(upper);
         let [_, _, segment] = self.limb.segments();
-        let turn = upper.inverse() * lower;
+        let rotation = upper.inverse() * lower;
         let q = base.q_room_base.inverse() * upper;
         let ball = Ball { q, angular_velocity_rad_s: Vector3::zeros(), accel_rad_s2: Vector3::zeros() };
         let (geometry, noise) = (self.geometry, self.noise);
         self.filter = match self.limb {
             Limb::ArmR | Limb::ArmL => {
-                let (elbow, limits) = elbow(segment, &turn);
+                let (elbow, limits) = elbow(segment, &rotation);
                 Filter::Arm(Arm::new(geometry, noise, ball, elbow, limits, START_SIGMA_RAD))
             }
             Limb::LegR | Limb::LegL => {
-                let (knee, limits) = knee(segment, &turn);
+                let (knee, limits) = knee(segment, &rotation);
                 Filter::Leg(Leg::new(geometry, noise, ball, knee, limits, START_SIGMA_RAD))
             }
         };
@@ -192,8 +192,8 @@ impl LimbFilter {
     }
 
     /// Covariance of the error of both joints' turns, rad², each in the axes of the segment below; `None` before it has begun.
-    pub(super) fn turns_rad2(&self) -> Option<[Matrix3<f64>; 2]> {
-        with_limb!(&self.filter, None, limb => Some(limb.turns_rad2()))
+    pub(super) fn rotations_rad2(&self) -> Option<[Matrix3<f64>; 2]> {
+        with_limb!(&self.filter, None, limb => Some(limb.rotations_rad2()))
     }
 
     /// Uncertainty of the upper (0) or lower (1) segment about an axis, rad.

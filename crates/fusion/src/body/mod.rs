@@ -410,9 +410,9 @@ impl Sensor {
         };
         // Since its last sample it went on turning as it did.
         let ahead_s = self.behind_s.min(HOLD_S);
-        let turn = UnitQuaternion::from_scaled_axis(self.ahrs.angular_velocity_rad_s() * ahead_s);
+        let rotation = UnitQuaternion::from_scaled_axis(self.ahrs.angular_velocity_rad_s() * ahead_s);
         let waits = self.patience_s > 0.0 && !self.ahrs.has_field();
-        (self.started && !waits).then(|| q_room_sensor * turn * self.worn.q_segment_sensor.inverse())
+        (self.started && !waits).then(|| q_room_sensor * rotation * self.worn.q_segment_sensor.inverse())
     }
 
     /// What a magnetometer in the sensor would say, sensor axes: north, if the heading is believed at all.
@@ -424,6 +424,6 @@ impl Sensor {
 /// By how far a segment is turned about the vertical from a body that looks along the room's x, rad: the twist of its turn
 /// from upright, which sitting, bowing and raised arms leave alone.
 pub(crate) fn yaw_from_upright(segment: &UnitQuaternion<f64>) -> f64 {
-    let turn = segment * upright().inverse();
-    2.0 * turn.k.atan2(turn.w)
+    let rotation = segment * upright().inverse();
+    2.0 * rotation.k.atan2(rotation.w)
 }

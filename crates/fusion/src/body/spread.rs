@@ -47,11 +47,11 @@ impl AngleSpread {
         &mut self,
         segment: BodySegment,
         q_parent_segment: &UnitQuaternion<f64>,
-        turn_rad2: &Matrix3<f64>,
+        rotation_rad2: &Matrix3<f64>,
     ) {
         let range = of_joint(segment);
-        let by_turn = derivative(segment, q_parent_segment);
-        let all = by_turn * turn_rad2 * by_turn.transpose();
+        let by_rotation = derivative(segment, q_parent_segment);
+        let all = by_rotation * rotation_rad2 * by_rotation.transpose();
         let known = |k: usize| {
             let variance = all[(k, k)];
             if variance.is_finite() && variance < UNKNOWN_RAD2 { variance.max(0.0) } else { UNKNOWN_RAD2 }
@@ -78,11 +78,11 @@ impl BodyFilter {
     /// are systematically wrong by. Elbows and knees hold the headings of their segments together, so that magnetometers do not count there.
     pub(super) fn spread(&self, orientations: &[Option<UnitQuaternion<f64>>; SEGMENTS]) -> AngleSpread {
         let mut spread = AngleSpread::default();
-        let mut turns = [Matrix3::zeros(); SEGMENTS];
+        let mut rotations_rad2 = [Matrix3::zeros(); SEGMENTS];
         for (limb, filter) in Limb::ALL.into_iter().zip(&self.limbs) {
             let [_, upper, lower] = limb.segments();
-            if let Some([above, below]) = filter.turns_rad2() {
-                (turns[upper.index()], turns[lower.index()]) = (above, below);
+            if let Some([above, below]) = filter.rotations_rad2() {
+                (rotations_rad2[upper.index()], rotations_rad2[lower.index()]) = (above, below);
             }
         }
         for segment in BodySegment::ALL {
@@ -101,7 +101,7 @@ impl BodyFilter {
                     Matrix3::identity() * tilt + up * up.transpose() * (heading - tilt)
                 })
                 .sum();
-            spread.set(segment, &(above.inverse() * q), &(turns[segment.index()] + lasting));
+            spread.set(segment, &(above.inverse() * q), &(rotations_rad2[segment.index()] + lasting));
         }
         spread
     }
@@ -143,15 +143,15 @@ fn derivative(segment: BodySegment, q_parent_segment: &UnitQuaternion<f64>) -> S
     };
     // A left joint is measured in a mirror.
     let mirror = if segment.side() < 0.0 { Vector3::new(-1.0, -1.0, 1.0) } else { Vector3::repeat(1.0) };
-    let by_turn = inverse * Matrix3::from_diagonal(&mirror);
+    let by_rotation = inverse * Matrix3::from_diagonal(&mirror);
     let count = of_joint(segment).len().min(3);
-    out.fixed_rows_mut::<3>(0).copy_from(&by_turn);
+    out.fixed_rows_mut::<3>(0).copy_from(&by_rotation);
     (count..3).for_each(|row| out.row_mut(row).fill(0.0));
     if matches!(segment, BodySegment::UpperArmR | BodySegment::UpperArmL) {
         let [plane, elevation, ..] = angles;
         let (sin, cos) = plane.sin_cos();
-        let flexion = by_turn.row(1) * sin + by_turn.row(0) * (elevation * cos);
-        let abduction = by_turn.row(1) * cos - by_turn.row(0) * (elevation * sin);
+        let flexion = by_rotation.row(1) * sin + by_rotation.row(0) * (elevation * cos);
+        let abduction = by_rotation.row(1) * cos - by_rotation.row(0) * (elevation * sin);
         out.row_mut(3).copy_from(&flexion);
         out.row_mut(4).copy_from(&abduction);
     }
@@ -175,9 +175,9 @@ mod tests {
                 let found = derivative(segment, &q);
                 for axis in 0..3 {
                     let moved = |step: f64| {
-                        let mut turn = Vector3::zeros();
-                        turn[axis] = step;
-                        joint_angles(segment, &(q * exp(&turn)))
+                        let mut rotation_vector_rad = Vector3::zeros();
+                        rotation_vector_rad[axis] = step;
+                        joint_angles(segment, &(q * exp(&rotation_vector_rad)))
                     };
                     let (plus, minus) = (moved(h), moved(-h));
                     for row in 0..of_joint(segment).len() {
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_turn_is_an_even_angle_and_a_hanging_arm_has_no_plane() {
+    fn an_even_rotation_is_an_even_angle_and_a_hanging_arm_has_no_plane() {
         let mut spread = AngleSpread::default();
         let variance = 4e-4;
         spread.set(BodySegment::ShankL, &UnitQuaternion::identity(), &(Matrix3::identity() * variance));

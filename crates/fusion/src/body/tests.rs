@@ -347,8 +347,8 @@ fn trackers_alone_show_the_limbs_between_them() {
         let truth = script.at(t_s, &build).place(&build);
         let orientation = |segment: BodySegment| UnitQuaternion::from_matrix(&truth[segment.index()].axes);
         let trackers = worn.map(|segment| {
-            let place = Translation3::from(truth[segment.index()].origin_m);
-            let room_from_segment = Isometry3::from_parts(place, orientation(segment));
+            let translation = Translation3::from(truth[segment.index()].origin_m);
+            let room_from_segment = Isometry3::from_parts(translation, orientation(segment));
             Tracked {
                 segment,
                 room_from_sensor: room_from_segment * segment_from_sensor,

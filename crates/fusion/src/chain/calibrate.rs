@@ -43,7 +43,7 @@ pub fn calibrate(segments: &[ChainSegment], epochs: &[Epoch]) -> Result<ChainCal
                 whole.poses.first().map_or(0.0, |pose| wrapped_rad(twist(pose) - pose.flexion_rad[at]));
             let halves = [early, late].map(|half| axes_in(half, &axes, *parent, at));
             let shown = points_clearly(&whole, &axes, *parent, at)
-                && [*parent, at].into_iter().all(|index| turns_about_two(epochs, index));
+                && [*parent, at].into_iter().all(|index| rotates_about_two(epochs, index));
             let quality_deg = if shown { apart_deg(&halves) } else { UNKNOWN_DEG };
             CalibratedHinge {
                 parent_axis: axes.first.into(),
@@ -78,12 +78,20 @@ fn points_clearly(whole: &Solved, axes: &HingeAxes, parent: usize, at: usize) ->
 }
 
 /// Whether a sensor turned about more than one axis.
-fn turns_about_two(epochs: &[Epoch], index: usize) -> bool {
-    let rates = || epochs.iter().filter_map(|epoch| Some(epoch.samples[index]?.gyro_rad_s));
-    let rates = || rates().filter(|rate| rate.iter().all(|value| value.is_finite()));
-    let count = rates().count().max(1) as f64;
-    let mean: Vector3<f64> = rates().sum::<Vector3<f64>>() / count;
-    let spread: Matrix3<f64> = rates().map(|rate| (rate - mean) * (rate - mean).transpose()).sum();
+fn rotates_about_two(epochs: &[Epoch], index: usize) -> bool {
+    let angular_velocities_rad_s =
+        || epochs.iter().filter_map(|epoch| Some(epoch.samples[index]?.gyro_rad_s));
+    let angular_velocities_rad_s = || {
+        angular_velocities_rad_s()
+            .filter(|angular_velocity_rad_s| angular_velocity_rad_s.iter().all(|value| value.is_finite()))
+    };
+    let count = angular_velocities_rad_s().count().max(1) as f64;
+    let mean: Vector3<f64> = angular_velocities_rad_s().sum::<Vector3<f64>>() / count;
+    let spread: Matrix3<f64> = angular_velocities_rad_s()
+        .map(|angular_velocity_rad_s| {
+            (angular_velocity_rad_s - mean) * (angular_velocity_rad_s - mean).transpose()
+        })
+        .sum();
     let mut variances: Vec<f64> = spread.symmetric_eigenvalues().iter().copied().collect();
     variances.sort_by(f64::total_cmp);
     variances[1] > SECOND * SECOND * variances[2]

@@ -14,10 +14,10 @@ use super::Refused;
 use posed_geometry::GRAVITY_M_S2;
 
 /// A sample says this much about a rate, rad/s, and a force, m/s²: skin motion, not sensor noise.
-const RATE_SIGMA: f64 = 0.1;
-const FORCE_SIGMA: f64 = 0.5;
+const GYRO_SIGMA: f64 = 0.1;
+const ACCEL_SIGMA: f64 = 0.5;
 /// Part of a rate by which skin and straps may falsify it.
-const RATE_SHARE: f64 = 0.05;
+const GYRO_SHARE: f64 = 0.05;
 /// Distance between the sensors along the axis and across, m: what turning does to their forces.
 const LEVER_M: f64 = 0.3;
 /// Fewest samples.
@@ -131,15 +131,15 @@ fn linearise(samples: &[Pair], axes: &[Vector3<f64>; 2]) -> (f64, Vector4<f64>, 
         let across = [w[0].cross(&axes[0]), w[1].cross(&axes[1])];
         let norms = [across[0].norm().max(1e-9), across[1].norm().max(1e-9)];
         let fastest = w[0].norm_squared().max(w[1].norm_squared());
-        let sigma = RATE_SIGMA.hypot(RATE_SHARE * fastest.sqrt());
+        let sigma = GYRO_SIGMA.hypot(GYRO_SHARE * fastest.sqrt());
         let rows =
             [across[0].cross(&w[0]) / (norms[0] * sigma), across[1].cross(&w[1]) / (-norms[1] * sigma)];
         add((norms[0] - norms[1]) / sigma, rows);
         // Where gravity is all, the forces along the axis are equal; levers and blows make it uncertain.
         let blow = a.iter().map(|a| (a.norm() - GRAVITY_M_S2).abs()).fold(0.0, f64::max);
-        let sigma = FORCE_SIGMA.hypot(LEVER_M * fastest).hypot(blow);
-        let force = a[0].dot(&axes[0]) - a[1].dot(&axes[1]);
-        add(force / sigma, [a[0] / sigma, -a[1] / sigma]);
+        let sigma = ACCEL_SIGMA.hypot(LEVER_M * fastest).hypot(blow);
+        let difference = a[0].dot(&axes[0]) - a[1].dot(&axes[1]);
+        add(difference / sigma, [a[0] / sigma, -a[1] / sigma]);
     }
     (cost, gradient, information)
 }

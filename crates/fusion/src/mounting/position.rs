@@ -13,7 +13,7 @@ use posed_geometry::so3::hat;
 
 const MIN_SAMPLES: usize = 100;
 /// A sample's force is good to this, m/s².
-const FORCE_SIGMA: f64 = 0.5;
+const ACCEL_SIGMA: f64 = 0.5;
 /// The prior that keeps what does not show small: sensors sit within this of the joint, m.
 const PRIOR_M: f64 = 0.5;
 /// The second weakest direction must be known at least so well per sample, 1/m² (the weakest is the hinge's axis).
@@ -70,7 +70,7 @@ pub fn joint_position(samples: &[[Motion; 2]]) -> Result<JointPosition, Refused>
     Ok(JointPosition {
         first_m: o.fixed_rows::<3>(0).into(),
         second_m: o.fixed_rows::<3>(3).into(),
-        residual_m_s2: (sum / samples.len() as f64).sqrt() * FORCE_SIGMA,
+        residual_m_s2: (sum / samples.len() as f64).sqrt() * ACCEL_SIGMA,
         excitation,
     })
 }
@@ -89,8 +89,8 @@ fn linearise(samples: &[[Motion; 2]], o: &Vector6<f64>) -> (f64, Vector6<f64>, M
             let sign = if i == 0 { -1.0 } else { 1.0 };
             row.fixed_rows_mut::<3>(3 * i).copy_from(&(g.transpose() * at_joint * (sign / norms[i])));
         }
-        let residual = (norms[0] - norms[1]) / FORCE_SIGMA;
-        row /= FORCE_SIGMA;
+        let residual = (norms[0] - norms[1]) / ACCEL_SIGMA;
+        row /= ACCEL_SIGMA;
         let weight = (3.0 / residual.abs()).min(1.0);
         cost += residual * residual;
         gradient += row * (weight * residual);

@@ -47,7 +47,7 @@ impl Body {
                 (0..sensors)
                     .filter(|sensor| !clean(k, *sensor))
                     .for_each(|s| known[3 * s..3 * s + 3].fill(f64::NAN));
-                body.turn(&known, 1.0, &mut turned);
+                body.align(&known, 1.0, &mut turned);
                 for (sum, p) in sums.iter_mut().zip(turned.chunks_exact(3)) {
                     if !p[0].is_nan() {
                         (0..3).for_each(|c| sum[c] += p[c]);
@@ -71,7 +71,7 @@ impl Body {
     }
 
     /// Turns a frame into the figure's axes; `size` is that of this body over that of the training's.
-    pub(super) fn turn(&self, frame: &[f64], size: f64, out: &mut [f64]) {
+    pub(super) fn align(&self, frame: &[f64], size: f64, out: &mut [f64]) {
         let mut middle = [0.0; 3];
         let mut home = [0.0; 3];
         let (mut sin, mut cos) = (0.0, 1.0);

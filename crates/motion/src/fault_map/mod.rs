@@ -220,7 +220,7 @@ impl FaultMap {
     /// Positions as the map sees them.
     fn see(&self, frame: &[f64], size: f64, seen: &mut [f64]) {
         match &self.body {
-            Some(body) => body.turn(frame, size, seen),
+            Some(body) => body.align(frame, size, seen),
             None => seen.copy_from_slice(frame),
         }
     }

@@ -77,13 +77,13 @@ impl BodyStage {
         let skeleton = skeleton_of(body).ok_or(lacks)?;
         let given = body.mounting == Mounting::Given;
         let mut trackers = Vec::with_capacity(wearers.trackers.len());
-        let mut turns_known = true;
+        let mut rotations_known = true;
         for (index, segment) in &wearers.trackers {
             let sensor = &stage.sensors[usize::from(*index)];
-            let turn = sensor.mount_quat_wxyz.and_then(orientation_from_wxyz);
-            turns_known &= turn.is_some();
-            let place_m = sensor.offset_m.map_or_else(|| skeleton.usual_sensor_m(*segment), Vector3::from);
-            let segment_from_sensor = Isometry3::from_parts(place_m.into(), turn.unwrap_or_default());
+            let rotation = sensor.mount_quat_wxyz.and_then(orientation_from_wxyz);
+            rotations_known &= rotation.is_some();
+            let position_m = sensor.offset_m.map_or_else(|| skeleton.usual_sensor_m(*segment), Vector3::from);
+            let segment_from_sensor = Isometry3::from_parts(position_m.into(), rotation.unwrap_or_default());
             trackers.push(WornTracker { sensor: *index, segment: *segment, segment_from_sensor });
         }
         let imus = wearers.imus;
@@ -94,7 +94,7 @@ impl BodyStage {
             } else {
                 Solver::Waiting
             }
-        } else if turns_known {
+        } else if rotations_known {
             Solver::Trackers(Box::new(Follower::new(skeleton)))
         } else {
             Solver::Waiting
@@ -252,8 +252,8 @@ impl BodyStage {
             if let Some(position_m) = shown(estimate, worn.sensor).and_then(|pose| pose.position_m)
                 && found.orientations[index].is_some()
             {
-                let place = from_hips[index] + all[index] * worn.segment_from_sensor.translation.vector;
-                sum += Vector3::from(position_m) - place;
+                let expected_m = from_hips[index] + all[index] * worn.segment_from_sensor.translation.vector;
+                sum += Vector3::from(position_m) - expected_m;
                 count += 1.0;
             }
         }
@@ -317,8 +317,8 @@ impl BodyStage {
             let Some(parent) = segment.parent() else { continue };
             let of = |segment: BodySegment| self.out.segments[segment.index()].sigma_rad.powi(2);
             let [above, q] = [parent, segment].map(|of| figure.orientations[of.index()]);
-            let turn_rad2 = Matrix3::identity() * (of(parent) + of(segment));
-            self.out.spread.set(segment, &(above.inverse() * q), &turn_rad2);
+            let rotation_rad2 = Matrix3::identity() * (of(parent) + of(segment));
+            self.out.spread.set(segment, &(above.inverse() * q), &rotation_rad2);
         }
     }
 }
