@@ -118,11 +118,11 @@ fn record(case: &Case) -> Run {
     Run { recording, truth, wearer, script, blocks }
 }
 
-fn worn(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorMount>; SEGMENTS], String> {
+fn mounts(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorMount>; SEGMENTS], String> {
     if case.mounting == Mounting::Calibrated {
         let offsets = BodySegment::ALL.map(|_| None);
         let found = calibrate(&run.recording, &run.blocks, skeleton, &offsets).map_err(|e| e.to_string())?;
-        return Ok(found.worn);
+        return Ok(found.mounts);
     }
     Ok(BodySegment::ALL.map(|segment| {
         let (mount, offset_m) = run.wearer.mounting(segment.index());
@@ -145,12 +145,12 @@ enum Solver {
 }
 
 impl Solver {
-    fn new(case: &Case, skeleton: &Skeleton, worn: &[Option<SensorMount>; SEGMENTS]) -> Self {
+    fn new(case: &Case, skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS]) -> Self {
         let params = BodyParams::default();
         if case.euler {
-            Self::Euler(Box::new(EulerBody::new(skeleton, worn, &params)))
+            Self::Euler(Box::new(EulerBody::new(skeleton, mounts, &params)))
         } else {
-            Self::Live(Box::new(BodyFilter::new(skeleton, worn, &params)))
+            Self::Live(Box::new(BodyFilter::new(skeleton, mounts, &params)))
         }
     }
 
@@ -169,8 +169,8 @@ impl Solver {
 fn solve(case: &Case) -> Result<Figures, String> {
     let skeleton = Skeleton::from_height(HEIGHT_M);
     let run = record(case);
-    let worn = worn(case, &run, &skeleton)?;
-    let mut filter = Solver::new(case, &skeleton, &worn);
+    let mounts = mounts(case, &run, &skeleton)?;
+    let mut filter = Solver::new(case, &skeleton, &mounts);
     let mut sums = [0.0; 7];
     let mut headings = [0.0; SEGMENTS];
     let mut nees = [0.0; SEGMENTS];
@@ -325,10 +325,10 @@ fn speed() {
     let case = Case { activity_s: 30.0, ..Case::new(Activity::Walking, Mounting::Perfect) };
     let run = record(&case);
     let skeleton = Skeleton::from_height(HEIGHT_M);
-    let Ok(worn) = worn(&case, &run, &skeleton) else { return };
+    let Ok(mounts) = mounts(&case, &run, &skeleton) else { return };
     let mut best_us = f64::INFINITY;
     for _ in 0..5 {
-        let mut filter = BodyFilter::new(&skeleton, &worn, &BodyParams::default());
+        let mut filter = BodyFilter::new(&skeleton, &mounts, &BodyParams::default());
         let begun = busy_ns();
         for (_, samples) in &run.recording {
             std::hint::black_box(filter.push(samples, 1.0 / RATE_HZ));

@@ -235,7 +235,7 @@ fn a_radio_that_stutters_makes_no_alignment_too_short() {
 }
 
 /// A wearer of the aligned pair: the stage file gives all of it.
-fn worn(found: &Found) -> Stage {
+fn stage_of(found: &Found) -> Stage {
     let [x, y, z] = OFFSET_M;
     let q = orientation_to_wxyz(&found.alignment.q_sensor_imu);
     let place = transmitter();
@@ -264,7 +264,7 @@ fn the_imu_carries_the_pose_through_a_dropout_and_a_replay_says_the_same() {
     let silent = vec![Fault::BirdDies { address: 0, at_s: 8.0, duration_s: Some(0.4) }];
     let (stage, scenario) = scenario(6, silent);
     let mut rig = Rig::new(&stage, &scenario);
-    rig.pipeline = Pipeline::new(&worn(&found)).unwrap();
+    rig.pipeline = Pipeline::new(&stage_of(&found)).unwrap();
     rig.push(Input::Line { device: 0, event: posed_drivers::LineEvent::Opened { modem_lines: false } });
     rig.push(Input::Line { device: 1, event: posed_drivers::LineEvent::Opened { modem_lines: false } });
     rig.run_until(12.0);
@@ -290,11 +290,11 @@ fn the_imu_carries_the_pose_through_a_dropout_and_a_replay_says_the_same() {
     assert!(rig.estimates().any(|e| e.sensors[0].coasted && e.sensors[0].state == SensorState::Missing));
 
     let middle = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 8.2);
-    let mut pipeline = Pipeline::new(&worn(&found)).unwrap();
+    let mut pipeline = Pipeline::new(&stage_of(&found)).unwrap();
     let log: Vec<Entry> = rig.log.clone();
     let before = replay(&mut pipeline, &log[..middle]).len();
-    let mut restored = Pipeline::restore(&worn(&found), pipeline.models(), &pipeline.snapshot()).unwrap();
-    let whole = replay(&mut Pipeline::new(&worn(&found)).unwrap(), &log);
+    let mut restored = Pipeline::restore(&stage_of(&found), pipeline.models(), &pipeline.snapshot()).unwrap();
+    let whole = replay(&mut Pipeline::new(&stage_of(&found)).unwrap(), &log);
     assert_eq!(replay(&mut restored, &log[middle..]), whole[before..]);
 }
 

@@ -273,19 +273,19 @@ async fn a_map_of_faults_is_learnt_and_a_cell_named_in_the_browser() {
 
 /// Ten IMUs of a chain on somebody who holds the two poses in turn, and nobody knows how they sit.
 pub(crate) fn posing(folder: &Path) -> std::path::PathBuf {
-    let worn = posed_stage::SEGMENTS.map(|segment| (segment, segment));
-    strapped(folder, "poses", &worn)
+    let mounted = posed_stage::SEGMENTS.map(|segment| (segment, segment));
+    strapped(folder, "poses", &mounted)
 }
 
 /// IMUs of a chain, each with the segment that the stage file specifies and the one that it sits on.
-fn strapped(folder: &Path, activity: &str, worn: &[(&str, &str)]) -> std::path::PathBuf {
+fn strapped(folder: &Path, activity: &str, mounted: &[(&str, &str)]) -> std::path::PathBuf {
     let mut text = String::from(
         "name = \"posing\"\n[body]\nheight_m = 1.7\n[[device]]\nname = \"chain\"\ndriver = \"xbus\"\nport = \"auto\"\n\
          baud = 921600\n[simulation]\n[[simulation.body]]\nname = \"person\"\n[simulation.body.motion]\nkind = \"person\"\n\
          activity = \"ACTIVITY\"\nheight_m = 1.7\n[[simulation.device]]\nname = \"chain\"\nboot_ms = 0.0\n",
     )
     .replace("ACTIVITY", activity);
-    for (index, (emitted, segment)) in worn.iter().enumerate() {
+    for (index, (emitted, segment)) in mounted.iter().enumerate() {
         let rotation_rad = 0.4 * index as f64;
         let (sin, cos) = rotation_rad.sin_cos();
         text += &format!(

@@ -38,7 +38,7 @@ struct Wears<'a> {
     parent: Option<&'a str>,
     /// Index among the sensors that are asked for.
     sensor: usize,
-    worn: &'a posed_stage::Sensor,
+    entry: &'a posed_stage::Sensor,
 }
 
 /// The names of the sensors that sit on segments, and how they hang together.
@@ -56,11 +56,11 @@ pub(super) fn of_stage(stage: &Stage, measured: &[Measured]) -> Result<(Vec<Stri
     };
     let mut names = Vec::new();
     let mut wearing: Vec<Wears<'_>> = Vec::new();
-    for worn in &stage.sensors {
-        let name = worn.segment.as_deref().unwrap_or(&worn.name);
+    for entry in &stage.sensors {
+        let name = entry.segment.as_deref().unwrap_or(&entry.name);
         if is_segment(name) && wearing.iter().all(|other| other.name != name) {
-            wearing.push(Wears { name, parent: parent(name), sensor: names.len(), worn });
-            names.push(worn.name.clone());
+            wearing.push(Wears { name, parent: parent(name), sensor: names.len(), entry });
+            names.push(entry.name.clone());
         }
     }
     for bone in measured {
@@ -78,8 +78,8 @@ pub(super) fn of_stage(stage: &Stage, measured: &[Measured]) -> Result<(Vec<Stri
             [skeleton.joint_in_segment_m(segment), skeleton.joint_in_parent_m(segment)]
         });
         let way = |wears: &Wears<'_>, place: Option<Vector3<f64>>| {
-            let rotation = orientation_from_wxyz(wears.worn.mount_quat_wxyz?)?;
-            let offset = Vector3::from(wears.worn.offset_m?);
+            let rotation = orientation_from_wxyz(wears.entry.mount_quat_wxyz?)?;
+            let offset = Vector3::from(wears.entry.offset_m?);
             given.then_some(rotation.inverse() * (place? - offset))
         };
         limbs.joints.push(Joint {

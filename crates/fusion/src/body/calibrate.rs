@@ -142,7 +142,7 @@ pub type Recorded = (f64, BodySamples);
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Calibrated {
     /// By [`BodySegment::index`]; `None` where no sensor has samples.
-    pub worn: [Option<SensorMount>; SEGMENTS],
+    pub mounts: [Option<SensorMount>; SEGMENTS],
     /// Root mean square by which the directions disagree, weighted, degrees, by [`BodySegment::index`]; below 15. It shows
     /// neither a pose that all sensors saw wrong nor soft tissue.
     pub quality_deg: [Option<f64>; SEGMENTS],
@@ -262,7 +262,8 @@ pub fn calibrate(
         session.axes(block, &mut axes)?;
     }
     let facing = Facing { magnetic, standing: &standing, spread: &spread, axes: &axes };
-    let mut out = Calibrated { worn: [None; SEGMENTS], quality_deg: [None; SEGMENTS], warnings: Vec::new() };
+    let mut out =
+        Calibrated { mounts: [None; SEGMENTS], quality_deg: [None; SEGMENTS], warnings: Vec::new() };
     for segment in BodySegment::ALL.into_iter().filter(|segment| present[segment.index()]) {
         let index = segment.index();
         let yaw = facing.of(segment)?;
@@ -302,7 +303,7 @@ pub fn calibrate(
             ));
         }
         out.quality_deg[index] = Some(rms_deg);
-        out.worn[index] = Some(SensorMount {
+        out.mounts[index] = Some(SensorMount {
             q_segment_sensor,
             offset_m: offsets_m[index].unwrap_or_else(|| skeleton.usual_sensor_m(segment)),
             // The level frame is turned so that the body looks along the room's x where it was calibrated.
@@ -389,27 +390,23 @@ impl Session<'_> {
                 segment: segment.name(),
                 problem,
             };
-            let angular_velocities_rad_s: Vec<Vector3<f64>> = self.recording[range.clone()]
+            let gyros_rad_s: Vec<Vector3<f64>> = self.recording[range.clone()]
                 .iter()
                 .filter_map(|(_, samples)| samples[index].map(|sample| sample.gyro_rad_s))
-                .filter(|angular_velocity_rad_s| angular_velocity_rad_s.iter().all(|value| value.is_finite()))
+                .filter(|w| w.iter().all(|value| value.is_finite()))
                 .collect();
-            if angular_velocities_rad_s.len() < 10 {
+            if gyros_rad_s.len() < 10 {
                 return Err(wrong("has no samples then"));
             }
-            let mean =
-                angular_velocities_rad_s.iter().sum::<Vector3<f64>>() / angular_velocities_rad_s.len() as f64;
+            let mean = gyros_rad_s.iter().sum::<Vector3<f64>>() / gyros_rad_s.len() as f64;
             if mean.norm() > BIAS_RAD_S {
                 return Err(wrong(
                     "turns by more than 2 degrees per second at rest: its gyro has a bias that no filter here corrects; run \
                      `posed imu calibrate` on the unit first",
                 ));
             }
-            let moved = angular_velocities_rad_s
-                .iter()
-                .map(|angular_velocity_rad_s| (angular_velocity_rad_s - mean).norm_squared())
-                .sum::<f64>()
-                / angular_velocities_rad_s.len() as f64;
+            let moved =
+                gyros_rad_s.iter().map(|w| (w - mean).norm_squared()).sum::<f64>() / gyros_rad_s.len() as f64;
             if moved.sqrt() > HELD_RAD_S {
                 return Err(wrong("moved: stand still and repeat it"));
             }

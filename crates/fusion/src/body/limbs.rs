@@ -24,17 +24,17 @@ const ELBOW_DEG: [[f64; 2]; 2] = [[-8.0, -95.0], [158.0, 95.0]];
 const KNEE_DEG: [f64; 2] = [-8.0, 155.0];
 
 impl LimbGeometry {
-    /// Of a limb of a skeleton; `worn` by [`BodySegment::index`]. A segment without a sensor counts as if one sat at its
+    /// Of a limb of a skeleton; `mounts` by [`BodySegment::index`]. A segment without a sensor counts as if one sat at its
     /// usual place, turned as the segment is; a trunk without one has its origin where the segment has its own.
-    pub fn of(limb: Limb, skeleton: &Skeleton, worn: &[Option<SensorMount>; SEGMENTS]) -> Self {
+    pub fn of(limb: Limb, skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS]) -> Self {
         let [trunk, upper, lower] = limb.segments();
         let mount = |segment: BodySegment| {
-            worn[segment.index()].map_or_else(UnitQuaternion::identity, |worn| worn.q_segment_sensor)
+            mounts[segment.index()].map_or_else(UnitQuaternion::identity, |mount| mount.q_segment_sensor)
         };
         let offset_m = |segment: BodySegment| {
-            worn[segment.index()].map_or_else(|| skeleton.usual_sensor_m(segment), |worn| worn.offset_m)
+            mounts[segment.index()].map_or_else(|| skeleton.usual_sensor_m(segment), |mount| mount.offset_m)
         };
-        let trunk_m = worn[trunk.index()].map_or_else(Vector3::zeros, |worn| worn.offset_m);
+        let trunk_m = mounts[trunk.index()].map_or_else(Vector3::zeros, |mount| mount.offset_m);
         Self {
             base_to_joint_m: skeleton.joint_in_parent_m(upper) - trunk_m,
             upper_imu_m: offset_m(upper),
@@ -91,7 +91,7 @@ pub(super) struct LimbFilter {
     geometry: LimbGeometry,
     noise: LimbNoise,
     /// Whether upper and lower segment wear a sensor.
-    worn: [bool; 2],
+    mounted: [bool; 2],
     /// Bias of both gyros that a rest has proven, rad/s: more than the filter takes for possible.
     offsets_rad_s: [Vector3<f64>; 2],
     filter: Filter,
@@ -101,15 +101,15 @@ impl LimbFilter {
     pub(super) fn new(
         limb: Limb,
         skeleton: &Skeleton,
-        worn: &[Option<SensorMount>; SEGMENTS],
+        mounts: &[Option<SensorMount>; SEGMENTS],
         params: &BodyParams,
     ) -> Self {
         let [_, upper, lower] = limb.segments();
         Self {
             limb,
-            geometry: LimbGeometry::of(limb, skeleton, worn),
+            geometry: LimbGeometry::of(limb, skeleton, mounts),
             noise: params.limb,
-            worn: [upper, lower].map(|segment| worn[segment.index()].is_some()),
+            mounted: [upper, lower].map(|segment| mounts[segment.index()].is_some()),
             offsets_rad_s: [Vector3::zeros(); 2],
             filter: Filter::Waiting,
         }
@@ -162,8 +162,8 @@ impl LimbFilter {
 
     /// Begins as soon as every worn sensor has an orientation.
     fn begin(&mut self, base: &Base, own: [Option<UnitQuaternion<f64>>; 2]) {
-        let known = self.worn.iter().zip(&own).all(|(worn, own)| !worn || own.is_some());
-        if !known || self.worn == [false, false] {
+        let known = self.mounted.iter().zip(&own).all(|(mounted, own)| !mounted || own.is_some());
+        if !known || self.mounted == [false, false] {
             return;
         }
         let Some(upper) = own[0].or(own[1]) else { return };
@@ -188,7 +188,7 @@ impl LimbFilter {
     /// Upper and lower segment to trunk; `None` where no sensor shows it.
     pub(super) fn orientations(&self) -> [Option<UnitQuaternion<f64>>; 2] {
         let [upper, lower] = with_limb!(&self.filter, return [None; 2], limb => limb.orientations());
-        [Some(upper), self.worn[1].then_some(lower)]
+        [Some(upper), self.mounted[1].then_some(lower)]
     }
 
     /// Covariance of the error of both joints' turns, rad², each in the axes of the segment below; `None` before it has begun.

@@ -158,7 +158,7 @@ impl BodyEstimate {
 /// One sensor: how it is worn, its own orientation and its health.
 #[derive(Clone, Debug, PartialEq, Plain)]
 struct Sensor {
-    worn: SensorMount,
+    mount: SensorMount,
     ahrs: Ahrs,
     started: bool,
     /// Time since its last sample, s, and what that one stood for.
@@ -195,10 +195,10 @@ pub struct BodyFilter {
 }
 
 impl BodyFilter {
-    /// A body that has seen nothing; `worn` by [`BodySegment::index`]. It copies what it needs of `skeleton` and `params`.
-    pub fn new(skeleton: &Skeleton, worn: &[Option<SensorMount>; SEGMENTS], params: &BodyParams) -> Self {
-        let sensor = |worn: SensorMount| Sensor {
-            worn,
+    /// A body that has seen nothing; `mounts` by [`BodySegment::index`]. It copies what it needs of `skeleton` and `params`.
+    pub fn new(skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS], params: &BodyParams) -> Self {
+        let sensor = |mount: SensorMount| Sensor {
+            mount,
             ahrs: Ahrs::new(params.ahrs.clone()),
             started: false,
             behind_s: 0.0,
@@ -210,8 +210,8 @@ impl BodyFilter {
             watch: Watch::default(),
         };
         Self {
-            sensors: worn.map(|worn| worn.map(sensor)),
-            limbs: Limb::ALL.map(|limb| LimbFilter::new(limb, skeleton, worn, params)),
+            sensors: mounts.map(|mount| mount.map(sensor)),
+            limbs: Limb::ALL.map(|limb| LimbFilter::new(limb, skeleton, mounts, params)),
             last_motions: [None; 2],
             held_s: 0.0,
             estimate: BodyEstimate::default(),
@@ -220,7 +220,7 @@ impl BodyFilter {
 
     /// How the sensors sit, by [`BodySegment::index`].
     pub fn mounts(&self) -> [Option<SensorMount>; SEGMENTS] {
-        self.sensors.each_ref().map(|sensor| sensor.as_ref().map(|sensor| sensor.worn))
+        self.sensors.each_ref().map(|sensor| sensor.as_ref().map(|sensor| sensor.mount))
     }
 
     /// Lets every sensor wait for a field, for a second at most: magnetometers are slower than gyros, and limbs that begin with a
@@ -296,7 +296,7 @@ impl BodyFilter {
                 None => Base { specific_force_m_s2: gravity, ..known },
             };
         };
-        let mount = &sensor.worn.q_segment_sensor;
+        let mount = &sensor.mount.q_segment_sensor;
         let angular_velocity_rad_s = mount * (sample.gyro_rad_s - sensor.ahrs.bias_rad_s());
         let accel_rad_s2 = last.map_or_else(Vector3::zeros, |last| {
             (angular_velocity_rad_s - last.angular_velocity_rad_s) / sensor.step_s
@@ -392,8 +392,8 @@ impl Sensor {
         if !self.started {
             self.started = true;
             if !self.magnetometer {
-                let heading = self.worn.heading_rad.unwrap_or_else(|| {
-                    let segment = self.ahrs.orientation_6d() * self.worn.q_segment_sensor.inverse();
+                let heading = self.mount.heading_rad.unwrap_or_else(|| {
+                    let segment = self.ahrs.orientation_6d() * self.mount.q_segment_sensor.inverse();
                     -yaw_from_upright(&segment)
                 });
                 self.heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading);
@@ -412,7 +412,7 @@ impl Sensor {
         let ahead_s = self.behind_s.min(HOLD_S);
         let rotation = UnitQuaternion::from_scaled_axis(self.ahrs.angular_velocity_rad_s() * ahead_s);
         let waits = self.patience_s > 0.0 && !self.ahrs.has_field();
-        (self.started && !waits).then(|| q_room_sensor * rotation * self.worn.q_segment_sensor.inverse())
+        (self.started && !waits).then(|| q_room_sensor * rotation * self.mount.q_segment_sensor.inverse())
     }
 
     /// What a magnetometer in the sensor would say, sensor axes: north, if the heading is believed at all.

@@ -79,19 +79,11 @@ fn points_clearly(whole: &Solved, axes: &HingeAxes, parent: usize, at: usize) ->
 
 /// Whether a sensor turned about more than one axis.
 fn rotates_about_two(epochs: &[Epoch], index: usize) -> bool {
-    let angular_velocities_rad_s =
-        || epochs.iter().filter_map(|epoch| Some(epoch.samples[index]?.gyro_rad_s));
-    let angular_velocities_rad_s = || {
-        angular_velocities_rad_s()
-            .filter(|angular_velocity_rad_s| angular_velocity_rad_s.iter().all(|value| value.is_finite()))
-    };
-    let count = angular_velocities_rad_s().count().max(1) as f64;
-    let mean: Vector3<f64> = angular_velocities_rad_s().sum::<Vector3<f64>>() / count;
-    let spread: Matrix3<f64> = angular_velocities_rad_s()
-        .map(|angular_velocity_rad_s| {
-            (angular_velocity_rad_s - mean) * (angular_velocity_rad_s - mean).transpose()
-        })
-        .sum();
+    let gyros_rad_s = || epochs.iter().filter_map(|epoch| Some(epoch.samples[index]?.gyro_rad_s));
+    let gyros_rad_s = || gyros_rad_s().filter(|w| w.iter().all(|value| value.is_finite()));
+    let count = gyros_rad_s().count().max(1) as f64;
+    let mean: Vector3<f64> = gyros_rad_s().sum::<Vector3<f64>>() / count;
+    let spread: Matrix3<f64> = gyros_rad_s().map(|w| (w - mean) * (w - mean).transpose()).sum();
     let mut variances: Vec<f64> = spread.symmetric_eigenvalues().iter().copied().collect();
     variances.sort_by(f64::total_cmp);
     variances[1] > SECOND * SECOND * variances[2]

@@ -33,13 +33,9 @@ impl Guide {
         if since_s < 0.0 || (since_s == 0.0 && !self.epochs.is_empty()) {
             return;
         }
-        let angular_velocities_rad_s = || epoch.samples.iter().flatten().map(|sample| sample.gyro_rad_s);
+        let gyros_rad_s = || epoch.samples.iter().flatten().map(|sample| sample.gyro_rad_s);
         if self.held {
-            if angular_velocities_rad_s()
-                .map(|angular_velocity_rad_s| angular_velocity_rad_s.norm())
-                .fold(0.0, f64::max)
-                > MOVES_RAD_S
-            {
+            if gyros_rad_s().map(|w| w.norm()).fold(0.0, f64::max) > MOVES_RAD_S {
                 self.moved_s += since_s.min(0.1);
             }
         } else if let Some(first) = self.epochs.first() {

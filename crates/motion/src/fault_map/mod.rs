@@ -225,13 +225,14 @@ impl FaultMap {
         }
     }
 
-    /// What the first layer reports about a sensor in a frame as the map sees it; `worn_m` is what sensors that were put on
+    /// What the first layer reports about a sensor in a frame as the map sees it; `mounting_m` is what sensors that were put on
     /// anew may be off, in the figure's axes and beside each other.
-    fn look(&self, sensor: usize, seen: &[f64], worn_m: [f64; 2]) -> Look {
+    fn look(&self, sensor: usize, seen: &[f64], mounting_m: [f64; 2]) -> Look {
         let places = &self.places[sensor];
         let place = places.place(&seen[3 * sensor..3 * sensor + 3]);
         let link = self.links[sensor].as_ref().and_then(|link| link.place(seen, sensor));
-        let ratio = |place: Option<PositionMatch>, worn_m| place.map_or(0.0, |place| place.ratio(worn_m));
+        let ratio =
+            |place: Option<PositionMatch>, mounting_m| place.map_or(0.0, |place| place.ratio(mounting_m));
         let Some(at) = place else {
             return Look { index: f64::NAN, class: Class::Unknown, distance_m: f64::NAN, ratio: 0.0 };
         };
@@ -239,13 +240,13 @@ impl FaultMap {
             index: at.neuron as f64 / places.classes.len() as f64,
             class: at.class,
             distance_m: at.distance_m,
-            ratio: ratio(place, worn_m[0]).max(ratio(link, worn_m[1])),
+            ratio: ratio(place, mounting_m[0]).max(ratio(link, mounting_m[1])),
         }
     }
 
     /// Whether the first layer finds a sensor where it never was, or only when something was wrong.
     fn is_strange(&self, sensor: usize, seen: &[f64]) -> bool {
-        let look = self.look(sensor, seen, [PositionChain::WORN_M, Link::WORN_M]);
+        let look = self.look(sensor, seen, [PositionChain::MOUNTING_M, Link::MOUNTING_M]);
         look.class == Class::Anomalous || look.ratio > self.usual_ratio
     }
 
