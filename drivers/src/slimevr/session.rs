@@ -84,7 +84,7 @@ struct Tracker {
     peer: Option<SocketAddr>,
     protocol: u32,
     last_number: u64,
-    heard: Timestamp,
+    received_at: Timestamp,
     timed_out: bool,
 }
 
@@ -153,7 +153,7 @@ impl SlimeVrSession {
                     peer: None,
                     protocol: 0,
                     last_number: 0,
-                    heard: Timestamp::ZERO,
+                    received_at: Timestamp::ZERO,
                     timed_out: false,
                 })
                 .collect(),
@@ -193,7 +193,7 @@ impl SlimeVrSession {
             return self.refuse(datagram.data.len());
         };
         let tracker = &mut self.trackers[k];
-        tracker.heard = now;
+        tracker.received_at = now;
         if std::mem::take(&mut tracker.timed_out) {
             let number = tracker.number;
             self.outbox.warn(now, 0x100 + u32::from(number), || format!("tracker {number} is back"));
@@ -236,7 +236,7 @@ impl SlimeVrSession {
                     peer: None,
                     protocol: 0,
                     last_number: 0,
-                    heard: now,
+                    received_at: now,
                     timed_out: false,
                 });
                 self.outbox.warn(now, 0x200 + u32::from(number), || {
@@ -263,7 +263,7 @@ impl SlimeVrSession {
         tracker.peer = Some(peer);
         tracker.protocol = handshake.protocol;
         tracker.last_number = 0;
-        tracker.heard = now;
+        tracker.received_at = now;
         tracker.timed_out = false;
         let (number, serial) = (tracker.number, tracker.identity.to_string());
         let mine = |address: u16| address & 0xFF == number;
@@ -371,7 +371,7 @@ impl SlimeVrSession {
         for k in 0..self.trackers.len() {
             let tracker = &mut self.trackers[k];
             let Some(peer) = tracker.peer else { continue };
-            let silent_s = now.seconds_since(tracker.heard);
+            let silent_s = now.seconds_since(tracker.received_at);
             let number = tracker.number;
             if silent_s >= GONE_S {
                 tracker.peer = None;

@@ -209,7 +209,7 @@ impl XImu3Session {
                 return true;
             }
         }
-        unit.heard(now, period_us);
+        unit.received(now, period_us);
         let mut time_us = stamped.time_us;
         if let Data::Inertial { .. } = stamped.data {
             // Lost messages leave a gap in time; the unit does not number them.
@@ -234,10 +234,10 @@ impl XImu3Session {
 
     fn answer(&mut self, now: Timestamp, index: usize, key: &str, value: &Value) {
         let address = self.units[index].address;
-        let Some((asked, wanted)) = self.units[index].asking().map(|step| &self.commands[step]) else {
+        let Some((requested, wanted)) = self.units[index].asking().map(|step| &self.commands[step]) else {
             return;
         };
-        if key != wire::plain_key(asked) {
+        if key != wire::plain_key(requested) {
             return;
         }
         if let Some(serial) = value.get("sn").and_then(Value::as_str) {
@@ -249,7 +249,7 @@ impl XImu3Session {
             let reported = error.map_or_else(|| format!("keeps {value}"), str::to_owned);
             let kind = 0x10_0000 + (u32::from(address) << 4) + self.units[index].step() as u32;
             self.outbox.warn(now, kind, || {
-                format!("unit {address} was set to {asked} = {wanted} and answers: {reported}")
+                format!("unit {address} was set to {requested} = {wanted} and answers: {reported}")
             });
         }
         let period_us = self.period_us();

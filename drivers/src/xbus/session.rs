@@ -150,14 +150,14 @@ impl XbusSession {
                 self.pause(now);
             }
             Progress::Unanswered => {
-                if setup.heard && std::mem::take(&mut self.may_reset) {
+                if setup.received && std::mem::take(&mut self.may_reset) {
                     // Some devices pass over GotoConfig until they are reset.
                     self.outbox.transmit(message::request(MASTER, message::RESET, &[]));
                     return self.set_up(now);
                 }
                 self.may_reset = true;
                 let baud = self.baud;
-                if setup.heard {
+                if setup.received {
                     self.outbox.failed(
                         "the device sends, but does not answer; check the transmit wire, or switch it off and on",
                     );
@@ -336,8 +336,8 @@ impl Session for XbusSession {
 
     fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
         self.arrivals.read(now, bytes.len());
-        if let Phase::SettingUp { bytes: heard, .. } = &mut self.phase {
-            *heard += bytes.len() as u64;
+        if let Phase::SettingUp { bytes: received, .. } = &mut self.phase {
+            *received += bytes.len() as u64;
         }
         // The messages lie in the framer while the session changes.
         let mut framer = std::mem::take(&mut self.framer);

@@ -179,8 +179,8 @@ fn was_done(
     segments: &[BodySegment],
 ) -> Result<(), AssignError> {
     let by = |wanted: f64| {
-        let asked = move |(_, segment): &(f64, BodySegment)| share(*segment, kind) == Some(wanted);
-        turned.iter().copied().zip(found.iter().map(|at| segments[*at])).filter(asked)
+        let wanted_share = move |(_, segment): &(f64, BodySegment)| share(*segment, kind) == Some(wanted);
+        turned.iter().copied().zip(found.iter().map(|at| segments[*at])).filter(wanted_share)
     };
     let least = by(1.0).min_by(|(a, _), (b, _)| a.total_cmp(b));
     let most = by(0.0).max_by(|(a, _), (b, _)| a.total_cmp(b));

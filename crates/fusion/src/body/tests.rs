@@ -378,8 +378,8 @@ fn trackers_alone_show_the_limbs_between_them() {
 /// `POSED_SEEDS=8 cargo test --lib -- angles_are_as_sure --nocapture` prints what `docs/body.md` says.
 #[test]
 fn angles_are_as_sure_as_is_said() {
-    let asked: Option<u64> = std::env::var("POSED_SEEDS").ok().map(|seeds| seeds.parse().unwrap());
-    let (long, seeds) = (asked.is_some(), asked.unwrap_or(2));
+    let requested: Option<u64> = std::env::var("POSED_SEEDS").ok().map(|seeds| seeds.parse().unwrap());
+    let (long, seeds) = (requested.is_some(), requested.unwrap_or(2));
     let joints = [
         BodySegment::Torso,
         BodySegment::UpperArmR,
