@@ -105,7 +105,7 @@ impl Actions {
         let dt = 1.0 / RATE_HZ;
         let mut angles = person.rest;
         let mut angular_velocities_rad_s = [0.0; ANGLES];
-        let (mut place, mut heading) =
+        let (mut position_m, mut heading) =
             ([3.0 * random.uniform(), 3.0 * random.uniform()], TAU * random.uniform());
         let (mut speed, mut turning, mut phase) = (0.0, 0.0, TAU * random.uniform());
         let mut swing = person.swing;
@@ -130,8 +130,8 @@ impl Actions {
             speed += dt * 4.0 * (activity.walk * person.stride * person.tempo - speed);
             turning += dt * 5.0 * (activity.angular_velocity_rad_s - turning);
             heading += dt * turning;
-            place[0] += dt * speed * heading.cos();
-            place[1] += dt * speed * heading.sin();
+            position_m[0] += dt * speed * heading.cos();
+            position_m[1] += dt * speed * heading.sin();
             let moving = (speed / (person.stride * person.tempo)).max(turning.abs() / 2.5).min(1.0);
             phase += dt * PI * person.tempo * (0.3 + 0.7 * moving);
             let t_s = frame as f64 * dt;
@@ -142,7 +142,15 @@ impl Actions {
             // Arms that carry hardly swing; they come to rest as fast as the rest of the figure.
             let free = if activity.label == 2 { 0.1 } else { person.swing };
             swing += dt * 5.0 * (free - swing);
-            sequence.frames.push(person.joints(place, heading, &swayed, phase, moving, swing, &mut random));
+            sequence.frames.push(person.joints(
+                position_m,
+                heading,
+                &swayed,
+                phase,
+                moving,
+                swing,
+                &mut random,
+            ));
             sequence.labels.push(activity.label);
         }
         sequence

@@ -34,15 +34,15 @@ fn rows(path: &Path, names: &[&str]) -> Vec<(f64, Vec<Option<PoleReading>>)> {
         .map(|name| {
             let [x, y, z] = ["x", "y", "z"].map(|axis| format!("{name}_{axis}"));
             let [w, i, j, k] = ["qw", "qx", "qy", "qz"].map(|part| format!("{name}_{part}"));
-            let place = table.require([x.as_str(), y.as_str(), z.as_str()]).unwrap();
-            (place, table.require([w.as_str(), i.as_str(), j.as_str(), k.as_str()]).unwrap())
+            let position = table.require([x.as_str(), y.as_str(), z.as_str()]).unwrap();
+            (position, table.require([w.as_str(), i.as_str(), j.as_str(), k.as_str()]).unwrap())
         })
         .collect();
     let mut rows = Vec::new();
     while table.next_row().unwrap() {
         let t_s = table.required_number(t).unwrap();
-        let reading = |(place, orientation): &([usize; 3], [usize; 4])| {
-            let mm = table.vector(*place).unwrap()?;
+        let reading = |(position, orientation): &([usize; 3], [usize; 4])| {
+            let mm = table.vector(*position).unwrap()?;
             let wxyz = orientation.map(|column| table.required_number(column).unwrap());
             Some(PoleReading {
                 position_m: Vector3::from(mm) / 1e3,
@@ -65,7 +65,7 @@ fn landmarks_m(
     };
     let pairs: Vec<(Vector3<f64>, Vector3<f64>)> = LANDMARKS
         .iter()
-        .map(|(place_mm, [first, last])| {
+        .map(|(position_mm, [first, last])| {
             let tips: Vec<Vector3<f64>> = rows[*first..=*last]
                 .iter()
                 .filter_map(|(_, readings)| {
@@ -78,7 +78,7 @@ fn landmarks_m(
                 values.sort_by(f64::total_cmp);
                 values[values.len() / 2]
             });
-            (median, Vector3::from(*place_mm) / 1e3)
+            (median, Vector3::from(*position_mm) / 1e3)
         })
         .collect();
     let motion = rigid(&pairs);

@@ -132,14 +132,19 @@ impl Problem {
         &mut self,
         fold: usize,
         z: Vector3<f64>,
-        place: Vector3<f64>,
+        position_m: Vector3<f64>,
         noise: &FieldNoise,
     ) {
         let start = self.z.len();
         self.z.push(z);
         self.offsets.push(0.0);
         self.whiteners.push(noise.whitener(&z));
-        self.groups.push(Group { start, end: start + 1, fold: fold % self.folds, kind: Kind::Known(place) });
+        self.groups.push(Group {
+            start,
+            end: start + 1,
+            fold: fold % self.folds,
+            kind: Kind::Known(position_m),
+        });
     }
 
     /// Adds both sensors at a joint: each reading with its way to the joint, turned as the sensor was measured, m.
@@ -307,8 +312,8 @@ impl Problem {
     fn residual(&self, group: &Group, scratch: &mut Scratch) {
         let whiteners = &self.whiteners[group.start..group.end];
         match group.kind {
-            Kind::Known(place) => {
-                let difference = scratch.y[0] - place;
+            Kind::Known(position_m) => {
+                let difference = scratch.y[0] - position_m;
                 let weight = huber_weight((whiteners[0] * difference).norm());
                 scratch.difference[0] = difference;
                 scratch.loss = huber_loss((whiteners[0] * difference).norm());

@@ -64,7 +64,7 @@ pub fn cascade(run: &PoleRun, iterations: usize) -> Option<Cascade> {
             let Some(state) = state else { continue };
             for (sensor, reading) in frame.readings.iter().enumerate() {
                 if let Some(reading) = reading {
-                    pairs.push((reading.position_m, state.place(run.offset_m(sensor))));
+                    pairs.push((reading.position_m, state.position_m(run.offset_m(sensor))));
                 }
             }
         }

@@ -41,7 +41,7 @@ impl PoleState {
     }
 
     /// Where the sensor `offset_m` from the middle is, m; offsets as of [`PoleRun::offset_m`].
-    pub fn place(&self, offset_m: f64) -> Vector3<f64> {
+    pub fn position_m(&self, offset_m: f64) -> Vector3<f64> {
         self.middle_m + self.axes.column(0) * offset_m
     }
 
@@ -137,7 +137,7 @@ impl PoleFilter {
                 h.fixed_view_mut::<3, 2>(0, 3)
                     .copy_from(&(whitener * state.axes.fixed_columns::<2>(1) * *offset));
                 information += h.transpose() * h;
-                gradient += h.transpose() * (whitener * (z - state.place(*offset)));
+                gradient += h.transpose() * (whitener * (z - state.position_m(*offset)));
             }
             let Some(solver) = information.cholesky() else { return };
             let step = solver.solve(&gradient);

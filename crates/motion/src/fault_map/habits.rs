@@ -84,7 +84,7 @@ impl PositionChain {
     }
 
     /// The nearest neuron to a position; `None` where it is missing.
-    pub(super) fn place(&self, p: &[f64]) -> Option<PositionMatch> {
+    pub(super) fn position(&self, p: &[f64]) -> Option<PositionMatch> {
         let winner = self.chain.winner(p)?;
         Some(PositionMatch {
             neuron: winner.cell,
@@ -110,7 +110,8 @@ impl PositionChain {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Plain)]
 pub(super) struct Link {
     other: usize,
-    places: PositionChain,
+    #[serde(rename = "places")]
+    positions: PositionChain,
 }
 
 impl Link {
@@ -125,19 +126,22 @@ impl Link {
         let rows = frames.chunks_exact(3 * sensors);
         let data: Vec<f64> = rows.flat_map(|row| beside(row, sensor, other)).collect();
         let neurons = training_neurons(&data);
-        Self { other, places: PositionChain::learn(neurons, &data, classes, &mut Batch::default(), training) }
+        Self {
+            other,
+            positions: PositionChain::learn(neurons, &data, classes, &mut Batch::default(), training),
+        }
     }
 
     /// The nearest neuron to where a sensor is in a frame.
-    pub(super) fn place(&self, frame: &[f64], sensor: usize) -> Option<PositionMatch> {
-        self.places.place(&beside(frame, sensor, self.other))
+    pub(super) fn position(&self, frame: &[f64], sensor: usize) -> Option<PositionMatch> {
+        self.positions.position(&beside(frame, sensor, self.other))
     }
 
     /// What two sensors that were put on anew may be off beside each other, m.
     pub(super) const MOUNTING_M: f64 = MOUNTING_M * std::f64::consts::SQRT_2;
 
     pub(super) fn fits(&self, sensors: usize) -> bool {
-        self.other < sensors && self.places.fits()
+        self.other < sensors && self.positions.fits()
     }
 }
 

@@ -87,8 +87,8 @@ impl Publisher {
         self.sensors.clear();
         for &(at, _) in &self.trackers {
             let pose = estimate.sensors.get(at).and_then(|sensor| sensor.usable_pose());
-            let place = pose.and_then(|pose| isometry(pose.position_m?, pose.orientation_wxyz));
-            self.sensors.extend(place.map(|place| (at, place)));
+            let pose = pose.and_then(|pose| isometry(pose.position_m?, pose.orientation_wxyz));
+            self.sensors.extend(pose.map(|pose| (at, pose)));
         }
         if self.skeleton.is_none() && self.is_due(estimate.t_valid) {
             self.emit(estimate.t_valid, &[], emit);
@@ -135,10 +135,10 @@ impl Publisher {
         messages.extend(
             bones.iter().map(|bone| placed("/VMC/Ext/Bone/Pos", bone.name, bone.offset_m, bone.rotation)),
         );
-        for (at, place) in &self.sensors {
+        for (at, pose) in &self.sensors {
             let Some((_, name)) = self.trackers.iter().find(|(tracker, _)| tracker == at) else { continue };
-            let position_m = unity_vector(self.heading * place.translation.vector) * self.scale;
-            let rotation = unity_rotation(self.heading * place.rotation);
+            let position_m = unity_vector(self.heading * pose.translation.vector) * self.scale;
+            let rotation = unity_rotation(self.heading * pose.rotation);
             messages.push(placed("/VMC/Ext/Tra/Pos", name, position_m, rotation));
         }
         bundles(messages, &mut emit);
