@@ -291,7 +291,7 @@ fn main() {
         far.disturbances = disturbed(45_f64.to_radians(), 0.86, -16_f64.to_radians());
         row("disturbed 30 s", &far);
         far.disturbances = disturbed(45_f64.to_radians(), 1.0, 0.0);
-        row("pure turn", &far);
+        row("pure rotation", &far);
     }
     if only.as_ref().is_some_and(|only| "nees".contains(only.as_str())) {
         consistency();

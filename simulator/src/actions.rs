@@ -87,7 +87,7 @@ struct Activity {
     label: usize,
     duration_s: f64,
     targets: [f64; ANGLES],
-    /// Share of the walking speed, and turning rate in rad/s.
+    /// Share of the walking speed, and angular velocity in rad/s.
     walk: f64,
     angular_velocity_rad_s: f64,
 }

@@ -37,7 +37,8 @@ pub struct Gesture {
     pub shape: Shape,
     /// Length of the box that the path about fills, m.
     pub size_m: f64,
-    /// How far it turns in all, degrees, about: each piece turns about an axis of its own at 0.7 to 1.3 times the mean rate.
+    /// How far it turns in all, degrees, about: each piece turns about an axis of its own at 0.7 to 1.3 times the mean angular
+    /// velocity.
     pub rotation_deg: f64,
 }
 

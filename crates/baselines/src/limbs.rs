@@ -10,7 +10,7 @@
 //! ```text
 //! x = [theta, dtheta/dt, d2theta/dt2],  theta: three angles of shoulder or hip, and two of the elbow or one of the knee
 //! ```
-//! and 7 measurements an IMU: rates, specific forces and an azimuth. It is the filter of [`posed_fusion::limb`] with
+//! and 7 measurements an IMU: angular velocities, specific forces and an azimuth. It is the filter of [`posed_fusion::limb`] with
 //! other joints; two of the three axes fall together where an arm or a leg points sideways, and there it goes astray.
 //!
 //! Repaired or chosen here, where the paper errs or is silent:
@@ -50,12 +50,12 @@ const NORTH: FieldReference =
 pub struct EulerBody {
     sensors: [Option<Sensor>; SEGMENTS],
     limbs: [EulerLimb; 4],
-    /// Last rate of torso and pelvis, segment axes, for their angular acceleration.
+    /// Last angular velocity of torso and pelvis, segment axes, for their angular acceleration.
     last_angular_velocities_rad_s: [Option<Vector3<f64>>; 2],
     orientations: [Option<UnitQuaternion<f64>>; SEGMENTS],
 }
 
-/// One sensor: how it is worn, and its own orientation.
+/// One sensor: how it sits, and its own orientation.
 #[derive(Clone, Debug)]
 struct Sensor {
     mount: SensorMount,
@@ -82,8 +82,8 @@ enum Filter {
 }
 
 impl EulerBody {
-    /// A body that has seen nothing, of these lengths; `mounts` says how each sensor sits, by [`BodySegment::index`], `None` where
-    /// none is worn.
+    /// A body that has seen nothing, of these lengths; `mounts` says how each sensor sits, by [`BodySegment::index`], `None`
+    /// where none is worn.
     pub fn new(skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS], params: &BodyParams) -> Self {
         let sensor = |mount: SensorMount| {
             let ahrs = Ahrs::new(params.ahrs.clone());

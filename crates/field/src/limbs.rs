@@ -28,7 +28,7 @@ const BLOCK_S: f64 = 4.0;
 const FOLDS: usize = 10;
 /// Pairs of readings at joints that are enough.
 const ENOUGH: usize = 7000;
-/// Turns between offsets and map; the basis is chosen anew in some.
+/// Iterations between offsets and map; the basis is chosen anew in some.
 const ITERATIONS: usize = 6;
 const CHOOSE_EVERY: usize = 3;
 /// Least and first gap at a joint that is expected whatever the map, per axis, m: skin moves.
@@ -170,7 +170,7 @@ pub fn solve_limbs(run: PoleRun, limbs: &Limbs, progress: &mut dyn FnMut(f64)) -
     Solution { map: Some(map), report, polynomials, rejected: Vec::new() }
 }
 
-/// Where turns between joints and map have led.
+/// Where iterations between joints and map have led.
 struct Followed {
     chosen: Chosen,
     problem: Problem,

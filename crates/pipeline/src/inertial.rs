@@ -2,8 +2,8 @@
 //!
 //! What comes in: measurements, some of which hold only a part (a magnetometer slower than the gyro, an
 //! orientation in a message of its own). What goes out: one record per cycle with all that came since the last, how
-//! far it can be trusted, and the orientation. A unit that sends its rates is oriented here ([`Ahrs`]); one that only
-//! sends the orientation which it computes itself is believed. It never gives a position.
+//! far it can be trusted, and the orientation. A unit that sends its angular velocities is oriented here ([`Ahrs`]); one that
+//! only sends the orientation which it computes itself is believed. It never gives a position.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use posed_drivers::{Measurement, Timestamp};
@@ -16,11 +16,11 @@ use posed_stage::output::{self, Measured, PoseEstimate};
 
 /// How long an orientation goes on without a measurement, s.
 const COAST_S: f64 = 0.5;
-/// How long the last rate goes on without a measurement, s.
+/// How long the last angular velocity goes on without a measurement, s.
 const COAST_RATE_S: f64 = 0.1;
 /// Time that the filter of a sensor that has just appeared needs for its inclination, s.
 const SETTLING_S: f64 = 0.3;
-/// Shortest interval from which a rate is taken, s.
+/// Shortest interval from which an angular velocity is taken, s.
 const LEAST_INTERVAL_S: f64 = 2e-3;
 /// Standard deviation of the orientation about an axis of a unit that computes it itself and does not say how good it is, rad.
 const SIGMA_OWN: f64 = 0.02;
@@ -29,7 +29,7 @@ const SIGMA_OWN: f64 = 0.02;
 pub(super) struct Inertial {
     filter: Ahrs,
     magnetometer: bool,
-    /// Whether records with rates have come: what lacks them only adds to the next one that has them.
+    /// Whether records with angular velocities have come: what lacks them only adds to the next one that has them.
     has_angular_velocity: bool,
     /// What came since the latest record, for the next.
     more: output::Inertial,
@@ -116,7 +116,7 @@ impl Inertial {
         };
         let Some(oriented) = oriented else { return SUSPECT };
         self.last = Some(oriented);
-        // Units without rates may rest.
+        // Units without angular velocities may rest.
         let words = inertial.words();
         if words.is_some_and(|words| self.repetition.take(words, Evidence::Certain) == Repeats::Stuck) {
             return Finding::new(Verdict::Dropped, Label::anomalous(Cause::Stuck));
@@ -148,7 +148,7 @@ impl Inertial {
         (self.filter.rejected() == rejected).then_some(Oriented { t, orientation, angular_velocity_rad_s })
     }
 
-    /// The orientation that the unit computes; its rate comes from two of them.
+    /// The orientation that the unit computes; its angular velocity comes from two of them.
     fn reported(&self, measured: &Measured) -> Option<Oriented> {
         let t = measured.t_valid;
         let orientation = posed_geometry::orientation_from_wxyz(measured.orientation_wxyz?)?;

@@ -28,8 +28,8 @@ struct Reading {
     raw: MeasuredPose,
     corrected: MeasuredPose,
     velocity_m_s: Vector3<f64>,
-    /// Of the corrected position, m^2, and of the turn about an axis, rad^2: the device's noise as the filter has learnt it, and
-    /// what the field leaves.
+    /// Of the corrected position, m^2, and of the rotation about an axis, rad^2: the device's noise as the filter has learnt
+    /// it, and what the field leaves.
     position_m2: Matrix3<f64>,
     rotation_rad2: f64,
 }
@@ -39,7 +39,7 @@ struct Reading {
 pub(super) struct EstimatedPose {
     pub(super) t: Timestamp,
     pub(super) pose: Isometry3<f64>,
-    /// Covariance of the position, m^2, and of the turn about an axis, rad^2.
+    /// Covariance of the position, m^2, and of the rotation about an axis, rad^2.
     pub(super) position_m2: Matrix3<f64>,
     pub(super) rotation_rad2: f64,
 }

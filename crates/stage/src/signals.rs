@@ -22,7 +22,7 @@ pub fn columns<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Vec<String> {
 }
 
 /// Columns of what an inertial sensor measured, behind its name, in sensor axes: specific force (m/s², +g upwards at rest) and
-/// angular rate (rad/s).
+/// angular velocity (rad/s).
 const INERTIAL_PARTS: [&str; 6] = ["_ax", "_ay", "_az", "_gx", "_gy", "_gz"];
 
 /// Names of the columns of what these inertial sensors measured, six each, sensor axes: `NAME_ax, NAME_ay, NAME_az` (specific

@@ -7,7 +7,7 @@ use super::kinematics::{Build, Placement, SEGMENT_NAMES};
 use super::script::Script;
 use crate::random::{Purpose, Random};
 
-/// Steps of the differences that make rates and forces, s.
+/// Steps of the differences that make angular velocities and specific forces, s.
 const STEP_S: f64 = 1e-3;
 /// Norm and dip of the simulated earth field: uT, rad.
 const FIELD_UT: f64 = 48.0;

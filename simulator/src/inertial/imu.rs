@@ -77,7 +77,7 @@ impl Imu {
         }
     }
 
-    /// Pose, angular rate and specific force at `t`.
+    /// Pose, angular velocity and specific force at `t`.
     ///
     /// Differences of the pose over 1 ms steps, five points: exact to about 1e-6 of the motions here.
     pub(crate) fn kinematics(&self, t: Timestamp) -> Kinematics {
@@ -193,7 +193,7 @@ mod tests {
                 (k.angular_velocity_rad_s - Vector3::new(0.0, 0.0, angular_velocity_rad_s)).norm() < 1e-6,
                 "{k:?}"
             );
-            // Sensor axes: turn x lever + rate x (rate x lever), and gravity.
+            // Sensor axes: w' x lever + w x (w x lever), w the angular velocity, and gravity.
             let specific_force_m_s2 = Vector3::new(
                 -angular_acceleration_rad_s2 * 0.25,
                 -angular_velocity_rad_s * angular_velocity_rad_s * 0.25,

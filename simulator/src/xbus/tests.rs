@@ -34,7 +34,7 @@ fn bytes(count: u32) -> Bytes {
     Bytes { count, start_s: 4.0, end_s: 14.0 }
 }
 
-/// Rate, specific force, magnetic field and orientation.
+/// Angular velocity, specific force, magnetic field and orientation.
 fn imu(sample: &Sample) -> ([f64; 3], [f64; 3], [f64; 3], [f64; 4]) {
     match sample.measurement {
         Measurement::Imu {
@@ -80,7 +80,7 @@ fn all_personalities_stream_what_is_true() {
                         .norm()
                         < 2.0
                 );
-                // The turn over two periods is the mean rate.
+                // The rotation over two periods is the mean angular velocity.
                 let (before, earlier) = pair.truth_of(&samples[k - 2]);
                 let rotation_vector_rad =
                     (earlier.pose.rotation.inverse() * truth.pose.rotation).scaled_axis();

@@ -1,7 +1,7 @@
 //! The iterated extended Kalman filter of the pole, and its smoother.
 //!
 //! State: middle t, direction u, velocity v, rate of u; ten error numbers. The printed filter carries a quaternion and a
-//! full angular rate, thirteen numbers of which a pole shows eleven or twelve: its spin about itself is never seen. Its
+//! full angular velocity, thirteen numbers of which a pole shows eleven or twelve: its spin about itself is never seen. Its
 //! quaternion step has the factor 2/|w| where 1/|w| is right, and its sensors start one spacing off; both are avoided
 //! here, where the direction is carried with two axes across it and turned by the exponential map.
 
@@ -30,7 +30,7 @@ pub struct PoleState {
     axes: Matrix3<f64>,
     /// Velocity of the middle, m/s.
     pub velocity_m_s: Vector3<f64>,
-    /// Rate of the direction along the two axes, 1/s.
+    /// Angular velocity of the direction along the two axes, rad/s.
     angular_velocity_rad_s: [f64; 2],
 }
 

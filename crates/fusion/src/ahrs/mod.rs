@@ -50,8 +50,8 @@ const GAP_S: f64 = 0.05;
 const COAST_S: f64 = 0.1;
 /// After so long without a sample the sensor may have been turned anyhow, s.
 const AWAY_S: f64 = 0.5;
-/// What a rate that changed by 1 rad/s in a gap of 1 s turned besides its mean, rad: a swing whose phase goes on by 1 rad in the gap
-/// leaves a twelfth.
+/// What an angular velocity that changed by 1 rad/s in a gap of 1 s turned besides its mean, rad: a swing whose phase goes on
+/// by 1 rad in the gap leaves a twelfth.
 const BRIDGED: f64 = 0.1;
 
 /// What the filter assumes; the defaults are one set for all sensors of MEMS class. Effect of each:
@@ -110,7 +110,7 @@ pub struct Ahrs {
     /// Sensor to the level frame: z up, heading free.
     q_level_sensor: UnitQuaternion<f64>,
     started: bool,
-    /// The last rate without its bias, rad/s.
+    /// The last angular velocity without its bias, rad/s.
     angular_velocity_rad_s: Vector3<f64>,
     /// Time without a sample since the last one, s.
     coasted_s: f64,
@@ -136,14 +136,14 @@ struct Window {
     velocity_m_s: Vector3<f64>,
     /// Integral of the squared departure of the specific force from gravity, m²/s³.
     shaking: f64,
-    /// Integral of |rate|, rad.
+    /// Integral of |angular velocity|, rad.
     turned_rad: f64,
     /// Variance of what it may have turned besides between samples far apart, rad².
     bridged_rad2: f64,
     mag_samples: u32,
     /// Sum of field samples.
     mag: Vector3<f64>,
-    /// Sum of (rate x field): what one second of magnetometer lag would add.
+    /// Sum of (angular velocity x field): what one second of magnetometer lag would add.
     mag_lag: Vector3<f64>,
     /// Sum of rotation matrices at the field samples.
     mag_rotation: Matrix3<f64>,
@@ -171,8 +171,8 @@ impl Ahrs {
     /// Takes one sample, `dt_s` seconds after the one before, and returns sensor to room as [`Self::orientation`]. The first
     /// sample levels the orientation; a `dt_s` above 0.5 s counts as 0.5 s.
     ///
-    /// Over a gap the rate is taken to have gone evenly from the one to the other, and tilt and heading are the less sure the
-    /// more it changed; otherwise the gyro's bias would pay for what was missed.
+    /// Over a gap the angular velocity is taken to have gone evenly from the one to the other, and tilt and heading are the
+    /// less sure the more it changed; otherwise the gyro's bias would pay for what was missed.
     ///
     /// A sample with a number that is not finite (or a `dt_s` that is not positive) changes nothing but [`Self::rejected`].
     pub fn push(&mut self, sample: &ImuSample, dt_s: f64) -> UnitQuaternion<f64> {

@@ -19,13 +19,14 @@ pub struct RestParams {
     pub accel_m_s2: f64,
     /// How long both must hold, s.
     pub min_s: f64,
-    /// After so long nothing but a bias keeps a gyro from zero, s; before, a rate that the bias cannot explain is slow turning.
+    /// After so long nothing but a bias keeps a gyro from zero, s; before, an angular velocity that the bias cannot explain is
+    /// slow turning.
     pub certain_s: f64,
-    /// Largest bias about an axis of a unit whose bias is known; a constant rate above it is no rest, rad/s.
+    /// Largest bias about an axis of a unit whose bias is known; a constant angular velocity above it is no rest, rad/s.
     pub bias_clip_rad_s: f64,
     /// Largest bias about an axis of a unit as it comes from the factory, rad/s.
     pub factory_bias_rad_s: f64,
-    /// How long gravity and field must keep their places to prove that a constant rate is a bias, s.
+    /// How long gravity and field must keep their places to prove that a constant angular velocity is a bias, s.
     pub proof_s: f64,
 }
 
@@ -57,7 +58,7 @@ pub(super) struct Rest {
     /// Since the low-passes have settled.
     reference: Option<RestReference>,
     still_s: f64,
-    /// The same with a rate that only a factory's bias could explain.
+    /// The same with an angular velocity that only a factory's bias could explain.
     steady_s: f64,
     at_rest: bool,
 }
@@ -107,8 +108,9 @@ impl Rest {
         };
     }
 
-    /// Whether the rate is a bias however large it is, because gravity and field kept their places. A turn about the vertical shows in
-    /// the field alone; without one `vertical` states whether a rate about it may be taken for a bias.
+    /// Whether the angular velocity is a bias however large it is, because gravity and field kept their places. A rotation
+    /// about the vertical shows in the field alone; without one `vertical` states whether an angular velocity about it may be
+    /// taken for a bias.
     pub(super) fn proves_bias(&self, params: &RestParams, vertical: bool) -> bool {
         let Some(reference) = &self.reference else { return false };
         let turned = reference.turned_rad;

@@ -6,7 +6,7 @@ use posed_geometry::so3;
 
 const RATE_HZ: f64 = 100.0;
 
-/// A sensor whose motion is known: sums of sines for the rate of turn and the acceleration.
+/// A sensor whose motion is known: sums of sines for the angular velocity and the acceleration.
 struct Simulation {
     time_s: f64,
     truth: UnitQuaternion<f64>,

@@ -5,8 +5,8 @@
 //! never decides on which side of the transmitter a pose is, nor whether a tracker is stuck: it takes what [`crate::faults`] lets
 //! through, and gates.
 //!
-//! Error state, 15: position, velocity (room), turn, gyro bias, accelerometer bias (IMU axes); the turn is local,
-//! `R = R_hat exp(turn)`. A late pose is taken at its own time: the filter goes back to the states it has kept and runs
+//! Error state, 15: position, velocity (room), rotation, gyro bias, accelerometer bias (IMU axes); the rotation is local,
+//! `R = R_hat exp(rotation)`. A late pose is taken at its own time: the filter goes back to the states it has kept and runs
 //! forward again over the samples since. Where the two clocks differ by a constant, `offset_s` of the pose's time stands for it.
 
 #[cfg(test)]
@@ -315,7 +315,7 @@ impl State {
         self.t_s = until_s;
         let rotation_vector_rad = (sample.gyro_rad_s - self.gyro_bias) * dt;
         let specific_force_m_s2 = sample.accel_m_s2 - self.accel_bias;
-        // The force in the middle of the step.
+        // The specific force in the middle of the step.
         let middle = (self.q * exp(&(rotation_vector_rad * 0.5))).to_rotation_matrix().into_inner();
         let accel = middle * specific_force_m_s2 - Vector3::z() * GRAVITY_M_S2;
         self.position_m += self.velocity_m_s * dt + accel * (0.5 * dt * dt);

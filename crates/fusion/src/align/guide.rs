@@ -32,7 +32,7 @@ pub struct Guide {
     imu: bool,
     recording: Recording,
     moved_s: f64,
-    /// Sum of the squared turns from the first orientation, rad², and how many.
+    /// Sum of the squared rotation vectors from the first orientation, rad², and how many.
     spread: (Matrix3<f64>, f64),
 }
 

@@ -28,9 +28,9 @@ use posed_geometry::so3::log;
 
 /// Half width of the second differences, s.
 const HALF_S: f64 = 0.2;
-/// A turn that fits worse than this counts for less, rad.
+/// A rotation that fits worse than this counts for less, rad.
 const HUBER_RAD: f64 = 0.05;
-/// Fewest samples, and least turn within half a second difference in each of two directions, root mean square, rad.
+/// Fewest samples, and least rotation within half a second difference in each of two directions, root mean square, rad.
 const MIN_SAMPLES: usize = 200;
 const MIN_ROTATION_RAD: f64 = 0.05;
 
@@ -137,7 +137,7 @@ pub fn align(
     })
 }
 
-/// Y, and the root mean square of what it leaves of the turns, rad; from every `step`-th of them.
+/// Y, and the root mean square of what it leaves of the rotations, rad; from every `step`-th of them.
 fn attached(stretches: &[Vec<PairedSample>], step: usize) -> Result<(UnitQuaternion<f64>, f64), AlignError> {
     let found = stretches.iter().map(Vec::len).sum();
     if found < MIN_SAMPLES {
@@ -199,7 +199,7 @@ fn about_z(angle_rad: f64) -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad)
 }
 
-/// The turn about the vertical that makes the tilted transmitter's heading the IMU's, on average.
+/// The rotation about the vertical that makes the tilted transmitter's heading the IMU's, on average.
 fn north(
     stretches: &[Vec<PairedSample>],
     tilt: &UnitQuaternion<f64>,
@@ -214,8 +214,8 @@ fn north(
     about_z(sum.y.atan2(sum.x))
 }
 
-/// The turn about the vertical that brings the transmitter's x axis, or its y axis where that one stands upright, to where the
-/// room's is.
+/// The rotation about the vertical that brings the transmitter's x axis, or its y axis where that one stands upright, to where
+/// the room's is.
 fn facing(x: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
     let (a, b) = (x * Vector3::x(), x * Vector3::y());
     about_z(if a.x.hypot(a.y) > 0.3 { -a.y.atan2(a.x) } else { b.x.atan2(b.y) })
@@ -250,7 +250,7 @@ fn left_m(anchors: &[AnchorPoint], room: &Isometry3<f64>) -> f64 {
     (anchors.iter().map(off).sum::<f64>() / anchors.len() as f64).sqrt()
 }
 
-/// What the forces show, transmitter's axes.
+/// What the specific forces show, transmitter's axes.
 struct SpecificForceFit {
     gravity_m_s2: Vector3<f64>,
     /// From the magnetic sensor to the IMU, magnetic sensor's axes.
@@ -293,7 +293,8 @@ fn fit_specific_force(
     })
 }
 
-/// One of them, from twice `HALF_S` of samples: bend + (second difference of M) lever = force - turned bias - time gravity.
+/// One of them, from twice `HALF_S` of samples: bend + (second difference of M) lever = specific force - turned bias - time
+/// gravity.
 fn second_difference(part: &[PairedSample], y: &Matrix3<f64>) -> (SMatrix<f64, 3, 9>, Vector3<f64>) {
     let half = part.len() / 2;
     let dt_s = HALF_S / half as f64;
@@ -318,7 +319,7 @@ fn second_difference(part: &[PairedSample], y: &Matrix3<f64>) -> (SMatrix<f64, 3
     (rows, specific_force_m - bend)
 }
 
-/// Turn about the vertical (where the heading is not known) and place from anchors; the tilt stays gravity's.
+/// Rotation about the vertical (where the heading is not known) and place from anchors; the tilt stays gravity's.
 fn anchor(anchors: &[AnchorPoint], x: &UnitQuaternion<f64>, heading: bool) -> Isometry3<f64> {
     let n = anchors.len() as f64;
     let turned: Vec<Vector3<f64>> = anchors.iter().map(|a| x * a.transmitter_m).collect();

@@ -517,7 +517,7 @@ impl Session<'_> {
             Some(axes) => chain::refined_axes(&axes, before, behind, &steps_s),
             None => relative_axis(before, behind)?,
         };
-        // The way the movement begins: the mean turn from the posture at its start.
+        // The way the movement begins: the mean rotation from the posture at its start.
         let start = before[0].inverse() * behind[0];
         let mean: Vector3<f64> = before
             .iter()
@@ -562,7 +562,7 @@ fn relative_axis(
     let eigen = spread.symmetric_eigen();
     let largest = eigen.eigenvalues.imax();
     let axis: Vector3<f64> = eigen.eigenvectors.column(largest).into();
-    // A turn of at least 12 degrees, root mean square, and nearly all of it about one axis.
+    // A rotation of at least 12 degrees, root mean square, and nearly all of it about one axis.
     let needed = 12_f64.to_radians().powi(2);
     if eigen.eigenvalues[largest].is_nan() || eigen.eigenvalues[largest] < needed {
         return Err(Refused::Excitation { found: eigen.eigenvalues[largest], needed });
@@ -644,7 +644,7 @@ fn forward(seen: &Vector3<f64>, nominal: &Vector3<f64>) -> Vector3<f64> {
     Vector3::new(s.dot(&n), n.x * s.y - n.y * s.x, 0.0)
 }
 
-/// A segment's turn in a pose against the N-pose.
+/// A segment's rotation in a pose against the N-pose.
 fn posture(segment: BodySegment, raised: bool) -> UnitQuaternion<f64> {
     let quarter = std::f64::consts::FRAC_PI_2;
     match segment {

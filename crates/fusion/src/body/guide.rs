@@ -57,10 +57,10 @@ pub struct Guide {
     at: usize,
     recording: Vec<Recorded>,
     blocks: Vec<Block>,
-    /// Smoothed rates, rad/s, and forces, m/s², per sensor.
+    /// Smoothed angular speeds, rad/s, and specific forces, m/s², per sensor.
     angular_speeds_rad_s: [f64; SEGMENTS],
     specific_forces_m_s2: [Vector3<f64>; SEGMENTS],
-    /// Directions of the force while the arms hung.
+    /// Directions of the specific force while the arms hung.
     hung: Option<[Vector3<f64>; SEGMENTS]>,
     still_since_s: Option<f64>,
     moving_since_s: Option<f64>,

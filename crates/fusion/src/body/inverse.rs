@@ -4,8 +4,8 @@
 //! that positions and orientations of the trackers fit best. What no tracker shows stays as it was in the frame before, and
 //! straight at first. Joints keep their axes: knees do not twist, elbows do not bend sideways.
 //!
-//! Levenberg's method on 27 numbers: position and turn of the pelvis, three angles of the spine, and per limb three of the ball
-//! joint and two or one of the hinge; ball joints step on SO(3). Derivatives by differences: a tracker moves only with
+//! Levenberg's method on 27 numbers: position and rotation of the pelvis, three angles of the spine, and per limb three of the
+//! ball joint and two or one of the hinge; ball joints step on SO(3). Derivatives by differences: a tracker moves only with
 //! the joints above it, and a frame takes a few steps from the one before.
 
 use nalgebra::{Isometry3, SMatrix, SVector, UnitQuaternion, Vector3};
@@ -18,7 +18,7 @@ use posed_geometry::so3;
 
 /// Unknowns: pelvis 6, spine 3, per limb 3 + 2 (arm) or 3 + 1 (leg).
 const N: usize = 27;
-/// Standard deviations that weigh trackers: position, m, and turn, rad; skin more than sensor.
+/// Standard deviations that weigh trackers: position, m, and rotation, rad; skin more than sensor.
 const POSITION_M: f64 = 0.01;
 const ROTATION_RAD: f64 = 0.05;
 /// Departure from the frame before where nothing else speaks, rad and m.
@@ -51,7 +51,7 @@ pub struct Figure {
     pub residual: (f64, f64),
 }
 
-/// Joint by joint: relative turns, with hinges as angles.
+/// Joint by joint: relative rotations, with hinges as angles.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
 struct Joints {
     pelvis_m: Vector3<f64>,
@@ -156,7 +156,7 @@ impl Follower {
         }
     }
 
-    /// Position, m, and turn, rad, by which each tracker is off.
+    /// Position, m, and rotation, rad, by which each tracker is off.
     fn residuals<'a>(
         &self,
         joints: &Joints,

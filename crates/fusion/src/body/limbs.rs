@@ -191,7 +191,8 @@ impl LimbFilter {
         [Some(upper), self.mounted[1].then_some(lower)]
     }
 
-    /// Covariance of the error of both joints' turns, rad², each in the axes of the segment below; `None` before it has begun.
+    /// Covariance of the error of both joints' rotations, rad², each in the axes of the segment below; `None` before it has
+    /// begun.
     pub(super) fn rotations_rad2(&self) -> Option<[Matrix3<f64>; 2]> {
         with_limb!(&self.filter, None, limb => Some(limb.rotations_rad2()))
     }

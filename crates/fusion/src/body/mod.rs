@@ -61,7 +61,8 @@ const AWAY_S: f64 = 0.5;
 /// What the first sample after that stands for, s.
 const FIRST_S: f64 = 0.01;
 
-/// So long after its first sample, or after a gap that the last rate did not bridge, a sensor's orientation is worth comparing, s: its forces have levelled it.
+/// So long after its first sample, or after a gap that the last angular velocity did not bridge, a sensor's orientation is
+/// worth comparing, s: its specific forces have levelled it.
 const SETTLED_S: f64 = 3.0;
 
 /// For so long a heading that is to come from the field is waited for, s.
@@ -155,7 +156,7 @@ impl BodyEstimate {
     }
 }
 
-/// One sensor: how it is worn, its own orientation and its health.
+/// One sensor: how it sits, its own orientation and its health.
 #[derive(Clone, Debug, PartialEq, Plain)]
 struct Sensor {
     mount: SensorMount,
@@ -175,7 +176,7 @@ struct Sensor {
     watch: Watch,
 }
 
-/// Rate, rad/s, and specific force, m/s², of a segment in its axes.
+/// Angular velocity, rad/s, and specific force, m/s², of a segment in its axes.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
 struct Motion {
     angular_velocity_rad_s: Vector3<f64>,
@@ -259,7 +260,7 @@ impl BodyFilter {
                 if let (Some(sensor), Some(sample), Some(nis)) =
                     (&mut self.sensors[segment.index()], sample, report.gyro_nis)
                 {
-                    // The filter lets the joints' rates go where the gyros say: what is left, it cannot explain.
+                    // The filter lets the joints' angular velocities go where the gyros say: what is left, it cannot explain.
                     let left = nis.sqrt() * filter.gyro_noise_rad_s();
                     sensor.watch.innovation(sample.gyro_rad_s.norm(), left, report.accel_gated, dt_s);
                 }
@@ -421,7 +422,7 @@ impl Sensor {
     }
 }
 
-/// By how far a segment is turned about the vertical from a body that looks along the room's x, rad: the twist of its turn
+/// By how far a segment is turned about the vertical from a body that looks along the room's x, rad: the twist of its rotation
 /// from upright, which sitting, bowing and raised arms leave alone.
 pub(crate) fn yaw_from_upright(segment: &UnitQuaternion<f64>) -> f64 {
     let rotation = segment * upright().inverse();

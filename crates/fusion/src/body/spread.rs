@@ -1,8 +1,8 @@
-//! How uncertain the angles of a joint are: from the covariance of its turn to that of its angles.
+//! How uncertain the angles of a joint are: from the covariance of its rotation to that of its angles.
 //!
-//! In: a joint's turn and the covariance of its error, rad², in the lower segment's axes. Out: the covariance of the angles in
-//! the table of `docs/body.md`. For small errors `turn = M d(angles)` with the axes of the sequence as columns of `M`. Where two of
-//! its axes fall together their angles are as uncertain as an angle can be.
+//! In: a joint's rotation and the covariance of its error, rad², in the lower segment's axes. Out: the covariance of the angles
+//! in the table of `docs/body.md`. For small errors `rotation = M d(angles)` with the axes of the sequence as columns of `M`.
+//! Where two of its axes fall together their angles are as uncertain as an angle can be.
 
 use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector3};
 use posed_state::Plain;
@@ -74,8 +74,9 @@ impl AngleSpread {
 }
 
 impl BodyFilter {
-    /// How uncertain the angles between these segments (to room) are: what the filters say of the joint's turn, and what both sensors
-    /// are systematically wrong by. Elbows and knees hold the headings of their segments together, so that magnetometers do not count there.
+    /// How uncertain the angles between these segments (to room) are: what the filters say of the joint's rotation, and what
+    /// both sensors are systematically wrong by. Elbows and knees hold the headings of their segments together, so that
+    /// magnetometers do not count there.
     pub(super) fn spread(&self, orientations: &[Option<UnitQuaternion<f64>>; SEGMENTS]) -> AngleSpread {
         let mut spread = AngleSpread::default();
         let mut rotations_rad2 = [Matrix3::zeros(); SEGMENTS];
@@ -107,7 +108,7 @@ impl BodyFilter {
     }
 }
 
-/// Derivatives of a joint's angles, in the order of [`joint_angles`], with respect to a small turn in the segment's axes.
+/// Derivatives of a joint's angles, in the order of [`joint_angles`], with respect to a small rotation in the segment's axes.
 fn derivative(segment: BodySegment, q_parent_segment: &UnitQuaternion<f64>) -> SMatrix<f64, 5, 3> {
     let mut out = SMatrix::<f64, 5, 3>::zeros();
     let angles = joint_angles(segment, q_parent_segment);
@@ -205,7 +206,7 @@ mod tests {
         let shoulder = of_joint(BodySegment::UpperArmR).start;
         assert!((spread.sigma_rad[shoulder].powi(2) - UNKNOWN_RAD2).abs() < 1e-9, "{spread:?}");
         assert!(spread.covariance_rad2.iter().flatten().all(|value| value.is_finite()));
-        // An arm that is raised a little has all of them, and its flexion is as sure as the turn.
+        // An arm that is raised a little has all of them, and its flexion is as sure as the rotation.
         let raised = joint_rotation(BodySegment::UpperArmR, &[1.5, 0.4, 0.1]);
         spread.set(BodySegment::UpperArmR, &raised, &(Matrix3::identity() * variance));
         assert!((0.02..0.06).contains(&spread.sigma_rad[shoulder]), "{spread:?}");

@@ -16,8 +16,8 @@ const UNKNOWN_DEG: f64 = 90.0;
 /// the other: an axis that stays level throughout may point either way.
 const CLEAR: f64 = 0.1;
 
-/// Rates about a second axis are at least this part of those about the first (standard deviations), in both sensors: where both turn
-/// about the hinge alone, and in step, axes that are wrong together explain the movement as well.
+/// Angular velocities about a second axis are at least this part of those about the first (standard deviations), in both
+/// sensors: where both turn about the hinge alone, and in step, axes that are wrong together explain the movement as well.
 const SECOND: f64 = 0.1;
 
 /// Finds how the sensors of a chain sit and where its hinges are, offline: [`solve`] over the whole and over both halves,

@@ -7,10 +7,10 @@ use nalgebra::Vector3;
 
 use super::Epoch;
 
-/// For so long the zero posture is held, s, with rates that differ by less from their mean, rad/s.
+/// For so long the zero posture is held, s, with angular velocities that differ by less from their mean, rad/s.
 const HOLD_S: f64 = 1.5;
 const STILL_RAD_S: f64 = 0.15;
-/// For so long the chain is to move, s, with rates above this, rad/s.
+/// For so long the chain is to move, s, with angular velocities above this, rad/s.
 const MOVE_S: f64 = 30.0;
 const MOVES_RAD_S: f64 = 0.3;
 

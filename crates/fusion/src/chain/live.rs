@@ -24,7 +24,7 @@ const FIRST_NOISE: f64 = 0.05;
 const LEAST_LEVEL: f64 = 0.05;
 /// Error of tilts of calibrated sensors, rad.
 const TILT_RAD: f64 = 0.005;
-/// After a gap this long a sensor may have been turned, s; the last rate goes on for so long at most.
+/// After a gap this long a sensor may have been turned, s; the last angular velocity goes on for so long at most.
 const AWAY_S: f64 = 0.5;
 const AHEAD_S: f64 = 0.1;
 /// What a first sample stands for, s.
@@ -244,7 +244,7 @@ impl LiveChain {
 }
 
 impl Link {
-    /// Sensor to its own level frame at a time, s; the last rate goes on for a moment.
+    /// Sensor to its own level frame at a time, s; the last angular velocity goes on for a moment.
     fn level(&self, t_s: f64) -> Option<UnitQuaternion<f64>> {
         let ahead_s = t_s - self.last_s?;
         let rotation_vector_rad = self.ahrs.angular_velocity_rad_s() * ahead_s.clamp(0.0, AHEAD_S);

@@ -27,7 +27,7 @@ use super::ahrs::ImuSample;
 const MIN_DIRECTIONS: usize = 9;
 /// From so many on, cross-axis terms are found too: nine unknowns, and three directions to check with.
 const CROSS_DIRECTIONS: usize = 12;
-/// Largest accepted residual of the force's length, m/s².
+/// Largest accepted residual of the specific force's length, m/s².
 const MAX_RESIDUAL: f64 = 0.1;
 /// Largest accepted residual of the field's length, as a part of it.
 const MAX_FIELD_RESIDUAL: f64 = 0.05;

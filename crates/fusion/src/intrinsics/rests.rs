@@ -1,7 +1,7 @@
 //! When a unit lies at rest, and which ways are up then.
 //!
 //! In: samples with their times. Out: a rest for each second in which nothing moves. Single samples may be noisy: what
-//! tells a slow turn from a rest are the means over quarters of the second. An even turn about the vertical alone
+//! tells a slow rotation from a rest are the means over quarters of the second. An even rotation about the vertical alone
 //! cannot be distinguished from a gyro's bias.
 
 use nalgebra::Vector3;

@@ -1,7 +1,7 @@
 //! Motion along a limb, from one body frame to the next, with its derivatives.
 //!
-//! In: angular rate, angular acceleration and specific force of a frame. Out: the same for the next frame, after
-//! a turn or a shift, and their derivatives with respect to the filter's N error states. It never
+//! In: angular velocity, angular acceleration and specific force of a frame. Out: the same for the next frame, after
+//! a rotation or a shift, and their derivatives with respect to the filter's N error states. It never
 //! leaves the body frames, so gravity needs no mention: it is in the specific force.
 //!
 //! Model: Weber, Bleser, Hendeby, Reiss & Stricker, "Unsupervised model generation for motion monitoring"
@@ -18,7 +18,7 @@ pub(super) type Rows<const N: usize> = SMatrix<f64, 3, N>;
 /// Motion of one frame, in its own axes.
 #[derive(Clone, Debug)]
 pub(super) struct Motion<const N: usize> {
-    /// Angular rate, rad/s.
+    /// Angular velocity, rad/s.
     pub(super) omega: Vector3<f64>,
     /// Angular acceleration, rad/s².
     pub(super) alpha: Vector3<f64>,
@@ -30,7 +30,7 @@ pub(super) struct Motion<const N: usize> {
     pub(super) d_alpha: Rows<N>,
     /// Derivative of `specific_force_m_s2`.
     pub(super) d_specific_force: Rows<N>,
-    /// Small turn of the frame, in its own axes, per error state.
+    /// Small rotation of the frame, in its own axes, per error state.
     pub(super) d_rotation: Rows<N>,
     /// Frame to base.
     pub(super) q_base_frame: UnitQuaternion<f64>,
@@ -58,8 +58,8 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// Into a frame that turns freely: `q` (new frame to this one), relative rate and acceleration in the new
-    /// frame. Its error states are the nine columns from `at` on: turn, rate, acceleration.
+    /// Into a frame that turns freely: `q` (new frame to this one), relative angular velocity and acceleration in the new
+    /// frame. Its error states are the nine columns from `at` on: rotation, angular velocity, acceleration.
     pub(super) fn rotate_ball(
         &mut self,
         q: &UnitQuaternion<f64>,
@@ -78,7 +78,7 @@ impl<const N: usize> Motion<N> {
         set(&mut self.d_specific_force, at, &hat(&self.specific_force_m_s2));
     }
 
-    /// Into a frame that turns about one axis by `[angle, rate, acceleration]`; `at` gives their columns.
+    /// Into a frame that turns about one axis by `[angle, angular velocity, acceleration]`; `at` gives their columns.
     pub(super) fn rotate_axis(&mut self, axis: &Vector3<f64>, motion: [f64; 3], at: [usize; 3]) {
         let (angular_velocity_rad_s, accel) = (axis * motion[1], axis * motion[2]);
         let (sin, cos) = (0.5 * motion[0]).sin_cos();
@@ -109,7 +109,7 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// Turns values and the derivatives so far; returns the base's share of rate and acceleration.
+    /// Turns values and the derivatives so far; returns the base's share of angular velocity and acceleration.
     fn rotate(
         &mut self,
         q: &UnitQuaternion<f64>,

@@ -1,7 +1,7 @@
 //! How a joint moves: a ball on SO(3), or a chain of single axes.
 //!
-//! In: time and corrections. Out: the turn of the next frame and the prediction of its covariance. Every joint
-//! has position, rate and acceleration; the acceleration forgets itself (Singer's model) and is driven by
+//! In: time and corrections. Out: the rotation of the next frame and the prediction of its covariance. Every joint
+//! has position, angular velocity and acceleration; the acceleration forgets itself (Singer's model) and is driven by
 //! white jerk.
 
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
@@ -29,11 +29,11 @@ pub(super) trait Joint<const N: usize> {
     fn predict(&mut self, p: &mut Covariance<N>, noise: &JointNoise, tau: f64, at: usize);
     /// Adds a correction of the error states.
     fn correct(&mut self, dx: &SVector<f64, N>, at: usize);
-    /// Covariance of the joint's turn, in the axes of the frame behind it, rad².
+    /// Covariance of the joint's rotation, in the axes of the frame behind it, rad².
     fn rotation_rad2(&self, p: &Covariance<N>, at: usize) -> Matrix3<f64>;
-    /// Columns of the joint's rates.
+    /// Columns of the joint's angular velocities.
     fn angular_velocity_columns(&self, at: usize) -> std::ops::Range<usize>;
-    /// The rate of a column of [`Self::angular_velocity_columns`], rad/s.
+    /// The angular velocity of a column of [`Self::angular_velocity_columns`], rad/s.
     fn angular_velocity_of(&self, column: usize, at: usize) -> f64;
 }
 
@@ -194,7 +194,7 @@ impl<const K: usize, const N: usize> Joint<N> for Axes<K> {
     }
 }
 
-/// Adds what white jerk does in `tau` seconds to angle, rate and acceleration.
+/// Adds what white jerk does in `tau` seconds to angle, angular velocity and acceleration.
 fn add_jerk<const N: usize>(p: &mut Covariance<N>, columns: [usize; 3], jerk_rad_s3: f64, tau: f64) {
     let q = jerk_rad_s3 * jerk_rad_s3 * tau;
     let (t1, t2) = (tau, tau * tau);

@@ -1,7 +1,7 @@
 //! One limb, arm or leg, as one filter over two IMUs.
 //!
 //! In: the motion of the segment that the limb hangs on (its [`Base`]), the samples of the upper and the lower
-//! IMU, and the time since the last ones. Out: joint angles, rates, their covariance, and for each sensor whether
+//! IMU, and the time since the last ones. Out: joint angles, angular velocities, their covariance, and for each sensor whether
 //! it was believed. It never clamps a state, never lets the magnetometer tilt a segment, and goes
 //! on by prediction where a sample is missing.
 //!
@@ -9,8 +9,8 @@
 //! and estimate the gyro biases: 21 and 18 error states. A [`Limb`] of [`Axes`] alone and without biases, as in that
 //! paper, has 15 and 12.
 //!
-//! Order of the error states: upper joint 9 (turn or angles, rates, accelerations); bias of the upper gyro 3, where
-//! estimated; lower joint 3 D; bias of the lower gyro 3.
+//! Order of the error states: upper joint 9 (rotation or angles, angular velocities, accelerations); bias of the upper gyro 3,
+//! where estimated; lower joint 3 D; bias of the lower gyro 3.
 
 mod chain;
 mod covariance;
@@ -160,9 +160,9 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
     const LOWER: usize = if Self::HAS_BIAS { 12 } else { 9 };
     const LOWER_BIAS: usize = Self::LOWER + 3 * D;
 
-    /// A limb in a given posture, of which each angle is known to `sigma_rad`; at rest, rates known to 1 rad/s, accelerations
-    /// to 10 rad/s². `limits_rad` holds the least and the largest angle of each axis of the lower joint; a limit that is
-    /// passed is measured as the limit, the state is never clamped.
+    /// A limb in a given posture, of which each angle is known to `sigma_rad`; at rest, angular velocities known to 1 rad/s,
+    /// accelerations to 10 rad/s². `limits_rad` holds the least and the largest angle of each axis of the lower joint; a limit
+    /// that is passed is measured as the limit, the state is never clamped.
     pub fn new(
         geometry: LimbGeometry,
         noise: LimbNoise,
@@ -261,8 +261,8 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         ((0..3).map(|i| self.p.0[(i, i)]).sum::<f64>() / 3.0).max(0.0).sqrt()
     }
 
-    /// Takes all joint rates as measured to be zero, to 0.2 deg/s: call it after a step at which all sensors of the limb
-    /// rest. Holds the heading where no field is trusted.
+    /// Takes all angular velocities of the joints as measured to be zero, to 0.2 deg/s: call it after a step at which all
+    /// sensors of the limb rest. Holds the heading where no field is trusted.
     pub fn observe_rest(&mut self) {
         let sigma = 0.2_f64.to_radians();
         let angular_velocity_columns = [

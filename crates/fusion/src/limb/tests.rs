@@ -65,7 +65,7 @@ impl Scripted {
         let q_lower = q_upper * so3::exp(&(z * a)) * so3::exp(&(y * b));
         (q_lower, shoulder + q_upper * g.upper_to_lower_m + q_lower * g.lower_imu_m)
     }
-    /// Rate and specific force in segment axes, by five points.
+    /// Angular velocity and specific force in segment axes, by five points.
     fn measure(which: usize, t: f64) -> (V, V) {
         let h = 1e-3;
         let (q, _) = Self::pose(which, t);
@@ -177,7 +177,7 @@ fn jacobian_error<J: Joint<N> + Clone, const D: usize, const N: usize>(
             let accel = (plus.1 - minus.1) / (2.0 * step) - analytic.d_accel.column(column);
             worst = worst.max(gyro.amax() / scale.max(1.0)).max(accel.amax() / scale.max(1.0));
         }
-        // The azimuth's row is the turn about the vertical alone.
+        // The azimuth's row is the rotation about the vertical alone.
         let q_frame = base.q_room_base * limb.orientations()[which as usize];
         for column in 0..N {
             let step = 1e-6;
@@ -213,7 +213,7 @@ fn jacobians_agree_with_central_differences() {
     }
 }
 
-/// A turn of the room by a small `phi` moves a measured azimuth by (-m_z m_x, -m_z m_y, h2) phi / h2.
+/// A rotation of the room by a small `phi` moves a measured azimuth by (-m_z m_x, -m_z m_y, h2) phi / h2.
 #[test]
 fn the_azimuth_turns_as_the_sheet_says() {
     let m = V::new(12.0, -9.0, -41.0);
@@ -361,7 +361,7 @@ fn only_the_heading_of_a_limb_at_rest_without_a_field_is_lost() {
     assert_eq!(rank(true, false, false), 21);
     assert_eq!(rank(false, true, false), 21);
     assert_eq!(rank(false, false, true), 20);
-    // Without knowing that the limb rests, a common slow turn about the vertical looks like the gyros' bias.
+    // Without knowing that the limb rests, a common slow rotation about the vertical looks like the gyros' bias.
     assert_eq!(rank(false, false, false), 19);
 }
 
@@ -381,7 +381,7 @@ fn three_axes_lose_directions_where_two_of_them_meet() {
 /// An upper joint of either form.
 trait Upper<const N: usize>: Joint<N> + Clone {
     fn still() -> Self;
-    /// Turn, rate and acceleration of `other` as errors of this one.
+    /// Rotation, angular velocity and acceleration of `other` as errors of this one.
     fn off(&self, other: &Self) -> [V; 3];
 }
 

@@ -93,7 +93,7 @@ pub(super) struct Prediction<const N: usize> {
     pub(super) d_accel: Rows<N>,
     /// Azimuth of the measured field minus the reference's, rad.
     pub(super) azimuth: Option<f64>,
-    /// Turn about the room's vertical per error state.
+    /// Rotation about the room's vertical per error state.
     pub(super) d_azimuth: SMatrix<f64, 1, N>,
     /// What a tilt does to the azimuth per error state: counted as noise, never corrected.
     d_azimuth_by_tilt: SMatrix<f64, 1, N>,
@@ -139,7 +139,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             let q_room_frame = base.q_room_base * motion.q_base_frame;
             let m = q_room_frame * (mount * mag);
             azimuth = trusted(&m, reference).then(|| wrapped_rad(m.y.atan2(m.x) - reference.azimuth_rad));
-            // Only the turn about the vertical: the azimuth never corrects the tilt.
+            // Only the rotation about the vertical: the azimuth never corrects the tilt.
             let back = q_room_frame.inverse();
             d_azimuth = (back * Vector3::z()).transpose() * motion.d_rotation;
             let tilt = Vector3::new(m.x, m.y, 0.0) * (-m.z / (m.x * m.x + m.y * m.y));
@@ -313,7 +313,7 @@ fn step<const M: usize, const N: usize>(
     (Some(nis), excess)
 }
 
-/// The azimuth: its gain is that of a turn about the vertical alone, but the covariance knows that a tilt moves
+/// The azimuth: its gain is that of a rotation about the vertical alone, but the covariance knows that a tilt moves
 /// it too (Schmidt's consider update). Returns the normalised innovation squared.
 fn rotation_only<const N: usize>(
     p: &mut Covariance<N>,
@@ -329,7 +329,7 @@ fn rotation_only<const N: usize>(
     let residual = residual - (prediction.d_azimuth * *dx)[0];
     let s = full.predicted[0] + noise;
     let nis = residual * residual / s;
-    // Not larger than the turn alone deserves, nor than the whole uncertainty of the azimuth allows.
+    // Not larger than the rotation alone deserves, nor than the whole uncertainty of the azimuth allows.
     let gain = rotate.cross / s.max(rotate.predicted[0] + noise);
     if !nis.is_finite() {
         return None;

@@ -35,7 +35,7 @@ impl Hinge {
         (q, joint + q * self.levers[which])
     }
 
-    /// Rate, angular acceleration, force in sensor axes.
+    /// Angular velocity, angular acceleration, specific force in sensor axes.
     fn motion(&self, which: usize, t: f64, moving: f64) -> (V, V, V) {
         let h = 1e-3;
         let back = self.mounts[which].inverse();

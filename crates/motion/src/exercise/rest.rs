@@ -23,7 +23,7 @@ struct Kind {
 
 /// Components of a unit quaternion; half an angle of two degrees.
 const ROTATION: Kind = Kind { ends: &["qw", "qx", "qy", "qz"], least: 3e-4 };
-/// Turns; places (a centimetre); forces and rates of single inertial sensors.
+/// Rotations; positions (a centimetre); specific forces and angular velocities of single inertial sensors.
 const KINDS: [Kind; 4] = [
     ROTATION,
     Kind { ends: &["x_m", "y_m", "z_m"], least: 1e-4 },

@@ -39,7 +39,7 @@ const NOW: OscTime = OscTime { seconds: 0, fractional: 1 };
 #[derive(Clone, Debug)]
 pub struct Publisher {
     skeleton: Option<Skeleton>,
-    /// From the room to what is sent: the turn that the stage file asks for.
+    /// From the room to what is sent: the rotation that the stage file asks for.
     heading: UnitQuaternion<f64>,
     /// Lengths of the avatar over those of the person.
     scale: f64,

@@ -4,8 +4,8 @@
 //! does: tell a pose that is not good (the protocol cannot say so), open a file because a client asks, own a socket.
 //!
 //! A tracker has sensor 0. Positions are in the room, m; a sensor that measures none is at the origin. Velocities and
-//! accelerations are linear in room axes, and turns in room axes made within [`ROTATION_S`]. The filter has no acceleration: it is
-//! the difference of the velocities of two frames.
+//! accelerations are linear in room axes, and rotations in room axes made within [`ROTATION_S`]. The filter has no
+//! acceleration: it is the difference of the velocities of two frames.
 
 mod peer;
 pub mod wire;
@@ -22,7 +22,7 @@ use posed_stage::output::{Estimate, Outcome, OutcomeKind, PoseEstimate, SensorEs
 pub use self::peer::Peer;
 pub use self::wire::Refused;
 
-/// Time in which the turn of a velocity is made, s.
+/// Time in which the rotation of an angular velocity is made, s.
 pub const ROTATION_S: f64 = 0.01;
 /// Frames further apart tell no acceleration, s.
 const MAX_STEP_S: f64 = 0.1;
@@ -63,7 +63,7 @@ pub struct Publisher {
 /// What was reported of one sensor.
 #[derive(Clone, Debug, Default)]
 struct Tracker {
-    /// Time, velocity and rate (room axes) of the frame before.
+    /// Time, velocity and angular velocity (room axes) of the frame before.
     before: Option<(Timestamp, Vector3<f64>, Vector3<f64>)>,
     pressed: bool,
 }
