@@ -184,7 +184,7 @@ impl Person {
     #[expect(clippy::too_many_arguments, reason = "the state of a walking figure")]
     fn joints(
         &self,
-        place: [f64; 2],
+        position_m: [f64; 2],
         heading: f64,
         angles: &[f64; ANGLES],
         phase: f64,
@@ -200,7 +200,8 @@ impl Person {
         let torso = body * about(z, angles[TWIST] + 0.1 * moving * phase.sin()) * about(y, angles[LEAN]);
         let crouch = angles[CROUCH].max(0.0);
         let bob = 0.02 * moving * (2.0 * phase).cos();
-        let hips = Vector3::new(place[0], place[1], (thigh + shank) * crouch.cos() + 0.07 * size + bob);
+        let hips =
+            Vector3::new(position_m[0], position_m[1], (thigh + shank) * crouch.cos() + 0.07 * size + bob);
         let mut joints = [Vector3::zeros(); JOINTS.len()];
         joints[0] = hips;
         for (joint, height) in [(1, 0.15), (2, 0.35), (3, 0.5), (4, 0.68)] {

@@ -62,12 +62,12 @@ fn unaligned() -> Stage {
 
 fn scenario(seed: u64, faults: Vec<Fault>) -> (Stage, Scenario) {
     let mut stage = unaligned();
-    let place = transmitter();
-    let orientation_wxyz = orientation_to_wxyz(&place.rotation);
+    let pose = transmitter();
+    let orientation_wxyz = orientation_to_wxyz(&pose.rotation);
     stage.transmitter.pose_in_room =
-        Some(Pose { position_m: place.translation.vector.into(), orientation_wxyz });
+        Some(Pose { position_m: pose.translation.vector.into(), orientation_wxyz });
     let orbit = Orbit {
-        center_m: place.transform_point(&Vector3::new(0.5, 0.05, 0.0).into()).coords.into(),
+        center_m: pose.transform_point(&Vector3::new(0.5, 0.05, 0.0).into()).coords.into(),
         radius_m: [0.12, 0.2, 0.15],
         period_s: 5.0,
         turn_deg: [55.0, 50.0, 60.0],
@@ -201,9 +201,9 @@ fn a_tilted_transmitter_and_its_imu_are_found_to_half_a_degree_and_five_millimet
         assert!(lever_mm < 5.0, "lever {lever_mm} mm");
         // The heading is as good as the unit's magnetometer, whose errors nobody has calibrated, or as the points are measured.
         assert!(found.heading && turned(&found).to_degrees() < 5.0, "{}", turned(&found).to_degrees());
-        let anchors = [[0.35, 0.15, 0.1], [0.6, -0.25, -0.1], [0.5, 0.1, 0.25]].map(|place| AnchorPoint {
-            transmitter_m: Vector3::from(place) + Vector3::new(0.001, -0.001, 0.001),
-            room_m: transmitter().transform_point(&Vector3::from(place).into()).coords,
+        let anchors = [[0.35, 0.15, 0.1], [0.6, -0.25, -0.1], [0.5, 0.1, 0.25]].map(|point_m| AnchorPoint {
+            transmitter_m: Vector3::from(point_m) + Vector3::new(0.001, -0.001, 0.001),
+            room_m: transmitter().transform_point(&Vector3::from(point_m).into()).coords,
         });
         let found = align_recording(&recorded(&rig.log), &anchors, false).unwrap();
         let rotation_deg = turned(&found).to_degrees();
@@ -238,7 +238,7 @@ fn a_radio_that_stutters_makes_no_alignment_too_short() {
 fn stage_of(found: &Found) -> Stage {
     let [x, y, z] = OFFSET_M;
     let q = orientation_to_wxyz(&found.alignment.q_sensor_imu);
-    let place = transmitter();
+    let pose = transmitter();
     let text = STAGE.replace(
         "imu = { sensor = \"hand_imu\" }",
         &format!(
@@ -248,8 +248,8 @@ fn stage_of(found: &Found) -> Stage {
         ),
     ) + &format!(
         "[transmitter.pose_in_room]\nposition_m = {:?}\norientation_wxyz = {:?}\n[body]\nheight_m = 1.8\nmounting = \"given\"\n",
-        <[f64; 3]>::from(place.translation.vector),
-        orientation_to_wxyz(&place.rotation)
+        <[f64; 3]>::from(pose.translation.vector),
+        orientation_to_wxyz(&pose.rotation)
     );
     Stage::parse(&text).unwrap_or_else(|problems| panic!("{problems}"))
 }

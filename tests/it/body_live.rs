@@ -285,8 +285,8 @@ fn trackers_alone_show_the_whole_figure_and_where_it_is() {
         [SegmentState::Ok, SegmentState::Inferred]
     );
     let truth = simulated.truth(&rig, last.t_valid.as_secs_f64())[BodySegment::Pelvis.index()].unwrap();
-    let place = Vector3::from(last.segments[BodySegment::Pelvis.index()].position_m.unwrap());
-    assert!((place - truth.translation.vector).norm() < 0.03, "{place} is not {truth}");
+    let position_m = Vector3::from(last.segments[BodySegment::Pelvis.index()].position_m.unwrap());
+    assert!((position_m - truth.translation.vector).norm() < 0.03, "{position_m} is not {truth}");
 }
 
 #[test]

@@ -105,7 +105,7 @@ pub struct SlimeVrSession {
     beats: u32,
     arrivals: Arrivals,
     /// Bytes of all chunks so far.
-    place: u64,
+    offset: u64,
     outbox: Outbox,
     bytes_skipped: u64,
     sensors: Vec<SensorInfo>,
@@ -160,7 +160,7 @@ impl SlimeVrSession {
             next_beat: None,
             beats: 0,
             arrivals: Arrivals::default(),
-            place: 0,
+            offset: 0,
             outbox: Outbox::new(),
             bytes_skipped: 0,
             sensors: addresses.iter().map(|&address| SensorInfo { address, serial: None }).collect(),
@@ -179,7 +179,7 @@ impl SlimeVrSession {
         self.bytes_skipped += bytes as u64;
     }
 
-    fn datagram(&mut self, now: Timestamp, place: u64, datagram: Datagram<'_>) {
+    fn datagram(&mut self, now: Timestamp, offset: u64, datagram: Datagram<'_>) {
         let Some(packet) = wire::parse(datagram.data) else { return self.refuse(datagram.data.len()) };
         if packet.is_handshake() {
             return packet.items(|item| {
@@ -201,7 +201,7 @@ impl SlimeVrSession {
         if packet.number > 0 && !self.in_order(k, packet.number) {
             return self.refuse(datagram.data.len());
         }
-        let Some(arrival) = self.arrivals.of(place) else { return };
+        let Some(arrival) = self.arrivals.of(offset) else { return };
         self.packet(now, k, datagram.peer, packet, arrival);
     }
 
@@ -415,13 +415,13 @@ impl Session for SlimeVrSession {
 
     fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
         self.arrivals.read(now, bytes.len());
-        let mut place = self.place;
-        self.place += bytes.len() as u64;
+        let mut offset = self.offset;
+        self.offset += bytes.len() as u64;
         for found in datagrams(bytes) {
             match found {
                 Ok(datagram) => {
-                    self.datagram(now, place, datagram);
-                    place += datagram.envelope_len() as u64;
+                    self.datagram(now, offset, datagram);
+                    offset += datagram.envelope_len() as u64;
                 }
                 Err(len) => self.refuse(len),
             }

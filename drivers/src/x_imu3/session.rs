@@ -148,11 +148,11 @@ impl XImu3Session {
         self.outbox.transmit(wire::command(unit.address, key, value));
     }
 
-    fn line(&mut self, now: Timestamp, line: &[u8], place: u64) {
+    fn line(&mut self, now: Timestamp, line: &[u8], offset: u64) {
         let mut scratch = std::mem::take(&mut self.scratch);
         let accepted = match wire::parse(line, &mut scratch) {
             Some(message) => match self.units.iter().position(|unit| unit.address == message.address) {
-                Some(index) => self.message(now, index, message.body, place),
+                Some(index) => self.message(now, index, message.body, offset),
                 None => {
                     let address = message.address;
                     self.outbox.warn(now, 0x1_0000 + u32::from(address), || {
@@ -171,7 +171,7 @@ impl XImu3Session {
     }
 
     /// Takes a message of a unit; false when it is damaged.
-    fn message(&mut self, now: Timestamp, index: usize, body: Body<'_>, place: u64) -> bool {
+    fn message(&mut self, now: Timestamp, index: usize, body: Body<'_>, offset: u64) -> bool {
         if let Body::Command(json) = body {
             return match wire::answer(json) {
                 Some((key, value)) => {
@@ -222,7 +222,7 @@ impl XImu3Session {
         }
         self.outbox.counters.records += 1;
         if let Some(measurement) = measurement
-            && let Some(arrival) = self.arrivals.of(place)
+            && let Some(arrival) = self.arrivals.of(offset)
         {
             let address = self.units[index].address;
             let t_device = DeviceTime::Counter { ticks: time_us, tick_s: 1e-6 };
@@ -316,7 +316,7 @@ impl Session for XImu3Session {
         let mut lines = std::mem::take(&mut self.lines);
         lines.push(bytes);
         while let Some(line) = lines.find() {
-            self.line(now, lines.line(line), line.place);
+            self.line(now, lines.line(line), line.offset);
         }
         self.lines = lines;
     }

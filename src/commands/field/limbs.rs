@@ -74,24 +74,24 @@ pub(super) fn of_stage(stage: &Stage, measured: &[Measured]) -> Result<(Vec<Stri
     let mut limbs = Limbs::default();
     for child in &wearing {
         let Some(parent) = wearing.iter().find(|other| Some(other.name) == child.parent) else { continue };
-        let places = skeleton.as_ref().zip(BodySegment::named(child.name)).map(|(skeleton, segment)| {
+        let joints_m = skeleton.as_ref().zip(BodySegment::named(child.name)).map(|(skeleton, segment)| {
             [skeleton.joint_in_segment_m(segment), skeleton.joint_in_parent_m(segment)]
         });
-        let way = |wears: &Wears<'_>, place: Option<Vector3<f64>>| {
+        let way = |wears: &Wears<'_>, joint_m: Option<Vector3<f64>>| {
             let rotation = orientation_from_wxyz(wears.entry.mount_quat_wxyz?)?;
             let offset = Vector3::from(wears.entry.offset_m?);
-            given.then_some(rotation.inverse() * (place? - offset))
+            given.then_some(rotation.inverse() * (joint_m? - offset))
         };
         limbs.joints.push(Joint {
             name: format!("{} to {}", parent.name, child.name),
             sensors: [child.sensor, parent.sensor],
-            ways_m: [way(child, places.map(|p| p[0])), way(parent, places.map(|p| p[1]))],
+            ways_m: [way(child, joints_m.map(|p| p[0])), way(parent, joints_m.map(|p| p[1]))],
         });
     }
     for segment in &wearing {
         let joints: Vec<usize> =
             (0..limbs.joints.len()).filter(|j| limbs.joints[*j].sensors.contains(&segment.sensor)).collect();
-        let place = |joint: usize| {
+        let joint_m = |joint: usize| {
             let other = limbs.joints[joint].sensors[0];
             let skeleton = skeleton.as_ref()?;
             if other == segment.sensor {
@@ -103,7 +103,7 @@ pub(super) fn of_stage(stage: &Stage, measured: &[Measured]) -> Result<(Vec<Stri
         for (k, first) in joints.iter().enumerate() {
             for second in &joints[k + 1..] {
                 let reported = measured.iter().find(|bone| bone.segment == segment.name && joints.len() == 2);
-                let proportion = place(*first).zip(place(*second)).map(|(a, b)| (a - b).norm());
+                let proportion = joint_m(*first).zip(joint_m(*second)).map(|(a, b)| (a - b).norm());
                 let length_m =
                     reported.map(|bone| bone.length_m).or(proportion).filter(|length| *length > 0.02);
                 let sigma_m =

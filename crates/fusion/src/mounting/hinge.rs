@@ -1,6 +1,6 @@
 //! The axis of a hinge, in the axes of the two sensors beside it.
 //!
-//! In: rates and specific forces of both sensors, sampled together. Out: the axis in both, with the same sign.
+//! In: angular velocities and specific forces of both sensors, sampled together. Out: the axis in both, with the same sign.
 //!
 //! Seel, Raisch & Schauer, "IMU-based joint angle measurement for gait analysis" (2014): across the axis both
 //! sensors turn equally fast, `|w1 x j1| = |w2 x j2|`. Beside it, along the axis both feel the same specific force,
