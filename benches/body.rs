@@ -106,8 +106,8 @@ fn record(case: &Case) -> Run {
         });
         recording.push((at.t_s, samples));
         // Without magnetometers the body's own facing is the room's x.
-        let turn = if case.magnetometer { 0.0 } else { -script.facing };
-        let room = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
+        let rotation_rad = if case.magnetometer { 0.0 } else { -script.facing };
+        let room = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), rotation_rad);
         truth.push(at.body.map(|placement| room * UnitQuaternion::from_matrix(&placement.axes)));
     }
     let blocks = script
@@ -118,11 +118,11 @@ fn record(case: &Case) -> Run {
     Run { recording, truth, wearer, script, blocks }
 }
 
-fn worn(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorMount>; SEGMENTS], String> {
+fn mounts(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorMount>; SEGMENTS], String> {
     if case.mounting == Mounting::Calibrated {
         let offsets = BodySegment::ALL.map(|_| None);
         let found = calibrate(&run.recording, &run.blocks, skeleton, &offsets).map_err(|e| e.to_string())?;
-        return Ok(found.worn);
+        return Ok(found.mounts);
     }
     Ok(BodySegment::ALL.map(|segment| {
         let (mount, offset_m) = run.wearer.mounting(segment.index());
@@ -145,12 +145,12 @@ enum Solver {
 }
 
 impl Solver {
-    fn new(case: &Case, skeleton: &Skeleton, worn: &[Option<SensorMount>; SEGMENTS]) -> Self {
+    fn new(case: &Case, skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS]) -> Self {
         let params = BodyParams::default();
         if case.euler {
-            Self::Euler(Box::new(EulerBody::new(skeleton, worn, &params)))
+            Self::Euler(Box::new(EulerBody::new(skeleton, mounts, &params)))
         } else {
-            Self::Live(Box::new(BodyFilter::new(skeleton, worn, &params)))
+            Self::Live(Box::new(BodyFilter::new(skeleton, mounts, &params)))
         }
     }
 
@@ -169,8 +169,8 @@ impl Solver {
 fn solve(case: &Case) -> Result<Figures, String> {
     let skeleton = Skeleton::from_height(HEIGHT_M);
     let run = record(case);
-    let worn = worn(case, &run, &skeleton)?;
-    let mut filter = Solver::new(case, &skeleton, &worn);
+    let mounts = mounts(case, &run, &skeleton)?;
+    let mut filter = Solver::new(case, &skeleton, &mounts);
     let mut sums = [0.0; 7];
     let mut headings = [0.0; SEGMENTS];
     let mut nees = [0.0; SEGMENTS];
@@ -188,7 +188,7 @@ fn solve(case: &Case) -> Result<Figures, String> {
             let d = found[k].unwrap_or(f64::NAN) - expected[k].unwrap_or(f64::NAN);
             so3::log(&so3::exp(&(Vector3::z() * d))).z.to_degrees()
         };
-        let turn = |segment: BodySegment| {
+        let rotation = |segment: BodySegment| {
             let k = segment.index();
             let Some(parent) = segment.parent() else { return f64::NAN };
             let p = parent.index();
@@ -226,8 +226,8 @@ fn solve(case: &Case) -> Result<Figures, String> {
         sums[0] += pair(off("elbow_r_flexion"), off("elbow_l_flexion"));
         sums[1] += pair(off("elbow_r_pronation"), off("elbow_l_pronation"));
         sums[2] += pair(off("knee_r_flexion"), off("knee_l_flexion"));
-        sums[3] += pair(turn(BodySegment::UpperArmR), turn(BodySegment::UpperArmL));
-        sums[4] += pair(turn(BodySegment::ThighR), turn(BodySegment::ThighL));
+        sums[3] += pair(rotation(BodySegment::UpperArmR), rotation(BodySegment::UpperArmL));
+        sums[4] += pair(rotation(BodySegment::ThighR), rotation(BodySegment::ThighL));
         sums[5] += torso * torso;
         sums[6] += heading * heading;
         count += 1.0;
@@ -291,7 +291,7 @@ fn main() {
         far.disturbances = disturbed(45_f64.to_radians(), 0.86, -16_f64.to_radians());
         row("disturbed 30 s", &far);
         far.disturbances = disturbed(45_f64.to_radians(), 1.0, 0.0);
-        row("pure turn", &far);
+        row("pure rotation", &far);
     }
     if only.as_ref().is_some_and(|only| "nees".contains(only.as_str())) {
         consistency();
@@ -325,10 +325,10 @@ fn speed() {
     let case = Case { activity_s: 30.0, ..Case::new(Activity::Walking, Mounting::Perfect) };
     let run = record(&case);
     let skeleton = Skeleton::from_height(HEIGHT_M);
-    let Ok(worn) = worn(&case, &run, &skeleton) else { return };
+    let Ok(mounts) = mounts(&case, &run, &skeleton) else { return };
     let mut best_us = f64::INFINITY;
     for _ in 0..5 {
-        let mut filter = BodyFilter::new(&skeleton, &worn, &BodyParams::default());
+        let mut filter = BodyFilter::new(&skeleton, &mounts, &BodyParams::default());
         let begun = busy_ns();
         for (_, samples) in &run.recording {
             std::hint::black_box(filter.push(samples, 1.0 / RATE_HZ));

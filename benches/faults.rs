@@ -10,7 +10,7 @@ use posed_motion::fault_map::{FaultMap, Size};
 
 /// Sensors that sway about places of their own.
 fn frames(sensors: usize, count: usize) -> Frames {
-    let place = |k: usize, sensor: usize, axis: usize| {
+    let coordinate = |k: usize, sensor: usize, axis: usize| {
         let (t, s) = (k as f64 / 30.0, sensor as f64);
         0.4 * (0.7 * t + s + axis as f64).sin() + 0.2 * (2.3 * t + 0.3 * s * axis as f64).cos() + 0.1 * s
     };
@@ -18,7 +18,7 @@ fn frames(sensors: usize, count: usize) -> Frames {
         sensors: (0..sensors).map(|sensor| format!("s{sensor}")).collect(),
         t_s: (0..count).map(|k| k as f64 / 30.0).collect(),
         positions_m: (0..count)
-            .flat_map(|k| (0..sensors).flat_map(move |s| (0..3).map(move |axis| place(k, s, axis))))
+            .flat_map(|k| (0..sensors).flat_map(move |s| (0..3).map(move |axis| coordinate(k, s, axis))))
             .collect(),
     }
 }

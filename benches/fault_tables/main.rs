@@ -154,13 +154,13 @@ fn print(title: &str, tables: &Tables) {
 }
 
 /// A motion capture, turned about the vertical: two metres before the transmitter, which stands one metre above the floor; 1 mm of noise.
-fn capture(path: &Path, turn_deg: f64, seed: u64, share: f64) -> Option<Session> {
+fn capture(path: &Path, rotation_deg: f64, seed: u64, share: f64) -> Option<Session> {
     let options = SequenceOptions { rate_hz: Some(120.0), unit: Unit::Mm, up: Up::Y };
     let sequences = Sequences::read(path, &options).ok()?;
     let sensors = sequences.joints.clone();
     let mut positions_m: Vec<f64> =
         sequences.positions_m.iter().flat_map(|p| p.unwrap_or([f64::NAN; 3])).collect();
-    let (sin, cos) = turn_deg.to_radians().sin_cos();
+    let (sin, cos) = rotation_deg.to_radians().sin_cos();
     for p in positions_m.chunks_exact_mut(3) {
         (p[0], p[1]) = (p[0] * cos - p[1] * sin, p[0] * sin + p[1] * cos);
     }
@@ -197,8 +197,8 @@ fn agreement(paths: &[PathBuf]) {
     );
     for path in paths {
         let name = posed_recording::table::stem(path);
-        let turned = |(seed, turn_deg): (u64, f64)| {
-            let session = capture(path, turn_deg, seed, 0.4)?;
+        let turned = |(seed, rotation_deg): (u64, f64)| {
+            let session = capture(path, rotation_deg, seed, 0.4)?;
             let (_, labels) = Rules::learn(&session.frames);
             let agree =
                 labels.frames.iter().zip(&session.classes).filter(|(label, class)| label.class == **class);

@@ -17,9 +17,9 @@ pub(crate) fn run(export: Option<&Path>, only: Option<&str>) {
         "| scene | fit, s | on one core, s | evaluate, ns | median, mm | 95 %, mm | model |\n|---|---|---|---|---|---|---|"
     );
     let scenes = scenes();
-    let asked =
+    let requested =
         scenes.iter().enumerate().filter(|(_, scene)| only.is_none_or(|only| scene.name.contains(only)));
-    for (index, scene) in asked {
+    for (index, scene) in requested {
         let mut random = ChaCha8Rng::seed_from_u64(index as u64 + 1);
         let mut draw = |count: usize, noisy: bool| {
             let mut pairs: Vec<(Vector3<f64>, Vector3<f64>)> = Vec::new();

@@ -216,13 +216,13 @@ impl Scene {
         let mut t_s = Vec::new();
         for k in 0..FRAMES {
             let centre = Vector3::new(1.1 + 0.9 * x[k], -0.7 + 1.4 * y[k], 0.4 + 0.8 * z[k]);
-            let turn = UnitQuaternion::from_euler_angles(0.0, 0.0, TAU * azimuth[k])
+            let rotation = UnitQuaternion::from_euler_angles(0.0, 0.0, TAU * azimuth[k])
                 * UnitQuaternion::from_euler_angles(0.0, 1.4 - 2.8 * elevation[k], 0.0)
                 * UnitQuaternion::from_euler_angles(TAU * spin[k], 0.0, 0.0);
-            let direction = turn * Vector3::x();
+            let direction = rotation * Vector3::x();
             let frame = std::array::from_fn(|i| {
                 let p = centre + direction * ((i as f64 - 2.5) * SPACING_M);
-                let truth = turn * mounts[i];
+                let truth = rotation * mounts[i];
                 let measured = self.measure(&p, &truth, Some(&mut random));
                 // A sensor that starts out of range repeats what it read at the start.
                 let beyond = self.solve_anywhere(&p, &truth, None);

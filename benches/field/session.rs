@@ -10,7 +10,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// The segments that wear sensors, by their place in the simulator's arrays.
-const WORN: [(&str, usize); 6] =
+const BODY_SENSORS: [(&str, usize); 6] =
     [("torso", 0), ("pelvis", 1), ("upper_arm_r", 2), ("forearm_r", 3), ("upper_arm_l", 6), ("forearm_l", 7)];
 /// Joints: the sensors on both sides, child first, and the segment whose origin the joint is; the spine's is the pelvis'.
 const JOINTS: [(usize, usize, usize); 5] = [(0, 1, 1), (2, 0, 2), (3, 2, 3), (4, 0, 6), (5, 4, 7)];
@@ -30,7 +30,7 @@ pub(crate) struct Reading {
 pub(crate) struct Session {
     pub(crate) build: Build,
     /// By instant and sensor.
-    pub(crate) frames: Vec<[Reading; WORN.len()]>,
+    pub(crate) frames: Vec<[Reading; BODY_SENSORS.len()]>,
     /// From each sensor of [`JOINTS`] to the joint, sensor axes, m: what a perfect fitter of straps would know.
     pub(crate) ways: [[Vector3<f64>; 2]; JOINTS.len()],
 }
@@ -62,7 +62,8 @@ impl Session {
             }),
         };
         let mut vector = |sigma: f64| Vector3::from_fn(|_, _| sigma * normal(&mut random));
-        let mounts: Vec<UnitQuaternion<f64>> = WORN.map(|_| UnitQuaternion::new(vector(1.0))).to_vec();
+        let mounts: Vec<UnitQuaternion<f64>> =
+            BODY_SENSORS.map(|_| UnitQuaternion::new(vector(1.0))).to_vec();
         let lengths = [0.0, 0.0, build.upper_arm_m, build.forearm_m, build.upper_arm_m, build.forearm_m];
         let seats: Vec<Vector3<f64>> =
             lengths.iter().map(|length| Vector3::new(0.0, -0.5 * length, 0.0) + vector(0.03)).collect();
@@ -75,13 +76,13 @@ impl Session {
             posture.pelvis[0] += 1.2 * wander(2, 31.0);
             posture.place(&build)
         };
-        let turn = |axes: Matrix3<f64>| {
+        let rotation = |axes: Matrix3<f64>| {
             UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes))
         };
         let standing = place(0.0);
         let ways = JOINTS.map(|(child, parent, origin)| {
             [child, parent].map(|sensor| {
-                let segment = &standing[WORN[sensor].1];
+                let segment = &standing[BODY_SENSORS[sensor].1];
                 let joint = segment.axes.transpose() * (standing[origin].origin_m - segment.origin_m);
                 mounts[sensor].inverse() * (joint - seats[sensor])
             })
@@ -89,13 +90,13 @@ impl Session {
         let frames = (0..(seconds * RATE_HZ) as usize).map(|frame| {
             let body = place(frame as f64 / RATE_HZ);
             std::array::from_fn(|sensor| {
-                let segment = &body[WORN[sensor].1];
+                let segment = &body[BODY_SENSORS[sensor].1];
                 let skin = Vector3::from_fn(|axis, _| {
                     let t_s = frame as f64 / RATE_HZ;
                     SKIN_M * (TAU * t_s * (0.7 + 0.2 * axis as f64) + sensor as f64).sin()
                 });
                 let p = segment.origin_m + segment.axes * (seats[sensor] + skin);
-                let q = turn(segment.axes) * mounts[sensor];
+                let q = rotation(segment.axes) * mounts[sensor];
                 let mut signals = signal_matrix(&environment.field(&p), &q);
                 signals.apply(|s| *s += SIGMA_SIGNAL * normal(&mut random));
                 let solution = solve(&signals, &Vector3::x()).expect("a pose");
@@ -114,19 +115,19 @@ impl Session {
                 (frame as f64 / RATE_HZ, sensor, measured)
             })
         });
-        let names = WORN.map(|(name, _)| name.to_owned()).to_vec();
+        let names = BODY_SENSORS.map(|(name, _)| name.to_owned()).to_vec();
         PoleRun::grouped(names, 1.0, rows).expect("a session")
     }
 
     /// Joints and bones; one bone is measured, the right upper arm.
     pub(crate) fn limbs(&self) -> Limbs {
         let joint = |(child, parent, _): (usize, usize, usize)| Joint {
-            name: format!("{} to {}", WORN[parent].0, WORN[child].0),
+            name: format!("{} to {}", BODY_SENSORS[parent].0, BODY_SENSORS[child].0),
             sensors: [child, parent],
             ways_m: [None, None],
         };
         let bone = |sensor: usize, joints: [usize; 2], length_m: Option<f64>| Bone {
-            name: WORN[sensor].0.into(),
+            name: BODY_SENSORS[sensor].0.into(),
             sensor,
             joints,
             length_m,

@@ -112,7 +112,7 @@ async fn keep(page: &mut Page, url: &str) -> Vec<Value> {
                     }
                     page.send(emitted).await.unwrap();
                 }
-                asked = page.next() => daemon.send(asked.unwrap().unwrap()).await.unwrap(),
+                request = page.next() => daemon.send(request.unwrap().unwrap()).await.unwrap(),
             }
         }
     };
@@ -122,8 +122,8 @@ async fn keep(page: &mut Page, url: &str) -> Vec<Value> {
 
 /// Says yes to all that the page has asked for meanwhile.
 async fn answer(page: &mut Page, sent: &mut u64) {
-    while let Some(Some(Ok(asked))) = page.next().now_or_never() {
-        if let Message::Text(text) = asked {
+    while let Some(Some(Ok(request))) = page.next().now_or_never() {
+        if let Message::Text(text) = request {
             let request: Value = serde_json::from_str(&text).unwrap();
             let reply = json!({"type": "ok", "id": request["id"], "result": null});
             page.send(Message::text(reply.to_string())).await.unwrap();

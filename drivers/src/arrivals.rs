@@ -46,11 +46,11 @@ impl Arrivals {
         self.end += len as u64;
     }
 
-    /// Arrival of the record whose first byte is at `place`; reads before it are forgotten.
+    /// Arrival of the record whose first byte is at `offset`; reads before it are forgotten.
     ///
     /// Places must not go back. `None` before any read.
-    pub(crate) fn of(&mut self, place: u64) -> Option<Arrival> {
-        while self.reads.len() > 1 && self.reads[1].start <= place {
+    pub(crate) fn of(&mut self, offset: u64) -> Option<Arrival> {
+        while self.reads.len() > 1 && self.reads[1].start <= offset {
             self.reads.pop_front();
         }
         let read = self.reads.front()?;
@@ -58,7 +58,7 @@ impl Arrivals {
         Some(Arrival {
             t_read: read.t_read,
             t_previous_read: read.t_previous_read,
-            bytes_after: read_end.saturating_sub(place + 1).min(u32::MAX.into()) as u32,
+            bytes_after: read_end.saturating_sub(offset + 1).min(u32::MAX.into()) as u32,
             cycle_bytes_before: 0,
             split: false,
         })

@@ -49,7 +49,7 @@ pub fn xbus_wire(data: &[u8]) {
                 let again = frame.encode();
                 assert_eq!(again.len(), found.len, "a message changed its length");
                 inside += found.len;
-                out.push((found.place, again));
+                out.push((found.offset, again));
             }
         }
         framer.interrupt();
@@ -86,7 +86,7 @@ pub fn x_imu3_wire(data: &[u8]) {
                     let measured = stamped.map(|stamped| stamped.data.measurement());
                     format!("{message:?} {stamped:?} {measured:?}")
                 });
-                out.push((found.place, emitted));
+                out.push((found.offset, emitted));
             }
         }
         (out, lines.bytes_skipped())
@@ -138,11 +138,11 @@ pub fn motionstar_wire(data: &[u8]) {
                 let body = packets.body(found);
                 let mut again = Vec::new();
                 found.header.encode(body, &mut again);
-                assert_eq!(again, bytes[found.place as usize..][..again.len()], "a packet changed");
+                assert_eq!(again, bytes[found.offset as usize..][..again.len()], "a packet changed");
                 let poses = birdnet::records(body).map(|records| {
                     records.map(|record| record.pose(0.9144, QuaternionSense::Vendor)).collect::<Vec<_>>()
                 });
-                out.push((found.place, poses));
+                out.push((found.offset, poses));
             }
         }
         (out, packets.bytes_skipped())

@@ -70,7 +70,7 @@ pub struct Inquiry {
     at: usize,
     until: Timestamp,
     transmit: Option<Vec<u8>>,
-    heard: bool,
+    received: bool,
     result: Option<Result<Identity, NoAnswer>>,
 }
 
@@ -78,14 +78,14 @@ impl Inquiry {
     /// Begins; `now` is the time at which the port has been opened.
     pub(crate) fn new(now: Timestamp, questions: Vec<Question>, listener: Box<dyn Listener>) -> Self {
         let mut inquiry =
-            Self { questions, listener, at: 0, until: now, transmit: None, heard: false, result: None };
+            Self { questions, listener, at: 0, until: now, transmit: None, received: false, result: None };
         inquiry.ask(now);
         inquiry
     }
 
     /// Bytes were read at `now`, cut anywhere. Without effect once there is a result.
     pub fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
-        self.heard |= !bytes.is_empty();
+        self.received |= !bytes.is_empty();
         self.listener.listen(bytes);
         if self.result.is_none() && self.listener.has_answer(self.at) {
             self.next(now);
@@ -117,7 +117,7 @@ impl Inquiry {
     fn next(&mut self, now: Timestamp) {
         let ends = self.at + 1 == self.questions.len() || !self.listener.goes_on(self.at);
         if ends {
-            let why = if self.heard { NoAnswer::Unintelligible } else { NoAnswer::Silent };
+            let why = if self.received { NoAnswer::Unintelligible } else { NoAnswer::Silent };
             self.result = Some(self.listener.identity().ok_or(why));
         } else {
             self.at += 1;

@@ -24,7 +24,7 @@ struct Unit {
     error: u8,
     dead: Vec<u8>,
     /// It takes and gives nothing before then.
-    deaf_until: Timestamp,
+    unresponsive_until: Timestamp,
     next_cycle: Timestamp,
     cycle: u32,
     out: Vec<(Timestamp, Vec<u8>)>,
@@ -50,7 +50,7 @@ impl Unit {
             format: Format::PositionAngles,
             error: 0,
             dead: Vec::new(),
-            deaf_until: Timestamp::ZERO,
+            unresponsive_until: Timestamp::ZERO,
             next_cycle: Timestamp::ZERO,
             cycle: 0,
             out: Vec::new(),
@@ -76,7 +76,7 @@ impl Unit {
     }
 
     fn take(&mut self, now: Timestamp, bytes: &[u8]) {
-        if now < self.deaf_until && !self.initialised {
+        if now < self.unresponsive_until && !self.initialised {
             return;
         }
         for &byte in bytes {
@@ -91,7 +91,7 @@ impl Unit {
 
     fn obey(&mut self, now: Timestamp, command: Command) {
         self.commands_seen.push(command.clone());
-        let busy = self.deaf_until.max(now);
+        let busy = self.unresponsive_until.max(now);
         let mut answer = |ms: u64, bytes: Vec<u8>| self.out.push((busy + Duration::from_millis(ms), bytes));
         match command {
             Command::Point => {
@@ -108,7 +108,7 @@ impl Unit {
             Command::Change { parameter: 0x23, data } => self.group = data[0] != 0,
             Command::Change { parameter: 0x32, .. } => {
                 self.initialised = true;
-                self.deaf_until = now + Duration::from_millis(270);
+                self.unresponsive_until = now + Duration::from_millis(270);
                 self.units.iter_mut().for_each(|unit| *unit |= 0x60);
             }
             Command::Examine(0) => {
@@ -139,7 +139,7 @@ impl Unit {
     fn power_cycle(&mut self, now: Timestamp) {
         let birds = self.units.len() as u8;
         let fresh = if birds == 0 { Self::alone() } else { Self::flock(birds) };
-        *self = Self { initialised: false, deaf_until: now + Duration::from_secs(2), ..fresh };
+        *self = Self { initialised: false, unresponsive_until: now + Duration::from_secs(2), ..fresh };
     }
 
     /// When something comes out, and what.

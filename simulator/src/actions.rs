@@ -87,9 +87,9 @@ struct Activity {
     label: usize,
     duration_s: f64,
     targets: [f64; ANGLES],
-    /// Share of the walking speed, and turning rate in rad/s.
+    /// Share of the walking speed, and angular velocity in rad/s.
     walk: f64,
-    turn: f64,
+    angular_velocity_rad_s: f64,
 }
 
 impl Actions {
@@ -104,8 +104,8 @@ impl Actions {
         let mut sequence = Self { frames: Vec::new(), labels: Vec::new() };
         let dt = 1.0 / RATE_HZ;
         let mut angles = person.rest;
-        let mut rates = [0.0; ANGLES];
-        let (mut place, mut heading) =
+        let mut angular_velocities_rad_s = [0.0; ANGLES];
+        let (mut position_m, mut heading) =
             ([3.0 * random.uniform(), 3.0 * random.uniform()], TAU * random.uniform());
         let (mut speed, mut turning, mut phase) = (0.0, 0.0, TAU * random.uniform());
         let mut swing = person.swing;
@@ -123,14 +123,15 @@ impl Actions {
             for (index, angle) in angles.iter_mut().enumerate() {
                 let target = person.rest[index] + reach * (activity.targets[index] - person.rest[index]);
                 let pull = person.stiffness * person.stiffness * (target - *angle);
-                rates[index] += dt * (pull - 2.0 * person.stiffness * rates[index]);
-                *angle += dt * rates[index];
+                angular_velocities_rad_s[index] +=
+                    dt * (pull - 2.0 * person.stiffness * angular_velocities_rad_s[index]);
+                *angle += dt * angular_velocities_rad_s[index];
             }
             speed += dt * 4.0 * (activity.walk * person.stride * person.tempo - speed);
-            turning += dt * 5.0 * (activity.turn - turning);
+            turning += dt * 5.0 * (activity.angular_velocity_rad_s - turning);
             heading += dt * turning;
-            place[0] += dt * speed * heading.cos();
-            place[1] += dt * speed * heading.sin();
+            position_m[0] += dt * speed * heading.cos();
+            position_m[1] += dt * speed * heading.sin();
             let moving = (speed / (person.stride * person.tempo)).max(turning.abs() / 2.5).min(1.0);
             phase += dt * PI * person.tempo * (0.3 + 0.7 * moving);
             let t_s = frame as f64 * dt;
@@ -141,7 +142,15 @@ impl Actions {
             // Arms that carry hardly swing; they come to rest as fast as the rest of the figure.
             let free = if activity.label == 2 { 0.1 } else { person.swing };
             swing += dt * 5.0 * (free - swing);
-            sequence.frames.push(person.joints(place, heading, &swayed, phase, moving, swing, &mut random));
+            sequence.frames.push(person.joints(
+                position_m,
+                heading,
+                &swayed,
+                phase,
+                moving,
+                swing,
+                &mut random,
+            ));
             sequence.labels.push(activity.label);
         }
         sequence
@@ -175,7 +184,7 @@ impl Person {
     #[expect(clippy::too_many_arguments, reason = "the state of a walking figure")]
     fn joints(
         &self,
-        place: [f64; 2],
+        position_m: [f64; 2],
         heading: f64,
         angles: &[f64; ANGLES],
         phase: f64,
@@ -191,7 +200,8 @@ impl Person {
         let torso = body * about(z, angles[TWIST] + 0.1 * moving * phase.sin()) * about(y, angles[LEAN]);
         let crouch = angles[CROUCH].max(0.0);
         let bob = 0.02 * moving * (2.0 * phase).cos();
-        let hips = Vector3::new(place[0], place[1], (thigh + shank) * crouch.cos() + 0.07 * size + bob);
+        let hips =
+            Vector3::new(position_m[0], position_m[1], (thigh + shank) * crouch.cos() + 0.07 * size + bob);
         let mut joints = [Vector3::zeros(); JOINTS.len()];
         joints[0] = hips;
         for (joint, height) in [(1, 0.15), (2, 0.35), (3, 0.5), (4, 0.68)] {
@@ -251,7 +261,8 @@ impl Script {
         self.last = label;
         let mut within = |low: f64, high: f64| random.within(low, high);
         let slow = 1.9 / person.tempo;
-        let mut activity = Activity { label, duration_s: 0.0, targets: person.rest, walk: 0.0, turn: 0.0 };
+        let mut activity =
+            Activity { label, duration_s: 0.0, targets: person.rest, walk: 0.0, angular_velocity_rad_s: 0.0 };
         match label {
             0 => activity.duration_s = within(0.8, 2.2),
             1 | 2 => {
@@ -264,7 +275,8 @@ impl Script {
             }
             3 | 4 => {
                 activity.duration_s = within(0.8, 1.5) * slow;
-                activity.turn = within(1.2, 2.2) * if label == 3 { 1.0 } else { -1.0 } / slow;
+                activity.angular_velocity_rad_s =
+                    within(1.2, 2.2) * if label == 3 { 1.0 } else { -1.0 } / slow;
             }
             9 => {
                 activity.duration_s = within(1.0, 2.0) * slow;

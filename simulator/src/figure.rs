@@ -95,7 +95,7 @@ impl Figure {
         let limbs: Vec<Wander> = (0..6).map(|_| Wander::new(&mut random, 0.4)).collect();
         let (stride_hz, phase) = (0.7 + 0.3 * random.uniform(), TAU * random.uniform());
         // How each sensor sits on its segment in this session.
-        let worn: Vec<Vector3<f64>> = SENSORS.map(|_| vector(&mut random) * 0.015).into();
+        let offsets_m: Vec<Vector3<f64>> = SENSORS.map(|_| vector(&mut random) * 0.015).into();
         let mut positions = Vec::with_capacity(3 * SENSORS.len() * self.frames);
         for k in 0..self.frames {
             let t = k as f64 / self.rate_hz;
@@ -109,8 +109,8 @@ impl Figure {
                 &std::array::from_fn(|k| limbs[k].at(t)),
             );
             let root = Vector3::new(BEFORE_M + 0.35 * signal(0), 0.5 * signal(1), -TRANSMITTER_M);
-            for (joint, worn) in joints.iter().zip(&worn) {
-                let p = root + heading * (joint + worn);
+            for (joint, offset_m) in joints.iter().zip(&offsets_m) {
+                let p = root + heading * (joint + offset_m);
                 // Noise grows with the fourth power of the distance.
                 let sigma = 4e-4 + 1.2e-4 * p.norm().powi(4);
                 let p = p + vector(&mut random) * sigma;

@@ -37,14 +37,15 @@ pub struct Gesture {
     pub shape: Shape,
     /// Length of the box that the path about fills, m.
     pub size_m: f64,
-    /// How far it turns in all, degrees, about: each piece turns about an axis of its own at 0.7 to 1.3 times the mean rate.
-    pub turn_deg: f64,
+    /// How far it turns in all, degrees, about: each piece turns about an axis of its own at 0.7 to 1.3 times the mean angular
+    /// velocity.
+    pub rotation_deg: f64,
 }
 
 impl Gesture {
     /// The gesture of the published table: 2 m and 300 degrees.
     pub fn of_the_table(seed: u64) -> Self {
-        Self { seed, shape: Shape::Bent, size_m: 2.0, turn_deg: 300.0 }
+        Self { seed, shape: Shape::Bent, size_m: 2.0, rotation_deg: 300.0 }
     }
 
     /// Its [`FRAMES`] poses without noise: body to the frame of reference, m; the first is the identity.
@@ -56,7 +57,7 @@ impl Gesture {
             |random: &mut Random| Vector3::new(random.normal(), random.normal(), random.normal()).normalize();
         // The longest piece, of 200 frames, goes through a third of the box.
         let speed = self.size_m / 600.0;
-        let rate = self.turn_deg.to_radians() / FRAMES as f64;
+        let angular_speed = self.rotation_deg.to_radians() / FRAMES as f64;
         let mut pose = Isometry3::identity();
         let mut poses = Vec::with_capacity(FRAMES);
         let mut last: Option<(Vector3<f64>, Vector3<f64>)> = None;
@@ -65,7 +66,7 @@ impl Gesture {
             // A change turns the path by a right angle at least; and it stays in its box by turning back.
             let (linear, angular) = loop {
                 let linear = direction(&mut random) * speed * (0.7 + 0.6 * random.uniform());
-                let angular = direction(&mut random) * rate * (0.7 + 0.6 * random.uniform());
+                let angular = direction(&mut random) * angular_speed * (0.7 + 0.6 * random.uniform());
                 let back = linear.dot(&pose.translation.vector) <= 0.0;
                 if back && last.is_none_or(|(v, w)| linear.dot(&v) <= 0.0 && angular.dot(&w) <= 0.0) {
                     break (linear, angular);
@@ -73,7 +74,7 @@ impl Gesture {
             };
             let bends = [random.uniform() - 0.5, random.uniform() - 0.5];
             let periods = 0.5 + 0.5 * random.uniform();
-            let sideways = [direction(&mut random) * speed, direction(&mut random) * rate];
+            let sideways = [direction(&mut random) * speed, direction(&mut random) * angular_speed];
             for frame in start..end {
                 poses.push(pose);
                 let s = (frame - start) as f64 / (end - start) as f64;
@@ -104,8 +105,11 @@ impl Gesture {
         let mut vector = |sigma: f64| Vector3::new(random.normal(), random.normal(), random.normal()) * sigma;
         let add = |pose: Isometry3<f64>| {
             let shift = vector(sigma_m);
-            let turn = UnitQuaternion::from_scaled_axis(vector(sigma_deg.to_radians()));
-            Isometry3::from_parts(Translation3::from(pose.translation.vector + shift), pose.rotation * turn)
+            let rotation = UnitQuaternion::from_scaled_axis(vector(sigma_deg.to_radians()));
+            Isometry3::from_parts(
+                Translation3::from(pose.translation.vector + shift),
+                pose.rotation * rotation,
+            )
         };
         self.poses().into_iter().map(add).collect()
     }

@@ -37,9 +37,9 @@ pub(crate) fn draw(
         }
     }
     for (cell, class) in cells.iter().enumerate() {
-        let place = [MARGIN + (cell % columns) as f64 * CELL, MARGIN + (cell / columns) as f64 * CELL];
-        svg.rectangle(place, [CELL - 1.0, CELL - 1.0], "#eee");
-        let centre = [place[0] + 0.5 * CELL, place[1] + 0.5 * CELL];
+        let corner = [MARGIN + (cell % columns) as f64 * CELL, MARGIN + (cell / columns) as f64 * CELL];
+        svg.rectangle(corner, [CELL - 1.0, CELL - 1.0], "#eee");
+        let centre = [corner[0] + 0.5 * CELL, corner[1] + 0.5 * CELL];
         let radius = if wins[cell] > 0 { 0.4 * CELL } else { 0.1 * CELL };
         svg.disc(centre, radius, colour(*class));
     }

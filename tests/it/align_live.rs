@@ -62,12 +62,12 @@ fn unaligned() -> Stage {
 
 fn scenario(seed: u64, faults: Vec<Fault>) -> (Stage, Scenario) {
     let mut stage = unaligned();
-    let place = transmitter();
-    let orientation_wxyz = orientation_to_wxyz(&place.rotation);
+    let pose = transmitter();
+    let orientation_wxyz = orientation_to_wxyz(&pose.rotation);
     stage.transmitter.pose_in_room =
-        Some(Pose { position_m: place.translation.vector.into(), orientation_wxyz });
+        Some(Pose { position_m: pose.translation.vector.into(), orientation_wxyz });
     let orbit = Orbit {
-        center_m: place.transform_point(&Vector3::new(0.5, 0.05, 0.0).into()).coords.into(),
+        center_m: pose.transform_point(&Vector3::new(0.5, 0.05, 0.0).into()).coords.into(),
         radius_m: [0.12, 0.2, 0.15],
         period_s: 5.0,
         turn_deg: [55.0, 50.0, 60.0],
@@ -151,10 +151,10 @@ fn swapped_in(found: &Found, t: Timestamp) -> [Entry; 2] {
 fn errors(rig: &Rig, from_s: f64) -> ([f64; 2], usize, [f64; 2]) {
     let (mut carried, mut count, mut all) = ([0.0_f64; 2], 0, [0.0_f64; 2]);
     for estimate in rig.estimates().filter(|estimate| estimate.t_valid.as_secs_f64() > from_s) {
-        let Some((position_m, turn_rad)) = error(rig, estimate) else { continue };
+        let Some((position_m, rotation_rad)) = error(rig, estimate) else { continue };
         let worst = if estimate.sensors[0].coasted { &mut carried } else { &mut all };
         worst[0] = worst[0].max(position_m);
-        worst[1] = worst[1].max(turn_rad);
+        worst[1] = worst[1].max(rotation_rad);
         count += usize::from(estimate.sensors[0].coasted);
     }
     (carried, count, all)
@@ -201,16 +201,19 @@ fn a_tilted_transmitter_and_its_imu_are_found_to_half_a_degree_and_five_millimet
         assert!(lever_mm < 5.0, "lever {lever_mm} mm");
         // The heading is as good as the unit's magnetometer, whose errors nobody has calibrated, or as the points are measured.
         assert!(found.heading && turned(&found).to_degrees() < 5.0, "{}", turned(&found).to_degrees());
-        let anchors = [[0.35, 0.15, 0.1], [0.6, -0.25, -0.1], [0.5, 0.1, 0.25]].map(|place| AnchorPoint {
-            transmitter_m: Vector3::from(place) + Vector3::new(0.001, -0.001, 0.001),
-            room_m: transmitter().transform_point(&Vector3::from(place).into()).coords,
+        let anchors = [[0.35, 0.15, 0.1], [0.6, -0.25, -0.1], [0.5, 0.1, 0.25]].map(|point_m| AnchorPoint {
+            transmitter_m: Vector3::from(point_m) + Vector3::new(0.001, -0.001, 0.001),
+            room_m: transmitter().transform_point(&Vector3::from(point_m).into()).coords,
         });
         let found = align_recording(&recorded(&rig.log), &anchors, false).unwrap();
-        let turn = turned(&found).to_degrees();
-        let place_mm = 1e3
+        let rotation_deg = turned(&found).to_degrees();
+        let position_mm = 1e3
             * (found.alignment.room_from_transmitter.translation.vector - transmitter().translation.vector)
                 .norm();
-        assert!(turn < 0.5 && place_mm < 5.0, "transmitter: {turn} degrees, {place_mm} mm");
+        assert!(
+            rotation_deg < 0.5 && position_mm < 5.0,
+            "transmitter: {rotation_deg} degrees, {position_mm} mm"
+        );
     }
 }
 
@@ -232,10 +235,10 @@ fn a_radio_that_stutters_makes_no_alignment_too_short() {
 }
 
 /// A wearer of the aligned pair: the stage file gives all of it.
-fn worn(found: &Found) -> Stage {
+fn stage_of(found: &Found) -> Stage {
     let [x, y, z] = OFFSET_M;
     let q = orientation_to_wxyz(&found.alignment.q_sensor_imu);
-    let place = transmitter();
+    let pose = transmitter();
     let text = STAGE.replace(
         "imu = { sensor = \"hand_imu\" }",
         &format!(
@@ -245,8 +248,8 @@ fn worn(found: &Found) -> Stage {
         ),
     ) + &format!(
         "[transmitter.pose_in_room]\nposition_m = {:?}\norientation_wxyz = {:?}\n[body]\nheight_m = 1.8\nmounting = \"given\"\n",
-        <[f64; 3]>::from(place.translation.vector),
-        orientation_to_wxyz(&place.rotation)
+        <[f64; 3]>::from(pose.translation.vector),
+        orientation_to_wxyz(&pose.rotation)
     );
     Stage::parse(&text).unwrap_or_else(|problems| panic!("{problems}"))
 }
@@ -261,7 +264,7 @@ fn the_imu_carries_the_pose_through_a_dropout_and_a_replay_says_the_same() {
     let silent = vec![Fault::BirdDies { address: 0, at_s: 8.0, duration_s: Some(0.4) }];
     let (stage, scenario) = scenario(6, silent);
     let mut rig = Rig::new(&stage, &scenario);
-    rig.pipeline = Pipeline::new(&worn(&found)).unwrap();
+    rig.pipeline = Pipeline::new(&stage_of(&found)).unwrap();
     rig.push(Input::Line { device: 0, event: posed_drivers::LineEvent::Opened { modem_lines: false } });
     rig.push(Input::Line { device: 1, event: posed_drivers::LineEvent::Opened { modem_lines: false } });
     rig.run_until(12.0);
@@ -287,11 +290,11 @@ fn the_imu_carries_the_pose_through_a_dropout_and_a_replay_says_the_same() {
     assert!(rig.estimates().any(|e| e.sensors[0].coasted && e.sensors[0].state == SensorState::Missing));
 
     let middle = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 8.2);
-    let mut pipeline = Pipeline::new(&worn(&found)).unwrap();
+    let mut pipeline = Pipeline::new(&stage_of(&found)).unwrap();
     let log: Vec<Entry> = rig.log.clone();
     let before = replay(&mut pipeline, &log[..middle]).len();
-    let mut restored = Pipeline::restore(&worn(&found), pipeline.models(), &pipeline.snapshot()).unwrap();
-    let whole = replay(&mut Pipeline::new(&worn(&found)).unwrap(), &log);
+    let mut restored = Pipeline::restore(&stage_of(&found), pipeline.models(), &pipeline.snapshot()).unwrap();
+    let whole = replay(&mut Pipeline::new(&stage_of(&found)).unwrap(), &log);
     assert_eq!(replay(&mut restored, &log[middle..]), whole[before..]);
 }
 

@@ -197,8 +197,8 @@ fn animation_of_every_frame(bytes: &[u8], truth: &[(f64, f64)]) {
     let gltf: serde_json::Value = serde_json::from_slice(&bytes[20..json]).expect("it is JSON");
     let animation = &gltf["animations"][0];
     let channels = animation["channels"].as_array().expect("channels");
-    let turns = channels.iter().filter(|channel| channel["target"]["path"] == "rotation").count();
-    assert!(turns >= 10, "{turns} joints turn");
+    let rotations = channels.iter().filter(|channel| channel["target"]["path"] == "rotation").count();
+    assert!(rotations >= 10, "{rotations} joints turn");
     for sampler in animation["samplers"].as_array().expect("samplers") {
         let [input, output] = ["input", "output"]
             .map(|key| &gltf["accessors"][sampler[key].as_u64().expect("an accessor") as usize]);

@@ -38,7 +38,7 @@ struct SimulatedBody {
     segments: Vec<BodySegment>,
 }
 
-fn worn(
+fn simulated(
     device: &str,
     segments: &[BodySegment],
     address: impl Fn(u16) -> u16,
@@ -109,8 +109,8 @@ impl SimulatedBody {
                     nearest[segment.index()] = off_s;
                     let offset: Translation3<f64> =
                         Vector3::from(self.scenario.sensors[row.sensor].offset_m).into();
-                    let worn = Isometry3::from_parts(offset, mount(segment));
-                    found[segment.index()] = Some(row.pose * worn.inverse());
+                    let segment_from_sensor = Isometry3::from_parts(offset, mount(segment));
+                    found[segment.index()] = Some(row.pose * segment_from_sensor.inverse());
                 }
             }
         }
@@ -134,13 +134,13 @@ fn q(body: &Body, segment: BodySegment) -> UnitQuaternion<f64> {
 }
 
 /// The largest root mean square error of an angle of elbows, knees, hips and shoulders, and of a segment, degrees.
-fn errors(worn: &SimulatedBody, rig: &Rig, from_s: f64) -> (f64, f64) {
+fn errors(simulated: &SimulatedBody, rig: &Rig, from_s: f64) -> (f64, f64) {
     let names = ["elbow_r_flexion", "elbow_l_flexion", "knee_r_flexion", "knee_l_flexion", "hip_r_flexion"];
     let mut sums = [0.0; 5];
-    let mut turns = [0.0; SEGMENTS];
+    let mut rotations = [0.0; SEGMENTS];
     let mut count = 0.0;
     for body in bodies(rig).iter().filter(|body| body.t_valid.as_secs_f64() > from_s).step_by(20) {
-        let truth = worn.truth(rig, body.t_valid.as_secs_f64());
+        let truth = simulated.truth(rig, body.t_valid.as_secs_f64());
         let expected = angles(&truth.map(|pose| pose.map(|pose| pose.rotation)));
         for (sum, name) in sums.iter_mut().zip(names) {
             let index = ANGLE_NAMES.iter().position(|known| *known == name).unwrap();
@@ -149,24 +149,27 @@ fn errors(worn: &SimulatedBody, rig: &Rig, from_s: f64) -> (f64, f64) {
         }
         for (segment, truth) in BodySegment::ALL.into_iter().zip(&truth) {
             let Some(truth) = truth else { continue };
-            turns[segment.index()] += q(body, segment).angle_to(&truth.rotation).powi(2);
+            rotations[segment.index()] += q(body, segment).angle_to(&truth.rotation).powi(2);
         }
         count += 1.0;
     }
     assert!(count > 5.0, "{count} bodies");
     let worst = |sums: &[f64]| f64::sqrt(sums.iter().copied().fold(0.0, f64::max) / count).to_degrees();
-    (worst(&sums), worst(&turns))
+    (worst(&sums), worst(&rotations))
 }
 
 #[test]
 fn ten_trackers_of_a_chain_show_a_person_who_squats() {
-    let worn = worn(XBUS, &BodySegment::ALL, |n| n, squatting());
-    let rig = worn.run(9.0);
+    let simulated = simulated(XBUS, &BodySegment::ALL, |n| n, squatting());
+    let rig = simulated.run(9.0);
     let all = bodies(&rig);
     assert!(all.len() > 700, "{} bodies in 9 s", all.len());
     assert!(all.windows(2).all(|pair| pair[0].t_valid < pair[1].t_valid));
-    let (angle_deg, turn_deg) = errors(&worn, &rig, 4.0);
-    assert!(angle_deg < 2.0 && turn_deg < 4.0, "angles {angle_deg:.2}, segments {turn_deg:.2} degrees");
+    let (angle_deg, rotation_deg) = errors(&simulated, &rig, 4.0);
+    assert!(
+        angle_deg < 2.0 && rotation_deg < 4.0,
+        "angles {angle_deg:.2}, segments {rotation_deg:.2} degrees"
+    );
     let last = all.last().unwrap();
     assert!(last.segments.iter().all(|segment| segment.state == SegmentState::Ok), "{last:?}");
     assert_eq!((last.heading, last.position_source), (Heading::Field, PositionSource::Origin));
@@ -182,14 +185,14 @@ fn ten_trackers_of_a_chain_show_a_person_who_squats() {
 /// The filter that `posed body solve` runs over a file, over the records of the same run.
 #[test]
 fn live_and_offline_say_the_same() {
-    let worn = worn(XBUS, &BodySegment::ALL, |n| n, squatting());
-    let rig = worn.run(4.0);
+    let simulated = simulated(XBUS, &BodySegment::ALL, |n| n, squatting());
+    let rig = simulated.run(4.0);
     let sits = |segment: BodySegment, offset_m: [f64; 3]| SensorMount {
         q_segment_sensor: mount(segment),
         offset_m: offset_m.into(),
         heading_rad: None,
     };
-    let all: Vec<_> = worn.segments.iter().zip(&worn.scenario.sensors).collect();
+    let all: Vec<_> = simulated.segments.iter().zip(&simulated.scenario.sensors).collect();
     let all = BodySegment::ALL.map(|segment| {
         all.iter().find(|(at, _)| **at == segment).map(|(_, sensor)| sits(segment, sensor.offset_m))
     });
@@ -227,12 +230,12 @@ fn live_and_offline_say_the_same() {
 
 #[test]
 fn a_replay_that_begins_in_the_middle_says_the_same_body() {
-    let worn = worn(XBUS, &BodySegment::ALL, |n| n, squatting());
-    let rig = worn.run(4.0);
+    let simulated = simulated(XBUS, &BodySegment::ALL, |n| n, squatting());
+    let rig = simulated.run(4.0);
     let middle = rig.log.partition_point(|entry| entry.t.as_secs_f64() < 2.3);
-    let mut pipeline = Pipeline::new(&worn.stage).unwrap();
+    let mut pipeline = Pipeline::new(&simulated.stage).unwrap();
     let before = replay(&mut pipeline, &rig.log[..middle]).len();
-    let mut restored = Pipeline::restore(&worn.stage, pipeline.models(), &pipeline.snapshot()).unwrap();
+    let mut restored = Pipeline::restore(&simulated.stage, pipeline.models(), &pipeline.snapshot()).unwrap();
     assert_eq!(replay(&mut restored, &rig.log[middle..]), rig.emitted[before..]);
 }
 
@@ -244,12 +247,12 @@ fn units_with_clocks_of_their_own_and_units_that_only_tell_their_orientation_sho
         (X_IMU3, (|n| n + 40) as fn(u16) -> u16, (3.0, 9.0)),
         ("driver = \"slimevr\"\nport = \"udp://0.0.0.0:6969\"", |n| n, (6.0, 180.0)),
     ] {
-        let worn = worn(device, &arm, address, reaching.clone());
-        let rig = worn.run(8.0);
-        let (angle_deg, turn_deg) = errors(&worn, &rig, 4.0);
+        let simulated = simulated(device, &arm, address, reaching.clone());
+        let rig = simulated.run(8.0);
+        let (angle_deg, rotation_deg) = errors(&simulated, &rig, 4.0);
         assert!(
-            angle_deg < limits.0 && turn_deg < limits.1,
-            "{device}: {angle_deg:.2}, {turn_deg:.2} degrees"
+            angle_deg < limits.0 && rotation_deg < limits.1,
+            "{device}: {angle_deg:.2}, {rotation_deg:.2} degrees"
         );
     }
 }
@@ -266,11 +269,14 @@ fn trackers_alone_show_the_whole_figure_and_where_it_is() {
     ];
     let device = "driver = \"motionstar\"\nport = \"tcp://127.0.0.1:6000\"";
     let person = Person { position_m: [1.2, 0.0, -0.9], heading_deg: 180.0, ..squatting() };
-    let mut worn = worn(device, &segments, |n| n, person.clone());
-    worn.scenario.max_range_m = Some(3.0);
-    let rig = worn.run(8.0);
-    let (angle_deg, turn_deg) = errors(&worn, &rig, 4.0);
-    assert!(angle_deg < 6.0 && turn_deg < 6.0, "angles {angle_deg:.2}, segments {turn_deg:.2} degrees");
+    let mut simulated = simulated(device, &segments, |n| n, person.clone());
+    simulated.scenario.max_range_m = Some(3.0);
+    let rig = simulated.run(8.0);
+    let (angle_deg, rotation_deg) = errors(&simulated, &rig, 4.0);
+    assert!(
+        angle_deg < 6.0 && rotation_deg < 6.0,
+        "angles {angle_deg:.2}, segments {rotation_deg:.2} degrees"
+    );
     let last = *bodies(&rig).last().unwrap();
     assert_eq!(last.position_source, PositionSource::Trackers);
     let state = |segment: BodySegment| last.segments[segment.index()].state;
@@ -278,17 +284,17 @@ fn trackers_alone_show_the_whole_figure_and_where_it_is() {
         [state(BodySegment::ForearmR), state(BodySegment::UpperArmR)],
         [SegmentState::Ok, SegmentState::Inferred]
     );
-    let truth = worn.truth(&rig, last.t_valid.as_secs_f64())[BodySegment::Pelvis.index()].unwrap();
-    let place = Vector3::from(last.segments[BodySegment::Pelvis.index()].position_m.unwrap());
-    assert!((place - truth.translation.vector).norm() < 0.03, "{place} is not {truth}");
+    let truth = simulated.truth(&rig, last.t_valid.as_secs_f64())[BodySegment::Pelvis.index()].unwrap();
+    let position_m = Vector3::from(last.segments[BodySegment::Pelvis.index()].position_m.unwrap());
+    assert!((position_m - truth.translation.vector).norm() < 0.03, "{position_m} is not {truth}");
 }
 
 #[test]
 fn a_dead_sensor_is_named_within_a_second_and_the_rest_keeps_moving() {
-    let mut worn = worn(X_IMU3, &BodySegment::ALL, |n| n + 40, squatting());
+    let mut simulated = simulated(X_IMU3, &BodySegment::ALL, |n| n + 40, squatting());
     let address = 41 + BodySegment::ForearmL.index() as u16;
-    worn.scenario.devices[0].faults = vec![Fault::BirdDies { address, at_s: 4.0, duration_s: None }];
-    let rig = worn.run(7.0);
+    simulated.scenario.devices[0].faults = vec![Fault::BirdDies { address, at_s: 4.0, duration_s: None }];
+    let rig = simulated.run(7.0);
     let fault = |body: &&&Body| body.segments[BodySegment::ForearmL.index()].fault == Some(Cause::Missing);
     let all = bodies(&rig);
     let named = all.iter().find(fault).expect("it is named");
@@ -317,11 +323,11 @@ fn a_dead_sensor_is_named_within_a_second_and_the_rest_keeps_moving() {
 
 #[test]
 fn angles_are_columns_of_exercises() {
-    let worn = worn(XBUS, &BodySegment::ALL, |n| n, squatting());
-    let columns = signals::columns_of(&worn.stage);
+    let simulated = simulated(XBUS, &BodySegment::ALL, |n| n, squatting());
+    let columns = signals::columns_of(&simulated.stage);
     let knee = columns.iter().position(|name| name == "knee_r_flexion_deg").unwrap();
-    let rig = worn.run(3.0);
-    let angles = BodyColumns::of(&worn.stage);
+    let rig = simulated.run(3.0);
+    let angles = BodyColumns::of(&simulated.stage);
     let mut body = None;
     let (mut row, mut most) = (Vec::new(), f64::MIN);
     for emitted in &rig.emitted {
@@ -341,14 +347,14 @@ fn angles_are_columns_of_exercises() {
 
 #[test]
 fn nobody_is_shown_before_the_mounting_is_known() {
-    let mut worn = worn(XBUS, &BodySegment::ALL, |n| n, squatting());
-    worn.stage.body.as_mut().unwrap().mounting = posed_stage::Mounting::Calibrate;
-    let rig = worn.run(2.0);
+    let mut simulated = simulated(XBUS, &BodySegment::ALL, |n| n, squatting());
+    simulated.stage.body.as_mut().unwrap().mounting = posed_stage::Mounting::Calibrate;
+    let rig = simulated.run(2.0);
     assert!(rig.estimates().count() > 50 && bodies(&rig).is_empty());
     assert!(!rig.pipeline.status().body.unwrap().mounted);
     // Two sensors on one segment are refused.
-    worn.stage.sensors[0].segment = Some("pelvis".into());
-    let refused = Pipeline::new(&worn.stage).unwrap_err().to_string();
+    simulated.stage.sensors[0].segment = Some("pelvis".into());
+    let refused = Pipeline::new(&simulated.stage).unwrap_err().to_string();
     assert!(refused.contains("\"on_torso\" and \"on_pelvis\" sit on the same segment"), "{refused}");
 }
 

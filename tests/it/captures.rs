@@ -70,7 +70,7 @@ fn a_real_motion_capture_is_read_with_its_labels_upright_and_in_metres() {
 
 /// There is no truth; but a person who walks about is not accelerated on average, so what the sensors feel, turned upright, is gravity.
 #[test]
-fn ten_worn_sensors_are_levelled_while_they_move() {
+fn ten_body_sensors_are_levelled_while_they_move() {
     let segments = ["hip", "upper_back"].into_iter().map(str::to_owned);
     let limbs = ["upper_arm", "forearm", "upper_leg", "lower_leg"];
     let limbs = limbs.into_iter().flat_map(|limb| ["left", "right"].map(|side| format!("{limb}_{side}")));

@@ -74,7 +74,7 @@ fn select(plan: Plan) -> Input {
 
 /// Selects the curl for somebody who wears other sensors than those it was taught with.
 fn with_sensors<const N: usize>(sensors: [(&str, &str); N]) -> Request {
-    let sensors = sensors.map(|(taught, worn)| (taught.to_owned(), worn.to_owned())).into();
+    let sensors = sensors.map(|(taught, other)| (taught.to_owned(), other.to_owned())).into();
     let (subject, exercises) = ("patient".to_owned(), vec!["curl".to_owned()]);
     Request::ExerciseSelect { subject, exercises, plan: Plan::default(), sensors }
 }

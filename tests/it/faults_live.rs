@@ -17,11 +17,11 @@ use posed_stage::output::{Estimate, OutcomeKind, SensorState};
 use crate::rig::{Rig, Said, replay, stage};
 
 /// The figure's sensors, by the segments that they sit on.
-pub(crate) const WORN: [&str; 4] = ["pelvis", "torso", "thigh_r", "thigh_l"];
+pub(crate) const BODY_SENSORS: [&str; 4] = ["pelvis", "torso", "thigh_r", "thigh_l"];
 
 fn walking() -> Stage {
     let mut stage = stage(&[4]);
-    for (sensor, name) in stage.sensors.iter_mut().zip(WORN) {
+    for (sensor, name) in stage.sensors.iter_mut().zip(BODY_SENSORS) {
         sensor.name = name.into();
     }
     stage
@@ -39,7 +39,7 @@ fn scenario(faults: Vec<Fault>) -> Scenario {
     };
     Scenario {
         bodies: vec![BodySpec { name: "figure".into(), motion: Motion::Walk(walk) }],
-        sensors: WORN.map(sensor).into(),
+        sensors: BODY_SENSORS.map(sensor).into(),
         devices: vec![DeviceScenario { name: "d0".into(), faults, ..DeviceScenario::default() }],
         ..Scenario::default()
     }
@@ -55,7 +55,7 @@ fn flip_all(at_s: f64, duration_s: f64) -> impl Iterator<Item = Fault> {
 
 /// What the map sees of these estimates.
 fn raw<'a>(rig: &Rig, estimates: impl Iterator<Item = &'a Estimate>) -> Frames {
-    let mut frames = Frames { sensors: WORN.map(str::to_owned).into(), ..Frames::default() };
+    let mut frames = Frames { sensors: BODY_SENSORS.map(str::to_owned).into(), ..Frames::default() };
     let room = rig.pipeline.room_transmitter();
     for estimate in estimates {
         frames.t_s.push(estimate.t_valid.as_secs_f64());

@@ -34,16 +34,16 @@ fn rows(path: &Path, names: &[&str]) -> Vec<(f64, Vec<Option<PoleReading>>)> {
         .map(|name| {
             let [x, y, z] = ["x", "y", "z"].map(|axis| format!("{name}_{axis}"));
             let [w, i, j, k] = ["qw", "qx", "qy", "qz"].map(|part| format!("{name}_{part}"));
-            let place = table.require([x.as_str(), y.as_str(), z.as_str()]).unwrap();
-            (place, table.require([w.as_str(), i.as_str(), j.as_str(), k.as_str()]).unwrap())
+            let position = table.require([x.as_str(), y.as_str(), z.as_str()]).unwrap();
+            (position, table.require([w.as_str(), i.as_str(), j.as_str(), k.as_str()]).unwrap())
         })
         .collect();
     let mut rows = Vec::new();
     while table.next_row().unwrap() {
         let t_s = table.required_number(t).unwrap();
-        let reading = |(place, turn): &([usize; 3], [usize; 4])| {
-            let mm = table.vector(*place).unwrap()?;
-            let wxyz = turn.map(|column| table.required_number(column).unwrap());
+        let reading = |(position, orientation): &([usize; 3], [usize; 4])| {
+            let mm = table.vector(*position).unwrap()?;
+            let wxyz = orientation.map(|column| table.required_number(column).unwrap());
             Some(PoleReading {
                 position_m: Vector3::from(mm) / 1e3,
                 orientation: orientation_from_wxyz(wxyz),
@@ -65,7 +65,7 @@ fn landmarks_m(
     };
     let pairs: Vec<(Vector3<f64>, Vector3<f64>)> = LANDMARKS
         .iter()
-        .map(|(place_mm, [first, last])| {
+        .map(|(position_mm, [first, last])| {
             let tips: Vec<Vector3<f64>> = rows[*first..=*last]
                 .iter()
                 .filter_map(|(_, readings)| {
@@ -78,7 +78,7 @@ fn landmarks_m(
                 values.sort_by(f64::total_cmp);
                 values[values.len() / 2]
             });
-            (median, Vector3::from(*place_mm) / 1e3)
+            (median, Vector3::from(*position_mm) / 1e3)
         })
         .collect();
     let motion = rigid(&pairs);
@@ -109,8 +109,8 @@ fn given_maps_of_a_real_tracker_none_is_accepted_that_makes_its_landmarks_worse(
             let Some(map) = solve(run, &[], &mut |_| {}).map else { continue };
             let corrector: Corrector = map.corrector();
             let corrected_m = landmarks_m(&touched, |reading| {
-                let turn = corrector.orientation(&reading.position_m, &reading.orientation.unwrap());
-                (corrector.position(&reading.position_m), turn)
+                let orientation = corrector.orientation(&reading.position_m, &reading.orientation.unwrap());
+                (corrector.position(&reading.position_m), orientation)
             });
             let bad = corrected_m > raw_m + 1e-5;
             worse += usize::from(bad);

@@ -13,7 +13,7 @@ use crate::cli::{json, posed};
 use crate::rig::{Rig, record};
 
 const SECONDS: f64 = 15.0;
-const WORN: [&str; 6] = ["torso", "pelvis", "upper_arm_r", "forearm_r", "upper_arm_l", "forearm_l"];
+const BODY_SENSORS: [&str; 6] = ["torso", "pelvis", "upper_arm_r", "forearm_r", "upper_arm_l", "forearm_l"];
 
 /// A person who reaches about, a metre from the transmitter and above a steel floor.
 fn stage() -> String {
@@ -22,7 +22,7 @@ fn stage() -> String {
          [body]\nheight_m = 1.75\n[[device]]\nname = \"flock\"\ndriver = \"flock-of-birds\"\nport = \"/dev/flock\"\n\
          format = \"position-quaternion\"\n",
     );
-    for (address, name) in WORN.iter().enumerate() {
+    for (address, name) in BODY_SENSORS.iter().enumerate() {
         let address = address + 2;
         write!(text, "[[sensor]]\nname = \"{name}\"\ndevice = \"flock\"\naddress = {address}\n").unwrap();
     }
@@ -31,7 +31,7 @@ fn stage() -> String {
              [[simulation.device]]\nname = \"flock\"\nboot_ms = 0.0\n\
              [[simulation.body]]\nname = \"person\"\n[simulation.body.motion]\nkind = \"person\"\nactivity = \"reaching\"\n\
              height_m = 1.75\nposition_m = [1.0, 0.0, 0.0]\nheading_deg = 180\n";
-    for name in WORN {
+    for name in BODY_SENSORS {
         let offset =
             if name == "torso" || name == "pelvis" { "[-0.1, 0.02, 0.0]" } else { "[0.0, -0.12, 0.04]" };
         write!(
@@ -65,7 +65,7 @@ fn bent_m(rig: &Rig, positions: &BTreeMap<(u64, usize), Vector3<f64>>) -> f64 {
 }
 
 fn positions(poses: &Poses) -> BTreeMap<(u64, usize), Vector3<f64>> {
-    let named = |sensor: usize| WORN.iter().position(|name| *name == poses.sensors[sensor]).unwrap();
+    let named = |sensor: usize| BODY_SENSORS.iter().position(|name| *name == poses.sensors[sensor]).unwrap();
     let row = |row: &posed_recording::table::PoseRow| {
         Some((((row.t_s * 1000.0).round() as u64, named(row.sensor)), Vector3::from(row.position_m?)))
     };

@@ -56,7 +56,8 @@ fn truth(rig: &Rig, t_s: f64) -> Option<UnitQuaternion<f64>> {
     Some(a.rotation.slerp(&b.rotation, ((t_s - a_s) / (b_s - a_s)).clamp(0.0, 1.0)))
 }
 
-/// Root mean square at rest, of how far the force that filters take points from straight up, degrees, and of the rate, deg/s.
+/// Root mean square at rest, of how far the specific force that filters take points from straight up, degrees, and of the
+/// angular velocity, deg/s.
 fn at_rest(rig: &Rig, emitted: &[Said]) -> [f64; 2] {
     let (mut sums, mut count) = ([0.0; 2], 0.0);
     for emitted in emitted {

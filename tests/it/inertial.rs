@@ -11,13 +11,13 @@ fn posed(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_posed")).args(arguments).output().expect("the binary runs")
 }
 
-/// A sensor that turns about its upright axis at `rate` rad/s, 100 Hz.
-fn turning(rows: usize, rate: f64) -> String {
+/// A sensor that turns about its upright axis at `angular_velocity_rad_s` rad/s, 100 Hz.
+fn turning(rows: usize, angular_velocity_rad_s: f64) -> String {
     let mut text = String::from("# made by a test\nt,sensor,ax,ay,az,gx,gy,gz,mx,my,mz\n");
     for k in 0..rows {
         let t = k as f64 / 100.0;
-        let (sin, cos) = (rate * t).sin_cos();
-        writeln!(text, "{t},a,0,0,9.80665,0,0,{rate},{},{},-42", 17.0 * sin, 17.0 * cos)
+        let (sin, cos) = (angular_velocity_rad_s * t).sin_cos();
+        writeln!(text, "{t},a,0,0,9.80665,0,0,{angular_velocity_rad_s},{},{},-42", 17.0 * sin, 17.0 * cos)
             .expect("a string takes it");
     }
     text

@@ -90,7 +90,7 @@ fn the_default_finds_all_changes_where_the_noise_is_that_of_a_tracker() {
     let (mut alarms, mut misses) = (0, 0);
     for seed in 0..10 {
         for shape in [Shape::Straight, Shape::Bent, Shape::Swaying] {
-            let poses = Gesture { seed, shape, size_m: 1.0, turn_deg: 200.0 }.noisy((0.001, 0.5));
+            let poses = Gesture { seed, shape, size_m: 1.0, rotation_deg: 200.0 }.noisy((0.001, 0.5));
             let (keys, _) = detector.clone().run(&poses);
             let errors = count_errors(keys.iter().map(|key| key.frame as usize));
             (alarms, misses) = (alarms + errors.0, misses + errors.1);

@@ -273,21 +273,21 @@ async fn a_map_of_faults_is_learnt_and_a_cell_named_in_the_browser() {
 
 /// Ten IMUs of a chain on somebody who holds the two poses in turn, and nobody knows how they sit.
 pub(crate) fn posing(folder: &Path) -> std::path::PathBuf {
-    let worn = posed_stage::SEGMENTS.map(|segment| (segment, segment));
-    strapped(folder, "poses", &worn)
+    let mounted = posed_stage::SEGMENTS.map(|segment| (segment, segment));
+    strapped(folder, "poses", &mounted)
 }
 
 /// IMUs of a chain, each with the segment that the stage file specifies and the one that it sits on.
-fn strapped(folder: &Path, activity: &str, worn: &[(&str, &str)]) -> std::path::PathBuf {
+fn strapped(folder: &Path, activity: &str, mounted: &[(&str, &str)]) -> std::path::PathBuf {
     let mut text = String::from(
         "name = \"posing\"\n[body]\nheight_m = 1.7\n[[device]]\nname = \"chain\"\ndriver = \"xbus\"\nport = \"auto\"\n\
          baud = 921600\n[simulation]\n[[simulation.body]]\nname = \"person\"\n[simulation.body.motion]\nkind = \"person\"\n\
          activity = \"ACTIVITY\"\nheight_m = 1.7\n[[simulation.device]]\nname = \"chain\"\nboot_ms = 0.0\n",
     )
     .replace("ACTIVITY", activity);
-    for (index, (emitted, segment)) in worn.iter().enumerate() {
-        let turn = 0.4 * index as f64;
-        let (sin, cos) = turn.sin_cos();
+    for (index, (emitted, segment)) in mounted.iter().enumerate() {
+        let rotation_rad = 0.4 * index as f64;
+        let (sin, cos) = rotation_rad.sin_cos();
         text += &format!(
             "[[sensor]]\nname = \"{emitted}\"\ndevice = \"chain\"\naddress = {}\n[[simulation.sensor]]\nname = \"{emitted}\"\n\
              body = \"person\"\nsegment = \"{segment}\"\nmount_quat_wxyz = [{cos}, {}, 0.0, {}]\n",
@@ -518,8 +518,8 @@ fn write_links(path: &Path) {
         let t_s = f64::from(tick) * 0.05;
         let t = (t_s % 60.0 - 12.0).max(0.0);
         let grow = (t / 3.0).min((48.0 - t) / 3.0).min(1.0).powi(2);
-        let turn = Vector3::new((0.9 * t).sin(), 0.6 * (0.7 * t).sin(), 0.8 * (1.1 * t).sin());
-        let upper = about(turn, grow) * about(Vector3::x(), 1.57);
+        let rotation_vector_rad = Vector3::new((0.9 * t).sin(), 0.6 * (0.7 * t).sin(), 0.8 * (1.1 * t).sin());
+        let upper = about(rotation_vector_rad, grow) * about(Vector3::x(), 1.57);
         let lower = upper * about(Vector3::z(), grow * (0.7 - 0.7 * (1.3 * t).cos()));
         for (name, q) in [("thigh", upper), ("shank", lower)] {
             text += &format!("{t_s:.2},{name},0.5,0.0,0.3,{:.7},{:.7},{:.7},{:.7}\n", q.w, q.i, q.j, q.k);

@@ -80,9 +80,9 @@ fn report(rig: &Rig, from_s: f64, sigma_signal: f64) -> Report {
             .sqrt();
             let [w, x, y, z] = pose.orientation_wxyz;
             let q = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
-            let turn = q.angle_to(&row.pose.rotation).to_degrees();
+            let rotation_deg = q.angle_to(&row.pose.rotation).to_degrees();
             out.wrong_5_sigma += usize::from(error > 5.0 * sigma);
-            out.wrong_20_mm += usize::from(error > 0.02 || turn > 5.0);
+            out.wrong_20_mm += usize::from(error > 0.02 || rotation_deg > 5.0);
         }
     }
     let (first, last) = (estimates.first().unwrap(), estimates.last().unwrap());

@@ -20,7 +20,7 @@
 //! on the unit of length. A change is decided `2 N` frames late, with both smoothers `2 N + 18`.
 //!
 //! Repaired or chosen here, where the paper errs or is silent:
-//! - The logarithm of eq. (10) cancels for the small turns between consecutive poses (3e-3 at 1e-6 rad); it is the closed
+//! - The logarithm of eq. (10) cancels for the small rotations between consecutive poses (3e-3 at 1e-6 rad); it is the closed
 //!   form of [`posed_geometry::se3`] instead.
 //! - A single jump makes two equal maxima, both of which the paper's strict "greater" refuses: the first one counts.
 //! - The sizes of the smoothers are not printed: a Gaussian over 17 poses, and a parabola over 21 values of `eta`.
@@ -46,7 +46,7 @@ const RENEW_FRAMES: u32 = 1000;
 pub struct MeanDifferenceSettings {
     /// `N`: half width of the mask, and the reach within which a peak must exceed all others, frames; 0 counts as 1.
     pub window: usize,
-    /// What a turn by 1 rad counts as against a displacement, m. The paper adds rad and cm: 0.01.
+    /// What a rotation by 1 rad counts as against a displacement, m. The paper adds rad and cm: 0.01.
     pub metres_per_radian: f64,
     /// `x`: a peak must exceed this share of the mean twist before it.
     pub acceptance: f64,

@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn a_network_is_trained_by_either_rule_and_named_alike() {
-        let place = |k: usize, sensor: usize, axis: usize| {
+        let coordinate = |k: usize, sensor: usize, axis: usize| {
             let (t, s) = (k as f64 / 30.0, sensor as f64);
             0.3 * (0.7 * t + axis as f64).sin() + 0.5 * s + 1.0
         };
@@ -152,7 +152,7 @@ mod tests {
             sensors: (0..3).map(|sensor| format!("s{sensor}")).collect(),
             t_s: (0..200).map(|k| k as f64 / 30.0).collect(),
             positions_m: (0..200)
-                .flat_map(|k| (0..3).flat_map(move |s| (0..3).map(move |axis| place(k, s, axis))))
+                .flat_map(|k| (0..3).flat_map(move |s| (0..3).map(move |axis| coordinate(k, s, axis))))
                 .collect(),
         };
         let size = Size { neurons: 11, side: 5 };

@@ -10,7 +10,7 @@
 //! ```text
 //! x = [theta, dtheta/dt, d2theta/dt2],  theta: three angles of shoulder or hip, and two of the elbow or one of the knee
 //! ```
-//! and 7 measurements an IMU: rates, specific forces and an azimuth. It is the filter of [`posed_fusion::limb`] with
+//! and 7 measurements an IMU: angular velocities, specific forces and an azimuth. It is the filter of [`posed_fusion::limb`] with
 //! other joints; two of the three axes fall together where an arm or a leg points sideways, and there it goes astray.
 //!
 //! Repaired or chosen here, where the paper errs or is silent:
@@ -50,15 +50,15 @@ const NORTH: FieldReference =
 pub struct EulerBody {
     sensors: [Option<Sensor>; SEGMENTS],
     limbs: [EulerLimb; 4],
-    /// Last rate of torso and pelvis, segment axes, for their angular acceleration.
-    last_rates_rad_s: [Option<Vector3<f64>>; 2],
+    /// Last angular velocity of torso and pelvis, segment axes, for their angular acceleration.
+    last_angular_velocities_rad_s: [Option<Vector3<f64>>; 2],
     orientations: [Option<UnitQuaternion<f64>>; SEGMENTS],
 }
 
-/// One sensor: how it is worn, and its own orientation.
+/// One sensor: how it sits, and its own orientation.
 #[derive(Clone, Debug)]
 struct Sensor {
-    worn: SensorMount,
+    mount: SensorMount,
     ahrs: Ahrs,
     started: bool,
     magnetometer: bool,
@@ -82,24 +82,24 @@ enum Filter {
 }
 
 impl EulerBody {
-    /// A body that has seen nothing, of these lengths; `worn` says how each sensor sits, by [`BodySegment::index`], `None` where
-    /// none is worn.
-    pub fn new(skeleton: &Skeleton, worn: &[Option<SensorMount>; SEGMENTS], params: &BodyParams) -> Self {
-        let sensor = |worn: SensorMount| {
+    /// A body that has seen nothing, of these lengths; `mounts` says how each sensor sits, by [`BodySegment::index`], `None`
+    /// where none is worn.
+    pub fn new(skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS], params: &BodyParams) -> Self {
+        let sensor = |mount: SensorMount| {
             let ahrs = Ahrs::new(params.ahrs.clone());
-            Sensor { worn, ahrs, started: false, magnetometer: false }
+            Sensor { mount, ahrs, started: false, magnetometer: false }
         };
         let limb = |limb| EulerLimb {
             limb,
-            geometry: LimbGeometry::of(limb, skeleton, worn),
+            geometry: LimbGeometry::of(limb, skeleton, mounts),
             noise: params.limb,
             offsets_rad_s: [Vector3::zeros(); 2],
             filter: Filter::Waiting,
         };
         Self {
-            sensors: worn.map(|worn| worn.map(sensor)),
+            sensors: mounts.map(|mount| mount.map(sensor)),
             limbs: Limb::ALL.map(limb),
-            last_rates_rad_s: [None; 2],
+            last_angular_velocities_rad_s: [None; 2],
             orientations: [None; SEGMENTS],
         }
     }
@@ -144,7 +144,7 @@ impl EulerBody {
             specific_force_sigma_m_s2: 0.2,
             ..Base::room()
         };
-        let last = &mut self.last_rates_rad_s[trunk.index()];
+        let last = &mut self.last_angular_velocities_rad_s[trunk.index()];
         let Some(sample) = samples[trunk.index()] else {
             *last = None;
             return Some(Base {
@@ -152,7 +152,7 @@ impl EulerBody {
                 ..known
             });
         };
-        let mount = &sensor.worn.q_segment_sensor;
+        let mount = &sensor.mount.q_segment_sensor;
         let angular_velocity_rad_s = mount * (sample.gyro_rad_s - sensor.ahrs.bias_rad_s());
         let accel_rad_s2 = last.map_or_else(Vector3::zeros, |last| (angular_velocity_rad_s - last) / dt_s);
         *last = Some(angular_velocity_rad_s);
@@ -174,7 +174,7 @@ impl Sensor {
 
     /// BodySegment to room by this sensor alone.
     fn orientation(&self) -> Option<UnitQuaternion<f64>> {
-        self.started.then(|| self.ahrs.orientation() * self.worn.q_segment_sensor.inverse())
+        self.started.then(|| self.ahrs.orientation() * self.mount.q_segment_sensor.inverse())
     }
 
     /// What a magnetometer in the sensor would say, sensor axes.
@@ -231,16 +231,16 @@ impl EulerLimb {
         let [z, x, y, ..] = joint_angles(thigh, &(base.q_room_base.inverse() * upper));
         let mut axes = Axes::new([Vector3::z(), Vector3::x() * side, Vector3::y() * side]);
         axes.angle_rad = SVector::<f64, 3>::new(z, x, y);
-        let turn = upper.inverse() * lower;
+        let rotation = upper.inverse() * lower;
         let (geometry, noise) = (self.geometry, self.noise);
         self.filter = match self.limb {
             Limb::ArmR | Limb::ArmL => {
-                let (elbow, limits) = elbow(segment, &turn);
+                let (elbow, limits) = elbow(segment, &rotation);
                 let arm = EulerArm::new(geometry, noise, axes, elbow, limits, START_SIGMA_RAD);
                 Filter::Arm(Box::new(arm))
             }
             Limb::LegR | Limb::LegL => {
-                let (knee, limits) = knee(segment, &turn);
+                let (knee, limits) = knee(segment, &rotation);
                 let leg = EulerLeg::new(geometry, noise, axes, knee, limits, START_SIGMA_RAD);
                 Filter::Leg(Box::new(leg))
             }
@@ -281,13 +281,13 @@ mod tests {
     #[test]
     fn a_walk_is_followed_nearly_as_well_as_by_the_live_filter() {
         let mut wearer = wearer(Activity::Walking);
-        let worn = BodySegment::ALL.map(|segment| {
+        let mounts = BodySegment::ALL.map(|segment| {
             let (q_segment_sensor, offset_m) = wearer.mounting(segment.index());
             Some(SensorMount { q_segment_sensor, offset_m, heading_rad: None })
         });
         let (skeleton, params) = (Skeleton::from_height(HEIGHT_M), BodyParams::default());
-        let mut euler = EulerBody::new(&skeleton, &worn, &params);
-        let mut live = BodyFilter::new(&skeleton, &worn, &params);
+        let mut euler = EulerBody::new(&skeleton, &mounts, &params);
+        let mut live = BodyFilter::new(&skeleton, &mounts, &params);
         let knee = posed_fusion::body::ANGLE_NAMES.iter().position(|name| *name == "knee_r_flexion").unwrap();
         let (mut squares, mut count) = ([0.0; 2], 0.0);
         for k in 0..1200 {
@@ -316,11 +316,11 @@ mod tests {
 
     #[test]
     fn a_limb_is_not_shown_before_its_sensors_and_its_trunk_are() {
-        let worn = BodySegment::ALL.map(|_| {
+        let mounts = BodySegment::ALL.map(|_| {
             let (q_segment_sensor, offset_m) = (UnitQuaternion::identity(), Vector3::zeros());
             Some(SensorMount { q_segment_sensor, offset_m, heading_rad: None })
         });
-        let mut body = EulerBody::new(&Skeleton::from_height(HEIGHT_M), &worn, &BodyParams::default());
+        let mut body = EulerBody::new(&Skeleton::from_height(HEIGHT_M), &mounts, &BodyParams::default());
         let (samples, _) = wearer(Activity::Curls).step();
         let mut samples: BodySamples = samples.map(|sample| {
             Some(ImuSample {

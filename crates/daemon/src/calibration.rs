@@ -75,7 +75,7 @@ pub(super) struct Calibration {
 #[derive(Debug, Default)]
 struct State {
     /// Who asked for the end of the run, and the anchors.
-    asked: Option<(Reply, Vec<AnchorSpec>)>,
+    requested: Option<(Reply, Vec<AnchorSpec>)>,
     /// What the last calibration gave, or why nothing.
     candidate: Option<Result<Prepared, String>>,
 }
@@ -134,7 +134,7 @@ impl Calibration {
 
     /// Ends the run; the pipeline hands its recording to [`Calibration::solve`].
     pub(super) fn finish(&self, anchors: Vec<AnchorSpec>, reply: Reply) {
-        if let Some((other, _)) = self.lock().asked.replace((reply, anchors)) {
+        if let Some((other, _)) = self.lock().requested.replace((reply, anchors)) {
             other.error("failed", "another client has ended the run");
         }
         self.request(Request::FieldFinish {});
@@ -142,7 +142,7 @@ impl Calibration {
 
     /// Solves a run on a thread of its own.
     fn solve(&self, run: &PoleRun) {
-        let Some((reply, anchors)) = self.lock().asked.take() else { return };
+        let Some((reply, anchors)) = self.lock().requested.take() else { return };
         if run.frames.is_empty() {
             reply.error("failed", "nothing was collected: begin with field.start and move the pole");
             return;

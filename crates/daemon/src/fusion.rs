@@ -182,7 +182,7 @@ pub enum Command {
         observer: Box<dyn Observer + Send>,
     },
     /// Reports which IMU is worn where.
-    WornImus {
+    BodyImus {
         /// Where the IMU of each segment goes.
         to: std_mpsc::Sender<[Option<SensorIndex>; SEGMENTS]>,
     },
@@ -373,7 +373,7 @@ impl Fusion {
             }
             Command::Begin { to } => _ = to.send(self.begin()),
             Command::Watch { calibration, observer } => self.observers.watch(calibration, observer),
-            Command::WornImus { to } => _ = to.send(self.pipeline.body_imus()),
+            Command::BodyImus { to } => _ = to.send(self.pipeline.body_imus()),
             Command::Unit { sensor, to } => {
                 let _ = to.send(self.pipeline.unit(sensor).map(str::to_owned));
             }

@@ -56,11 +56,11 @@ fn names(path: &Path) -> Result<Tracked, TableError> {
 
 fn track(path: &Path, columns: &[String]) -> Result<Tracked, TableError> {
     let mut recording = RecordedStreams::open(path)?;
-    let places: Vec<Option<usize>> =
+    let indices: Vec<Option<usize>> =
         columns.iter().map(|column| recording.columns().iter().position(|known| known == column)).collect();
     let mut thinned = Thinned::new(ROWS);
     while let Some(t_s) = recording.next_row()? {
-        thinned.push(t_s, places.iter().map(|place| *recording.row().get((*place)?)?));
+        thinned.push(t_s, indices.iter().map(|index| *recording.row().get((*index)?)?));
     }
     let (t_s, values): (Vec<f64>, Vec<Vec<Option<f64>>>) = thinned.rows.into_iter().unzip();
     // A channel that the recording does not have is empty, so that recordings of different stages can be compared.

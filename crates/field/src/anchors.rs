@@ -32,7 +32,7 @@ pub struct Anchor {
 #[derive(Clone, Debug)]
 pub(crate) struct Dwell {
     pub(crate) reading: Vector3<f64>,
-    pub(crate) place: Vector3<f64>,
+    pub(crate) position_m: Vector3<f64>,
     /// Expected square of the error of the mean reading and the survey, per axis, m^2.
     pub(crate) variance_m2: f64,
 }
@@ -56,7 +56,7 @@ pub(crate) fn dwells(run: &PoleRun, anchors: &[Anchor], noise: &FieldNoise) -> V
             // The variance of a median is pi/2 of that of a mean.
             let variance_m2 =
                 noise.mean_square_m2(&reading) / 3.0 * 1.571 / count + SURVEY_SIGMA_M * SURVEY_SIGMA_M;
-            reading.x.is_finite().then_some(Dwell { reading, place: anchor.position_m, variance_m2 })
+            reading.x.is_finite().then_some(Dwell { reading, position_m: anchor.position_m, variance_m2 })
         })
         .collect()
 }
@@ -74,9 +74,9 @@ pub fn rigid(pairs: &[(Vector3<f64>, Vector3<f64>)]) -> Isometry3<f64> {
     let svd = spread.svd(true, true);
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Isometry3::identity() };
     let sign = (u * v_t).determinant().signum();
-    let turn = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
-    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(turn));
-    Isometry3::from_parts(Translation3::from(to - turn * from), turn)
+    let rotation = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+    Isometry3::from_parts(Translation3::from(to - rotation * from), rotation)
 }
 
 /// What the anchors say of a map.
@@ -102,7 +102,7 @@ pub(crate) fn judge(
     if dwells.len() < LEAST_ANCHORS || !spread_out(dwells) {
         return None;
     }
-    let pairs: Vec<_> = corrected.iter().copied().zip(dwells.iter().map(|dwell| dwell.place)).collect();
+    let pairs: Vec<_> = corrected.iter().copied().zip(dwells.iter().map(|dwell| dwell.position_m)).collect();
     let survey_m2 = dwells.iter().map(|dwell| dwell.variance_m2).sum::<f64>() / dwells.len() as f64;
     let variance = survey_m2 + sigma_m * sigma_m / 3.0;
     let square = |motion: &Isometry3<f64>| {
@@ -115,7 +115,7 @@ pub(crate) fn judge(
     let numbers = 3.0 * dwells.len() as f64;
     let agrees = square(&still) / variance < numbers + 3.0 * (2.0 * numbers).sqrt();
     let motion = if absolute && agrees { still } else { rigid(&pairs) };
-    let surveyed_m2 = spread_m2(dwells.iter().map(|dwell| dwell.place));
+    let surveyed_m2 = spread_m2(dwells.iter().map(|dwell| dwell.position_m));
     let scale = (spread_m2(corrected.iter().copied()) / surveyed_m2).sqrt() - 1.0;
     // How well the map is known does not matter here: one whose lengths are not those of the survey is wrong, and the nearest
     // cause is the spacing. A wrong one also makes a map unsure of places, where it still knows lengths.
@@ -135,10 +135,10 @@ fn spread_m2(points: impl ExactSizeIterator<Item = Vector3<f64>> + Clone) -> f64
 
 /// Whether the points span a plane well enough to fix a rotation.
 fn spread_out(dwells: &[Dwell]) -> bool {
-    let middle = dwells.iter().map(|dwell| dwell.place).sum::<Vector3<f64>>() / dwells.len() as f64;
+    let middle = dwells.iter().map(|dwell| dwell.position_m).sum::<Vector3<f64>>() / dwells.len() as f64;
     let mut spread = Matrix3::zeros();
     for dwell in dwells {
-        spread += (dwell.place - middle) * (dwell.place - middle).transpose();
+        spread += (dwell.position_m - middle) * (dwell.position_m - middle).transpose();
     }
     let mut values = spread.symmetric_eigenvalues();
     values.as_mut_slice().sort_by(f64::total_cmp);
@@ -150,37 +150,38 @@ mod tests {
     use super::*;
 
     fn dwells(scale: f64) -> (Vec<Dwell>, Vec<Vector3<f64>>) {
-        let places = [Vector3::new(1.0, -0.6, 0.4), Vector3::new(1.9, 0.5, 0.5), Vector3::new(1.2, 0.4, 1.3)];
-        let dwell = |place: Vector3<f64>| Dwell { reading: place, place, variance_m2: 1e-7 };
-        (places.map(dwell).to_vec(), places.map(|place| place * scale).to_vec())
+        let positions_m =
+            [Vector3::new(1.0, -0.6, 0.4), Vector3::new(1.9, 0.5, 0.5), Vector3::new(1.2, 0.4, 1.3)];
+        let dwell = |position_m: Vector3<f64>| Dwell { reading: position_m, position_m, variance_m2: 1e-7 };
+        (positions_m.map(dwell).to_vec(), positions_m.map(|position_m| position_m * scale).to_vec())
     }
 
     #[test]
     fn a_rigid_motion_is_found() {
         let motion = Isometry3::new(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.2, 0.1, -0.3));
-        let (dwells, places) = dwells(1.0);
-        let moved: Vec<_> = places
+        let (dwells, positions_m) = dwells(1.0);
+        let moved: Vec<_> = positions_m
             .iter()
             .map(|p| motion.inverse_transform_vector(&(p - motion.translation.vector)))
             .collect();
         let verdict = judge(&dwells, &moved, 1e-3, false).unwrap();
         assert!(verdict.rms_m < 1e-9 && verdict.scale_error.is_none());
-        assert!((verdict.alignment.apply(&moved[0]) - places[0]).norm() < 1e-9);
+        assert!((verdict.alignment.apply(&moved[0]) - positions_m[0]).norm() < 1e-9);
     }
 
     #[test]
     fn a_millimetre_in_300_shows() {
-        let (dwells, places) = dwells(301.0 / 300.0);
-        let error = judge(&dwells, &places, 5e-4, false).unwrap().scale_error.unwrap();
+        let (dwells, positions_m) = dwells(301.0 / 300.0);
+        let error = judge(&dwells, &positions_m, 5e-4, false).unwrap().scale_error.unwrap();
         assert!((error - 1.0 / 300.0).abs() < 1e-6);
     }
 
     #[test]
     fn points_on_a_line_fix_nothing() {
-        let (mut dwells, places) = dwells(1.0);
+        let (mut dwells, positions_m) = dwells(1.0);
         for (k, dwell) in dwells.iter_mut().enumerate() {
-            dwell.place = Vector3::x() * (1.0 + k as f64);
+            dwell.position_m = Vector3::x() * (1.0 + k as f64);
         }
-        assert!(judge(&dwells, &places, 1e-3, false).is_none());
+        assert!(judge(&dwells, &positions_m, 1e-3, false).is_none());
     }
 }

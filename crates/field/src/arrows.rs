@@ -24,13 +24,13 @@ pub fn arrows(map: &Prepared, most: usize) -> Vec<[[f64; 3]; 2]> {
     let step_m = (0.5 * size.product() / most.max(1) as f64).cbrt().max(FINEST_M);
     let counts = size.map(|length| (length / step_m) as usize + 1);
     let start = low + (size - (counts.map(|count| count as f64) - Vector3::repeat(1.0)) * step_m) / 2.0;
-    let places = (0..counts.x * counts.y * counts.z).map(|index| {
+    let positions_m = (0..counts.x * counts.y * counts.z).map(|index| {
         let cell = [index % counts.x, index / counts.x % counts.y, index / (counts.x * counts.y)];
         start + Vector3::from(cell.map(|count| count as f64)) * step_m
     });
-    places
-        .filter(|place| hull.outside_m(place) <= 0.0)
-        .map(|place| [place.into(), corrector.position(&place).into()])
+    positions_m
+        .filter(|position_m| hull.outside_m(position_m) <= 0.0)
+        .map(|position_m| [position_m.into(), corrector.position(&position_m).into()])
         .collect()
 }
 

@@ -53,7 +53,7 @@ pub struct Corrector {
     model: Model,
     metal: Option<Metal>,
     alignment: Aligned,
-    turn: UnitQuaternion<f64>,
+    rotation: UnitQuaternion<f64>,
     aligned: bool,
     keep_m: f64,
     noise: FieldNoise,
@@ -101,18 +101,18 @@ impl FieldMap {
         let sigma = trust::sigma(self, &positions, &shape, metal.as_ref());
         let rotations = Grid::by_index(shape, |index, z| {
             let z_in = self.hull.inward(z);
-            let mut turn = UnitQuaternion::identity();
+            let mut q = UnitQuaternion::identity();
             if let Some(metal) = &metal {
-                turn = by_metal(metal, &z_in, &(z_in + correction(&z_in)));
+                q = by_metal(metal, &z_in, &(z_in + correction(&z_in)));
             }
             if let Some(rotation) = &self.rotation {
-                turn = so3::exp(&rotation.at(&z_in)) * turn;
+                q = so3::exp(&rotation.at(&z_in)) * q;
             }
-            let turn = so3::log(&turn);
-            [turn.x, turn.y, turn.z, sigma[index]]
+            let rotation_vector_rad = so3::log(&q);
+            [rotation_vector_rad.x, rotation_vector_rad.y, rotation_vector_rad.z, sigma[index]]
         });
         let aligned = self.alignment != Aligned::default();
-        let turn = self.alignment.rotation();
+        let rotation = self.alignment.rotation();
         let model = self.model.clone();
         Corrector {
             positions,
@@ -120,7 +120,7 @@ impl FieldMap {
             model,
             metal,
             alignment: self.alignment,
-            turn,
+            rotation,
             aligned,
             keep_m,
             noise: self.noise,
@@ -140,7 +140,7 @@ impl Corrector {
     }
 
     fn align(&self, p: Vector3<f64>) -> Vector3<f64> {
-        if self.aligned { self.turn * p + Vector3::from(self.alignment.position_m) } else { p }
+        if self.aligned { self.rotation * p + Vector3::from(self.alignment.position_m) } else { p }
     }
 
     /// The corrected position of a reading `z` (transmitter frame, m), as in `Corrected::position_m`, without its
@@ -155,7 +155,7 @@ impl Corrector {
     /// folds the field there are several answers, and this is one of them.
     pub fn reading(&self, p: &Vector3<f64>) -> Vector3<f64> {
         let unaligned = if self.aligned {
-            self.turn.inverse() * (p - Vector3::from(self.alignment.position_m))
+            self.rotation.inverse() * (p - Vector3::from(self.alignment.position_m))
         } else {
             *p
         };
@@ -192,6 +192,6 @@ impl Corrector {
     /// nearest point towards its middle is used. No error is stated; `docs/field.md` measures it.
     pub fn orientation(&self, z: &Vector3<f64>, orientation: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
         let [x, y, w, _] = self.rotations.trilinear(z);
-        self.turn * so3::exp(&Vector3::new(x, y, w)) * orientation
+        self.rotation * so3::exp(&Vector3::new(x, y, w)) * orientation
     }
 }

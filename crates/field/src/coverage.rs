@@ -169,12 +169,12 @@ fn cells(run: &PoleRun, hull: &Hull) -> (f64, Vec<Vector3<f64>>) {
     }
     let (mut covered, mut empty) = (0usize, Vec::new());
     for (index, near) in near.iter().enumerate() {
-        let place = at(index);
-        if hull.outside_m(&place) < -INSIDE_M {
+        let position_m = at(index);
+        if hull.outside_m(&position_m) < -INSIDE_M {
             if *near {
                 covered += 1;
             } else {
-                empty.push(place);
+                empty.push(position_m);
             }
         }
     }

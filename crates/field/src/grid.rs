@@ -42,7 +42,7 @@ impl Shape {
     }
 
     /// Indices of the eight nodes around `p`; at the edge outside.
-    pub(crate) fn around_place(&self, p: &Vector3<f64>) -> [usize; 8] {
+    pub(crate) fn nodes_around(&self, p: &Vector3<f64>) -> [usize; 8] {
         let [i, j, k] = [0, 1, 2].map(|axis| {
             let x = ((p[axis] - self.low_m[axis]) / self.step_m).max(0.0);
             (x as usize).min(self.counts[axis] - 2)
@@ -52,7 +52,7 @@ impl Shape {
     }
 
     /// Place of node `index`, m.
-    pub(crate) fn place(&self, index: usize) -> Vector3<f64> {
+    pub(crate) fn position_m(&self, index: usize) -> Vector3<f64> {
         let [nx, ny, _] = self.counts;
         let at = [index % nx, index / nx % ny, index / (nx * ny)];
         Vector3::from_fn(|axis, _| self.low_m[axis] + at[axis] as f64 * self.step_m)
@@ -73,14 +73,14 @@ pub(crate) struct Grid {
 impl Grid {
     /// Asks for the values at all nodes.
     pub(crate) fn new(shape: Shape, at: impl Fn(&Vector3<f64>) -> [f64; 4] + Sync) -> Self {
-        Self::by_index(shape, |_, place| at(place))
+        Self::by_index(shape, |_, position_m| at(position_m))
     }
 
     /// The same with each node's index.
     pub(crate) fn by_index(shape: Shape, at: impl Fn(usize, &Vector3<f64>) -> [f64; 4] + Sync) -> Self {
         let values: Vec<[f32; 4]> = (0..shape.len())
             .into_par_iter()
-            .map(|index| at(index, &shape.place(index)).map(|x| x as f32))
+            .map(|index| at(index, &shape.position_m(index)).map(|x| x as f32))
             .collect();
         let spline = coefficients(&shape, &values);
         Self { shape, values, spline, details: Vec::new(), patches: Vec::new() }
@@ -98,22 +98,22 @@ impl Grid {
         let refined: Vec<Option<Option<Patch>>> = (0..this.shape.len())
             .into_par_iter()
             .map(|index| {
-                let low = this.shape.place(index);
-                let within = |place: [f64; 3]| low + Vector3::from(place) * step;
+                let low = this.shape.position_m(index);
+                let within = |share: [f64; 3]| low + Vector3::from(share) * step;
                 let middle = within([0.5; 3]);
                 let tolerance = tolerance(&middle)?;
-                let off = |place: &Vector3<f64>| far(&this.cubic(place), &exact(place));
+                let off = |position_m: &Vector3<f64>| far(&this.cubic(position_m), &exact(position_m));
                 // Where the middle is nearly too bad, other places may be.
                 let first = off(&middle);
                 let smooth = first < 0.25 * tolerance
-                    || first <= tolerance && TRIED.into_iter().all(|place| off(&within(place)) <= tolerance);
+                    || first <= tolerance && TRIED.into_iter().all(|share| off(&within(share)) <= tolerance);
                 if smooth {
                     return None;
                 }
-                let patch = Patch::new(|place| exact(&within(place)));
-                let holds = |place: [f64; 3]| {
-                    let found = patch.at(place.map(|x| x as f32)).map(f64::from);
-                    far(&found, &exact(&within(place))) <= tolerance
+                let patch = Patch::new(|share| exact(&within(share)));
+                let holds = |share: [f64; 3]| {
+                    let found = patch.at(share.map(|x| x as f32)).map(f64::from);
+                    far(&found, &exact(&within(share))) <= tolerance
                 };
                 Some(TRIED.into_iter().all(holds).then_some(patch))
             })
@@ -286,7 +286,7 @@ mod tests {
     fn the_spline_runs_through_the_nodes_and_near_the_function_between_them() {
         let grid = grid();
         for index in (0..grid.shape.len()).step_by(97) {
-            let (p, values) = (grid.shape.place(index), grid.values[index].map(f64::from));
+            let (p, values) = (grid.shape.position_m(index), grid.values[index].map(f64::from));
             // The outermost ring is only there to be leant on.
             if grid.cell(&p, 1).1.iter().all(|rest| (0.0..=1.0).contains(rest)) && inner(&grid, &p) {
                 for (a, b) in grid.cubic(&p).iter().zip(values) {

@@ -21,8 +21,8 @@ const BLOCK: usize = 50;
 
 fn problem(pairs: &[(Vector3<f64>, Vector3<f64>)], noise: &FieldNoise) -> Problem {
     let mut problem = Problem::new(FOLDS);
-    for (index, (reading, place)) in pairs.iter().enumerate() {
-        problem.push_known(index / BLOCK, *reading, *place, noise);
+    for (index, (reading, position_m)) in pairs.iter().enumerate() {
+        problem.push_known(index / BLOCK, *reading, *position_m, noise);
     }
     problem
 }

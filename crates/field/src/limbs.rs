@@ -28,8 +28,8 @@ const BLOCK_S: f64 = 4.0;
 const FOLDS: usize = 10;
 /// Pairs of readings at joints that are enough.
 const ENOUGH: usize = 7000;
-/// Turns between offsets and map; the basis is chosen anew in some.
-const TURNS: usize = 6;
+/// Iterations between offsets and map; the basis is chosen anew in some.
+const ITERATIONS: usize = 6;
 const CHOOSE_EVERY: usize = 3;
 /// Least and first gap at a joint that is expected whatever the map, per axis, m: skin moves.
 const LEAST_GAP_M: f64 = 3e-4;
@@ -89,7 +89,7 @@ struct Look {
 /// A look as the current model corrects it.
 struct Corrected {
     y: [Vector3<f64>; 2],
-    turn: [Matrix3<f64>; 2],
+    rotation: [Matrix3<f64>; 2],
 }
 
 /// Estimates a map from a session of a person who wears sensors. `progress` hears shares of the work from 0 to 1.
@@ -170,7 +170,7 @@ pub fn solve_limbs(run: PoleRun, limbs: &Limbs, progress: &mut dyn FnMut(f64)) -
     Solution { map: Some(map), report, polynomials, rejected: Vec::new() }
 }
 
-/// Where turns between joints and map have led.
+/// Where iterations between joints and map have led.
 struct Followed {
     chosen: Chosen,
     problem: Problem,
@@ -195,17 +195,17 @@ fn follow(
     let mut model = Model::default();
     let mut ways = vec![[Vector3::zeros(); 2]; limbs.joints.len()];
     let mut raw: Option<Problem> = None;
-    for turn in 0..=TURNS {
+    for iteration in 0..=ITERATIONS {
         let corrected = correct(looks, &model);
         fit_ways(looks, &corrected, limbs, gap_m, &mut ways);
         gap_m = typical_gap(looks, &corrected, &ways).clamp(LEAST_GAP_M, 4.0 * FIRST_GAP_M);
         let problem = problem_of(looks, &ways, &weighting(noise, gap_m));
         let raw = raw.get_or_insert_with(|| problem.clone());
-        if turn == TURNS || turn % CHOOSE_EVERY == 0 {
+        if iteration == ITERATIONS || iteration % CHOOSE_EVERY == 0 {
             let selection = Selection::new(&problem);
             let selection = if metal_only { selection.metal_only() } else { selection };
             let chosen = selection.choose(&mut |_| {})?;
-            if turn == TURNS {
+            if iteration == ITERATIONS {
                 let raw = raw.clone();
                 return Some(Followed { chosen, problem, raw, gap_m });
             }
@@ -213,7 +213,7 @@ fn follow(
         } else if let Some(fitted) = fit(&problem, &model, 3) {
             model = fitted.model;
         }
-        progress((turn + 1) as f64 / (TURNS + 1) as f64);
+        progress((iteration + 1) as f64 / (ITERATIONS + 1) as f64);
     }
     None
 }
@@ -262,17 +262,17 @@ fn correct(looks: &[Look], model: &Model) -> Vec<Corrected> {
         .iter()
         .map(|look| {
             let y = look.z.map(|z| evaluator.correct(&z));
-            let turn = [0, 1].map(|k| {
+            let rotation = [0, 1].map(|k| {
                 let undone = |metal: &Metal| by_metal(metal, &look.z[k], &y[k]) * look.q[k];
                 metal.as_ref().map_or(look.q[k], undone).to_rotation_matrix().into_inner()
             });
-            Corrected { y, turn }
+            Corrected { y, rotation }
         })
         .collect()
 }
 
 fn gap(corrected: &Corrected, ways: &[Vector3<f64>; 2]) -> Vector3<f64> {
-    let ends = [0, 1].map(|k| corrected.y[k] + corrected.turn[k] * ways[k]);
+    let ends = [0, 1].map(|k| corrected.y[k] + corrected.rotation[k] * ways[k]);
     ends[0] - ends[1]
 }
 
@@ -305,7 +305,7 @@ fn fit_ways(
             let apart = gap(corrected, &ways[look.joint]).norm() / (3.0 * 1.4 * gap_m);
             let weight = if round > 0 && apart > 1.0 { 1.0 / apart } else { 1.0 } / sigma2;
             let [a, b] = [at(look.joint, 0), at(look.joint, 1)];
-            let across = corrected.turn[0].transpose() * corrected.turn[1] * weight;
+            let across = corrected.rotation[0].transpose() * corrected.rotation[1] * weight;
             let between = (corrected.y[1] - corrected.y[0]) * weight;
             for axis in 0..3 {
                 matrix[(a + axis, a + axis)] += weight;
@@ -316,9 +316,9 @@ fn fit_ways(
             let mut block = matrix.view_mut((b, a), (3, 3));
             block -= &across.transpose();
             let mut part = right.rows_mut(a, 3);
-            part += corrected.turn[0].transpose() * between;
+            part += corrected.rotation[0].transpose() * between;
             let mut part = right.rows_mut(b, 3);
-            part -= corrected.turn[1].transpose() * between;
+            part -= corrected.rotation[1].transpose() * between;
         }
         for (index, joint) in limbs.joints.iter().enumerate() {
             for side in 0..2 {

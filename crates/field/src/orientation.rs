@@ -184,8 +184,8 @@ impl Pole {
             .iter()
             .map(|sum| {
                 let svd = sum.svd(true, true);
-                let turn = svd.u? * svd.v_t?;
-                Some(UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(turn)))
+                let rotation = svd.u? * svd.v_t?;
+                Some(UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation)))
             })
             .map(|mount| mount.unwrap_or_else(UnitQuaternion::identity))
             .collect();

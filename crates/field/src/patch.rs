@@ -6,7 +6,7 @@
 /// Nodes along each axis.
 const NODES: usize = 5;
 /// Chebyshev nodes of the unit interval: `(1 - cos((2 k + 1) pi / 10)) / 2`.
-const PLACES: [f64; NODES] =
+const KNOTS: [f64; NODES] =
     [0.024_471_741_852_423, 0.206_107_373_853_763, 0.5, 0.793_892_626_146_237, 0.975_528_258_147_577];
 
 /// Values at the nodes, x fastest.
@@ -20,15 +20,15 @@ impl Patch {
     pub(crate) fn new(mut at: impl FnMut([f64; 3]) -> [f64; 4]) -> Self {
         let values = std::array::from_fn(|k| {
             let [i, j, l] = [k % NODES, k / NODES % NODES, k / (NODES * NODES)];
-            at([PLACES[i], PLACES[j], PLACES[l]]).map(|x| x as f32)
+            at([KNOTS[i], KNOTS[j], KNOTS[l]]).map(|x| x as f32)
         });
         Self { values }
     }
 
     /// The value at a place of the unit cube.
     #[inline]
-    pub(crate) fn at(&self, place: [f32; 3]) -> [f32; 4] {
-        let [wx, wy, wz] = place.map(weights);
+    pub(crate) fn at(&self, position: [f32; 3]) -> [f32; 4] {
+        let [wx, wy, wz] = position.map(weights);
         let mut sum = [0.0_f32; 4];
         for (plane, wz) in self.values.chunks_exact(NODES * NODES).zip(wz) {
             for (row, wy) in plane.chunks_exact(NODES).zip(wy) {
@@ -51,7 +51,7 @@ impl Patch {
 /// Lagrange's polynomials of the nodes.
 fn weights(t: f32) -> [f32; NODES] {
     const SCALES: [f32; NODES] = scales();
-    let away: [f32; NODES] = std::array::from_fn(|k| t - PLACES[k] as f32);
+    let away: [f32; NODES] = std::array::from_fn(|k| t - KNOTS[k] as f32);
     let mut weights = SCALES;
     let (mut before, mut after) = (1.0, 1.0);
     for k in 0..NODES {
@@ -71,7 +71,7 @@ const fn scales() -> [f32; NODES] {
         let (mut product, mut other) = (1.0, 0);
         while other < NODES {
             if other != k {
-                product *= PLACES[k] - PLACES[other];
+                product *= KNOTS[k] - KNOTS[other];
             }
             other += 1;
         }
@@ -89,9 +89,9 @@ mod tests {
     fn a_polynomial_of_degree_four_comes_back() {
         let f = |[x, y, z]: [f64; 3]| [x.powi(4) - y * z, x * y.powi(3), 0.3 - z.powi(4), 1.0];
         let patch = Patch::new(f);
-        for place in [[0.0, 0.0, 0.0], [1.0, 0.0, 0.5], [0.3, 0.9, 0.1], [1.0, 1.0, 1.0]] {
-            for (found, expected) in patch.at(place.map(|x| x as f32)).iter().zip(f(place)) {
-                assert!((f64::from(*found) - expected).abs() < 3e-6, "{place:?} {found} {expected}");
+        for position in [[0.0, 0.0, 0.0], [1.0, 0.0, 0.5], [0.3, 0.9, 0.1], [1.0, 1.0, 1.0]] {
+            for (found, expected) in patch.at(position.map(|x| x as f32)).iter().zip(f(position)) {
+                assert!((f64::from(*found) - expected).abs() < 3e-6, "{position:?} {found} {expected}");
             }
         }
     }
@@ -105,9 +105,9 @@ mod tests {
         };
         let patch = Patch::new(f);
         for k in 0..50 {
-            let place = [0.37, 0.71, 0.19].map(|step: f64| (step * f64::from(k)).fract());
-            let found = f64::from(patch.at(place.map(|x| x as f32))[0]);
-            assert!((found - f(place)[0]).abs() < 2e-4, "{place:?} {found}");
+            let position = [0.37, 0.71, 0.19].map(|step: f64| (step * f64::from(k)).fract());
+            let found = f64::from(patch.at(position.map(|x| x as f32))[0]);
+            assert!((found - f(position)[0]).abs() < 2e-4, "{position:?} {found}");
         }
     }
 }

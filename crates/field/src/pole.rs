@@ -152,7 +152,7 @@ impl PoleRun {
         if !(3..=MAX_SENSORS).contains(&count) {
             return Err(PoleError::Sensors(count));
         }
-        let mut places: Vec<Vec<f64>> = vec![Vec::new(); count];
+        let mut coordinates_m: Vec<Vec<f64>> = vec![Vec::new(); count];
         for frame in &self.frames {
             let known: Vec<(usize, Vector3<f64>)> = frame
                 .readings
@@ -172,13 +172,14 @@ impl PoleRun {
                 (mean, if direction.dot(&guess) < 0.0 { -direction } else { direction })
             };
             for (k, p) in known {
-                places[k].push((p - mean).dot(&along));
+                coordinates_m[k].push((p - mean).dot(&along));
             }
         }
-        if places.iter().all(Vec::is_empty) {
+        if coordinates_m.iter().all(Vec::is_empty) {
             return Err(PoleError::Empty);
         }
-        let medians: Vec<f64> = places.iter_mut().map(|place| median(place).unwrap_or(f64::NAN)).collect();
+        let medians: Vec<f64> =
+            coordinates_m.iter_mut().map(|values| median(values).unwrap_or(f64::NAN)).collect();
         let mut order: Vec<usize> = (0..count).filter(|k| medians[*k].is_finite()).collect();
         order.sort_by(|a, b| medians[*a].total_cmp(&medians[*b]));
         if order.windows(2).all(|pair| pair[0] < pair[1]) || order.windows(2).all(|pair| pair[0] > pair[1]) {

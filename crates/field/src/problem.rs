@@ -132,14 +132,19 @@ impl Problem {
         &mut self,
         fold: usize,
         z: Vector3<f64>,
-        place: Vector3<f64>,
+        position_m: Vector3<f64>,
         noise: &FieldNoise,
     ) {
         let start = self.z.len();
         self.z.push(z);
         self.offsets.push(0.0);
         self.whiteners.push(noise.whitener(&z));
-        self.groups.push(Group { start, end: start + 1, fold: fold % self.folds, kind: Kind::Known(place) });
+        self.groups.push(Group {
+            start,
+            end: start + 1,
+            fold: fold % self.folds,
+            kind: Kind::Known(position_m),
+        });
     }
 
     /// Adds both sensors at a joint: each reading with its way to the joint, turned as the sensor was measured, m.
@@ -218,8 +223,11 @@ impl Problem {
                     scratch.shift[k] = turned(evaluator.metal(), z, &scratch.y[k], &ways[k]);
                     for (change, metal) in derivatives.chunks_exact_mut(3).zip(&moved) {
                         let y = scratch.y[k] + Vector3::from_column_slice(change) * STEP;
-                        let turn = (turned(Some(metal), z, &y, &ways[k]) - scratch.shift[k]) / STEP;
-                        change.iter_mut().zip(turn.iter()).for_each(|(change, turn)| *change += turn);
+                        let by_rotation = (turned(Some(metal), z, &y, &ways[k]) - scratch.shift[k]) / STEP;
+                        change
+                            .iter_mut()
+                            .zip(by_rotation.iter())
+                            .for_each(|(change, by_rotation)| *change += by_rotation);
                     }
                 }
                 for parameter in 0..parameters {
@@ -304,8 +312,8 @@ impl Problem {
     fn residual(&self, group: &Group, scratch: &mut Scratch) {
         let whiteners = &self.whiteners[group.start..group.end];
         match group.kind {
-            Kind::Known(place) => {
-                let difference = scratch.y[0] - place;
+            Kind::Known(position_m) => {
+                let difference = scratch.y[0] - position_m;
                 let weight = huber_weight((whiteners[0] * difference).norm());
                 scratch.difference[0] = difference;
                 scratch.loss = huber_loss((whiteners[0] * difference).norm());

@@ -30,7 +30,7 @@ const IMAGES_M: [f64; 8] = [0.4, 0.6, 0.9, 1.3, 1.8, 2.4, 3.2, 4.5];
 
 /// A reading relative to the candidates.
 struct WhitenedReading {
-    place: Vector3<f64>,
+    position_m: Vector3<f64>,
     whitened: SMatrix<f64, 3, 9>,
 }
 
@@ -103,14 +103,14 @@ fn see(problem: &Problem, model: &Model) -> Vec<Row> {
         let seen: Option<Vec<WhitenedReading>> = (0..count)
             .map(|k| {
                 let z = &problem.z[start + k];
-                let place = metal.place(z)?;
-                let mut by_field = place.by_field;
+                let position = metal.position(z)?;
+                let mut by_field = position.by_field;
                 // A source moves a joint by moving its sensor and by turning the way from there.
                 let way = scratch.shift.get(k).filter(|way| **way != Vector3::zeros());
                 if let Some(way) = way {
-                    by_field -= so3::hat(way) * turning(&metal, z, &place)?;
+                    by_field -= so3::hat(way) * turning(&metal, z, &position)?;
                 }
-                Some(WhitenedReading { place: place.p, whitened: scratch.whitener[k] * by_field })
+                Some(WhitenedReading { position_m: position.p, whitened: scratch.whitener[k] * by_field })
             })
             .collect();
         if let Some(seen) = seen {
@@ -131,12 +131,12 @@ fn gain(rows: &[&Row], candidate: Source) -> Option<(f64, Source)> {
     for row in rows {
         v.clear();
         // Beside the metal nothing is linear.
-        let near = |seen: &WhitenedReading| (seen.place - position).norm() < NEAREST_M;
+        let near = |seen: &WhitenedReading| (seen.position_m - position).norm() < NEAREST_M;
         if candidate.kind == Kind::Object && row.seen.iter().any(near) {
             continue;
         }
         for seen in &row.seen {
-            v.extend(times(&seen.whitened, &prepared.field(&seen.place)).iter());
+            v.extend(times(&seen.whitened, &prepared.field(&seen.position_m)).iter());
         }
         let mut own = [0.0; 5];
         for (value, pose) in v.iter().zip(&row.pose) {

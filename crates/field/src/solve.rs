@@ -211,15 +211,17 @@ pub(crate) fn uncertainty(
     absolute: bool,
 ) -> Uncertainty {
     let shape = coarse(hull);
-    let places: Vec<Vector3<f64>> = (0..shape.len()).map(|k| hull.inward(&shape.place(k))).collect();
+    let positions_m: Vec<Vector3<f64>> =
+        (0..shape.len()).map(|k| hull.inward(&shape.position_m(k))).collect();
     let evaluator = model.evaluator();
-    let whole: Vec<Vector3<f64>> = places.par_iter().map(|z| evaluator.correct(z)).collect();
+    let whole: Vec<Vector3<f64>> = positions_m.par_iter().map(|z| evaluator.correct(z)).collect();
     let squares: Vec<Vec<f64>> = held_out
         .models
         .par_iter()
         .map(|without| {
             let evaluator = without.evaluator();
-            let pairs: Vec<_> = places.iter().zip(&whole).map(|(z, y)| (evaluator.correct(z), *y)).collect();
+            let pairs: Vec<_> =
+                positions_m.iter().zip(&whole).map(|(z, y)| (evaluator.correct(z), *y)).collect();
             let motion = if absolute { Isometry3::identity() } else { rigid(&pairs) };
             pairs
                 .iter()
@@ -229,11 +231,11 @@ pub(crate) fn uncertainty(
         .collect();
     let excesses = excesses(problem, model, held_out, noise);
     let folds = held_out.models.len() as f64;
-    let sigma_m = (0..places.len())
+    let sigma_m = (0..positions_m.len())
         .into_par_iter()
         .map(|k| {
             let jackknife = (folds - 1.0) / folds * squares.iter().map(|fold| fold[k]).sum::<f64>();
-            (jackknife + excess_near(&excesses, &places[k])).sqrt()
+            (jackknife + excess_near(&excesses, &positions_m[k])).sqrt()
         })
         .collect();
     Uncertainty { shape, sigma_m }
@@ -265,10 +267,10 @@ fn excesses(
 }
 
 /// Mean square near a place beyond the noise, m^2.
-fn excess_near(readings: &[(Vector3<f64>, f64, f64)], place: &Vector3<f64>) -> f64 {
+fn excess_near(readings: &[(Vector3<f64>, f64, f64)], position_m: &Vector3<f64>) -> f64 {
     let (mut square, mut expected, mut weights) = (0.0, 0.0, 0.0);
     for (z, of, noise) in readings {
-        let far = (z - place).norm_squared() / (EXCESS_REACH_M * EXCESS_REACH_M);
+        let far = (z - position_m).norm_squared() / (EXCESS_REACH_M * EXCESS_REACH_M);
         let weight = 1.0 / ((1.0 + far) * (1.0 + far) * (1.0 + far));
         square += weight * of;
         expected += weight * noise;

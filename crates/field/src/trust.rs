@@ -45,7 +45,7 @@ pub(crate) fn sigma(map: &FieldMap, positions: &Grid, shape: &Shape, metal: Opti
     (0..shape.len())
         .into_par_iter()
         .map(|index| {
-            let z = shape.place(index);
+            let z = shape.position_m(index);
             let calibration = known.trilinear(&z)[3].powi(2);
             let noise = stretched_m2(&map.noise, &z, correct);
             let undecided = undecided.as_ref().map_or(0.0, |squares| squares[index]);
@@ -86,22 +86,22 @@ fn undecided(map: &FieldMap, metal: &Metal, shape: &Shape) -> Vec<f64> {
         let close = Shape::around(&[center, center], CLOSE_REACH_M, CLOSE_STEP_M);
         tried.push((close, (CLOSE_STEP_M / TRIED_STEP_M).powi(3)));
     }
-    let off = |place: Vector3<f64>| {
-        if map.hull.outside_m(&place) > TRIED_MARGIN_M || metal.surface(&place) < CLEAR_M {
+    let off = |position_m: Vector3<f64>| {
+        if map.hull.outside_m(&position_m) > TRIED_MARGIN_M || metal.surface(&position_m) < CLEAR_M {
             return None;
         }
-        let z = metal.reading(&place);
+        let z = metal.reading(&position_m);
         let found = map.model.answer_in(Some(metal), &z, None);
         // A polynomial or bumps beside the metal have no reading of their own: what they add is no doubt.
         let rest = found - metal.find(&z, None).unwrap_or(z);
-        Some((z, (found - rest - place).norm_squared()))
+        Some((z, (found - rest - position_m).norm_squared()))
     };
     let mut sums = vec![Sheets::default(); shape.len()];
-    for (places, volume) in &tried {
+    for (nodes, volume) in &tried {
         let found: Vec<Option<(Vector3<f64>, f64)>> =
-            (0..places.len()).into_par_iter().map(|index| off(places.place(index))).collect();
+            (0..nodes.len()).into_par_iter().map(|index| off(nodes.position_m(index))).collect();
         for (z, square) in found.into_iter().flatten() {
-            for corner in shape.around_place(&z) {
+            for corner in shape.nodes_around(&z) {
                 sums[corner].add(*volume, square);
             }
         }
@@ -109,7 +109,7 @@ fn undecided(map: &FieldMap, metal: &Metal, shape: &Shape) -> Vec<f64> {
     sums.into_par_iter()
         .enumerate()
         .map(|(index, sheets)| {
-            let z = shape.place(index);
+            let z = shape.position_m(index);
             let answered =
                 map.hull.outside_m(&z) > 0.0 || metal.find(&z, None).is_some_and(|p| metal.surface(&p) > 0.0);
             sheets.mean_square_m2() + if answered { 0.0 } else { NO_ANSWER_M * NO_ANSWER_M }
@@ -149,7 +149,7 @@ pub(crate) fn folded(model: &Model, hull: &Hull) -> f64 {
     let corrected: Vec<Option<Vector3<f64>>> = (0..shape.len())
         .into_par_iter()
         .map(|index| {
-            let z = shape.place(index);
+            let z = shape.position_m(index);
             (hull.outside_m(&z) < 0.0).then(|| evaluator.correct(&z))
         })
         .collect();
@@ -230,11 +230,11 @@ mod tests {
         let sigma = |p: Vector3<f64>| corrector.correct(&metal.reading(&p));
         assert!(!sigma(Vector3::new(1.0, 0.0, 0.8)).extrapolated);
         assert!(sigma(Vector3::new(1.0, 0.0, 0.8)).sigma_m < 0.02);
-        let place = Vector3::new(1.1, -0.3, 0.9);
+        let position_m = Vector3::new(1.1, -0.3, 0.9);
         let turned = Isometry3::new(Vector3::new(3.0, -1.0, 0.5), Vector3::new(0.3, 1.2, -0.7));
         let elsewhere = FieldMap { alignment: Aligned::from(&turned), ..map.clone() }.corrector();
-        let seen = elsewhere.reading(&(turned * nalgebra::Point3::from(place)).coords);
-        assert!((seen - metal.reading(&place)).norm() < 2e-4, "{seen}");
+        let seen = elsewhere.reading(&(turned * nalgebra::Point3::from(position_m)).coords);
+        assert!((seen - metal.reading(&position_m)).norm() < 2e-4, "{seen}");
         // Ten centimetres beside the surface: what is read there is read elsewhere too.
         let beside = sigma(Vector3::new(1.21, -1.39, 1.30));
         assert!(beside.extrapolated && beside.sigma_m > 0.05, "{beside:?}");

@@ -36,10 +36,10 @@ impl Bench {
             let mut noise = |sigma: f64| Vector3::from_fn(|_, _| sigma * normal(&mut self.random));
             let still = Vector3::new(1.0, 0.3, 0.5) + noise(3e-4) + reference(t);
             let hand = Vector3::new(1.2 + 0.4 * (0.7 * t).sin(), 0.5 * (0.9 * t).cos(), 0.4) + noise(3e-4);
-            let turn = Vector3::new((0.3 * t).cos(), (0.3 * t).sin(), 0.0);
+            let direction = Vector3::new((0.3 * t).cos(), (0.3 * t).sin(), 0.0);
             // What the map leaves changes with the place.
             let rest = 3e-4 * (2.0 * hand.x).sin();
-            let other = hand + turn * (0.2 + rest + apart(t)) + noise(3e-4);
+            let other = hand + direction * (0.2 + rest + apart(t)) + noise(3e-4);
             let seen = [still, hand, other].map(|p| WatchedPosition {
                 measured_m: Some(p),
                 tracked_m: Some(p),

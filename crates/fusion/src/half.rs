@@ -67,8 +67,8 @@ impl Half {
 
     /// Turns the error's axes, after the reference that it is local to has been corrected.
     pub(super) fn reset(&mut self, jacobian: &Matrix3<f64>) {
-        let mut turn = Matrix6::identity();
-        turn.fixed_view_mut::<3, 3>(0, 0).copy_from(jacobian);
-        self.0 = turn * self.0 * turn.transpose();
+        let mut transform = Matrix6::identity();
+        transform.fixed_view_mut::<3, 3>(0, 0).copy_from(jacobian);
+        self.0 = transform * self.0 * transform.transpose();
     }
 }

@@ -214,23 +214,23 @@ impl Track {
             let along = innovation.dot(&learnt.last_innovation_m);
             adapt(&mut learnt.acceleration2, tuning.acceleration_m_s2, nis, along);
             learnt.last_innovation_m = innovation;
-            if let Some((error, rate)) = self.translation.update(&innovation, &r) {
+            if let Some((error, velocity_m_s)) = self.translation.update(&innovation, &r) {
                 self.position_m += error;
-                self.velocity_m_s += rate;
+                self.velocity_m_s += velocity_m_s;
             }
         }
         if let Some(orientation) = &pose.orientation {
             let innovation = expected.rotation_innovation(orientation);
-            let place = self.has.position.then_some(&self.position_m);
-            let r = noise.rotation_rad2(place) * expected.rotation_noise_scale;
+            let position_m = self.has.position.then_some(&self.position_m);
+            let r = noise.rotation_rad2(position_m) * expected.rotation_noise_scale;
             let nis = squared_distance(&(self.rotation.error() + r), &innovation) / 3.0;
             let along = innovation.dot(&learnt.last_innovation_rad);
             adapt(&mut learnt.angular_acceleration2, tuning.angular_acceleration_rad_s2, nis, along);
             learnt.last_innovation_rad = innovation;
-            if let Some((error, rate)) = self.rotation.update(&innovation, &r) {
+            if let Some((error, angular_velocity_rad_s)) = self.rotation.update(&innovation, &r) {
                 self.orientation *= so3::exp(&error);
                 self.orientation.renormalize_fast();
-                self.angular_velocity_rad_s += rate;
+                self.angular_velocity_rad_s += angular_velocity_rad_s;
                 self.rotation.reset(&so3::right_jacobian(&error));
             }
         }

@@ -14,8 +14,8 @@ fn propagate(
     dt: f64,
 ) -> (UnitQuaternion<f64>, Vector3<f64>) {
     let turned = orientation * so3::exp(&error.fixed_rows::<3>(0).into_owned());
-    let rate = w + error.fixed_rows::<3>(3);
-    (turned * so3::exp(&(rate * dt)), rate)
+    let angular_velocity_rad_s = w + error.fixed_rows::<3>(3);
+    (turned * so3::exp(&(angular_velocity_rad_s * dt)), angular_velocity_rad_s)
 }
 
 #[test]
@@ -28,12 +28,12 @@ fn the_rotation_transition_is_the_derivative_of_the_motion() {
         for column in 0..6 {
             let mut error = Vector6::zeros();
             error[column] = step;
-            let (plus, rate_plus) = propagate(&orientation, &w, &error, dt);
-            let (minus, rate_minus) = propagate(&orientation, &w, &-error, dt);
-            let turn = so3::log(&(minus.inverse() * plus)) / (2.0 * step);
-            let rate = (rate_plus - rate_minus) / (2.0 * step);
-            assert!((analytic.fixed_view::<3, 1>(0, column) - turn).norm() < 1e-7);
-            assert!((analytic.fixed_view::<3, 1>(3, column) - rate).norm() < 1e-7);
+            let (plus, velocity_plus) = propagate(&orientation, &w, &error, dt);
+            let (minus, velocity_minus) = propagate(&orientation, &w, &-error, dt);
+            let by_rotation = so3::log(&(minus.inverse() * plus)) / (2.0 * step);
+            let by_angular_velocity = (velocity_plus - velocity_minus) / (2.0 * step);
+            assert!((analytic.fixed_view::<3, 1>(0, column) - by_rotation).norm() < 1e-7);
+            assert!((analytic.fixed_view::<3, 1>(3, column) - by_angular_velocity).norm() < 1e-7);
         }
     }
 }
@@ -78,8 +78,11 @@ fn the_errors_are_as_large_as_the_covariance_says() {
         let mut w = random.vector() * tuning.angular_velocity_rad_s;
         let measure = |p: &Vector3<f64>, q: &UnitQuaternion<f64>, random: &mut Random| {
             let position = NOISE.position_m2(p).cholesky().unwrap().l() * random.vector();
-            let turn = NOISE.rotation_rad2(Some(p)).cholesky().unwrap().l() * random.vector();
-            MeasuredPose { position_m: Some(p + position), orientation: Some(q * so3::exp(&turn)) }
+            let rotation_vector_rad = NOISE.rotation_rad2(Some(p)).cholesky().unwrap().l() * random.vector();
+            MeasuredPose {
+                position_m: Some(p + position),
+                orientation: Some(q * so3::exp(&rotation_vector_rad)),
+            }
         };
         let mut track = Track::new(Timestamp::ZERO, &measure(&p, &q, &mut random), &NOISE, &tuning);
         for step in 1..=steps {
@@ -87,9 +90,9 @@ fn the_errors_are_as_large_as_the_covariance_says() {
             let mut driven = |sigma: f64| {
                 let (n1, n2) = (random.vector(), random.vector());
                 let density = (sigma * sigma * dt).sqrt();
-                let rate = n1 * (density * dt.sqrt());
-                let drift = rate * (0.5 * dt) + n2 * (density * (dt.powi(3) / 12.0).sqrt());
-                (drift, rate)
+                let velocity = n1 * (density * dt.sqrt());
+                let drift = velocity * (0.5 * dt) + n2 * (density * (dt.powi(3) / 12.0).sqrt());
+                (drift, velocity)
             };
             let (dp, dv) = driven(a);
             p += v * dt + dp;

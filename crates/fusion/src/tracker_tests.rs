@@ -27,8 +27,12 @@ fn noisy(
     random: &mut Random,
 ) -> MeasuredPose {
     let position: Vector3<f64> = noise.position_m2(&truth.0).cholesky().unwrap().l() * random.vector();
-    let turn: Vector3<f64> = noise.rotation_rad2(Some(&truth.0)).cholesky().unwrap().l() * random.vector();
-    MeasuredPose { position_m: Some(truth.0 + position), orientation: Some(truth.1 * so3::exp(&turn)) }
+    let rotation_vector_rad: Vector3<f64> =
+        noise.rotation_rad2(Some(&truth.0)).cholesky().unwrap().l() * random.vector();
+    MeasuredPose {
+        position_m: Some(truth.0 + position),
+        orientation: Some(truth.1 * so3::exp(&rotation_vector_rad)),
+    }
 }
 
 fn push(
@@ -68,9 +72,9 @@ fn a_fast_hand_is_followed_within_five_sigma_whatever_the_noise() {
             let track = tracker.at(t(k)).unwrap();
             let error = (track.position_m().unwrap() - truth.0).norm();
             let sigma = scene.position_m2(&truth.0).trace().sqrt();
-            let turn = track.orientation().unwrap().angle_to(&truth.1);
-            let sigma_turn = scene.rotation_rad2(Some(&truth.0)).trace().sqrt();
-            wrong += usize::from(error > 5.0 * sigma || turn > 5.0 * sigma_turn);
+            let rotation_rad = track.orientation().unwrap().angle_to(&truth.1);
+            let sigma_rotation_rad = scene.rotation_rad2(Some(&truth.0)).trace().sqrt();
+            wrong += usize::from(error > 5.0 * sigma || rotation_rad > 5.0 * sigma_rotation_rad);
             within += usize::from(error < 3.0 * track.position_m2().trace().sqrt());
         }
         println!("noise x {factor}: wrong {wrong}, lost {lost}, within 3 stated sigma {within}");
@@ -97,8 +101,8 @@ fn flipped_bits_are_never_good_beyond_20_mm_or_5_degrees() {
             if push(&mut tracker, &mut detector, t(k), &pose).1 == Verdict::Used {
                 let track = tracker.at(t(k)).unwrap();
                 let error = (track.position_m().unwrap() - truth.0).norm();
-                let turn = track.orientation().unwrap().angle_to(&truth.1).to_degrees();
-                wrong += usize::from(error > 0.02 || turn > 5.0);
+                let rotation_deg = track.orientation().unwrap().angle_to(&truth.1).to_degrees();
+                wrong += usize::from(error > 0.02 || rotation_deg > 5.0);
             } else {
                 lost += 1;
             }
@@ -137,8 +141,8 @@ fn a_track_needs_agreeing_records_and_a_replaced_sensor_is_found_again() {
     let there = (Vector3::new(0.7, -0.3, -0.3), so3::exp(&Vector3::new(-1.0, 0.2, 0.5)));
     let mut verdicts = Vec::new();
     for k in 0..60 {
-        let place = if k < 30 { &here } else { &there };
-        verdicts.push(push(&mut tracker, &mut detector, t(k), &noisy(place, &noise, &mut random)).1);
+        let pose = if k < 30 { &here } else { &there };
+        verdicts.push(push(&mut tracker, &mut detector, t(k), &noisy(pose, &noise, &mut random)).1);
     }
     use Verdict::{Suspect, Used};
     assert_eq!(verdicts[..4], [Suspect, Suspect, Used, Used]);

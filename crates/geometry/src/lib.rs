@@ -71,9 +71,9 @@ mod tests {
     #[test]
     fn a_quarter_turn_about_z_keeps_the_order_of_the_components() {
         let half = std::f64::consts::FRAC_1_SQRT_2;
-        let turn = orientation_from_wxyz([half, 0.0, 0.0, half]).unwrap();
-        assert!((turn * Vector3::x() - Vector3::y()).norm() < 1e-15);
-        assert!((orientation_to_wxyz(&turn)[3] - half).abs() < 1e-15);
+        let rotation = orientation_from_wxyz([half, 0.0, 0.0, half]).unwrap();
+        assert!((rotation * Vector3::x() - Vector3::y()).norm() < 1e-15);
+        assert!((orientation_to_wxyz(&rotation)[3] - half).abs() < 1e-15);
     }
 
     #[test]

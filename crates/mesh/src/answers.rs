@@ -71,12 +71,12 @@ impl Answers {
             }
         };
         let _clock = session.declare_queryable(key).callback(tell_time).wait()?;
-        let (asked, questions) = bounded::<Query>(WAITING);
+        let (sender, questions) = bounded::<Query>(WAITING);
         let keys = [self.keys.status(), format!("{}/**", self.keys.recordings()), self.keys.ask("*")];
         let declare = |key: String| {
-            let asked = asked.clone();
+            let sender = sender.clone();
             // Where too many wait, who asks sees that there is no answer.
-            session.declare_queryable(key).callback(move |query| _ = asked.try_send(query)).wait()
+            session.declare_queryable(key).callback(move |query| _ = sender.try_send(query)).wait()
         };
         let _queryables = keys.into_iter().map(declare).collect::<zenoh::Result<Vec<_>>>()?;
         let _lookout = self.feed.twins().look(session, &self.keys, run)?;
@@ -100,12 +100,12 @@ impl Answers {
 
     /// The answer, or why there is none.
     fn answer(&self, query: &Query) -> zenoh::Result<Vec<u8>> {
-        let asked = query.key_expr().as_str().strip_prefix(self.keys.stage()).unwrap_or_default();
+        let requested = query.key_expr().as_str().strip_prefix(self.keys.stage()).unwrap_or_default();
         let number = |name: &str, absent: u64| match query.parameters().get(name) {
             None => Ok(absent),
             Some(text) => text.parse::<u64>().map_err(|_| format!("{name}: give a number, not {text:?}")),
         };
-        match asked.split('/').collect::<Vec<_>>()[..] {
+        match requested.split('/').collect::<Vec<_>>()[..] {
             ["", "status"] => match self.feed.status() {
                 status if status.is_empty() => Err("there is no status yet".into()),
                 status => Ok(status),

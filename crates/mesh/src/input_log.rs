@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn it_gives_what_is_asked_for_and_begins_later_where_that_is_gone() {
+    fn it_gives_what_is_requested_and_begins_later_where_that_is_gone() {
         let log = Log::new(7);
         for n in 0..400 {
             log.append(&chunk(n, 10));

@@ -147,11 +147,11 @@ impl Pair {
 }
 
 fn in_room(believed: &EstimatedPose, room: &Isometry3<f64>) -> MagneticPose {
-    let turn = room.rotation.to_rotation_matrix().into_inner();
+    let rotation = room.rotation.to_rotation_matrix().into_inner();
     MagneticPose {
         t_s: believed.t.as_secs_f64(),
         room_from_sensor: room * believed.pose,
-        position_cov_m2: turn * believed.position_m2 * turn.transpose()
+        position_cov_m2: rotation * believed.position_m2 * rotation.transpose()
             + Matrix3::identity() * LEFT_M.powi(2),
         rotation_var_rad2: believed.rotation_rad2 + LEFT_RAD.powi(2),
     }

@@ -88,8 +88,8 @@ impl Field {
     pub(super) fn uncorrected(&self, expected: Prediction) -> Prediction {
         let Some(corrector) = self.corrector() else { return expected };
         let z = corrector.reading(&expected.position_m);
-        let turn = corrector.orientation(&z, &UnitQuaternion::identity());
-        Prediction { position_m: z, orientation: turn.inverse() * expected.orientation, ..expected }
+        let rotation = corrector.orientation(&z, &UnitQuaternion::identity());
+        Prediction { position_m: z, orientation: rotation.inverse() * expected.orientation, ..expected }
     }
 
     /// What a disturbance may do to a sensor, per axis, m^2; `None` while there is none.

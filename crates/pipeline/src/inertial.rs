@@ -2,8 +2,8 @@
 //!
 //! What comes in: measurements, some of which hold only a part (a magnetometer slower than the gyro, an
 //! orientation in a message of its own). What goes out: one record per cycle with all that came since the last, how
-//! far it can be trusted, and the orientation. A unit that sends its rates is oriented here ([`Ahrs`]); one that only
-//! sends the orientation which it computes itself is believed. It never gives a position.
+//! far it can be trusted, and the orientation. A unit that sends its angular velocities is oriented here ([`Ahrs`]); one that
+//! only sends the orientation which it computes itself is believed. It never gives a position.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use posed_drivers::{Measurement, Timestamp};
@@ -16,11 +16,11 @@ use posed_stage::output::{self, Measured, PoseEstimate};
 
 /// How long an orientation goes on without a measurement, s.
 const COAST_S: f64 = 0.5;
-/// How long the last rate goes on without a measurement, s.
+/// How long the last angular velocity goes on without a measurement, s.
 const COAST_RATE_S: f64 = 0.1;
 /// Time that the filter of a sensor that has just appeared needs for its inclination, s.
 const SETTLING_S: f64 = 0.3;
-/// Shortest interval from which a rate is taken, s.
+/// Shortest interval from which an angular velocity is taken, s.
 const LEAST_INTERVAL_S: f64 = 2e-3;
 /// Standard deviation of the orientation about an axis of a unit that computes it itself and does not say how good it is, rad.
 const SIGMA_OWN: f64 = 0.02;
@@ -34,8 +34,8 @@ const WAITS_AT_FIRST_S: f64 = 0.1;
 pub(super) struct Inertial {
     filter: Ahrs,
     magnetometer: bool,
-    /// Whether records with rates have come: what lacks them only adds to the next one that has them.
-    has_rates: bool,
+    /// Whether records with angular velocities have come: what lacks them only adds to the next one that has them.
+    has_angular_velocity: bool,
     /// What came since the latest record, for the next.
     specific_force_m_s2: Waiting<[f64; 3]>,
     linear_acceleration_m_s2: Waiting<[f64; 3]>,
@@ -80,7 +80,7 @@ impl Inertial {
         Self {
             filter: Ahrs::new(Params { gyro_delay_s, ..Params::default() }),
             magnetometer,
-            has_rates: false,
+            has_angular_velocity: false,
             specific_force_m_s2: Waiting::NONE,
             linear_acceleration_m_s2: Waiting::NONE,
             magnetic_field: Waiting::NONE,
@@ -103,7 +103,7 @@ impl Inertial {
     pub(super) fn times(&self, measurement: &Measurement) -> bool {
         match measurement {
             Measurement::Imu { angular_velocity_rad_s, orientation_wxyz, .. } => {
-                angular_velocity_rad_s.is_some() || (!self.has_rates && orientation_wxyz.is_some())
+                angular_velocity_rad_s.is_some() || (!self.has_angular_velocity && orientation_wxyz.is_some())
             }
             Measurement::Pose { .. } => true,
         }
@@ -122,7 +122,7 @@ impl Inertial {
             return None;
         };
         let completes = self.times(measurement);
-        self.has_rates |= angular_velocity_rad_s.is_some();
+        self.has_angular_velocity |= angular_velocity_rad_s.is_some();
         self.specific_force_m_s2.put(t_valid, specific_force_m_s2);
         self.linear_acceleration_m_s2.put(t_valid, linear_acceleration_m_s2);
         self.magnetic_field.put(t_valid, magnetic_field);
@@ -158,7 +158,7 @@ impl Inertial {
         };
         let Some(oriented) = oriented else { return SUSPECT };
         self.last = Some(oriented);
-        // Units without rates may rest.
+        // Units without angular velocities may rest.
         let words = inertial.words();
         if words.is_some_and(|words| self.repetition.take(words, Evidence::Certain) == Repeats::Stuck) {
             return Finding::new(Verdict::Dropped, Label::anomalous(Cause::Stuck));
@@ -191,7 +191,7 @@ impl Inertial {
         (self.filter.rejected() == rejected).then_some(Oriented { t, orientation, angular_velocity_rad_s })
     }
 
-    /// The orientation that the unit computes; its rate comes from two of them.
+    /// The orientation that the unit computes; its angular velocity comes from two of them.
     fn reported(&self, measured: &Measured) -> Option<Oriented> {
         let t = measured.t_valid;
         let orientation = posed_geometry::orientation_from_wxyz(measured.orientation_wxyz?)?;
@@ -223,13 +223,13 @@ impl Inertial {
 
     /// Covariance of the orientation's error in sensor axes, rad²: the filter's own, and what the unit's calibration has left.
     fn rotation_rad2(&self, orientation: &UnitQuaternion<f64>) -> Matrix3<f64> {
-        if !self.has_rates {
+        if !self.has_angular_velocity {
             return Matrix3::identity() * SIGMA_OWN.powi(2);
         }
         let level = Vector3::new(CALIBRATED_TILT_RAD, CALIBRATED_TILT_RAD, CALIBRATED_HEADING_RAD);
-        let turn = orientation.to_rotation_matrix().into_inner();
+        let rotation = orientation.to_rotation_matrix().into_inner();
         self.filter.rotation_rad2()
-            + turn.transpose() * Matrix3::from_diagonal(&level.component_mul(&level)) * turn
+            + rotation.transpose() * Matrix3::from_diagonal(&level.component_mul(&level)) * rotation
     }
 }
 
@@ -273,7 +273,7 @@ mod tests {
                     magnetic_field,
                     orientation_wxyz,
                 });
-                assert!(part.is_none() || !self.inertial.has_rates);
+                assert!(part.is_none() || !self.inertial.has_angular_velocity);
             }
         }
 

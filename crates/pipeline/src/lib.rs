@@ -49,7 +49,7 @@ use thiserror::Error;
 use crate::frame::{Assembler, Frame};
 use attached::Attached;
 use body::BodyStage;
-pub use body::{ImuRecords, all_have_field, worn};
+pub use body::{ImuRecords, all_have_field, sensor_mount};
 use chain::ChainStage;
 use device::{Device, owner};
 pub use exercise::DEFAULT_SUBJECT;
@@ -91,7 +91,7 @@ pub enum PipelineError {
     },
     /// Two IMUs sit on one segment of the human skeleton.
     #[error("sensors {:?} and {:?} sit on the same segment: give each a `segment` of its own", sensors[0], sensors[1])]
-    Worn {
+    SameSegment {
         /// The two, by name.
         sensors: [String; 2],
     },

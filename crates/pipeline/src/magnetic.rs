@@ -28,8 +28,8 @@ struct Reading {
     raw: MeasuredPose,
     corrected: MeasuredPose,
     velocity_m_s: Vector3<f64>,
-    /// Of the corrected position, m^2, and of the turn about an axis, rad^2: the device's noise as the filter has learnt it, and
-    /// what the field leaves.
+    /// Of the corrected position, m^2, and of the rotation about an axis, rad^2: the device's noise as the filter has learnt
+    /// it, and what the field leaves.
     position_m2: Matrix3<f64>,
     rotation_rad2: f64,
 }
@@ -39,7 +39,7 @@ struct Reading {
 pub(super) struct EstimatedPose {
     pub(super) t: Timestamp,
     pub(super) pose: Isometry3<f64>,
-    /// Covariance of the position, m^2, and of the turn about an axis, rad^2.
+    /// Covariance of the position, m^2, and of the rotation about an axis, rad^2.
     pub(super) position_m2: Matrix3<f64>,
     pub(super) rotation_rad2: f64,
 }
@@ -127,7 +127,7 @@ impl Magnetic {
         let doubted = by_map == Some(Class::Anomalous) || checked.label.class == Class::Unknown;
         if verdict == Verdict::Used && !doubted {
             self.map_sigma_m = map_m2.sqrt();
-            let (noise, place) = (self.tracker.noise(), checked.pose.position_m.unwrap_or_default());
+            let (noise, position_m) = (self.tracker.noise(), checked.pose.position_m.unwrap_or_default());
             let learnt = self.tracker.expectation(t);
             let [position, rotation] =
                 learnt.map_or([1.0; 2], |e| [e.position_noise_scale, e.rotation_noise_scale]);
@@ -136,8 +136,8 @@ impl Magnetic {
                 raw: checked.pose,
                 corrected: corrected.pose,
                 velocity_m_s: self.tracker.at(t).map_or(Vector3::zeros(), |track| *track.velocity_m_s()),
-                position_m2: noise.position_m2(&place) * position + Matrix3::identity() * (map_m2 / 3.0),
-                rotation_rad2: noise.rotation_rad2(Some(&place))[(0, 0)] * rotation,
+                position_m2: noise.position_m2(&position_m) * position + Matrix3::identity() * (map_m2 / 3.0),
+                rotation_rad2: noise.rotation_rad2(Some(&position_m))[(0, 0)] * rotation,
             });
         }
         let label = match (verdict, checked.label) {
@@ -169,10 +169,10 @@ fn is_moving(track: &Track) -> bool {
 /// what the filter knows.
 fn in_room(track: &Track, room: &Isometry3<f64>, map_sigma_m: f64) -> Option<PoseEstimate> {
     let position_m = room.transform_point(&(*track.position_m()?).into()).coords;
-    let turn = room.rotation.to_rotation_matrix();
-    let position_m2 = turn.matrix() * track.position_m2() * turn.matrix().transpose()
+    let rotation = room.rotation.to_rotation_matrix();
+    let position_m2 = rotation.matrix() * track.position_m2() * rotation.matrix().transpose()
         + Matrix3::identity() * (map_sigma_m * map_sigma_m / 3.0);
-    let (orientation, rotation_rad2, rate) = match track.orientation() {
+    let (orientation, rotation_rad2, angular_velocity_rad_s) = match track.orientation() {
         Some(orientation) => {
             (room.rotation * orientation, track.rotation_rad2(), *track.angular_velocity_rad_s())
         }
@@ -182,7 +182,7 @@ fn in_room(track: &Track, room: &Isometry3<f64>, map_sigma_m: f64) -> Option<Pos
         position_m: Some(position_m.into()),
         orientation_wxyz: posed_geometry::orientation_to_wxyz(&orientation),
         velocity_m_s: Some((room.rotation * track.velocity_m_s()).into()),
-        angular_velocity_rad_s: rate.into(),
+        angular_velocity_rad_s: angular_velocity_rad_s.into(),
         covariance: upper_triangle(&position_m2, &rotation_rad2),
         sigma_m: Some(position_m2.trace().sqrt()),
     })

@@ -83,7 +83,7 @@ pub fn csv(
                 poses.rows.clear();
                 poses.append_message(&message.json, Which::All).map_err(failed)?;
                 if let Some(transmitter) = &transmitter {
-                    poses.rows.iter_mut().for_each(|row| transmitter.turn(row));
+                    poses.rows.iter_mut().for_each(|row| transmitter.transform(row));
                 }
                 for row in &poses.rows {
                     writer.row(poses.name(row), row)?;
@@ -127,7 +127,7 @@ impl Transmitter {
     }
 
     /// From room to transmitter axes.
-    fn turn(&self, row: &mut PoseRow) {
+    fn transform(&self, row: &mut PoseRow) {
         let transmitter_from_room = self.room_from_transmitter.inverse();
         row.position_m =
             row.position_m.map(|position| transmitter_from_room.transform_point(&position.into()).into());

@@ -412,7 +412,7 @@ fn exported_poses_are_in_room_or_transmitter_axes() {
     // Half a turn about x, at (1, 2, 3).
     assert_eq!(poses.rows[0].position_m, Some([0.5, -0.25, -0.125]));
     assert_eq!(poses.rows[0].orientation_wxyz.map(|q| q[1].abs()), Some(1.0));
-    // After the swap: no turn, at (1, 0.3, 0).
+    // After the swap: no rotation, at (1, 0.3, 0).
     assert_eq!(poses.rows[2].position_m, Some([0.5, 2.25 - (0.1 + 0.2), 3.125]));
     // Only what may be used as good.
     let usable = crate::table::Poses::read(&path).unwrap();

@@ -22,7 +22,7 @@ pub fn columns<'a>(sensors: impl IntoIterator<Item = &'a str>) -> Vec<String> {
 }
 
 /// Columns of what an inertial sensor measured, behind its name, in sensor axes: specific force (m/s², +g upwards at rest) and
-/// angular rate (rad/s).
+/// angular velocity (rad/s).
 const INERTIAL_PARTS: [&str; 6] = ["_ax", "_ay", "_az", "_gx", "_gy", "_gz"];
 
 /// Names of the columns of what these inertial sensors measured, six each, sensor axes: `NAME_ax, NAME_ay, NAME_az` (specific
@@ -46,9 +46,9 @@ pub fn columns_of(stage: &Stage) -> Vec<String> {
 /// may move for ever.
 pub fn columns_of_wearer(stage: &Stage) -> Vec<String> {
     let Some(layout) = BodyLayout::of(stage) else { return columns_of(stage) };
-    let worn =
+    let on_body =
         |sensor: &&crate::Sensor| layout.segments.iter().any(|segment| segment.name == sensor.sits_on());
-    let mut columns = columns(stage.sensors.iter().filter(worn).map(|sensor| sensor.name.as_str()));
+    let mut columns = columns(stage.sensors.iter().filter(on_body).map(|sensor| sensor.name.as_str()));
     columns.extend(layout.columns());
     columns
 }
@@ -205,11 +205,11 @@ mod tests {
         };
         assert_eq!(row(SensorState::Ok)[7..], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0].map(Some));
         assert_eq!(row(SensorState::Stuck)[7..], [None; 6]);
-        let worn = format!(
+        let with_body = format!(
             "{text}segment = \"forearm_r\"\n[body]\nskeleton = \"human\"\nheight_m = 1.8\nmounting = \"calibrate\"\n"
         );
-        let worn: Stage = toml::from_str(&worn).unwrap();
-        assert_eq!(InertialColumns::of(&worn), InertialColumns::default());
+        let with_body: Stage = toml::from_str(&with_body).unwrap();
+        assert_eq!(InertialColumns::of(&with_body), InertialColumns::default());
     }
 
     #[test]
@@ -219,10 +219,10 @@ mod tests {
                     [[sensor]]\nname = \"wand\"\ndevice = \"flock\"\naddress = 2\n";
         let free: Stage = toml::from_str(text).unwrap();
         assert_eq!(columns_of_wearer(&free), columns_of(&free));
-        let worn: Stage = toml::from_str(&format!("{text}[body]\nheight_m = 1.8\n")).unwrap();
-        let all = columns_of(&worn);
+        let with_body: Stage = toml::from_str(&format!("{text}[body]\nheight_m = 1.8\n")).unwrap();
+        let all = columns_of(&with_body);
         let expected: Vec<String> = all.iter().filter(|name| !name.starts_with("wand")).cloned().collect();
-        assert_eq!(columns_of_wearer(&worn), expected);
+        assert_eq!(columns_of_wearer(&with_body), expected);
         assert_eq!(expected.len(), all.len() - PARTS.len());
     }
 }

@@ -78,7 +78,8 @@ fn what_of_a_chain_is_not_followed_is_reported() {
             "[[body.segments]]\nname = \"link{n}\"\nparent = \"{parent}\"\njoint = \"j{n}\"\nkind = \"{kind}\"\n"
         )
     };
-    let worn = |n: usize| format!("[[sensor]]\nname = \"link{n}\"\ndevice = \"worn\"\naddress = {}\n", n + 1);
+    let sensor =
+        |n: usize| format!("[[sensor]]\nname = \"link{n}\"\ndevice = \"worn\"\naddress = {}\n", n + 1);
     let reported = |text: &str| {
         let report = check(text);
         assert!(report.ok, "{report:?}");
@@ -89,12 +90,12 @@ fn what_of_a_chain_is_not_followed_is_reported() {
     let begin = device.find("[body]").unwrap();
     let with =
         |sensors: &str, links: &str| format!("{}{sensors}{}{links}", &device[..begin], &device[begin..]);
-    assert_eq!(reported(&with(&worn(1), &link(1, "base", "hinge"))), []);
+    assert_eq!(reported(&with(&sensor(1), &link(1, "base", "hinge"))), []);
     let unworn = reported(&with("", &link(1, "base", "hinge")));
     assert_eq!(unworn, [(14, "no IMU sits on `link1`: the chain is not followed live".to_owned())]);
-    let ball = reported(&with(&worn(1), &link(1, "base", "ball")));
+    let ball = reported(&with(&sensor(1), &link(1, "base", "ball")));
     assert_eq!(ball, [(22, "`j1` is no hinge, and chains with other joints are not solved".to_owned())]);
-    let (sensors, links): (String, String) = (1..=10).map(|n| (worn(n), link(n, "base", "hinge"))).unzip();
+    let (sensors, links): (String, String) = (1..=10).map(|n| (sensor(n), link(n, "base", "hinge"))).unzip();
     let long = reported(&with(&sensors, &links));
     assert_eq!(long.len(), 1, "{long:?}");
     assert_eq!(long[0].1, "chains of more than 10 segments are not followed live");

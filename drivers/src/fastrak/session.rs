@@ -171,7 +171,7 @@ impl FastrakSession {
         self.phase = Phase::Streaming { silent_at: now + START };
     }
 
-    fn record(&mut self, now: Timestamp, place: u64, record: Record) {
+    fn record(&mut self, now: Timestamp, offset: u64, record: Record) {
         if !matches!(self.phase, Phase::Streaming { .. }) {
             return;
         }
@@ -192,7 +192,7 @@ impl FastrakSession {
         }
         self.outbox.counters.records += 1;
         self.outbox.streaming();
-        let Some(mut arrival) = self.arrivals.of(place) else { return };
+        let Some(mut arrival) = self.arrivals.of(offset) else { return };
         if !self.settings.text {
             arrival.cycle_bytes_before = (index * self.settings.shape().binary_len()) as u32;
         }
@@ -268,7 +268,7 @@ impl Session for FastrakSession {
         self.splitter.push(bytes);
         while let Some(piece) = self.splitter.find() {
             match piece {
-                Piece::Record(place, record) => self.record(now, place, record),
+                Piece::Record(offset, record) => self.record(now, offset, record),
                 Piece::Status if matches!(self.phase, Phase::Asking { .. }) => self.start(now),
                 Piece::Status => {}
             }

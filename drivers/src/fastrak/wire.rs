@@ -202,7 +202,7 @@ impl Splitter {
     pub fn find(&mut self) -> Option<Piece> {
         loop {
             let pending = &self.buffer[self.start..];
-            let place = self.origin + self.start as u64;
+            let offset = self.origin + self.start as u64;
             let (len, piece) = match pending.first()? {
                 b'2' => match status_len(pending) {
                     Ok(len) => (len, Some(Piece::Status)),
@@ -217,7 +217,7 @@ impl Splitter {
                 &DATA if self.shape.text => match line_len(pending) {
                     Ok(len) => (
                         len,
-                        Record::parse_text(&pending[..len], self.shape).map(|r| Piece::Record(place, r)),
+                        Record::parse_text(&pending[..len], self.shape).map(|r| Piece::Record(offset, r)),
                     ),
                     Err(Cut::Wait) => return None,
                     Err(Cut::No) => (1, None),
@@ -232,7 +232,7 @@ impl Splitter {
                         (
                             len,
                             Record::parse_binary(&pending[..len], self.shape)
-                                .map(|r| Piece::Record(place, r)),
+                                .map(|r| Piece::Record(offset, r)),
                         )
                     }
                 }

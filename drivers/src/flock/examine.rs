@@ -143,7 +143,7 @@ pub struct Examination {
     stop_limit: Timestamp,
     stops_left: u8,
     asker: Option<Asker>,
-    heard: bool,
+    received: bool,
     findings: Findings,
     fixed_addressing: bool,
     tries: u8,
@@ -162,7 +162,7 @@ impl Examination {
             stop_limit: now + STOP_LIMIT,
             stops_left: STOP_TRIES - 1,
             asker: None,
-            heard: false,
+            received: false,
             findings: Findings {
                 revision: (0, 0),
                 status: BirdStatus(0),
@@ -198,7 +198,7 @@ impl Examination {
 
     /// Bytes were read at `now`, cut anywhere. While the stream is being stopped they only prolong the wait.
     pub fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) -> Progress {
-        self.heard |= !bytes.is_empty();
+        self.received |= !bytes.is_empty();
         let Some(asker) = &mut self.asker else {
             self.quiet_at = self.quiet_at.max(now + QUIET);
             return Progress::Busy;
@@ -226,7 +226,7 @@ impl Examination {
             }
             Expired::GaveUp => match self.step {
                 Step::Revision | Step::Status | Step::Stop => {
-                    Progress::Failed(if self.heard { Failure::Unintelligible } else { Failure::Silent })
+                    Progress::Failed(if self.received { Failure::Unintelligible } else { Failure::Silent })
                 }
                 // Firmware without this parameter gives no answer; the defaults stand.
                 _ => self.next_step(now),

@@ -206,19 +206,19 @@ pub(super) fn record_rate_hz(
     baud: u32,
 ) -> (f64, Option<String>) {
     let bytes: usize = birds.iter().map(|(_, shape)| shape.len()).sum();
-    let asked_hz = measurement_rate_hz / f64::from(settings.report_every_cycles.cycles());
+    let requested_hz = measurement_rate_hz / f64::from(settings.report_every_cycles.cycles());
     let send_s = bytes as f64 * 10.0 / f64::from(baud);
-    let load = send_s * asked_hz;
+    let load = send_s * requested_hz;
     if load <= 1.0 {
-        return (asked_hz, None);
+        return (requested_hz, None);
     }
     let every = (send_s * measurement_rate_hz).ceil().max(f64::from(settings.report_every_cycles.cycles()));
     let rate_hz = measurement_rate_hz / every;
     let warning = format!(
-        "{} birds with {bytes} bytes a cycle need {:.0} baud at {asked_hz:.1} Hz, and the line has {baud}: the unit \
+        "{} birds with {bytes} bytes a cycle need {:.0} baud at {requested_hz:.1} Hz, and the line has {baud}: the unit \
          skips cycles and sends at {rate_hz:.1} Hz. Raise the baud rate, choose a shorter format, or report_every_cycles",
         birds.len(),
-        bytes as f64 * 10.0 * asked_hz,
+        bytes as f64 * 10.0 * requested_hz,
     );
     (rate_hz, Some(warning))
 }

@@ -215,7 +215,7 @@ impl MotionStarSession {
         self.phase = Phase::Pausing { until: now + PAUSE };
     }
 
-    fn packet(&mut self, now: Timestamp, place: u64, header: Header, body: &[u8]) {
+    fn packet(&mut self, now: Timestamp, offset: u64, header: Header, body: &[u8]) {
         if header.error != 0 {
             let code = header.error;
             self.outbox.warn(now, u32::from(code), || {
@@ -224,7 +224,7 @@ impl MotionStarSession {
         }
         match (header.kind, self.phase) {
             (kind::DATA_PACKET | kind::DATA_SINGLE, Phase::Running { .. }) => {
-                self.data(now, place, header, body)
+                self.data(now, offset, header, body)
             }
             (kind::DATA_PACKET, Phase::Asking { step, .. }) if !matches!(step, Step::Stop | Step::Run) => {
                 // It did not hear the question to stop, and must not be set up while it runs.
@@ -299,12 +299,12 @@ impl MotionStarSession {
         }
     }
 
-    fn data(&mut self, now: Timestamp, place: u64, header: Header, body: &[u8]) {
+    fn data(&mut self, now: Timestamp, start: u64, header: Header, body: &[u8]) {
         let Some(records) = wire::records(body) else {
             self.outbox.counters.rejected += 1;
             return;
         };
-        let Some(arrival) = self.arrivals.of(place) else { return };
+        let Some(arrival) = self.arrivals.of(start) else { return };
         self.phase = Phase::Running { silent_at: now + SILENCE };
         self.count_losses(now, header.sequence);
         let millis = u64::from(header.seconds) * 1000 + u64::from(header.millis);
@@ -386,7 +386,7 @@ impl Session for MotionStarSession {
         let mut packets = std::mem::take(&mut self.packets);
         packets.push(bytes);
         while let Some(found) = packets.find() {
-            self.packet(now, found.place, found.header, packets.body(found));
+            self.packet(now, found.offset, found.header, packets.body(found));
         }
         self.packets = packets;
     }

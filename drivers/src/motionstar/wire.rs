@@ -120,7 +120,7 @@ impl Header {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Found {
     /// Place in the stream of the header's first byte: bytes pushed before it.
-    pub place: u64,
+    pub offset: u64,
     /// The header; its fields are possible, not proven.
     pub header: Header,
     body: (usize, usize),
@@ -163,8 +163,8 @@ impl Packets {
             let parsed = Header::parse(head)
                 .filter(|(header, len)| !header.has_records() || may_be_records(body(*len), *len));
             let Some((header, len)) = parsed else {
-                if let Some(place) = self.before.take().and_then(|before| self.begun_in(before)) {
-                    self.start = place;
+                if let Some(offset) = self.before.take().and_then(|before| self.begun_in(before)) {
+                    self.start = offset;
                     continue;
                 }
                 self.start += 1;
@@ -174,18 +174,18 @@ impl Packets {
             if pending.len() < HEADER + len {
                 return None;
             }
-            let place = self.origin + self.start as u64;
+            let offset = self.origin + self.start as u64;
             let body = (self.start + HEADER, self.start + HEADER + len);
             self.start = body.1;
             self.before = Some((header.sequence, body.0));
-            return Some(Found { place, header, body });
+            return Some(Found { offset, header, body });
         }
     }
 
     /// Where in the body of a packet the packet after it begins, if it does.
     fn begun_in(&self, (number, body): (u16, usize)) -> Option<usize> {
-        (body..self.start).rev().find(|place| {
-            let head = self.buffer[*place..].first_chunk().and_then(Header::parse);
+        (body..self.start).rev().find(|offset| {
+            let head = self.buffer[*offset..].first_chunk().and_then(Header::parse);
             head.is_some_and(|(header, _)| header.has_records() && header.sequence == number.wrapping_add(1))
         })
     }
@@ -377,21 +377,21 @@ impl Record<'_> {
         }
         let [x, y, z, ..] = values;
         let position_m = format.has_position().then(|| [x, y, z].map(|value| value * range_m));
-        let turn = &values[if format.has_position() { 3 } else { 0 }..];
+        let orientation = &values[if format.has_position() { 3 } else { 0 }..];
         let orientation_wxyz = match format {
             Format::Position => None,
             Format::Angles | Format::PositionAngles => {
-                Some(rotation::from_angles([0, 1, 2].map(|k| turn[k] * std::f64::consts::PI)))
+                Some(rotation::from_angles([0, 1, 2].map(|k| orientation[k] * std::f64::consts::PI)))
             }
             Format::Matrix | Format::PositionMatrix => {
-                let matrix = std::array::from_fn(|k| turn[k]);
+                let matrix = std::array::from_fn(|k| orientation[k]);
                 if rotation::orthonormality_error(matrix) > MATRIX {
                     return Err(BadRecord);
                 }
                 Some(rotation::from_matrix(matrix))
             }
             Format::Quaternion | Format::PositionQuaternion => {
-                let q = std::array::from_fn(|k| turn[k]);
+                let q = std::array::from_fn(|k| orientation[k]);
                 if (rotation::norm(q) - 1.0).abs() > QUATERNION_NORM {
                     return Err(BadRecord);
                 }

@@ -84,7 +84,7 @@ struct Tracker {
     peer: Option<SocketAddr>,
     protocol: u32,
     last_number: u64,
-    heard: Timestamp,
+    received_at: Timestamp,
     timed_out: bool,
 }
 
@@ -105,7 +105,7 @@ pub struct SlimeVrSession {
     beats: u32,
     arrivals: Arrivals,
     /// Bytes of all chunks so far.
-    place: u64,
+    offset: u64,
     outbox: Outbox,
     bytes_skipped: u64,
     sensors: Vec<SensorInfo>,
@@ -153,14 +153,14 @@ impl SlimeVrSession {
                     peer: None,
                     protocol: 0,
                     last_number: 0,
-                    heard: Timestamp::ZERO,
+                    received_at: Timestamp::ZERO,
                     timed_out: false,
                 })
                 .collect(),
             next_beat: None,
             beats: 0,
             arrivals: Arrivals::default(),
-            place: 0,
+            offset: 0,
             outbox: Outbox::new(),
             bytes_skipped: 0,
             sensors: addresses.iter().map(|&address| SensorInfo { address, serial: None }).collect(),
@@ -179,7 +179,7 @@ impl SlimeVrSession {
         self.bytes_skipped += bytes as u64;
     }
 
-    fn datagram(&mut self, now: Timestamp, place: u64, datagram: Datagram<'_>) {
+    fn datagram(&mut self, now: Timestamp, offset: u64, datagram: Datagram<'_>) {
         let Some(packet) = wire::parse(datagram.data) else { return self.refuse(datagram.data.len()) };
         if packet.is_handshake() {
             return packet.items(|item| {
@@ -193,7 +193,7 @@ impl SlimeVrSession {
             return self.refuse(datagram.data.len());
         };
         let tracker = &mut self.trackers[k];
-        tracker.heard = now;
+        tracker.received_at = now;
         if std::mem::take(&mut tracker.timed_out) {
             let number = tracker.number;
             self.outbox.warn(now, 0x100 + u32::from(number), || format!("tracker {number} is back"));
@@ -201,7 +201,7 @@ impl SlimeVrSession {
         if packet.number > 0 && !self.in_order(k, packet.number) {
             return self.refuse(datagram.data.len());
         }
-        let Some(arrival) = self.arrivals.of(place) else { return };
+        let Some(arrival) = self.arrivals.of(offset) else { return };
         self.packet(now, k, datagram.peer, packet, arrival);
     }
 
@@ -236,7 +236,7 @@ impl SlimeVrSession {
                     peer: None,
                     protocol: 0,
                     last_number: 0,
-                    heard: now,
+                    received_at: now,
                     timed_out: false,
                 });
                 self.outbox.warn(now, 0x200 + u32::from(number), || {
@@ -263,7 +263,7 @@ impl SlimeVrSession {
         tracker.peer = Some(peer);
         tracker.protocol = handshake.protocol;
         tracker.last_number = 0;
-        tracker.heard = now;
+        tracker.received_at = now;
         tracker.timed_out = false;
         let (number, serial) = (tracker.number, tracker.identity.to_string());
         let mine = |address: u16| address & 0xFF == number;
@@ -371,7 +371,7 @@ impl SlimeVrSession {
         for k in 0..self.trackers.len() {
             let tracker = &mut self.trackers[k];
             let Some(peer) = tracker.peer else { continue };
-            let silent_s = now.seconds_since(tracker.heard);
+            let silent_s = now.seconds_since(tracker.received_at);
             let number = tracker.number;
             if silent_s >= GONE_S {
                 tracker.peer = None;
@@ -415,13 +415,13 @@ impl Session for SlimeVrSession {
 
     fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
         self.arrivals.read(now, bytes.len());
-        let mut place = self.place;
-        self.place += bytes.len() as u64;
+        let mut offset = self.offset;
+        self.offset += bytes.len() as u64;
         for found in datagrams(bytes) {
             match found {
                 Ok(datagram) => {
-                    self.datagram(now, place, datagram);
-                    place += datagram.envelope_len() as u64;
+                    self.datagram(now, offset, datagram);
+                    offset += datagram.envelope_len() as u64;
                 }
                 Err(len) => self.refuse(len),
             }

@@ -148,11 +148,11 @@ impl XImu3Session {
         self.outbox.transmit(wire::command(unit.address, key, value));
     }
 
-    fn line(&mut self, now: Timestamp, line: &[u8], place: u64) {
+    fn line(&mut self, now: Timestamp, line: &[u8], offset: u64) {
         let mut scratch = std::mem::take(&mut self.scratch);
         let accepted = match wire::parse(line, &mut scratch) {
             Some(message) => match self.units.iter().position(|unit| unit.address == message.address) {
-                Some(index) => self.message(now, index, message.body, place),
+                Some(index) => self.message(now, index, message.body, offset),
                 None => {
                     let address = message.address;
                     self.outbox.warn(now, 0x1_0000 + u32::from(address), || {
@@ -171,7 +171,7 @@ impl XImu3Session {
     }
 
     /// Takes a message of a unit; false when it is damaged.
-    fn message(&mut self, now: Timestamp, index: usize, body: Body<'_>, place: u64) -> bool {
+    fn message(&mut self, now: Timestamp, index: usize, body: Body<'_>, offset: u64) -> bool {
         if let Body::Command(json) = body {
             return match wire::answer(json) {
                 Some((key, value)) => {
@@ -209,7 +209,7 @@ impl XImu3Session {
                 return true;
             }
         }
-        unit.heard(now, period_us);
+        unit.received(now, period_us);
         let mut time_us = stamped.time_us;
         if let Data::Inertial { .. } = stamped.data {
             // Lost messages leave a gap in time; the unit does not number them.
@@ -222,7 +222,7 @@ impl XImu3Session {
         }
         self.outbox.counters.records += 1;
         if let Some(measurement) = measurement
-            && let Some(arrival) = self.arrivals.of(place)
+            && let Some(arrival) = self.arrivals.of(offset)
         {
             let address = self.units[index].address;
             let t_device = DeviceTime::Counter { ticks: time_us, tick_s: 1e-6 };
@@ -234,10 +234,10 @@ impl XImu3Session {
 
     fn answer(&mut self, now: Timestamp, index: usize, key: &str, value: &Value) {
         let address = self.units[index].address;
-        let Some((asked, wanted)) = self.units[index].asking().map(|step| &self.commands[step]) else {
+        let Some((requested, wanted)) = self.units[index].asking().map(|step| &self.commands[step]) else {
             return;
         };
-        if key != wire::plain_key(asked) {
+        if key != wire::plain_key(requested) {
             return;
         }
         if let Some(serial) = value.get("sn").and_then(Value::as_str) {
@@ -249,7 +249,7 @@ impl XImu3Session {
             let reported = error.map_or_else(|| format!("keeps {value}"), str::to_owned);
             let kind = 0x10_0000 + (u32::from(address) << 4) + self.units[index].step() as u32;
             self.outbox.warn(now, kind, || {
-                format!("unit {address} was set to {asked} = {wanted} and answers: {reported}")
+                format!("unit {address} was set to {requested} = {wanted} and answers: {reported}")
             });
         }
         let period_us = self.period_us();
@@ -316,7 +316,7 @@ impl Session for XImu3Session {
         let mut lines = std::mem::take(&mut self.lines);
         lines.push(bytes);
         while let Some(line) = lines.find() {
-            self.line(now, lines.line(line), line.place);
+            self.line(now, lines.line(line), line.offset);
         }
         self.lines = lines;
     }

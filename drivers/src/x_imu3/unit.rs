@@ -84,12 +84,12 @@ impl Unit {
             self.phase = Phase::Asking { step: next, tries: TRIES, until: now + ANSWER };
             return true;
         }
-        self.heard(now, period_us);
+        self.received(now, period_us);
         false
     }
 
     /// The running unit has sent data.
-    pub(super) fn heard(&mut self, now: Timestamp, period_us: u64) {
+    pub(super) fn received(&mut self, now: Timestamp, period_us: u64) {
         let silence = SILENCE.max(Duration::from_micros(20 * period_us));
         self.phase = Phase::Running { silent_at: now + silence };
     }

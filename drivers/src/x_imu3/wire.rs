@@ -35,7 +35,7 @@ pub struct Lines {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Line {
     /// Place in the stream of the line's first byte: bytes pushed before it.
-    pub place: u64,
+    pub offset: u64,
     start: usize,
     end: usize,
 }
@@ -56,7 +56,7 @@ impl Lines {
             match self.buffer[self.searched..].iter().position(|&byte| byte == LF) {
                 Some(at) => {
                     let line = Line {
-                        place: self.origin + self.start as u64,
+                        offset: self.origin + self.start as u64,
                         start: self.start,
                         end: self.searched + at,
                     };

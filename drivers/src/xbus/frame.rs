@@ -123,7 +123,7 @@ fn has_form(mid: u8, data: &[u8]) -> bool {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Found {
     /// Place in the stream of the preamble: bytes pushed before it.
-    pub place: u64,
+    pub offset: u64,
     /// Bytes on the line, preamble and checksum included.
     pub len: usize,
     bid: u8,
@@ -209,7 +209,7 @@ impl Framer {
                 continue;
             }
             let found = Found {
-                place: self.origin + self.start as u64,
+                offset: self.origin + self.start as u64,
                 len: header.total(),
                 bid: header.bid,
                 mid: header.mid,
@@ -241,10 +241,10 @@ impl Framer {
     }
 
     fn note_rejected(&mut self, len: usize) {
-        let place = self.origin + self.start as u64;
-        if place >= self.rejected_to {
+        let offset = self.origin + self.start as u64;
+        if offset >= self.rejected_to {
             self.bad_checksums += 1;
-            self.rejected_to = place + len as u64;
+            self.rejected_to = offset + len as u64;
         }
     }
 }

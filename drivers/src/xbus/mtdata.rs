@@ -225,7 +225,7 @@ pub struct Block {
     pub temperature_c: Option<f64>,
     /// Acceleration, m/s², gravity included (+g upwards at rest).
     pub acceleration: Option<[f64; 3]>,
-    /// Rate of turn, rad/s: angular velocity.
+    /// Angular velocity, rad/s (the manual's "rate of turn").
     pub rate_of_turn: Option<[f64; 3]>,
     /// Magnetic field, about 1 at the place of calibration.
     pub magnetic_field: Option<[f64; 3]>,

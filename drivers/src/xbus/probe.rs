@@ -122,9 +122,9 @@ mod tests {
     fn a_chain_names_its_trackers_and_measures_on() {
         let now = Timestamp::ZERO;
         let mut inquiry = inquiry(now);
-        let mut asked = Vec::new();
+        let mut requested = Vec::new();
         while let Some(bytes) = inquiry.poll_transmit() {
-            asked.push(bytes[2]);
+            requested.push(bytes[2]);
             match bytes[2] {
                 message::GOTO_CONFIG => {
                     // Data that were on their way do not matter.
@@ -144,7 +144,7 @@ mod tests {
         let sensors: Vec<_> =
             found.sensors.iter().map(|s| (s.address, s.serial.as_deref().unwrap())).collect();
         assert_eq!(sensors, [(1, "00342D07"), (2, "00342D08")]);
-        assert_eq!(asked.last(), Some(&message::GOTO_MEASUREMENT), "{asked:x?}");
+        assert_eq!(requested.last(), Some(&message::GOTO_MEASUREMENT), "{requested:x?}");
     }
 
     #[test]

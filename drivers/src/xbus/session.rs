@@ -124,14 +124,14 @@ impl XbusSession {
         }
     }
 
-    fn message(&mut self, now: Timestamp, frame: Frame<'_>, place: u64) {
+    fn message(&mut self, now: Timestamp, frame: Frame<'_>, offset: u64) {
         match std::mem::replace(&mut self.phase, Phase::Closed) {
             Phase::SettingUp { mut setup, bytes } => {
                 let progress = setup.handle(now, frame);
                 self.on_progress(now, setup, bytes, progress);
             }
             Phase::Streaming { stream, silent_at, refused } => {
-                self.stream_message(now, frame, place, (stream, silent_at, refused));
+                self.stream_message(now, frame, offset, (stream, silent_at, refused));
             }
             other => self.phase = other,
         }
@@ -150,14 +150,14 @@ impl XbusSession {
                 self.pause(now);
             }
             Progress::Unanswered => {
-                if setup.heard && std::mem::take(&mut self.may_reset) {
+                if setup.received && std::mem::take(&mut self.may_reset) {
                     // Some devices pass over GotoConfig until they are reset.
                     self.outbox.transmit(message::request(MASTER, message::RESET, &[]));
                     return self.set_up(now);
                 }
                 self.may_reset = true;
                 let baud = self.baud;
-                if setup.heard {
+                if setup.received {
                     self.outbox.failed(
                         "the device sends, but does not answer; check the transmit wire, or switch it off and on",
                     );
@@ -221,8 +221,9 @@ impl XbusSession {
         for unit in units.iter_mut() {
             let own = known(unit).map(|known| known.address);
             unit.address = own.unwrap_or_else(|| {
-                let places = std::iter::once(unit.address).chain(1..);
-                let free = places.into_iter().find(|place| !taken.contains(place)).unwrap_or(unit.address);
+                let addresses = std::iter::once(unit.address).chain(1..);
+                let free =
+                    addresses.into_iter().find(|address| !taken.contains(address)).unwrap_or(unit.address);
                 taken.push(free);
                 free
             });
@@ -237,10 +238,10 @@ impl XbusSession {
         &mut self,
         now: Timestamp,
         frame: Frame<'_>,
-        place: u64,
+        offset: u64,
         (mut stream, silent_at, refused): (Box<Stream>, Timestamp, u32),
     ) {
-        let Some(arrival) = self.arrivals.of(place) else { return };
+        let Some(arrival) = self.arrivals.of(offset) else { return };
         let Self { outbox, wanted, losses, .. } = self;
         let outcome = stream.handle(frame, arrival, losses, &mut |sample| {
             if wanted.contains(&sample.address) {
@@ -336,14 +337,14 @@ impl Session for XbusSession {
 
     fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
         self.arrivals.read(now, bytes.len());
-        if let Phase::SettingUp { bytes: heard, .. } = &mut self.phase {
-            *heard += bytes.len() as u64;
+        if let Phase::SettingUp { bytes: received, .. } = &mut self.phase {
+            *received += bytes.len() as u64;
         }
         // The messages lie in the framer while the session changes.
         let mut framer = std::mem::take(&mut self.framer);
         framer.push(bytes);
         while let Some(found) = framer.find() {
-            self.message(now, framer.frame(found), found.place);
+            self.message(now, framer.frame(found), found.offset);
         }
         self.framer = framer;
     }

@@ -68,7 +68,7 @@ pub(super) struct Setup {
     outputs: Vec<(u16, u16)>,
     chain: bool,
     /// Messages with a right checksum came in, whatever they were.
-    pub(super) heard: bool,
+    pub(super) received: bool,
     requests: Vec<Vec<u8>>,
     warnings: Vec<String>,
 }
@@ -90,7 +90,7 @@ impl Setup {
             period_ticks: 0,
             outputs: Vec::new(),
             chain: false,
-            heard: false,
+            received: false,
             requests: Vec::new(),
             warnings: Vec::new(),
         };
@@ -112,7 +112,7 @@ impl Setup {
 
     /// A message came in.
     pub(super) fn handle(&mut self, now: Timestamp, frame: Frame<'_>) -> Progress {
-        self.heard = true;
+        self.received = true;
         match frame.mid {
             message::WAKE_UP => {
                 self.requests.push(message::request(MASTER, message::WAKE_UP_ACK, &[]));
@@ -308,10 +308,10 @@ impl Setup {
         };
         let most_hz = f64::from(self.baud) * LINE_SHARE / (10.0 * bytes as f64);
         if self.rate_hz > most_hz {
-            let asked = self.rate_hz;
+            let requested = self.rate_hz;
             self.rate_hz = most_hz.floor().max(1.0);
             self.warnings.push(format!(
-                "{asked} Hz of {bytes} bytes do not fit a line of {} baud; going down to {} Hz. Raise the baud rate, \
+                "{requested} Hz of {bytes} bytes do not fit a line of {} baud; going down to {} Hz. Raise the baud rate, \
                  or set orientation = false",
                 self.baud, self.rate_hz
             ));

@@ -98,7 +98,7 @@ struct Pretended {
     next: Timestamp,
     turn: usize,
     out: VecDeque<Vec<u8>>,
-    heard: Vec<u8>,
+    received: Vec<u8>,
     skip: usize,
 }
 
@@ -113,7 +113,7 @@ impl Pretended {
             next: Timestamp::ZERO,
             turn: 0,
             out: VecDeque::new(),
-            heard: vec![],
+            received: vec![],
             skip: 0,
         }
     }
@@ -121,7 +121,7 @@ impl Pretended {
 
 impl Device for Pretended {
     fn receive(&mut self, now: Timestamp, bytes: &[u8]) {
-        self.heard.extend(bytes);
+        self.received.extend(bytes);
         if self.dead {
             return;
         }
@@ -225,7 +225,7 @@ fn silence_is_reported_and_the_unit_reset() {
     rig.device.dead = true;
     rig.run_ms(6000);
     assert!(matches!(rig.session.state(), State::Silent { .. }));
-    assert!(rig.device.heard.contains(&0x19));
+    assert!(rig.device.received.contains(&0x19));
     rig.device.dead = false;
     let before = rig.samples.len() as u64;
     rig.run_ms(17_000);

@@ -134,7 +134,7 @@ struct One {
     protocol: u32,
     on: bool,
     connected: bool,
-    heard: Timestamp,
+    received_at: Timestamp,
     next: Timestamp,
     number: u64,
     bundles: bool,
@@ -149,7 +149,7 @@ fn one(last: u8) -> One {
         protocol: 22,
         on: true,
         connected: false,
-        heard: Timestamp::ZERO,
+        received_at: Timestamp::ZERO,
         next: Timestamp::ZERO,
         number: 0,
         bundles: false,
@@ -165,7 +165,7 @@ impl Device for Pretended {
             let Some(one) = self.trackers.iter_mut().find(|one| one.peer == datagram.peer && one.on) else {
                 continue;
             };
-            one.heard = now;
+            one.received_at = now;
             match datagram.data {
                 [3, text @ ..] => {
                     assert!(text.starts_with(b"Hey OVR =D 5"));
@@ -185,7 +185,7 @@ impl Device for Pretended {
 
     fn send(&mut self, now: Timestamp) -> Option<Vec<u8>> {
         for one in self.trackers.iter_mut().filter(|one| one.on) {
-            if one.connected && now.seconds_since(one.heard) > 3.0 {
+            if one.connected && now.seconds_since(one.received_at) > 3.0 {
                 one.connected = false;
             }
             if now < one.next {

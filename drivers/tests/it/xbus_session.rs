@@ -225,7 +225,7 @@ fn rig(kind: Kind, settings: Settings, baud: u32) -> Rig<XbusSession, Pretended>
 }
 
 /// A device that does not answer until it is asked to.
-fn deaf(baud: u32, measuring: bool) -> Rig<XbusSession, Pretended> {
+fn unresponsive(baud: u32, measuring: bool) -> Rig<XbusSession, Pretended> {
     let device = Pretended { answers: false, measuring, ..Pretended::new(Kind::Items) };
     Rig::open(XbusSession::new(Settings::default(), baud, &[1]).unwrap(), device)
 }
@@ -371,7 +371,7 @@ fn data_of_another_shape_is_refused_and_set_right() {
 
 #[test]
 fn silence_is_reported_and_ended() {
-    let mut rig = deaf(115_200, false);
+    let mut rig = unresponsive(115_200, false);
     rig.run_ms(4000);
     assert!(matches!(rig.session.state(), State::Silent { .. }), "{:?}", rig.session.state());
     assert!(rig.reason().contains("115200"));
@@ -393,7 +393,7 @@ fn silence_is_reported_and_ended() {
 
 #[test]
 fn a_device_that_ignores_goto_config_is_reset() {
-    let mut rig = deaf(115_200, true);
+    let mut rig = unresponsive(115_200, true);
     rig.run_ms(5000);
     assert_eq!(rig.device.resets, 1);
     assert!(rig.is_streaming(), "{}", rig.reason());
@@ -401,7 +401,7 @@ fn a_device_that_ignores_goto_config_is_reset() {
 
 #[test]
 fn a_wrong_baud_rate_is_named() {
-    let mut rig = deaf(9600, false);
+    let mut rig = unresponsive(9600, false);
     for _ in 0..300 {
         rig.device.out.push_back(vec![0x00, 0xFE, 0xFA, 0x80]);
         rig.run_ms(10);

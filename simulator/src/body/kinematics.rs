@@ -107,8 +107,8 @@ impl Posture {
     pub fn place(&self, build: &Build) -> TrueBody {
         // Segment axes (forward, up, right) of a body that looks along the room's x (z up).
         let upright = Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0);
-        let [turn, tilt, list] = self.pelvis;
-        let pelvis = about_z(turn) * upright * about_z(-tilt) * about_x(list);
+        let [rotation, tilt, list] = self.pelvis;
+        let pelvis = about_z(rotation) * upright * about_z(-tilt) * about_x(list);
         let [flexion, lateral, rotation] = self.spine;
         let torso = pelvis * about_z(-flexion) * about_x(lateral) * about_y(rotation);
         let hips_m = self.pelvis_m;
@@ -116,16 +116,16 @@ impl Posture {
         let mut body = [Placement { axes: pelvis, origin_m: hips_m }; 10];
         body[0] = Placement { axes: torso, origin_m: (hips_m + shoulders_m) * 0.5 };
         for (side, sign) in [(0, 1.0), (1, -1.0)] {
-            let [plane, elevation, turn] = self.shoulder[side];
+            let [plane, elevation, rotation] = self.shoulder[side];
             let [sideways, forward] = self.shoulder_lean[side];
             let lean = torso * about_x(-sign * sideways) * about_z(forward);
-            let arm = lean * about_y(sign * plane) * about_x(-sign * elevation) * about_y(sign * turn);
+            let arm = lean * about_y(sign * plane) * about_x(-sign * elevation) * about_y(sign * rotation);
             let [flexion, pronation] = self.elbow[side];
             let forearm = arm * about_z(flexion) * about_y(sign * pronation);
             let shoulder = shoulders_m + torso * Vector3::new(0.0, 0.0, sign * 0.5 * build.shoulder_width_m);
             let elbow = shoulder - arm * Vector3::new(0.0, build.upper_arm_m, 0.0);
-            let [flexion, adduction, turn] = self.hip[side];
-            let thigh = pelvis * about_z(flexion) * about_x(sign * adduction) * about_y(sign * turn);
+            let [flexion, adduction, rotation] = self.hip[side];
+            let thigh = pelvis * about_z(flexion) * about_x(sign * adduction) * about_y(sign * rotation);
             let shank = thigh * about_z(-self.knee[side]);
             let hip = hips_m + pelvis * Vector3::new(0.0, 0.0, sign * 0.5 * build.hip_width_m);
             let knee = hip - thigh * Vector3::new(0.0, build.thigh_m, 0.0);

@@ -1,7 +1,7 @@
 //! A simulated person who wears IMUs: postures over time, and what each sensor measures.
 //!
 //! ```text
-//! script(t) ──> posture ──> kinematics ──> pose of every sensor ──> rate, force, field ──> errors ──> sample
+//! script(t) ──> posture ──> kinematics ──> pose of every sensor ──> angular velocity, specific force, field ──> errors ──> sample
 //! ```
 //! In: a seed, a script, errors. Out: samples and the truth. It follows the table of `docs/body.md` with kinematics of
 //! its own and never uses `posed`'s.

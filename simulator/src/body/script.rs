@@ -1,6 +1,6 @@
 //! What the person does: an N-pose and a T-pose, the calibration's movements one after the other, then an activity.
 //!
-//! Every angle is a smooth function of time (four continuous derivatives), so that rates and forces exist.
+//! Every angle is a smooth function of time (four continuous derivatives), so that angular velocities and specific forces exist.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -293,7 +293,7 @@ fn step(x: f64) -> f64 {
 
 /// Raises an arm: so far forward, sideways and turned inwards, rad.
 fn raise(p: &mut Posture, side: usize, forward: f64, sideways: f64, inwards: f64) {
-    // Smooth through the hanging arm: plane and elevation of the direction, and no turn against the shortest way there.
+    // Smooth through the hanging arm: plane and elevation of the direction, and no rotation against the shortest way there.
     let elevation = forward.hypot(sideways);
     let plane = forward.atan2(sideways);
     p.shoulder[side] = [plane, elevation, inwards - plane];

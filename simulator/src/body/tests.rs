@@ -68,8 +68,11 @@ fn a_sensor_that_rests_feels_gravity_and_the_field_and_nothing_else() {
     let (samples, truth) = wearer.step();
     for (index, sample) in samples.iter().enumerate() {
         let (mount, _) = wearer.mounting(index);
-        let force = truth.body[index].axes * (mount * sample.accel_m_s2);
-        assert!((force - nalgebra::Vector3::new(0.0, 0.0, posed_geometry::GRAVITY_M_S2)).norm() < 1e-6);
+        let specific_force_m_s2 = truth.body[index].axes * (mount * sample.accel_m_s2);
+        assert!(
+            (specific_force_m_s2 - nalgebra::Vector3::new(0.0, 0.0, posed_geometry::GRAVITY_M_S2)).norm()
+                < 1e-6
+        );
         assert!(sample.gyro_rad_s.norm() < 1e-9);
         let north = truth.body[index].axes * (mount * sample.mag_ut.unwrap());
         assert!(north.x.abs() < 1e-9 && north.y > 0.0 && north.z < 0.0);
@@ -77,7 +80,7 @@ fn a_sensor_that_rests_feels_gravity_and_the_field_and_nothing_else() {
 }
 
 #[test]
-fn rates_add_up_to_the_turn() {
+fn angular_velocities_add_up_to_the_rotation() {
     let script = Script { activity: Activity::Walking, calibration: false, facing: 0.0 };
     let spec = WearerSpec {
         script,

@@ -7,7 +7,7 @@ use super::kinematics::{Build, Placement, SEGMENT_NAMES};
 use super::script::Script;
 use crate::random::{Purpose, Random};
 
-/// Steps of the differences that make rates and forces, s.
+/// Steps of the differences that make angular velocities and specific forces, s.
 const STEP_S: f64 = 1e-3;
 /// Norm and dip of the simulated earth field: uT, rad.
 const FIELD_UT: f64 = 48.0;
@@ -209,9 +209,9 @@ impl Wearer {
     ///
     /// # Panics
     /// There is no such segment.
-    pub fn slip(&mut self, segment: usize, turn_rad: Vector3<f64>) {
+    pub fn slip(&mut self, segment: usize, rotation_vector_rad: Vector3<f64>) {
         let unit = &mut self.units[segment];
-        unit.mount = UnitQuaternion::from_scaled_axis(turn_rad) * unit.mount;
+        unit.mount = UnitQuaternion::from_scaled_axis(rotation_vector_rad) * unit.mount;
     }
 
     /// The next frame, `1 / rate_hz` after the last: the sample of each segment's sensor, in the order of [`SEGMENT_NAMES`], and
@@ -235,21 +235,27 @@ impl Wearer {
             let bend = (points[1] + points[3]) * 16.0 - points[0] - points[4] - points[2] * 30.0;
             let accel = bend / (12.0 * STEP_S * STEP_S);
             // By way of the quaternion: a matrix' angle is the arc cosine of its trace, which rounding takes over one.
-            let turn = |a: usize, b: usize| {
-                let turn = times[a][index].axes.transpose() * times[b][index].axes;
-                UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(turn)).scaled_axis()
+            let rotation_vector_rad = |a: usize, b: usize| {
+                let rotation = times[a][index].axes.transpose() * times[b][index].axes;
+                UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation))
+                    .scaled_axis()
             };
-            let rate = (turn(1, 3) * 8.0 - turn(0, 4)) / (12.0 * STEP_S);
+            let angular_velocity_rad_s =
+                (rotation_vector_rad(1, 3) * 8.0 - rotation_vector_rad(0, 4)) / (12.0 * STEP_S);
             let axes = times[2][index].axes;
             // Skin: an over-damped play that follows the acceleration and turns the sensor with it.
             let play = axes.transpose() * accel * -errors.skin_m;
             let mount = UnitQuaternion::from_scaled_axis(unit.skin * play) * unit.mount;
             let back = mount.inverse();
             let mut noise = |sigma: f64| Vector3::from_fn(|_, _| sigma * unit.noise.normal());
-            let force = axes.transpose() * (accel + Vector3::z() * GRAVITY_M_S2);
+            let specific_force_m_s2 = axes.transpose() * (accel + Vector3::z() * GRAVITY_M_S2);
             Sample {
-                gyro_rad_s: unit.gyro.0 * (back * rate) + unit.gyro.1 + noise(errors.gyro_noise_rad_s),
-                accel_m_s2: unit.accel.0 * (back * force) + unit.accel.1 + noise(errors.accel_noise_m_s2),
+                gyro_rad_s: unit.gyro.0 * (back * angular_velocity_rad_s)
+                    + unit.gyro.1
+                    + noise(errors.gyro_noise_rad_s),
+                accel_m_s2: unit.accel.0 * (back * specific_force_m_s2)
+                    + unit.accel.1
+                    + noise(errors.accel_noise_m_s2),
                 mag_ut: magnetometer
                     .then(|| back * (axes.transpose() * field) + unit.magnet + noise(errors.mag_noise_ut)),
             }

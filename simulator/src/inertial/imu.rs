@@ -77,7 +77,7 @@ impl Imu {
         }
     }
 
-    /// Pose, angular rate and specific force at `t`.
+    /// Pose, angular velocity and specific force at `t`.
     ///
     /// Differences of the pose over 1 ms steps, five points: exact to about 1e-6 of the motions here.
     pub(crate) fn kinematics(&self, t: Timestamp) -> Kinematics {
@@ -85,15 +85,20 @@ impl Imu {
         let t_s = t.as_secs_f64();
         let at = |n: f64| self.sensor.pose_in_room_s(t_s + n * H_S);
         let (a, b, pose, c, d) = (at(-2.0), at(-1.0), at(0.0), at(1.0), at(2.0));
-        let turn = |other: &Isometry3<f64>| (pose.rotation.inverse() * other.rotation).scaled_axis();
-        let rate = (turn(&a) - 8.0 * turn(&b) + 8.0 * turn(&c) - turn(&d)) / (12.0 * H_S);
-        let place = |other: &Isometry3<f64>| other.translation.vector - pose.translation.vector;
-        let acceleration = (16.0 * (place(&b) + place(&c)) - place(&a) - place(&d)) / (12.0 * H_S * H_S);
-        let force = acceleration + Vector3::new(0.0, 0.0, GRAVITY_M_S2);
+        let rotation_vector_rad =
+            |other: &Isometry3<f64>| (pose.rotation.inverse() * other.rotation).scaled_axis();
+        let angular_velocity_rad_s = (rotation_vector_rad(&a) - 8.0 * rotation_vector_rad(&b)
+            + 8.0 * rotation_vector_rad(&c)
+            - rotation_vector_rad(&d))
+            / (12.0 * H_S);
+        let offset_m = |other: &Isometry3<f64>| other.translation.vector - pose.translation.vector;
+        let acceleration =
+            (16.0 * (offset_m(&b) + offset_m(&c)) - offset_m(&a) - offset_m(&d)) / (12.0 * H_S * H_S);
+        let specific_force_m_s2 = acceleration + Vector3::new(0.0, 0.0, GRAVITY_M_S2);
         Kinematics {
             pose,
-            angular_velocity_rad_s: rate,
-            specific_force_m_s2: pose.rotation.inverse() * force,
+            angular_velocity_rad_s,
+            specific_force_m_s2: pose.rotation.inverse() * specific_force_m_s2,
         }
     }
 
@@ -164,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn on_a_screw_rate_and_force_are_their_closed_forms() {
+    fn on_a_screw_both_measurements_are_their_closed_forms() {
         let screw = Screw {
             angle_deg: 90.0,
             period_s: 2.0,
@@ -181,18 +186,28 @@ mod tests {
         // angle = A (1 - cos(w t)) / 2
         let (a, w) = (90f64.to_radians(), std::f64::consts::PI);
         for t_s in [0.0, 0.3, 0.5, 1.0, 1.7] {
-            let rate = 0.5 * a * w * (w * t_s).sin();
-            let turn = 0.5 * a * w * w * (w * t_s).cos();
+            let angular_velocity_rad_s = 0.5 * a * w * (w * t_s).sin();
+            let angular_acceleration_rad_s2 = 0.5 * a * w * w * (w * t_s).cos();
             let k = imu.kinematics(seconds(t_s));
-            assert!((k.angular_velocity_rad_s - Vector3::new(0.0, 0.0, rate)).norm() < 1e-6, "{k:?}");
-            // Sensor axes: turn x lever + rate x (rate x lever), and gravity.
-            let force = Vector3::new(-turn * 0.25, -rate * rate * 0.25, GRAVITY_M_S2);
-            assert!((k.specific_force_m_s2 - force).norm() < 1e-5, "{k:?} {force:?}");
+            assert!(
+                (k.angular_velocity_rad_s - Vector3::new(0.0, 0.0, angular_velocity_rad_s)).norm() < 1e-6,
+                "{k:?}"
+            );
+            // Sensor axes: w' x lever + w x (w x lever), w the angular velocity, and gravity.
+            let specific_force_m_s2 = Vector3::new(
+                -angular_acceleration_rad_s2 * 0.25,
+                -angular_velocity_rad_s * angular_velocity_rad_s * 0.25,
+                GRAVITY_M_S2,
+            );
+            assert!(
+                (k.specific_force_m_s2 - specific_force_m_s2).norm() < 1e-5,
+                "{k:?} {specific_force_m_s2:?}"
+            );
         }
     }
 
     #[test]
-    fn integrated_rate_and_force_are_the_motion() {
+    fn integrated_measurements_are_the_motion() {
         // Strapdown over two seconds of walking, with a lever arm: 1 ms steps of the mid-point rule.
         let mount = Isometry3::new(Vector3::new(0.1, -0.05, 0.2), Vector3::new(0.4, -0.3, 0.9));
         let imu = imu(Motion::Walk(Walk::default()), mount, &ImuErrors::default());

@@ -1,7 +1,7 @@
 //! Body-worn inertial sensors: from the true motion to what a real one would report.
 //!
 //! ```text
-//! pose(t) ──> kinematics ──> rate, specific force ──> errors ──> measurement
+//! pose(t) ──> kinematics ──> angular velocity, specific force ──> errors ──> measurement
 //!                 earth ──> magnetic field ──────────────┘
 //!                 pose(t) ──> attitude filter's error ──> orientation
 //! ```

@@ -115,7 +115,7 @@ mod tests {
     /// Standard deviations along the ray, across it (per axis), and of the rotation (per axis).
     fn spread(r_m: f64, sigma_signal: f64) -> (f64, f64, f64) {
         let mut random = Random::new(3, Purpose::Signals(0));
-        let (mut radial, mut across, mut turn) = (0.0, 0.0, 0.0);
+        let (mut radial, mut across, mut rotation) = (0.0, 0.0, 0.0);
         let n = 4000;
         for _ in 0..n {
             let (u, q) = pose(&mut random);
@@ -126,10 +126,10 @@ mod tests {
             let along = error.dot(&u);
             radial += along * along;
             across += (error.norm_squared() - along * along) / 2.0;
-            turn += (q.inverse() * solution.orientation).scaled_axis().norm_squared() / 3.0;
+            rotation += (q.inverse() * solution.orientation).scaled_axis().norm_squared() / 3.0;
         }
         let rms = |sum: f64| (sum / f64::from(n)).sqrt();
-        (rms(radial), rms(across), rms(turn))
+        (rms(radial), rms(across), rms(rotation))
     }
 
     #[test]

@@ -105,9 +105,9 @@ impl Bvh {
                     Channel::Position(axis) if joint.parent.is_none() => shift[axis] = value,
                     Channel::Position(axis) => shift[axis] += value,
                     Channel::Rotation(axis) => {
-                        let mut turn = Vector3::zeros();
-                        turn[axis] = value.to_radians();
-                        rotation *= UnitQuaternion::from_scaled_axis(turn);
+                        let mut rotation_vector_rad = Vector3::zeros();
+                        rotation_vector_rad[axis] = value.to_radians();
+                        rotation *= UnitQuaternion::from_scaled_axis(rotation_vector_rad);
                     }
                 }
             }

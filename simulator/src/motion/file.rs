@@ -198,8 +198,8 @@ fn placement(up: Up, file: &File) -> Isometry3<f64> {
             0.0, 1.0, 0.0,
         ))),
     };
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), file.heading_deg.to_radians());
-    Isometry3::from_parts(Translation3::from(file.origin_m), turn * stand)
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), file.heading_deg.to_radians());
+    Isometry3::from_parts(Translation3::from(file.origin_m), rotation * stand)
 }
 
 fn place(row: Row, placement: &Isometry3<f64>, unit_m: f64) -> Row {

@@ -63,8 +63,8 @@ impl ImuCalibration {
         let directions = i64::from(self.directions).clamp(1, UP.len() as i64);
         let (from, to) = (Self::lies(k, directions), Self::lies(k + 1, directions));
         let turned = smooth_step(((within_s - self.rest_s) / self.turn_s).clamp(0.0, 1.0));
-        let turn = UnitQuaternion::from_scaled_axis((from.inverse() * to).scaled_axis() * turned);
-        Isometry3::from_parts(self.position_m.into(), from * turn)
+        let rotation = UnitQuaternion::from_scaled_axis((from.inverse() * to).scaled_axis() * turned);
+        Isometry3::from_parts(self.position_m.into(), from * rotation)
     }
 }
 

@@ -195,7 +195,7 @@ impl Body {
             (a - 8.0 * b + 8.0 * c - d) / (12.0 * H_S)
         };
         let here = self.pose(segment, t_s).rotation;
-        let turn = |pose: &Isometry3<f64>| (pose.rotation * here.inverse()).scaled_axis();
+        let rotation_vector_rad = |pose: &Isometry3<f64>| (pose.rotation * here.inverse()).scaled_axis();
         Twist {
             linear_m_s: slope(
                 a.translation.vector,
@@ -203,7 +203,12 @@ impl Body {
                 c.translation.vector,
                 d.translation.vector,
             ),
-            angular_rad_s: slope(turn(&a), turn(&b), turn(&c), turn(&d)),
+            angular_rad_s: slope(
+                rotation_vector_rad(&a),
+                rotation_vector_rad(&b),
+                rotation_vector_rad(&c),
+                rotation_vector_rad(&d),
+            ),
         }
     }
 }
@@ -252,11 +257,14 @@ mod tests {
     fn twist_of_a_screw_is_its_closed_form() {
         let screw = Screw { axis: [0.0, 0.0, 2.0], angle_deg: 90.0, period_s: 2.0, ..Screw::default() };
         let body = Body::new(Motion::Screw(screw.clone()), Path::new(".")).unwrap();
-        let rate = 90f64.to_radians() / 2.0 * std::f64::consts::PI; // at a quarter of the period
+        let angular_velocity_rad_s = 90f64.to_radians() / 2.0 * std::f64::consts::PI; // at a quarter of the period
         let twist = body.twist(0, 0.5);
-        assert!((twist.angular_rad_s - Vector3::new(0.0, 0.0, rate)).norm() < 1e-6, "{twist:?}");
-        let advance = screw.pitch_m_per_turn * rate / std::f64::consts::TAU;
+        assert!(
+            (twist.angular_rad_s - Vector3::new(0.0, 0.0, angular_velocity_rad_s)).norm() < 1e-6,
+            "{twist:?}"
+        );
+        let advance = screw.pitch_m_per_turn * angular_velocity_rad_s / std::f64::consts::TAU;
         assert!((twist.linear_m_s.z - advance).abs() < 1e-6);
-        assert!((twist.linear_m_s.xy().norm() - rate * screw.radius_m).abs() < 1e-6);
+        assert!((twist.linear_m_s.xy().norm() - angular_velocity_rad_s * screw.radius_m).abs() < 1e-6);
     }
 }

@@ -51,8 +51,9 @@ impl Person {
         let mut posture = script.at(t_s, &build);
         posture.pelvis_m += Vector3::from(self.position_m);
         let placement = posture.place(&build)[segment];
-        let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(placement.axes));
-        Isometry3::from_parts(placement.origin_m.into(), turn)
+        let rotation =
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(placement.axes));
+        Isometry3::from_parts(placement.origin_m.into(), rotation)
     }
 }
 

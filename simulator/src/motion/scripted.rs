@@ -74,11 +74,12 @@ impl Orbit {
         let position = Vector3::from_fn(|i, _| {
             self.center_m[i] + self.radius_m[i] * (f64::from(self.harmonics[i]) * phase + quarter[i]).sin()
         });
-        let turn = Vector3::from_fn(|i, _| {
+        let rotation_vector_rad = Vector3::from_fn(|i, _| {
             let third = i as f64 / 3.0 * TAU;
             self.turn_deg[i].to_radians() * (TAU * t_s / self.turn_period_s + third).sin()
         });
-        let rotation = UnitQuaternion::from_scaled_axis(turn) * quaternion(self.orientation_wxyz);
+        let rotation =
+            UnitQuaternion::from_scaled_axis(rotation_vector_rad) * quaternion(self.orientation_wxyz);
         Isometry3::from_parts(position.into(), rotation)
     }
 }

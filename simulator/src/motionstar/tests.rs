@@ -177,8 +177,8 @@ fn the_transmitter_stands_in_the_room_and_the_same_seed_gives_the_same_bytes() {
     let pair = run(3);
     let (p, _) = pose(pair.samples.last().unwrap().measurement);
     let (_, truth) = pair.truth_of(pair.samples.last().unwrap());
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
-    let in_room = turn * p + Vector3::new(0.2, 0.1, 1.0);
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let in_room = rotation * p + Vector3::new(0.2, 0.1, 1.0);
     assert!((in_room - truth.pose.translation.vector).norm() < 5e-3);
     assert_eq!(pair.bytes, run(3).bytes);
     assert_ne!(pair.bytes, run(4).bytes);

@@ -48,12 +48,12 @@ pub(crate) struct Tracker {
     sensors: Vec<(u8, Imu)>,
     acknowledged: Vec<bool>,
     connected: bool,
-    heard: Timestamp,
+    received_at: Timestamp,
     /// Number of the next packet.
     packet: u64,
     /// What the server can, once it has said so.
     features: Option<u8>,
-    asked_features: u8,
+    requested_features: u8,
     next_call: Timestamp,
     next_features: Timestamp,
     next_battery: Timestamp,
@@ -77,10 +77,10 @@ impl Tracker {
             last: vec![None; sensors.len()],
             sensors,
             connected: false,
-            heard: Timestamp::ZERO,
+            received_at: Timestamp::ZERO,
             packet: 0,
             features: None,
-            asked_features: 0,
+            requested_features: 0,
             next_call: Timestamp::ZERO,
             next_features: Timestamp::ZERO,
             next_battery: Timestamp::ZERO,
@@ -99,7 +99,7 @@ impl Tracker {
     fn search(&mut self, t: Timestamp) {
         self.connected = false;
         self.features = None;
-        self.asked_features = 0;
+        self.requested_features = 0;
         // One after the other, so that a server numbers them in the order of their numbers.
         self.next_call = t + Duration::from_millis(20 * u64::from(self.number));
         self.acknowledged.fill(false);
@@ -108,7 +108,7 @@ impl Tracker {
     fn poll_timeout(&self) -> Timestamp {
         let motion = self.pace.time(self.cycle);
         let call = (!self.connected || self.acknowledged.contains(&false)).then_some(self.next_call);
-        let asks = self.connected && self.features.is_none() && self.asked_features < MOST_FEATURES;
+        let asks = self.connected && self.features.is_none() && self.requested_features < MOST_FEATURES;
         let features = asks.then_some(self.next_features);
         let battery = self.connected.then_some(self.next_battery);
         [call, features, battery].into_iter().flatten().fold(motion, Timestamp::min)
@@ -152,13 +152,13 @@ impl SlimeVr {
         tracker.cycle += 1;
         let rows = tracker.sensors.iter().map(|(_, imu)| imu.truth(t)).collect();
         chassis.truth(t, cycle, rows);
-        if is_quiet && t.seconds_since(tracker.heard) > SILENCE_S && tracker.connected {
+        if is_quiet && t.seconds_since(tracker.received_at) > SILENCE_S && tracker.connected {
             tracker.search(t);
         }
         if !tracker.connected {
             return;
         }
-        if t.seconds_since(tracker.heard) > SILENCE_S {
+        if t.seconds_since(tracker.received_at) > SILENCE_S {
             return tracker.search(t);
         }
         let measured: Vec<Inertial> =
@@ -264,13 +264,13 @@ impl SlimeVr {
                 // Number 0 is for handshakes and pings.
                 tracker.packet = tracker.packet.max(1);
             }
-            tracker.heard = t;
+            tracker.received_at = t;
             return;
         }
         if !tracker.connected {
             return;
         }
-        tracker.heard = t;
+        tracker.received_at = t;
         match data {
             [0, 0, 0, 1, ..] => {
                 let packet = tracker.packet(0, &[]);
@@ -321,10 +321,10 @@ impl Unit for SlimeVr {
         } else if (!tracker.connected || tracker.acknowledged.contains(&false)) && tracker.next_call <= t {
             self.call(chassis, k, t);
         } else if tracker.features.is_none()
-            && tracker.asked_features < MOST_FEATURES
+            && tracker.requested_features < MOST_FEATURES
             && tracker.next_features <= t
         {
-            tracker.asked_features += 1;
+            tracker.requested_features += 1;
             tracker.next_features = t + FEATURES;
             // Remote command and sensor configuration are what this firmware can.
             let packet = tracker.packet(22, &[6]);

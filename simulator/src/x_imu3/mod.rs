@@ -198,9 +198,16 @@ impl XImu3 {
                 if is_quiet || is_wrong || left_out || late {
                     chassis.lose(cycle, Some(address));
                 } else {
-                    let rate = mean.angular_velocity_rad_s.map(f64::to_degrees);
-                    let force = mean.specific_force_m_s2 / GRAVITY_M_S2;
-                    let values = [rate.x, rate.y, rate.z, force.x, force.y, force.z];
+                    let angular_velocity_deg_s = mean.angular_velocity_rad_s.map(f64::to_degrees);
+                    let specific_force_g = mean.specific_force_m_s2 / GRAVITY_M_S2;
+                    let values = [
+                        angular_velocity_deg_s.x,
+                        angular_velocity_deg_s.y,
+                        angular_velocity_deg_s.z,
+                        specific_force_g.x,
+                        specific_force_g.y,
+                        specific_force_g.z,
+                    ];
                     self.send(chassis, t, k, b'I', &values, Some(cycle));
                 }
             }
@@ -227,9 +234,9 @@ impl XImu3 {
         let q = match self.members[k].number("ahrsaxesconvention") {
             // North, west, up.
             0 => {
-                let turn =
+                let rotation =
                     nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.0, -std::f64::consts::FRAC_PI_2);
-                turn * measured.orientation
+                rotation * measured.orientation
             }
             _ => measured.orientation,
         };

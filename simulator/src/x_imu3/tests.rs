@@ -49,8 +49,8 @@ fn alone_on_a_chain_and_on_a_network_they_stream_what_is_true() {
                     assert!((north - Vector3::new(0.0, 0.5, -0.75f64.sqrt())).norm() < 0.05, "{north:?}");
                     fields += 1;
                 }
-                if let Some(force) = specific_force_m_s2 {
-                    let up = truth.pose.rotation * Vector3::from(force);
+                if let Some(specific_force_m_s2) = specific_force_m_s2 {
+                    let up = truth.pose.rotation * Vector3::from(specific_force_m_s2);
                     assert!((up - Vector3::z() * GRAVITY_M_S2).norm() < 2.0);
                     inertial += 1;
                 }

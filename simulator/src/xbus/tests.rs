@@ -34,16 +34,16 @@ fn bytes(count: u32) -> Bytes {
     Bytes { count, start_s: 4.0, end_s: 14.0 }
 }
 
-/// Rate, specific force, magnetic field and orientation.
+/// Angular velocity, specific force, magnetic field and orientation.
 fn imu(sample: &Sample) -> ([f64; 3], [f64; 3], [f64; 3], [f64; 4]) {
     match sample.measurement {
         Measurement::Imu {
-            angular_velocity_rad_s: Some(rate),
-            specific_force_m_s2: Some(force),
+            angular_velocity_rad_s: Some(angular_velocity_rad_s),
+            specific_force_m_s2: Some(specific_force_m_s2),
             magnetic_field: Some(field),
             orientation_wxyz: Some(q),
             ..
-        } => (rate, force, field, q),
+        } => (angular_velocity_rad_s, specific_force_m_s2, field, q),
         other => panic!("{other:?}"),
     }
 }
@@ -69,20 +69,26 @@ fn all_personalities_stream_what_is_true() {
             let samples = pair.samples_of(address);
             assert!((198..=201).contains(&samples.len()), "{}", samples.len());
             for (k, sample) in samples.iter().enumerate().skip(4) {
-                let (rate, force, field, q) = imu(sample);
+                let (angular_velocity_rad_s, specific_force_m_s2, field, q) = imu(sample);
                 let (t, truth) = pair.truth_of(sample);
                 assert!(angle_to(q, &truth) < 1e-6);
                 // The field's inclination and gravity, both in room axes.
                 let north = truth.pose.rotation * Vector3::from(field);
                 assert!((north - Vector3::new(0.0, 0.5, -0.75f64.sqrt())).norm() < 1e-6, "{north:?}");
                 assert!(
-                    (truth.pose.rotation * Vector3::from(force) - Vector3::z() * GRAVITY_M_S2).norm() < 2.0
+                    (truth.pose.rotation * Vector3::from(specific_force_m_s2) - Vector3::z() * GRAVITY_M_S2)
+                        .norm()
+                        < 2.0
                 );
-                // The turn over two periods is the mean rate.
+                // The rotation over two periods is the mean angular velocity.
                 let (before, earlier) = pair.truth_of(&samples[k - 2]);
-                let turn = (earlier.pose.rotation.inverse() * truth.pose.rotation).scaled_axis();
+                let rotation_vector_rad =
+                    (earlier.pose.rotation.inverse() * truth.pose.rotation).scaled_axis();
                 let mean = Vector3::from(imu(&samples[k - 1]).0);
-                assert!((turn / t.seconds_since(before) - mean).norm() < 1e-3, "{rate:?} {mean:?}");
+                assert!(
+                    (rotation_vector_rad / t.seconds_since(before) - mean).norm() < 1e-3,
+                    "{angular_velocity_rad_s:?} {mean:?}"
+                );
             }
         }
     }

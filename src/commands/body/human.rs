@@ -66,7 +66,7 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
     let blocks = blocks(body)?;
     let mut recording = recording(imu, &places)?;
     // Of each segment the file's sensor.
-    let mut worn_at =
+    let mut columns =
         BodySegment::ALL.map(|segment| places.iter().position(|place| *place == Some(segment.index())));
     if args.assign {
         if let Some(at) = places.iter().position(Option::is_none) {
@@ -76,27 +76,27 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
             )));
         }
         let assignment = assign(&recording, &blocks).map_err(Error::failed)?;
-        worn_at = assignment.place(&worn_at);
+        columns = assignment.place(&columns);
         recording = assignment.placed(&recording);
     }
-    let name = |segment: BodySegment| Some(imu.sensors[worn_at[segment.index()]?].as_str());
+    let name = |segment: BodySegment| Some(imu.sensors[columns[segment.index()]?].as_str());
     let sensors = BodySegment::ALL.map(|segment| {
         let name = name(segment)?;
         stage.sensors.iter().find(|sensor| sensor.name == name)
     });
-    let present = worn_at.map(|at| at.is_some());
+    let present = columns.map(|at| at.is_some());
     let mut warnings = Vec::new();
-    let (worn, quality) = match body.mounting {
+    let (mounts, quality) = match body.mounting {
         Mounting::Given if !args.assign => (given(&sensors, &present, &skeleton)?, [None; SEGMENTS]),
         _ => {
             let offsets = BodySegment::ALL.map(|segment| offset_on(sensors[segment.index()]?, segment));
             let found = calibrate(&recording, &blocks, &skeleton, &offsets).map_err(Error::failed)?;
             warnings = found.warnings;
-            (found.worn, found.quality_deg)
+            (found.mounts, found.quality_deg)
         }
     };
 
-    let mut filter = BodyFilter::new(&skeleton, &worn, &BodyParams::default());
+    let mut filter = BodyFilter::new(&skeleton, &mounts, &BodyParams::default());
     if recording.iter().any(|(_, samples)| samples.iter().flatten().any(|sample| sample.mag.is_some())) {
         filter.await_field();
     }
@@ -118,12 +118,12 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
         sensors: BodySegment::ALL
             .into_iter()
             .filter_map(|segment| {
-                let worn = worn[segment.index()]?;
+                let mount = mounts[segment.index()]?;
                 Some(SensorSummary {
                     name: name(segment)?.to_owned(),
                     segment: segment.name(),
-                    mount_quat_wxyz: orientation_to_wxyz(&worn.q_segment_sensor),
-                    offset_m: worn.offset_m.into(),
+                    mount_quat_wxyz: orientation_to_wxyz(&mount.q_segment_sensor),
+                    offset_m: mount.offset_m.into(),
                     quality_deg: quality[segment.index()],
                     faults: faults(segment, &estimates),
                 })
@@ -204,18 +204,18 @@ fn given(
     present: &[bool; SEGMENTS],
     skeleton: &Skeleton,
 ) -> Result<[Option<SensorMount>; SEGMENTS], Error> {
-    let mut worn = [None; SEGMENTS];
+    let mut mounts = [None; SEGMENTS];
     for segment in BodySegment::ALL.into_iter().filter(|segment| present[segment.index()]) {
         let sensor = sensors[segment.index()];
-        let given = sensor.and_then(|sensor| posed_pipeline::worn(sensor, segment, skeleton));
-        worn[segment.index()] = Some(given.ok_or_else(|| {
+        let given = sensor.and_then(|sensor| posed_pipeline::sensor_mount(sensor, segment, skeleton));
+        mounts[segment.index()] = Some(given.ok_or_else(|| {
             Error::Failed(format!(
                 "the sensor on `{}` has no `mount_quat_wxyz` in the stage file: give one, or set mounting = \"calibrate\"",
                 segment.name()
             ))
         })?);
     }
-    Ok(worn)
+    Ok(mounts)
 }
 
 fn faults(segment: BodySegment, estimates: &[(f64, BodyEstimate)]) -> Vec<FaultSummary> {

@@ -118,13 +118,13 @@ async fn one(port: &str, wanted: Wanted, limit: Duration) -> PortReport {
     };
     let clock = StageClock::start();
     let mut failure = Failure::Silent;
-    let mut asked: Vec<(Kind, u32)> = Vec::new();
+    let mut tried: Vec<(Kind, u32)> = Vec::new();
     for (kind, baud) in questions {
         if Duration::from_secs_f64(clock.now().as_secs_f64().max(0.0)) + QUESTION > limit {
             break;
         }
         let answer = match line.set_baud(baud) {
-            Ok(()) => find::ask(&mut line, kind, asked.is_empty()).await,
+            Ok(()) => find::ask(&mut line, kind, tried.is_empty()).await,
             Err(error) => Err(error),
         };
         match answer {
@@ -134,9 +134,9 @@ async fn one(port: &str, wanted: Wanted, limit: Duration) -> PortReport {
             Ok(Err(other)) => failure = other,
             Err(error) => return lost(port, &error),
         }
-        asked.push((kind, baud));
+        tried.push((kind, baud));
     }
-    nothing(port, &asked, failure)
+    nothing(port, &tried, failure)
 }
 
 fn found(port: &str, kind: Kind, baud: u32, answer: Answer) -> PortReport {
@@ -158,9 +158,9 @@ fn found(port: &str, kind: Kind, baud: u32, answer: Answer) -> PortReport {
     }
 }
 
-fn nothing(port: &str, asked: &[(Kind, u32)], failure: Failure) -> PortReport {
+fn nothing(port: &str, tried: &[(Kind, u32)], failure: Failure) -> PortReport {
     let mut bauds: Vec<u32> = Vec::new();
-    for (_, baud) in asked {
+    for (_, baud) in tried {
         if !bauds.contains(baud) {
             bauds.push(*baud);
         }
@@ -241,12 +241,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_rate_of_every_kind_is_asked_and_the_likeliest_first() {
-        let asked = questions("/dev/ttyUSB0", Wanted::default());
-        assert_eq!(asked.len(), Kind::SERIAL.iter().map(|kind| kind.bauds().len()).sum::<usize>());
-        let first: Vec<Kind> = asked[..4].iter().map(|(kind, _)| *kind).collect();
+    fn every_baud_of_every_kind_is_tried_and_the_likeliest_first() {
+        let in_order = questions("/dev/ttyUSB0", Wanted::default());
+        assert_eq!(in_order.len(), Kind::SERIAL.iter().map(|kind| kind.bauds().len()).sum::<usize>());
+        let first: Vec<Kind> = in_order[..4].iter().map(|(kind, _)| *kind).collect();
         assert_eq!(first, Kind::SERIAL);
-        assert_eq!(asked.last(), Some(&(Kind::Flock, 2400)));
+        assert_eq!(in_order.last(), Some(&(Kind::Flock, 2400)));
         let star = questions("tcp://10.0.0.2:6000", Wanted::default());
         assert_eq!(star, [(Kind::MotionStar, 115_200)]);
         let one = Wanted { baud: Some(9600), kind: Some(Kind::Fastrak) };

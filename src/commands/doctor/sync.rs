@@ -118,7 +118,7 @@ fn read(recording: &Path) -> Result<(Stage, BTreeMap<String, Speed>), Error> {
     Ok((stage, measured.into_iter().map(|(name, records)| (name, speed(&records))).collect()))
 }
 
-/// Angular speed by rate gyro where there is one, else from one orientation to the next.
+/// Angular speed by gyro where there is one, else from one orientation to the next.
 fn speed(records: &[Measured]) -> Speed {
     let mut speed: Speed = Vec::with_capacity(records.len());
     let mut before: Option<&Measured> = None;
@@ -207,16 +207,16 @@ mod tests {
         [[sensor]]\nname = \"unit\"\ndevice = \"imu\"\naddress = 0\n";
 
     fn record(t_s: f64, shift_s: f64, gyro: bool) -> Measured {
-        // Turning about z by an angle whose rate is known.
+        // Turning about z by an angle whose angular velocity is known.
         let t = t_s - shift_s;
         let angle = 0.8 * (2.0 * t).sin() + 0.3 * (5.3 * t).cos();
-        let rate = 1.6 * (2.0 * t).cos() - 1.59 * (5.3 * t).sin();
+        let angular_velocity_rad_s = 1.6 * (2.0 * t).cos() - 1.59 * (5.3 * t).sin();
         Measured {
             t_s,
             position_m: None,
             orientation_wxyz: (!gyro).then(|| [(0.5 * angle).cos(), 0.0, 0.0, (0.5 * angle).sin()]),
             button: None,
-            angular_velocity_rad_s: gyro.then_some([0.0, rate, 0.0]),
+            angular_velocity_rad_s: gyro.then_some([0.0, angular_velocity_rad_s, 0.0]),
             specific_force_m_s2: None,
             linear_acceleration_m_s2: None,
             magnetic_field: None,

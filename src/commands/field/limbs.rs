@@ -38,7 +38,7 @@ struct Wears<'a> {
     parent: Option<&'a str>,
     /// Index among the sensors that are asked for.
     sensor: usize,
-    worn: &'a posed_stage::Sensor,
+    entry: &'a posed_stage::Sensor,
 }
 
 /// The names of the sensors that sit on segments, and how they hang together.
@@ -56,11 +56,11 @@ pub(super) fn of_stage(stage: &Stage, measured: &[Measured]) -> Result<(Vec<Stri
     };
     let mut names = Vec::new();
     let mut wearing: Vec<Wears<'_>> = Vec::new();
-    for worn in &stage.sensors {
-        let name = worn.segment.as_deref().unwrap_or(&worn.name);
+    for entry in &stage.sensors {
+        let name = entry.segment.as_deref().unwrap_or(&entry.name);
         if is_segment(name) && wearing.iter().all(|other| other.name != name) {
-            wearing.push(Wears { name, parent: parent(name), sensor: names.len(), worn });
-            names.push(worn.name.clone());
+            wearing.push(Wears { name, parent: parent(name), sensor: names.len(), entry });
+            names.push(entry.name.clone());
         }
     }
     for bone in measured {
@@ -74,24 +74,24 @@ pub(super) fn of_stage(stage: &Stage, measured: &[Measured]) -> Result<(Vec<Stri
     let mut limbs = Limbs::default();
     for child in &wearing {
         let Some(parent) = wearing.iter().find(|other| Some(other.name) == child.parent) else { continue };
-        let places = skeleton.as_ref().zip(BodySegment::named(child.name)).map(|(skeleton, segment)| {
+        let joints_m = skeleton.as_ref().zip(BodySegment::named(child.name)).map(|(skeleton, segment)| {
             [skeleton.joint_in_segment_m(segment), skeleton.joint_in_parent_m(segment)]
         });
-        let way = |wears: &Wears<'_>, place: Option<Vector3<f64>>| {
-            let turn = orientation_from_wxyz(wears.worn.mount_quat_wxyz?)?;
-            let offset = Vector3::from(wears.worn.offset_m?);
-            given.then_some(turn.inverse() * (place? - offset))
+        let way = |wears: &Wears<'_>, joint_m: Option<Vector3<f64>>| {
+            let rotation = orientation_from_wxyz(wears.entry.mount_quat_wxyz?)?;
+            let offset = Vector3::from(wears.entry.offset_m?);
+            given.then_some(rotation.inverse() * (joint_m? - offset))
         };
         limbs.joints.push(Joint {
             name: format!("{} to {}", parent.name, child.name),
             sensors: [child.sensor, parent.sensor],
-            ways_m: [way(child, places.map(|p| p[0])), way(parent, places.map(|p| p[1]))],
+            ways_m: [way(child, joints_m.map(|p| p[0])), way(parent, joints_m.map(|p| p[1]))],
         });
     }
     for segment in &wearing {
         let joints: Vec<usize> =
             (0..limbs.joints.len()).filter(|j| limbs.joints[*j].sensors.contains(&segment.sensor)).collect();
-        let place = |joint: usize| {
+        let joint_m = |joint: usize| {
             let other = limbs.joints[joint].sensors[0];
             let skeleton = skeleton.as_ref()?;
             if other == segment.sensor {
@@ -103,7 +103,7 @@ pub(super) fn of_stage(stage: &Stage, measured: &[Measured]) -> Result<(Vec<Stri
         for (k, first) in joints.iter().enumerate() {
             for second in &joints[k + 1..] {
                 let reported = measured.iter().find(|bone| bone.segment == segment.name && joints.len() == 2);
-                let proportion = place(*first).zip(place(*second)).map(|(a, b)| (a - b).norm());
+                let proportion = joint_m(*first).zip(joint_m(*second)).map(|(a, b)| (a - b).norm());
                 let length_m =
                     reported.map(|bone| bone.length_m).or(proportion).filter(|length| *length > 0.02);
                 let sigma_m =

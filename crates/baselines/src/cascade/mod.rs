@@ -15,8 +15,8 @@
 //!
 //! Repaired here, where the paper errs or is silent:
 //! - The quaternion step has the factor 2/|w| where 1/|w| is right; the direction is turned by the exponential map.
-//! - A quaternion and three rates, of which a pole shows neither its spin nor that rate: ten error states instead of
-//!   thirteen.
+//! - A quaternion and three angular velocities, of which a pole shows neither its spin nor that velocity: ten error states
+//!   instead of thirteen.
 //! - `z_i = t + i d ...` with `i` from 1 places `t` one spacing before the first sensor; it is the pole's middle.
 //! - The paper lets the spacing be estimated from the readings, which hides every error of scale; it is given.
 
@@ -64,7 +64,7 @@ pub fn cascade(run: &PoleRun, iterations: usize) -> Option<Cascade> {
             let Some(state) = state else { continue };
             for (sensor, reading) in frame.readings.iter().enumerate() {
                 if let Some(reading) = reading {
-                    pairs.push((reading.position_m, state.place(run.offset_m(sensor))));
+                    pairs.push((reading.position_m, state.position_m(run.offset_m(sensor))));
                 }
             }
         }

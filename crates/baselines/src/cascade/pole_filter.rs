@@ -1,7 +1,7 @@
 //! The iterated extended Kalman filter of the pole, and its smoother.
 //!
 //! State: middle t, direction u, velocity v, rate of u; ten error numbers. The printed filter carries a quaternion and a
-//! full angular rate, thirteen numbers of which a pole shows eleven or twelve: its spin about itself is never seen. Its
+//! full angular velocity, thirteen numbers of which a pole shows eleven or twelve: its spin about itself is never seen. Its
 //! quaternion step has the factor 2/|w| where 1/|w| is right, and its sensors start one spacing off; both are avoided
 //! here, where the direction is carried with two axes across it and turned by the exponential map.
 
@@ -30,8 +30,8 @@ pub struct PoleState {
     axes: Matrix3<f64>,
     /// Velocity of the middle, m/s.
     pub velocity_m_s: Vector3<f64>,
-    /// Rate of the direction along the two axes, 1/s.
-    rate: [f64; 2],
+    /// Angular velocity of the direction along the two axes, rad/s.
+    angular_velocity_rad_s: [f64; 2],
 }
 
 impl PoleState {
@@ -41,12 +41,12 @@ impl PoleState {
     }
 
     /// Where the sensor `offset_m` from the middle is, m; offsets as of [`PoleRun::offset_m`].
-    pub fn place(&self, offset_m: f64) -> Vector3<f64> {
+    pub fn position_m(&self, offset_m: f64) -> Vector3<f64> {
         self.middle_m + self.axes.column(0) * offset_m
     }
 
     /// Turns the axes so that the direction moves by `a` and `b` along the two axes across it.
-    fn turn(&mut self, a: f64, b: f64) {
+    fn rotate(&mut self, a: f64, b: f64) {
         let w = self.axes.column(2) * a - self.axes.column(1) * b;
         self.axes = Rotation3::new(w).matrix() * self.axes;
     }
@@ -54,10 +54,10 @@ impl PoleState {
     fn plus(&self, error: &Error) -> Self {
         let mut state = *self;
         state.middle_m += error.fixed_rows::<3>(0);
-        state.turn(error[3], error[4]);
+        state.rotate(error[3], error[4]);
         state.velocity_m_s += error.fixed_rows::<3>(5);
-        state.rate[0] += error[8];
-        state.rate[1] += error[9];
+        state.angular_velocity_rad_s[0] += error[8];
+        state.angular_velocity_rad_s[1] += error[9];
         state
     }
 
@@ -70,8 +70,8 @@ impl PoleState {
         error[3] = scale * seen.y;
         error[4] = scale * seen.z;
         error.fixed_rows_mut::<3>(5).copy_from(&(self.velocity_m_s - other.velocity_m_s));
-        error[8] = self.rate[0] - other.rate[0];
-        error[9] = self.rate[1] - other.rate[1];
+        error[8] = self.angular_velocity_rad_s[0] - other.angular_velocity_rad_s[0];
+        error[9] = self.angular_velocity_rad_s[1] - other.angular_velocity_rad_s[1];
         error
     }
 }
@@ -92,7 +92,8 @@ impl PoleFilter {
         let (middle_m, along) = fit_line(&points, &offsets);
         let side = side_basis(&along);
         let axes = Matrix3::from_columns(&[along, side.column(0).into_owned(), side.column(1).into_owned()]);
-        let state = PoleState { middle_m, axes, velocity_m_s: Vector3::zeros(), rate: [0.0; 2] };
+        let state =
+            PoleState { middle_m, axes, velocity_m_s: Vector3::zeros(), angular_velocity_rad_s: [0.0; 2] };
         let mut covariance = Covariance::identity();
         covariance.fixed_view_mut::<5, 5>(0, 0).fill_diagonal(0.01);
         Self { state, covariance }
@@ -102,7 +103,7 @@ impl PoleFilter {
     fn predict(&mut self, dt_s: f64) -> Covariance {
         let state = &mut self.state;
         state.middle_m += state.velocity_m_s * dt_s;
-        state.turn(state.rate[0] * dt_s, state.rate[1] * dt_s);
+        state.rotate(state.angular_velocity_rad_s[0] * dt_s, state.angular_velocity_rad_s[1] * dt_s);
         let mut transition = Covariance::identity();
         for k in 0..5 {
             transition[(k, 5 + k)] = dt_s;
@@ -136,7 +137,7 @@ impl PoleFilter {
                 h.fixed_view_mut::<3, 2>(0, 3)
                     .copy_from(&(whitener * state.axes.fixed_columns::<2>(1) * *offset));
                 information += h.transpose() * h;
-                gradient += h.transpose() * (whitener * (z - state.place(*offset)));
+                gradient += h.transpose() * (whitener * (z - state.position_m(*offset)));
             }
             let Some(solver) = information.cholesky() else { return };
             let step = solver.solve(&gradient);

@@ -19,7 +19,7 @@ use posed_geometry::orientation_to_wxyz;
 use posed_protocol::RoomPoint;
 use posed_stage::input::{Model, SensorIndex};
 
-/// What a good alignment leaves at most: of the turns, degrees; of the second differences and of the anchors, m.
+/// What a good alignment leaves at most: of the rotations, degrees; of the second differences and of the anchors, m.
 const GOOD_DEG: f64 = 3.0;
 const GOOD_M: f64 = 0.03;
 

@@ -63,33 +63,33 @@ struct Session {
 
 impl Session {
     fn run(self, job: &Job) -> Result<String, Failure> {
-        let worn = self.inbox.ask(|to| Command::WornImus { to })?;
-        let guide = Guide::new(worn.map(|imu| imu.is_some()), self.magnetic, self.how);
+        let imus = self.inbox.ask(|to| Command::BodyImus { to })?;
+        let guide = Guide::new(imus.map(|imu| imu.is_some()), self.magnetic, self.how);
         let mut guided = Body { guide, reported: None };
-        let source = BodySource::new(worn, self.magnetic);
+        let source = BodySource::new(imus, self.magnetic);
         guided::run(&mut guided, job, &self.inbox, source)?;
-        self.solve(job, worn, &guided.guide)
+        self.solve(job, imus, &guided.guide)
     }
 
     fn solve(&self, job: &Job, taken_for: BodyImus, guide: &Guide) -> Result<String, Failure> {
         let (recording, blocks) = guide.recorded();
         let again = |error: &dyn std::fmt::Display| Failure::from(format!("{error}; begin again"));
-        let mut worn = taken_for;
+        let mut imus = taken_for;
         let found = if self.how == Thoroughness::Assign {
             let assignment = assign(recording, blocks).map_err(|error| again(&error))?;
-            worn = assignment.place(&taken_for);
-            self.calibrate(&assignment.placed(recording), blocks, &worn)
+            imus = assignment.place(&taken_for);
+            self.calibrate(&assignment.placed(recording), blocks, &imus)
         } else {
-            self.calibrate(recording, blocks, &worn)
+            self.calibrate(recording, blocks, &imus)
         };
         let found = found.map_err(|error| again(&error))?;
         let has_mounting =
-            |imu| worn.iter().zip(&found.worn).any(|(at, sits)| *at == Some(imu) && sits.is_some());
+            |imu| imus.iter().zip(&found.mounts).any(|(at, sits)| *at == Some(imu) && sits.is_some());
         if let Some(lost) = taken_for.into_iter().flatten().find(|imu| !has_mounting(*imu)) {
             return Err(again(&format!("{} sent nothing; see to it", self.name(lost))));
         }
         let quality = self.by_segment(|segment| json!(found.quality_deg[segment.index()]));
-        let sensors = self.by_segment(|segment| json!(worn[segment.index()].map(|imu| self.name(imu))));
+        let sensors = self.by_segment(|segment| json!(imus[segment.index()].map(|imu| self.name(imu))));
         job.result(json!({ "quality_deg": quality, "sensors": sensors }));
         if !found.warnings.is_empty() {
             return Err(again(&found.warnings.join("; ")));
@@ -98,22 +98,22 @@ impl Session {
             .into_iter()
             .filter_map(|segment| Some((segment, found.quality_deg[segment.index()]?)))
             .max_by(|(_, a), (_, b)| a.total_cmp(b));
-        let sensors = self.mounted(&worn, &found);
+        let sensors = self.mounted(&imus, &found);
         self.inbox.command(Command::LoadModel(Model::Mounting { sensors }));
         let worst = worst.map_or_else(String::new, |(segment, quality_deg)| {
             format!("; the worst is {} with {quality_deg:.1} degrees", segment.name())
         });
-        Ok(format!("the sensors' mounting is known{worst}{}", self.reported(&worn)))
+        Ok(format!("the sensors' mounting is known{worst}{}", self.reported(&imus)))
     }
 
     fn calibrate(
         &self,
         recording: &[Recorded],
         blocks: &[Block],
-        worn: &BodyImus,
+        imus: &BodyImus,
     ) -> Result<Calibrated, CalibrationError> {
         let offsets_m = BodySegment::ALL
-            .map(|segment| offset_on(&self.stage.sensors[usize::from(worn[segment.index()]?)], segment));
+            .map(|segment| offset_on(&self.stage.sensors[usize::from(imus[segment.index()]?)], segment));
         calibrate(recording, blocks, &self.skeleton, &offsets_m)
     }
 
@@ -128,11 +128,11 @@ impl Session {
     }
 
     /// Who does not sit where the stage file has it.
-    fn reported(&self, worn: &BodyImus) -> String {
+    fn reported(&self, imus: &BodyImus) -> String {
         let elsewhere: Vec<String> = BodySegment::ALL
             .into_iter()
             .filter_map(|segment| {
-                let sensor = &self.stage.sensors[usize::from(worn[segment.index()]?)];
+                let sensor = &self.stage.sensors[usize::from(imus[segment.index()]?)];
                 let moved = segment_of(sensor) != Some(segment);
                 moved.then(|| format!("{} sits on {}", sensor.name, segment.name()))
             })
@@ -144,11 +144,11 @@ impl Session {
         }
     }
 
-    fn mounted(&self, worn: &BodyImus, found: &Calibrated) -> Vec<MountedSensor> {
+    fn mounted(&self, imus: &BodyImus, found: &Calibrated) -> Vec<MountedSensor> {
         let mounted = |segment: BodySegment| {
-            let mounting = found.worn[segment.index()]?;
+            let mounting = found.mounts[segment.index()]?;
             Some(MountedSensor {
-                sensor: self.name(worn[segment.index()]?).to_owned(),
+                sensor: self.name(imus[segment.index()]?).to_owned(),
                 segment: Some(segment.name().to_owned()),
                 mount_quat_wxyz: orientation_to_wxyz(&mounting.q_segment_sensor),
                 offset_m: mounting.offset_m.into(),

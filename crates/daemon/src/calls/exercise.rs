@@ -119,10 +119,10 @@ struct Classroom {
 }
 
 impl Classroom {
-    fn run(self, job: &Job, asked_s: f64) -> Result<String, Failure> {
+    fn run(self, job: &Job, requested_s: f64) -> Result<String, Failure> {
         let (exercise, report) = match self.lesson.last_s {
-            Some(last_s) => self.taught(job, asked_s - last_s),
-            None => self.watch(job, asked_s),
+            Some(last_s) => self.taught(job, requested_s - last_s),
+            None => self.watch(job, requested_s),
         }?;
         self.keep(exercise, &report)
     }

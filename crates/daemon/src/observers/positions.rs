@@ -87,7 +87,7 @@ mod tests {
     use posed_stage::output::{Measured, SensorEstimate};
 
     #[test]
-    fn it_remembers_five_minutes_and_gives_the_seconds_asked_for() {
+    fn it_remembers_five_minutes_and_gives_the_requested_seconds() {
         let text = "name = \"t\"\n[[device]]\nname = \"d\"\ndriver = \"flock-of-birds\"\nport = \"none\"\n\
                     [[sensor]]\nname = \"a\"\ndevice = \"d\"\naddress = 1\n\
                     [[sensor]]\nname = \"b\"\ndevice = \"d\"\naddress = 2\n";

@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn it_forgets_what_is_old_and_gives_the_columns_asked_for() {
+    fn it_forgets_what_is_old_and_gives_the_requested_columns() {
         let stage = "name = \"s\"\n[[sensor]]\nname = \"a\"\ndevice = \"d\"\naddress = 1\n[[sensor]]\nname = \"b\"\ndevice = \"d\"\naddress = 2";
         let mut recent = Recent::new(&toml::from_str(stage).unwrap());
         for second in 0..200 {

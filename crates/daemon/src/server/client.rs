@@ -30,7 +30,7 @@ enum End {
 
 /// What a client has said.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Heard<'a> {
+pub(super) enum Received<'a> {
     Text(&'a str),
     Binary(&'a [u8]),
 }
@@ -40,7 +40,7 @@ pub(super) trait Dialect: Send {
     /// What is to be written to the client.
     fn outbox(&self) -> Arc<Outbox>;
     /// Takes a message of the client; answers go to the outbox. An error ends the connection.
-    fn hear(&mut self, heard: Heard<'_>) -> impl Future<Output = Result<(), Close>> + Send;
+    fn hear(&mut self, received: Received<'_>) -> impl Future<Output = Result<(), Close>> + Send;
     /// The connection has ended.
     fn leave(self) -> impl Future<Output = ()> + Send;
 }
@@ -81,13 +81,13 @@ impl<D: Dialect> Client<D> {
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut shutdown = self.context.shutdown.clone();
         let outbox = Arc::clone(&self.outbox);
-        let mut heard = now();
+        let mut received = now();
         loop {
             let step = tokio::select! {
                 biased;
                 () = ended(&mut shutdown) => return End::Close(Close::SHUTDOWN),
                 incoming = self.socket.recv() => {
-                    heard = now();
+                    received = now();
                     match incoming {
                         Some(Ok(message)) => self.handle(message).await,
                         Some(Err(error)) => Err(end_of(error)),
@@ -96,7 +96,7 @@ impl<D: Dialect> Client<D> {
                 }
                 () = outbox.filled() => self.write().await,
                 _ = pings.tick() => {
-                    if heard.elapsed() > self.context.limits.silence_timeout {
+                    if received.elapsed() > self.context.limits.silence_timeout {
                         Err(End::Close(Close::SILENT))
                     } else {
                         self.send(Message::Ping(Default::default())).await
@@ -140,9 +140,9 @@ impl<D: Dialect> Client<D> {
         if !self.budget.spend(now()) {
             return Err(End::Close(Close::TOO_MANY));
         }
-        let heard = match &message {
-            Message::Text(text) => Heard::Text(text.as_str()),
-            Message::Binary(bytes) => Heard::Binary(bytes),
+        let received = match &message {
+            Message::Text(text) => Received::Text(text.as_str()),
+            Message::Binary(bytes) => Received::Binary(bytes),
             // Pings are answered by the websocket itself.
             Message::Ping(_) | Message::Pong(_) => return Ok(()),
             Message::Close(_) => {
@@ -152,7 +152,7 @@ impl<D: Dialect> Client<D> {
                 return Err(End::Gone);
             }
         };
-        self.dialect.hear(heard).await.map_err(End::Close)
+        self.dialect.hear(received).await.map_err(End::Close)
     }
 }
 

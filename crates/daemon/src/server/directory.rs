@@ -11,7 +11,7 @@ use serde_json::Value;
 use tokio::sync::mpsc;
 
 use super::Limits;
-use super::client::{Dialect, Heard};
+use super::client::{Dialect, Received};
 use super::distributor::{self, ClientId};
 use super::metrics::Metrics;
 use super::outbox::{Close, Outbox, Outgoing};
@@ -74,8 +74,8 @@ impl Directory {
     }
 
     /// Until nobody can ask any more.
-    pub(super) async fn run(mut self, mut asked: mpsc::Receiver<Command>) {
-        while let Some(command) = asked.recv().await {
+    pub(super) async fn run(mut self, mut commands: mpsc::Receiver<Command>) {
+        while let Some(command) = commands.recv().await {
             match command {
                 Command::Connect { client, outbox } => {
                     if let Some(stages) = &self.newest {
@@ -233,8 +233,8 @@ impl Dialect for Member {
         Arc::clone(&self.outbox)
     }
 
-    async fn hear(&mut self, heard: Heard<'_>) -> Result<(), Close> {
-        match read(heard) {
+    async fn hear(&mut self, received: Received<'_>) -> Result<(), Close> {
+        match read(received) {
             Ok((id, stages, feed)) => {
                 let command = Command::Ask { client: self.id, id, stages, feed };
                 self.directory.send(command).await.map_err(|_| Close::SHUTDOWN)
@@ -252,11 +252,11 @@ impl Dialect for Member {
 }
 
 /// A request as at one stage, with `stages` beside it: names, absent for all.
-fn read(heard: Heard<'_>) -> Result<(RequestId, Option<Vec<String>>, Feed), ErrorReply> {
+fn read(received: Received<'_>) -> Result<(RequestId, Option<Vec<String>>, Feed), ErrorReply> {
     let bad = |message: String| ErrorReply { id: None, code: "bad_request".into(), message };
-    let mut value: Value = match heard {
-        Heard::Text(text) => serde_json::from_str(text).map_err(|error| bad(error.to_string()))?,
-        Heard::Binary(bytes) => rmp_serde::from_slice(bytes).map_err(|error| bad(error.to_string()))?,
+    let mut value: Value = match received {
+        Received::Text(text) => serde_json::from_str(text).map_err(|error| bad(error.to_string()))?,
+        Received::Binary(bytes) => rmp_serde::from_slice(bytes).map_err(|error| bad(error.to_string()))?,
     };
     let stages = value.as_object_mut().and_then(|map| map.remove("stages"));
     let stages = stages.map(serde_json::from_value::<Vec<String>>).transpose();

@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use super::client::{Dialect, Heard};
+use super::client::{Dialect, Received};
 use super::distributor::ClientId;
 use super::hub::Item;
 use super::metrics::Metrics;
@@ -300,10 +300,10 @@ impl Dialect for Viewer {
         Arc::clone(&self.outbox)
     }
 
-    async fn hear(&mut self, heard: Heard<'_>) -> Result<(), Close> {
-        let parsed = match heard {
-            Heard::Text(text) => wire::parse(text.as_bytes()),
-            Heard::Binary(_) => {
+    async fn hear(&mut self, received: Received<'_>) -> Result<(), Close> {
+        let parsed = match received {
+            Received::Text(text) => wire::parse(text.as_bytes()),
+            Received::Binary(_) => {
                 Err("nothing can be published or called here: this stage is watched".to_owned())
             }
         };

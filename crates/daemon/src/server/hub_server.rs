@@ -41,7 +41,7 @@ const WAITING: usize = 256;
 pub struct HubServer {
     listener: Listener,
     registry: StageRegistry,
-    asked: mpsc::Receiver<directory::Command>,
+    commands: mpsc::Receiver<directory::Command>,
 }
 
 /// Where stages come in; clones share it.
@@ -82,7 +82,7 @@ impl HubServer {
     ) -> Result<(Self, StageRegistry), BindError> {
         crate::limits::raise();
         let listener = Listener::open(settings, listen, folder, Limits::default())?;
-        let (directory, asked) = mpsc::channel(1024);
+        let (directory, commands) = mpsc::channel(1024);
         let greeting = directory::Greeting { name: name.to_owned(), epoch_utc: rfc3339(epoch_utc_ns) };
         let registered = Registered {
             context: Arc::clone(&listener.context),
@@ -91,7 +91,7 @@ impl HubServer {
             greeting,
         };
         let registry = StageRegistry { registered: Arc::new(registered) };
-        Ok((Self { listener, registry: registry.clone(), asked }, registry))
+        Ok((Self { listener, registry: registry.clone(), commands }, registry))
     }
 
     /// The address it listens on, with the port that the system chose if it was 0.
@@ -107,8 +107,8 @@ impl HubServer {
     /// Serves until `shutdown` resolves; then tells the hub's own clients goodbye (1001) and returns once all have left, within
     /// the shutdown timeout. Clients of a stage get theirs when its [`StageEndpoint`] is dropped.
     pub async fn run(self, shutdown: impl Future<Output = ()>) {
-        let Self { listener, registry, asked } = self;
-        let directory = tokio::spawn(Directory::new(Arc::clone(&listener.context.metrics)).run(asked));
+        let Self { listener, registry, commands } = self;
+        let directory = tokio::spawn(Directory::new(Arc::clone(&listener.context.metrics)).run(commands));
         let context = Arc::clone(&listener.context);
         let routes = Router::new()
             .route("/", get(async || viewer::file("hub.html")))

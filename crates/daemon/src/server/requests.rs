@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 
 use tokio::sync::mpsc::error::TrySendError;
 
-use super::client::{Dialect, Heard};
+use super::client::{Dialect, Received};
 use super::distributor::{self, ClientId};
 use super::outbox::{Close, Outbox, Outgoing};
 use super::{Command, Shared};
@@ -156,10 +156,10 @@ impl Dialect for Requests {
         Arc::clone(&self.outbox)
     }
 
-    async fn hear(&mut self, heard: Heard<'_>) -> Result<(), Close> {
-        let parsed = match heard {
-            Heard::Text(text) => parse(Encoding::Json, text.as_bytes()),
-            Heard::Binary(bytes) => parse(Encoding::MessagePack, bytes),
+    async fn hear(&mut self, received: Received<'_>) -> Result<(), Close> {
+        let parsed = match received {
+            Received::Text(text) => parse(Encoding::Json, text.as_bytes()),
+            Received::Binary(bytes) => parse(Encoding::MessagePack, bytes),
         };
         match parsed {
             Ok((id, Request::Feed(feed))) => {

@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn solving_the_source_itself_gives_the_place_back() {
+    fn solving_the_source_itself_gives_the_position_back() {
         let p = Vector3::new(0.7, -1.1, 0.4);
         assert!((solve(&field(&p), &Vector3::x()).position - p).norm() < 1e-12);
     }

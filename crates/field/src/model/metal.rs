@@ -126,7 +126,7 @@ impl Prepared {
     }
 
     /// Derivatives of the field by the place.
-    fn by_place(&self, view: &View) -> [Matrix3<f64>; 3] {
+    fn by_position(&self, view: &View) -> [Matrix3<f64>; 3] {
         let View { from, near, v, inverse_r2, inverse_r3 } = view;
         let steep = 3.0 * inverse_r3 * inverse_r2;
         let mut radial = self.moments * steep;
@@ -193,7 +193,7 @@ impl Metal {
     pub(crate) fn gradient(&self, p: &Vector3<f64>, share: f64) -> [Matrix3<f64>; 3] {
         let mut total = field_gradient(p);
         for source in &self.sources {
-            for (sum, change) in total.iter_mut().zip(source.by_place(&source.view(p))) {
+            for (sum, change) in total.iter_mut().zip(source.by_position(&source.view(p))) {
                 *sum += change * share;
             }
         }
@@ -280,7 +280,7 @@ impl Metal {
     }
 
     /// As [`Metal::correct`], with what a solver needs.
-    pub(crate) fn place(&self, z: &Vector3<f64>) -> Option<FoundPosition> {
+    pub(crate) fn position(&self, z: &Vector3<f64>) -> Option<FoundPosition> {
         let p = self.correct(z)?;
         let field = self.field(&p);
         let derivative = solve(&field, &p).derivative(&field);
@@ -298,17 +298,18 @@ impl Metal {
     }
 
     /// Derivatives of the place by all parameters, source by source: position, then strength.
-    pub(crate) fn parameters(&self, place: &FoundPosition, mut each: impl FnMut(usize, Vector3<f64>)) {
+    pub(crate) fn parameters(&self, position: &FoundPosition, mut each: impl FnMut(usize, Vector3<f64>)) {
         for (index, source) in self.sources.iter().enumerate() {
-            let view = source.view(&place.p);
+            let view = source.view(&position.p);
             let View { from, near, inverse_r3, .. } = &view;
             let field_of =
                 |moments: &Matrix3<f64>| near * moments.tr_mul(from).transpose() - moments * *inverse_r3;
-            for (l, (moved, by_place)) in source.gradient.iter().zip(source.by_place(&view)).enumerate() {
-                let change = field_of(moved) - by_place;
-                each(SOURCE_PARAMETERS * index + l, times(&place.by_field, &change));
+            for (l, (moved, by_position)) in source.gradient.iter().zip(source.by_position(&view)).enumerate()
+            {
+                let change = field_of(moved) - by_position;
+                each(SOURCE_PARAMETERS * index + l, times(&position.by_field, &change));
             }
-            each(SOURCE_PARAMETERS * index + 3, times(&place.by_field, &field_of(&source.unit)));
+            each(SOURCE_PARAMETERS * index + 3, times(&position.by_field, &field_of(&source.unit)));
         }
     }
 
@@ -362,7 +363,7 @@ mod tests {
         for p in [Vector3::new(1.0, 0.2, 0.6), Vector3::new(1.8, -0.7, 1.1), Vector3::new(1.9, 0.9, 0.4)] {
             let z = metal.reading(&p);
             assert!((z - p).norm() > 1e-4, "there is something to correct");
-            assert!((metal.place(&z).unwrap().p - p).norm() < 1e-7);
+            assert!((metal.position(&z).unwrap().p - p).norm() < 1e-7);
         }
     }
 
@@ -371,9 +372,9 @@ mod tests {
         let sources = sources();
         let z = Vector3::new(1.7, 0.6, 0.5);
         let metal = Metal::new(&sources);
-        let place = metal.place(&z).unwrap();
+        let position = metal.position(&z).unwrap();
         let mut derivatives = [Vector3::zeros(); 8];
-        metal.parameters(&place, |k, d| derivatives[k] = d);
+        metal.parameters(&position, |k, d| derivatives[k] = d);
         for (k, derivative) in derivatives.iter().enumerate() {
             let h = if k % 4 == 3 { 1e-6 } else { 1e-5 };
             let moved = |sign: f64| {
@@ -383,7 +384,7 @@ mod tests {
                     3 => source.strength += sign * h,
                     l => source.position_m[l] += sign * h,
                 }
-                Metal::new(&moved).place(&z).unwrap().p
+                Metal::new(&moved).position(&z).unwrap().p
             };
             let difference = (moved(1.0) - moved(-1.0)) / (2.0 * h);
             assert!(

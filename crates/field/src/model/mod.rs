@@ -141,10 +141,10 @@ impl Model {
         &self,
         metal: Option<&Metal>,
         z: &Vector3<f64>,
-        place: impl Fn(&Metal) -> Option<Vector3<f64>>,
+        position: impl Fn(&Metal) -> Option<Vector3<f64>>,
     ) -> Vector3<f64> {
-        let place = metal.and_then(|metal| place(metal).filter(|p| metal.clearance(p) > CLEARANCE_M));
-        let mut y = place.unwrap_or(*z);
+        let position = metal.and_then(|metal| position(metal).filter(|p| metal.clearance(p) > CLEARANCE_M));
+        let mut y = position.unwrap_or(*z);
         if let Some(polynomial) = &self.polynomial {
             y += polynomial.at(z);
         }
@@ -208,9 +208,11 @@ impl Evaluator<'_> {
         let mut y = *z;
         let mut start = 0;
         if let Some(metal) = &self.metal {
-            if let Some(place) = metal.place(z).filter(|place| metal.clearance(&place.p) > CLEARANCE_M) {
-                y = place.p;
-                metal.parameters(&place, |k, d| rows[3 * k..3 * k + 3].copy_from_slice(d.as_slice()));
+            if let Some(position) =
+                metal.position(z).filter(|position| metal.clearance(&position.p) > CLEARANCE_M)
+            {
+                y = position.p;
+                metal.parameters(&position, |k, d| rows[3 * k..3 * k + 3].copy_from_slice(d.as_slice()));
             }
             start = SOURCE_PARAMETERS * self.model.sources.len();
         }

@@ -10,9 +10,9 @@ use super::metal::{FoundPosition, Metal};
 /// The device takes A' = S K(z)^-1 for the orientation, where S = A_true' B(p); so E is the rotation nearest to
 /// B(p) K(z)^-1.
 pub(crate) fn by_metal(metal: &Metal, z: &Vector3<f64>, p: &Vector3<f64>) -> UnitQuaternion<f64> {
-    let turn = field(z).try_inverse().and_then(|inverse| nearest_rotation(metal.field(p) * inverse));
-    turn.map_or_else(UnitQuaternion::identity, |turn| {
-        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(turn))
+    let rotation = field(z).try_inverse().and_then(|inverse| nearest_rotation(metal.field(p) * inverse));
+    rotation.map_or_else(UnitQuaternion::identity, |rotation| {
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation))
     })
 }
 
@@ -28,19 +28,23 @@ fn nearest_rotation(mut matrix: Matrix3<f64>) -> Option<Matrix3<f64>> {
 /// field turns by itself, and because the place that is found for the reading moves.
 ///
 /// With `B K^-1 = S E`, S symmetric, a change A = dB K^-1 E' has the skew part of `(tr S - S) w`.
-pub(crate) fn turning(metal: &Metal, z: &Vector3<f64>, place: &FoundPosition) -> Option<SMatrix<f64, 3, 9>> {
+pub(crate) fn turning(
+    metal: &Metal,
+    z: &Vector3<f64>,
+    position: &FoundPosition,
+) -> Option<SMatrix<f64, 3, 9>> {
     let inverse = field(z).try_inverse()?;
-    let matrix = metal.field(&place.p) * inverse;
+    let matrix = metal.field(&position.p) * inverse;
     let back = nearest_rotation(matrix)?.transpose();
     let stretch = matrix * back;
     let soften = (Matrix3::identity() * stretch.trace() - stretch).try_inverse()?;
-    let by_place = metal.gradient(&place.p, 1.0);
+    let by_position = metal.gradient(&position.p, 1.0);
     let mut derivative = SMatrix::<f64, 3, 9>::zeros();
     for k in 0..9 {
         let mut change = Matrix3::zeros();
         change[k] = 1.0;
-        for (l, gradient) in by_place.iter().enumerate() {
-            change += gradient * place.by_field[(l, k)];
+        for (l, gradient) in by_position.iter().enumerate() {
+            change += gradient * position.by_field[(l, k)];
         }
         let a = change * inverse * back;
         let skew = Vector3::new(a.m32 - a.m23, a.m13 - a.m31, a.m21 - a.m12);
@@ -64,15 +68,15 @@ mod tests {
         ];
         let z = Vector3::new(1.7, 0.9, 0.4);
         let metal = Metal::new(&sources);
-        let place = metal.place(&z).unwrap();
-        let before = by_metal(&metal, &z, &place.p);
+        let position = metal.position(&z).unwrap();
+        let before = by_metal(&metal, &z, &position.p);
         let step = 1e-6;
         sources[1].strength += step;
         let stronger = Metal::new(&sources);
-        let after = by_metal(&stronger, &z, &stronger.place(&z).unwrap().p);
+        let after = by_metal(&stronger, &z, &stronger.position(&z).unwrap().p);
         let difference = so3::log(&(after * before.inverse())) / step;
-        let change = (stronger.field(&place.p) - metal.field(&place.p)) / step;
-        let expected = times(&turning(&metal, &z, &place).unwrap(), &change);
+        let change = (stronger.field(&position.p) - metal.field(&position.p)) / step;
+        let expected = times(&turning(&metal, &z, &position).unwrap(), &change);
         assert!(expected.norm() > 1.0 && (difference - expected).norm() < 1e-3 * expected.norm());
     }
 }

@@ -6,7 +6,7 @@
 //! Kalman filter over (tilt 2, gyro bias 3, horizontal velocity 2). The specific force is the known input of
 //! the velocity; that the velocity stays near zero is the measurement, white with a stated density. A tilt
 //! error leaks gravity into the velocity, which then runs away: that is what is seen.
-//! Unlike a low-pass of the force, the filter does not take a swing of the arm for tilt, because a swing ends
+//! Unlike a low-pass of the specific force, the filter does not take a swing of the arm for tilt, because a swing ends
 //! where it began.
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};

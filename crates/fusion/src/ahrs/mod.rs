@@ -50,8 +50,8 @@ const GAP_S: f64 = 0.05;
 const COAST_S: f64 = 0.1;
 /// After so long without a sample the sensor may have been turned anyhow, s.
 const AWAY_S: f64 = 0.5;
-/// What a rate that changed by 1 rad/s in a gap of 1 s turned besides its mean, rad: a swing whose phase goes on by 1 rad in the gap
-/// leaves a twelfth.
+/// What an angular velocity that changed by 1 rad/s in a gap of 1 s turned besides its mean, rad: a swing whose phase goes on
+/// by 1 rad in the gap leaves a twelfth.
 const BRIDGED: f64 = 0.1;
 
 /// What the filter assumes; the defaults are one set for all sensors of MEMS class. Effect of each:
@@ -110,7 +110,7 @@ pub struct Ahrs {
     /// Sensor to the level frame: z up, heading free.
     q_level_sensor: UnitQuaternion<f64>,
     started: bool,
-    /// The last rate without its bias, rad/s.
+    /// The last angular velocity without its bias, rad/s.
     angular_velocity_rad_s: Vector3<f64>,
     /// Time without a sample since the last one, s.
     coasted_s: f64,
@@ -136,14 +136,14 @@ struct Window {
     velocity_m_s: Vector3<f64>,
     /// Integral of the squared departure of the specific force from gravity, m²/s³.
     shaking: f64,
-    /// Integral of |rate|, rad.
+    /// Integral of |angular velocity|, rad.
     turned_rad: f64,
     /// Variance of what it may have turned besides between samples far apart, rad².
     bridged_rad2: f64,
     mag_samples: u32,
     /// Sum of field samples.
     mag: Vector3<f64>,
-    /// Sum of (rate x field): what one second of magnetometer lag would add.
+    /// Sum of (angular velocity x field): what one second of magnetometer lag would add.
     mag_lag: Vector3<f64>,
     /// Sum of rotation matrices at the field samples.
     mag_rotation: Matrix3<f64>,
@@ -171,8 +171,8 @@ impl Ahrs {
     /// Takes one sample, `dt_s` seconds after the one before, and returns sensor to room as [`Self::orientation`]. The first
     /// sample levels the orientation; a `dt_s` above 0.5 s counts as 0.5 s.
     ///
-    /// Over a gap the rate is taken to have gone evenly from the one to the other, and tilt and heading are the less sure the
-    /// more it changed; otherwise the gyro's bias would pay for what was missed.
+    /// Over a gap the angular velocity is taken to have gone evenly from the one to the other, and tilt and heading are the
+    /// less sure the more it changed; otherwise the gyro's bias would pay for what was missed.
     ///
     /// A sample with a number that is not finite (or a `dt_s` that is not positive) changes nothing but [`Self::rejected`].
     pub fn push(&mut self, sample: &ImuSample, dt_s: f64) -> UnitQuaternion<f64> {
@@ -201,31 +201,32 @@ impl Ahrs {
         let gyro = sample.gyro_rad_s - self.offset_rad_s;
         self.rest.push(&self.params.rest, gyro, sample.accel_m_s2, mag, dt_s);
 
-        let rate = gyro - self.inclination.bias_rad_s();
-        let before = std::mem::replace(&mut self.angular_velocity_rad_s, rate);
+        let angular_velocity_rad_s = gyro - self.inclination.bias_rad_s();
+        let before = std::mem::replace(&mut self.angular_velocity_rad_s, angular_velocity_rad_s);
         let coasted_s = std::mem::take(&mut self.coasted_s);
         let since_s = coasted_s + dt_s;
         if goes_on && since_s > GAP_S {
             let coasted_rad = before * coasted_s.min(COAST_S);
-            let turned_rad = 0.5 * (before + rate) * since_s - coasted_rad;
+            let turned_rad = 0.5 * (before + angular_velocity_rad_s) * since_s - coasted_rad;
             self.q_level_sensor = integrate(self.q_level_sensor, turned_rad, 1.0);
-            self.window.bridged_rad2 += (BRIDGED * since_s).powi(2) * (rate - before).norm_squared();
+            self.window.bridged_rad2 +=
+                (BRIDGED * since_s).powi(2) * (angular_velocity_rad_s - before).norm_squared();
         } else {
-            self.q_level_sensor = integrate(self.q_level_sensor, rate, dt_s);
+            self.q_level_sensor = integrate(self.q_level_sensor, angular_velocity_rad_s, dt_s);
         }
         let rotation = self.q_level_sensor.to_rotation_matrix();
         let rotation = rotation.matrix();
-        let force = rotation * sample.accel_m_s2;
+        let specific_force_m_s2 = rotation * sample.accel_m_s2;
         let w = &mut self.window;
         w.duration_s += dt_s;
         w.rotation_s += rotation * dt_s;
-        w.velocity_m_s += force * dt_s;
-        w.shaking += dt_s * (force - Vector3::z() * GRAVITY_M_S2).norm_squared();
-        w.turned_rad += rate.norm() * dt_s;
+        w.velocity_m_s += specific_force_m_s2 * dt_s;
+        w.shaking += dt_s * (specific_force_m_s2 - Vector3::z() * GRAVITY_M_S2).norm_squared();
+        w.turned_rad += angular_velocity_rad_s.norm() * dt_s;
         if let Some(mag) = mag {
             w.mag_samples += 1;
             w.mag += rotation * mag;
-            w.mag_lag += rotation * rate.cross(&mag);
+            w.mag_lag += rotation * angular_velocity_rad_s.cross(&mag);
             w.mag_rotation += rotation;
         }
         w.duration_s >= self.params.window_s - 1e-9
@@ -301,8 +302,8 @@ impl Ahrs {
         let mut level = Matrix3::zeros();
         level.fixed_view_mut::<2, 2>(0, 0).copy_from(&self.inclination.tilt_rad2());
         level[(2, 2)] = self.heading.variance_rad2();
-        let turn = self.orientation_6d().to_rotation_matrix().into_inner();
-        turn.transpose() * level * turn
+        let rotation = self.orientation_6d().to_rotation_matrix().into_inner();
+        rotation.transpose() * level * rotation
     }
 
     /// Estimated gyro bias, rad/s, sensor axes; what is known of it at first: standard deviation
@@ -381,7 +382,7 @@ impl Ahrs {
         let rest_gyro_rad_s = self.rest_gyro_rad_s();
         let up = w.rotation_s.row(2).transpose() / w.duration_s;
         let bias_sigma_rad_s = self.inclination.bias_sigma_rad_s(&up);
-        let force = inclination::SpecificForceWindow {
+        let specific_force = inclination::SpecificForceWindow {
             duration_s: w.duration_s,
             rotation_s: w.rotation_s,
             velocity_m_s: w.velocity_m_s,
@@ -405,22 +406,22 @@ impl Ahrs {
                 },
             );
         } else {
-            self.heading.hold(&self.params.heading, &force, bias_sigma_rad_s);
+            self.heading.hold(&self.params.heading, &specific_force, bias_sigma_rad_s);
         }
-        let tilt = self.inclination.update(&self.params.inclination, &force);
+        let tilt = self.inclination.update(&self.params.inclination, &specific_force);
         let correction = UnitQuaternion::from_scaled_axis(Vector3::new(tilt[0], tilt[1], 0.0));
         self.q_level_sensor = UnitQuaternion::new_normalize((correction * self.q_level_sensor).into_inner());
-        (force, tilt)
+        (specific_force, tilt)
     }
 }
 
-/// Turns `q` by `rate` (body axes, rad/s) for `dt_s`; the half-angle series is exact to 1e-13 for the angles of
+/// Turns `q` by `angular_velocity_rad_s` (body axes, rad/s) for `dt_s`; the half-angle series is exact to 1e-13 for the angles of
 /// one sample, and large angles take the closed form.
-fn integrate(q: UnitQuaternion<f64>, rate: Vector3<f64>, dt_s: f64) -> UnitQuaternion<f64> {
-    let half = rate * (0.5 * dt_s);
+fn integrate(q: UnitQuaternion<f64>, angular_velocity_rad_s: Vector3<f64>, dt_s: f64) -> UnitQuaternion<f64> {
+    let half = angular_velocity_rad_s * (0.5 * dt_s);
     let h2 = half.norm_squared();
     if h2 > 0.01 {
-        return q * UnitQuaternion::from_scaled_axis(rate * dt_s);
+        return q * UnitQuaternion::from_scaled_axis(angular_velocity_rad_s * dt_s);
     }
     let c = 1.0 - h2 * (0.5 - h2 * (1.0 / 24.0 - h2 * (1.0 / 720.0)));
     let s = 1.0 - h2 * (1.0 / 6.0 - h2 * (1.0 / 120.0 - h2 * (1.0 / 5040.0)));

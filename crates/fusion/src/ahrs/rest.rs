@@ -19,13 +19,14 @@ pub struct RestParams {
     pub accel_m_s2: f64,
     /// How long both must hold, s.
     pub min_s: f64,
-    /// After so long nothing but a bias keeps a gyro from zero, s; before, a rate that the bias cannot explain is slow turning.
+    /// After so long nothing but a bias keeps a gyro from zero, s; before, an angular velocity that the bias cannot explain is
+    /// slow turning.
     pub certain_s: f64,
-    /// Largest bias about an axis of a unit whose bias is known; a constant rate above it is no rest, rad/s.
+    /// Largest bias about an axis of a unit whose bias is known; a constant angular velocity above it is no rest, rad/s.
     pub bias_clip_rad_s: f64,
     /// Largest bias about an axis of a unit as it comes from the factory, rad/s.
     pub factory_bias_rad_s: f64,
-    /// How long gravity and field must keep their places to prove that a constant rate is a bias, s.
+    /// How long gravity and field must keep their places to prove that a constant angular velocity is a bias, s.
     pub proof_s: f64,
 }
 
@@ -57,7 +58,7 @@ pub(super) struct Rest {
     /// Since the low-passes have settled.
     reference: Option<RestReference>,
     still_s: f64,
-    /// The same with a rate that only a factory's bias could explain.
+    /// The same with an angular velocity that only a factory's bias could explain.
     steady_s: f64,
     at_rest: bool,
 }
@@ -82,21 +83,23 @@ impl Rest {
         mag: Option<Vector3<f64>>,
         dt_s: f64,
     ) {
-        let rate = self.gyro.push(gyro, dt_s, params.tau_s);
-        let force = self.accel.push(accel, dt_s, params.tau_s);
+        let angular_velocity_rad_s = self.gyro.push(gyro, dt_s, params.tau_s);
+        let specific_force_m_s2 = self.accel.push(accel, dt_s, params.tau_s);
         let field = mag.map_or(self.mag.stage[1], |mag| self.mag.push(mag, dt_s, params.tau_s));
-        let moving = (gyro - rate).norm_squared() > params.gyro_rad_s.powi(2)
-            || (accel - force).norm_squared() > params.accel_m_s2.powi(2);
-        let steady = !moving && rate.amax() <= params.factory_bias_rad_s;
+        let moving = (gyro - angular_velocity_rad_s).norm_squared() > params.gyro_rad_s.powi(2)
+            || (accel - specific_force_m_s2).norm_squared() > params.accel_m_s2.powi(2);
+        let steady = !moving && angular_velocity_rad_s.amax() <= params.factory_bias_rad_s;
         self.steady_s = if steady { self.steady_s + dt_s } else { 0.0 };
-        let still = !moving && rate.amax() <= params.bias_clip_rad_s;
+        let still = !moving && angular_velocity_rad_s.amax() <= params.bias_clip_rad_s;
         self.still_s = if still { self.still_s + dt_s } else { 0.0 };
         self.at_rest = self.still_s >= params.min_s;
         self.reference = match self.reference.take() {
             _ if self.steady_s < params.tau_s => None,
-            None => {
-                Some(RestReference { directions: [force, field], ago_s: 0.0, turned_rad: Vector3::zeros() })
-            }
+            None => Some(RestReference {
+                directions: [specific_force_m_s2, field],
+                ago_s: 0.0,
+                turned_rad: Vector3::zeros(),
+            }),
             Some(reference) => Some(RestReference {
                 ago_s: reference.ago_s + dt_s,
                 turned_rad: reference.turned_rad + gyro * dt_s,
@@ -105,8 +108,9 @@ impl Rest {
         };
     }
 
-    /// Whether the rate is a bias however large it is, because gravity and field kept their places. A turn about the vertical shows in
-    /// the field alone; without one `vertical` states whether a rate about it may be taken for a bias.
+    /// Whether the angular velocity is a bias however large it is, because gravity and field kept their places. A rotation
+    /// about the vertical shows in the field alone; without one `vertical` states whether an angular velocity about it may be
+    /// taken for a bias.
     pub(super) fn proves_bias(&self, params: &RestParams, vertical: bool) -> bool {
         let Some(reference) = &self.reference else { return false };
         let turned = reference.turned_rad;

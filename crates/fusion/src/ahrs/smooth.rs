@@ -22,7 +22,7 @@ struct Step {
     /// Tilt that the filter applied after it.
     tilt: [f64; 2],
     /// Integral of the rotation's third row, s: what a bias does to the heading.
-    turn_s: Vector3<f64>,
+    rotation_s: Vector3<f64>,
 }
 
 /// Sensor to a level frame (z up, heading of the gyro alone, from any start) at every sample of a recording, each from all of
@@ -54,13 +54,20 @@ pub fn smoothed(params: &Params, samples: &[(Option<ImuSample>, f64)]) -> Vec<Un
         run.push(filter.orientation_6d());
         if due {
             let before = filter.inclination.clone();
-            let (force, tilt) = filter.close_window();
+            let (specific_force, tilt) = filter.close_window();
             let mut predicted = before.clone();
-            predicted.predict(&params.inclination, &force);
-            let cross = Inclination::transition(&force) * before.p;
+            predicted.predict(&params.inclination, &specific_force);
+            let cross = Inclination::transition(&specific_force) * before.p;
             let gain = predicted.p.cholesky().map(|factor| factor.solve(&cross).transpose());
-            let turn_s = force.rotation_s.row(2).transpose();
-            steps.push(Step { end: k + 1, before, gain, predicted: predicted.x, tilt: tilt.into(), turn_s });
+            let rotation_s = specific_force.rotation_s.row(2).transpose();
+            steps.push(Step {
+                end: k + 1,
+                before,
+                gain,
+                predicted: predicted.x,
+                tilt: tilt.into(),
+                rotation_s,
+            });
         }
     }
     correct(&mut run, &steps, &filter.inclination);
@@ -87,14 +94,14 @@ fn correct(run: &mut [UnitQuaternion<f64>], steps: &[Step], last: &Inclination) 
     let (mut begin, mut heading) = (0, 0.0);
     for (k, step) in steps.iter().enumerate() {
         let off = states[k].fixed_rows::<3>(BIAS) - step.before.x.fixed_rows::<3>(BIAS);
-        let turn = -step.turn_s.dot(&off);
+        let rotation_rad = -step.rotation_s.dot(&off);
         let count = (step.end - begin) as f64;
         for (i, q) in run[begin..step.end].iter_mut().enumerate() {
             let part = (i + 1) as f64 / count;
             let tilt = [TILT, TILT + 1].map(|i| states[k][i] + part * (ends[k][i] - states[k][i]));
-            *q = tilted(tilt, heading + part * turn) * *q;
+            *q = tilted(tilt, heading + part * rotation_rad) * *q;
         }
-        heading += turn;
+        heading += rotation_rad;
         begin = step.end;
     }
     let rest = states[steps.len()];
@@ -117,16 +124,16 @@ mod tests {
         let turned = |t: f64| {
             so3::exp(&Vector3::new(0.9 * (0.8 * t).sin(), 0.7 * (1.1 * t).sin(), 1.2 * (0.5 * t).sin()))
         };
-        let place =
+        let position_m =
             |t: f64| Vector3::new(0.2 * (1.7 * t).sin(), 0.15 * (2.3 * t).cos(), 0.1 * (1.3 * t).sin());
         let bias = Vector3::new(0.006, -0.004, 0.005);
         let sample = |k: i32| {
             let (t, h) = (DT_S * f64::from(k), 1e-3);
-            let rate = so3::log(&(turned(t - DT_S).inverse() * turned(t))) / DT_S;
-            let force =
-                (place(t + h) + place(t - h) - place(t) * 2.0) / (h * h) + Vector3::z() * GRAVITY_M_S2;
-            let accel_m_s2 = turned(t).inverse() * force;
-            (Some(ImuSample { gyro_rad_s: rate + bias, accel_m_s2, mag: None }), DT_S)
+            let angular_velocity_rad_s = so3::log(&(turned(t - DT_S).inverse() * turned(t))) / DT_S;
+            let specific_force_m_s2 = (position_m(t + h) + position_m(t - h) - position_m(t) * 2.0) / (h * h)
+                + Vector3::z() * GRAVITY_M_S2;
+            let accel_m_s2 = turned(t).inverse() * specific_force_m_s2;
+            (Some(ImuSample { gyro_rad_s: angular_velocity_rad_s + bias, accel_m_s2, mag: None }), DT_S)
         };
         ((0..12_000).map(sample).collect(), (0..12_000).map(|k| turned(DT_S * f64::from(k))).collect())
     }
@@ -168,7 +175,7 @@ mod tests {
     #[test]
     fn the_transition_is_the_one_that_predicts() {
         let params = Params::default().inclination;
-        let force = crate::ahrs::inclination::SpecificForceWindow {
+        let specific_force = crate::ahrs::inclination::SpecificForceWindow {
             duration_s: 0.03,
             rotation_s: nalgebra::Matrix3::new(1.0, 0.2, -0.3, -0.1, 1.1, 0.4, 0.3, -0.2, 0.9) * 0.03,
             velocity_m_s: Vector3::new(0.02, -0.01, 0.3),
@@ -178,9 +185,9 @@ mod tests {
             rest_gyro_rad_s: None,
         };
         let mut state = Inclination::new(&params);
-        let f = Inclination::transition(&force);
+        let f = Inclination::transition(&specific_force);
         let carried = f * state.p * f.transpose();
-        state.predict(&params, &force);
+        state.predict(&params, &specific_force);
         let added = state.p - carried;
         for i in 0..STATES {
             for j in 0..STATES {

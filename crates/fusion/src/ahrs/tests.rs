@@ -6,7 +6,7 @@ use posed_geometry::so3;
 
 const RATE_HZ: f64 = 100.0;
 
-/// A sensor whose motion is known: sums of sines for the rate of turn and the acceleration.
+/// A sensor whose motion is known: sums of sines for the angular velocity and the acceleration.
 struct Simulation {
     time_s: f64,
     truth: UnitQuaternion<f64>,
@@ -47,28 +47,29 @@ impl Simulation {
 
     fn step(&mut self) -> ImuSample {
         let (t, a) = (self.time_s, self.turning);
-        let rate = Vector3::new(a * (2.1 * t).sin(), a * (1.3 * t + 1.0).sin(), 0.7 * a * (0.9 * t).cos());
-        self.truth *= so3::exp(&(rate / RATE_HZ));
+        let angular_velocity_rad_s =
+            Vector3::new(a * (2.1 * t).sin(), a * (1.3 * t + 1.0).sin(), 0.7 * a * (0.9 * t).cos());
+        self.truth *= so3::exp(&(angular_velocity_rad_s / RATE_HZ));
         let shaking = if a > 0.0 {
             Vector3::new((5.0 * t).sin(), (6.1 * t).cos(), (7.0 * t).sin())
         } else {
             Vector3::zeros()
         };
         let back = self.truth.inverse();
-        let force = back * (Vector3::z() * GRAVITY_M_S2 + 2.0 * shaking);
+        let specific_force_m_s2 = back * (Vector3::z() * GRAVITY_M_S2 + 2.0 * shaking);
         let mag = back * self.field + self.magnet;
         self.time_s += 1.0 / RATE_HZ;
         ImuSample {
-            gyro_rad_s: rate + self.bias + self.noise(0.002),
-            accel_m_s2: force + self.noise(0.03),
+            gyro_rad_s: angular_velocity_rad_s + self.bias + self.noise(0.002),
+            accel_m_s2: specific_force_m_s2 + self.noise(0.03),
             mag: Some(mag + self.noise(0.5)),
         }
     }
 }
 
-fn field(turn_deg: f64, norm: f64, dip_deg: f64) -> Vector3<f64> {
-    let (turn, dip) = (turn_deg.to_radians(), dip_deg.to_radians());
-    Vector3::new(dip.cos() * turn.sin(), dip.cos() * turn.cos(), -dip.sin()) * (46.0 * norm)
+fn field(azimuth_deg: f64, norm: f64, dip_deg: f64) -> Vector3<f64> {
+    let (azimuth, dip) = (azimuth_deg.to_radians(), dip_deg.to_radians());
+    Vector3::new(dip.cos() * azimuth.sin(), dip.cos() * azimuth.cos(), -dip.sin()) * (46.0 * norm)
 }
 
 fn params() -> Params {
@@ -99,24 +100,25 @@ fn warmed(turning: f64) -> (Ahrs, Simulation) {
 }
 
 #[test]
-fn a_constant_rate_is_integrated_exactly() {
+fn a_constant_angular_velocity_is_integrated_exactly() {
     let mut ahrs = Ahrs::new(params());
-    let rate = Vector3::new(0.0, 0.0, 1.5);
+    let angular_velocity_rad_s = Vector3::new(0.0, 0.0, 1.5);
     let up = Vector3::z() * GRAVITY_M_S2;
     let mut orientation = UnitQuaternion::identity();
     for _ in 0..1000 {
-        orientation = ahrs.push(&ImuSample { gyro_rad_s: rate, accel_m_s2: up, mag: None }, 0.01);
+        orientation =
+            ahrs.push(&ImuSample { gyro_rad_s: angular_velocity_rad_s, accel_m_s2: up, mag: None }, 0.01);
     }
-    let expected = so3::exp(&(rate * 10.0));
+    let expected = so3::exp(&(angular_velocity_rad_s * 10.0));
     assert!(orientation.angle_to(&expected) < 1e-9, "{}", orientation.angle_to(&expected));
 }
 
 #[test]
 fn the_step_of_the_strapdown_is_the_exponential() {
-    for rate in [1e-6, 0.1, 10.0, 60.0] {
-        let rate = Vector3::new(0.6, -0.48, 0.64) * rate;
-        let exact = so3::exp(&(rate * 0.01));
-        assert!(integrate(UnitQuaternion::identity(), rate, 0.01).angle_to(&exact) < 1e-10);
+    for angular_velocity_rad_s in [1e-6, 0.1, 10.0, 60.0] {
+        let angular_velocity_rad_s = Vector3::new(0.6, -0.48, 0.64) * angular_velocity_rad_s;
+        let exact = so3::exp(&(angular_velocity_rad_s * 0.01));
+        assert!(integrate(UnitQuaternion::identity(), angular_velocity_rad_s, 0.01).angle_to(&exact) < 1e-10);
     }
 }
 
@@ -162,15 +164,15 @@ fn a_rest_proves_the_bias_of_a_unit_that_nobody_calibrated() {
 
 /// A turntable, which turns gravity or the field, is no bias however evenly it turns.
 #[test]
-fn an_even_turn_is_no_bias() {
+fn an_even_rotation_is_no_bias() {
     for axis in [Vector3::z(), Vector3::x()] {
         let (mut ahrs, mut simulation) = (Ahrs::new(params()), Simulation::new(0.0));
         run(&mut ahrs, &mut simulation, 5.0);
-        let rate = axis * 5_f64.to_radians();
+        let angular_velocity_rad_s = axis * 5_f64.to_radians();
         for _ in 0..1500 {
-            simulation.truth *= so3::exp(&(rate / RATE_HZ));
+            simulation.truth *= so3::exp(&(angular_velocity_rad_s / RATE_HZ));
             let mut sample = simulation.step();
-            sample.gyro_rad_s += rate;
+            sample.gyro_rad_s += angular_velocity_rad_s;
             ahrs.push(&sample, 1.0 / RATE_HZ);
         }
         let left = (ahrs.bias_rad_s() - simulation.bias).amax().to_degrees();
@@ -189,11 +191,11 @@ fn motion_alone_reveals_the_bias() {
 
 #[test]
 fn a_disturbed_field_does_not_turn_the_heading() {
-    for (turn, norm, dip) in [(45.0, 0.86, 49.0), (45.0, 1.0, 65.0)] {
+    for (azimuth, norm, dip) in [(45.0, 0.86, 49.0), (45.0, 1.0, 65.0)] {
         for turning in [0.5, 1.5] {
             let (mut ahrs, mut simulation) = warmed(turning);
             let (before, _) = run(&mut ahrs, &mut simulation, 10.0);
-            simulation.field = field(turn, norm, dip);
+            simulation.field = field(azimuth, norm, dip);
             let (during, tilt) = run(&mut ahrs, &mut simulation, 30.0);
             assert!(ahrs.magnetic_disturbance());
             simulation.field = field(0.0, 1.0, 65.0);

@@ -5,8 +5,8 @@
 //! never decides on which side of the transmitter a pose is, nor whether a tracker is stuck: it takes what [`crate::faults`] lets
 //! through, and gates.
 //!
-//! Error state, 15: position, velocity (room), turn, gyro bias, accelerometer bias (IMU axes); the turn is local,
-//! `R = R_hat exp(turn)`. A late pose is taken at its own time: the filter goes back to the states it has kept and runs
+//! Error state, 15: position, velocity (room), rotation, gyro bias, accelerometer bias (IMU axes); the rotation is local,
+//! `R = R_hat exp(rotation)`. A late pose is taken at its own time: the filter goes back to the states it has kept and runs
 //! forward again over the samples since. Where the two clocks differ by a constant, `offset_s` of the pose's time stands for it.
 
 #[cfg(test)]
@@ -235,19 +235,19 @@ impl Aided {
         let mut state = self.state.clone().filter(|state| t_s - state.t_s <= AHEAD_S)?;
         state.advance(p, &sample, t_s);
         let axes = state.q.to_rotation_matrix().into_inner();
-        let rate = sample.gyro_rad_s - state.gyro_bias;
+        let angular_velocity_rad_s = sample.gyro_rad_s - state.gyro_bias;
         let mut h = SMatrix::<f64, 3, N>::zeros();
         h.fixed_view_mut::<3, 3>(0, P).copy_from(&Matrix3::identity());
         h.fixed_view_mut::<3, 3>(0, R).copy_from(&(-axes * hat(&p.lever_m)));
-        let turn = p.q_imu_sensor.to_rotation_matrix().into_inner();
+        let imu_from_sensor = p.q_imu_sensor.to_rotation_matrix().into_inner();
         let rotation = state.covariance.fixed_view::<3, 3>(R, R).into_owned();
         Some(AidedPose {
             position_m: state.position_m + axes * p.lever_m,
-            velocity_m_s: state.velocity_m_s + axes * rate.cross(&p.lever_m),
+            velocity_m_s: state.velocity_m_s + axes * angular_velocity_rad_s.cross(&p.lever_m),
             orientation: state.q * p.q_imu_sensor,
-            angular_velocity_rad_s: p.q_imu_sensor.inverse() * rate,
+            angular_velocity_rad_s: p.q_imu_sensor.inverse() * angular_velocity_rad_s,
             position_m2: h * state.covariance * h.transpose(),
-            rotation_rad2: turn.transpose() * rotation * turn,
+            rotation_rad2: imu_from_sensor.transpose() * rotation * imu_from_sensor,
         })
     }
 
@@ -313,25 +313,25 @@ impl State {
             return;
         }
         self.t_s = until_s;
-        let turn = (sample.gyro_rad_s - self.gyro_bias) * dt;
-        let force = sample.accel_m_s2 - self.accel_bias;
-        // The force in the middle of the step.
-        let middle = (self.q * exp(&(turn * 0.5))).to_rotation_matrix().into_inner();
-        let accel = middle * force - Vector3::z() * GRAVITY_M_S2;
+        let rotation_vector_rad = (sample.gyro_rad_s - self.gyro_bias) * dt;
+        let specific_force_m_s2 = sample.accel_m_s2 - self.accel_bias;
+        // The specific force in the middle of the step.
+        let middle = (self.q * exp(&(rotation_vector_rad * 0.5))).to_rotation_matrix().into_inner();
+        let accel = middle * specific_force_m_s2 - Vector3::z() * GRAVITY_M_S2;
         self.position_m += self.velocity_m_s * dt + accel * (0.5 * dt * dt);
         self.velocity_m_s += accel * dt;
-        let step = exp(&turn);
+        let step = exp(&rotation_vector_rad);
         self.q = UnitQuaternion::new_normalize((self.q * step).into_inner());
 
         let mut f = SMatrix::<f64, N, N>::identity();
         let set = |f: &mut SMatrix<f64, N, N>, at: (usize, usize), block: Matrix3<f64>| {
             f.fixed_view_mut::<3, 3>(at.0, at.1).copy_from(&block);
         };
-        let by_turn = -middle * hat(&force) * dt;
+        let by_rotation = -middle * hat(&specific_force_m_s2) * dt;
         set(&mut f, (P, V), Matrix3::identity() * dt);
-        set(&mut f, (P, R), by_turn * (0.5 * dt));
+        set(&mut f, (P, R), by_rotation * (0.5 * dt));
         set(&mut f, (P, BA), -middle * (0.5 * dt * dt));
-        set(&mut f, (V, R), by_turn);
+        set(&mut f, (V, R), by_rotation);
         set(&mut f, (V, BA), -middle * dt);
         set(&mut f, (R, R), step.to_rotation_matrix().into_inner().transpose());
         set(&mut f, (R, BG), -Matrix3::identity() * dt);
@@ -358,9 +358,9 @@ impl State {
         h.fixed_view_mut::<3, 3>(0, R).copy_from(&(-axes * hat(&params.lever_m)));
         h.fixed_view_mut::<3, 3>(3, R).copy_from(&Matrix3::identity());
         let mut residual = SVector::<f64, 6>::zeros();
-        let place = pose.room_from_sensor.translation.vector - self.position_m - axes * params.lever_m;
+        let error_m = pose.room_from_sensor.translation.vector - self.position_m - axes * params.lever_m;
         let measured = pose.room_from_sensor.rotation * params.q_imu_sensor.inverse();
-        residual.fixed_rows_mut::<3>(0).copy_from(&place);
+        residual.fixed_rows_mut::<3>(0).copy_from(&error_m);
         residual.fixed_rows_mut::<3>(3).copy_from(&log(&(self.q.inverse() * measured)));
         let mut noise = SMatrix::<f64, 6, 6>::identity() * pose.rotation_var_rad2;
         noise.fixed_view_mut::<3, 3>(0, 0).copy_from(&pose.position_cov_m2);

@@ -18,9 +18,10 @@ impl State {
 }
 
 fn truth(t: f64) -> Isometry3<f64> {
-    let turn = V3::new(0.9 * (1.9 * t).sin(), 0.7 * (1.3 * t + 0.4).cos(), 0.9 * (2.7 * t).sin());
-    let place = V3::new(0.3 * (1.1 * t).sin(), 0.2 * (1.7 * t).cos(), 1.0 + 0.15 * (2.3 * t).sin());
-    Isometry3::from_parts(place.into(), exp(&turn))
+    let rotation_vector_rad =
+        V3::new(0.9 * (1.9 * t).sin(), 0.7 * (1.3 * t + 0.4).cos(), 0.9 * (2.7 * t).sin());
+    let position_m = V3::new(0.3 * (1.1 * t).sin(), 0.2 * (1.7 * t).cos(), 1.0 + 0.15 * (2.3 * t).sin());
+    Isometry3::from_parts(position_m.into(), exp(&rotation_vector_rad))
 }
 
 /// Runs a filter over seconds of simulated truth; magnetic poses at 50 Hz come 40 ms late.
@@ -50,12 +51,12 @@ impl Scene {
     fn imu(&mut self, t: f64) -> ImuSample {
         let h = 1e-3;
         let (a, b, c) = (truth(t - h), truth(t), truth(t + h));
-        let rate = log(&(a.rotation.inverse() * c.rotation)) / (2.0 * h);
+        let angular_velocity_rad_s = log(&(a.rotation.inverse() * c.rotation)) / (2.0 * h);
         let accel = (a.translation.vector + c.translation.vector - b.translation.vector * 2.0) / (h * h);
         let n = self.filter.params;
         // A density at 100 Hz.
         ImuSample {
-            gyro_rad_s: rate
+            gyro_rad_s: angular_velocity_rad_s
                 + self.gyro_bias
                 + self.random.vector() * (n.gyro_density_rad_s_per_sqrt_hz * 10.0),
             accel_m_s2: b.rotation.inverse() * (accel + V3::z() * GRAVITY_M_S2)
@@ -102,7 +103,7 @@ impl Scene {
 #[test]
 fn it_is_better_than_the_tracker_alone_and_knows_how_good() {
     const RUNS: u64 = 50;
-    let (mut nees, mut position, mut turn, mut count) = (0.0, 0.0, 0.0, 0.0);
+    let (mut nees, mut position, mut rotation, mut count) = (0.0, 0.0, 0.0, 0.0);
     for run in 0..RUNS {
         let mut scene = Scene::new(2000 + run);
         for k in 0..500 {
@@ -120,14 +121,14 @@ fn it_is_better_than_the_tracker_alone_and_knows_how_good() {
             let e = e.fixed_rows::<6>(0).into_owned();
             nees += e.dot(&block.cholesky().unwrap().solve(&e)) / 6.0;
             position += p.norm_squared() / 3.0;
-            turn += r.norm_squared() / 3.0;
+            rotation += r.norm_squared() / 3.0;
             count += 1.0;
         }
     }
-    let (nees, position, turn) = (nees / count, f64::sqrt(position / count), f64::sqrt(turn / count));
+    let (nees, position, rotation) = (nees / count, f64::sqrt(position / count), f64::sqrt(rotation / count));
     assert!((0.7..1.4).contains(&nees), "{nees}");
     assert!(position < 0.6 * SIGMA_M, "{position} m");
-    assert!(turn < 0.4 * SIGMA_RAD, "{turn} rad");
+    assert!(rotation < 0.4 * SIGMA_RAD, "{rotation} rad");
 }
 
 #[test]
@@ -223,12 +224,12 @@ fn in_a_matched_model_all_fifteen_errors_are_as_large_as_it_says() {
             let t = 0.01 * (k + 1) as f64;
             let step = 0.1;
             // What the sensor would say without noise, and what it says.
-            let turn = V3::new((1.3 * t).sin(), (2.1 * t).cos(), 0.7 * (1.7 * t).sin());
-            let force = truth.q.inverse()
+            let angular_velocity_rad_s = V3::new((1.3 * t).sin(), (2.1 * t).cos(), 0.7 * (1.7 * t).sin());
+            let specific_force_m_s2 = truth.q.inverse()
                 * (V3::new((3.0 * t).sin(), (2.0 * t).cos(), (2.6 * t).sin()) * 2.0 + V3::z() * GRAVITY_M_S2);
             let clean = ImuSample {
-                gyro_rad_s: turn + truth.gyro_bias,
-                accel_m_s2: force + truth.accel_bias,
+                gyro_rad_s: angular_velocity_rad_s + truth.gyro_bias,
+                accel_m_s2: specific_force_m_s2 + truth.accel_bias,
                 mag: None,
             };
             truth.advance(&params, &clean, t);

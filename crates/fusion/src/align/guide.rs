@@ -17,7 +17,7 @@ const STILL_M: f64 = 0.005;
 const APART_M: f64 = 0.05;
 /// For so long it must have been turned, s, faster than this, rad/s.
 const MOVED_S: f64 = 25.0;
-const TURNS_RAD_S: f64 = 0.5;
+const ROTATES_RAD_S: f64 = 0.5;
 /// And so far to and fro about a second axis (standard deviation), rad.
 const SPREAD_RAD: f64 = 0.3;
 
@@ -32,7 +32,7 @@ pub struct Guide {
     imu: bool,
     recording: Recording,
     moved_s: f64,
-    /// Sum of the squared turns from the first orientation, rad², and how many.
+    /// Sum of the squared rotation vectors from the first orientation, rad², and how many.
     spread: (Matrix3<f64>, f64),
 }
 
@@ -62,8 +62,8 @@ impl Guide {
             self.hold(t_s, pose.translation.vector);
         } else if self.recording.magnetic.last().is_none_or(|(last_s, _)| t_s > *last_s) {
             let first = self.recording.magnetic.first().map_or(pose.rotation, |(_, first)| first.rotation);
-            let turn = log(&(first.inverse() * pose.rotation));
-            self.spread.0 += turn * turn.transpose();
+            let rotation_vector_rad = log(&(first.inverse() * pose.rotation));
+            self.spread.0 += rotation_vector_rad * rotation_vector_rad.transpose();
             self.spread.1 += 1.0;
             self.recording.magnetic.push((t_s, *pose));
         }
@@ -80,14 +80,14 @@ impl Guide {
         if since_s < 0.0 || (since_s == 0.0 && !self.recording.imu.is_empty()) {
             return;
         }
-        if sample.gyro_rad_s.norm() > TURNS_RAD_S {
+        if sample.gyro_rad_s.norm() > ROTATES_RAD_S {
             self.moved_s += since_s.min(0.1);
         }
         self.recording.imu.push((t_s, *sample));
     }
 
-    fn hold(&mut self, t_s: f64, place_m: Vector3<f64>) {
-        let far = |other: &Vector3<f64>, least_m: f64| (other - place_m).norm() > least_m;
+    fn hold(&mut self, t_s: f64, position_m: Vector3<f64>) {
+        let far = |other: &Vector3<f64>, least_m: f64| (other - position_m).norm() > least_m;
         let left = self.points.last().is_none_or(|last| far(&last.transmitter_m, APART_M));
         if !left || self.held.first().is_some_and(|(_, first)| far(first, STILL_M)) {
             self.held.clear();
@@ -95,10 +95,10 @@ impl Guide {
         if !left {
             return;
         }
-        self.held.push((t_s, place_m));
+        self.held.push((t_s, position_m));
         if t_s - self.held[0].0 >= HOLD_S {
-            let mean =
-                self.held.iter().map(|(_, place)| place).sum::<Vector3<f64>>() / self.held.len() as f64;
+            let mean = self.held.iter().map(|(_, position_m)| position_m).sum::<Vector3<f64>>()
+                / self.held.len() as f64;
             let room_m = self.anchors[self.points.len()].1;
             self.points.push(AnchorPoint { transmitter_m: mean, room_m });
             self.held.clear();
@@ -114,8 +114,10 @@ impl Guide {
 
     /// What to do now, a sentence without a full stop; `None` once all is done.
     pub fn prompt(&self) -> Option<String> {
-        if let Some((name, [x, y, z])) =
-            self.anchors.get(self.points.len()).map(|(name, place)| (name, <[f64; 3]>::from(*place)))
+        if let Some((name, [x, y, z])) = self
+            .anchors
+            .get(self.points.len())
+            .map(|(name, position_m)| (name, <[f64; 3]>::from(*position_m)))
         {
             return Some(format!("hold the sensor still at {name:?} ({x:.3}, {y:.3}, {z:.3} m in the room)"));
         }

@@ -28,11 +28,11 @@ use posed_geometry::so3::log;
 
 /// Half width of the second differences, s.
 const HALF_S: f64 = 0.2;
-/// A turn that fits worse than this counts for less, rad.
+/// A rotation that fits worse than this counts for less, rad.
 const HUBER_RAD: f64 = 0.05;
-/// Fewest samples, and least turn within half a second difference in each of two directions, root mean square, rad.
+/// Fewest samples, and least rotation within half a second difference in each of two directions, root mean square, rad.
 const MIN_SAMPLES: usize = 200;
-const MIN_TURN_RAD: f64 = 0.05;
+const MIN_ROTATION_RAD: f64 = 0.05;
 
 /// One time of a sensor that has both a magnetic pose and an IMU.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -115,7 +115,8 @@ pub fn align(
     heading: bool,
 ) -> Result<Alignment, AlignError> {
     let (y, residual_rad) = attached(stretches, 1)?;
-    let Forces { gravity_m_s2, lever_m, accel_bias_m_s2, residual_m } = forces(stretches, &y)?;
+    let SpecificForceFit { gravity_m_s2, lever_m, accel_bias_m_s2, residual_m } =
+        fit_specific_force(stretches, &y)?;
     let tilt = UnitQuaternion::rotation_between(&gravity_m_s2, &Vector3::z())
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
     let x = if heading { north(stretches, &tilt, &y) * tilt } else { facing(&tilt) * tilt };
@@ -136,14 +137,14 @@ pub fn align(
     })
 }
 
-/// Y, and the root mean square of what it leaves of the turns, rad; from every `step`-th of them.
+/// Y, and the root mean square of what it leaves of the rotations, rad; from every `step`-th of them.
 fn attached(stretches: &[Vec<PairedSample>], step: usize) -> Result<(UnitQuaternion<f64>, f64), AlignError> {
     let found = stretches.iter().map(Vec::len).sum();
     if found < MIN_SAMPLES {
         return Err(AlignError::TooShort { found, needed: MIN_SAMPLES });
     }
     let half = half(stretches);
-    let turns: Vec<[Vector3<f64>; 2]> = stretches
+    let rotations: Vec<[Vector3<f64>; 2]> = stretches
         .iter()
         .flat_map(|samples| samples.windows(half + 1).step_by(step))
         .map(|part| {
@@ -152,18 +153,18 @@ fn attached(stretches: &[Vec<PairedSample>], step: usize) -> Result<(UnitQuatern
             [log(&sensor), log(&(a.gyro_from_imu.inverse() * b.gyro_from_imu))]
         })
         .collect();
-    let n = turns.len() as f64;
-    let spread: Matrix3<f64> = turns.iter().map(|[_, imu]| imu * imu.transpose() / n).sum();
+    let n = rotations.len() as f64;
+    let spread: Matrix3<f64> = rotations.iter().map(|[_, imu]| imu * imu.transpose() / n).sum();
     let mut values: Vec<f64> = spread.symmetric_eigenvalues().iter().copied().collect();
     values.sort_by(f64::total_cmp);
-    if values[1].is_nan() || values[1] < MIN_TURN_RAD.powi(2) {
+    if values[1].is_nan() || values[1] < MIN_ROTATION_RAD.powi(2) {
         return Err(AlignError::OneAxis);
     }
     let mut y = UnitQuaternion::identity();
     let mut squares = 0.0;
     // Once over all, and once with those for less that fit badly: a record that was not, a knock.
     for pass in 0..2 {
-        let sum: Matrix3<f64> = turns
+        let sum: Matrix3<f64> = rotations
             .iter()
             .map(|[sensor, imu]| {
                 let off = (sensor - y * imu).norm();
@@ -171,7 +172,7 @@ fn attached(stretches: &[Vec<PairedSample>], step: usize) -> Result<(UnitQuatern
             })
             .sum();
         y = rotation_of(&sum).unwrap_or(y);
-        squares = turns.iter().map(|[sensor, imu]| (sensor - y * imu).norm_squared()).sum();
+        squares = rotations.iter().map(|[sensor, imu]| (sensor - y * imu).norm_squared()).sum();
     }
     Ok((y, (squares / n).sqrt()))
 }
@@ -198,23 +199,23 @@ fn about_z(angle_rad: f64) -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad)
 }
 
-/// The turn about the vertical that makes the tilted transmitter's heading the IMU's, on average.
+/// The rotation about the vertical that makes the tilted transmitter's heading the IMU's, on average.
 fn north(
     stretches: &[Vec<PairedSample>],
     tilt: &UnitQuaternion<f64>,
     y: &UnitQuaternion<f64>,
 ) -> UnitQuaternion<f64> {
-    let turn = |sample: &PairedSample| {
+    let direction = |sample: &PairedSample| {
         let q = sample.level_from_imu * (tilt * sample.transmitter_from_sensor.rotation * y).inverse();
         let angle = 2.0 * q.k.atan2(q.w);
         Vector3::new(angle.cos(), angle.sin(), 0.0)
     };
-    let sum: Vector3<f64> = stretches.iter().flatten().map(turn).sum();
+    let sum: Vector3<f64> = stretches.iter().flatten().map(direction).sum();
     about_z(sum.y.atan2(sum.x))
 }
 
-/// The turn about the vertical that brings the transmitter's x axis, or its y axis where that one stands upright, to where the
-/// room's is.
+/// The rotation about the vertical that brings the transmitter's x axis, or its y axis where that one stands upright, to where
+/// the room's is.
 fn facing(x: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
     let (a, b) = (x * Vector3::x(), x * Vector3::y());
     about_z(if a.x.hypot(a.y) > 0.3 { -a.y.atan2(a.x) } else { b.x.atan2(b.y) })
@@ -249,8 +250,8 @@ fn left_m(anchors: &[AnchorPoint], room: &Isometry3<f64>) -> f64 {
     (anchors.iter().map(off).sum::<f64>() / anchors.len() as f64).sqrt()
 }
 
-/// What the forces show, transmitter's axes.
-struct Forces {
+/// What the specific forces show, transmitter's axes.
+struct SpecificForceFit {
     gravity_m_s2: Vector3<f64>,
     /// From the magnetic sensor to the IMU, magnetic sensor's axes.
     lever_m: Vector3<f64>,
@@ -260,7 +261,10 @@ struct Forces {
 }
 
 /// Gravity, lever and accelerometer bias, linear in the second differences of the IMU's position.
-fn forces(stretches: &[Vec<PairedSample>], y: &UnitQuaternion<f64>) -> Result<Forces, AlignError> {
+fn fit_specific_force(
+    stretches: &[Vec<PairedSample>],
+    y: &UnitQuaternion<f64>,
+) -> Result<SpecificForceFit, AlignError> {
     type Normal = SMatrix<f64, 9, 9>;
     let half = half(stretches);
     let y = y.to_rotation_matrix().into_inner();
@@ -281,7 +285,7 @@ fn forces(stretches: &[Vec<PairedSample>], y: &UnitQuaternion<f64>) -> Result<Fo
     let found = normal.cholesky().map(|c| c.solve(&right)).ok_or(AlignError::Still)?;
     let squares: f64 = rows_of.iter().map(|(rows, value)| (rows * found - value).norm_squared()).sum();
     let part = |at: usize| Vector3::new(found[at], found[at + 1], found[at + 2]);
-    Ok(Forces {
+    Ok(SpecificForceFit {
         lever_m: part(0),
         accel_bias_m_s2: part(3),
         gravity_m_s2: part(6),
@@ -289,32 +293,33 @@ fn forces(stretches: &[Vec<PairedSample>], y: &UnitQuaternion<f64>) -> Result<Fo
     })
 }
 
-/// One of them, from twice `HALF_S` of samples: bend + (second difference of M) lever = force - turned bias - time gravity.
+/// One of them, from twice `HALF_S` of samples: bend + (second difference of M) lever = specific force - turned bias - time
+/// gravity.
 fn second_difference(part: &[PairedSample], y: &Matrix3<f64>) -> (SMatrix<f64, 3, 9>, Vector3<f64>) {
     let half = part.len() / 2;
     let dt_s = HALF_S / half as f64;
-    let turn =
+    let rotation =
         |sample: &PairedSample| sample.transmitter_from_sensor.rotation.to_rotation_matrix().into_inner();
-    let place = |sample: &PairedSample| sample.transmitter_from_sensor.translation.vector;
-    let (mut force, mut turned, mut time_s2) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
+    let position_m = |sample: &PairedSample| sample.transmitter_from_sensor.translation.vector;
+    let (mut specific_force_m, mut turned, mut time_s2) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
     for (j, sample) in part.iter().enumerate() {
         let weight = (half - j.abs_diff(half)) as f64 * dt_s * dt_s;
-        let axes = turn(sample) * y;
-        force += axes * sample.specific_force_m_s2 * weight;
+        let axes = rotation(sample) * y;
+        specific_force_m += axes * sample.specific_force_m_s2 * weight;
         turned += axes * weight;
         time_s2 += weight;
     }
     let (before, at, after) = (&part[0], &part[half], &part[2 * half]);
-    let bend = place(after) - place(at) * 2.0 + place(before);
-    let by_lever = turn(after) - turn(at) * 2.0 + turn(before);
+    let bend = position_m(after) - position_m(at) * 2.0 + position_m(before);
+    let by_lever = rotation(after) - rotation(at) * 2.0 + rotation(before);
     let mut rows = SMatrix::<f64, 3, 9>::zeros();
     rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_lever);
     rows.fixed_view_mut::<3, 3>(0, 3).copy_from(&turned);
     rows.fixed_view_mut::<3, 3>(0, 6).copy_from(&(Matrix3::identity() * time_s2));
-    (rows, force - bend)
+    (rows, specific_force_m - bend)
 }
 
-/// Turn about the vertical (where the heading is not known) and place from anchors; the tilt stays gravity's.
+/// Rotation about the vertical (where the heading is not known) and place from anchors; the tilt stays gravity's.
 fn anchor(anchors: &[AnchorPoint], x: &UnitQuaternion<f64>, heading: bool) -> Isometry3<f64> {
     let n = anchors.len() as f64;
     let turned: Vec<Vector3<f64>> = anchors.iter().map(|a| x * a.transmitter_m).collect();

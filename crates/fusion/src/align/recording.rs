@@ -20,7 +20,7 @@ const FINE_S: f64 = 5e-5;
 /// Share of the time in which the field must be believed for its heading to count.
 const BELIEVED: f64 = 0.8;
 
-/// Every eighth turn does for the clocks.
+/// Every eighth rotation does for the clocks.
 const SPARSE: usize = 8;
 
 /// What a sensor that has both was seen to do, each record on the clock of its own device.
@@ -80,8 +80,9 @@ pub fn align_recording(
     Ok(Found { alignment, clock_offset_s, heading })
 }
 
-/// Orientation and force over time: the second of two runs of the filter, which begins with the bias that the first one found. Whether
-/// a field was believed says the second value; the orientation is that of the room then, and of a level frame otherwise.
+/// Orientation and specific force over time: the second of two runs of the filter, which begins with the bias that the first
+/// one found. Whether a field was believed says the second value; the orientation is that of the room then, and of a level
+/// frame otherwise.
 fn oriented(imu: &[(f64, ImuSample)], magnetometer: bool) -> (Vec<Oriented>, bool) {
     let mut filter = Ahrs::new(Params::default());
     let mut gyro = UnitQuaternion::identity();
@@ -131,7 +132,7 @@ fn both(recording: &Recording, oriented: &[Oriented], offset_s: f64) -> Vec<Vec<
         let t_s = start_s + k as f64 * STEP_S;
         let sample = magnetic_at(&recording.magnetic, &mut m, t_s).and_then(|transmitter_from_sensor| {
             let (before, after, part) = imu_at(oriented, &mut a, t_s + offset_s)?;
-            // A sample's force is that of the middle of its step, the orientation that of its end.
+            // A sample's specific force is that of the middle of its step, the orientation that of its end.
             let half_s = 0.5 * before.dt_s;
             let (older, newer, share) = imu_at(oriented, &mut f, t_s + offset_s + half_s)?;
             Some(PairedSample {

@@ -26,9 +26,10 @@ impl MovedPair {
 
     /// Sensor in the room.
     fn pose(t: f64, turning: f64) -> Isometry3<f64> {
-        let turn = V::new((1.9 * t).sin(), (1.3 * t + 0.4).cos(), 0.9 * (2.7 * t).sin()) * turning;
-        let place = V::new(0.3 * (1.1 * t).sin(), 0.2 * (1.7 * t).cos(), 1.0 + 0.15 * (2.3 * t).sin());
-        Isometry3::from_parts(place.into(), exp(&turn))
+        let rotation_vector_rad =
+            V::new((1.9 * t).sin(), (1.3 * t + 0.4).cos(), 0.9 * (2.7 * t).sin()) * turning;
+        let position_m = V::new(0.3 * (1.1 * t).sin(), 0.2 * (1.7 * t).cos(), 1.0 + 0.15 * (2.3 * t).sin());
+        Isometry3::from_parts(position_m.into(), exp(&rotation_vector_rad))
     }
 
     /// Forty seconds at 100 Hz with 0.5 mm, 0.3 degrees and a bias.
@@ -53,14 +54,14 @@ impl MovedPair {
                 pose.translation.vector += V::from_fn(|_, _| 5e-4 * random());
                 pose.rotation *= exp(&V::from_fn(|_, _| 0.005 * random()));
                 let level_from_imu = room_from_sensor.rotation * self.q_sensor_imu;
-                let force = level_from_imu.inverse() * (accel + V::z() * GRAVITY_M_S2);
+                let specific_force_m_s2 = level_from_imu.inverse() * (accel + V::z() * GRAVITY_M_S2);
                 let level_from_imu = level_from_imu * exp(&V::from_fn(|_, _| 0.01 * random()));
                 PairedSample {
                     t_s,
                     transmitter_from_sensor: pose,
                     level_from_imu,
                     gyro_from_imu: level_from_imu,
-                    specific_force_m_s2: force
+                    specific_force_m_s2: specific_force_m_s2
                         + V::new(0.03, -0.02, 0.04) * noise
                         + V::from_fn(|_, _| 0.03 * random()),
                 }
@@ -84,8 +85,8 @@ fn a_tilted_transmitter_is_found_within_half_a_degree_and_five_millimetres() {
     assert!(off < 0.5, "IMU: {off} degrees");
     let off = (found.lever_m - moved.lever_m).norm();
     assert!(off < 5e-3, "lever: {off} m");
-    let place = found.room_from_transmitter.translation.vector;
-    let off = (place - moved.room_from_transmitter.translation.vector).norm();
+    let position_m = found.room_from_transmitter.translation.vector;
+    let off = (position_m - moved.room_from_transmitter.translation.vector).norm();
     assert!(off < 5e-3, "transmitter: {off} m");
     assert!((found.accel_bias_m_s2 - V::new(0.03, -0.02, 0.04)).norm() < 0.02, "{:?}", found.accel_bias_m_s2);
     assert!(found.residual_rad > 0.005 && found.residual_rad < 0.03);

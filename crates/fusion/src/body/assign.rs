@@ -95,14 +95,14 @@ pub enum AssignError {
 /// An [`AssignError`] whose sentence states what to do: nobody moved, a sensor was silent, two segments moved in the same way,
 /// or the rest was not still.
 pub fn assign(recording: &[Recorded], blocks: &[Block]) -> Result<Assignment, AssignError> {
-    let worn: Vec<BodySegment> = BodySegment::ALL
+    let segments: Vec<BodySegment> = BodySegment::ALL
         .into_iter()
         .filter(|segment| recording.iter().any(|(_, samples)| samples[segment.index()].is_some()))
         .collect();
     let mut movements = Vec::new();
     for block in blocks {
-        if worn.iter().any(|segment| share(*segment, block.kind) == Some(1.0)) {
-            movements.push((block.kind, shares_turned(recording, block, &worn)?));
+        if segments.iter().any(|segment| share(*segment, block.kind) == Some(1.0)) {
+            movements.push((block.kind, shares_turned(recording, block, &segments)?));
         }
     }
     let departure = |sensor: usize, segment: BodySegment| -> f64 {
@@ -111,31 +111,31 @@ pub fn assign(recording: &[Recorded], blocks: &[Block]) -> Result<Assignment, As
         };
         movements.iter().map(of).sum()
     };
-    let costs = Matrix::from_fn(worn.len(), worn.len(), |(sensor, at)| {
-        (departure(sensor, worn[at]) * PER_UNIT) as i64
+    let costs = Matrix::from_fn(segments.len(), segments.len(), |(sensor, at)| {
+        (departure(sensor, segments[at]) * PER_UNIT) as i64
     });
     let (least, found) = kuhn_munkres_min(&costs);
     for (sensor, at) in found.iter().copied().enumerate() {
-        let segment = worn[at];
+        let segment = segments[at];
         // The best of the assignments in which this sensor sits elsewhere.
         let mut without = costs.clone();
         without[(sensor, at)] = FORBIDDEN;
         let (second, other) = kuhn_munkres_min(&without);
-        if worn.len() > 1 && (second - least) as f64 <= MARGIN * PER_UNIT {
+        if segments.len() > 1 && (second - least) as f64 <= MARGIN * PER_UNIT {
             let fix = match segment {
                 BodySegment::Torso | BodySegment::Pelvis => BlockKind::TrunkRotation,
                 limb => BlockKind::Move(limb, Movement::Flexion),
             };
-            let (first, second) = (segment.name(), worn[other[sensor]].name());
+            let (first, second) = (segment.name(), segments[other[sensor]].name());
             return Err(AssignError::Alike { first, second, fix: fix.name() });
         }
     }
     for (kind, turned) in &movements {
-        was_done(*kind, turned, &found, &worn)?;
+        was_done(*kind, turned, &found, &segments)?;
     }
     let mut assignment = [None; SEGMENTS];
     for (sensor, at) in found.into_iter().enumerate() {
-        assignment[worn[sensor].index()] = Some(worn[at]);
+        assignment[segments[sensor].index()] = Some(segments[at]);
     }
     Ok(Assignment(assignment))
 }
@@ -145,29 +145,29 @@ pub fn assign(recording: &[Recorded], blocks: &[Block]) -> Result<Assignment, As
 fn shares_turned(
     recording: &[Recorded],
     block: &Block,
-    worn: &[BodySegment],
+    segments: &[BodySegment],
 ) -> Result<Vec<f64>, AssignError> {
     let inside = |(t_s, _): &&Recorded| (block.start_s..=block.end_s).contains(t_s);
     let turned = |segment: &BodySegment| {
-        let rates: Vec<Vector3<f64>> = recording
+        let gyro_rad_s: Vec<Vector3<f64>> = recording
             .iter()
             .filter(inside)
             .filter_map(|(_, samples)| Some(samples[segment.index()]?.gyro_rad_s))
-            .filter(|rate| rate.iter().all(|value| value.is_finite()))
+            .filter(|w| w.iter().all(|value| value.is_finite()))
             .collect();
-        if rates.len() < ENOUGH_SAMPLES {
+        if gyro_rad_s.len() < ENOUGH_SAMPLES {
             return Err(AssignError::Silent { taken_for: segment.name(), movement: block.kind.name() });
         }
-        let count = rates.len() as f64;
-        let mean = rates.iter().sum::<Vector3<f64>>() / count;
-        Ok((rates.iter().map(|rate| (rate - mean).norm_squared()).sum::<f64>() / count).sqrt())
+        let count = gyro_rad_s.len() as f64;
+        let mean = gyro_rad_s.iter().sum::<Vector3<f64>>() / count;
+        Ok((gyro_rad_s.iter().map(|w| (w - mean).norm_squared()).sum::<f64>() / count).sqrt())
     };
-    let mut turned = worn.iter().map(turned).collect::<Result<Vec<f64>, _>>()?;
+    let mut turned = segments.iter().map(turned).collect::<Result<Vec<f64>, _>>()?;
     let most = turned.iter().copied().fold(0.0, f64::max);
     if most < MOVES_RAD_S {
         return Err(AssignError::Still(block.kind.name()));
     }
-    turned.iter_mut().for_each(|rate| *rate /= most);
+    turned.iter_mut().for_each(|share| *share /= most);
     Ok(turned)
 }
 
@@ -176,11 +176,11 @@ fn was_done(
     kind: BlockKind,
     turned: &[f64],
     found: &[usize],
-    worn: &[BodySegment],
+    segments: &[BodySegment],
 ) -> Result<(), AssignError> {
     let by = |wanted: f64| {
-        let asked = move |(_, segment): &(f64, BodySegment)| share(*segment, kind) == Some(wanted);
-        turned.iter().copied().zip(found.iter().map(|at| worn[*at])).filter(asked)
+        let wanted_share = move |(_, segment): &(f64, BodySegment)| share(*segment, kind) == Some(wanted);
+        turned.iter().copied().zip(found.iter().map(|at| segments[*at])).filter(wanted_share)
     };
     let least = by(1.0).min_by(|(a, _), (b, _)| a.total_cmp(b));
     let most = by(0.0).max_by(|(a, _), (b, _)| a.total_cmp(b));

@@ -35,7 +35,7 @@ const POSE_DEG: f64 = 3.0;
 const FACING_DEG: f64 = 5.0;
 const HINGE_DEG: f64 = 2.0;
 /// How far the segment above a joint must turn meanwhile, root mean square, to show the axis without a magnetometer, rad.
-const PARENT_TURNS_RAD: f64 = 0.35;
+const PARENT_ROTATES_RAD: f64 = 0.35;
 const BALL_DEG: f64 = 6.0;
 
 /// What can be held or done.
@@ -142,7 +142,7 @@ pub type Recorded = (f64, BodySamples);
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Calibrated {
     /// By [`BodySegment::index`]; `None` where no sensor has samples.
-    pub worn: [Option<SensorMount>; SEGMENTS],
+    pub mounts: [Option<SensorMount>; SEGMENTS],
     /// Root mean square by which the directions disagree, weighted, degrees, by [`BodySegment::index`]; below 15. It shows
     /// neither a pose that all sensors saw wrong nor soft tissue.
     pub quality_deg: [Option<f64>; SEGMENTS],
@@ -262,7 +262,8 @@ pub fn calibrate(
         session.axes(block, &mut axes)?;
     }
     let facing = Facing { magnetic, standing: &standing, spread: &spread, axes: &axes };
-    let mut out = Calibrated { worn: [None; SEGMENTS], quality_deg: [None; SEGMENTS], warnings: Vec::new() };
+    let mut out =
+        Calibrated { mounts: [None; SEGMENTS], quality_deg: [None; SEGMENTS], warnings: Vec::new() };
     for segment in BodySegment::ALL.into_iter().filter(|segment| present[segment.index()]) {
         let index = segment.index();
         let yaw = facing.of(segment)?;
@@ -302,7 +303,7 @@ pub fn calibrate(
             ));
         }
         out.quality_deg[index] = Some(rms_deg);
-        out.worn[index] = Some(SensorMount {
+        out.mounts[index] = Some(SensorMount {
             q_segment_sensor,
             offset_m: offsets_m[index].unwrap_or_else(|| skeleton.usual_sensor_m(segment)),
             // The level frame is turned so that the body looks along the room's x where it was calibrated.
@@ -389,15 +390,15 @@ impl Session<'_> {
                 segment: segment.name(),
                 problem,
             };
-            let rates: Vec<Vector3<f64>> = self.recording[range.clone()]
+            let gyros_rad_s: Vec<Vector3<f64>> = self.recording[range.clone()]
                 .iter()
                 .filter_map(|(_, samples)| samples[index].map(|sample| sample.gyro_rad_s))
-                .filter(|rate| rate.iter().all(|value| value.is_finite()))
+                .filter(|w| w.iter().all(|value| value.is_finite()))
                 .collect();
-            if rates.len() < 10 {
+            if gyros_rad_s.len() < 10 {
                 return Err(wrong("has no samples then"));
             }
-            let mean = rates.iter().sum::<Vector3<f64>>() / rates.len() as f64;
+            let mean = gyros_rad_s.iter().sum::<Vector3<f64>>() / gyros_rad_s.len() as f64;
             if mean.norm() > BIAS_RAD_S {
                 return Err(wrong(
                     "turns by more than 2 degrees per second at rest: its gyro has a bias that no filter here corrects; run \
@@ -405,7 +406,7 @@ impl Session<'_> {
                 ));
             }
             let moved =
-                rates.iter().map(|rate| (rate - mean).norm_squared()).sum::<f64>() / rates.len() as f64;
+                gyros_rad_s.iter().map(|w| (w - mean).norm_squared()).sum::<f64>() / gyros_rad_s.len() as f64;
             if moved.sqrt() > HELD_RAD_S {
                 return Err(wrong("moved: stand still and repeat it"));
             }
@@ -500,7 +501,7 @@ impl Session<'_> {
         let (before, behind) = (&self.tracks[a][range.clone()], &self.tracks[b][range.clone()]);
         // Headings of their own tie the two together only as far as both turn: above a parent that stands still, the joint shows
         // its axis in the sensor below alone.
-        if !self.magnetic && turned_rad(before) < PARENT_TURNS_RAD {
+        if !self.magnetic && turned_rad(before) < PARENT_ROTATES_RAD {
             return main_axis(behind).map(|axis| [None, Some(axis)]);
         }
         let steps_s: Vec<f64> = range
@@ -516,7 +517,7 @@ impl Session<'_> {
             Some(axes) => chain::refined_axes(&axes, before, behind, &steps_s),
             None => relative_axis(before, behind)?,
         };
-        // The way the movement begins: the mean turn from the posture at its start.
+        // The way the movement begins: the mean rotation from the posture at its start.
         let start = before[0].inverse() * behind[0];
         let mean: Vector3<f64> = before
             .iter()
@@ -552,16 +553,16 @@ fn relative_axis(
     let mut spread = Matrix3::zeros();
     let mut mean = Vector3::zeros();
     for q in &relative {
-        let turn = so3::log(&(start.inverse() * q));
-        spread += turn * turn.transpose();
-        mean += turn;
+        let rotation_vector_rad = so3::log(&(start.inverse() * q));
+        spread += rotation_vector_rad * rotation_vector_rad.transpose();
+        mean += rotation_vector_rad;
     }
     let n = relative.len() as f64;
     spread /= n;
     let eigen = spread.symmetric_eigen();
     let largest = eigen.eigenvalues.imax();
     let axis: Vector3<f64> = eigen.eigenvectors.column(largest).into();
-    // A turn of at least 12 degrees, root mean square, and nearly all of it about one axis.
+    // A rotation of at least 12 degrees, root mean square, and nearly all of it about one axis.
     let needed = 12_f64.to_radians().powi(2);
     if eigen.eigenvalues[largest].is_nan() || eigen.eigenvalues[largest] < needed {
         return Err(Refused::Excitation { found: eigen.eigenvalues[largest], needed });
@@ -603,9 +604,10 @@ impl Facing<'_> {
             ];
             for arm in arms.into_iter().filter(|arm| self.magnetic || *arm == segment) {
                 let (Some(low), Some(high)) = (low[arm.index()], high[arm.index()]) else { continue };
-                let turn = so3::log(&(high * low.inverse()));
-                if turn.norm() > 0.8 {
-                    sum += forward(&(turn.normalize() * -arm.side()), &Vector3::x()) / FACING_DEG;
+                let rotation_vector_rad = so3::log(&(high * low.inverse()));
+                if rotation_vector_rad.norm() > 0.8 {
+                    sum +=
+                        forward(&(rotation_vector_rad.normalize() * -arm.side()), &Vector3::x()) / FACING_DEG;
                 }
             }
         }
@@ -642,7 +644,7 @@ fn forward(seen: &Vector3<f64>, nominal: &Vector3<f64>) -> Vector3<f64> {
     Vector3::new(s.dot(&n), n.x * s.y - n.y * s.x, 0.0)
 }
 
-/// A segment's turn in a pose against the N-pose.
+/// A segment's rotation in a pose against the N-pose.
 fn posture(segment: BodySegment, raised: bool) -> UnitQuaternion<f64> {
     let quarter = std::f64::consts::FRAC_PI_2;
     match segment {

@@ -57,10 +57,10 @@ pub struct Guide {
     at: usize,
     recording: Vec<Recorded>,
     blocks: Vec<Block>,
-    /// Smoothed rates, rad/s, and forces, m/s², per sensor.
-    rates: [f64; SEGMENTS],
-    forces: [Vector3<f64>; SEGMENTS],
-    /// Directions of the force while the arms hung.
+    /// Smoothed angular speeds, rad/s, and specific forces, m/s², per sensor.
+    angular_speeds_rad_s: [f64; SEGMENTS],
+    specific_forces_m_s2: [Vector3<f64>; SEGMENTS],
+    /// Directions of the specific force while the arms hung.
     hung: Option<[Vector3<f64>; SEGMENTS]>,
     still_since_s: Option<f64>,
     moving_since_s: Option<f64>,
@@ -81,8 +81,8 @@ impl Guide {
             at: 0,
             recording: Vec::new(),
             blocks: Vec::new(),
-            rates: [0.0; SEGMENTS],
-            forces: [Vector3::zeros(); SEGMENTS],
+            angular_speeds_rad_s: [0.0; SEGMENTS],
+            specific_forces_m_s2: [Vector3::zeros(); SEGMENTS],
             hung: None,
             still_since_s: None,
             moving_since_s: None,
@@ -101,8 +101,9 @@ impl Guide {
         let gain = dt_s / (SMOOTH_S + dt_s);
         for (index, sample) in samples.iter().enumerate() {
             let Some(sample) = sample.filter(usable) else { continue };
-            self.rates[index] += gain * (sample.gyro_rad_s.norm() - self.rates[index]);
-            self.forces[index] += (sample.accel_m_s2 - self.forces[index]) * gain;
+            self.angular_speeds_rad_s[index] +=
+                gain * (sample.gyro_rad_s.norm() - self.angular_speeds_rad_s[index]);
+            self.specific_forces_m_s2[index] += (sample.accel_m_s2 - self.specific_forces_m_s2[index]) * gain;
         }
         if matches!(kind, BlockKind::NPose | BlockKind::TPose) {
             self.pose(kind, t_s)
@@ -128,7 +129,7 @@ impl Guide {
     }
 
     fn pose(&mut self, kind: BlockKind, t_s: f64) {
-        let still = self.all().all(|index| self.rates[index] < STILL_RAD_S);
+        let still = self.all().all(|index| self.angular_speeds_rad_s[index] < STILL_RAD_S);
         if !still || (kind == BlockKind::TPose && !self.raised()) || !self.upright_again(kind) {
             self.still_since_s = None;
             return;
@@ -136,15 +137,15 @@ impl Guide {
         let since_s = *self.still_since_s.get_or_insert(t_s);
         if t_s - since_s >= HOLD_S {
             if kind == BlockKind::NPose && self.hung.is_none() {
-                self.hung = Some(self.forces);
+                self.hung = Some(self.specific_forces_m_s2);
             }
             self.done(Block { kind, start_s: since_s, end_s: t_s });
         }
     }
 
     fn movement(&mut self, kind: BlockKind, t_s: f64) {
-        let moves = self.moved_by(kind).any(|index| self.rates[index] > MOVES_RAD_S);
-        let rests = self.moved_by(kind).all(|index| self.rates[index] < STILL_RAD_S);
+        let moves = self.moved_by(kind).any(|index| self.angular_speeds_rad_s[index] > MOVES_RAD_S);
+        let rests = self.moved_by(kind).all(|index| self.angular_speeds_rad_s[index] < STILL_RAD_S);
         if moves {
             self.moving_since_s.get_or_insert(t_s);
         }
@@ -174,7 +175,7 @@ impl Guide {
     /// Whether the arms are held sideways, as far as gravity shows it.
     fn raised(&self) -> bool {
         let Some(hung) = &self.hung else { return true };
-        let raised = |index: &usize| self.forces[*index].angle(&hung[*index]) > RAISED_RAD;
+        let raised = |index: &usize| self.specific_forces_m_s2[*index].angle(&hung[*index]) > RAISED_RAD;
         if self.assigned {
             arms(&self.present).all(|index| raised(&index))
         } else {
@@ -185,7 +186,7 @@ impl Guide {
     /// Whether an N-pose that comes again is one: the arms hang as they did.
     fn upright_again(&self, kind: BlockKind) -> bool {
         let Some(hung) = &self.hung else { return true };
-        let hangs = |index: usize| self.forces[index].angle(&hung[index]) < HANGS_RAD;
+        let hangs = |index: usize| self.specific_forces_m_s2[index].angle(&hung[index]) < HANGS_RAD;
         kind != BlockKind::NPose
             || if self.assigned { arms(&self.present).all(hangs) } else { self.all().all(hangs) }
     }

@@ -21,14 +21,14 @@ const GYRO_RANGE_RAD_S: f64 = 0.98 * 34.9;
 const TILT_RAD: f64 = 0.26;
 /// The same of the heading, where there is a magnetometer, rad.
 const HEADING_RAD: f64 = 0.7;
-/// Part of the squared rate that no joint allows: above it the sensor turns in ways its segment cannot. Skin and blows
-/// make some; a strap turned by 30 degrees makes a quarter.
+/// Part of the squared angular velocity that no joint allows: above it the sensor turns in ways its segment cannot. Skin and
+/// blows make some; a strap turned by 30 degrees makes a quarter.
 const IMPOSSIBLE: f64 = 0.15;
-/// Part of the forces that no healthy sensor has disbelieved: steps and blows are over sooner.
+/// Part of the specific forces that no healthy sensor has disbelieved: steps and blows are over sooner.
 const GATED: f64 = 0.35;
 /// Time over which these parts are taken, s.
 const IMPOSSIBLE_TAU_S: f64 = 0.4;
-/// Below this rate it says nothing, rad/s.
+/// Below this angular velocity it says nothing, rad/s.
 const SLOW_RAD_S: f64 = 0.3;
 /// For so long must a disagreement last, s.
 const MISFIT_S: f64 = 0.2;
@@ -40,10 +40,10 @@ pub(super) struct Watch {
     words: Repetition<ImuWords>,
     stuck: bool,
     misfit_s: f64,
-    /// Squared rates, low-passed: what no joint allows, and all.
+    /// Squared angular velocities, low-passed: what no joint allows, and all.
     impossible: f64,
     turning: f64,
-    /// Part of the forces that was not believed, low-passed.
+    /// Part of the specific forces that was not believed, low-passed.
     gated: f64,
     /// Time since the last such sample; starts as long ago as can be.
     since_broken_s: Option<f64>,
@@ -77,8 +77,8 @@ impl Watch {
         }
     }
 
-    /// What the limb made of a sample: the rate, rad/s, the part of it that the joints do not allow, and whether the force
-    /// was not believed.
+    /// What the limb made of a sample: the angular velocity, rad/s, the part of it that the joints do not allow, and whether
+    /// the specific force was not believed.
     pub(super) fn innovation(
         &mut self,
         angular_velocity_rad_s: f64,

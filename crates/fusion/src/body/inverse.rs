@@ -4,8 +4,8 @@
 //! that positions and orientations of the trackers fit best. What no tracker shows stays as it was in the frame before, and
 //! straight at first. Joints keep their axes: knees do not twist, elbows do not bend sideways.
 //!
-//! Levenberg's method on 27 numbers: position and turn of the pelvis, three angles of the spine, and per limb three of the ball
-//! joint and two or one of the hinge; ball joints step on SO(3). Derivatives by differences: a tracker moves only with
+//! Levenberg's method on 27 numbers: position and rotation of the pelvis, three angles of the spine, and per limb three of the
+//! ball joint and two or one of the hinge; ball joints step on SO(3). Derivatives by differences: a tracker moves only with
 //! the joints above it, and a frame takes a few steps from the one before.
 
 use nalgebra::{Isometry3, SMatrix, SVector, UnitQuaternion, Vector3};
@@ -18,9 +18,9 @@ use posed_geometry::so3;
 
 /// Unknowns: pelvis 6, spine 3, per limb 3 + 2 (arm) or 3 + 1 (leg).
 const N: usize = 27;
-/// Standard deviations that weigh trackers: position, m, and turn, rad; skin more than sensor.
+/// Standard deviations that weigh trackers: position, m, and rotation, rad; skin more than sensor.
 const POSITION_M: f64 = 0.01;
-const TURN_RAD: f64 = 0.05;
+const ROTATION_RAD: f64 = 0.05;
 /// Departure from the frame before where nothing else speaks, rad and m.
 const STAY: f64 = 0.5;
 /// Step of the differences.
@@ -51,7 +51,7 @@ pub struct Figure {
     pub residual: (f64, f64),
 }
 
-/// Joint by joint: relative turns, with hinges as angles.
+/// Joint by joint: relative rotations, with hinges as angles.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
 struct Joints {
     pelvis_m: Vector3<f64>,
@@ -143,20 +143,20 @@ impl Follower {
     }
 
     fn figure(&self, trackers: &[Tracked]) -> Figure {
-        let (mut place, mut turn) = (0.0, 0.0);
+        let (mut position, mut rotation) = (0.0, 0.0);
         for (p, r) in self.residuals(&self.joints, trackers) {
-            place += p.norm_squared();
-            turn += r.norm_squared();
+            position += p.norm_squared();
+            rotation += r.norm_squared();
         }
         let n = trackers.len() as f64;
         Figure {
             orientations: self.joints.orientations(),
             pelvis_m: self.joints.pelvis_m,
-            residual: ((place / n).sqrt(), (turn / n).sqrt()),
+            residual: ((position / n).sqrt(), (rotation / n).sqrt()),
         }
     }
 
-    /// Position, m, and turn, rad, by which each tracker is off.
+    /// Position, m, and rotation, rad, by which each tracker is off.
     fn residuals<'a>(
         &self,
         joints: &Joints,
@@ -166,16 +166,18 @@ impl Follower {
         let origins = self.skeleton.origins_m(&orientations, joints.pelvis_m);
         trackers.iter().map(move |tracker| {
             let q = orientations[tracker.segment.index()];
-            let place = origins[tracker.segment.index()] + q * tracker.segment_from_sensor.translation.vector;
-            let turn = tracker.room_from_sensor.rotation.inverse() * q * tracker.segment_from_sensor.rotation;
-            (place - tracker.room_from_sensor.translation.vector, so3::log(&turn))
+            let position_m =
+                origins[tracker.segment.index()] + q * tracker.segment_from_sensor.translation.vector;
+            let rotation =
+                tracker.room_from_sensor.rotation.inverse() * q * tracker.segment_from_sensor.rotation;
+            (position_m - tracker.room_from_sensor.translation.vector, so3::log(&rotation))
         })
     }
 
     fn cost(&self, joints: &Joints, before: &Joints, trackers: &[Tracked]) -> f64 {
         let fit: f64 = self
             .residuals(joints, trackers)
-            .map(|(p, r)| p.norm_squared() / POSITION_M.powi(2) + r.norm_squared() / TURN_RAD.powi(2))
+            .map(|(p, r)| p.norm_squared() / POSITION_M.powi(2) + r.norm_squared() / ROTATION_RAD.powi(2))
             .sum();
         fit + joints.since(before).norm_squared() / (STAY * STAY)
     }
@@ -195,7 +197,7 @@ impl Follower {
                 let mut out = SVector::<f64, 6>::zeros();
                 for (p, r) in self.residuals(joints, one) {
                     out.fixed_rows_mut::<3>(0).copy_from(&(p / POSITION_M));
-                    out.fixed_rows_mut::<3>(3).copy_from(&(r / TURN_RAD));
+                    out.fixed_rows_mut::<3>(3).copy_from(&(r / ROTATION_RAD));
                 }
                 out
             };

@@ -24,17 +24,17 @@ const ELBOW_DEG: [[f64; 2]; 2] = [[-8.0, -95.0], [158.0, 95.0]];
 const KNEE_DEG: [f64; 2] = [-8.0, 155.0];
 
 impl LimbGeometry {
-    /// Of a limb of a skeleton; `worn` by [`BodySegment::index`]. A segment without a sensor counts as if one sat at its
+    /// Of a limb of a skeleton; `mounts` by [`BodySegment::index`]. A segment without a sensor counts as if one sat at its
     /// usual place, turned as the segment is; a trunk without one has its origin where the segment has its own.
-    pub fn of(limb: Limb, skeleton: &Skeleton, worn: &[Option<SensorMount>; SEGMENTS]) -> Self {
+    pub fn of(limb: Limb, skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS]) -> Self {
         let [trunk, upper, lower] = limb.segments();
         let mount = |segment: BodySegment| {
-            worn[segment.index()].map_or_else(UnitQuaternion::identity, |worn| worn.q_segment_sensor)
+            mounts[segment.index()].map_or_else(UnitQuaternion::identity, |mount| mount.q_segment_sensor)
         };
         let offset_m = |segment: BodySegment| {
-            worn[segment.index()].map_or_else(|| skeleton.usual_sensor_m(segment), |worn| worn.offset_m)
+            mounts[segment.index()].map_or_else(|| skeleton.usual_sensor_m(segment), |mount| mount.offset_m)
         };
-        let trunk_m = worn[trunk.index()].map_or_else(Vector3::zeros, |worn| worn.offset_m);
+        let trunk_m = mounts[trunk.index()].map_or_else(Vector3::zeros, |mount| mount.offset_m);
         Self {
             base_to_joint_m: skeleton.joint_in_parent_m(upper) - trunk_m,
             upper_imu_m: offset_m(upper),
@@ -46,21 +46,21 @@ impl LimbGeometry {
     }
 }
 
-/// An elbow at rest that holds `forearm` rotated by `turn` (forearm to upper arm): flexion about z and pronation about y (by
+/// An elbow at rest that holds `forearm` rotated by `rotation` (forearm to upper arm): flexion about z and pronation about y (by
 /// side; the carrying angle is dropped); and the least and the largest angles that it may have, rad: -8 to 158 and -95 to 95
 /// degrees.
-pub fn elbow(forearm: BodySegment, turn: &UnitQuaternion<f64>) -> (Axes<2>, [SVector<f64, 2>; 2]) {
+pub fn elbow(forearm: BodySegment, rotation: &UnitQuaternion<f64>) -> (Axes<2>, [SVector<f64, 2>; 2]) {
     let mut axes = Axes::new([Vector3::z(), Vector3::y() * forearm.side()]);
-    let [flexion, pronation, ..] = joint_angles(forearm, turn);
+    let [flexion, pronation, ..] = joint_angles(forearm, rotation);
     axes.angle_rad = SVector::<f64, 2>::new(flexion, pronation);
     (axes, ELBOW_DEG.map(|row| SVector::from(row.map(f64::to_radians))))
 }
 
-/// A knee at rest that holds `shank` rotated by `turn` (shank to thigh): flexion about -z, the rest is dropped; and the least
+/// A knee at rest that holds `shank` rotated by `rotation` (shank to thigh): flexion about -z, the rest is dropped; and the least
 /// and the largest angle that it may have, rad: -8 to 155 degrees.
-pub fn knee(shank: BodySegment, turn: &UnitQuaternion<f64>) -> (Axes<1>, [SVector<f64, 1>; 2]) {
+pub fn knee(shank: BodySegment, rotation: &UnitQuaternion<f64>) -> (Axes<1>, [SVector<f64, 1>; 2]) {
     let mut axes = Axes::new([-Vector3::z()]);
-    axes.angle_rad = SVector::<f64, 1>::new(joint_angles(shank, turn)[0]);
+    axes.angle_rad = SVector::<f64, 1>::new(joint_angles(shank, rotation)[0]);
     (axes, KNEE_DEG.map(|limit| SVector::from([limit.to_radians()])))
 }
 
@@ -91,7 +91,7 @@ pub(super) struct LimbFilter {
     geometry: LimbGeometry,
     noise: LimbNoise,
     /// Whether upper and lower segment wear a sensor.
-    worn: [bool; 2],
+    mounted: [bool; 2],
     /// Bias of both gyros that a rest has proven, rad/s: more than the filter takes for possible.
     offsets_rad_s: [Vector3<f64>; 2],
     filter: Filter,
@@ -101,15 +101,15 @@ impl LimbFilter {
     pub(super) fn new(
         limb: Limb,
         skeleton: &Skeleton,
-        worn: &[Option<SensorMount>; SEGMENTS],
+        mounts: &[Option<SensorMount>; SEGMENTS],
         params: &BodyParams,
     ) -> Self {
         let [_, upper, lower] = limb.segments();
         Self {
             limb,
-            geometry: LimbGeometry::of(limb, skeleton, worn),
+            geometry: LimbGeometry::of(limb, skeleton, mounts),
             noise: params.limb,
-            worn: [upper, lower].map(|segment| worn[segment.index()].is_some()),
+            mounted: [upper, lower].map(|segment| mounts[segment.index()].is_some()),
             offsets_rad_s: [Vector3::zeros(); 2],
             filter: Filter::Waiting,
         }
@@ -162,24 +162,24 @@ impl LimbFilter {
 
     /// Begins as soon as every worn sensor has an orientation.
     fn begin(&mut self, base: &Base, own: [Option<UnitQuaternion<f64>>; 2]) {
-        let known = self.worn.iter().zip(&own).all(|(worn, own)| !worn || own.is_some());
-        if !known || self.worn == [false, false] {
+        let known = self.mounted.iter().zip(&own).all(|(mounted, own)| !mounted || own.is_some());
+        if !known || self.mounted == [false, false] {
             return;
         }
         let Some(upper) = own[0].or(own[1]) else { return };
         let lower = own[1].unwrap_or(upper);
         let [_, _, segment] = self.limb.segments();
-        let turn = upper.inverse() * lower;
+        let rotation = upper.inverse() * lower;
         let q = base.q_room_base.inverse() * upper;
         let ball = Ball { q, angular_velocity_rad_s: Vector3::zeros(), accel_rad_s2: Vector3::zeros() };
         let (geometry, noise) = (self.geometry, self.noise);
         self.filter = match self.limb {
             Limb::ArmR | Limb::ArmL => {
-                let (elbow, limits) = elbow(segment, &turn);
+                let (elbow, limits) = elbow(segment, &rotation);
                 Filter::Arm(Arm::new(geometry, noise, ball, elbow, limits, START_SIGMA_RAD))
             }
             Limb::LegR | Limb::LegL => {
-                let (knee, limits) = knee(segment, &turn);
+                let (knee, limits) = knee(segment, &rotation);
                 Filter::Leg(Leg::new(geometry, noise, ball, knee, limits, START_SIGMA_RAD))
             }
         };
@@ -188,12 +188,13 @@ impl LimbFilter {
     /// Upper and lower segment to trunk; `None` where no sensor shows it.
     pub(super) fn orientations(&self) -> [Option<UnitQuaternion<f64>>; 2] {
         let [upper, lower] = with_limb!(&self.filter, return [None; 2], limb => limb.orientations());
-        [Some(upper), self.worn[1].then_some(lower)]
+        [Some(upper), self.mounted[1].then_some(lower)]
     }
 
-    /// Covariance of the error of both joints' turns, rad², each in the axes of the segment below; `None` before it has begun.
-    pub(super) fn turns_rad2(&self) -> Option<[Matrix3<f64>; 2]> {
-        with_limb!(&self.filter, None, limb => Some(limb.turns_rad2()))
+    /// Covariance of the error of both joints' rotations, rad², each in the axes of the segment below; `None` before it has
+    /// begun.
+    pub(super) fn rotations_rad2(&self) -> Option<[Matrix3<f64>; 2]> {
+        with_limb!(&self.filter, None, limb => Some(limb.rotations_rad2()))
     }
 
     /// Uncertainty of the upper (0) or lower (1) segment about an axis, rad.

@@ -61,7 +61,8 @@ const AWAY_S: f64 = 0.5;
 /// What the first sample after that stands for, s.
 const FIRST_S: f64 = 0.01;
 
-/// So long after its first sample, or after a gap that the last rate did not bridge, a sensor's orientation is worth comparing, s: its forces have levelled it.
+/// So long after its first sample, or after a gap that the last angular velocity did not bridge, a sensor's orientation is
+/// worth comparing, s: its specific forces have levelled it.
 const SETTLED_S: f64 = 3.0;
 
 /// For so long a heading that is to come from the field is waited for, s.
@@ -155,10 +156,10 @@ impl BodyEstimate {
     }
 }
 
-/// One sensor: how it is worn, its own orientation and its health.
+/// One sensor: how it sits, its own orientation and its health.
 #[derive(Clone, Debug, PartialEq, Plain)]
 struct Sensor {
-    worn: SensorMount,
+    mount: SensorMount,
     ahrs: Ahrs,
     started: bool,
     /// Time since its last sample, s, and what that one stood for.
@@ -175,7 +176,7 @@ struct Sensor {
     watch: Watch,
 }
 
-/// Rate, rad/s, and specific force, m/s², of a segment in its axes.
+/// Angular velocity, rad/s, and specific force, m/s², of a segment in its axes.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
 struct Motion {
     angular_velocity_rad_s: Vector3<f64>,
@@ -195,10 +196,10 @@ pub struct BodyFilter {
 }
 
 impl BodyFilter {
-    /// A body that has seen nothing; `worn` by [`BodySegment::index`]. It copies what it needs of `skeleton` and `params`.
-    pub fn new(skeleton: &Skeleton, worn: &[Option<SensorMount>; SEGMENTS], params: &BodyParams) -> Self {
-        let sensor = |worn: SensorMount| Sensor {
-            worn,
+    /// A body that has seen nothing; `mounts` by [`BodySegment::index`]. It copies what it needs of `skeleton` and `params`.
+    pub fn new(skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS], params: &BodyParams) -> Self {
+        let sensor = |mount: SensorMount| Sensor {
+            mount,
             ahrs: Ahrs::new(params.ahrs.clone()),
             started: false,
             behind_s: 0.0,
@@ -210,8 +211,8 @@ impl BodyFilter {
             watch: Watch::default(),
         };
         Self {
-            sensors: worn.map(|worn| worn.map(sensor)),
-            limbs: Limb::ALL.map(|limb| LimbFilter::new(limb, skeleton, worn, params)),
+            sensors: mounts.map(|mount| mount.map(sensor)),
+            limbs: Limb::ALL.map(|limb| LimbFilter::new(limb, skeleton, mounts, params)),
             last_motions: [None; 2],
             held_s: 0.0,
             estimate: BodyEstimate::default(),
@@ -220,7 +221,7 @@ impl BodyFilter {
 
     /// How the sensors sit, by [`BodySegment::index`].
     pub fn mounts(&self) -> [Option<SensorMount>; SEGMENTS] {
-        self.sensors.each_ref().map(|sensor| sensor.as_ref().map(|sensor| sensor.worn))
+        self.sensors.each_ref().map(|sensor| sensor.as_ref().map(|sensor| sensor.mount))
     }
 
     /// Lets every sensor wait for a field, for a second at most: magnetometers are slower than gyros, and limbs that begin with a
@@ -259,7 +260,7 @@ impl BodyFilter {
                 if let (Some(sensor), Some(sample), Some(nis)) =
                     (&mut self.sensors[segment.index()], sample, report.gyro_nis)
                 {
-                    // The filter lets the joints' rates go where the gyros say: what is left, it cannot explain.
+                    // The filter lets the joints' angular velocities go where the gyros say: what is left, it cannot explain.
                     let left = nis.sqrt() * filter.gyro_noise_rad_s();
                     sensor.watch.innovation(sample.gyro_rad_s.norm(), left, report.accel_gated, dt_s);
                 }
@@ -296,7 +297,7 @@ impl BodyFilter {
                 None => Base { specific_force_m_s2: gravity, ..known },
             };
         };
-        let mount = &sensor.worn.q_segment_sensor;
+        let mount = &sensor.mount.q_segment_sensor;
         let angular_velocity_rad_s = mount * (sample.gyro_rad_s - sensor.ahrs.bias_rad_s());
         let accel_rad_s2 = last.map_or_else(Vector3::zeros, |last| {
             (angular_velocity_rad_s - last.angular_velocity_rad_s) / sensor.step_s
@@ -392,8 +393,8 @@ impl Sensor {
         if !self.started {
             self.started = true;
             if !self.magnetometer {
-                let heading = self.worn.heading_rad.unwrap_or_else(|| {
-                    let segment = self.ahrs.orientation_6d() * self.worn.q_segment_sensor.inverse();
+                let heading = self.mount.heading_rad.unwrap_or_else(|| {
+                    let segment = self.ahrs.orientation_6d() * self.mount.q_segment_sensor.inverse();
                     -yaw_from_upright(&segment)
                 });
                 self.heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading);
@@ -410,9 +411,9 @@ impl Sensor {
         };
         // Since its last sample it went on turning as it did.
         let ahead_s = self.behind_s.min(HOLD_S);
-        let turn = UnitQuaternion::from_scaled_axis(self.ahrs.angular_velocity_rad_s() * ahead_s);
+        let rotation = UnitQuaternion::from_scaled_axis(self.ahrs.angular_velocity_rad_s() * ahead_s);
         let waits = self.patience_s > 0.0 && !self.ahrs.has_field();
-        (self.started && !waits).then(|| q_room_sensor * turn * self.worn.q_segment_sensor.inverse())
+        (self.started && !waits).then(|| q_room_sensor * rotation * self.mount.q_segment_sensor.inverse())
     }
 
     /// What a magnetometer in the sensor would say, sensor axes: north, if the heading is believed at all.
@@ -421,9 +422,9 @@ impl Sensor {
     }
 }
 
-/// By how far a segment is turned about the vertical from a body that looks along the room's x, rad: the twist of its turn
+/// By how far a segment is turned about the vertical from a body that looks along the room's x, rad: the twist of its rotation
 /// from upright, which sitting, bowing and raised arms leave alone.
 pub(crate) fn yaw_from_upright(segment: &UnitQuaternion<f64>) -> f64 {
-    let turn = segment * upright().inverse();
-    2.0 * turn.k.atan2(turn.w)
+    let rotation = segment * upright().inverse();
+    2.0 * rotation.k.atan2(rotation.w)
 }

@@ -1,8 +1,8 @@
-//! How uncertain the angles of a joint are: from the covariance of its turn to that of its angles.
+//! How uncertain the angles of a joint are: from the covariance of its rotation to that of its angles.
 //!
-//! In: a joint's turn and the covariance of its error, rad², in the lower segment's axes. Out: the covariance of the angles in
-//! the table of `docs/body.md`. For small errors `turn = M d(angles)` with the axes of the sequence as columns of `M`. Where two of
-//! its axes fall together their angles are as uncertain as an angle can be.
+//! In: a joint's rotation and the covariance of its error, rad², in the lower segment's axes. Out: the covariance of the angles
+//! in the table of `docs/body.md`. For small errors `rotation = M d(angles)` with the axes of the sequence as columns of `M`.
+//! Where two of its axes fall together their angles are as uncertain as an angle can be.
 
 use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector3};
 use posed_state::Plain;
@@ -47,11 +47,11 @@ impl AngleSpread {
         &mut self,
         segment: BodySegment,
         q_parent_segment: &UnitQuaternion<f64>,
-        turn_rad2: &Matrix3<f64>,
+        rotation_rad2: &Matrix3<f64>,
     ) {
         let range = of_joint(segment);
-        let by_turn = derivative(segment, q_parent_segment);
-        let all = by_turn * turn_rad2 * by_turn.transpose();
+        let by_rotation = derivative(segment, q_parent_segment);
+        let all = by_rotation * rotation_rad2 * by_rotation.transpose();
         let known = |k: usize| {
             let variance = all[(k, k)];
             if variance.is_finite() && variance < UNKNOWN_RAD2 { variance.max(0.0) } else { UNKNOWN_RAD2 }
@@ -74,15 +74,16 @@ impl AngleSpread {
 }
 
 impl BodyFilter {
-    /// How uncertain the angles between these segments (to room) are: what the filters say of the joint's turn, and what both sensors
-    /// are systematically wrong by. Elbows and knees hold the headings of their segments together, so that magnetometers do not count there.
+    /// How uncertain the angles between these segments (to room) are: what the filters say of the joint's rotation, and what
+    /// both sensors are systematically wrong by. Elbows and knees hold the headings of their segments together, so that
+    /// magnetometers do not count there.
     pub(super) fn spread(&self, orientations: &[Option<UnitQuaternion<f64>>; SEGMENTS]) -> AngleSpread {
         let mut spread = AngleSpread::default();
-        let mut turns = [Matrix3::zeros(); SEGMENTS];
+        let mut rotations_rad2 = [Matrix3::zeros(); SEGMENTS];
         for (limb, filter) in Limb::ALL.into_iter().zip(&self.limbs) {
             let [_, upper, lower] = limb.segments();
-            if let Some([above, below]) = filter.turns_rad2() {
-                (turns[upper.index()], turns[lower.index()]) = (above, below);
+            if let Some([above, below]) = filter.rotations_rad2() {
+                (rotations_rad2[upper.index()], rotations_rad2[lower.index()]) = (above, below);
             }
         }
         for segment in BodySegment::ALL {
@@ -101,13 +102,13 @@ impl BodyFilter {
                     Matrix3::identity() * tilt + up * up.transpose() * (heading - tilt)
                 })
                 .sum();
-            spread.set(segment, &(above.inverse() * q), &(turns[segment.index()] + lasting));
+            spread.set(segment, &(above.inverse() * q), &(rotations_rad2[segment.index()] + lasting));
         }
         spread
     }
 }
 
-/// Derivatives of a joint's angles, in the order of [`joint_angles`], with respect to a small turn in the segment's axes.
+/// Derivatives of a joint's angles, in the order of [`joint_angles`], with respect to a small rotation in the segment's axes.
 fn derivative(segment: BodySegment, q_parent_segment: &UnitQuaternion<f64>) -> SMatrix<f64, 5, 3> {
     let mut out = SMatrix::<f64, 5, 3>::zeros();
     let angles = joint_angles(segment, q_parent_segment);
@@ -143,15 +144,15 @@ fn derivative(segment: BodySegment, q_parent_segment: &UnitQuaternion<f64>) -> S
     };
     // A left joint is measured in a mirror.
     let mirror = if segment.side() < 0.0 { Vector3::new(-1.0, -1.0, 1.0) } else { Vector3::repeat(1.0) };
-    let by_turn = inverse * Matrix3::from_diagonal(&mirror);
+    let by_rotation = inverse * Matrix3::from_diagonal(&mirror);
     let count = of_joint(segment).len().min(3);
-    out.fixed_rows_mut::<3>(0).copy_from(&by_turn);
+    out.fixed_rows_mut::<3>(0).copy_from(&by_rotation);
     (count..3).for_each(|row| out.row_mut(row).fill(0.0));
     if matches!(segment, BodySegment::UpperArmR | BodySegment::UpperArmL) {
         let [plane, elevation, ..] = angles;
         let (sin, cos) = plane.sin_cos();
-        let flexion = by_turn.row(1) * sin + by_turn.row(0) * (elevation * cos);
-        let abduction = by_turn.row(1) * cos - by_turn.row(0) * (elevation * sin);
+        let flexion = by_rotation.row(1) * sin + by_rotation.row(0) * (elevation * cos);
+        let abduction = by_rotation.row(1) * cos - by_rotation.row(0) * (elevation * sin);
         out.row_mut(3).copy_from(&flexion);
         out.row_mut(4).copy_from(&abduction);
     }
@@ -175,9 +176,9 @@ mod tests {
                 let found = derivative(segment, &q);
                 for axis in 0..3 {
                     let moved = |step: f64| {
-                        let mut turn = Vector3::zeros();
-                        turn[axis] = step;
-                        joint_angles(segment, &(q * exp(&turn)))
+                        let mut rotation_vector_rad = Vector3::zeros();
+                        rotation_vector_rad[axis] = step;
+                        joint_angles(segment, &(q * exp(&rotation_vector_rad)))
                     };
                     let (plus, minus) = (moved(h), moved(-h));
                     for row in 0..of_joint(segment).len() {
@@ -194,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_turn_is_an_even_angle_and_a_hanging_arm_has_no_plane() {
+    fn an_even_rotation_is_an_even_angle_and_a_hanging_arm_has_no_plane() {
         let mut spread = AngleSpread::default();
         let variance = 4e-4;
         spread.set(BodySegment::ShankL, &UnitQuaternion::identity(), &(Matrix3::identity() * variance));
@@ -205,7 +206,7 @@ mod tests {
         let shoulder = of_joint(BodySegment::UpperArmR).start;
         assert!((spread.sigma_rad[shoulder].powi(2) - UNKNOWN_RAD2).abs() < 1e-9, "{spread:?}");
         assert!(spread.covariance_rad2.iter().flatten().all(|value| value.is_finite()));
-        // An arm that is raised a little has all of them, and its flexion is as sure as the turn.
+        // An arm that is raised a little has all of them, and its flexion is as sure as the rotation.
         let raised = joint_rotation(BodySegment::UpperArmR, &[1.5, 0.4, 0.1]);
         spread.set(BodySegment::UpperArmR, &raised, &(Matrix3::identity() * variance));
         assert!((0.02..0.06).contains(&spread.sigma_rad[shoulder]), "{spread:?}");

@@ -156,7 +156,7 @@ fn a_body_is_calibrated_and_followed() {
         let skeleton = Skeleton::from_height(1.8);
         let found = calibrate(&recording, &blocks(activity), &skeleton, &UNKNOWN).unwrap();
         for segment in BodySegment::ALL {
-            let off = found.worn[segment.index()]
+            let off = found.mounts[segment.index()]
                 .unwrap()
                 .q_segment_sensor
                 .angle_to(&wearer.mounting(segment.index()).0)
@@ -164,7 +164,7 @@ fn a_body_is_calibrated_and_followed() {
             assert!(off < 3.0, "{activity:?}: {} is {off} degrees off", segment.name());
         }
         assert!(found.warnings.is_empty(), "{:?}", found.warnings);
-        let mut filter = BodyFilter::new(&skeleton, &found.worn, &BodyParams::default());
+        let mut filter = BodyFilter::new(&skeleton, &found.mounts, &BodyParams::default());
         let off = rms(&recording, &truth, &mut filter, begin_s, name);
         assert!(off < limit, "{activity:?}: {name} {off} degrees");
         let field = matches!(filter.estimate().heading, Heading::Field);
@@ -201,11 +201,11 @@ fn what_a_calibration_lacks_is_named() {
 fn reaching(seed: u64) -> (BodyFilter, Wearer) {
     let wearer =
         wearer_of(Script { activity: Activity::Reaching, calibration: false, facing: 0.6 }, true, seed);
-    let worn = BodySegment::ALL.map(|segment| {
+    let mounts = BodySegment::ALL.map(|segment| {
         let (q_segment_sensor, offset_m) = wearer.mounting(segment.index());
         Some(SensorMount { q_segment_sensor, offset_m, heading_rad: None })
     });
-    (BodyFilter::new(&Skeleton::from_height(1.8), &worn, &BodyParams::default()), wearer)
+    (BodyFilter::new(&Skeleton::from_height(1.8), &mounts, &BodyParams::default()), wearer)
 }
 
 /// A body in the middle of its activity, perfectly mounted.
@@ -327,7 +327,7 @@ fn trackers_alone_show_the_limbs_between_them() {
     use nalgebra::{Isometry3, Translation3};
     let skeleton = Skeleton::from_height(1.8);
     let mut follower = Follower::new(skeleton);
-    let worn = [
+    let mounts = [
         BodySegment::Torso,
         BodySegment::Pelvis,
         BodySegment::ForearmR,
@@ -346,9 +346,9 @@ fn trackers_alone_show_the_limbs_between_them() {
         let t_s = 0.02 * f64::from(k);
         let truth = script.at(t_s, &build).place(&build);
         let orientation = |segment: BodySegment| UnitQuaternion::from_matrix(&truth[segment.index()].axes);
-        let trackers = worn.map(|segment| {
-            let place = Translation3::from(truth[segment.index()].origin_m);
-            let room_from_segment = Isometry3::from_parts(place, orientation(segment));
+        let trackers = mounts.map(|segment| {
+            let translation = Translation3::from(truth[segment.index()].origin_m);
+            let room_from_segment = Isometry3::from_parts(translation, orientation(segment));
             Tracked {
                 segment,
                 room_from_sensor: room_from_segment * segment_from_sensor,
@@ -378,8 +378,8 @@ fn trackers_alone_show_the_limbs_between_them() {
 /// `POSED_SEEDS=8 cargo test --lib -- angles_are_as_sure --nocapture` prints what `docs/body.md` says.
 #[test]
 fn angles_are_as_sure_as_is_said() {
-    let asked: Option<u64> = std::env::var("POSED_SEEDS").ok().map(|seeds| seeds.parse().unwrap());
-    let (long, seeds) = (asked.is_some(), asked.unwrap_or(2));
+    let requested: Option<u64> = std::env::var("POSED_SEEDS").ok().map(|seeds| seeds.parse().unwrap());
+    let (long, seeds) = (requested.is_some(), requested.unwrap_or(2));
     let joints = [
         BodySegment::Torso,
         BodySegment::UpperArmR,
@@ -393,12 +393,12 @@ fn angles_are_as_sure_as_is_said() {
         for seed in 1..=seeds {
             let mut wearer = wearer(activity, true, seed);
             let skeleton = Skeleton::from_height(1.8);
-            let worn = BodySegment::ALL.map(|segment| {
+            let mounts = BodySegment::ALL.map(|segment| {
                 let (mount, offset_m) = wearer.mounting(segment.index());
                 Some(SensorMount { q_segment_sensor: mount, offset_m, heading_rad: None })
             });
             let (recording, truth) = record(&mut wearer, if long { 130.0 } else { 102.0 });
-            let mut filter = BodyFilter::new(&skeleton, &worn, &BodyParams::default());
+            let mut filter = BodyFilter::new(&skeleton, &mounts, &BodyParams::default());
             for (k, ((_, samples), truth)) in recording.iter().zip(&truth).enumerate() {
                 let estimate = filter.push(samples, 0.01);
                 if k < 9600 || k % 10 != 0 {

@@ -16,8 +16,8 @@ const UNKNOWN_DEG: f64 = 90.0;
 /// the other: an axis that stays level throughout may point either way.
 const CLEAR: f64 = 0.1;
 
-/// Rates about a second axis are at least this part of those about the first (standard deviations), in both sensors: where both turn
-/// about the hinge alone, and in step, axes that are wrong together explain the movement as well.
+/// Angular velocities about a second axis are at least this part of those about the first (standard deviations), in both
+/// sensors: where both turn about the hinge alone, and in step, axes that are wrong together explain the movement as well.
 const SECOND: f64 = 0.1;
 
 /// Finds how the sensors of a chain sit and where its hinges are, offline: [`solve`] over the whole and over both halves,
@@ -43,7 +43,7 @@ pub fn calibrate(segments: &[ChainSegment], epochs: &[Epoch]) -> Result<ChainCal
                 whole.poses.first().map_or(0.0, |pose| wrapped_rad(twist(pose) - pose.flexion_rad[at]));
             let halves = [early, late].map(|half| axes_in(half, &axes, *parent, at));
             let shown = points_clearly(&whole, &axes, *parent, at)
-                && [*parent, at].into_iter().all(|index| turns_about_two(epochs, index));
+                && [*parent, at].into_iter().all(|index| rotates_about_two(epochs, index));
             let quality_deg = if shown { apart_deg(&halves) } else { UNKNOWN_DEG };
             CalibratedHinge {
                 parent_axis: axes.first.into(),
@@ -78,12 +78,12 @@ fn points_clearly(whole: &Solved, axes: &HingeAxes, parent: usize, at: usize) ->
 }
 
 /// Whether a sensor turned about more than one axis.
-fn turns_about_two(epochs: &[Epoch], index: usize) -> bool {
-    let rates = || epochs.iter().filter_map(|epoch| Some(epoch.samples[index]?.gyro_rad_s));
-    let rates = || rates().filter(|rate| rate.iter().all(|value| value.is_finite()));
-    let count = rates().count().max(1) as f64;
-    let mean: Vector3<f64> = rates().sum::<Vector3<f64>>() / count;
-    let spread: Matrix3<f64> = rates().map(|rate| (rate - mean) * (rate - mean).transpose()).sum();
+fn rotates_about_two(epochs: &[Epoch], index: usize) -> bool {
+    let gyros_rad_s = || epochs.iter().filter_map(|epoch| Some(epoch.samples[index]?.gyro_rad_s));
+    let gyros_rad_s = || gyros_rad_s().filter(|w| w.iter().all(|value| value.is_finite()));
+    let count = gyros_rad_s().count().max(1) as f64;
+    let mean: Vector3<f64> = gyros_rad_s().sum::<Vector3<f64>>() / count;
+    let spread: Matrix3<f64> = gyros_rad_s().map(|w| (w - mean) * (w - mean).transpose()).sum();
     let mut variances: Vec<f64> = spread.symmetric_eigenvalues().iter().copied().collect();
     variances.sort_by(f64::total_cmp);
     variances[1] > SECOND * SECOND * variances[2]

@@ -7,10 +7,10 @@ use nalgebra::Vector3;
 
 use super::Epoch;
 
-/// For so long the zero posture is held, s, with rates that differ by less from their mean, rad/s.
+/// For so long the zero posture is held, s, with angular velocities that differ by less from their mean, rad/s.
 const HOLD_S: f64 = 1.5;
 const STILL_RAD_S: f64 = 0.15;
-/// For so long the chain is to move, s, with rates above this, rad/s.
+/// For so long the chain is to move, s, with angular velocities above this, rad/s.
 const MOVE_S: f64 = 30.0;
 const MOVES_RAD_S: f64 = 0.3;
 
@@ -33,9 +33,9 @@ impl Guide {
         if since_s < 0.0 || (since_s == 0.0 && !self.epochs.is_empty()) {
             return;
         }
-        let rates = || epoch.samples.iter().flatten().map(|sample| sample.gyro_rad_s);
+        let gyros_rad_s = || epoch.samples.iter().flatten().map(|sample| sample.gyro_rad_s);
         if self.held {
-            if rates().map(|rate| rate.norm()).fold(0.0, f64::max) > MOVES_RAD_S {
+            if gyros_rad_s().map(|w| w.norm()).fold(0.0, f64::max) > MOVES_RAD_S {
                 self.moved_s += since_s.min(0.1);
             }
         } else if let Some(first) = self.epochs.first() {

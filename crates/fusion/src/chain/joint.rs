@@ -2,8 +2,8 @@
 //! recording at once.
 //!
 //! In: the level orientations of the sensors on both sides, whose headings drift apart, and a guess of the axis in
-//! each. Out: better axes, and the turn about the vertical that makes both orientations agree, over time. It never lets the hinge
-//! tilt a sensor: the axis corrects the heading alone.
+//! each. Out: better axes, and the rotation about the vertical that makes both orientations agree, over time. It never lets the
+//! hinge tilt a sensor: the axis corrects the heading alone.
 //!
 //! Seen from both sensors the axis points the same way in the room, `R1 j1 = H(d) R2 j2`. With `d` nearly constant over a
 //! second, all that the samples of that second say is in three sums, because

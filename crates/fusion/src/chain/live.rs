@@ -24,7 +24,7 @@ const FIRST_NOISE: f64 = 0.05;
 const LEAST_LEVEL: f64 = 0.05;
 /// Error of tilts of calibrated sensors, rad.
 const TILT_RAD: f64 = 0.005;
-/// After a gap this long a sensor may have been turned, s; the last rate goes on for so long at most.
+/// After a gap this long a sensor may have been turned, s; the last angular velocity goes on for so long at most.
 const AWAY_S: f64 = 0.5;
 const AHEAD_S: f64 = 0.1;
 /// What a first sample stands for, s.
@@ -131,7 +131,7 @@ struct Hinge {
     zero_rad: f64,
     quality_rad: f64,
     /// Turn of the level frame behind the hinge into the one before it, rad, and its variance, rad².
-    turn_rad: f64,
+    rotation_rad: f64,
     variance: f64,
     /// Mean squared difference of the axis' heights, rad².
     noise: f64,
@@ -158,7 +158,7 @@ impl LiveChain {
                         axis: mount.inverse() * axes[1],
                         zero_rad: hinge.zero_rad,
                         quality_rad: hinge.quality_deg.to_radians(),
-                        turn_rad: 0.0,
+                        rotation_rad: 0.0,
                         variance: UNKNOWN_RAD2,
                         noise: FIRST_NOISE * FIRST_NOISE,
                         seen_s: None,
@@ -210,8 +210,8 @@ impl LiveChain {
             if let Some((before, behind)) = both {
                 hinge.correct(t_s, &before, &behind);
             }
-            let turn_rad = hinge.turn_rad;
-            self.links[at].heading_rad = self.links[parent].heading_rad + turn_rad;
+            let rotation_rad = hinge.rotation_rad;
+            self.links[at].heading_rad = self.links[parent].heading_rad + rotation_rad;
         }
     }
 
@@ -244,11 +244,12 @@ impl LiveChain {
 }
 
 impl Link {
-    /// Sensor to its own level frame at a time, s; the last rate goes on for a moment.
+    /// Sensor to its own level frame at a time, s; the last angular velocity goes on for a moment.
     fn level(&self, t_s: f64) -> Option<UnitQuaternion<f64>> {
         let ahead_s = t_s - self.last_s?;
-        let turn = self.ahrs.angular_velocity_rad_s() * ahead_s.clamp(0.0, AHEAD_S);
-        (ahead_s <= AWAY_S).then(|| self.ahrs.orientation_6d() * UnitQuaternion::from_scaled_axis(turn))
+        let rotation_vector_rad = self.ahrs.angular_velocity_rad_s() * ahead_s.clamp(0.0, AHEAD_S);
+        (ahead_s <= AWAY_S)
+            .then(|| self.ahrs.orientation_6d() * UnitQuaternion::from_scaled_axis(rotation_vector_rad))
     }
 
     /// Segment to room.
@@ -277,7 +278,7 @@ impl Hinge {
         // What a block of a second would say with this noise, shared out over its samples.
         let noise = (self.noise + LEAST_SIGMA * LEAST_SIGMA) / level * (BLOCK_S / dt_s.min(BLOCK_S));
         let gain = self.variance / (self.variance + noise);
-        self.turn_rad = wrapped_rad(self.turn_rad + gain * wrapped_rad(seen - self.turn_rad));
+        self.rotation_rad = wrapped_rad(self.rotation_rad + gain * wrapped_rad(seen - self.rotation_rad));
         self.variance *= 1.0 - gain;
     }
 }

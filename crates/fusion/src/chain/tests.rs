@@ -53,11 +53,12 @@ fn recording_held(held: &UnitQuaternion<f64>) -> (Vec<ChainSegment>, Vec<Epoch>,
         let (before, now, after) = (poses(t - h), poses(t), poses(t + h));
         let samples = (0..3)
             .map(|i| {
-                let rate = so3::log(&(before[i].0.inverse() * after[i].0)) / (2.0 * h);
+                let angular_velocity_rad_s = so3::log(&(before[i].0.inverse() * after[i].0)) / (2.0 * h);
                 let accel =
                     (after[i].1 + before[i].1 - now[i].1 * 2.0) / (h * h) + Vector3::z() * GRAVITY_M_S2;
                 Some(ImuSample {
-                    gyro_rad_s: mounts[i].inverse() * rate + Vector3::new(0.004, -0.003, 0.005),
+                    gyro_rad_s: mounts[i].inverse() * angular_velocity_rad_s
+                        + Vector3::new(0.004, -0.003, 0.005),
                     accel_m_s2: mounts[i].inverse() * (now[i].0.inverse() * accel),
                     mag: None,
                 })
@@ -88,8 +89,8 @@ fn a_chain_is_solved_from_its_movement_alone() {
 /// A hinge that stands upright for the first seconds gives no information about the heading between its sensors meanwhile.
 #[test]
 fn an_axis_that_stands_upright_at_first_is_solved_from_the_first_sample() {
-    let turn = so3::exp(&(Vector3::x() * -std::f64::consts::FRAC_PI_2));
-    let (segments, epochs, truth) = recording_held(&turn);
+    let rotation = so3::exp(&(Vector3::x() * -std::f64::consts::FRAC_PI_2));
+    let (segments, epochs, truth) = recording_held(&rotation);
     let solved = solve(&segments, &epochs).unwrap();
     for (k, (pose, truth)) in solved.poses.iter().zip(&truth).enumerate() {
         let off = (pose.flexion_rad[1] - truth[0]).to_degrees();
@@ -237,10 +238,10 @@ fn a_movement_about_the_hinge_alone_shows_no_axis() {
         let t = k as f64 / RATE_HZ;
         let angle = 0.5 - 0.5 * (2.0 * t).cos();
         for (sample, times) in epoch.samples.iter_mut().flatten().zip([1.0, -1.2, 0.9]) {
-            let rate = Vector3::z() * (times * (2.0 * t).sin());
+            let angular_velocity_rad_s = Vector3::z() * (times * (2.0 * t).sin());
             let turned = so3::exp(&(Vector3::z() * (times * angle)));
             let wobble = Vector3::new((7.0 * t).sin(), (9.0 * t).cos(), 0.0);
-            sample.gyro_rad_s = rate + wobble * 0.05;
+            sample.gyro_rad_s = angular_velocity_rad_s + wobble * 0.05;
             sample.accel_m_s2 = turned.inverse() * Vector3::y() * GRAVITY_M_S2 + wobble * 0.1;
         }
     }

@@ -80,8 +80,8 @@ impl Prediction {
             self.position_innovation(&position).norm() > (MOVED_SIGMAS * sigma).max(MOVED_M)
         });
         let rotation = pose.orientation.is_some_and(|orientation| {
-            let place = pose.position_m.as_ref();
-            let sigma = (noise.rotation_rad2(place).trace() / 3.0 * self.rotation_noise_scale).sqrt();
+            let position_m = pose.position_m.as_ref();
+            let sigma = (noise.rotation_rad2(position_m).trace() / 3.0 * self.rotation_noise_scale).sqrt();
             self.rotation_innovation(&orientation).norm() > (MOVED_SIGMAS * sigma).max(MOVED_RAD)
         });
         position || rotation
@@ -103,8 +103,8 @@ impl Prediction {
         }
         if let Some(orientation) = &pose.orientation {
             let innovation = self.rotation_innovation(orientation);
-            let place = pose.position_m.map(|_| &self.position_m);
-            distance += squared_distance(&self.rotation_innovation_rad2(noise, place), &innovation);
+            let position_m = pose.position_m.map(|_| &self.position_m);
+            distance += squared_distance(&self.rotation_innovation_rad2(noise, position_m), &innovation);
             degrees += 3;
             loose |= innovation.norm() > self.reach_rad;
         }

@@ -39,8 +39,8 @@ fn what_was_expected_is_clean_and_a_quaternions_sign_is_no_fault() {
 #[test]
 fn mirrored_positions_are_mirrored_back_each_by_its_own_prediction() {
     // The whole figure flips: mutual distances stay, so each sensor must be judged by where it was.
-    for place in [[0.4, 0.1, -0.2], [0.5, -0.3, 0.3], [0.6, 0.2, 0.1]] {
-        let prediction = expected(Vector3::from(place));
+    for position_m in [[0.4, 0.1, -0.2], [0.5, -0.3, 0.3], [0.6, 0.2, 0.1]] {
+        let prediction = expected(Vector3::from(position_m));
         for mirror in [Mirror::Point, Mirror::Vertical] {
             let mut detector = Detector::default();
             let pose = mirror.apply(&measured(&prediction));

@@ -27,13 +27,13 @@ use super::ahrs::ImuSample;
 const MIN_DIRECTIONS: usize = 9;
 /// From so many on, cross-axis terms are found too: nine unknowns, and three directions to check with.
 const CROSS_DIRECTIONS: usize = 12;
-/// Largest accepted residual of the force's length, m/s².
+/// Largest accepted residual of the specific force's length, m/s².
 const MAX_RESIDUAL: f64 = 0.1;
 /// Largest accepted residual of the field's length, as a part of it.
 const MAX_FIELD_RESIDUAL: f64 = 0.05;
 /// Numbers beyond these are no calibration: biases, rad/s and m/s²; scale, from its inverse to this.
-const MOST_RATE: f64 = 1.0;
-const MOST_FORCE: f64 = 5.0;
+const MOST_GYRO_BIAS_RAD_S: f64 = 1.0;
+const MOST_ACCEL_BIAS_M_S2: f64 = 5.0;
 const MOST_SCALE: f64 = 1.5;
 
 /// What was found for one unit.
@@ -157,8 +157,14 @@ impl Intrinsics {
             numbers.chain([&mag.norm]).all(|value| value.is_finite()) && mag.norm > 0.0
         });
         let wrong = [
-            (!below(&self.gyro_bias_rad_s, MOST_RATE), "gyro_bias_rad_s: give three numbers below 1 rad/s"),
-            (!below(&self.accel_bias_m_s2, MOST_FORCE), "accel_bias_m_s2: give three numbers below 5 m/s²"),
+            (
+                !below(&self.gyro_bias_rad_s, MOST_GYRO_BIAS_RAD_S),
+                "gyro_bias_rad_s: give three numbers below 1 rad/s",
+            ),
+            (
+                !below(&self.accel_bias_m_s2, MOST_ACCEL_BIAS_M_S2),
+                "accel_bias_m_s2: give three numbers below 5 m/s²",
+            ),
             (!scales, "accel_scale: give three numbers near 1"),
             (!below(&self.accel_cross, MOST_SCALE - 1.0), "accel_cross: give three numbers near 0"),
             (!mag, "mag: give finite numbers and a norm above 0"),
@@ -245,14 +251,15 @@ mod tests {
             for i in 0..400 {
                 // Two seconds at rest, then two of turning about a changing axis.
                 let turning = f64::from(i - 200).max(0.0) * 0.01;
-                let turn = so3::exp(&(Vector3::new(1.0, k as f64 % 3.0, 2.0 - k as f64 % 5.0) * turning));
-                let side = turn * up.cross(&Vector3::new(0.3, -0.5, 0.8)).normalize();
-                let up = turn * up.normalize();
-                let rate = if turning > 0.0 { Vector3::repeat(1.0) } else { Vector3::zeros() };
+                let rotation = so3::exp(&(Vector3::new(1.0, k as f64 % 3.0, 2.0 - k as f64 % 5.0) * turning));
+                let side = rotation * up.cross(&Vector3::new(0.3, -0.5, 0.8)).normalize();
+                let up = rotation * up.normalize();
+                let angular_velocity_rad_s =
+                    if turning > 0.0 { Vector3::repeat(1.0) } else { Vector3::zeros() };
                 let small = Vector3::from_fn(|_, _| random());
                 let field = side * 20.0 - up * 40.0;
                 samples.push(ImuSample {
-                    gyro_rad_s: rate + gyro_bias + small * 0.01,
+                    gyro_rad_s: angular_velocity_rad_s + gyro_bias + small * 0.01,
                     accel_m_s2: (up * GRAVITY_M_S2).component_div(&gain) + accel_bias + small * 0.05,
                     mag: Some(soft * field + Vector3::new(12.0, -7.0, 25.0) + small * 0.3),
                 });

@@ -1,7 +1,7 @@
 //! When a unit lies at rest, and which ways are up then.
 //!
 //! In: samples with their times. Out: a rest for each second in which nothing moves. Single samples may be noisy: what
-//! tells a slow turn from a rest are the means over quarters of the second. An even turn about the vertical alone
+//! tells a slow rotation from a rest are the means over quarters of the second. An even rotation about the vertical alone
 //! cannot be distinguished from a gyro's bias.
 
 use nalgebra::Vector3;
@@ -11,11 +11,11 @@ use super::super::ahrs::ImuSample;
 /// A rest lasts at least this long, s.
 pub(super) const MIN_REST_S: f64 = 1.0;
 /// Means over a quarter of a rest depart from its mean by less, rad/s and m/s².
-const REST_RATE: f64 = 0.03;
-const REST_FORCE: f64 = 0.12;
+const REST_GYRO_RAD_S: f64 = 0.03;
+const REST_ACCEL_M_S2: f64 = 0.12;
 /// Single samples do by less.
-const SAMPLE_RATE: f64 = 0.15;
-const SAMPLE_FORCE: f64 = 1.0;
+const SAMPLE_GYRO_RAD_S: f64 = 0.15;
+const SAMPLE_ACCEL_M_S2: f64 = 1.0;
 /// Fewer samples in a second show nothing.
 const MIN_SAMPLES: usize = 8;
 /// Samples further apart than this do not belong to one rest, s.
@@ -84,8 +84,8 @@ impl RestFinder {
     fn departs(&self, sample: &ImuSample) -> bool {
         let count = self.window.len() as f64;
         count > 0.0
-            && ((sample.gyro_rad_s - self.sum.0 / count).norm() > SAMPLE_RATE
-                || (sample.accel_m_s2 - self.sum.1 / count).norm() > SAMPLE_FORCE)
+            && ((sample.gyro_rad_s - self.sum.0 / count).norm() > SAMPLE_GYRO_RAD_S
+                || (sample.accel_m_s2 - self.sum.1 / count).norm() > SAMPLE_ACCEL_M_S2)
     }
 
     /// The rest that the window is, unless something moves slowly in it.
@@ -102,8 +102,8 @@ impl RestFinder {
         };
         let whole = mean(&self.window);
         let still = self.window.chunks(self.window.len().div_ceil(4)).map(mean).all(|quarter| {
-            (quarter.gyro - whole.gyro).norm() < REST_RATE
-                && (quarter.accel - whole.accel).norm() < REST_FORCE
+            (quarter.gyro - whole.gyro).norm() < REST_GYRO_RAD_S
+                && (quarter.accel - whole.accel).norm() < REST_ACCEL_M_S2
         });
         still.then_some(whole)
     }

@@ -1,7 +1,7 @@
 //! How a joint moves: a ball on SO(3), or a chain of single axes.
 //!
-//! In: time and corrections. Out: the turn of the next frame and the prediction of its covariance. Every joint
-//! has position, rate and acceleration; the acceleration forgets itself (Singer's model) and is driven by
+//! In: time and corrections. Out: the rotation of the next frame and the prediction of its covariance. Every joint
+//! has position, angular velocity and acceleration; the acceleration forgets itself (Singer's model) and is driven by
 //! white jerk.
 
 use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
@@ -24,17 +24,17 @@ pub struct JointNoise {
 /// A joint with N error states around it; its own begin at column `at`.
 pub(super) trait Joint<const N: usize> {
     /// Into the frame behind the joint.
-    fn turn(&self, motion: &mut Motion<N>, at: usize);
+    fn rotate(&self, motion: &mut Motion<N>, at: usize);
     /// Moves on by `tau` seconds, and the covariance with it.
     fn predict(&mut self, p: &mut Covariance<N>, noise: &JointNoise, tau: f64, at: usize);
     /// Adds a correction of the error states.
     fn correct(&mut self, dx: &SVector<f64, N>, at: usize);
-    /// Covariance of the joint's turn, in the axes of the frame behind it, rad².
-    fn turn_rad2(&self, p: &Covariance<N>, at: usize) -> Matrix3<f64>;
-    /// Columns of the joint's rates.
-    fn rates(&self, at: usize) -> std::ops::Range<usize>;
-    /// The rate of a column of [`Self::rates`], rad/s.
-    fn rate(&self, column: usize, at: usize) -> f64;
+    /// Covariance of the joint's rotation, in the axes of the frame behind it, rad².
+    fn rotation_rad2(&self, p: &Covariance<N>, at: usize) -> Matrix3<f64>;
+    /// Columns of the joint's angular velocities.
+    fn angular_velocity_columns(&self, at: usize) -> std::ops::Range<usize>;
+    /// The angular velocity of a column of [`Self::angular_velocity_columns`], rad/s.
+    fn angular_velocity_of(&self, column: usize, at: usize) -> f64;
 }
 
 /// Ball joint: orientation on SO(3), so that no posture is singular. Nine states: rotation, angular velocity, acceleration,
@@ -50,8 +50,8 @@ pub struct Ball {
 }
 
 impl<const N: usize> Joint<N> for Ball {
-    fn turn(&self, motion: &mut Motion<N>, at: usize) {
-        motion.turn_ball(&self.q, &self.angular_velocity_rad_s, &self.accel_rad_s2, at);
+    fn rotate(&self, motion: &mut Motion<N>, at: usize) {
+        motion.rotate_ball(&self.q, &self.angular_velocity_rad_s, &self.accel_rad_s2, at);
     }
 
     fn predict(&mut self, p: &mut Covariance<N>, noise: &JointNoise, tau: f64, at: usize) {
@@ -63,8 +63,11 @@ impl<const N: usize> Joint<N> for Ball {
         self.accel_rad_s2 *= keep;
 
         let back = step.to_rotation_matrix().into_inner().transpose();
-        let by_rate = so3::right_jacobian(&angle) * tau;
-        p.combine_blocks(at, &[(at, back), (at + 3, by_rate), (at + 6, by_rate * (0.5 * tau))]);
+        let by_angular_velocity = so3::right_jacobian(&angle) * tau;
+        p.combine_blocks(
+            at,
+            &[(at, back), (at + 3, by_angular_velocity), (at + 6, by_angular_velocity * (0.5 * tau))],
+        );
         for i in 0..3 {
             p.combine(at + 3 + i, 1.0, &[(at + 6 + i, tau)]);
         }
@@ -81,15 +84,15 @@ impl<const N: usize> Joint<N> for Ball {
         self.accel_rad_s2 += part(6);
     }
 
-    fn turn_rad2(&self, p: &Covariance<N>, at: usize) -> Matrix3<f64> {
+    fn rotation_rad2(&self, p: &Covariance<N>, at: usize) -> Matrix3<f64> {
         p.0.fixed_view::<3, 3>(at, at).into_owned()
     }
 
-    fn rates(&self, at: usize) -> std::ops::Range<usize> {
+    fn angular_velocity_columns(&self, at: usize) -> std::ops::Range<usize> {
         at + 3..at + 6
     }
 
-    fn rate(&self, column: usize, at: usize) -> f64 {
+    fn angular_velocity_of(&self, column: usize, at: usize) -> f64 {
         self.angular_velocity_rad_s[column - at - 3]
     }
 }
@@ -131,23 +134,27 @@ impl<const K: usize> Axes<K> {
 
 impl<const K: usize> Axes<K> {
     /// How the frame behind the joint turns with each angle, in its own axes: one a column.
-    fn turns(&self) -> SMatrix<f64, 3, K> {
-        let mut turns = self.axes;
+    fn rotation_axes(&self) -> SMatrix<f64, 3, K> {
+        let mut rotation_axes = self.axes;
         let mut behind = UnitQuaternion::identity();
         for i in (0..K).rev() {
             let axis: Vector3<f64> = self.axes.column(i).into_owned();
-            turns.set_column(i, &(behind * axis));
+            rotation_axes.set_column(i, &(behind * axis));
             behind *= so3::exp(&(axis * -self.angle_rad[i]));
         }
-        turns
+        rotation_axes
     }
 }
 
 impl<const K: usize, const N: usize> Joint<N> for Axes<K> {
-    fn turn(&self, motion: &mut Motion<N>, at: usize) {
+    fn rotate(&self, motion: &mut Motion<N>, at: usize) {
         for i in 0..K {
             let state = [self.angle_rad[i], self.angular_velocity_rad_s[i], self.accel_rad_s2[i]];
-            motion.turn_axis(&self.axes.column(i).into_owned(), state, [at + i, at + K + i, at + 2 * K + i]);
+            motion.rotate_axis(
+                &self.axes.column(i).into_owned(),
+                state,
+                [at + i, at + K + i, at + 2 * K + i],
+            );
         }
     }
 
@@ -173,21 +180,21 @@ impl<const K: usize, const N: usize> Joint<N> for Axes<K> {
         }
     }
 
-    fn turn_rad2(&self, p: &Covariance<N>, at: usize) -> Matrix3<f64> {
-        let turns = self.turns();
-        turns * p.0.fixed_view::<K, K>(at, at) * turns.transpose()
+    fn rotation_rad2(&self, p: &Covariance<N>, at: usize) -> Matrix3<f64> {
+        let rotation_axes = self.rotation_axes();
+        rotation_axes * p.0.fixed_view::<K, K>(at, at) * rotation_axes.transpose()
     }
 
-    fn rates(&self, at: usize) -> std::ops::Range<usize> {
+    fn angular_velocity_columns(&self, at: usize) -> std::ops::Range<usize> {
         at + K..at + 2 * K
     }
 
-    fn rate(&self, column: usize, at: usize) -> f64 {
+    fn angular_velocity_of(&self, column: usize, at: usize) -> f64 {
         self.angular_velocity_rad_s[column - at - K]
     }
 }
 
-/// Adds what white jerk does in `tau` seconds to angle, rate and acceleration.
+/// Adds what white jerk does in `tau` seconds to angle, angular velocity and acceleration.
 fn add_jerk<const N: usize>(p: &mut Covariance<N>, columns: [usize; 3], jerk_rad_s3: f64, tau: f64) {
     let q = jerk_rad_s3 * jerk_rad_s3 * tau;
     let (t1, t2) = (tau, tau * tau);

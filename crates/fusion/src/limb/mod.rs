@@ -1,7 +1,7 @@
 //! One limb, arm or leg, as one filter over two IMUs.
 //!
 //! In: the motion of the segment that the limb hangs on (its [`Base`]), the samples of the upper and the lower
-//! IMU, and the time since the last ones. Out: joint angles, rates, their covariance, and for each sensor whether
+//! IMU, and the time since the last ones. Out: joint angles, angular velocities, their covariance, and for each sensor whether
 //! it was believed. It never clamps a state, never lets the magnetometer tilt a segment, and goes
 //! on by prediction where a sample is missing.
 //!
@@ -9,8 +9,8 @@
 //! and estimate the gyro biases: 21 and 18 error states. A [`Limb`] of [`Axes`] alone and without biases, as in that
 //! paper, has 15 and 12.
 //!
-//! Order of the error states: upper joint 9 (turn or angles, rates, accelerations); bias of the upper gyro 3, where
-//! estimated; lower joint 3 D; bias of the lower gyro 3.
+//! Order of the error states: upper joint 9 (rotation or angles, angular velocities, accelerations); bias of the upper gyro 3,
+//! where estimated; lower joint 3 D; bias of the lower gyro 3.
 
 mod chain;
 mod covariance;
@@ -160,9 +160,9 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
     const LOWER: usize = if Self::HAS_BIAS { 12 } else { 9 };
     const LOWER_BIAS: usize = Self::LOWER + 3 * D;
 
-    /// A limb in a given posture, of which each angle is known to `sigma_rad`; at rest, rates known to 1 rad/s, accelerations
-    /// to 10 rad/s². `limits_rad` holds the least and the largest angle of each axis of the lower joint; a limit that is
-    /// passed is measured as the limit, the state is never clamped.
+    /// A limb in a given posture, of which each angle is known to `sigma_rad`; at rest, angular velocities known to 1 rad/s,
+    /// accelerations to 10 rad/s². `limits_rad` holds the least and the largest angle of each axis of the lower joint; a limit
+    /// that is passed is measured as the limit, the state is never clamped.
     pub fn new(
         geometry: LimbGeometry,
         noise: LimbNoise,
@@ -227,11 +227,11 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         &self.lower
     }
 
-    /// Upper and lower segment to base, at the time of the last step; [`Self::turns_rad2`] has the covariances of their
+    /// Upper and lower segment to base, at the time of the last step; [`Self::rotations_rad2`] has the covariances of their
     /// joints.
     pub fn orientations(&self) -> [UnitQuaternion<f64>; 2] {
         let mut motion = Motion::<N>::of_base(Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
-        self.upper.turn(&mut motion, 0);
+        self.upper.rotate(&mut motion, 0);
         [motion.q_base_frame, motion.q_base_frame * self.lower.orientation()]
     }
 
@@ -240,7 +240,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         &self.biases
     }
 
-    /// Standard deviation of the angle about an axis of the lower joint, rad; `axis` from 0 to D - 1. As [`Self::turns_rad2`]
+    /// Standard deviation of the angle about an axis of the lower joint, rad; `axis` from 0 to D - 1. As [`Self::rotations_rad2`]
     /// it holds noise, and neither systematic errors of the sensors nor soft tissue.
     ///
     /// # Panics
@@ -252,8 +252,8 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
     /// Covariance of the error of both joints' rotations, rad², 3 x 3: of the upper joint in the upper segment's axes, of the
     /// lower joint in the lower segment's, where it is zero across the joint's axes. The filter's own: systematic errors of
     /// the sensors are not in it (`docs/methods/body.md`, Uncertainty).
-    pub fn turns_rad2(&self) -> [Matrix3<f64>; 2] {
-        [self.upper.turn_rad2(&self.p, 0), Joint::<N>::turn_rad2(&self.lower, &self.p, Self::LOWER)]
+    pub fn rotations_rad2(&self) -> [Matrix3<f64>; 2] {
+        [self.upper.rotation_rad2(&self.p, 0), Joint::<N>::rotation_rad2(&self.lower, &self.p, Self::LOWER)]
     }
 
     /// Uncertainty of the upper segment about an axis, relative to the base, rad: root mean square over the three.
@@ -261,19 +261,22 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         ((0..3).map(|i| self.p.0[(i, i)]).sum::<f64>() / 3.0).max(0.0).sqrt()
     }
 
-    /// Takes all joint rates as measured to be zero, to 0.2 deg/s: call it after a step at which all sensors of the limb
-    /// rest. Holds the heading where no field is trusted.
+    /// Takes all angular velocities of the joints as measured to be zero, to 0.2 deg/s: call it after a step at which all
+    /// sensors of the limb rest. Holds the heading where no field is trusted.
     pub fn observe_rest(&mut self) {
         let sigma = 0.2_f64.to_radians();
-        let rates = [self.upper.rates(0), Joint::<N>::rates(&self.lower, Self::LOWER)];
-        for (k, range) in rates.into_iter().enumerate() {
+        let angular_velocity_columns = [
+            self.upper.angular_velocity_columns(0),
+            Joint::<N>::angular_velocity_columns(&self.lower, Self::LOWER),
+        ];
+        for (k, range) in angular_velocity_columns.into_iter().enumerate() {
             for column in range {
-                let rate = if k == 0 {
-                    self.upper.rate(column, 0)
+                let angular_velocity_of = if k == 0 {
+                    self.upper.angular_velocity_of(column, 0)
                 } else {
-                    Joint::<N>::rate(&self.lower, column, Self::LOWER)
+                    Joint::<N>::angular_velocity_of(&self.lower, column, Self::LOWER)
                 };
-                self.observe_state(column, -rate, sigma * sigma);
+                self.observe_state(column, -angular_velocity_of, sigma * sigma);
             }
         }
     }

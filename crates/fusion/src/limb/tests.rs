@@ -65,15 +65,17 @@ impl Scripted {
         let q_lower = q_upper * so3::exp(&(z * a)) * so3::exp(&(y * b));
         (q_lower, shoulder + q_upper * g.upper_to_lower_m + q_lower * g.lower_imu_m)
     }
-    /// Rate and specific force in segment axes, by five points.
+    /// Angular velocity and specific force in segment axes, by five points.
     fn measure(which: usize, t: f64) -> (V, V) {
         let h = 1e-3;
         let (q, _) = Self::pose(which, t);
-        let turn = |s: f64| so3::log(&(q.inverse() * Self::pose(which, t + s).0));
-        let rate = (turn(-2.0 * h) - turn(2.0 * h) + (turn(h) - turn(-h)) * 8.0) / (12.0 * h);
+        let rotation_vector_rad = |s: f64| so3::log(&(q.inverse() * Self::pose(which, t + s).0));
+        let angular_velocity_rad_s = (rotation_vector_rad(-2.0 * h) - rotation_vector_rad(2.0 * h)
+            + (rotation_vector_rad(h) - rotation_vector_rad(-h)) * 8.0)
+            / (12.0 * h);
         let p = |s: f64| Self::pose(which, t + s).1;
         let accel = ((p(h) + p(-h)) * 16.0 - p(2.0 * h) - p(-2.0 * h) - p(0.0) * 30.0) / (12.0 * h * h);
-        (rate, q.inverse() * (accel - Self::GRAVITY))
+        (angular_velocity_rad_s, q.inverse() * (accel - Self::GRAVITY))
     }
     fn derivative(f: impl Fn(f64) -> V, t: f64) -> V {
         let h = 1e-3;
@@ -91,11 +93,15 @@ impl Scripted {
         }
     }
     fn ball_at(t: f64) -> Ball {
-        let rate = |t: f64| {
+        let angular_velocity_rad_s = |t: f64| {
             let q = Self::upper(t);
             Self::derivative(|s| so3::log(&(q.inverse() * Self::upper(s))), t)
         };
-        Ball { q: Self::upper(t), angular_velocity_rad_s: rate(t), accel_rad_s2: Self::derivative(rate, t) }
+        Ball {
+            q: Self::upper(t),
+            angular_velocity_rad_s: angular_velocity_rad_s(t),
+            accel_rad_s2: Self::derivative(angular_velocity_rad_s, t),
+        }
     }
     fn elbow_at(t: f64) -> Axes<2> {
         let mut elbow = Axes::new(elbow_axes());
@@ -129,10 +135,11 @@ fn the_recursion_agrees_with_differentiated_poses() {
         let (arm, base, g) = (Scripted::arm_at(t), Scripted::base_at(t), geometry());
         for (which, mount) in [(Which::Upper, g.upper_mount), (Which::Lower, g.lower_mount)] {
             let prediction = arm.predict_sample(which, &base, None);
-            let (rate, force) = Scripted::measure(which as usize + 1, t);
-            let (rate, force) = (mount.inverse() * rate, mount.inverse() * force);
-            assert!((prediction.gyro - rate).norm() < 1e-6, "gyro {which:?} at {t}");
-            assert!((prediction.accel - force).norm() < 1e-6, "accel {which:?} at {t}");
+            let (angular_velocity_rad_s, specific_force_m_s2) = Scripted::measure(which as usize + 1, t);
+            let (angular_velocity_rad_s, specific_force_m_s2) =
+                (mount.inverse() * angular_velocity_rad_s, mount.inverse() * specific_force_m_s2);
+            assert!((prediction.gyro - angular_velocity_rad_s).norm() < 1e-6, "gyro {which:?} at {t}");
+            assert!((prediction.accel - specific_force_m_s2).norm() < 1e-6, "accel {which:?} at {t}");
         }
     }
 }
@@ -170,7 +177,7 @@ fn jacobian_error<J: Joint<N> + Clone, const D: usize, const N: usize>(
             let accel = (plus.1 - minus.1) / (2.0 * step) - analytic.d_accel.column(column);
             worst = worst.max(gyro.amax() / scale.max(1.0)).max(accel.amax() / scale.max(1.0));
         }
-        // The azimuth's row is the turn about the vertical alone.
+        // The azimuth's row is the rotation about the vertical alone.
         let q_frame = base.q_room_base * limb.orientations()[which as usize];
         for column in 0..N {
             let step = 1e-6;
@@ -206,7 +213,7 @@ fn jacobians_agree_with_central_differences() {
     }
 }
 
-/// A turn of the room by a small `phi` moves a measured azimuth by (-m_z m_x, -m_z m_y, h2) phi / h2.
+/// A rotation of the room by a small `phi` moves a measured azimuth by (-m_z m_x, -m_z m_y, h2) phi / h2.
 #[test]
 fn the_azimuth_turns_as_the_sheet_says() {
     let m = V::new(12.0, -9.0, -41.0);
@@ -354,27 +361,27 @@ fn only_the_heading_of_a_limb_at_rest_without_a_field_is_lost() {
     assert_eq!(rank(true, false, false), 21);
     assert_eq!(rank(false, true, false), 21);
     assert_eq!(rank(false, false, true), 20);
-    // Without knowing that the limb rests, a common slow turn about the vertical looks like the gyros' bias.
+    // Without knowing that the limb rests, a common slow rotation about the vertical looks like the gyros' bias.
     assert_eq!(rank(false, false, false), 19);
 }
 
 #[test]
 fn three_axes_lose_directions_where_two_of_them_meet() {
-    let turns = |middle: f64| {
+    let determinant = |middle: f64| {
         let mut arm = euler_arm();
         arm.upper.angle_rad[1] = middle;
         let mut motion = Motion::<15>::of_base(V::zeros(), V::zeros(), V::zeros());
-        arm.upper.turn(&mut motion, 0);
-        motion.d_turn.fixed_view::<3, 3>(0, 0).determinant().abs()
+        arm.upper.rotate(&mut motion, 0);
+        motion.d_rotation.fixed_view::<3, 3>(0, 0).determinant().abs()
     };
-    assert!(turns(0.9) > 0.5);
-    assert!(turns(0.0) < 1e-12);
+    assert!(determinant(0.9) > 0.5);
+    assert!(determinant(0.0) < 1e-12);
 }
 
 /// An upper joint of either form.
 trait Upper<const N: usize>: Joint<N> + Clone {
     fn still() -> Self;
-    /// Turn, rate and acceleration of `other` as errors of this one.
+    /// Rotation, angular velocity and acceleration of `other` as errors of this one.
     fn off(&self, other: &Self) -> [V; 3];
 }
 
@@ -594,7 +601,7 @@ fn a_limit_pulls_back_without_clamping() {
 }
 
 #[test]
-fn rest_holds_the_rates_at_zero() {
+fn rest_holds_the_angular_velocities_at_zero() {
     let mut matched = Matched::new(4);
     matched.filter.upper.angular_velocity_rad_s = V::new(0.3, -0.2, 0.1);
     matched.filter.observe_rest();

@@ -93,7 +93,7 @@ pub(super) struct Prediction<const N: usize> {
     pub(super) d_accel: Rows<N>,
     /// Azimuth of the measured field minus the reference's, rad.
     pub(super) azimuth: Option<f64>,
-    /// Turn about the room's vertical per error state.
+    /// Rotation about the room's vertical per error state.
     pub(super) d_azimuth: SMatrix<f64, 1, N>,
     /// What a tilt does to the azimuth per error state: counted as noise, never corrected.
     d_azimuth_by_tilt: SMatrix<f64, 1, N>,
@@ -112,7 +112,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         let mut motion =
             Motion::<N>::of_base(base.angular_velocity_rad_s, base.accel_rad_s2, base.specific_force_m_s2);
         motion.shift(&g.base_to_joint_m);
-        self.upper.turn(&mut motion, 0);
+        self.upper.rotate(&mut motion, 0);
         let (mount, bias_at) = match which {
             Which::Upper => {
                 motion.shift(&g.upper_imu_m);
@@ -120,7 +120,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             }
             Which::Lower => {
                 motion.shift(&g.upper_to_lower_m);
-                self.lower.turn(&mut motion, Self::LOWER);
+                self.lower.rotate(&mut motion, Self::LOWER);
                 motion.shift(&g.lower_imu_m);
                 (&g.lower_mount, Self::LOWER_BIAS)
             }
@@ -139,17 +139,17 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
             let q_room_frame = base.q_room_base * motion.q_base_frame;
             let m = q_room_frame * (mount * mag);
             azimuth = trusted(&m, reference).then(|| wrapped_rad(m.y.atan2(m.x) - reference.azimuth_rad));
-            // Only the turn about the vertical: the azimuth never corrects the tilt.
+            // Only the rotation about the vertical: the azimuth never corrects the tilt.
             let back = q_room_frame.inverse();
-            d_azimuth = (back * Vector3::z()).transpose() * motion.d_turn;
+            d_azimuth = (back * Vector3::z()).transpose() * motion.d_rotation;
             let tilt = Vector3::new(m.x, m.y, 0.0) * (-m.z / (m.x * m.x + m.y * m.y));
-            d_azimuth_by_tilt = (back * tilt).transpose() * motion.d_turn;
+            d_azimuth_by_tilt = (back * tilt).transpose() * motion.d_rotation;
         }
         Prediction {
             gyro,
-            accel: back * motion.force,
+            accel: back * motion.specific_force_m_s2,
             d_gyro,
-            d_accel: back * motion.d_force,
+            d_accel: back * motion.d_specific_force,
             azimuth,
             d_azimuth,
             d_azimuth_by_tilt,
@@ -247,7 +247,7 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
                 let residual = wrapped_rad(-azimuth + (prediction.d_azimuth * from)[0]);
                 let patient = sensor.without_field_s < FIELD_PATIENCE_S;
                 let own = heading.powi(2) * if patient { 1.0 } else { 10.0 };
-                let nis = turn_only(&mut self.p, &mut dx, &prediction, columns, residual, own, |nis| {
+                let nis = rotation_only(&mut self.p, &mut dx, &prediction, columns, residual, own, |nis| {
                     nis <= GATE_1 || !patient
                 });
                 report.heading_nis = nis;
@@ -313,9 +313,9 @@ fn step<const M: usize, const N: usize>(
     (Some(nis), excess)
 }
 
-/// The azimuth: its gain is that of a turn about the vertical alone, but the covariance knows that a tilt moves
+/// The azimuth: its gain is that of a rotation about the vertical alone, but the covariance knows that a tilt moves
 /// it too (Schmidt's consider update). Returns the normalised innovation squared.
-fn turn_only<const N: usize>(
+fn rotation_only<const N: usize>(
     p: &mut Covariance<N>,
     dx: &mut SVector<f64, N>,
     prediction: &Prediction<N>,
@@ -324,13 +324,13 @@ fn turn_only<const N: usize>(
     noise: f64,
     trust: impl Fn(f64) -> bool,
 ) -> Option<f64> {
-    let turn = p.innovation(&prediction.d_azimuth, columns);
+    let rotate = p.innovation(&prediction.d_azimuth, columns);
     let full = p.innovation(&(prediction.d_azimuth + prediction.d_azimuth_by_tilt), columns);
     let residual = residual - (prediction.d_azimuth * *dx)[0];
     let s = full.predicted[0] + noise;
     let nis = residual * residual / s;
-    // Not larger than the turn alone deserves, nor than the whole uncertainty of the azimuth allows.
-    let gain = turn.cross / s.max(turn.predicted[0] + noise);
+    // Not larger than the rotation alone deserves, nor than the whole uncertainty of the azimuth allows.
+    let gain = rotate.cross / s.max(rotate.predicted[0] + noise);
     if !nis.is_finite() {
         return None;
     }

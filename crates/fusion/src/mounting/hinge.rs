@@ -1,9 +1,9 @@
 //! The axis of a hinge, in the axes of the two sensors beside it.
 //!
-//! In: rates and specific forces of both sensors, sampled together. Out: the axis in both, with the same sign.
+//! In: angular velocities and specific forces of both sensors, sampled together. Out: the axis in both, with the same sign.
 //!
 //! Seel, Raisch & Schauer, "IMU-based joint angle measurement for gait analysis" (2014): across the axis both
-//! sensors turn equally fast, `|w1 x j1| = |w2 x j2|`. Beside it, along the axis both feel the same force,
+//! sensors turn equally fast, `|w1 x j1| = |w2 x j2|`. Beside it, along the axis both feel the same specific force,
 //! `j1 a1 = j2 a2`, up to the levers' accelerations (Olsson, Kok, Seel & Halvorsen 2020): that settles the sign
 //! and helps where one of the segments hardly turns.
 
@@ -13,12 +13,12 @@ use serde::{Deserialize, Serialize};
 use super::Refused;
 use posed_geometry::GRAVITY_M_S2;
 
-/// A sample says this much about a rate, rad/s, and a force, m/s²: skin motion, not sensor noise.
-const RATE_SIGMA: f64 = 0.1;
-const FORCE_SIGMA: f64 = 0.5;
-/// Part of a rate by which skin and straps may falsify it.
-const RATE_SHARE: f64 = 0.05;
-/// Distance between the sensors along the axis and across, m: what turning does to their forces.
+/// A sample says this much about an angular velocity, rad/s, and a specific force, m/s²: skin motion, not sensor noise.
+const GYRO_SIGMA: f64 = 0.1;
+const ACCEL_SIGMA: f64 = 0.5;
+/// Part of an angular velocity by which skin and straps may falsify it.
+const GYRO_SHARE: f64 = 0.05;
+/// Distance between the sensors along the axis and across, m: what turning does to their specific forces.
 const LEVER_M: f64 = 0.3;
 /// Fewest samples.
 const MIN_SAMPLES: usize = 50;
@@ -41,7 +41,7 @@ pub struct HingeAxes {
     pub excitation: f64,
 }
 
-/// One epoch: rates, rad/s, and specific forces, m/s², of both sensors.
+/// One epoch: angular velocities, rad/s, and specific forces, m/s², of both sensors.
 type Pair = ([Vector3<f64>; 2], [Vector3<f64>; 2]);
 
 /// Finds the axis; `samples` gives angular velocities, rad/s, and specific forces, m/s², of both sensors at one time, each in
@@ -131,15 +131,15 @@ fn linearise(samples: &[Pair], axes: &[Vector3<f64>; 2]) -> (f64, Vector4<f64>, 
         let across = [w[0].cross(&axes[0]), w[1].cross(&axes[1])];
         let norms = [across[0].norm().max(1e-9), across[1].norm().max(1e-9)];
         let fastest = w[0].norm_squared().max(w[1].norm_squared());
-        let sigma = RATE_SIGMA.hypot(RATE_SHARE * fastest.sqrt());
+        let sigma = GYRO_SIGMA.hypot(GYRO_SHARE * fastest.sqrt());
         let rows =
             [across[0].cross(&w[0]) / (norms[0] * sigma), across[1].cross(&w[1]) / (-norms[1] * sigma)];
         add((norms[0] - norms[1]) / sigma, rows);
-        // Where gravity is all, the forces along the axis are equal; levers and blows make it uncertain.
+        // Where gravity is all, the specific forces along the axis are equal; levers and blows make it uncertain.
         let blow = a.iter().map(|a| (a.norm() - GRAVITY_M_S2).abs()).fold(0.0, f64::max);
-        let sigma = FORCE_SIGMA.hypot(LEVER_M * fastest).hypot(blow);
-        let force = a[0].dot(&axes[0]) - a[1].dot(&axes[1]);
-        add(force / sigma, [a[0] / sigma, -a[1] / sigma]);
+        let sigma = ACCEL_SIGMA.hypot(LEVER_M * fastest).hypot(blow);
+        let difference = a[0].dot(&axes[0]) - a[1].dot(&axes[1]);
+        add(difference / sigma, [a[0] / sigma, -a[1] / sigma]);
     }
     (cost, gradient, information)
 }

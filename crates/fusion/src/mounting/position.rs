@@ -1,7 +1,7 @@
 //! Where a joint's centre is, relative to the sensors beside it.
 //!
-//! In: rates, angular accelerations and specific forces of both sensors. Out: the vectors from the joint to each
-//! sensor, in sensor axes. Seel, Raisch & Schauer (2014): moved to the joint, both forces are equally long,
+//! In: angular velocities, angular accelerations and specific forces of both sensors. Out: the vectors from the joint to each
+//! sensor, in sensor axes. Seel, Raisch & Schauer (2014): moved to the joint, both specific forces are equally long,
 //! `|a1 - G(w1, dw1) o1| = |a2 - G(w2, dw2) o2|` with `G o = dw x o + w x (w x o)`. On a hinge the place along the
 //! axis does not show; the least of them is taken.
 
@@ -12,8 +12,8 @@ use super::Refused;
 use posed_geometry::so3::hat;
 
 const MIN_SAMPLES: usize = 100;
-/// A sample's force is good to this, m/s².
-const FORCE_SIGMA: f64 = 0.5;
+/// A sample's specific force is good to this, m/s².
+const ACCEL_SIGMA: f64 = 0.5;
 /// The prior that keeps what does not show small: sensors sit within this of the joint, m.
 const PRIOR_M: f64 = 0.5;
 /// The second weakest direction must be known at least so well per sample, 1/m² (the weakest is the hinge's axis).
@@ -26,7 +26,7 @@ pub struct JointPosition {
     pub first_m: Vector3<f64>,
     /// From the joint to the second sensor, its axes, m.
     pub second_m: Vector3<f64>,
-    /// Root mean square of the difference of the forces' lengths at the joint, m/s².
+    /// Root mean square of the difference of the specific forces' lengths at the joint, m/s².
     pub residual_m_s2: f64,
     /// Curvature per sample of the second weakest direction, 1/m²: on a hinge the weakest is its axis, which does not show.
     /// At least 1.
@@ -70,7 +70,7 @@ pub fn joint_position(samples: &[[Motion; 2]]) -> Result<JointPosition, Refused>
     Ok(JointPosition {
         first_m: o.fixed_rows::<3>(0).into(),
         second_m: o.fixed_rows::<3>(3).into(),
-        residual_m_s2: (sum / samples.len() as f64).sqrt() * FORCE_SIGMA,
+        residual_m_s2: (sum / samples.len() as f64).sqrt() * ACCEL_SIGMA,
         excitation,
     })
 }
@@ -89,8 +89,8 @@ fn linearise(samples: &[[Motion; 2]], o: &Vector6<f64>) -> (f64, Vector6<f64>, M
             let sign = if i == 0 { -1.0 } else { 1.0 };
             row.fixed_rows_mut::<3>(3 * i).copy_from(&(g.transpose() * at_joint * (sign / norms[i])));
         }
-        let residual = (norms[0] - norms[1]) / FORCE_SIGMA;
-        row /= FORCE_SIGMA;
+        let residual = (norms[0] - norms[1]) / ACCEL_SIGMA;
+        row /= ACCEL_SIGMA;
         let weight = (3.0 / residual.abs()).min(1.0);
         cost += residual * residual;
         gradient += row * (weight * residual);

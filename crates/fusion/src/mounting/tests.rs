@@ -35,11 +35,11 @@ impl Hinge {
         (q, joint + q * self.levers[which])
     }
 
-    /// Rate, angular acceleration, force in sensor axes.
+    /// Angular velocity, angular acceleration, specific force in sensor axes.
     fn motion(&self, which: usize, t: f64, moving: f64) -> (V, V, V) {
         let h = 1e-3;
         let back = self.mounts[which].inverse();
-        let rate = |t: f64| {
+        let angular_velocity_rad_s = |t: f64| {
             let q = self.pose(which, t, moving).0;
             so3::log(&(q.inverse() * self.pose(which, t + h, moving).0)) / (2.0 * h)
                 - so3::log(&(q.inverse() * self.pose(which, t - h, moving).0)) / (2.0 * h)
@@ -48,8 +48,8 @@ impl Hinge {
         let accel =
             (self.pose(which, t + h, moving).1 + self.pose(which, t - h, moving).1 - p * 2.0) / (h * h);
         (
-            back * rate(t),
-            back * (rate(t + h) - rate(t - h)) / (2.0 * h),
+            back * angular_velocity_rad_s(t),
+            back * (angular_velocity_rad_s(t + h) - angular_velocity_rad_s(t - h)) / (2.0 * h),
             back * (q.inverse() * (accel - Self::GRAVITY)),
         )
     }

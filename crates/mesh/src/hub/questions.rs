@@ -44,13 +44,13 @@ impl Questions {
     pub(super) fn join(&self, after: u64, begin: bool) {
         let this = self.clone();
         tokio::spawn(async move {
-            let asked = async {
+            let request = async {
                 // First where fusion begins: what came before that is then in the other answer.
                 let begin = if begin { Some(this.ask(&this.keys.ask("begin")).await?) } else { None };
                 let joined = this.ask(&format!("{}?after={after}", this.keys.ask("join"))).await?;
                 Ok(Box::new((joined, begin)))
             };
-            let answer = asked.await;
+            let answer = request.await;
             let _ = this.answers.send(Answer::Joined { after, answer }).await;
         });
     }

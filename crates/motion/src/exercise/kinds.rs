@@ -31,7 +31,7 @@ fn kind(channel: &str) -> &str {
     channel.strip_suffix(['x', 'y', 'z']).filter(|rest| !rest.is_empty()).unwrap_or(channel)
 }
 
-/// For each channel the other channels that are axes of the same vector in sensor axes (rates of turn, accelerations, the
+/// For each channel the other channels that are axes of the same vector in sensor axes (angular velocities, accelerations, the
 /// vertical): a sensor that sits turned mixes them.
 pub(super) fn siblings(channels: &[String]) -> Vec<Vec<usize>> {
     let vector = |channel: &str| -> Option<String> {

@@ -22,10 +22,10 @@ struct Kind {
 }
 
 /// Components of a unit quaternion; half an angle of two degrees.
-const TURN: Kind = Kind { ends: &["qw", "qx", "qy", "qz"], least: 3e-4 };
-/// Turns; places (a centimetre); forces and rates of single inertial sensors.
+const ROTATION: Kind = Kind { ends: &["qw", "qx", "qy", "qz"], least: 3e-4 };
+/// Rotations; positions (a centimetre); specific forces and angular velocities of single inertial sensors.
 const KINDS: [Kind; 4] = [
-    TURN,
+    ROTATION,
     Kind { ends: &["x_m", "y_m", "z_m"], least: 1e-4 },
     Kind { ends: &["ax", "ay", "az"], least: 0.1 },
     Kind { ends: &["gx", "gy", "gz"], least: 0.02 },
@@ -88,7 +88,7 @@ fn variance(stream: &Stream<'_>, columns: &[usize], from: usize) -> f64 {
             continue;
         }
         let along: f64 = before.iter().zip(value).map(|(a, b)| a * b).sum();
-        if columns.len() == TURN.ends.len() && along < 0.0 {
+        if columns.len() == ROTATION.ends.len() && along < 0.0 {
             value = value.map(|part| -part);
         }
         before = value;

@@ -206,8 +206,8 @@ pub fn teach(stream: &Stream<'_>, options: &Options) -> Result<Lesson, Refusal> 
 /// second question must not decide the first: the way to a repetition is part of the path of an open one.
 fn best_of(hypotheses: &[Hypothesis]) -> Option<&Hypothesis> {
     let highest = |score: fn(&Hypothesis) -> f64, count: Option<usize>| {
-        let asked = hypotheses.iter().filter(|one| count.is_none_or(|count| one.found.len() == count));
-        asked.reduce(|best, next| if score(next) > score(best) { next } else { best })
+        let requested = hypotheses.iter().filter(|one| count.is_none_or(|count| one.found.len() == count));
+        requested.reduce(|best, next| if score(next) > score(best) { next } else { best })
     };
     let often = highest(|one| one.score, None)?.found.len();
     highest(|one| one.score * (1.0 - OPEN * one.open), Some(often))

@@ -23,7 +23,8 @@ const FLOOR_M: f64 = 0.05;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Plain)]
 pub(super) struct Body {
     /// Usual place of each sensor, m.
-    place_m: Vec<Point>,
+    #[serde(rename = "place_m")]
+    position_m: Vec<Point>,
     /// Its usual distance from there, m.
     spread_m: Vec<f64>,
 }
@@ -37,8 +38,8 @@ impl Body {
         if sensors < FEWEST {
             return None;
         }
-        let place_m = frames.frame(first).chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
-        let mut body = Self { place_m, spread_m: vec![1.0; sensors] };
+        let position_m = frames.frame(first).chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+        let mut body = Self { position_m, spread_m: vec![1.0; sensors] };
         let (mut known, mut turned) = (vec![f64::NAN; 3 * sensors], vec![f64::NAN; 3 * sensors]);
         for _ in 0..LEARNING_ROUNDS {
             let mut sums = vec![[0.0; 5]; sensors];
@@ -47,7 +48,7 @@ impl Body {
                 (0..sensors)
                     .filter(|sensor| !clean(k, *sensor))
                     .for_each(|s| known[3 * s..3 * s + 3].fill(f64::NAN));
-                body.turn(&known, 1.0, &mut turned);
+                body.align(&known, 1.0, &mut turned);
                 for (sum, p) in sums.iter_mut().zip(turned.chunks_exact(3)) {
                     if !p[0].is_nan() {
                         (0..3).for_each(|c| sum[c] += p[c]);
@@ -59,7 +60,7 @@ impl Body {
             for (sensor, sum) in sums.iter().enumerate().filter(|(_, sum)| sum[4] > 0.0) {
                 let mean: Point = std::array::from_fn(|c| sum[c] / sum[4]);
                 let square = sum[3] / sum[4] - mean.iter().map(|value| value * value).sum::<f64>();
-                body.place_m[sensor] = mean;
+                body.position_m[sensor] = mean;
                 body.spread_m[sensor] = square.max(0.0).sqrt().max(FLOOR_M);
             }
         }
@@ -67,11 +68,11 @@ impl Body {
     }
 
     pub(super) fn fits(&self, sensors: usize) -> bool {
-        self.place_m.len() == sensors && self.spread_m.len() == sensors
+        self.position_m.len() == sensors && self.spread_m.len() == sensors
     }
 
     /// Turns a frame into the figure's axes; `size` is that of this body over that of the training's.
-    pub(super) fn turn(&self, frame: &[f64], size: f64, out: &mut [f64]) {
+    pub(super) fn align(&self, frame: &[f64], size: f64, out: &mut [f64]) {
         let mut middle = [0.0; 3];
         let mut home = [0.0; 3];
         let (mut sin, mut cos) = (0.0, 1.0);
@@ -79,22 +80,24 @@ impl Body {
             let (mut a, mut b, mut total) = ([0.0; 3], [0.0; 3], 0.0);
             let (mut cross, mut dot) = (0.0, 0.0);
             for pass in 0..2 {
-                let sensors = self.place_m.iter().zip(&self.spread_m).zip(frame.chunks_exact(3));
-                for ((place, spread), p) in sensors.filter(|(_, p)| !p[0].is_nan()) {
+                let sensors = self.position_m.iter().zip(&self.spread_m).zip(frame.chunks_exact(3));
+                for ((position, spread), p) in sensors.filter(|(_, p)| !p[0].is_nan()) {
                     let mut weight = 1.0 / (spread * spread);
                     if round > 0 {
                         let (x, y) = ((p[0] - middle[0]) / size, (p[1] - middle[1]) / size);
-                        let (dx, dy) =
-                            (cos * x + sin * y + home[0] - place[0], cos * y - sin * x + home[1] - place[1]);
+                        let (dx, dy) = (
+                            cos * x + sin * y + home[0] - position[0],
+                            cos * y - sin * x + home[1] - position[1],
+                        );
                         weight /= 1.0 + (dx * dx + dy * dy) / (4.0 * spread * spread);
                     }
                     if pass == 0 {
                         total += weight;
                         (0..3).for_each(|c| a[c] += weight * p[c]);
-                        (0..3).for_each(|c| b[c] += weight * place[c]);
+                        (0..3).for_each(|c| b[c] += weight * position[c]);
                     } else {
                         let (px, py) = (p[0] - a[0], p[1] - a[1]);
-                        let (qx, qy) = (place[0] - b[0], place[1] - b[1]);
+                        let (qx, qy) = (position[0] - b[0], position[1] - b[1]);
                         cross += weight * (qx * py - qy * px);
                         dot += weight * (qx * px + qy * py);
                     }

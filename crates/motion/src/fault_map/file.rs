@@ -52,19 +52,19 @@ pub(super) struct File {
 
 impl From<FaultMap> for File {
     fn from(fault_map: FaultMap) -> Self {
-        let chain = |places: &PositionChain| {
-            places.chain.weights.chunks_exact(3).map(|w| [w[0], w[1], w[2]]).collect()
+        let chain = |positions: &PositionChain| {
+            positions.chain.weights.chunks_exact(3).map(|w| [w[0], w[1], w[2]]).collect()
         };
         let cells: Vec<Vec<f64>> =
             fault_map.map.weights.chunks_exact(fault_map.map.dimension).map(<[f64]>::to_vec).collect();
         Self {
             format: FORMAT.to_owned(),
-            layer1: Layer1 { weights: fault_map.places.iter().map(chain).collect() },
+            layer1: Layer1 { weights: fault_map.positions.iter().map(chain).collect() },
             layer2: Layer2 { weights: cells.chunks(fault_map.map.columns).map(<[_]>::to_vec).collect() },
             cells: fault_map.cells.chunks(fault_map.map.columns).map(<[_]>::to_vec).collect(),
             sensors: fault_map.sensors,
-            neurons: fault_map.places.iter().map(|places| places.classes.clone()).collect(),
-            spreads_m: fault_map.places.into_iter().map(|places| places.spreads_m).collect(),
+            neurons: fault_map.positions.iter().map(|positions| positions.classes.clone()).collect(),
+            spreads_m: fault_map.positions.into_iter().map(|positions| positions.spreads_m).collect(),
             usual_distance: fault_map.usual_distance,
             usual_ratio: fault_map.usual_ratio,
             links: fault_map.links,
@@ -115,7 +115,7 @@ impl TryFrom<File> for FaultMap {
             weights: weights.iter().flatten().copied().collect(),
         };
         let neurons = file.neurons.into_iter().zip(file.spreads_m);
-        let places: Vec<PositionChain> = file
+        let positions: Vec<PositionChain> = file
             .layer1
             .weights
             .iter()
@@ -127,7 +127,7 @@ impl TryFrom<File> for FaultMap {
             })
             .collect();
         let links = file.links.iter().flatten().all(|link| link.fits(sensors));
-        if !places.iter().all(PositionChain::fits) || file.links.len() != sensors || !links {
+        if !positions.iter().all(PositionChain::fits) || file.links.len() != sensors || !links {
             return wrong("there should be a class, a spread and finite weights for each neuron");
         }
         if !file.motion.fits(sensors) {
@@ -138,7 +138,7 @@ impl TryFrom<File> for FaultMap {
             return wrong("all weights and distances should be finite");
         }
         Ok(Self {
-            places,
+            positions,
             links: file.links,
             motion: file.motion,
             usual_ratio: file.usual_ratio,

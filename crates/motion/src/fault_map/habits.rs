@@ -13,7 +13,7 @@ use posed_fusion::faults::Class;
 /// clean must not name it.
 const NEURON_SHARE: f64 = 0.9;
 /// Sensors are never put on twice in the same way, m.
-const WORN_M: f64 = 0.05;
+const MOUNTING_M: f64 = 0.05;
 /// A neuron's spread counts as much as so many frames with that of its whole chain, and is never below this, m.
 const PRIOR_FRAMES: f64 = 50.0;
 const SMALLEST_SPREAD_M: f64 = 0.01;
@@ -43,9 +43,9 @@ pub(super) struct PositionMatch {
 }
 
 impl PositionMatch {
-    /// How unusual it is: distance in spreads, after `worn_m` of it.
-    pub(super) fn ratio(&self, worn_m: f64) -> f64 {
-        (self.distance_m - worn_m).max(0.0) / self.spread_m
+    /// How unusual it is: distance in spreads, after `mounting_m` of it.
+    pub(super) fn ratio(&self, mounting_m: f64) -> f64 {
+        (self.distance_m - mounting_m).max(0.0) / self.spread_m
     }
 }
 
@@ -84,7 +84,7 @@ impl PositionChain {
     }
 
     /// The nearest neuron to a position; `None` where it is missing.
-    pub(super) fn place(&self, p: &[f64]) -> Option<PositionMatch> {
+    pub(super) fn position(&self, p: &[f64]) -> Option<PositionMatch> {
         let winner = self.chain.winner(p)?;
         Some(PositionMatch {
             neuron: winner.cell,
@@ -110,7 +110,8 @@ impl PositionChain {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Plain)]
 pub(super) struct Link {
     other: usize,
-    places: PositionChain,
+    #[serde(rename = "places")]
+    positions: PositionChain,
 }
 
 impl Link {
@@ -125,25 +126,28 @@ impl Link {
         let rows = frames.chunks_exact(3 * sensors);
         let data: Vec<f64> = rows.flat_map(|row| beside(row, sensor, other)).collect();
         let neurons = training_neurons(&data);
-        Self { other, places: PositionChain::learn(neurons, &data, classes, &mut Batch::default(), training) }
+        Self {
+            other,
+            positions: PositionChain::learn(neurons, &data, classes, &mut Batch::default(), training),
+        }
     }
 
     /// The nearest neuron to where a sensor is in a frame.
-    pub(super) fn place(&self, frame: &[f64], sensor: usize) -> Option<PositionMatch> {
-        self.places.place(&beside(frame, sensor, self.other))
+    pub(super) fn position(&self, frame: &[f64], sensor: usize) -> Option<PositionMatch> {
+        self.positions.position(&beside(frame, sensor, self.other))
     }
 
     /// What two sensors that were put on anew may be off beside each other, m.
-    pub(super) const WORN_M: f64 = WORN_M * std::f64::consts::SQRT_2;
+    pub(super) const MOUNTING_M: f64 = MOUNTING_M * std::f64::consts::SQRT_2;
 
     pub(super) fn fits(&self, sensors: usize) -> bool {
-        self.other < sensors && self.places.fits()
+        self.other < sensors && self.positions.fits()
     }
 }
 
 impl PositionChain {
     /// What a sensor that was put on anew may be off, m.
-    pub(super) const WORN_M: f64 = WORN_M;
+    pub(super) const MOUNTING_M: f64 = MOUNTING_M;
 }
 
 /// As many as for positions, whatever the sizes of the map.

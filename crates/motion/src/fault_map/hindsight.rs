@@ -38,14 +38,14 @@ pub(super) enum Step {
 pub(super) struct Recording<'a> {
     pub(super) sensors: usize,
     pub(super) frame_s: f64,
-    pub(super) places: &'a [Option<Point>],
+    pub(super) positions: &'a [Option<Point>],
     pub(super) steps: &'a [Step],
 }
 
 impl Recording<'_> {
     /// Which positions are away, by ranges that `learn` makes of those that are not.
     pub(super) fn away(&self, mut learn: impl FnMut(usize, &[bool]) -> Pairs) -> (Vec<bool>, Pairs) {
-        let mut away = vec![false; self.places.len()];
+        let mut away = vec![false; self.positions.len()];
         let mut pairs = learn(0, &away);
         for round in 0..ROUNDS {
             let columns: Vec<Vec<bool>> =
@@ -60,14 +60,14 @@ impl Recording<'_> {
 
     /// The states of least cost of one sensor, frame by frame.
     fn follow(&self, sensor: usize, pairs: &Pairs, away: &[bool]) -> Vec<bool> {
-        let frames = self.places.len() / self.sensors;
+        let frames = self.positions.len() / self.sensors;
         let mut pieces: Vec<Piece> = Vec::new();
         for k in 0..frames {
             let at = k * self.sensors + sensor;
-            let Some(p) = self.places[at] else { continue };
+            let Some(p) = self.positions[at] else { continue };
             let there = |other: usize| {
                 let at = k * self.sensors + other;
-                self.places[at].filter(|_| !away[at])
+                self.positions[at].filter(|_| !away[at])
             };
             let doubt = pairs.doubt(sensor, p, there) * self.frame_s;
             match pieces.last_mut() {
@@ -135,7 +135,7 @@ mod tests {
     const FRAME_S: f64 = 1.0 / 60.0;
 
     /// Three sensors at rest in a triangle; the first is moved by `by` where it is said to be.
-    fn places(frames: usize, by: impl Fn(usize) -> f64) -> Vec<Option<Point>> {
+    fn positions(frames: usize, by: impl Fn(usize) -> f64) -> Vec<Option<Point>> {
         let row = |k| [Some([by(k), 0.0, 0.0]), Some([0.0, 1.0, 0.0]), Some([1.0, 1.0, 0.0])];
         (0..frames).flat_map(row).collect()
     }
@@ -147,12 +147,12 @@ mod tests {
         steps
     }
 
-    fn away(places: &[Option<Point>], steps: &[Step]) -> Vec<usize> {
-        let frames = places.len() / 3;
-        let recording = Recording { sensors: 3, frame_s: FRAME_S, places, steps };
+    fn away(positions: &[Option<Point>], steps: &[Step]) -> Vec<usize> {
+        let frames = positions.len() / 3;
+        let recording = Recording { sensors: 3, frame_s: FRAME_S, positions, steps };
         let learn = |_, away: &[bool]| {
             Pairs::learn(3, frames, 0.02, |k, sensor| {
-                places[3 * k + sensor].filter(|_| !away[3 * k + sensor])
+                positions[3 * k + sensor].filter(|_| !away[3 * k + sensor])
             })
         };
         let (away, _) = recording.away(learn);
@@ -163,7 +163,7 @@ mod tests {
     #[test]
     fn a_sensor_is_away_between_two_jumps_even_where_distances_hardly_tell() {
         let moved = |k: usize| if (200..300).contains(&k) { 0.1 } else { 0.0 };
-        let found = away(&places(1000, moved), &steps(1000, &[(200, 4.0), (300, 4.0)]));
+        let found = away(&positions(1000, moved), &steps(1000, &[(200, 4.0), (300, 4.0)]));
         assert_eq!(found, (200..300).collect::<Vec<_>>());
     }
 
@@ -175,12 +175,12 @@ mod tests {
             560..600 => 0.02 * (600 - k) as f64,
             _ => 0.0,
         };
-        let found = away(&places(1000, moved), &steps(1000, &[(500, 9.0), (900, 1.1)]));
+        let found = away(&positions(1000, moved), &steps(1000, &[(500, 9.0), (900, 1.1)]));
         assert!(found.len() < 10, "half a recording would be lost: {}", found.len());
     }
 
     #[test]
     fn one_small_jump_of_a_quick_movement_changes_nothing() {
-        assert!(away(&places(1000, |_| 0.0), &steps(1000, &[(500, 1.3)])).is_empty());
+        assert!(away(&positions(1000, |_| 0.0), &steps(1000, &[(500, 1.3)])).is_empty());
     }
 }

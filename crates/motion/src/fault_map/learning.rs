@@ -37,35 +37,39 @@ impl Rules {
         let sensors = frames.sensors.len();
         let sides = sides(frames);
         let stuck = stuck(frames);
-        let mut places: Vec<Option<Point>> = Vec::with_capacity(sides.len());
+        let mut positions: Vec<Option<Point>> = Vec::with_capacity(sides.len());
         for k in 0..frames.len() {
             let frame = frames.frame(k);
-            places.extend(
+            positions.extend(
                 (0..sensors)
                     .map(|sensor| Some(turned(position(frame, sensor)?, sides[k * sensors + sensor]))),
             );
         }
         let habits: Vec<Habit> =
-            (0..sensors).map(|sensor| habit(frames.len(), |k| places[k * sensors + sensor])).collect();
-        places.iter_mut().zip(&stuck).filter(|(_, stuck)| **stuck).for_each(|(place, _)| *place = None);
-        let steps = steps(&places, sensors);
-        let recording = Recording { sensors, frame_s: frame_s(frames), places: &places, steps: &steps };
+            (0..sensors).map(|sensor| habit(frames.len(), |k| positions[k * sensors + sensor])).collect();
+        positions
+            .iter_mut()
+            .zip(&stuck)
+            .filter(|(_, stuck)| **stuck)
+            .for_each(|(position, _)| *position = None);
+        let steps = steps(&positions, sensors);
+        let recording = Recording { sensors, frame_s: frame_s(frames), positions: &positions, steps: &steps };
         let (away, pairs) = recording.away(|round, away| {
             let outside = RANGES_LEAVE_OUT[round.min(RANGES_LEAVE_OUT.len() - 1)];
-            let place = |k: usize, sensor: usize| {
+            let position = |k: usize, sensor: usize| {
                 let at = k * sensors + sensor;
-                places[at].filter(|_| !away[at])
+                positions[at].filter(|_| !away[at])
             };
-            Pairs::learn(sensors, frames.len(), outside, place)
+            Pairs::learn(sensors, frames.len(), outside, position)
         });
-        let label = |at: usize| match (places[at], stuck[at], away[at], sides[at]) {
+        let label = |at: usize| match (positions[at], stuck[at], away[at], sides[at]) {
             (_, true, ..) => Label::anomalous(Cause::Stuck),
             (None, ..) => Label::MISSING,
             (_, _, true, _) => Label::anomalous(Cause::Jump),
             (_, _, _, true) => Label::INVERTED,
             _ => Label::CLEAN,
         };
-        let sensor_labels: Vec<Label> = (0..places.len()).map(label).collect();
+        let sensor_labels: Vec<Label> = (0..positions.len()).map(label).collect();
         let frame_labels = sensor_labels.chunks_exact(sensors.max(1)).map(frame_label).collect();
         (Self::new(habits, pairs), Labels { frames: frame_labels, sensors: sensor_labels })
     }
@@ -112,18 +116,18 @@ fn stuck(frames: &Frames) -> Vec<bool> {
 ///
 /// A sensor that is pulled trembles, and what trembles for long would make jumps of no step at all: steps are held against
 /// what the sensor trembles around them.
-fn steps(places: &[Option<Point>], sensors: usize) -> Vec<Step> {
-    let frames = places.len() / sensors.max(1);
-    let mut steps = vec![Step::Steady; places.len()];
+fn steps(positions: &[Option<Point>], sensors: usize) -> Vec<Step> {
+    let frames = positions.len() / sensors.max(1);
+    let mut steps = vec![Step::Steady; positions.len()];
     for sensor in 0..sensors {
-        let bends = bends(frames, |k| places[k * sensors + sensor]);
+        let bends = bends(frames, |k| positions[k * sensors + sensor]);
         let tremble_m = tremble(&bends);
         let beyond = bends.iter().zip(&tremble_m).filter_map(|(bend, tremble)| Some((*bend)? - tremble));
         let jump_m = jump(beyond.collect());
         let mut last: Option<(usize, Point, Point)> = None;
         for (k, tremble_m) in tremble_m.into_iter().enumerate() {
             let at = k * sensors + sensor;
-            let Some(p) = places[at] else { continue };
+            let Some(p) = positions[at] else { continue };
             let mut step = [0.0; 3];
             match last {
                 Some((before, here, speed)) if before + 1 == k => {
@@ -242,8 +246,8 @@ mod tests {
     use super::*;
     use posed_fusion::faults::Class;
 
-    /// Four sensors that sway; `place` may move the last.
-    fn frames(count: usize, place: impl Fn(usize, Point) -> Point) -> Frames {
+    /// Four sensors that sway; `position` may move the last.
+    fn frames(count: usize, position: impl Fn(usize, Point) -> Point) -> Frames {
         let mut frames =
             Frames { sensors: ["a", "b", "c", "d"].map(str::to_owned).into(), ..Frames::default() };
         for k in 0..count {
@@ -253,7 +257,7 @@ mod tests {
             for sensor in 0..4 {
                 let s = f64::from(sensor);
                 let p = [1.5 + sway, 0.3 * s, 0.4 + 0.1 * s + 0.02 * (3.0 * t + s).sin()];
-                row.extend(if sensor == 3 { place(k, p) } else { p });
+                row.extend(if sensor == 3 { position(k, p) } else { p });
             }
             frames.push(t, &row);
         }

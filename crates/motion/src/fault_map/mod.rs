@@ -68,7 +68,7 @@ pub struct FaultMap {
     /// The figure's axes, if positions are looked at in these.
     body: Option<Body>,
     /// Per sensor: where it is in these axes, and where it is beside another, if there is one.
-    places: Vec<PositionChain>,
+    positions: Vec<PositionChain>,
     links: Vec<Option<Link>>,
     motion: Motion,
     /// The largest distance from a neuron, in its spreads, that any sensor has in a usual frame.
@@ -159,7 +159,7 @@ impl FaultMap {
         let mut fault_map = Self {
             sensors: frames.sensors.clone(),
             body: training.body.then(|| Body::learn(frames, &labels.sensors)).flatten(),
-            places: Vec::new(),
+            positions: Vec::new(),
             links: Vec::new(),
             motion: Motion::learn(
                 &frames.positions_m,
@@ -183,8 +183,9 @@ impl FaultMap {
         for sensor in 0..sensors {
             let classes: Vec<Class> =
                 labels.sensors.iter().skip(sensor).step_by(sensors).map(|label| label.class).collect();
-            let places = PositionChain::learn(size.neurons, &seen.sensor(sensor), &classes, rule, training);
-            fault_map.places.push(places);
+            let positions =
+                PositionChain::learn(size.neurons, &seen.sensor(sensor), &classes, rule, training);
+            fault_map.positions.push(positions);
             let link = |other| Link::learn((sensor, other), &seen.positions_m, sensors, &classes, beside);
             fault_map.links.push(fault_map.rules.nearest(sensor).map(link));
         }
@@ -220,32 +221,34 @@ impl FaultMap {
     /// Positions as the map sees them.
     fn see(&self, frame: &[f64], size: f64, seen: &mut [f64]) {
         match &self.body {
-            Some(body) => body.turn(frame, size, seen),
+            Some(body) => body.align(frame, size, seen),
             None => seen.copy_from_slice(frame),
         }
     }
 
-    /// What the first layer reports about a sensor in a frame as the map sees it; `worn_m` is what sensors that were put on
+    /// What the first layer reports about a sensor in a frame as the map sees it; `mounting_m` is what sensors that were put on
     /// anew may be off, in the figure's axes and beside each other.
-    fn look(&self, sensor: usize, seen: &[f64], worn_m: [f64; 2]) -> Look {
-        let places = &self.places[sensor];
-        let place = places.place(&seen[3 * sensor..3 * sensor + 3]);
-        let link = self.links[sensor].as_ref().and_then(|link| link.place(seen, sensor));
-        let ratio = |place: Option<PositionMatch>, worn_m| place.map_or(0.0, |place| place.ratio(worn_m));
-        let Some(at) = place else {
+    fn look(&self, sensor: usize, seen: &[f64], mounting_m: [f64; 2]) -> Look {
+        let positions = &self.positions[sensor];
+        let position = positions.position(&seen[3 * sensor..3 * sensor + 3]);
+        let link = self.links[sensor].as_ref().and_then(|link| link.position(seen, sensor));
+        let ratio = |position: Option<PositionMatch>, mounting_m| {
+            position.map_or(0.0, |position| position.ratio(mounting_m))
+        };
+        let Some(at) = position else {
             return Look { index: f64::NAN, class: Class::Unknown, distance_m: f64::NAN, ratio: 0.0 };
         };
         Look {
-            index: at.neuron as f64 / places.classes.len() as f64,
+            index: at.neuron as f64 / positions.classes.len() as f64,
             class: at.class,
             distance_m: at.distance_m,
-            ratio: ratio(place, worn_m[0]).max(ratio(link, worn_m[1])),
+            ratio: ratio(position, mounting_m[0]).max(ratio(link, mounting_m[1])),
         }
     }
 
     /// Whether the first layer finds a sensor where it never was, or only when something was wrong.
     fn is_strange(&self, sensor: usize, seen: &[f64]) -> bool {
-        let look = self.look(sensor, seen, [PositionChain::WORN_M, Link::WORN_M]);
+        let look = self.look(sensor, seen, [PositionChain::MOUNTING_M, Link::MOUNTING_M]);
         look.class == Class::Anomalous || look.ratio > self.usual_ratio
     }
 
@@ -309,10 +312,11 @@ impl FaultMap {
     /// Whether a watch of `self` can go on with `other`: they differ in nothing but classes of cells, epochs and
     /// revision.
     pub fn is_renamed(&self, other: &Self) -> bool {
-        let Self { sensors, body, places, links, motion, usual_ratio, map, usual_distance, rules, .. } = self;
+        let Self { sensors, body, positions, links, motion, usual_ratio, map, usual_distance, rules, .. } =
+            self;
         *sensors == other.sensors
             && *body == other.body
-            && *places == other.places
+            && *positions == other.positions
             && *links == other.links
             && *motion == other.motion
             && *usual_ratio == other.usual_ratio

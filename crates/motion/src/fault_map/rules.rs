@@ -100,9 +100,9 @@ impl Rules {
                 labels[sensor].set(memories[sensor].believe());
             }
         }
-        let place = |sensor: usize| memories[sensor].here();
+        let position = |sensor: usize| memories[sensor].here();
         let here = |sensor| believed(memories, labels, sensor);
-        self.pairs.check(size, place, here, |sensor| labels[sensor].set(Label::anomalous(Cause::Bone)));
+        self.pairs.check(size, position, here, |sensor| labels[sensor].set(Label::anomalous(Cause::Bone)));
         for sensor in 0..memories.len() {
             if !self.pairs.is_empty()
                 && memories[sensor].is_away()

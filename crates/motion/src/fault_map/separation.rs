@@ -60,7 +60,7 @@ pub fn separation(fault_map: &FaultMap, frames: &Frames, classes: &[Class]) -> S
     }
     let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
     Separation {
-        neurons: fault_map.places.first().map_or(0, |places| places.classes.len()),
+        neurons: fault_map.positions.first().map_or(0, |positions| positions.classes.len()),
         side: rows,
         used: cells.len(),
         used_share: share(cells.len(), counts.len()),

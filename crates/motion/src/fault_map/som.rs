@@ -102,10 +102,10 @@ impl Som {
     pub fn along_principal_axes(rows: usize, columns: usize, dimension: usize, data: &[f64]) -> Self {
         let (mean, axes) = principal_axes(dimension, data);
         let mut weights = Vec::with_capacity(rows * columns * dimension);
-        let place = |k: usize, n: usize| if n > 1 { 4.0 * k as f64 / (n - 1) as f64 - 2.0 } else { 0.0 };
+        let position = |k: usize, n: usize| if n > 1 { 4.0 * k as f64 / (n - 1) as f64 - 2.0 } else { 0.0 };
         for row in 0..rows {
             for column in 0..columns {
-                let cell = &mean + &axes[0] * place(column, columns) + &axes[1] * place(row, rows);
+                let cell = &mean + &axes[0] * position(column, columns) + &axes[1] * position(row, rows);
                 weights.extend(cell.iter());
             }
         }

@@ -18,7 +18,7 @@ const MEMORY_FRAMES: f64 = 1000.0;
 /// The map is content with a sensor below this share of what is unusual.
 const CONTENT: f64 = 0.5;
 /// Least weight of a frame in how unusual a sensor is on average.
-const WORN_WEIGHT: f64 = 0.002;
+const MEAN_WEIGHT: f64 = 0.002;
 const RECENT: u8 = 0b1_1111;
 
 /// Labels a stream of frames: rules and self-organising map together, one frame at a time, without delay beyond 3 of 5
@@ -34,7 +34,7 @@ pub struct Watch {
     /// Per sensor: the map found nothing unusual in the latest frame.
     content: Vec<bool>,
     /// Per sensor, how unusual its places are on average: how it is put on in this session.
-    worn: Vec<f64>,
+    mean_ratio: Vec<f64>,
     frames: u32,
     labels: Vec<Label>,
     distances_m: Vec<f64>,
@@ -76,7 +76,7 @@ impl Watch {
             by_rules: nothing.clone(),
             steps: Steps::new(sensors),
             content: vec![false; sensors],
-            worn: vec![0.0; sensors],
+            mean_ratio: vec![0.0; sensors],
             frames: 0,
             labels: nothing,
             distances_m: vec![f64::NAN; sensors],
@@ -101,10 +101,10 @@ impl Watch {
         fault_map.see(frame, self.labeller.size(), &mut self.seen);
         let mut strange = false;
         for sensor in 0..fault_map.sensors.len() {
-            let look = fault_map.look(sensor, &self.seen, [PositionChain::WORN_M, Link::WORN_M]);
+            let look = fault_map.look(sensor, &self.seen, [PositionChain::MOUNTING_M, Link::MOUNTING_M]);
             self.indices[sensor] = look.index;
             self.distances_m[sensor] = look.distance_m;
-            let off = self.worn[sensor];
+            let off = self.mean_ratio[sensor];
             // A sensor on a neuron of inverted frames, in a figure that is not, is wrong too.
             let bad = matches!(look.class, Class::Anomalous)
                 || look.ratio - off > fault_map.usual_ratio
@@ -112,8 +112,8 @@ impl Watch {
             let content = look.ratio - off < CONTENT * fault_map.usual_ratio;
             self.content[sensor] = !bad && content && look.class == Class::Clean;
             if self.by_rules[sensor].class == Class::Clean {
-                let weight = WORN_WEIGHT.max(1.0 / f64::from(self.frames + 1));
-                self.worn[sensor] += weight * (look.ratio - self.worn[sensor]);
+                let weight = MEAN_WEIGHT.max(1.0 / f64::from(self.frames + 1));
+                self.mean_ratio[sensor] += weight * (look.ratio - self.mean_ratio[sensor]);
             }
             let recent = &mut self.recent[sensor];
             *recent = (*recent << 1 | u8::from(bad)) & RECENT;

@@ -185,10 +185,10 @@ struct Chord {
 impl Chord {
     fn between(a: &Knot, b: &Knot) -> Self {
         let length = (b.frame - a.frame) as f64;
-        let turn = so3::log(&(a.pose.rotation.inverse() * b.pose.rotation));
+        let rotation_vector_rad = so3::log(&(a.pose.rotation.inverse() * b.pose.rotation));
         Self {
             linear: (b.pose.translation.vector - a.pose.translation.vector) / length,
-            angular: turn / length,
+            angular: rotation_vector_rad / length,
         }
     }
 
@@ -268,14 +268,14 @@ fn local_fit(poses: &[Isometry3<f64>]) -> Isometry3<f64> {
     let norm = (2.0 * m + 3.0) * (2.0 * m + 1.0) * (2.0 * m - 1.0);
     let middle = &poses[half];
     let mut position = Vector3::zeros();
-    let mut turn = Vector3::zeros();
+    let mut rotation_vector_rad = Vector3::zeros();
     for (k, pose) in poses.iter().enumerate() {
         let k = k as f64 - m;
         let weight = 3.0 * (3.0 * m * m + 3.0 * m - 1.0 - 5.0 * k * k) / norm;
         position += (pose.translation.vector - middle.translation.vector) * weight;
-        turn += so3::log(&(middle.rotation.inverse() * pose.rotation)) * weight;
+        rotation_vector_rad += so3::log(&(middle.rotation.inverse() * pose.rotation)) * weight;
     }
-    let rotation: UnitQuaternion<f64> = middle.rotation * so3::exp(&turn);
+    let rotation: UnitQuaternion<f64> = middle.rotation * so3::exp(&rotation_vector_rad);
     Isometry3::from_parts(Translation3::from(middle.translation.vector + position), rotation)
 }
 
@@ -289,8 +289,11 @@ impl Noise {
         for four in poses.windows(4) {
             let p = |k: usize| four[k].translation.vector;
             positions.push((p(3) - (p(2) - p(1)) * 3.0 - p(0)).norm());
-            let turn = |k: usize| so3::log(&(four[k].rotation.inverse() * four[k + 1].rotation));
-            rotations.push((turn(2) - turn(1) * 2.0 + turn(0)).norm());
+            let rotation_vector_rad =
+                |k: usize| so3::log(&(four[k].rotation.inverse() * four[k + 1].rotation));
+            rotations.push(
+                (rotation_vector_rad(2) - rotation_vector_rad(1) * 2.0 + rotation_vector_rad(0)).norm(),
+            );
         }
         // The weights 1, 3, 3, 1 add their squares to 20; the median is not moved by corners, and for
         // three axes it is 1.538 of one axis' deviation, the root mean square 1.732.

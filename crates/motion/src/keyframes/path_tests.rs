@@ -41,8 +41,8 @@ fn the_velocity_is_continuous_at_every_knot_but_corners() {
     let step = 1e-5;
     let speed = |from: f64, to: f64| {
         let (a, b) = (spline.pose(from), spline.pose(to));
-        let turn = so3::log(&(a.rotation.inverse() * b.rotation)) / (to - from);
-        ((b.translation.vector - a.translation.vector) / (to - from), turn)
+        let angular = so3::log(&(a.rotation.inverse() * b.rotation)) / (to - from);
+        ((b.translation.vector - a.translation.vector) / (to - from), angular)
     };
     for (frame, arrival, departure) in spline.knots() {
         let at = frame as f64;

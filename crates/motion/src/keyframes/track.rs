@@ -98,8 +98,8 @@ pub fn bridge<'a>(
     (1..=missing).map(move |k| {
         let share = k as f64 / (missing + 1) as f64;
         let position = from.translation.vector.lerp(&to.translation.vector, share);
-        let turn = so3::log(&(from.rotation.inverse() * to.rotation)) * share;
-        Isometry3::from_parts(position.into(), from.rotation * so3::exp(&turn))
+        let rotation_vector_rad = so3::log(&(from.rotation.inverse() * to.rotation)) * share;
+        Isometry3::from_parts(position.into(), from.rotation * so3::exp(&rotation_vector_rad))
     })
 }
 

@@ -188,7 +188,7 @@ impl Preparation {
             known += 1.0;
         }
         let centre = (known > 0.0).then(|| centre.map(|sum| sum / known));
-        self.turn(positions, memory);
+        self.follow_left(positions, memory);
         let left = memory.left;
         let facing = self.features.facing && left != [0.0; 2];
         let turned = |v: [f64; 3]| {
@@ -242,7 +242,7 @@ impl Preparation {
     }
 
     /// Follows the direction to the left.
-    fn turn(&self, positions: &[Position], memory: &mut Memory) {
+    fn follow_left(&self, positions: &[Position], memory: &mut Memory) {
         let mut left = [0.0, 0.0];
         for [l, r] in &self.pairs {
             if let (Some(Some(l)), Some(Some(r))) = (positions.get(*l), positions.get(*r)) {

@@ -185,7 +185,7 @@ fn damaged_models_are_refused() {
 }
 
 #[test]
-fn borders_are_as_wide_as_asked() {
+fn borders_are_as_wide_as_requested() {
     let classes: Vec<Option<u16>> = (0..100).map(|frame| Some(u16::from(frame >= 50))).collect();
     for width in [0, 1, 11, 21, 31] {
         let near = near_borders(&classes, width);

@@ -18,7 +18,7 @@ use posed_stage::output::Measured;
 const SILENT_S: f64 = 0.1;
 /// What the first epoch stands for, s.
 const FIRST_S: f64 = 0.01;
-/// Two orientations this far apart show no rate, s.
+/// Two orientations this far apart show no angular velocity, s.
 const APART_S: f64 = 0.2;
 
 /// Samples of one time.

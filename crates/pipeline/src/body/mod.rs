@@ -35,7 +35,7 @@ pub(super) struct BodyStage {
     #[state(keep)]
     skeleton: Skeleton,
     wearing: [Option<SensorIndex>; SEGMENTS],
-    trackers: Vec<WornTracker>,
+    trackers: Vec<BodyTracker>,
     epochs: Epochs,
     solver: Solver,
     /// The hips' mid-point where trackers last saw it, m.
@@ -46,7 +46,7 @@ pub(super) struct BodyStage {
 
 /// A magnetic tracker on the body.
 #[derive(Clone, Copy, Debug, Plain)]
-struct WornTracker {
+struct BodyTracker {
     sensor: SensorIndex,
     segment: BodySegment,
     /// Sensor to segment; beside IMUs only its place counts.
@@ -69,7 +69,7 @@ impl BodyStage {
         if body.skeleton != posed_stage::Skeleton::Human {
             return Ok(None);
         }
-        let wearers = Wearers::of(stage).map_err(|sensors| PipelineError::Worn { sensors })?;
+        let wearers = Wearers::of(stage).map_err(|sensors| PipelineError::SameSegment { sensors })?;
         if wearers == Wearers::default() {
             return Ok(None);
         }
@@ -77,14 +77,14 @@ impl BodyStage {
         let skeleton = skeleton_of(body).ok_or(lacks)?;
         let given = body.mounting == Mounting::Given;
         let mut trackers = Vec::with_capacity(wearers.trackers.len());
-        let mut turns_known = true;
+        let mut rotations_known = true;
         for (index, segment) in &wearers.trackers {
             let sensor = &stage.sensors[usize::from(*index)];
-            let turn = sensor.mount_quat_wxyz.and_then(orientation_from_wxyz);
-            turns_known &= turn.is_some();
-            let place_m = sensor.offset_m.map_or_else(|| skeleton.usual_sensor_m(*segment), Vector3::from);
-            let segment_from_sensor = Isometry3::from_parts(place_m.into(), turn.unwrap_or_default());
-            trackers.push(WornTracker { sensor: *index, segment: *segment, segment_from_sensor });
+            let rotation = sensor.mount_quat_wxyz.and_then(orientation_from_wxyz);
+            rotations_known &= rotation.is_some();
+            let position_m = sensor.offset_m.map_or_else(|| skeleton.usual_sensor_m(*segment), Vector3::from);
+            let segment_from_sensor = Isometry3::from_parts(position_m.into(), rotation.unwrap_or_default());
+            trackers.push(BodyTracker { sensor: *index, segment: *segment, segment_from_sensor });
         }
         let imus = wearers.imus;
         let field = all_have_field(stage, &imus);
@@ -94,7 +94,7 @@ impl BodyStage {
             } else {
                 Solver::Waiting
             }
-        } else if turns_known {
+        } else if rotations_known {
             Solver::Trackers(Box::new(Follower::new(skeleton)))
         } else {
             Solver::Waiting
@@ -134,13 +134,13 @@ impl BodyStage {
             }
             Solver::Trackers(follower) => {
                 self.tracked.clear();
-                for worn in &self.trackers {
-                    let Some(pose) = shown(estimate, worn.sensor)
+                for tracker in &self.trackers {
+                    let Some(pose) = shown(estimate, tracker.sensor)
                         .and_then(|pose| isometry(pose.position_m?, pose.orientation_wxyz))
                     else {
                         continue;
                     };
-                    let WornTracker { segment, segment_from_sensor, .. } = *worn;
+                    let BodyTracker { segment, segment_from_sensor, .. } = *tracker;
                     self.tracked.push(Tracked { segment, room_from_sensor: pose, segment_from_sensor });
                 }
                 let figure = follower.push(&self.tracked)?;
@@ -247,13 +247,14 @@ impl BodyStage {
         let from_hips = self.skeleton.origins_m(&all, Vector3::zeros());
         let standing_m = self.skeleton.standing_m(&all);
         let (mut sum, mut count) = (Vector3::zeros(), 0.0);
-        for worn in &self.trackers {
-            let index = worn.segment.index();
-            if let Some(position_m) = shown(estimate, worn.sensor).and_then(|pose| pose.position_m)
+        for tracker in &self.trackers {
+            let index = tracker.segment.index();
+            if let Some(position_m) = shown(estimate, tracker.sensor).and_then(|pose| pose.position_m)
                 && found.orientations[index].is_some()
             {
-                let place = from_hips[index] + all[index] * worn.segment_from_sensor.translation.vector;
-                sum += Vector3::from(position_m) - place;
+                let expected_m =
+                    from_hips[index] + all[index] * tracker.segment_from_sensor.translation.vector;
+                sum += Vector3::from(position_m) - expected_m;
                 count += 1.0;
             }
         }
@@ -298,8 +299,8 @@ impl BodyStage {
         for segment in BodySegment::ALL {
             let index = segment.index();
             let seen = self.tracked.iter().any(|tracked| tracked.segment == segment);
-            let worn = self.trackers.iter().any(|tracker| tracker.segment == segment);
-            let (state, fault) = match (seen, worn) {
+            let tracked = self.trackers.iter().any(|tracker| tracker.segment == segment);
+            let (state, fault) = match (seen, tracked) {
                 (true, _) => (SegmentState::Ok, None),
                 (false, true) => (SegmentState::Suspect, Some(Cause::Missing)),
                 (false, false) => (SegmentState::Inferred, None),
@@ -317,15 +318,15 @@ impl BodyStage {
             let Some(parent) = segment.parent() else { continue };
             let of = |segment: BodySegment| self.out.segments[segment.index()].sigma_rad.powi(2);
             let [above, q] = [parent, segment].map(|of| figure.orientations[of.index()]);
-            let turn_rad2 = Matrix3::identity() * (of(parent) + of(segment));
-            self.out.spread.set(segment, &(above.inverse() * q), &turn_rad2);
+            let rotation_rad2 = Matrix3::identity() * (of(parent) + of(segment));
+            self.out.spread.set(segment, &(above.inverse() * q), &rotation_rad2);
         }
     }
 }
 
 impl Solver {
-    fn imus(skeleton: &Skeleton, worn: &[Option<SensorMount>; SEGMENTS], field: bool) -> Self {
-        let mut filter = BodyFilter::new(skeleton, worn, &BodyParams::default());
+    fn imus(skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS], field: bool) -> Self {
+        let mut filter = BodyFilter::new(skeleton, mounts, &BodyParams::default());
         if field {
             filter.await_field();
         }
@@ -336,7 +337,7 @@ impl Solver {
 /// The sensor of each segment that is asked first: an IMU, else a tracker.
 fn wearing(
     imus: &[Option<SensorIndex>; SEGMENTS],
-    trackers: &[WornTracker],
+    trackers: &[BodyTracker],
 ) -> [Option<SensorIndex>; SEGMENTS] {
     BodySegment::ALL.map(|segment| {
         let tracker = trackers.iter().find(|tracker| tracker.segment == segment);
@@ -347,7 +348,11 @@ fn wearing(
 /// How a sensor sits on `segment`, as the stage file specifies: `mount_quat_wxyz`, sensor to segment, and `offset_m`, segment
 /// frame, m; where that is absent, the usual place on a segment of this skeleton ([`Skeleton::usual_sensor_m`]). It does not look
 /// whether the sensor sits on that segment. `None` where the file does not say how it is turned.
-pub fn worn(sensor: &posed_stage::Sensor, segment: BodySegment, skeleton: &Skeleton) -> Option<SensorMount> {
+pub fn sensor_mount(
+    sensor: &posed_stage::Sensor,
+    segment: BodySegment,
+    skeleton: &Skeleton,
+) -> Option<SensorMount> {
     let q_segment_sensor: UnitQuaternion<f64> = orientation_from_wxyz(sensor.mount_quat_wxyz?)?;
     let offset_m = sensor.offset_m.map_or_else(|| skeleton.usual_sensor_m(segment), Vector3::from);
     Some(SensorMount { q_segment_sensor, offset_m, heading_rad: None })
@@ -362,12 +367,12 @@ fn mounting(
     let mut all = [None; SEGMENTS];
     for segment in BodySegment::ALL {
         let Some(index) = imus[segment.index()] else { continue };
-        let worn = worn(&stage.sensors[usize::from(index)], segment, skeleton);
+        let mount = sensor_mount(&stage.sensors[usize::from(index)], segment, skeleton);
         let lacks = PipelineError::Value {
             key: "sensor.mount_quat_wxyz",
             expected: "a quaternion for each sensor on the body, since its mounting is given",
         };
-        all[segment.index()] = Some(worn.ok_or(lacks)?);
+        all[segment.index()] = Some(mount.ok_or(lacks)?);
     }
     Ok(all)
 }

@@ -90,9 +90,9 @@ impl Rig {
 
 #[test]
 fn an_ill_sensor_is_named_within_a_second_and_the_rest_of_the_body_moves_on() {
-    let force = |record: &mut Option<Inertial>, force: [f64; 3]| {
+    let set_specific_force = |record: &mut Option<Inertial>, specific_force_m_s2: [f64; 3]| {
         if let Some(record) = record {
-            record.specific_force_m_s2 = Some(force);
+            record.specific_force_m_s2 = Some(specific_force_m_s2);
         }
     };
     type Spoil<'a> = &'a dyn Fn(&mut Records, usize);
@@ -103,9 +103,9 @@ fn an_ill_sensor_is_named_within_a_second_and_the_rest_of_the_body_moves_on() {
     };
     let cases: [(BodySegment, Spoil<'_>, Cause); 6] = [
         (BodySegment::ForearmR, &|all, i| all[i] = None, Cause::Missing),
-        (BodySegment::ThighL, &|all, i| force(&mut all[i], [f64::NAN; 3]), Cause::NotFinite),
+        (BodySegment::ThighL, &|all, i| set_specific_force(&mut all[i], [f64::NAN; 3]), Cause::NotFinite),
         (BodySegment::Torso, &|all, i| all[i] = Some(same), Cause::Stuck),
-        (BodySegment::ShankR, &|all, i| force(&mut all[i], [156.9, 0.0, 3.0]), Cause::Saturated),
+        (BodySegment::ShankR, &|all, i| set_specific_force(&mut all[i], [156.9, 0.0, 3.0]), Cause::Saturated),
         (BodySegment::ForearmL, &|all, i| all.swap(i, BodySegment::UpperArmL.index()), Cause::Misfit),
         // Its strap has slipped: see below.
         (BodySegment::UpperArmR, &|_, _| {}, Cause::Misfit),

@@ -170,8 +170,8 @@ impl ExerciseStage {
                 .push(known.cloned().ok_or_else(|| format!("exercises: no exercise {name:?} is loaded"))?);
         }
         let on_stage = |sensor: &str| self.columns.iter().any(|column| behind(column, sensor).is_some());
-        if let Some(worn) = sensors.values().find(|worn| !on_stage(worn)) {
-            return Err(format!("sensors: this stage has no sensor {worn:?}"));
+        if let Some(sensor) = sensors.values().find(|sensor| !on_stage(sensor)) {
+            return Err(format!("sensors: this stage has no sensor {sensor:?}"));
         }
         let mut channels = exercises.iter().flat_map(|exercise| &exercise.channels);
         let taught = |channel: &String| sensors.keys().any(|sensor| behind(channel, sensor).is_some());

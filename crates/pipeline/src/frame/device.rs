@@ -14,7 +14,7 @@ const LAG_MAX_S: f64 = 0.1;
 pub(super) struct Device {
     /// Latest cycle, and the host time at which something last came.
     latest: Option<Timestamp>,
-    heard: Option<Timestamp>,
+    received_at: Option<Timestamp>,
     period_s: Option<f64>,
     /// Longest lag from capture to the record's end, in this span and the one before, s.
     lag_s: [f64; 2],
@@ -25,7 +25,7 @@ pub(super) struct Device {
 impl Device {
     pub(super) fn stamp(&mut self, t_valid: Timestamp, period_s: Option<f64>, now: Timestamp) {
         self.latest = self.latest.max(Some(t_valid));
-        self.heard = Some(now);
+        self.received_at = Some(now);
         self.period_s = period_s.or(self.period_s);
         self.running = true;
         self.seen += 1;
@@ -55,7 +55,7 @@ impl Device {
 
     /// Whether records have come lately.
     pub(super) fn is_alive(&self, now: Timestamp) -> bool {
-        self.running && self.heard.is_some_and(|heard| now.seconds_since(heard) <= COAST_S)
+        self.running && self.received_at.is_some_and(|received_at| now.seconds_since(received_at) <= COAST_S)
     }
 
     pub(super) fn lag_s(&self) -> f64 {

@@ -251,13 +251,13 @@ impl<'a> SceneUpdate<'a> {
             indices: [],
         };
         for segment in BodySegment::ALL {
-            let Some(DrawnSegment { color, place }) = body.segments.get(segment.index()).and_then(placed)
+            let Some(DrawnSegment { color, pose }) = body.segments.get(segment.index()).and_then(placed)
             else {
                 continue;
             };
             let mut line = |from: Vector3<f64>, to: Vector3<f64>| {
                 for point in [from, to] {
-                    lines.points.push(Xyz::of((place * Point3::from(point)).coords.into()));
+                    lines.points.push(Xyz::of((pose * Point3::from(point)).coords.into()));
                     lines.colors.push(color);
                 }
             };
@@ -275,7 +275,7 @@ impl<'a> SceneUpdate<'a> {
             }
             if segment == BodySegment::Torso {
                 let [above_m, diameter_m] = HEAD.map(|lengths| lengths * skeleton.trunk_m);
-                let middle = place * Point3::from(top + Vector3::new(0.0, above_m, 0.0));
+                let middle = pose * Point3::from(top + Vector3::new(0.0, above_m, 0.0));
                 entity.spheres.push(Solid::ball(middle.coords.into(), diameter_m, color));
             }
         }
@@ -286,10 +286,10 @@ impl<'a> SceneUpdate<'a> {
 
 struct DrawnSegment {
     color: Color,
-    place: nalgebra::Isometry3<f64>,
+    pose: nalgebra::Isometry3<f64>,
 }
 
 fn placed(segment: &SegmentEstimate) -> Option<DrawnSegment> {
     let color = Color::of_segment(segment.state)?;
-    Some(DrawnSegment { color, place: isometry(segment.position_m?, segment.orientation_wxyz?)? })
+    Some(DrawnSegment { color, pose: isometry(segment.position_m?, segment.orientation_wxyz?)? })
 }

@@ -92,8 +92,8 @@ impl FieldChange {
             heldout_m: report.and_then(|report| finite(report.heldout_m)),
             anchors_m: report.and_then(|report| report.anchors_m).and_then(finite),
             arrows_m: map.as_ref().map_or_else(Vec::new, |map| {
-                let place = |p: [f64; 3]| p.map(|x| round::to(round::POSITION, x));
-                arrows(map, ARROWS).into_iter().map(|arrow| arrow.map(place)).collect()
+                let rounded = |p: [f64; 3]| p.map(|x| round::to(round::POSITION, x));
+                arrows(map, ARROWS).into_iter().map(|arrow| arrow.map(rounded)).collect()
             }),
         }
     }

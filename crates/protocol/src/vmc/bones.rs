@@ -49,18 +49,18 @@ fn rest(segment: BodySegment) -> UnitQuaternion<f64> {
 }
 
 /// The bones that sensors show, parents first; a bone whose parent is not shown cannot be reported.
-pub(super) fn of(body: &Body, skeleton: &Skeleton, turn: UnitQuaternion<f64>, scale: f64) -> Vec<Bone> {
-    let place = |segment: BodySegment| -> Option<Isometry3<f64>> {
+pub(super) fn of(body: &Body, skeleton: &Skeleton, heading: UnitQuaternion<f64>, scale: f64) -> Vec<Bone> {
+    let pose = |segment: BodySegment| -> Option<Isometry3<f64>> {
         let shown = body.segments.get(segment.index())?;
         let good = shown.state.is_shown();
         isometry(shown.position_m.filter(|_| good)?, shown.orientation_wxyz?)
     };
     // Joint and rotation from the T-pose, Unity's axes.
     let whole = |segment: BodySegment| {
-        let place = place(segment)?;
-        let joint_m = place * nalgebra::Point3::from(skeleton.joint_in_segment_m(segment));
-        let rotation = turn * place.rotation * rest(segment).inverse();
-        Some((unity_vector(turn * joint_m.coords) * scale, unity_rotation(rotation)))
+        let pose = pose(segment)?;
+        let joint_m = pose * nalgebra::Point3::from(skeleton.joint_in_segment_m(segment));
+        let rotation = heading * pose.rotation * rest(segment).inverse();
+        Some((unity_vector(heading * joint_m.coords) * scale, unity_rotation(rotation)))
     };
     let mut reported = [None; BodySegment::ALL.len()];
     let mut bones = Vec::with_capacity(reported.len());

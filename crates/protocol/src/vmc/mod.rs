@@ -39,8 +39,8 @@ const NOW: OscTime = OscTime { seconds: 0, fractional: 1 };
 #[derive(Clone, Debug)]
 pub struct Publisher {
     skeleton: Option<Skeleton>,
-    /// From the room to what is sent: the turn that the stage file asks for.
-    turn: UnitQuaternion<f64>,
+    /// From the room to what is sent: the rotation that the stage file asks for.
+    heading: UnitQuaternion<f64>,
     /// Lengths of the avatar over those of the person.
     scale: f64,
     /// Names of the sensors that are sent as trackers.
@@ -59,7 +59,7 @@ impl Publisher {
         let trackers = if settings.trackers { stage.magnetic_indices() } else { Vec::new() };
         Self {
             skeleton: stage.body.as_ref().and_then(skeleton_of),
-            turn: Rotation3::from_axis_angle(&Vector3::z_axis(), settings.heading_deg.to_radians()).into(),
+            heading: Rotation3::from_axis_angle(&Vector3::z_axis(), settings.heading_deg.to_radians()).into(),
             scale,
             trackers: trackers.into_iter().map(|at| (at, stage.sensors[at].name.clone())).collect(),
             period_s: 1.0 / settings.rate_hz.unwrap_or(DEFAULT_RATE_HZ),
@@ -75,7 +75,7 @@ impl Publisher {
             return;
         }
         let bones = match &self.skeleton {
-            Some(skeleton) => bones::of(body, skeleton, self.turn, self.scale),
+            Some(skeleton) => bones::of(body, skeleton, self.heading, self.scale),
             None => Vec::new(),
         };
         self.emit(body.t_valid, &bones, emit);
@@ -87,8 +87,8 @@ impl Publisher {
         self.sensors.clear();
         for &(at, _) in &self.trackers {
             let pose = estimate.sensors.get(at).and_then(|sensor| sensor.usable_pose());
-            let place = pose.and_then(|pose| isometry(pose.position_m?, pose.orientation_wxyz));
-            self.sensors.extend(place.map(|place| (at, place)));
+            let pose = pose.and_then(|pose| isometry(pose.position_m?, pose.orientation_wxyz));
+            self.sensors.extend(pose.map(|pose| (at, pose)));
         }
         if self.skeleton.is_none() && self.is_due(estimate.t_valid) {
             self.emit(estimate.t_valid, &[], emit);
@@ -135,10 +135,10 @@ impl Publisher {
         messages.extend(
             bones.iter().map(|bone| placed("/VMC/Ext/Bone/Pos", bone.name, bone.offset_m, bone.rotation)),
         );
-        for (at, place) in &self.sensors {
+        for (at, pose) in &self.sensors {
             let Some((_, name)) = self.trackers.iter().find(|(tracker, _)| tracker == at) else { continue };
-            let position_m = unity_vector(self.turn * place.translation.vector) * self.scale;
-            let rotation = unity_rotation(self.turn * place.rotation);
+            let position_m = unity_vector(self.heading * pose.translation.vector) * self.scale;
+            let rotation = unity_rotation(self.heading * pose.rotation);
             messages.push(placed("/VMC/Ext/Tra/Pos", name, position_m, rotation));
         }
         bundles(messages, &mut emit);

@@ -100,14 +100,14 @@ fn joints(messages: &BTreeMap<String, Vec<OscType>>) -> [Transform; SEGMENTS] {
 #[test]
 fn bones_put_together_are_the_body() {
     let skeleton = Skeleton::from_height(1.8);
-    let turns = |seed: f64| {
+    let rotations = |seed: f64| {
         std::array::from_fn::<_, SEGMENTS, _>(|at| {
             let at = at as f64 + seed;
             UnitQuaternion::from_euler_angles(at.sin() * 3.0, (at * 1.7).cos() * 1.5, (at * 2.3).sin() * 3.0)
         })
     };
     for seed in 0..20 {
-        let orientations = turns(f64::from(seed));
+        let orientations = rotations(f64::from(seed));
         let body = body(&orientations);
         let (stage, settings) = stage("");
         let messages = received(&mut Publisher::new(&stage, &settings), &body);

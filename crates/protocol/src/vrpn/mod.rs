@@ -4,8 +4,8 @@
 //! does: tell a pose that is not good (the protocol cannot say so), open a file because a client asks, own a socket.
 //!
 //! A tracker has sensor 0. Positions are in the room, m; a sensor that measures none is at the origin. Velocities and
-//! accelerations are linear in room axes, and turns in room axes made within [`TURN_S`]. The filter has no acceleration: it is
-//! the difference of the velocities of two frames.
+//! accelerations are linear in room axes, and rotations in room axes made within [`ROTATION_S`]. The filter has no
+//! acceleration: it is the difference of the velocities of two frames.
 
 mod peer;
 pub mod wire;
@@ -22,8 +22,8 @@ use posed_stage::output::{Estimate, Outcome, OutcomeKind, PoseEstimate, SensorEs
 pub use self::peer::Peer;
 pub use self::wire::Refused;
 
-/// Time in which the turn of a velocity is made, s.
-pub const TURN_S: f64 = 0.01;
+/// Time in which the rotation of an angular velocity is made, s.
+pub const ROTATION_S: f64 = 0.01;
 /// Frames further apart tell no acceleration, s.
 const MAX_STEP_S: f64 = 0.1;
 
@@ -63,7 +63,7 @@ pub struct Publisher {
 /// What was reported of one sensor.
 #[derive(Clone, Debug, Default)]
 struct Tracker {
-    /// Time, velocity and rate (room axes) of the frame before.
+    /// Time, velocity and angular velocity (room axes) of the frame before.
     before: Option<(Timestamp, Vector3<f64>, Vector3<f64>)>,
     pressed: bool,
 }
@@ -142,14 +142,16 @@ impl Tracker {
         wire::pose(from(POSE), pose.position_m.unwrap_or_default(), pose.orientation_wxyz, out);
         let Some(orientation) = posed_geometry::orientation_from_wxyz(pose.orientation_wxyz) else { return };
         let velocity = Vector3::from(pose.velocity_m_s.unwrap_or_default());
-        let rate = orientation * Vector3::from(pose.angular_velocity_rad_s);
-        wire::motion(from(VELOCITY), velocity.into(), turn_wxyz(rate), TURN_S, out);
-        if let Some((before, earlier_velocity, earlier_rate)) = self.before.replace((t, velocity, rate)) {
+        let angular_velocity = orientation * Vector3::from(pose.angular_velocity_rad_s);
+        wire::motion(from(VELOCITY), velocity.into(), rotation_wxyz(angular_velocity), ROTATION_S, out);
+        if let Some((before, earlier_velocity, earlier_angular_velocity)) =
+            self.before.replace((t, velocity, angular_velocity))
+        {
             let step_s = t.seconds_since(before);
             if 0.0 < step_s && step_s < MAX_STEP_S {
                 let linear = (velocity - earlier_velocity) / step_s;
-                let turn = turn_wxyz((rate - earlier_rate) / step_s);
-                wire::motion(from(ACCELERATION), linear.into(), turn, TURN_S, out);
+                let angular = rotation_wxyz((angular_velocity - earlier_angular_velocity) / step_s);
+                wire::motion(from(ACCELERATION), linear.into(), angular, ROTATION_S, out);
             }
         }
     }
@@ -180,8 +182,10 @@ pub fn fuzz_client(data: &[u8]) {
     assert_eq!(answer.len() % wire::HEADER, 0);
 }
 
-fn turn_wxyz(angular_velocity_rad_s: Vector3<f64>) -> [f64; 4] {
-    posed_geometry::orientation_to_wxyz(&UnitQuaternion::from_scaled_axis(angular_velocity_rad_s * TURN_S))
+fn rotation_wxyz(angular_velocity_rad_s: Vector3<f64>) -> [f64; 4] {
+    posed_geometry::orientation_to_wxyz(&UnitQuaternion::from_scaled_axis(
+        angular_velocity_rad_s * ROTATION_S,
+    ))
 }
 
 #[cfg(test)]
@@ -245,7 +249,7 @@ mod tests {
         let half = 0.5_f64.sqrt();
         assert_eq!(doubles(&first[0].1), [1.0, 2.0, 3.0, 0.0, half, 0.0, half]);
         let velocity = doubles(&first[1].1);
-        assert_eq!((velocity[0], velocity[7]), (0.5, TURN_S));
+        assert_eq!((velocity[0], velocity[7]), (0.5, ROTATION_S));
         // 2 rad/s about the sensor's x axis are -2 rad/s about the room's z axis.
         assert!((velocity[5] + 0.01_f64.sin()).abs() < 1e-12, "{velocity:?}");
         let second = report(&mut publisher, &estimate(1.01, 0.6, SensorState::Repaired, 1));

@@ -30,8 +30,8 @@ impl Peer {
             system::LOG => return Err(Refused::Log),
             kind if self.types.get(&kind).is_some_and(|name| name == PING) => {
                 // A name that is not here gets no answer, so that the client's operator is warned.
-                let asked = self.senders.get(&message.sender).and_then(|name| catalogue.number(name));
-                if let Some(sender) = asked {
+                let requested = self.senders.get(&message.sender).and_then(|name| catalogue.number(name));
+                if let Some(sender) = requested {
                     let from = From { sender, kind: PONG, utc_ns: catalogue.epoch_utc_ns };
                     wire::message(from, &[], out);
                 }

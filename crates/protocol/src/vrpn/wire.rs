@@ -173,10 +173,10 @@ pub fn pose(from: From, position_m: [f64; 3], orientation_wxyz: [f64; 4], out: &
 
 /// Appends a velocity or an acceleration in room axes: linear, m/s or m/s², and what is turned in `dt_s` (s), or by how much that
 /// changes in a second, a unit quaternion with its scalar first. `from.kind` states which of the two it is.
-pub fn motion(from: From, linear: [f64; 3], turn_wxyz: [f64; 4], dt_s: f64, out: &mut Vec<u8>) {
+pub fn motion(from: From, linear: [f64; 3], rotation_wxyz: [f64; 4], dt_s: f64, out: &mut Vec<u8>) {
     let mut payload = Doubles::<72>::new();
     payload.put(&linear);
-    payload.put_quaternion(turn_wxyz);
+    payload.put_quaternion(rotation_wxyz);
     payload.put(&[dt_s]);
     message(from, &payload.bytes, out);
 }

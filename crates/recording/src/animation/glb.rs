@@ -87,12 +87,12 @@ pub(super) fn bytes(skeleton: &Skeleton, frames: &[Frame]) -> Vec<u8> {
         let output = buffer.floats("VEC4", 4, &numbers);
         channel(index, "rotation", output);
     }
-    let places: Vec<f32> = frames
+    let translations: Vec<f32> = frames
         .iter()
         .flat_map(|frame| [frame.pelvis_m.x, frame.pelvis_m.y, frame.pelvis_m.z])
         .map(|v| v as f32)
         .collect();
-    let output = buffer.floats("VEC3", 3, &places);
+    let output = buffer.floats("VEC3", 3, &translations);
     channel(BodySegment::Pelvis.index(), "translation", output);
 
     let document = json!({

@@ -134,11 +134,15 @@ impl Animation {
 
 fn between(a: &Frame, b: &Frame, t_s: f64) -> Frame {
     let part = ((t_s - a.t_s) / (b.t_s - a.t_s)).clamp(0.0, 1.0);
-    let turn = |i: usize| {
+    let orientation = |i: usize| {
         let step = posed_geometry::so3::log(&(a.orientations[i].inverse() * b.orientations[i]));
         a.orientations[i] * posed_geometry::so3::exp(&(step * part))
     };
-    Frame { t_s, orientations: std::array::from_fn(turn), pelvis_m: a.pelvis_m.lerp(&b.pelvis_m, part) }
+    Frame {
+        t_s,
+        orientations: std::array::from_fn(orientation),
+        pelvis_m: a.pelvis_m.lerp(&b.pelvis_m, part),
+    }
 }
 
 /// From a segment's joint to the joint of a child, the segment's frame, m.

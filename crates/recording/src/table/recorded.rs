@@ -97,9 +97,9 @@ impl RecordedStreams {
                 let name = self.sensors.get(*index);
                 let usable = |entry: &&SensorEntry| name == Some(&entry.name) && entry.state.is_usable();
                 let measured = message.sensors.iter().find(usable).and_then(|entry| entry.measured.as_ref());
-                let force = measured.and_then(|measured| measured.specific_force_m_s2);
-                let rate = measured.and_then(|measured| measured.angular_velocity_rad_s);
-                signals::append_inertial(force, rate, &mut self.row);
+                let specific_force_m_s2 = measured.and_then(|measured| measured.specific_force_m_s2);
+                let angular_velocity_rad_s = measured.and_then(|measured| measured.angular_velocity_rad_s);
+                signals::append_inertial(specific_force_m_s2, angular_velocity_rad_s, &mut self.row);
             }
             let fresh = self.body.as_ref().filter(|body| message.t_s - body.t_s <= signals::BODY_AGE_S);
             self.row.extend(self.angles.iter().map(|(joint, angle)| fresh?.angle_deg(joint, angle)));

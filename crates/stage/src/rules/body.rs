@@ -34,7 +34,7 @@ pub(super) fn check(root: &Item<'_, '_>, notes: &mut Notes<'_>) {
     } else {
         SEGMENTS.to_vec()
     };
-    worn(&body, &sensors, &names, notes);
+    body_sensors(&body, &sensors, &names, notes);
     calibrations(&body, &segments, custom, notes);
 }
 
@@ -93,7 +93,7 @@ fn tree(body: &Item<'_, '_>, segments: &[Item<'_, '_>], notes: &mut Notes<'_>) {
     }
 }
 
-fn worn(body: &Item<'_, '_>, sensors: &[Item<'_, '_>], names: &[&str], notes: &mut Notes<'_>) {
+fn body_sensors(body: &Item<'_, '_>, sensors: &[Item<'_, '_>], names: &[&str], notes: &mut Notes<'_>) {
     let given = body.text("mounting").is_some_and(|mounting| mounting.value == "given");
     for sensor in sensors {
         let segment = sensor.text("segment");

@@ -45,7 +45,7 @@ impl FlockSession {
     }
 
     /// Nothing has come for a while: that is said, and the session goes on listening.
-    pub(super) fn heard_nothing(&mut self, now: Timestamp, mut streaming: Box<Streaming>) {
+    pub(super) fn received_nothing(&mut self, now: Timestamp, mut streaming: Box<Streaming>) {
         let silence_s = streaming.silence.as_secs();
         streaming.silent_at = now + streaming.silence;
         self.phase = Phase::Streaming(streaming);

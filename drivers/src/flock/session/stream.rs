@@ -129,7 +129,7 @@ impl FlockSession {
         input: impl FnOnce(&mut Splitter, &mut dyn FnMut(Event)),
     ) {
         let Self { outputs, settling, wanted, .. } = self;
-        let mut heard = false;
+        let mut received = false;
         let mut published = false;
         let Streaming { splitter, settled_at, returned, strangers, .. } = &mut *streaming;
         let settled = now >= *settled_at;
@@ -137,7 +137,7 @@ impl FlockSession {
         input(splitter, &mut |event| {
             match event {
             Event::Sample(sample) => {
-                heard = true;
+                received = true;
                 if !settled || returned.iter().any(|&(address, _)| address == sample.address) {
                     *settling += 1;
                 } else if wanted.iter().any(|&address| u16::from(address) == sample.address) {
@@ -171,7 +171,7 @@ impl FlockSession {
             self.warn("a bird that was missing has appeared; the flock is set up again with it".into());
             return self.examine(now);
         }
-        if heard {
+        if received {
             streaming.silent_at = now + streaming.silence;
             self.pause = FIRST_PAUSE;
             if let Some(poll) = &mut streaming.poll
@@ -189,7 +189,7 @@ impl FlockSession {
     pub(super) fn stream_timeout(&mut self, now: Timestamp, mut streaming: Box<Streaming>) {
         if now >= streaming.silent_at {
             if self.settings.mode == Mode::Listen {
-                return self.heard_nothing(now, streaming);
+                return self.received_nothing(now, streaming);
             }
             let silence_ms = streaming.silence.as_millis();
             self.phase = Phase::Streaming(streaming);

@@ -148,14 +148,14 @@ pub fn decode(bytes: &[u8], shape: Shape, scale: Scale, tolerance: Tolerance) ->
         .format
         .has_position()
         .then(|| [0, 1, 2].map(|i| f64::from(words[i]) / FULL_SCALE * scale.range.metres()));
-    let turn = &words[if shape.format.has_position() { 3 } else { 0 }..];
+    let orientation = &words[if shape.format.has_position() { 3 } else { 0 }..];
     let orientation_wxyz = match shape.format {
         Format::Position => None,
         Format::Angles | Format::PositionAngles => Some(rotation::from_angles(
-            [0, 1, 2].map(|i| f64::from(turn[i]) / FULL_SCALE * std::f64::consts::PI),
+            [0, 1, 2].map(|i| f64::from(orientation[i]) / FULL_SCALE * std::f64::consts::PI),
         )),
         Format::Matrix | Format::PositionMatrix => {
-            let m = std::array::from_fn(|i| f64::from(turn[i]) / FULL_SCALE);
+            let m = std::array::from_fn(|i| f64::from(orientation[i]) / FULL_SCALE);
             let error = rotation::orthonormality_error(m);
             if error > tolerance.matrix {
                 return Err(RecordError::NotARotation { error });
@@ -163,7 +163,7 @@ pub fn decode(bytes: &[u8], shape: Shape, scale: Scale, tolerance: Tolerance) ->
             Some(rotation::from_matrix(m))
         }
         Format::Quaternion | Format::PositionQuaternion => {
-            let q = std::array::from_fn(|i| f64::from(turn[i]) / FULL_SCALE);
+            let q = std::array::from_fn(|i| f64::from(orientation[i]) / FULL_SCALE);
             let error = (rotation::norm(q) - 1.0).abs();
             if error > tolerance.quaternion_norm {
                 return Err(RecordError::NotARotation { error });
