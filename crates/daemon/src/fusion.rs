@@ -151,8 +151,13 @@ pub enum Command {
         /// Who wants to know.
         reply: Option<Reply>,
     },
-    /// Swaps a model in.
-    LoadModel(Model),
+    /// Swaps a model in, if it can be used.
+    LoadModel {
+        /// The model.
+        model: Model,
+        /// Who wants to know.
+        reply: Option<Reply>,
+    },
     /// Copies what was tracked lately.
     Recent {
         /// After this time, s.
@@ -202,6 +207,13 @@ pub enum Command {
     LookAtJobs,
     /// Ends the thread.
     Shutdown,
+}
+
+impl Command {
+    /// Swaps a model in that the daemon has made itself; nobody waits for the answer.
+    pub(super) fn load(model: Model) -> Self {
+        Self::LoadModel { model, reply: None }
+    }
 }
 
 /// A recording in progress, or one that has ended by itself and is not yet reported.
@@ -353,8 +365,12 @@ impl Fusion {
                 }
                 answer(reply, checked.map(|()| None));
             }
-            Command::LoadModel(model) => {
-                self.step(&Entry { t: self.clock.now(), input: Input::Model(model) })
+            Command::LoadModel { model, reply } => {
+                let checked = self.pipeline.check_model(&model);
+                if checked.is_ok() {
+                    self.step(&Entry { t: self.clock.now(), input: Input::Model(model) });
+                }
+                answer(reply, checked.map(|()| None));
             }
             Command::Recent { from_s, columns, to } => {
                 let wanted = |column: &str| columns.iter().any(|wanted| wanted == column);

@@ -449,8 +449,21 @@ impl Pipeline {
         }
     }
 
+    /// Whether a model can be used now; [`Input::Model`] then swaps it in, unless it is of a part that this stage does not have.
+    ///
+    /// # Errors
+    /// A sentence about what stands against it: [`Model::check`], or that there are too many of its kind, or that it costs too much.
+    pub fn check_model(&self, model: &Model) -> Result<(), String> {
+        model.check()?;
+        match model {
+            Model::Exercise { exercise } => self.exercise.check_load(exercise),
+            Model::Imu { unit, .. } => self.units.check_load(unit),
+            _ => Ok(()),
+        }
+    }
+
     fn swap(&mut self, model: &Model, emit: &mut impl FnMut(Output<'_>)) {
-        let accepted = model.check().is_ok() && self.apply(model);
+        let accepted = self.check_model(model).is_ok() && self.apply(model);
         if !accepted {
             self.models_refused += 1;
             return;

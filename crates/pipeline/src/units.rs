@@ -9,6 +9,11 @@ use posed_stage::input::SensorIndex;
 use posed_stage::output::Measured;
 use posed_state::Plain;
 
+/// Units whose intrinsics can be known at a time.
+const UNITS: usize = 1024;
+/// Longest name of a unit, bytes.
+const UNIT_BYTES: usize = 64;
+
 #[derive(Clone, Debug, Plain)]
 pub(super) struct Units {
     /// By unit.
@@ -34,6 +39,21 @@ impl Units {
     /// Whether no unit is known, so that nobody needs to be asked who it is.
     pub(super) fn is_empty(&self) -> bool {
         self.known.is_empty()
+    }
+
+    /// Whether a unit's intrinsics can be taken.
+    ///
+    /// # Errors
+    /// A sentence: its name is too long, or there are too many units.
+    pub(super) fn check_load(&self, unit: &str) -> Result<(), String> {
+        let known = self.known.binary_search_by(|known| known.unit.as_str().cmp(unit)).is_ok();
+        if unit.len() > UNIT_BYTES {
+            Err(format!("unit: give a name of at most {UNIT_BYTES} bytes"))
+        } else if !known && self.known.len() >= UNITS {
+            Err(format!("unit: there are {UNITS} units already"))
+        } else {
+            Ok(())
+        }
     }
 
     /// Takes a unit's intrinsics, in place of those before.

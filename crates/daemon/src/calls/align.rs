@@ -140,7 +140,7 @@ impl Session {
             )
             .into());
         }
-        let load = |model| self.inbox.command(Command::LoadModel(model));
+        let load = |model| self.inbox.command(Command::load(model));
         let position_m = room.translation.vector.into();
         load(Model::Transmitter { position_m, orientation_wxyz: orientation_to_wxyz(&room.rotation) });
         let mut emitted = "it is known how the transmitter stands".to_owned();

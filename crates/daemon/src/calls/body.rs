@@ -99,7 +99,7 @@ impl Session {
             .filter_map(|segment| Some((segment, found.quality_deg[segment.index()]?)))
             .max_by(|(_, a), (_, b)| a.total_cmp(b));
         let sensors = self.mounted(&imus, &found);
-        self.inbox.command(Command::LoadModel(Model::Mounting { sensors }));
+        self.inbox.command(Command::load(Model::Mounting { sensors }));
         let worst = worst.map_or_else(String::new, |(segment, quality_deg)| {
             format!("; the worst is {} with {quality_deg:.1} degrees", segment.name())
         });

@@ -58,7 +58,7 @@ impl Session {
             ).into());
         }
         let calibration = Box::new(calibration);
-        self.inbox.command(Command::LoadModel(Model::Chain { calibration }));
+        self.inbox.command(Command::load(Model::Chain { calibration }));
         let worst = worst.map_or_else(String::new, |(joint, quality_deg)| {
             format!("; the worst is {joint} with {quality_deg:.1} degrees")
         });

@@ -217,7 +217,7 @@ impl Classroom {
         );
         let subject = self.lesson.subject.clone().unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
         let exercises = vec![exercise.name.clone()];
-        self.inbox.command(Command::LoadModel(Model::Exercise { exercise: Box::new(exercise) }));
+        self.inbox.command(Command::load(Model::Exercise { exercise: Box::new(exercise) }));
         let (plan, sensors) = (Plan::default(), BTreeMap::new());
         let request = Request::ExerciseSelect { subject, exercises, plan, sensors };
         self.inbox.command(Command::Request { request, models: Vec::new(), reply: None });

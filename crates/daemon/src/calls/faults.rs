@@ -141,7 +141,7 @@ impl Workshop {
     }
 
     fn load(&self, fault_map: FaultMap) {
-        self.inbox.command(Command::LoadModel(Model::Faults { fault_map: Box::new(fault_map) }));
+        self.inbox.command(Command::load(Model::Faults { fault_map: Box::new(fault_map) }));
     }
 }
 

@@ -111,7 +111,7 @@ impl Session {
         result["intrinsics"] = json!(found);
         result["file"] = json!(file);
         job.result(result);
-        self.inbox.command(Command::LoadModel(model));
+        self.inbox.command(Command::load(model));
         let field =
             found.mag.map(|mag| format!(", field to {:.1} %", 100.0 * mag.residual)).unwrap_or_default();
         Ok(format!(

@@ -28,7 +28,7 @@ use super::track;
 use posed_pipeline::DEFAULT_SUBJECT;
 use posed_protocol::{Answer, Call, Exercises, KeptExercise, MapVersion, Recordings};
 use posed_stage::Stage;
-use posed_stage::input::{Entry, Input, Model, Plan, Request};
+use posed_stage::input::{Model, Plan, Request};
 
 /// Longest name of a recording, bytes.
 const NAME_BYTES: usize = 128;
@@ -105,8 +105,7 @@ impl Calls {
             }
             Call::ModelLoad { model } => match self.check_model(&model) {
                 Ok(()) => {
-                    self.inbox.enter(Entry { t: self.clock.now(), input: Input::Model(model) });
-                    reply.ok(None);
+                    self.inbox.command(Command::LoadModel { model, reply: Some(reply) });
                 }
                 Err(refusal) => reply.refuse(refusal),
             },

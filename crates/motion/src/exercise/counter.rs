@@ -8,6 +8,7 @@
 use posed_state::Plain;
 
 use super::channels::Binding;
+use super::cost::CountingCost;
 use super::counting::Counting;
 use super::event::Event;
 use super::exercise::Exercise;
@@ -31,6 +32,23 @@ pub enum CounterError {
     /// Two exercises cannot be counted at once.
     #[error("exercises `{0}` and `{1}` were taught at different frame rates and cannot be counted at once")]
     Rates(String, String),
+    /// Counting them would take more memory or time than a stage has for it ([`CountingCost::LIMIT`]).
+    #[error(
+        "counting {} takes {states} states, {mebibytes} MiB and {millions} million comparisons a second, where {} states, {} MiB and \
+         {:.0} million are the most: select fewer exercises, or teach shorter ones",
+        .names.join(", "), CountingCost::LIMIT.states, CountingCost::LIMIT.bytes >> 20,
+        1e-6 * CountingCost::LIMIT.evaluations_per_s
+    )]
+    TooCostly {
+        /// Names of the exercises.
+        names: Vec<String>,
+        /// States of their joint model.
+        states: usize,
+        /// Memory, MiB.
+        mebibytes: u64,
+        /// Gaussians evaluated per second, in millions.
+        millions: u64,
+    },
 }
 
 /// Counts repetitions of taught exercises in one stream, all exercises at once.
@@ -42,34 +60,54 @@ pub struct Counter {
     binding: Binding,
     resampler: Resampler,
     counting: Counting,
+    cost: CountingCost,
 }
 
 impl Counter {
     /// Counts `exercises` in a stream with these columns, all at once: they compete for every frame.
     ///
     /// # Errors
-    /// There is no exercise, a channel is missing, or the exercises were taught at different frame rates.
+    /// As [`Self::check`]; no memory was taken then.
     pub fn new(exercises: Vec<Exercise>, columns: &[String]) -> Result<Self, CounterError> {
-        let Some(first) = exercises.first() else { return Err(CounterError::None) };
-        let rate_hz = first.rate_hz;
+        let cost = Self::check(&exercises, columns)?;
         let mut all: Vec<String> = Vec::new();
-        for exercise in &exercises {
-            if exercise.rate_hz != rate_hz {
+        for channel in exercises.iter().flat_map(|exercise| &exercise.channels) {
+            if !all.contains(channel) {
+                all.push(channel.clone());
+            }
+        }
+        let rate_hz = exercises.first().map_or(0.0, |first| first.rate_hz);
+        // Every channel was found above.
+        let binding = Binding::new(&all, columns)
+            .map_err(|channel| CounterError::NoChannel { exercise: String::new(), channel })?;
+        let resampler = Resampler::new(rate_hz, all.len());
+        Ok(Self { binding, resampler, counting: Counting::new(exercises, &all, rate_hz), cost })
+    }
+
+    /// Whether `exercises` can be counted at once in a stream with these columns, and what it would cost.
+    ///
+    /// # Errors
+    /// There is no exercise, a channel is missing, the exercises were taught at different frame rates, or they cost more than
+    /// [`CountingCost::LIMIT`].
+    pub fn check(exercises: &[Exercise], columns: &[String]) -> Result<CountingCost, CounterError> {
+        let first = exercises.first().ok_or(CounterError::None)?;
+        for exercise in exercises {
+            if exercise.rate_hz != first.rate_hz {
                 return Err(CounterError::Rates(first.name.clone(), exercise.name.clone()));
             }
             Binding::new(&exercise.channels, columns)
                 .map_err(|channel| CounterError::NoChannel { exercise: exercise.name.clone(), channel })?;
-            for channel in &exercise.channels {
-                if !all.contains(channel) {
-                    all.push(channel.clone());
-                }
-            }
         }
-        // Checked for each exercise above.
-        let binding = Binding::new(&all, columns)
-            .map_err(|channel| CounterError::NoChannel { exercise: first.name.clone(), channel })?;
-        let resampler = Resampler::new(rate_hz, all.len());
-        Ok(Self { binding, resampler, counting: Counting::new(exercises, &all, rate_hz) })
+        let cost = CountingCost::of(exercises);
+        if cost.within(&CountingCost::LIMIT) {
+            return Ok(cost);
+        }
+        Err(CounterError::TooCostly {
+            names: exercises.iter().map(|exercise| exercise.name.clone()).collect(),
+            states: cost.states,
+            mebibytes: cost.bytes >> 20,
+            millions: (1e-6 * cost.evaluations_per_s) as u64,
+        })
     }
 
     /// Takes a row of the stream at `t_s` (s, not negative), in the order of the columns, `None` where there is no
@@ -88,6 +126,11 @@ impl Counter {
             counting.push(frame, t_s, each);
         });
         counting.finish(each);
+    }
+
+    /// What it costs to count these.
+    pub fn cost(&self) -> CountingCost {
+        self.cost
     }
 
     /// The exercises, in the order of their index.

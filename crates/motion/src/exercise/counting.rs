@@ -7,6 +7,7 @@
 use posed_state::Plain;
 
 use super::align::trim;
+use super::cost::Spans;
 use super::event::{Event, EventKind};
 use super::exercise::Exercise;
 use super::exercise_topology::{ExerciseTopology, PathState};
@@ -17,11 +18,6 @@ use super::hmm::{LogRatio, Movement};
 use super::judge::{Measures, Reason, judge, measure};
 use super::passage::{Mark, Passage};
 use super::viterbi::ShortTimeViterbi;
-
-/// Least bound on the delay of the path, s; below, background wins before the movement has shown itself.
-const LEAST_DELAY_S: f64 = 0.8;
-/// Bound on the delay as a share of the longest exercise: half a repetition costs no exactness.
-const DELAY_SHARE: f64 = 0.5;
 
 /// One exercise with what it sees.
 #[derive(Clone, Debug, Plain)]
@@ -85,12 +81,7 @@ impl Counting {
     pub(super) fn new(exercises: Vec<Exercise>, all: &[String], rate_hz: f64) -> Self {
         let exercise_topology =
             ExerciseTopology::new(exercises.iter().map(|exercise| (exercise.states(), exercise.sizes.len())));
-        let longest_s = exercises.iter().map(|exercise| exercise.durations.longest_s).fold(0.0, f64::max);
-        let median_s = exercises.iter().map(|exercise| exercise.durations.median_s).fold(0.0, f64::max);
-        let bound = (LEAST_DELAY_S.max(DELAY_SHARE * median_s) * rate_hz).ceil() as usize;
-        let slowest = exercises.iter().map(|exercise| exercise.gate.duration[1]).fold(1.0, f64::max);
-        // A repetition that does not fit is too slow to count.
-        let capacity = (slowest * longest_s * rate_hz).ceil() as usize + 2 * bound + 8;
+        let Spans { bound_frames: bound, capacity_frames: capacity } = Spans::of(&exercises);
         let watched: Vec<Watched> = exercises
             .into_iter()
             .map(|exercise| {

@@ -14,6 +14,7 @@
 
 mod align;
 mod channels;
+mod cost;
 mod counter;
 mod counting;
 mod event;
@@ -41,6 +42,7 @@ mod tests;
 mod viterbi;
 
 pub use channels::{all_channels, columns_of};
+pub use cost::CountingCost;
 pub use counter::{Counter, CounterError};
 pub use event::{Event, EventKind};
 pub use exercise::{Durations, Exercise, ExerciseError, Gate};

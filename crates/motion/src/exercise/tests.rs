@@ -290,3 +290,35 @@ fn a_missing_channel_is_named() {
     let error = Counter::new(vec![taught(0).exercise], &["knee_deg".to_owned()]).unwrap_err();
     assert!(error.to_string().contains("elbow_flexion_deg"), "{error}");
 }
+
+/// The largest exercise that every single check lets through.
+fn enormous() -> Exercise {
+    let mut exercise = taught(1).exercise;
+    let states = 4096;
+    for rows in [&mut exercise.movement.states.mean, &mut exercise.movement.states.sd] {
+        rows.iter_mut().for_each(|row| *row = vec![row[0]; states]);
+    }
+    exercise.sizes = (0..8).map(|k| 1.0 - 0.1 * f64::from(k)).collect();
+    exercise.rate_hz = 1000.0;
+    (exercise.durations.median_s, exercise.durations.longest_s) = (599.0, 599.0);
+    exercise.check().unwrap();
+    exercise
+}
+
+#[test]
+fn an_exercise_that_would_take_gigabytes_is_refused_before_they_are_taken() {
+    let columns = enormous().channels;
+    let refusal = Counter::new(vec![enormous()], &columns).unwrap_err();
+    assert!(matches!(refusal, CounterError::TooCostly { states: 32769, .. }), "{refusal}");
+    // Each could be counted alone.
+    let many = |k: u32| {
+        let mut exercise = enormous();
+        exercise.name = format!("exercise {k}");
+        (exercise.rate_hz, exercise.durations.median_s, exercise.durations.longest_s) = (25.0, 4.0, 6.0);
+        exercise.sizes.truncate(3);
+        exercise
+    };
+    assert!(Counter::new(vec![many(0)], &columns).is_ok());
+    let refusal = Counter::new((0..8).map(many).collect(), &columns).unwrap_err();
+    assert!(refusal.to_string().contains("select fewer exercises"), "{refusal}");
+}

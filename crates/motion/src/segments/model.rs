@@ -66,6 +66,15 @@ pub struct Card {
     pub provenance: Provenance,
 }
 
+/// Most classes of a model: every one may follow every other.
+const MOST_LABELS: usize = 1024;
+/// Most frames of all minimum durations together.
+const MOST_STATES: usize = 16_384;
+/// Most memory that a model may take when it runs live, bytes.
+const MOST_BYTES: usize = 256 << 20;
+/// Most multiplications per second of a stream: what a core does.
+const MOST_PRODUCTS_PER_S: f64 = 4e9;
+
 /// How scores become labels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Plain)]
 #[serde(deny_unknown_fields)]
@@ -169,7 +178,8 @@ impl Model {
         }
         card.check().map_err(damaged)?;
         let tensors = SafeTensors::deserialize(bytes).map_err(|error| format(&error))?;
-        let mut parameters = Vec::with_capacity(card.shape.parameters());
+        // No more than there can be: the card is not to be trusted with memory.
+        let mut parameters = Vec::with_capacity(card.shape.parameters().min(bytes.len() / 4));
         for (index, layer) in card.shape.layers().iter().enumerate() {
             let number = index + 1;
             let parts =
@@ -225,6 +235,21 @@ impl Card {
         let second = |value: &f64| (0.0..=600.0).contains(value);
         check(decision.minimum_s.len() == labels.len(), "a duration per label")?;
         check(decision.minimum_s.iter().all(second) && second(&decision.wait_s), "durations up to 600 s")?;
-        check(decision.switch.is_finite() && decision.switch <= 0.0, "switch of at most 0")
+        check(decision.switch.is_finite() && decision.switch <= 0.0, "switch of at most 0")?;
+        check(labels.len() <= MOST_LABELS, "at most 1024 labels")?;
+        check(self.is_affordable(), "less memory and work than one stage has for it")
+    }
+
+    /// Whether it can run live: each number of it may be within its range where their product is not.
+    fn is_affordable(&self) -> bool {
+        let rate_hz = self.preparation.rate_hz;
+        let ticks = |seconds: f64| (seconds * rate_hz).round() as usize;
+        let states: usize = self.decision.minimum_s.iter().map(|seconds| ticks(*seconds).max(1)).sum();
+        let waiting = (ticks(self.decision.wait_s) + 2).next_power_of_two();
+        let layers = self.shape.layers();
+        let seen: usize = layers.iter().map(|layer| (layer.span() + 1) * layer.inputs).sum();
+        let numbers = self.shape.parameters() + seen + waiting * (states + self.labels.len());
+        let products_per_s = self.shape.parameters() as f64 * rate_hz;
+        states <= MOST_STATES && 4 * numbers <= MOST_BYTES && products_per_s <= MOST_PRODUCTS_PER_S
     }
 }

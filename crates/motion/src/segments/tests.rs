@@ -179,6 +179,25 @@ fn damaged_models_are_refused() {
     broken.network.parameters[0] = f32::NAN;
     let error = Model::from_bytes(&broken.to_bytes().unwrap()).unwrap_err();
     assert!(error.to_string().contains("finite"), "{error}");
+    // Sizes that no memory holds, each number within its range.
+    let shapes: [fn(&mut Card); 4] = [
+        |card| card.shape.filters = vec![8192; 8],
+        |card| {
+            card.preparation.rate_hz = 1000.0;
+            card.decision.minimum_s.fill(600.0);
+        },
+        |card| {
+            card.preparation.rate_hz = 1000.0;
+            (card.decision.wait_s, card.decision.minimum_s[0]) = (600.0, 10.0);
+        },
+        |card| (card.shape.width, card.shape.filters) = (9, vec![64; 8]),
+    ];
+    for enlarge in shapes {
+        let mut broken = model.clone();
+        enlarge(&mut broken.card);
+        let error = Model::from_bytes(&broken.to_bytes().unwrap()).unwrap_err().to_string();
+        assert!(error.contains("less memory"), "{error}");
+    }
     let mut broken = model;
     broken.card.version = 99;
     assert!(Model::from_bytes(&broken.to_bytes().unwrap()).unwrap_err().to_string().contains("version 99"));

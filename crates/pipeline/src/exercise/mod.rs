@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use posed_state::State;
 
 use self::subject::Subject;
-use posed_motion::exercise::{Counter, Exercise};
+use posed_motion::exercise::{Counter, CountingCost, Exercise};
 use posed_stage::Stage;
 use posed_stage::input::{Plan, Request};
 use posed_stage::name::Name;
@@ -25,6 +25,11 @@ pub const DEFAULT_SUBJECT: &str = "default";
 const SUBJECTS: usize = 64;
 /// Exercises that one subject can be counted in at once, and longest set.
 const SELECTED: usize = 32;
+/// Exercises that can be loaded at a time, by name.
+const LOADED: usize = 256;
+/// Most that counting may cost over all subjects.
+const STAGE_COST: CountingCost =
+    CountingCost { states: 65_536, bytes: 256 << 20, evaluations_per_s: 2e8 };
 const LONGEST_SET: u32 = 10_000;
 /// Longest name of a subject, bytes.
 const NAME_BYTES: usize = 64;
@@ -54,9 +59,22 @@ impl ExerciseStage {
         Self { columns, inertial, body, row, library: Vec::new(), subjects: Vec::new() }
     }
 
-    /// Takes an exercise; false where the stage lacks one of its channels.
+    /// Whether an exercise can be loaded.
+    ///
+    /// # Errors
+    /// A sentence: the stage lacks one of its channels, it costs too much, or there are too many.
+    pub(super) fn check_load(&self, exercise: &Exercise) -> Result<(), String> {
+        let known = self.library.iter().any(|known| known.name == exercise.name);
+        if !known && self.library.len() >= LOADED {
+            return Err(format!("there are {LOADED} exercises already: load it under the name of one of them"));
+        }
+        let one = std::slice::from_ref(exercise);
+        Counter::check(one, &self.columns).map(drop).map_err(|error| error.to_string())
+    }
+
+    /// Takes an exercise that [`Self::check_load`] accepts; false where it does not.
     pub(super) fn load(&mut self, exercise: &Exercise) -> bool {
-        if Counter::new(vec![exercise.clone()], &self.columns).is_err() {
+        if self.check_load(exercise).is_err() {
             return false;
         }
         match self.library.iter_mut().find(|known| known.name == exercise.name) {
@@ -74,8 +92,15 @@ impl ExerciseStage {
         // Exercises of other frame rates have to be selected alone.
         let rate_hz = self.library.first().map(|exercise| exercise.rate_hz);
         let fitting = self.library.iter().filter(|exercise| Some(exercise.rate_hz) == rate_hz);
-        let names: Vec<String> = fitting.take(SELECTED).map(|exercise| exercise.name.clone()).collect();
-        let counter = self.counter(&names, &BTreeMap::new()).ok();
+        let mut names: Vec<String> = fitting.take(SELECTED).map(|exercise| exercise.name.clone()).collect();
+        // As many as can be counted at once: what was loaded last gives way.
+        let counter = loop {
+            match self.affordable(DEFAULT_SUBJECT, &names, &BTreeMap::new()) {
+                Ok(exercises) => break Counter::new(exercises, &self.columns).ok(),
+                Err(_) if names.pop().is_some() => {}
+                Err(_) => break None,
+            }
+        };
         self.select(DEFAULT_SUBJECT, counter, Plan::default(), false, estimate, emit);
     }
 
@@ -103,7 +128,11 @@ impl ExerciseStage {
                 if !(0.0..=3600.0).contains(&plan.rest_s) {
                     return Err("rest_s: give 0 to 3600 seconds".into());
                 }
-                if exercises.is_empty() { Ok(()) } else { self.counter(exercises, sensors).map(drop) }
+                if exercises.is_empty() {
+                    Ok(())
+                } else {
+                    self.affordable(subject, exercises, sensors).map(drop)
+                }
             }
             Request::ExerciseReset { subject } => {
                 let known = self.subjects.iter().any(|known| known.name() == subject);
@@ -127,7 +156,8 @@ impl ExerciseStage {
         }
         match request {
             Request::ExerciseSelect { subject, exercises, plan, sensors } => {
-                let counter = self.counter(exercises, sensors).ok();
+                let exercises = self.affordable(subject, exercises, sensors).ok();
+                let counter = exercises.and_then(|exercises| Counter::new(exercises, &self.columns).ok());
                 self.select(subject, counter, *plan, true, estimate, emit);
             }
             Request::ExerciseReset { subject } => {
@@ -158,8 +188,31 @@ impl ExerciseStage {
         }
     }
 
-    /// Counts these exercises with the sensors that stand for those they were taught with.
-    fn counter(&self, names: &[String], sensors: &BTreeMap<String, String>) -> Result<Counter, String> {
+    /// What a subject is to be counted in, if it can be had beside what is counted for all others.
+    fn affordable(
+        &self,
+        subject: &str,
+        names: &[String],
+        sensors: &BTreeMap<String, String>,
+    ) -> Result<Vec<Exercise>, String> {
+        let exercises = self.exercises(names, sensors)?;
+        let cost = Counter::check(&exercises, &self.columns).map_err(|error| error.to_string())?;
+        let others = self.subjects.iter().filter(|other| other.name() != subject).filter_map(Subject::cost);
+        if others.fold(cost, CountingCost::plus).within(&STAGE_COST) {
+            Ok(exercises)
+        } else {
+            Err("exercises: counting them beside those of all other subjects takes more memory or time than a stage has; \
+                 select fewer"
+                .into())
+        }
+    }
+
+    /// These exercises, with the sensors that stand for those they were taught with.
+    fn exercises(
+        &self,
+        names: &[String],
+        sensors: &BTreeMap<String, String>,
+    ) -> Result<Vec<Exercise>, String> {
         let mut exercises = Vec::with_capacity(names.len());
         for name in names {
             if exercises.iter().any(|known: &Exercise| known.name == *name) {
@@ -185,7 +238,7 @@ impl ExerciseStage {
                 *channel = renamed;
             }
         }
-        Counter::new(exercises, &self.columns).map_err(|error| error.to_string())
+        Ok(exercises)
     }
 
     fn select(

@@ -3,7 +3,7 @@
 use posed_drivers::Timestamp;
 use posed_state::Plain;
 
-use posed_motion::exercise::{Counter, Event, EventKind, Hint};
+use posed_motion::exercise::{Counter, CountingCost, Event, EventKind, Hint};
 use posed_stage::input::Plan;
 use posed_stage::name::Name;
 use posed_stage::output::{
@@ -67,6 +67,11 @@ impl Subject {
 
     pub(super) fn name(&self) -> &str {
         &self.name
+    }
+
+    /// What counting costs for it; `None` where nothing is selected.
+    pub(super) fn cost(&self) -> Option<CountingCost> {
+        self.counter.as_ref().map(Counter::cost)
     }
 
     pub(super) fn has_selected(&self) -> bool {
