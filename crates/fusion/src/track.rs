@@ -183,6 +183,21 @@ impl Track {
         next
     }
 
+    /// The track moved to `t` like [`Self::predicted`], and back where `t` is earlier: by its velocities alone, with its own
+    /// covariance. That is for the few milliseconds by which a measurement may follow the time it is wanted for.
+    #[must_use]
+    pub fn moved_to(&self, t: Timestamp, tuning: &Tuning) -> Self {
+        let dt = t.seconds_since(self.t);
+        if dt >= 0.0 {
+            return self.predicted(t, tuning);
+        }
+        let mut earlier = *self;
+        earlier.t = t;
+        earlier.position_m += self.velocity_m_s * dt;
+        earlier.orientation = self.orientation * so3::exp(&(self.angular_velocity_rad_s * dt));
+        earlier
+    }
+
     /// What this (predicted) track expects of a measurement at its time, transmitter frame: for the fault detector and the
     /// gate.
     pub fn expectation(&self, tuning: &Tuning) -> Prediction {

@@ -72,6 +72,12 @@ impl Tracker {
         (t.seconds_since(track.t()) <= COAST_S).then(|| track.predicted(t, &self.tuning))
     }
 
+    /// As [`Self::at`], but moved back where `t` is earlier ([`Track::moved_to`]).
+    pub fn moved_to(&self, t: Timestamp) -> Option<Track> {
+        let track = self.track.as_ref()?;
+        (t.seconds_since(track.t()) <= COAST_S).then(|| track.moved_to(t, &self.tuning))
+    }
+
     /// Takes a checked measurement at its own capture time; times must not go back.
     ///
     /// [`Verdict::Dropped`] where it is withheld, [`Verdict::Used`] inside the gate (99.9 % of chi squared). What is outside

@@ -207,7 +207,8 @@ impl Inertial {
     pub(super) fn at(&self, t: Timestamp) -> (Option<PoseEstimate>, bool) {
         let fresh = |last: &Oriented| t.seconds_since(last.t) <= COAST_S;
         let Some(last) = self.last.filter(fresh) else { return (None, false) };
-        let ahead_s = t.seconds_since(last.t).clamp(0.0, COAST_RATE_S);
+        // A record may follow the frame's tick by a little.
+        let ahead_s = t.seconds_since(last.t).clamp(-COAST_RATE_S, COAST_RATE_S);
         let orientation =
             last.orientation * UnitQuaternion::from_scaled_axis(last.angular_velocity_rad_s * ahead_s);
         let pose = PoseEstimate {

@@ -28,8 +28,7 @@ const SELECTED: usize = 32;
 /// Exercises that can be loaded at a time, by name.
 const LOADED: usize = 256;
 /// Most that counting may cost over all subjects.
-const STAGE_COST: CountingCost =
-    CountingCost { states: 65_536, bytes: 256 << 20, evaluations_per_s: 2e8 };
+const STAGE_COST: CountingCost = CountingCost { states: 65_536, bytes: 256 << 20, evaluations_per_s: 2e8 };
 const LONGEST_SET: u32 = 10_000;
 /// Longest name of a subject, bytes.
 const NAME_BYTES: usize = 64;
@@ -66,7 +65,9 @@ impl ExerciseStage {
     pub(super) fn check_load(&self, exercise: &Exercise) -> Result<(), String> {
         let known = self.library.iter().any(|known| known.name == exercise.name);
         if !known && self.library.len() >= LOADED {
-            return Err(format!("there are {LOADED} exercises already: load it under the name of one of them"));
+            return Err(format!(
+                "there are {LOADED} exercises already: load it under the name of one of them"
+            ));
         }
         let one = std::slice::from_ref(exercise);
         Counter::check(one, &self.columns).map(drop).map_err(|error| error.to_string())

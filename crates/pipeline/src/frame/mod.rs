@@ -1,8 +1,12 @@
 //! Frames: the stage clock, and which samples belong to which of its ticks.
 //!
 //! What comes in: the cycles and samples of all devices, with their capture times. What goes out: [`Frame`]s
-//! with strictly rising times, each holding all samples with `t_valid` in `(t_k-1, t_k]`. What it never does:
-//! interpolate, reorder, wait for a sensor that is not expected.
+//! with strictly rising times, each holding all samples with `t_valid` in `(t_k-1, t_k]`, and where it has none of a sensor
+//! that measures at every tick, the one that follows within [`SLACK`]. What it never does: interpolate, reorder, wait for a
+//! sensor that is not expected.
+//!
+//! Ticks lie on the samples of one device. Those of another one in step with it lie on the ticks, too, and capture times are
+//! known to a fraction of a millisecond: without slack chance would decide in which frame each of them is.
 //!
 //! The stage clock follows the fastest device: its cycles are the ticks, so that its samples lie on them and
 //! are never resampled. Cycles that were lost get their ticks from the clock model. While that device is
@@ -27,6 +31,10 @@ use posed_stage::output::Measured;
 
 /// How long ticks go on without a sample of any device, s; then they stop until one arrives.
 pub const COAST_S: f64 = 0.5;
+/// Share of a period by which the sample of a frame that lacks one may follow its tick.
+const SLACK: f64 = 0.25;
+/// How much longer than the ticks' interval the period of a device may be that measures at every tick.
+const SAME_RATE: f64 = 1.1;
 /// A sensor that has missed so many cycles is no longer waited for.
 const UNHEARD_CYCLES: f64 = 5.0;
 /// Share of a period by which a cycle between two ticks may be late before it counts as missed.
@@ -46,7 +54,8 @@ pub struct FrameSample {
 /// One sensor in a frame.
 #[derive(Clone, Debug, Default, PartialEq, Plain)]
 pub struct FrameSensor {
-    /// All samples since the last tick, and late ones, oldest first; the newest is the frame's value. Empty where none came.
+    /// All samples since the last tick, and late ones, oldest first; the newest is the frame's value. Where there is none, one that
+    /// follows the tick by up to a quarter of a period. Empty where none came.
     pub samples: Vec<FrameSample>,
     /// Cycles of the sensor's device without a sample that this frame accounts for: counted by the cycles of the device's clock,
     /// so an estimate where the device was away.
@@ -390,12 +399,14 @@ impl Assembler {
         }
         let Some(newest) = sensor.newest else { return true };
         let unheard = latest.seconds_since(newest) > UNHEARD_CYCLES * period_s;
-        let next_is_later = latest.seconds_since(t) + period_s > 0.25 * period_s;
+        let next_is_later = latest.seconds_since(t) + period_s > SLACK * period_s;
         unheard || (newest >= latest && next_is_later)
     }
 
     fn close(&mut self, tick: Tick, now: Timestamp) {
         let interval_s = self.last_closed.map_or(f64::INFINITY, |last| tick.t.seconds_since(last));
+        let reference_s = self.reference.and_then(|index| self.devices[index].period_s());
+        let tick_s = self.grid_s.or(reference_s).unwrap_or(interval_s);
         let frame = &mut self.frame;
         frame.number += u64::from(self.last_closed.is_some());
         frame.t_valid = tick.t;
@@ -413,6 +424,14 @@ impl Assembler {
             }
             let is_clock = tick.device == Some(sensor.device);
             let device = &self.devices[sensor.device];
+            let period_s = device.period_s().filter(|period_s| *period_s <= SAME_RATE * tick_s);
+            if let (true, Some(period_s)) = (slot.samples.is_empty(), period_s)
+                && let Some(next) = sensor.queue.front()
+                && next.measured.t_valid.seconds_since(tick.t) <= SLACK * period_s
+            {
+                slot.samples.push(*next);
+                sensor.queue.pop_front();
+            }
             slot.missed = sensor.missed(device, &slot.samples, tick.t, is_clock.then_some(interval_s));
         }
         self.last_closed = Some(tick.t);

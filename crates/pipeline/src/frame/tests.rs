@@ -137,3 +137,51 @@ fn a_rate_of_its_own_makes_a_grid() {
     assert_eq!(bench.times_ms()[..5], [40.0, 80.0, 120.0, 160.0, 200.0]);
     assert!(bench.closed[1..].iter().all(|frame| frame.sensors[0].samples.len() == 4));
 }
+
+/// Ten devices of one rate whose cycles lie `spread_ms` apart, read 3 ms later; their capture times are known to `sigma_ms`.
+/// Frames that lack a sensor, and cycles that are counted as missed, of 2000 frames.
+fn in_step(spread_ms: f64, sigma_ms: f64, drift_ppm: f64) -> (usize, u32) {
+    const DEVICES: u16 = 10;
+    let sensors: Vec<DeviceIndex> = (0..DEVICES).collect();
+    let mut bench = Bench::new(&sensors, None);
+    let mut random = 1u64;
+    let mut noise = || {
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((random >> 11) as f64 / (1u64 << 53) as f64 - 0.5) * 12.0_f64.sqrt()
+    };
+    for k in 0..2000 {
+        for device in 0..DEVICES {
+            let period_ms = 10.0 * (1.0 + 1e-6 * drift_ppm * f64::from(device));
+            let t = f64::from(k) * period_ms + f64::from(device) * spread_ms;
+            bench.record(
+                device,
+                device,
+                t + sigma_ms * noise(),
+                f64::from(k) * 10.0 + 3.0 + 0.1 * f64::from(device),
+            );
+        }
+    }
+    let frames = &bench.closed[20..];
+    let lacking = frames.iter().filter(|frame| frame.sensors.iter().any(|sensor| sensor.samples.is_empty()));
+    let missed = frames.iter().flat_map(|frame| &frame.sensors).map(|sensor| sensor.missed).sum();
+    (lacking.count(), missed)
+}
+
+#[test]
+fn devices_in_step_lack_no_frame() {
+    for (spread_ms, sigma_ms) in [(0.0, 0.1), (0.0, 0.5), (0.1, 0.3), (-0.1, 0.3)] {
+        assert_eq!(in_step(spread_ms, sigma_ms, 0.0), (0, 0), "{spread_ms} ms apart, sigma {sigma_ms} ms");
+    }
+}
+
+/// Each of nine devices slips past a tick at most once or twice in 20 s.
+#[test]
+fn devices_that_drift_slip_past_a_tick_once() {
+    for drift_ppm in [-50.0, 50.0] {
+        let (lacking, missed) = in_step(0.1, 0.3, drift_ppm);
+        assert!(
+            lacking <= 18 && missed <= 18,
+            "{drift_ppm} ppm: {lacking} frames lack a sensor, {missed} missed"
+        );
+    }
+}
