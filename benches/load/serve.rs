@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use posed_daemon::Vital;
 use posed_daemon::server::{Config, Hub, Server};
 use posed_drivers::Timestamp;
 use posed_stage::output::{Estimate, PoseEstimate, SensorEstimate, SensorState};
@@ -60,7 +61,7 @@ pub(crate) fn start(args: &Args) -> Served {
                 None => format!("ws://{}/ws", server.address()),
             };
             ready.send((url, hub)).expect("who started this");
-            server.run(async { _ = stopped.await }).await;
+            server.run(async { _ = stopped.await }, Vital::default()).await;
         });
     });
     let (url, hub) = started.recv().expect("a server");

@@ -90,7 +90,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
             rehearse(stage, daemon.inbox(), daemon.clock());
         }
         watch::announce(daemon.vrpn_address())?;
-        let ended = watch::until_end(daemon.url(), daemon.status(), duration_s).await;
+        let ended = watch::until_end(daemon.url(), daemon.status(), daemon.part_ended(), duration_s).await;
         // The daemon first: to it, devices that end would be unplugged.
         daemon.shutdown().await;
         let stopped =

@@ -92,7 +92,8 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     }
     super::run::runtime()?.block_on(async {
         let hub = Hub::start(HubOptions { stage, folder, http, fuse }).map_err(Error::failed)?;
-        let ended = super::watch::until_end_with(hub.url(), hub.stages(), None, in_words).await;
+        let ended =
+            super::watch::until_end_with(hub.url(), hub.stages(), hub.part_ended(), None, in_words).await;
         hub.shutdown().await;
         ended
     })

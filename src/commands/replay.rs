@@ -109,7 +109,7 @@ fn serve(args: &Args) -> Result<(), Error> {
     runtime()?.block_on(async {
         let playback =
             Playback::start(&args.recording, args.listen.clone(), args.speed).map_err(Error::failed)?;
-        let ended = watch::until_end(playback.url(), playback.status(), None).await;
+        let ended = watch::until_end(playback.url(), playback.status(), playback.part_ended(), None).await;
         playback.shutdown().await;
         ended
     })

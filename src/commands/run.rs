@@ -52,7 +52,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     runtime()?.block_on(async {
         let daemon = Daemon::start(options).map_err(Error::failed)?;
         watch::announce(daemon.vrpn_address())?;
-        let ended = watch::until_end(daemon.url(), daemon.status(), None).await;
+        let ended = watch::until_end(daemon.url(), daemon.status(), daemon.part_ended(), None).await;
         daemon.shutdown().await;
         ended
     })

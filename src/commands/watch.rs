@@ -5,6 +5,7 @@ use std::net::SocketAddr;
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
+use posed_daemon::PartEnded;
 use posed_protocol::{LinkState, Status};
 use tokio::sync::watch;
 
@@ -17,15 +18,17 @@ use super::{Error, print};
 pub(crate) async fn until_end(
     url: &str,
     status: watch::Receiver<Status>,
+    part_ended: watch::Receiver<Option<PartEnded>>,
     duration_s: Option<f64>,
 ) -> Result<(), Error> {
-    until_end_with(url, status, duration_s, in_words).await
+    until_end_with(url, status, part_ended, duration_s, in_words).await
 }
 
 /// The same for anything that can be put into one line.
 pub(crate) async fn until_end_with<T>(
     url: &str,
     mut status: watch::Receiver<T>,
+    mut part_ended: watch::Receiver<Option<PartEnded>>,
     duration_s: Option<f64>,
     in_words: impl Fn(&T) -> String,
 ) -> Result<(), Error> {
@@ -33,13 +36,16 @@ pub(crate) async fn until_end_with<T>(
     print(&format!("posed is running: open {url} (Ctrl-C ends it)\n"))?;
     let line = io::stderr().is_terminal().then(spinner).transpose()?;
     let mut manager = Manager::ready();
-    loop {
+    let ended = loop {
         tokio::select! {
-            () = end.wait() => break,
+            () = end.wait() => break Ok(()),
+            // Somebody starts it again who sees that it has failed.
+            Ok(part) = part_ended.wait_for(Option::is_some) => {
+                break part.as_ref().map_or(Ok(()), |part| Err(Error::Failed(part.to_string())));
+            }
             changed = status.changed() => {
                 if changed.is_err() {
-                    // The daemon's thread is gone: there is nothing left to watch.
-                    break;
+                    break Err(Error::Failed("what makes the status ended by itself; the log says why above, please report it".into()));
                 }
                 let status = status.borrow_and_update();
                 manager.alive(|| in_words(&status));
@@ -48,12 +54,12 @@ pub(crate) async fn until_end_with<T>(
                 }
             }
         }
-    }
+    };
     manager.stopping();
     if let Some(line) = line {
         line.finish_and_clear();
     }
-    Ok(())
+    ended
 }
 
 /// Says where programs that speak VRPN find the sensors, if the stage serves them.

@@ -42,6 +42,7 @@ pub mod recordings;
 pub mod server;
 mod service;
 mod track;
+mod vital;
 
 use std::any::Any;
 use std::net::SocketAddr;
@@ -58,6 +59,7 @@ pub use self::models::ModelError;
 pub use self::observers::{Observer, Times};
 pub use self::playback::{Playback, PlaybackError};
 pub use self::ports::ended;
+pub use self::vital::{PartEnded, Vital};
 
 use self::calibration::Calibration;
 use self::calls::Calls;
@@ -172,7 +174,7 @@ impl Daemon {
         let mut daemon = Self::start_without_ports(options)?;
         for (place, port) in places.into_iter().zip(&mut daemon.ports) {
             if let Some(task) = port.take() {
-                daemon.service.spawn(task.keep_open(place));
+                daemon.service.spawn(format!("the port of {}", place.device()), task.keep_open(place));
             }
         }
         Ok(daemon)
@@ -259,11 +261,12 @@ impl Daemon {
         #[expect(clippy::disallowed_methods, reason = "the daemon owns the fusion thread")]
         let fusion = std::thread::Builder::new()
             .name("fusion".into())
-            .spawn(move || fusion.run())
+            .spawn(service.vital().thread("tracking", move || fusion.run()))
             .map_err(StartError::Thread)?;
 
         let calls = Calls::new(&stage, data, clock, inbox.clone(), jobs, calibration);
-        service.spawn(calls.run(pending, service.down()));
+        let calls = calls.run(pending, service.down());
+        service.spawn("what answers requests", calls);
         Ok(Self { clock, service, inbox, status, ports, fusion, link: session })
     }
 
@@ -274,7 +277,8 @@ impl Daemon {
     /// Outside a tokio runtime.
     pub fn attach<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(&mut self, device: u16, stream: S) {
         if let Some(mut task) = self.ports.get_mut(usize::from(device)).and_then(Option::take) {
-            self.service.spawn(async move {
+            // A stream that ends is no port that can be opened again.
+            self.service.spawn_aside(async move {
                 if let Some(reason) = task.pump(Port::new(stream)).await {
                     task.closed(reason);
                 }
@@ -306,6 +310,12 @@ impl Daemon {
     /// addresses.
     pub fn url(&self) -> &str {
         self.service.url()
+    }
+
+    /// The first part of the daemon that ended before [`Self::shutdown`], once there is one: nothing more can be expected of the
+    /// daemon then but an orderly end. `None` until then.
+    pub fn part_ended(&self) -> watch::Receiver<Option<PartEnded>> {
+        self.service.part_ended()
     }
 
     /// The newest status: at least one a second; empty before the first.

@@ -11,6 +11,7 @@ use super::player::{Command, Outlet, PlayError, Played, Player};
 use super::ports::ended;
 use super::server::{BindError, Config, Server};
 use super::service::Service;
+use super::vital::PartEnded;
 use posed_protocol::{Status, Topic};
 use posed_recording::{Header, Outline, ReadError, Reader};
 use posed_stage::{Problems, Stage};
@@ -81,12 +82,12 @@ impl Playback {
         #[expect(clippy::disallowed_methods, reason = "the daemon owns the player's thread")]
         let player = std::thread::Builder::new()
             .name("player".into())
-            .spawn(move || player.run())
+            .spawn(service.vital().thread("the player", move || player.run()))
             .map_err(PlaybackError::Thread)?;
 
         let forward = commands.clone();
         let mut down = service.down();
-        service.spawn(async move {
+        service.spawn("what answers requests", async move {
             loop {
                 tokio::select! {
                     () = ended(&mut down) => return,
@@ -103,6 +104,11 @@ impl Playback {
     /// The address to open in a browser, as [`Daemon::url`](super::Daemon::url).
     pub fn url(&self) -> &str {
         self.service.url()
+    }
+
+    /// The first part that ended before [`Self::shutdown`], as [`Daemon::part_ended`](super::Daemon::part_ended).
+    pub fn part_ended(&self) -> watch::Receiver<Option<PartEnded>> {
+        self.service.part_ended()
     }
 
     /// The newest status: about one a second; empty before the first.

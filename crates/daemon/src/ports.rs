@@ -66,6 +66,11 @@ impl DevicePort {
         })
     }
 
+    /// Name of the device.
+    pub(super) fn device(&self) -> &str {
+        &self.device.name
+    }
+
     /// Opens the port, or finds it.
     async fn open(&self) -> Result<Port<Stream>, String> {
         let path = &self.device.port;

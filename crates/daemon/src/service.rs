@@ -10,6 +10,7 @@ use tokio::task::JoinSet;
 
 use super::ports::ended;
 use super::server::Server;
+use super::vital::{PartEnded, Vital};
 
 /// Time that the thread has to end, a recording included.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(4);
@@ -20,6 +21,7 @@ pub(super) struct Service {
     vrpn_address: Option<SocketAddr>,
     url: String,
     shutdown: watch::Sender<bool>,
+    vital: Vital,
     tasks: JoinSet<()>,
 }
 
@@ -28,9 +30,11 @@ impl Service {
     pub(super) fn start(server: Server) -> Self {
         let (address, vrpn_address, url) = (server.address(), server.vrpn_address(), server.url());
         let (shutdown, mut down) = watch::channel(false);
+        let vital = Vital::new(shutdown.subscribe());
         let mut tasks = JoinSet::new();
-        tasks.spawn(server.run(async move { ended(&mut down).await }));
-        Self { address, vrpn_address, url, shutdown, tasks }
+        let serving = server.run(async move { ended(&mut down).await }, vital.clone());
+        tasks.spawn(vital.task("the server", serving));
+        Self { address, vrpn_address, url, shutdown, vital, tasks }
     }
 
     pub(super) fn address(&self) -> SocketAddr {
@@ -50,8 +54,23 @@ impl Service {
         self.shutdown.subscribe()
     }
 
-    /// A task that ends when [`Self::down`] says so.
-    pub(super) fn spawn(&mut self, task: impl Future<Output = ()> + Send + 'static) {
+    /// The first part that ended before it was asked to.
+    pub(super) fn part_ended(&self) -> watch::Receiver<Option<PartEnded>> {
+        self.vital.ended()
+    }
+
+    /// The parts whose end is told.
+    pub(super) fn vital(&self) -> &Vital {
+        &self.vital
+    }
+
+    /// A part that ends when [`Self::down`] says so, and not before.
+    pub(super) fn spawn(&mut self, part: impl Into<String>, task: impl Future<Output = ()> + Send + 'static) {
+        self.tasks.spawn(self.vital.task(part, task));
+    }
+
+    /// A task that may end alone.
+    pub(super) fn spawn_aside(&mut self, task: impl Future<Output = ()> + Send + 'static) {
         self.tasks.spawn(task);
     }
 

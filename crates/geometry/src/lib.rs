@@ -31,6 +31,7 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 pub const GRAVITY_M_S2: f64 = 9.806_65;
 
 /// The same angle in (-pi, pi], rad; NaN where `angle_rad` is not finite.
+#[inline]
 pub fn wrapped_rad(angle_rad: f64) -> f64 {
     use std::f64::consts::{PI, TAU};
     let wrapped = angle_rad.rem_euclid(TAU);
@@ -40,6 +41,7 @@ pub fn wrapped_rad(angle_rad: f64) -> f64 {
 /// Unit quaternion from (w, x, y, z), Hamilton, of any length: it is normalised.
 ///
 /// `None` where a number is not finite or the length is at most 1e-6.
+#[inline]
 pub fn orientation_from_wxyz(wxyz: [f64; 4]) -> Option<UnitQuaternion<f64>> {
     let [w, x, y, z] = wxyz;
     // nalgebra's constructor takes w first although it stores it last.
@@ -49,6 +51,7 @@ pub fn orientation_from_wxyz(wxyz: [f64; 4]) -> Option<UnitQuaternion<f64>> {
 }
 
 /// (w, x, y, z), unit length, with w >= 0, so that equal rotations have equal numbers (but for angles of pi, where w is 0).
+#[inline]
 pub fn orientation_to_wxyz(orientation: &UnitQuaternion<f64>) -> [f64; 4] {
     let sign = if orientation.w < 0.0 { -1.0 } else { 1.0 };
     [sign * orientation.w, sign * orientation.i, sign * orientation.j, sign * orientation.k]
@@ -58,6 +61,7 @@ pub fn orientation_to_wxyz(orientation: &UnitQuaternion<f64>) -> [f64; 4] {
 /// the frame that both are given in.
 ///
 /// `None` where a number is not finite, or the quaternion is no orientation ([`orientation_from_wxyz`]).
+#[inline]
 pub fn isometry(position_m: [f64; 3], orientation_wxyz: [f64; 4]) -> Option<Isometry3<f64>> {
     let position = Vector3::from(position_m);
     position.iter().all(|value| value.is_finite()).then_some(())?;

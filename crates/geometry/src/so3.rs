@@ -8,11 +8,13 @@ const SMALL_ANGLE_RAD: f64 = 1e-6;
 const CANCELLING_ANGLE_RAD: f64 = 1e-2;
 
 /// Matrix of the cross product, skew-symmetric: `hat(a) * b = a x b`.
+#[inline]
 pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
 }
 
 /// Rotation by `|w|` rad about `w`, of any length (Rodrigues); the unit quaternion has w < 0 for angles between pi and 3 pi.
+#[inline]
 pub fn exp(w: &Vector3<f64>) -> UnitQuaternion<f64> {
     let angle = w.norm();
     let half_sinc =
@@ -25,6 +27,7 @@ pub fn exp(w: &Vector3<f64>) -> UnitQuaternion<f64> {
 /// give the same vector.
 ///
 /// By `2 atan2(|v|, w)` with `w >= 0`, which stays accurate close to pi, unlike the trace's arccos.
+#[inline]
 pub fn log(q: &UnitQuaternion<f64>) -> Vector3<f64> {
     let (w, v) = if q.w < 0.0 { (-q.w, -q.imag()) } else { (q.w, q.imag()) };
     let sine = v.norm();
@@ -48,6 +51,7 @@ pub(super) fn coefficients(angle_rad: f64) -> (f64, f64) {
 
 /// Right Jacobian at the rotation vector `w`, rad: `exp(w + d) = exp(w) * exp(right_jacobian(w) * d)` to first order in `d`
 /// (Solà 2017; see `docs/methods/magnetic-pose.md`).
+#[inline]
 pub fn right_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
     let (b, c) = coefficients(w.norm());
     let h = hat(w);
@@ -55,6 +59,7 @@ pub fn right_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
 }
 
 /// Inverse of [`right_jacobian`] for angles below 2 pi, where it becomes singular.
+#[inline]
 pub fn right_jacobian_inverse(w: &Vector3<f64>) -> Matrix3<f64> {
     let h = hat(w);
     Matrix3::identity() + h * 0.5 + h * h * cotangent_coefficient(w.norm())

@@ -18,26 +18,31 @@ impl Timestamp {
     pub const ZERO: Self = Self(0);
 
     /// Time `nanos` nanoseconds after the stage's epoch; negative before it.
+    #[inline]
     pub const fn from_nanos(nanos: i64) -> Self {
         Self(nanos)
     }
 
     /// Time `seconds` after the stage's epoch, rounded to the nanosecond; the ends of the range beyond it, the epoch for NaN.
+    #[inline]
     pub fn from_secs_f64(seconds: f64) -> Self {
         Self((seconds * 1e9).round() as i64)
     }
 
     /// Nanoseconds since the stage's epoch.
+    #[inline]
     pub const fn as_nanos(self) -> i64 {
         self.0
     }
 
     /// Seconds since the stage's epoch; an `f64` resolves the nanosecond for the first three months.
+    #[inline]
     pub fn as_secs_f64(self) -> f64 {
         self.0 as f64 * 1e-9
     }
 
     /// Seconds from `earlier` to `self`; negative when `self` is the earlier one.
+    #[inline]
     pub fn seconds_since(self, earlier: Self) -> f64 {
         (self.0 - earlier.0) as f64 * 1e-9
     }

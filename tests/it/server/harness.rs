@@ -5,6 +5,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
+use posed_daemon::Vital;
 use posed_daemon::server::{Config, Hub, PendingCall, Server};
 use posed_drivers::Timestamp;
 use posed_stage::Stage;
@@ -67,9 +68,10 @@ pub(crate) fn start(stage: &Stage, config: Config) -> Running {
     let (server, hub, calls) = Server::bind(stage, config).unwrap();
     let (address, vrpn, url) = (server.address(), server.vrpn_address(), server.url());
     let (stop, stopped) = oneshot::channel();
-    let task = tokio::spawn(server.run(async {
+    let stopped = async {
         let _ = stopped.await;
-    }));
+    };
+    let task = tokio::spawn(server.run(stopped, Vital::default()));
     Running { address, url, vrpn, hub, calls, stop: Some(stop), task }
 }
 

@@ -46,6 +46,7 @@ use self::streams::Streaming;
 use self::vrpn::{Outlet, Vrpn};
 use super::clock::StageClock;
 use super::link::Feed;
+use super::vital::Vital;
 use posed_protocol::vrpn::{Catalogue, Publisher};
 use posed_protocol::{Counters, HelloSensor, Names, Problem, Topic};
 use posed_stage::input::SensorIndex;
@@ -350,11 +351,14 @@ impl Server {
         self.listener.url()
     }
 
-    /// Serves until `shutdown` resolves; then tells every client goodbye (1001) and returns within the shutdown timeout.
-    pub async fn run(self, shutdown: impl Future<Output = ()>) {
+    /// Serves until `shutdown` resolves; then tells every client goodbye (1001) and returns within the shutdown timeout. A part
+    /// that ends before is told by `vital`.
+    pub async fn run(self, shutdown: impl Future<Output = ()>, vital: Vital) {
         let Self { listener, shared, outlets, vrpn, hub, commands } = self;
-        let distributing = tokio::spawn(distribute(outlets, hub, commands, Arc::clone(&shared)));
-        let others = vrpn.map(|vrpn| tokio::spawn(vrpn.run(listener.report.subscribe())));
+        let distributing = distribute(outlets, hub, commands, Arc::clone(&shared));
+        let distributing = tokio::spawn(vital.task("what sends to clients", distributing));
+        let others = vrpn.map(|vrpn| vital.task("what serves VRPN", vrpn.run(listener.report.subscribe())));
+        let others = others.map(tokio::spawn);
         listener.serve(http::router(shared), shutdown).await;
         distributing.abort();
         // What it holds has then ended too.

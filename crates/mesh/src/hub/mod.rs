@@ -30,7 +30,7 @@ use self::follow::Follower;
 use super::session::{self, LinkError};
 use super::wire::{Keys, RUN, TOKEN};
 use posed_daemon::server::{BindError, HubServer, StageRegistry};
-use posed_daemon::{StageClock, ended};
+use posed_daemon::{PartEnded, StageClock, Vital, ended};
 use posed_protocol::Stages;
 use posed_stage::Stage;
 
@@ -70,6 +70,7 @@ pub struct Hub {
     url: String,
     shutdown: watch::Sender<bool>,
     stages: watch::Receiver<Stages>,
+    vital: Vital,
     tasks: JoinSet<()>,
     session: Session,
 }
@@ -97,9 +98,11 @@ impl Hub {
         let (address, url) = (server.address(), server.url());
         let mut tasks = JoinSet::new();
         let mut server_down = down.clone();
-        tasks.spawn(server.run(async move { ended(&mut server_down).await }));
+        let vital = Vital::new(down.clone());
+        tasks.spawn(vital.task("the server", server.run(async move { ended(&mut server_down).await })));
         let board = Board::new(clock);
-        tasks.spawn(report(board.clone(), registry.clone(), reported, down.clone()));
+        let report = report(board.clone(), registry.clone(), reported, down.clone());
+        tasks.spawn(vital.task("what reports the stages", report));
         let followers = Followers {
             session: session.clone(),
             registry,
@@ -110,8 +113,8 @@ impl Hub {
             runs: BTreeMap::new(),
             reported: BTreeMap::new(),
         };
-        tasks.spawn(followers.run(down));
-        Ok(Self { address, url, shutdown, stages, tasks, session })
+        tasks.spawn(vital.task("what follows the stages", followers.run(down)));
+        Ok(Self { address, url, shutdown, stages, vital, tasks, session })
     }
 
     /// The address that the page listens on; its port is the one given by the system where 0 was asked for.
@@ -127,6 +130,11 @@ impl Hub {
     /// What is reported of all stages: a new value once a second and when a stage comes or goes; empty before the first.
     pub fn stages(&self) -> watch::Receiver<Stages> {
         self.stages.clone()
+    }
+
+    /// The first part of the hub that ended before [`Self::shutdown`], once there is one; `None` until then.
+    pub fn part_ended(&self) -> watch::Receiver<Option<PartEnded>> {
+        self.vital.ended()
     }
 
     /// Ends everything; clients are notified of the end. What has not ended after 4 s is cut off, with an error in the log.
