@@ -20,7 +20,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let report = match std::fs::read(&args.stage) {
-        Ok(bytes) => report(&bytes, args.stage.parent().unwrap_or(Path::new(""))),
+        Ok(bytes) => report(&bytes, &args.stage),
         Err(error) => return Err(Error::file("read", &args.stage, &error)),
     };
     if args.json {
@@ -31,11 +31,12 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     if report.ok { Ok(()) } else { Err(Error::Reported) }
 }
 
-/// Checks the bytes of a stage file that stands in `folder`.
-fn report(bytes: &[u8], folder: &Path) -> Report {
+/// Checks the bytes of the stage file at `path`.
+fn report(bytes: &[u8], path: &Path) -> Report {
     match std::str::from_utf8(bytes) {
         Ok(text) => {
-            let mut report = posed_stage::check_in(text, folder);
+            let mut report = posed_stage::check_in(text, path.parent().unwrap_or(Path::new("")));
+            report.warnings.extend(posed_stage::readable_by_others(path, text));
             if report.ok
                 && let Ok(stage) = Stage::parse(text)
             {

@@ -1,11 +1,16 @@
 //! `posed run STAGE.toml`: the daemon on the stage's own devices.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-use posed_daemon::{Daemon, Options};
+use posed_daemon::{Daemon, Options, StartError};
 use posed_stage::{PortAddress, Stage};
 
-use super::{Error, watch};
+use super::end::End;
+use super::{Error, service, watch};
+
+/// Time between two attempts to get the address.
+const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// What to run.
 #[derive(clap::Args)]
@@ -24,6 +29,9 @@ pub(crate) struct Args {
     /// absent: beside the stage file.
     #[arg(long, value_name = "FOLDER")]
     data: Option<PathBuf>,
+    /// Where the address is not there yet, or another program has its port: try again for as long as it takes, as a service should.
+    #[arg(long)]
+    wait: bool,
     /// Another port for a device than the stage file specifies; may be given for several.
     #[arg(long = "port", value_name = "DEVICE=PORT", value_parser = port)]
     ports: Vec<(String, String)>,
@@ -50,12 +58,37 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let options =
         Options { listen: args.listen, record: args.record, data, ..self::options(stage, text, folder) };
     runtime()?.block_on(async {
-        let daemon = Daemon::start(options).map_err(Error::failed)?;
+        let Some(daemon) = start(options, args.wait).await? else { return Ok(()) };
         watch::announce(daemon.vrpn_address())?;
         let ended = watch::until_end(daemon.url(), daemon.status(), daemon.part_ended(), None).await;
         daemon.shutdown().await;
         ended
     })
+}
+
+/// Starts the daemon, as often as it takes if it is to `wait` for its address; `None` if it is asked to end meanwhile.
+async fn start(options: Options, wait: bool) -> Result<Option<Daemon>, Error> {
+    let (mut reported, mut end) = (String::new(), None);
+    loop {
+        let reason = match Daemon::start(options.clone()) {
+            Ok(daemon) => return Ok(Some(daemon)),
+            Err(StartError::Bind(error)) if wait && error.may_pass() => error.to_string(),
+            Err(error) => return Err(Error::failed(error)),
+        };
+        if reason != reported {
+            tracing::warn!("{reason}; trying again until it goes");
+            service::waits(&reason);
+            reported = reason;
+        }
+        // Not before: until then a signal ends the program by itself.
+        let end = match &mut end {
+            Some(end) => end,
+            end => end.insert(End::new(None)?),
+        };
+        if tokio::time::timeout(RETRY_INTERVAL, end.wait()).await.is_ok() {
+            return Ok(None);
+        }
+    }
 }
 
 /// What every daemon of this program is started with.

@@ -42,6 +42,11 @@ impl Manager {
     }
 }
 
+/// Reports what the start waits for.
+pub(crate) fn waits(reason: &str) {
+    emit(&[NotifyState::Status(reason)]);
+}
+
 fn emit(what: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(what) {
         tracing::debug!(%error, "the service manager does not listen");

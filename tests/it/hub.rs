@@ -338,12 +338,15 @@ async fn two_daemons_with_one_key_notice_each_other() {
 async fn programs_on_the_network_get_messages_status_and_recordings() {
     let folder = tempfile::tempdir().unwrap();
     let port = free_port();
+    let token = "a-token-of-this-stage";
     let more = format!(
-        "[zenoh]\nlisten = [\"tcp/127.0.0.1:{port}\"]\nkey = \"hall/left\"\n[recording]\nfolder = \"kept\"\n"
+        "[zenoh]\nlisten = [\"tcp/127.0.0.1:{port}\"]\nkey = \"hall/left\"\n[recording]\nfolder = \"kept\"\n\
+         [[server.token]]\nsecret = \"{token}\"\nrole = \"operate\"\n"
     );
     let file = two_devices(folder.path(), &more);
     let stage = Posed::start(["demo".as_ref(), "--stage".as_ref(), file.as_os_str()]);
-    let mut operator = stage.subscriber(&["sensors"]).await;
+    let mut operator = stage.client_with(&format!("?token={token}")).await;
+    operator.subscribe(&["sensors"]).await;
     ok(&mut operator, json!({"type": "record.start", "name": "one"})).await;
     frames(&mut operator, 50).await;
     ok(&mut operator, json!({"type": "record.stop"})).await;
@@ -385,6 +388,14 @@ async fn programs_on_the_network_get_messages_status_and_recordings() {
         got.extend(piece);
     }
     assert!(got == kept, "byte for byte");
+    for selector in ["status", "ask/join", "ask/log", "ask/begin"] {
+        got.extend(ask(&format!("hall/left/{selector}")).await.unwrap());
+    }
+    let part = token.as_bytes();
+    assert!(
+        !got.windows(part.len()).any(|window| window == part),
+        "nothing that is handed out holds the token"
+    );
     assert!(ask("hall/left/recordings/two.mcap").await.unwrap_err().contains("there is no recording"));
     assert!(ask("hall/left/recordings/one.mcap?offset=x").await.unwrap_err().contains("offset"));
     session.close().await.unwrap();

@@ -7,6 +7,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use nalgebra::{UnitQuaternion, Vector3};
+use serde_json::json;
 
 use crate::browser::{self, Browser};
 use crate::daemon::process::{Posed, two_devices, until};
@@ -29,6 +30,26 @@ const PAINTED: &str = "(() => { const from = document.querySelector('#stage-view
     const to = document.createElement('canvas'); [to.width, to.height] = [64, 64]; \
     const draw = to.getContext('2d'); draw.drawImage(from, 0, 0, 64, 64); \
     return new Set(new Uint32Array(draw.getImageData(0, 0, 64, 64).data.buffer)).size > 8; })()";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_token_does_not_stay_in_the_address() {
+    if !browser::is_wanted() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let token = "a-token-for-this-page";
+    let stage =
+        two_devices(folder.path(), &format!("[[server.token]]\nsecret = \"{token}\"\nrole = \"watch\"\n"));
+    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    for address in [format!("?token={token}#health"), format!("#token={token}")] {
+        let mut browser = Browser::open(&format!("http://{}/{address}", posed.address)).await;
+        browser.until(LIVE).await;
+        assert_eq!(browser.value("location.href.includes('token')").await, false);
+        // The tab still has it.
+        browser.call("Page.reload", json!({})).await;
+        browser.until(LIVE).await;
+    }
+}
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_page_lives_says_when_data_are_old_and_lives_again() {

@@ -31,6 +31,23 @@ export function websocketOf(page: Location): string {
   return address.href;
 }
 
+/**
+ * The token of this tab. One in the page's address (`?token=` or `#token=`) is kept for the tab and taken out of the address, so
+ * that neither the history nor a copied link has it.
+ */
+function tokenOf(page: Location): string | null {
+  const address = new URL(page.href);
+  const hash = new URLSearchParams(address.hash.slice(1));
+  const given = address.searchParams.get("token") ?? hash.get("token");
+  if (given !== null) {
+    sessionStorage.setItem(TOKEN_KEY, given);
+    address.searchParams.delete("token");
+    if (hash.has("token")) address.hash = "";
+    history.replaceState(history.state, "", address);
+  }
+  return sessionStorage.getItem(TOKEN_KEY);
+}
+
 const ignore = () => undefined;
 
 export class Link {
@@ -49,7 +66,7 @@ export class Link {
 
   connect(): void {
     this.onState("connecting", "connecting…");
-    const token = new URLSearchParams(location.search).get("token") ?? sessionStorage.getItem(TOKEN_KEY);
+    const token = tokenOf(location);
     const query = token === null ? "" : `?token=${encodeURIComponent(token)}`;
     const socket = new WebSocket(websocketOf(location) + query, "posed.v1");
     this.socket = socket;
@@ -132,7 +149,7 @@ export class Link {
 }
 
 async function isUnauthorised(): Promise<boolean> {
-  const token = new URLSearchParams(location.search).get("token") ?? sessionStorage.getItem(TOKEN_KEY);
+  const token = tokenOf(location);
   const headers = token === null ? undefined : { authorization: `Bearer ${token}` };
   try {
     return (await fetch("metrics", { headers, cache: "no-store" })).status === 401;

@@ -3,7 +3,7 @@
 //! In: the recording that the pipeline collected, what clients decide. Out: maps for the fusion thread, as entries of the
 //! log. Maps lie beside the stage file, one file per version; `active` names the one in use.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use nalgebra::Vector3;
@@ -13,7 +13,7 @@ use super::fusion::FusionInbox;
 use super::jobs::Jobs;
 use super::observers::{Observer, Times};
 use super::server::Reply;
-use posed_field::{Anchor, PoleRun, Prepared, solve};
+use posed_field::{Anchor, FieldMap, PoleRun, Prepared, solve};
 use posed_protocol::AnchorSpec;
 use posed_recording::AtomicFile;
 use posed_stage::input::{Entry, Input, Model, Request};
@@ -80,20 +80,63 @@ struct State {
     candidate: Option<Result<Prepared, String>>,
 }
 
+/// The map that a stage begins with.
+#[derive(Debug)]
+pub(super) struct MapInUse {
+    version: u32,
+    map: Option<FieldMap>,
+    /// Why the version that was accepted last is not it: the daemon runs with what the stage file names, or without a map.
+    pub(super) left_out: Option<FieldMapError>,
+}
+
+impl MapInUse {
+    /// Reads the version in use, else the map that the stage file names.
+    ///
+    /// # Errors
+    /// That map cannot be read.
+    pub(super) fn read(stage: &Stage, data: &Path) -> Result<Self, FieldMapError> {
+        let folder = folder(stage, data);
+        let kept = active(&folder).and_then(|version| match version {
+            0 => Ok(None),
+            version => read_field_map(&file(&folder, version)).map(|map| Some((version, map))),
+        });
+        let left_out = match kept {
+            Ok(Some((version, map))) => return Ok(Self { version, map: Some(map), left_out: None }),
+            Ok(None) => None,
+            Err(reason) => Some(FieldMapError::Read(reason)),
+        };
+        let given = stage.models.field.as_deref().map(read_field_map).transpose();
+        Ok(Self { version: 0, map: given.map_err(FieldMapError::Read)?, left_out })
+    }
+}
+
+/// Where a stage's maps are kept; `data` is where daemons keep what they learn.
+fn folder(stage: &Stage, data: &Path) -> PathBuf {
+    data.join("field-maps").join(stage.file_name())
+}
+
+fn file(folder: &Path, version: u32) -> PathBuf {
+    folder.join(format!("{version:04}.json"))
+}
+
+/// The version in use, 0 for none that was accepted here; a sentence where nobody can say which.
+fn active(folder: &Path) -> Result<u32, String> {
+    let path = folder.join(ACTIVE);
+    match std::fs::read_to_string(&path) {
+        Ok(text) => text.trim().parse().map_err(|_| format!("{} does not name a version", path.display())),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(0),
+        Err(error) => Err(format!("cannot read {}: {error}", path.display())),
+    }
+}
+
 impl Calibration {
-    pub(super) fn new(
-        stage: &Stage,
-        folder: &std::path::Path,
-        clock: StageClock,
-        inbox: FusionInbox,
-        jobs: Jobs,
-    ) -> Self {
+    pub(super) fn new(stage: &Stage, data: &Path, clock: StageClock, inbox: FusionInbox, jobs: Jobs) -> Self {
         Self {
             clock,
             inbox,
             jobs,
             sensors: stage.sensors.iter().map(|sensor| sensor.name.clone()).collect(),
-            folder: folder.join("field-maps").join(stage.file_name()),
+            folder: folder(stage, data),
             given: stage.models.field.clone(),
             state: Arc::default(),
             files: Arc::default(),
@@ -101,17 +144,11 @@ impl Calibration {
     }
 
     /// Puts the map in use on the stage into the log before anything else.
-    ///
-    /// # Errors
-    /// The map cannot be read.
-    pub(super) fn begin(&self) -> Result<(), FieldMapError> {
-        let map = match (self.active(), &self.given) {
-            (0, None) => return Ok(()),
-            (0, Some(path)) => read_field_map(path),
-            (version, _) => read_field_map(&self.file(version)),
-        };
-        self.swap(self.active(), Some(Prepared::new(map.map_err(FieldMapError::Read)?)));
-        Ok(())
+    pub(super) fn begin(&self, in_use: MapInUse) {
+        let MapInUse { version, map, left_out: _ } = in_use;
+        if let Some(map) = map {
+            self.swap(version, Some(Prepared::new(map)));
+        }
     }
 
     /// Begins to collect.
@@ -220,7 +257,7 @@ impl Calibration {
     /// Goes back one version. Reads a map and makes it fast: not for an asynchronous task.
     pub(super) fn rollback(&self) -> Result<u32, FieldMapError> {
         let _files = self.files.lock().unwrap_or_else(PoisonError::into_inner);
-        let active = self.active();
+        let active = active(&self.folder).map_err(FieldMapError::Read)?;
         if active == 0 {
             return Err(FieldMapError::NoVersion);
         }
@@ -253,13 +290,7 @@ impl Calibration {
     }
 
     fn file(&self, version: u32) -> PathBuf {
-        self.folder.join(format!("{version:04}.json"))
-    }
-
-    /// The version in use, 0 for none that was accepted here.
-    fn active(&self) -> u32 {
-        let text = std::fs::read_to_string(self.folder.join(ACTIVE)).unwrap_or_default();
-        text.trim().parse().unwrap_or(0)
+        file(&self.folder, version)
     }
 
     /// The highest version that was ever kept: numbers are not used twice.
@@ -308,12 +339,20 @@ mod tests {
     use crate::server::Hub;
     use posed_field::{FieldNoise, fit_known};
 
-    fn calibration(folder: &std::path::Path) -> (Calibration, FusionInbox) {
+    fn stage() -> Stage {
+        Stage::parse("name = \"Stage A\"").unwrap()
+    }
+
+    /// As a daemon begins; says what was left out.
+    fn calibration(data: &Path) -> (Calibration, FusionInbox, Option<String>) {
         let clock = StageClock::start();
         let inbox: FusionInbox = Inbox::new(16);
-        let stage = Stage::parse("name = \"Stage A\"").unwrap();
         let jobs = Jobs::new(clock, Hub::default());
-        (Calibration::new(&stage, folder, clock, inbox.clone(), jobs), inbox)
+        let calibration = Calibration::new(&stage(), data, clock, inbox.clone(), jobs);
+        let in_use = MapInUse::read(&stage(), data).unwrap();
+        let left_out = in_use.left_out.as_ref().map(ToString::to_string);
+        calibration.begin(in_use);
+        (calibration, inbox, left_out)
     }
 
     fn map() -> Prepared {
@@ -340,8 +379,7 @@ mod tests {
     #[test]
     fn accepted_maps_are_kept_and_can_be_gone_back_from() {
         let folder = tempfile::tempdir().unwrap();
-        let (calibration, inbox) = calibration(folder.path());
-        calibration.begin().unwrap();
+        let (calibration, inbox, _) = calibration(folder.path());
         assert!(calibration.accept().is_err() && calibration.rollback().is_err());
         calibration.lock().candidate = Some(Err("the pole was hardly ever held along z".into()));
         assert!(calibration.accept().unwrap_err().to_string().contains("along z"));
@@ -352,13 +390,43 @@ mod tests {
         assert_eq!(calibration.rollback().unwrap(), 1);
         assert_eq!(swapped(&inbox), [(1, true), (2, true), (1, true)]);
         // A daemon that starts again goes on with the version in use.
-        let (again, inbox) = self::calibration(folder.path());
-        again.begin().unwrap();
+        let (again, inbox, left_out) = self::calibration(folder.path());
+        assert_eq!(left_out, None);
         assert_eq!(swapped(&inbox), [(1, true)]);
         assert_eq!(again.rollback().unwrap(), 0);
         assert_eq!(swapped(&inbox), [(0, false)]);
         // Numbers are not used twice.
         again.lock().candidate = Some(Ok(map()));
         assert_eq!(again.accept().unwrap(), 3);
+    }
+    #[test]
+    fn a_damaged_map_is_left_out_with_a_sentence_and_the_one_before_is_still_there() {
+        let data = tempfile::tempdir().unwrap();
+        let (calibration, ..) = calibration(data.path());
+        for _ in 1..=2 {
+            calibration.lock().candidate = Some(Ok(map()));
+            calibration.accept().unwrap();
+        }
+        let kept = folder(&stage(), data.path());
+        std::fs::write(file(&kept, 2), "{\"form").unwrap();
+        let (again, inbox, left_out) = self::calibration(data.path());
+        assert!(left_out.unwrap().contains("0002.json"));
+        assert_eq!(swapped(&inbox), [], "no map rather than another one");
+        assert_eq!(again.rollback().unwrap(), 1);
+        assert_eq!(swapped(&inbox), [(1, true)]);
+        // Nobody can say which one is in use.
+        std::fs::write(kept.join(ACTIVE), "\0\0").unwrap();
+        let (again, inbox, left_out) = self::calibration(data.path());
+        assert!(left_out.unwrap().contains("does not name a version"));
+        assert!(again.rollback().is_err() && swapped(&inbox).is_empty());
+    }
+
+    #[test]
+    fn a_damaged_map_that_the_stage_file_names_is_an_error() {
+        let data = tempfile::tempdir().unwrap();
+        let mut stage = stage();
+        stage.models.field = Some(data.path().join("named.json"));
+        std::fs::write(data.path().join("named.json"), "[]").unwrap();
+        assert!(MapInUse::read(&stage, data.path()).unwrap_err().to_string().contains("named.json"));
     }
 }

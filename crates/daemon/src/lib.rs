@@ -61,12 +61,13 @@ pub use self::playback::{Playback, PlaybackError};
 pub use self::ports::ended;
 pub use self::vital::{PartEnded, Vital};
 
-use self::calibration::Calibration;
+use self::calibration::{Calibration, MapInUse};
 use self::calls::Calls;
 use self::fusion::{Command, Fusion, INBOX_CAPACITY};
 use self::inbox::Inbox;
 use self::jobs::Jobs;
 use self::link::Link;
+use self::models::Loaded;
 use self::observers::Observers;
 use self::ports::{DevicePort, PortTask};
 use self::server::{BindError, Server};
@@ -134,10 +135,10 @@ pub enum StartError {
     /// The pipeline refuses the stage.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
-    /// A model that the stage file names, or one that is kept, cannot be read or does not fit the stage.
+    /// A model that the stage file names cannot be read or does not fit the stage.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// The field map in use cannot be read.
+    /// The field map that the stage file names cannot be read.
     #[error(transparent)]
     Field(#[from] FieldMapError),
     /// The recording asked for cannot begin.
@@ -190,8 +191,10 @@ impl Daemon {
     pub fn start_without_ports(options: Options) -> Result<Self, StartError> {
         let Options { stage, stage_toml, folder, data, listen, record, truth, clock, link } = options;
         limits::raise();
-        let models = models::load(&stage, &data)?;
+        let loaded = models::load(&stage, &data)?;
+        let in_use = MapInUse::read(&stage, &data)?;
         let mut config = server::Config::new(&folder, clock.epoch_utc_ns());
+        config.problems = left_out(&loaded, &in_use);
         config.listen = listen;
         config.clock = Some(clock);
         config.more_topics = if truth { vec![Topic::Truth] } else { Vec::new() };
@@ -228,7 +231,7 @@ impl Daemon {
             ports.push(Some(PortTask { device, clock, inbox, commands: receiver, shutdown }));
         }
         let calibration = Calibration::new(&stage, &data, clock, inbox.clone(), jobs.clone());
-        calibration.begin()?;
+        calibration.begin(in_use);
         if let Some(segments) = &stage.segments {
             // First of all entries: every recording of this run holds it, and every replay begins with it.
             let input = Input::SegmentationNetwork(network(&stage, &segments.model)?);
@@ -250,7 +253,7 @@ impl Daemon {
             entries: 0,
             recording_header: posed_recording::Header::new(&stage, &stage_toml, clock.epoch_utc_ns()),
         };
-        for model in models {
+        for model in loaded.models {
             // Before anything else, and in the log.
             let input = Input::Model(model);
             inbox.enter(Entry { t: clock.now(), input });
@@ -331,6 +334,23 @@ impl Daemon {
         // Its threads may be waiting for a link.
         let _ = tokio::task::spawn_blocking(move || drop(self.link)).await;
     }
+}
+
+/// What is reported of kept files that cannot be used: a daemon without them is better than none.
+fn left_out(loaded: &Loaded, in_use: &MapInUse) -> Vec<Problem> {
+    let units = loaded.left_out.iter().map(|error| {
+        let fix = "the unit runs uncalibrated: calibrate it again, or put the file right and restart posed";
+        ("imu_file", format!("an IMU's calibration is left out: {error}; {fix}"))
+    });
+    let map = in_use.left_out.iter().map(|error| {
+        let fix = "field.rollback takes the version before it; or calibrate again";
+        ("field_map", format!("the field map in use is left out: {error}; {fix}"))
+    });
+    let problems = units.chain(map).map(|(code, message)| {
+        tracing::warn!("{message}");
+        Problem { code: code.to_owned(), message }
+    });
+    problems.collect()
 }
 
 /// Reads the model of segments.

@@ -80,37 +80,58 @@ pub(super) fn imu_file(unit: &str) -> String {
     unit.chars().map(plain).chain(".json".chars()).collect()
 }
 
+/// What a daemon begins with.
+#[derive(Debug, Default)]
+pub(super) struct Loaded {
+    /// In the order in which they go into the log.
+    pub(super) models: Vec<Model>,
+    /// What is wrong with kept files that no stage file names: the daemon runs without them.
+    pub(super) left_out: Vec<ModelError>,
+}
+
 /// The models that a stage file names, and the intrinsics of all units that were ever calibrated.
 ///
 /// # Errors
-/// A file cannot be read, is none, or does not fit the stage.
-pub(super) fn load(stage: &Stage, data: &Path) -> Result<Vec<Model>, ModelError> {
-    let mut models = imus(stage, &imu_folder(stage, data))?;
-    models.append(&mut named(stage)?);
-    Ok(models)
+/// A file that the stage file names cannot be read, is none, or does not fit the stage.
+pub(super) fn load(stage: &Stage, data: &Path) -> Result<Loaded, ModelError> {
+    let mut loaded = imus(stage, &imu_folder(stage, data));
+    loaded.models.append(&mut named(stage)?);
+    Ok(loaded)
 }
 
 /// The intrinsics in a folder, in the order of their files; none where there is no folder, or no IMU.
-fn imus(stage: &Stage, folder: &Path) -> Result<Vec<Model>, ModelError> {
+fn imus(stage: &Stage, folder: &Path) -> Loaded {
+    let mut loaded = Loaded::default();
     if !stage.devices.iter().any(|device| device.driver.is_inertial()) {
-        return Ok(Vec::new());
+        return loaded;
     }
     let entries = match std::fs::read_dir(folder) {
         Ok(entries) => entries,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(error) => return Err(ModelError::Folder { folder: folder.to_owned(), error }),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return loaded,
+        Err(error) => {
+            loaded.left_out.push(ModelError::Folder { folder: folder.to_owned(), error });
+            return loaded;
+        }
     };
     let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
     paths.retain(|path| path.extension().is_some_and(|extension| extension == "json"));
     paths.sort();
-    let model = |path: &PathBuf| {
-        let intrinsics = read_intrinsics(path).map_err(ModelError::Refused)?;
-        let unit = intrinsics.unit.clone().unwrap_or_default();
-        let model = Model::Imu { unit, intrinsics: Box::new(intrinsics) };
-        model.check().map_err(|reason| ModelError::File { path: path.clone(), reason })?;
-        Ok(model)
-    };
-    paths.iter().map(model).collect()
+    for path in &paths {
+        match unit(path) {
+            Ok(model) => loaded.models.push(model),
+            Err(error) => loaded.left_out.push(error),
+        }
+    }
+    loaded
+}
+
+/// The intrinsics of one unit.
+fn unit(path: &Path) -> Result<Model, ModelError> {
+    let intrinsics = read_intrinsics(path).map_err(ModelError::Refused)?;
+    let unit = intrinsics.unit.clone().unwrap_or_default();
+    let model = Model::Imu { unit, intrinsics: Box::new(intrinsics) };
+    model.check().map_err(|reason| ModelError::File { path: path.to_owned(), reason })?;
+    Ok(model)
 }
 
 fn named(stage: &Stage) -> Result<Vec<Model>, ModelError> {
@@ -246,7 +267,7 @@ mod tests {
         "accel_scale": [1, 1, 1.01], "accel_residual_m_s2": 0.01, "directions": 9, "mag": null"#;
 
     #[test]
-    fn every_unit_that_was_calibrated_is_loaded_and_a_bad_file_is_named() {
+    fn every_unit_that_was_calibrated_is_loaded_and_a_bad_file_is_left_out_and_named() {
         let data = tempfile::tempdir().unwrap();
         let stage = |driver: &str| {
             let device = format!(
@@ -254,27 +275,33 @@ mod tests {
             );
             Stage::parse(&device).unwrap()
         };
-        let units = |driver: &str| -> Result<Vec<String>, ModelError> {
+        let units = |driver: &str| -> (Vec<String>, String) {
             let unit = |model| match model {
                 Model::Imu { unit, .. } => unit,
                 other => panic!("{other:?}"),
             };
-            Ok(load(&stage(driver), data.path())?.into_iter().map(unit).collect())
+            let Loaded { models, left_out } = load(&stage(driver), data.path()).unwrap();
+            let left_out: Vec<String> = left_out.iter().map(ToString::to_string).collect();
+            (models.into_iter().map(unit).collect(), left_out.join("\n"))
         };
-        assert_eq!(units("xbus").unwrap(), Vec::<String>::new(), "no folder yet");
+        let all = |units: &[&str]| (units.iter().map(ToString::to_string).collect(), String::new());
+        assert_eq!(units("xbus"), all(&[]), "no folder yet");
         let folder = data.path().join("imus");
         std::fs::create_dir(&folder).unwrap();
         let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).unwrap();
         write("0BB.json", &format!("{IMU}}}"));
         write(&imu_file("aa:11"), &format!("{IMU}, \"unit\": \"aa:11\"}}"));
         write("notes.txt", "not one of them");
-        assert_eq!(units("xbus").unwrap(), ["0BB", "aa:11"]);
-        assert_eq!(units("fastrak").unwrap(), Vec::<String>::new(), "no IMU on this stage");
+        assert_eq!(units("xbus"), all(&["0BB", "aa:11"]));
+        assert_eq!(units("fastrak"), all(&[]), "no IMU on this stage");
         let microtesla = "\"mag\": {\"offset\": [1, 2, 3], \"matrix\": [[1,0,0],[0,1,0],[0,0,1]], \"norm\": 49, \"residual\": 0.01}";
         write("0CC.json", &format!("{}}}", IMU.replace("\"mag\": null", microtesla)));
-        let refused = units("x-imu3").unwrap_err().to_string();
+        let (loaded, refused) = units("x-imu3");
         assert!(refused.contains("0CC.json: ") && refused.contains("about 1, not 49"), "{refused}");
         write("0CC.json", "[]");
-        assert!(units("x-imu3").unwrap_err().to_string().contains("0CC.json: "));
+        std::fs::create_dir(folder.join("0DD.json")).unwrap();
+        let (still, refused) = units("x-imu3");
+        assert!(refused.contains("0CC.json: ") && refused.contains("0DD.json"), "{refused}");
+        assert_eq!((&loaded, &still), (&all(&["0BB", "aa:11"]).0, &loaded), "the others are not left out");
     }
 }

@@ -14,7 +14,7 @@ use super::service::Service;
 use super::vital::PartEnded;
 use posed_protocol::{Status, Topic};
 use posed_recording::{Header, Outline, ReadError, Reader};
-use posed_stage::{Problems, Stage};
+use posed_stage::{Problems, Secret, Stage, Token};
 
 /// Why a recording cannot be served.
 #[derive(Debug, thiserror::Error)]
@@ -36,6 +36,14 @@ pub enum PlaybackError {
     Thread(std::io::Error),
 }
 
+/// A recording holds placeholders for tokens, which everybody knows. Without its tokens it is served on this computer only.
+fn forget_placeholders(server: &mut posed_stage::Server) {
+    let is_known = |token: &Token| token.secret.as_ref().is_none_or(Secret::is_placeholder);
+    if server.tokens.iter().any(is_known) {
+        (server.tokens, server.listen) = (Vec::new(), None);
+    }
+}
+
 /// A recording being served; ends with [`Playback::shutdown`].
 pub struct Playback {
     service: Service,
@@ -46,8 +54,8 @@ pub struct Playback {
 
 impl Playback {
     /// Serves `recording` at `speed` times real time (0 is a pause, infinity as fast as it goes); `replay.list` and `replay.open`
-    /// speak of its folder. `listen`: `HOST:PORT` instead of the one in the recording's stage file. VRPN, VMC and LSL are not
-    /// served.
+    /// speak of its folder. `listen`: `HOST:PORT` instead of the one in the recording's stage file. A recording holds no tokens: one
+    /// of a stage that has some is served on [`server::DEFAULT_LISTEN`](super::server::DEFAULT_LISTEN). VRPN, VMC and LSL are not served.
     ///
     /// # Errors
     /// The recording cannot be read or played, or the address does not serve; see [`PlaybackError`].
@@ -61,7 +69,8 @@ impl Playback {
             _ => PathBuf::from("."),
         };
         let header: Header = Reader::open(recording)?.header().clone();
-        let stage = Stage::parse(&header.stage_toml)?;
+        let mut stage = Stage::parse(&header.stage_toml)?;
+        forget_placeholders(&mut stage.server);
         let mut config = Config::new(&folder, header.epoch_utc_ns);
         config.listen = listen;
         config.replay = true;

@@ -28,7 +28,7 @@ use posed_daemon::FusionInbox;
 use posed_daemon::StageClock;
 use posed_daemon::recordings;
 use posed_recording::Reader;
-use posed_stage::Stage;
+use posed_stage::{Stage, without_secrets};
 
 /// Questions that wait; more get no answer, and are asked again.
 const WAITING: usize = 64;
@@ -149,17 +149,12 @@ impl Answers {
     }
 }
 
-/// A recording holds the stage file as it was, with its tokens: those are not given away.
+/// Recordings of before hold the stage file as it was, with its tokens: those are not given away.
 fn check_secrets(path: &Path) -> zenoh::Result<()> {
     let reader = Reader::open(path)?;
-    let secret = match Stage::parse(&reader.header().stage_toml) {
-        Ok(stage) => {
-            !stage.server.tokens.is_empty() || stage.zenoh.is_some_and(|zenoh| zenoh.password.is_some())
-        }
-        // A stage file of another version: nobody knows what is in it.
-        Err(_) => true,
-    };
-    if secret {
+    let text = &reader.header().stage_toml;
+    // A stage file of another version: nobody knows what is in it.
+    if Stage::parse(text).is_err() || without_secrets(text) != *text {
         return Err("this recording holds a stage file with tokens, or one of another version: copy it from its machine".into());
     }
     Ok(())

@@ -5,7 +5,7 @@ use std::thread::JoinHandle;
 use serde_json::json;
 use zenoh::{Config, Session, Wait};
 
-use posed_stage::Zenoh;
+use posed_stage::{Secret, Zenoh};
 
 /// A link that has brought nothing for so long is given up, ms. Short, because TCP alone would send again only many seconds after
 /// a long cut is repaired; four signs of life fit in, so that loss does not end a link.
@@ -83,8 +83,9 @@ fn config(settings: &Zenoh) -> zenoh::Result<Config> {
     }
     let text = |text: &Option<String>| serde_json::to_string(text);
     if settings.user.is_some() {
+        let password = settings.password.as_ref().map(Secret::reveal);
         config.insert_json5("transport/auth/usrpwd/user", &text(&settings.user)?)?;
-        config.insert_json5("transport/auth/usrpwd/password", &text(&settings.password)?)?;
+        config.insert_json5("transport/auth/usrpwd/password", &serde_json::to_string(&password)?)?;
     }
     if let Some(users) = &settings.users {
         let users = serde_json::to_string(users)?;
@@ -113,7 +114,7 @@ mod tests {
             listen: vec!["tcp/127.0.0.1:0".to_owned()],
             connect: vec!["tcp/hub.local:7447".to_owned()],
             user: Some("a".to_owned()),
-            password: Some("b".to_owned()),
+            password: Some("b".to_owned().into()),
             users: Some("/etc/posed/users".into()),
             ..Zenoh::default()
         };

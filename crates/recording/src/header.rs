@@ -6,7 +6,7 @@ use mcap::records::Metadata;
 use posed_drivers::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use posed_stage::{LoadedModels, Stage};
+use posed_stage::{LoadedModels, Stage, without_secrets};
 
 /// Name of the metadata record that ends the front part.
 pub(super) const METADATA: &str = "posed";
@@ -31,7 +31,7 @@ pub struct Header {
     pub begun: Timestamp,
     /// The stage's name.
     pub stage: String,
-    /// The stage file's text.
+    /// The stage file's text, without its secrets.
     pub stage_toml: String,
     /// Names of the devices, in the order of `DeviceIndex`.
     pub devices: Vec<String>,
@@ -62,15 +62,15 @@ pub(super) struct Part {
 }
 
 impl Header {
-    /// Header of a recording that begins with the run of `stage`, read from `stage_toml`; `epoch_utc_ns` is the UTC of its epoch,
-    /// ns since 1970. No models, no snapshot.
+    /// Header of a recording that begins with the run of `stage`, read from `stage_toml`, whose secrets are left out;
+    /// `epoch_utc_ns` is the UTC of its epoch, ns since 1970. No models, no snapshot.
     pub fn new(stage: &Stage, stage_toml: &str, epoch_utc_ns: i64) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             epoch_utc_ns,
             begun: Timestamp::ZERO,
             stage: stage.name.clone(),
-            stage_toml: stage_toml.to_owned(),
+            stage_toml: without_secrets(stage_toml),
             devices: stage.devices.iter().map(|device| device.name.clone()).collect(),
             sensors: stage.sensors.iter().map(|sensor| sensor.name.clone()).collect(),
             models: LoadedModels::default(),

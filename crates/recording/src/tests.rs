@@ -37,6 +37,30 @@ fn everything_comes_back_in_exact_order() {
 }
 
 #[test]
+fn a_recording_holds_no_secret_of_the_stage_file() {
+    let secrets = ["a-token-of-the-stage", "a-password-of-zenoh", "a-token-of-last-year"];
+    let text = format!(
+        "{STAGE}\n[server]\nlisten = \"0.0.0.0:8787\"\n[[server.token]]\nsecret = \"{}\"\nrole = \"watch\"\n[zenoh]\n\
+         connect = [\"tcp/hub:7447\"]\nuser = \"stage\"\npassword = '{}'\n# secret = \"{}\"\n",
+        secrets[0], secrets[1], secrets[2]
+    );
+    let stage = Stage::parse(&text).unwrap();
+    let header = Header::new(&stage, &text, 0);
+    let mut writer = Writer::new(Vec::new(), header.clone()).unwrap();
+    for item in items() {
+        write(&mut writer, &item).unwrap();
+    }
+    let bytes = writer.finish("test over").unwrap();
+    // A chunk may be compressed, but not what is in front.
+    for secret in secrets {
+        assert!(!bytes.windows(secret.len()).any(|part| part == secret.as_bytes()), "{secret}");
+    }
+    let recorded = Stage::parse(&reader(&bytes).unwrap().header().stage_toml).unwrap();
+    assert_eq!(recorded.shareable_toml(), stage.shareable_toml(), "it is replayed on the same stage");
+    assert!(crate::Machine::as_recorded(&header).is_ok());
+}
+
+#[test]
 fn other_programs_find_index_schemas_and_utc_times() {
     let items = items();
     let bytes = record(&items, 4);

@@ -22,6 +22,7 @@ pub mod output;
 mod port;
 mod problem;
 mod rules;
+mod secrets;
 mod shape;
 pub mod signals;
 #[cfg(test)]
@@ -44,6 +45,7 @@ pub use keyframes::Keyframes;
 pub use models::LoadedModels;
 pub use port::{PortAddress, PortAddressError};
 pub use problem::{LoadError, Problem, Problems};
+pub use secrets::{Secret, readable_by_others, without_secrets};
 pub use zenoh::Zenoh;
 
 /// A stage file.
@@ -117,20 +119,24 @@ impl Stage {
     /// Reads a stage from its file, and looks at the files that it names.
     ///
     /// Relative paths begin at the file's folder and are joined with it in the result: those of `server.tls`, `models`,
-    /// `segments`, `zenoh.users` and `recording`. `lsl.library` and what is in `simulation` stay as they are written. Warnings
-    /// are left out: [`check_in`] gives them.
+    /// `segments`, `zenoh.users` and `recording`. Files of secrets (`secret_file`, `password_file`, `server.tls.key`,
+    /// `zenoh.users`) are looked for in the folder that the environment names as `CREDENTIALS_DIRECTORY` first; what the first
+    /// two hold is read. `lsl.library` and what is in `simulation` stay as they are written. Warnings are left out: [`check_in`]
+    /// gives them.
     ///
     /// # Errors
-    /// [`LoadError::Read`] where the file cannot be read as UTF-8; [`LoadError::Wrong`] with every problem that it has.
+    /// [`LoadError::Read`] where the file cannot be read as UTF-8; [`LoadError::Wrong`] with every problem that it has;
+    /// [`LoadError::Secret`] where the file of a secret has gone meanwhile.
     pub fn load(path: &Path) -> Result<Self, LoadError> {
         let text = std::fs::read_to_string(path)
             .map_err(|error| LoadError::Read { path: path.to_owned(), error })?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut stage = check::parse(&text, Some(folder))
             .map_err(|problems| LoadError::Wrong { path: path.to_owned(), problems })?;
+        stage.read_secrets(folder).map_err(LoadError::Secret)?;
         if let Some(tls) = &mut stage.server.tls {
             tls.certificate = folder.join(&tls.certificate);
-            tls.key = folder.join(&tls.key);
+            tls.key = secrets::secret_path(folder, &tls.key);
         }
         if let Some(map) = &mut stage.models.field {
             *map = folder.join(&*map);
@@ -145,7 +151,7 @@ impl Stage {
             segments.model = folder.join(&segments.model);
         }
         if let Some(users) = stage.zenoh.as_mut().and_then(|zenoh| zenoh.users.as_mut()) {
-            *users = folder.join(&*users);
+            *users = secrets::secret_path(folder, users);
         }
         let Self { models, recording, .. } = &mut stage;
         let Models { faults_folder, exercise_folder, imu_folder, segments_folder, .. } = models;
@@ -348,9 +354,11 @@ pub struct Server {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Token {
-    /// The secret, at least 16 characters.
-    #[schemars(length(min = 16, max = 512))]
-    pub secret: String,
+    /// The secret, at least 16 characters; or `secret_file`.
+    #[schemars(with = "Option<String>", length(min = 16, max = 512))]
+    pub secret: Option<Secret>,
+    /// File that holds the secret and nothing else. A relative path is looked for among the service's credentials first.
+    pub secret_file: Option<PathBuf>,
     /// What its bearer may do.
     pub role: Role,
 }
@@ -373,7 +381,7 @@ pub enum Role {
 pub struct Tls {
     /// PEM file with the certificate chain.
     pub certificate: PathBuf,
-    /// PEM file with the private key.
+    /// PEM file with the private key. A relative path is looked for among the service's credentials first.
     pub key: PathBuf,
 }
 

@@ -63,6 +63,9 @@ pub enum LoadError {
         /// All that is wrong with it.
         problems: Problems,
     },
+    /// A file with a secret cannot be read, though it could a moment ago.
+    #[error("{0}")]
+    Secret(String),
 }
 
 /// Collects problems and warnings, and knows which byte is on which line.

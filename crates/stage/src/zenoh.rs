@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use super::Stage;
+use super::{Secret, Stage};
 
 /// Hubs and other programs on other machines, by zenoh over TCP. Nothing is looked for: one end listens, the other connects.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -26,10 +26,13 @@ pub struct Zenoh {
     pub key: Option<String>,
     /// Name to give to an end that listens and asks for one.
     pub user: Option<String>,
-    /// The password that goes with it.
-    #[schemars(length(min = 16, max = 512))]
-    pub password: Option<String>,
-    /// File of those whom an end that listens lets in, a line `NAME:PASSWORD` for each; absent: everybody.
+    /// The password that goes with it; or `password_file`.
+    #[schemars(with = "Option<String>", length(min = 16, max = 512))]
+    pub password: Option<Secret>,
+    /// File that holds the password and nothing else. A relative path is looked for among the service's credentials first.
+    pub password_file: Option<PathBuf>,
+    /// File of those whom an end that listens lets in, a line `NAME:PASSWORD` for each; absent: everybody. A relative path is
+    /// looked for among the service's credentials first.
     pub users: Option<PathBuf>,
 }
 
@@ -46,6 +49,7 @@ impl Default for Zenoh {
             key: None,
             user: None,
             password: None,
+            password_file: None,
             users: None,
         }
     }

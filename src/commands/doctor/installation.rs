@@ -6,7 +6,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use posed_stage::Stage;
+use posed_stage::{Problem, Stage, readable_by_others};
 
 /// Bytes wait in an adapter for no longer than this, ms.
 const LONGEST_WAIT_MS: u32 = 2;
@@ -34,7 +34,7 @@ pub(super) fn look(root: &Path, ports: &[String]) -> Vec<Finding> {
     }
     findings.extend(latencies(root));
     if root.join(UNIT).exists() {
-        findings.push(stage(root));
+        findings.extend(stage(root));
         findings.push(service(root));
     }
     findings
@@ -89,18 +89,23 @@ fn latencies(root: &Path) -> Vec<Finding> {
     names.iter().filter_map(finding).collect()
 }
 
-/// Whether the service's stage file is right.
-fn stage(root: &Path) -> Finding {
-    let problem = match std::fs::read_to_string(root.join(STAGE)) {
-        Ok(text) => Stage::parse(&text).err().map(|problems| format!("/{STAGE} is wrong: {problems}")),
-        Err(error) => Some(format!("cannot read /{STAGE}: {error}")),
-    };
-    match problem {
-        Some(problem) => {
-            bad("stage", problem, "posed check /etc/posed/stage.toml states what and how to fix it")
-        }
-        None => good("stage"),
-    }
+/// Whether the service's stage file is right, and nobody's but the service's; nothing where it is not this user's to read.
+fn stage(root: &Path) -> Option<Finding> {
+    let path = root.join(STAGE);
+    let check = "sudo posed check /etc/posed/stage.toml states what and how to fix it";
+    Some(match std::fs::read_to_string(&path) {
+        Err(error) if error.kind() == std::io::ErrorKind::PermissionDenied => return None,
+        Err(error) => bad("stage", format!("cannot read /{STAGE}: {error}"), check),
+        Ok(text) => match (Stage::parse(&text), readable_by_others(&path, &text)) {
+            (Err(problems), _) => bad("stage", format!("/{STAGE} is wrong: {problems}"), check),
+            (Ok(_), Some(Problem { message, .. })) => {
+                let fix =
+                    "sudo chown root:posed /etc/posed/stage.toml && sudo chmod 0640 /etc/posed/stage.toml";
+                bad("stage", format!("/{STAGE}: {message}"), fix)
+            }
+            (Ok(_), None) => good("stage"),
+        },
+    })
 }
 
 /// Whether the service runs: systemd keeps a link for each unit that does.
@@ -118,6 +123,8 @@ fn service(root: &Path) -> Finding {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
     use super::*;
 
     fn put(root: &Path, path: &str, text: &str) {
@@ -153,10 +160,12 @@ mod tests {
         std::os::unix::fs::symlink("1", root.join("run/systemd/units/invocation:posed.service")).unwrap();
         put(root, "sys/bus/usb-serial/devices/ttyUSB0/latency_timer", "1\n");
         assert!(problems(root).iter().all(|(_, problem)| problem.is_none()), "{:?}", problems(root));
-    }
 
-    #[test]
-    fn the_package_holds_a_stage_that_is_right() {
-        Stage::parse(include_str!("../../../packaging/stage.toml")).unwrap();
+        let token = "[[server.token]]\nsecret = \"sixteen-or-more-of-it\"\nrole = \"watch\"\n";
+        put(root, STAGE, &format!("name = \"stage\"\n{token}"));
+        std::fs::set_permissions(root.join(STAGE), PermissionsExt::from_mode(0o644)).unwrap();
+        assert!(problems(root)[2].1.as_ref().unwrap().contains("it holds secrets"), "{:?}", problems(root));
+        std::fs::set_permissions(root.join(STAGE), PermissionsExt::from_mode(0o640)).unwrap();
+        assert_eq!(problems(root)[2].1, None);
     }
 }

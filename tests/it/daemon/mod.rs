@@ -13,3 +13,4 @@ mod recordings;
 mod replay;
 mod run;
 mod segments;
+mod service;

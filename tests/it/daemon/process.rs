@@ -43,7 +43,12 @@ impl Posed {
 
     /// A client that has been greeted.
     pub(crate) async fn client(&self) -> Client {
-        let (socket, _) = connect_async(format!("ws://{}/ws", self.address)).await.unwrap();
+        self.client_with("").await
+    }
+
+    /// The same for who has a token, as `?token=TOKEN`.
+    pub(crate) async fn client_with(&self, query: &str) -> Client {
+        let (socket, _) = connect_async(format!("ws://{}/ws{query}", self.address)).await.unwrap();
         let mut client = Client { socket, protocol: None };
         assert_eq!(client.next().await["type"], "hello");
         client

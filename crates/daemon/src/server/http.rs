@@ -43,8 +43,11 @@ pub(super) fn guarded(routes: Router, context: Arc<ConnectionContext>) -> Router
     routes.layer(middleware::from_fn_with_state(context, guard))
 }
 
-pub(super) async fn health() -> &'static str {
-    "ok\n"
+/// That it serves, and by its code what it runs without since its start; the sentences, which name files, are in `status` and in
+/// the log, for this is answered to anybody.
+pub(super) async fn health(State(shared): State<Arc<Shared>>) -> String {
+    let problems = shared.problems.iter().map(|problem| format!("problem: {}\n", problem.code));
+    "ok\n".to_owned() + &problems.collect::<String>()
 }
 
 /// A file of the page.

@@ -113,7 +113,7 @@ impl HubServer {
         let routes = Router::new()
             .route("/", get(async || viewer::file("hub.html")))
             .route("/assets/{name}", get(http::asset))
-            .route("/health", get(http::health))
+            .route("/health", get(async || "ok\n"))
             .route("/metrics", get(metrics))
             .route("/ws", get(everything))
             .route("/{stage}", get(with_slash))
@@ -154,7 +154,10 @@ impl StageRegistry {
             shutdown: seen,
         };
         let topics = topics_of(stage, published);
-        let about = StageInfo { epoch_utc_ns, topics, last_event_id, replay: false, operable: false };
+        // What is wrong at the stage's own daemon comes with its status.
+        let problems = Vec::new();
+        let about =
+            StageInfo { epoch_utc_ns, topics, last_event_id, replay: false, operable: false, problems };
         let services = StageServices::new(stage, about, &Arc::new(context), Arc::new(Metrics::new()));
         let (items, fed) = mpsc::channel(WAITING);
         let commands = services.shared.commands.clone();
@@ -312,7 +315,7 @@ async fn stage_metrics(
 
 async fn stage_health(State(registry): State<StageRegistry>, PathOf(id): PathOf<String>) -> Response {
     match registry.stage(&id) {
-        Some(_) => http::health().await.into_response(),
+        Some(shared) => http::health(State(shared)).await.into_response(),
         None => unknown(),
     }
 }

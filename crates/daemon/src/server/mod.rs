@@ -239,6 +239,8 @@ struct Shared {
     calls: mpsc::Sender<PendingCall>,
     /// Whether clients may change something, where their token lets them.
     operable: bool,
+    /// What went wrong as the daemon was started, and does not keep it from running.
+    problems: Vec<Problem>,
     /// Newest event, for greetings.
     last_event_id: std::sync::atomic::AtomicU64,
     next_client: std::sync::atomic::AtomicU64,
@@ -270,6 +272,20 @@ impl Shared {
             magnetic: self.names.is_magnetic(index as SensorIndex),
         };
         self.names.sensors().enumerate().map(sensor).collect()
+    }
+}
+
+impl BindError {
+    /// Whether it may be otherwise in a moment, with nothing changed: the address has not come up yet, or another program still
+    /// has the port.
+    pub fn may_pass(&self) -> bool {
+        use std::io::ErrorKind::{AddrInUse, AddrNotAvailable};
+        match self {
+            Self::Bind { error, .. } | Self::Vrpn { error, .. } => {
+                matches!(error.kind(), AddrInUse | AddrNotAvailable)
+            }
+            Self::Address { .. } | Self::NeedsToken { .. } | Self::Vmc { .. } | Self::Tls(_) => false,
+        }
     }
 }
 
@@ -305,6 +321,7 @@ impl Server {
             last_event_id: config.counters.last_event_id(),
             replay: config.replay,
             operable: true,
+            problems: config.problems,
         };
         let StageServices { shared, viewers, commands, calls } =
             StageServices::new(stage, about, &listener.context, Arc::clone(&metrics));
@@ -329,8 +346,7 @@ impl Server {
         let lsl = stage.lsl.as_ref().zip(config.clock.filter(|_| !config.replay));
         let lsl = lsl.map(|(settings, clock)| Streaming::start(stage, settings, clock, Arc::clone(&metrics)));
         let distributor = Distributor::new(Arc::clone(&shared.names), limits, metrics, config.counters);
-        let outlets =
-            Outlets { distributor, viewers, vrpn: vrpn_outlet, vmc, lsl, feed, problems: config.problems };
+        let outlets = Outlets { distributor, viewers, vrpn: vrpn_outlet, vmc, lsl, feed };
         let hub_in = hub.clone();
         let server = Self { listener, shared, outlets, vrpn, hub: hub_in, commands };
         Ok((server, hub, calls))
@@ -393,6 +409,8 @@ struct StageInfo {
     replay: bool,
     /// Whether its clients may change something, where their token lets them.
     operable: bool,
+    /// What went wrong as the daemon was started.
+    problems: Vec<Problem>,
 }
 
 /// A stage's side of a server: what its clients share, and the ends of the queues that they fill.
@@ -405,7 +423,7 @@ struct StageServices {
 
 impl StageServices {
     fn new(stage: &Stage, about: StageInfo, context: &Arc<ConnectionContext>, metrics: Arc<Metrics>) -> Self {
-        let StageInfo { epoch_utc_ns, topics, last_event_id, replay, operable } = about;
+        let StageInfo { epoch_utc_ns, topics, last_event_id, replay, operable, problems } = about;
         let names = Arc::new(Names::new(stage));
         let viewers = Viewers::new(stage, &topics, epoch_utc_ns, replay, &metrics);
         let epoch_utc = rfc3339(epoch_utc_ns);
@@ -427,6 +445,7 @@ impl StageServices {
             commands: command_sender,
             calls: call_sender,
             operable,
+            problems,
             last_event_id: last_event_id.into(),
             next_client: 0.into(),
         });
@@ -443,8 +462,6 @@ struct Outlets {
     lsl: Option<Streaming>,
     /// Programs on other machines.
     feed: Option<Box<dyn Feed>>,
-    /// What went wrong as the daemon was started, and does not keep it from running.
-    problems: Vec<Problem>,
 }
 
 /// Feeds the outlets, one thing at a time; frames before commands.
@@ -455,19 +472,18 @@ async fn distribute(
     shared: Arc<Shared>,
 ) {
     use std::sync::atomic::Ordering;
-    let Outlets { distributor, viewers, vrpn, vmc, lsl, feed, problems } = &mut outlets;
+    let Outlets { distributor, viewers, vrpn, vmc, lsl, feed } = &mut outlets;
     loop {
         while let Some(mut item) = hub.take() {
-            match &item {
-                hub::Item::Estimate(_) => _ = shared.metrics.frames.inc(),
-                hub::Item::Status(status) => shared.metrics.take(status),
-                _ => {}
+            if matches!(item, hub::Item::Estimate(_)) {
+                shared.metrics.frames.inc();
             }
             distributor.complete(&mut item, viewers.count());
             if let hub::Item::Status(status) = &mut item {
                 status.problems.extend(lsl.as_ref().and_then(Streaming::problem));
-                status.problems.extend_from_slice(problems);
+                status.problems.extend_from_slice(&shared.problems);
                 status.problems.extend(feed.as_ref().and_then(|feed| feed.problem()));
+                shared.metrics.take(status);
             }
             let stamp = distributor.stamp(&item);
             if let Some(outlet) = vrpn {

@@ -2,20 +2,28 @@
 
 use std::fs;
 use std::net::{IpAddr, SocketAddr};
+use std::ops::Range;
 use std::path::Path;
 
 use super::super::problem::Notes;
-use super::{Item, unique};
+use super::super::secrets::{PLACEHOLDER, is_readable_by_others, read_secret, secret_path};
+use super::{At, Item};
 
 pub(super) fn check(server: &Item<'_, '_>, folder: Option<&Path>, notes: &mut Notes<'_>) {
     let tokens = server.items("token");
-    unique(&tokens, "secret", "token", notes);
+    distinct(&tokens, notes);
     for token in &tokens {
-        if let Some(secret) = token.text("secret")
-            && !secret.value.chars().all(|c| c.is_ascii_graphic())
-        {
-            let fix = "use letters, digits and punctuation of ASCII";
-            notes.problem(&secret.at, "secret", "spaces and special letters do not pass an HTTP header", fix);
+        match secret(token, "secret", folder, notes) {
+            None => {
+                let message = "the key `secret` of [token] is missing";
+                let fix = "add `secret`, or `secret_file` with the file that holds it";
+                notes.problem(&token.header, "secret", message, fix);
+            }
+            Some(given) if !given.value.chars().all(|c| c.is_ascii_graphic()) => {
+                let message = "spaces and special letters do not pass an HTTP header";
+                notes.problem(&given.at, "secret", message, "use letters, digits and punctuation of ASCII");
+            }
+            Some(_) => {}
         }
     }
     if let Some(listen) = server.text("listen") {
@@ -49,8 +57,82 @@ pub(super) fn check(server: &Item<'_, '_>, folder: Option<&Path>, notes: &mut No
         }
     }
     if let (Some(tls), Some(folder)) = (server.item("tls"), folder) {
-        pem(&tls, "certificate", "CERTIFICATE", folder, notes);
-        pem(&tls, "key", "PRIVATE KEY", folder, notes);
+        let path = |key| tls.text(key).map(|path| Path::new(path.value)).unwrap_or(Path::new(""));
+        pem(&tls, "certificate", "CERTIFICATE", &folder.join(path("certificate")), notes);
+        let key = secret_path(folder, path("key"));
+        pem(&tls, "key", "PRIVATE KEY", &key, notes);
+        if let Some(named) = tls.text("key") {
+            warn_if_readable(&key, &named.at, "key", notes);
+        }
+    }
+}
+
+/// Looks at a secret, which stands under `key` or in the file under `key` and `_file`. Gives it, as far as it can be read, and
+/// `None` where neither key is there.
+pub(super) fn secret(
+    table: &Item<'_, '_>,
+    key: &str,
+    folder: Option<&Path>,
+    notes: &mut Notes<'_>,
+) -> Option<At<String>> {
+    let file_key = format!("{key}_file");
+    match (table.text(key), table.text(&file_key)) {
+        (None, None) => None,
+        (Some(written), file) => {
+            if let Some(file) = file {
+                let message = format!("both `{key}` and `{file_key}` are given");
+                notes.problem(&file.at, &file_key, message, "keep one of the two");
+            }
+            if folder.is_some() && written.value == PLACEHOLDER {
+                let message = "this is a copy of a stage file, and its secrets were left out";
+                notes.problem(&written.at, key, message, "write a secret of your own");
+            }
+            Some(At { value: written.value.to_owned(), at: written.at })
+        }
+        (None, Some(file)) => {
+            let value =
+                folder.and_then(|folder| secret_in(&file, &file_key, folder, notes)).unwrap_or_default();
+            Some(At { value, at: file.at })
+        }
+    }
+}
+
+/// The secret in the file that a key names; `None`, and a problem, where it cannot be read.
+fn secret_in(file: &At<&str>, key: &str, folder: &Path, notes: &mut Notes<'_>) -> Option<String> {
+    let path = secret_path(folder, Path::new(file.value));
+    match read_secret(&path) {
+        Ok(secret) => {
+            warn_if_readable(&path, &file.at, key, notes);
+            Some(secret.reveal().to_owned())
+        }
+        Err(message) => {
+            let fix = "name a file that this user may read, with the secret in it and nothing else";
+            notes.problem(&file.at, key, message, fix);
+            None
+        }
+    }
+}
+
+/// Warns of the file of a secret that everybody may read.
+pub(super) fn warn_if_readable(path: &Path, at: &Range<usize>, key: &str, notes: &mut Notes<'_>) {
+    if is_readable_by_others(path) {
+        let message = format!("everybody on this computer may read {}", path.display());
+        notes.warning(at, key, message, format!("chmod o= {}", path.display()));
+    }
+}
+
+/// Notes each secret that an earlier token has already, without showing it.
+fn distinct(tokens: &[Item<'_, '_>], notes: &mut Notes<'_>) {
+    for (index, token) in tokens.iter().enumerate() {
+        let Some(secret) = token.text("secret").filter(|secret| secret.value != PLACEHOLDER) else {
+            continue;
+        };
+        let mut earlier = tokens[..index].iter().filter_map(|token| token.text("secret"));
+        if let Some(earlier) = earlier.find(|earlier| earlier.value == secret.value) {
+            let message =
+                format!("this is the secret of another token in line {}", notes.line(earlier.at.start));
+            notes.problem(&secret.at, "secret", message, "give each token a secret of its own");
+        }
     }
 }
 
@@ -92,11 +174,10 @@ fn loopback(listen: &str) -> Option<bool> {
     (host == "localhost").then_some(true)
 }
 
-/// A file that must hold a PEM block of some kind.
-fn pem(tls: &Item<'_, '_>, key: &str, block: &str, folder: &Path, notes: &mut Notes<'_>) {
+/// The file under `key`, which is `full`, must hold a PEM block of some kind.
+fn pem(tls: &Item<'_, '_>, key: &str, block: &str, full: &Path, notes: &mut Notes<'_>) {
     let Some(path) = tls.text(key) else { return };
-    let full = folder.join(path.value);
-    match fs::read(&full) {
+    match fs::read(full) {
         Err(error) => {
             let message = format!("cannot read {}: {error}", full.display());
             notes.problem(

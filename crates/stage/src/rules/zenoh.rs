@@ -3,7 +3,9 @@
 use std::path::Path;
 
 use super::super::problem::Notes;
+use super::super::secrets::secret_path;
 use super::Item;
+use super::server::{secret, warn_if_readable};
 
 pub(super) fn check(zenoh: &Item<'_, '_>, folder: Option<&Path>, notes: &mut Notes<'_>) {
     let mut ends = 0;
@@ -34,18 +36,19 @@ pub(super) fn check(zenoh: &Item<'_, '_>, folder: Option<&Path>, notes: &mut Not
         let fix = "write letters, digits, `-` and `_`, with `/` between, such as \"hall-2/stage-a\"";
         notes.problem(&key.at, "key", message, fix);
     }
-    for (key, other) in [("user", "password"), ("password", "user")] {
-        if let (Some(given), false) = (zenoh.text(key), zenoh.has(other)) {
-            notes.problem(
-                &given.at,
-                key,
-                format!("it has no effect without `{other}`"),
-                format!("add `{other}`"),
-            );
+    let password = secret(zenoh, "password", folder, notes).is_some();
+    for (given, key, other) in [
+        (zenoh.text("user"), "user", (!password).then_some("password")),
+        (zenoh.text("password"), "password", (!zenoh.has("user")).then_some("user")),
+        (zenoh.text("password_file"), "password_file", (!zenoh.has("user")).then_some("user")),
+    ] {
+        if let (Some(given), Some(other)) = (given, other) {
+            let message = format!("it has no effect without `{other}`");
+            notes.problem(&given.at, key, message, format!("add `{other}`"));
         }
     }
     if let (Some(users), Some(folder)) = (zenoh.text("users"), folder) {
-        let full = folder.join(users.value);
+        let full = secret_path(folder, Path::new(users.value));
         if !full.is_file() {
             let message = format!("there is no file `{}`", full.display());
             notes.problem(
@@ -55,6 +58,7 @@ pub(super) fn check(zenoh: &Item<'_, '_>, folder: Option<&Path>, notes: &mut Not
                 "name a file with a line NAME:PASSWORD for each who may connect",
             );
         }
+        warn_if_readable(&full, &users.at, "users", notes);
     }
 }
 
