@@ -7,6 +7,7 @@ use std::hint::black_box;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use posed_drivers::Timestamp;
 use posed_recording::{Header, Reader, Writer};
+use posed_stage::RecordingContent;
 use posed_stage::input::{Entry, Input};
 
 /// Ten seconds at 100 Hz.
@@ -23,6 +24,7 @@ fn header() -> Header {
         sensors: Vec::new(),
         models: Default::default(),
         snapshot: None,
+        content: RecordingContent::Full,
     }
 }
 
