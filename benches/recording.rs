@@ -1,18 +1,20 @@
 //! What a recording costs: entries and messages into memory, and out again.
 //!
-//! One element is a chunk of 78 bytes and the message of eight sensors that follows from it.
+//! One element is a chunk of 78 bytes and the message of eight sensors that follows from it; of the log alone it is the chunk. What is read of a
+//! log is what a seek reads.
 
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use posed_drivers::Timestamp;
 use posed_recording::{Header, Reader, Writer};
+use posed_stage::RecordingContent;
 use posed_stage::input::{Entry, Input};
 
 /// Ten seconds at 100 Hz.
 const FRAMES: usize = 1000;
 
-fn header() -> Header {
+fn header(content: RecordingContent) -> Header {
     Header {
         version: "bench".to_owned(),
         epoch_utc_ns: 1_700_000_000_000_000_000,
@@ -23,6 +25,7 @@ fn header() -> Header {
         sensors: Vec::new(),
         models: Default::default(),
         snapshot: None,
+        content,
     }
 }
 
@@ -55,12 +58,14 @@ fn frames() -> Vec<(Entry, String)> {
     (0..FRAMES).map(&mut frame).collect()
 }
 
-fn record(frames: &[(Entry, String)]) -> Vec<u8> {
+fn record(frames: &[(Entry, String)], content: RecordingContent) -> Vec<u8> {
     let write = || {
-        let mut writer = Writer::new(Vec::new(), header())?;
+        let mut writer = Writer::new(Vec::new(), header(content))?;
         for (entry, message) in frames {
             writer.entry(entry)?;
-            writer.message("sensors", entry.t, message.as_bytes())?;
+            if content == RecordingContent::Full {
+                writer.message("sensors", entry.t, message.as_bytes())?;
+            }
         }
         writer.finish("bench")
     };
@@ -69,17 +74,20 @@ fn record(frames: &[(Entry, String)]) -> Vec<u8> {
 
 fn recording(criterion: &mut Criterion) {
     let frames = frames();
-    let payload: usize = frames.iter().map(|(_, message)| 78 + message.len()).sum();
-    let file = record(&frames);
     let mut group = criterion.benchmark_group("recording");
-    group.throughput(Throughput::Bytes(payload as u64));
-    group.bench_function("write", |bencher| bencher.iter(|| record(black_box(&frames)).len()));
-    group.bench_function("read", |bencher| {
-        bencher.iter(|| {
-            let reader = Reader::new(black_box(file.as_slice()), file.len() as u64);
-            reader.map(|reader| reader.filter(|item| item.is_ok()).count()).ok()
+    group.throughput(Throughput::Elements(FRAMES as u64));
+    for (content, suffix) in [(RecordingContent::Full, ""), (RecordingContent::Log, " log")] {
+        let file = record(&frames, content);
+        group.bench_function(format!("write{suffix}"), |bencher| {
+            bencher.iter(|| record(black_box(&frames), content).len());
         });
-    });
+        group.bench_function(format!("read{suffix}"), |bencher| {
+            bencher.iter(|| {
+                let reader = Reader::new(black_box(file.as_slice()), file.len() as u64);
+                reader.map(|reader| reader.filter(|item| item.is_ok()).count()).ok()
+            });
+        });
+    }
     group.finish();
 }
 

@@ -3,14 +3,15 @@
 //! The devices are virtual, everything else is what `posed run` does: the driver opens a pseudo-terminal and talks to
 //! a unit that does not know it is not one. The fault map is learnt from a rehearsal while the stage already runs.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use posed_daemon::{Daemon, FusionInbox, StageClock};
 use posed_drivers::Timestamp;
 use posed_simulator::host::{Clock, Host, Watcher};
 use posed_simulator::stage::{Event, Output};
-use posed_simulator::truth::TruthCycle;
+use posed_simulator::truth::{TruthCycle, TruthRow};
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input, Model, Truth, TruthSensor};
 
@@ -117,23 +118,79 @@ fn rehearse(stage: Stage, inbox: FusionInbox, clock: StageClock) {
 
 /// Sends the truth to the `truth` topic.
 fn truth_to(inbox: Arc<OnceLock<FusionInbox>>) -> Watcher {
+    let thinned = Mutex::new(Thinned::default());
     Arc::new(move |event: &Event| {
         if let (Output::Truth(cycle), Some(inbox)) = (&event.output, inbox.get()) {
-            publish(inbox, cycle);
+            let rows = thinned.lock().unwrap_or_else(PoisonError::into_inner).rows(cycle);
+            if !rows.is_empty() {
+                let input = Input::Truth(Truth { t_valid: cycle.t, sensors: rows });
+                inbox.enter(Entry { t: cycle.t, input });
+            }
         }
     })
 }
 
-fn publish(inbox: &FusionInbox, cycle: &TruthCycle) {
-    let sensor = |row: &posed_simulator::truth::TruthRow| {
-        let (t, q) = (row.pose.translation.vector, row.pose.rotation.into_inner());
-        TruthSensor {
-            sensor: row.sensor as u16,
-            position_m: t.into(),
-            orientation_wxyz: [q.w, q.i, q.j, q.k],
-            class: row.class.name().to_owned(),
+/// Time between two truths of a sensor, ns: they are there to be looked at, and at the devices' own rates they would be half of
+/// a recording.
+const TRUTH_NS: i64 = 100_000_000;
+
+/// Leaves out of the truth what nobody sees.
+#[derive(Default)]
+struct Thinned {
+    /// The step of time in which each sensor was shown last.
+    shown: BTreeMap<usize, i64>,
+}
+
+impl Thinned {
+    /// The sensors of a cycle that are due.
+    fn rows(&mut self, cycle: &TruthCycle) -> Vec<TruthSensor> {
+        let step = cycle.t.as_nanos().div_euclid(TRUTH_NS);
+        let due = cycle.sensors.iter().filter(|row| self.shown.insert(row.sensor, step) != Some(step));
+        due.map(truth_of).collect()
+    }
+}
+
+fn truth_of(row: &TruthRow) -> TruthSensor {
+    // What a float cannot hold is less than a micrometre, and does not compress.
+    let short = |value: f64| f64::from(value as f32);
+    let (t, q) = (row.pose.translation.vector, row.pose.rotation.into_inner());
+    TruthSensor {
+        sensor: row.sensor as u16,
+        position_m: [t.x, t.y, t.z].map(short),
+        orientation_wxyz: [q.w, q.i, q.j, q.k].map(short),
+        class: row.class.name().to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posed_simulator::truth::Class;
+
+    #[test]
+    fn the_truth_of_each_sensor_comes_ten_times_a_second() {
+        let mut thinned = Thinned::default();
+        let mut count = [0; 3];
+        for n in 0..1000_i64 {
+            // Two devices, one of them with sensors that take turns.
+            let sensors = if n % 2 == 0 { vec![0] } else { vec![1 + (n as usize / 2) % 2] };
+            let row = |sensor| TruthRow {
+                sensor,
+                pose: nalgebra::Isometry3::translation(0.1, 0.2, 0.3),
+                class: Class::Clean,
+                distortion_m: nalgebra::Vector3::zeros(),
+            };
+            let cycle = TruthCycle {
+                t: Timestamp::from_nanos(n * 5_000_000),
+                device: (n % 2) as usize,
+                cycle: n as u64 / 2,
+                sensors: sensors.into_iter().map(row).collect(),
+            };
+            for row in thinned.rows(&cycle) {
+                count[usize::from(row.sensor)] += 1;
+                assert!((row.position_m[2] - 0.3).abs() < 1e-7);
+            }
         }
-    };
-    let truth = Truth { t_valid: cycle.t, sensors: cycle.sensors.iter().map(sensor).collect() };
-    inbox.enter(Entry { t: cycle.t, input: Input::Truth(truth) });
+        assert_eq!(count, [50; 3]);
+    }
 }

@@ -14,11 +14,13 @@ use super::{Error, print, print_json};
 #[command(after_help = "Examples:\n  posed export take-1.mcap --to csv -o poses.csv\n  \
     posed export take-1.mcap --to csv --frame transmitter -o poses.csv.gz\n  \
     posed export take-1.mcap --to jsonl -o messages.jsonl\n  \
-    posed export take-1.mcap --to bvh -o take-1.bvh")]
+    posed export take-1.mcap --to bvh -o take-1.bvh\n  \
+    posed export take-1.mcap --to mcap -o take-1-full.mcap")]
 pub(crate) struct Args {
     /// The recording.
     recording: PathBuf,
     /// csv: filtered poses with their state. jsonl: every published message, one on each line. bvh, trc, glb: the body.
+    /// mcap: a recording with every message and all channels for viewers.
     #[arg(long, value_enum)]
     to: Format,
     /// The file to write; csv is zipped where it ends in .gz.
@@ -27,7 +29,7 @@ pub(crate) struct Args {
     /// Axes of the poses in a csv file.
     #[arg(long, value_enum, default_value = "room")]
     frame: Frame,
-    /// Print one JSON object: rows (of an animation its frames).
+    /// Print one JSON object: rows (of an animation its frames, of a recording its messages).
     #[arg(long)]
     json: bool,
 }
@@ -39,6 +41,7 @@ enum Format {
     Bvh,
     Trc,
     Glb,
+    Mcap,
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
@@ -56,6 +59,9 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         Format::Glb => body(animation::Format::Glb)?,
         Format::Jsonl => {
             export::jsonl(&recording, &output, |bytes| progress.at(bytes)).map_err(Error::failed)?
+        }
+        Format::Mcap => {
+            export::full(&recording, &output, |bytes| progress.at(bytes)).map_err(Error::failed)?
         }
         Format::Csv => {
             export::csv(&recording, &output, frame, |bytes| progress.at(bytes)).map_err(Error::failed)?

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use posed_recording::{Info, Repaired};
+use posed_stage::RecordingContent;
 
 use super::progress::Progress;
 use super::{Error, print, print_json};
@@ -54,13 +55,17 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 /// For people.
 fn sentences(info: &Info) -> String {
     let mut text = format!(
-        "stage     {}\nepoch     {}\nbegun     {:.3} s{}\nduration  {:.3} s\nsize      {:.1} MB\nwritten   by posed {}\n",
+        "stage     {}\nepoch     {}\nbegun     {:.3} s{}\nduration  {:.3} s\nsize      {:.1} MB\ncontent   {}\nwritten   by posed {}\n",
         info.stage,
         info.epoch_utc,
         info.begun_s,
         if info.mid_run { " (in the middle of a run)" } else { "" },
         info.duration_s,
         info.bytes as f64 * 1e-6,
+        match info.content {
+            RecordingContent::Log => "the input log; `posed export --to mcap` makes the rest anew",
+            RecordingContent::Full => "the input log, messages, all channels for viewers",
+        },
         info.version,
     );
     for device in &info.devices {

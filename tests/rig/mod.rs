@@ -84,7 +84,7 @@ pub(crate) fn simulate(stage: &Stage, scenario: &Scenario) -> VirtualStage {
     VirtualStage::new(&spec, scenario, ".".as_ref()).unwrap()
 }
 
-/// The log of a session as a recording, with the messages that follow from it; those of one topic besides.
+/// The log of a session as a recording, and of the messages that follow from it those of one topic.
 pub(crate) fn record(
     path: &Path,
     log: &[Entry],
@@ -98,8 +98,7 @@ pub(crate) fn record(
     let mut kept = Vec::new();
     for entry in log {
         writer.entry(entry).unwrap();
-        machine.push(entry, &mut |topic, t, json| {
-            writer.message(topic, t, json).unwrap();
+        machine.push(entry, &mut |topic, _, json| {
             if topic == topic_kept {
                 kept.push(serde_json::from_slice(json).unwrap());
             }

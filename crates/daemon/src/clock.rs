@@ -28,9 +28,10 @@ impl StageClock {
         Self { origin: Instant::now(), epoch_utc_ns: utc(), utc }
     }
 
-    /// Time since the epoch; it never goes backwards, whatever is done to the computer's clock.
+    /// Time since the epoch, in whole microseconds; it never goes backwards, whatever is done to the computer's clock. Digits
+    /// beyond are noise, and would be a tenth of a recording.
     pub fn now(&self) -> Timestamp {
-        Timestamp::from_nanos(self.origin.elapsed().as_nanos() as i64)
+        Timestamp::from_nanos(self.origin.elapsed().as_micros() as i64 * 1000)
     }
 
     /// The monotonic instant of a time since the epoch; times before the epoch are the epoch.

@@ -24,6 +24,7 @@ use posed_pipeline::Pipeline;
 use posed_protocol::foxglove::Views;
 use posed_protocol::{Answer, Payload, Publisher, RecordingBegun, Status, schema};
 use posed_recording::{Header, Snapshot, WriteError};
+use posed_stage::RecordingContent;
 use posed_stage::input::{Entry, Input, Model, Request, SensorIndex};
 use posed_stage::output::{OutcomeKind, Output};
 
@@ -296,6 +297,7 @@ impl Fusion {
     fn step(&mut self, entry: &Entry) {
         self.entries += 1;
         let Self { pipeline, publisher, views, hub, ports, observers, recording, clock, .. } = self;
+        let content = self.recording_header.content;
         observers.on_entry(entry);
         let mut recorder = recording.as_mut().map(|recording| &mut recording.recorder);
         if let Some(recorder) = &mut recorder {
@@ -330,8 +332,14 @@ impl Fusion {
             hub.publish(&output);
             match &mut recorder {
                 Some(recorder) => {
-                    let (stamp, message) = publisher.publish(&payload);
-                    recorder.message(stamp.topic.name(), stamp.t(), message);
+                    let stamp = match content {
+                        RecordingContent::Log => publisher.skip(&payload),
+                        RecordingContent::Full => {
+                            let (stamp, message) = publisher.publish(&payload);
+                            recorder.message(stamp.topic.name(), stamp.t(), message);
+                            stamp
+                        }
+                    };
                     views.publish(&payload, &stamp, |channel, json| recorder.view(channel, stamp.t(), json));
                 }
                 None => _ = publisher.skip(&payload),

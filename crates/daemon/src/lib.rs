@@ -242,7 +242,7 @@ impl Daemon {
             inbox: inbox.clone(),
             pipeline: Pipeline::new(&stage)?,
             publisher: Publisher::new(&stage, Fields::all()),
-            views: Views::new(&stage, clock.epoch_utc_ns()),
+            views: Views::new(&stage, clock.epoch_utc_ns(), stage.recording.content),
             hub,
             jobs: jobs.clone(),
             ports: commands,

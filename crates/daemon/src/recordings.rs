@@ -6,6 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::server::Refusal;
+use posed_recording::is_recording;
 
 /// Why a recording is not found.
 #[derive(Debug, thiserror::Error)]
@@ -44,7 +45,7 @@ pub fn find(folder: &Path, name: &str) -> Result<PathBuf, FindError> {
     }
 }
 
-/// Names of the files in a folder that end in `.mcap`, in order; none where there is no folder yet. Nothing is opened.
+/// Names of the files in a folder that end in `.mcap`, in letters of either case, in order; none where there is no folder yet. Nothing is opened.
 ///
 /// # Errors
 /// The folder cannot be read.
@@ -56,7 +57,7 @@ pub fn list(folder: &Path) -> Result<Vec<String>, FindError> {
     };
     let mut names: Vec<String> = entries
         .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
-        .filter(|name| name.ends_with(".mcap"))
+        .filter(|name| is_recording(Path::new(name)))
         .collect();
     names.sort();
     Ok(names)

@@ -2,6 +2,8 @@
 
 use std::io;
 
+use super::machine::MachineError;
+
 /// How a recording ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
@@ -20,7 +22,7 @@ pub enum ReadError {
     /// It is something else, or was cut before its front part was complete.
     #[error("this is no recording of posed: {0}")]
     NotARecording(String),
-    /// Bytes have changed since they were written, or a channel holds what this version does not know.
+    /// Bytes have changed since they were written.
     #[error(
         "the recording is damaged before byte {before_byte}: {reason}; `posed info --repair` saves what comes before"
     )]
@@ -30,6 +32,14 @@ pub enum ReadError {
         /// What does not fit.
         reason: String,
     },
+    /// What was written is sound, and this version cannot read it: to cut it there would lose data.
+    #[error(
+        "the recording holds what this version of posed does not know: {0}; open it with a newer version"
+    )]
+    Newer(String),
+    /// Its messages cannot be made anew from its log.
+    #[error(transparent)]
+    Machine(#[from] MachineError),
     /// Entries of the input log are missing; a replay would not say the same.
     #[error("the recording has a hole: entry {expected} is followed by entry {found}")]
     Hole {

@@ -1,4 +1,4 @@
-//! Files that other programs open: messages as JSON lines, poses as CSV.
+//! Files that other programs open: messages as JSON lines, poses as CSV, everything as MCAP.
 
 use std::io::Write;
 use std::path::Path;
@@ -8,11 +8,14 @@ use nalgebra::Isometry3;
 use super::ending::ReadError;
 use super::header::Header;
 use super::reader::{Item, Reader};
+use super::scribe::Scribe;
+use super::take::Take;
+use super::writer::WriteError;
 use crate::atomic_file::AtomicFile;
 use crate::table::{PoseColumns, PoseRow, PoseWriter, Poses, TableError, Which};
 use posed_geometry::{isometry, orientation_from_wxyz, orientation_to_wxyz};
-use posed_stage::Stage;
 use posed_stage::input::{Input, Model};
+use posed_stage::{RecordingContent, Stage};
 
 /// Frame of reference of exported poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -32,11 +35,11 @@ pub enum Frame {
 pub fn jsonl(recording: &Path, output: &Path, mut progress: impl FnMut(u64)) -> Result<u64, TableError> {
     let failed = |source| TableError::Recording { file: recording.display().to_string(), source };
     let write = |source| TableError::Io { tried: "write", file: output.display().to_string(), source };
-    let mut reader = Reader::open(recording).map_err(failed)?;
+    let mut take = Take::open(recording).map_err(failed)?;
     let mut file = AtomicFile::create(output).map_err(write)?;
     let mut lines = 0;
-    while let Some(item) = reader.next() {
-        progress(reader.bytes_read());
+    while let Some(item) = take.next() {
+        progress(take.bytes_read());
         if let Item::Message(message) = item.map_err(failed)? {
             file.write_all(&message.json).and_then(|()| file.write_all(b"\n")).map_err(write)?;
             lines += 1;
@@ -44,6 +47,42 @@ pub fn jsonl(recording: &Path, output: &Path, mut progress: impl FnMut(u64)) -> 
     }
     file.commit().map_err(write)?;
     Ok(lines)
+}
+
+/// Why a recording cannot be written with all that follows from it.
+#[derive(Debug, thiserror::Error)]
+pub enum FullError {
+    /// It cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// The file cannot be written, or the recording is of another version.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+}
+
+/// Writes a recording anew with every message and all channels for viewers at the full rate, made from its log; returns the
+/// number of messages. A torn recording gives what it has. `progress` receives the bytes of the recording read so far.
+///
+/// # Errors
+/// The recording cannot be read, is of another version, or the file cannot be written; nothing is left behind.
+pub fn full(recording: &Path, output: &Path, mut progress: impl FnMut(u64)) -> Result<u64, FullError> {
+    let mut reader = Reader::open(recording)?;
+    let header = Header { content: RecordingContent::Full, ..reader.header().clone() };
+    let file = AtomicFile::create(output).map_err(WriteError::from)?;
+    let mut scribe = Scribe::new(file, header)?;
+    let mut messages = 0;
+    while let Some(item) = reader.next() {
+        progress(reader.bytes_read());
+        match item? {
+            Item::Entry(entry) => messages += scribe.entry(&entry)?,
+            Item::Transmitted { device, t, bytes } => scribe.transmitted(device, t, &bytes)?,
+            // It is made anew.
+            Item::Message(_) => {}
+        }
+    }
+    let file = scribe.finish(reader.end_reason().unwrap_or("the recording breaks off here"))?;
+    file.commit().map_err(WriteError::from)?;
+    Ok(messages)
 }
 
 /// Writes the filtered poses of a recording as CSV; returns the number of rows. Columns: `t` (capture time, s), `sensor`, `x,y,z`
@@ -61,18 +100,18 @@ pub fn csv(
     mut progress: impl FnMut(u64),
 ) -> Result<u64, TableError> {
     let failed = |source| TableError::Recording { file: recording.display().to_string(), source };
-    let mut reader = Reader::open(recording).map_err(failed)?;
+    let mut take = Take::open(recording).map_err(failed)?;
     let mut transmitter = match frame {
         Frame::Room => None,
-        Frame::Transmitter => Some(Transmitter::at_beginning(reader.header()).map_err(failed)?),
+        Frame::Transmitter => Some(Transmitter::at_beginning(take.header()).map_err(failed)?),
     };
     let columns = PoseColumns { sensor: true, orientation: true, state: true };
     let mut writer = PoseWriter::create(output, columns)?;
     let mut rows = 0;
     // Holds the rows of one message, and the sensors' names.
     let mut poses = Poses::default();
-    while let Some(item) = reader.next() {
-        progress(reader.bytes_read());
+    while let Some(item) = take.next() {
+        progress(take.bytes_read());
         match item.map_err(failed)? {
             Item::Entry(entry) => {
                 if let (Some(transmitter), Input::Model(model)) = (&mut transmitter, &entry.input) {

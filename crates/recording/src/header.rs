@@ -6,14 +6,16 @@ use mcap::records::Metadata;
 use posed_drivers::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use posed_stage::{LoadedModels, Stage, without_secrets};
+use posed_stage::{LoadedModels, RecordingContent, Stage, without_secrets};
 
 /// Name of the metadata record that ends the front part.
 pub(super) const METADATA: &str = "posed";
 /// Name of the metadata record that ends the recording.
 pub(super) const METADATA_END: &str = "posed.end";
 /// Version of the layout described in [`super`].
-const FORMAT: &str = "2";
+const FORMAT: &str = "3";
+/// The layout before, whose entries were never bundled and whose messages were always there.
+const FORMAT_BEFORE: &str = "2";
 
 const STAGE: &str = "stage.toml";
 const MODELS: &str = "models.msgpack";
@@ -41,6 +43,8 @@ pub struct Header {
     pub models: LoadedModels,
     /// State at the beginning, for a recording begun mid-run; `None` for one that begins with the run.
     pub snapshot: Option<Snapshot>,
+    /// What it holds beside its log.
+    pub content: RecordingContent,
 }
 
 /// State from which a replay goes on; opaque here.
@@ -63,7 +67,7 @@ pub(super) struct Part {
 
 impl Header {
     /// Header of a recording that begins with the run of `stage`, read from `stage_toml`, whose secrets are left out;
-    /// `epoch_utc_ns` is the UTC of its epoch, ns since 1970. No models, no snapshot.
+    /// `epoch_utc_ns` is the UTC of its epoch, ns since 1970. No models, no snapshot; the content is the stage's.
     pub fn new(stage: &Stage, stage_toml: &str, epoch_utc_ns: i64) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -75,6 +79,7 @@ impl Header {
             sensors: stage.sensors.iter().map(|sensor| sensor.name.clone()).collect(),
             models: LoadedModels::default(),
             snapshot: None,
+            content: stage.recording.content,
         }
     }
 
@@ -114,6 +119,7 @@ impl Header {
             ("stage", self.stage.clone()),
             ("devices", list(&self.devices)?),
             ("sensors", list(&self.sensors)?),
+            ("content", content_name(self.content).to_owned()),
         ];
         let metadata = metadata.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
         Ok(Metadata { name: METADATA.to_owned(), metadata })
@@ -131,9 +137,17 @@ impl Header {
         let names =
             |key: &str| serde_json::from_str::<Vec<String>>(text(key)?).map_err(|error| wrong(key, &error));
         let format = text("format")?;
-        if format != FORMAT {
-            return Err(format!("its layout has version {format}; this program reads version {FORMAT}"));
+        if format != FORMAT && format != FORMAT_BEFORE {
+            return Err(format!(
+                "its layout has version {format}; this program reads {FORMAT_BEFORE} and {FORMAT}"
+            ));
         }
+        let content = match metadata.get("content").map(String::as_str) {
+            Some("log") => RecordingContent::Log,
+            Some("full") => RecordingContent::Full,
+            None if format == FORMAT_BEFORE => RecordingContent::Full,
+            other => return Err(wrong("content", &format!("{other:?} is neither `log` nor `full`"))),
+        };
         let stage_toml = attachments.get(STAGE).ok_or_else(|| format!("it holds no {STAGE}"))?;
         let stage_toml = String::from_utf8(stage_toml.clone())
             .map_err(|error| format!("its {STAGE} is wrong: {error}"))?;
@@ -160,6 +174,15 @@ impl Header {
             sensors: names("sensors")?,
             models,
             snapshot,
+            content,
         })
+    }
+}
+
+/// As the metadata and the stage file spell it.
+fn content_name(content: RecordingContent) -> &'static str {
+    match content {
+        RecordingContent::Log => "log",
+        RecordingContent::Full => "full",
     }
 }

@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::ending::{Ending, ReadError};
 use super::reader::{Item, Reader};
+use posed_stage::RecordingContent;
 use posed_stage::input::Input;
 
 /// Summary of a recording, made by reading all of it.
@@ -29,6 +30,8 @@ pub struct Info {
     pub begun_s: f64,
     /// From its beginning to the last entry or message, s.
     pub duration_s: f64,
+    /// What it holds beside its log: nothing but a few views, or everything.
+    pub content: RecordingContent,
     /// Whether it begins with a snapshot, that is in the middle of a run.
     pub mid_run: bool,
     /// Size of the file, bytes.
@@ -69,7 +72,7 @@ impl Info {
             progress(reader.bytes_read());
             let item = match item {
                 Ok(item) => item,
-                Err(ReadError::Io(error)) => return Err(ReadError::Io(error)),
+                Err(error @ ReadError::Io(_)) => return Err(error),
                 Err(error) => {
                     problem = Some(error.to_string());
                     break;
@@ -99,6 +102,7 @@ impl Info {
             epoch_utc: rfc3339(header.epoch_utc_ns),
             begun_s: header.begun.as_secs_f64(),
             duration_s: last.seconds_since(header.begun),
+            content: header.content,
             mid_run: header.snapshot.is_some(),
             bytes: std::fs::metadata(path)?.len(),
             stage: header.stage,

@@ -1,7 +1,8 @@
-//! Recordings: MCAP files of the input log, what was sent to the devices, and the published messages.
+//! Recordings: MCAP files of the input log and, where wanted, of all that follows from it.
 //!
 //! What comes in: entries, messages and bytes in the order in which the fusion thread saw and made them. What goes
-//! out: a file that other programs open, the same entries in the same order, and what a replay of them says.
+//! out: a file that other programs open, the same entries in the same order, and what a replay of them says. Messages that a
+//! file does not hold are made anew from its log ([`Take`]).
 //! What it never does: own a thread or a clock, or hide a hole in the log.
 //!
 //! ```
@@ -17,7 +18,7 @@
 //! # Layout of a file
 //! Profile `posed`. In front, outside of any chunk: the attachments `stage.toml`, `models.msgpack`
 //! (models swapped in before), `snapshot/pipeline` and `snapshot/publisher` (state, for a recording begun mid-run),
-//! then the metadata record `posed` (version, epoch, names). Then chunks with these topics:
+//! then the metadata record `posed` (version, epoch, names, content). Then chunks with these topics:
 //!
 //! | topic | encoding | holds |
 //! |---|---|---|
@@ -29,13 +30,22 @@
 //! | `/output/DEVICE/bytes` | raw | what was transmitted |
 //! | `/posed/TOPIC` | JSON | a message as the websocket publishes it at the full rate |
 //! | `/tf`, `/scene/...`, `/log`, ... | JSON | the same for viewers, see [`posed_protocol::foxglove`]; skipped by our own reader |
+//! | `/input/log` | bundle | pieces of the topics of `/input` and `/output`, in order |
+//!
+//! By its content (`[recording] content` of the stage file) a file is one of two kinds. `full` has all of these but the last.
+//! `log` has `/input/log` in the place of the topics of the log, which are declared and have no messages of their own, no
+//! `/posed/TOPIC`, and of the viewers' channels `/tf` and `/scene` thinned out, and `/log`. A piece of a bundle has a time, its
+//! bytes as in the topic, and a place: 0 timer, 1 model, 2 request, 3 network, 4 truth, and for device n 16 + 3 n bytes, and
+//! after that line and transmitted; `src/bundle.rs` has the bytes.
 //!
 //! `log_time` is the epoch in UTC plus the entry's time, to the nanosecond. `sequence` of the input topics is one
-//! counter over all of them: file order and counter say the same, and a gap is a hole. The others count by topic.
+//! counter over all of them, of a bundle that of its first entry: file order and counter say the same, and a gap is a hole. The
+//! others count by topic.
 //! The last record is the metadata `posed.end`, whose `reason` states why the recording ended.
 
 pub mod animation;
 mod atomic_file;
+mod bundle;
 mod compare;
 pub mod export;
 mod info;
@@ -45,7 +55,9 @@ mod reader;
 mod records;
 mod repair;
 mod replay;
+mod scribe;
 pub mod table;
+mod take;
 mod writer;
 
 mod ending;
@@ -67,11 +79,15 @@ pub use outline::Outline;
 pub use reader::{Item, Message, Reader};
 pub use repair::{RepairError, Repaired, repair};
 pub use replay::{Mapping, Replayable, Verdict, VerifyError, verify};
+pub use scribe::Scribe;
+pub use take::Take;
 pub use writer::{WriteError, Writer};
 
-/// Largest message, attachment or chunk that is written, and that a reader believes without having seen a file of that size,
-/// bytes. A message or an attachment stays 2 MiB below, so that the chunk around it fits.
+/// Largest chunk that is written, and largest record that a reader believes without having seen a file of that size, bytes.
 pub const MAX_RECORD_BYTES: usize = 64 << 20;
+
+/// Largest entry, message or attachment that is written, bytes: the chunk around it fits into a record.
+pub const MAX_PIECE_BYTES: usize = MAX_RECORD_BYTES - (2 << 20);
 
 /// Whether a file is named like a recording (`.mcap`, in letters of either case) rather than like a table; the file is not looked
 /// at.

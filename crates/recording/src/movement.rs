@@ -5,7 +5,7 @@ use std::path::Path;
 use nalgebra::Vector3;
 use thiserror::Error;
 
-use super::{Item, ReadError, Reader};
+use super::{Item, ReadError, Take};
 use crate::animation::{Animation, AnimationError, Format};
 use posed_fusion::body::{BodyEstimate, BodySegment, Skeleton};
 use posed_geometry::orientation_from_wxyz;
@@ -42,14 +42,14 @@ pub fn animation(
     format: Format,
     mut progress: impl FnMut(u64),
 ) -> Result<u64, MovementError> {
-    let mut reader = Reader::open(recording)?;
-    let stage = Stage::parse(&reader.header().stage_toml)
+    let mut take = Take::open(recording)?;
+    let stage = Stage::parse(&take.header().stage_toml)
         .map_err(|problems| ReadError::NotARecording(format!("its stage file is wrong: {problems}")))?;
     let skeleton = stage.body.as_ref().and_then(skeleton_of).ok_or(MovementError::NoBody)?;
     let mut animation = Animation::new(skeleton);
     let mut frames = 0;
-    while let Some(item) = reader.next() {
-        progress(reader.bytes_read());
+    while let Some(item) = take.next() {
+        progress(take.bytes_read());
         let Item::Message(message) = item? else { continue };
         if &*message.topic != "body" {
             continue;

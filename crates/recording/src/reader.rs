@@ -1,9 +1,9 @@
 //! Reading a recording from its beginning to its end, or to where it breaks off.
 //!
 //! What comes in: a file. What goes out: the header, then everything in the order in which it was written.
-//! Memory is that of one chunk. A torn file (`kill -9`, power cut) simply ends; a damaged one says so, once.
+//! Memory is that of one chunk and of what is bundled in it. A torn file (`kill -9`, power cut) simply ends; a damaged one says so, once.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
@@ -12,10 +12,11 @@ use std::sync::Arc;
 use posed_drivers::Timestamp;
 use serde::de::DeserializeOwned;
 
+use super::bundle::{Piece, pieces};
 use super::ending::{Ending, ReadError};
 use super::header::{Header, METADATA, METADATA_END};
 use super::records::{Record, Records};
-use super::writer::{DEVICE, KIND};
+use super::writer::{BUNDLE, DEVICE, DEVICE_KINDS, DEVICE_PLACES, KIND, STAGE_KINDS};
 use posed_stage::input::{DeviceIndex, Entry, Input};
 
 /// One thing of a recording.
@@ -54,14 +55,28 @@ pub struct Reader<R> {
     header: Header,
     /// What each channel holds, by its id.
     kinds: BTreeMap<u16, Kind>,
+    /// What is left of the newest bundle.
+    bundled: VecDeque<Item>,
     next_entry: u32,
     sound_messages: u64,
     end_reason: Option<String>,
     failed: bool,
 }
 
+/// What a channel holds.
 #[derive(Clone)]
 enum Kind {
+    Log(LogKind),
+    /// Many pieces of the log.
+    Bundle,
+    Message(Arc<str>),
+    /// Somebody else's: skipped.
+    Foreign,
+}
+
+/// What a piece of the log is.
+#[derive(Clone, Copy)]
+enum LogKind {
     Bytes(DeviceIndex),
     Line(DeviceIndex),
     Timer,
@@ -70,9 +85,6 @@ enum Kind {
     SegmentationNetwork,
     Truth,
     Transmitted(DeviceIndex),
-    Message(Arc<str>),
-    /// Somebody else's: skipped.
-    Foreign,
 }
 
 impl Reader<BufReader<File>> {
@@ -111,8 +123,16 @@ impl<R: Read> Reader<R> {
                 None => return Err(ReadError::NotARecording("it ends before its first chunk".to_owned())),
             }
         };
-        let kinds = BTreeMap::new();
-        Ok(Self { records, header, kinds, next_entry: 0, sound_messages: 0, end_reason: None, failed: false })
+        Ok(Self {
+            records,
+            header,
+            kinds: BTreeMap::new(),
+            bundled: VecDeque::new(),
+            next_entry: 0,
+            sound_messages: 0,
+            end_reason: None,
+            failed: false,
+        })
     }
 
     /// What stands in front.
@@ -135,31 +155,35 @@ impl<R: Read> Reader<R> {
         self.records.position()
     }
 
-    /// Messages of all topics, others' included, before the end or the first error.
+    /// MCAP messages of all topics, others' and bundles included, before the end or the first error.
     pub(super) fn sound_messages(&self) -> u64 {
         self.sound_messages
     }
 
     fn read(&mut self) -> Result<Option<Item>, ReadError> {
-        while let Some(record) = self.records.next()? {
-            match record {
-                Record::Message(message) => {
-                    let item = self.item(message)?;
+        loop {
+            if let Some(item) = self.bundled.pop_front() {
+                return Ok(Some(item));
+            }
+            match self.records.next()? {
+                None => return Ok(None),
+                Some(Record::Message(message)) => {
+                    let item = self.message(message)?;
                     self.sound_messages += 1;
                     if item.is_some() {
                         return Ok(item);
                     }
                 }
-                Record::Metadata(mut metadata) if metadata.name == METADATA_END => {
+                Some(Record::Metadata(mut metadata)) if metadata.name == METADATA_END => {
                     self.end_reason = metadata.metadata.remove("reason");
                 }
-                Record::Metadata(_) | Record::Attachment(_) => {}
+                Some(Record::Metadata(_) | Record::Attachment(_)) => {}
             }
         }
-        Ok(None)
     }
 
-    fn item(&mut self, message: mcap::Message<'static>) -> Result<Option<Item>, ReadError> {
+    /// What a message holds, where that is one item; those of a bundle come later.
+    fn message(&mut self, message: mcap::Message<'static>) -> Result<Option<Item>, ReadError> {
         let id = message.channel.id;
         if !self.kinds.contains_key(&id) {
             let kind = self.kind(&message.channel)?;
@@ -167,66 +191,112 @@ impl<R: Read> Reader<R> {
         }
         let kind = self.kinds.get(&id).cloned().unwrap_or(Kind::Foreign);
         let t = self.header.stage_time(message.log_time);
-        let data = &message.data;
-        let input = match kind {
-            Kind::Foreign => return Ok(None),
+        match kind {
+            Kind::Foreign => Ok(None),
             Kind::Message(topic) => {
-                return Ok(Some(Item::Message(Message { topic, t, json: message.data.into_owned() })));
+                Ok(Some(Item::Message(Message { topic, t, json: message.data.into_owned() })))
             }
-            Kind::Transmitted(device) => {
-                return Ok(Some(Item::Transmitted { device, t, bytes: message.data.into_owned() }));
+            Kind::Bundle => {
+                let items = self.unbundle(&message.data)?;
+                self.count(
+                    message.sequence,
+                    items.iter().filter(|item| matches!(item, Item::Entry(_))).count(),
+                )?;
+                self.bundled.extend(items);
+                Ok(None)
             }
-            Kind::Bytes(device) => Input::Bytes { device, bytes: message.data.into_owned() },
-            Kind::Line(device) => Input::Line { device, event: self.unpack(data, "line event")? },
-            Kind::Timer => Input::Timer,
-            Kind::Model => Input::Model(self.unpack(data, "model")?),
-            Kind::Request => Input::Request(self.unpack(data, "request")?),
-            Kind::SegmentationNetwork => Input::SegmentationNetwork(message.data.into_owned()),
-            Kind::Truth => Input::Truth(self.unpack(data, "truth")?),
-        };
-        let found = message.sequence;
+            Kind::Log(kind) => {
+                let item = item(kind, t, &message.data)?;
+                if let Item::Entry(_) = item {
+                    self.count(message.sequence, 1)?;
+                }
+                Ok(Some(item))
+            }
+        }
+    }
+
+    /// So many entries come next, of which the first has the number `found`.
+    fn count(&mut self, found: u32, entries: usize) -> Result<(), ReadError> {
         if found != self.next_entry {
             return Err(ReadError::Hole { expected: self.next_entry, found });
         }
-        self.next_entry = found.wrapping_add(1);
-        Ok(Some(Item::Entry(Entry { t, input })))
+        self.next_entry = found.wrapping_add(entries as u32);
+        Ok(())
     }
 
-    fn unpack<T: DeserializeOwned>(&self, data: &[u8], what: &str) -> Result<T, ReadError> {
-        rmp_serde::from_slice(data)
-            .map_err(|error| self.records.corrupt(format!("unreadable {what}: {error}")))
+    fn unbundle(&self, bytes: &[u8]) -> Result<Vec<Item>, ReadError> {
+        let unpacked = pieces(bytes).map(|piece| {
+            let Piece { place, t, data } =
+                piece.ok_or_else(|| ReadError::Newer("a bundle in another form".to_owned()))?;
+            let kind = self.place(place);
+            item(kind.ok_or_else(|| ReadError::Newer(format!("a bundle with the place {place}")))?, t, data)
+        });
+        unpacked.collect()
+    }
+
+    /// What stands at a place of a bundle.
+    fn place(&self, place: u32) -> Option<LogKind> {
+        let Some(place) = place.checked_sub(DEVICE_PLACES) else {
+            return log_kind(STAGE_KINDS.get(place as usize)?, || None);
+        };
+        let each = DEVICE_KINDS.len() as u32;
+        let device = DeviceIndex::try_from(place / each).ok()?;
+        let device = (usize::from(device) < self.header.devices.len()).then_some(device);
+        log_kind(DEVICE_KINDS[(place % each) as usize], || device)
     }
 
     fn kind(&self, channel: &mcap::Channel<'_>) -> Result<Kind, ReadError> {
         let device = || {
-            let name = channel.metadata.get(DEVICE);
-            let index = name.and_then(|name| self.header.devices.iter().position(|device| device == name));
-            index.and_then(|index| DeviceIndex::try_from(index).ok()).ok_or_else(|| {
-                self.records.corrupt(format!("topic {} names no device of the stage", channel.topic))
-            })
+            let name = channel.metadata.get(DEVICE)?;
+            DeviceIndex::try_from(self.header.devices.iter().position(|device| device == name)?).ok()
         };
-        Ok(match channel.metadata.get(KIND).map(String::as_str) {
-            Some("bytes") => Kind::Bytes(device()?),
-            Some("line") => Kind::Line(device()?),
-            Some("timer") => Kind::Timer,
-            Some("model") => Kind::Model,
-            Some("request") => Kind::Request,
-            Some("segmentation_network") => Kind::SegmentationNetwork,
-            Some("truth") => Kind::Truth,
-            Some("transmitted") => Kind::Transmitted(device()?),
+        match channel.metadata.get(KIND).map(String::as_str) {
+            None => Ok(Kind::Foreign),
             Some("message") => {
-                Kind::Message(channel.topic.strip_prefix("/posed/").unwrap_or(&channel.topic).into())
+                Ok(Kind::Message(channel.topic.strip_prefix("/posed/").unwrap_or(&channel.topic).into()))
             }
+            Some(BUNDLE) => Ok(Kind::Bundle),
             // An input that this version does not know must not be left out of a replay silently.
-            Some(other) => {
-                return Err(self.records.corrupt(format!(
-                    "topic {} holds `{other}`, which this version does not know",
-                    channel.topic
-                )));
-            }
-            None => Kind::Foreign,
-        })
+            Some(kind) => log_kind(kind, device).map(Kind::Log).ok_or_else(|| {
+                ReadError::Newer(format!("`{kind}` in the topic {}, or its device", channel.topic))
+            }),
+        }
     }
+}
+
+/// The kind of that name; `None` of a name or a device that is unknown.
+fn log_kind(name: &str, device: impl FnOnce() -> Option<DeviceIndex>) -> Option<LogKind> {
+    Some(match name {
+        "bytes" => LogKind::Bytes(device()?),
+        "line" => LogKind::Line(device()?),
+        "transmitted" => LogKind::Transmitted(device()?),
+        "timer" => LogKind::Timer,
+        "model" => LogKind::Model,
+        "request" => LogKind::Request,
+        "segmentation_network" => LogKind::SegmentationNetwork,
+        "truth" => LogKind::Truth,
+        _ => return None,
+    })
+}
+
+/// A piece of the log.
+fn item(kind: LogKind, t: Timestamp, data: &[u8]) -> Result<Item, ReadError> {
+    let input = match kind {
+        LogKind::Transmitted(device) => return Ok(Item::Transmitted { device, t, bytes: data.to_vec() }),
+        LogKind::Bytes(device) => Input::Bytes { device, bytes: data.to_vec() },
+        LogKind::Line(device) => Input::Line { device, event: unpack(data, "line event")? },
+        LogKind::Timer => Input::Timer,
+        LogKind::Model => Input::Model(unpack(data, "model")?),
+        LogKind::Request => Input::Request(unpack(data, "request")?),
+        LogKind::SegmentationNetwork => Input::SegmentationNetwork(data.to_vec()),
+        LogKind::Truth => Input::Truth(unpack(data, "truth")?),
+    };
+    Ok(Item::Entry(Entry { t, input }))
+}
+
+/// The checksum of its chunk is right: what cannot be unpacked is no damage, but of another version.
+fn unpack<T: DeserializeOwned>(data: &[u8], what: &str) -> Result<T, ReadError> {
+    rmp_serde::from_slice(data).map_err(|error| ReadError::Newer(format!("a {what} ({error})")))
 }
 
 impl<R: Read> Iterator for Reader<R> {

@@ -54,6 +54,11 @@ impl<R: Read> Records<R> {
         }
     }
 
+    /// The channels seen so far, those without a message too.
+    pub(super) fn channels(&self) -> impl Iterator<Item = &Channel<'static>> {
+        self.channels.values().map(Arc::as_ref)
+    }
+
     /// Bytes taken from the source.
     pub(super) fn position(&self) -> u64 {
         self.position
@@ -173,6 +178,7 @@ impl<R: Read> Records<R> {
             McapError::BadMagic if self.position <= mcap::MAGIC.len() as u64 => {
                 ReadError::NotARecording("it does not begin as an MCAP file".to_owned())
             }
+            McapError::UnsupportedCompression(name) => ReadError::Newer(format!("chunks packed by {name}")),
             other => self.corrupt(other.to_string()),
         }
     }

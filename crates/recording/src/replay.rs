@@ -14,8 +14,8 @@ use super::compare::{Comparison, Difference, is_replayed};
 use super::ending::{Ending, ReadError};
 use super::header::Header;
 use super::reader::{Item, Message, Reader};
-use posed_stage::Stage;
 use posed_stage::input::{DeviceIndex, Entry, Input, SensorIndex};
+use posed_stage::{RecordingContent, Stage};
 
 /// What can be replayed: the pipeline with its publisher.
 pub trait Replayable {
@@ -80,6 +80,9 @@ pub enum VerifyError {
     /// The recording cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
+    /// It holds no messages.
+    #[error("the recording holds its log alone, so there are no messages to hold the replay against")]
+    LogOnly,
     /// The first message that the replay says differently, or that only one of the two has.
     #[error("the replay differs: {0}")]
     Different(#[from] Box<Difference>),
@@ -89,12 +92,15 @@ pub enum VerifyError {
 /// message by message, on all topics that are replayed (see [`is_replayed`]).
 ///
 /// # Errors
-/// The recording cannot be read, or a message differs.
+/// The recording cannot be read or holds no messages, or a message differs.
 pub fn verify<R: Read>(
     reader: &mut Reader<R>,
     machine: &mut impl Replayable,
     comparison: Comparison,
 ) -> Result<Verdict, VerifyError> {
+    if reader.header().content == RecordingContent::Log {
+        return Err(VerifyError::LogOnly);
+    }
     let mut recorded = VecDeque::new();
     let mut replayed = VecDeque::new();
     let (mut entries, mut messages) = (0, 0);

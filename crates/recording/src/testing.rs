@@ -8,8 +8,8 @@ use std::sync::{Arc, Mutex};
 use posed_drivers::{LineEvent, Timestamp};
 
 use super::{Header, Item, Message, Reader, Snapshot, Writer};
-use posed_stage::Stage;
 use posed_stage::input::{Entry, Input, Model, Truth, TruthSensor};
+use posed_stage::{RecordingContent, Stage};
 
 /// A stage file that is right.
 pub const STAGE: &str = r#"
@@ -47,8 +47,14 @@ pub fn header() -> Header {
         begun: Timestamp::from_nanos(-5),
         models: [model(0.5)].into_iter().collect(),
         snapshot: Some(Snapshot { pipeline: vec![0, 255, 7], publisher: vec![1] }),
+        content: RecordingContent::Full,
         ..Header::new(&stage, STAGE, 1_700_000_000_123_456_789)
     }
+}
+
+/// The same of a recording that holds no more than its log.
+pub fn lean_header() -> Header {
+    Header { content: RecordingContent::Log, ..header() }
 }
 
 pub fn model(x_m: f64) -> Model {
@@ -128,7 +134,12 @@ pub fn write<W: Write>(writer: &mut Writer<W>, item: &Item) -> Result<(), super:
 
 /// A recording of `items` with a chunk's end after every `flush_every`th.
 pub fn record(items: &[Item], flush_every: usize) -> Vec<u8> {
-    let mut writer = Writer::new(Vec::new(), header()).unwrap();
+    record_with(header(), items, flush_every)
+}
+
+/// The same with another header.
+pub fn record_with(header: Header, items: &[Item], flush_every: usize) -> Vec<u8> {
+    let mut writer = Writer::new(Vec::new(), header).unwrap();
     writer.declare("sensors", r#"{"type":"object"}"#);
     for (index, item) in items.iter().enumerate() {
         write(&mut writer, item).unwrap();

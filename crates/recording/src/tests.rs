@@ -1,10 +1,12 @@
 //! Tests of writer, reader, repair, replay and export together.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use posed_drivers::Timestamp;
 
-use super::testing::{Full, STAGE, header, items, model, reader, record, sensors, write};
+use super::testing::{
+    Full, STAGE, chunk, header, items, lean_header, model, reader, record, record_with, sensors, write,
+};
 use super::*;
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input};
@@ -26,10 +28,10 @@ fn read_all(bytes: &[u8]) -> (Vec<Item>, Option<ReadError>, Option<Ending>) {
 #[test]
 fn everything_comes_back_in_exact_order() {
     let items = items();
-    for flush_every in [1, 5, 1000] {
-        let bytes = record(&items, flush_every);
+    for (header, flush_every) in [header(), lean_header()].iter().flat_map(|h| [(h, 1), (h, 5), (h, 1000)]) {
+        let bytes = record_with(header.clone(), &items, flush_every);
         let mut reader = reader(&bytes).unwrap();
-        assert_eq!(reader.header(), &header());
+        assert_eq!(reader.header(), header);
         let back: Vec<_> = reader.by_ref().map(Result::unwrap).collect();
         assert_eq!(back, items);
         assert_eq!((reader.ending(), reader.end_reason()), (Some(Ending::Complete), Some("test over")));
@@ -73,6 +75,104 @@ fn other_programs_find_index_schemas_and_utc_times() {
     assert_eq!(by_topic["/input/über/flock/line"].metadata["device"], "über/flock");
     let first = mcap::MessageStream::new(&bytes).unwrap().next().unwrap().unwrap();
     assert_eq!(first.log_time, 1_700_000_000_123_456_789 + 1);
+}
+
+#[test]
+fn bundles_take_little_more_than_what_is_in_them_and_the_index_names_what_that_is() {
+    let chunks: Vec<_> = (0..10_000).map(|n| Item::Entry(chunk(n * 87_000))).collect();
+    let [full, lean] = [header(), lean_header()].map(|header| record_with(header, &chunks, 5000));
+    let payload = 78 * chunks.len();
+    assert!(lean.len() < payload + 5 * chunks.len(), "{} for {payload}", lean.len());
+    assert!(full.len() > payload + 25 * chunks.len(), "{} for {payload}", full.len());
+    let summary = mcap::Summary::read(&lean).unwrap().unwrap();
+    let topics: BTreeSet<_> = summary.channels.values().map(|channel| channel.topic.as_str()).collect();
+    assert_eq!(topics, BTreeSet::from(["/input/flock/bytes", "/input/log"]));
+}
+
+#[test]
+fn a_lean_recording_cut_at_any_byte_is_a_prefix_of_whole_flushes_and_is_completed() {
+    let items = items();
+    let bytes = record_with(lean_header(), &items, 6);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.mcap");
+    let mut longest = 0;
+    for cut in 0..bytes.len() {
+        if reader(&bytes[..cut]).is_err() {
+            continue;
+        }
+        let (back, error, ending) = read_all(&bytes[..cut]);
+        assert!(error.is_none() && ending == Some(Ending::Torn) && back == items[..back.len()], "{cut}");
+        assert!(back.len() >= longest && (back.len() % 6 == 0 || back.len() == items.len()), "{cut}");
+        longest = back.len();
+        if cut % 499 == 0 {
+            std::fs::write(&path, &bytes[..cut]).unwrap();
+            repair(&path, |_| ()).unwrap();
+            let repaired = std::fs::read(&path).unwrap();
+            let (again, error, ending) = read_all(&repaired);
+            assert!(error.is_none() && ending == Some(Ending::Complete) && again == back, "{cut}");
+            let (before, after) = (topics(&bytes[..cut]), Outline::read(&path).unwrap().topics);
+            assert!(before.is_subset(&after), "{before:?} {after:?}");
+        }
+    }
+    assert_eq!(longest, items.len());
+}
+
+/// The channels in the chunks of a file.
+fn topics(bytes: &[u8]) -> BTreeSet<String> {
+    let mut records = super::records::Records::new(bytes, 0);
+    while let Ok(Some(_)) = records.next() {}
+    records.channels().map(|channel| channel.topic.clone()).collect()
+}
+
+#[test]
+fn what_a_newer_version_wrote_is_not_cut() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.mcap");
+    let metadata = |kind: &str| BTreeMap::from([("kind".to_owned(), kind.to_owned())]);
+    for (kind, data, what) in [
+        ("weather", &b"rain"[..], "`weather`"),
+        ("model", b"\x81\xa4kind\xa5cloud", "a model"),
+        ("bundle", &[0x16, 0, 0], "the place 11"),
+        ("bytes", b"of no device", "its device"),
+    ] {
+        let mut writer = mcap::Writer::new(std::io::Cursor::new(Vec::new())).unwrap();
+        for super::header::Part { name, data, .. } in header().attachments().unwrap() {
+            let (name, media_type) = (name.to_owned(), String::new());
+            let attachment =
+                mcap::Attachment { log_time: 0, create_time: 0, name, media_type, data: data.into() };
+            writer.attach(&attachment).unwrap();
+        }
+        writer.write_metadata(&header().metadata().unwrap()).unwrap();
+        for (sequence, kind, data) in [(0, "timer", &[][..]), (1, kind, data), (2, "timer", &[])] {
+            let topic = format!("/input/{kind}");
+            let channel_id = writer.add_channel(0, &topic, "", &metadata(kind)).unwrap();
+            let header = mcap::records::MessageHeader { channel_id, sequence, log_time: 0, publish_time: 0 };
+            writer.write_to_known_channel(&header, data).unwrap();
+        }
+        writer.finish().unwrap();
+        let bytes = writer.into_inner().into_inner();
+        for end in [bytes.len(), bytes.len() - 100] {
+            std::fs::write(&path, &bytes[..end]).unwrap();
+            let error = repair(&path, |_| ()).unwrap_err().to_string();
+            assert!(error.contains(what) && error.contains("newer version"), "{error}");
+            assert!(std::fs::read(&path).unwrap() == bytes[..end]);
+        }
+    }
+}
+
+#[test]
+fn the_largest_piece_is_as_large_as_the_refusal_of_a_larger_one_says() {
+    let entry = |len| Entry { t: Timestamp::ZERO, input: Input::Bytes { device: 0, bytes: vec![0; len] } };
+    for header in [header(), lean_header()] {
+        let mut writer = Writer::new(Vec::new(), header).unwrap();
+        writer.entry(&entry(1000)).unwrap();
+        let error = writer.entry(&entry(MAX_PIECE_BYTES + 1)).unwrap_err().to_string();
+        assert!(error.contains(&format!("at most {MAX_PIECE_BYTES} ")), "{error}");
+        writer.entry(&entry(MAX_PIECE_BYTES)).unwrap();
+        writer.entry(&entry(1)).unwrap();
+        let (items, error, ending) = read_all(&writer.finish("x").unwrap());
+        assert_eq!((items.len(), ending), (3, Some(Ending::Complete)), "{error:?}");
+    }
 }
 
 #[test]
@@ -358,6 +458,10 @@ fn a_replay_with_more_or_fewer_messages_is_shown() {
     };
     let error = verify(&machine_recording(0), &mut || true).unwrap_err().to_string();
     assert!(error.contains("got no further message"), "{error}");
+    // Of a recording that has none there is nothing to hold it against.
+    let log_only = record_with(lean_header(), &[], 9);
+    let error = super::verify(&mut reader(&log_only).unwrap(), &mut Mute, Comparison::default());
+    assert!(matches!(error, Err(VerifyError::LogOnly)));
     let silent = record(&items().into_iter().filter(|i| matches!(i, Item::Entry(_))).collect::<Vec<_>>(), 9);
     let error = verify(&silent, &mut || false).unwrap_err().to_string();
     assert!(error.contains("expected no further message"), "{error}");

@@ -2,6 +2,9 @@
 //!
 //! Append-only: a chunk is built in memory and written whole, so that what is cut off at any byte is a readable
 //! prefix. [`Writer::flush`] ends the chunk; who owns the file syncs it. No thread, no clock.
+//!
+//! Where a recording holds no more than its log, entries and what was transmitted go into bundles (see [`super::bundle`]), one for
+//! each flush; their channels are declared all the same, so that the index names what the log holds.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -13,13 +16,18 @@ use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, WriteOptions};
 use posed_drivers::Timestamp;
 
-use super::MAX_RECORD_BYTES;
+use super::bundle::{Bundle, Piece};
 use super::header::{Header, METADATA_END, Part};
+use super::machine::MachineError;
+use super::{MAX_PIECE_BYTES, MAX_RECORD_BYTES};
 use posed_protocol::foxglove::Channel;
+use posed_stage::RecordingContent;
 use posed_stage::input::{DeviceIndex, Entry, Input};
 
-/// Uncompressed bytes after which a chunk is closed by itself.
+/// Uncompressed bytes after which a chunk, or a bundle in it, is closed by itself.
 const CHUNK_BYTES: u64 = 1 << 20;
+/// A chunk may go over its size by one message, and is itself one record.
+const _: () = assert!(MAX_PIECE_BYTES + 2 * CHUNK_BYTES as usize <= MAX_RECORD_BYTES);
 
 /// Why nothing more can be written.
 #[derive(Debug, thiserror::Error)]
@@ -47,14 +55,17 @@ pub enum WriteError {
         /// How many the header names.
         devices: usize,
     },
-    /// An entry, a message or an attachment of more than [`MAX_RECORD_BYTES`] less 2 MiB.
-    #[error("{what} has {bytes} bytes; a recording holds at most {MAX_RECORD_BYTES} in one piece")]
+    /// An entry, a message or an attachment of more than [`MAX_PIECE_BYTES`].
+    #[error("{what} has {bytes} bytes; a recording holds at most {MAX_PIECE_BYTES} in one piece")]
     TooLarge {
         /// What.
         what: String,
         /// Its size.
         bytes: usize,
     },
+    /// What follows from its entries cannot be made.
+    #[error(transparent)]
+    Machine(#[from] MachineError),
     /// Something that the format cannot hold.
     #[error("the recording cannot hold this: {0}")]
     Format(String),
@@ -97,6 +108,9 @@ pub struct Writer<W: Write> {
     device_topics: Vec<[String; 3]>,
     /// Counts entries, over all input topics.
     entries: u32,
+    /// Pieces that are not yet written, and the number of the first entry among them.
+    bundle: Bundle,
+    bundle_begins: u32,
     bytes: Arc<AtomicU64>,
     scratch: Vec<u8>,
 }
@@ -111,6 +125,15 @@ struct OpenChannel {
 pub(super) const KIND: &str = "kind";
 /// The device a channel belongs to, as its metadata says it.
 pub(super) const DEVICE: &str = "device";
+/// Kinds of what the stage as a whole takes in, by their places in a bundle. New ones come last.
+pub(super) const STAGE_KINDS: [&str; 5] = ["timer", "model", "request", "segmentation_network", "truth"];
+/// Kinds of what each device has, in the order of their places.
+pub(super) const DEVICE_KINDS: [&str; 3] = ["bytes", "line", "transmitted"];
+/// First place of the first device; the others follow.
+pub(super) const DEVICE_PLACES: u32 = 16;
+/// Kind and topic of bundles.
+pub(super) const BUNDLE: &str = "bundle";
+const BUNDLE_TOPIC: &str = "/input/log";
 
 impl<W: Write> Writer<W> {
     /// Begins a recording and flushes its front part.
@@ -149,6 +172,8 @@ impl<W: Write> Writer<W> {
             channels: BTreeMap::new(),
             schemas: BTreeMap::new(),
             entries: 0,
+            bundle: Bundle::default(),
+            bundle_begins: 0,
             bytes,
             scratch: Vec::new(),
         })
@@ -219,6 +244,8 @@ impl<W: Write> Writer<W> {
     /// # Errors
     /// The sink refuses, or the message is too large.
     pub fn message(&mut self, topic: &str, t: Timestamp, json: &[u8]) -> Result<(), WriteError> {
+        // What it follows from stands before it.
+        self.close_bundle()?;
         self.write(Destination::Published(topic), t, None, json)
     }
 
@@ -235,6 +262,7 @@ impl<W: Write> Writer<W> {
     /// # Errors
     /// The sink refuses.
     pub fn flush(&mut self) -> Result<(), WriteError> {
+        self.close_bundle()?;
         Ok(self.mcap.flush()?)
     }
 
@@ -243,6 +271,7 @@ impl<W: Write> Writer<W> {
     /// # Errors
     /// The sink refuses.
     pub fn finish(mut self, reason: &str) -> Result<W, WriteError> {
+        self.close_bundle()?;
         let metadata = BTreeMap::from([("reason".to_owned(), reason.to_owned())]);
         self.mcap.write_metadata(&Metadata { name: METADATA_END.to_owned(), metadata })?;
         self.mcap.finish()?;
@@ -277,16 +306,24 @@ impl<W: Write> Writer<W> {
                 }
             },
             Destination::Stage(topic, _) | Destination::View(topic) => topic,
+            Destination::Bundle => BUNDLE_TOPIC,
             Destination::Published(topic) => {
                 published = format!("/posed/{topic}");
                 published.as_str()
             }
         };
-        check_size(topic, data.len())?;
+        if !matches!(place, Destination::Bundle) {
+            check_size(topic, data.len())?;
+        }
         if !self.channels.contains_key(topic) {
             let schema = self.schemas.get(topic);
             let id = add_channel(&mut self.mcap, topic, &place, &self.header.devices, schema)?;
             self.channels.insert(topic.to_owned(), OpenChannel { id, sequence: 0 });
+        }
+        if self.header.content == RecordingContent::Log
+            && let Some(place) = place.in_bundle()
+        {
+            return self.bundle(Piece { place, t, data });
         }
         let Some(channel) = self.channels.get_mut(topic) else {
             return Err(WriteError::Format(format!("channel {topic} is gone")));
@@ -296,6 +333,29 @@ impl<W: Write> Writer<W> {
         let time = self.header.log_time(t);
         let header = MessageHeader { channel_id: channel.id, sequence, log_time: time, publish_time: time };
         Ok(self.mcap.write_to_known_channel(&header, data)?)
+    }
+
+    /// Appends to the bundle; one that would become too large is written before.
+    fn bundle(&mut self, piece: Piece<'_>) -> Result<(), WriteError> {
+        if self.bundle.len() + piece.data.len() > CHUNK_BYTES as usize {
+            self.close_bundle()?;
+        }
+        if self.bundle.len() == 0 {
+            self.bundle_begins = self.entries;
+        }
+        self.bundle.push(piece);
+        Ok(())
+    }
+
+    /// Writes the bundle, if there is anything in it.
+    fn close_bundle(&mut self) -> Result<(), WriteError> {
+        let bundle = std::mem::take(&mut self.bundle);
+        if let Some((bytes, latest)) = bundle.bytes() {
+            self.write(Destination::Bundle, latest, Some(self.bundle_begins), bytes)?;
+        }
+        self.bundle = bundle;
+        self.bundle.clear();
+        Ok(())
     }
 }
 
@@ -310,6 +370,21 @@ enum Destination<'a> {
     Published(&'a str),
     /// Topic of a channel for viewers; readers of the log see by the lack of a kind that it is nothing to them.
     View(&'a str),
+    /// The channel of bundles.
+    Bundle,
+}
+
+impl Destination<'_> {
+    /// The place of a piece of the log in a bundle; the reader counts the same way. `None`: it is no piece of the log.
+    fn in_bundle(&self) -> Option<u32> {
+        match *self {
+            Self::Stage(_, kind) => STAGE_KINDS.iter().position(|known| *known == kind).map(|at| at as u32),
+            Self::Device(device, which, _) => {
+                Some(DEVICE_PLACES + u32::from(device) * DEVICE_KINDS.len() as u32 + which as u32)
+            }
+            Self::Published(_) | Self::View(_) | Self::Bundle => None,
+        }
+    }
 }
 
 fn add_channel<W: Write + io::Seek>(
@@ -324,6 +399,7 @@ fn add_channel<W: Write + io::Seek>(
             (Some(kind), "application/octet-stream")
         }
         Destination::Stage(_, kind @ "timer") => (Some(kind), "application/octet-stream"),
+        Destination::Bundle => (Some(BUNDLE), "application/octet-stream"),
         Destination::Device(_, _, kind) | Destination::Stage(_, kind) => (Some(kind), "msgpack"),
         Destination::Published(_) => (Some("message"), "json"),
         Destination::View(_) => (None, "json"),
@@ -356,8 +432,7 @@ pub(super) fn options() -> WriteOptions {
 }
 
 fn check_size(what: &str, bytes: usize) -> Result<(), WriteError> {
-    // A chunk may go over its size by one message, and is itself one record.
-    if bytes > MAX_RECORD_BYTES - 2 * CHUNK_BYTES as usize {
+    if bytes > MAX_PIECE_BYTES {
         return Err(WriteError::TooLarge { what: what.to_owned(), bytes });
     }
     Ok(())

@@ -472,4 +472,18 @@ fn default_repair() -> bool {
 pub struct Recording {
     /// The one folder that `record.start` writes to and `replay.list` reads; absent: `recordings` beside the stage file.
     pub folder: Option<PathBuf>,
+    /// What recordings hold beside the input log, from which everything else can be made anew.
+    #[serde(default)]
+    pub content: RecordingContent,
+}
+
+/// What a recording holds beside the input log.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordingContent {
+    /// For viewers the moving sensors and body at a low rate, and no published message.
+    #[default]
+    Log,
+    /// Every published message and all channels for viewers at the full rate.
+    Full,
 }

@@ -1,7 +1,7 @@
 //! `posed decode ... -o REC.mcap`: a capture as a recording that info, export and replay take.
 //!
 //! What comes in: a capture and what was decoded of it. What goes out: its bytes as the input log of a stage that only
-//! listens (`mode = "listen"`), and the messages that follow from it. What it never does: invent a time without saying so.
+//! listens (`mode = "listen"`). What it never does: invent a time without saying so.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
@@ -10,9 +10,7 @@ use std::path::Path;
 use posed_drivers::flock::capture::{CapturedRecord, Decoded, log};
 use posed_drivers::flock::wire::{QuaternionSense, Range};
 use posed_drivers::{LineEvent, Timestamp};
-use posed_protocol::foxglove::Views;
-use posed_protocol::{Payload, schema};
-use posed_recording::{Header, Machine, WriteError, Writer};
+use posed_recording::{Header, Scribe, WriteError};
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input};
 
@@ -147,67 +145,38 @@ fn stage(decoded: &Decoded, sense: QuaternionSense, origin: &str) -> Result<Stri
     Ok(text)
 }
 
-/// Runs the capture through the pipeline as it would have run live, and writes both sides; the number of messages.
+/// Runs the capture through the pipeline as it would have run live, and writes what a live stage would; the number of messages.
 fn log_of(header: Header, chunks: &[Chunk], file: &mut dyn Write) -> Result<u64, WriteError> {
-    let (stage, machine) =
-        Machine::as_recorded(&header).map_err(|error| WriteError::Format(error.to_string()))?;
-    let mut live = Live { machine, views: Views::new(&stage, header.epoch_utc_ns) };
-    let mut writer = Writer::new(file, header)?;
-    schema::of_topics().iter().for_each(|(topic, schema)| writer.declare(topic, schema));
+    let mut scribe = Scribe::new(file, header)?;
     let opened = Input::Line { device: 0, event: LineEvent::Opened { modem_lines: false } };
-    let mut messages = step(&mut live, &mut writer, &Entry { t: Timestamp::ZERO, input: opened })?;
+    let mut messages = scribe.entry(&Entry { t: Timestamp::ZERO, input: opened })?;
     let mut last = Timestamp::ZERO;
     for Chunk { t, to_unit, bytes } in chunks {
-        messages += timers(&mut live, &mut writer, *t)?;
+        messages += timers(&mut scribe, *t)?;
         last = last.max(*t);
         if *to_unit {
-            writer.transmitted(0, *t, bytes)?;
+            scribe.transmitted(0, *t, bytes)?;
         } else {
             let input = Input::Bytes { device: 0, bytes: bytes.clone() };
-            messages += step(&mut live, &mut writer, &Entry { t: *t, input })?;
+            messages += scribe.entry(&Entry { t: *t, input })?;
         }
     }
-    messages += timers(&mut live, &mut writer, Timestamp::from_nanos(last.as_nanos() + TAIL_NS))?;
-    writer.finish("the capture ends here")?;
+    messages += timers(&mut scribe, Timestamp::from_nanos(last.as_nanos() + TAIL_NS))?;
+    scribe.finish("the capture ends here")?;
     Ok(messages)
-}
-
-/// What a stage that runs would write.
-struct Live {
-    machine: Machine,
-    views: Views,
 }
 
 /// All deadlines up to `t`; the number of messages.
-fn timers<W: Write>(live: &mut Live, writer: &mut Writer<W>, t: Timestamp) -> Result<u64, WriteError> {
+fn timers<W: Write>(scribe: &mut Scribe<W>, t: Timestamp) -> Result<u64, WriteError> {
     let mut messages = 0;
-    while let Some(at) = live.machine.pipeline.poll_timeout().filter(|&at| at <= t) {
-        messages += step(live, writer, &Entry { t: at, input: Input::Timer })?;
-        if live.machine.pipeline.poll_timeout() == Some(at) {
+    while let Some(at) = scribe.pipeline().poll_timeout().filter(|&at| at <= t) {
+        messages += scribe.entry(&Entry { t: at, input: Input::Timer })?;
+        if scribe.pipeline().poll_timeout() == Some(at) {
             // Due as soon as time goes on.
-            return Ok(messages + step(live, writer, &Entry { t, input: Input::Timer })?);
+            return Ok(messages + scribe.entry(&Entry { t, input: Input::Timer })?);
         }
     }
     Ok(messages)
-}
-
-/// One entry and what follows from it; the number of messages.
-fn step<W: Write>(live: &mut Live, writer: &mut Writer<W>, entry: &Entry) -> Result<u64, WriteError> {
-    writer.entry(entry)?;
-    let mut written = Ok(0);
-    let Live { machine: Machine { pipeline, publisher }, views } = live;
-    pipeline.push(entry, &mut |output| {
-        let Some(payload) = Payload::of(&output) else { return };
-        let Ok(messages) = written else { return };
-        let (stamp, json) = publisher.publish(&payload);
-        written = writer.message(stamp.topic.name(), stamp.t(), json).map(|()| messages + 1);
-        views.publish(&payload, &stamp, |channel, json| {
-            if let (Ok(_), Err(error)) = (&written, writer.view(channel, stamp.t(), json)) {
-                written = Err(error);
-            }
-        });
-    });
-    written
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use posed_daemon::{Daemon, Options};
 use posed_geometry::orientation_from_wxyz;
 use posed_pipeline::clock::offset::{Offset, offset};
 use posed_protocol::{Measured, ServerMessage};
-use posed_recording::{Item, Reader, is_recording};
+use posed_recording::{Item, Take, is_recording};
 use posed_stage::Stage;
 use serde::Serialize;
 
@@ -100,10 +100,10 @@ async fn wait(time: Duration) {
 /// The stage of a recording, and the angular speeds of its sensors by name, from their raw records.
 fn read(recording: &Path) -> Result<(Stage, BTreeMap<String, Speed>), Error> {
     let failed = |error| Error::Failed(format!("cannot read {}: {error}", recording.display()));
-    let reader = Reader::open(recording).map_err(failed)?;
-    let stage = Stage::parse(&reader.header().stage_toml).map_err(Error::failed)?;
+    let take = Take::open(recording).map_err(failed)?;
+    let stage = Stage::parse(&take.header().stage_toml).map_err(Error::failed)?;
     let mut measured: BTreeMap<String, Vec<Measured>> = BTreeMap::new();
-    for item in reader {
+    for item in take {
         let Item::Message(message) = item.map_err(failed)? else { continue };
         if &*message.topic != "sensors" {
             continue;

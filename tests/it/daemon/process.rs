@@ -160,8 +160,17 @@ pub(crate) fn succeed<I: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = 
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&emitted));
 }
 
-/// Holds a recording against its own replay in every way there is: byte for byte.
+/// Holds a recording with messages against its own replay in every way there is: byte for byte.
 pub(crate) fn replays(recording: &Path) {
+    let messages = replays_alike(recording);
+    let mut reader = Reader::open(recording).unwrap();
+    let (_, mut machine) = Machine::as_recorded(reader.header()).unwrap();
+    let verdict = verify(&mut reader, &mut machine, Comparison { tolerance: None }).unwrap();
+    assert_eq!(verdict.messages, messages);
+}
+
+/// Holds replays of any recording and its export against one another; the number of messages.
+pub(crate) fn replays_alike(recording: &Path) -> u64 {
     let folder = tempfile::tempdir().unwrap();
     let [first, second, recorded] =
         ["1.jsonl", "2.jsonl", "recorded.jsonl"].map(|name| folder.path().join(name));
@@ -173,10 +182,7 @@ pub(crate) fn replays(recording: &Path) {
     succeed(["replay".into(), os(recording), "--expect".into(), os(&recorded)]);
     let [first, second, recorded] = [first, second, recorded].map(|path| fs::read(path).unwrap());
     assert!(!first.is_empty() && first == second && first == recorded);
-    let mut reader = Reader::open(recording).unwrap();
-    let (_, mut machine) = Machine::as_recorded(reader.header()).unwrap();
-    let verdict = verify(&mut reader, &mut machine, Comparison { tolerance: None }).unwrap();
-    assert_eq!(verdict.messages, first.split(|&byte| byte == b'\n').count() as u64 - 1);
+    first.split(|&byte| byte == b'\n').count() as u64 - 1
 }
 
 /// A `sensors` message in which every sensor is good.

@@ -1,17 +1,23 @@
 //! Recordings made by a running daemon: from the start, in the middle, and torn.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use posed_recording::Info;
+use posed_recording::{Header, Info, Item, Reader, Scribe, Take};
+use posed_stage::RecordingContent;
+use posed_stage::input::Input;
 use serde_json::{Value, json};
 
 use super::process::{Posed, all_ok, frames, ok, record_start, replays, two_devices, until};
 use crate::cli::posed;
 
+/// In a stage file: messages beside the log, to hold the replay against.
+pub(crate) const FULL: &str = "[recording]\ncontent = \"full\"\n";
+
 #[tokio::test]
 async fn a_recording_from_the_start_replays_byte_for_byte() {
     let folder = tempfile::tempdir().unwrap();
-    let stage = two_devices(folder.path(), "");
+    let stage = two_devices(folder.path(), FULL);
     let recording = folder.path().join("take.mcap");
     let posed =
         Posed::start(["demo", "--stage", stage.to_str().unwrap(), "--record", recording.to_str().unwrap()]);
@@ -55,7 +61,7 @@ fn shown(recording: &Path) {
 #[tokio::test]
 async fn a_recording_begun_mid_run_with_a_model_swapped_in_replays_and_a_killed_one_is_mended() {
     let folder = tempfile::tempdir().unwrap();
-    let stage = two_devices(folder.path(), "");
+    let stage = two_devices(folder.path(), FULL);
     let mut daemon = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let mut client = daemon.subscriber(&["sensors"]).await;
     until(&mut client, "all sensors", all_ok).await;
@@ -130,4 +136,136 @@ fn repaired(torn: &Path) {
     assert_eq!(info(&[]).status.code(), Some(0));
     assert!(!before.is_empty() && replay() == before);
     replays(torn);
+}
+
+/// A full recording of the demo, its log alone, and the full one that is made of that: the same in every export, and to viewers.
+#[tokio::test]
+async fn the_demo_s_log_alone_gives_everything_that_was_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
+    for name in ["demo-moves.safetensors", "demo-field.json"] {
+        std::fs::copy(config.join(name), path(name)).unwrap();
+    }
+    let text = std::fs::read_to_string(config.join("demo.toml")).unwrap() + FULL;
+    std::fs::write(path("demo.toml"), text).unwrap();
+    let daemon = Posed::start([
+        "demo".as_ref(),
+        "--stage".as_ref(),
+        path("demo.toml").as_os_str(),
+        "--record".as_ref(),
+        path("full.mcap").as_os_str(),
+    ]);
+    let mut client = daemon.subscriber(&["body"]).await;
+    let trackers = |message: &Value| message["position_source"] == "trackers";
+    until(&mut client, "a body with a place", trackers).await;
+    for _ in 0..300 {
+        until(&mut client, "a body", |message| message["type"] == "body").await;
+    }
+    assert_eq!(daemon.end("INT").await.code(), Some(0));
+    let device_bytes = log_alone(&path("full.mcap"), &path("log.mcap"));
+    let size = |name: &str| std::fs::metadata(path(name)).unwrap().len();
+    // What devices send hardly compresses; the network of segments stands in front.
+    assert!(size("log.mcap") < device_bytes * 3 / 2 + 300_000, "{} for {device_bytes}", size("log.mcap"));
+    assert!(size("full.mcap") > 4 * size("log.mcap"), "{} {}", size("full.mcap"), size("log.mcap"));
+
+    let export = |from: &str, to: &str, name: &str| {
+        let (from, to_path) = (path(from), path(name));
+        let done = posed([
+            "export".as_ref(),
+            from.as_os_str(),
+            "--to".as_ref(),
+            to.as_ref(),
+            "-o".as_ref(),
+            to_path.as_os_str(),
+        ]);
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        std::fs::read(to_path).unwrap()
+    };
+    for to in ["jsonl", "csv", "bvh"] {
+        assert!(export("full.mcap", to, "a") == export("log.mcap", to, "b"), "{to}");
+    }
+    let (live, made) = (std::fs::read(path("full.mcap")).unwrap(), export("log.mcap", "mcap", "made.mcap"));
+    let mut made = messages(&made);
+    for (topic, live) in messages(&live) {
+        assert!(made.remove(&topic) == Some(live), "{topic}");
+    }
+    assert!(made.is_empty(), "{:?}", made.keys());
+    viewed(&path("log.mcap"));
+}
+
+/// Writes the log of a recording as one that holds no more; the number of bytes of its devices.
+fn log_alone(full: &Path, lean: &Path) -> u64 {
+    let mut reader = Reader::open(full).unwrap();
+    let header = Header { content: RecordingContent::Log, ..reader.header().clone() };
+    let mut scribe = Scribe::new(std::fs::File::create(lean).unwrap(), header).unwrap();
+    let mut device_bytes = 0;
+    for item in reader.by_ref() {
+        match item.unwrap() {
+            Item::Entry(entry) => {
+                if let Input::Bytes { bytes, .. } = &entry.input {
+                    device_bytes += bytes.len() as u64;
+                }
+                scribe.entry(&entry).unwrap();
+            }
+            Item::Transmitted { device, t, bytes } => scribe.transmitted(device, t, &bytes).unwrap(),
+            Item::Message(_) => {}
+        }
+    }
+    scribe.finish(reader.end_reason().unwrap()).unwrap();
+    device_bytes
+}
+
+/// Times and data of a file's messages, by topic.
+fn messages(file: &[u8]) -> BTreeMap<String, Vec<(u64, Vec<u8>)>> {
+    let mut messages = BTreeMap::<String, Vec<_>>::new();
+    for message in mcap::MessageStream::new(file).unwrap() {
+        let message = message.unwrap();
+        let of_topic = messages.entry(message.channel.topic.clone()).or_default();
+        of_topic.push((message.log_time, message.data.into_owned()));
+    }
+    messages
+}
+
+/// A viewer opens what holds no more than the log, and sees the sensors and the body move.
+fn viewed(lean: &Path) {
+    let messages = messages(&std::fs::read(lean).unwrap());
+    let topics: Vec<&str> = messages.keys().map(String::as_str).collect();
+    assert_eq!(topics, ["/input/log", "/log", "/scene/body", "/scene/sensors", "/tf"]);
+    let bodies = &messages["/scene/body"];
+    let seconds = (bodies.last().unwrap().0 - bodies[0].0) as f64 * 1e-9;
+    assert!((4.0..6.0).contains(&(bodies.len() as f64 / seconds)), "{} in {seconds} s", bodies.len());
+    let last: Value = serde_json::from_slice(&messages["/tf"].last().unwrap().1).unwrap();
+    assert!(last["transforms"].as_array().unwrap().len() > 5, "{last}");
+}
+
+/// As the daemon writes it where nobody asks for more.
+#[tokio::test]
+async fn by_default_a_recording_holds_its_log_and_replays_to_what_clients_saw() {
+    let folder = tempfile::tempdir().unwrap();
+    let stage = two_devices(folder.path(), "");
+    let daemon = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let mut client = daemon.subscriber(&["sensors"]).await;
+    until(&mut client, "all sensors", all_ok).await;
+    ok(&mut client, record_start("take")).await;
+    let seen = frames(&mut client, 200).await;
+    ok(&mut client, json!({"type": "record.stop"})).await;
+    assert_eq!(daemon.end("INT").await.code(), Some(0));
+    let take = folder.path().join("recordings/take.mcap");
+    let info = Info::read(&take, |_| ()).unwrap();
+    assert!(info.complete && info.mid_run && info.content == RecordingContent::Log, "{info:?}");
+    assert!(info.topics["/input/one/bytes"] > 100 && !info.topics.contains_key("/posed/sensors"), "{info:?}");
+    let replayed: Vec<Value> = Take::open(&take)
+        .unwrap()
+        .filter_map(|item| match item.unwrap() {
+            Item::Message(message) if &*message.topic == "sensors" => {
+                Some(serde_json::from_slice(&message.json).unwrap())
+            }
+            _ => None,
+        })
+        .collect();
+    let of = |message: &Value| (message["t_s"].clone(), message["sensors"][0]["position_m"].clone());
+    let replayed: Vec<_> = replayed.iter().map(of).collect();
+    let same = seen.iter().filter(|message| replayed.contains(&of(message))).count();
+    assert!(same > 150, "{same} of {} frames", seen.len());
 }

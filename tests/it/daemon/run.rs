@@ -56,7 +56,7 @@ async fn a_demo_serves_poses_near_the_truth_and_ends_in_order() {
         assert_eq!(posed.end(signal).await.code(), Some(0), "SIG{signal}");
         assert_eq!(client.closed().await.0, 1001);
         let info = Info::read(&recording, |_| ()).unwrap();
-        assert!(info.complete && !info.mid_run && info.topics["/posed/sensors"] > 50, "{info:?}");
+        assert!(info.complete && !info.mid_run && info.topics["/input/truth"] > 10, "{info:?}");
     }
 }
 

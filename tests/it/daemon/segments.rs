@@ -10,7 +10,7 @@ use super::process::{Posed, ok, record_start, refused, replays, two_devices, unt
 #[tokio::test]
 async fn a_labelled_recording_is_learnt_and_named_by_at_once() {
     let folder = tempfile::tempdir().unwrap();
-    let stage = two_devices(folder.path(), "");
+    let stage = two_devices(folder.path(), super::recordings::FULL);
     let daemon = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let mut client = daemon.subscriber(&["sensors", "segments", "jobs"]).await;
     let ended = |message: &serde_json::Value, state: &str| {

@@ -27,9 +27,9 @@ pub mod wire;
 use std::sync::Arc;
 
 use crate::{Payload, Stamp, Topic};
-use posed_stage::Stage;
 use posed_stage::input::{Model, SensorIndex};
 use posed_stage::layout::BodyLayout;
+use posed_stage::{RecordingContent, Stage};
 
 pub use self::publisher::Publisher;
 
@@ -113,19 +113,32 @@ pub fn views(stage: &Stage, truth: bool) -> Vec<Channel> {
     channels
 }
 
+/// Time between two messages of a thinned channel, µs.
+const THINNED_US: i64 = 200_000;
+
 /// The channels that a recording holds beside our own messages, and who writes them.
 #[derive(Clone, Debug)]
 pub struct Views {
     channels: Vec<Arc<Channel>>,
     publisher: Publisher,
+    pace: Option<Pace>,
 }
 
 impl Views {
-    /// Of a stage whose epoch is `epoch_utc_ns`, ns since 1970.
-    pub fn new(stage: &Stage, epoch_utc_ns: i64) -> Self {
+    /// Of a stage whose epoch is `epoch_utc_ns`, ns since 1970. Where a recording holds no more than its log, what moves is
+    /// shown five times a second, once in `/tf` and in the scene, and events are in `/log`.
+    pub fn new(stage: &Stage, epoch_utc_ns: i64, content: RecordingContent) -> Self {
+        let thinned = content == RecordingContent::Log;
         // Truth comes from a simulator beside any stage; a channel without messages is not written.
-        let channels = views(stage, true).into_iter().map(Arc::new).collect();
-        Self { channels, publisher: Publisher::new(stage, epoch_utc_ns) }
+        let channels = views(stage, true).into_iter();
+        // What is in `/tf`, and the truth, which is in the log, need no channel of their own.
+        let shown = channels
+            .filter(|channel| !(thinned && matches!(channel.content, Content::Pose(_) | Content::Truth)));
+        Self {
+            channels: shown.map(Arc::new).collect(),
+            publisher: Publisher::new(stage, epoch_utc_ns),
+            pace: thinned.then(Pace::default),
+        }
     }
 
     /// Takes over what a model changes in what is shown: where the transmitter stands. [`Views::publish`] does so by itself.
@@ -141,9 +154,28 @@ impl Views {
         stamp: &Stamp,
         mut emit: impl FnMut(&Arc<Channel>, &[u8]),
     ) {
-        let Self { channels, publisher } = self;
-        publisher
-            .publish(payload, stamp, channels, &|_| true, &mut |place, json| emit(&channels[place], json));
+        let Self { channels, publisher, pace } = self;
+        if pace.as_mut().is_none_or(|pace| pace.is_due(stamp)) {
+            publisher.publish(payload, stamp, channels, &|_| true, &mut |place, json| {
+                emit(&channels[place], json)
+            });
+        }
+    }
+}
+
+/// Which states a thinned recording shows: the first of each step of time, so that sensors and body are of the same moment.
+#[derive(Clone, Debug, Default)]
+struct Pace {
+    /// The step that was shown last, by topic.
+    shown: [Option<i64>; Topic::COUNT],
+}
+
+impl Pace {
+    /// Every event, and the first state of a topic in each step.
+    fn is_due(&mut self, stamp: &Stamp) -> bool {
+        let step = Some(stamp.t_us.div_euclid(THINNED_US));
+        let before = std::mem::replace(&mut self.shown[stamp.topic.index()], step);
+        stamp.topic.is_event() || before != step
     }
 }
 

@@ -265,3 +265,35 @@ fn readable(schema: &Value, at: &str) {
         _ => assert!(schema["oneOf"][0]["const"].is_number(), "{at}: {schema}"),
     }
 }
+
+#[test]
+fn a_thinned_recording_shows_sensors_and_body_at_the_same_moments_and_every_event() {
+    let stage = stage();
+    let mut counts = [RecordingContent::Full, RecordingContent::Log].map(|content| {
+        let mut views = Views::new(&stage, EPOCH_UTC_NS, content);
+        let (mut counters, mut counts) = (Counters::default(), BTreeMap::<String, Vec<i64>>::new());
+        for n in 0..100_i64 {
+            let t = Timestamp::from_nanos(n * 10_000_000 + 3_000_000);
+            let mut frame = estimate(SensorState::Ok, 0.1);
+            frame.t_valid = t;
+            let body = Body { t_valid: Timestamp::from_nanos(n * 10_000_000), ..figure() };
+            let cause = posed_fusion::faults::Cause::Gate;
+            let what = OutcomeKind::Fault { sensor: 1, cause, active: n % 2 == 0 };
+            let fault = Outcome { t_valid: t, t_decided: t, what };
+            for payload in [Payload::Body(&body), Payload::Estimate(&frame), Payload::Outcome(&fault)] {
+                let stamp = counters.stamp(&payload);
+                views.publish(&payload, &stamp, |channel, _| {
+                    counts.entry(channel.topic.clone()).or_default().push(stamp.t_us / 10_000);
+                });
+            }
+        }
+        counts
+    });
+    let [full, lean] = &mut counts;
+    assert_eq!(lean.keys().collect::<Vec<_>>(), ["/log", "/scene/body", "/scene/sensors", "/tf"]);
+    assert_eq!((full["/tf"].len(), full["/log"].len(), full["/sensors/left/pose"].len()), (200, 100, 100));
+    assert_eq!(lean["/log"], full["/log"]);
+    assert_eq!(lean["/scene/body"], [0, 20, 40, 60, 80]);
+    assert_eq!(lean["/scene/sensors"], lean["/scene/body"]);
+    assert_eq!(lean["/tf"].len(), 10);
+}

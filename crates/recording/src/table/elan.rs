@@ -42,7 +42,7 @@ pub fn write_elan<'a>(segments: impl IntoIterator<Item = (&'a str, f64, f64)>) -
 }
 
 /// Takes the labels of an annotation file: of its tier `segments`, or of its only one. Frames outside every annotation have no
-/// label, but for the last frame: it then has the last annotation's.
+/// label. The last frame has that of an annotation which ends with it.
 ///
 /// # Errors
 /// The file cannot be read, or is none of ELAN's.
@@ -60,8 +60,11 @@ pub(super) fn read_elan(path: &Path, sequences: &mut Sequences) -> Result<(), Ta
         let here = segments.iter().rev().find(|(from, end, _)| at_ms >= from - 0.5 && at_ms < end - 0.5);
         frame.label = here.map(|(_, _, label)| label.clone());
     }
-    if let (Some(frame), Some((_, _, label))) = (sequences.frames.last_mut(), segments.last()) {
-        frame.label.get_or_insert_with(|| label.clone());
+    if let (Some(frame), Some((_, end, label))) = (sequences.frames.last_mut(), segments.last()) {
+        // The end is exclusive, and after the last frame there is none that could be it. A millisecond is the format's own.
+        if (frame.t_s - start_s) * 1000.0 < end + 1.0 {
+            frame.label.get_or_insert_with(|| label.clone());
+        }
     }
     Ok(())
 }
@@ -125,6 +128,12 @@ mod tests {
         for (frame, class) in sequences.frames.iter().zip(classes) {
             assert_eq!(frame.label.as_deref(), Some(labels[class]), "{}", frame.t_s);
         }
+        // An annotation that ends before says nothing of the last frame.
+        let text = write_elan([(labels[0], 0.0, at(30))]);
+        std::fs::write(&path, text).unwrap();
+        read_elan(&path, &mut sequences).unwrap();
+        let labelled = sequences.frames.iter().filter(|frame| frame.label.is_some()).count();
+        assert_eq!((labelled, sequences.frames[99].label.as_deref()), (30, None));
         assert!(parse("<x/>").unwrap_err().contains("tier"));
     }
 }

@@ -7,12 +7,14 @@ use std::path::Path;
 
 use super::poses::SensorsMessage;
 use super::{SequenceFrame, Sequences, TableError};
-use crate::{Item, ReadError, Reader};
+use crate::{Item, ReadError, Take};
 use posed_protocol::Figure;
+use posed_stage::signals;
 
 impl Sequences {
     /// Reads positions in the room, m, from a recording (`.mcap`): a frame per `sensors` message, with the sensors whose pose may
-    /// be used as good and the segments of the newest `body` message before it. No labels. A torn recording gives what it has.
+    /// be used as good and the segments of the newest `body` message before it, unless that is older than 0.05 s
+    /// ([`signals::BODY_AGE_S`]). No labels. A torn recording gives what it has.
     ///
     /// # Errors
     /// The recording is damaged, or is none.
@@ -21,12 +23,14 @@ impl Sequences {
         let mut rows: Vec<(f64, Vec<Option<[f64; 3]>>)> = Vec::new();
         let mut joints: Vec<String> = Vec::new();
         let mut body: Vec<(usize, [f64; 3])> = Vec::new();
-        for item in Reader::open(path).map_err(failed)? {
+        let mut body_t_s = f64::NEG_INFINITY;
+        for item in Take::open(path).map_err(failed)? {
             let Item::Message(message) = item.map_err(failed)? else { continue };
             match &*message.topic {
                 "body" => {
                     let figure = figure(&message.json).map_err(failed)?;
                     body.clear();
+                    body_t_s = figure.t_s;
                     for segment in figure.segments {
                         if let Some(position_m) = segment.position_m {
                             body.push((intern(&mut joints, &segment.name), position_m));
@@ -45,7 +49,9 @@ impl Sequences {
                             put(intern(&mut joints, &sensor.name), position_m);
                         }
                     }
-                    body.iter().for_each(|(at, position_m)| put(*at, *position_m));
+                    if message.t_s - body_t_s <= signals::BODY_AGE_S {
+                        body.iter().for_each(|(at, position_m)| put(*at, *position_m));
+                    }
                     rows.push((message.t_s, row));
                 }
                 _ => {}
@@ -71,4 +77,31 @@ fn intern(joints: &mut Vec<String>, name: &str) -> usize {
         joints.push(name.to_owned());
         joints.len() - 1
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use posed_drivers::Timestamp;
+
+    use super::*;
+    use crate::Item;
+    use crate::testing::{record, sensors};
+
+    fn message(topic: &str, json: String) -> Item {
+        Item::Message(crate::Message { topic: topic.into(), t: Timestamp::ZERO, json: json.into_bytes() })
+    }
+
+    #[test]
+    fn a_body_that_is_no_more_is_no_joint() {
+        let figure = r#"{"type":"body","seq":0,"dropped":0,"t_s":1.0,"position_source":"trackers","heading":"field","heading_held_s":0.0,"segments":[{"name":"hand_l","sensor":null,"state":"ok","position_m":[0.0,1.0,2.0],"orientation_wxyz":[1.0,0.0,0.0,0.0],"sigma_deg":1.0,"fault":null}],"joints":[]}"#;
+        let at = |nanos| message("sensors", sensors(nanos));
+        let items = [message("body", figure.to_owned()), at(1_040_000_000), at(1_060_000_000)];
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        std::fs::write(&path, record(&items, 9)).unwrap();
+        let sequences = Sequences::read_recording(&path).unwrap();
+        let hand = sequences.joints.iter().position(|joint| joint == "hand_l").unwrap();
+        assert_eq!(sequences.positions_m(0)[hand], Some([0.0, 1.0, 2.0]));
+        assert_eq!(sequences.positions_m(1)[hand], None, "the body is 60 ms old");
+    }
 }

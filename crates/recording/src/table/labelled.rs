@@ -64,11 +64,17 @@ pub fn read_labelled_recordings(folder: &Path) -> Result<Vec<Named>, TableError>
     labelled(&paths, &SequenceOptions::default())
 }
 
-/// The file's name without `.csv`, `.csv.gz` or `.mcap`, in small letters; another end stays.
+/// The file's name without `.csv`, `.csv.gz` or `.mcap`, in letters of either case; another end stays.
 pub fn stem(path: &Path) -> String {
     let name = name(path);
     let ends = [".csv.gz", ".csv", ".mcap"];
-    ends.iter().find_map(|end| name.strip_suffix(end)).unwrap_or(&name).to_owned()
+    ends.iter().find_map(|end| without(&name, end)).unwrap_or(&name).to_owned()
+}
+
+/// The name without this end, in letters of either case.
+fn without<'a>(name: &'a str, end: &str) -> Option<&'a str> {
+    let (stem, found) = name.split_at_checked(name.len().checked_sub(end.len())?)?;
+    found.eq_ignore_ascii_case(end).then_some(stem)
 }
 
 fn labelled(paths: &[PathBuf], options: &SequenceOptions) -> Result<Vec<Named>, TableError> {
@@ -100,7 +106,8 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, TableError> {
 
 fn is_sequence(path: &Path) -> bool {
     let name = name(path);
-    (name.ends_with(".csv") || name.ends_with(".csv.gz")) && !stem(path).ends_with(".labels")
+    let table = [".csv", ".csv.gz"].iter().any(|end| without(&name, end).is_some());
+    table && without(&stem(path), ".labels").is_none()
 }
 
 fn name(path: &Path) -> String {
@@ -135,4 +142,30 @@ fn correct(path: &Path, sequences: &mut Sequences) -> Result<(), TableError> {
 
 fn wrong(path: &Path, what: &str) -> TableError {
     TableError::Labels { file: path.display().to_string(), what: what.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ends_of_names_are_known_in_letters_of_either_case() {
+        for (name, expected) in [
+            ("walk.csv", "walk"),
+            ("Walk.CSV", "Walk"),
+            ("walk.Csv.GZ", "walk"),
+            ("TAKE.MCAP", "TAKE"),
+            ("walk.txt", "walk.txt"),
+            ("ü.mcap", "ü"),
+            ("csv", "csv"),
+        ] {
+            assert_eq!(stem(Path::new(name)), expected);
+        }
+        assert!(is_sequence(Path::new("a.CSV")) && !is_sequence(Path::new("a.Labels.CSV")));
+        // Labels beside a recording are found whatever its name's end looks like.
+        let folder = tempfile::tempdir().unwrap();
+        let [take, labels] = ["TAKE.MCAP", "TAKE.labels.csv"].map(|name| folder.path().join(name));
+        std::fs::write(&labels, "label\n").unwrap();
+        assert!(matches!(beside(&take), Some(Beside::Rows(path)) if path == labels));
+    }
 }

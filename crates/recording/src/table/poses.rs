@@ -6,7 +6,7 @@ use posed_motion::fault_map::Frames;
 use serde::Deserialize;
 
 use super::{TableError, TableReader, TableWriter, intern};
-use crate::{Item, ReadError, Reader, is_recording};
+use crate::{Item, ReadError, Take, is_recording};
 use posed_stage::output::SensorState;
 
 /// Poses of one or several sensors, in the order of the file.
@@ -101,7 +101,7 @@ impl Poses {
     pub fn read_recording(path: &Path, which: Which) -> Result<Self, TableError> {
         let failed = |source| TableError::Recording { file: path.display().to_string(), source };
         let mut poses = Self::default();
-        for item in Reader::open(path).map_err(failed)? {
+        for item in Take::open(path).map_err(failed)? {
             let Item::Message(message) = item.map_err(failed)? else { continue };
             if &*message.topic == "sensors" {
                 poses.append_message(&message.json, which).map_err(failed)?;

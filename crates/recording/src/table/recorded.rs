@@ -12,7 +12,7 @@ use serde::Deserialize;
 
 use super::TableError;
 use super::poses::{SensorEntry, SensorsMessage};
-use crate::{Item, ReadError, Reader};
+use crate::{Item, ReadError, Take};
 use posed_stage::Stage;
 use posed_stage::layout::BodyLayout;
 use posed_stage::signals::{self, InertialColumns};
@@ -20,7 +20,7 @@ use posed_stage::signals::{self, InertialColumns};
 /// A recording as named channels over time.
 pub struct RecordedStreams {
     path: PathBuf,
-    reader: Reader<BufReader<File>>,
+    take: Take<BufReader<File>>,
     sensors: Vec<String>,
     inertial: InertialColumns,
     /// Joint and angle of those of the body.
@@ -36,11 +36,11 @@ impl RecordedStreams {
     /// # Errors
     /// It is damaged, or is none.
     pub fn open(path: &Path) -> Result<Self, TableError> {
-        let reader = Reader::open(path)
+        let take = Take::open(path)
             .map_err(|source| TableError::Recording { file: path.display().to_string(), source })?;
-        let sensors = reader.header().sensors.clone();
+        let sensors = take.header().sensors.clone();
         let mut columns = signals::columns(sensors.iter().map(String::as_str));
-        let stage = Stage::parse(&reader.header().stage_toml).ok();
+        let stage = Stage::parse(&take.header().stage_toml).ok();
         let layout = stage.as_ref().and_then(BodyLayout::of);
         let inertial = stage.as_ref().map(InertialColumns::of).unwrap_or_default();
         columns.extend(stage.iter().flat_map(|stage| inertial.names(stage)));
@@ -51,7 +51,7 @@ impl RecordedStreams {
         };
         let angles = layout.as_ref().map_or_else(Vec::new, names);
         let row = Vec::with_capacity(columns.len());
-        Ok(Self { path: path.to_owned(), reader, sensors, inertial, angles, columns, row, body: None })
+        Ok(Self { path: path.to_owned(), take, sensors, inertial, angles, columns, row, body: None })
     }
 
     /// Names of the channels: of each sensor those of [`signals::columns`] (room, m, unit quaternion), of inertial sensors
@@ -76,7 +76,7 @@ impl RecordedStreams {
     }
 
     fn next(&mut self) -> Result<Option<f64>, ReadError> {
-        for item in self.reader.by_ref() {
+        for item in self.take.by_ref() {
             let Item::Message(message) = item? else { continue };
             if &*message.topic == "body" && !self.angles.is_empty() {
                 self.body = Some(BodyMessage::parse(&message.json)?);
