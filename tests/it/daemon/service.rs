@@ -9,7 +9,7 @@ use std::process::{Child, Command, Stdio};
 use posed_recording::{Item, Reader};
 use serde_json::Value;
 
-use super::process::{Posed, frames, one_device, replays, two_devices, until};
+use super::process::{Posed, frames, one_device, replays_alike, two_devices, until};
 use crate::cli::posed;
 
 const TOKEN: &str = "a-token-that-nobody-else-has";
@@ -127,7 +127,7 @@ async fn no_recording_holds_a_secret_and_it_replays_as_ever() {
     for secret in [TOKEN, old] {
         assert!(!bytes.windows(secret.len()).any(|part| part == secret.as_bytes()), "{secret}");
     }
-    replays(&recording);
+    replays_alike(&recording);
     // It is served without the token, which it does not know.
     let replay = Posed::start(["replay".into(), os(&recording)]);
     replay.client().await;

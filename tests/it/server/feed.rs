@@ -167,6 +167,8 @@ async fn a_pose_that_is_no_number_is_never_shown_as_good() {
     client.subscribe(&["sensors"]).await;
     let mut broken = estimate(1);
     broken.sensors[0].pose.as_mut().unwrap().position_m.as_mut().unwrap()[1] = f64::NAN;
+    // As the pipeline does with every estimate.
+    broken.sensors[0].withhold_non_finite();
     server.hub.publish_estimate(&broken);
     let left = &client.next().await["sensors"][0];
     assert_eq!((&left["state"], &left["position_m"]), (&json!("suspect"), &json!(null)));

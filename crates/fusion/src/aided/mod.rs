@@ -225,8 +225,8 @@ impl Aided {
         Some(self.pose()? * lever)
     }
 
-    /// The magnetic sensor at `t_s` on the clock of the magnetic poses, s: forward from the latest IMU sample, or at that
-    /// sample where `t_s` is earlier. `None` where [`Self::pose`] is, and more than 0.05 s after the latest sample.
+    /// The magnetic sensor at `t_s` on the clock of the magnetic poses, s: forward from the latest IMU sample, or back
+    /// by the velocities, by at most 0.05 s, where `t_s` is earlier. `None` where [`Self::pose`] is, and more than 0.05 s after the latest sample.
     pub fn at(&self, t_s: f64) -> Option<AidedPose> {
         let p = &self.params;
         let t_s = t_s + p.offset_s;
@@ -241,10 +241,13 @@ impl Aided {
         h.fixed_view_mut::<3, 3>(0, R).copy_from(&(-axes * hat(&p.lever_m)));
         let imu_from_sensor = p.q_imu_sensor.to_rotation_matrix().into_inner();
         let rotation = state.covariance.fixed_view::<3, 3>(R, R).into_owned();
+        // A sample may follow the time that is asked for by a few milliseconds.
+        let back_s = (t_s - state.t_s).clamp(-AHEAD_S, 0.0);
+        let velocity_m_s = state.velocity_m_s + axes * angular_velocity_rad_s.cross(&p.lever_m);
         Some(AidedPose {
-            position_m: state.position_m + axes * p.lever_m,
-            velocity_m_s: state.velocity_m_s + axes * angular_velocity_rad_s.cross(&p.lever_m),
-            orientation: state.q * p.q_imu_sensor,
+            position_m: state.position_m + axes * p.lever_m + velocity_m_s * back_s,
+            velocity_m_s,
+            orientation: state.q * exp(&(angular_velocity_rad_s * back_s)) * p.q_imu_sensor,
             angular_velocity_rad_s: p.q_imu_sensor.inverse() * angular_velocity_rad_s,
             position_m2: h * state.covariance * h.transpose(),
             rotation_rad2: imu_from_sensor.transpose() * rotation * imu_from_sensor,
