@@ -4,36 +4,44 @@
 //! datagram into an envelope, and unpacks those that the session transmits; read chunks, input log and
 //! recordings stay plain bytes. A chunk holds whole envelopes only.
 //!
-//! Envelope: length of the rest (u16), family (4 or 6), address (4 or 16 bytes), port (u16), datagram; all
-//! numbers big-endian.
+//! Envelope: length of the rest (u16), family, address, port (u16), datagram; all numbers big-endian. The address is 4 bytes
+//! (family 4), 16 bytes (6), or 16 bytes and a scope (u32; 16): a link-local address leads nowhere without it.
 
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV4, SocketAddrV6};
+
+/// Families of addresses, as an envelope names them.
+const V4: u8 = 4;
+const V6: u8 = 6;
+const V6_SCOPED: u8 = 16;
 
 /// A datagram and where it comes from, or goes to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Datagram<'a> {
-    /// The far end: address and UDP port. Scope and flow label of IPv6 are not in the envelope and read as 0.
+    /// The far end: address, scope and UDP port. The flow label of IPv6 is not in the envelope and reads as 0.
     pub peer: SocketAddr,
     /// What was sent: the payload, without the envelope.
     pub data: &'a [u8],
 }
 
 impl Datagram<'_> {
-    /// Appends the envelope to `out`: 9 bytes (IPv4) or 21 bytes (IPv6), then the data.
+    /// Appends the envelope to `out`: 9 bytes (IPv4), 21 bytes (IPv6) or 25 bytes (IPv6 with a scope), then the data.
     ///
     /// # Panics
-    /// With more data than its length field counts: 65528 bytes (IPv4), 65516 bytes (IPv6). No UDP datagram holds so many.
+    /// With more data than its length field counts: 65528, 65516 or 65512 bytes. No UDP datagram holds so many.
     pub fn encode_into(&self, out: &mut Vec<u8>) {
         let start = out.len();
         out.extend([0, 0]);
-        match self.peer.ip() {
-            IpAddr::V4(ip) => {
-                out.push(4);
-                out.extend(ip.octets());
+        match self.peer {
+            SocketAddr::V4(peer) => {
+                out.push(V4);
+                out.extend(peer.ip().octets());
             }
-            IpAddr::V6(ip) => {
-                out.push(6);
-                out.extend(ip.octets());
+            SocketAddr::V6(peer) => {
+                out.push(if peer.scope_id() == 0 { V6 } else { V6_SCOPED });
+                out.extend(peer.ip().octets());
+                if peer.scope_id() != 0 {
+                    out.extend(peer.scope_id().to_be_bytes());
+                }
             }
         }
         out.extend(self.peer.port().to_be_bytes());
@@ -44,7 +52,12 @@ impl Datagram<'_> {
 
     /// Bytes of the whole envelope, the data included.
     pub fn envelope_len(&self) -> usize {
-        2 + 1 + if self.peer.is_ipv4() { 4 } else { 16 } + 2 + self.data.len()
+        let address = match self.peer {
+            SocketAddr::V4(_) => 4,
+            SocketAddr::V6(peer) if peer.scope_id() == 0 => 16,
+            SocketAddr::V6(_) => 20,
+        };
+        2 + 1 + address + 2 + self.data.len()
     }
 
     /// The whole envelope; see [`Datagram::encode_into`].
@@ -60,7 +73,7 @@ impl Datagram<'_> {
 
 /// The datagrams of a chunk, in order, each as `Ok`; in the end `Err` with the number of bytes that are none, if any.
 ///
-/// The chunk must begin with an envelope. An envelope that is cut short, or of another family than 4 and 6, ends the reading:
+/// The chunk must begin with an envelope. An envelope that is cut short, or of an unknown family, ends the reading:
 /// all bytes from there on are in the `Err`. Lengths alone part the envelopes; there is no mark to find the next one by.
 pub fn datagrams(chunk: &[u8]) -> impl Iterator<Item = Result<Datagram<'_>, usize>> {
     let mut rest = chunk;
@@ -82,24 +95,42 @@ fn open(bytes: &[u8]) -> Option<(Datagram<'_>, &[u8])> {
     let (len, rest) = bytes.split_first_chunk()?;
     let (envelope, after) = rest.split_at_checked(u16::from_be_bytes(*len).into())?;
     let (family, envelope) = envelope.split_first()?;
-    let (ip, envelope) = match family {
-        4 => {
+    let (peer, data) = match *family {
+        V4 => {
             let (ip, envelope) = envelope.split_first_chunk::<4>()?;
-            (IpAddr::V4(Ipv4Addr::from(*ip)), envelope)
+            let (port, data) = split_u16(envelope)?;
+            (SocketAddrV4::new(Ipv4Addr::from(*ip), port).into(), data)
         }
-        6 => {
+        V6 | V6_SCOPED => {
             let (ip, envelope) = envelope.split_first_chunk::<16>()?;
-            (IpAddr::V6(Ipv6Addr::from(*ip)), envelope)
+            let (scope, envelope) = match *family {
+                V6 => (0, envelope),
+                _ => envelope.split_first_chunk().map(|(scope, rest)| (u32::from_be_bytes(*scope), rest))?,
+            };
+            let (port, data) = split_u16(envelope)?;
+            (SocketAddrV6::new(Ipv6Addr::from(*ip), port, 0, scope).into(), data)
         }
         _ => return None,
     };
-    let (port, data) = envelope.split_first_chunk()?;
-    Some((Datagram { peer: SocketAddr::new(ip, u16::from_be_bytes(*port)), data }, after))
+    Some((Datagram { peer, data }, after))
+}
+
+fn split_u16(bytes: &[u8]) -> Option<(u16, &[u8])> {
+    bytes.split_first_chunk().map(|(word, rest)| (u16::from_be_bytes(*word), rest))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_link_local_peer_keeps_its_scope() {
+        let peer = "[fe80::1%3]:6969".parse().unwrap();
+        let datagram = Datagram { peer, data: b"abc" };
+        let envelope = datagram.encode();
+        assert_eq!(datagrams(&envelope).collect::<Vec<_>>(), [Ok(datagram)]);
+        assert_eq!(envelope.len(), datagram.envelope_len());
+    }
 
     #[test]
     fn envelopes_open_again() {

@@ -106,7 +106,7 @@ pub fn fastrak_wire(data: &[u8]) {
         for piece in pieces {
             splitter.push(piece);
             while let Some(piece) = splitter.find() {
-                if let Piece::Record(_, record) = piece {
+                if let Piece::Record { record, .. } = piece {
                     let mut again = Vec::new();
                     record.encode(shape, &mut again);
                     let parse = if shape.text {

@@ -13,6 +13,7 @@ pub mod motionstar;
 mod outbox;
 pub mod port;
 pub mod probe;
+pub mod rate;
 pub mod sample;
 pub mod session;
 pub mod slimevr;

@@ -79,8 +79,8 @@ pub struct Counters {
     /// Records seen on the line and refused: wrong length or checksum, unknown address, out of order, impossible values. An
     /// estimate where damage swallowed records.
     pub rejected: u64,
-    /// Bytes that belong to no accepted record and to no answer, those dropped before the session included. Of a whole
-    /// message, packet or record that was refused for its contents the bytes may be missing here.
+    /// Bytes that belong to no accepted record and to no answer, those dropped before the session included, and
+    /// those of whole messages, packets and records that were refused for their contents.
     pub bytes_skipped: u64,
 }
 
@@ -102,7 +102,7 @@ pub struct Loss {
     /// Records lost: by a counter of the device where it has one, else by order or by time.
     pub lost: u64,
     /// Whether some of them were inferred (from time, from order, from packets of which none says what it held) rather than
-    /// counted by the device.
+    /// counted by the device; gaps in the numbers that a device gives its packets are counted.
     pub estimated: bool,
 }
 

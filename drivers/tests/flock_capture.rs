@@ -176,3 +176,44 @@ fn what_is_no_capture_is_refused() {
     let error = decode(b"1.0 : (INFO) 1. receive[3] ab\n", Options::default()).unwrap_err();
     assert!(error.to_string().starts_with("line 1"), "{error}");
 }
+
+#[test]
+fn a_status_between_two_records_costs_neither() {
+    let mut log = Log::default();
+    log.host(b"Y");
+    log.host(b"M\x00");
+    log.host(b"@");
+    let record = |i| pose(Format::PositionAngles, None, None, Range::In36, i);
+    for i in 0..5 {
+        log.unit(&record(i));
+    }
+    let cut = record(5);
+    log.unit(&cut[..4]);
+    log.host(b"O\x00");
+    log.unit(&[&cut[4..], &[0x09, 0xD1], &record(6)].concat());
+    log.unit(&record(7));
+    let decoded = log.decode();
+    assert_eq!((decoded.summary.records, decoded.summary.answers), (8, 1), "{:?}", decoded.summary);
+}
+
+#[test]
+fn a_damaged_record_does_not_end_in_an_answer() {
+    let mut log = Log::default();
+    for command in [b"]".as_slice(), b"M\x00", b"@"] {
+        log.host(command);
+    }
+    let record = |i| pose(Format::PositionQuaternion, None, None, Range::In36, i);
+    for i in 0..5 {
+        log.unit(&record(i));
+    }
+    log.host(b"O\x00");
+    let mut damaged = record(5);
+    damaged.remove(4);
+    log.unit(&[&damaged[..], &[0x11, 0xD1], &record(6)].concat());
+    for i in 7..20 {
+        log.unit(&record(i));
+    }
+    let decoded = log.decode();
+    // The one behind the answer follows two first bytes in a row, of which one is not true.
+    assert_eq!(decoded.summary.records, 18, "{:?}", decoded.summary);
+}

@@ -30,6 +30,8 @@ struct Unit {
     out: Vec<(Timestamp, Vec<u8>)>,
     commands_seen: Vec<Command>,
     revision: [u8; 2],
+    /// What it answers to the questions for its measurement rate, in turn; the last one again and again.
+    rates: Vec<[u8; 2]>,
 }
 
 impl Unit {
@@ -56,6 +58,7 @@ impl Unit {
             out: Vec::new(),
             commands_seen: Vec::new(),
             revision: [3, 67],
+            rates: vec![[0x4D, 0x67]],
         }
     }
 
@@ -120,7 +123,12 @@ impl Unit {
             }
             Command::Examine(1) => answer(8, self.revision.to_vec()),
             Command::Examine(26) if self.revision >= [3, 71] => answer(9, vec![0x57, 0x14]),
-            Command::Examine(7) => answer(8, vec![0x4D, 0x67]),
+            Command::Examine(7) => {
+                answer(8, self.rates[0].to_vec());
+                if self.rates.len() > 1 {
+                    self.rates.remove(0);
+                }
+            }
             Command::Examine(10) => {
                 answer(8, vec![self.error]);
                 self.error = 0;
@@ -129,7 +137,7 @@ impl Unit {
             Command::Examine(19) => answer(8, vec![0]),
             Command::Examine(36) => {
                 let mut bytes = self.units.clone();
-                bytes.resize(14, 0);
+                bytes.resize(if bytes.len() > 14 { 30 } else { 14 }, 0);
                 answer(45, bytes);
             }
             _ => {}
@@ -400,6 +408,64 @@ fn a_slow_line_is_reported_and_its_rate_known() {
     assert!(bench.warnings.iter().any(|text| text.contains("19200")), "{:?}", bench.warnings);
     // 50 bytes take 26 ms, three cycles.
     assert!((bench.session.rate_hz().unwrap() - 103.3 / 3.0).abs() < 0.01);
+}
+
+#[test]
+fn a_rate_that_cannot_be_is_not_believed() {
+    let honest = [0x4D, 0x67];
+    for damaged in [[0, 0], [1, 0], [0xFF, 0xFF], [0, 9]] {
+        for (asked, rates, expected_hz) in [
+            (None, vec![damaged], 103.3),
+            (Some(86.0), vec![damaged], 86.0),
+            (Some(86.0), vec![honest, damaged], 86.0),
+        ] {
+            for mode in [Mode::Stream, Mode::Point] {
+                let settings = Settings { measurement_rate_hz: asked, mode, ..Settings::default() };
+                let mut bench =
+                    Bench::new(settings, &[1, 2], Unit { rates: rates.clone(), ..Unit::flock(2) });
+                bench.open(false);
+                bench.run(3.0);
+                assert_eq!(bench.session.state(), &State::Streaming, "{damaged:?}");
+                assert!(
+                    (bench.session.rate_hz().unwrap() - expected_hz).abs() < 0.01,
+                    "{damaged:?} {asked:?}"
+                );
+                assert!(bench.warnings.iter().any(|text| text.contains("cannot be")), "{:?}", bench.warnings);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_line_without_a_rate_limits_nothing() {
+    for mode in [Mode::Stream, Mode::Point, Mode::Listen] {
+        let mut bench = Bench::new(Settings::default(), &[1, 2], Unit::flock(2));
+        let settings = Settings { mode, ..Settings::default() };
+        bench.session = FlockSession::new(settings, 0, &[1, 2]).unwrap();
+        bench.open(false);
+        bench.run(3.0);
+        if mode != Mode::Listen {
+            assert_eq!(bench.session.state(), &State::Streaming);
+            assert!((bench.session.rate_hz().unwrap() - 103.3).abs() < 0.01);
+        }
+        assert!(bench.warnings.is_empty(), "{:?}", bench.warnings);
+    }
+}
+
+#[test]
+fn a_transmitter_beyond_the_commands_reach_is_named() {
+    // Unit 18 has the transmitter; cut to four bits the command would choose that of unit 2.
+    let mut unit = Unit::flock(18);
+    unit.units.iter_mut().for_each(|status| *status &= !0x0F);
+    unit.units[17] |= 1;
+    let settings = Settings { addressing: Some(Addressing::Expanded), ..Settings::default() };
+    let mut bench = Bench::new(settings, &[1, 2], unit);
+    bench.open(false);
+    bench.run(5.0);
+    let chosen = |command: &Command| matches!(command, Command::NextTransmitter { .. });
+    assert!(!bench.unit.commands_seen.iter().any(chosen), "{:?}", bench.unit.commands_seen);
+    assert!(bench.warnings.iter().any(|text| text.contains("unit 18")), "{:?}", bench.warnings);
+    assert_eq!(Command::next_transmitter(16, 0), None);
 }
 
 #[test]

@@ -149,6 +149,33 @@ fn decode_writes_every_record_with_the_digits_of_its_time() {
 }
 
 #[test]
+fn a_table_of_an_xbus_capture_has_measurements_only_and_orient_takes_it() {
+    let folder = tempfile::tempdir().unwrap();
+    // A device with a satellite receiver: its messages with a fix alone have times that lie behind.
+    for session in ["1", "2", "4"] {
+        let capture = repository(&format!("tests/recordings/xbus/einride-mtig710/{session}/output.bin"));
+        let (csv, poses) = (folder.path().join("imu.csv"), folder.path().join("orientation.csv"));
+        let run = |command: &[&str], input: &Path, output: &Path| {
+            let said = posed(command.iter().map(|word| word.as_ref()).chain([
+                input.as_os_str(),
+                "-o".as_ref(),
+                output.as_os_str(),
+            ]));
+            assert!(said.status.success(), "{session}: {}", stderr(&said));
+        };
+        run(&["decode", "xbus"], &capture, &csv);
+        let text = std::fs::read_to_string(&csv).unwrap();
+        let rows: Vec<&str> = text.lines().skip(1).collect();
+        assert!(rows.len() > 90, "{session}: {} rows", rows.len());
+        let times: Vec<f64> =
+            rows.iter().map(|row| row.split(',').next().unwrap().parse().unwrap()).collect();
+        assert!(times.is_sorted(), "{session}");
+        assert!(rows.iter().all(|row| row.split(',').skip(2).any(|cell| !cell.is_empty())), "{session}");
+        run(&["orient"], &csv, &poses);
+    }
+}
+
+#[test]
 fn decode_of_nothing_fails_and_writes_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let empty = folder.path().join("empty.bin");

@@ -6,6 +6,7 @@
 //! A record has no checksum and no mark of its own: it counts when header, length and terminator fit, and the
 //! quaternion is one. The Liberty, Patriot and Latus have another language, which this driver does not speak.
 
+mod debt;
 pub mod probe;
 pub mod session;
 pub mod wire;

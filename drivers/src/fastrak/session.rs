@@ -11,6 +11,7 @@ use posed_state::Plain;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::debt::Debt;
 use super::wire::{Piece, Record, STATIONS, Shape, Splitter};
 use crate::arrivals::Arrivals;
 use crate::flock::SettingsError;
@@ -101,6 +102,9 @@ pub struct FastrakSession {
     /// Index of the station whose record is due.
     due: usize,
     last_record: Option<Timestamp>,
+    debt: Debt,
+    /// The stream has been started anew since the last record.
+    started: bool,
 }
 
 impl FastrakSession {
@@ -134,6 +138,8 @@ impl FastrakSession {
             cycle: 0,
             due: 0,
             last_record: None,
+            debt: Debt::default(),
+            started: false,
         })
     }
 
@@ -167,22 +173,23 @@ impl FastrakSession {
         self.outbox.transmit(commands.into_bytes());
         self.questions = 0;
         self.due = 0;
+        self.started = true;
         self.splitter.interrupt();
         self.phase = Phase::Streaming { silent_at: now + START };
     }
 
-    fn record(&mut self, now: Timestamp, offset: u64, record: Record) {
+    fn record(&mut self, now: Timestamp, offset: u64, len: usize, record: Record) {
         if !matches!(self.phase, Phase::Streaming { .. }) {
             return;
         }
         let Some(index) = self.stations.iter().position(|&station| station == record.station) else {
-            self.outbox.counters.rejected += 1;
+            self.refuse(len);
             return;
         };
         self.phase = Phase::Streaming { silent_at: now + SILENCE };
         self.count_losses(now, index);
         if record.status != b' ' {
-            self.outbox.counters.rejected += 1;
+            self.refuse(len);
             self.losses[index].lost += 1;
             let (station, letter) = (record.station, char::from(record.status));
             self.outbox.warn(now, u32::from(station) << 8 | u32::from(record.status), || {
@@ -208,28 +215,39 @@ impl FastrakSession {
         });
     }
 
-    /// Stations come in turn: those passed over were lost. A pause of several cycles is estimated from time alone.
+    fn refuse(&mut self, len: usize) {
+        self.outbox.counters.rejected += 1;
+        self.dropped += len as u64;
+    }
+
+    /// Stations come in turn: those passed over were lost. Whole cycles leave no trace but time.
     fn count_losses(&mut self, now: Timestamp, index: usize) {
-        let stations = self.stations.len();
-        let period_s = stations as f64 / UNIT_RATE_HZ;
         let elapsed_s = self.last_record.replace(now).map_or(0.0, |last| now.seconds_since(last));
-        // Bursts hold records back by some cycles, so only a long pause says anything.
-        let whole = if elapsed_s > SILENCE.as_secs_f64() { (elapsed_s / period_s).round() as u64 } else { 0 };
-        if whole > 0 {
-            for loss in &mut self.losses {
-                loss.lost += whole - 1;
-                loss.estimated = true;
-            }
-            self.cycle += whole;
-        } else {
-            while self.due != index {
-                self.losses[self.due].lost += 1;
-                self.losses[self.due].estimated = true;
-                self.step();
-            }
+        let stations = self.stations.len();
+        if std::mem::take(&mut self.started) {
+            self.debt.forgive();
+            let missed = (elapsed_s * UNIT_RATE_HZ / stations as f64).round() as u64;
+            self.lose_cycles(missed.saturating_sub(1));
+            self.due = index;
         }
-        self.due = index;
+        let mut passed = 0;
+        while self.due != index {
+            self.losses[self.due].lost += 1;
+            self.losses[self.due].estimated = true;
+            passed += 1;
+            self.step();
+        }
+        let cycles = self.debt.record(now, passed, stations, UNIT_RATE_HZ);
+        self.lose_cycles(cycles);
         self.step();
+    }
+
+    fn lose_cycles(&mut self, cycles: u64) {
+        for loss in &mut self.losses {
+            loss.lost += cycles;
+            loss.estimated |= cycles > 0;
+        }
+        self.cycle += cycles;
     }
 
     fn step(&mut self) {
@@ -268,7 +286,7 @@ impl Session for FastrakSession {
         self.splitter.push(bytes);
         while let Some(piece) = self.splitter.find() {
             match piece {
-                Piece::Record(offset, record) => self.record(now, offset, record),
+                Piece::Record { offset, len, record } => self.record(now, offset, len, record),
                 Piece::Status if matches!(self.phase, Phase::Asking { .. }) => self.start(now),
                 Piece::Status => {}
             }

@@ -164,8 +164,15 @@ impl<'a> Iterator for Fields<'a> {
 /// What the stream of a unit holds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Piece {
-    /// A record, and the place in the stream of its first byte: bytes pushed before it.
-    Record(u64, Record),
+    /// A record that has the form.
+    Record {
+        /// Place in the stream of its first byte: bytes pushed before it.
+        offset: u64,
+        /// Bytes on the line, terminator included.
+        len: usize,
+        /// What it says.
+        record: Record,
+    },
     /// An answer to the status question: recognised by its form alone, its contents are not read.
     Status,
 }
@@ -215,10 +222,10 @@ impl Splitter {
                     continue;
                 }
                 &DATA if self.shape.text => match line_len(pending) {
-                    Ok(len) => (
-                        len,
-                        Record::parse_text(&pending[..len], self.shape).map(|r| Piece::Record(offset, r)),
-                    ),
+                    Ok(len) => {
+                        let record = Record::parse_text(&pending[..len], self.shape);
+                        (len, record.map(|record| Piece::Record { offset, len, record }))
+                    }
                     Err(Cut::Wait) => return None,
                     Err(Cut::No) => (1, None),
                 },
@@ -229,11 +236,8 @@ impl Splitter {
                     } else if pending.len() < len {
                         return None;
                     } else {
-                        (
-                            len,
-                            Record::parse_binary(&pending[..len], self.shape)
-                                .map(|r| Piece::Record(offset, r)),
-                        )
+                        let record = Record::parse_binary(&pending[..len], self.shape);
+                        (len, record.map(|record| Piece::Record { offset, len, record }))
                     }
                 }
                 _ => (1, None),

@@ -8,6 +8,7 @@
 //! themselves (see [`raw`]).
 
 pub mod follow;
+mod judge;
 pub mod log;
 pub mod raw;
 
@@ -15,6 +16,9 @@ use posed_state::Plain;
 use thiserror::Error;
 
 use super::wire::{Format, QuaternionSense, Range, Record};
+
+/// Button bytes that a unit sends.
+const BUTTONS: [u8; 4] = [0x00, 0x10, 0x30, 0x70];
 
 /// What the caller knows better than the file. The default knows nothing, and takes quaternions in the vendor's sense.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Plain)]

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::asker::{Asker, Expired};
 use super::wire::value::{self, parameter};
 use super::wire::{Addressing, BirdStatus, Command, UnitStatus};
+use crate::rate::ImpossibleRate;
 use crate::sample::Timestamp;
 
 /// Silence after POINT before the first question.
@@ -150,6 +151,7 @@ pub struct Examination {
     #[state(skip)]
     transmits: VecDeque<Vec<u8>>,
     bytes_skipped: u64,
+    warnings: Vec<String>,
 }
 
 impl Examination {
@@ -175,6 +177,7 @@ impl Examination {
             tries,
             transmits: VecDeque::from([Command::Point.to_bytes(None, Addressing::Normal)]),
             bytes_skipped: 0,
+            warnings: Vec::new(),
         }
     }
 
@@ -194,6 +197,11 @@ impl Examination {
     /// Bytes that were no part of an answer since the last call; the rest of a stopped stream is not counted.
     pub fn take_bytes_skipped(&mut self) -> u64 {
         std::mem::take(&mut self.bytes_skipped)
+    }
+
+    /// Sentences for the operator since the last call: answers that were not believed.
+    pub fn take_warnings(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.warnings)
     }
 
     /// Bytes were read at `now`, cut anywhere. While the stream is being stopped they only prolong the wait.
@@ -290,12 +298,10 @@ impl Examination {
             }
             (Step::Model, model) => found.model = String::from_utf8_lossy(model).trim().to_owned(),
             (Step::Topology, bytes) => found.units = units(bytes),
-            (Step::Rate, &[low, high]) => {
-                let hz = value::rate_hz(u16::from_le_bytes([low, high]));
-                if (10.0..=200.0).contains(&hz) {
-                    found.rate_hz = hz;
-                }
-            }
+            (Step::Rate, &[low, high]) => match value::claimed_rate([low, high]) {
+                Ok(rate) => found.rate_hz = rate.hz(),
+                Err(refused) => self.warnings.push(not_believed(&refused, found.rate_hz)),
+            },
             _ => {}
         }
         self.next_step(now)
@@ -317,6 +323,11 @@ impl Examination {
             }
         }
     }
+}
+
+/// What the operator hears of a measurement rate that cannot be; `kept_hz` is taken in its place, Hz.
+pub(super) fn not_believed(refused: &ImpossibleRate, kept_hz: f64) -> String {
+    format!("the unit answers its measurement rate with damage: {refused}; going on with {kept_hz} Hz")
 }
 
 /// Units of a FLOCK SYSTEM STATUS answer.

@@ -169,9 +169,10 @@ fn check_fit(
 }
 
 fn auto_configure(settings: &Settings, findings: &Findings, plan: &mut Plan) {
+    let Plan { actions, warnings } = plan;
     let mut send = |command: Command, quiet_ms| {
         let bytes = command.to_bytes(None, findings.addressing);
-        plan.actions.push_back(Action::Send { bytes, quiet_ms });
+        actions.push_back(Action::Send { bytes, quiet_ms });
     };
     let highest = findings.units.last().map_or(1, |unit| unit.address);
     let units = settings.units.unwrap_or(highest);
@@ -181,24 +182,27 @@ fn auto_configure(settings: &Settings, findings: &Findings, plan: &mut Plan) {
     let found = findings.units.iter().find_map(|unit| Some((unit.address, unit.status.transmitter()?)));
     let transmitter =
         settings.transmitter_address.map(|address| (address, settings.transmitter_number)).or(found);
-    match transmitter {
-        Some((address, number)) if (address, number) != (1, 0) => {
-            send(Command::NextTransmitter { address, number }, AUTO_CONFIG_QUIET_MS);
-        }
-        _ => {}
+    match transmitter.map(|(address, number)| (address, Command::next_transmitter(address, number))) {
+        None | Some((1, Some(Command::NextTransmitter { number: 0, .. }))) => {}
+        Some((_, Some(command))) => send(command, AUTO_CONFIG_QUIET_MS),
+        // Cut to four bits, the address would be another unit's.
+        Some((address, None)) => warnings.push(format!(
+            "the transmitter is at unit {address}, and the command that chooses it has room for addresses up to 15; give its unit              such an address"
+        )),
     }
     if units == 1 {
-        plan.actions.push_back(Action::Send { bytes: Vec::new(), quiet_ms: AUTO_CONFIG_QUIET_MS });
+        actions.push_back(Action::Send { bytes: Vec::new(), quiet_ms: AUTO_CONFIG_QUIET_MS });
     }
     let command = Command::Change { parameter: parameter::FBB_AUTO_CONFIG, data: vec![units] };
     let bytes = command.to_bytes(None, findings.addressing);
-    plan.actions.push_back(Action::Send { bytes, quiet_ms: AUTO_CONFIG_QUIET_MS });
-    plan.actions.push_back(Action::AwaitRunning);
+    actions.push_back(Action::Send { bytes, quiet_ms: AUTO_CONFIG_QUIET_MS });
+    actions.push_back(Action::AwaitRunning);
 }
 
 /// Rate of records per bird in Hz, and a warning where the line is too slow for every cycle.
 ///
-/// A unit starts a cycle's records only when those of the one before are out, so a slow line divides the rate.
+/// A unit starts a cycle's records only when those of the one before are out, so a slow line divides the rate. `baud` is in bit/s;
+/// 0: the line has no limit.
 pub(super) fn record_rate_hz(
     settings: &Settings,
     measurement_rate_hz: f64,
@@ -209,7 +213,7 @@ pub(super) fn record_rate_hz(
     let requested_hz = measurement_rate_hz / f64::from(settings.report_every_cycles.cycles());
     let send_s = bytes as f64 * 10.0 / f64::from(baud);
     let load = send_s * requested_hz;
-    if load <= 1.0 {
+    if baud == 0 || load <= 1.0 {
         return (requested_hz, None);
     }
     let every = (send_s * measurement_rate_hz).ceil().max(f64::from(settings.report_every_cycles.cycles()));

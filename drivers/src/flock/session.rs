@@ -75,7 +75,7 @@ enum Phase {
 
 impl FlockSession {
     /// A session for the birds `wanted`: `[0]` for a stand-alone unit, else addresses on the flock's bus, in any order. `baud`
-    /// is the line rate, bit/s, above 0: it limits the rate of records. Closed until the line opens.
+    /// is the line rate, bit/s, which limits the rate of records; 0 where the line has no such limit. Closed until the line opens.
     ///
     /// # Errors
     /// A setting is out of its range; `wanted` is empty, names an address twice, 0 beside others, or one above 126.
@@ -169,6 +169,7 @@ impl FlockSession {
 
     fn on_progress(&mut self, now: Timestamp, progress: Progress, mut examination: Box<Examination>) {
         self.counters.bytes_skipped += examination.take_bytes_skipped();
+        examination.take_warnings().into_iter().for_each(|warning| self.warn(warning));
         while let Some(bytes) = examination.poll_transmit() {
             self.transmit(bytes);
         }

@@ -2,6 +2,7 @@
 
 use super::wire::{Header, Packets, SystemStatus, kind};
 use crate::probe::{Identity, Inquiry, Listener, Question};
+use crate::rate::Rate;
 use crate::sample::Timestamp;
 use crate::session::SensorInfo;
 
@@ -65,7 +66,7 @@ impl Listener for Answers {
         Some(Identity {
             model: None,
             revision: revision.map(|(major, minor)| format!("{major}.{minor}")),
-            rate_hz: system.rate_hz(),
+            rate_hz: system.rate().ok().map(Rate::hz),
             sensors,
             problem,
         })

@@ -132,6 +132,8 @@ pub struct MotionStarSession {
     arrivals: Arrivals,
     outbox: Outbox,
     dropped: u64,
+    /// Of whole packets and records.
+    refused_bytes: u64,
     system: Option<SystemStatus>,
     sensors: Vec<SensorInfo>,
     losses: Vec<Loss>,
@@ -171,6 +173,7 @@ impl MotionStarSession {
             arrivals: Arrivals::default(),
             outbox: Outbox::new(),
             dropped: 0,
+            refused_bytes: 0,
             system: None,
             rate_hz: None,
             last_sequence: None,
@@ -243,7 +246,13 @@ impl MotionStarSession {
             (Step::Wake, kind::RSP_WAKE_UP) => self.go(now, Step::ReadSystem),
             (Step::ReadSystem, kind::RSP_GET_STATUS) if header.unit == 0 => {
                 let Some(system) = SystemStatus::parse(body) else { return };
-                self.rate_hz = system.rate_hz();
+                match system.rate() {
+                    Ok(rate) => self.rate_hz = Some(rate.hz()),
+                    // What it had before, or nothing, is the better guess.
+                    Err(refused) => self.outbox.warn(now, 0x200, || {
+                        format!("the system answers its measurement rate with damage: {refused}; it is not believed")
+                    }),
+                }
                 for bird in &self.birds {
                     if !system.sensors().any(|address| address == bird.address) {
                         let address = bird.address;
@@ -302,6 +311,7 @@ impl MotionStarSession {
     fn data(&mut self, now: Timestamp, start: u64, header: Header, body: &[u8]) {
         let Some(records) = wire::records(body) else {
             self.outbox.counters.rejected += 1;
+            self.refused_bytes += (wire::HEADER + body.len()) as u64;
             return;
         };
         let Some(arrival) = self.arrivals.of(start) else { return };
@@ -313,7 +323,8 @@ impl MotionStarSession {
         for record in records {
             let buttons = if record.buttons.is_some() { 2 } else { 0 };
             let arrival = Arrival { cycle_bytes_before: offset, ..arrival };
-            offset += 2 + 2 * record.words.len() as u32 + buttons;
+            let len = 2 + 2 * record.words.len() as u32 + buttons;
+            offset += len;
             let Some(k) = self.birds.iter().position(|bird| bird.address == record.address) else { continue };
             match record.pose(self.birds[k].range_m, self.settings.quaternion_sense) {
                 Ok(Some(pose)) => {
@@ -332,6 +343,7 @@ impl MotionStarSession {
                 Ok(None) => {}
                 Err(wire::BadRecord) => {
                     self.outbox.counters.rejected += 1;
+                    self.refused_bytes += u64::from(len);
                     self.losses[k].lost += 1;
                 }
             }
@@ -341,7 +353,9 @@ impl MotionStarSession {
 
     /// Data packets are numbered; after a break only time tells what was missed.
     fn count_losses(&mut self, now: Timestamp, sequence: u16) {
-        let lost = match (self.last_sequence.replace(sequence), self.last_data.replace(now)) {
+        let last_sequence = self.last_sequence.replace(sequence);
+        let inferred = last_sequence.is_none();
+        let lost = match (last_sequence, self.last_data.replace(now)) {
             (Some(last), _) => match sequence.wrapping_sub(last) {
                 step @ 2..=MOST_LOST => u64::from(step) - 1,
                 _ => 0,
@@ -354,7 +368,7 @@ impl MotionStarSession {
         };
         for loss in &mut self.losses {
             loss.lost += lost;
-            loss.estimated |= lost > 0;
+            loss.estimated |= inferred && lost > 0;
         }
     }
 }
@@ -435,7 +449,7 @@ impl Session for MotionStarSession {
     }
 
     fn counters(&self) -> Counters {
-        let bytes_skipped = self.dropped + self.packets.bytes_skipped();
+        let bytes_skipped = self.dropped + self.refused_bytes + self.packets.bytes_skipped();
         Counters { bytes_skipped, ..self.outbox.counters }
     }
 

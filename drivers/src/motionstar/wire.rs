@@ -6,6 +6,7 @@
 use posed_state::Plain;
 
 use crate::flock::wire::{Format, QuaternionSense, rotation};
+use crate::rate::{ImpossibleRate, Rate};
 
 /// Bytes of a packet's header.
 pub const HEADER: usize = 16;
@@ -13,6 +14,9 @@ pub const HEADER: usize = 16;
 pub const MAX_BODY: usize = 126 * (2 + 24 + 2);
 /// Most bytes of a body without records: the status of a system with all units, and some to spare.
 const MAX_PLAIN_BODY: usize = 256;
+/// Measurement rates that a system can have, Hz. The maker states 20 to 144 Hz; its birds are those of a Flock, whose range
+/// ([`crate::flock::wire::value::RATES_HZ`]) leaves room for servers of other versions.
+pub const RATES_HZ: std::ops::RangeInclusive<f64> = crate::flock::wire::value::RATES_HZ;
 /// Number of the protocol.
 const PROTOCOL: u8 = 3;
 /// Full scale of a word.
@@ -224,10 +228,15 @@ impl SystemStatus {
         (body.len() >= 16).then(|| Self { body: body.to_vec() })
     }
 
-    /// Measurement rate as it is set, Hz (six digits of mHz on the wire); `None` when the digits are none.
-    pub fn rate_hz(&self) -> Option<f64> {
-        let digits = std::str::from_utf8(&self.body[5..11]).ok()?;
-        digits.trim().parse::<u32>().ok().map(|millihertz| f64::from(millihertz) / 1000.0)
+    /// Measurement rate as it is set (six digits of mHz on the wire).
+    ///
+    /// # Errors
+    /// The digits are none (NaN is what they claim then), or not one of [`RATES_HZ`].
+    pub fn rate(&self) -> Result<Rate, ImpossibleRate> {
+        let digits = std::str::from_utf8(&self.body[5..11]).ok();
+        let millihertz = digits.and_then(|digits| digits.trim().parse::<u32>().ok());
+        let hz = millihertz.map_or(f64::NAN, |millihertz| f64::from(millihertz) / 1000.0);
+        Rate::claimed(hz, &RATES_HZ)
     }
 
     /// Addresses of units that are accessible and have a sensor, rising. A controller that claims a sensor is among them.

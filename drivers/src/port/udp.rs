@@ -14,19 +14,23 @@ use tokio::net::{UdpSocket, lookup_host};
 
 use crate::datagram::{Datagram, datagrams};
 
-/// Longest datagram that a server takes: what an Ethernet frame holds.
-const LONGEST: usize = 1500;
+/// Room for the longest datagram there is, so that none is ever cut.
+const LONGEST: usize = 1 << 16;
 
 /// A socket for datagrams as a stream: each read gives one datagram, each write sends one.
 ///
-/// Towards one peer a datagram longer than the buffer of the read is cut. A server reads at most 1500 bytes of a datagram,
-/// and drops it where its envelope does not fit the buffer; a write takes one envelope, and drops what is none. Empty
+/// No datagram is cut. Towards one peer the next reads give what the buffer of a read had no room for. A server drops a
+/// datagram whose envelope does not fit the buffer, and logs it; a write takes one envelope, and drops what is none. Empty
 /// datagrams of a peer are passed over.
 #[derive(Debug)]
 pub struct UdpStream {
     socket: UdpSocket,
-    /// Where a server's datagrams arrive, and their envelopes.
-    server: Option<(Box<[u8; LONGEST]>, Vec<u8>)>,
+    /// Where datagrams arrive.
+    arrived: Box<[u8]>,
+    /// What the next reads give: the rest of a datagram, or a server's envelope.
+    pending: Vec<u8>,
+    /// Whether there are many peers, and datagrams travel in envelopes.
+    is_server: bool,
 }
 
 impl UdpStream {
@@ -42,14 +46,24 @@ impl UdpStream {
         // Several devices may send to the same port; the system tells them apart by where they send from.
         let socket = if local_port.is_some() { shared(local)? } else { UdpSocket::bind(local).await? };
         socket.connect(peer).await?;
-        Ok(Self { socket, server: None })
+        Ok(Self::new(socket, false))
     }
 
     /// A socket for many peers, at `HOST:PORT` of this computer.
     pub(super) async fn serve(address: &str) -> io::Result<Self> {
         let socket = UdpSocket::bind(address).await?;
-        let server = Some((Box::new([0; LONGEST]), Vec::with_capacity(LONGEST + 32)));
-        Ok(Self { socket, server })
+        Ok(Self::new(socket, true))
+    }
+
+    fn new(socket: UdpSocket, is_server: bool) -> Self {
+        Self { socket, arrived: vec![0; LONGEST].into(), pending: Vec::new(), is_server }
+    }
+
+    /// Gives as much of what is pending as there is room for.
+    fn give(&mut self, buf: &mut ReadBuf<'_>) {
+        let fits = self.pending.len().min(buf.remaining());
+        buf.put_slice(&self.pending[..fits]);
+        self.pending.drain(..fits);
     }
 
     /// Address and port of this computer that it is bound to.
@@ -84,35 +98,38 @@ fn is_absence(error: &io::Error) -> bool {
 
 impl AsyncRead for UdpStream {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        let Self { socket, server } = self.get_mut();
-        let before = buf.filled().len();
-        loop {
-            let received = match server {
-                None => ready!(socket.poll_recv(cx, buf)),
-                Some((datagram, envelope)) => {
-                    let mut datagram = ReadBuf::new(&mut datagram[..]);
-                    ready!(socket.poll_recv_from(cx, &mut datagram)).map(|peer| {
-                        envelope.clear();
-                        Datagram { peer, data: datagram.filled() }.encode_into(envelope);
-                        if envelope.len() <= buf.remaining() {
-                            buf.put_slice(envelope);
-                        }
-                    })
-                }
+        let this = self.get_mut();
+        // No bytes would look like the end of the stream.
+        while this.pending.is_empty() {
+            let mut datagram = ReadBuf::new(&mut this.arrived);
+            let received = if this.is_server {
+                ready!(this.socket.poll_recv_from(cx, &mut datagram)).map(Some)
+            } else {
+                ready!(this.socket.poll_recv(cx, &mut datagram)).map(|()| None)
             };
             match received {
-                // No bytes would look like the end of the stream.
-                Ok(()) if buf.filled().len() == before => {}
+                Ok(None) => this.pending.extend_from_slice(datagram.filled()),
+                Ok(Some(peer)) => {
+                    let datagram = Datagram { peer, data: datagram.filled() };
+                    // A session takes whole envelopes only.
+                    if datagram.envelope_len() <= buf.remaining() {
+                        datagram.encode_into(&mut this.pending);
+                    } else {
+                        tracing::warn!(%peer, bytes = datagram.data.len(), "a datagram is too long for a tracker's; dropped");
+                    }
+                }
                 Err(error) if is_absence(&error) => {}
-                other => return Poll::Ready(other),
+                Err(error) => return Poll::Ready(Err(error)),
             }
         }
+        this.give(buf);
+        Poll::Ready(Ok(()))
     }
 }
 
 impl AsyncWrite for UdpStream {
     fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        if self.server.is_none() {
+        if !self.is_server {
             return match ready!(self.socket.poll_send(cx, bytes)) {
                 Err(error) if is_absence(&error) => Poll::Ready(Ok(bytes.len())),
                 other => Poll::Ready(other),
@@ -162,6 +179,31 @@ mod tests {
         let device = UdpSocket::bind(at).await.unwrap();
         device.send_to(b"back", host).await.unwrap();
         assert_eq!(port.read(&mut buffer).await.unwrap(), 4);
+    }
+
+    #[tokio::test]
+    async fn no_datagram_is_cut() {
+        let long: Vec<u8> = (0..9000_u32).map(|k| k as u8).collect();
+        let device = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        let at = device.local_addr().unwrap();
+        let mut port = UdpStream::connect(&at.to_string(), None).await.unwrap();
+        device.send_to(&long, port.local_addr().unwrap()).await.unwrap();
+        let mut read = vec![0; long.len()];
+        port.read_exact(&mut read[..4000]).await.unwrap();
+        port.read_exact(&mut read[4000..]).await.unwrap();
+        assert_eq!(read, long);
+
+        let mut server = UdpStream::serve("127.0.0.1:0").await.unwrap();
+        let at = server.local_addr().unwrap();
+        let mut buffer = vec![0; 10_000];
+        device.send_to(&long, at).await.unwrap();
+        let n = server.read(&mut buffer).await.unwrap();
+        assert_eq!(datagrams(&buffer[..n]).next().unwrap().unwrap().data, long);
+        // Without room for all of it, none of it.
+        device.send_to(&long, at).await.unwrap();
+        device.send_to(b"short", at).await.unwrap();
+        let n = server.read(&mut buffer[..4096]).await.unwrap();
+        assert_eq!(datagrams(&buffer[..n]).next().unwrap().unwrap().data, b"short");
     }
 
     #[tokio::test]

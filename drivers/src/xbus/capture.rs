@@ -14,6 +14,7 @@ use super::message::{self, Configuration};
 use super::mtdata::{self, Block};
 use super::mtdata2::{self, Axes, GnssPvt, Value};
 use super::number::be16;
+use crate::rate::Rate;
 
 /// A message, or one tracker's part of it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -28,7 +29,7 @@ pub struct Record {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub data: Option<String>,
     /// The device's time in seconds, from its sample time, else from its counter and period; `None`
-    /// where it tells neither.
+    /// where it tells neither, or a period that cannot be.
     #[serde(skip)]
     pub t_s: Option<f64>,
 }
@@ -217,12 +218,12 @@ impl Decoder {
     /// Decodes a legacy data message; false when the configuration does not describe it.
     fn legacy(&mut self, frame: Frame<'_>, emit: &mut impl FnMut(Record)) -> bool {
         let Some(configuration) = self.configuration.take() else { return false };
-        let rate_hz = configuration.rate_hz();
+        let period_s = configuration.rate().ok().map(Rate::period_s);
         let blocks = legacy_blocks(&configuration, frame.data);
         self.configuration = Some(configuration);
         let Some((counter, blocks)) = blocks else { return false };
         let counter = counter.map(u64::from);
-        let t_s = self.note_time(message::MASTER, counter, None, Some(1.0 / rate_hz));
+        let t_s = self.note_time(message::MASTER, counter, None, period_s);
         for (bid, block) in blocks {
             let mut items = from_block(&block);
             items.packet_counter = counter;

@@ -6,6 +6,7 @@
 use super::frame::Frame;
 use super::mtdata::Layout;
 use super::number::be16;
+use crate::rate::{ImpossibleRate, Rate};
 
 /// Bus identifier of the master, or of a stand-alone device.
 pub const MASTER: u8 = 0xFF;
@@ -49,6 +50,10 @@ pub const OUTPUT_SETTINGS: u8 = 0xD2;
 
 /// Ticks of a period per second: a rate in Hz is this by the period.
 pub const PERIOD_TICKS_PER_S: f64 = 115_200.0;
+
+/// Rates of data messages that a device can have, Hz: 2000 is the most that any of them sends inertial data with, and the
+/// longest period with a skip factor of 1 is 0.9.
+pub const RATES_HZ: std::ops::RangeInclusive<f64> = 0.8..=2000.0;
 
 /// Whether a message of this name may have `len` bytes of data; false for unknown names. Contents are not looked at.
 pub fn fits(mid: u8, len: usize) -> bool {
@@ -217,9 +222,13 @@ impl Configuration {
             || self.trackers.first().is_some_and(|first| u64::from(first.device_id) != self.master_id)
     }
 
-    /// Data messages per second, Hz, by the period and the skip factor.
-    pub fn rate_hz(&self) -> f64 {
-        PERIOD_TICKS_PER_S / f64::from(self.period_ticks.max(1)) / f64::from(self.skip_factor + 1)
+    /// Data messages per second, by the period and the skip factor.
+    ///
+    /// # Errors
+    /// It is not one of [`RATES_HZ`].
+    pub fn rate(&self) -> Result<Rate, ImpossibleRate> {
+        let periods = f64::from(self.skip_factor) + 1.0;
+        Rate::claimed(PERIOD_TICKS_PER_S / f64::from(self.period_ticks.max(1)) / periods, &RATES_HZ)
     }
 }
 
@@ -299,6 +308,6 @@ mod tests {
         };
         assert!(lone(0x0010_0021, 0x0032_03E9).is_chain());
         assert!(!lone(0x0032_03E9, 0x0032_03E9).is_chain());
-        assert_eq!(lone(1, 1).rate_hz(), 50.0);
+        assert_eq!(lone(1, 1).rate().map(Rate::hz), Ok(50.0));
     }
 }

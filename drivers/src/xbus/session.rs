@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use posed_state::Plain;
 
-use super::frame::{Frame, Framer};
+use super::frame::{Found, Frame, Framer};
 use super::message::{self, MASTER};
 use super::settings::Settings;
 use super::setup::{Progress, Setup};
@@ -50,6 +50,8 @@ pub struct XbusSession {
     outbox: Outbox,
     /// Bytes dropped in front of the session; the framer counts the others.
     dropped: u64,
+    /// Of whole messages.
+    refused_bytes: u64,
     sensors: Vec<SensorInfo>,
     /// All trackers that a scan has found, at the address of the first one.
     known: Vec<Unit>,
@@ -99,6 +101,7 @@ impl XbusSession {
             arrivals: Arrivals::default(),
             outbox: Outbox::new(),
             dropped: 0,
+            refused_bytes: 0,
             sensors: Vec::new(),
             known: Vec::new(),
             losses: Vec::new(),
@@ -124,14 +127,14 @@ impl XbusSession {
         }
     }
 
-    fn message(&mut self, now: Timestamp, frame: Frame<'_>, offset: u64) {
+    fn message(&mut self, now: Timestamp, frame: Frame<'_>, found: Found) {
         match std::mem::replace(&mut self.phase, Phase::Closed) {
             Phase::SettingUp { mut setup, bytes } => {
                 let progress = setup.handle(now, frame);
                 self.on_progress(now, setup, bytes, progress);
             }
             Phase::Streaming { stream, silent_at, refused } => {
-                self.stream_message(now, frame, offset, (stream, silent_at, refused));
+                self.stream_message(now, frame, found, (stream, silent_at, refused));
             }
             other => self.phase = other,
         }
@@ -238,10 +241,10 @@ impl XbusSession {
         &mut self,
         now: Timestamp,
         frame: Frame<'_>,
-        offset: u64,
+        found: Found,
         (mut stream, silent_at, refused): (Box<Stream>, Timestamp, u32),
     ) {
-        let Some(arrival) = self.arrivals.of(offset) else { return };
+        let Some(arrival) = self.arrivals.of(found.offset) else { return };
         let Self { outbox, wanted, losses, .. } = self;
         let outcome = stream.handle(frame, arrival, losses, &mut |sample| {
             if wanted.contains(&sample.address) {
@@ -269,6 +272,7 @@ impl XbusSession {
                 }
                 Outcome::Refused => {
                     outbox.counters.rejected += 1;
+                    self.refused_bytes += found.len as u64;
                     if refused + 1 < MOST_REFUSED {
                         Phase::Streaming { stream, silent_at, refused: refused + 1 }
                     } else {
@@ -344,7 +348,7 @@ impl Session for XbusSession {
         let mut framer = std::mem::take(&mut self.framer);
         framer.push(bytes);
         while let Some(found) = framer.find() {
-            self.message(now, framer.frame(found), found.offset);
+            self.message(now, framer.frame(found), found);
         }
         self.framer = framer;
     }
@@ -386,7 +390,7 @@ impl Session for XbusSession {
 
     fn counters(&self) -> Counters {
         Counters {
-            bytes_skipped: self.dropped + self.framer.bytes_skipped(),
+            bytes_skipped: self.dropped + self.refused_bytes + self.framer.bytes_skipped(),
             rejected: self.outbox.counters.rejected + self.framer.bad_checksums(),
             ..self.outbox.counters
         }

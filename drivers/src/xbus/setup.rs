@@ -9,11 +9,12 @@ use std::time::Duration;
 use posed_state::Plain;
 
 use super::frame::{Frame, OVERHEAD};
-use super::message::{self, Configuration, DeviceKind, MASTER, PERIOD_TICKS_PER_S};
+use super::message::{self, Configuration, DeviceKind, MASTER, PERIOD_TICKS_PER_S, RATES_HZ};
 use super::mtdata::Layout;
 use super::mtdata2::id;
 use super::settings::Settings;
 use super::stream::{Plan, Shape, Unit};
+use crate::rate::{ImpossibleRate, Rate};
 use crate::sample::Timestamp;
 
 /// Slowest rate that set-up goes down to before it gives up.
@@ -267,13 +268,28 @@ impl Setup {
         let Some(configuration) = Configuration::parse(data) else { return false };
         self.chain = configuration.is_chain();
         self.period_ticks = configuration.period_ticks;
-        self.rate_hz = if self.step == Step::Verify { configuration.rate_hz() } else { self.rate_hz };
+        if self.step == Step::Verify {
+            let claimed = configuration.rate();
+            self.believe_rate(claimed);
+        }
         self.trackers = (1..)
             .zip(&configuration.trackers)
             .map(|(address, tracker)| Unit { address, device_id: tracker.device_id.into() })
             .collect();
         self.layouts = configuration.trackers.iter().map(|tracker| tracker.layout).collect();
         true
+    }
+
+    /// Takes the rate that the device claims, if it can be; else what it was asked for stands.
+    fn believe_rate(&mut self, claimed: Result<Rate, ImpossibleRate>) {
+        match claimed {
+            Ok(rate) => self.rate_hz = rate.hz(),
+            Err(refused) => {
+                let kept_hz = self.rate_hz;
+                self.warnings
+                    .push(format!("the device's answer is damaged: {refused}; going on with {kept_hz} Hz"));
+            }
+        }
     }
 
     /// Sets an older device up through output mode and settings.
@@ -370,11 +386,11 @@ impl Setup {
                 self.warnings.push(format!("the device does not send {name}; the fusion goes on without it"));
             }
         }
-        let rate_hz = [id::RATE_OF_TURN, id::ACCELERATION, id::QUATERNION]
-            .into_iter()
-            .find_map(rate_of)
-            .filter(|hz| *hz != ALWAYS)
-            .map_or(self.rate_hz, f64::from);
+        let claimed = [id::RATE_OF_TURN, id::ACCELERATION, id::QUATERNION].into_iter().find_map(rate_of);
+        if let Some(hz) = claimed.filter(|hz| *hz != ALWAYS) {
+            self.believe_rate(Rate::claimed(hz.into(), &RATES_HZ));
+        }
+        let rate_hz = self.rate_hz;
         if rate_hz != self.settings.rate_hz {
             self.warnings
                 .push(format!("the device measures at {rate_hz} Hz, not at {} Hz", self.settings.rate_hz));

@@ -17,7 +17,7 @@ fn records(bytes: &[u8], shape: Shape) -> Vec<Record> {
     let mut splitter = Splitter::new(shape);
     splitter.push(bytes);
     std::iter::from_fn(|| splitter.find())
-        .filter_map(|piece| if let Piece::Record(_, record) = piece { Some(record) } else { None })
+        .filter_map(|piece| if let Piece::Record { record, .. } = piece { Some(record) } else { None })
         .collect()
 }
 
@@ -100,6 +100,8 @@ struct Pretended {
     out: VecDeque<Vec<u8>>,
     received: Vec<u8>,
     skip: usize,
+    /// From one record to the next.
+    period: Duration,
 }
 
 impl Pretended {
@@ -115,6 +117,7 @@ impl Pretended {
             out: VecDeque::new(),
             received: vec![],
             skip: 0,
+            period: Duration::from_nanos(8_333_333),
         }
     }
 }
@@ -142,7 +145,7 @@ impl Device for Pretended {
 
     fn send(&mut self, now: Timestamp) -> Option<Vec<u8>> {
         if self.on && !self.dead && now >= self.next {
-            self.next = self.next.max(now - Duration::from_millis(5)) + Duration::from_nanos(8_333_333);
+            self.next = self.next.max(now - Duration::from_millis(5)) + self.period;
             let station = self.stations[self.turn % self.stations.len()];
             self.turn += 1;
             if self.skip > 0 {
@@ -207,12 +210,62 @@ fn passed_over_stations_are_lost() {
 }
 
 #[test]
+fn what_a_gap_swallows_is_counted_by_time() {
+    for stations in [&[1][..], &[1, 2], &[1, 2, 3, 4]] {
+        for lost in [1, 4, 7, 24, 30] {
+            let mut rig = rig(Settings::default(), stations);
+            rig.run_ms(1000);
+            let before = rig.samples.len() as u64;
+            rig.device.skip = lost;
+            rig.run_stored_ms(2000);
+            let losses = rig.session.losses();
+            let told: u64 = losses.iter().map(|loss| loss.lost).sum();
+            let case = format!("{lost} records of {} stations: {losses:?}", stations.len());
+            assert!(told.abs_diff(lost as u64) <= 1, "{case}");
+            assert!(losses.iter().all(|loss| loss.estimated == (loss.lost > 0)), "{case}");
+            // The cycles have gone on meanwhile.
+            let cycle = |at: usize| match rig.samples[at].t_device {
+                DeviceTime::Cycle(cycle) => cycle,
+                DeviceTime::Counter { .. } => unreachable!(),
+            };
+            let turns = cycle(rig.samples.len() - 1) - cycle(before as usize - 1);
+            let records = rig.samples.len() as u64 - before + lost as u64;
+            assert!(turns.abs_diff(records / stations.len() as u64) <= 1, "{case}: {turns} cycles");
+        }
+    }
+}
+
+#[test]
+fn what_a_host_holds_back_is_not_lost() {
+    // At half the pace, too, as a slow line has it.
+    for period_ns in [8_333_333, 16_666_667] {
+        let mut rig = rig(Settings::default(), &[1, 2]);
+        rig.device.period = Duration::from_nanos(period_ns);
+        rig.run_ms(3000);
+        for held_ms in [16, 40, 150, 250] {
+            for _ in 0..20 {
+                rig.hold_back_ms(held_ms);
+                rig.run_ms(100);
+            }
+        }
+        for _ in 0..500 {
+            rig.hold_back_ms(16);
+        }
+        assert!(rig.session.losses().iter().all(|loss| loss.lost == 0), "{:?}", rig.session.losses());
+    }
+}
+
+#[test]
 fn poses_of_a_station_in_error_are_not_used() {
     let mut rig = rig(Settings::default(), &[1]);
     rig.run_ms(1000);
     rig.device.status = b'E';
     rig.samples.clear();
+    let before = rig.session.counters();
     rig.run_ms(200);
+    let counters = rig.session.counters();
+    let refused = counters.rejected - before.rejected;
+    assert_eq!(counters.bytes_skipped - before.bytes_skipped, refused * BINARY.binary_len() as u64);
     assert!(rig.samples.is_empty());
     assert!(rig.session.counters().rejected >= 20);
     assert_eq!(rig.warnings.len(), 1, "{:?}", rig.warnings);

@@ -190,7 +190,7 @@ fn decode_fastrak(shape: fastrak::Shape, pieces: &[&[u8]]) -> Vec<String> {
     for piece in pieces {
         splitter.push(piece);
         while let Some(piece) = splitter.find() {
-            if let fastrak::Piece::Record(_, record) = piece {
+            if let fastrak::Piece::Record { record, .. } = piece {
                 out.push(format!("{record:?}"));
             }
         }

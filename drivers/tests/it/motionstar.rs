@@ -6,6 +6,7 @@ use std::time::Duration;
 use posed_drivers::flock::wire::{Format, QuaternionSense};
 use posed_drivers::motionstar::wire::{self, BirdStatus, Header, Packets, Pose, SystemStatus, kind};
 use posed_drivers::motionstar::{MotionStarSession, Settings};
+use posed_drivers::rate::Rate;
 use posed_drivers::{Measurement, Session, State, Timestamp};
 use proptest::prelude::*;
 
@@ -32,7 +33,7 @@ fn worked_examples() {
     ));
     assert_eq!((header.sequence, header.kind, header.seconds), (2, kind::RSP_GET_STATUS, 1_000_000_000));
     let system = SystemStatus::parse(&body).unwrap();
-    assert_eq!(system.rate_hz(), Some(103.3));
+    assert_eq!(system.rate().map(Rate::hz), Ok(103.3));
     assert_eq!(system.sensors().collect::<Vec<_>>(), [2, 3]);
     assert_eq!(&system.with_rate(86.1)[5..11], b"086100");
 
@@ -160,6 +161,8 @@ struct Pretended {
     next: Timestamp,
     sequence: u16,
     writes: usize,
+    /// Six digits of its measurement rate, mHz.
+    rate: String,
 }
 
 impl Pretended {
@@ -173,6 +176,7 @@ impl Pretended {
             next: Timestamp::ZERO,
             sequence: 500,
             writes: 0,
+            rate: "100000".into(),
         }
     }
 
@@ -198,7 +202,8 @@ impl Device for Pretended {
                 }
                 (kind::WAKE_UP, _) => self.answer(header, kind::RSP_WAKE_UP, &[]),
                 (kind::GET_STATUS, 0) => {
-                    let body = hex("84 00 03 01 10 31 30 30 30 30 30 01 03 01 01 02 D1 E0 E0");
+                    let mut body = hex("84 00 03 01 10 31 30 30 30 30 30 01 03 01 01 02 D1 E0 E0");
+                    body[5..11].copy_from_slice(self.rate.as_bytes());
                     self.answer(header, kind::RSP_GET_STATUS, &body);
                 }
                 (kind::GET_STATUS, unit @ 1..=3) => {
@@ -283,7 +288,36 @@ fn lost_packets_are_counted() {
     rig.run_ms(300);
     rig.device.sequence = rig.device.sequence.wrapping_add(5);
     rig.run_ms(100);
-    assert!(rig.session.losses().iter().all(|loss| loss.lost == 5));
+    // By the packets' numbers, which the device gives.
+    assert!(rig.session.losses().iter().all(|loss| loss.lost == 5 && !loss.estimated));
+}
+
+#[test]
+fn a_rate_that_cannot_be_is_not_believed() {
+    for digits in ["000000", "000001", "999999", "garbag"] {
+        let mut rig = rig(&[2, 3]);
+        rig.device.rate = digits.into();
+        rig.run_ms(200);
+        assert!(rig.is_streaming(), "{}", rig.reason());
+        assert_eq!(rig.session.rate_hz(), None);
+        assert!(rig.warnings[0].contains("cannot be"), "{:?}", rig.warnings);
+    }
+}
+
+#[test]
+fn bytes_of_refused_records_are_counted() {
+    let mut rig = rig(&[2, 3]);
+    rig.run_ms(300);
+    let before = rig.session.counters();
+    let body = hex("02 F1 00 00");
+    let mut packet = Vec::new();
+    let header = Header { sequence: rig.device.sequence, kind: kind::DATA_PACKET, ..Header::default() };
+    header.encode(&body, &mut packet);
+    rig.device.out.push_back(packet);
+    rig.run_ms(5);
+    let counters = rig.session.counters();
+    assert_eq!(counters.rejected - before.rejected, 1);
+    assert_eq!(counters.bytes_skipped - before.bytes_skipped, body.len() as u64);
 }
 
 #[test]

@@ -66,6 +66,19 @@ impl<S: Session + Clone, D: Device> Rig<S, D> {
         }
     }
 
+    /// The host reads nothing for a while, and then all that has come at once.
+    pub(crate) fn hold_back_ms(&mut self, ms: u64) {
+        let mut held = Vec::new();
+        for _ in 0..ms {
+            self.now = self.now + Duration::from_millis(1);
+            while let Some(bytes) = self.device.send(self.now) {
+                held.extend(bytes);
+            }
+        }
+        self.session.handle_bytes(self.now, &held);
+        self.drain();
+    }
+
     /// Puts the session away as a snapshot does, and goes on with what is read back.
     pub(crate) fn store_and_restore(&mut self)
     where

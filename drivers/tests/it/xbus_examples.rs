@@ -1,5 +1,6 @@
 //! Worked examples of the Xbus protocol.
 
+use posed_drivers::rate::Rate;
 use posed_drivers::xbus::capture::{self, Record};
 use posed_drivers::xbus::frame::{Frame, Framer};
 use posed_drivers::xbus::message::{self, Configuration, Tracker};
@@ -85,7 +86,7 @@ fn configuration_of_a_master_with_two_trackers() {
     assert_eq!(configuration.trackers, [tracker(0x0032_03E9), tracker(0x0032_03EA)]);
     assert!(configuration.trackers.iter().all(|tracker| tracker.layout.block_len() == 52));
     assert!(configuration.is_chain());
-    assert_eq!(configuration.rate_hz(), 100.0);
+    assert_eq!(configuration.rate().map(Rate::hz), Ok(100.0));
 }
 
 #[test]

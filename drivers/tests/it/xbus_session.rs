@@ -27,6 +27,9 @@ struct Pretended {
     answers: bool,
     layouts: Vec<Layout>,
     period_ticks: u16,
+    skip_factor: u16,
+    /// What it claims in place of the rates that it was set to.
+    claims: Option<u16>,
     outputs: Vec<(u16, u16)>,
     /// Quantity that the device does not have.
     lacks: Option<u16>,
@@ -50,6 +53,8 @@ impl Pretended {
             answers: true,
             layouts: vec![Layout { mode: 4, settings: 8 }; trackers],
             period_ticks: 2304,
+            skip_factor: 0,
+            claims: None,
             outputs: vec![],
             lacks: None,
             counter: 65_500,
@@ -111,8 +116,8 @@ impl Pretended {
                 let chain = matches!(self.kind, Kind::Chain(_));
                 let configuration = Configuration {
                     master_id: if chain { 0x0010_0021 } else { 0x0032_03E9 },
-                    period_ticks: self.period_ticks,
-                    skip_factor: 0,
+                    period_ticks: self.claims.unwrap_or(self.period_ticks),
+                    skip_factor: self.skip_factor,
                     trackers: (0..)
                         .zip(&self.layouts)
                         .map(|(k, &layout)| Tracker {
@@ -130,8 +135,9 @@ impl Pretended {
                     self.outputs = message::output_configuration(data).unwrap();
                     self.outputs.retain(|(id, _)| self.lacks != Some(*id));
                 }
-                let list: Vec<u8> =
-                    self.outputs.iter().flat_map(|&(id, hz)| [id, hz]).flat_map(u16::to_be_bytes).collect();
+                let claimed = |hz: u16| self.claims.filter(|_| hz != 0xFFFF).unwrap_or(hz);
+                let list = self.outputs.iter().flat_map(|&(id, hz)| [id, claimed(hz)]);
+                let list: Vec<u8> = list.flat_map(u16::to_be_bytes).collect();
                 self.answer(bid, mid + 1, &list);
             }
             message::OUTPUT_MODE if !is_items => {
@@ -330,6 +336,47 @@ fn missing_quantities_are_said() {
     assert!(rig.warnings.iter().any(|warning| warning.contains("magnetic field")), "{:?}", rig.warnings);
     let Measurement::Imu { magnetic_field, .. } = rig.samples[0].measurement else { panic!() };
     assert_eq!(magnetic_field, None);
+}
+
+#[test]
+fn a_rate_that_cannot_be_is_not_believed() {
+    // A skip factor of 65535; a period of one tick, which is 115,200 Hz; 65,534 Hz.
+    for (kind, skip_factor, claims) in [
+        (Kind::Legacy, 65_535, None),
+        (Kind::Chain(2), 65_535, Some(65_535)),
+        (Kind::Legacy, 0, Some(1)),
+        (Kind::Legacy, 0, Some(0)),
+        (Kind::Items, 0, Some(65_534)),
+        (Kind::Items, 0, Some(2001)),
+    ] {
+        let mut rig = rig(kind, Settings::default(), 921_600);
+        (rig.device.skip_factor, rig.device.claims) = (skip_factor, claims);
+        rig.run_ms(600);
+        assert!(rig.is_streaming(), "{}", rig.reason());
+        assert_eq!(rig.session.rate_hz(), Some(100.0), "{skip_factor} {claims:?}");
+        assert!(rig.warnings.iter().any(|warning| warning.contains("cannot be")), "{:?}", rig.warnings);
+        let a_tick_is_a_period = |sample: &posed_drivers::Sample| match sample.t_device {
+            DeviceTime::Counter { tick_s, .. } => tick_s == 0.01 || tick_s == 1e-4,
+            DeviceTime::Cycle(_) => false,
+        };
+        assert!(rig.samples.iter().all(a_tick_is_a_period));
+    }
+}
+
+#[test]
+fn bytes_of_refused_messages_are_counted() {
+    let mut rig = rig(Kind::Items, Settings::default(), 921_600);
+    rig.run_ms(500);
+    let before = rig.session.counters();
+    // A rate of turn of 1000 rad/s cannot have been measured.
+    let mut data = Vec::new();
+    mtdata2::encode_numbers(id::RATE_OF_TURN, &[1000.0, 0.0, 0.0], &mut data);
+    let impossible = message::request(0xFF, message::MTDATA2, &data);
+    rig.device.out.push_back(impossible.clone());
+    rig.run_ms(50);
+    let counters = rig.session.counters();
+    assert_eq!(counters.rejected - before.rejected, 1);
+    assert_eq!(counters.bytes_skipped - before.bytes_skipped, impossible.len() as u64);
 }
 
 #[test]

@@ -9,6 +9,8 @@
 //! - `measure`: the measurement cycle
 //! - `send`: records and answers onto the wire
 
+#[cfg(test)]
+mod captures;
 mod command;
 mod measure;
 mod send;

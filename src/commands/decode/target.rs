@@ -120,6 +120,16 @@ pub(super) struct ImuRow {
     pub(super) orientation_wxyz: Option<[f64; 4]>,
 }
 
+impl ImuRow {
+    /// Whether any cell but time and sensor is full.
+    pub(super) fn measures(&self) -> bool {
+        self.specific_force_m_s2.is_some()
+            || self.angular_velocity_rad_s.is_some()
+            || self.magnetic_field.is_some()
+            || self.orientation_wxyz.is_some()
+    }
+}
+
 /// A table of IMUs.
 pub(super) fn imu_csv(rows: impl Iterator<Item = ImuRow>, file: &mut dyn Write) -> io::Result<()> {
     let mut table = csv::Writer::from_writer(file);

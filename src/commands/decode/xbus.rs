@@ -31,17 +31,19 @@ pub(super) fn run(file: &Path, target: Target<'_>) -> Result<(), Error> {
     target.notify(&summary, &sentence)
 }
 
-/// One row per tracker and data message.
+/// One row per tracker and data message that holds something of an IMU: one with satellites alone has a time of its own, which
+/// is that of its fix and lies behind.
 fn csv(records: &[Record], file: &mut dyn Write) -> io::Result<()> {
     let rows = records.iter().filter_map(|record| {
-        Some(ImuRow {
+        let row = ImuRow {
             t_s: record.t_s,
             sensor: format!("tracker-{}", record.tracker()?),
             specific_force_m_s2: record.items.acceleration,
             angular_velocity_rad_s: record.items.rate_of_turn,
             magnetic_field: record.items.magnetic_field,
             orientation_wxyz: record.items.quaternion,
-        })
+        };
+        row.measures().then_some(row)
     });
     imu_csv(rows, file)
 }

@@ -1,60 +1,85 @@
 //! Follows a recorded conversation: what the host asked decides what the unit's bytes are.
+//!
+//! What comes in: the lines of a log. What goes out: answers are learned from, the rest of the unit's bytes is cut into pieces
+//! that may be records, and each unit's [`Timeline`] knows what it was told. What the pieces are is decided in the end,
+//! when all of them are there: see [`super::judge`].
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
+use super::judge::{self, Piece, Timeline};
 use super::log::{Line, Side};
-use super::{CaptureError, CapturedRecord, Decoded, Options, Summary};
-use crate::flock::wire::record::{self, PHASE_BIT};
+use super::{CaptureError, Decoded, Options, Summary};
+use crate::flock::wire::record::{self, MAX_LEN, PHASE_BIT};
 use crate::flock::wire::value::parameter;
 use crate::flock::wire::{
-    Addressing, BirdStatus, Command, CommandParser, Format, Range, Record, Scale, Shape, Tolerance,
-    UnitStatus,
+    Addressing, BirdStatus, Command, CommandParser, Range, Scale, Shape, Tolerance, UnitStatus,
 };
 
-/// What a unit is believed to send; `None` = the session has not said it.
-#[derive(Clone, Copy, Debug, Default)]
-struct Belief {
-    format: Option<Format>,
-    /// Records of the format before may still be on their way.
-    format_before: Option<Format>,
-    button: Option<bool>,
-}
+/// Pieces after which a question has no answer any more: a flock's status takes the time of a hundred records at most.
+const STALE_PIECES: usize = 128;
+/// Questions that may be open at once; a host waits for its answers.
+const MOST_QUESTIONS: usize = 16;
+/// Bytes after a first byte that are looked at together: more than any record has.
+const LONGEST_PIECE: usize = 4 * MAX_LEN;
+/// The unit on the line: what has no prefix, prefix 0 or prefix 1 is for it.
+pub(super) const LINE_UNIT: u8 = 1;
 
-/// A question that has not been answered in full.
+/// A question that has not been answered.
 #[derive(Debug)]
 struct Question {
     command: Command,
     to: u8,
     len: usize,
-    answer: Vec<u8>,
-    /// Whether records were asked for after it.
-    records_since: bool,
+    /// Pieces that had been cut when it was asked.
+    pieces: usize,
 }
 
-/// The unit on the line: what has no prefix, prefix 0 or prefix 1 is for it.
-const LINE_UNIT: u8 = 1;
+/// What may stand at a place between two records.
+enum Gap {
+    /// Answers to the questions of this range, so many bytes, with a record or the host's word behind them.
+    Answers(std::ops::Range<usize>, usize),
+    /// The same, with a first byte behind them; the record that it begins is damaged.
+    Perhaps(std::ops::Range<usize>, usize),
+    /// More of the log must be read first.
+    Unknown,
+    /// No answer.
+    None,
+}
 
+/// What both sides said, as far as the log has been read.
 #[derive(Debug, Default)]
-struct Follower<'a> {
-    options: Options,
+pub(super) struct Follower<'a> {
+    /// All bytes of the unit, those after the present line included.
+    pub(super) bytes: Vec<u8>,
+    /// Place of the first byte of each line, and the line's time.
+    times: Vec<(usize, &'a str)>,
+    cursor: usize,
     host: CommandParser,
-    units: BTreeMap<u8, Belief>,
-    group: Option<bool>,
-    extended_range: bool,
-    scaling: Option<Range>,
     questions: VecDeque<Question>,
-    records_expected: bool,
-    piece: Vec<u8>,
-    piece_t: &'a str,
-    records: Vec<CapturedRecord>,
-    summary: Summary,
-    guessed: u64,
+    /// Place from which on there may be records.
+    records_from: Option<usize>,
+    streaming: bool,
+    pub(super) pieces: Vec<Piece>,
+    pub(super) units: BTreeMap<u8, Timeline>,
+    /// Group mode from a place on.
+    pub(super) groups: Vec<(usize, bool)>,
+    /// Where it has not been said: pieces that can only be of a group, less those that can only be of a unit alone.
+    group_votes: i64,
+    /// Addresses that the session says are there.
+    pub(super) listed: BTreeSet<u8>,
+    /// Answers that say that the range is extended, less those that say that it is not.
+    extended: i64,
+    /// Full scale of a standard transmitter from a place on, where it has been said.
+    ranges: Vec<(usize, Range)>,
+    pub(super) options: Options,
+    pub(super) summary: Summary,
 }
 
 /// Decodes the lines of a log, in order: records with what the session says of their units, and counts.
 ///
-/// Where the session does not say the format of a unit, the first one that fits is taken, and a warning tells how many records
-/// that concerns. A log without records is no error.
+/// Where the session does not say the format of a unit, that which fits most of its records is taken, and a warning tells how
+/// many records that concerns. Where a format or button mode changes, records of both sides of the change are told apart by
+/// what fits; one of which nothing tells is left out. A log without records is no error.
 ///
 /// # Errors
 /// [`CaptureError::Empty`]: there are no lines.
@@ -63,31 +88,40 @@ pub fn decode(lines: &[Line], options: Options) -> Result<Decoded, CaptureError>
         return Err(CaptureError::Empty);
     }
     let mut follower = Follower { options, ..Follower::default() };
+    for line in lines.iter().filter(|line| line.side == Side::Unit) {
+        follower.times.push((follower.bytes.len(), &line.t));
+        follower.bytes.extend_from_slice(&line.bytes);
+    }
+    let mut place = 0;
     for line in lines {
         match line.side {
-            Side::Host => line.bytes.iter().for_each(|&byte| follower.host_byte(byte)),
-            Side::Unit => follower.unit_bytes(&line.t, &line.bytes),
+            Side::Host => {
+                follower.advance(place);
+                line.bytes.iter().for_each(|&byte| follower.host_byte(place, byte));
+            }
+            Side::Unit => place += line.bytes.len(),
         }
     }
-    follower.close_piece();
-    let unfinished: usize = follower.questions.iter().map(|question| question.answer.len()).sum();
-    follower.summary.bytes_skipped += unfinished as u64;
-    let warnings = (follower.guessed > 0).then(|| {
-        format!(
-            "the session does not contain the format of {} records; it was taken from their length",
-            follower.guessed
-        )
-    });
-    Ok(Decoded {
-        range: follower.scale().range,
-        records: follower.records,
-        summary: follower.summary,
-        warnings: warnings.into_iter().collect(),
-    })
+    follower.advance(place);
+    Ok(judge::decide(follower))
 }
 
 impl<'a> Follower<'a> {
-    fn host_byte(&mut self, byte: u8) {
+    /// Time of the line that holds a byte.
+    pub(super) fn time_of(&self, place: usize) -> Option<&'a str> {
+        let line = self.times.partition_point(|&(start, _)| start <= place);
+        self.times.get(line.checked_sub(1)?).map(|&(_, t)| t)
+    }
+
+    /// Meaning of the words of a record that begins at `place`.
+    pub(super) fn scale_at(&self, place: usize) -> Scale {
+        let said = self.ranges.iter().rev().find(|(from, _)| *from <= place).map(|&(_, range)| range);
+        let extended = (self.extended > 0).then_some(Range::In144);
+        let range = self.options.range.or(extended).or(said).unwrap_or_default();
+        Scale { range, quaternion_sense: self.options.quaternion_sense }
+    }
+
+    fn host_byte(&mut self, place: usize, byte: u8) {
         let Some(Ok(addressed)) = self.host.push(byte) else { return };
         let to = match addressed.to {
             None | Some(0) => LINE_UNIT,
@@ -95,188 +129,264 @@ impl<'a> Follower<'a> {
         };
         let len = addressed.command.answer_len(self.host.addressing);
         if len > 0 {
-            let question =
-                Question { command: addressed.command, to, len, answer: Vec::new(), records_since: false };
-            self.questions.push_back(question);
+            if !self.streaming && self.cursor < place {
+                // The host has given up: what came for its last question is no answer.
+                self.summary.bytes_skipped += (place - self.cursor) as u64;
+                self.cursor = place;
+                self.questions.clear();
+            }
+            let pieces = self.pieces.len();
+            if self.questions.len() == MOST_QUESTIONS {
+                self.questions.pop_front();
+            }
+            self.questions.push_back(Question { command: addressed.command, to, len, pieces });
             return;
         }
         match addressed.command {
-            Command::Point | Command::Stream => {
-                self.records_expected = true;
-                self.questions.iter_mut().for_each(|question| question.records_since = true);
+            command @ (Command::Point | Command::Stream) => {
+                self.streaming = command == Command::Stream;
+                if self.records_from.is_none() {
+                    self.units.values_mut().for_each(Timeline::settle);
+                }
+                self.records_from.get_or_insert(place);
             }
-            Command::Format(format) => self.set_format(to, format),
-            Command::ButtonMode(on) => self.units.entry(to).or_default().button = Some(on),
+            Command::StreamStop | Command::Sleep => self.streaming = false,
+            Command::Format(format) => self.units.entry(to).or_default().set_format(place, format),
+            Command::ButtonMode(on) => self.units.entry(to).or_default().set_button(place, on),
             // The slaves forget what they received.
-            Command::FbbReset => self.units.retain(|&address, _| address == LINE_UNIT),
-            Command::Change { parameter: number, data } => self.learn(to, number, &data),
+            Command::FbbReset => {
+                let slaves = self.units.iter_mut().filter(|(address, _)| **address != LINE_UNIT);
+                slaves.for_each(|(_, unit)| unit.reset(place));
+            }
+            Command::Change { parameter: parameter::FBB_AUTO_CONFIG, data } => {
+                self.listed.extend(data.first().into_iter().flat_map(|&units| 1..=units.min(126)));
+            }
+            Command::Change { parameter: number, data } => self.learn(place, to, number, &data),
             _ => {}
         }
     }
 
-    fn set_format(&mut self, to: u8, format: Format) {
-        let belief = self.units.entry(to).or_default();
-        if belief.format != Some(format) {
-            belief.format_before = belief.format;
-            belief.format = Some(format);
-        }
-    }
-
-    /// A parameter's value, from an answer or from the host's change of it.
-    fn learn(&mut self, to: u8, number: u8, data: &[u8]) {
+    /// A parameter's value, from an answer or from the host's change of it. What it cannot be was damaged.
+    fn learn(&mut self, place: usize, to: u8, number: u8, data: &[u8]) {
         match (number, data) {
-            (parameter::GROUP_MODE, &[mode]) => self.group = Some(mode != 0),
-            (parameter::POSITION_SCALING, &[low, _]) => {
-                self.scaling = Some(if low & 1 == 0 { Range::In36 } else { Range::In72 });
+            (parameter::GROUP_MODE, &[mode @ (0 | 1)]) => self.groups.push((place, mode == 1)),
+            (parameter::POSITION_SCALING, &[low @ (0 | 1), 0]) => {
+                self.ranges.push((place, if low == 0 { Range::In36 } else { Range::In72 }));
             }
             (parameter::BIRD_STATUS, &[low, high]) => {
                 let status = BirdStatus::from_bytes([low, high]);
                 if let Some(format) = status.format() {
-                    self.set_format(to, format);
+                    self.units.entry(to).or_default().has_format(place, format);
                 }
-                self.records_expected |= status.has(BirdStatus::STREAMING);
+                if status.has(BirdStatus::STREAMING) {
+                    self.streaming = true;
+                    self.records_from.get_or_insert(place);
+                }
             }
-            (parameter::MODEL_ID, model) => self.extended_range |= model.starts_with(b"6DERC"),
+            (parameter::MODEL_ID, model) => self.extended += i64::from(model.starts_with(b"6DERC")),
             (parameter::FLOCK_SYSTEM_STATUS, units) => {
-                self.extended_range |=
-                    units.iter().any(|&unit| UnitStatus(unit).has(UnitStatus::EXTENDED_RANGE));
+                let there = |status: u8| UnitStatus(status).has(UnitStatus::ACCESSIBLE);
+                self.listed.extend((1..).zip(units).filter(|(_, status)| there(**status)).map(|(at, _)| at));
+                let extended = units.iter().any(|&unit| UnitStatus(unit).has(UnitStatus::EXTENDED_RANGE));
+                self.extended += if extended { 1 } else { -1 };
             }
             (parameter::FBB_ADDRESSING_MODE, &[code]) => {
-                self.host.addressing = Addressing::from_code(code).unwrap_or_default();
+                self.host.addressing = Addressing::from_code(code).unwrap_or(self.host.addressing);
             }
             _ => {}
         }
     }
 
-    fn unit_bytes(&mut self, t: &'a str, bytes: &[u8]) {
-        self.drop_unanswered(bytes);
-        let mut rest = bytes;
-        while let Some(&byte) = rest.first() {
-            let piece_done = !self.piece.is_empty() && self.interpret(&self.piece).is_some();
-            let between = self.piece.is_empty() || piece_done;
-            if let Some(question) = self.questions.front()
-                && (!question.answer.is_empty() || between)
-                && !(question.answer.is_empty() && self.records_expected && self.begins_record(rest))
+    /// Cuts the unit's bytes up to `end`, where the host speaks next; what cannot be told yet waits.
+    fn advance(&mut self, end: usize) {
+        let is_last = end == self.bytes.len();
+        while self.cursor < end {
+            let at = self.cursor;
+            while self.questions.front().is_some_and(|first| first.pieces + STALE_PIECES < self.pieces.len())
             {
-                self.close_piece();
-                rest = self.answer(rest);
+                self.questions.pop_front();
+            }
+            if let Some(len) = self.record_at(at) {
+                if at + len > end && !self.is_boundary(at + len) {
+                    return;
+                }
+                self.cut(at + len);
                 continue;
             }
-            if byte & PHASE_BIT != 0 {
-                self.close_piece();
-                self.piece_t = t;
-                self.piece.push(byte);
-            } else if self.piece.is_empty() {
-                self.summary.bytes_skipped += 1;
-            } else {
-                self.piece.push(byte);
+            if !self.questions.is_empty() {
+                match self.gap(at, end) {
+                    Gap::Answers(range, len) | Gap::Perhaps(range, len) => {
+                        self.take_answers(range, len);
+                        continue;
+                    }
+                    Gap::Unknown if !is_last => return,
+                    Gap::Unknown | Gap::None => {}
+                }
             }
-            rest = &rest[1..];
+            let horizon = self.bytes.len().min(at + LONGEST_PIECE);
+            let next = (at + 1..horizon).find(|&place| self.bytes[place] & PHASE_BIT != 0).unwrap_or(horizon);
+            if next > end {
+                return;
+            }
+            self.cut(next);
         }
     }
 
-    /// Gives up questions that the unit has passed over: a later one's answer, or a record asked for later, is here.
-    fn drop_unanswered(&mut self, bytes: &[u8]) {
-        let Some(first) = self.questions.front() else { return };
-        if !first.answer.is_empty() || first.len == bytes.len() {
+    /// Bytes up to `end` are a piece, if they begin like one.
+    fn cut(&mut self, end: usize) {
+        let begin = std::mem::replace(&mut self.cursor, end);
+        if self.bytes[begin] & PHASE_BIT == 0 {
+            self.summary.bytes_skipped += (end - begin) as u64;
             return;
         }
-        if let Some(fitting) = self.questions.iter().position(|question| question.len == bytes.len()) {
-            self.questions.drain(..fitting);
-        } else if first.records_since && self.begins_record(bytes) {
-            self.questions.pop_front();
+        // Of two first bytes in a row one is not true, and nothing tells which.
+        let doubtful = self.pieces.last().is_some_and(|last| last.end == begin && last.end - last.begin == 1);
+        if self.groups.is_empty() {
+            let [alone, group] =
+                [false, true].map(|group| self.may_be(&self.bytes[begin..end], begin, group));
+            self.group_votes += i64::from(group) - i64::from(alone);
+        }
+        let is_end = end == self.bytes.len();
+        let beside_answer = !self.questions.is_empty()
+            && !is_end
+            && !self.begins_record(end)
+            && !matches!(self.gap(end, self.bytes.len()), Gap::Answers(..));
+        self.pieces.push(Piece { begin, end, doubtful, beside_answer });
+    }
+
+    fn is_boundary(&self, place: usize) -> bool {
+        self.bytes.get(place).is_none_or(|byte| byte & PHASE_BIT != 0)
+    }
+
+    /// Length of the record at `place`, if one begins there, and after it what may follow a record.
+    fn record_at(&self, place: usize) -> Option<usize> {
+        let ends = |len: &usize| {
+            let end = place + len;
+            let gap = || self.gap(end, self.bytes.len());
+            self.is_boundary(end) || matches!(gap(), Gap::Answers(..) | Gap::Perhaps(..))
+        };
+        let lengths: Vec<usize> = self.lengths_at(place).collect();
+        // What the unit was told last is likelier than a longer record that an answer's bytes complete.
+        let told =
+            lengths.iter().copied().find(|len| self.is_as_told(&self.bytes[place..place + len]) && ends(len));
+        told.or_else(|| lengths.into_iter().find(ends))
+    }
+
+    /// Whether a record has the length of what its unit was told last.
+    fn is_as_told(&self, record: &[u8]) -> bool {
+        let group = self.groups.last().map_or(self.group_votes > 0, |&(_, group)| group);
+        let unit = if group { record[record.len() - 1] } else { LINE_UNIT };
+        let form = self.units.get(&unit).and_then(Timeline::last);
+        form.is_some_and(|(format, button)| Shape { format, button, group }.len() == record.len())
+    }
+
+    /// Whether a whole record begins at `place`, with another first byte or nothing behind it.
+    fn begins_record(&self, place: usize) -> bool {
+        self.lengths_at(place).any(|len| self.is_boundary(place + len))
+    }
+
+    /// Lengths of the records that the bytes at `place` may be, by what their units may send.
+    fn lengths_at(&self, place: usize) -> impl Iterator<Item = usize> {
+        let expected = self.records_from.is_some_and(|from| from <= place)
+            && self.bytes.get(place).is_some_and(|byte| byte & PHASE_BIT != 0);
+        let front = &self.bytes[place.min(self.bytes.len())..self.bytes.len().min(place + MAX_LEN)];
+        let phase = front.iter().skip(1).position(|byte| byte & PHASE_BIT != 0);
+        let longest = if expected { phase.map_or(front.len(), |at| at + 1) } else { 0 };
+        let modes: &[bool] = match (self.groups.last(), self.group_votes) {
+            (Some((_, true)), _) | (None, 1..) => &[true],
+            (Some((_, false)), _) | (None, ..=-1) => &[false],
+            (None, 0) => &[false, true],
+        };
+        let fits = move |len: &usize| modes.iter().any(|&group| self.may_be(&front[..*len], place, group));
+        (6..=longest).rev().filter(fits)
+    }
+
+    /// Whether bytes can be a record that its unit sends by now, in group mode or not.
+    fn may_be(&self, bytes: &[u8], place: usize, group: bool) -> bool {
+        let address = bytes[bytes.len() - 1];
+        let unit = if group { address } else { LINE_UNIT };
+        let forms = self.units.get(&unit).map_or_else(Timeline::anything, Timeline::recent);
+        (!group || self.may_be_bird(address))
+            && forms
+                .into_iter()
+                .any(|(format, button)| self.fits(bytes, place, Shape { format, button, group }))
+    }
+
+    fn may_be_bird(&self, address: u8) -> bool {
+        (1..=126).contains(&address) && (self.listed.is_empty() || self.listed.contains(&address))
+    }
+
+    pub(super) fn fits(&self, bytes: &[u8], place: usize, shape: Shape) -> bool {
+        bytes.len() == shape.len() && self.read(bytes, place, shape).is_some()
+    }
+
+    /// The record of this shape that the bytes at `place` are.
+    pub(super) fn read(&self, bytes: &[u8], place: usize, shape: Shape) -> Option<record::Record> {
+        let record = record::decode(bytes, shape, self.scale_at(place), Tolerance::CAPTURE).ok()?;
+        record.button.is_none_or(|button| super::BUTTONS.contains(&button)).then_some(record)
+    }
+
+    /// What stands between the record that ends at `at` and the next one, or the host's word at `end`.
+    fn gap(&self, at: usize, end: usize) -> Gap {
+        let ends = |place: usize| place == end || place <= self.bytes.len() && self.begins_record(place);
+        let mut len = 0;
+        for (k, question) in self.questions.iter().enumerate() {
+            if !self.may_answer(question, at + len) {
+                break;
+            }
+            len += question.len;
+            if ends(at + len) {
+                return Gap::Answers(0..k + 1, len);
+            }
+        }
+        // Earlier ones may never be answered.
+        for (k, question) in self.questions.iter().enumerate().skip(1) {
+            if ends(at + question.len) && self.may_answer(question, at) {
+                return Gap::Answers(k..k + 1, question.len);
+            }
+        }
+        let longest = self.questions.iter().map(|question| question.len).sum::<usize>() + MAX_LEN;
+        // The record behind it may be damaged: then its first byte must do, unless a damaged one stands here.
+        for (k, question) in self.questions.iter().enumerate() {
+            let end = at + question.len;
+            if !self.is_boundary(at) && self.is_boundary(end) && self.may_answer(question, at) {
+                return Gap::Perhaps(k..k + 1, question.len);
+            }
+        }
+        if (at + 1..self.bytes.len().min(at + longest)).any(|place| self.begins_record(place))
+            || end > at + longest
+        {
+            Gap::None
+        } else {
+            Gap::Unknown
         }
     }
 
-    /// Whether these bytes begin with a whole record of what is believed to be running.
-    fn begins_record(&self, bytes: &[u8]) -> bool {
-        let len =
-            bytes.iter().skip(1).position(|&byte| byte & PHASE_BIT != 0).map_or(bytes.len(), |at| at + 1);
-        let longest = len.min(record::MAX_LEN);
-        (6..=longest).rev().any(|len| self.interpret(&bytes[..len]).is_some())
+    /// Whether the bytes at `at` can be the answer. In a stream damaged records may have an answer's length.
+    fn may_answer(&self, question: &Question, at: usize) -> bool {
+        let Some(bytes) = self.bytes.get(at..at + question.len) else { return false };
+        match question.command {
+            _ if !self.streaming => true,
+            Command::Examine(parameter::FLOCK_SYSTEM_STATUS) => {
+                bytes.iter().all(|&unit| unit == 0 || UnitStatus(unit).has(UnitStatus::ACCESSIBLE))
+            }
+            Command::Examine(parameter::MODEL_ID) => bytes.iter().all(|byte| (b' '..=b'~').contains(byte)),
+            _ => true,
+        }
     }
 
-    /// Takes the open question's part of these bytes; returns the others.
-    fn answer<'b>(&mut self, bytes: &'b [u8]) -> &'b [u8] {
-        let Some(question) = self.questions.front_mut() else { return bytes };
-        let take = (question.len - question.answer.len()).min(bytes.len());
-        question.answer.extend_from_slice(&bytes[..take]);
-        if question.answer.len() == question.len
-            && let Some(question) = self.questions.pop_front()
-        {
+    /// The next `len` bytes answer the questions of `range`; those before it are given up.
+    fn take_answers(&mut self, range: std::ops::Range<usize>, len: usize) {
+        self.questions.drain(..range.start);
+        let (mut at, end) = (self.cursor, self.cursor + len);
+        self.cursor = end;
+        for question in self.questions.drain(..range.len()).collect::<Vec<_>>() {
+            let answer = self.bytes[at..at + question.len].to_vec();
+            at += question.len;
             self.summary.answers += 1;
             if let Command::Examine(number) = question.command {
-                self.learn(question.to, number, &question.answer);
+                self.learn(at, question.to, number, &answer);
             }
         }
-        &bytes[take..]
-    }
-
-    /// The open piece has ended: it is a record or nothing.
-    fn close_piece(&mut self) {
-        if self.piece.is_empty() {
-            return;
-        }
-        let piece = std::mem::take(&mut self.piece);
-        match self.interpret(&piece) {
-            Some((shape, record, guessed)) => {
-                let address = record.address.unwrap_or(0);
-                self.guessed += u64::from(guessed);
-                // The first record settles what the host has not said.
-                self.group.get_or_insert(shape.group);
-                let unit = if shape.group { address } else { LINE_UNIT };
-                let belief = self.units.entry(unit).or_default();
-                if belief.format == Some(shape.format) {
-                    belief.format_before = None;
-                }
-                self.summary.records += 1;
-                let t = Some(self.piece_t.to_owned());
-                self.records.push(CapturedRecord { t, address, format: shape.format, record });
-            }
-            None => {
-                self.summary.rejected += 1;
-                self.summary.bytes_skipped += piece.len() as u64;
-            }
-        }
-    }
-
-    /// Reads a piece as a record of the unit that it names; also whether its shape had to be guessed.
-    fn interpret(&self, piece: &[u8]) -> Option<(Shape, Record, bool)> {
-        let groups: &[bool] = match self.group {
-            Some(true) => &[true],
-            Some(false) => &[false],
-            None => &[false, true],
-        };
-        for &group in groups {
-            let address = *piece.last()?;
-            if group && !(1..=126).contains(&address) {
-                continue;
-            }
-            let unit = if group { address } else { LINE_UNIT };
-            let belief = self.units.get(&unit).copied().unwrap_or_default();
-            let buttons: &[bool] = match belief.button {
-                Some(true) => &[true],
-                Some(false) => &[false],
-                None => &[false, true],
-            };
-            let known = [belief.format, belief.format_before];
-            // Units power up with position and angles.
-            let unknown = std::iter::once(Format::PositionAngles).chain(Format::ALL).map(Some);
-            let formats = known.into_iter().chain(unknown.take(if belief.format.is_none() { 8 } else { 0 }));
-            for format in formats.flatten() {
-                for &button in buttons {
-                    let shape = Shape { format, button, group };
-                    if let Ok(record) = record::decode(piece, shape, self.scale(), Tolerance::CAPTURE) {
-                        return Some((shape, record, belief.format.is_none()));
-                    }
-                }
-            }
-        }
-        None
-    }
-
-    fn scale(&self) -> Scale {
-        let found = if self.extended_range { Range::In144 } else { self.scaling.unwrap_or_default() };
-        Scale { range: self.options.range.unwrap_or(found), quaternion_sense: self.options.quaternion_sense }
     }
 }

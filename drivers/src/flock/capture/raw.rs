@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{CaptureError, CapturedRecord, Decoded, Options, Summary};
+use super::{BUTTONS, CaptureError, CapturedRecord, Decoded, Options, Summary};
 use crate::flock::wire::record::{self, PHASE_BIT};
 use crate::flock::wire::{Format, Record, Scale, Shape, Tolerance};
 
@@ -17,9 +17,6 @@ struct Reading {
     /// Addresses whose format is one of several that fit equally well.
     ambiguous: Vec<(u8, Format, Format)>,
 }
-
-/// Button bytes that a unit sends.
-const BUTTONS: [u8; 4] = [0x00, 0x10, 0x30, 0x70];
 
 /// Decodes raw bytes: records in order, without times, and counts. What could be read in more than one way is in the warnings.
 ///

@@ -169,7 +169,15 @@ impl FlockSession {
                 self.warn(format!("the unit reports error {code} of unit {}: {text}", detail & mask));
             }
             (Topic::Rate, Some(&[low, high])) => {
-                configuring.findings.rate_hz = value::rate_hz(u16::from_le_bytes([low, high]));
+                // It has just been set: what was asked for is the best guess where the answer is damaged.
+                let asked = self.settings.measurement_rate_hz.unwrap_or(configuring.findings.rate_hz);
+                configuring.findings.rate_hz = match value::claimed_rate([low, high]) {
+                    Ok(rate) => rate.hz(),
+                    Err(refused) => {
+                        self.warn(examine::not_believed(&refused, asked));
+                        asked
+                    }
+                };
                 self.findings = Some(configuring.findings.clone());
             }
             (Topic::Serial(address), Some(&[low, high])) => {

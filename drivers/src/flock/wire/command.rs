@@ -52,9 +52,9 @@ pub enum Command {
     ButtonRead,
     /// Synchronisation mode; 255 asks for two words.
     Sync(u8),
-    /// Address and number (0 to 3) of the transmitter to use.
+    /// Address and number (0 to 3) of the transmitter to use; made by [`Command::next_transmitter`].
     NextTransmitter {
-        /// Unit that it is plugged into, 0 to 15: the command has four bits for it.
+        /// Unit that it is plugged into, 0 to 15: the command has four bits for it, and others are cut to them.
         address: u8,
         /// Number at that unit.
         number: u8,
@@ -88,6 +88,12 @@ pub enum Command {
 }
 
 impl Command {
+    /// Chooses a transmitter by its unit's address and its number there; `None` where the four bits that each has do not hold
+    /// it.
+    pub fn next_transmitter(address: u8, number: u8) -> Option<Self> {
+        (address <= 15 && number <= 15).then_some(Self::NextTransmitter { address, number })
+    }
+
     /// Appends the bytes of the command, without prefix.
     pub fn encode(&self, out: &mut Vec<u8>) {
         let words = |out: &mut Vec<u8>, words: &[i16]| out.extend(words.iter().flat_map(|w| w.to_le_bytes()));

@@ -6,6 +6,7 @@ use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 use super::{Addressing, Format, Range};
+use crate::rate::{ImpossibleRate, Rate};
 
 /// Parameter numbers that the driver uses; lengths and write access: [`PARAMETERS`].
 pub mod parameter {
@@ -246,7 +247,19 @@ pub fn error(code: u8) -> (&'static str, ErrorClass) {
     }
 }
 
-/// Measurement rate in Hz of parameter 7's word: 1/256 Hz per step.
+/// Measurement rates that a unit can have, Hz. The maker states 14 to 144 Hz; crystals and firmware differ by less than what is
+/// left to either side, and damage that lands inside harms no more than another setting would.
+pub const RATES_HZ: std::ops::RangeInclusive<f64> = 10.0..=200.0;
+
+/// The measurement rate that a unit answers (parameter 7, two bytes), if a unit can have it.
+///
+/// # Errors
+/// It is not one of [`RATES_HZ`]. A break on the line makes two zero bytes.
+pub fn claimed_rate(answer: [u8; 2]) -> Result<Rate, ImpossibleRate> {
+    Rate::claimed(rate_hz(u16::from_le_bytes(answer)), &RATES_HZ)
+}
+
+/// Measurement rate in Hz of parameter 7's word, as it stands: 1/256 Hz per step. What a unit claims is for [`claimed_rate`].
 pub fn rate_hz(word: u16) -> f64 {
     f64::from(word) / 256.0
 }
