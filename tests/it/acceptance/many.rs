@@ -184,7 +184,7 @@ fn what_a_line_loses_is_counted_as_it_is() {
                         rig.estimates().filter(|e| e.sensors[at].state == SensorState::Ok).count() as u64;
                     println!("{measured} measured, {ok} ok");
                     assert!(
-                        (measured - ok).abs_diff(lost) <= 2 && after.estimated,
+                        (measured - ok).abs_diff(lost) <= 2 && !after.estimated,
                         "{name}: {lost} of {}",
                         measured - ok
                     );
