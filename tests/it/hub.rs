@@ -79,6 +79,8 @@ async fn events(client: &mut Client, after: u64, moves: usize) -> Vec<u64> {
 struct Proxy {
     port: u16,
     open: watch::Sender<bool>,
+    /// Connections that pass bytes on.
+    passing: watch::Sender<usize>,
 }
 
 impl Proxy {
@@ -86,23 +88,41 @@ impl Proxy {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let own = listener.local_addr().unwrap().port();
         let (open, state) = watch::channel(true);
+        let (passing, _) = watch::channel(0);
+        let counted = passing.clone();
         tokio::spawn(async move {
             while let Ok((from, _)) = listener.accept().await {
-                tokio::spawn(pass(from, port, state.clone()));
+                tokio::spawn(pass(from, port, state.clone(), counted.clone()));
             }
         });
-        Self { port: own, open }
+        Self { port: own, open, passing }
+    }
+
+    /// Nothing passes any more when it returns: what is said from then on is not under way already.
+    async fn cut(&self) {
+        self.open.send_replace(false);
+        self.passing.subscribe().wait_for(|passing| *passing == 0).await.unwrap();
     }
 }
 
 /// Passes bytes on while the proxy is open; what was open when it was cut stays silent until it is repaired, and then ends.
-async fn pass(mut from: TcpStream, port: u16, mut open: watch::Receiver<bool>) {
+async fn pass(
+    mut from: TcpStream,
+    port: u16,
+    mut open: watch::Receiver<bool>,
+    passing: watch::Sender<usize>,
+) {
     if *open.borrow_and_update() {
         let Ok(mut to) = TcpStream::connect(("127.0.0.1", port)).await else { return };
         let held = Arc::new((from.set_nodelay(true), to.set_nodelay(true)));
-        tokio::select! {
-            _ = tokio::io::copy_bidirectional(&mut from, &mut to) => return,
-            _ = open.wait_for(|open| !open) => {}
+        passing.send_modify(|passing| *passing += 1);
+        let ended = tokio::select! {
+            _ = tokio::io::copy_bidirectional(&mut from, &mut to) => true,
+            _ = open.wait_for(|open| !open) => false,
+        };
+        passing.send_modify(|passing| *passing -= 1);
+        if ended {
+            return;
         }
         let _ = open.wait_for(|open| *open).await;
         drop((held, to));
@@ -210,7 +230,7 @@ async fn no_event_is_lost_in_a_cut_and_poses_come_again() {
     let event = until(&mut here, "what holds", |message| message["type"] == "field").await;
     let first = event["event_id"].as_u64().unwrap();
 
-    proxy.open.send_replace(false);
+    proxy.cut().await;
     for n in 1..=5 {
         move_transmitter(&mut operator, f64::from(n)).await;
     }
@@ -271,7 +291,7 @@ async fn fused_elsewhere_a_stage_says_the_same() {
     let mut operator = stage.client().await;
     frames(&mut here, 20).await;
     // Half a second of cut, which the log bridges.
-    proxy.open.send_replace(false);
+    proxy.cut().await;
     move_transmitter(&mut operator, 0.25).await;
     frames(&mut there, 30).await;
     proxy.open.send_replace(true);
