@@ -2,7 +2,7 @@
 //!
 //! What comes in: the text of a stage file, and files with one secret each. What goes out: the secrets, for who lets people in;
 //! and the text without them, for recordings and other machines. What it never does: show a secret, in a message, in debug
-//! output or in what is written from a [`Stage`](crate::Stage).
+//! output or in what is written from a [`Stage`].
 
 use std::fmt;
 use std::ops::Range;

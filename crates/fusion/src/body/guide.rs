@@ -1,7 +1,7 @@
 //! Guides a person through the poses and movements of a calibration, and notices by itself when each was done.
 //!
 //! In: samples of the whole body as they come. Out: what to do next, in words; how far it is; and in the end when which
-//! pose or movement was held, for [`super::calibrate`]. It has no clock: time is that of the samples.
+//! pose or movement was held, for [`super::calibrate()`]. It has no clock: time is that of the samples.
 //!
 //! A pose is done once all sensors were still for [`HOLD_S`] in it; a movement once its own sensors moved and came to rest again.
 //! Where it is to be found which sensor sits where, samples stand under the segments that sensors were taken to sit on: then any
