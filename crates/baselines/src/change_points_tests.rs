@@ -3,8 +3,7 @@
 use nalgebra::Vector3;
 
 use super::*;
-use posed_motion::keyframes::Spline;
-use posed_motion::keyframes::{Detector, Event};
+use posed_motion::keyframes::{Detector, Spline, testing};
 
 const N: usize = 12;
 
@@ -177,40 +176,13 @@ fn changes_are_found_where_they_are_and_none_in_a_pose_that_never_changes() {
 
 #[test]
 fn what_is_confirmed_was_said_before_and_is_late_by_the_stated_delay() {
-    let mut detector = detector();
-    let delay = detector.delay_frames() as u64;
-    assert_eq!(delay, 2 * 30 + 18);
-    let (mut open, mut confirmed) = (None, 0);
-    for pose in &motion(300) {
-        detector.push(pose, &mut |event| match event {
-            Event::Provisional(key) => open = Some(key.frame),
-            Event::Withdrawn(key) => assert_eq!(open.take(), Some(key.frame)),
-            Event::Confirmed(key) => {
-                assert_eq!(open.take(), Some(key.frame));
-                assert_eq!(key.decided - key.frame, delay);
-                confirmed += 1;
-            }
-        });
-    }
-    assert_eq!(confirmed, 2);
+    assert_eq!(detector().delay_frames(), 2 * 30 + 18);
+    assert_eq!(testing::confirms_as_stated(detector(), &motion(300)), 2);
 }
 
 #[test]
 fn the_future_does_not_change_what_was_confirmed() {
-    let poses = motion(300);
-    let (whole, _) = detector().run(&poses);
-    for end in [160, 200, 260, 290] {
-        let (mut detector, mut keys) = (detector(), Vec::new());
-        for pose in &poses[..end] {
-            detector.push(pose, &mut |event| {
-                if let Event::Confirmed(key) = event {
-                    keys.push(key);
-                }
-            });
-        }
-        let known: Vec<_> = whole.iter().filter(|key| key.decided < end as u64).copied().collect();
-        assert_eq!(keys, known, "the first {end} frames");
-    }
+    testing::does_not_look_ahead(detector, &motion(300), &[160, 200, 260, 290]);
 }
 
 #[test]

@@ -163,39 +163,27 @@ impl Track {
         self.rotation.error()
     }
 
-    /// The track moved on to `t` at constant velocity and angular velocity, its covariance with it; unchanged where `t` is
-    /// not later. How far that may go is for the caller to say.
+    /// The track moved to `t` at constant velocity and angular velocity, its covariance with it where `t` is later. Where `t` is
+    /// earlier the covariance stays: that is for the few milliseconds by which a measurement may follow the time it is wanted
+    /// for. How far either may go is for the caller to say.
     pub fn predicted(&self, t: Timestamp, tuning: &Tuning) -> Self {
         let dt = t.seconds_since(self.t);
-        if dt <= 0.0 {
+        if dt == 0.0 {
             return *self;
         }
         let mut next = *self;
         next.t = t;
         next.position_m += self.velocity_m_s * dt;
-        let density = self.adaptation.acceleration2 * tuning.interval_s;
-        next.translation.predict(&translation_transition(dt), density, dt);
         next.orientation = self.orientation * so3::exp(&(self.angular_velocity_rad_s * dt));
         // Products of unit quaternions drift from unit length by rounding.
         next.orientation.renormalize_fast();
-        let density = self.adaptation.angular_acceleration2 * tuning.interval_s;
-        next.rotation.predict(&rotation_transition(&self.angular_velocity_rad_s, dt), density, dt);
-        next
-    }
-
-    /// The track moved to `t` like [`Self::predicted`], and back where `t` is earlier: by its velocities alone, with its own
-    /// covariance. That is for the few milliseconds by which a measurement may follow the time it is wanted for.
-    #[must_use]
-    pub fn moved_to(&self, t: Timestamp, tuning: &Tuning) -> Self {
-        let dt = t.seconds_since(self.t);
-        if dt >= 0.0 {
-            return self.predicted(t, tuning);
+        if dt > 0.0 {
+            let density = self.adaptation.acceleration2 * tuning.interval_s;
+            next.translation.predict(&translation_transition(dt), density, dt);
+            let density = self.adaptation.angular_acceleration2 * tuning.interval_s;
+            next.rotation.predict(&rotation_transition(&self.angular_velocity_rad_s, dt), density, dt);
         }
-        let mut earlier = *self;
-        earlier.t = t;
-        earlier.position_m += self.velocity_m_s * dt;
-        earlier.orientation = self.orientation * so3::exp(&(self.angular_velocity_rad_s * dt));
-        earlier
+        next
     }
 
     /// What this (predicted) track expects of a measurement at its time, transmitter frame: for the fault detector and the

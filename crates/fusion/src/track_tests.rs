@@ -55,7 +55,7 @@ fn a_prediction_in_two_steps_is_that_in_one() {
     assert!(once.orientation.angle_to(&twice.orientation) < 1e-7);
     assert!((once.translation.matrix() - twice.translation.matrix()).norm() < 1e-9);
     assert_eq!(track.predicted(Timestamp::ZERO, &tuning), track);
-    let back = once.moved_to(Timestamp::ZERO, &tuning);
+    let back = once.predicted(Timestamp::ZERO, &tuning);
     assert!((back.position_m - track.position_m).norm() < 1e-12);
     assert!(back.orientation.angle_to(&track.orientation) < 1e-7);
 }

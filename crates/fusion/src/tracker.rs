@@ -65,17 +65,11 @@ impl Tracker {
         self.at(t).map(|track| track.expectation(&self.tuning))
     }
 
-    /// The track predicted to `t`, or as it is where `t` is earlier. `None` before three agreeing measurements, and more than
+    /// The track moved to `t` ([`Track::predicted`]). `None` before three agreeing measurements, and more than
     /// 0.5 s after the latest measurement that was used.
     pub fn at(&self, t: Timestamp) -> Option<Track> {
         let track = self.track.as_ref()?;
         (t.seconds_since(track.t()) <= COAST_S).then(|| track.predicted(t, &self.tuning))
-    }
-
-    /// As [`Self::at`], but moved back where `t` is earlier ([`Track::moved_to`]).
-    pub fn moved_to(&self, t: Timestamp) -> Option<Track> {
-        let track = self.track.as_ref()?;
-        (t.seconds_since(track.t()) <= COAST_S).then(|| track.moved_to(t, &self.tuning))
     }
 
     /// Takes a checked measurement at its own capture time; times must not go back.

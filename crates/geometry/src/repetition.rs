@@ -98,6 +98,12 @@ impl<W: Words> Repetition<W> {
         self.last
     }
 
+    /// Whether the latest sample repeats the one before, the words used to change, and they have not stood still for so long that a
+    /// stuck device would be known by now: what is begun with such samples may begin with a device that is stuck.
+    pub fn may_be_stuck(&self) -> bool {
+        (2..=2 * W::STUCK_SAMPLES).contains(&self.run) && self.habit > CHANGING
+    }
+
     /// For how many samples the words have stood still, where that is as long as a stuck device's; else 0.
     pub fn stood_still(&self) -> u32 {
         if self.run >= W::STUCK_SAMPLES { self.run - 1 } else { 0 }

@@ -155,7 +155,7 @@ impl Pipeline {
     /// # Errors
     /// All but [`PipelineError::Snapshot`]: a sensor of an unknown device, settings that a driver refuses, two IMUs on one
     /// segment, a value out of its range, a name that no sensor has, sensors on a human body without `height_m`.
-    /// [`Stage::parse`] refuses most of it, but neither two IMUs on one segment nor the missing height.
+    /// [`Stage::parse`] refuses all of it but the missing height, of which [`posed_stage::check`] warns.
     pub fn new(stage: &Stage) -> Result<Self, PipelineError> {
         let positive = |value: f64| value.is_finite() && value > 0.0;
         let check =
@@ -369,7 +369,7 @@ impl Pipeline {
                 self.body.iter_mut().for_each(|body| body.restart(index));
                 self.chain.iter_mut().for_each(|chain| chain.restart(index));
             }
-            self.frames.sample(index, measured);
+            self.frames.sample(index, measured, stamp.queued);
         }
         if stamp.begins_cycle
             && route.sensor.is_some()

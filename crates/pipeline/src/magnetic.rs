@@ -154,7 +154,7 @@ impl Magnetic {
 
     /// The pose in the room at `t`, and whether the sensor moves.
     pub(super) fn at(&self, t: Timestamp, room: &Isometry3<f64>) -> (Option<PoseEstimate>, bool) {
-        let track = self.tracker.moved_to(t);
+        let track = self.tracker.at(t);
         let moving = track.as_ref().is_some_and(is_moving);
         (track.and_then(|track| in_room(&track, room, self.map_sigma_m)), moving)
     }

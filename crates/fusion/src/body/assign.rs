@@ -11,7 +11,7 @@ use nalgebra::Vector3;
 use pathfinding::prelude::{Matrix, kuhn_munkres_min};
 use thiserror::Error;
 
-use super::calibrate::{Block, BlockKind, Movement, Recorded};
+use super::block::{Block, BlockKind, Movement, Recorded};
 use super::skeleton::{BodySegment, SEGMENTS};
 
 /// A sensor that fits another segment nearly as well, by a sum of squared shares of the fastest, cannot be distinguished from the one there.

@@ -14,8 +14,9 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::block::{Block, BlockKind, Movement, Recorded};
 use super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
-use super::{BodySamples, SensorMount, joint_rotation, yaw_from_upright};
+use super::{SensorMount, joint_rotation, yaw_from_upright};
 use crate::ahrs::{Ahrs, ImuSample, Params};
 use crate::chain;
 use crate::mounting::{Refused, hinge_axes};
@@ -37,106 +38,6 @@ const HINGE_DEG: f64 = 2.0;
 /// How far the segment above a joint must turn meanwhile, root mean square, to show the axis without a magnetometer, rad.
 const PARENT_ROTATES_RAD: f64 = 0.35;
 const BALL_DEG: f64 = 6.0;
-
-/// What can be held or done.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum BlockKind {
-    /// Upright, arms hanging, thumbs forward.
-    NPose,
-    /// Upright, arms sideways, thumbs forward.
-    TPose,
-    /// Torso and pelvis bend forward and back.
-    Bow,
-    /// The torso turns to the left and back over a pelvis that stands still.
-    TrunkRotation,
-    /// One joint moves in one way from the N-pose, the positive way first.
-    Move(BodySegment, Movement),
-}
-
-/// How the joint above a segment moves.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Movement {
-    /// Bends.
-    Flexion,
-    /// Sideways.
-    Abduction,
-    /// About the segment's own axis, inwards first.
-    Rotation,
-    /// Forearm about its own axis, palm down first.
-    Pronation,
-}
-
-impl BlockKind {
-    /// From its name in a stage file, such as `n_pose` or `elbow_flexion_r`; `None` where there is no such pose or movement.
-    pub fn named(name: &str) -> Option<Self> {
-        match name {
-            "n_pose" => return Some(Self::NPose),
-            "t_pose" => return Some(Self::TPose),
-            "bow" => return Some(Self::Bow),
-            "trunk_rotation" => return Some(Self::TrunkRotation),
-            _ => {}
-        }
-        let (rest, right) = match name.strip_suffix("_r") {
-            Some(rest) => (rest, true),
-            None => (name.strip_suffix("_l")?, false),
-        };
-        let side = |r, l| if right { r } else { l };
-        let (joint, movement) = rest.split_once('_')?;
-        let segment = match joint {
-            "elbow" => side(BodySegment::ForearmR, BodySegment::ForearmL),
-            "shoulder" => side(BodySegment::UpperArmR, BodySegment::UpperArmL),
-            "knee" => side(BodySegment::ShankR, BodySegment::ShankL),
-            "hip" => side(BodySegment::ThighR, BodySegment::ThighL),
-            _ => return None,
-        };
-        let movement = match movement {
-            "flexion" => Movement::Flexion,
-            "abduction" if matches!(joint, "shoulder" | "hip") => Movement::Abduction,
-            "rotation" if matches!(joint, "shoulder" | "hip") => Movement::Rotation,
-            "pronation" if joint == "elbow" => Movement::Pronation,
-            _ => return None,
-        };
-        Some(Self::Move(segment, movement))
-    }
-
-    /// Its name in a stage file; the inverse of [`Self::named`].
-    pub fn name(self) -> String {
-        let (segment, movement) = match self {
-            Self::NPose => return "n_pose".into(),
-            Self::TPose => return "t_pose".into(),
-            Self::Bow => return "bow".into(),
-            Self::TrunkRotation => return "trunk_rotation".into(),
-            Self::Move(segment, movement) => (segment, movement),
-        };
-        let joint = match segment {
-            BodySegment::ForearmR | BodySegment::ForearmL => "elbow",
-            BodySegment::ShankR | BodySegment::ShankL => "knee",
-            BodySegment::ThighR | BodySegment::ThighL => "hip",
-            _ => "shoulder",
-        };
-        let movement = match movement {
-            Movement::Flexion => "flexion",
-            Movement::Abduction => "abduction",
-            Movement::Rotation => "rotation",
-            Movement::Pronation => "pronation",
-        };
-        format!("{joint}_{movement}_{}", if segment.side() > 0.0 { "r" } else { "l" })
-    }
-}
-
-/// When something known was done, on the clock of the recording.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Block {
-    /// What.
-    pub kind: BlockKind,
-    /// Its begin, s.
-    pub start_s: f64,
-    /// Its end, s.
-    pub end_s: f64,
-}
-
-/// One time of a recording of the body: time, s, and samples. Times of a recording rise.
-pub type Recorded = (f64, BodySamples);
 
 /// How the sensors sit: sensor-to-segment alignment of each.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -10,7 +10,7 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::calibrate::{Block, BlockKind, Movement, Recorded};
+use super::block::{Block, BlockKind, Movement, Recorded};
 use super::health::usable;
 use super::{BodySamples, BodySegment, SEGMENTS};
 

@@ -16,6 +16,7 @@
 
 mod angles;
 mod assign;
+mod block;
 mod calibrate;
 mod guide;
 mod health;
@@ -32,9 +33,8 @@ use serde::{Deserialize, Serialize};
 
 pub use angles::{ANGLE_NAMES, ANGLES, angles, joint_angles, joint_rotation, of_joint};
 pub use assign::{AssignError, Assignment, assign};
-pub use calibrate::{
-    Block, BlockKind, Calibrated, CalibrationError, Movement, REPEAT_DEG, Recorded, calibrate,
-};
+pub use block::{Block, BlockKind, Movement, Recorded};
+pub use calibrate::{Calibrated, CalibrationError, REPEAT_DEG, calibrate};
 pub use guide::{Guide, Thoroughness};
 pub use inverse::{Figure, Follower, Tracked};
 pub use limbs::{elbow, knee};

@@ -3,7 +3,8 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_simulator::body::{Activity, Build, Script, SensorErrors, Wearer, WearerSpec};
 
-use super::calibrate::{Block, BlockKind, CalibrationError, Recorded, calibrate};
+use super::block::{Block, BlockKind, Recorded};
+use super::calibrate::{CalibrationError, calibrate};
 use super::*;
 
 type V = Vector3<f64>;

@@ -10,6 +10,8 @@ use posed_geometry::so3;
 const MOVED_SIGMAS: f64 = 2.0;
 const MOVED_M: f64 = 2e-4;
 const MOVED_RAD: f64 = 1e-3;
+/// Least distance of the two sides of a transmitter, where a tracker measures at all, m.
+const APART_M: f64 = 0.2;
 /// 99.9 % of chi-square with 6 and with 3 degrees of freedom.
 const GATE_6: f64 = 22.5;
 const GATE_3: f64 = 16.3;
@@ -85,6 +87,14 @@ impl Prediction {
             self.rotation_innovation(&orientation).norm() > (MOVED_SIGMAS * sigma).max(MOVED_RAD)
         });
         position || rotation
+    }
+
+    /// Whether one position is nearer to the prediction than another that is not next to it; false without positions.
+    pub fn prefers(&self, one: &MeasuredPose, other: &MeasuredPose, noise: &TrackerNoise) -> bool {
+        let (Some(one_m), Some(other_m)) = (one.position_m, other.position_m) else { return false };
+        let covariance = self.position_innovation_m2(noise, &self.position_m);
+        let distance = |p: &Vector3<f64>| squared_distance(&covariance, &self.position_innovation(p));
+        (one_m - other_m).norm() > APART_M && distance(&one_m) < distance(&other_m)
     }
 
     /// Tests a measurement against the prediction: chi-square of 6 degrees of freedom, or 3 where the format

@@ -85,6 +85,8 @@ pub struct Detector {
     repetition: Repetition<MeasuredPose>,
     /// How the latest measurement was repaired; kept while there is no prediction to judge by.
     mirror: Option<Mirror>,
+    /// Where it was last inside its gate, repaired if need be, device axes, m.
+    last_m: Option<Vector3<f64>>,
     /// Records in a row in which prediction and fault map disagreed about the side.
     disputed: u32,
     /// What the map calls anomalous has lasted longer than a prediction does: it is followed, though never as good.
@@ -167,24 +169,47 @@ impl Detector {
             Repeats::Stuck => return Checked::anomalous(seen, Cause::Stuck, true),
             // Not yet stuck, but not where it is predicted.
             Repeats::Suspect => return Checked::anomalous(seen, Cause::Gate, true),
+            // A track is not begun with what may be the words of a device that stood still before.
+            Repeats::Rests if prediction.is_none() && self.repetition.may_be_stuck() => {
+                return Checked::anomalous(seen, Cause::Gate, true);
+            }
             Repeats::Changed | Repeats::Rests => {}
         }
-        let Some(prediction) = prediction else {
-            // Nothing to judge by: it is still on the side where it was last seen.
-            return if self.mirror.is_some() { Checked::mirrored(seen) } else { Checked::clean(seen) };
-        };
+        let Some(prediction) = prediction else { return self.begin(pose) };
         if prediction.gate(pose, noise) != Gate::Outside {
-            self.mirror = None;
-            return Checked::clean(*pose);
+            let mirrored = Mirror::Point.apply(pose);
+            // Records that are seldom leave a prediction so wide that it holds both sides: the nearer one counts then.
+            if prediction.prefers(&mirrored, pose, noise) {
+                return self.believe(Some(Mirror::Point), mirrored);
+            }
+            return self.believe(None, *pose);
         }
         for mirror in [Mirror::Point, Mirror::Vertical] {
             let repaired = mirror.apply(pose);
             if pose.position_m.is_some() && prediction.gate(&repaired, noise) == Gate::Inside {
-                self.mirror = Some(mirror);
-                return Checked::mirrored(repaired);
+                return self.believe(Some(mirror), repaired);
             }
         }
         Checked::anomalous(*pose, Cause::Gate, false)
+    }
+
+    fn believe(&mut self, mirror: Option<Mirror>, pose: MeasuredPose) -> Checked {
+        self.mirror = mirror;
+        self.last_m = pose.position_m;
+        if mirror.is_some() { Checked::mirrored(pose) } else { Checked::clean(pose) }
+    }
+
+    /// Labels a measurement with nothing to judge it by: of the two sides it is on the one nearer to where it was last. It may
+    /// have left either, or been set right, while nobody looked.
+    fn begin(&mut self, pose: &MeasuredPose) -> Checked {
+        let distance_m = |pose: &MeasuredPose| Some((pose.position_m? - self.last_m?).norm());
+        let candidates = [None, Some(self.mirror.unwrap_or(Mirror::Point))];
+        let seen = |mirror: Option<Mirror>| mirror.map_or(*pose, |mirror| mirror.apply(pose));
+        let nearer = candidates.into_iter().filter_map(|mirror| Some((mirror, distance_m(&seen(mirror))?)));
+        // Where it never was, it is as it says.
+        self.mirror = nearer.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(self.mirror, |(mirror, _)| mirror);
+        let seen = seen(self.mirror);
+        if self.mirror.is_some() { Checked::mirrored(seen) } else { Checked::clean(seen) }
     }
 }
 

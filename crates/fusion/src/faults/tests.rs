@@ -55,6 +55,47 @@ fn mirrored_positions_are_mirrored_back_each_by_its_own_prediction() {
 }
 
 #[test]
+fn with_nothing_to_judge_by_the_side_nearer_to_where_it_was_counts() {
+    let prediction = expected(Vector3::new(0.4, 0.1, -0.2));
+    let pose = measured(&prediction);
+    let moved =
+        |pose: &MeasuredPose, by: f64| MeasuredPose { position_m: pose.position_m.map(|p| p * by), ..*pose };
+    let mirrored = Mirror::Point.apply(&pose);
+    for (first, then) in [(pose, mirrored), (mirrored, pose), (pose, pose), (mirrored, mirrored)] {
+        let mut detector = Detector::default();
+        let checked = detector.check(&first, Some(&prediction), &NOISE, false, None);
+        assert_eq!(checked.pose, pose);
+        // It was turned over, or set right, while nobody looked.
+        let checked = detector.check(&moved(&then, 1.05), None, &NOISE, false, None);
+        assert_eq!(checked.pose, moved(&pose, 1.05));
+        assert_eq!(checked.label == Label::INVERTED, then == mirrored);
+    }
+}
+
+#[test]
+fn a_prediction_that_holds_both_sides_leaves_it_to_the_nearer_one() {
+    let wide = Prediction {
+        position_m2: Matrix3::identity(),
+        reach_m: 5.0,
+        ..expected(Vector3::new(0.4, 0.1, -0.2))
+    };
+    let pose = measured(&wide);
+    let mut detector = Detector::default();
+    let checked = detector.check(&Mirror::Point.apply(&pose), Some(&wide), &NOISE, false, None);
+    assert_eq!((checked.label, checked.pose), (Label::INVERTED, pose));
+    assert_eq!(detector.check(&pose, Some(&wide), &NOISE, false, None).label, Label::CLEAN);
+}
+
+#[test]
+fn what_repeats_itself_from_the_first_record_on_begins_no_track_until_it_is_known_to_rest() {
+    let pose = measured(&expected(Vector3::new(0.4, 0.1, -0.2)));
+    let mut detector = Detector::default();
+    let taken: Vec<bool> =
+        (0..13).map(|_| detector.check(&pose, None, &NOISE, false, None).withheld).collect();
+    assert_eq!(taken, [&[false][..], &[true; 9], &[false; 3]].concat());
+}
+
+#[test]
 fn a_mirrored_position_with_another_orientation_is_an_outlier() {
     let prediction = expected(Vector3::new(0.4, 0.1, -0.2));
     let turned = prediction.orientation * so3::exp(&Vector3::new(0.0, 0.5, 0.0));

@@ -14,6 +14,8 @@ mod hinge;
 mod law;
 mod path;
 mod peaks;
+#[cfg(any(test, feature = "testing"))]
+pub mod testing;
 mod track;
 mod window;
 

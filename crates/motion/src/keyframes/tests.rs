@@ -58,23 +58,7 @@ fn the_changes_are_found_where_they_are() {
 
 #[test]
 fn what_is_confirmed_was_said_before_and_is_late_by_the_stated_delay() {
-    let poses = motion(300, &mut Noise(4));
-    let mut detector = detector();
-    let delay = detector.delay_frames() as u64;
-    let mut open = None;
-    let mut confirmed = 0;
-    for pose in &poses {
-        detector.push(pose, &mut |event| match event {
-            Event::Provisional(key) => open = Some(key.frame),
-            Event::Withdrawn(key) => assert_eq!(open.take(), Some(key.frame)),
-            Event::Confirmed(key) => {
-                assert_eq!(open.take(), Some(key.frame));
-                assert_eq!(key.decided - key.frame, delay);
-                confirmed += 1;
-            }
-        });
-    }
-    assert_eq!(confirmed, 2);
+    assert_eq!(testing::confirms_as_stated(detector(), &motion(300, &mut Noise(4))), 2);
 }
 
 #[test]
@@ -98,21 +82,7 @@ fn a_detector_that_was_stored_and_restored_goes_on_as_if_nothing_had_been() {
 
 #[test]
 fn the_future_does_not_change_what_was_confirmed() {
-    let poses = motion(300, &mut Noise(6));
-    let whole = detect(&poses);
-    for end in [160, 200, 260] {
-        let mut detector = detector();
-        let mut keys = Vec::new();
-        for pose in &poses[..end] {
-            detector.push(pose, &mut |event| {
-                if let Event::Confirmed(key) = event {
-                    keys.push(key);
-                }
-            });
-        }
-        let known: Vec<_> = whole.iter().filter(|key| key.decided < end as u64).copied().collect();
-        assert_eq!(keys, known, "the first {end} frames");
-    }
+    testing::does_not_look_ahead(detector, &motion(300, &mut Noise(6)), &[160, 200, 260]);
 }
 
 /// Confirmed detections in `frames` poses.

@@ -47,7 +47,7 @@ const FASTER: f64 = 0.99;
 pub struct FrameSample {
     /// The record, with its capture time.
     pub measured: Measured,
-    /// It belongs to an earlier frame, which had closed when it arrived.
+    /// It belongs to an earlier frame, which had closed when it arrived; or it may have waited on its way, so that nobody knows.
     pub late: bool,
 }
 
@@ -241,12 +241,13 @@ impl Assembler {
     }
 
     /// Takes a sample of one sensor, whose capture times must not go back. It joins the first frame whose tick is not before it;
-    /// one that is not after the last closed tick is late and joins the next frame.
+    /// one that is not after the last closed tick is late and joins the next frame, and so is one that was `queued`
+    /// ([`Stamp::queued`]).
     ///
     /// # Panics
     /// There is no such sensor.
-    pub fn sample(&mut self, sensor: SensorIndex, measured: Measured) {
-        let late = self.last_closed.is_some_and(|closed| measured.t_valid <= closed);
+    pub fn sample(&mut self, sensor: SensorIndex, measured: Measured, queued: bool) {
+        let late = queued || self.last_closed.is_some_and(|closed| measured.t_valid <= closed);
         let sensor = &mut self.sensors[usize::from(sensor)];
         sensor.newest = sensor.newest.max(Some(measured.t_valid));
         sensor.queue.push_back(FrameSample { measured, late });

@@ -7,7 +7,7 @@ fn ms(ms: f64) -> Timestamp {
 }
 
 fn stamp(t_ms: f64) -> Stamp {
-    Stamp { t_valid: ms(t_ms), sigma_s: 1e-4, begins_cycle: true, cycles_skipped: 0 }
+    Stamp { t_valid: ms(t_ms), sigma_s: 1e-4, begins_cycle: true, cycles_skipped: 0, queued: false }
 }
 
 fn measured(t_ms: f64) -> Measured {
@@ -29,7 +29,7 @@ impl Bench {
     /// A record of cycle `t_ms` is complete at `now_ms`.
     fn record(&mut self, device: DeviceIndex, sensor: SensorIndex, t_ms: f64, now_ms: f64) {
         self.frames.stamp(device, &stamp(t_ms), Some(0.01), ms(now_ms));
-        self.frames.sample(sensor, measured(t_ms));
+        self.frames.sample(sensor, measured(t_ms), false);
         self.poll(now_ms);
     }
 

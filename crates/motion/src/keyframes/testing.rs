@@ -1,0 +1,51 @@
+//! What a detector promises whatever its statistic: for the tests of this crate and of those with statistics of their own.
+
+use nalgebra::Isometry3;
+
+use super::{Detector, Event, Statistic};
+
+/// Holds that each key pose is provisional before it is confirmed, one at a time, and confirmed after the stated delay; returns
+/// how many were confirmed.
+///
+/// # Panics
+/// The detector does not do so.
+pub fn confirms_as_stated<S: Statistic>(mut detector: Detector<S>, poses: &[Isometry3<f64>]) -> usize {
+    let delay = detector.delay_frames() as u64;
+    let (mut open, mut confirmed) = (None, 0);
+    for pose in poses {
+        detector.push(pose, &mut |event| match event {
+            Event::Provisional(key) => open = Some(key.frame),
+            Event::Withdrawn(key) => assert_eq!(open.take(), Some(key.frame)),
+            Event::Confirmed(key) => {
+                assert_eq!(open.take(), Some(key.frame));
+                assert_eq!(key.decided - key.frame, delay);
+                confirmed += 1;
+            }
+        });
+    }
+    confirmed
+}
+
+/// Holds that what is confirmed within the first `end` poses, for each of `ends`, is the same without the others.
+///
+/// # Panics
+/// It is not.
+pub fn does_not_look_ahead<S: Statistic>(
+    detector: impl Fn() -> Detector<S>,
+    poses: &[Isometry3<f64>],
+    ends: &[usize],
+) {
+    let (whole, _) = detector().run(poses);
+    for &end in ends {
+        let (mut detector, mut keys) = (detector(), Vec::new());
+        for pose in &poses[..end] {
+            detector.push(pose, &mut |event| {
+                if let Event::Confirmed(key) = event {
+                    keys.push(key);
+                }
+            });
+        }
+        let known: Vec<_> = whole.iter().filter(|key| key.decided < end as u64).copied().collect();
+        assert_eq!(keys, known, "the first {end} frames");
+    }
+}
