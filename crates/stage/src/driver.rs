@@ -36,7 +36,7 @@ pub enum Driver {
 pub enum TimeBase {
     /// One clock for all sensors: they measure in common cycles.
     Device,
-    /// A clock in each unit, by its address.
+    /// A clock in each unit, by its address; or units that one clock has measure one after the other.
     Unit(u16),
     /// None: samples come when there is something new. The number is the tracker whose packets they come in: the low byte of
     /// the address.
@@ -69,7 +69,7 @@ impl Driver {
     /// Which clock times the sensor at `address` on the device; equal values share one.
     pub fn time_base(&self, address: u16) -> TimeBase {
         match self {
-            Self::XImu3(_) => TimeBase::Unit(address),
+            Self::XImu3(_) | Self::Fastrak(_) => TimeBase::Unit(address),
             // The sensors of a tracker share its address's low byte, and its packets.
             Self::SlimeVr(_) => TimeBase::OnChange(address & 0xFF),
             _ => TimeBase::Device,

@@ -20,6 +20,8 @@ pub type DeviceIndex = u16;
 /// Index of a sensor in the stage file's `[[sensor]]` list ([`crate::Stage::sensors`]), from 0.
 pub type SensorIndex = u16;
 
+/// Least standard deviation of a tracker, m and rad, and least reference distance, m.
+const LEAST_NOISE: f64 = 1e-9;
 /// Lengths of the field that can be those of a device's own records, which have about 1.
 const FIELD_NORM: std::ops::RangeInclusive<f64> = 0.1..=10.0;
 
@@ -231,13 +233,15 @@ impl Model {
                 }
             }
             Self::TrackerNoise { r0_m, sigma_radial_m, sigma_rotation_rad, .. } => {
+                // No tracker reaches further, and one that is worse would say nothing: its gate would let everything through.
                 let numbers = [
-                    ("r0_m", r0_m),
-                    ("sigma_radial_m", sigma_radial_m),
-                    ("sigma_rotation_rad", sigma_rotation_rad),
+                    ("r0_m", r0_m, 100.0),
+                    ("sigma_radial_m", sigma_radial_m, 1.0),
+                    ("sigma_rotation_rad", sigma_rotation_rad, 1.0),
                 ];
-                if let Some((key, value)) = numbers.into_iter().find(|(_, v)| !(v.is_finite() && **v > 0.0)) {
-                    return Err(format!("{key}: give a positive number, not {value}"));
+                let wrong = |(_, value, most): &(_, &f64, f64)| !(**value >= LEAST_NOISE && *value <= most);
+                if let Some((key, value, most)) = numbers.into_iter().find(wrong) {
+                    return Err(format!("{key}: give a number from {LEAST_NOISE:e} to {most}, not {value}"));
                 }
             }
             Self::Field { map, .. } => {
@@ -283,6 +287,25 @@ impl Model {
             Self::Faults { .. } => {}
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_noise_that_would_let_everything_through_is_refused() {
+        let noise = |r0_m, sigma_radial_m, sigma_rotation_rad| {
+            let device = "flock".to_owned();
+            Model::TrackerNoise { device, r0_m, sigma_radial_m, sigma_rotation_rad }.check()
+        };
+        assert_eq!(noise(1.0, 2e-4, 2e-3), Ok(()));
+        for wrong in [0.0, -1.0, 1e300, f64::NAN, f64::INFINITY, 1e-300] {
+            assert!(noise(wrong, 2e-4, 2e-3).is_err_and(|reason| reason.starts_with("r0_m")));
+            assert!(noise(1.0, wrong, 2e-3).is_err_and(|reason| reason.starts_with("sigma_radial_m")));
+            assert!(noise(1.0, 2e-4, wrong).is_err_and(|reason| reason.starts_with("sigma_rotation_rad")));
+        }
     }
 }
 

@@ -129,6 +129,10 @@ impl<'a, 't> Shape<'a, 't> {
     }
 
     fn value(&mut self, schema: &'a Schema, key: &Spanned<DeString<'_>>, value: &Spanned<DeValue<'_>>) {
+        if self.recovered && value.span().is_empty() {
+            // The parser's own guess at what could not be read.
+            return;
+        }
         let schema = self.resolve(schema);
         if let Some(words) = words(schema) {
             match value.get_ref().as_str() {

@@ -149,3 +149,17 @@ fn segments_of_the_stage_file_are_those_of_the_body() {
     use posed_fusion::body::BodySegment;
     assert_eq!(BodySegment::ALL.map(BodySegment::name), crate::SEGMENTS);
 }
+
+#[test]
+fn a_body_whose_height_is_not_known_is_warned_of() {
+    let text = |body: &str| {
+        format!(
+            "name = \"A\"\n[body]\n{body}[[device]]\nname = \"chain\"\ndriver = \"xbus\"\nport = \"auto\"\n\
+             [[sensor]]\nname = \"forearm_r\"\ndevice = \"chain\"\naddress = 1\n"
+        )
+    };
+    let report = check(&text(""));
+    assert!(report.ok);
+    assert_eq!((report.warnings[0].line, report.warnings[0].key.as_str()), (2, "height_m"));
+    assert_eq!(check(&text("height_m = 1.7\n")).warnings, []);
+}

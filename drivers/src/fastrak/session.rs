@@ -199,10 +199,7 @@ impl FastrakSession {
         }
         self.outbox.counters.records += 1;
         self.outbox.streaming();
-        let Some(mut arrival) = self.arrivals.of(offset) else { return };
-        if !self.settings.text {
-            arrival.cycle_bytes_before = (index * self.settings.shape().binary_len()) as u32;
-        }
+        let Some(arrival) = self.arrivals.of(offset) else { return };
         self.outbox.sample(Sample {
             address: record.station.into(),
             arrival,

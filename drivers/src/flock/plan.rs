@@ -165,6 +165,11 @@ fn check_fit(
                 .into(),
         );
     }
+    if !findings.extended_range() && settings.range_in == Some(Range::In144) {
+        return Err("the flock has no extended range controller, so that its positions have a range of 36 or 72 inches; \
+                    set range_in to one of them or leave it out"
+            .into());
+    }
     Ok(())
 }
 

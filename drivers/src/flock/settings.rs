@@ -107,7 +107,8 @@ pub enum Mode {
     /// The unit sends each cycle by itself.
     #[default]
     Stream,
-    /// The driver asks for each cycle once the one before has come.
+    /// The driver asks for each cycle once the one before has come. An answer holds what the unit measured last, so that its
+    /// capture time may be late by up to a cycle, which no stated uncertainty shows.
     Point,
     /// The driver sends nothing and takes what comes: another program has set the unit up as the stage file specifies.
     Listen,

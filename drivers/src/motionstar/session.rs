@@ -25,6 +25,8 @@ const TRIES: u8 = 3;
 const PAUSE: Duration = Duration::from_secs(1);
 /// Silence of a stream.
 const SILENCE: Duration = Duration::from_millis(500);
+/// The same in intervals of its packets, where these are long.
+const SILENT_PERIODS: f64 = 3.0;
 /// Greatest step of the sequence number that is a loss, and not a new count.
 const MOST_LOST: u16 = 1000;
 
@@ -291,7 +293,7 @@ impl MotionStarSession {
             (Step::WriteBird(k), kind::RSP_SEND_SETUP) => self.next_bird(now, k + 1),
             (Step::Run, kind::RSP_RUN_CONTINUOUS) => {
                 self.last_sequence = None;
-                self.phase = Phase::Running { silent_at: now + SILENCE };
+                self.phase = Phase::Running { silent_at: now + self.silence() };
             }
             _ => {}
         }
@@ -315,8 +317,8 @@ impl MotionStarSession {
             return;
         };
         let Some(arrival) = self.arrivals.of(start) else { return };
-        self.phase = Phase::Running { silent_at: now + SILENCE };
         self.count_losses(now, header.sequence);
+        let mut any_good = false;
         let millis = u64::from(header.seconds) * 1000 + u64::from(header.millis);
         let t_device = DeviceTime::Counter { ticks: millis, tick_s: 1e-3 };
         let mut offset = wire::HEADER as u32;
@@ -328,6 +330,7 @@ impl MotionStarSession {
             let Some(k) = self.birds.iter().position(|bird| bird.address == record.address) else { continue };
             match record.pose(self.birds[k].range_m, self.settings.quaternion_sense) {
                 Ok(Some(pose)) => {
+                    any_good = true;
                     self.outbox.counters.records += 1;
                     self.outbox.sample(Sample {
                         address: record.address.into(),
@@ -340,7 +343,7 @@ impl MotionStarSession {
                         },
                     });
                 }
-                Ok(None) => {}
+                Ok(None) => any_good = true,
                 Err(wire::BadRecord) => {
                     self.outbox.counters.rejected += 1;
                     self.refused_bytes += u64::from(len);
@@ -348,7 +351,17 @@ impl MotionStarSession {
                 }
             }
         }
-        self.outbox.streaming();
+        // What sends bad records alone sends something else than it was set to, and is set up again.
+        if any_good {
+            self.phase = Phase::Running { silent_at: now + self.silence() };
+            self.outbox.streaming();
+        }
+    }
+
+    /// How long a system that runs may send nothing.
+    fn silence(&self) -> Duration {
+        let periods = self.rate_hz().map(|rate_hz| Duration::from_secs_f64(SILENT_PERIODS / rate_hz));
+        SILENCE.max(periods.unwrap_or_default())
     }
 
     /// Data packets are numbered; after a break only time tells what was missed.

@@ -209,9 +209,10 @@ impl XImu3Session {
                 return true;
             }
         }
-        unit.received(now, period_us);
         let mut time_us = stamped.time_us;
         if let Data::Inertial { .. } = stamped.data {
+            // The others come beside it: a unit that sends them alone was set to something else.
+            unit.received(now, period_us);
             // Lost messages leave a gap in time; the unit does not number them.
             if let Inferred::Lost(count) = unit.clock.gap(stamped.time_us, period_us) {
                 self.losses[index].lost += count;

@@ -146,6 +146,23 @@ fn mirrored_frozen_and_far_sensors_have_their_classes() {
 }
 
 #[test]
+fn a_system_that_sends_bad_records_alone_is_set_up_again() {
+    let mut pair = with(vec![Fault::WrongOutput { at_s: 2.0, duration_s: None }]);
+    pair.run_until(6.0);
+    let last = pair.samples.last().unwrap();
+    assert!(pair.now.seconds_since(last.arrival.t_read) < 0.05, "{:?}", pair.warnings);
+}
+
+#[test]
+fn seldom_reports_are_no_silence() {
+    let settings = Settings { report_every_cycles: 100, ..Settings::default() };
+    let mut pair = pair("tcp://x:6000", settings, DeviceScenario::default());
+    pair.run_until(20.0);
+    assert!(pair.samples_of(2).len() >= 17, "{:?}", pair.warnings);
+    assert_eq!(*pair.session.state(), State::Streaming);
+}
+
+#[test]
 fn it_returns_after_power_network_and_stalls() {
     for fault in [
         Fault::PowerCycle { at_s: 2.0 },

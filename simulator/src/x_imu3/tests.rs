@@ -152,8 +152,23 @@ fn wrong_outputs_lack_the_inertial_data() {
     let wrong = Fault::WrongOutput { at_s: 4.0, duration_s: Some(1.0) };
     let mut pair = pair(&[0], "a", with(vec![wrong]));
     pair.run_until(6.0);
-    assert!((97..=103).contains(&pair.lost(0)), "{}", pair.lost(0));
+    // After half a second without them it is set up again.
+    assert!((50..=60).contains(&pair.lost(0)), "{}", pair.lost(0));
     assert_eq!(pair.counted(), [pair.lost(0)]);
+}
+
+#[test]
+fn units_that_were_set_to_something_else_are_set_up_again() {
+    let mut pair = pair(&[1, 2], "a", with(vec![Fault::WrongOutput { at_s: 4.0, duration_s: None }]));
+    pair.run_until(6.0);
+    for address in [1, 2] {
+        let inertial = |sample: &&posed_drivers::Sample| {
+            matches!(sample.measurement, Measurement::Imu { angular_velocity_rad_s: Some(_), .. })
+        };
+        let samples = pair.samples_of(address);
+        let last = samples.iter().rfind(inertial).unwrap();
+        assert!(pair.now.seconds_since(last.arrival.t_read) < 0.05, "{:?}", pair.warnings);
+    }
 }
 
 #[test]

@@ -230,3 +230,41 @@ fn errors_of_a_unit_are_reported_in_words_and_fatal_ones_end_the_stream() {
     );
     assert!(reported, "{:?}", rig.pipeline.status().devices[0].state);
 }
+
+#[test]
+fn a_range_that_the_unit_does_not_have_is_refused_and_no_pose_is_four_times_too_far() {
+    let mut stage = stage(&[2]);
+    if let Driver::FlockOfBirds(settings) = &mut stage.devices[0].driver {
+        settings.range_in = Some(posed_drivers::flock::wire::Range::In144);
+    }
+    let mut rig = Rig::new(&stage, &scene(3, QUIET, &["s0-0", "s0-1"], vec![device(0, Vec::new())]));
+    rig.run_until(6.0);
+    assert_eq!(rig.estimates().count(), 0);
+    let failed = |emitted: &Said| matches!(emitted, Said::State(_, State::Failed { reason }) if reason.contains("36 or 72 inches"));
+    assert!(rig.emitted.iter().any(failed), "{:?}", rig.emitted);
+}
+
+#[test]
+fn stations_of_a_fastrak_which_it_measures_in_turn_have_times_of_their_own() {
+    let mut text =
+        "name = \"test\"\n[[device]]\nname = \"d0\"\ndriver = \"fastrak\"\nport = \"auto\"\n".to_owned();
+    for address in 1..=4 {
+        text += &format!("[[sensor]]\nname = \"s{address}\"\ndevice = \"d0\"\naddress = {address}\n");
+    }
+    let stage = Stage::parse(&text).unwrap();
+    let mut rig = Rig::new(&stage, &scene(3, QUIET, &["s1", "s2", "s3", "s4"], vec![device(0, Vec::new())]));
+    rig.run_until(12.0);
+    for sensor in 0..4 {
+        let measured = rig.truth.iter().filter(|cycle| cycle.sensors.iter().any(|row| row.sensor == sensor));
+        let times: Vec<f64> = measured.map(|cycle| cycle.t.as_secs_f64()).collect();
+        let records = rig.estimates().filter_map(|estimate| estimate.sensors[sensor].measured);
+        let late = records.map(|measured| measured.t_valid.as_secs_f64()).filter(|t_s| *t_s > 6.0);
+        let errors: Vec<f64> = late
+            .map(|t_s| times.iter().map(|time| (time - t_s).abs()).fold(f64::INFINITY, f64::min))
+            .collect();
+        let worst_s = errors.iter().copied().fold(0.0, f64::max);
+        println!("station {}: {:.2} ms off at most", sensor + 1, worst_s * 1e3);
+        // One turn of the four takes 33 ms.
+        assert!(errors.len() > 150 && worst_s < 2e-3, "station {}: {worst_s}", sensor + 1);
+    }
+}

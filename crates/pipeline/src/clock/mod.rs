@@ -20,7 +20,8 @@
 //! once, but count and window only when [`CONFIRMED`] reads agree, and none that contradicts has come before.
 //!
 //! A count that its own read contradicts is doubted ([`doubt`]): such a cycle is taken for the next one, and the window does
-//! not see it. No capture time lies after its read, whatever the device says.
+//! not see it. No capture time lies after its read, whatever the device says, but for the microsecond by which each of several
+//! cycles that would have the same follows the one before.
 
 mod arrival;
 mod doubt;
@@ -89,6 +90,9 @@ pub struct Stamp {
     /// Cycles that are missing in front of this one: nothing of them came through. By the device's count or the clock's estimate
     /// of it; 0 after a restart, for samples inside a cycle, and for devices without cycles.
     pub cycles_skipped: u32,
+    /// Whether it may have waited on its way, so that it is older than its time says: only where nothing but its arrival tells
+    /// that ([`ArrivalClock`]).
+    pub queued: bool,
 }
 
 /// Clock model of one device that measures in cycles. Causal; it allocates nothing per sample.
@@ -319,7 +323,7 @@ impl Clock {
         let t_valid = rising(t_valid.min(t_read), last.t_valid);
         let sigma_s = last.sigma_s.max(0.5 * period_s);
         self.last = Some(Cycle { x: last.x + cycles * self.interval.x(), t_read, t_valid, sigma_s, ..last });
-        Stamp { t_valid, sigma_s, begins_cycle: true, cycles_skipped: cycles as u32 - 1 }
+        Stamp { t_valid, sigma_s, begins_cycle: true, cycles_skipped: cycles as u32 - 1, queued: false }
     }
 
     /// Holds a cycle's bounds against the model, and puts the count right where they contradict it.
@@ -332,7 +336,8 @@ impl Clock {
         let early_tolerance = (TOLERANCE_S + FIFO_BYTES * self.settings.byte_time_s).min(0.3 * period);
         let early = evidence.lower.map_or(f64::NEG_INFINITY, |lower| lower - fit.line(evidence.x));
         let usual = fit.prompt && late <= fit.upper + fit.lateness + tolerance;
-        let mut inconsistent = fit.prompt && !usual;
+        // What a device counts may come late for any reason; only for what is not counted it may mean another phase.
+        let mut inconsistent = may_renumber && fit.prompt && !usual;
         if late < fit.lower - tolerance {
             // Read before it was measured: a shift was wrong, or the line is.
             let ahead = ((fit.lower - tolerance - late) / period).ceil() as i64;
@@ -346,7 +351,7 @@ impl Clock {
             if fits && may_renumber {
                 self.suspect(n as i64, evidence.t_read);
             }
-        } else if fit.prompt && late > fit.upper + 0.5 * period {
+        } else if may_renumber && fit.prompt && late > fit.upper + 0.5 * period {
             // Late by whole periods on a prompt line, with nothing queued behind it: cycles are missing. A
             // late reader would have found the following cycles in the same chunk.
             let n = ((late - fit.upper) / period).round();
@@ -354,8 +359,8 @@ impl Clock {
             // A host that was late by a little less than a cycle would have found no more either.
             let fits = rest >= fit.upper - LATE_BY_LESS_S && rest <= fit.upper + fit.lateness + tolerance;
             if fits && evidence.bytes_after <= self.usual_bytes_after {
-                inconsistent = !may_renumber;
-                self.renumber(if may_renumber { n as i64 } else { 0 });
+                inconsistent = false;
+                self.renumber(n as i64);
             }
         } else if usual {
             self.usual_bytes_after = self.usual_bytes_after.max(evidence.bytes_after);
@@ -429,13 +434,13 @@ impl Clock {
         let t_valid = Timestamp::from_nanos(t_ns).min(evidence.t_read);
         let t_valid = self.last.map_or(t_valid, |last| rising(t_valid, last.t_valid));
         self.last = Some(Cycle { raw, x, t_read: evidence.t_read, t_valid, sigma_s });
-        Stamp { t_valid, sigma_s, begins_cycle: true, cycles_skipped }
+        Stamp { t_valid, sigma_s, begins_cycle: true, cycles_skipped, queued: false }
     }
 
     fn repeat(&self) -> Stamp {
         let (t_valid, sigma_s) =
             self.last.map_or((Timestamp::ZERO, 0.0), |last| (last.t_valid, last.sigma_s));
-        Stamp { t_valid, sigma_s, begins_cycle: false, cycles_skipped: 0 }
+        Stamp { t_valid, sigma_s, begins_cycle: false, cycles_skipped: 0, queued: false }
     }
 
     /// Capture time that the model gives for `cycles` after the latest one, by the measured or else the nominal interval; `None`

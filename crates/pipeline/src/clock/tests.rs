@@ -380,3 +380,34 @@ fn a_device_that_begins_anew_is_believed_after_a_few_cycles() {
         assert!(worst < 1e-2, "from {begins}: {worst}");
     }
 }
+
+#[test]
+fn bursts_of_a_device_that_counts_leave_its_times_right() {
+    let mut clock = Clock::new(Settings { byte_time_s: 0.0, measurement_delay_s: 0.0 });
+    clock.set_nominal_rate_hz(Some(100.0));
+    let mut previous = None;
+    for k in 0..1200u64 {
+        let truth_s = 1.0 + k as f64 * 0.01;
+        // At once, but for two seconds in which a network delivers every 190 ms.
+        let at_s: f64 = truth_s + 3e-4 + 1e-4 * (k % 3) as f64;
+        let at_s = if (6.0..8.0).contains(&truth_s) { (at_s / 0.19).ceil() * 0.19 } else { at_s };
+        let t_read = Timestamp::from_secs_f64(at_s);
+        let arrival = Arrival {
+            t_read,
+            t_previous_read: previous,
+            bytes_after: 0,
+            cycle_bytes_before: 0,
+            split: false,
+        };
+        if previous != Some(t_read) {
+            previous = Some(t_read);
+        }
+        let t_device = DeviceTime::Counter { ticks: 5_000 + 10 * k, tick_s: 1e-3 };
+        let measurement = Measurement::Pose { position_m: None, orientation_wxyz: None, button: None };
+        let stamp = clock.push(&Sample { address: 1, arrival, t_device, measurement });
+        let error_s = stamp.t_valid.as_secs_f64() - truth_s;
+        // Restarted by what came late, the clock was 150 ms off.
+        let limit_s = if (6.0..11.0).contains(&truth_s) { 1e-2 } else { 2e-3 };
+        assert!(k < 100 || error_s.abs() < limit_s, "cycle {k}: {error_s} s");
+    }
+}

@@ -1,7 +1,9 @@
 //! The body: segments, who sits where, and when a pose was held.
 
 use super::super::body::{MOVEMENTS, POSES, SEGMENTS, TRUNK_MOVEMENTS};
+use super::super::layout::{Wearers, skeleton_of};
 use super::super::problem::Notes;
+use super::super::{Skeleton, Stage};
 use super::{Item, suggest, unique};
 
 pub(super) fn check(root: &Item<'_, '_>, notes: &mut Notes<'_>) {
@@ -36,6 +38,32 @@ pub(super) fn check(root: &Item<'_, '_>, notes: &mut Notes<'_>) {
     };
     body_sensors(&body, &sensors, &names, notes);
     calibrations(&body, &segments, custom, notes);
+}
+
+/// What the pipeline asks of a human body: one IMU on each segment at most, and a height to make the segments of.
+pub(super) fn check_wearer(root: &Item<'_, '_>, stage: &Stage, notes: &mut Notes<'_>) {
+    let (Some(body), Some(table)) = (&stage.body, root.item("body")) else { return };
+    if body.skeleton != Skeleton::Human {
+        return;
+    }
+    match Wearers::of(stage) {
+        Err([first, second]) => {
+            let sensors = root.items("sensor");
+            let is_second =
+                |sensor: &&Item<'_, '_>| sensor.text("name").is_some_and(|name| name.value == second);
+            let at =
+                sensors.iter().find(is_second).map_or(table.header.clone(), |sensor| sensor.header.clone());
+            let message = format!("the IMUs `{first}` and `{second}` sit on the same segment");
+            notes.problem(&at, "segment", message, "give each a `segment` of its own");
+        }
+        Ok(wearers) if wearers != Wearers::default() && skeleton_of(body).is_none() => {
+            // Commands that work on files need none.
+            let fix = "add `height_m`: the person's height";
+            let message = "sensors sit on a body whose height is not known: `posed run` will not start";
+            notes.warning(&table.header, "height_m", message, fix);
+        }
+        Ok(_) => {}
+    }
 }
 
 /// A custom skeleton is a tree with its root first and parents before their children.

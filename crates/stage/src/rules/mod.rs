@@ -69,6 +69,7 @@ pub(super) fn check_parsed(
     drivers::check(&root, stage, notes);
     attached::check(&root, stage, notes);
     chain::check(&root, stage, notes);
+    body::check_wearer(&root, stage, notes);
 }
 
 /// A folder to write to may be missing, it is then made; but it may not be a file.
