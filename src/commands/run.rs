@@ -75,16 +75,16 @@ async fn start(options: Options, wait: bool) -> Result<Option<Daemon>, Error> {
             Err(StartError::Bind(error)) if wait && error.may_pass() => error.to_string(),
             Err(error) => return Err(Error::failed(error)),
         };
+        // Not before, for until then a signal ends the program by itself; and not after it has said that it waits.
+        let end = match &mut end {
+            Some(end) => end,
+            end => end.insert(End::new(None)?),
+        };
         if reason != reported {
             tracing::warn!("{reason}; trying again until it goes");
             service::waits(&reason);
             reported = reason;
         }
-        // Not before: until then a signal ends the program by itself.
-        let end = match &mut end {
-            Some(end) => end,
-            end => end.insert(End::new(None)?),
-        };
         if tokio::time::timeout(RETRY_INTERVAL, end.wait()).await.is_ok() {
             return Ok(None);
         }

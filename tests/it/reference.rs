@@ -198,7 +198,9 @@ fn every_file_in_config_loads_and_is_named_in_the_reference() {
     for entry in std::fs::read_dir(&folder).unwrap() {
         let path = entry.unwrap().path();
         if path.extension().is_some_and(|extension| extension == "toml") {
-            Stage::load(&path).unwrap_or_else(|error| panic!("{error}"));
+            let stage = Stage::load(&path).unwrap_or_else(|error| panic!("{error}"));
+            posed_pipeline::Pipeline::new(&stage)
+                .unwrap_or_else(|error| panic!("{}: {error}", path.display()));
             let text = std::fs::read_to_string(&path).unwrap();
             assert_eq!(posed_stage::check_in(&text, &folder).warnings, [], "{}", path.display());
             let name = path.file_name().unwrap().to_str().unwrap();

@@ -96,17 +96,13 @@ impl MapInUse {
     /// That map cannot be read.
     pub(super) fn read(stage: &Stage, data: &Path) -> Result<Self, FieldMapError> {
         let folder = folder(stage, data);
-        let kept = active(&folder).and_then(|version| match version {
-            0 => Ok(None),
-            version => read_field_map(&file(&folder, version)).map(|map| Some((version, map))),
-        });
+        let kept = active(&folder).and_then(|version| Ok((version, read_map(&folder, None, version)?)));
         let left_out = match kept {
-            Ok(Some((version, map))) => return Ok(Self { version, map: Some(map), left_out: None }),
-            Ok(None) => None,
-            Err(reason) => Some(FieldMapError::Read(reason)),
+            Ok((version, Some(map))) => return Ok(Self { version, map: Some(map), left_out: None }),
+            Ok((_, None)) => None,
+            Err(error) => Some(error),
         };
-        let given = stage.models.field.as_deref().map(read_field_map).transpose();
-        Ok(Self { version: 0, map: given.map_err(FieldMapError::Read)?, left_out })
+        Ok(Self { version: 0, map: read_map(&folder, stage.models.field.as_deref(), 0)?, left_out })
     }
 }
 
@@ -120,13 +116,23 @@ fn file(folder: &Path, version: u32) -> PathBuf {
 }
 
 /// The version in use, 0 for none that was accepted here; a sentence where nobody can say which.
-fn active(folder: &Path) -> Result<u32, String> {
+fn active(folder: &Path) -> Result<u32, FieldMapError> {
     let path = folder.join(ACTIVE);
-    match std::fs::read_to_string(&path) {
-        Ok(text) => text.trim().parse().map_err(|_| format!("{} does not name a version", path.display())),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(0),
-        Err(error) => Err(format!("cannot read {}: {error}", path.display())),
-    }
+    let reason = match std::fs::read_to_string(&path) {
+        Ok(text) => match text.trim().parse() {
+            Ok(version) => return Ok(version),
+            Err(_) => format!("{} does not name a version", path.display()),
+        },
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(0),
+        Err(error) => format!("cannot read {}: {error}", path.display()),
+    };
+    Err(FieldMapError::Read(reason))
+}
+
+/// The map of a version: 0 is the one that the stage file names (`given`), if it does.
+fn read_map(folder: &Path, given: Option<&Path>, version: u32) -> Result<Option<FieldMap>, FieldMapError> {
+    let path = if version == 0 { given.map(Path::to_owned) } else { Some(file(folder, version)) };
+    path.map(|path| read_field_map(&path)).transpose().map_err(FieldMapError::Read)
 }
 
 impl Calibration {
@@ -244,42 +250,46 @@ impl Calibration {
             }
             Some(Ok(map)) => map,
         };
-        let version = self.newest() + 1;
-        let kept = self.keep(version, &map);
-        if let Err(error) = kept {
-            self.lock().candidate = Some(Ok(map));
-            return Err(FieldMapError::Keep { folder: self.folder.clone(), error });
+        match self.keep(&map) {
+            Ok(version) => {
+                self.swap(version, Some(map));
+                Ok(version)
+            }
+            Err(error) => {
+                self.lock().candidate = Some(Ok(map));
+                Err(FieldMapError::Keep { folder: self.folder.clone(), error })
+            }
         }
-        self.swap(version, Some(map));
-        Ok(version)
     }
 
     /// Goes back one version. Reads a map and makes it fast: not for an asynchronous task.
     pub(super) fn rollback(&self) -> Result<u32, FieldMapError> {
         let _files = self.files.lock().unwrap_or_else(PoisonError::into_inner);
-        let active = active(&self.folder).map_err(FieldMapError::Read)?;
+        let active = active(&self.folder)?;
         if active == 0 {
             return Err(FieldMapError::NoVersion);
         }
         let version = active - 1;
-        let map = match (version, &self.given) {
-            (0, None) => None,
-            (0, Some(path)) => Some(read_field_map(path)),
-            _ => Some(read_field_map(&self.file(version))),
-        };
-        let map = map.transpose().map_err(FieldMapError::Read)?;
+        let map = read_map(&self.folder, self.given.as_deref(), version)?;
         let unmarked = |error| FieldMapError::Mark { folder: self.folder.clone(), error };
         self.mark(version).map_err(unmarked)?;
         self.swap(version, map.map(Prepared::new));
         Ok(version)
     }
 
-    fn keep(&self, version: u32, map: &Prepared) -> std::io::Result<()> {
+    /// Keeps a map as the newest version, which it returns: another daemon may keep one in the same folder meanwhile.
+    fn keep(&self, map: &Prepared) -> std::io::Result<u32> {
         std::fs::create_dir_all(&self.folder)?;
-        let mut file = AtomicFile::create(&self.file(version))?;
-        serde_json::to_writer(&mut file, map)?;
-        file.commit()?;
-        self.mark(version)
+        let mut version = self.newest();
+        loop {
+            version += 1;
+            let mut file = AtomicFile::create(&file(&self.folder, version))?;
+            serde_json::to_writer(&mut file, map)?;
+            match file.commit_new() {
+                Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}
+                kept => return kept.and_then(|()| self.mark(version)).map(|()| version),
+            }
+        }
     }
 
     fn mark(&self, version: u32) -> std::io::Result<()> {
@@ -287,10 +297,6 @@ impl Calibration {
         let mut file = AtomicFile::create(&self.folder.join(ACTIVE))?;
         writeln!(file, "{version}")?;
         file.commit()
-    }
-
-    fn file(&self, version: u32) -> PathBuf {
-        file(&self.folder, version)
     }
 
     /// The highest version that was ever kept: numbers are not used twice.

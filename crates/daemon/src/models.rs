@@ -227,29 +227,45 @@ impl Library {
 
     /// Keeps an exercise under the next revision of its name, which it gets.
     pub(super) fn keep(&self, exercise: &mut Exercise) -> Result<(), ModelError> {
-        let kept = self.next(&exercise.name)?;
-        exercise.revision = kept.revision;
-        self.write(&kept, exercise.to_json()?.as_bytes())
+        let name = exercise.name.clone();
+        self.keep_next::<ModelError>(&name, |revision| {
+            exercise.revision = revision;
+            Ok(exercise.to_json()?.into_bytes())
+        })?;
+        Ok(())
     }
 
-    /// The next revision of a name.
-    pub(super) fn next(&self, name: &str) -> Result<Kept, ModelError> {
+    /// Keeps what `bytes` makes for the next revision of a name. Another daemon may have taken that meanwhile: then it is the one
+    /// after.
+    pub(super) fn keep_next<E: From<ModelError>>(
+        &self,
+        name: &str,
+        mut bytes: impl FnMut(u32) -> Result<Vec<u8>, E>,
+    ) -> Result<Kept, E> {
         let known = self.list()?.into_iter().find(|kept| kept.name == name);
-        Ok(self.kept(name, known.map_or(0, |kept| kept.revision) + 1))
+        let mut revision = known.map_or(0, |kept| kept.revision);
+        loop {
+            revision += 1;
+            let kept = self.kept(name, revision);
+            match self.write(&kept, &bytes(kept.revision)?) {
+                Err(ModelError::Write { error, .. }) if error.kind() == io::ErrorKind::AlreadyExists => {}
+                written => return written.map(|()| kept).map_err(E::from),
+            }
+        }
     }
 
     fn kept(&self, name: &str, revision: u32) -> Kept {
         Kept { name: name.to_owned(), revision, ending: self.ending }
     }
 
-    /// Writes a revision's file, whole or not at all.
-    pub(super) fn write(&self, kept: &Kept, bytes: &[u8]) -> Result<(), ModelError> {
+    /// Writes a revision's file, whole or not at all, and never in the place of another.
+    fn write(&self, kept: &Kept, bytes: &[u8]) -> Result<(), ModelError> {
         let path = self.path(kept);
         let write = || {
             std::fs::create_dir_all(&self.folder)?;
             let mut file = AtomicFile::create(&path)?;
             std::io::Write::write_all(&mut file, bytes)?;
-            file.commit()
+            file.commit_new()
         };
         write().map_err(|error| ModelError::Write { path, error })
     }
@@ -303,5 +319,20 @@ mod tests {
         let (still, refused) = units("x-imu3");
         assert!(refused.contains("0CC.json: ") && refused.contains("0DD.json"), "{refused}");
         assert_eq!((&loaded, &still), (&all(&["0BB", "aa:11"]).0, &loaded), "the others are not left out");
+    }
+
+    #[test]
+    fn a_revision_that_another_daemon_has_taken_meanwhile_is_not_overwritten() {
+        let data = tempfile::tempdir().unwrap();
+        let library = || Library::new(data.path().to_owned(), "json");
+        let kept = library().keep_next("curl", |revision| {
+            if revision == 1 {
+                library().keep_next("curl", |_| Ok::<_, ModelError>(b"theirs".to_vec()))?;
+            }
+            Ok::<_, ModelError>(format!("ours, {revision}").into_bytes())
+        });
+        assert_eq!(kept.unwrap().revision, 2);
+        assert_eq!(std::fs::read(data.path().join("curl-001.json")).unwrap(), b"theirs");
+        assert_eq!(std::fs::read(data.path().join("curl-002.json")).unwrap(), b"ours, 2");
     }
 }

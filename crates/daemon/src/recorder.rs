@@ -4,7 +4,7 @@
 //! final name and survives `kill -9` up to the last half second. A log with a hole cannot be replayed: where the disk
 //! does not keep up, the recording ends with a reason, and tracking goes on. The same when the disk is full.
 
-use std::fs::{File, OpenOptions};
+use std::fs::OpenOptions;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -16,7 +16,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounde
 use posed_drivers::Timestamp;
 
 use posed_protocol::foxglove::Channel;
-use posed_recording::{Header, WriteError, Writer};
+use posed_recording::{Header, WriteError, Writer, sync_folder_of};
 use posed_stage::input::{DeviceIndex, Entry, Input};
 
 /// How often everything so far is brought to the disk: half of what may be lost.
@@ -84,10 +84,7 @@ impl Recorder {
             Self::start_with(BufWriter::new(file), sync, header, schemas, QUEUE_ITEMS)
         });
         // So that its name survives a power cut too. Not every file system can do this.
-        if let Some(folder) = path.parent() {
-            let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-            let _ = File::open(folder).and_then(|folder| folder.sync_all());
-        }
+        let _ = sync_folder_of(path);
         begun.inspect_err(|_| {
             // A file without its front part helps nobody.
             let _ = std::fs::remove_file(path);
@@ -285,6 +282,8 @@ fn run(
 
 #[cfg(test)]
 mod tests {
+    use std::fs::File;
+
     use super::*;
     use posed_recording::testing::{Full, chunk, header};
     use posed_recording::{Ending, Item, Reader, RepairError};

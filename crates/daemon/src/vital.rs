@@ -86,11 +86,13 @@ impl Drop for Watched {
         if *self.vital.down.borrow() {
             return;
         }
-        let ended = PartEnded { part: std::mem::take(&mut self.part) };
+        let part = std::mem::take(&mut self.part);
         self.vital.ended.send_if_modified(|first| {
-            let is_first = first.is_none();
-            first.get_or_insert(ended);
-            is_first
+            if first.is_some() {
+                return false;
+            }
+            *first = Some(PartEnded { part });
+            true
         });
     }
 }
@@ -122,9 +124,8 @@ mod tests {
     fn the_first_of_several_is_told() {
         let (_down, is_down) = watch::channel(false);
         let vital = Vital::new(is_down);
-        let panicking =
-            std::panic::AssertUnwindSafe(vital.thread("tracking", || panic!("a test's own panic")));
-        assert!(std::panic::catch_unwind(|| { panicking }.0()).is_err());
+        let panicking = vital.thread("tracking", || panic!("a test's own panic"));
+        assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(panicking)).is_err());
         vital.thread("clients", || {})();
         let ended = vital.ended().borrow().clone();
         assert!(ended.is_some_and(|ended| ended.to_string().starts_with("tracking ended by itself")));

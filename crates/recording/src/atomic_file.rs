@@ -55,7 +55,7 @@ impl AtomicFile {
         Ok(Self { file: BufWriter::new(target), path })
     }
 
-    /// Gives the file its name, in the place of one that is there; its content is on the disk before that.
+    /// Gives the file its name, in the place of one that is there; its content is on the disk before that, and its name after.
     ///
     /// # Errors
     /// The disk is full or the rename was refused; the old file is as it was.
@@ -79,9 +79,25 @@ impl AtomicFile {
             Target::Through(mut file) => file.flush(),
             Target::Beside(file) => {
                 file.as_file().sync_all()?;
-                persist(file, &self.path).map(drop).map_err(|refused| refused.error)
+                persist(file, &self.path).map_err(|refused| refused.error)?;
+                sync_folder_of(&self.path)
             }
         }
+    }
+}
+
+/// Waits until the disk knows of the files in the folder of `path` by their names: the content of a file that was synced is of no
+/// use after a power cut where its name is lost.
+///
+/// # Errors
+/// The folder cannot be read, or its disk fails. A file system that cannot do it is no error.
+pub fn sync_folder_of(path: &Path) -> io::Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    match File::open(folder)?.sync_all() {
+        Err(error) if matches!(error.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported) => {
+            Ok(())
+        }
+        done => done,
     }
 }
 

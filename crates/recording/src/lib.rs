@@ -69,7 +69,7 @@ pub mod testing;
 #[cfg(test)]
 mod tests;
 
-pub use atomic_file::AtomicFile;
+pub use atomic_file::{AtomicFile, sync_folder_of};
 pub use compare::{Comparison, Difference, Golden, GoldenError, is_replayed};
 pub use ending::{Ending, ReadError};
 pub use header::{Header, Snapshot};

@@ -133,11 +133,10 @@ impl Workshop {
 
     /// Keeps a network under the next revision, which it gets.
     fn keep(&self, fault_map: &mut FaultMap) -> Result<Kept, Failure> {
-        let kept = self.library.next(NAME)?;
-        fault_map.revision = kept.revision;
-        let text = serde_json::to_string(fault_map)?;
-        self.library.write(&kept, text.as_bytes())?;
-        Ok(kept)
+        self.library.keep_next(NAME, |revision| {
+            fault_map.revision = revision;
+            Ok(serde_json::to_vec(fault_map)?)
+        })
     }
 
     fn load(&self, fault_map: FaultMap) {

@@ -10,7 +10,7 @@ use serde_json::json;
 use super::super::clock::StageClock;
 use super::super::fusion::FusionInbox;
 use super::super::jobs::{Failure, Job, aside};
-use super::super::models::Library;
+use super::super::models::{Library, ModelError};
 use super::super::server::Reply;
 use super::Calls;
 use posed_motion::segments::{Epoch, Options, Trainer};
@@ -80,8 +80,7 @@ impl School {
         // Whoever sends one has looked first.
         let _ = model.columns(self.joints.iter().map(String::as_str))?;
         let bytes = model.to_bytes()?;
-        let kept = self.library.next(NAME)?;
-        self.library.write(&kept, &bytes)?;
+        let kept = self.library.keep_next(NAME, |_| Ok::<_, ModelError>(bytes.clone()))?;
         self.inbox.enter(Entry { t: self.clock.now(), input: Input::SegmentationNetwork(bytes) });
         job.result(json!({
             "revision": kept.revision, "file": kept.file(), "labels": set.labels, "files": set.files.len(),
