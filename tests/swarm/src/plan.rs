@@ -1,0 +1,274 @@
+//! What a seed means: a stage, what is simulated in its devices' place, and what happens to it.
+//!
+//! In: a seed, and which of its parts to leave out. Out: a [`Plan`]. A part is one setting, one fault or one event; all have
+//! chance of their own, so that any may be left out and the others stay as they are: that is how a failing seed is made small.
+
+use posed_simulator::faults::Fault;
+use posed_simulator::inertial::ImuClass;
+use posed_simulator::motion::{Motion, Orbit, Still};
+use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
+use posed_stage::input::Input;
+
+use crate::device::{Device, Honesty, Kind, device};
+use crate::dice::Dice;
+use crate::settings::{self, Setting};
+use crate::trouble::{Event, LEAD_S, event, fault, moment};
+
+/// From the first fault to the end of the last.
+const TROUBLE_S: f64 = 14.0;
+/// After the last fault, for all to be as it was.
+pub(crate) const CALM_S: f64 = 16.0;
+
+/// What bytes that were damaged without a sign do to a filter is gone so long afterwards, s.
+const BLIND_S: f64 = 8.0;
+/// Longest time between two reports of a device, s.
+const REPORT_S: f64 = 0.5;
+
+/// A host that is late with its reads now and then.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sleep {
+    pub(crate) share: f64,
+    pub(crate) longest_s: f64,
+}
+
+/// All that a seed says.
+pub(crate) struct Plan {
+    pub(crate) stage_toml: String,
+    pub(crate) scenario: Scenario,
+    pub(crate) devices: Vec<Honesty>,
+    /// Devices, and from when to when, s, nobody can tell damaged bytes from good ones.
+    pub(crate) blind: Vec<(usize, f64, f64)>,
+    /// Rising in time.
+    pub(crate) events: Vec<(f64, Event)>,
+    pub(crate) sleep: Option<Sleep>,
+    /// Whether the operating system knows when bytes came.
+    pub(crate) modem_lines: Vec<bool>,
+    /// When all faults and events are over, s.
+    pub(crate) calm_from_s: f64,
+    pub(crate) end_s: f64,
+    /// One line for each part that may be left out, and its number.
+    pub(crate) parts: Vec<(usize, String)>,
+}
+
+enum Part {
+    /// A key of the stage file's top.
+    Top(&'static str, toml::Value),
+    Setting(usize, Setting),
+    Fault(usize, Fault),
+    Event(f64, f64, Event),
+    Sleep(Sleep),
+}
+
+impl Part {
+    fn words(&self) -> String {
+        match self {
+            Self::Top(key, value) => format!("{key} = {value}"),
+            Self::Setting(device, Setting { key, value }) => format!("d{device}: {key} = {value}"),
+            Self::Fault(device, fault) => {
+                format!("d{device}: {}", serde_json::to_string(fault).unwrap_or_default())
+            }
+            Self::Event(t_s, _, event) => {
+                let text = format!("{event:?}");
+                format!("{t_s:.3} s: {}", text.chars().take(120).collect::<String>())
+            }
+            Self::Sleep(sleep) => format!("{sleep:?}"),
+        }
+    }
+}
+
+fn top(dice: &mut Dice, sensors: &[String]) -> Part {
+    match dice.below(4) {
+        0 => Part::Top("frame_rate_hz", dice.log_range(5.0, 500.0).into()),
+        1 => Part::Top("frame_wait_ms", dice.log_range(0.01, 200.0).into()),
+        2 => {
+            let mut keyframes = toml::Table::new();
+            keyframes.insert("sensors".into(), vec![sensors[0].clone()].into());
+            keyframes.insert("window_frames".into(), (2 + dice.below(60) as i64).into());
+            Part::Top("keyframes", keyframes.into())
+        }
+        _ => {
+            let mut faults = toml::Table::new();
+            faults.insert("repair".into(), dice.chance(0.5).into());
+            Part::Top("faults", faults.into())
+        }
+    }
+}
+
+/// How a sensor moves: a hand before the transmitter, or nothing that moves.
+fn motion(dice: &mut Dice, magnetic: bool, may_rest: bool) -> Motion {
+    let wxyz: [f64; 4] = std::array::from_fn(|_| dice.range(-1.0, 1.0));
+    let norm = wxyz.iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-3);
+    let orientation_wxyz = if norm < 0.1 { [1.0, 0.0, 0.0, 0.0] } else { wxyz.map(|x| x / norm) };
+    let center_m = [dice.range(0.45, 0.6), dice.range(-0.1, 0.1), dice.range(-0.1, 0.1)];
+    if dice.chance(0.15) && may_rest {
+        return Motion::Still(Still { position_m: center_m, orientation_wxyz });
+    }
+    // An IMU feels the acceleration: as a limb's, not a shaker's.
+    let fastest_s = if magnetic { 1.8 } else { 3.0 };
+    Motion::Orbit(Orbit {
+        center_m,
+        radius_m: [dice.range(0.0, 0.2), dice.range(0.0, 0.22), dice.range(0.0, 0.12)],
+        phase_deg: dice.range(0.0, 360.0),
+        period_s: dice.log_range(fastest_s, 10.0),
+        orientation_wxyz,
+        turn_deg: [dice.range(0.0, 40.0), dice.range(0.0, 40.0), dice.range(0.0, 80.0)],
+        turn_period_s: dice.log_range(fastest_s, 10.0),
+        ..Orbit::default()
+    })
+}
+
+/// What the seed says, without these of its parts.
+pub(crate) fn plan(seed: u64, minutes: f64, without: &[usize]) -> Plan {
+    let trouble_s = (minutes * 60.0 - LEAD_S - CALM_S).max(TROUBLE_S.min(2.0));
+    let mut dice = Dice::new(seed, 0);
+    let devices: Vec<Device> =
+        (0..*dice.pick(&[1, 1, 1, 2, 2, 3, 4])).map(|at| device(&mut dice, at)).collect();
+    let mut sensors = Vec::new();
+    let (mut bodies, mut riders) = (Vec::new(), Vec::new());
+    let sigma_signal_per_m3 = dice.log_range(5e-5, 1e-3);
+    for (at, device) in devices.iter().enumerate() {
+        // Where there is no noise, nobody can tell what rests from what repeats itself.
+        let may_rest = match device.kind {
+            Kind::SlimeVr => false,
+            kind if kind.is_magnetic() => sigma_signal_per_m3 > 3e-4,
+            _ => device.behaviour.imu != ImuClass::Ideal,
+        };
+        for address in &device.addresses {
+            let name = format!("s{at}-{address}");
+            let body = format!("body of {name}");
+            bodies.push(BodySpec {
+                name: body.clone(),
+                motion: motion(&mut dice, device.kind.is_magnetic(), may_rest),
+            });
+            riders.push(SensorScenario {
+                name: name.clone(),
+                body,
+                segment: None,
+                offset_m: [0.0; 3],
+                mount_quat_wxyz: [1.0, 0.0, 0.0, 0.0],
+            });
+            sensors.push(name);
+        }
+    }
+    let delays_ms: Vec<f64> =
+        devices.iter().map(|_| if dice.chance(0.3) { dice.range(0.0, 20.0) } else { 0.0 }).collect();
+
+    let parts = parts(seed, &mut dice, &devices, &sensors, trouble_s);
+    let mut listed = Vec::new();
+    let mut stage = toml::Table::new();
+    stage.insert("name".into(), format!("seed {seed}").into());
+    let mut tables: Vec<toml::Table> = devices
+        .iter()
+        .zip(&delays_ms)
+        .enumerate()
+        .map(|(at, (device, delay_ms))| device.table(at, *delay_ms))
+        .collect();
+    let mut behaviours: Vec<DeviceScenario> = devices.iter().map(|device| device.behaviour.clone()).collect();
+    let mut honesty = vec![Honesty { judged: true, returns: true }; devices.len()];
+    let (mut events, mut sleep, mut calm_from_s) = (Vec::new(), None, LEAD_S);
+    let mut blind = Vec::new();
+    for (number, part) in parts.into_iter().enumerate() {
+        if without.contains(&number) {
+            continue;
+        }
+        listed.push((number, part.words()));
+        match part {
+            Part::Top(key, value) => drop(stage.insert(key.into(), value)),
+            Part::Setting(device, setting) => {
+                let said = devices[device].kind.honesty(&setting);
+                honesty[device].judged &= said.judged;
+                honesty[device].returns &= said.returns;
+                tables[device].insert(setting.key, setting.value);
+            }
+            Part::Fault(device, fault) => {
+                let (start_s, end_s) = fault.span_s();
+                if devices[device].kind.cannot_see(&fault) {
+                    blind.push((device, start_s, end_s + BLIND_S));
+                }
+                if matches!(fault, Fault::OutOfRange { .. }) {
+                    // What it measured last may be new to the host, and is told at the next report.
+                    blind.push((device, start_s, start_s + REPORT_S));
+                }
+                if devices[device].kind == Kind::Xbus && matches!(fault, Fault::BirdDies { .. }) {
+                    // A chain is searched when its port opens, and a tracker that has come back is not found before.
+                    honesty[device].returns = false;
+                }
+                calm_from_s = calm_from_s.max(if end_s.is_finite() { end_s } else { start_s });
+                behaviours[device].faults.push(fault);
+            }
+            Part::Event(t_s, until_s, event) => {
+                calm_from_s = calm_from_s.max(until_s);
+                if let Event::Input(Input::Bytes { device, .. }) = &event {
+                    blind.push((usize::from(*device), t_s, t_s + BLIND_S));
+                }
+                events.push((t_s, event));
+            }
+            Part::Sleep(given) => sleep = Some(given),
+        }
+    }
+    events.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    stage.insert("device".into(), tables.into());
+    let owned = devices.iter().enumerate().flat_map(|(at, device)| {
+        device.addresses.iter().map(move |&address| (format!("s{at}-{address}"), format!("d{at}"), address))
+    });
+    let rows = owned.map(|(name, device, address)| {
+        let mut row = toml::Table::new();
+        row.insert("name".into(), name.into());
+        row.insert("device".into(), device.into());
+        row.insert("address".into(), i64::from(address).into());
+        row
+    });
+    stage.insert("sensor".into(), rows.collect::<Vec<_>>().into());
+    Plan {
+        stage_toml: toml::to_string(&stage).expect("a table"),
+        scenario: Scenario {
+            seed,
+            sigma_signal_per_m3,
+            bodies,
+            sensors: riders,
+            devices: behaviours,
+            ..Scenario::default()
+        },
+        devices: honesty,
+        blind,
+        events,
+        sleep,
+        modem_lines: devices.iter().map(|device| device.modem_lines).collect(),
+        calm_from_s,
+        end_s: calm_from_s + CALM_S,
+        parts: listed,
+    }
+}
+
+fn parts(seed: u64, dice: &mut Dice, devices: &[Device], sensors: &[String], trouble_s: f64) -> Vec<Part> {
+    let mut parts = Vec::new();
+    for (at, device) in devices.iter().enumerate() {
+        let settings = settings::draw(dice, &device.kind.schema());
+        parts.extend(settings.into_iter().map(|setting| Part::Setting(at, setting)));
+    }
+    let faults = *dice.pick(&[0, 1, 1, 2, 3, 5, 8]);
+    let events = *dice.pick(&[0, 0, 1, 2, 4, 8]);
+    let tops = *dice.pick(&[0, 0, 0, 1, 2]);
+    let mut stream = 1;
+    let mut own = || {
+        stream += 1;
+        Dice::new(seed, stream)
+    };
+    parts.extend((0..faults).map(|_| {
+        let mut dice = own();
+        let at = dice.below(devices.len());
+        Part::Fault(at, fault(&mut dice, &devices[at], trouble_s))
+    }));
+    parts.extend((0..events).map(|_| {
+        let mut dice = own();
+        let (t_s, _) = moment(&mut dice, trouble_s);
+        Part::Event(t_s, t_s, event(&mut dice, devices, sensors))
+    }));
+    parts.extend((0..tops).map(|_| top(&mut own(), sensors)));
+    let mut dice = own();
+    if dice.chance(0.3) {
+        let longest_s = dice.log_range(0.005, 0.4);
+        parts.push(Part::Sleep(Sleep { share: dice.log_range(1e-5, 0.001), longest_s }));
+    }
+    parts
+}
