@@ -1,14 +1,11 @@
 //! One second of bytes through the warm pipeline: session, clock, frames, faults, filter; and a snapshot of its state.
 
-#[path = "../tests/rig/mod.rs"]
-mod rig;
-
 use std::hint::black_box;
 
 use criterion::{BatchSize, Criterion, Throughput};
 use posed_pipeline::Pipeline;
+use posed_rig::{Rig, stage};
 use posed_simulator::scenario::{DeviceScenario, Scenario};
-use rig::{Rig, stage};
 
 fn second(criterion: &mut Criterion, name: &str, birds: &[u16], rate_hz: f64) {
     let stage_file = stage(birds);
@@ -46,7 +43,7 @@ fn second(criterion: &mut Criterion, name: &str, birds: &[u16], rate_hz: f64) {
 
 /// A snapshot of the demo's stage after 20 s, and a pipeline restored from it.
 fn snapshot(criterion: &mut Criterion) {
-    let (stage, mut rig) = rig::demo();
+    let (stage, mut rig) = posed_rig::demo();
     rig.run_until(20.0);
     let bytes = rig.pipeline.snapshot();
     let mut group = criterion.benchmark_group("snapshot");

@@ -5,12 +5,6 @@
     clippy::print_stdout,
     reason = "helpers of tests may panic and tell what they measured"
 )]
-#![expect(unsafe_code, reason = "a global allocator is unsafe by nature; this one counts and passes on")]
-
-mod rig;
-
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 
 use posed_field::Prepared;
 use posed_fusion::chain::calibrate;
@@ -19,6 +13,8 @@ use posed_motion::fault_map::Frames;
 use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
 use posed_pipeline::{Pipeline, raw_positions};
+use posed_rig::counting::{Counting, allocations, live_bytes};
+use posed_rig::{Rig, demo, demo_stage, field_map, leg, stage};
 use posed_simulator::faults::{Bytes, Fault};
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
@@ -27,41 +23,6 @@ use posed_stage::layout::ChainLayout;
 use posed_stage::output::{Outcome, OutcomeKind, Output};
 use posed_stage::signals;
 use posed_stage::{FieldWatch, Keyframes, Stage};
-use rig::{Rig, demo, demo_stage, field_map, leg, stage};
-
-struct Counting;
-
-thread_local! {
-    /// Of this thread: tests run side by side.
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-    static LIVE_BYTES: Cell<i64> = const { Cell::new(0) };
-}
-
-fn count(allocations: u64, bytes: i64) {
-    ALLOCATIONS.with(|count| count.set(count.get() + allocations));
-    LIVE_BYTES.with(|live| live.set(live.get() + bytes));
-}
-
-// SAFETY: every call is passed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count(1, layout.size() as i64);
-        // SAFETY: as the caller promises.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        count(0, -(layout.size() as i64));
-        // SAFETY: as the caller promises.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count(1, size as i64 - layout.size() as i64);
-        // SAFETY: as the caller promises.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
 
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
@@ -104,12 +65,12 @@ fn a_warm_pipeline_does_not_allocate() {
     };
     let before_warm = feed(&mut pipeline, &rig.log[..warm]);
     let bytes = rig.log[warm..].iter().filter(|entry| matches!(entry.input, Input::Bytes { .. })).count();
-    let before = ALLOCATIONS.with(Cell::get);
+    let before = allocations();
     let events = feed(&mut pipeline, &rig.log[warm..]) - before_warm;
-    let allocations = ALLOCATIONS.with(Cell::get) - before;
+    let taken = allocations() - before;
     assert!(frames > 500 && bytes > 500, "{frames} frames from {bytes} chunks");
     assert!(events > 3, "only {events} events of the exercise");
-    assert_eq!(allocations, 0, "in {frames} frames with {events} events");
+    assert_eq!(taken, 0, "in {frames} frames with {events} events");
 }
 
 /// A fault map of this stage's own movements.
@@ -180,11 +141,11 @@ fn a_warm_body_does_not_allocate() {
             bodies
         };
         let before_warm = feed(&mut pipeline, &rig.log[..warm]);
-        let before = ALLOCATIONS.with(Cell::get);
+        let before = allocations();
         let bodies = feed(&mut pipeline, &rig.log[warm..]) - before_warm;
-        let allocations = ALLOCATIONS.with(Cell::get) - before;
+        let taken = allocations() - before;
         assert!(bodies > 150, "{bodies}");
-        assert_eq!(allocations, 0, "in {bodies} bodies");
+        assert_eq!(taken, 0, "in {bodies} bodies");
     }
 }
 
@@ -209,11 +170,11 @@ fn a_warm_chain_does_not_allocate() {
     let model = Input::Model(Model::Chain { calibration });
     feed(&mut pipeline, &[Entry { t: rig.log[swapped].t, input: model }]);
     let before_warm = feed(&mut pipeline, &rig.log[swapped..warm]);
-    let before = ALLOCATIONS.with(Cell::get);
+    let before = allocations();
     let bodies = feed(&mut pipeline, &rig.log[warm..]) - before_warm;
-    let allocations = ALLOCATIONS.with(Cell::get) - before;
+    let taken = allocations() - before;
     assert!(bodies > 500, "{bodies}");
-    assert_eq!(allocations, 0, "in {bodies} bodies");
+    assert_eq!(taken, 0, "in {bodies} bodies");
 }
 
 /// Timers apart: the server of the SlimeVR trackers speaks to each of them twice a second.
@@ -223,18 +184,18 @@ fn a_warm_pipeline_of_many_devices_does_not_allocate_for_what_it_reads() {
     let mut rig = Rig::new(&stage_file, &Scenario::default());
     rig.run_until(10.0);
     let mut pipeline = Pipeline::new(&stage_file).unwrap();
-    let (mut frames, mut chunks, mut allocations) = (0, 0, 0);
+    let (mut frames, mut chunks, mut taken) = (0, 0, 0);
     for entry in &rig.log {
         let warm = entry.t.as_secs_f64() > 6.0 && matches!(entry.input, Input::Bytes { .. });
-        let before = ALLOCATIONS.with(Cell::get);
+        let before = allocations();
         pipeline.push(entry, &mut |output| frames += u64::from(matches!(output, Output::Estimate(_))));
         if warm {
             chunks += 1;
-            allocations += ALLOCATIONS.with(Cell::get) - before;
+            taken += allocations() - before;
         }
     }
     assert!(frames > 300 && chunks > 1000, "{frames} frames, {chunks} chunks");
-    assert_eq!(allocations, 0, "in {chunks} chunks");
+    assert_eq!(taken, 0, "in {chunks} chunks");
 }
 
 /// Length of a run in simulated seconds: as given, or `POSED_SOAK_S` (3600 is the hour of the criteria).
@@ -256,7 +217,7 @@ fn stays_flat(mut rig: Rig, end_s: f64) -> usize {
         rig.forget();
         if until_s % 60.0 == 50.0 {
             // The pipeline, and the virtual devices beside it.
-            live.push(LIVE_BYTES.with(Cell::get));
+            live.push(live_bytes());
             state.push(rig.pipeline.snapshot().len());
         }
     }
@@ -330,10 +291,10 @@ fn a_warm_labeller_does_not_allocate() {
     let mut before = 0;
     for (frame, t_s) in sequence.t_s.iter().enumerate() {
         if frame == 600 {
-            before = ALLOCATIONS.with(Cell::get);
+            before = allocations();
         }
         labeller.push(&model, *t_s, sequence.positions(frame), &mut |_| ticks += 1);
     }
     assert!(ticks > 500, "{ticks}");
-    assert_eq!(ALLOCATIONS.with(Cell::get) - before, 0);
+    assert_eq!(allocations() - before, 0);
 }

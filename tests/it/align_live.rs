@@ -14,7 +14,7 @@ use posed_stage::input::{Entry, Input, Model};
 use posed_stage::output::{Body, Estimate, Output, PositionSource, SensorState};
 use posed_stage::{Pose, Stage};
 
-use crate::rig::{Rig, Said, replay};
+use posed_rig::{Rig, Said, replay};
 
 const OFFSET_M: [f64; 3] = [0.021, -0.013, 0.034];
 
@@ -166,6 +166,7 @@ fn error(rig: &Rig, estimate: &Estimate) -> Option<(f64, f64)> {
     let t_s = estimate.t_valid.as_secs_f64();
     // The IMU's truth is always there, the sensor's is where it sits on it.
     let mut near: Vec<_> = rig
+        .host
         .truth
         .iter()
         .flat_map(|cycle| cycle.sensors.iter().map(move |row| (cycle.t.as_secs_f64(), row)))

@@ -17,7 +17,7 @@ use posed_stage::input::{Entry, Input};
 use posed_stage::output::{Body, PositionSource, SegmentState};
 use posed_stage::signals::{self, BodyColumns};
 
-use crate::rig::{Rig, Said, demo, keep, replay};
+use posed_rig::{Rig, Said, demo, replay};
 
 const HEIGHT_M: f64 = 1.8;
 
@@ -101,7 +101,7 @@ impl SimulatedBody {
     fn truth(&self, rig: &Rig, t_s: f64) -> [Option<Isometry3<f64>>; SEGMENTS] {
         let mut found = [None; SEGMENTS];
         let mut nearest = [f64::INFINITY; SEGMENTS];
-        for cycle in &rig.truth {
+        for cycle in &rig.host.truth {
             let off_s = (cycle.t.as_secs_f64() - t_s).abs();
             for row in &cycle.sensors {
                 let segment = self.segments[row.sensor];
@@ -374,8 +374,8 @@ fn the_demo_shows_a_body_that_stands_where_it_stands() {
     assert!(last.segments.iter().all(|segment| segment.state == SegmentState::Ok), "{last:?}");
     assert_eq!(rig.pipeline.status().body.unwrap().faults, []);
     // A stream of entries without sense does not disturb it.
-    let entry = Entry { t: rig.now, input: Input::Timer };
+    let entry = Entry { t: rig.host.now, input: Input::Timer };
     let mut emitted = Vec::new();
-    rig.pipeline.push(&entry, &mut |output| emitted.extend(keep(&output)));
+    rig.pipeline.push(&entry, &mut |output| emitted.extend(Said::of_tracking(&output)));
     assert!(emitted.iter().all(|emitted| !matches!(emitted, Said::Body(_))));
 }

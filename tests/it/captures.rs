@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use posed_fusion::ahrs::{Ahrs, ImuSample, Params};
 use posed_recording::table::{SequenceOptions, Sequences, TableReader, Unit, Up};
 
-use crate::rig::recording;
+use posed_rig::recording;
 
 /// Frames of each label, as the authors of the labels count them.
 const LABELLED: [(&str, &[(&str, usize)]); 3] = [

@@ -14,13 +14,13 @@ use posed_stage::output::Body;
 use posed_stage::signals;
 
 use crate::cli::posed;
-use crate::rig::leg::{MOUNTS, STAGE, epochs, leg};
-use crate::rig::{Rig, Said, record, replay};
+use posed_rig::leg::{MOUNTS, STAGE, epochs, leg};
+use posed_rig::{Rig, Said, record, replay};
 
 /// True knee flexion at a time, rad, from straight.
 fn truth_rad(rig: &Rig, t_s: f64) -> Option<f64> {
-    let after = rig.truth.partition_point(|cycle| cycle.t.as_secs_f64() < t_s);
-    let near = [after.checked_sub(1)?, after].map(|at| rig.truth.get(at));
+    let after = rig.host.truth.partition_point(|cycle| cycle.t.as_secs_f64() < t_s);
+    let near = [after.checked_sub(1)?, after].map(|at| rig.host.truth.get(at));
     let off_s = |cycle: &&TruthCycle| (cycle.t.as_secs_f64() - t_s).abs();
     let cycle = near.into_iter().flatten().min_by(|a, b| off_s(a).total_cmp(&off_s(b)))?;
     let mount = |wxyz: [f64; 4]| posed_geometry::orientation_from_wxyz(wxyz).unwrap();
@@ -55,7 +55,7 @@ fn a_chain_is_calibrated_and_then_followed_as_well_as_a_file_of_it() {
     assert!(quality_deg < 3.0, "{quality_deg} degrees");
     rig.push(Input::Model(Model::Chain { calibration: calibration.clone() }));
     assert_eq!(rig.pipeline.status().models_refused, 0);
-    let swapped = rig.now;
+    let swapped = rig.host.now;
     rig.run_until(60.0);
 
     let offline = chain::solve(&layout.segments, &epochs(&rig)).unwrap();

@@ -15,7 +15,7 @@ use posed_stage::output::{Estimate, ExerciseState, ExerciseWhat, OutcomeKind, Re
 use posed_stage::signals::{self, BodyColumns};
 
 use crate::cli::posed;
-use crate::rig::{Rig, Said, demo, record, replay, stage};
+use posed_rig::{Rig, Said, demo, record, replay, stage};
 
 /// A forearm and an upper arm that curl so many times.
 fn scenario(seed: u64, repetitions: u32, period_s: f64) -> Scenario {

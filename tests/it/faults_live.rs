@@ -14,7 +14,7 @@ use posed_stage::Stage;
 use posed_stage::input::{Input, Model};
 use posed_stage::output::{Estimate, OutcomeKind, SensorState};
 
-use crate::rig::{Rig, Said, replay, stage};
+use posed_rig::{Rig, Said, replay, stage};
 
 /// The figure's sensors, by the segments that they sit on.
 pub(crate) const BODY_SENSORS: [&str; 4] = ["pelvis", "torso", "thigh_r", "thigh_l"];

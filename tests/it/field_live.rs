@@ -14,7 +14,7 @@ use posed_stage::{FieldWatch, Stage};
 use serde::Deserialize;
 
 use crate::cli::posed;
-use crate::rig::{Rig, Said, field_map, replay, stage};
+use posed_rig::{Rig, Said, field_map, replay, stage};
 
 fn rig(stage: &Stage) -> Rig {
     let devices = vec![DeviceScenario { name: "d0".into(), ..DeviceScenario::default() }];
@@ -113,7 +113,7 @@ fn given_a_guided_run_the_pole_is_collected_and_handed_out() {
     let mut restored = Pipeline::restore(&stage, pipeline.models(), &pipeline.snapshot()).unwrap();
     assert_eq!(replay(&mut restored, &rig.log[half..]), replay(&mut pipeline, &rig.log[half..]));
     let mut runs = Vec::new();
-    let finish = Entry { t: rig.now, input: Input::Request(Request::FieldFinish {}) };
+    let finish = Entry { t: rig.host.now, input: Input::Request(Request::FieldFinish {}) };
     for _ in 0..2 {
         rig.pipeline.push(&finish, &mut |output| {
             if let Output::PoleRun(run) = output {
@@ -131,11 +131,11 @@ fn off_m(rig: &Rig, stage: &Stage, skip: usize) -> [f64; 2] {
     let room = posed_geometry::isometry(placed.position_m, placed.orientation_wxyz).unwrap();
     let (mut squares, mut count) = ([0.0; 2], 0.0);
     for estimate in rig.estimates().skip(skip) {
-        let next = rig.truth.partition_point(|cycle| cycle.t < estimate.t_valid);
-        if next == 0 || next == rig.truth.len() {
+        let next = rig.host.truth.partition_point(|cycle| cycle.t < estimate.t_valid);
+        if next == 0 || next == rig.host.truth.len() {
             continue;
         }
-        let [a, b] = [&rig.truth[next - 1], &rig.truth[next]];
+        let [a, b] = [&rig.host.truth[next - 1], &rig.host.truth[next]];
         let share = estimate.t_valid.seconds_since(a.t) / b.t.seconds_since(a.t);
         for (index, sensor) in estimate.sensors.iter().enumerate() {
             let (SensorState::Ok, Some(pose), Some(measured)) =
@@ -203,7 +203,7 @@ fn given_the_stage_with_a_pole_its_guided_run_makes_a_map_that_brings_poses_to_t
     let last = last.unwrap();
     assert!(last.hint.is_empty() && last.covered > 0.7 && last.directions == 1.0, "{last:?}");
     let mut run = None;
-    let finish = Entry { t: rig.now, input: Input::Request(Request::FieldFinish {}) };
+    let finish = Entry { t: rig.host.now, input: Input::Request(Request::FieldFinish {}) };
     rig.pipeline.push(&finish, &mut |output| {
         if let Output::PoleRun(collected) = output {
             run = Some(collected.clone());

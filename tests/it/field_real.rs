@@ -22,7 +22,7 @@ const LANDMARKS: [([f64; 3], [usize; 2]); 8] = [
 ];
 
 fn path(name: &str) -> PathBuf {
-    crate::rig::recording("magnetic-plus", &format!("{name}.csv.gz"))
+    posed_rig::recording("magnetic-plus", &format!("{name}.csv.gz"))
 }
 
 /// Time and readings of the named sensors, one row per frame; `None` for a sensor that was not tracked.

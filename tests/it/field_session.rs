@@ -10,7 +10,7 @@ use posed_stage::Stage;
 use serde::Deserialize;
 
 use crate::cli::{json, posed};
-use crate::rig::{Rig, record};
+use posed_rig::{Rig, record};
 
 const SECONDS: f64 = 15.0;
 const BODY_SENSORS: [&str; 6] = ["torso", "pelvis", "upper_arm_r", "forearm_r", "upper_arm_l", "forearm_l"];
@@ -46,7 +46,7 @@ fn stage() -> String {
 /// Root mean square of how far distances between sensors are from the truth, m: how bent the space is, wherever it lies.
 fn bent_m(rig: &Rig, positions: &BTreeMap<(u64, usize), Vector3<f64>>) -> f64 {
     let (mut square, mut count) = (0.0, 0.0);
-    for cycle in &rig.truth {
+    for cycle in &rig.host.truth {
         let key = |sensor| ((cycle.t.as_secs_f64() * 1000.0).round() as u64, sensor);
         for (first, a) in cycle.sensors.iter().enumerate() {
             for b in &cycle.sensors[first + 1..] {

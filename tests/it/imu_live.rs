@@ -11,7 +11,7 @@ use posed_stage::Stage;
 use posed_stage::input::{Entry, Input, Model};
 use posed_stage::output::SensorState;
 
-use crate::rig::{Rig, Said, replay};
+use posed_rig::{Rig, Said, replay};
 
 const STAGE: &str = "name = \"table\"\n[[device]]\nname = \"unit\"\ndriver = \"x-imu3\"\nport = \"/dev/none\"\nbaud = 2000000\n\
     [[sensor]]\nname = \"watch\"\ndevice = \"unit\"\naddress = 0\n";
@@ -50,8 +50,8 @@ fn guided(rig: &Rig) -> Guide {
 
 /// True orientation at a time that lies within the run.
 fn truth(rig: &Rig, t_s: f64) -> Option<UnitQuaternion<f64>> {
-    let after = rig.truth.partition_point(|cycle| cycle.t.as_secs_f64() < t_s);
-    let at = |at: usize| rig.truth.get(at).map(|cycle| (cycle.t.as_secs_f64(), cycle.sensors[0].pose));
+    let after = rig.host.truth.partition_point(|cycle| cycle.t.as_secs_f64() < t_s);
+    let at = |at: usize| rig.host.truth.get(at).map(|cycle| (cycle.t.as_secs_f64(), cycle.sensors[0].pose));
     let ((a_s, a), (b_s, b)) = (at(after.checked_sub(1)?)?, at(after)?);
     Some(a.rotation.slerp(&b.rotation, ((t_s - a_s) / (b_s - a_s)).clamp(0.0, 1.0)))
 }
@@ -122,7 +122,7 @@ fn a_calibration_in_the_middle_begins_anew_at_once_and_a_replay_says_the_same() 
     let found = guided(&rig).solve().unwrap();
     let unit = rig.pipeline.unit(0).unwrap().to_owned();
     rig.push(Input::Model(Model::Imu { unit, intrinsics: Box::new(found.clone()) }));
-    let swapped = rig.now;
+    let swapped = rig.host.now;
     rig.run_until(44.0);
     let after = |emitted: &&posed_stage::output::Estimate| emitted.t_valid > swapped;
     // What the unit tells stays as it is; only the filters take the corrected numbers.

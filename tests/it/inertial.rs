@@ -110,7 +110,7 @@ fn body_solve_names_the_sensor_and_the_joint_that_fail() {
 
 /// Root mean square error of the orientation and of the inclination over the movement of a real trial, degrees; samples compared.
 fn trial(name: &str) -> (f64, f64, u32) {
-    let mut table = TableReader::open(&crate::rig::recording("broad", name)).expect("it opens");
+    let mut table = TableReader::open(&posed_rig::recording("broad", name)).expect("it opens");
     let columns = table
         .require(["ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz", "qw", "qx", "qy", "qz", "movement"])
         .expect("all columns are there");

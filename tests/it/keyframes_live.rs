@@ -8,7 +8,7 @@ use posed_simulator::scenario::{BodySpec, Scenario, SensorScenario};
 use posed_stage::output::{KeyPoseEvent, Outcome, OutcomeKind, Phase, SensorState};
 use posed_stage::{Keyframes, Stage};
 
-use crate::rig::{Rig, Said, replay, stage};
+use posed_rig::{Rig, Said, replay, stage};
 
 const WINDOW: u16 = 20;
 

@@ -36,8 +36,6 @@ mod packaging;
 mod page;
 mod pipeline;
 mod reference;
-#[path = "../rig/mod.rs"]
-mod rig;
 mod segments;
 mod server;
 mod simulated;

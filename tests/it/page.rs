@@ -11,7 +11,7 @@ use serde_json::json;
 
 use crate::browser::{self, Browser};
 use crate::daemon::process::{Posed, two_devices, until};
-use crate::rig::leg;
+use posed_rig::leg;
 
 /// The page has complained about nothing, and the daemon ends as it should.
 async fn done(browser: Browser, posed: Posed) {
@@ -591,21 +591,38 @@ async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
     done(browser, posed).await;
 }
 
-/// An arm that curls five times from 30 s on, which leaves a slow browser the time to open, rests, and curls again and again from 48 s on;
-/// as poses for the simulator.
+/// An arm that curls five times and rests for twelve seconds, again and again; as poses for the simulator.
 fn write_curls(path: &Path) {
     let mut text = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");
-    for tick in 0..6000 {
+    for tick in 0..12_000 {
         let t_s = f64::from(tick) * 0.05;
-        let (since_s, most) = if t_s < 48.0 { (t_s - 30.0, 5.0) } else { (t_s - 48.0, f64::INFINITY) };
-        let bending = since_s >= 0.0 && (since_s / 2.0).floor() < most;
-        let bend = if bending { 1.0 - (std::f64::consts::TAU * since_s / 2.0).cos() } else { 0.0 };
+        let since_s = t_s % 22.0;
+        let bend = if since_s < 10.0 { 1.0 - (std::f64::consts::TAU * since_s / 2.0).cos() } else { 0.0 };
         let (s, c) = bend.sin_cos();
         let (half_s, half_c) = (0.5 * bend).sin_cos();
         let (x, z) = (0.5 + 0.25 * s, 0.3 - 0.25 * c);
         text += &format!("{t_s:.2},forearm,{x:.5},0.1,{z:.5},{half_c:.6},0,{:.6},0\n", -half_s);
     }
     std::fs::write(path, text).unwrap();
+}
+
+/// Waits until a sensor has rested for two seconds: a busy machine may be late with anything but that.
+async fn rests(posed: &Posed, sensor: usize) {
+    let mut client = posed.subscriber(&["sensors"]).await;
+    let (mut rested_at_m, mut since_s) = ([0.0; 3], f64::INFINITY);
+    loop {
+        let frame = until(&mut client, "sensors", |message| message["type"] == "sensors").await;
+        let at_m = &frame["sensors"][sensor]["position_m"];
+        let Some(at_m) = at_m.as_array() else { continue };
+        let at_m: [f64; 3] = std::array::from_fn(|axis| at_m[axis].as_f64().unwrap());
+        let t_s = frame["t_s"].as_f64().unwrap();
+        let moved = at_m.iter().zip(rested_at_m).any(|(now, then)| (now - then).abs() > 0.01);
+        if moved {
+            (rested_at_m, since_s) = (at_m, t_s);
+        } else if t_s - since_s > 2.0 {
+            return;
+        }
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -628,6 +645,7 @@ async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_devic
     browser.until(LIVE).await;
     let text = |id: &str| format!("document.getElementById('{id}').textContent");
     browser.value("document.getElementById('teach-name').value = 'curl'").await;
+    rests(&posed, 1).await;
     browser.click("teach").await;
     // The other device goes away meanwhile: named at the top and under Health, with what to check.
     browser.click("tab-health").await;

@@ -11,7 +11,7 @@ use posed_simulator::truth::TruthCycle;
 use posed_stage::input::{Input, Model};
 use posed_stage::output::{Estimate, OutcomeKind, SensorState};
 
-use crate::rig::{Rig, Said, replay, stage};
+use posed_rig::{Rig, Said, replay, stage};
 
 fn scenario(devices: Vec<DeviceScenario>) -> Scenario {
     Scenario { devices, ..Scenario::default() }
@@ -53,7 +53,7 @@ fn report(rig: &Rig, from_s: f64, sigma_signal: f64) -> Report {
         rate_hz: 0.0,
     };
     let recent: Vec<TruthCycle> =
-        rig.truth.iter().filter(|c| c.t.as_secs_f64() > from_s - 1.0).cloned().collect();
+        rig.host.truth.iter().filter(|c| c.t.as_secs_f64() > from_s - 1.0).cloned().collect();
     let mut at = 0;
     for estimate in &estimates {
         let t = estimate.t_valid.as_secs_f64();

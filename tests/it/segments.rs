@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 
 use posed_stage::input::Input;
 
-use crate::rig::{DEMO, demo, record};
+use posed_rig::{DEMO, demo, record};
 
 fn posed(folder: &Path, words: &str) -> Output {
     Command::new(env!("CARGO_BIN_EXE_posed"))

@@ -42,6 +42,9 @@ struct Exception {
 struct Bans {
     #[serde(rename = "wildcards")]
     _wildcards: Deny,
+    /// What is next to it may be taken at any version by what is never published, and for its tests by anyone.
+    #[serde(default)]
+    allow_wildcard_paths: bool,
     #[serde(rename = "multiple-versions")]
     _multiple_versions: Deny,
     deny: Vec<Named>,
@@ -110,6 +113,9 @@ struct Dependency {
     /// `dev` or `build`; absent for those of the crate itself.
     #[serde(default)]
     kind: Option<String>,
+    /// Where it is, if that is next to it.
+    #[serde(default)]
+    path: Option<PathBuf>,
 }
 
 #[derive(Deserialize)]
@@ -285,7 +291,13 @@ fn bans(rules: &Bans, metadata: &Metadata, part: &[&Package]) -> Vec<String> {
         }
     }
     for member in metadata.members() {
-        for dependency in member.dependencies.iter().filter(|dependency| dependency.req == "*") {
+        let is_private = member.publish.as_ref().is_some_and(Vec::is_empty);
+        let may_be_any = |dependency: &Dependency| {
+            let for_tests = dependency.kind.as_deref() == Some("dev");
+            rules.allow_wildcard_paths && dependency.path.is_some() && (is_private || for_tests)
+        };
+        let any = |dependency: &&Dependency| dependency.req == "*" && !may_be_any(dependency);
+        for dependency in member.dependencies.iter().filter(any) {
             found.push(format!("{} takes any version of {}", member.name, dependency.name));
         }
     }

@@ -6,7 +6,7 @@ use posed_stage::{Driver, Stage};
 
 use super::judge::{cycles, nearest, within};
 use super::{QUIET, device, scene};
-use crate::rig::{Rig, Sleepy, stage};
+use posed_rig::{Rig, Sleepy, stage};
 
 /// Ten seconds after the stream has begun, and the end.
 const FROM_S: f64 = 13.0;
@@ -39,7 +39,7 @@ fn run(seed: u64, birds: u16, rate_hz: f64, burst_ms: f64, sleepy: Option<Sleepy
     let names: Vec<&str> = stage.sensors.iter().map(|sensor| sensor.name.as_str()).collect();
     let device = DeviceScenario { rate_hz, burst_ms, drift_ppm: 50.0, ..device(0, Vec::new()) };
     let mut rig = Rig::new(&stage, &scene(seed, QUIET, &names, vec![device]));
-    rig.sleepy = sleepy;
+    rig.host.sleepy = sleepy;
     rig.run_until(UNTIL_S + 0.1);
     let cycles = cycles(&rig, 0);
     let mut errors = Vec::new();
@@ -76,7 +76,7 @@ fn case(
 ) -> (f64, f64, usize) {
     let (mut covered, mut runs, mut wrong) = (0.0, 0.0, 0);
     for seed in 0..3 {
-        let sleepy = sleepy.map(|(share, longest_ms)| Sleepy::new(seed, share, longest_ms));
+        let sleepy = sleepy.map(|(share, longest_ms)| Sleepy::new(seed, share, longest_ms, 0.0));
         let times = run(seed, birds, rate_hz, burst_ms, sleepy);
         println!(
             "{what}, {birds} birds, {rate_hz} Hz, seed {seed}: {:.3} within 1 ms, {:.3} within 2 sigma, error {:.3} ms, \

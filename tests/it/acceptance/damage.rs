@@ -40,7 +40,7 @@ fn run(fault: Fault, seed: u64, (name, fifo_bytes, burst_ms): (&str, usize, f64)
         assert_eq!(reported, lost(&rig, 0, sensor, from_s), "{what}: bird {}", sensor + 1);
     }
     let warnings: Vec<_> =
-        rig.emitted.iter().filter(|emitted| matches!(emitted, crate::rig::Said::Warning(..))).collect();
+        rig.emitted.iter().filter(|emitted| matches!(emitted, posed_rig::Said::Warning(..))).collect();
     assert!(warnings.is_empty(), "{what}: {warnings:?}");
     (judgement.broken, judgement.wrong(), judgement.wrong_coarse)
 }

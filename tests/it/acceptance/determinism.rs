@@ -6,7 +6,7 @@ use posed_simulator::scenario::DeviceScenario;
 use posed_stage::input::{Input, Model};
 
 use super::{NOISY, device, scene};
-use crate::rig::{Rig, replay, stage};
+use posed_rig::{Rig, replay, stage};
 
 fn bytes() -> Bytes {
     Bytes { count: 60, start_s: 2.0, end_s: 9.0 }

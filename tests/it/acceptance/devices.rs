@@ -12,7 +12,7 @@ use posed_stage::{Driver, Stage};
 
 use super::judge::{Judgement, class_at, counted, cycles, judge, lost, within};
 use super::{QUIET, device, pair, scene};
-use crate::rig::{Rig, Said, stage};
+use posed_rig::{Rig, Said, stage};
 
 /// A pair with these faults, run until then; nothing published as good may be wrong.
 fn run(faults: Vec<Fault>, until_s: f64) -> Rig {
@@ -255,7 +255,8 @@ fn stations_of_a_fastrak_which_it_measures_in_turn_have_times_of_their_own() {
     let mut rig = Rig::new(&stage, &scene(3, QUIET, &["s1", "s2", "s3", "s4"], vec![device(0, Vec::new())]));
     rig.run_until(12.0);
     for sensor in 0..4 {
-        let measured = rig.truth.iter().filter(|cycle| cycle.sensors.iter().any(|row| row.sensor == sensor));
+        let measured =
+            rig.host.truth.iter().filter(|cycle| cycle.sensors.iter().any(|row| row.sensor == sensor));
         let times: Vec<f64> = measured.map(|cycle| cycle.t.as_secs_f64()).collect();
         let records = rig.estimates().filter_map(|estimate| estimate.sensors[sensor].measured);
         let late = records.map(|measured| measured.t_valid.as_secs_f64()).filter(|t_s| *t_s > 6.0);

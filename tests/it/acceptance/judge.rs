@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
 use posed_simulator::truth::{Class, TruthCycle};
 use posed_stage::output::{Estimate, SensorState};
 
-use crate::rig::Rig;
+use posed_rig::Rig;
 
 /// One step of a position word of a 36 inch range, m; words are cut, not rounded, to 14 bits.
 const POSITION_STEP_M: f64 = 36.0 * 0.0254 / 8192.0;
@@ -57,7 +57,7 @@ pub(super) fn isometry(position_m: [f64; 3], [w, x, y, z]: [f64; 4]) -> Isometry
 
 /// Cycles of one device in the order of their times.
 pub(super) fn cycles(rig: &Rig, device: usize) -> Vec<&TruthCycle> {
-    rig.truth.iter().filter(|cycle| cycle.device == device).collect()
+    rig.host.truth.iter().filter(|cycle| cycle.device == device).collect()
 }
 
 /// The cycle nearest in time.

@@ -12,7 +12,7 @@ use posed_stage::output::SensorState;
 
 use super::judge::{cycles, nearest};
 use super::{QUIET, scene};
-use crate::rig::{Rig, replay};
+use posed_rig::{Rig, replay};
 
 /// When the first device leaves, for how long, and how far the next one is behind it, s.
 const FIRST_S: f64 = 8.0;
@@ -53,7 +53,7 @@ fn rounds(stage: &Stage) -> u32 {
 
 /// True cycles of a device without a record of this sensor: those inside the gaps of its measured times.
 fn cycles_in_gaps(rig: &Rig, device: usize, sensor: usize) -> u64 {
-    let cycles = rig.truth.iter().filter(|cycle| cycle.device == device);
+    let cycles = rig.host.truth.iter().filter(|cycle| cycle.device == device);
     let mine = cycles.filter(|cycle| cycle.sensors.iter().any(|row| row.sensor == sensor));
     let cycles: Vec<f64> = mine.map(|cycle| cycle.t.as_secs_f64()).collect();
     let ok = rig.estimates().filter(|e| e.sensors[sensor].state == SensorState::Ok);
@@ -70,7 +70,7 @@ fn cycles_in_gaps(rig: &Rig, device: usize, sensor: usize) -> u64 {
 fn cycles_without_record(rig: &Rig, device: usize, sensor: usize, span_s: std::ops::Range<f64>) -> u64 {
     let records = rig.estimates().filter_map(|e| e.sensors[sensor].measured);
     let times: Vec<f64> = records.map(|measured| measured.t_valid.as_secs_f64()).collect();
-    let cycles = rig.truth.iter().filter(|cycle| cycle.device == device);
+    let cycles = rig.host.truth.iter().filter(|cycle| cycle.device == device);
     let lost = cycles.map(|cycle| cycle.t.as_secs_f64()).filter(|t| {
         let after = times.partition_point(|time| *time < t - 0.003);
         span_s.contains(t) && times.get(after).is_none_or(|time| *time > t + 0.003)
@@ -154,7 +154,7 @@ fn what_a_line_loses_is_counted_as_it_is() {
         let (mut lost_of_device, mut hit_of_device) = (0, 0);
         for at in sensors_of(&stage, &device.name) {
             let mine = |address: Option<u16>| address.is_none_or(|of| of == stage.sensors[at].address);
-            let hit = rig.losses.iter().filter(|(of, _, loss)| *of == index && mine(loss.address));
+            let hit = rig.host.losses.iter().filter(|(of, _, loss)| *of == index && mine(loss.address));
             let cycles: BTreeSet<u64> = hit.map(|(_, _, loss)| loss.cycle).collect();
             let (before, after) = (before.sensors[at], after.sensors[at]);
             let lost = after.lost - before.lost;
@@ -178,7 +178,7 @@ fn what_a_line_loses_is_counted_as_it_is() {
                 _ if hit == 0 => assert_eq!(lost, refused, "{name}"),
                 // A byte lost in one record of a packet costs the others nothing.
                 "star" => {
-                    let cycles = rig.truth.iter().filter(|cycle| cycle.device == index);
+                    let cycles = rig.host.truth.iter().filter(|cycle| cycle.device == index);
                     let measured = cycles.filter(|cycle| cycle.t.as_secs_f64() > 7.0).count() as u64;
                     let ok =
                         rig.estimates().filter(|e| e.sensors[at].state == SensorState::Ok).count() as u64;
@@ -208,8 +208,13 @@ fn what_a_line_loses_is_counted_as_it_is() {
 
 /// Errors of the capture times of a device's records against the nearest true cycle, s.
 fn time_errors(rig: &Rig, stage: &Stage, device: usize, from_s: f64) -> Vec<f64> {
-    let times: Vec<f64> =
-        rig.truth.iter().filter(|cycle| cycle.device == device).map(|cycle| cycle.t.as_secs_f64()).collect();
+    let times: Vec<f64> = rig
+        .host
+        .truth
+        .iter()
+        .filter(|cycle| cycle.device == device)
+        .map(|cycle| cycle.t.as_secs_f64())
+        .collect();
     let sensor = sensors_of(stage, &stage.devices[device].name).next().unwrap();
     rig.estimates()
         .filter(|estimate| estimate.t_valid.as_secs_f64() > from_s)

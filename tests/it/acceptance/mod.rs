@@ -16,7 +16,7 @@ use posed_simulator::faults::Fault;
 use posed_simulator::motion::{Motion, Orbit};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
 
-use crate::rig::{Rig, stage};
+use posed_rig::{Rig, stage};
 
 /// A device of the stage by its number, at 100 Hz, with faults.
 fn device(number: usize, faults: Vec<Fault>) -> DeviceScenario {

@@ -72,7 +72,7 @@ fn a_capture_becomes_a_recording_that_replays() {
 fn real_captures_become_recordings_that_say_when_no_pose_follows() {
     let out = tempfile::tempdir().unwrap();
     for name in ["flockofbirds_stream_03_21_2006.txt", "flockofbirds_stream_06_06_2006.txt"] {
-        let entry = crate::rig::recording("flock-of-birds", name);
+        let entry = posed_rig::recording("flock-of-birds", name);
         let path = out.path().join("session.mcap");
         let arguments = [
             "decode".as_ref(),

@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use posed_geometry::{isometry, orientation_from_wxyz};
+use posed_geometry::orientation_from_wxyz;
 use posed_simulator::inertial::ImuClass;
 use posed_simulator::motion::Body;
 use posed_stage::output::{Estimate, PoseEstimate};
@@ -199,7 +199,7 @@ fn inertial(
     (!is_good).then(|| {
         format!(
             "tilts {tilt_deg:.1} and heads {heading_deg:.1} degrees off (says sigma {:.1})",
-            stated_deg / 4.0
+            sigma_deg(pose)
         )
     })
 }
@@ -208,9 +208,4 @@ fn inertial(
 fn sigma_deg(pose: &PoseEstimate) -> f64 {
     let variance: f64 = [15, 18, 20].iter().map(|&at| pose.covariance[at]).sum();
     variance.sqrt().to_degrees()
-}
-
-/// The transmitter's pose of a model that was accepted.
-pub(crate) fn transmitter(position_m: [f64; 3], orientation_wxyz: [f64; 4]) -> Option<Isometry3<f64>> {
-    isometry(position_m, orientation_wxyz)
 }

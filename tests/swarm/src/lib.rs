@@ -21,20 +21,26 @@ mod device;
 mod dice;
 mod disk;
 mod judge;
-mod meter;
 mod models;
 mod plan;
-mod said;
 mod settings;
 mod trouble;
 mod world;
 
+use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 pub use world::Summary;
 
 use dice::Dice;
 use plan::plan;
+use posed_rig::counting::Counting;
+
+// Memory of an entry is among what must hold.
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
 
 /// Something did not hold.
 #[derive(Clone, Debug)]
@@ -49,6 +55,18 @@ pub struct Failure {
     pub parts: Vec<String>,
 }
 
+impl std::fmt::Display for Failure {
+    /// What to type to see it again, and why.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "--seed {}", self.seed)?;
+        let without: Vec<String> = self.without.iter().map(usize::to_string).collect();
+        if !without.is_empty() {
+            write!(f, " --without {}", without.join(","))?;
+        }
+        write!(f, ": {}\n    {}", self.sentence, self.parts.join("\n    "))
+    }
+}
+
 /// Runs one seed, `minutes` of simulated time at least 0.5, without these of its parts.
 ///
 /// # Errors
@@ -58,7 +76,7 @@ pub fn run(seed: u64, minutes: f64, without: &[usize]) -> Result<Summary, Failur
     let attempt = AssertUnwindSafe(|| {
         let (summary, log) = world::run(&plan, seed)?;
         let mut dice = Dice::new(seed, (1 << 32) + 1);
-        if !summary.refused && dice.chance(0.2) {
+        if summary.refused == 0 && dice.chance(0.2) {
             disk::holds(&plan.stage_toml, &log, &mut dice)?;
         }
         Ok(summary)
@@ -72,17 +90,43 @@ pub fn run(seed: u64, minutes: f64, without: &[usize]) -> Result<Summary, Failur
         seed,
         without: without.to_vec(),
         sentence,
-        parts: plan.parts.iter().map(|(number, words)| format!("{number}: {words}")).collect(),
+        parts: plan.parts.clone(),
     })
+}
+
+/// Runs seeds on so many threads, and tells of each failure as it comes.
+pub fn run_all(
+    seeds: Range<u64>,
+    minutes: f64,
+    without: &[usize],
+    threads: usize,
+    tell: impl Fn(Failure) + Sync,
+) -> Summary {
+    let next = AtomicU64::new(seeds.start);
+    let total = Mutex::new(Summary::default());
+    let work = || {
+        loop {
+            let seed = next.fetch_add(1, Ordering::Relaxed);
+            if seed >= seeds.end {
+                return;
+            }
+            match run(seed, minutes, without) {
+                Ok(summary) => total.lock().expect("nothing panics in it").add(summary),
+                Err(failure) => tell(failure),
+            }
+        }
+    };
+    std::thread::scope(|scope| (0..threads).for_each(|_| drop(scope.spawn(work))));
+    total.into_inner().expect("nothing panics in it")
 }
 
 /// Leaves out one part after the other as long as something fails, until each that is left is needed.
 pub fn minimised(mut failure: Failure, minutes: f64) -> Failure {
     loop {
-        let parts = plan(failure.seed, minutes, &failure.without).parts;
-        let smaller = parts.iter().rev().find_map(|(number, _)| {
+        let numbers = plan(failure.seed, minutes, &failure.without).numbers;
+        let smaller = numbers.iter().rev().find_map(|&number| {
             let mut without = failure.without.clone();
-            without.push(*number);
+            without.push(number);
             run(failure.seed, minutes, &without).err()
         });
         match smaller {
@@ -95,6 +139,5 @@ pub fn minimised(mut failure: Failure, minutes: f64) -> Failure {
 /// The stage file of a seed, and its parts.
 pub fn described(seed: u64, minutes: f64, without: &[usize]) -> (String, Vec<String>) {
     let plan = plan(seed, minutes, without);
-    let parts = plan.parts.iter().map(|(number, words)| format!("{number}: {words}"));
-    (plan.stage_toml.clone(), parts.collect())
+    (plan.stage_toml, plan.parts)
 }

@@ -6,7 +6,7 @@
 use posed_simulator::faults::Fault;
 use posed_simulator::inertial::ImuClass;
 use posed_simulator::motion::{Motion, Orbit, Still};
-use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
+use posed_simulator::scenario::{BodySpec, Scenario, SensorScenario};
 use posed_stage::input::Input;
 
 use crate::device::{Device, Honesty, Kind, device};
@@ -14,8 +14,8 @@ use crate::dice::Dice;
 use crate::settings::{self, Setting};
 use crate::trouble::{Event, LEAD_S, event, fault, moment};
 
-/// From the first fault to the end of the last.
-const TROUBLE_S: f64 = 14.0;
+/// Least time from the first fault to the end of the last.
+const TROUBLE_S: f64 = 2.0;
 /// After the last fault, for all to be as it was.
 pub(crate) const CALM_S: f64 = 16.0;
 
@@ -46,8 +46,10 @@ pub(crate) struct Plan {
     /// When all faults and events are over, s.
     pub(crate) calm_from_s: f64,
     pub(crate) end_s: f64,
-    /// One line for each part that may be left out, and its number.
-    pub(crate) parts: Vec<(usize, String)>,
+    /// Numbers of the parts, each of which may be left out.
+    pub(crate) numbers: Vec<usize>,
+    /// A line of each for a reader.
+    pub(crate) parts: Vec<String>,
 }
 
 enum Part {
@@ -55,7 +57,7 @@ enum Part {
     Top(&'static str, toml::Value),
     Setting(usize, Setting),
     Fault(usize, Fault),
-    Event(f64, f64, Event),
+    Event(f64, Event),
     Sleep(Sleep),
 }
 
@@ -67,7 +69,7 @@ impl Part {
             Self::Fault(device, fault) => {
                 format!("d{device}: {}", serde_json::to_string(fault).unwrap_or_default())
             }
-            Self::Event(t_s, _, event) => {
+            Self::Event(t_s, event) => {
                 let text = format!("{event:?}");
                 format!("{t_s:.3} s: {}", text.chars().take(120).collect::<String>())
             }
@@ -117,130 +119,156 @@ fn motion(dice: &mut Dice, magnetic: bool, may_rest: bool) -> Motion {
     })
 }
 
+/// Who is on the stage: what no part of the seed changes.
+struct Cast {
+    devices: Vec<Device>,
+    delays_ms: Vec<f64>,
+    sigma_signal_per_m3: f64,
+    bodies: Vec<BodySpec>,
+    sensors: Vec<SensorScenario>,
+}
+
+impl Cast {
+    fn draw(dice: &mut Dice) -> Self {
+        let count = *dice.pick(&[1, 1, 1, 2, 2, 3, 4]);
+        let devices: Vec<Device> = (0..count).map(|at| device(dice, at)).collect();
+        let sigma_signal_per_m3 = dice.log_range(5e-5, 1e-3);
+        let (mut bodies, mut sensors) = (Vec::new(), Vec::new());
+        for (at, device) in devices.iter().enumerate() {
+            // Where there is no noise, nobody can tell what rests from what repeats itself.
+            let may_rest = match device.kind {
+                Kind::SlimeVr => false,
+                kind if kind.is_magnetic() => sigma_signal_per_m3 > 3e-4,
+                _ => device.behaviour.imu != ImuClass::Ideal,
+            };
+            for &address in &device.addresses {
+                let name = sensor_name(at, address);
+                let body = format!("body of {name}");
+                let motion = motion(dice, device.kind.is_magnetic(), may_rest);
+                bodies.push(BodySpec { name: body.clone(), motion });
+                sensors.push(SensorScenario {
+                    name,
+                    body,
+                    segment: None,
+                    offset_m: [0.0; 3],
+                    mount_quat_wxyz: [1.0, 0.0, 0.0, 0.0],
+                });
+            }
+        }
+        let delay_ms = |_: &Device| if dice.chance(0.3) { dice.range(0.0, 20.0) } else { 0.0 };
+        let delays_ms = devices.iter().map(delay_ms).collect();
+        Self { devices, delays_ms, sigma_signal_per_m3, bodies, sensors }
+    }
+
+    fn sensor_rows(&self) -> Vec<toml::Table> {
+        let devices = self.devices.iter().enumerate();
+        let owned =
+            devices.flat_map(|(at, device)| device.addresses.iter().map(move |&address| (at, address)));
+        let rows = owned.map(|(at, address)| {
+            let mut row = toml::Table::new();
+            row.insert("name".into(), sensor_name(at, address).into());
+            row.insert("device".into(), format!("d{at}").into());
+            row.insert("address".into(), i64::from(address).into());
+            row
+        });
+        rows.collect()
+    }
+}
+
+fn sensor_name(device: usize, address: u16) -> String {
+    format!("s{device}-{address}")
+}
+
 /// What the seed says, without these of its parts.
 pub(crate) fn plan(seed: u64, minutes: f64, without: &[usize]) -> Plan {
-    let trouble_s = (minutes * 60.0 - LEAD_S - CALM_S).max(TROUBLE_S.min(2.0));
+    let trouble_s = (minutes * 60.0 - LEAD_S - CALM_S).max(TROUBLE_S);
     let mut dice = Dice::new(seed, 0);
-    let devices: Vec<Device> =
-        (0..*dice.pick(&[1, 1, 1, 2, 2, 3, 4])).map(|at| device(&mut dice, at)).collect();
-    let mut sensors = Vec::new();
-    let (mut bodies, mut riders) = (Vec::new(), Vec::new());
-    let sigma_signal_per_m3 = dice.log_range(5e-5, 1e-3);
-    for (at, device) in devices.iter().enumerate() {
-        // Where there is no noise, nobody can tell what rests from what repeats itself.
-        let may_rest = match device.kind {
-            Kind::SlimeVr => false,
-            kind if kind.is_magnetic() => sigma_signal_per_m3 > 3e-4,
-            _ => device.behaviour.imu != ImuClass::Ideal,
-        };
-        for address in &device.addresses {
-            let name = format!("s{at}-{address}");
-            let body = format!("body of {name}");
-            bodies.push(BodySpec {
-                name: body.clone(),
-                motion: motion(&mut dice, device.kind.is_magnetic(), may_rest),
-            });
-            riders.push(SensorScenario {
-                name: name.clone(),
-                body,
-                segment: None,
-                offset_m: [0.0; 3],
-                mount_quat_wxyz: [1.0, 0.0, 0.0, 0.0],
-            });
-            sensors.push(name);
-        }
-    }
-    let delays_ms: Vec<f64> =
-        devices.iter().map(|_| if dice.chance(0.3) { dice.range(0.0, 20.0) } else { 0.0 }).collect();
-
-    let parts = parts(seed, &mut dice, &devices, &sensors, trouble_s);
-    let mut listed = Vec::new();
+    let cast = Cast::draw(&mut dice);
+    let parts = parts(seed, &mut dice, &cast, trouble_s);
+    let devices = &cast.devices;
+    let mut tables: Vec<toml::Table> = (0..)
+        .zip(devices)
+        .zip(&cast.delays_ms)
+        .map(|((at, device), &delay_ms)| device.table(at, delay_ms))
+        .collect();
     let mut stage = toml::Table::new();
     stage.insert("name".into(), format!("seed {seed}").into());
-    let mut tables: Vec<toml::Table> = devices
-        .iter()
-        .zip(&delays_ms)
-        .enumerate()
-        .map(|(at, (device, delay_ms))| device.table(at, *delay_ms))
-        .collect();
-    let mut behaviours: Vec<DeviceScenario> = devices.iter().map(|device| device.behaviour.clone()).collect();
-    let mut honesty = vec![Honesty { judged: true, returns: true }; devices.len()];
-    let (mut events, mut sleep, mut calm_from_s) = (Vec::new(), None, LEAD_S);
-    let mut blind = Vec::new();
+    stage.insert("sensor".into(), cast.sensor_rows().into());
+    let mut plan = Plan {
+        stage_toml: String::new(),
+        scenario: Scenario {
+            seed,
+            sigma_signal_per_m3: cast.sigma_signal_per_m3,
+            devices: devices.iter().map(|device| device.behaviour.clone()).collect(),
+            ..Scenario::default()
+        },
+        devices: vec![Honesty { judged: true, returns: true }; devices.len()],
+        blind: Vec::new(),
+        events: Vec::new(),
+        sleep: None,
+        modem_lines: devices.iter().map(|device| device.modem_lines).collect(),
+        calm_from_s: LEAD_S,
+        end_s: 0.0,
+        numbers: Vec::new(),
+        parts: Vec::new(),
+    };
     for (number, part) in parts.into_iter().enumerate() {
         if without.contains(&number) {
             continue;
         }
-        listed.push((number, part.words()));
+        plan.parts.push(format!("{number}: {}", part.words()));
+        plan.numbers.push(number);
         match part {
             Part::Top(key, value) => drop(stage.insert(key.into(), value)),
             Part::Setting(device, setting) => {
                 let said = devices[device].kind.honesty(&setting);
-                honesty[device].judged &= said.judged;
-                honesty[device].returns &= said.returns;
+                plan.devices[device].judged &= said.judged;
+                plan.devices[device].returns &= said.returns;
                 tables[device].insert(setting.key, setting.value);
             }
-            Part::Fault(device, fault) => {
-                let (start_s, end_s) = fault.span_s();
-                if devices[device].kind.cannot_see(&fault) {
-                    blind.push((device, start_s, end_s + BLIND_S));
-                }
-                if matches!(fault, Fault::OutOfRange { .. }) {
-                    // What it measured last may be new to the host, and is told at the next report.
-                    blind.push((device, start_s, start_s + REPORT_S));
-                }
-                if devices[device].kind == Kind::Xbus && matches!(fault, Fault::BirdDies { .. }) {
-                    // A chain is searched when its port opens, and a tracker that has come back is not found before.
-                    honesty[device].returns = false;
-                }
-                calm_from_s = calm_from_s.max(if end_s.is_finite() { end_s } else { start_s });
-                behaviours[device].faults.push(fault);
-            }
-            Part::Event(t_s, until_s, event) => {
-                calm_from_s = calm_from_s.max(until_s);
-                if let Event::Input(Input::Bytes { device, .. }) = &event {
-                    blind.push((usize::from(*device), t_s, t_s + BLIND_S));
-                }
-                events.push((t_s, event));
-            }
-            Part::Sleep(given) => sleep = Some(given),
+            Part::Fault(device, fault) => plan.suffers(device, devices[device].kind, fault),
+            Part::Event(t_s, event) => plan.meets(t_s, event),
+            Part::Sleep(sleep) => plan.sleep = Some(sleep),
         }
     }
-    events.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    plan.events.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    plan.end_s = plan.calm_from_s + CALM_S;
     stage.insert("device".into(), tables.into());
-    let owned = devices.iter().enumerate().flat_map(|(at, device)| {
-        device.addresses.iter().map(move |&address| (format!("s{at}-{address}"), format!("d{at}"), address))
-    });
-    let rows = owned.map(|(name, device, address)| {
-        let mut row = toml::Table::new();
-        row.insert("name".into(), name.into());
-        row.insert("device".into(), device.into());
-        row.insert("address".into(), i64::from(address).into());
-        row
-    });
-    stage.insert("sensor".into(), rows.collect::<Vec<_>>().into());
-    Plan {
-        stage_toml: toml::to_string(&stage).expect("a table"),
-        scenario: Scenario {
-            seed,
-            sigma_signal_per_m3,
-            bodies,
-            sensors: riders,
-            devices: behaviours,
-            ..Scenario::default()
-        },
-        devices: honesty,
-        blind,
-        events,
-        sleep,
-        modem_lines: devices.iter().map(|device| device.modem_lines).collect(),
-        calm_from_s,
-        end_s: calm_from_s + CALM_S,
-        parts: listed,
+    plan.stage_toml = toml::to_string(&stage).expect("a table");
+    (plan.scenario.bodies, plan.scenario.sensors) = (cast.bodies, cast.sensors);
+    plan
+}
+
+impl Plan {
+    fn suffers(&mut self, device: usize, kind: Kind, fault: Fault) {
+        let (start_s, end_s) = fault.span_s();
+        if kind.cannot_see(&fault) {
+            self.blind.push((device, start_s, end_s + BLIND_S));
+        }
+        if matches!(fault, Fault::OutOfRange { .. }) {
+            // What it measured last may be new to the host, and is told at the next report.
+            self.blind.push((device, start_s, start_s + REPORT_S));
+        }
+        if kind == Kind::Xbus && matches!(fault, Fault::BirdDies { .. }) {
+            // A chain is searched when its port opens, and a tracker that has come back is not found before.
+            self.devices[device].returns = false;
+        }
+        self.calm_from_s = self.calm_from_s.max(if end_s.is_finite() { end_s } else { start_s });
+        self.scenario.devices[device].faults.push(fault);
+    }
+
+    fn meets(&mut self, t_s: f64, event: Event) {
+        self.calm_from_s = self.calm_from_s.max(t_s);
+        if let Event::Input(Input::Bytes { device, .. }) = &event {
+            self.blind.push((usize::from(*device), t_s, t_s + BLIND_S));
+        }
+        self.events.push((t_s, event));
     }
 }
 
-fn parts(seed: u64, dice: &mut Dice, devices: &[Device], sensors: &[String], trouble_s: f64) -> Vec<Part> {
+fn parts(seed: u64, dice: &mut Dice, cast: &Cast, trouble_s: f64) -> Vec<Part> {
+    let devices = &cast.devices;
+    let sensors: Vec<String> = cast.sensors.iter().map(|sensor| sensor.name.clone()).collect();
     let mut parts = Vec::new();
     for (at, device) in devices.iter().enumerate() {
         let settings = settings::draw(dice, &device.kind.schema());
@@ -262,9 +290,9 @@ fn parts(seed: u64, dice: &mut Dice, devices: &[Device], sensors: &[String], tro
     parts.extend((0..events).map(|_| {
         let mut dice = own();
         let (t_s, _) = moment(&mut dice, trouble_s);
-        Part::Event(t_s, t_s, event(&mut dice, devices, sensors))
+        Part::Event(t_s, event(&mut dice, devices, &sensors))
     }));
-    parts.extend((0..tops).map(|_| top(&mut own(), sensors)));
+    parts.extend((0..tops).map(|_| top(&mut own(), &sensors)));
     let mut dice = own();
     if dice.chance(0.3) {
         let longest_s = dice.log_range(0.005, 0.4);

@@ -10,6 +10,7 @@ use crate::models;
 
 /// Before it no fault begins: devices are set up.
 pub(crate) const LEAD_S: f64 = 5.0;
+
 /// What happens to a stage beside what its devices do.
 #[derive(Clone, Debug)]
 pub(crate) enum Event {

@@ -1,19 +1,21 @@
 //! One case, run: virtual devices, the host that reads them, the pipeline, and everything that must hold of it.
 
+use std::time::Instant;
+
 use nalgebra::Isometry3;
-use posed_drivers::{LineEvent, Timestamp};
+use posed_drivers::Timestamp;
+use posed_geometry::isometry;
 use posed_pipeline::Pipeline;
+use posed_rig::counting::peak_bytes;
+use posed_rig::{Host, Said, Sleepy};
 use posed_simulator::scenario::StageSpec;
-use posed_simulator::stage::{Output as Virtual, VirtualStage};
+use posed_simulator::stage::VirtualStage;
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input, Model};
 use posed_stage::output::{Estimate, OutcomeKind, Output, SensorState};
 
-use crate::dice::Dice;
-use crate::judge::{Judge, transmitter};
-use crate::meter::metered;
-use crate::plan::{CALM_S, Plan, Sleep};
-use crate::said::Said;
+use crate::judge::Judge;
+use crate::plan::{CALM_S, Plan};
 use crate::trouble::{Event, LEAD_S};
 
 /// Most bytes that an entry may take beyond what is there: its outputs' copies are among them.
@@ -23,42 +25,41 @@ const MODEL_BYTES: i64 = 512 << 20;
 /// Most time of an entry on a busy machine, s, of a model and of any other.
 const ENTRY_S: f64 = 1.0;
 const MODEL_S: f64 = 20.0;
-/// Timers at one and the same time: more, and the pipeline asks for them without end.
-const TIMERS: u32 = 200;
 /// So far a frame's time may lie after its end, s: times rise by microseconds where they would be equal.
 const AHEAD_S: f64 = 1e-4;
 /// A device whose last trouble is this long over streams again.
 const RETURN_S: f64 = CALM_S - 6.0;
 
-/// What a case that held came to.
+/// What cases that held came to.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Summary {
     /// Simulated time, s.
     pub simulated_s: f64,
-    /// The stage file was refused, as it may be.
-    pub refused: bool,
-    /// Frames of all cases.
+    /// Stage files that were refused, as they may be.
+    pub refused: u64,
+    /// Frames.
     pub frames: u64,
     /// Good values that were held against the truth.
     pub compared: u64,
 }
 
-struct Host {
-    sleep: Sleep,
-    dice: Dice,
-    until: Timestamp,
-    waiting: Vec<(u16, Vec<u8>)>,
+impl Summary {
+    /// Takes those of others with its own.
+    pub(crate) fn add(&mut self, other: Self) {
+        self.simulated_s += other.simulated_s;
+        self.refused += other.refused;
+        self.frames += other.frames;
+        self.compared += other.compared;
+    }
 }
 
 struct World<'a> {
     stage: &'a Stage,
-    virtual_stage: VirtualStage,
+    host: Host,
     pipeline: Pipeline,
     /// Restored from a snapshot of the pipeline, given all that it is given since.
     twin: Option<Pipeline>,
     judge: Judge,
-    host: Option<Host>,
-    now: Timestamp,
     log: Vec<Entry>,
     said: Vec<Said>,
     last: Option<(u64, Timestamp)>,
@@ -68,10 +69,6 @@ struct World<'a> {
     failure: Option<String>,
 }
 
-fn seconds(t_s: f64) -> Timestamp {
-    Timestamp::from_secs_f64(t_s)
-}
-
 /// Runs a case to its end.
 ///
 /// # Errors
@@ -79,26 +76,21 @@ fn seconds(t_s: f64) -> Timestamp {
 pub(crate) fn run(plan: &Plan, seed: u64) -> Result<(Summary, Vec<Entry>), String> {
     let stage = match Stage::parse(&plan.stage_toml) {
         Ok(stage) => stage,
-        Err(_) => return Ok((Summary { refused: true, ..Summary::default() }, Vec::new())),
+        Err(_) => return Ok((Summary { refused: 1, ..Summary::default() }, Vec::new())),
     };
     let pipeline =
         Pipeline::new(&stage).map_err(|error| format!("a stage that is right is refused: {error}"))?;
     let spec = StageSpec::of(&stage).map_err(|error| error.to_string())?;
     let virtual_stage =
         VirtualStage::new(&spec, &plan.scenario, ".".as_ref()).map_err(|error| error.to_string())?;
+    let mut host = Host::new(virtual_stage, plan.modem_lines.clone());
+    host.sleepy = plan.sleep.map(|sleep| Sleepy::new(seed, sleep.share, sleep.longest_s * 1e3, LEAD_S));
     let mut world = World {
         stage: &stage,
-        virtual_stage,
+        host,
         pipeline,
         twin: None,
         judge: Judge::new(&stage, plan),
-        host: plan.sleep.map(|sleep| Host {
-            sleep,
-            dice: Dice::new(seed, 1 << 32),
-            until: Timestamp::ZERO,
-            waiting: Vec::new(),
-        }),
-        now: Timestamp::ZERO,
         log: Vec::new(),
         said: Vec::new(),
         last: None,
@@ -106,36 +98,31 @@ pub(crate) fn run(plan: &Plan, seed: u64) -> Result<(Summary, Vec<Entry>), Strin
         good: vec![Timestamp::ZERO; stage.sensors.len()],
         failure: None,
     };
-    for (device, &modem_lines) in (0..).zip(&plan.modem_lines) {
-        world.push(Input::Line { device, event: LineEvent::Opened { modem_lines } });
+    for input in world.host.opened() {
+        world.push(input);
     }
     for (t_s, event) in &plan.events {
-        world.run_until(seconds(*t_s), plan)?;
+        world.run_until(*t_s)?;
         match event {
             Event::Snapshot => world.snapshot()?,
             Event::Input(input) => world.push(input.clone()),
         }
         world.check()?;
     }
-    // Nobody sleeps any more.
-    world.run_until(seconds(plan.calm_from_s), plan)?;
-    world.awake();
-    world.run_until(seconds(plan.end_s), plan)?;
+    world.run_until(plan.calm_from_s)?;
+    world.host.wake_for_good();
+    world.run_until(plan.end_s)?;
     world.all_are_back(plan)?;
     world.replay()?;
-    let summary = Summary {
-        simulated_s: plan.end_s,
-        refused: false,
-        frames: world.frames,
-        compared: world.judge.compared,
-    };
+    let summary =
+        Summary { simulated_s: plan.end_s, refused: 0, frames: world.frames, compared: world.judge.compared };
     Ok((summary, world.log))
 }
 
 impl World<'_> {
     fn check(&mut self) -> Result<(), String> {
         match self.failure.take() {
-            Some(failure) => Err(format!("at {:.4} s: {failure}", self.now.as_secs_f64())),
+            Some(failure) => Err(format!("at {:.4} s: {failure}", self.host.now.as_secs_f64())),
             None => Ok(()),
         }
     }
@@ -144,94 +131,42 @@ impl World<'_> {
         self.failure.get_or_insert_with(failure);
     }
 
-    fn run_until(&mut self, end: Timestamp, plan: &Plan) -> Result<(), String> {
-        let mut timers = 0;
-        while self.now < end {
-            let awake = self.host.as_ref().filter(|host| !host.waiting.is_empty()).map(|host| host.until);
-            let due = [self.virtual_stage.poll_timeout(), self.pipeline.poll_timeout(), awake];
-            let next = due.into_iter().flatten().min().unwrap_or(end).clamp(self.now, end);
-            timers = if next == self.now { timers + 1 } else { 0 };
-            if timers > TIMERS {
-                return Err(format!("at {:.6} s time stands still", next.as_secs_f64()));
-            }
-            self.now = next;
-            if self.host.as_ref().is_some_and(|host| host.until <= next) {
-                self.wake();
-            }
-            self.virtual_stage.step(next);
-            while let Some(event) = self.virtual_stage.poll_event() {
-                let device = event.device as u16;
-                match event.output {
-                    Virtual::Data(bytes) => self.read(device, bytes),
-                    Virtual::Unplugged => {
-                        let event = LineEvent::Closed { reason: "unplugged".into() };
-                        self.push(Input::Line { device, event });
-                    }
-                    Virtual::Replugged => {
-                        let modem_lines = plan.modem_lines[usize::from(device)];
-                        self.push(Input::Line { device, event: LineEvent::Opened { modem_lines } });
-                    }
-                    Virtual::Truth(_) | Virtual::Fault(_) | Virtual::Lost(_) => {}
-                }
-            }
-            if self.pipeline.poll_timeout().is_some_and(|due| due <= next) {
-                self.push(Input::Timer);
-            }
+    fn run_until(&mut self, end_s: f64) -> Result<(), String> {
+        let end = Timestamp::from_secs_f64(end_s);
+        while let Some(input) = self.host.next(self.pipeline.poll_timeout(), end) {
+            self.push(input);
             self.check()?;
         }
         Ok(())
     }
 
-    fn read(&mut self, device: u16, bytes: Vec<u8>) {
-        let now = self.now;
-        if let Some(host) = self.host.as_mut().filter(|_| now.as_secs_f64() > LEAD_S) {
-            if now >= host.until && host.dice.chance(host.sleep.share) {
-                host.until = seconds(now.as_secs_f64() + host.dice.unit() * host.sleep.longest_s);
-            }
-            if now < host.until {
-                match host.waiting.iter_mut().find(|(waiting, _)| *waiting == device) {
-                    Some((_, held)) => held.extend(bytes),
-                    None => host.waiting.push((device, bytes)),
-                }
-                return;
-            }
-        }
-        self.push(Input::Bytes { device, bytes });
-    }
-
-    fn wake(&mut self) {
-        let waiting = self.host.as_mut().map(|host| std::mem::take(&mut host.waiting)).unwrap_or_default();
-        for (device, bytes) in waiting {
-            self.push(Input::Bytes { device, bytes });
-        }
-    }
-
-    fn awake(&mut self) {
-        self.wake();
-        self.host = None;
-    }
-
     fn snapshot(&mut self) -> Result<(), String> {
         let bytes = self.pipeline.snapshot();
         let twin = Pipeline::restore(self.stage, self.pipeline.models(), &bytes).map_err(|error| {
-            format!("at {:.4} s: its own snapshot is refused: {error}", self.now.as_secs_f64())
+            format!("at {:.4} s: its own snapshot is refused: {error}", self.host.now.as_secs_f64())
         })?;
         if twin.snapshot() != bytes {
-            return Err(format!("at {:.4} s: restored, a snapshot is another one", self.now.as_secs_f64()));
+            return Err(format!(
+                "at {:.4} s: restored, a snapshot is another one",
+                self.host.now.as_secs_f64()
+            ));
         }
         self.twin = Some(twin);
         Ok(())
     }
 
+    #[expect(clippy::disallowed_methods, reason = "how long a real processor takes is measured, too")]
     fn push(&mut self, input: Input) {
         let is_model = matches!(input, Input::Model(_) | Input::SegmentationNetwork(_));
         let (bytes, elapsed_s) = if is_model { (MODEL_BYTES, MODEL_S) } else { (ENTRY_BYTES, ENTRY_S) };
-        let entry = Entry { t: self.now, input };
+        let entry = Entry { t: self.host.now, input };
         let Self { pipeline, said, .. } = self;
         said.clear();
-        let cost = metered(|| pipeline.push(&entry, &mut |output| said.push(Said::of(&output))));
-        if cost.peak_bytes > bytes || cost.elapsed_s > elapsed_s {
-            self.fail(|| format!("an entry takes {} kB and {:.3} s", cost.peak_bytes >> 10, cost.elapsed_s));
+        let began = Instant::now();
+        let peak = peak_bytes(|| pipeline.push(&entry, &mut |output| said.push(Said::of(&output))));
+        let took_s = began.elapsed().as_secs_f64();
+        if peak > bytes || took_s > elapsed_s {
+            self.fail(|| format!("an entry takes {} kB and {took_s:.3} s", peak >> 10));
         }
         self.hold(&entry);
         if let Some(twin) = &mut self.twin {
@@ -251,7 +186,7 @@ impl World<'_> {
         for said in &said {
             match said {
                 Said::Transmit(device, bytes) => {
-                    self.virtual_stage.write(usize::from(*device), self.now, bytes);
+                    self.host.devices.write(usize::from(*device), self.host.now, bytes);
                 }
                 Said::Estimate(estimate) => {
                     if let Err(failure) = self.estimate(estimate, entry.t) {
@@ -263,7 +198,7 @@ impl World<'_> {
                         self.swapped(model);
                     }
                 }
-                Said::Body(_) | Said::Other(_) => {}
+                Said::Body(_) | Said::State(..) | Said::Warning(..) | Said::Other(_) => {}
             }
         }
         self.said = said;
@@ -272,7 +207,7 @@ impl World<'_> {
     fn swapped(&mut self, model: &Model) {
         match model {
             Model::Transmitter { position_m, orientation_wxyz } => {
-                let placed = transmitter(*position_m, *orientation_wxyz);
+                let placed = isometry(*position_m, *orientation_wxyz);
                 self.judge.room_transmitter = placed.unwrap_or_else(Isometry3::identity);
                 // Where numbers end, so do millimetres.
                 if position_m.iter().any(|x| x.abs() > 1e6) {

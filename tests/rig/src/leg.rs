@@ -7,12 +7,13 @@ use posed_simulator::motion::{Motion, Person};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
 use posed_stage::Stage;
 
-use super::Rig;
+use crate::Rig;
 
 /// Sensor to segment, w, x, y, z.
-pub(crate) const MOUNTS: [[f64; 4]; 2] = [[0.6, 0.0, 0.8, 0.0], [0.48, 0.64, 0.0, 0.6]];
+pub const MOUNTS: [[f64; 4]; 2] = [[0.6, 0.0, 0.8, 0.0], [0.48, 0.64, 0.0, 0.6]];
 
-pub(crate) const STAGE: &str = r#"
+/// Two IMUs on a leg, without a compass.
+pub const STAGE: &str = r#"
 name = "leg"
 [[device]]
 name = "worn"
@@ -42,7 +43,7 @@ kind = "hinge"
 "#;
 
 /// A person who stands for a moment and then walks; sensors askew.
-pub(crate) fn leg(seed: u64) -> Rig {
+pub fn leg(seed: u64) -> Rig {
     let stage = Stage::parse(STAGE).unwrap_or_else(|problems| panic!("{problems}"));
     let sensor = |name: &str, segment: &str, offset_m, mount_quat_wxyz| SensorScenario {
         name: name.into(),
@@ -71,7 +72,7 @@ pub(crate) fn leg(seed: u64) -> Rig {
 }
 
 /// What the daemon's job is sent.
-pub(crate) fn epochs(rig: &Rig) -> Vec<Epoch> {
+pub fn epochs(rig: &Rig) -> Vec<Epoch> {
     rig.estimates()
         .map(|estimate| Epoch {
             t_s: estimate.t_valid.as_secs_f64(),
