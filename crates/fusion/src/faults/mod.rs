@@ -51,7 +51,10 @@ impl Checked {
         Self { pose, label: Label::CLEAN, repair: None, withheld: false }
     }
 
-    fn mirrored(pose: MeasuredPose) -> Self {
+    /// Clean as measured, or mirrored back.
+    fn on_side(mirror: Option<Mirror>, measured: &MeasuredPose) -> Self {
+        let Some(mirror) = mirror else { return Self::clean(*measured) };
+        let pose = mirror.apply(measured);
         Self { pose, label: Label::INVERTED, repair: Some(Repair::Mirrored), withheld: false }
     }
 
@@ -145,10 +148,7 @@ impl Detector {
             return Checked { label, repair: None, ..checked };
         }
         // What is tracked gives way once enough records agree on the other side.
-        match by_map {
-            Some(mirror) => Checked::mirrored(mirror.apply(pose)),
-            None => Checked::clean(*pose),
-        }
+        Checked::on_side(by_map, pose)
     }
 
     fn by_prediction(
@@ -177,26 +177,23 @@ impl Detector {
         }
         let Some(prediction) = prediction else { return self.begin(pose) };
         if prediction.gate(pose, noise) != Gate::Outside {
-            let mirrored = Mirror::Point.apply(pose);
             // Records that are seldom leave a prediction so wide that it holds both sides: the nearer one counts then.
-            if prediction.prefers(&mirrored, pose, noise) {
-                return self.believe(Some(Mirror::Point), mirrored);
-            }
-            return self.believe(None, *pose);
+            let is_mirrored = prediction.prefers(&Mirror::Point.apply(pose), pose, noise);
+            return self.believe(is_mirrored.then_some(Mirror::Point), pose);
         }
         for mirror in [Mirror::Point, Mirror::Vertical] {
-            let repaired = mirror.apply(pose);
-            if pose.position_m.is_some() && prediction.gate(&repaired, noise) == Gate::Inside {
-                return self.believe(Some(mirror), repaired);
+            if pose.position_m.is_some() && prediction.gate(&mirror.apply(pose), noise) == Gate::Inside {
+                return self.believe(Some(mirror), pose);
             }
         }
         Checked::anomalous(*pose, Cause::Gate, false)
     }
 
-    fn believe(&mut self, mirror: Option<Mirror>, pose: MeasuredPose) -> Checked {
+    fn believe(&mut self, mirror: Option<Mirror>, pose: &MeasuredPose) -> Checked {
+        let checked = Checked::on_side(mirror, pose);
         self.mirror = mirror;
-        self.last_m = pose.position_m;
-        if mirror.is_some() { Checked::mirrored(pose) } else { Checked::clean(pose) }
+        self.last_m = checked.pose.position_m;
+        checked
     }
 
     /// Labels a measurement with nothing to judge it by: of the two sides it is on the one nearer to where it was last. It may
@@ -208,8 +205,7 @@ impl Detector {
         let nearer = candidates.into_iter().filter_map(|mirror| Some((mirror, distance_m(&seen(mirror))?)));
         // Where it never was, it is as it says.
         self.mirror = nearer.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(self.mirror, |(mirror, _)| mirror);
-        let seen = seen(self.mirror);
-        if self.mirror.is_some() { Checked::mirrored(seen) } else { Checked::clean(seen) }
+        Checked::on_side(self.mirror, pose)
     }
 }
 

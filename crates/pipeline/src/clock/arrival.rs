@@ -71,8 +71,7 @@ impl ArrivalClock {
 
 #[cfg(test)]
 mod tests {
-    use posed_drivers::{Arrival, Measurement};
-
+    use super::super::tests::sample;
     use super::*;
 
     #[test]
@@ -81,16 +80,8 @@ mod tests {
         let mut packet = 0;
         let mut queued = |t_ms: f64| {
             packet += 1;
-            let arrival = Arrival {
-                t_read: Timestamp::from_secs_f64(t_ms * 1e-3),
-                t_previous_read: None,
-                bytes_after: 0,
-                cycle_bytes_before: 0,
-                split: false,
-            };
-            let measurement = Measurement::Pose { position_m: None, orientation_wxyz: None, button: None };
-            let t_device = DeviceTime::Cycle(packet);
-            clock.push(&Sample { address: 1, arrival, t_device, measurement }).queued
+            let t_read = Timestamp::from_secs_f64(t_ms * 1e-3);
+            clock.push(&sample(1, t_read, None, DeviceTime::Cycle(packet))).queued
         };
         // The first one may have waited, too.
         assert_eq!([0.0, 10.0, 20.0, 31.0, 39.0].map(&mut queued), [true, false, false, false, false]);

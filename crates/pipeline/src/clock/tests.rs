@@ -306,6 +306,18 @@ fn a_host_that_is_often_late_makes_no_cycles_under_bursts() {
     }
 }
 
+/// A whole record without values, read by itself.
+pub(super) fn sample(
+    address: u16,
+    t_read: Timestamp,
+    t_previous_read: Option<Timestamp>,
+    t_device: DeviceTime,
+) -> Sample {
+    let arrival = Arrival { t_read, t_previous_read, bytes_after: 0, cycle_bytes_before: 0, split: false };
+    let measurement = Measurement::Pose { position_m: None, orientation_wxyz: None, button: None };
+    Sample { address, arrival, t_device, measurement }
+}
+
 /// A device that stamps its samples by milliseconds, read over a network that takes 1 to 4 ms; `stamped` may damage the stamp of a
 /// cycle. Errors of the capture times, s, by cycle.
 fn counted(cycles: u64, stamped: impl Fn(u64, u64) -> u64) -> Vec<f64> {
@@ -319,16 +331,8 @@ fn counted(cycles: u64, stamped: impl Fn(u64, u64) -> u64) -> Vec<f64> {
         let t_read = Timestamp::from_secs_f64(truth_s + 1e-3 + 3e-3 * random.uniform());
         let ticks = stamped(k, 50_000 + 10 * k);
         for address in 1..=2 {
-            let arrival = Arrival {
-                t_read,
-                t_previous_read: previous,
-                bytes_after: 0,
-                cycle_bytes_before: 0,
-                split: false,
-            };
-            let measurement = Measurement::Pose { position_m: None, orientation_wxyz: None, button: None };
             let t_device = DeviceTime::Counter { ticks, tick_s: 1e-3 };
-            let stamp = clock.push(&Sample { address, arrival, t_device, measurement });
+            let stamp = clock.push(&sample(address, t_read, previous, t_device));
             assert!(stamp.t_valid <= t_read, "cycle {k}: captured after it was read");
             assert_eq!(stamp.begins_cycle, address == 1, "cycle {k}");
             assert_eq!(stamp.cycles_skipped, 0, "cycle {k}");
@@ -392,19 +396,9 @@ fn bursts_of_a_device_that_counts_leave_its_times_right() {
         let at_s: f64 = truth_s + 3e-4 + 1e-4 * (k % 3) as f64;
         let at_s = if (6.0..8.0).contains(&truth_s) { (at_s / 0.19).ceil() * 0.19 } else { at_s };
         let t_read = Timestamp::from_secs_f64(at_s);
-        let arrival = Arrival {
-            t_read,
-            t_previous_read: previous,
-            bytes_after: 0,
-            cycle_bytes_before: 0,
-            split: false,
-        };
-        if previous != Some(t_read) {
-            previous = Some(t_read);
-        }
         let t_device = DeviceTime::Counter { ticks: 5_000 + 10 * k, tick_s: 1e-3 };
-        let measurement = Measurement::Pose { position_m: None, orientation_wxyz: None, button: None };
-        let stamp = clock.push(&Sample { address: 1, arrival, t_device, measurement });
+        let stamp = clock.push(&sample(1, t_read, previous, t_device));
+        previous = Some(t_read);
         let error_s = stamp.t_valid.as_secs_f64() - truth_s;
         // Restarted by what came late, the clock was 150 ms off.
         let limit_s = if (6.0..11.0).contains(&truth_s) { 1e-2 } else { 2e-3 };
