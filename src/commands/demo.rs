@@ -15,7 +15,7 @@ use posed_simulator::truth::{TruthCycle, TruthRow};
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input, Model, Truth, TruthSensor};
 
-use super::run::{options, runtime};
+use super::run::{block_on, options};
 use super::{Error, rehearsal, simulation, watch};
 
 /// The stage that is built in.
@@ -76,7 +76,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     options.record = args.record;
     options.truth = true;
 
-    runtime()?.block_on(async {
+    block_on(async {
         // The devices come first, since the daemon must know their ports; their truth waits for its inbox.
         let inbox = Arc::new(OnceLock::new());
         let clock = Clock::since(options.clock.instant(Timestamp::ZERO));

@@ -90,7 +90,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
             "nobody can be reached: give --listen tcp/0.0.0.0:7447, --connect tcp/HOST:PORT, or a file with [zenoh]".to_owned(),
         ));
     }
-    super::run::runtime()?.block_on(async {
+    super::run::block_on(async {
         let hub = Hub::start(HubOptions { stage, folder, http, fuse }).map_err(Error::failed)?;
         let ended =
             super::watch::until_end_with(hub.url(), hub.stages(), hub.part_ended(), None, in_words).await;

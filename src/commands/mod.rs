@@ -54,6 +54,7 @@ use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
+use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::filter::Targets;
 use tracing_subscriber::prelude::*;
 
@@ -182,7 +183,12 @@ pub(crate) fn main() -> ExitCode {
     #[cfg(feature = "zenoh")]
     hub::prepare();
     let cli = Cli::parse();
-    let result = start_log(&cli.log).and_then(|()| cli.command.run());
+    let result = start_log(&cli.log).and_then(|log| {
+        let result = cli.command.run();
+        // What was logged comes before how it ended.
+        drop(log);
+        result
+    });
     let (code, error) = match result {
         Ok(()) | Err(Error::BrokenPipe) => return ExitCode::SUCCESS,
         Err(Error::Reported) => return ExitCode::from(1),
@@ -193,13 +199,19 @@ pub(crate) fn main() -> ExitCode {
     ExitCode::from(code)
 }
 
-/// Sends log lines to stderr, coloured where a person reads them.
-fn start_log(filter: &str) -> Result<(), Error> {
+/// Log lines that may wait for who reads them.
+const LOG_LINES: usize = 1 << 14;
+
+/// Sends log lines to stderr, coloured where a person reads them, until what it returns is dropped. A thread writes them, so that a
+/// pipe that nobody reads makes no one wait; what does not fit into its queue is left out.
+fn start_log(filter: &str) -> Result<WorkerGuard, Error> {
     let filter: Targets = filter.parse().map_err(|error| {
         Error::Usage(format!("--log {filter}: {error}; give a level such as `info` or `warn,posed=debug`"))
     })?;
+    let (stderr, written) =
+        NonBlockingBuilder::default().buffered_lines_limit(LOG_LINES).thread_name("log").finish(io::stderr());
     let lines = tracing_subscriber::fmt::layer()
-        .with_writer(io::stderr)
+        .with_writer(stderr)
         .with_ansi(io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none())
         .with_target(false);
     let log = tracing_subscriber::registry().with(filter);
@@ -208,7 +220,7 @@ fn start_log(filter: &str) -> Result<(), Error> {
         Some(_) => log.with(lines.without_time()).init(),
         None => log.with(lines).init(),
     }
-    Ok(())
+    Ok(written)
 }
 
 /// Prints a piece of the answer on stdout, as it is.

@@ -13,7 +13,7 @@ use posed_stage::Stage;
 use serde::Serialize;
 
 use super::progress::Progress;
-use super::run::runtime;
+use super::run::block_on;
 use super::{Error, output, print, print_json, watch};
 
 /// What to replay, how fast, and where to.
@@ -106,7 +106,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 
 /// To the websocket.
 fn serve(args: &Args) -> Result<(), Error> {
-    runtime()?.block_on(async {
+    block_on(async {
         let playback =
             Playback::start(&args.recording, args.listen.clone(), args.speed).map_err(Error::failed)?;
         let ended = watch::until_end(playback.url(), playback.status(), playback.part_ended(), None).await;

@@ -14,7 +14,7 @@ use posed_stage::input::Input;
 use serde::Serialize;
 
 use super::end::End;
-use super::run::runtime;
+use super::run::block_on;
 use super::{Error, print, print_json};
 
 /// A port to open.
@@ -36,7 +36,7 @@ pub(crate) fn run(recording: &Path, speed: f64, json: bool) -> Result<(), Error>
         .prefix("posed-")
         .tempdir()
         .map_err(|error| Error::Failed(format!("cannot make a folder for the ports: {error}")))?;
-    runtime()?.block_on(async {
+    block_on(async {
         let mut end = End::new(None)?;
         tokio::select! {
             () = end.wait() => Ok(()),

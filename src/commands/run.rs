@@ -57,7 +57,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let data = args.data.unwrap_or_else(|| folder.clone());
     let options =
         Options { listen: args.listen, record: args.record, data, ..self::options(stage, text, folder) };
-    runtime()?.block_on(async {
+    block_on(async {
         let Some(daemon) = start(options, args.wait).await? else { return Ok(()) };
         watch::announce(daemon.vrpn_address())?;
         let ended = watch::until_end(daemon.url(), daemon.status(), daemon.part_ended(), None).await;
@@ -99,11 +99,15 @@ pub(crate) fn options(stage: Stage, text: String, folder: PathBuf) -> Options {
     options
 }
 
-/// Two threads for sockets and ports; the fusion thread is the daemon's own.
-pub(crate) fn runtime() -> Result<tokio::runtime::Runtime, Error> {
-    tokio::runtime::Builder::new_multi_thread()
+/// Runs a daemon, or what asks one, on two threads for sockets and ports; the fusion thread is the daemon's own. What hangs on a
+/// disk at the end is left behind.
+pub(crate) fn block_on<T>(future: impl Future<Output = Result<T, Error>>) -> Result<T, Error> {
+    let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .enable_all()
         .build()
-        .map_err(|error| Error::Failed(format!("cannot start: {error}")))
+        .map_err(|error| Error::Failed(format!("cannot start: {error}")))?;
+    let result = runtime.block_on(future);
+    runtime.shutdown_background();
+    result
 }

@@ -69,9 +69,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         }
     };
     // The devices have threads of their own, so that writing the truth does not delay them.
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
-    let runtime = runtime.map_err(|error| Error::Failed(format!("cannot start: {error}")))?;
-    runtime.block_on(simulate(&args, &stage, ports))
+    super::run::block_on(simulate(&args, &stage, ports))
 }
 
 async fn simulate(args: &Args, stage: &Stage, ports: &Path) -> Result<(), Error> {

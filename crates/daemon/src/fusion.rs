@@ -105,6 +105,9 @@ pub enum RecordError {
     /// The state that it begins with cannot be written.
     #[error(transparent)]
     State(#[from] rmp_serde::encode::Error),
+    /// The system has no thread for it.
+    #[error("the system gives no thread for the recording")]
+    NoThread,
 }
 
 /// A recording that is not whole.
@@ -113,6 +116,8 @@ pub enum RecordError {
 struct Incomplete {
     name: String,
     reason: String,
+    /// It never began, and who asked for it knows.
+    refused: bool,
 }
 
 /// Chunks that wait at most: at 1000 reads per second, four seconds of a stalled machine.
@@ -133,7 +138,7 @@ const READERS_FIRST: Duration = Duration::from_millis(2);
 pub enum Command {
     /// Begins a recording in this file.
     StartRecording {
-        /// The file; must not exist.
+        /// The file; must not exist. Its folder is made.
         path: PathBuf,
         /// Who wants to know.
         reply: Option<Reply>,
@@ -353,9 +358,11 @@ impl Fusion {
     fn command(&mut self, command: Command) {
         match command {
             Command::StartRecording { path, reply } => {
-                let started = self.start_recording(path);
+                let tell = |begun: Result<RecordingBegun, RecordError>| {
+                    answer(reply, begun.map(|begun| Some(Answer::RecordingBegun(begun))));
+                };
+                self.start_recording(path, true, tell);
                 self.observers.health.touch();
-                answer(reply, started.map(|begun| Some(Answer::RecordingBegun(begun))));
             }
             Command::StopRecording { reply } => match self.recording.take() {
                 Some(recording) => self.stop_recording(recording, reply),
@@ -416,21 +423,41 @@ impl Fusion {
         self.observers.health.touch();
     }
 
-    /// Begins a recording and returns its name and its job's number.
-    pub(super) fn start_recording(&mut self, path: PathBuf) -> Result<RecordingBegun, RecordError> {
-        if let Some(recording) = &self.recording {
-            return Err(RecordError::Already(recording.name.clone()));
+    /// Begins a recording; `tell` hears its name and its job's number, or why there is none, once the disk has answered. Not on this
+    /// thread, which does not wait for a disk.
+    pub(super) fn start_recording(
+        &mut self,
+        path: PathBuf,
+        make_folder: bool,
+        tell: impl FnOnce(Result<RecordingBegun, RecordError>) + Send + 'static,
+    ) {
+        // One that could not begin stands in nobody's way.
+        let is_refused =
+            |recording: &mut Recording| matches!(recording.recorder.state(), RecorderState::Refused { .. });
+        if let Some(refused) = self.recording.take_if(is_refused) {
+            self.ending.push((refused, None));
         }
-        let header = self.header()?;
-        let started = header.begun;
-        let recorder = Recorder::start(&path, header, &schema::of_topics())
-            .map_err(|error| RecordError::File { path: path.clone(), error })?;
+        if let Some(recording) = &self.recording {
+            return tell(Err(RecordError::Already(recording.name.clone())));
+        }
+        let header = match self.header() {
+            Ok(header) => header,
+            Err(error) => return tell(Err(error.into())),
+        };
+        let (started, job) = (header.begun, self.jobs.begin("record.start"));
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-        self.observers.health.recording_started();
-        let job = self.jobs.begin("record.start");
         let result = RecordingBegun { name: name.clone(), job: job.number() };
-        self.recording = Some(Recording { recorder, name, started, job });
-        Ok(result)
+        let file = path.clone();
+        let begun = move |begun: Result<(), WriteError>| {
+            tell(begun.map(|()| result).map_err(|error| RecordError::File { path: file, error }));
+        };
+        match Recorder::start(path, make_folder, header, schema::of_topics, begun) {
+            Ok(recorder) => {
+                self.observers.health.recording_started();
+                self.recording = Some(Recording { recorder, name, started, job });
+            }
+            Err(error) => job.end(Err::<String, _>(error)),
+        }
     }
 
     /// What a replay needs that begins here.
@@ -455,18 +482,22 @@ impl Fusion {
         while let Some(at) = self.ending.iter().position(|(recording, _)| recording.recorder.is_finished()) {
             let (recording, reply) = self.ending.swap_remove(at);
             let ended = whole(recording);
-            if let Err(reason) = &ended {
-                self.observers.health.recording_failed(reason.to_string());
-            }
+            self.report(&ended);
             answer(reply, ended.map(|()| None));
         }
     }
 
-    fn publish_status(&mut self, now: Timestamp) {
-        if let Some(recording) = self.recording.take_if(|recording| recording.recorder.is_finished())
-            && let Err(reason) = whole(recording)
+    fn report(&mut self, ended: &Result<(), Incomplete>) {
+        if let Err(reason) = ended
+            && !reason.refused
         {
             self.observers.health.recording_failed(reason.to_string());
+        }
+    }
+
+    fn publish_status(&mut self, now: Timestamp) {
+        if let Some(recording) = self.recording.take_if(|recording| recording.recorder.is_finished()) {
+            self.report(&whole(recording));
         }
         if let Some(recording) = &self.recording {
             let megabytes = recording.recorder.bytes_written() as f64 * 1e-6;
@@ -489,7 +520,8 @@ fn timer_at(due: Option<Timestamp>, now: Timestamp, waiting_since: Option<Timest
 fn whole(recording: Recording) -> Result<(), Incomplete> {
     let Recording { recorder, name, job, .. } = recording;
     let ended = match recorder.wait() {
-        RecorderState::Failed { reason } => Err(Incomplete { name: name.clone(), reason }),
+        RecorderState::Failed { reason } => Err(Incomplete { name: name.clone(), reason, refused: false }),
+        RecorderState::Refused { reason } => Err(Incomplete { name: name.clone(), reason, refused: true }),
         RecorderState::Recording | RecorderState::Stopped { .. } => Ok(()),
     };
     job.end(ended.clone().map(|()| format!("{name} is complete")));

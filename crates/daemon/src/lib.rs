@@ -259,7 +259,10 @@ impl Daemon {
             inbox.enter(Entry { t: clock.now(), input });
         }
         if let Some(path) = record {
-            fusion.start_recording(path)?;
+            // Nothing is tracked yet: this may wait for the disk.
+            let (to, begun) = std::sync::mpsc::channel();
+            fusion.start_recording(path, false, move |begun| _ = to.send(begun));
+            begun.recv().unwrap_or(Err(RecordError::NoThread))?;
         }
         #[expect(clippy::disallowed_methods, reason = "the daemon owns the fusion thread")]
         let fusion = std::thread::Builder::new()
@@ -282,7 +285,7 @@ impl Daemon {
         if let Some(mut task) = self.ports.get_mut(usize::from(device)).and_then(Option::take) {
             // A stream that ends is no port that can be opened again.
             self.service.spawn_aside(async move {
-                if let Some(reason) = task.pump(Port::new(stream)).await {
+                if let Some(reason) = task.serve_stream(Port::new(stream)).await {
                     task.closed(reason);
                 }
             });

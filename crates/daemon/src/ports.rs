@@ -1,6 +1,7 @@
 //! One task per device: opens its port, reads, stamps, forwards; writes what the pipeline transmits; opens it again.
 //!
-//! It decodes nothing and knows no protocol. A port that is away costs nobody else anything.
+//! It decodes nothing and knows no protocol. A port that is away costs nobody else anything. One that takes no bytes is given up,
+//! and one that gives none although its device is asked is opened anew: a handle may outlive what it was opened on.
 
 use std::time::Duration;
 
@@ -8,6 +9,7 @@ use posed_drivers::LineEvent;
 use posed_drivers::port::{self, Port, Stream};
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{mpsc, watch};
+use tokio::time::Instant;
 
 use super::clock::StageClock;
 use super::find;
@@ -19,6 +21,10 @@ use posed_stage::{Device, PortAddress, Stage};
 const RETRY: Duration = Duration::from_millis(200);
 /// An attempt that hangs, such as a host that does not answer, is given up after this.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
+/// A write that takes longer is one into a port that takes nothing: a full queue of the slowest line is gone in half of it.
+const WRITE_TIMEOUT: Duration = Duration::from_secs(2);
+/// Silence after which a port whose device was asked something is opened anew: sessions ask every second or sooner.
+const DEAF: Duration = Duration::from_secs(8);
 /// Longer than anything a device sends between two wake-ups of a healthy reader.
 const READ_BYTES: usize = 4096;
 
@@ -29,6 +35,15 @@ pub(super) enum PortCommand {
     Transmit(Vec<u8>),
     /// Set RTS (`true` = asserted).
     SetRts(bool),
+}
+
+/// Why reading and writing ended.
+enum End {
+    Shutdown,
+    /// A sentence for the operator.
+    Gone(String),
+    /// Nothing came for long, though the device was asked.
+    Deaf,
 }
 
 /// A device's task: where it reports to and when it ends.
@@ -98,7 +113,7 @@ impl PortTask {
             };
             let reason = match opened {
                 Ok(port) => {
-                    let Some(reason) = self.pump(port).await else { return };
+                    let Some(reason) = self.serve(port, &place).await else { return };
                     reason
                 }
                 Err(reason) => reason,
@@ -116,35 +131,83 @@ impl PortTask {
         }
     }
 
-    /// Reads and writes until the port is gone, and returns why; `None` on shutdown.
-    pub(super) async fn pump<S: AsyncRead + AsyncWrite + Unpin>(
+    /// Reads and writes until the port is gone, and returns why; `None` on shutdown. A deaf one is opened anew, of which the device's
+    /// session need not know: it asks on.
+    async fn serve(&mut self, mut port: Port<Stream>, place: &DevicePort) -> Option<String> {
+        self.opened(&port);
+        loop {
+            match self.pump(&mut port).await {
+                End::Shutdown => return None,
+                End::Gone(reason) => return Some(reason),
+                End::Deaf => {
+                    // It is exclusive.
+                    drop(port);
+                    let again = tokio::select! {
+                        () = ended(&mut self.shutdown) => return None,
+                        again = place.open() => again,
+                    };
+                    port = match again {
+                        Ok(port) => port,
+                        Err(reason) => return Some(reason),
+                    };
+                }
+            }
+        }
+    }
+
+    /// The same for a stream that cannot be opened anew.
+    pub(super) async fn serve_stream<S: AsyncRead + AsyncWrite + Unpin>(
         &mut self,
         mut port: Port<S>,
     ) -> Option<String> {
+        self.opened(&port);
+        loop {
+            match self.pump(&mut port).await {
+                End::Shutdown => return None,
+                End::Gone(reason) => return Some(reason),
+                End::Deaf => {}
+            }
+        }
+    }
+
+    fn opened<S: AsyncRead + AsyncWrite + Unpin>(&mut self, port: &Port<S>) {
         // What was meant for the port before it went away is not for this one.
         while self.commands.try_recv().is_ok() {}
         self.line(LineEvent::Opened { modem_lines: port.modem_lines() });
+    }
+
+    #[expect(clippy::disallowed_methods, reason = "the daemon looks after its ports on its own clock")]
+    async fn pump<S: AsyncRead + AsyncWrite + Unpin>(&mut self, port: &mut Port<S>) -> End {
         let mut buffer = vec![0; READ_BYTES];
+        // Since when the device has been asked, and has said nothing.
+        let mut asked = None;
         loop {
+            let deaf_at = asked.unwrap_or_else(Instant::now) + DEAF;
             let done = tokio::select! {
-                () = ended(&mut self.shutdown) => return None,
+                () = ended(&mut self.shutdown) => return End::Shutdown,
+                () = tokio::time::sleep_until(deaf_at), if asked.is_some() => return End::Deaf,
                 read = port.read(&mut buffer) => match read {
                     Ok(n) => {
                         let t = self.clock.now();
                         let input = Input::Bytes { device: self.device, bytes: buffer[..n].to_vec() };
                         self.inbox.enter(Entry { t, input });
+                        asked = None;
                         Ok(())
                     }
                     Err(error) => Err(error),
                 },
                 command = self.commands.recv() => match command {
-                    Some(PortCommand::Transmit(bytes)) => port.write_all(&bytes).await,
+                    Some(PortCommand::Transmit(bytes)) => {
+                        asked.get_or_insert_with(Instant::now);
+                        let written = tokio::time::timeout(WRITE_TIMEOUT, port.write_all(&bytes)).await;
+                        written.unwrap_or_else(|_| Err(std::io::Error::other("it takes no bytes")))
+                    }
                     Some(PortCommand::SetRts(asserted)) => port.set_rts(asserted),
-                    None => return None,
+                    None => return End::Shutdown,
                 },
             };
             if let Err(error) = done {
-                return Some(format!("the port is gone ({error}); check the cable and the adapter"));
+                return End::Gone(format!("the port is gone ({error}); check the cable and the adapter"));
             }
         }
     }

@@ -2,13 +2,14 @@
 //!
 //! What comes in: entries, messages and transmitted bytes, in order. What goes out: a file that grows under its
 //! final name and survives `kill -9` up to the last half second. A log with a hole cannot be replayed: where the disk
-//! does not keep up, the recording ends with a reason, and tracking goes on. The same when the disk is full.
+//! does not keep up, the recording ends with a reason, and tracking goes on. The same when the disk is full. The thread makes the
+//! file, too: a disk may hang at that, and what comes meanwhile waits in the queue.
 
 use std::fs::OpenOptions;
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -43,6 +44,11 @@ pub(super) enum RecorderState {
         /// What happened and what to do, in one sentence.
         reason: String,
     },
+    /// It never began, as who asked for it was told.
+    Refused {
+        /// What stands against it, in one sentence.
+        reason: String,
+    },
 }
 
 /// A recording in progress; belongs to the fusion thread.
@@ -51,7 +57,6 @@ pub(super) struct Recorder {
     /// Gone once nothing more is taken.
     sender: Option<Sender<Job>>,
     shared: Arc<Shared>,
-    bytes: Arc<AtomicU64>,
     thread: JoinHandle<()>,
 }
 
@@ -60,7 +65,12 @@ struct Shared {
     state: Mutex<RecorderState>,
     /// Bytes in the queue.
     queued: AtomicUsize,
+    /// Bytes written, once it has begun.
+    bytes: OnceLock<Arc<AtomicU64>>,
 }
+
+/// Names of topics with the JSON Schemas of their messages.
+pub(super) type Schemas = Vec<(&'static str, String)>;
 
 #[derive(Debug)]
 enum Job {
@@ -71,52 +81,71 @@ enum Job {
 }
 
 impl Recorder {
-    /// Begins a new file at `path`; `schemas` are the JSON Schemas of the published topics, by topic.
+    /// Begins a new file at `path`, in a folder that is made where `make_folder` says so; `schemas` gives the JSON Schemas of the
+    /// published topics, by topic. `begun` hears on the recorder's thread whether it could be made: not where the file exists, the
+    /// folder is missing or may not be written to, the disk is full.
     ///
     /// # Errors
-    /// The file exists, the folder is missing or may not be written to, the disk is full.
-    pub(super) fn start(path: &Path, header: Header, schemas: &[(&str, String)]) -> Result<Self, WriteError> {
-        let file = OpenOptions::new().write(true).create_new(true).open(path)?;
-        // For the repair, which must not take the name from a file in use. Without locks it has to trust people.
-        let _ = file.try_lock();
-        let begun = file.try_clone().map_err(WriteError::from).and_then(|synced| {
-            let sync = move || synced.sync_data();
-            Self::start_with(BufWriter::new(file), sync, header, schemas, QUEUE_ITEMS)
-        });
-        // So that its name survives a power cut too. Not every file system can do this.
-        let _ = sync_folder_of(path);
-        begun.inspect_err(|_| {
-            // A file without its front part helps nobody.
-            let _ = std::fs::remove_file(path);
-        })
+    /// The system gives no thread.
+    pub(super) fn start(
+        path: PathBuf,
+        make_folder: bool,
+        header: Header,
+        schemas: fn() -> Schemas,
+        begun: impl FnOnce(Result<(), WriteError>) + Send + 'static,
+    ) -> io::Result<Self> {
+        let begin = move || {
+            if let Some(folder) = path.parent().filter(|_| make_folder) {
+                std::fs::create_dir_all(folder)?;
+            }
+            let file = OpenOptions::new().write(true).create_new(true).open(&path)?;
+            // For the repair, which must not take the name from a file in use. Without locks it has to trust people.
+            let _ = file.try_lock();
+            let front = file.try_clone().map_err(WriteError::from).and_then(|synced| {
+                front(BufWriter::new(file), move || synced.sync_data(), header, &schemas())
+            });
+            // So that its name survives a power cut too. Not every file system can do this.
+            let _ = sync_folder_of(&path);
+            front.inspect_err(|_| {
+                // A file without its front part helps nobody.
+                let _ = std::fs::remove_file(&path);
+            })
+        };
+        Self::start_with(begin, QUEUE_ITEMS, begun)
     }
 
-    /// Begins a recording into `sink`; `sync` brings what was flushed to the disk.
-    fn start_with(
-        sink: impl Write + Send + 'static,
-        mut sync: impl FnMut() -> io::Result<()> + Send + 'static,
-        header: Header,
-        schemas: &[(&str, String)],
+    /// Begins a recording into what `begin` makes: the file, and what brings to the disk what was flushed into it.
+    fn start_with<W: Write, S: FnMut() -> io::Result<()>>(
+        begin: impl FnOnce() -> Result<(Writer<W>, S), WriteError> + Send + 'static,
         queue_items: usize,
-    ) -> Result<Self, WriteError> {
-        let mut writer = Writer::new(sink, header)?;
-        schemas.iter().for_each(|(topic, schema)| writer.declare(topic, schema));
-        sync()?;
-        let bytes = writer.byte_counter();
-        let shared =
-            Arc::new(Shared { state: Mutex::new(RecorderState::Recording), queued: AtomicUsize::new(0) });
+        begun: impl FnOnce(Result<(), WriteError>) + Send + 'static,
+    ) -> io::Result<Self> {
+        let shared = Arc::new(Shared {
+            state: Mutex::new(RecorderState::Recording),
+            queued: AtomicUsize::new(0),
+            bytes: OnceLock::new(),
+        });
         let (sender, receiver) = bounded(queue_items);
         let thread = {
             let shared = Arc::clone(&shared);
             #[expect(clippy::disallowed_methods, reason = "the daemon owns the recorder's thread")]
             std::thread::Builder::new().name("recorder".to_owned()).spawn(move || {
+                let (writer, mut sync) = match begin() {
+                    Ok(begun) => begun,
+                    Err(error) => {
+                        *shared.state() = RecorderState::Refused { reason: error.to_string() };
+                        return begun(Err(error));
+                    }
+                };
+                let _ = shared.bytes.set(writer.byte_counter());
+                begun(Ok(()));
                 if let Err(error) = run(writer, &mut sync, &receiver, &shared) {
                     tracing::error!("the recording has ended: {error}");
                     *shared.state() = RecorderState::Failed { reason: error.to_string() };
                 }
             })?
         };
-        Ok(Self { sender: Some(sender), shared, bytes, thread })
+        Ok(Self { sender: Some(sender), shared, thread })
     }
 
     /// Appends an entry, before the messages that follow from it.
@@ -148,14 +177,13 @@ impl Recorder {
     }
 
     /// How it stands.
-    #[cfg(test)]
     pub(super) fn state(&self) -> RecorderState {
         self.shared.state().clone()
     }
 
     /// Bytes written so far.
     pub(super) fn bytes_written(&self) -> u64 {
-        self.bytes.load(Ordering::Relaxed)
+        self.shared.bytes.get().map_or(0, |bytes| bytes.load(Ordering::Relaxed))
     }
 
     /// Ends the recording; the thread writes what is queued and the index. Does not wait for it.
@@ -230,6 +258,19 @@ impl Job {
     }
 }
 
+/// The front part of a recording, brought to the disk.
+fn front<W: Write, S: FnMut() -> io::Result<()>>(
+    sink: W,
+    mut sync: S,
+    header: Header,
+    schemas: &Schemas,
+) -> Result<(Writer<W>, S), WriteError> {
+    let mut writer = Writer::new(sink, header)?;
+    schemas.iter().for_each(|(topic, schema)| writer.declare(topic, schema));
+    sync()?;
+    Ok((writer, sync))
+}
+
 /// The thread: writes until the queue is closed, then finishes the file.
 #[expect(clippy::disallowed_methods, reason = "the thread keeps the flush interval")]
 fn run(
@@ -274,7 +315,7 @@ fn run(
     let reason = match &*shared.state() {
         RecorderState::Stopped { reason } | RecorderState::Failed { reason } => reason.clone(),
         // The fusion thread is gone without a word.
-        RecorderState::Recording => "the daemon broke off".to_owned(),
+        RecorderState::Recording | RecorderState::Refused { .. } => "the daemon broke off".to_owned(),
     };
     writer.finish(&reason)?;
     Ok(sync()?)
@@ -283,10 +324,25 @@ fn run(
 #[cfg(test)]
 mod tests {
     use std::fs::File;
+    use std::path::Path;
 
     use super::*;
     use posed_recording::testing::{Full, chunk, header};
     use posed_recording::{Ending, Item, Reader, RepairError};
+
+    /// Begins a file.
+    fn start(path: &Path, schemas: fn() -> Schemas) -> Result<Recorder, WriteError> {
+        let (to, begun) = bounded(1);
+        let recorder =
+            Recorder::start(path.to_owned(), false, header(), schemas, move |begun| to.send(begun).unwrap());
+        begun.recv().unwrap().map(|()| recorder.unwrap())
+    }
+
+    /// Begins a recording into `sink`.
+    fn start_with(sink: impl Write + Send + 'static, queue_items: usize) -> Recorder {
+        let begin = move || front(sink, || Ok(()), header(), &Vec::new());
+        Recorder::start_with(begin, queue_items, |begun| begun.unwrap()).unwrap()
+    }
 
     fn read(path: &Path) -> (Vec<Item>, Option<Ending>, Option<String>) {
         let mut reader = Reader::open(path).unwrap();
@@ -298,7 +354,7 @@ mod tests {
     fn given_entries_and_a_stop_the_file_holds_them_and_says_why_it_ended() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.mcap");
-        let mut recorder = Recorder::start(&path, header(), &[("sensors", "{}".to_owned())]).unwrap();
+        let mut recorder = start(&path, || vec![("sensors", "{}".to_owned())]).unwrap();
         for n in 0..100 {
             recorder.entry(&chunk(n));
             recorder.message("sensors", Timestamp::from_nanos(n), b"{}");
@@ -316,7 +372,7 @@ mod tests {
     fn given_a_running_recording_all_but_the_last_flush_can_be_read() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.mcap");
-        let mut recorder = Recorder::start(&path, header(), &[]).unwrap();
+        let mut recorder = start(&path, Vec::new).unwrap();
         let front = recorder.bytes_written();
         recorder.entry(&chunk(1));
         // Until the flush comes by itself; nothing here depends on when.
@@ -344,13 +400,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.mcap");
         std::fs::write(&path, "precious").unwrap();
-        let error = Recorder::start(&path, header(), &[]).unwrap_err();
+        let error = start(&path, Vec::new).unwrap_err();
         assert!(error.to_string().contains("choose another name"), "{error}");
         assert_eq!(std::fs::read(&path).unwrap(), b"precious");
-        let error = Recorder::start(&folder.path().join("gone/a.mcap"), header(), &[]).unwrap_err();
+        let error = start(&folder.path().join("gone/a.mcap"), Vec::new).unwrap_err();
         assert!(error.to_string().contains("the folder does not exist"), "{error}");
         // Not even root may create a file here.
-        assert!(Recorder::start(Path::new("/proc/a.mcap"), header(), &[]).is_err());
+        assert!(start(Path::new("/proc/a.mcap"), Vec::new).is_err());
         let read_only = WriteError::from(io::Error::from(io::ErrorKind::ReadOnlyFilesystem));
         assert!(read_only.to_string().contains("no right to write"), "{read_only}");
     }
@@ -358,7 +414,7 @@ mod tests {
     #[test]
     fn given_a_full_disk_the_recording_fails_and_who_records_goes_on() {
         let sink = Full { left: 20_000, ..Full::default() };
-        let mut recorder = Recorder::start_with(sink, || Ok(()), header(), &[], 10_000).unwrap();
+        let mut recorder = start_with(sink, 10_000);
         let mut n = 0;
         while !recorder.is_finished() {
             // Bytes that do not compress, so that the disk fills.
@@ -377,7 +433,7 @@ mod tests {
         let path = folder.path().join("a.mcap");
         let (release, held) = bounded::<()>(0);
         let sink = Hanging { held, file: File::create(&path).unwrap(), free_bytes: 2000 };
-        let mut recorder = Recorder::start_with(sink, || Ok(()), header(), &[], 64).unwrap();
+        let mut recorder = start_with(sink, 64);
         let mut n = 0;
         while recorder.state() == RecorderState::Recording {
             recorder.entry(&chunk(n));
@@ -390,6 +446,28 @@ mod tests {
         assert_eq!((ending, end_reason), (Some(Ending::Complete), Some(reason)));
         let expected: Vec<_> = (0..items.len() as i64).map(|n| Item::Entry(chunk(n))).collect();
         assert!(items == expected && items.len() >= 64 && (items.len() as i64) < n);
+    }
+
+    #[test]
+    fn given_a_disk_that_hangs_at_the_beginning_what_comes_meanwhile_is_written_then() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        let (release, held) = bounded::<()>(0);
+        let begin = {
+            let path = path.clone();
+            move || {
+                let _ = held.recv();
+                front(File::create(path).unwrap(), || Ok(()), header(), &Vec::new())
+            }
+        };
+        let (to, begun) = bounded(1);
+        let mut recorder = Recorder::start_with(begin, 1000, move |begun| to.send(begun).unwrap()).unwrap();
+        (0..100).for_each(|n| recorder.entry(&chunk(n)));
+        assert_eq!((recorder.bytes_written(), begun.is_empty()), (0, true));
+        drop(release);
+        begun.recv().unwrap().unwrap();
+        assert_eq!(recorder.wait(), RecorderState::Stopped { reason: "stopped".to_owned() });
+        assert_eq!(read(&path).0.len(), 100);
     }
 
     /// Writes the front part of a recording, then waits until it is released.

@@ -13,7 +13,7 @@ use tungstenite::client::IntoClientRequest;
 use tungstenite::http::HeaderValue;
 
 use super::super::end::End;
-use super::super::run::runtime;
+use super::super::run::block_on;
 use super::{Error, print, print_json};
 
 /// How and where to calibrate.
@@ -42,7 +42,7 @@ const BEGIN: u64 = 2;
 const CANCEL: u64 = 3;
 
 pub(super) fn run(args: &Calibrate) -> Result<(), Error> {
-    runtime()?.block_on(async {
+    block_on(async {
         let mut daemon = Daemon::connect(args).await?;
         daemon.send(&json!({"type": "subscribe", "id": SUBSCRIBE, "topics": ["jobs"]})).await?;
         daemon.send(&json!({"type": "body.calibrate", "id": BEGIN, "how": args.how})).await?;

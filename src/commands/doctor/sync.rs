@@ -84,7 +84,7 @@ fn record(stage: &Path, recording: &Path, seconds: f64) -> Result<(), Error> {
         ..super::super::run::options(parsed, text, folder)
     };
     super::super::notify(&format!("move the sensors together, quickly and irregularly, for {seconds} s"));
-    super::super::run::runtime()?.block_on(async {
+    super::super::run::block_on(async {
         let daemon = Daemon::start(options).map_err(Error::failed)?;
         wait(Duration::from_secs_f64(seconds)).await;
         daemon.shutdown().await;

@@ -39,6 +39,28 @@ async fn a_full_disk_ends_the_recording_with_a_sentence_and_nothing_else() {
     assert_eq!(posed_full.end("INT").await.code(), Some(0));
 }
 
+/// A pipe that is full before the daemon begins, as one to a program that has stopped reading.
+#[tokio::test]
+async fn a_stderr_that_nobody_reads_makes_nobody_wait() {
+    let folder = tempfile::tempdir().unwrap();
+    let unplug = "[[simulation.device.fault]]\nkind = \"unplug\"\nat_s = 4.0\nduration_s = 1.0\n";
+    let stage = two_devices(folder.path(), unplug);
+    let script = format!(
+        "mkfifo {pipe} && exec 2<>{pipe}; head -c 65536 /dev/zero >&2; \
+         exec {} --log debug demo --listen 127.0.0.1:0 --stage {}",
+        env!("CARGO_BIN_EXE_posed"),
+        stage.display(),
+        pipe = folder.path().join("full").display(),
+    );
+    let posed = Posed::spawn(Command::new("bash").args(["-c", &script]));
+    let mut client = posed.subscriber(&["status", "sensors"]).await;
+    let is_away = |message: &serde_json::Value| message["devices"][0]["state"] == "connecting";
+    until(&mut client, "all sensors", all_ok).await;
+    until(&mut client, "a port is away, which is logged", is_away).await;
+    until(&mut client, "all sensors again", all_ok).await;
+    assert_eq!(posed.end("TERM").await.code(), Some(0));
+}
+
 /// A file system that is really full, in a mount namespace of the daemon's own, and then has room again.
 #[tokio::test]
 async fn a_disk_that_is_full_is_named_and_used_again_once_there_is_room() {

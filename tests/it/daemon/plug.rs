@@ -1,8 +1,13 @@
 //! A port that goes away and comes back, beside one that stays.
 
+use std::fs;
+use std::os::unix::fs::symlink;
+
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use serde_json::Value;
 
-use super::process::{Posed, all_ok, two_devices, until};
+use super::process::{Posed, all_ok, one_device, two_devices, until};
+use crate::simulated::Simulation;
 
 #[tokio::test]
 async fn a_port_that_returns_has_poses_again_and_the_other_device_loses_nothing() {
@@ -50,4 +55,26 @@ async fn a_port_that_returns_has_poses_again_and_the_other_device_loses_nothing(
     let samples = sensor(&back, "samples") - sensor(&away, "samples");
     assert!((samples as f64 - records).abs() <= 1.0, "{samples} samples of {records} records");
     assert_eq!(posed.end("TERM").await.code(), Some(0));
+}
+
+/// An adapter that comes back under its old name is another device file; the handle of the first one may stay open, and silent.
+#[tokio::test]
+async fn a_handle_that_outlives_its_port_is_opened_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let silent = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+    grantpt(&silent).unwrap();
+    unlockpt(&silent).unwrap();
+    let port = folder.path().join("tracker");
+    symlink(ptsname(&silent, Vec::new()).unwrap().to_str().unwrap(), &port).unwrap();
+    let simulation = "[[simulation.device]]\nname = \"flock\"\nboot_ms = 0.0\n";
+    let stage = one_device(folder.path(), port.to_str().unwrap(), simulation);
+    let posed = Posed::start(["run".as_ref(), stage.as_os_str()]);
+    let mut client = posed.subscriber(&["status", "sensors"]).await;
+    until(&mut client, "nothing answers", |message| message["devices"][0]["state"] == "silent").await;
+    let simulation = Simulation::start(&stage, &[]);
+    fs::remove_file(&port).unwrap();
+    symlink(simulation.port(), &port).unwrap();
+    until(&mut client, "poses", all_ok).await;
+    assert_eq!(posed.end("TERM").await.code(), Some(0));
+    assert_eq!(simulation.interrupt().code(), Some(0));
 }

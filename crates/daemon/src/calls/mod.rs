@@ -1,7 +1,8 @@
 //! What clients ask the daemon to do, one call at a time.
 //!
 //! In: calls that the server has read and whose role it has checked. Out: commands and models for the fusion thread,
-//! answers. Nothing here waits for the fusion thread: it answers by itself when it has carried a command out.
+//! answers. Nothing here waits for the fusion thread: it answers by itself when it has carried a command out. What reads or writes
+//! files, or computes for long, is done in its order on a thread beside: a disk that hangs holds up nothing else.
 
 mod align;
 mod body;
@@ -13,6 +14,7 @@ mod imu;
 mod segments;
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use tokio::sync::{mpsc, watch};
 
@@ -32,6 +34,8 @@ use posed_stage::input::{Model, Plan, Request};
 
 /// Longest name of a recording, bytes.
 const NAME_BYTES: usize = 128;
+/// Calls that may wait for the disk.
+const WAITING: usize = 64;
 
 /// Carries out clients' calls on a live stage.
 pub(super) struct Calls {
@@ -81,11 +85,27 @@ impl Calls {
 
     /// Until shutdown.
     pub(super) async fn run(self, mut pending: mpsc::Receiver<PendingCall>, mut down: watch::Receiver<bool>) {
+        let this = Arc::new(self);
+        let (aside, mut waiting) = mpsc::channel(WAITING);
+        let beside = Arc::clone(&this);
+        let mut files = tokio::task::spawn_blocking(move || {
+            while let Some(PendingCall { call, reply }) = waiting.blocking_recv() {
+                beside.carry_out(call, reply);
+            }
+        });
         loop {
             tokio::select! {
                 () = ended(&mut down) => return,
+                // Only if it panics: then this part is over, too.
+                _ = &mut files => return,
                 call = pending.recv() => match call {
-                    Some(PendingCall { call, reply }) => self.carry_out(call, reply),
+                    Some(pending) if is_slow(&pending.call) => {
+                        if let Err(mpsc::error::TrySendError::Full(pending)) = aside.try_send(pending) {
+                            let busy = "the disk is slow, and many requests wait for it already; try again later";
+                            pending.reply.error("busy", busy);
+                        }
+                    }
+                    Some(PendingCall { call, reply }) => this.carry_out(call, reply),
                     None => return,
                 },
             }
@@ -103,44 +123,15 @@ impl Calls {
             Call::RecordStop {} => {
                 self.inbox.command(Command::StopRecording { reply: Some(reply) });
             }
-            Call::ModelLoad { model } => match self.check_model(&model) {
-                Ok(()) => {
-                    self.inbox.command(Command::LoadModel { model, reply: Some(reply) });
-                }
-                Err(refusal) => reply.refuse(refusal),
-            },
-            Call::ReplayList {} => match recordings::list(&self.recordings) {
-                Ok(names) => reply.ok(Some(Answer::Recordings(Recordings { recordings: names }))),
-                Err(error) => reply.refuse(error.into()),
-            },
-            Call::ReplayTrack { name, columns } => track::answer(&self.recordings, &name, columns, reply),
             Call::ReplayOpen { .. } | Call::ReplaySeek { .. } | Call::ReplaySpeed { .. } => reply.error(
                 "live",
                 "this daemon tracks a live stage; open a recording with `posed replay FILE`, which serves it to clients",
             ),
             Call::FieldStart { sensors, spacing_m } => self.calibration.start(sensors, spacing_m, reply),
             Call::FieldFinish { anchors } => self.calibration.finish(anchors, reply),
-            Call::FieldAccept {} => self.with_files(reply, Calibration::accept),
-            Call::FieldRollback {} => self.with_files(reply, Calibration::rollback),
-            Call::ExerciseList {} => match self.exercises.list() {
-                Ok(kept) => {
-                    let exercise = |kept: models::Kept| KeptExercise { name: kept.name, revision: kept.revision };
-                    let exercises = kept.into_iter().map(exercise).collect();
-                    reply.ok(Some(Answer::Exercises(Exercises { exercises })));
-                }
-                Err(error) => reply.refuse(Refusal::failed(error)),
-            },
             Call::ExerciseTeach { name, repetitions, last_s, sensors, channels, subject } => {
                 let lesson = exercise::Lesson { name, repetitions, last_s, sensors, channels, subject };
                 self.teach(lesson, reply);
-            }
-            Call::ExerciseSelect { exercises, repetitions, sets, rest_s, subject, sensors } => {
-                let plan = Plan { repetitions, sets, rest_s: rest_s.unwrap_or(0.0) };
-                self.select(exercises, plan, subject, sensors.unwrap_or_default(), reply);
-            }
-            Call::ExerciseReset { subject } => {
-                let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
-                self.request(Request::ExerciseReset { subject }, Vec::new(), reply);
             }
             Call::FaultsTrain { last_s, recording } => self.train_faults(last_s, recording, reply),
             Call::FaultsNameCell { row, column, class } => self.name_cell(row, column, class, reply),
@@ -155,16 +146,36 @@ impl Calls {
                 }
                 Err(error) => reply.refuse(Refusal::new("no_such_job", error)),
             },
+            Call::ModelLoad { model } => match self.check_model(&model) {
+                Ok(()) => {
+                    self.inbox.command(Command::LoadModel { model, reply: Some(reply) });
+                }
+                Err(refusal) => reply.refuse(refusal),
+            },
+            Call::ReplayList {} => match recordings::list(&self.recordings) {
+                Ok(names) => reply.ok(Some(Answer::Recordings(Recordings { recordings: names }))),
+                Err(error) => reply.refuse(error.into()),
+            },
+            Call::ReplayTrack { name, columns } => track::answer(&self.recordings, &name, columns, reply),
+            Call::FieldAccept {} => answer_version(reply, self.calibration.accept()),
+            Call::FieldRollback {} => answer_version(reply, self.calibration.rollback()),
+            Call::ExerciseList {} => match self.exercises.list() {
+                Ok(kept) => {
+                    let exercise = |kept: models::Kept| KeptExercise { name: kept.name, revision: kept.revision };
+                    let exercises = kept.into_iter().map(exercise).collect();
+                    reply.ok(Some(Answer::Exercises(Exercises { exercises })));
+                }
+                Err(error) => reply.refuse(Refusal::failed(error)),
+            },
+            Call::ExerciseSelect { exercises, repetitions, sets, rest_s, subject, sensors } => {
+                let plan = Plan { repetitions, sets, rest_s: rest_s.unwrap_or(0.0) };
+                self.select(exercises, plan, subject, sensors.unwrap_or_default(), reply);
+            }
+            Call::ExerciseReset { subject } => {
+                let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
+                self.request(Request::ExerciseReset { subject }, Vec::new(), reply);
+            }
         }
-    }
-
-    /// Changes the version of the field's map where it keeps nobody waiting, and returns which is in use then.
-    fn with_files(&self, reply: Reply, change: fn(&Calibration) -> Result<u32, FieldMapError>) {
-        let calibration = self.calibration.clone();
-        tokio::task::spawn_blocking(move || match change(&calibration) {
-            Ok(version) => reply.ok(Some(Answer::MapVersion(MapVersion { version }))),
-            Err(error) => reply.refuse(Refusal::failed(error)),
-        });
     }
 
     /// A new file in the one folder for recordings.
@@ -195,9 +206,6 @@ impl Calls {
                 }
             }
         };
-        std::fs::create_dir_all(&self.recordings).map_err(|error| {
-            Refusal::bad_request(format!("cannot make the folder {}: {error}", self.recordings.display()))
-        })?;
         Ok(self.recordings.join(name))
     }
 
@@ -233,5 +241,29 @@ impl Calls {
             fault_map.check_sensors(&self.stage.magnetic_sensors()).map_err(Refusal::bad_request)?;
         }
         Ok(())
+    }
+}
+
+/// Whether it reads or writes files, takes a while, or has to come behind what does.
+fn is_slow(call: &Call) -> bool {
+    matches!(
+        call,
+        Call::ModelLoad { .. }
+            | Call::ReplayList {}
+            | Call::ReplayTrack { .. }
+            | Call::FieldAccept {}
+            | Call::FieldRollback {}
+            | Call::ExerciseList {}
+            | Call::ExerciseSelect { .. }
+            | Call::ExerciseReset { .. }
+            | Call::FaultsNameCell { .. }
+    )
+}
+
+/// Which version of the field's map is in use now.
+fn answer_version(reply: Reply, changed: Result<u32, FieldMapError>) {
+    match changed {
+        Ok(version) => reply.ok(Some(Answer::MapVersion(MapVersion { version }))),
+        Err(error) => reply.refuse(Refusal::failed(error)),
     }
 }
