@@ -12,6 +12,8 @@ const MOVED_M: f64 = 2e-4;
 const MOVED_RAD: f64 = 1e-3;
 /// Least distance of the two sides of a transmitter, where a tracker measures at all, m.
 const APART_M: f64 = 0.2;
+/// A position this many gates away has not come there by moving, nor by an error of the prediction.
+const FAR_GATES: f64 = 3.0;
 /// 99.9 % of chi-square with 6 and with 3 degrees of freedom.
 const GATE_6: f64 = 22.5;
 const GATE_3: f64 = 16.3;
@@ -95,6 +97,14 @@ impl Prediction {
         let covariance = self.position_innovation_m2(noise, &self.position_m);
         let distance = |p: &Vector3<f64>| squared_distance(&covariance, &self.position_innovation(p));
         (one_m - other_m).norm() > APART_M && distance(&one_m) < distance(&other_m)
+    }
+
+    /// Whether a position is so far from the prediction that the sensor must have been turned over: just outside the gate it may
+    /// as well have been predicted wrongly, and near a plane of symmetry its mirror image would be inside.
+    pub(super) fn is_far(&self, position_m: &Vector3<f64>, noise: &TrackerNoise) -> bool {
+        let covariance = self.position_innovation_m2(noise, &self.position_m);
+        let distance = squared_distance(&covariance, &self.position_innovation(position_m));
+        distance > FAR_GATES * FAR_GATES * GATE_3
     }
 
     /// Tests a measurement against the prediction: chi-square of 6 degrees of freedom, or 3 where the format

@@ -181,8 +181,10 @@ impl Detector {
             let is_mirrored = prediction.prefers(&Mirror::Point.apply(pose), pose, noise);
             return self.believe(is_mirrored.then_some(Mirror::Point), pose);
         }
-        for mirror in [Mirror::Point, Mirror::Vertical] {
-            if pose.position_m.is_some() && prediction.gate(&mirror.apply(pose), noise) == Gate::Inside {
+        let mirrors = [Mirror::Point, Mirror::Vertical].into_iter();
+        let is_far = pose.position_m.is_some_and(|position_m| prediction.is_far(&position_m, noise));
+        for mirror in mirrors.filter(|_| is_far) {
+            if prediction.gate(&mirror.apply(pose), noise) == Gate::Inside {
                 return self.believe(Some(mirror), pose);
             }
         }

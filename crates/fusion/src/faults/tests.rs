@@ -55,6 +55,26 @@ fn mirrored_positions_are_mirrored_back_each_by_its_own_prediction() {
 }
 
 #[test]
+fn what_was_predicted_a_little_wrongly_beside_the_plane_of_symmetry_is_not_mirrored() {
+    // 7 mm from where it is expected, and 5.5 mm from there once it is mirrored.
+    let prediction = expected(Vector3::new(0.4, 0.1, -0.003));
+    let at = |z_m: f64| MeasuredPose {
+        position_m: Some(Vector3::new(0.4, 0.104, z_m)),
+        orientation: Some(prediction.orientation),
+    };
+    let check = |pose| Detector::default().check(&pose, Some(&prediction), &NOISE, false, None);
+    assert_eq!(prediction.gate(&Mirror::Vertical.apply(&at(0.003)), &NOISE), Gate::Inside);
+    assert_eq!(check(at(0.003)).label, Label::anomalous(Cause::Gate));
+    // What jumps is.
+    let prediction = expected(Vector3::new(0.4, 0.1, -0.01));
+    let jumped = Mirror::Vertical.apply(&measured(&prediction));
+    assert_eq!(
+        Detector::default().check(&jumped, Some(&prediction), &NOISE, false, None).label,
+        Label::INVERTED
+    );
+}
+
+#[test]
 fn with_nothing_to_judge_by_the_side_nearer_to_where_it_was_counts() {
     let prediction = expected(Vector3::new(0.4, 0.1, -0.2));
     let pose = measured(&prediction);

@@ -411,6 +411,8 @@ impl Clock {
             Some(fit) => (fit.line(x) + fit.middle, fit.sigma, fit.period_s),
             None => (evidence.upper, 1e-2, 1e-2),
         };
+        // Whether cycles left no trace is not decided yet.
+        let sigma_s = self.trial.map_or(sigma_s, |trial| sigma_s.max(0.5 * period_s * trial.shift as f64));
         let model_ns = ((relative_s - self.settings.measurement_delay_s) * 1e9).round() as i64;
         let mut t_ns = origin.t.as_nanos().saturating_add(model_ns);
         let mut cycles_skipped = 0;
