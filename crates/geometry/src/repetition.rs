@@ -59,18 +59,32 @@ pub struct Repetition<W> {
     habit: f64,
     /// The words should have changed since they last did; stays until they do.
     overdue: bool,
+    /// Words that were stuck, while they may still be: a damaged sample between them is no change.
+    stuck: Option<W>,
+    /// Samples since then that were others.
+    others: u32,
 }
 
 impl<W> Default for Repetition<W> {
     fn default() -> Self {
-        Self { last: None, run: 0, habit: 1.0, overdue: false }
+        Self { last: None, run: 0, habit: 1.0, overdue: false, stuck: None, others: 0 }
     }
 }
 
 impl<W: Words> Repetition<W> {
     /// Takes the next sample. A sample that is missing is not taken; equal words beside a gap are a repetition.
     pub fn take(&mut self, words: W, evidence: Evidence) -> Repeats {
-        if self.last.replace(words) != Some(words) {
+        let last = self.last.replace(words);
+        if last != Some(words) && self.overdue && self.run >= W::STUCK_SAMPLES {
+            (self.stuck, self.others) = (last, 0);
+        }
+        if self.stuck == Some(words) && last != Some(words) {
+            (self.run, self.overdue) = (W::STUCK_SAMPLES, true);
+            return Repeats::Stuck;
+        }
+        self.others = self.others.saturating_add(1);
+        self.stuck = self.stuck.filter(|_| self.others < W::STUCK_SAMPLES);
+        if last != Some(words) {
             self.habit += HABIT_WEIGHT * (1.0 - self.habit);
             self.run = 1;
             self.overdue = false;
@@ -98,10 +112,10 @@ impl<W: Words> Repetition<W> {
         self.last
     }
 
-    /// Whether the latest sample repeats the one before, the words used to change, and they have not stood still for so long that a
-    /// stuck device would be known by now: what is begun with such samples may begin with a device that is stuck.
+    /// Whether the latest sample repeats the one before though the words used to change: what is begun with such samples may begin
+    /// with a device that is stuck. A sensor that has come to rest meanwhile has that habit after 44 samples.
     pub fn may_be_stuck(&self) -> bool {
-        (2..=2 * W::STUCK_SAMPLES).contains(&self.run) && self.habit > CHANGING
+        self.run >= 2 && self.habit > CHANGING
     }
 
     /// For how many samples the words have stood still, where that is as long as a stuck device's; else 0.
@@ -126,6 +140,23 @@ mod tests {
         assert_eq!((repetition.take(HERE, Evidence::None), repetition.stood_still()), (Stuck, 6));
         assert_eq!(repetition.take([0.0; 3], Evidence::None), Changed);
         assert_eq!((repetition.take([0.0; 3], Evidence::OthersMove), repetition.stood_still()), (Rests, 0));
+    }
+
+    #[test]
+    fn a_damaged_sample_between_stuck_ones_is_no_change() {
+        use Repeats::{Changed, Rests, Stuck};
+        let mut repetition = Repetition::default();
+        (0..5).for_each(|_| _ = repetition.take(HERE, Evidence::Certain));
+        let damaged = [0.9, 0.1, -0.2];
+        let take = |words| repetition.take(words, Evidence::None);
+        assert_eq!(
+            [HERE, damaged, HERE, HERE, damaged, HERE].map(take),
+            [Stuck, Changed, Stuck, Stuck, Changed, Stuck]
+        );
+        // Where it moves again it may come by and rest there.
+        let mut take = |words| repetition.take(words, Evidence::None);
+        (0..5).for_each(|k| assert_eq!(take([f64::from(k); 3]), Changed));
+        assert_eq!([HERE, HERE].map(take), [Changed, Rests]);
     }
 
     #[test]

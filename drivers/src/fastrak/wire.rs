@@ -177,6 +177,39 @@ pub enum Piece {
     Status,
 }
 
+/// Lines of text in a row that agree on other columns before those are believed.
+const AGREEING: u32 = 4;
+
+/// Where a unit's lines of text have their numbers. Its fields have a fixed width, so that the decimal points of all lines stand
+/// in the same columns: where they do not, a byte was lost or added, which a number alone does not show.
+#[derive(Clone, Copy, Debug, Default, Plain)]
+struct Columns {
+    believed: Option<[u64; 3]>,
+    /// Other columns, and how many lines in a row had them.
+    others: Option<[u64; 3]>,
+    agreeing: u32,
+}
+
+impl Columns {
+    /// Whether a line has the columns of those before it.
+    fn take(&mut self, line: &[u8]) -> bool {
+        let mut columns = [0, 0, line.len() as u64];
+        for (at, _) in line.iter().take(128).enumerate().filter(|(_, byte)| **byte == b'.') {
+            columns[at / 64] |= 1 << (at % 64);
+        }
+        if *self.believed.get_or_insert(columns) == columns {
+            self.agreeing = 0;
+            return true;
+        }
+        self.agreeing = if self.others.replace(columns) == Some(columns) { self.agreeing + 1 } else { 1 };
+        let changed = self.agreeing >= AGREEING;
+        if changed {
+            self.believed = Some(columns);
+        }
+        changed
+    }
+}
+
 /// Cuts a stream of bytes into records. What comes out does not depend on how the bytes were cut.
 ///
 /// A record that does not fit gives up only its first byte, since the next one may begin inside it.
@@ -187,6 +220,7 @@ pub struct Splitter {
     start: usize,
     origin: u64,
     in_sync: bool,
+    columns: Columns,
     rejected: u64,
     bytes_skipped: u64,
 }
@@ -194,7 +228,16 @@ pub struct Splitter {
 impl Splitter {
     /// A splitter before the first byte, for records of this shape only.
     pub fn new(shape: Shape) -> Self {
-        Self { shape, buffer: Vec::new(), start: 0, origin: 0, in_sync: true, rejected: 0, bytes_skipped: 0 }
+        Self {
+            shape,
+            buffer: Vec::new(),
+            start: 0,
+            origin: 0,
+            in_sync: true,
+            columns: Columns::default(),
+            rejected: 0,
+            bytes_skipped: 0,
+        }
     }
 
     /// Takes more bytes, in the order of the stream.
@@ -223,7 +266,9 @@ impl Splitter {
                 }
                 &DATA if self.shape.text => match line_len(pending) {
                     Ok(len) => {
-                        let record = Record::parse_text(&pending[..len], self.shape);
+                        let line = &pending[..len];
+                        let record = Record::parse_text(line, self.shape);
+                        let record = record.filter(|_| self.columns.take(line));
                         (len, record.map(|record| Piece::Record { offset, len, record }))
                     }
                     Err(Cut::Wait) => return None,

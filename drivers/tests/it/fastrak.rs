@@ -47,6 +47,22 @@ fn text_fields_may_touch() {
     assert_eq!(record.orientation_wxyz, [0.5, -0.5, -0.5, 0.5]);
 }
 
+#[test]
+fn a_line_of_text_that_has_lost_a_byte_is_refused_though_its_numbers_can_be_read() {
+    let shape = Shape { text: true, button: false };
+    let line = b"02   46.4311 -12.4180   4.5738  -0.0612   0.0255   0.3404   0.9379\r\n";
+    for lost in 0..line.len() - 2 {
+        let mut stream = line.to_vec();
+        stream.extend(line.iter().enumerate().filter(|(at, _)| *at != lost).map(|(_, byte)| byte));
+        stream.extend(line);
+        assert_eq!(records(&stream, shape).len(), 2, "without byte {lost}");
+    }
+    // Another width of all lines is believed after a few.
+    let wider = b"02    46.4311  -12.4180    4.5738   -0.0612    0.0255    0.3404    0.9379\r\n";
+    let stream = [&line[..], &wider.repeat(6)].concat();
+    assert_eq!(records(&stream, shape).len(), 4);
+}
+
 prop_compose! {
     fn any_record()(
         station in 1_u8..=4,

@@ -111,8 +111,8 @@ fn what_repeats_itself_from_the_first_record_on_begins_no_track_until_it_is_know
     let pose = measured(&expected(Vector3::new(0.4, 0.1, -0.2)));
     let mut detector = Detector::default();
     let taken: Vec<bool> =
-        (0..13).map(|_| detector.check(&pose, None, &NOISE, false, None).withheld).collect();
-    assert_eq!(taken, [&[false][..], &[true; 9], &[false; 3]].concat());
+        (0..50).map(|_| detector.check(&pose, None, &NOISE, false, None).withheld).collect();
+    assert_eq!(taken, [&[false][..], &[true; 44], &[false; 5]].concat());
 }
 
 #[test]

@@ -51,6 +51,11 @@ const INCONSISTENT_LIMIT: u32 = 32;
 const INCONSISTENT_SPAN: u32 = 64;
 /// Bytes that a UART may keep to itself, beyond those that the bounds allow for.
 const FIFO_BYTES: f64 = 9.0;
+/// Lateness beyond the usual from which on a cycle's time is not to be relied on until it is known what it comes from, s.
+const UNDECIDED_S: f64 = 0.02;
+/// The same from which on the clock begins anew, and how many such cycles in a row make it do so.
+const LOST_S: f64 = 0.06;
+const UNDECIDED_CYCLES: u32 = 8;
 /// By how much less than whole cycles a read may be late and still mean that they are missing, s.
 const LATE_BY_LESS_S: f64 = 5e-5;
 /// Share of a period by which the bounds of a window may contradict each other.
@@ -90,8 +95,9 @@ pub struct Stamp {
     /// Cycles that are missing in front of this one: nothing of them came through. By the device's count or the clock's estimate
     /// of it; 0 after a restart, for samples inside a cycle, and for devices without cycles.
     pub cycles_skipped: u32,
-    /// Whether it may have waited on its way, so that it is older than its time says: only where nothing but its arrival tells
-    /// that ([`ArrivalClock`]).
+    /// Whether its time may be another one by more than `sigma_s` says: it may have waited on its way where nothing but its arrival
+    /// tells when it was measured ([`ArrivalClock`]), or it comes late and alone, and nobody knows yet whether cycles before it
+    /// were lost.
     pub queued: bool,
 }
 
@@ -110,6 +116,8 @@ pub struct Clock {
     /// Cycles that the driver's count is behind (Cycle only).
     renumbered: i64,
     trial: Option<Trial>,
+    /// Cycles in a row that came late and alone.
+    undecided: u32,
     doubt: Doubt,
     last: Option<Cycle>,
     /// Bytes that usually follow in the chunk of a cycle's first record.
@@ -169,6 +177,8 @@ struct Cycle {
     t_read: Timestamp,
     t_valid: Timestamp,
     sigma_s: f64,
+    /// As [`Stamp::queued`].
+    queued: bool,
 }
 
 impl Clock {
@@ -184,6 +194,7 @@ impl Clock {
             interval: Interval::default(),
             renumbered: 0,
             trial: None,
+            undecided: 0,
             doubt: Doubt::default(),
             last: None,
             usual_bytes_after: 0,
@@ -218,6 +229,7 @@ impl Clock {
         self.interval = Interval::default();
         self.renumbered = 0;
         self.trial = None;
+        self.undecided = 0;
         self.doubt = Doubt::default();
         self.usual_bytes_after = 0;
         self.inconsistent = 0;
@@ -279,7 +291,16 @@ impl Clock {
         let tried = self.trial.map_or(0, |trial| trial.shift);
         let x = count + (self.renumbered + tried) as f64;
         evidence.x = x;
-        if self.trial.is_some() {
+        let lateness_s =
+            self.fit.filter(|_| !counted).map_or(0.0, |fit| self.lone_lateness_s(&fit, &evidence));
+        let queued = lateness_s > UNDECIDED_S;
+        self.undecided = if queued { self.undecided + u32::from(begins_cycle) } else { 0 };
+        if lateness_s > LOST_S || self.undecided > UNDECIDED_CYCLES {
+            // Nothing holds lone records back for so long: an unknown number of cycles is lost.
+            self.restart();
+            return self.push(sample);
+        }
+        if self.trial.is_some() || queued {
             // Evidence of a count that may be wrong would bend the line.
         } else if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S)
             || self.fit.is_none()
@@ -294,7 +315,7 @@ impl Clock {
         } else if let Some(fit) = &mut self.fit {
             fit.tighten(&evidence);
         }
-        if begins_cycle { self.begin_cycle(raw, x, origin, known, &evidence) } else { self.repeat() }
+        if begins_cycle { self.begin_cycle(raw, x, origin, known, &evidence, queued) } else { self.repeat() }
     }
 
     /// What to think of a count before it is used.
@@ -378,6 +399,14 @@ impl Clock {
         self.count_consistency(inconsistent);
     }
 
+    /// By how much a cycle with nothing behind it comes later than usual, s, if by more than half a period: cycles before it may
+    /// be missing as well as it may have waited. 0 with more behind it, which is what waits.
+    fn lone_lateness_s(&self, fit: &Fit, evidence: &Evidence) -> f64 {
+        let lone = evidence.bytes_after <= self.usual_bytes_after.max(FIFO_BYTES as u32);
+        let late_s = evidence.upper - fit.line(evidence.x) - fit.upper - fit.lateness;
+        if lone && late_s > 0.5 * fit.period_s { late_s } else { 0.0 }
+    }
+
     fn renumber(&mut self, shift: i64) {
         self.renumbered += shift;
         self.trial = None;
@@ -406,7 +435,15 @@ impl Clock {
         }
     }
 
-    fn begin_cycle(&mut self, raw: u64, x: f64, origin: Origin, known: bool, evidence: &Evidence) -> Stamp {
+    fn begin_cycle(
+        &mut self,
+        raw: u64,
+        x: f64,
+        origin: Origin,
+        known: bool,
+        evidence: &Evidence,
+        queued: bool,
+    ) -> Stamp {
         let (relative_s, sigma_s, period_s) = match &self.fit {
             Some(fit) => (fit.line(x) + fit.middle, fit.sigma, fit.period_s),
             None => (evidence.upper, 1e-2, 1e-2),
@@ -435,14 +472,14 @@ impl Clock {
         // Nothing was measured after it was read.
         let t_valid = Timestamp::from_nanos(t_ns).min(evidence.t_read);
         let t_valid = self.last.map_or(t_valid, |last| rising(t_valid, last.t_valid));
-        self.last = Some(Cycle { raw, x, t_read: evidence.t_read, t_valid, sigma_s });
-        Stamp { t_valid, sigma_s, begins_cycle: true, cycles_skipped, queued: false }
+        self.last = Some(Cycle { raw, x, t_read: evidence.t_read, t_valid, sigma_s, queued });
+        Stamp { t_valid, sigma_s, begins_cycle: true, cycles_skipped, queued }
     }
 
     fn repeat(&self) -> Stamp {
-        let (t_valid, sigma_s) =
-            self.last.map_or((Timestamp::ZERO, 0.0), |last| (last.t_valid, last.sigma_s));
-        Stamp { t_valid, sigma_s, begins_cycle: false, cycles_skipped: 0, queued: false }
+        let (t_valid, sigma_s, queued) =
+            self.last.map_or((Timestamp::ZERO, 0.0, false), |last| (last.t_valid, last.sigma_s, last.queued));
+        Stamp { t_valid, sigma_s, begins_cycle: false, cycles_skipped: 0, queued }
     }
 
     /// Capture time that the model gives for `cycles` after the latest one, by the measured or else the nominal interval; `None`

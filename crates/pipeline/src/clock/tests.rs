@@ -405,3 +405,25 @@ fn bursts_of_a_device_that_counts_leave_its_times_right() {
         assert!(k < 100 || error_s.abs() < limit_s, "cycle {k}: {error_s} s");
     }
 }
+
+#[test]
+fn cycles_that_left_no_trace_make_no_record_old() {
+    for lost in [3, 5, 8, 30] {
+        let mut clock = Clock::new(Settings { byte_time_s: 0.0, measurement_delay_s: 0.0 });
+        clock.set_nominal_rate_hz(Some(100.0));
+        let mut previous = None;
+        for k in 0..40_u64 {
+            // Nobody counts what is lost in front of the 20th.
+            let before = if k < 20 { 0 } else { lost };
+            let truth_s = 1.0 + (k + before) as f64 * 0.01;
+            let t_read = Timestamp::from_secs_f64(truth_s + 2e-4);
+            let stamp = clock.push(&sample(1, t_read, previous, DeviceTime::Cycle(k)));
+            previous = Some(t_read);
+            let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
+            assert!(
+                stamp.queued || off_s < 0.02,
+                "{lost} lost: cycle {k} is {off_s} s off and no one says so"
+            );
+        }
+    }
+}
