@@ -114,9 +114,12 @@ async fn one_connection_too_many_is_informed() {
     let server = with(Limits { connections: 2, ..Limits::default() });
     let mut one = server.client().await;
     let two = server.client().await;
-    let head = format!("GET /ws HTTP/1.1\r\nHost: {}\r\n\r\n", server.address);
-    let answer = get(server.address, &head).await;
-    assert!(answer.starts_with("HTTP/1.1 503") && answer.contains("2 connections at most"), "{answer}");
+    let (status, answer) = server.refusal(server.request("")).await;
+    assert!(status == 503 && answer.contains("2 connections at most"), "{status} {answer}");
+    // The page and how the daemon is are for everybody.
+    let health =
+        get(server.address, &format!("GET /health HTTP/1.1\r\nHost: {}\r\n\r\n", server.address)).await;
+    assert!(health.starts_with("HTTP/1.1 200"), "{health}");
     one.subscribe(&["sensors"]).await;
     drop(two);
     // The place is free again once the server has noticed.
@@ -136,4 +139,19 @@ async fn who_lets_replies_pile_up_is_disconnected() {
     let (code, reason) = client.closed().await;
     assert_eq!(code, 1008);
     assert!(reason.starts_with("too slow"), "{reason}");
+}
+
+#[tokio::test]
+async fn connections_that_say_nothing_keep_nobody_out() {
+    let server = with(Limits { waiting: 4, ..Limits::default() });
+    // As many as there are places that wait, and then as many again: the first ones are closed.
+    let mut silent = Vec::new();
+    for _ in 0..8 {
+        silent.push(TcpStream::connect(server.address).await.unwrap());
+    }
+    let mut client = server.client().await;
+    client.subscribe(&["sensors"]).await;
+    let mut all = Vec::new();
+    tokio::time::timeout(PATIENCE, silent[0].read_to_end(&mut all)).await.unwrap().unwrap();
+    assert!(all.is_empty());
 }

@@ -21,6 +21,8 @@ pub(crate) const CALM_S: f64 = 16.0;
 
 /// What bytes that were damaged without a sign do to a filter is gone so long afterwards, s.
 const BLIND_S: f64 = 8.0;
+/// So long before it is read a record may have been measured, s.
+const ON_ITS_WAY_S: f64 = 0.1;
 /// Longest time between two reports of a device, s.
 const REPORT_S: f64 = 0.5;
 
@@ -243,7 +245,7 @@ impl Plan {
     fn suffers(&mut self, device: usize, kind: Kind, fault: Fault) {
         let (start_s, end_s) = fault.span_s();
         if kind.cannot_see(&fault) {
-            self.blind.push((device, start_s, end_s + BLIND_S));
+            self.blind.push((device, start_s - ON_ITS_WAY_S, end_s + BLIND_S));
         }
         if matches!(fault, Fault::OutOfRange { .. }) {
             // What it measured last may be new to the host, and is told at the next report.
@@ -260,7 +262,7 @@ impl Plan {
     fn meets(&mut self, t_s: f64, event: Event) {
         self.calm_from_s = self.calm_from_s.max(t_s);
         if let Event::Input(Input::Bytes { device, .. }) = &event {
-            self.blind.push((usize::from(*device), t_s, t_s + BLIND_S));
+            self.blind.push((usize::from(*device), t_s - ON_ITS_WAY_S, t_s + BLIND_S));
         }
         self.events.push((t_s, event));
     }

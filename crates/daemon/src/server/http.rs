@@ -13,9 +13,10 @@ use axum::{Router, extract::rejection::ExtensionRejection};
 
 use super::access::Refusal;
 use super::foxglove::Viewer;
-use super::listen::{ConnectionContext, Slot};
+use super::listen::ConnectionContext;
 use super::metrics::Metrics;
 use super::requests::Requests;
+use super::slots::{NoSlot, Slot};
 use super::{Shared, client, viewer};
 use posed_protocol::foxglove;
 use posed_protocol::{Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK};
@@ -131,11 +132,11 @@ pub(super) async fn websocket(
     uri: Uri,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    let role = match admit(&shared.context, &headers, &uri) {
+    let slot = slot.ok().map(|Extension(slot)| slot);
+    let role = match admit(&shared.context, &headers, &uri, slot.as_deref()) {
         Ok(role) => role,
         Err((reason, refusal)) => return refuse(&shared.context, reason, refusal),
     };
-    let slot = slot.ok().map(|Extension(slot)| slot);
     let [sdk, older] = foxglove::wire::SUBPROTOCOLS;
     let upgrade =
         bounded(upgrade, &shared.context).protocols([SUBPROTOCOL_MSGPACK, SUBPROTOCOL_JSON, sdk, older]);
@@ -171,14 +172,19 @@ enum Speaks {
     Foxglove,
 }
 
-/// What who asks for a websocket may do, or the refusal and its reason: Origin and token are looked at.
+/// What who asks for a websocket may do, or the refusal and its reason: Origin and token are looked at, and then whether there is
+/// a place.
 pub(super) fn admit(
     context: &ConnectionContext,
     headers: &HeaderMap,
     uri: &Uri,
+    slot: Option<&Slot>,
 ) -> Result<Role, (&'static str, Refusal)> {
     context.access.check_origin(headers).map_err(|refusal| ("origin", refusal))?;
-    context.access.role(headers, uri).map_err(|refusal| ("token", refusal))
+    let role = context.access.role(headers, uri).map_err(|refusal| ("token", refusal))?;
+    let full = |error: NoSlot| ("limit", (StatusCode::SERVICE_UNAVAILABLE, error.to_string()));
+    slot.map_or(Ok(()), Slot::enter).map_err(full)?;
+    Ok(role)
 }
 
 /// The websocket with its limits.
@@ -199,6 +205,9 @@ pub(super) fn refuse(
 ) -> Response {
     context.metrics.refuse(reason);
     let mut response = (status, sentence + "\n").into_response();
+    if status == StatusCode::SERVICE_UNAVAILABLE {
+        response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("5"));
+    }
     if status == StatusCode::UNAUTHORIZED {
         response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
     }

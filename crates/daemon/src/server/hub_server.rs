@@ -22,9 +22,10 @@ use tokio::sync::{mpsc, watch};
 use super::directory::{self, Directory, Member};
 use super::distributor::Distributor;
 use super::hub::Item;
-use super::listen::{ConnectionContext, Slot};
+use super::listen::ConnectionContext;
 use super::listener::Listener;
 use super::metrics::Metrics;
+use super::slots::Slot;
 use super::{
     BindError, Command, Limits, Shared, StageInfo, StageServices, client, http, rfc3339, topics_of, viewer,
 };
@@ -250,7 +251,8 @@ async fn everything(
     upgrade: WebSocketUpgrade,
 ) -> Response {
     let context = Arc::clone(&registry.registered.context);
-    if let Err((reason, refusal)) = http::admit(&context, &headers, &uri) {
+    let slot = slot.ok().map(|Extension(slot)| slot);
+    if let Err((reason, refusal)) = http::admit(&context, &headers, &uri, slot.as_deref()) {
         return http::refuse(&context, reason, refusal);
     }
     let upgrade = http::bounded(upgrade, &context).protocols([SUBPROTOCOL_MSGPACK, SUBPROTOCOL_JSON]);

@@ -9,8 +9,9 @@ use tokio::sync::watch;
 use tokio_rustls::TlsAcceptor;
 
 use super::access::Access;
-use super::listen::{self, ConnectionContext, Slots};
+use super::listen::{self, ConnectionContext};
 use super::metrics::Metrics;
+use super::slots::Slots;
 use super::{BindError, DEFAULT_LISTEN, Limits, tls};
 
 /// A bound socket that nobody is let in by yet.
@@ -50,7 +51,7 @@ impl Listener {
             port: address.port(),
             tls: tls.is_some(),
         };
-        let slots = Slots::new(limits.connections, limits.connections_per_address);
+        let slots = Slots::new(&limits);
         let context =
             ConnectionContext { access, limits, metrics: Arc::new(Metrics::new()), slots, shutdown };
         Ok(Self { listener, address, tls, report, context: Arc::new(context) })

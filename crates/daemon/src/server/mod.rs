@@ -24,6 +24,7 @@ mod listener;
 mod metrics;
 mod outbox;
 mod requests;
+mod slots;
 mod streams;
 mod tls;
 mod viewer;
@@ -109,8 +110,11 @@ impl Config {
 pub struct Limits {
     /// Connections at a time; 512 by default. One more is refused with HTTP status 503.
     pub connections: usize,
-    /// Connections at a time from one IP address; 256 by default.
+    /// Connections at a time from one IPv4 address or one IPv6 network of 64 bits; 256 by default.
     pub connections_per_address: usize,
+    /// Connections at a time that have not yet shown that they may be here, among them those for the page; 256 by default. One
+    /// more closes the oldest of the address that has most of them.
+    pub waiting: usize,
     /// Bytes of a client's message; a larger one closes with 1009. 64 KiB by default.
     pub message_bytes: usize,
     /// Messages per second that a client may send on average; more closes with 1008. 50 by default.
@@ -144,6 +148,7 @@ impl Default for Limits {
         Self {
             connections: 512,
             connections_per_address: 256,
+            waiting: 256,
             message_bytes: 64 * 1024,
             messages_per_s: 50.0,
             message_burst: 200.0,

@@ -15,9 +15,10 @@ use tokio::time::timeout;
 
 use super::Limits;
 use super::hub::Item;
-use super::listen::{self, Slots};
+use super::listen;
 use super::listener::bind_first;
 use super::metrics::Metrics;
+use super::slots::{Slot, Slots};
 use crate::ports::ended;
 use posed_protocol::vrpn::{Catalogue, Peer, Publisher, Refused, wire};
 
@@ -93,7 +94,7 @@ impl Vrpn {
             metrics: Arc::clone(&metrics),
             scratch: Vec::new(),
         };
-        let slots = Slots::new(limits.connections, limits.connections_per_address);
+        let slots = Slots::new(limits);
         Ok((Self { tcp, udp, shared, slots, metrics, call_back: settings.call_back }, outlet))
     }
 
@@ -162,8 +163,9 @@ impl Vrpn {
     }
 
     fn connection(&self, address: IpAddr) -> Option<Connection> {
-        match self.slots.take(address) {
-            Ok(slot) => Some(Connection {
+        let slot = self.slots.wait(address);
+        match slot.enter() {
+            Ok(()) => Some(Connection {
                 shared: Arc::clone(&self.shared),
                 metrics: Arc::clone(&self.metrics),
                 _slot: slot,
@@ -230,7 +232,7 @@ impl Waiting {
 struct Connection {
     shared: Arc<Shared>,
     metrics: Arc<Metrics>,
-    _slot: super::listen::Slot,
+    _slot: Slot,
 }
 
 impl Connection {

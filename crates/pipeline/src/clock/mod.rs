@@ -56,6 +56,8 @@ const UNDECIDED_S: f64 = 0.02;
 /// The same from which on the clock begins anew, and how many such cycles in a row make it do so.
 const LOST_S: f64 = 0.06;
 const UNDECIDED_CYCLES: u32 = 8;
+/// How long times are not to be relied on after they were contradicted, s.
+const CONTRADICTED_S: f64 = 0.2;
 /// By how much less than whole cycles a read may be late and still mean that they are missing, s.
 const LATE_BY_LESS_S: f64 = 5e-5;
 /// Share of a period by which the bounds of a window may contradict each other.
@@ -116,10 +118,14 @@ pub struct Clock {
     /// Cycles that the driver's count is behind (Cycle only).
     renumbered: i64,
     trial: Option<Trial>,
+    /// When a cycle was read last that had not been measured yet, by the line.
+    contradicted: Option<Timestamp>,
     /// Cycles in a row that came late and alone.
     undecided: u32,
     doubt: Doubt,
     last: Option<Cycle>,
+    /// Most bytes that were behind a cycle that was not late.
+    usual_behind: u32,
     /// Bytes that usually follow in the chunk of a cycle's first record.
     usual_bytes_after: u32,
     inconsistent: u32,
@@ -194,9 +200,11 @@ impl Clock {
             interval: Interval::default(),
             renumbered: 0,
             trial: None,
+            contradicted: None,
             undecided: 0,
             doubt: Doubt::default(),
             last: None,
+            usual_behind: FIFO_BYTES as u32,
             usual_bytes_after: 0,
             inconsistent: 0,
             inconsistent_seen: 0,
@@ -293,14 +301,17 @@ impl Clock {
         evidence.x = x;
         let lateness_s =
             self.fit.filter(|_| !counted).map_or(0.0, |fit| self.lone_lateness_s(&fit, &evidence));
-        let queued = lateness_s > UNDECIDED_S;
-        self.undecided = if queued { self.undecided + u32::from(begins_cycle) } else { 0 };
+        let undecided = lateness_s > UNDECIDED_S;
+        self.undecided = if undecided { self.undecided + u32::from(begins_cycle) } else { 0 };
         if lateness_s > LOST_S || self.undecided > UNDECIDED_CYCLES {
             // Nothing holds lone records back for so long: an unknown number of cycles is lost.
             self.restart();
             return self.push(sample);
         }
-        if self.trial.is_some() || queued {
+        let contradicted =
+            self.contradicted.is_some_and(|t| sample.arrival.t_read.seconds_since(t) < CONTRADICTED_S);
+        let queued = undecided || contradicted || self.trial.is_some();
+        if self.trial.is_some() || undecided {
             // Evidence of a count that may be wrong would bend the line.
         } else if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S)
             || self.fit.is_none()
@@ -361,6 +372,7 @@ impl Clock {
         let mut inconsistent = may_renumber && fit.prompt && !usual;
         if late < fit.lower - tolerance {
             // Read before it was measured: a shift was wrong, or the line is.
+            self.contradicted = Some(evidence.t_read);
             let ahead = ((fit.lower - tolerance - late) / period).ceil() as i64;
             inconsistent = self.renumbered < ahead;
             self.renumber(if inconsistent { 0 } else { -ahead });
@@ -401,9 +413,12 @@ impl Clock {
 
     /// By how much a cycle with nothing behind it comes later than usual, s, if by more than half a period: cycles before it may
     /// be missing as well as it may have waited. 0 with more behind it, which is what waits.
-    fn lone_lateness_s(&self, fit: &Fit, evidence: &Evidence) -> f64 {
-        let lone = evidence.bytes_after <= self.usual_bytes_after.max(FIFO_BYTES as u32);
+    fn lone_lateness_s(&mut self, fit: &Fit, evidence: &Evidence) -> f64 {
         let late_s = evidence.upper - fit.line(evidence.x) - fit.upper - fit.lateness;
+        if late_s <= 0.0 {
+            self.usual_behind = self.usual_behind.max(evidence.bytes_after);
+        }
+        let lone = evidence.bytes_after <= self.usual_behind;
         if lone && late_s > 0.5 * fit.period_s { late_s } else { 0.0 }
     }
 

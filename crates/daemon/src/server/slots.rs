@@ -1,0 +1,239 @@
+//! Places for connections: who waits to be let in, and who is in.
+//!
+//! A connection waits until it has asked for a websocket and its Origin and token were accepted; then it takes a place. Both are
+//! counted by network: an IPv4 address, or 64 bits of an IPv6 address, of which one subscriber has as many as it likes. Whoever
+//! comes may wait. Where too many do, the oldest of the network that has most of them is closed: a flood closes itself.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::net::{IpAddr, Ipv6Addr};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::Notify;
+
+use super::Limits;
+
+/// How many connections there may be, in all and from one network; clones count together.
+#[derive(Clone, Debug)]
+pub(super) struct Slots {
+    connections: usize,
+    per_address: usize,
+    waiting: usize,
+    taken: Arc<Taken>,
+}
+
+#[derive(Debug, Default)]
+struct Taken {
+    counts: Mutex<Counts>,
+    freed: Notify,
+}
+
+#[derive(Debug, Default)]
+struct Counts {
+    /// Of connections that are in, by network.
+    inside: BTreeMap<IpAddr, usize>,
+    inside_all: usize,
+    /// Those that wait, oldest first, by network.
+    waiting: BTreeMap<IpAddr, VecDeque<(u64, Arc<Notify>)>>,
+    waiting_all: usize,
+    next: u64,
+}
+
+/// Why a connection gets no place; the sentences are answers.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum NoSlot {
+    #[error("this daemon serves {0} connections at most; try again later")]
+    Total(usize),
+    #[error("this daemon serves {0} connections of one address at most; try again later")]
+    PerAddress(usize),
+    #[error("too many connections wait to be let in; try again later")]
+    GivenUp,
+}
+
+/// A connection's place; freed when dropped.
+#[derive(Debug)]
+pub(super) struct Slot {
+    network: IpAddr,
+    number: u64,
+    given_up: Arc<Notify>,
+    is_inside: AtomicBool,
+    slots: Slots,
+}
+
+impl Slots {
+    pub(super) fn new(limits: &Limits) -> Self {
+        Self {
+            connections: limits.connections,
+            per_address: limits.connections_per_address,
+            waiting: limits.waiting,
+            taken: Arc::default(),
+        }
+    }
+
+    /// Lets a new connection wait; where too many do, another one is closed.
+    pub(super) fn wait(&self, address: IpAddr) -> Slot {
+        let network = network(address);
+        let mut counts = self.taken.lock();
+        let number = counts.next;
+        counts.next += 1;
+        let given_up = Arc::new(Notify::new());
+        counts.waiting.entry(network).or_default().push_back((number, Arc::clone(&given_up)));
+        counts.waiting_all += 1;
+        if counts.waiting_all > self.waiting {
+            counts.give_up_one();
+        }
+        drop(counts);
+        Slot { network, number, given_up, is_inside: AtomicBool::new(false), slots: self.clone() }
+    }
+
+    /// Waits until no connection is left.
+    pub(super) async fn all_free(&self) {
+        loop {
+            let freed = self.taken.freed.notified();
+            if self.taken.lock().is_empty() {
+                return;
+            }
+            freed.await;
+        }
+    }
+}
+
+impl Slot {
+    /// Takes a place for a connection that waits.
+    ///
+    /// # Errors
+    /// There is none; it waits on, to be told so.
+    pub(super) fn enter(&self) -> Result<(), NoSlot> {
+        let mut counts = self.slots.taken.lock();
+        if counts.inside_all >= self.slots.connections {
+            return Err(NoSlot::Total(self.slots.connections));
+        }
+        if counts.inside.get(&self.network).is_some_and(|inside| *inside >= self.slots.per_address) {
+            return Err(NoSlot::PerAddress(self.slots.per_address));
+        }
+        if !counts.remove(self.network, self.number) {
+            return Err(NoSlot::GivenUp);
+        }
+        *counts.inside.entry(self.network).or_insert(0) += 1;
+        counts.inside_all += 1;
+        self.is_inside.store(true, Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Waits until the connection has waited too long beside too many others.
+    pub(super) async fn given_up(&self) {
+        self.given_up.notified().await;
+    }
+}
+
+impl Drop for Slot {
+    fn drop(&mut self) {
+        let mut counts = self.slots.taken.lock();
+        if *self.is_inside.get_mut() {
+            counts.inside_all -= 1;
+            if let Some(inside) = counts.inside.get_mut(&self.network) {
+                *inside -= 1;
+                if *inside == 0 {
+                    counts.inside.remove(&self.network);
+                }
+            }
+        } else {
+            counts.remove(self.network, self.number);
+        }
+        drop(counts);
+        self.slots.taken.freed.notify_one();
+    }
+}
+
+impl Taken {
+    fn lock(&self) -> MutexGuard<'_, Counts> {
+        self.counts.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Counts {
+    fn is_empty(&self) -> bool {
+        self.inside_all + self.waiting_all == 0
+    }
+
+    /// Closes the oldest connection of the network of which most wait.
+    fn give_up_one(&mut self) {
+        let most = self.waiting.iter().max_by_key(|(_, waiting)| waiting.len());
+        let Some((&network, Some((number, given_up)))) = most.map(|(network, all)| (network, all.front()))
+        else {
+            return;
+        };
+        given_up.notify_one();
+        let number = *number;
+        self.remove(network, number);
+    }
+
+    /// Takes a connection from those that wait; false where it is not among them.
+    fn remove(&mut self, network: IpAddr, number: u64) -> bool {
+        let Some(waiting) = self.waiting.get_mut(&network) else { return false };
+        let Some(at) = waiting.iter().position(|(waits, _)| *waits == number) else { return false };
+        waiting.remove(at);
+        if waiting.is_empty() {
+            self.waiting.remove(&network);
+        }
+        self.waiting_all -= 1;
+        true
+    }
+}
+
+/// What counts as one: an IPv4 address, or the first 64 bits of an IPv6 address.
+fn network(address: IpAddr) -> IpAddr {
+    match address.to_canonical() {
+        IpAddr::V6(address) => {
+            let [a, b, c, d, ..] = address.segments();
+            Ipv6Addr::new(a, b, c, d, 0, 0, 0, 0).into()
+        }
+        v4 => v4,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn slots(connections: usize, connections_per_address: usize, waiting: usize) -> Slots {
+        Slots::new(&Limits { connections, connections_per_address, waiting, ..Limits::default() })
+    }
+
+    fn address(text: &str) -> IpAddr {
+        text.parse().unwrap()
+    }
+
+    #[test]
+    fn places_are_counted_in_all_and_per_network() {
+        let slots = slots(3, 2, 10);
+        let enter = |text: &str| {
+            let slot = slots.wait(address(text));
+            slot.enter().map(|()| slot)
+        };
+        // All addresses of a subscriber are one.
+        let first = enter("2001:db8:1:2::1").unwrap();
+        let _second = enter("2001:db8:1:2:a:b:c:d").unwrap();
+        assert_eq!(enter("2001:db8:1:2::3").unwrap_err(), NoSlot::PerAddress(2));
+        let _third = enter("127.0.0.1").unwrap();
+        assert_eq!(enter("::ffff:127.0.0.1").unwrap_err(), NoSlot::Total(3));
+        drop(first);
+        assert!(enter("2001:db8:1:2::3").is_ok());
+    }
+
+    #[tokio::test]
+    async fn a_flood_of_connections_that_wait_closes_itself_and_no_other() {
+        let slots = slots(512, 256, 8);
+        let honest = slots.wait(address("192.0.2.1"));
+        let floods = ["198.51.100.1", "198.51.100.2"].map(address);
+        let flood: Vec<Slot> = (0..1000).map(|k| slots.wait(floods[k % 2])).collect();
+        flood[0].given_up().await;
+        assert_eq!(flood[0].enter().unwrap_err(), NoSlot::GivenUp);
+        // Neither who came before nor who comes now.
+        assert!(honest.enter().is_ok() && slots.wait(address("192.0.2.2")).enter().is_ok());
+        let left = flood.iter().filter(|slot| slot.enter().is_ok()).count();
+        assert_eq!(left, 7);
+        drop((flood, honest));
+        slots.all_free().await;
+    }
+}
