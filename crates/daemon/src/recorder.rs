@@ -115,7 +115,7 @@ impl Recorder {
     }
 
     /// Begins a recording into what `begin` makes: the file, and what brings to the disk what was flushed into it.
-    fn start_with<W: Write, S: FnMut() -> io::Result<()>>(
+    fn start_with<W: Write, S: FnMut() -> io::Result<()> + Send>(
         begin: impl FnOnce() -> Result<(Writer<W>, S), WriteError> + Send + 'static,
         queue_items: usize,
         begun: impl FnOnce(Result<(), WriteError>) + Send + 'static,
@@ -271,15 +271,50 @@ fn front<W: Write, S: FnMut() -> io::Result<()>>(
     Ok((writer, sync))
 }
 
-/// The thread: writes until the queue is closed, then finishes the file.
-#[expect(clippy::disallowed_methods, reason = "the thread keeps the flush interval")]
-fn run(
+/// The thread: writes until the queue is closed, then finishes the file. Another one brings to the disk what was written: that may
+/// take longer than may be lost, and what has been handed to the system survives the end of this program.
+fn run<S: FnMut() -> io::Result<()> + Send>(
     mut writer: Writer<impl Write>,
-    sync: &mut impl FnMut() -> io::Result<()>,
+    sync: &mut S,
     receiver: &Receiver<Job>,
     shared: &Shared,
 ) -> Result<(), WriteError> {
-    let mut next_flush = Instant::now() + FLUSH_EVERY;
+    let (ask, asked) = bounded(1);
+    let (failed, failure) = bounded(1);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            if let Some(error) = asked.iter().find_map(|()| sync().err()) {
+                let _ = failed.send(error);
+            }
+        });
+        let written = write(&mut writer, receiver, shared, || {
+            // Where it is still at the time before, it is asked again at the next.
+            let _ = ask.try_send(());
+            failure.try_recv().map_or(Ok(()), Err)
+        });
+        // The other thread ends with it.
+        drop(ask);
+        written
+    })?;
+    let reason = match &*shared.state() {
+        RecorderState::Stopped { reason } | RecorderState::Failed { reason } => reason.clone(),
+        // The fusion thread is gone without a word.
+        RecorderState::Recording | RecorderState::Refused { .. } => "the daemon broke off".to_owned(),
+    };
+    writer.finish(&reason)?;
+    Ok(sync()?)
+}
+
+/// Writes what is queued, and hands it to the system and `synced` twice a second.
+#[expect(clippy::disallowed_methods, reason = "the thread keeps the flush interval")]
+fn write(
+    writer: &mut Writer<impl Write>,
+    receiver: &Receiver<Job>,
+    shared: &Shared,
+    synced: impl Fn() -> io::Result<()>,
+) -> Result<(), WriteError> {
+    // What came while the file was made has waited already.
+    let mut next_flush = Instant::now();
     // Whether messages of the last entry may still come: what a crash leaves should not end between the two.
     let mut open = false;
     loop {
@@ -288,9 +323,9 @@ fn run(
                 shared.queued.fetch_sub(job.size(), Ordering::Relaxed);
                 let begins = matches!(job, Job::Entry(_));
                 if begins && Instant::now() >= next_flush {
-                    writer.flush()?;
-                    sync()?;
                     next_flush = Instant::now() + FLUSH_EVERY;
+                    writer.flush()?;
+                    synced()?;
                 }
                 open = begins;
                 match job {
@@ -305,20 +340,13 @@ fn run(
                 next_flush = Instant::now() + ENTRY_GRACE;
             }
             Err(RecvTimeoutError::Timeout) => {
-                writer.flush()?;
-                sync()?;
                 next_flush = Instant::now() + FLUSH_EVERY;
+                writer.flush()?;
+                synced()?;
             }
-            Err(RecvTimeoutError::Disconnected) => break,
+            Err(RecvTimeoutError::Disconnected) => return Ok(()),
         }
     }
-    let reason = match &*shared.state() {
-        RecorderState::Stopped { reason } | RecorderState::Failed { reason } => reason.clone(),
-        // The fusion thread is gone without a word.
-        RecorderState::Recording | RecorderState::Refused { .. } => "the daemon broke off".to_owned(),
-    };
-    writer.finish(&reason)?;
-    Ok(sync()?)
 }
 
 #[cfg(test)]
@@ -446,6 +474,36 @@ mod tests {
         assert_eq!((ending, end_reason), (Some(Ending::Complete), Some(reason)));
         let expected: Vec<_> = (0..items.len() as i64).map(|n| Item::Entry(chunk(n))).collect();
         assert!(items == expected && items.len() >= 64 && (items.len() as i64) < n);
+    }
+
+    #[test]
+    fn given_a_disk_that_takes_its_time_what_is_written_meanwhile_can_be_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        let (release, held) = bounded::<()>(0);
+        let begin = {
+            let path = path.clone();
+            let mut begun = false;
+            // Not at the front part, but ever after.
+            let sync = move || {
+                if std::mem::replace(&mut begun, true) {
+                    let _ = held.recv();
+                }
+                Ok(())
+            };
+            move || front(File::create(path).unwrap(), sync, header(), &Vec::new())
+        };
+        let (to, begun) = bounded(1);
+        let mut recorder = Recorder::start_with(begin, 1000, move |begun| to.send(begun).unwrap()).unwrap();
+        begun.recv().unwrap().unwrap();
+        for n in 0..3 {
+            recorder.entry(&chunk(n));
+            while read(&path).0.len() < n as usize + 1 {
+                std::thread::yield_now();
+            }
+        }
+        drop(release);
+        assert_eq!(recorder.wait(), RecorderState::Stopped { reason: "stopped".to_owned() });
     }
 
     #[test]

@@ -8,7 +8,7 @@ use posed_stage::RecordingContent;
 use posed_stage::input::Input;
 use serde_json::{Value, json};
 
-use super::process::{Posed, all_ok, frames, ok, record_start, replays, two_devices, until};
+use super::process::{Posed, all_ok, frames, ok, record_start, replays, succeed, two_devices, until};
 use crate::cli::posed;
 
 /// In a stage file: messages beside the log, to hold the replay against.
@@ -87,6 +87,50 @@ async fn a_recording_begun_mid_run_with_a_model_swapped_in_replays_and_a_killed_
     let end_s = info.begun_s + info.duration_s;
     assert!(end_s > last - 1.0, "the recording ends at {end_s} s, the client saw {last} s");
     repaired(&torn);
+}
+
+/// `POSED_KILLS=100` is the number of the criteria.
+#[tokio::test]
+async fn killed_at_any_moment_a_recording_lacks_a_second_at_most_and_has_no_hole() {
+    let kills = std::env::var("POSED_KILLS").ok().and_then(|text| text.parse().ok()).unwrap_or(2_usize);
+    let folder = tempfile::tempdir().unwrap();
+    let stage = two_devices(folder.path(), "");
+    let mut lost = Vec::new();
+    for kill in 0..kills {
+        let mut daemon = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+        let mut client = daemon.subscriber(&["sensors"]).await;
+        until(&mut client, "a frame", |message| message["type"] == "sensors").await;
+        let name = format!("torn-{kill}");
+        let begun = ok(&mut client, record_start(&name)).await;
+        // Anywhere in the first two and a half seconds, which hold five flushes.
+        let seen = frames(&mut client, 1 + kill * 97 % 250).await;
+        daemon.child.kill().unwrap();
+        daemon.child.wait().unwrap();
+        let torn = folder.path().join("recordings").join(begun["name"].as_str().unwrap());
+        succeed(["info".as_ref(), torn.as_os_str(), "--repair".as_ref()]);
+        let info = Info::read(&torn, |_| ()).unwrap();
+        assert!(info.complete, "kill {kill}: {info:?}");
+        let last_s = seen.last().unwrap()["t_s"].as_f64().unwrap();
+        let end_s = info.begun_s + info.duration_s;
+        lost.push(last_s - end_s);
+        assert!(end_s > last_s - 1.0, "kill {kill}: it ends at {end_s} s, the client saw {last_s} s");
+        // What the client saw follows from the log, frame by frame and number by number.
+        let again = folder.path().join("again.jsonl");
+        succeed(["replay".as_ref(), torn.as_os_str(), "-o".as_ref(), again.as_os_str()]);
+        let again = std::fs::read_to_string(again).unwrap();
+        let again: Vec<Value> = again.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        let shown =
+            |message: &Value| (message["t_s"].as_f64().unwrap(), message["sensors"][0]["position_m"].clone());
+        let mut again: Vec<_> =
+            again.iter().filter(|message| message["type"] == "sensors").map(shown).collect();
+        let mut seen: Vec<_> = seen.iter().map(shown).collect();
+        // What both have in time.
+        again.retain(|(t_s, _)| *t_s >= seen[0].0);
+        seen.retain(|(t_s, _)| again.last().is_some_and(|(end_s, _)| t_s <= end_s));
+        assert_eq!(again, seen, "kill {kill}");
+    }
+    lost.sort_by(f64::total_cmp);
+    println!("{kills} kills: median {:.2} s lost, worst {:.2} s", lost[kills / 2], lost[kills - 1]);
 }
 
 /// Started again where one was killed in the middle of a recording: it tracks, records, and has nothing to complain of.
