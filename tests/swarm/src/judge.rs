@@ -54,6 +54,10 @@ pub(crate) struct Judge {
     /// Whether a device can still be compared.
     pub(crate) judged: Vec<bool>,
     blind: Vec<(usize, f64, f64)>,
+    /// Devices, and from when to when, s, a sensor of theirs is on the other side of its transmitter.
+    flips: Vec<(usize, f64, f64)>,
+    /// By sensor, when it was good for the first time, s.
+    begun_s: Vec<Option<f64>>,
     /// Where a model has put the transmitter, which stands at the room's origin.
     pub(crate) room_transmitter: Isometry3<f64>,
     /// Values that were good, and compared.
@@ -85,6 +89,8 @@ impl Judge {
             sigma_signal: scenario.sigma_signal_per_m3,
             judged: plan.devices.iter().map(|device| device.judged).collect(),
             blind: plan.blind.clone(),
+            flips: plan.flips.clone(),
+            begun_s: vec![None; stage.sensors.len()],
             room_transmitter: Isometry3::identity(),
             compared: 0,
         }
@@ -93,8 +99,16 @@ impl Judge {
     /// A sentence about the first value that is published as good and is not.
     pub(crate) fn frame(&mut self, estimate: &Estimate) -> Result<(), String> {
         let t_s = estimate.t_valid.as_secs_f64();
-        for (sensor, rider) in estimate.sensors.iter().zip(&self.riders) {
+        for (at, (sensor, rider)) in estimate.sensors.iter().zip(&self.riders).enumerate() {
             let Some(pose) = sensor.usable_pose() else { continue };
+            let begun_s = *self.begun_s[at].get_or_insert(t_s);
+            // Nobody can know that it began on the other side.
+            let began_flipped = |(device, from_s, until_s): &(usize, f64, f64)| {
+                *device == rider.device && (*from_s..*until_s).contains(&begun_s)
+            };
+            if self.flips.iter().any(began_flipped) {
+                continue;
+            }
             let is_blind = |(device, from_s, until_s): &(usize, f64, f64)| {
                 *device == rider.device && (*from_s..*until_s).contains(&t_s)
             };

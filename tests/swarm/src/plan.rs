@@ -40,6 +40,8 @@ pub(crate) struct Plan {
     pub(crate) devices: Vec<Honesty>,
     /// Devices, and from when to when, s, nobody can tell damaged bytes from good ones.
     pub(crate) blind: Vec<(usize, f64, f64)>,
+    /// The same, where a sensor is on the other side of its transmitter.
+    pub(crate) flips: Vec<(usize, f64, f64)>,
     /// Rising in time.
     pub(crate) events: Vec<(f64, Event)>,
     pub(crate) sleep: Option<Sleep>,
@@ -206,6 +208,7 @@ pub(crate) fn plan(seed: u64, minutes: f64, without: &[usize]) -> Plan {
         },
         devices: vec![Honesty { judged: true, returns: true }; devices.len()],
         blind: Vec::new(),
+        flips: Vec::new(),
         events: Vec::new(),
         sleep: None,
         modem_lines: devices.iter().map(|device| device.modem_lines).collect(),
@@ -250,6 +253,9 @@ impl Plan {
         if matches!(fault, Fault::OutOfRange { .. }) {
             // What it measured last may be new to the host, and is told at the next report.
             self.blind.push((device, start_s, start_s + REPORT_S));
+        }
+        if matches!(fault, Fault::HemisphereFlip { .. }) {
+            self.flips.push((device, start_s, end_s + ON_ITS_WAY_S));
         }
         if kind == Kind::Xbus && matches!(fault, Fault::BirdDies { .. }) {
             // A chain is searched when its port opens, and a tracker that has come back is not found before.

@@ -188,7 +188,12 @@ impl Detector {
                 return self.believe(Some(mirror), pose);
             }
         }
-        Checked::anomalous(*pose, Cause::Gate, false)
+        // A track that such records replace goes on at the nearer side, if they are turned as it is.
+        let mirrored = Mirror::Point.apply(pose);
+        let is_turned = prediction.gate(&MeasuredPose { position_m: None, ..*pose }, noise) == Gate::Outside;
+        let is_mirrored = !is_turned && prediction.prefers(&mirrored, pose, noise);
+        let nearer = if is_mirrored { mirrored } else { *pose };
+        Checked::anomalous(nearer, Cause::Gate, false)
     }
 
     fn believe(&mut self, mirror: Option<Mirror>, pose: &MeasuredPose) -> Checked {

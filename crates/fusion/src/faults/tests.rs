@@ -55,6 +55,18 @@ fn mirrored_positions_are_mirrored_back_each_by_its_own_prediction() {
 }
 
 #[test]
+fn what_is_far_from_its_prediction_is_offered_to_the_track_on_the_nearer_side() {
+    // A mirrored sensor that was away for 0.4 s, and has moved 0.2 m aside.
+    let prediction = expected(Vector3::new(0.6, 0.1, 0.2));
+    let position_m = Vector3::new(0.55, 0.1, 0.0);
+    let pose = MeasuredPose { position_m: Some(position_m), ..measured(&prediction) };
+    for mirrored in [Mirror::Point.apply(&pose), pose] {
+        let checked = Detector::default().check(&mirrored, Some(&prediction), &NOISE, false, None);
+        assert_eq!((checked.label, checked.pose), (Label::anomalous(Cause::Gate), pose));
+    }
+}
+
+#[test]
 fn what_was_predicted_a_little_wrongly_beside_the_plane_of_symmetry_is_not_mirrored() {
     // 7 mm from where it is expected, and 5.5 mm from there once it is mirrored.
     let prediction = expected(Vector3::new(0.4, 0.1, -0.003));

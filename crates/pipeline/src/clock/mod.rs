@@ -299,19 +299,23 @@ impl Clock {
         let tried = self.trial.map_or(0, |trial| trial.shift);
         let x = count + (self.renumbered + tried) as f64;
         evidence.x = x;
-        let lateness_s =
-            self.fit.filter(|_| !counted).map_or(0.0, |fit| self.lone_lateness_s(&fit, &evidence));
+        let (late_s, lone) =
+            self.fit.filter(|_| !counted).map_or((0.0, false), |fit| self.lateness_s(&fit, &evidence));
+        let lateness_s = if lone { late_s } else { 0.0 };
         let undecided = lateness_s > UNDECIDED_S;
         self.undecided = if undecided { self.undecided + u32::from(begins_cycle) } else { 0 };
         if lateness_s > LOST_S || self.undecided > UNDECIDED_CYCLES {
-            // Nothing holds lone records back for so long: an unknown number of cycles is lost.
+            // An unknown number of cycles is lost, or else a reader was late; what follows shows which.
             self.restart();
+            self.contradicted = Some(sample.arrival.t_read);
             return self.push(sample);
         }
         let contradicted =
             self.contradicted.is_some_and(|t| sample.arrival.t_read.seconds_since(t) < CONTRADICTED_S);
         let queued = undecided || contradicted || self.trial.is_some();
-        if self.trial.is_some() || undecided {
+        // What waited for a reader bends a line of which little is known.
+        let waited = late_s > UNDECIDED_S && !self.window.is_settled();
+        if self.trial.is_some() || undecided || waited {
             // Evidence of a count that may be wrong would bend the line.
         } else if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S)
             || self.fit.is_none()
@@ -411,15 +415,15 @@ impl Clock {
         self.count_consistency(inconsistent);
     }
 
-    /// By how much a cycle with nothing behind it comes later than usual, s, if by more than half a period: cycles before it may
-    /// be missing as well as it may have waited. 0 with more behind it, which is what waits.
-    fn lone_lateness_s(&mut self, fit: &Fit, evidence: &Evidence) -> f64 {
+    /// By how much a cycle comes later than usual, s, if by more than half a period; and whether nothing is behind it: cycles before it
+    /// may be missing then as well as it may have waited.
+    fn lateness_s(&mut self, fit: &Fit, evidence: &Evidence) -> (f64, bool) {
         let late_s = evidence.upper - fit.line(evidence.x) - fit.upper - fit.lateness;
         if late_s <= 0.0 {
             self.usual_behind = self.usual_behind.max(evidence.bytes_after);
         }
-        let lone = evidence.bytes_after <= self.usual_behind;
-        if lone && late_s > 0.5 * fit.period_s { late_s } else { 0.0 }
+        let late_s = if late_s > 0.5 * fit.period_s { late_s } else { 0.0 };
+        (late_s, evidence.bytes_after <= self.usual_behind)
     }
 
     fn renumber(&mut self, shift: i64) {
