@@ -537,8 +537,7 @@ fn send(ports: &[mpsc::Sender<PortCommand>], device: u16, command: PortCommand) 
 
 fn answer(reply: Option<Reply>, result: Result<Option<Answer>, impl ToString>) {
     match (reply, result) {
-        (Some(reply), Ok(result)) => reply.ok(result),
-        (Some(reply), Err(reason)) => reply.refuse(Refusal::failed(reason)),
+        (Some(reply), result) => reply.answer(result.map_err(Refusal::failed)),
         (None, Ok(_)) => {}
         (None, Err(reason)) => tracing::error!("{}", reason.to_string()),
     }

@@ -228,7 +228,7 @@ impl Library {
     /// Keeps an exercise under the next revision of its name, which it gets.
     pub(super) fn keep(&self, exercise: &mut Exercise) -> Result<(), ModelError> {
         let name = exercise.name.clone();
-        self.keep_next::<ModelError>(&name, |revision| {
+        self.keep_next::<_, ModelError>(&name, |revision| {
             exercise.revision = revision;
             Ok(exercise.to_json()?.into_bytes())
         })?;
@@ -237,17 +237,17 @@ impl Library {
 
     /// Keeps what `bytes` makes for the next revision of a name. Another daemon may have taken that meanwhile: then it is the one
     /// after.
-    pub(super) fn keep_next<E: From<ModelError>>(
+    pub(super) fn keep_next<B: AsRef<[u8]>, E: From<ModelError>>(
         &self,
         name: &str,
-        mut bytes: impl FnMut(u32) -> Result<Vec<u8>, E>,
+        mut bytes: impl FnMut(u32) -> Result<B, E>,
     ) -> Result<Kept, E> {
         let known = self.list()?.into_iter().find(|kept| kept.name == name);
         let mut revision = known.map_or(0, |kept| kept.revision);
         loop {
             revision += 1;
             let kept = self.kept(name, revision);
-            match self.write(&kept, &bytes(kept.revision)?) {
+            match self.write(&kept, bytes(kept.revision)?.as_ref()) {
                 Err(ModelError::Write { error, .. }) if error.kind() == io::ErrorKind::AlreadyExists => {}
                 written => return written.map(|()| kept).map_err(E::from),
             }

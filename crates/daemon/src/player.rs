@@ -126,10 +126,7 @@ impl Player {
                     track::answer(&self.folder, &name, columns, reply);
                 }
                 Ok(Command::Call(PendingCall { call, reply })) => {
-                    match self.carry_out(call) {
-                        Ok(result) => reply.ok(result),
-                        Err(refusal) => reply.refuse(refusal),
-                    }
+                    reply.answer(self.carry_out(call));
                     next_status = self.clock.now();
                 }
                 Ok(Command::Shutdown) | Err(RecvTimeoutError::Disconnected) => return,

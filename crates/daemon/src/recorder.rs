@@ -44,7 +44,7 @@ pub(super) enum RecorderState {
         /// What happened and what to do, in one sentence.
         reason: String,
     },
-    /// It never began, as who asked for it was told.
+    /// It never began, as was reported to who asked for it.
     Refused {
         /// What stands against it, in one sentence.
         reason: String,
@@ -366,10 +366,20 @@ mod tests {
         begun.recv().unwrap().map(|()| recorder.unwrap())
     }
 
-    /// Begins a recording into `sink`.
-    fn start_with(sink: impl Write + Send + 'static, queue_items: usize) -> Recorder {
-        let begin = move || front(sink, || Ok(()), header(), &Vec::new());
-        Recorder::start_with(begin, queue_items, |begun| begun.unwrap()).unwrap()
+    /// Begins a recording into `sink`, which `sync` brings to the disk; and what is sent once it has begun.
+    fn start_with<W: Write>(
+        sink: impl FnOnce() -> W + Send + 'static,
+        sync: impl FnMut() -> io::Result<()> + Send + 'static,
+        queue_items: usize,
+    ) -> (Recorder, Receiver<()>) {
+        let (to, begun) = bounded(1);
+        let begin = move || front(sink(), sync, header(), &Vec::new());
+        let tell = move |begun: Result<(), WriteError>| {
+            begun.unwrap();
+            // Not every test waits for it.
+            let _ = to.send(());
+        };
+        (Recorder::start_with(begin, queue_items, tell).unwrap(), begun)
     }
 
     fn read(path: &Path) -> (Vec<Item>, Option<Ending>, Option<String>) {
@@ -442,7 +452,7 @@ mod tests {
     #[test]
     fn given_a_full_disk_the_recording_fails_and_who_records_goes_on() {
         let sink = Full { left: 20_000, ..Full::default() };
-        let mut recorder = start_with(sink, 10_000);
+        let (mut recorder, _) = start_with(|| sink, || Ok(()), 10_000);
         let mut n = 0;
         while !recorder.is_finished() {
             // Bytes that do not compress, so that the disk fills.
@@ -461,7 +471,7 @@ mod tests {
         let path = folder.path().join("a.mcap");
         let (release, held) = bounded::<()>(0);
         let sink = Hanging { held, file: File::create(&path).unwrap(), free_bytes: 2000 };
-        let mut recorder = start_with(sink, 64);
+        let (mut recorder, _) = start_with(|| sink, || Ok(()), 64);
         let mut n = 0;
         while recorder.state() == RecorderState::Recording {
             recorder.entry(&chunk(n));
@@ -481,21 +491,17 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.mcap");
         let (release, held) = bounded::<()>(0);
-        let begin = {
-            let path = path.clone();
-            let mut begun = false;
-            // Not at the front part, but ever after.
-            let sync = move || {
-                if std::mem::replace(&mut begun, true) {
-                    let _ = held.recv();
-                }
-                Ok(())
-            };
-            move || front(File::create(path).unwrap(), sync, header(), &Vec::new())
+        let mut begun = false;
+        // Not at the front part, but ever after.
+        let sync = move || {
+            if std::mem::replace(&mut begun, true) {
+                let _ = held.recv();
+            }
+            Ok(())
         };
-        let (to, begun) = bounded(1);
-        let mut recorder = Recorder::start_with(begin, 1000, move |begun| to.send(begun).unwrap()).unwrap();
-        begun.recv().unwrap().unwrap();
+        let file = File::create(&path).unwrap();
+        let (mut recorder, begun) = start_with(|| file, sync, 1000);
+        begun.recv().unwrap();
         for n in 0..3 {
             recorder.entry(&chunk(n));
             while read(&path).0.len() < n as usize + 1 {
@@ -511,19 +517,16 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.mcap");
         let (release, held) = bounded::<()>(0);
-        let begin = {
-            let path = path.clone();
-            move || {
-                let _ = held.recv();
-                front(File::create(path).unwrap(), || Ok(()), header(), &Vec::new())
-            }
+        let file = File::create(&path).unwrap();
+        let sink = move || {
+            let _ = held.recv();
+            file
         };
-        let (to, begun) = bounded(1);
-        let mut recorder = Recorder::start_with(begin, 1000, move |begun| to.send(begun).unwrap()).unwrap();
+        let (mut recorder, begun) = start_with(sink, || Ok(()), 1000);
         (0..100).for_each(|n| recorder.entry(&chunk(n)));
         assert_eq!((recorder.bytes_written(), begun.is_empty()), (0, true));
         drop(release);
-        begun.recv().unwrap().unwrap();
+        begun.recv().unwrap();
         assert_eq!(recorder.wait(), RecorderState::Stopped { reason: "stopped".to_owned() });
         assert_eq!(read(&path).0.len(), 100);
     }

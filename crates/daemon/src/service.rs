@@ -59,7 +59,7 @@ impl Service {
         self.vital.ended()
     }
 
-    /// The parts whose end is told.
+    /// The parts whose end is reported.
     pub(super) fn vital(&self) -> &Vital {
         &self.vital
     }

@@ -44,7 +44,7 @@ impl Vital {
         self.ended.subscribe()
     }
 
-    /// A task whose end is told, unless everything is to end.
+    /// A task whose end is reported, unless everything is to end.
     pub fn task(
         &self,
         part: impl Into<String>,
@@ -57,7 +57,7 @@ impl Vital {
         }
     }
 
-    /// What a thread runs, with its end told likewise.
+    /// What a thread runs, with its end reported likewise.
     pub fn thread(
         &self,
         part: impl Into<String>,

@@ -44,7 +44,7 @@ fn main() -> ExitCode {
         let (stage, parts) = described(seed, minutes, &without);
         println!("{stage}\n{}", parts.join("\n"));
     }
-    // A panic is told with its seed.
+    // A panic is reported with its seed.
     std::panic::set_hook(Box::new(|_| {}));
     let began = Instant::now();
     let failed = AtomicU64::new(0);

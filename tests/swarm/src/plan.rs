@@ -251,7 +251,7 @@ impl Plan {
             self.blind.push((device, start_s - ON_ITS_WAY_S, end_s + BLIND_S));
         }
         if matches!(fault, Fault::OutOfRange { .. }) {
-            // What it measured last may be new to the host, and is told at the next report.
+            // What it measured last may be new to the host, and comes with the next report.
             self.blind.push((device, start_s, start_s + REPORT_S));
         }
         if matches!(fault, Fault::HemisphereFlip { .. }) {

@@ -59,16 +59,11 @@ impl Calls {
         self.jobs.run("faults.train", reply, move |job| workshop.train(job, source, &names));
     }
 
-    /// Gives a cell another class.
+    /// Gives a cell another class. Writes a file: not for an asynchronous task.
     pub(super) fn name_cell(&self, row: usize, column: usize, class: Class, reply: Reply) {
-        let workshop = self.workshop();
-        tokio::task::spawn_blocking(move || match workshop.name_cell(row, column, class) {
-            Ok(kept) => {
-                let kept = KeptFile { revision: kept.revision, file: kept.file() };
-                reply.ok(Some(Answer::KeptFile(kept)));
-            }
-            Err(error) => reply.refuse(Refusal::failed(error)),
-        });
+        let named = self.workshop().name_cell(row, column, class);
+        let answer = |kept: Kept| KeptFile { revision: kept.revision, file: kept.file() };
+        reply.answer(named.map(|kept| Some(Answer::KeptFile(answer(kept)))).map_err(Refusal::failed));
     }
 
     fn workshop(&self) -> Workshop {

@@ -123,15 +123,43 @@ impl Calls {
             Call::RecordStop {} => {
                 self.inbox.command(Command::StopRecording { reply: Some(reply) });
             }
+            Call::ModelLoad { model } => match self.check_model(&model) {
+                Ok(()) => {
+                    self.inbox.command(Command::LoadModel { model, reply: Some(reply) });
+                }
+                Err(refusal) => reply.refuse(refusal),
+            },
+            Call::ReplayList {} => {
+                let listed = recordings::list(&self.recordings).map_err(Refusal::from);
+                let answer = |recordings| Some(Answer::Recordings(Recordings { recordings }));
+                reply.answer(listed.map(answer));
+            }
+            Call::ReplayTrack { name, columns } => track::answer(&self.recordings, &name, columns, reply),
             Call::ReplayOpen { .. } | Call::ReplaySeek { .. } | Call::ReplaySpeed { .. } => reply.error(
                 "live",
                 "this daemon tracks a live stage; open a recording with `posed replay FILE`, which serves it to clients",
             ),
             Call::FieldStart { sensors, spacing_m } => self.calibration.start(sensors, spacing_m, reply),
             Call::FieldFinish { anchors } => self.calibration.finish(anchors, reply),
+            Call::FieldAccept {} => reply.answer(in_use(self.calibration.accept())),
+            Call::FieldRollback {} => reply.answer(in_use(self.calibration.rollback())),
+            Call::ExerciseList {} => {
+                let exercise = |kept: models::Kept| KeptExercise { name: kept.name, revision: kept.revision };
+                let all = |kept: Vec<models::Kept>| kept.into_iter().map(exercise).collect();
+                let answer = |kept| Some(Answer::Exercises(Exercises { exercises: all(kept) }));
+                reply.answer(self.exercises.list().map(answer).map_err(Refusal::failed));
+            }
             Call::ExerciseTeach { name, repetitions, last_s, sensors, channels, subject } => {
                 let lesson = exercise::Lesson { name, repetitions, last_s, sensors, channels, subject };
                 self.teach(lesson, reply);
+            }
+            Call::ExerciseSelect { exercises, repetitions, sets, rest_s, subject, sensors } => {
+                let plan = Plan { repetitions, sets, rest_s: rest_s.unwrap_or(0.0) };
+                self.select(exercises, plan, subject, sensors.unwrap_or_default(), reply);
+            }
+            Call::ExerciseReset { subject } => {
+                let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
+                self.request(Request::ExerciseReset { subject }, Vec::new(), reply);
             }
             Call::FaultsTrain { last_s, recording } => self.train_faults(last_s, recording, reply),
             Call::FaultsNameCell { row, column, class } => self.name_cell(row, column, class, reply),
@@ -146,35 +174,6 @@ impl Calls {
                 }
                 Err(error) => reply.refuse(Refusal::new("no_such_job", error)),
             },
-            Call::ModelLoad { model } => match self.check_model(&model) {
-                Ok(()) => {
-                    self.inbox.command(Command::LoadModel { model, reply: Some(reply) });
-                }
-                Err(refusal) => reply.refuse(refusal),
-            },
-            Call::ReplayList {} => match recordings::list(&self.recordings) {
-                Ok(names) => reply.ok(Some(Answer::Recordings(Recordings { recordings: names }))),
-                Err(error) => reply.refuse(error.into()),
-            },
-            Call::ReplayTrack { name, columns } => track::answer(&self.recordings, &name, columns, reply),
-            Call::FieldAccept {} => answer_version(reply, self.calibration.accept()),
-            Call::FieldRollback {} => answer_version(reply, self.calibration.rollback()),
-            Call::ExerciseList {} => match self.exercises.list() {
-                Ok(kept) => {
-                    let exercise = |kept: models::Kept| KeptExercise { name: kept.name, revision: kept.revision };
-                    let exercises = kept.into_iter().map(exercise).collect();
-                    reply.ok(Some(Answer::Exercises(Exercises { exercises })));
-                }
-                Err(error) => reply.refuse(Refusal::failed(error)),
-            },
-            Call::ExerciseSelect { exercises, repetitions, sets, rest_s, subject, sensors } => {
-                let plan = Plan { repetitions, sets, rest_s: rest_s.unwrap_or(0.0) };
-                self.select(exercises, plan, subject, sensors.unwrap_or_default(), reply);
-            }
-            Call::ExerciseReset { subject } => {
-                let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
-                self.request(Request::ExerciseReset { subject }, Vec::new(), reply);
-            }
         }
     }
 
@@ -261,9 +260,6 @@ fn is_slow(call: &Call) -> bool {
 }
 
 /// Which version of the field's map is in use now.
-fn answer_version(reply: Reply, changed: Result<u32, FieldMapError>) {
-    match changed {
-        Ok(version) => reply.ok(Some(Answer::MapVersion(MapVersion { version }))),
-        Err(error) => reply.refuse(Refusal::failed(error)),
-    }
+fn in_use(changed: Result<u32, FieldMapError>) -> Result<Option<Answer>, Refusal> {
+    changed.map(|version| Some(Answer::MapVersion(MapVersion { version }))).map_err(Refusal::failed)
 }

@@ -80,7 +80,7 @@ impl School {
         // Whoever sends one has looked first.
         let _ = model.columns(self.joints.iter().map(String::as_str))?;
         let bytes = model.to_bytes()?;
-        let kept = self.library.keep_next(NAME, |_| Ok::<_, ModelError>(bytes.clone()))?;
+        let kept = self.library.keep_next(NAME, |_| Ok::<_, ModelError>(&bytes))?;
         self.inbox.enter(Entry { t: self.clock.now(), input: Input::SegmentationNetwork(bytes) });
         job.result(json!({
             "revision": kept.revision, "file": kept.file(), "labels": set.labels, "files": set.files.len(),

@@ -373,7 +373,7 @@ impl Server {
     }
 
     /// Serves until `shutdown` resolves; then tells every client goodbye (1001) and returns within the shutdown timeout. A part
-    /// that ends before is told by `vital`.
+    /// that ends before is reported by `vital`.
     pub async fn run(self, shutdown: impl Future<Output = ()>, vital: Vital) {
         let Self { listener, shared, outlets, vrpn, hub, commands } = self;
         let distributing = distribute(outlets, hub, commands, Arc::clone(&shared));

@@ -68,6 +68,14 @@ impl Reply {
         self.send(&ServerMessage::Error(ErrorReply { id, code: code.into(), message: message.into() }));
     }
 
+    /// Answers how it came out.
+    pub(crate) fn answer(self, outcome: Result<Option<Answer>, Refusal>) {
+        match outcome {
+            Ok(result) => self.ok(result),
+            Err(refusal) => self.refuse(refusal),
+        }
+    }
+
     /// It is not done, for this reason.
     pub(crate) fn refuse(self, Refusal { code, message }: Refusal) {
         self.error(code, message);

@@ -32,11 +32,8 @@ struct Taken {
 struct Counts {
     /// Of connections that are in, by network.
     inside: BTreeMap<IpAddr, usize>,
-    inside_all: usize,
-    /// Those that wait, oldest first, by network.
-    waiting: BTreeMap<IpAddr, VecDeque<(u64, Arc<Notify>)>>,
-    waiting_all: usize,
-    next: u64,
+    /// Those that wait, oldest first, by network: what closes each of them.
+    waiting: BTreeMap<IpAddr, VecDeque<Arc<Notify>>>,
 }
 
 /// Why a connection gets no place; the sentences are answers.
@@ -54,7 +51,6 @@ pub(super) enum NoSlot {
 #[derive(Debug)]
 pub(super) struct Slot {
     network: IpAddr,
-    number: u64,
     given_up: Arc<Notify>,
     is_inside: AtomicBool,
     slots: Slots,
@@ -74,16 +70,13 @@ impl Slots {
     pub(super) fn wait(&self, address: IpAddr) -> Slot {
         let network = network(address);
         let mut counts = self.taken.lock();
-        let number = counts.next;
-        counts.next += 1;
         let given_up = Arc::new(Notify::new());
-        counts.waiting.entry(network).or_default().push_back((number, Arc::clone(&given_up)));
-        counts.waiting_all += 1;
-        if counts.waiting_all > self.waiting {
+        counts.waiting.entry(network).or_default().push_back(Arc::clone(&given_up));
+        if counts.waiting.values().map(VecDeque::len).sum::<usize>() > self.waiting {
             counts.give_up_one();
         }
         drop(counts);
-        Slot { network, number, given_up, is_inside: AtomicBool::new(false), slots: self.clone() }
+        Slot { network, given_up, is_inside: AtomicBool::new(false), slots: self.clone() }
     }
 
     /// Waits until no connection is left.
@@ -102,20 +95,19 @@ impl Slot {
     /// Takes a place for a connection that waits.
     ///
     /// # Errors
-    /// There is none; it waits on, to be told so.
+    /// There is none; it waits on, for the answer.
     pub(super) fn enter(&self) -> Result<(), NoSlot> {
         let mut counts = self.slots.taken.lock();
-        if counts.inside_all >= self.slots.connections {
+        if counts.inside.values().sum::<usize>() >= self.slots.connections {
             return Err(NoSlot::Total(self.slots.connections));
         }
         if counts.inside.get(&self.network).is_some_and(|inside| *inside >= self.slots.per_address) {
             return Err(NoSlot::PerAddress(self.slots.per_address));
         }
-        if !counts.remove(self.network, self.number) {
+        if !counts.remove(self.network, &self.given_up) {
             return Err(NoSlot::GivenUp);
         }
         *counts.inside.entry(self.network).or_insert(0) += 1;
-        counts.inside_all += 1;
         self.is_inside.store(true, Ordering::Relaxed);
         Ok(())
     }
@@ -130,7 +122,6 @@ impl Drop for Slot {
     fn drop(&mut self) {
         let mut counts = self.slots.taken.lock();
         if *self.is_inside.get_mut() {
-            counts.inside_all -= 1;
             if let Some(inside) = counts.inside.get_mut(&self.network) {
                 *inside -= 1;
                 if *inside == 0 {
@@ -138,7 +129,7 @@ impl Drop for Slot {
                 }
             }
         } else {
-            counts.remove(self.network, self.number);
+            counts.remove(self.network, &self.given_up);
         }
         drop(counts);
         self.slots.taken.freed.notify_one();
@@ -153,30 +144,27 @@ impl Taken {
 
 impl Counts {
     fn is_empty(&self) -> bool {
-        self.inside_all + self.waiting_all == 0
+        self.inside.is_empty() && self.waiting.is_empty()
     }
 
     /// Closes the oldest connection of the network of which most wait.
     fn give_up_one(&mut self) {
         let most = self.waiting.iter().max_by_key(|(_, waiting)| waiting.len());
-        let Some((&network, Some((number, given_up)))) = most.map(|(network, all)| (network, all.front()))
-        else {
-            return;
-        };
-        given_up.notify_one();
-        let number = *number;
-        self.remove(network, number);
+        let oldest = most.and_then(|(network, waiting)| Some((*network, Arc::clone(waiting.front()?))));
+        if let Some((network, given_up)) = oldest {
+            given_up.notify_one();
+            self.remove(network, &given_up);
+        }
     }
 
     /// Takes a connection from those that wait; false where it is not among them.
-    fn remove(&mut self, network: IpAddr, number: u64) -> bool {
+    fn remove(&mut self, network: IpAddr, given_up: &Arc<Notify>) -> bool {
         let Some(waiting) = self.waiting.get_mut(&network) else { return false };
-        let Some(at) = waiting.iter().position(|(waits, _)| *waits == number) else { return false };
+        let Some(at) = waiting.iter().position(|waits| Arc::ptr_eq(waits, given_up)) else { return false };
         waiting.remove(at);
         if waiting.is_empty() {
             self.waiting.remove(&network);
         }
-        self.waiting_all -= 1;
         true
     }
 }
