@@ -129,7 +129,8 @@ fn mounts(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorM
         let wrong = match case.mounting {
             Mounting::Wrong(degrees) => {
                 let k = (segment.index() as f64 + 1.0) * (case.seed as f64 + 0.3);
-                let axis = Vector3::new((1.7 * k).sin(), (2.9 * k).cos(), (4.1 * k).sin()).normalize();
+                let axis =
+                    Vector3::new(libm::sin(1.7 * k), libm::cos(2.9 * k), libm::sin(4.1 * k)).normalize();
                 so3::exp(&(axis * degrees.to_radians()))
             }
             _ => UnitQuaternion::identity(),

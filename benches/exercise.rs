@@ -19,7 +19,7 @@ fn recording(seconds: f64, period_s: f64) -> (Vec<String>, Vec<f64>, Vec<Option<
         .iter()
         .flat_map(|t_s| {
             let moving = *t_s > 2.0 && *t_s < seconds - 2.0;
-            let lift = if moving { 0.5 - 0.5 * (TAU * (t_s - 2.0) / period_s).cos() } else { 0.0 };
+            let lift = if moving { 0.5 - 0.5 * libm::cos(TAU * (t_s - 2.0) / period_s) } else { 0.0 };
             (0..CHANNELS).map(move |channel| (channel, lift)).collect::<Vec<_>>()
         })
         .map(|(channel, lift)| {
@@ -45,12 +45,12 @@ fn decoder(criterion: &mut Criterion) {
     let mut transitions = Vec::new();
     for state in 0..STATES {
         for (step, probability) in [0.5_f64, 0.4, 0.1].into_iter().enumerate() {
-            transitions.push((state, (state + step) % STATES, probability.ln()));
+            transitions.push((state, (state + step) % STATES, libm::log(probability)));
         }
     }
     let mut initial = vec![f64::NEG_INFINITY; STATES];
     initial[0] = 0.0;
-    let mean: Vec<f64> = (0..CHANNELS * STATES).map(|i| (i as f64 * 0.37).sin()).collect();
+    let mean: Vec<f64> = (0..CHANNELS * STATES).map(|i| libm::sin(i as f64 * 0.37)).collect();
     let samples: Vec<[f64; CHANNELS]> = (0..4000)
         .map(|frame| std::array::from_fn(|c| mean[c * STATES + (frame / 2) % STATES] + 0.01 * c as f64))
         .collect();

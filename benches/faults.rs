@@ -12,7 +12,9 @@ use posed_motion::fault_map::{FaultMap, Size};
 fn frames(sensors: usize, count: usize) -> Frames {
     let coordinate = |k: usize, sensor: usize, axis: usize| {
         let (t, s) = (k as f64 / 30.0, sensor as f64);
-        0.4 * (0.7 * t + s + axis as f64).sin() + 0.2 * (2.3 * t + 0.3 * s * axis as f64).cos() + 0.1 * s
+        0.4 * libm::sin(0.7 * t + s + axis as f64)
+            + 0.2 * libm::cos(2.3 * t + 0.3 * s * axis as f64)
+            + 0.1 * s
     };
     Frames {
         sensors: (0..sensors).map(|sensor| format!("s{sensor}")).collect(),

@@ -11,8 +11,8 @@ use posed_geometry::GRAVITY_M_S2;
 
 fn sample(t: f64) -> ImuSample {
     ImuSample {
-        gyro_rad_s: Vector3::new((2.1 * t).sin(), (1.3 * t).cos(), (0.9 * t).sin()),
-        accel_m_s2: Vector3::new((5.0 * t).sin(), -GRAVITY_M_S2, (6.1 * t).cos()),
+        gyro_rad_s: Vector3::new(libm::sin(2.1 * t), libm::cos(1.3 * t), libm::sin(0.9 * t)),
+        accel_m_s2: Vector3::new(libm::sin(5.0 * t), -GRAVITY_M_S2, libm::cos(6.1 * t)),
         mag: Some(Vector3::new(17.0, 42.0, 5.0)),
     }
 }
@@ -73,7 +73,7 @@ fn benches(c: &mut Criterion) {
     let field = FieldReference {
         azimuth_rad: std::f64::consts::FRAC_PI_2,
         norm: north.norm(),
-        dip_rad: (42.0_f64 / 17.0).atan(),
+        dip_rad: libm::atan(42.0_f64 / 17.0),
     };
     let samples = still(north);
     c.bench_function("limb/arm update", |b| {

@@ -276,7 +276,7 @@ fn a_warm_labeller_does_not_allocate() {
         let t_s = f64::from(frame) / 60.0;
         sequence.t_s.push(t_s);
         for joint in [0.0, 1.0, 2.0] {
-            sequence.positions_m.push(Some([(t_s + joint).sin(), joint, (2.0 * t_s).cos() * joint]));
+            sequence.positions_m.push(Some([libm::sin(t_s + joint), joint, libm::cos(2.0 * t_s) * joint]));
         }
         sequence.classes.push(Some((frame / 300 % 2) as u16));
     }

@@ -160,7 +160,7 @@ fn capture(path: &Path, rotation_deg: f64, seed: u64, share: f64) -> Option<Sess
     let sensors = sequences.joints.clone();
     let mut positions_m: Vec<f64> =
         sequences.positions_m.iter().flat_map(|p| p.unwrap_or([f64::NAN; 3])).collect();
-    let (sin, cos) = rotation_deg.to_radians().sin_cos();
+    let (sin, cos) = libm::sincos(rotation_deg.to_radians());
     for p in positions_m.chunks_exact_mut(3) {
         (p[0], p[1]) = (p[0] * cos - p[1] * sin, p[0] * sin + p[1] * cos);
     }

@@ -141,7 +141,7 @@ fn curve(random: &mut ChaCha8Rng, base_hz: f64) -> Vec<f64> {
             let t = k as f64 / RATE_HZ;
             let part = |h: usize| {
                 let (amplitude, phase) = parts[h];
-                amplitude / (h + 1) as f64 * (TAU * base_hz * (h + 1) as f64 * t + phase).sin()
+                amplitude / (h + 1) as f64 * libm::sin(TAU * base_hz * (h + 1) as f64 * t + phase)
             };
             (0..4).map(part).sum()
         })
@@ -152,8 +152,8 @@ fn curve(random: &mut ChaCha8Rng, base_hz: f64) -> Vec<f64> {
 }
 
 fn normal(random: &mut ChaCha8Rng) -> f64 {
-    let radius = (-2.0 * (1.0 - random.random::<f64>()).ln()).sqrt();
-    radius * (TAU * random.random::<f64>()).cos()
+    let radius = (-2.0 * libm::log(1.0 - random.random::<f64>())).sqrt();
+    radius * libm::cos(TAU * random.random::<f64>())
 }
 
 impl Scene {

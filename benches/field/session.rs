@@ -36,8 +36,8 @@ pub(crate) struct Session {
 }
 
 fn normal(random: &mut ChaCha8Rng) -> f64 {
-    let radius = (-2.0 * (1.0 - random.random::<f64>()).ln()).sqrt();
-    radius * (TAU * random.random::<f64>()).cos()
+    let radius = (-2.0 * libm::log(1.0 - random.random::<f64>())).sqrt();
+    radius * libm::cos(TAU * random.random::<f64>())
 }
 
 impl Session {
@@ -71,7 +71,7 @@ impl Session {
         let script = Script { activity: Activity::Reaching, calibration: false, facing: 0.0 };
         let place = |t_s: f64| {
             let mut posture = script.at(t_s, &build);
-            let wander = |axis: usize, period_s: f64| (TAU * t_s / period_s + phases[axis]).sin();
+            let wander = |axis: usize, period_s: f64| libm::sin(TAU * t_s / period_s + phases[axis]);
             posture.pelvis_m += Vector3::new(1.15 + 0.25 * wander(0, 17.0), 0.35 * wander(1, 23.0), -0.9);
             posture.pelvis[0] += 1.2 * wander(2, 31.0);
             posture.place(&build)
@@ -93,7 +93,7 @@ impl Session {
                 let segment = &body[BODY_SENSORS[sensor].1];
                 let skin = Vector3::from_fn(|axis, _| {
                     let t_s = frame as f64 / RATE_HZ;
-                    SKIN_M * (TAU * t_s * (0.7 + 0.2 * axis as f64) + sensor as f64).sin()
+                    SKIN_M * libm::sin(TAU * t_s * (0.7 + 0.2 * axis as f64) + sensor as f64)
                 });
                 let p = segment.origin_m + segment.axes * (seats[sensor] + skin);
                 let q = rotation(segment.axes) * mounts[sensor];

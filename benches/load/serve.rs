@@ -110,7 +110,7 @@ fn publish(hub: &Hub, rate_hz: f64, sensors: u16, ends: &AtomicBool, wakes: &Wak
 }
 
 fn sensor(phase: f64) -> SensorEstimate {
-    let (s, c) = (phase.sin(), phase.cos());
+    let (s, c) = (libm::sin(phase), libm::cos(phase));
     let pose = PoseEstimate {
         position_m: Some([0.7 * s, 0.7 * c, 1.0 + 0.3 * s * c]),
         orientation_wxyz: [c * 0.6, s * 0.6, c * 0.8, s * 0.8],

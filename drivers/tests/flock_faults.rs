@@ -35,9 +35,12 @@ fn shape(format: Format, group: bool) -> Shape {
 fn truth(address: u8, cycle: usize) -> ([f64; 3], [f64; 4]) {
     let t = cycle as f64 * 0.01;
     let a = f64::from(address);
-    let p =
-        [0.4 + 0.2 * (5.0 * t + a).sin(), 0.2 * (4.0 * t).cos() - 0.1 * a, -0.3 + 0.05 * (3.0 * t * a).sin()];
-    (p, rotation::from_angles([3.0 * (1.1 * t + a).sin(), 0.9 * (1.7 * t).sin(), 1.0 + a + 3.5 * t]))
+    let p = [
+        0.4 + 0.2 * libm::sin(5.0 * t + a),
+        0.2 * libm::cos(4.0 * t) - 0.1 * a,
+        -0.3 + 0.05 * libm::sin(3.0 * t * a),
+    ];
+    (p, rotation::from_angles([3.0 * libm::sin(1.1 * t + a), 0.9 * libm::sin(1.7 * t), 1.0 + a + 3.5 * t]))
 }
 
 fn record_of(address: u8, cycle: usize, shape: Shape) -> Vec<u8> {
@@ -157,7 +160,7 @@ fn worst(samples: &[Sample]) -> (f64, f64) {
         }
         if let Some(got) = orientation_wxyz {
             let dot: f64 = (0..4).map(|i| got[i] * q[i]).sum();
-            worst.1 = worst.1.max(2.0 * dot.abs().min(1.0).acos());
+            worst.1 = worst.1.max(2.0 * libm::acos(dot.abs().min(1.0)));
         }
     }
     worst

@@ -334,7 +334,7 @@ proptest! {
         }
         if let Some(got) = decoded.orientation_wxyz {
             let dot: f64 = (0..4).map(|i| got[i] * q[i]).sum();
-            let angle = 2.0 * (1.0 - dot * dot).max(0.0).sqrt().asin();
+            let angle = 2.0 * libm::asin((1.0 - dot * dot).max(0.0).sqrt());
             // Three angles of one count (pi / 8192) each, or words of a quaternion or a matrix.
             let bound = if matches!(shape.format, Format::Angles | Format::PositionAngles) { 3.0 * count * std::f64::consts::PI } else { 8.0 * count };
             prop_assert!(angle <= bound, "{} rad", angle);

@@ -119,7 +119,7 @@ impl Actions {
             left_s -= dt;
             // A reach goes out and comes back within its activity.
             let done = 1.0 - (left_s / activity.duration_s).clamp(0.0, 1.0);
-            let reach = if activity.label >= 5 { (PI * done).sin().powf(0.7) } else { 1.0 };
+            let reach = if activity.label >= 5 { libm::pow(libm::sin(PI * done), 0.7) } else { 1.0 };
             for (index, angle) in angles.iter_mut().enumerate() {
                 let target = person.rest[index] + reach * (activity.targets[index] - person.rest[index]);
                 let pull = person.stiffness * person.stiffness * (target - *angle);
@@ -130,14 +130,14 @@ impl Actions {
             speed += dt * 4.0 * (activity.walk * person.stride * person.tempo - speed);
             turning += dt * 5.0 * (activity.angular_velocity_rad_s - turning);
             heading += dt * turning;
-            position_m[0] += dt * speed * heading.cos();
-            position_m[1] += dt * speed * heading.sin();
+            position_m[0] += dt * speed * libm::cos(heading);
+            position_m[1] += dt * speed * libm::sin(heading);
             let moving = (speed / (person.stride * person.tempo)).max(turning.abs() / 2.5).min(1.0);
             phase += dt * PI * person.tempo * (0.3 + 0.7 * moving);
             let t_s = frame as f64 * dt;
             let mut swayed = angles;
             for (angle, [size, rate, shift]) in swayed.iter_mut().zip(person.sway) {
-                *angle += size * (TAU * rate * t_s + shift).sin();
+                *angle += size * libm::sin(TAU * rate * t_s + shift);
             }
             // Arms that carry hardly swing; they come to rest as fast as the rest of the figure.
             let free = if activity.label == 2 { 0.1 } else { person.swing };
@@ -197,11 +197,14 @@ impl Person {
         let size = self.scale;
         let (thigh, shank) = (0.43 * size, 0.43 * size);
         let body = about(z, heading);
-        let torso = body * about(z, angles[TWIST] + 0.1 * moving * phase.sin()) * about(y, angles[LEAN]);
+        let torso = body * about(z, angles[TWIST] + 0.1 * moving * libm::sin(phase)) * about(y, angles[LEAN]);
         let crouch = angles[CROUCH].max(0.0);
-        let bob = 0.02 * moving * (2.0 * phase).cos();
-        let hips =
-            Vector3::new(position_m[0], position_m[1], (thigh + shank) * crouch.cos() + 0.07 * size + bob);
+        let bob = 0.02 * moving * libm::cos(2.0 * phase);
+        let hips = Vector3::new(
+            position_m[0],
+            position_m[1],
+            (thigh + shank) * libm::cos(crouch) + 0.07 * size + bob,
+        );
         let mut joints = [Vector3::zeros(); JOINTS.len()];
         joints[0] = hips;
         for (joint, height) in [(1, 0.15), (2, 0.35), (3, 0.5), (4, 0.68)] {
@@ -209,7 +212,7 @@ impl Person {
         }
         for side in 0..2 {
             let sign = if side == 0 { 1.0 } else { -1.0 };
-            let swing = swing * moving * (phase + sign * FRAC_PI_2).sin();
+            let swing = swing * moving * libm::sin(phase + sign * FRAC_PI_2);
             let arm = torso * about(x, sign * angles[SPREAD[side]]) * about(y, -angles[RAISE[side]] - swing);
             let fore = arm * about(y, -angles[BEND[side]]);
             let first = 5 + 4 * side;
@@ -217,8 +220,8 @@ impl Person {
             joints[first + 1] = joints[first] - arm * z * (0.3 * size);
             joints[first + 2] = joints[first + 1] - fore * z * (0.26 * size);
             joints[first + 3] = joints[first + 2] - fore * z * (0.09 * size);
-            let step = 0.45 * moving * (phase - sign * FRAC_PI_2).sin();
-            let lift = 0.6 * moving * (phase - sign * FRAC_PI_2).cos().max(0.0);
+            let step = 0.45 * moving * libm::sin(phase - sign * FRAC_PI_2);
+            let lift = 0.6 * moving * libm::cos(phase - sign * FRAC_PI_2).max(0.0);
             let upper = body * about(y, -crouch - step - 0.5 * lift);
             let lower = upper * about(y, 2.0 * crouch + lift);
             let hip = hips + body * Vector3::new(0.0, 0.09 * size * sign, -0.05 * size);

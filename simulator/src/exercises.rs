@@ -216,7 +216,7 @@ impl Day {
         let t_s = self.t_s();
         for row in 0..WIDTH {
             let leaked: f64 = (0..WIDTH).map(|column| self.person.leak[row][column] * angles[column]).sum();
-            let drift = 1.5 * (TAU * t_s / 47.0 + self.drift_phase[row]).sin();
+            let drift = 1.5 * libm::sin(TAU * t_s / 47.0 + self.drift_phase[row]);
             // Unsteady hands: noise with a memory of a tenth of a second.
             self.tremor[row] = 0.9 * self.tremor[row] + 0.44 * self.person.tremor_deg * self.random.normal();
             let noise = self.person.noise_deg * self.random.normal();
@@ -240,7 +240,7 @@ impl Day {
     pub fn rest(&mut self, seconds: f64) {
         let (at, phase) = (self.now_deg, self.between(0.0, TAU));
         for sample in 0..(seconds * RATE_HZ) as usize {
-            let sway = 1.2 * ((TAU * 0.3 * sample as f64 / RATE_HZ + phase).sin() - phase.sin());
+            let sway = 1.2 * (libm::sin(TAU * 0.3 * sample as f64 / RATE_HZ + phase) - libm::sin(phase));
             self.sample(std::array::from_fn(|angle| {
                 at[angle] + sway * if angle % 2 == 0 { 1.0 } else { -0.5 }
             }));
@@ -316,14 +316,14 @@ impl Day {
         let cadence_hz = self.between(0.8, 1.05);
         let size = self.between(0.8, 1.2);
         let step = |angles: [f64; WIDTH], phase: f64, size: f64| {
-            let swing = (TAU * phase).sin();
-            let knee = 0.5 - 0.5 * (TAU * (phase - 0.1)).cos();
+            let swing = libm::sin(TAU * phase);
+            let knee = 0.5 - 0.5 * libm::cos(TAU * (phase - 0.1));
             let mut walking = angles;
             walking[0] += 18.0 * size * -swing;
             walking[2] += 12.0 * size * (0.5 - 0.5 * swing);
             walking[4] += 24.0 * size * swing;
             walking[5] += 52.0 * size * knee.powi(3) + 8.0;
-            walking[6] += 2.0 * (2.0 * TAU * phase).sin();
+            walking[6] += 2.0 * libm::sin(2.0 * TAU * phase);
             walking
         };
         self.go(step(STANDING, 0.0, size), 0.6);

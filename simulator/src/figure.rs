@@ -75,7 +75,7 @@ impl Wander {
 
     fn at(&self, t: f64) -> f64 {
         let [a, b, c] = &self.0;
-        let sine = |(rate, phase): &(f64, f64)| (rate * t + phase).sin();
+        let sine = |(rate, phase): &(f64, f64)| libm::sin(rate * t + phase);
         0.6 * sine(a) + 0.5 * sine(b) + 0.3 * sine(c)
     }
 }
@@ -101,7 +101,7 @@ impl Figure {
             let t = k as f64 / self.rate_hz;
             let signal = |k: usize| place[k].at(t);
             let heading = Rotation3::from_axis_angle(&Vector3::z_axis(), 1.5 * signal(2));
-            let stride = (TAU * stride_hz * t + phase).sin();
+            let stride = libm::sin(TAU * stride_hz * t + phase);
             let joints = joints(
                 self.height_m,
                 [0.25 + 0.25 * signal(3), 0.15 * signal(4)],
@@ -123,12 +123,12 @@ impl Figure {
 
 /// Middles of the segments above the point on the floor where the figure stands, x forward; the order of [`SENSORS`].
 fn joints(height: f64, [crouch, lean]: [f64; 2], stride: f64, limbs: &[f64; 6]) -> [Vector3<f64>; 15] {
-    let down = |angle: f64| Vector3::new(angle.sin(), 0.0, -angle.cos());
+    let down = |angle: f64| Vector3::new(libm::sin(angle), 0.0, -libm::cos(angle));
     let (thigh, shank) = (0.245 * height, 0.246 * height);
     let knee = crouch.clamp(0.0, 0.8);
-    let hip_z = 0.04 * height + thigh * knee.cos() + shank * knee.cos();
+    let hip_z = 0.04 * height + thigh * libm::cos(knee) + shank * libm::cos(knee);
     let pelvis = Vector3::new(0.0, 0.0, hip_z);
-    let up = Vector3::new(lean.sin(), 0.0, lean.cos());
+    let up = Vector3::new(libm::sin(lean), 0.0, libm::cos(lean));
     let neck = pelvis + up * 0.288 * height;
     let arm = |side: f64, swing: f64, lift: f64, bend: f64| {
         let shoulder = neck + Vector3::new(0.0, side * 0.129 * height, -0.02 * height);

@@ -85,7 +85,7 @@ impl Gesture {
                         angular * (1.0 + bends[1] * (2.0 * s - 1.0)),
                     ),
                     Shape::Swaying => {
-                        let sway = 0.5 * (std::f64::consts::TAU * periods * s).sin();
+                        let sway = 0.5 * libm::sin(std::f64::consts::TAU * periods * s);
                         (linear + sideways[0] * sway, angular + sideways[1] * sway)
                     }
                 };

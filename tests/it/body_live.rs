@@ -24,7 +24,9 @@ const HEIGHT_M: f64 = 1.8;
 /// How the sensor of a segment sits, w, x, y, z: each another way.
 fn mount(segment: BodySegment) -> UnitQuaternion<f64> {
     let k = segment.index() as f64;
-    UnitQuaternion::from_scaled_axis(Vector3::new((1.3 * k).sin(), (2.1 * k).cos(), (0.7 * k).sin()) * 1.5)
+    UnitQuaternion::from_scaled_axis(
+        Vector3::new(libm::sin(1.3 * k), libm::cos(2.1 * k), libm::sin(0.7 * k)) * 1.5,
+    )
 }
 
 fn wxyz(q: &UnitQuaternion<f64>) -> [f64; 4] {
@@ -368,7 +370,7 @@ fn the_demo_shows_a_body_that_stands_where_it_stands() {
     let last = *bodies(&rig).last().unwrap();
     assert_eq!(last.position_source, PositionSource::Trackers);
     let [x, y, z] = last.segments[BodySegment::Pelvis.index()].position_m.unwrap();
-    assert!((x - 0.85).hypot(y + 0.35) < 0.08 && (0.85..1.0).contains(&z), "{x} {y} {z}");
+    assert!(libm::hypot(x - 0.85, y + 0.35) < 0.08 && (0.85..1.0).contains(&z), "{x} {y} {z}");
     let forward = q(last, BodySegment::Pelvis) * Vector3::x();
     assert!((forward + Vector3::x()).norm() < 0.15, "{forward}");
     assert!(last.segments.iter().all(|segment| segment.state == SegmentState::Ok), "{last:?}");

@@ -120,8 +120,11 @@ fn given_a_pole_that_is_held_one_way_the_map_is_refused() {
     let rows =
         (0..600).flat_map(|frame| (0..SENSORS).map(move |sensor| (frame, sensor))).map(|(frame, sensor)| {
             let t = f64::from(frame) / 30.0;
-            let middle =
-                Vector3::new(1.3 + 0.3 * t.sin(), 0.4 * (0.7 * t).cos(), 0.6 + 0.2 * (1.3 * t).sin());
+            let middle = Vector3::new(
+                1.3 + 0.3 * libm::sin(t),
+                0.4 * libm::cos(0.7 * t),
+                0.6 + 0.2 * libm::sin(1.3 * t),
+            );
             let p = middle + Vector3::x() * (0.1 * (sensor as f64 - 2.5));
             (t, sensor, PoleReading { position_m: p * 1.03, orientation: None })
         });

@@ -16,7 +16,7 @@ fn turning(rows: usize, angular_velocity_rad_s: f64) -> String {
     let mut text = String::from("# made by a test\nt,sensor,ax,ay,az,gx,gy,gz,mx,my,mz\n");
     for k in 0..rows {
         let t = k as f64 / 100.0;
-        let (sin, cos) = (angular_velocity_rad_s * t).sin_cos();
+        let (sin, cos) = libm::sincos(angular_velocity_rad_s * t);
         writeln!(text, "{t},a,0,0,9.80665,0,0,{angular_velocity_rad_s},{},{},-42", 17.0 * sin, 17.0 * cos)
             .expect("a string takes it");
     }
@@ -131,8 +131,8 @@ fn trial(name: &str) -> (f64, f64, u32) {
         let reference = posed_geometry::orientation_from_wxyz([row[9], row[10], row[11], row[12]]);
         if let (Some(reference), true) = (reference, row[13] > 0.0) {
             let error = q * reference.inverse();
-            total += (2.0 * error.w.abs().min(1.0).acos()).powi(2);
-            inclination += (2.0 * error.w.hypot(error.k).min(1.0).acos()).powi(2);
+            total += (2.0 * libm::acos(error.w.abs().min(1.0))).powi(2);
+            inclination += (2.0 * libm::acos(libm::hypot(error.w, error.k).min(1.0))).powi(2);
             count += 1;
         }
     }

@@ -308,7 +308,7 @@ fn strapped(folder: &Path, activity: &str, mounted: &[(&str, &str)]) -> std::pat
     .replace("ACTIVITY", activity);
     for (index, (emitted, segment)) in mounted.iter().enumerate() {
         let rotation_rad = 0.4 * index as f64;
-        let (sin, cos) = rotation_rad.sin_cos();
+        let (sin, cos) = libm::sincos(rotation_rad);
         text += &format!(
             "[[sensor]]\nname = \"{emitted}\"\ndevice = \"chain\"\naddress = {}\n[[simulation.sensor]]\nname = \"{emitted}\"\n\
              body = \"person\"\nsegment = \"{segment}\"\nmount_quat_wxyz = [{cos}, {}, 0.0, {}]\n",
@@ -539,9 +539,10 @@ fn write_links(path: &Path) {
         let t_s = f64::from(tick) * 0.05;
         let t = (t_s % 60.0 - 12.0).max(0.0);
         let grow = (t / 3.0).min((48.0 - t) / 3.0).min(1.0).powi(2);
-        let rotation_vector_rad = Vector3::new((0.9 * t).sin(), 0.6 * (0.7 * t).sin(), 0.8 * (1.1 * t).sin());
+        let rotation_vector_rad =
+            Vector3::new(libm::sin(0.9 * t), 0.6 * libm::sin(0.7 * t), 0.8 * libm::sin(1.1 * t));
         let upper = about(rotation_vector_rad, grow) * about(Vector3::x(), 1.57);
-        let lower = upper * about(Vector3::z(), grow * (0.7 - 0.7 * (1.3 * t).cos()));
+        let lower = upper * about(Vector3::z(), grow * (0.7 - 0.7 * libm::cos(1.3 * t)));
         for (name, q) in [("thigh", upper), ("shank", lower)] {
             text += &format!("{t_s:.2},{name},0.5,0.0,0.3,{:.7},{:.7},{:.7},{:.7}\n", q.w, q.i, q.j, q.k);
         }
@@ -597,9 +598,9 @@ fn write_curls(path: &Path) {
     for tick in 0..12_000 {
         let t_s = f64::from(tick) * 0.05;
         let since_s = t_s % 22.0;
-        let bend = if since_s < 10.0 { 1.0 - (std::f64::consts::TAU * since_s / 2.0).cos() } else { 0.0 };
-        let (s, c) = bend.sin_cos();
-        let (half_s, half_c) = (0.5 * bend).sin_cos();
+        let bend = if since_s < 10.0 { 1.0 - libm::cos(std::f64::consts::TAU * since_s / 2.0) } else { 0.0 };
+        let (s, c) = libm::sincos(bend);
+        let (half_s, half_c) = libm::sincos(0.5 * bend);
         let (x, z) = (0.5 + 0.25 * s, 0.3 - 0.25 * c);
         text += &format!("{t_s:.2},forearm,{x:.5},0.1,{z:.5},{half_c:.6},0,{:.6},0\n", -half_s);
     }

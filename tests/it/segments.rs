@@ -29,7 +29,7 @@ fn write_sequence(path: &Path, seed: u32, labelled: bool) -> Vec<&'static str> {
     let mut labels = Vec::new();
     for frame in 0..900_u32 {
         let label = if (frame / 90 + seed).is_multiple_of(2) { "left up" } else { "right up" };
-        let swing = 0.1 * (f64::from(frame + 7 * seed) * 0.37).sin();
+        let swing = 0.1 * libm::sin(f64::from(frame + 7 * seed) * 0.37);
         let lift = |wanted: &str| if label == wanted { 1.4 + swing } else { 0.9 };
         let walk = 0.01 * f64::from(frame);
         let (left, right) = (lift("left up"), lift("right up"));

@@ -254,7 +254,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 fn gaussian(half: usize) -> Vec<f64> {
     let weight = |k: usize| {
         let z = (k as f64 - half as f64) / MOTION_SIGMA;
-        (-0.5 * z * z).exp()
+        libm::exp(-0.5 * z * z)
     };
     let weights: Vec<f64> = (0..2 * half + 1).map(weight).collect();
     let sum: f64 = weights.iter().sum();

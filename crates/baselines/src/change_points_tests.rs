@@ -80,8 +80,8 @@ fn a_jump_gives_two_equal_peaks() {
 fn tumble(k: usize) -> se3::Twist {
     let t = k as f64;
     twist(
-        [0.05 * (0.11 * t).sin(), 0.04 * (0.07 * t).cos(), 0.03 * (0.3 * t).sin()],
-        [0.02 * (0.05 * t).cos(), 0.03 * (0.13 * t).sin(), 0.01 * (0.9 * t).cos()],
+        [0.05 * libm::sin(0.11 * t), 0.04 * libm::cos(0.07 * t), 0.03 * libm::sin(0.3 * t)],
+        [0.02 * libm::cos(0.05 * t), 0.03 * libm::sin(0.13 * t), 0.01 * libm::cos(0.9 * t)],
     )
 }
 
@@ -148,7 +148,7 @@ fn motion(frames: usize) -> Vec<Isometry3<f64>> {
     let mut pose = Isometry3::identity();
     let mut poses = Vec::new();
     for k in 0..frames {
-        let tremble = |c: f64| (12.9 * (k * k) as f64 + c).sin();
+        let tremble = |c: f64| libm::sin(12.9 * (k * k) as f64 + c);
         let (a, b) = ([tremble(0.0), tremble(1.0), tremble(2.0)], [tremble(3.0), tremble(4.0), tremble(5.0)]);
         poses.push(pose * se3::exp(&twist(a.map(|x| 2e-3 * x), b.map(|x| 1e-3 * x))));
         pose *= se3::exp(&match k {

@@ -21,7 +21,7 @@ pub fn arrows(map: &Prepared, most: usize) -> Vec<[[f64; 3]; 2]> {
     let [low, high] = hull.bounds_m();
     let size = high - low;
     // A convex body fills about half of its box.
-    let step_m = (0.5 * size.product() / most.max(1) as f64).cbrt().max(FINEST_M);
+    let step_m = libm::cbrt(0.5 * size.product() / most.max(1) as f64).max(FINEST_M);
     let counts = size.map(|length| (length / step_m) as usize + 1);
     let start = low + (size - (counts.map(|count| count as f64) - Vector3::repeat(1.0)) * step_m) / 2.0;
     let positions_m = (0..counts.x * counts.y * counts.z).map(|index| {

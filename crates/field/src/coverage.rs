@@ -145,7 +145,7 @@ fn text_of(axis: &Vector3<f64>) -> String {
 /// Share of the cells inside the hull that a reading came near, and those that none did.
 fn cells(run: &PoleRun, hull: &Hull) -> (f64, Vec<Vector3<f64>>) {
     let [low, high] = hull.bounds_m();
-    let step = CELL_M.max(((high - low).iter().product::<f64>() / 8000.0).cbrt());
+    let step = CELL_M.max(libm::cbrt((high - low).iter().product::<f64>() / 8000.0));
     let counts = (high - low).map(|x| (x / step).ceil() as usize + 1);
     let at = |index: usize| {
         let (i, j, k) = (index % counts.x, index / counts.x % counts.y, index / (counts.x * counts.y));

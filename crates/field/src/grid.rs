@@ -31,7 +31,7 @@ impl Shape {
     pub(crate) fn around(bounds: &[Vector3<f64>; 2], margin_m: f64, step_m: f64) -> Self {
         let low = bounds[0] - Vector3::repeat(margin_m);
         let extent = bounds[1] + Vector3::repeat(margin_m) - low;
-        let step_m = step_m.max((extent.x * extent.y * extent.z / MOST_NODES).cbrt());
+        let step_m = step_m.max(libm::cbrt(extent.x * extent.y * extent.z / MOST_NODES));
         let counts = [0, 1, 2].map(|axis| ((extent[axis] / step_m).ceil() as usize + 1).max(4));
         Self { low_m: low.into(), step_m, counts }
     }
@@ -279,7 +279,7 @@ mod tests {
 
     fn grid() -> Grid {
         let shape = Shape::around(&[Vector3::new(0.3, -1.0, 0.2), Vector3::new(2.4, 1.0, 1.4)], 0.1, 0.08);
-        Grid::new(shape, |p| [0.05 * (2.0 * p.x).sin() * p.y, p.z * p.z * 0.1, 0.3 * p.x - p.y, 1.0])
+        Grid::new(shape, |p| [0.05 * libm::sin(2.0 * p.x) * p.y, p.z * p.z * 0.1, 0.3 * p.x - p.y, 1.0])
     }
 
     #[test]
@@ -300,7 +300,7 @@ mod tests {
                 -0.7 + 0.02 * f64::from(k),
                 0.4 + 0.01 * f64::from(k),
             );
-            let expected = [0.05 * (2.0 * p.x).sin() * p.y, p.z * p.z * 0.1, 0.3 * p.x - p.y, 1.0];
+            let expected = [0.05 * libm::sin(2.0 * p.x) * p.y, p.z * p.z * 0.1, 0.3 * p.x - p.y, 1.0];
             for (a, b) in grid.cubic(&p).iter().zip(expected) {
                 assert!((a - b).abs() < 1e-5, "{p} {a} {b}");
             }

@@ -28,7 +28,7 @@ pub(crate) fn directions() -> impl Iterator<Item = Vector3<f64>> {
         std::array::from_fn(|k| {
             let z = 1.0 - (2.0 * k as f64 + 1.0) / DIRECTIONS as f64;
             let r = (1.0 - z * z).sqrt();
-            let (sin, cos) = (golden * k as f64).sin_cos();
+            let (sin, cos) = libm::sincos(golden * k as f64);
             Vector3::new(r * cos, r * sin, z)
         })
     });

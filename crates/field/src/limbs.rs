@@ -180,7 +180,7 @@ struct Followed {
 }
 
 fn weighting(noise: &FieldNoise, gap_m: f64) -> FieldNoise {
-    FieldNoise { floor_m: noise.floor_m.hypot(gap_m), ..*noise }
+    FieldNoise { floor_m: libm::hypot(noise.floor_m, gap_m), ..*noise }
 }
 
 /// Fits joints and map in turns; the map of any kind, or of metal alone.

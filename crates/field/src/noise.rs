@@ -40,8 +40,8 @@ impl FieldNoise {
         let r = position_m.norm();
         let (along, across) = self.disc_m(r);
         let floor = self.floor_m.max(1e-6);
-        let along = 1.0 / along.hypot(floor);
-        let across = 1.0 / across.hypot(floor);
+        let along = 1.0 / libm::hypot(along, floor);
+        let across = 1.0 / libm::hypot(across, floor);
         let u = if r > 1e-9 { position_m / r } else { Vector3::x() };
         let mut whitener = u * u.transpose() * (along - across);
         whitener += Matrix3::identity() * across;

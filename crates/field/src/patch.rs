@@ -100,7 +100,7 @@ mod tests {
     fn a_field_beside_metal_is_met_to_a_fifth_of_a_millimetre() {
         // A dipole one and a half cells away, nine centimetres strong at the near side.
         let f = |[x, y, z]: [f64; 3]| {
-            let r = (x + 1.5).hypot(y - 0.5).hypot(z - 0.5);
+            let r = libm::hypot(libm::hypot(x + 1.5, y - 0.5), z - 0.5);
             [0.3 / r.powi(3), 0.0, 0.0, 1.0]
         };
         let patch = Patch::new(f);

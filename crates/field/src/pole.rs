@@ -215,7 +215,7 @@ mod tests {
     fn rows(order: [usize; 4]) -> Vec<(f64, usize, PoleReading)> {
         let mut rows = Vec::new();
         for frame in 0..20 {
-            let direction = Vector3::new((frame as f64).cos(), (frame as f64).sin(), 0.4).normalize();
+            let direction = Vector3::new(libm::cos(frame as f64), libm::sin(frame as f64), 0.4).normalize();
             for (sensor, place) in order.into_iter().enumerate() {
                 let position_m = Vector3::new(1.0, 0.2, 0.3) + direction * (0.3 * place as f64);
                 rows.push((frame as f64, sensor, PoleReading { position_m, orientation: None }));

@@ -566,8 +566,9 @@ mod tests {
         let mut problem = Problem::new(1);
         for k in 0..20 {
             let t = f64::from(k);
-            let z = Vector3::new(1.2 + 0.3 * t.sin(), 0.4 * t.cos(), 0.3 + 0.2 * (0.7 * t).sin());
-            let ways = [Vector3::new(0.1, -0.2, 0.1), Vector3::new(-0.1, 0.1 * t.sin(), 0.2)];
+            let z =
+                Vector3::new(1.2 + 0.3 * libm::sin(t), 0.4 * libm::cos(t), 0.3 + 0.2 * libm::sin(0.7 * t));
+            let ways = [Vector3::new(0.1, -0.2, 0.1), Vector3::new(-0.1, 0.1 * libm::sin(t), 0.2)];
             problem.push_joint(0, [(z, ways[0]), (z + Vector3::new(0.2, 0.1, -0.1), ways[1])], &noise);
         }
         let values = model.values();

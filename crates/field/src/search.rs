@@ -195,7 +195,7 @@ fn candidates(problem: &Problem) -> Vec<Source> {
     high += Vector3::repeat(MARGIN_M);
     // A larger stage gets a coarser grid, not more candidates.
     let extent = high - low;
-    let step = STEP_M.max((extent.x * extent.y * extent.z / 2500.0).cbrt());
+    let step = STEP_M.max(libm::cbrt(extent.x * extent.y * extent.z / 2500.0));
     let steps = (extent / step).map(|n| n.ceil() as usize);
     for i in 0..=steps.x {
         for j in 0..=steps.y {

@@ -158,7 +158,7 @@ pub fn refit_pole(mut run: PoleRun, model: &Model) -> Option<Model> {
 }
 
 fn with_model_floor(noise: FieldNoise) -> FieldNoise {
-    FieldNoise { floor_m: noise.floor_m.hypot(MODEL_FLOOR_M), ..noise }
+    FieldNoise { floor_m: libm::hypot(noise.floor_m, MODEL_FLOOR_M), ..noise }
 }
 
 /// Why a map cannot be right, whatever the held-out blocks say of it.

@@ -169,7 +169,7 @@ impl Channel {
     fn add(&mut self, t_s: f64, (value, sigma_m): (Vector3<f64>, f64), mains_hz: f64) {
         let block = &mut self.block;
         block.begun_s.get_or_insert(t_s);
-        let (sin, cos) = (std::f64::consts::TAU * mains_hz * t_s).sin_cos();
+        let (sin, cos) = libm::sincos(std::f64::consts::TAU * mains_hz * t_s);
         let value = value - self.baseline.now;
         block.sum += value;
         block.cos += value * cos;
@@ -189,7 +189,7 @@ impl Channel {
         let offset = block.sum / block.count;
         let cos = (block.cos - offset * block.cos_sum) * (2.0 / block.count);
         let sin = (block.sin - offset * block.sin_sum) * (2.0 / block.count);
-        let hum_m = cos.norm().hypot(sin.norm());
+        let hum_m = libm::hypot(cos.norm(), sin.norm());
         let baseline = &mut self.baseline;
         if baseline.blocks < BASELINE_BLOCKS {
             baseline.learn(offset, hum_m);
@@ -350,7 +350,7 @@ impl Watch {
         let reference = self.reference.map_or(0.0, |(own_m, deviation_m)| {
             deviation_m * (range_m / own_m.max(0.1)).powi(4).min(MOST_GROWTH)
         });
-        (reference.hypot(self.pair_m)).min(MOST_DOUBT_M).powi(2) / 3.0
+        (libm::hypot(reference, self.pair_m)).min(MOST_DOUBT_M).powi(2) / 3.0
     }
 }
 

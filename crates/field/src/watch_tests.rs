@@ -6,8 +6,8 @@ use super::*;
 const RATE_HZ: f64 = 100.0;
 
 fn normal(random: &mut ChaCha8Rng) -> f64 {
-    (-2.0 * (1.0 - random.random::<f64>()).ln()).sqrt()
-        * (std::f64::consts::TAU * random.random::<f64>()).cos()
+    (-2.0 * libm::log(1.0 - random.random::<f64>())).sqrt()
+        * libm::cos(std::f64::consts::TAU * random.random::<f64>())
 }
 
 /// A reference sensor at rest and a pair that moves about, whose distance is `off(t)` wrong.
@@ -35,10 +35,11 @@ impl Bench {
             let t = self.frame as f64 / RATE_HZ;
             let mut noise = |sigma: f64| Vector3::from_fn(|_, _| sigma * normal(&mut self.random));
             let still = Vector3::new(1.0, 0.3, 0.5) + noise(3e-4) + reference(t);
-            let hand = Vector3::new(1.2 + 0.4 * (0.7 * t).sin(), 0.5 * (0.9 * t).cos(), 0.4) + noise(3e-4);
-            let direction = Vector3::new((0.3 * t).cos(), (0.3 * t).sin(), 0.0);
+            let hand =
+                Vector3::new(1.2 + 0.4 * libm::sin(0.7 * t), 0.5 * libm::cos(0.9 * t), 0.4) + noise(3e-4);
+            let direction = Vector3::new(libm::cos(0.3 * t), libm::sin(0.3 * t), 0.0);
             // What the map leaves changes with the place.
-            let rest = 3e-4 * (2.0 * hand.x).sin();
+            let rest = 3e-4 * libm::sin(2.0 * hand.x);
             let other = hand + direction * (0.2 + rest + apart(t)) + noise(3e-4);
             let seen = [still, hand, other].map(|p| WatchedPosition {
                 measured_m: Some(p),
@@ -96,7 +97,7 @@ fn mains_hum_on_a_sensor_at_rest_is_heard() {
     let mut bench = Bench::new();
     bench.run(20.0, still, |_| 0.0);
     // 50 Hz at 100 Hz: every other reading is wrong by as much to the other side.
-    bench.run(2.0, |t| Vector3::y() * 0.004 * (std::f64::consts::TAU * 50.0 * t + 1.0).cos(), |_| 0.0);
+    bench.run(2.0, |t| Vector3::y() * 0.004 * libm::cos(std::f64::consts::TAU * 50.0 * t + 1.0), |_| 0.0);
     let hum = bench
         .emitted
         .iter()

@@ -12,9 +12,12 @@ const DT: f64 = 0.01;
 /// A hand: 0.3 m strokes that reach 3 m/s and 30 m/s^2, turning with them.
 fn hand(t: f64) -> (Vector3<f64>, UnitQuaternion<f64>) {
     let phase = 10.0 * t;
-    let p =
-        Vector3::new(0.6 + 0.3 * phase.sin(), 0.2 * (0.7 * phase).cos(), -0.2 + 0.1 * (0.9 * phase).sin());
-    (p, so3::exp(&Vector3::new(0.9 * phase.sin(), 0.5 * (0.6 * phase).cos(), 0.4)))
+    let p = Vector3::new(
+        0.6 + 0.3 * libm::sin(phase),
+        0.2 * libm::cos(0.7 * phase),
+        -0.2 + 0.1 * libm::sin(0.9 * phase),
+    );
+    (p, so3::exp(&Vector3::new(0.9 * libm::sin(phase), 0.5 * libm::cos(0.6 * phase), 0.4)))
 }
 
 fn t(k: usize) -> Timestamp {

@@ -90,10 +90,10 @@ mod tests {
 
     /// Merckel and Nishida (2010), eq. (10): the logarithm as a cubic in the homogeneous matrix M.
     fn log_by_equation_10(m: &Matrix4<f64>, angle: f64) -> Matrix4<f64> {
-        let (s, c) = angle.sin_cos();
-        let (s2, c2) = (2.0 * angle).sin_cos();
+        let (s, c) = libm::sincos(angle);
+        let (s2, c2) = libm::sincos(2.0 * angle);
         let half = 0.5 * angle;
-        let lead = 1.0 / (8.0 * half.sin().powi(3) * half.cos());
+        let lead = 1.0 / (8.0 * libm::sin(half).powi(3) * libm::cos(half));
         let m2 = m * m;
         let m3 = m2 * m;
         ((angle * c2 - s) * Matrix4::identity() - (angle * c + 2.0 * angle * c2 - s - s2) * m

@@ -18,9 +18,9 @@ pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
 pub fn exp(w: &Vector3<f64>) -> UnitQuaternion<f64> {
     let angle = w.norm();
     let half_sinc =
-        if angle < SMALL_ANGLE_RAD { 0.5 - angle * angle / 48.0 } else { (0.5 * angle).sin() / angle };
+        if angle < SMALL_ANGLE_RAD { 0.5 - angle * angle / 48.0 } else { libm::sin(0.5 * angle) / angle };
     let v = w * half_sinc;
-    UnitQuaternion::new_unchecked(Quaternion::from_parts((0.5 * angle).cos(), v))
+    UnitQuaternion::new_unchecked(Quaternion::from_parts(libm::cos(0.5 * angle), v))
 }
 
 /// Rotation vector, rad, of length at most pi; the inverse of [`exp`], to 1e-12 up to pi - 1e-6. Both signs of the quaternion
@@ -34,7 +34,7 @@ pub fn log(q: &UnitQuaternion<f64>) -> Vector3<f64> {
     let scale = if sine < SMALL_ANGLE_RAD {
         (2.0 / w) * (1.0 - sine * sine / (3.0 * w * w))
     } else {
-        2.0 * sine.atan2(w) / sine
+        2.0 * libm::atan2(sine, w) / sine
     };
     v * scale
 }
@@ -45,7 +45,7 @@ pub(super) fn coefficients(angle_rad: f64) -> (f64, f64) {
     if angle_rad < CANCELLING_ANGLE_RAD {
         (0.5 - t2 / 24.0 * (1.0 - t2 / 30.0), 1.0 / 6.0 - t2 / 120.0 * (1.0 - t2 / 42.0))
     } else {
-        ((1.0 - angle_rad.cos()) / t2, (angle_rad - angle_rad.sin()) / (t2 * angle_rad))
+        ((1.0 - libm::cos(angle_rad)) / t2, (angle_rad - libm::sin(angle_rad)) / (t2 * angle_rad))
     }
 }
 
@@ -71,7 +71,7 @@ pub(super) fn cotangent_coefficient(angle_rad: f64) -> f64 {
         1.0 / 12.0 + angle_rad * angle_rad / 720.0
     } else {
         let half = 0.5 * angle_rad;
-        (1.0 - half * half.cos() / half.sin()) / (angle_rad * angle_rad)
+        (1.0 - half * libm::cos(half) / libm::sin(half)) / (angle_rad * angle_rad)
     }
 }
 

@@ -152,7 +152,7 @@ fn random_model(joints: [&str; 2]) -> Vec<u8> {
     for frame in 0..90 {
         let t_s = f64::from(frame) / 30.0;
         sequence.t_s.push(t_s);
-        sequence.positions_m.extend([Some([t_s.sin(), 0.5, 0.0]), Some([0.0, -0.5, t_s.cos()])]);
+        sequence.positions_m.extend([Some([libm::sin(t_s), 0.5, 0.0]), Some([0.0, -0.5, libm::cos(t_s)])]);
         sequence.classes.push(Some(u16::from(frame > 45)));
     }
     let options = Options { filters: vec![8, 8], wait_s: 0.5, ..Options::default() };
@@ -186,7 +186,8 @@ fn segments_are_announced_and_decided() {
         let wild = if frame / 200 % 2 == 0 { 0.2 } else { 3.0 };
         for (index, sensor) in estimate.sensors.iter_mut().enumerate() {
             let side = index as f64 - 0.5;
-            let position_m = Some([(wild * 9.0 * t_s).sin() * wild, side, (7.0 * t_s).cos() * wild * side]);
+            let position_m =
+                Some([libm::sin(wild * 9.0 * t_s) * wild, side, libm::cos(7.0 * t_s) * wild * side]);
             *sensor = SensorEstimate {
                 state: SensorState::Ok,
                 pose: Some(PoseEstimate {

@@ -34,7 +34,7 @@ pub(crate) fn significant(value: f64) -> f64 {
     if magnitude.is_nan() || magnitude < 1e-18 {
         return 0.0;
     }
-    let digits = 3 - magnitude.log10().floor() as i32;
+    let digits = 3 - libm::log10(magnitude).floor() as i32;
     if digits >= 0 {
         to(10f64.powi(digits.min(22)), value)
     } else {

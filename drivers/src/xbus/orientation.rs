@@ -49,7 +49,7 @@ pub(super) fn from_euler_deg(angles: [f64; 3], axes: Axes) -> Option<[f64; 4]> {
     if !angles.iter().all(|angle| angle.abs() <= 360.0) {
         return None;
     }
-    let [(sr, cr), (sp, cp), (sy, cy)] = angles.map(|angle| (angle.to_radians() / 2.0).sin_cos());
+    let [(sr, cr), (sp, cp), (sy, cy)] = angles.map(|angle| libm::sincos(angle.to_radians() / 2.0));
     from_quaternion(multiply(multiply([cy, 0.0, 0.0, sy], [cp, 0.0, sp, 0.0]), [cr, sr, 0.0, 0.0]), axes)
 }
 

@@ -161,13 +161,13 @@ impl Activity {
 
     /// Adds what is done after a time `t` in s, in size `grow`.
     pub(super) fn act(self, p: &mut Posture, t: f64, grow: f64) {
-        let wave = |hz: f64, phase: f64| (std::f64::consts::TAU * hz * t + phase).sin();
-        let rise = |hz: f64, phase: f64| 0.5 - 0.5 * (std::f64::consts::TAU * hz * t + phase).cos();
+        let wave = |hz: f64, phase: f64| libm::sin(std::f64::consts::TAU * hz * t + phase);
+        let rise = |hz: f64, phase: f64| 0.5 - 0.5 * libm::cos(std::f64::consts::TAU * hz * t + phase);
         match self {
             Activity::Walking => {
                 const HZ: f64 = 0.9;
                 p.pelvis[0] += grow * 0.25 * t;
-                let (s, c) = p.pelvis[0].sin_cos();
+                let (s, c) = libm::sincos(p.pelvis[0]);
                 p.pelvis_m += Vector3::new(4.0 * s, -4.0 * c, 0.0) * grow;
                 p.pelvis_m.z += grow * 0.02 * wave(2.0 * HZ, 0.4);
                 p.pelvis[1] = grow * 0.04 * wave(2.0 * HZ, 1.0);
@@ -224,7 +224,7 @@ impl Activity {
                 p.pelvis[1] = 0.35 * down;
                 p.spine[0] = 0.3 * down;
                 p.pelvis_m.z -= 0.42 * down;
-                let (s, c) = p.pelvis[0].sin_cos();
+                let (s, c) = libm::sincos(p.pelvis[0]);
                 p.pelvis_m -= Vector3::new(c, s, 0.0) * (0.15 * down);
             }
             Activity::Poses => {
@@ -259,7 +259,7 @@ impl Activity {
                 }
                 // Nobody stands like a post: to and fro about the ankles, and breath.
                 let lean = grow * SWAY_RAD * wave(0.23, 0.0);
-                let (s, c) = p.pelvis[0].sin_cos();
+                let (s, c) = libm::sincos(p.pelvis[0]);
                 p.pelvis[1] += lean;
                 p.pelvis_m += Vector3::new(c, s, 0.0) * (lean * p.pelvis_m.z);
                 p.spine[0] += grow * SWAY_RAD * wave(0.27, 1.0);
@@ -282,7 +282,7 @@ fn movement_s(index: usize) -> f64 {
 
 /// Twice from 0 to 1 and back with smooth ends, while `phase` goes from 0 to 1.
 fn there_and_back(phase: f64) -> f64 {
-    0.5 - 0.5 * (2.0 * std::f64::consts::TAU * step(phase)).cos()
+    0.5 - 0.5 * libm::cos(2.0 * std::f64::consts::TAU * step(phase))
 }
 
 /// From 0 to 1 with four continuous derivatives.
@@ -294,8 +294,8 @@ fn step(x: f64) -> f64 {
 /// Raises an arm: so far forward, sideways and turned inwards, rad.
 fn raise(p: &mut Posture, side: usize, forward: f64, sideways: f64, inwards: f64) {
     // Smooth through the hanging arm: plane and elevation of the direction, and no rotation against the shortest way there.
-    let elevation = forward.hypot(sideways);
-    let plane = forward.atan2(sideways);
+    let elevation = libm::hypot(forward, sideways);
+    let plane = libm::atan2(forward, sideways);
     p.shoulder[side] = [plane, elevation, inwards - plane];
 }
 

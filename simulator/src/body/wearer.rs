@@ -272,7 +272,8 @@ fn field(disturbances: &[Disturbance], t_s: f64) -> Vector3<f64> {
         norm *= disturbance.norm;
         dip += disturbance.dip_rad;
     }
-    Vector3::new(-azimuth.sin() * dip.cos(), azimuth.cos() * dip.cos(), -dip.sin()) * norm
+    Vector3::new(-libm::sin(azimuth) * libm::cos(dip), libm::cos(azimuth) * libm::cos(dip), -libm::sin(dip))
+        * norm
 }
 
 /// A person's standing straight is not the table's: constant departures of every joint.

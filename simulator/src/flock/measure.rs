@@ -112,7 +112,7 @@ impl VirtualFlock {
         }
         let settling = unit.started.map(|started| t.seconds_since(started)).filter(|&s| s < SETTLING_S);
         if let Some(since_s) = settling {
-            let error = (-since_s.max(0.0) / SETTLING_TIME_CONSTANT_S).exp();
+            let error = libm::exp(-since_s.max(0.0) / SETTLING_TIME_CONSTANT_S);
             measured.position_m += error * unit.start_error_m;
             measured.orientation =
                 UnitQuaternion::from_scaled_axis(error * 2.0 * unit.start_error_m) * measured.orientation;

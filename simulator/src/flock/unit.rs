@@ -172,6 +172,6 @@ pub(super) fn rotation_of_angles(words: [i16; 3]) -> UnitQuaternion<f64> {
 
 /// A rotation from sines and cosines of azimuth, elevation, roll.
 pub(super) fn rotation_of_sines(words: [i16; 6]) -> UnitQuaternion<f64> {
-    let angle = |i: usize| f64::from(words[i]).atan2(f64::from(words[i + 1]));
+    let angle = |i: usize| libm::atan2(f64::from(words[i]), f64::from(words[i + 1]));
     crate::motion::quaternion(rotation::from_angles([angle(0), angle(2), angle(4)]))
 }

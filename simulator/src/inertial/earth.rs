@@ -52,8 +52,8 @@ fn half() -> f64 {
 
 /// Field in room axes (x east, y north, z up) of an azimuth (clockwise from y), dip and norm.
 fn field(azimuth_deg: f64, dip_deg: f64, norm: f64) -> Vector3<f64> {
-    let (sin, cos) = azimuth_deg.to_radians().sin_cos();
-    let (down, along) = dip_deg.to_radians().sin_cos();
+    let (sin, cos) = libm::sincos(azimuth_deg.to_radians());
+    let (down, along) = libm::sincos(dip_deg.to_radians());
     norm * Vector3::new(along * sin, along * cos, -down)
 }
 

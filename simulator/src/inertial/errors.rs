@@ -199,7 +199,7 @@ impl FilterError {
         dt_s: f64,
         random: &mut Random,
     ) -> UnitQuaternion<f64> {
-        let keep = (-dt_s / WANDER_S).exp();
+        let keep = libm::exp(-dt_s / WANDER_S);
         self.wander = keep * self.wander + (1.0 - keep * keep).sqrt() * normals(random);
         let FilterErrors { tilt_rad, heading_rad, .. } = self.errors;
         let error = self.wander.component_mul(&Vector3::new(tilt_rad, tilt_rad, heading_rad));

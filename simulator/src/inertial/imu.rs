@@ -186,8 +186,8 @@ mod tests {
         // angle = A (1 - cos(w t)) / 2
         let (a, w) = (90f64.to_radians(), std::f64::consts::PI);
         for t_s in [0.0, 0.3, 0.5, 1.0, 1.7] {
-            let angular_velocity_rad_s = 0.5 * a * w * (w * t_s).sin();
-            let angular_acceleration_rad_s2 = 0.5 * a * w * w * (w * t_s).cos();
+            let angular_velocity_rad_s = 0.5 * a * w * libm::sin(w * t_s);
+            let angular_acceleration_rad_s2 = 0.5 * a * w * w * libm::cos(w * t_s);
             let k = imu.kinematics(seconds(t_s));
             assert!(
                 (k.angular_velocity_rad_s - Vector3::new(0.0, 0.0, angular_velocity_rad_s)).norm() < 1e-6,

@@ -109,7 +109,7 @@ impl Tracker {
         let mut signals = signal_matrix(&field, &pose.rotation);
         if let Some(hum) = self.hum.filter(|hum| (hum.from_s..hum.until_s).contains(&t_s)) {
             let phase = std::f64::consts::TAU * hum.frequency_hz * t_s + hum.phase_rad;
-            let stray = pose.rotation.inverse() * (hum.amplitude * phase.sin());
+            let stray = pose.rotation.inverse() * (hum.amplitude * libm::sin(phase));
             signals += stray * nalgebra::RowVector3::repeat(1.0);
         }
         let limit = 2.0 / self.min_range_m.powi(3);

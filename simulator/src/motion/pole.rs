@@ -39,14 +39,14 @@ impl Default for Pole {
 impl Pole {
     pub(super) fn pose(&self, t_s: f64) -> Isometry3<f64> {
         // Waves whose periods have no common multiple, axis by axis.
-        let wave = |rate: f64, phase: f64| (TAU * (rate * t_s / self.period_s + phase)).sin();
+        let wave = |rate: f64, phase: f64| libm::sin(TAU * (rate * t_s / self.period_s + phase));
         let position_m = Vector3::from_fn(|axis, _| {
             let rate = [1.0, 1.171, 1.363][axis];
             let way = 0.75 * wave(rate, 0.13 * axis as f64) + 0.25 * wave(2.237 * rate, 0.31);
             self.center_m[axis] + self.reach_m[axis] * way
         });
         let azimuth = TAU * t_s / self.turn_period_s;
-        let tilt = self.tilt_deg.to_radians() * (TAU * 1.618 * t_s / self.turn_period_s).sin();
+        let tilt = self.tilt_deg.to_radians() * libm::sin(TAU * 1.618 * t_s / self.turn_period_s);
         let spin = TAU * 0.29 * t_s / self.turn_period_s;
         let about = |axis, angle| UnitQuaternion::from_axis_angle(&axis, angle);
         let rotation = about(Vector3::z_axis(), azimuth)

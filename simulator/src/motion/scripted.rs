@@ -72,11 +72,11 @@ impl Orbit {
         let phase = TAU * t_s / self.period_s + self.phase_deg.to_radians();
         let quarter = [0.25 * TAU, 0.0, 0.0];
         let position = Vector3::from_fn(|i, _| {
-            self.center_m[i] + self.radius_m[i] * (f64::from(self.harmonics[i]) * phase + quarter[i]).sin()
+            self.center_m[i] + self.radius_m[i] * libm::sin(f64::from(self.harmonics[i]) * phase + quarter[i])
         });
         let rotation_vector_rad = Vector3::from_fn(|i, _| {
             let third = i as f64 / 3.0 * TAU;
-            self.turn_deg[i].to_radians() * (TAU * t_s / self.turn_period_s + third).sin()
+            self.turn_deg[i].to_radians() * libm::sin(TAU * t_s / self.turn_period_s + third)
         });
         let rotation =
             UnitQuaternion::from_scaled_axis(rotation_vector_rad) * quaternion(self.orientation_wxyz);
@@ -118,7 +118,7 @@ impl Default for Screw {
 impl Screw {
     pub(super) fn pose(&self, t_s: f64) -> Isometry3<f64> {
         let axis = Unit::try_new(Vector3::from(self.axis), 1e-9).unwrap_or(Vector3::z_axis());
-        let angle = self.angle_deg.to_radians() * 0.5 * (1.0 - (TAU * t_s / self.period_s).cos());
+        let angle = self.angle_deg.to_radians() * 0.5 * (1.0 - libm::cos(TAU * t_s / self.period_s));
         let across = axis.cross(&if axis.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() }).normalize();
         let rotation = UnitQuaternion::from_axis_angle(&axis, angle);
         let position = Vector3::from(self.point_m)
@@ -193,7 +193,8 @@ impl Curl {
 
     pub(super) fn pose(&self, segment: usize, t_s: f64) -> Isometry3<f64> {
         let sway = self.sway_deg.to_radians();
-        let (forward, sideways) = (sway * (TAU * t_s / 4.7).sin(), 0.5 * sway * (TAU * t_s / 6.1).sin());
+        let (forward, sideways) =
+            (sway * libm::sin(TAU * t_s / 4.7), 0.5 * sway * libm::sin(TAU * t_s / 6.1));
         let upper = heading(self.heading_deg.to_radians())
             * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), forward)
             * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), sideways);
@@ -240,24 +241,24 @@ impl Walk {
     pub(super) fn pose(&self, segment: usize, t_s: f64) -> Isometry3<f64> {
         let [a, b] = self.radius_m;
         let round = self.speed_m_s * t_s / (0.5 * (a + b)).max(0.1);
-        let (sin, cos) = round.sin_cos();
+        let (sin, cos) = libm::sincos(round);
         // Along the tangent of the ellipse; on the spot, along room x.
-        let yaw = if a.min(b) > 0.0 { (b * cos).atan2(-a * sin) } else { 0.0 };
+        let yaw = if a.min(b) > 0.0 { libm::atan2(b * cos, -a * sin) } else { 0.0 };
         let facing = heading(yaw);
         let phase = TAU * self.speed_m_s * t_s / (2.0 * self.step_m);
         let [hip_height, thigh, half_width] = [0.52, 0.245, 0.055].map(|share| share * self.height_m);
-        let bob = 0.02 * (2.0 * phase).cos();
+        let bob = 0.02 * libm::cos(2.0 * phase);
         let hips = Vector3::from(self.center_m) + Vector3::new(a * cos, b * sin, hip_height + bob);
-        let sway = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 0.08 * phase.sin());
+        let sway = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 0.08 * libm::sin(phase));
         let pelvis = Isometry3::from_parts(hips.into(), facing * sway);
         let about_z = |angle: f64| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle);
         let leg = |side: f64, phase: f64| {
             let hip = Translation3::new(0.0, 0.0, side * half_width);
-            pelvis * hip * about_z(0.1 + 0.45 * phase.sin())
+            pelvis * hip * about_z(0.1 + 0.45 * libm::sin(phase))
         };
         let shank = |thigh_pose: Isometry3<f64>, phase: f64| {
             // The knee bends backwards, most while the leg swings forward.
-            let bend = about_z(-(0.1 + 0.5 * (1.0 + phase.cos())));
+            let bend = about_z(-(0.1 + 0.5 * (1.0 + libm::cos(phase))));
             thigh_pose * Translation3::new(0.0, -thigh, 0.0) * bend
         };
         let half = 0.5 * TAU;

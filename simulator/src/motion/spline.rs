@@ -101,10 +101,10 @@ mod tests {
     fn sampled(dt: f64) -> PoseSpline {
         let t: Vec<f64> = (0..=(4.0 / dt) as usize).map(|i| i as f64 * dt).collect();
         let rows = t.iter().map(|&t| {
-            let half = 0.5 * (1.0 - (0.5 * std::f64::consts::PI * t).cos());
+            let half = 0.5 * (1.0 - libm::cos(0.5 * std::f64::consts::PI * t));
             // The other half of the sphere at every second sample: the same rotations.
             let sign = if (t / dt).round() as i64 % 2 == 0 { 1.0 } else { -1.0 };
-            [half, 2.0, 3.0, sign * half.cos(), 0.0, sign * half.sin(), 0.0]
+            [half, 2.0, 3.0, sign * libm::cos(half), 0.0, sign * libm::sin(half), 0.0]
         });
         let rows = rows.collect();
         PoseSpline::new(t, rows)
@@ -115,7 +115,7 @@ mod tests {
         let spline = sampled(0.05);
         for i in 0..400 {
             let t = f64::from(i) * 0.01 + 0.003;
-            let half = 0.5 * (1.0 - (0.5 * std::f64::consts::PI * t.min(4.0)).cos());
+            let half = 0.5 * (1.0 - libm::cos(0.5 * std::f64::consts::PI * t.min(4.0)));
             let pose = spline.pose(t);
             assert!((pose.translation.x - half).abs() < 1e-6, "{t}");
             let q = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 2.0 * half);

@@ -209,12 +209,12 @@ mod tests {
     fn record(t_s: f64, shift_s: f64, gyro: bool) -> Measured {
         // Turning about z by an angle whose angular velocity is known.
         let t = t_s - shift_s;
-        let angle = 0.8 * (2.0 * t).sin() + 0.3 * (5.3 * t).cos();
-        let angular_velocity_rad_s = 1.6 * (2.0 * t).cos() - 1.59 * (5.3 * t).sin();
+        let angle = 0.8 * libm::sin(2.0 * t) + 0.3 * libm::cos(5.3 * t);
+        let angular_velocity_rad_s = 1.6 * libm::cos(2.0 * t) - 1.59 * libm::sin(5.3 * t);
         Measured {
             t_s,
             position_m: None,
-            orientation_wxyz: (!gyro).then(|| [(0.5 * angle).cos(), 0.0, 0.0, (0.5 * angle).sin()]),
+            orientation_wxyz: (!gyro).then(|| [libm::cos(0.5 * angle), 0.0, 0.0, libm::sin(0.5 * angle)]),
             button: None,
             angular_velocity_rad_s: gyro.then_some([0.0, angular_velocity_rad_s, 0.0]),
             specific_force_m_s2: None,

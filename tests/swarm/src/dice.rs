@@ -30,7 +30,7 @@ impl Dice {
 
     /// Uniform in the logarithm, between two positive numbers.
     pub(crate) fn log_range(&mut self, from: f64, to: f64) -> f64 {
-        (self.range(from.ln(), to.ln())).exp()
+        libm::exp(self.range(libm::log(from), libm::log(to)))
     }
 
     /// Uniform in 0..n.

@@ -204,7 +204,7 @@ fn inertial(
     let tilt_deg = (reported.inverse() * Vector3::z()).angle(&(truth.inverse() * Vector3::z())).to_degrees();
     // What is left when both stand upright.
     let turn = reported * truth.inverse();
-    let heading_deg = (2.0 * turn.k.atan2(turn.w)).to_degrees();
+    let heading_deg = (2.0 * libm::atan2(turn.k, turn.w)).to_degrees();
     let heading_deg = (heading_deg + 540.0).rem_euclid(360.0) - 180.0;
     let stated_deg = SIGMAS * sigma_deg(pose);
     let tilt_limit_deg = wrong_tilt_deg.max(stated_deg.min(MOST_DEG)) + turned_deg;

@@ -17,7 +17,7 @@ pub(crate) fn wave(sensor: &str, dice: &mut Dice) -> Exercise {
         let share = phase - phase.floor();
         let moves = (0.0..5.0).contains(&phase) && share < 0.8;
         let turn = if moves { share / 0.8 * std::f64::consts::TAU } else { 0.0 };
-        0.5 + 0.15 * (1.0 - turn.cos()) + 1e-3 * (17.0 * t_s).sin()
+        0.5 + 0.15 * (1.0 - libm::cos(turn)) + 1e-3 * libm::sin(17.0 * t_s)
     };
     let values: Vec<Option<f64>> = t_s.iter().map(|&t_s| Some(place(t_s))).collect();
     let columns = vec![column.clone()];

@@ -55,7 +55,7 @@ pub fn cascade(run: &PoleRun, iterations: usize) -> Option<Cascade> {
     let mut network: Option<DistortionNetwork> = None;
     let mut residuals_m = Vec::new();
     for round in 0..iterations.max(1) {
-        let floor_m = noise.floor_m.hypot(FIRST_FLOOR_M * SHRINK.powi(round as i32));
+        let floor_m = libm::hypot(noise.floor_m, FIRST_FLOOR_M * SHRINK.powi(round as i32));
         let weighting = FieldNoise { floor_m, ..noise };
         let map = |z: &Vector3<f64>| network.as_ref().map_or(*z, |network| network.correct(z));
         let states = smooth(run, &weighting, map);

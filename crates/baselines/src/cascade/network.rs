@@ -43,7 +43,7 @@ impl DistortionNetwork {
         std::array::from_fn(|node| {
             let row = &self.weights.as_slice()[node * (INPUTS + 1)..][..INPUTS + 1];
             let sum = row[INPUTS] + inputs.iter().zip(row).map(|(a, b)| a * b).sum::<f64>();
-            1.0 / (1.0 + (-sum).exp())
+            1.0 / (1.0 + libm::exp(-sum))
         })
     }
 
@@ -129,7 +129,11 @@ mod tests {
         (0..300)
             .map(|k| {
                 let k = f64::from(k);
-                let z = Vector3::new(1.0 + 0.5 * k.sin(), 0.6 * (0.7 * k).cos(), 0.5 + 0.4 * (1.3 * k).sin());
+                let z = Vector3::new(
+                    1.0 + 0.5 * libm::sin(k),
+                    0.6 * libm::cos(0.7 * k),
+                    0.5 + 0.4 * libm::sin(1.3 * k),
+                );
                 (z, z * 1.02 + Vector3::new(0.0, 0.01 * z.x * z.x, 0.0))
             })
             .collect()

@@ -65,8 +65,8 @@ impl PoleState {
         let mut error = Error::zeros();
         error.fixed_rows_mut::<3>(0).copy_from(&(self.middle_m - other.middle_m));
         let seen = other.axes.transpose() * self.direction();
-        let sine = seen.y.hypot(seen.z);
-        let scale = if sine > 1e-9 { sine.atan2(seen.x) / sine } else { 1.0 };
+        let sine = libm::hypot(seen.y, seen.z);
+        let scale = if sine > 1e-9 { libm::atan2(sine, seen.x) / sine } else { 1.0 };
         error[3] = scale * seen.y;
         error[4] = scale * seen.z;
         error.fixed_rows_mut::<3>(5).copy_from(&(self.velocity_m_s - other.velocity_m_s));
@@ -222,8 +222,9 @@ mod tests {
     use posed_field::PoleReading;
 
     fn truth(t: f64) -> (Vector3<f64>, Vector3<f64>) {
-        let middle = Vector3::new(1.2 + 0.3 * (0.9 * t).sin(), 0.4 * (0.7 * t).cos(), 0.6 + 0.2 * t.sin());
-        let direction = Vector3::new((1.1 * t).cos(), (1.1 * t).sin(), (0.8 * t).sin()).normalize();
+        let middle =
+            Vector3::new(1.2 + 0.3 * libm::sin(0.9 * t), 0.4 * libm::cos(0.7 * t), 0.6 + 0.2 * libm::sin(t));
+        let direction = Vector3::new(libm::cos(1.1 * t), libm::sin(1.1 * t), libm::sin(0.8 * t)).normalize();
         (middle, direction)
     }
 
@@ -232,7 +233,7 @@ mod tests {
         let mut count = 0.0_f64;
         let mut noise = || {
             count += 1.0;
-            sigma_m * 3.464 * ((count.sin() * 43_758.545_3).rem_euclid(1.0) - 0.5)
+            sigma_m * 3.464 * ((libm::sin(count) * 43_758.545_3).rem_euclid(1.0) - 0.5)
         };
         let names = ["a", "b", "c", "d"].map(String::from).to_vec();
         let rows: Vec<_> = (0..300)

@@ -70,7 +70,7 @@ pub(crate) fn solve_closely(field: &Matrix3<f64>, hint: &Vector3<f64>) -> Readin
 fn reading(gram: Matrix3<f64>, trace: f64, power: &Matrix3<f64>, hint: &Vector3<f64>) -> Reading {
     let mut u = power * hint;
     u /= u.norm();
-    let r = (6.0 / trace).cbrt().sqrt();
+    let r = libm::cbrt(6.0 / trace).sqrt();
     Reading { position: u * r, gram, u, r }
 }
 

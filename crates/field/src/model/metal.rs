@@ -320,7 +320,7 @@ impl Metal {
         objects
             .map(|source| {
                 let s = source.strength;
-                (p - source.position).norm() - if s > 0.0 { s.cbrt() } else { (-2.0 * s).cbrt() }
+                (p - source.position).norm() - if s > 0.0 { libm::cbrt(s) } else { libm::cbrt(-2.0 * s) }
             })
             .fold(f64::INFINITY, f64::min)
     }

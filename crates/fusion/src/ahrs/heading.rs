@@ -163,7 +163,7 @@ impl Heading {
     pub(super) fn start(&mut self, field: Vector3<f64>) {
         self.unit = field.norm();
         self.x.fixed_rows_mut::<3>(EARTH).copy_from(&(field / self.unit));
-        self.offset_rad = field.x.atan2(field.y);
+        self.offset_rad = libm::atan2(field.x, field.y);
     }
 
     /// Begins anew with the next field; the heading holds until then.
@@ -245,8 +245,8 @@ impl Heading {
         let left = (self.seen_rad2() / expected_rad2.max(1e-12)).min(1.0);
         self.biased_rad = left * (self.biased_rad + w.bias_sigma_rad_s * w.duration_s);
         self.watch(params, nis, w.duration_s);
-        if self.x[EARTH].hypot(self.x[EARTH + 1]) > 0.02 {
-            self.offset_rad = self.x[EARTH].atan2(self.x[EARTH + 1]);
+        if libm::hypot(self.x[EARTH], self.x[EARTH + 1]) > 0.02 {
+            self.offset_rad = libm::atan2(self.x[EARTH], self.x[EARTH + 1]);
         }
     }
 
@@ -254,7 +254,7 @@ impl Heading {
         let t = w.duration_s;
         let (x, p) = (&mut self.x, &mut self.p);
         if self.disturbed {
-            let keep = (-t / params.room_memory_s).exp();
+            let keep = libm::exp(-t / params.room_memory_s);
             for i in ROOM..MAGNET {
                 x[i] *= keep;
                 for j in 0..STATES {
@@ -266,7 +266,7 @@ impl Heading {
                 p[(i, i)] += params.room_sigma.powi(2) * (1.0 - keep * keep);
             }
         }
-        let keep = (-t / params.drift_rate_tau_s).exp();
+        let keep = libm::exp(-t / params.drift_rate_tau_s);
         x[RATE] *= keep;
         for j in 0..STATES {
             p[(RATE, j)] *= keep;
@@ -414,7 +414,7 @@ mod tests {
             let mut truth = filter.clone();
             truth.x += SVector::from_fn(|i, _| filter.p[(i, i)].sqrt() * random.normal());
             let window = |k: usize| {
-                let turned = so3::exp(&Vector3::new((0.05 * k as f64).sin(), 0.03 * k as f64, 0.4));
+                let turned = so3::exp(&Vector3::new(libm::sin(0.05 * k as f64), 0.03 * k as f64, 0.4));
                 let mut w = FieldWindow {
                     duration_s: 0.03,
                     field: Vector3::zeros(),

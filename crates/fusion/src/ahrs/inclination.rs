@@ -110,7 +110,8 @@ impl Inclination {
     /// deviations. A body that turns slowly looks like rest too, and would be taken for bias ever after.
     pub(super) fn may_be_bias(&self, params: &InclinationParams, gyro: &Vector3<f64>) -> bool {
         (0..3).all(|i| {
-            let sigma = self.p[(BIAS + i, BIAS + i)].max(0.0).sqrt().hypot(params.rest_gyro_sigma_rad_s);
+            let sigma =
+                libm::hypot(self.p[(BIAS + i, BIAS + i)].max(0.0).sqrt(), params.rest_gyro_sigma_rad_s);
             (gyro[i] - self.x[BIAS + i]).abs() < 4.0 * sigma
         })
     }
@@ -236,7 +237,7 @@ mod tests {
             let mut truth = filter.clone();
             truth.x += SVector::from_fn(|i, _| filter.p[(i, i)].sqrt() * random.normal());
             let window = |k: usize| {
-                let turned = so3::exp(&Vector3::new((0.05 * k as f64).sin(), 0.03 * k as f64, 0.4));
+                let turned = so3::exp(&Vector3::new(libm::sin(0.05 * k as f64), 0.03 * k as f64, 0.4));
                 let w = SpecificForceWindow {
                     duration_s: 0.03,
                     rotation_s: turned.to_rotation_matrix().into_inner() * 0.03,

@@ -281,7 +281,8 @@ impl Ahrs {
     /// 0 and drifts. Carried forward by [`Params::gyro_delay_s`]. The identity before the first sample.
     pub fn orientation(&self) -> UnitQuaternion<f64> {
         let half = 0.5 * self.heading.offset_rad();
-        let north = UnitQuaternion::new_unchecked(Quaternion::new(half.cos(), 0.0, 0.0, half.sin()));
+        let north =
+            UnitQuaternion::new_unchecked(Quaternion::new(libm::cos(half), 0.0, 0.0, libm::sin(half)));
         north * self.orientation_6d()
     }
 

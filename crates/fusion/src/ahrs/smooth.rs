@@ -122,10 +122,15 @@ mod tests {
     /// Two minutes in a hand: samples of a gyro with a bias, and the true orientations.
     fn recording() -> (Samples, Vec<UnitQuaternion<f64>>) {
         let turned = |t: f64| {
-            so3::exp(&Vector3::new(0.9 * (0.8 * t).sin(), 0.7 * (1.1 * t).sin(), 1.2 * (0.5 * t).sin()))
+            so3::exp(&Vector3::new(
+                0.9 * libm::sin(0.8 * t),
+                0.7 * libm::sin(1.1 * t),
+                1.2 * libm::sin(0.5 * t),
+            ))
         };
-        let position_m =
-            |t: f64| Vector3::new(0.2 * (1.7 * t).sin(), 0.15 * (2.3 * t).cos(), 0.1 * (1.3 * t).sin());
+        let position_m = |t: f64| {
+            Vector3::new(0.2 * libm::sin(1.7 * t), 0.15 * libm::cos(2.3 * t), 0.1 * libm::sin(1.3 * t))
+        };
         let bias = Vector3::new(0.006, -0.004, 0.005);
         let sample = |k: i32| {
             let (t, h) = (DT_S * f64::from(k), 1e-3);
@@ -141,8 +146,9 @@ mod tests {
     /// Tilt, rad, root mean square; and by how much the heading drifts in all, rad.
     fn errors(run: &[UnitQuaternion<f64>], truth: &[UnitQuaternion<f64>]) -> (f64, f64) {
         let off: Vec<_> = run.iter().zip(truth).map(|(q, truth)| q * truth.inverse()).collect();
-        let squares: f64 = off.iter().map(|off| (2.0 * off.w.hypot(off.k).min(1.0).acos()).powi(2)).sum();
-        let heading = |off: &UnitQuaternion<f64>| 2.0 * off.k.atan2(off.w);
+        let squares: f64 =
+            off.iter().map(|off| (2.0 * libm::acos(libm::hypot(off.w, off.k).min(1.0))).powi(2)).sum();
+        let heading = |off: &UnitQuaternion<f64>| 2.0 * libm::atan2(off.k, off.w);
         let drift = heading(&(off[off.len() - 1] * off[0].inverse()));
         ((squares / off.len() as f64).sqrt(), drift.abs())
     }

@@ -48,10 +48,10 @@ impl Simulation {
     fn step(&mut self) -> ImuSample {
         let (t, a) = (self.time_s, self.turning);
         let angular_velocity_rad_s =
-            Vector3::new(a * (2.1 * t).sin(), a * (1.3 * t + 1.0).sin(), 0.7 * a * (0.9 * t).cos());
+            Vector3::new(a * libm::sin(2.1 * t), a * libm::sin(1.3 * t + 1.0), 0.7 * a * libm::cos(0.9 * t));
         self.truth *= so3::exp(&(angular_velocity_rad_s / RATE_HZ));
         let shaking = if a > 0.0 {
-            Vector3::new((5.0 * t).sin(), (6.1 * t).cos(), (7.0 * t).sin())
+            Vector3::new(libm::sin(5.0 * t), libm::cos(6.1 * t), libm::sin(7.0 * t))
         } else {
             Vector3::zeros()
         };
@@ -69,7 +69,8 @@ impl Simulation {
 
 fn field(azimuth_deg: f64, norm: f64, dip_deg: f64) -> Vector3<f64> {
     let (azimuth, dip) = (azimuth_deg.to_radians(), dip_deg.to_radians());
-    Vector3::new(dip.cos() * azimuth.sin(), dip.cos() * azimuth.cos(), -dip.sin()) * (46.0 * norm)
+    Vector3::new(libm::cos(dip) * libm::sin(azimuth), libm::cos(dip) * libm::cos(azimuth), -libm::sin(dip))
+        * (46.0 * norm)
 }
 
 fn params() -> Params {
@@ -83,8 +84,8 @@ fn run(ahrs: &mut Ahrs, simulation: &mut Simulation, seconds: f64) -> (f64, f64)
     for _ in 0..(seconds * RATE_HZ) as usize {
         let sample = simulation.step();
         let error = ahrs.push(&sample, 1.0 / RATE_HZ) * simulation.truth.inverse();
-        let heading = (2.0 * (error.k / error.w).atan()).to_degrees().abs();
-        let inclination = (2.0 * error.w.hypot(error.k).min(1.0).acos()).to_degrees();
+        let heading = (2.0 * libm::atan(error.k / error.w)).to_degrees().abs();
+        let inclination = (2.0 * libm::acos(libm::hypot(error.w, error.k).min(1.0))).to_degrees();
         worst = (worst.0.max(heading), worst.1.max(inclination));
     }
     worst
@@ -252,7 +253,7 @@ fn without_a_magnetometer_only_the_heading_drifts() {
             simulation.turning = 1.0;
         }
         let error = ahrs.push(&step(&mut simulation), 0.01) * simulation.truth.inverse();
-        worst = worst.max((2.0 * error.w.hypot(error.k).min(1.0).acos()).to_degrees());
+        worst = worst.max((2.0 * libm::acos(libm::hypot(error.w, error.k).min(1.0))).to_degrees());
     }
     assert!(worst < 1.0, "{worst} degrees");
 }

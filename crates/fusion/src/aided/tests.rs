@@ -19,8 +19,9 @@ impl State {
 
 fn truth(t: f64) -> Isometry3<f64> {
     let rotation_vector_rad =
-        V3::new(0.9 * (1.9 * t).sin(), 0.7 * (1.3 * t + 0.4).cos(), 0.9 * (2.7 * t).sin());
-    let position_m = V3::new(0.3 * (1.1 * t).sin(), 0.2 * (1.7 * t).cos(), 1.0 + 0.15 * (2.3 * t).sin());
+        V3::new(0.9 * libm::sin(1.9 * t), 0.7 * libm::cos(1.3 * t + 0.4), 0.9 * libm::sin(2.7 * t));
+    let position_m =
+        V3::new(0.3 * libm::sin(1.1 * t), 0.2 * libm::cos(1.7 * t), 1.0 + 0.15 * libm::sin(2.3 * t));
     Isometry3::from_parts(position_m.into(), exp(&rotation_vector_rad))
 }
 
@@ -224,9 +225,11 @@ fn in_a_matched_model_all_fifteen_errors_are_as_large_as_it_says() {
             let t = 0.01 * (k + 1) as f64;
             let step = 0.1;
             // What the sensor would say without noise, and what it says.
-            let angular_velocity_rad_s = V3::new((1.3 * t).sin(), (2.1 * t).cos(), 0.7 * (1.7 * t).sin());
+            let angular_velocity_rad_s =
+                V3::new(libm::sin(1.3 * t), libm::cos(2.1 * t), 0.7 * libm::sin(1.7 * t));
             let specific_force_m_s2 = truth.q.inverse()
-                * (V3::new((3.0 * t).sin(), (2.0 * t).cos(), (2.6 * t).sin()) * 2.0 + V3::z() * GRAVITY_M_S2);
+                * (V3::new(libm::sin(3.0 * t), libm::cos(2.0 * t), libm::sin(2.6 * t)) * 2.0
+                    + V3::z() * GRAVITY_M_S2);
             let clean = ImuSample {
                 gyro_rad_s: angular_velocity_rad_s + truth.gyro_bias,
                 accel_m_s2: specific_force_m_s2 + truth.accel_bias,

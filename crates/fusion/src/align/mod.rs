@@ -207,18 +207,18 @@ fn north(
 ) -> UnitQuaternion<f64> {
     let direction = |sample: &PairedSample| {
         let q = sample.level_from_imu * (tilt * sample.transmitter_from_sensor.rotation * y).inverse();
-        let angle = 2.0 * q.k.atan2(q.w);
-        Vector3::new(angle.cos(), angle.sin(), 0.0)
+        let angle = 2.0 * libm::atan2(q.k, q.w);
+        Vector3::new(libm::cos(angle), libm::sin(angle), 0.0)
     };
     let sum: Vector3<f64> = stretches.iter().flatten().map(direction).sum();
-    about_z(sum.y.atan2(sum.x))
+    about_z(libm::atan2(sum.y, sum.x))
 }
 
 /// The rotation about the vertical that brings the transmitter's x axis, or its y axis where that one stands upright, to where
 /// the room's is.
 fn facing(x: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
     let (a, b) = (x * Vector3::x(), x * Vector3::y());
-    about_z(if a.x.hypot(a.y) > 0.3 { -a.y.atan2(a.x) } else { b.x.atan2(b.y) })
+    about_z(if libm::hypot(a.x, a.y) > 0.3 { -libm::atan2(a.y, a.x) } else { libm::atan2(b.x, b.y) })
 }
 
 /// Transmitter to room by anchors alone, the rigid fit of points (Wahba's problem), and what is left of them, m, root mean
@@ -332,7 +332,7 @@ fn anchor(anchors: &[AnchorPoint], x: &UnitQuaternion<f64>, heading: bool) -> Is
         cosine += a.x * b.x + a.y * b.y;
     }
     let known = heading || (sine == 0.0 && cosine == 0.0);
-    let yaw = if known { 0.0 } else { sine.atan2(cosine) };
+    let yaw = if known { 0.0 } else { libm::atan2(sine, cosine) };
     let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
     Isometry3::from_parts(Translation3::from(to - yaw * from), yaw * x)
 }

@@ -27,8 +27,9 @@ impl MovedPair {
     /// Sensor in the room.
     fn pose(t: f64, turning: f64) -> Isometry3<f64> {
         let rotation_vector_rad =
-            V::new((1.9 * t).sin(), (1.3 * t + 0.4).cos(), 0.9 * (2.7 * t).sin()) * turning;
-        let position_m = V::new(0.3 * (1.1 * t).sin(), 0.2 * (1.7 * t).cos(), 1.0 + 0.15 * (2.3 * t).sin());
+            V::new(libm::sin(1.9 * t), libm::cos(1.3 * t + 0.4), 0.9 * libm::sin(2.7 * t)) * turning;
+        let position_m =
+            V::new(0.3 * libm::sin(1.1 * t), 0.2 * libm::cos(1.7 * t), 1.0 + 0.15 * libm::sin(2.3 * t));
         Isometry3::from_parts(position_m.into(), exp(&rotation_vector_rad))
     }
 

@@ -92,7 +92,7 @@ pub fn joint_angles(segment: BodySegment, q_parent_segment: &UnitQuaternion<f64>
         }
         BodySegment::UpperArmR | BodySegment::UpperArmL => {
             let [plane, elevation, rotation] = yxy(&right);
-            [plane, elevation, rotation, elevation * plane.sin(), elevation * plane.cos()]
+            [plane, elevation, rotation, elevation * libm::sin(plane), elevation * libm::cos(plane)]
         }
         // The sequence Z-X-Y without the carrying angle X, which the filter's elbow does not have.
         BodySegment::ForearmR | BodySegment::ForearmL => {
@@ -139,20 +139,20 @@ fn to_right(segment: BodySegment, q: &UnitQuaternion<f64>) -> UnitQuaternion<f64
 /// Angles of `R_z(a) R_x(b) R_y(c)`.
 fn zxy(q: &UnitQuaternion<f64>) -> [f64; 3] {
     let m = q.to_rotation_matrix().into_inner();
-    let b = m[(2, 1)].clamp(-1.0, 1.0).asin();
-    if b.cos() < SINGULAR {
-        return [0.0, b, m[(0, 2)].atan2(m[(0, 0)])];
+    let b = libm::asin(m[(2, 1)].clamp(-1.0, 1.0));
+    if libm::cos(b) < SINGULAR {
+        return [0.0, b, libm::atan2(m[(0, 2)], m[(0, 0)])];
     }
-    [(-m[(0, 1)]).atan2(m[(1, 1)]), b, (-m[(2, 0)]).atan2(m[(2, 2)])]
+    [libm::atan2(-m[(0, 1)], m[(1, 1)]), b, libm::atan2(-m[(2, 0)], m[(2, 2)])]
 }
 
 /// Angles of `R_y(a) R_x(-b) R_y(c)` with b from 0 to pi.
 fn yxy(q: &UnitQuaternion<f64>) -> [f64; 3] {
     let m = q.to_rotation_matrix().into_inner();
-    let sine = m[(0, 1)].hypot(m[(2, 1)]);
-    let b = sine.atan2(m[(1, 1)]);
+    let sine = libm::hypot(m[(0, 1)], m[(2, 1)]);
+    let b = libm::atan2(sine, m[(1, 1)]);
     if sine < SINGULAR {
-        return [0.0, b, m[(0, 2)].atan2(m[(0, 0)])];
+        return [0.0, b, libm::atan2(m[(0, 2)], m[(0, 0)])];
     }
-    [(-m[(0, 1)]).atan2(-m[(2, 1)]), b, (-m[(1, 0)]).atan2(m[(1, 2)])]
+    [libm::atan2(-m[(0, 1)], -m[(2, 1)]), b, libm::atan2(-m[(1, 0)], m[(1, 2)])]
 }

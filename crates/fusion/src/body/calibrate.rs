@@ -515,7 +515,7 @@ impl Facing<'_> {
         if sum.norm() < 1e-6 {
             return Err(self.missing(segment));
         }
-        Ok(sum.y.atan2(sum.x))
+        Ok(libm::atan2(sum.y, sum.x))
     }
 
     fn missing(&self, segment: BodySegment) -> CalibrationError {

@@ -201,7 +201,7 @@ impl LimbFilter {
     pub(super) fn sigma_rad(&self, which: usize) -> f64 {
         with_limb!(&self.filter, std::f64::consts::PI, limb => {
             let upper = limb.upper_sigma_rad();
-            if which == 0 { upper } else { limb.lower_sigma_rad(0).hypot(upper) }
+            if which == 0 { upper } else { libm::hypot(limb.lower_sigma_rad(0), upper) }
         })
     }
 }

@@ -325,7 +325,8 @@ impl BodyFilter {
                 let beside = [trunk, segment].map(|s| {
                     self.sensors[s.index()].as_ref().map_or(0.0, |sensor| sensor.systematic_rad(self.held_s))
                 });
-                out.sigma_rad[segment.index()] = filter.sigma_rad(k).hypot(beside[0]).hypot(beside[1]);
+                out.sigma_rad[segment.index()] =
+                    libm::hypot(libm::hypot(filter.sigma_rad(k), beside[0]), beside[1]);
             }
         }
         out.angles_rad = angles(&out.orientations);
@@ -426,5 +427,5 @@ impl Sensor {
 /// from upright, which sitting, bowing and raised arms leave alone.
 pub(crate) fn yaw_from_upright(segment: &UnitQuaternion<f64>) -> f64 {
     let rotation = segment * upright().inverse();
-    2.0 * rotation.k.atan2(rotation.w)
+    2.0 * libm::atan2(rotation.k, rotation.w)
 }

@@ -150,7 +150,7 @@ fn derivative(segment: BodySegment, q_parent_segment: &UnitQuaternion<f64>) -> S
     (count..3).for_each(|row| out.row_mut(row).fill(0.0));
     if matches!(segment, BodySegment::UpperArmR | BodySegment::UpperArmL) {
         let [plane, elevation, ..] = angles;
-        let (sin, cos) = plane.sin_cos();
+        let (sin, cos) = libm::sincos(plane);
         let flexion = by_rotation.row(1) * sin + by_rotation.row(0) * (elevation * cos);
         let abduction = by_rotation.row(1) * cos - by_rotation.row(0) * (elevation * sin);
         out.row_mut(3).copy_from(&flexion);
@@ -170,7 +170,7 @@ mod tests {
         let h = 1e-6;
         for segment in BodySegment::ALL.into_iter().filter(|segment| *segment != BodySegment::Pelvis) {
             for k in 1..8 {
-                let at = |n: f64| (1.3 * n * f64::from(k)).sin();
+                let at = |n: f64| libm::sin(1.3 * n * f64::from(k));
                 let angles = [1.1 * at(1.0), 0.3 + 0.6 * at(2.0).abs(), 0.9 * at(3.0)];
                 let q = joint_rotation(segment, &angles);
                 let found = derivative(segment, &q);

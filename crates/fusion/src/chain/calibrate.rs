@@ -37,7 +37,7 @@ pub fn calibrate(segments: &[ChainSegment], epochs: &[Epoch]) -> Result<ChainCal
             let axis = mount.inverse() * axes.second;
             let twist = |pose: &ChainPose| {
                 let relative = pose.orientations[*parent].inverse() * pose.orientations[at];
-                2.0 * relative.imag().dot(&axis).atan2(relative.w)
+                2.0 * libm::atan2(relative.imag().dot(&axis), relative.w)
             };
             let zero_rad =
                 whole.poses.first().map_or(0.0, |pose| wrapped_rad(twist(pose) - pose.flexion_rad[at]));

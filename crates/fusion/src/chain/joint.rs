@@ -77,7 +77,7 @@ pub(super) fn solve(
 impl Block {
     /// Mean of `R1' H R2`.
     fn relative(&self, heading: f64) -> Matrix3<f64> {
-        self.terms[0] * heading.cos() + self.terms[1] * heading.sin() + self.terms[2]
+        self.terms[0] * libm::cos(heading) + self.terms[1] * libm::sin(heading) + self.terms[2]
     }
 
     /// What each term reports about axes that agree.
@@ -141,7 +141,7 @@ fn weigh(blocks: &[Block], axes: &[Vector3<f64>; 2], headings: &[f64], weights: 
     for ((block, heading), weight) in blocks.iter().zip(headings).zip(weights.iter_mut()) {
         let [level, quarter, upright] = block.agreement(axes);
         // Half the mean squared angle between the axes.
-        *weight = (1.0 - (level * heading.cos() + quarter * heading.sin() + upright)).max(0.0);
+        *weight = (1.0 - (level * libm::cos(*heading) + quarter * libm::sin(*heading) + upright)).max(0.0);
     }
     let mut misfits = weights.to_vec();
     let typical = median(&mut misfits).max(1e-12);
@@ -164,7 +164,7 @@ fn walk(blocks: &[Block], axes: &[Vector3<f64>; 2], weights: &[f64], held: Optio
         .zip(weights)
         .map(|(block, weight)| {
             let [level, quarter, _] = block.agreement(axes);
-            (quarter.atan2(level), weight * quarter.hypot(level) / variance)
+            (libm::atan2(quarter, level), weight * libm::hypot(quarter, level) / variance)
         })
         .collect();
     let stiffness: Vec<f64> =
@@ -253,7 +253,7 @@ pub(super) fn angle_rad(
     let [to_z, from_z] = [to_z(&axes[0]), to_z(&axes[1]).inverse()];
     let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading_rad);
     let q = to_z * (before.inverse() * heading * behind) * from_z;
-    wrapped_rad(2.0 * q.k.atan2(q.w))
+    wrapped_rad(2.0 * libm::atan2(q.k, q.w))
 }
 
 /// Turns an axis to z.
@@ -284,8 +284,8 @@ mod tests {
         let (mut before, mut behind, mut angles) = (Vec::new(), Vec::new(), Vec::new());
         for k in 0..6000 {
             let t = DT_S * f64::from(k);
-            let a = so3::exp(&Vector3::new((0.9 * t).sin(), 0.8 * (0.7 * t).cos(), (1.1 * t).sin()));
-            let angle = 0.8 + 0.7 * (2.3 * t).sin();
+            let a = so3::exp(&Vector3::new(libm::sin(0.9 * t), 0.8 * libm::cos(0.7 * t), libm::sin(1.1 * t)));
+            let angle = 0.8 + 0.7 * libm::sin(2.3 * t);
             let bend = to_z(&axes[0]).inverse() * so3::exp(&(Vector3::z() * angle)) * to_z(&axes[1]);
             behind.push(so3::exp(&(Vector3::z() * (0.7 + drift_rad_s * t))) * a * bend);
             before.push(a);

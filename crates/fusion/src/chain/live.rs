@@ -225,7 +225,7 @@ impl LiveChain {
         };
         let parent = self.links[hinge.parent].orientation(t_s)?;
         let relative = parent.inverse() * orientation;
-        let twist = 2.0 * relative.imag().dot(&hinge.axis).atan2(relative.w);
+        let twist = 2.0 * libm::atan2(relative.imag().dot(&hinge.axis), relative.w);
         // Error of the heading turns about the axis as far as it stands upright.
         let upright = (orientation * hinge.axis).z;
         let variance =
@@ -268,13 +268,13 @@ impl Hinge {
         }
         self.variance = (self.variance + DRIFT * DRIFT * dt_s).min(UNKNOWN_RAD2);
         let (u, v) = (before * self.axes[0], behind * self.axes[1]);
-        let keep = (-dt_s / NOISE_S).exp();
+        let keep = libm::exp(-dt_s / NOISE_S);
         self.noise = keep * self.noise + (1.0 - keep) * (u.z - v.z).powi(2);
         let level = u.xy().norm() * v.xy().norm();
         if level < LEAST_LEVEL {
             return;
         }
-        let seen = (v.x * u.y - v.y * u.x).atan2(v.x * u.x + v.y * u.y);
+        let seen = libm::atan2(v.x * u.y - v.y * u.x, v.x * u.x + v.y * u.y);
         // What a block of a second would say with this noise, shared out over its samples.
         let noise = (self.noise + LEAST_SIGMA * LEAST_SIGMA) / level * (BLOCK_S / dt_s.min(BLOCK_S));
         let gain = self.variance / (self.variance + noise);

@@ -21,19 +21,19 @@ fn recording_held(held: &UnitQuaternion<f64>) -> (Vec<ChainSegment>, Vec<Epoch>,
     let levers = [Vector3::new(0.0, 0.2, 0.03), Vector3::new(0.02, -0.15, 0.0), Vector3::new(0.0, -0.2, 0.0)];
     let angles = |t: f64| {
         let grow = (t / 4.0).min(1.0);
-        [grow * (0.7 - 0.7 * (1.3 * t).cos()), grow * (0.6 - 0.6 * (1.9 * t).cos())]
+        [grow * (0.7 - 0.7 * libm::cos(1.3 * t)), grow * (0.6 - 0.6 * libm::cos(1.9 * t))]
     };
     let poses = |t: f64| {
         let grow = (t / 4.0).min(1.0);
         let upright = so3::exp(&(Vector3::x() * std::f64::consts::FRAC_PI_2));
-        let whole =
-            so3::exp(&(Vector3::new((0.9 * t).sin(), 0.6 * (0.7 * t).sin(), 0.8 * (1.1 * t).sin()) * grow))
-                * held
-                * upright;
+        let whole = so3::exp(
+            &(Vector3::new(libm::sin(0.9 * t), 0.6 * libm::sin(0.7 * t), 0.8 * libm::sin(1.1 * t)) * grow),
+        ) * held
+            * upright;
         let [a, b] = angles(t);
         let second = whole * so3::exp(&(Vector3::z() * a));
         let third = second * so3::exp(&(Vector3::z() * b));
-        let knee = Vector3::new(0.2 * (1.7 * t).sin(), 0.2 * (1.3 * t).cos(), 1.0) * grow;
+        let knee = Vector3::new(0.2 * libm::sin(1.7 * t), 0.2 * libm::cos(1.3 * t), 1.0) * grow;
         let ankle = knee + second * Vector3::new(0.0, -0.4, 0.0);
         [
             (whole, knee + whole * levers[0]),
@@ -105,8 +105,8 @@ fn soft_straps_do_not_spoil_the_axis() {
     for (k, epoch) in epochs.iter_mut().enumerate() {
         let phase = std::f64::consts::TAU * 8.0 * k as f64 / RATE_HZ;
         for (i, sample) in epoch.samples.iter_mut().flatten().enumerate() {
-            let axis = Vector3::new((i as f64).cos(), 0.7, (i as f64).sin()).normalize();
-            sample.gyro_rad_s += axis * (1.5 * (phase + i as f64).sin());
+            let axis = Vector3::new(libm::cos(i as f64), 0.7, libm::sin(i as f64)).normalize();
+            sample.gyro_rad_s += axis * (1.5 * libm::sin(phase + i as f64));
         }
     }
     let solved = solve(&segments, &epochs).unwrap();
@@ -236,11 +236,11 @@ fn a_movement_about_the_hinge_alone_shows_no_axis() {
     let (segments, mut epochs, _) = recording();
     for (k, epoch) in epochs.iter_mut().enumerate() {
         let t = k as f64 / RATE_HZ;
-        let angle = 0.5 - 0.5 * (2.0 * t).cos();
+        let angle = 0.5 - 0.5 * libm::cos(2.0 * t);
         for (sample, times) in epoch.samples.iter_mut().flatten().zip([1.0, -1.2, 0.9]) {
-            let angular_velocity_rad_s = Vector3::z() * (times * (2.0 * t).sin());
+            let angular_velocity_rad_s = Vector3::z() * (times * libm::sin(2.0 * t));
             let turned = so3::exp(&(Vector3::z() * (times * angle)));
-            let wobble = Vector3::new((7.0 * t).sin(), (9.0 * t).cos(), 0.0);
+            let wobble = Vector3::new(libm::sin(7.0 * t), libm::cos(9.0 * t), 0.0);
             sample.gyro_rad_s = angular_velocity_rad_s + wobble * 0.05;
             sample.accel_m_s2 = turned.inverse() * Vector3::y() * GRAVITY_M_S2 + wobble * 0.1;
         }

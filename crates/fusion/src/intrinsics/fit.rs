@@ -134,7 +134,7 @@ pub(super) fn fit_ellipsoid(fields: &[Vector3<f64>]) -> Result<MagIntrinsics, In
     }
     let root = eigen.eigenvalues.map(f64::sqrt);
     let root = eigen.eigenvectors * Matrix3::from_diagonal(&root) * eigen.eigenvectors.transpose();
-    let volume = root.determinant().cbrt();
+    let volume = libm::cbrt(root.determinant());
     let matrix = root / volume;
     let norm = size / volume;
     let offset = mean + centre * size;

@@ -81,7 +81,7 @@ impl<const N: usize> Motion<N> {
     /// Into a frame that turns about one axis by `[angle, angular velocity, acceleration]`; `at` gives their columns.
     pub(super) fn rotate_axis(&mut self, axis: &Vector3<f64>, motion: [f64; 3], at: [usize; 3]) {
         let (angular_velocity_rad_s, accel) = (axis * motion[1], axis * motion[2]);
-        let (sin, cos) = (0.5 * motion[0]).sin_cos();
+        let (sin, cos) = libm::sincos(0.5 * motion[0]);
         let q = UnitQuaternion::new_unchecked(nalgebra::Quaternion::from_parts(cos, axis * sin));
         let (omega, alpha) = self.rotate(&q, &angular_velocity_rad_s, &accel);
         self.columns = self.columns.max(at[2] + 1);

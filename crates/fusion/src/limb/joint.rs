@@ -57,7 +57,7 @@ impl<const N: usize> Joint<N> for Ball {
     fn predict(&mut self, p: &mut Covariance<N>, noise: &JointNoise, tau: f64, at: usize) {
         let angle = self.angular_velocity_rad_s * tau + self.accel_rad_s2 * (0.5 * tau * tau);
         let step = so3::exp(&angle);
-        let keep = (-tau / noise.accel_tau_s).exp();
+        let keep = libm::exp(-tau / noise.accel_tau_s);
         self.q = UnitQuaternion::new_normalize((self.q * step).into_inner());
         self.angular_velocity_rad_s += self.accel_rad_s2 * tau;
         self.accel_rad_s2 *= keep;
@@ -159,7 +159,7 @@ impl<const K: usize, const N: usize> Joint<N> for Axes<K> {
     }
 
     fn predict(&mut self, p: &mut Covariance<N>, noise: &JointNoise, tau: f64, at: usize) {
-        let keep = (-tau / noise.accel_tau_s).exp();
+        let keep = libm::exp(-tau / noise.accel_tau_s);
         for i in 0..K {
             let columns = [at + i, at + K + i, at + 2 * K + i];
             self.angle_rad[i] += tau * (self.angular_velocity_rad_s[i] + 0.5 * tau * self.accel_rad_s2[i]);

@@ -39,14 +39,15 @@ impl Scripted {
     const GRAVITY: V = V::new(0.0, 0.0, -GRAVITY_M_S2);
 
     fn base(t: f64) -> (Q, V) {
-        let q = so3::exp(&V::new(0.3 * (1.1 * t).sin(), 0.5 * (0.7 * t).cos(), 0.4 * (1.3 * t).sin()));
-        (q, V::new(0.2 * (1.9 * t).sin(), 0.3 * (1.2 * t).cos(), 0.1 * (2.3 * t).sin()))
+        let q =
+            so3::exp(&V::new(0.3 * libm::sin(1.1 * t), 0.5 * libm::cos(0.7 * t), 0.4 * libm::sin(1.3 * t)));
+        (q, V::new(0.2 * libm::sin(1.9 * t), 0.3 * libm::cos(1.2 * t), 0.1 * libm::sin(2.3 * t)))
     }
     fn upper(t: f64) -> Q {
-        so3::exp(&V::new((1.7 * t).sin(), 0.8 * (1.1 * t + 0.3).cos(), 0.9 * (0.9 * t).sin()))
+        so3::exp(&V::new(libm::sin(1.7 * t), 0.8 * libm::cos(1.1 * t + 0.3), 0.9 * libm::sin(0.9 * t)))
     }
     fn lower(t: f64) -> [f64; 2] {
-        [0.8 + 0.6 * (2.1 * t).sin(), 0.5 * (1.4 * t).cos()]
+        [0.8 + 0.6 * libm::sin(2.1 * t), 0.5 * libm::cos(1.4 * t)]
     }
     /// Pose of the base's IMU, the upper and the lower one; orientations of the segments.
     fn pose(which: usize, t: f64) -> (Q, V) {
@@ -155,8 +156,8 @@ fn jacobian_error<J: Joint<N> + Clone, const D: usize, const N: usize>(
         // A field that passes for the reference's in this posture.
         let mount = if which == Which::Upper { geometry().upper_mount } else { geometry().lower_mount };
         let q = base.q_room_base * limb.orientations()[which as usize] * mount;
-        let mag =
-            q.inverse() * V::new(45.0 * 1_f64.cos() * 0.6, 45.0 * 1_f64.cos() * 0.8, -45.0 * 1_f64.sin());
+        let mag = q.inverse()
+            * V::new(45.0 * libm::cos(1_f64) * 0.6, 45.0 * libm::cos(1_f64) * 0.8, -45.0 * libm::sin(1_f64));
         let sample = |limb: &Limb<J, D, N>| {
             let p = limb.predict_sample(which, base, Some((&reference, mag)));
             (p.gyro, p.accel, p.azimuth.unwrap())
@@ -223,7 +224,7 @@ fn the_azimuth_turns_as_the_sheet_says() {
         let mut phi = V::zeros();
         phi[i] = 1e-6;
         let (plus, minus) = (so3::exp(&phi) * m, so3::exp(&-phi) * m);
-        let difference = (plus.y.atan2(plus.x) - minus.y.atan2(minus.x)) / 2e-6;
+        let difference = (libm::atan2(plus.y, plus.x) - libm::atan2(minus.y, minus.x)) / 2e-6;
         assert!((difference - row[i]).abs() < 1e-6);
     }
 }
@@ -283,7 +284,7 @@ fn the_covariance_is_predicted_with_the_transitions_derivative() {
     arm.noise.joint.jerk_rad_s3 = 0.0;
     arm.noise.bias_walk_rad_s_per_sqrt_s = 0.0;
     // A covariance without structure, so that every entry of F counts.
-    let a = SMatrix::<f64, 21, 21>::from_fn(|i, j| ((7 * i + 3 * j) as f64).sin());
+    let a = SMatrix::<f64, 21, 21>::from_fn(|i, j| libm::sin((7 * i + 3 * j) as f64));
     arm.p = Covariance(a * a.transpose());
     let tau = 0.01;
     let f = transition(&arm, tau, arm_difference);
@@ -295,10 +296,10 @@ fn the_covariance_is_predicted_with_the_transitions_derivative() {
 
 #[test]
 fn josephs_form_equals_the_textbook_update() {
-    let a = SMatrix::<f64, 21, 21>::from_fn(|i, j| ((5 * i + 11 * j) as f64).sin());
+    let a = SMatrix::<f64, 21, 21>::from_fn(|i, j| libm::sin((5 * i + 11 * j) as f64));
     let before = a * a.transpose() + SMatrix::identity();
     let mut p = Covariance(before);
-    let h = SMatrix::<f64, 3, 21>::from_fn(|i, j| if j < 12 { ((i + 4 * j) as f64).cos() } else { 0.0 });
+    let h = SMatrix::<f64, 3, 21>::from_fn(|i, j| if j < 12 { libm::cos((i + 4 * j) as f64) } else { 0.0 });
     let noise = V::new(0.5, 1.0, 2.0);
     let innovation = p.innovation(&h, 12);
     let residual = V::new(1.0, -2.0, 0.5);
@@ -477,7 +478,7 @@ impl<J: Upper<N>, const D: usize, const N: usize> Matched<J, D, N> {
         let reference = FieldReference {
             azimuth_rad: std::f64::consts::FRAC_PI_2,
             norm: field.norm(),
-            dip_rad: (42.0_f64 / 17.0).atan(),
+            dip_rad: libm::atan(42.0_f64 / 17.0),
         };
         let g = geometry();
         let mut samples = [None, None];

@@ -138,7 +138,8 @@ impl<J: Joint<N>, const D: usize, const N: usize> Limb<J, D, N> {
         if let Some((reference, mag)) = field {
             let q_room_frame = base.q_room_base * motion.q_base_frame;
             let m = q_room_frame * (mount * mag);
-            azimuth = trusted(&m, reference).then(|| wrapped_rad(m.y.atan2(m.x) - reference.azimuth_rad));
+            azimuth =
+                trusted(&m, reference).then(|| wrapped_rad(libm::atan2(m.y, m.x) - reference.azimuth_rad));
             // Only the rotation about the vertical: the azimuth never corrects the tilt.
             let back = q_room_frame.inverse();
             d_azimuth = (back * Vector3::z()).transpose() * motion.d_rotation;
@@ -343,6 +344,6 @@ fn rotation_only<const N: usize>(
 
 /// Norm within 10 % and dip within 10 degrees of the reference.
 fn trusted(m: &Vector3<f64>, reference: &FieldReference) -> bool {
-    let dip = (-m.z).atan2(m.x.hypot(m.y));
+    let dip = libm::atan2(-m.z, libm::hypot(m.x, m.y));
     (m.norm() / reference.norm - 1.0).abs() < 0.1 && (dip - reference.dip_rad).abs() < 10_f64.to_radians()
 }

@@ -97,8 +97,9 @@ mod tests {
 
     #[test]
     fn every_machine_finds_the_same_to_the_last_bit() {
-        let value =
-            |i: usize, j: usize| ((7 * i + 13 * j) as f64 * 0.37).sin() * 10_f64.powi((i + j) as i32 % 9 - 4);
+        let value = |i: usize, j: usize| {
+            libm::sin((7 * i + 13 * j) as f64 * 0.37) * 10_f64.powi((i + j) as i32 % 9 - 4)
+        };
         let mut p = SMatrix::<f64, 21, 21>::from_fn(|i, j| value(i.min(j), i.max(j)));
         let h = SMatrix::<f64, 3, 21>::from_fn(|i, j| if j % 4 == 1 { 0.0 } else { value(i, j + 3) });
         let cross = product(&p, &h, 18);

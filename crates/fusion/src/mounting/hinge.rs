@@ -131,13 +131,13 @@ fn linearise(samples: &[Pair], axes: &[Vector3<f64>; 2]) -> (f64, Vector4<f64>, 
         let across = [w[0].cross(&axes[0]), w[1].cross(&axes[1])];
         let norms = [across[0].norm().max(1e-9), across[1].norm().max(1e-9)];
         let fastest = w[0].norm_squared().max(w[1].norm_squared());
-        let sigma = GYRO_SIGMA.hypot(GYRO_SHARE * fastest.sqrt());
+        let sigma = libm::hypot(GYRO_SIGMA, GYRO_SHARE * fastest.sqrt());
         let rows =
             [across[0].cross(&w[0]) / (norms[0] * sigma), across[1].cross(&w[1]) / (-norms[1] * sigma)];
         add((norms[0] - norms[1]) / sigma, rows);
         // Where gravity is all, the specific forces along the axis are equal; levers and blows make it uncertain.
         let blow = a.iter().map(|a| (a.norm() - GRAVITY_M_S2).abs()).fold(0.0, f64::max);
-        let sigma = ACCEL_SIGMA.hypot(LEVER_M * fastest).hypot(blow);
+        let sigma = libm::hypot(libm::hypot(ACCEL_SIGMA, LEVER_M * fastest), blow);
         let difference = a[0].dot(&axes[0]) - a[1].dot(&axes[1]);
         add(difference / sigma, [a[0] / sigma, -a[1] / sigma]);
     }

@@ -27,10 +27,12 @@ impl Hinge {
     }
 
     fn pose(&self, which: usize, t: f64, moving: f64) -> (Q, V) {
-        let whole =
-            so3::exp(&(V::new((0.9 * t).sin(), 0.8 * (0.7 * t).cos(), 0.9 * (1.1 * t).sin()) * moving));
-        let joint = V::new(0.3 * (1.7 * t).sin(), 0.2 * (1.3 * t).cos(), 0.2 * (2.1 * t).sin()) * moving;
-        let bend = so3::exp(&(V::z() * (0.8 + 0.7 * (2.3 * t).sin()) * moving));
+        let whole = so3::exp(
+            &(V::new(libm::sin(0.9 * t), 0.8 * libm::cos(0.7 * t), 0.9 * libm::sin(1.1 * t)) * moving),
+        );
+        let joint =
+            V::new(0.3 * libm::sin(1.7 * t), 0.2 * libm::cos(1.3 * t), 0.2 * libm::sin(2.1 * t)) * moving;
+        let bend = so3::exp(&(V::z() * (0.8 + 0.7 * libm::sin(2.3 * t)) * moving));
         let q = if which == 0 { whole } else { whole * bend };
         (q, joint + q * self.levers[which])
     }

@@ -129,8 +129,10 @@ impl ExerciseTopology {
                 }
             }
         }
-        let logarithms: Vec<_> =
-            transitions.into_iter().map(|(from, to, probability)| (from, to, probability.ln())).collect();
+        let logarithms: Vec<_> = transitions
+            .into_iter()
+            .map(|(from, to, probability)| (from, to, libm::log(probability)))
+            .collect();
         Topology::new(initial, &logarithms)
     }
 }

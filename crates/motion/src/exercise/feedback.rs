@@ -164,7 +164,7 @@ pub(super) fn log_jerk<'a>(rows: impl Iterator<Item = &'a [f64]> + Clone, exerci
         frames += 1.0;
     }
     let duration_s = frames / rate_hz;
-    if jerk > 0.0 && fastest > 0.0 { (duration_s.powi(3) * jerk / fastest).ln() } else { 0.0 }
+    if jerk > 0.0 && fastest > 0.0 { libm::log(duration_s.powi(3) * jerk / fastest) } else { 0.0 }
 }
 
 /// A deviation in words, as far as they do not depend on the channel's name.

@@ -74,7 +74,7 @@ impl Follower {
         log_ratio: f64,
     ) -> Hint {
         self.inside = true;
-        let weight = 1.0 - (-1.0 / (SMOOTH_S * self.rate_hz)).exp();
+        let weight = 1.0 - libm::exp(-1.0 / (SMOOTH_S * self.rate_hz));
         let gaussians = &exercise.movement.states;
         for (channel, smooth) in self.smooth.iter_mut().enumerate() {
             let off = observation[channel] - gaussians.mean[channel][state];

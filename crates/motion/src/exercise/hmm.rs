@@ -65,7 +65,7 @@ impl Movement {
             let own = channel % siblings.len();
             for other in &siblings[own] {
                 for (sd, mean) in sds.iter_mut().zip(&self.states.mean[other + channel - own]) {
-                    *sd = sd.hypot(TURNED * mean);
+                    *sd = libm::hypot(*sd, TURNED * mean);
                 }
             }
         }
@@ -104,7 +104,8 @@ impl Density {
     pub(super) fn new(gaussians: &Gaussians) -> Self {
         let states = gaussians.mean.first().map_or(0, Vec::len);
         let sd = || gaussians.sd.iter().flatten();
-        let log_norm: Vec<f64> = sd().map(|sd| -sd.ln() - 0.5 * std::f64::consts::TAU.ln()).collect();
+        let log_norm: Vec<f64> =
+            sd().map(|sd| -libm::log(*sd) - 0.5 * libm::log(std::f64::consts::TAU)).collect();
         let log_norms = (0..states).map(|state| log_norm.iter().skip(state).step_by(states).sum()).collect();
         Self {
             states,
@@ -190,7 +191,7 @@ impl LogRatio {
         self.background.log_density(observation, &mut parts);
         let [rest, wide] = parts;
         let high = rest.max(wide);
-        high + (0.5 * ((rest - high).exp() + (wide - high).exp())).ln()
+        high + libm::log(0.5 * (libm::exp(rest - high) + libm::exp(wide - high)))
     }
 }
 
@@ -344,10 +345,10 @@ mod tests {
         let mut out = [0.0; 2];
         density.log_density(&[0.5, 1.0], &mut out);
         let gauss = |x: f64, mean: f64, sd: f64| {
-            (-0.5 * ((x - mean) / sd).powi(2)).exp() / (sd * std::f64::consts::TAU.sqrt())
+            libm::exp(-0.5 * ((x - mean) / sd).powi(2)) / (sd * std::f64::consts::TAU.sqrt())
         };
         for (state, (mean, sd)) in [(0.0, 1.0), (1.0, 2.0)].into_iter().enumerate() {
-            let expected = (gauss(0.5, mean, sd) * gauss(1.0, mean, sd)).ln();
+            let expected = libm::log(gauss(0.5, mean, sd) * gauss(1.0, mean, sd));
             assert!((out[state] - expected).abs() < 1e-12, "{out:?}");
         }
     }
@@ -401,7 +402,7 @@ mod tests {
         assert_eq!((half.amplitude[0], &half.background), (1.0, &movement.background));
         assert_eq!(movement.sized(1.0), movement);
         let turned = movement.turned(&[vec![1], vec![]]);
-        assert_eq!(turned.states.sd[0], [1.0, 2.0_f64.hypot(4.0 * TURNED)]);
+        assert_eq!(turned.states.sd[0], [1.0, libm::hypot(2.0_f64, 4.0 * TURNED)]);
         assert_eq!(turned.states.sd[1..], movement.states.sd[1..]);
     }
 }

@@ -35,13 +35,13 @@ pub(super) fn periods(
         return Vec::new();
     }
     // Steps of 2 % resolve any peak that a segment of this length can have.
-    let count = ((high / low).ln() / 1.02_f64.ln()).ceil() as usize + 2;
+    let count = (libm::log(high / low) / libm::log(1.02_f64)).ceil() as usize + 2;
     let grid: Vec<f64> = (0..count).map(|i| low * 1.02_f64.powi(i as i32 - 1)).collect();
     let combined = combined_psd(frames, width, rate_hz, &grid);
     // Power is in peaks whose width is constant in Hz: on the logarithmic grid slow peaks look wider, not higher.
     let mut peaks: Vec<(f64, f64)> = (1..count - 1)
         .filter(|i| combined[*i] > combined[i - 1] && combined[*i] >= combined[i + 1])
-        .map(|i| (combined[i], grid[i] * 1.02_f64.powf(parabola(&combined[i - 1..=i + 1]))))
+        .map(|i| (combined[i], grid[i] * libm::pow(1.02_f64, parabola(&combined[i - 1..=i + 1]))))
         .collect();
     peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
     peaks.truncate(3);
@@ -77,7 +77,7 @@ fn combined_psd(frames: &[f64], width: usize, rate_hz: f64, grid: &[f64]) -> Vec
             detrend(&mut piece);
             variance += piece.iter().map(|value| value * value).sum::<f64>() / segment as f64;
             for (index, value) in piece.iter_mut().enumerate() {
-                *value *= 0.5 - 0.5 * (TAU * index as f64 / segment as f64).cos();
+                *value *= 0.5 - 0.5 * libm::cos(TAU * index as f64 / segment as f64);
             }
             for (power, frequency_hz) in power.iter_mut().zip(grid) {
                 *power += goertzel(&piece, frequency_hz / rate_hz);
@@ -116,7 +116,7 @@ fn detrend(values: &mut [f64]) {
 
 /// Squared magnitude of the Fourier component at `frequency` cycles per sample.
 fn goertzel(values: &[f64], frequency: f64) -> f64 {
-    let coefficient = 2.0 * (2.0 * PI * frequency).cos();
+    let coefficient = 2.0 * libm::cos(2.0 * PI * frequency);
     let (mut before, mut last) = (0.0, 0.0);
     for value in values {
         (before, last) = (last, value + coefficient * last - before);
@@ -176,7 +176,7 @@ mod tests {
         (0..frames)
             .flat_map(|frame| {
                 let phase = TAU * frame as f64 / period;
-                [phase.sin() + harmonic * (2.0 * phase).sin(), 1e-3 * random.unit()]
+                [libm::sin(phase) + harmonic * libm::sin(2.0 * phase), 1e-3 * random.unit()]
             })
             .collect()
     }

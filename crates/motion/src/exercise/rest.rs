@@ -114,15 +114,15 @@ mod tests {
         let rows = (100.0 * (moving_s + resting_s)) as usize;
         let t_s: Vec<f64> = (0..rows).map(|row| row as f64 / 100.0).collect();
         let row = |t: &f64| {
-            let angle = if *t < moving_s { (3.0 * t).sin() } else { (3.0 * moving_s).sin() };
-            let jitter = |k: f64| noise * (k * t).sin();
+            let angle = if *t < moving_s { libm::sin(3.0 * t) } else { libm::sin(3.0 * moving_s) };
+            let jitter = |k: f64| noise * libm::sin(k * t);
             // Half a turn off, so that its sign is all noise's.
-            let sign = (33.0 * t).sin().signum();
-            let (s, c) = (0.4 * angle).sin_cos();
+            let sign = libm::sin(33.0 * t).signum();
+            let (s, c) = libm::sincos(0.4 * angle);
             let arm = [0.2 * angle + jitter(40.0), 0.1, jitter(45.0), 0.0, sign * c, sign * s, 0.0];
             let table = [1.0 + jitter(60.0), jitter(65.0), 0.0, 1.0, 0.3 * jitter(70.0), 0.0, 0.0];
             // This says nothing, and leaps about.
-            let plane_deg = 170.0 * (20.0 * t).sin().signum();
+            let plane_deg = 170.0 * libm::sin(20.0 * t).signum();
             let there = [arm, table].concat().into_iter().map(Some);
             there.chain([None; PARTS.len()]).chain([Some(plane_deg)]).collect::<Vec<_>>()
         };
@@ -146,7 +146,7 @@ mod tests {
         let columns = ["elbow_r_flexion_deg".to_owned()];
         let t_s: Vec<f64> = (0..800).map(|row| f64::from(row) / 100.0).collect();
         let angle =
-            |until_s: f64| t_s.iter().map(move |t| Some(60.0 * (3.0 * t.min(until_s)).sin())).collect();
+            |until_s: f64| t_s.iter().map(move |t| Some(60.0 * libm::sin(3.0 * t.min(until_s)))).collect();
         let rests_from = |until_s| {
             let values: Vec<_> = angle(until_s);
             rests(&Stream { columns: &columns, t_s: &t_s, values: &values })

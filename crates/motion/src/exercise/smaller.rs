@@ -72,7 +72,7 @@ pub(super) fn sizes_down_to(least: f64) -> Vec<f64> {
     if least >= LEAST_GAIN {
         return vec![1.0];
     }
-    let steps = (least.max(SMALLEST).ln() / STEP.ln() - 0.5).ceil() as i32;
+    let steps = (libm::log(least.max(SMALLEST)) / libm::log(STEP) - 0.5).ceil() as i32;
     (0..=steps).map(|step| STEP.powi(step)).collect()
 }
 

@@ -42,7 +42,7 @@ impl Person {
         let frames = (100.0 * seconds) as usize;
         for frame in 0..frames {
             let phase = frame as f64 / frames as f64;
-            let lift = 0.5 - 0.5 * (std::f64::consts::TAU * phase).cos();
+            let lift = 0.5 - 0.5 * libm::cos(std::f64::consts::TAU * phase);
             self.sample(10.0 + (110.0 * size - elbow_short_deg) * lift, 5.0 + 25.0 * size * lift.powi(2));
         }
         self.truth.push([start, self.t_s.len() as f64 / 100.0]);

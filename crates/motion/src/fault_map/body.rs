@@ -111,7 +111,7 @@ impl Body {
                     b = b.map(|value| value / total);
                 }
             }
-            let norm = cross.hypot(dot);
+            let norm = libm::hypot(cross, dot);
             (sin, cos) = if norm > 0.0 { (cross / norm, dot / norm) } else { (0.0, 1.0) };
             (middle, home) = (a, b);
         }

@@ -265,7 +265,7 @@ impl Steps {
     /// Logarithms of a sensor's largest step and of the median of all.
     fn of(&self, sensor: usize) -> [f64; 2] {
         let median = self.sorted.get(self.sorted.len() / 2).copied().unwrap_or(f64::NAN);
-        [self.largest[sensor], median].map(|share| (share + NO_STEP).ln())
+        [self.largest[sensor], median].map(|share| libm::log(share + NO_STEP))
     }
 }
 

@@ -252,11 +252,11 @@ mod tests {
             Frames { sensors: ["a", "b", "c", "d"].map(str::to_owned).into(), ..Frames::default() };
         for k in 0..count {
             let t = k as f64 / 60.0;
-            let sway = 0.2 * (0.9 * t).sin();
+            let sway = 0.2 * libm::sin(0.9 * t);
             let mut row: Vec<f64> = Vec::new();
             for sensor in 0..4 {
                 let s = f64::from(sensor);
-                let p = [1.5 + sway, 0.3 * s, 0.4 + 0.1 * s + 0.02 * (3.0 * t + s).sin()];
+                let p = [1.5 + sway, 0.3 * s, 0.4 + 0.1 * s + 0.02 * libm::sin(3.0 * t + s)];
                 row.extend(if sensor == 3 { position(k, p) } else { p });
             }
             frames.push(t, &row);
@@ -276,7 +276,7 @@ mod tests {
 
         // Interference trembles, too, and lasts so long that most of its steps would pass for usual ones.
         let recording = frames(1200, |k, p| {
-            let tremble = |c: f64| 0.012 * (0.7 * (k * k) as f64 + c).sin();
+            let tremble = |c: f64| 0.012 * libm::sin(0.7 * (k * k) as f64 + c);
             match k {
                 300..460 => [p[0] + 0.12 + tremble(0.0), p[1] + tremble(1.0), p[2] + 0.08 + tremble(2.0)],
                 _ => p,

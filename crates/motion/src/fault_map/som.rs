@@ -90,7 +90,7 @@ pub struct Winner {
 
 /// Influence of a winner on a cell: `exp(-d^2 / (2 sigma^2))`, with `squared_cells` the squared distance in cells.
 pub fn neighbourhood(squared_cells: f64, sigma: f64) -> f64 {
-    (-0.5 * squared_cells / (sigma * sigma)).exp()
+    libm::exp(-0.5 * squared_cells / (sigma * sigma))
 }
 
 impl Som {
@@ -169,7 +169,9 @@ impl Som {
             let progress = epoch as f64 / training.epochs as f64;
             let sigma = match training.width {
                 Width::Fixed => 1.0,
-                Width::Shrink if progress < NARROWING => widest.powf(1.0 - progress / NARROWING).max(1.0),
+                Width::Shrink if progress < NARROWING => {
+                    libm::pow(widest, 1.0 - progress / NARROWING).max(1.0)
+                }
                 Width::Shrink => 1.0 - (progress - NARROWING) / (1.0 - NARROWING) * (1.0 - NARROWEST),
             };
             order.shuffle(&mut random);
@@ -345,7 +347,7 @@ mod tests {
     fn curve() -> Vec<f64> {
         let point = |k: usize| {
             let t = k as f64 / 400.0 * 5.0;
-            [t.sin(), t.cos(), 0.3 * t]
+            [libm::sin(t), libm::cos(t), 0.3 * t]
         };
         (0..400).flat_map(point).collect()
     }

@@ -30,12 +30,12 @@ fn session(frames: usize, seed: u64, fault: impl Fn(usize, usize) -> Class) -> (
     for k in 0..frames {
         let t = k as f64 / 60.0;
         result.t_s.push(t);
-        let root = [1.5 + 0.3 * (0.5 * t + phase).sin(), 0.4 * (0.37 * t).sin(), 0.2];
+        let root = [1.5 + 0.3 * libm::sin(0.5 * t + phase), 0.4 * libm::sin(0.37 * t), 0.2];
         let mut row = Vec::new();
         for (sensor, (_, offset)) in FIGURE.iter().enumerate() {
             let class = fault(k, sensor);
             row.push(Label { class, cause: None });
-            let swing = 0.03 * (3.0 * t + sensor as f64).sin();
+            let swing = 0.03 * libm::sin(3.0 * t + sensor as f64);
             let mut p: [f64; 3] = std::array::from_fn(|c| root[c] + offset[c] + 1e-3 * random());
             p[0] += swing;
             match class {

@@ -22,8 +22,8 @@ struct RadialDensity {
 impl RadialDensity {
     /// One channel: the absolute value of a Student variable.
     fn student(dof: f64) -> Self {
-        let log_unscaled = |t: f64| -0.5 * (dof + 1.0) * (t * t / dof).ln_1p();
-        let scale = (2.0 * gamma_ratio(0.5 * dof) / (dof * std::f64::consts::PI).sqrt()).ln();
+        let log_unscaled = |t: f64| -0.5 * (dof + 1.0) * libm::log1p(t * t / dof);
+        let scale = libm::log(2.0 * gamma_ratio(0.5 * dof) / (dof * std::f64::consts::PI).sqrt());
         let values = (0..=(LARGEST / STEP) as usize).map(|k| log_unscaled(k as f64 * STEP) + scale);
         Self { log: values.collect(), channels: 1 }
     }
@@ -36,7 +36,7 @@ impl RadialDensity {
         let place = (r / STEP).min((self.log.len() - 2) as f64 + 0.999_999);
         let k = place as usize;
         let share = place - k as f64;
-        (self.log[k] * (1.0 - share) + self.log[k + 1] * share).exp()
+        libm::exp(self.log[k] * (1.0 - share) + self.log[k + 1] * share)
     }
 
     /// The density with the channels of both.
@@ -45,10 +45,10 @@ impl RadialDensity {
         let value = |k: usize| {
             let r = k as f64 * STEP;
             let integral = quarter_turn(|angle| {
-                let (sin, cos) = angle.sin_cos();
+                let (sin, cos) = libm::sincos(angle);
                 self.reduced(r * cos) * other.reduced(r * sin) * cos.powi(p - 1) * sin.powi(q - 1)
             });
-            integral.ln()
+            libm::log(integral)
         };
         Self { log: (0..self.log.len()).map(value).collect(), channels: p + q }
     }
@@ -84,7 +84,7 @@ pub(super) fn threshold(channels: usize, dof: f64, decorrelation: f64, rate: f64
     let three = two.with(&one);
     let density = if channels > 3 { three.with(&three) } else { three };
     let rate_above = |r: f64| {
-        let overshoot = (-0.583 * r * (2.0 * decorrelation).sqrt()).exp();
+        let overshoot = libm::exp(-0.583 * r * (2.0 * decorrelation).sqrt());
         decorrelation * r * density.at(r) * overshoot
     };
     // The law of peaks is one of high values: search down from the far end.
@@ -105,7 +105,7 @@ mod tests {
         let three = one.with(&one).with(&one);
         let six = three.with(&three);
         for r in [0.5f64, 1.0, 2.5, 4.0, 6.0] {
-            let chi = r.powi(5) * (-0.5 * r * r).exp() / 8.0;
+            let chi = r.powi(5) * libm::exp(-0.5 * r * r) / 8.0;
             assert!((six.at(r) / chi - 1.0).abs() < 5e-3, "{r}: {} {chi}", six.at(r));
         }
     }

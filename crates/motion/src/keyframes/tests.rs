@@ -123,8 +123,9 @@ fn a_smooth_motion_and_a_coarse_word_raise_no_alarm() {
         let frames = (60.0 * rate_hz) as usize;
         let count = alarms(settings, frames, |k| {
             let t = k as f64 / rate_hz;
-            let p = Vector3::new((2.0 * t).sin(), (1.3 * t).cos(), 0.5 * (3.1 * t).sin());
-            let w = Vector3::new(0.5 * (1.7 * t).sin(), 0.3 * (2.3 * t).cos(), 0.8 * (0.9 * t).sin());
+            let p = Vector3::new(libm::sin(2.0 * t), libm::cos(1.3 * t), 0.5 * libm::sin(3.1 * t));
+            let w =
+                Vector3::new(0.5 * libm::sin(1.7 * t), 0.3 * libm::cos(2.3 * t), 0.8 * libm::sin(0.9 * t));
             let twist = se3::Twist { angular: w + noise.vector() * 2e-3, linear: p + noise.vector() * 1e-3 };
             se3::exp(&twist)
         });

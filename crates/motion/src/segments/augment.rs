@@ -49,7 +49,7 @@ impl Augmentation {
     ) {
         let yaw = if self.yaw_rad > 0.0 { rng.random_range(-self.yaw_rad..self.yaw_rad) } else { 0.0 };
         let scale = if self.scale > 0.0 { 1.0 + rng.random_range(-self.scale..self.scale) } else { 1.0 };
-        let (sin, cos) = yaw.sin_cos();
+        let (sin, cos) = libm::sincos(yaw);
         let mirror = self.mirror && rng.random_bool(0.5);
         let joints = crop.joints;
         let mut moved: Vec<Option<[f64; 3]>> = Vec::with_capacity(joints);

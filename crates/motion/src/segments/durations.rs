@@ -55,7 +55,7 @@ impl Decoder {
     /// became certain, in order. The first and the last segment of a stream may be shorter than the minimum.
     pub fn push(&mut self, probabilities: &[f32], emit: &mut impl FnMut(u64, usize)) {
         for (log_density, class) in self.log_density.iter_mut().zip(&self.class) {
-            *log_density = f64::from(probabilities[usize::from(*class)]).max(LEAST).ln();
+            *log_density = libm::log(f64::from(probabilities[usize::from(*class)]).max(LEAST));
         }
         let class = &self.class;
         self.viterbi.push(&self.log_density, &mut |frame, state| emit(frame, usize::from(class[state])));

@@ -225,7 +225,7 @@ impl Preparation {
             let velocity = sum.map(|sum| if both > 0.0 { sum / both * self.rate_hz } else { f64::NAN });
             memory.raw.extend(turned(velocity).map(|value| value as f32));
             memory.last.copy_from_slice(positions);
-            let keep = (-1.0 / (SPEEDS_S * self.rate_hz)).exp() as f32;
+            let keep = libm::exp(-1.0 / (SPEEDS_S * self.rate_hz)) as f32;
             memory.speeds.resize(memory.raw.len() - first, 0.0);
             for (mean, velocity) in memory.speeds.iter_mut().zip(&memory.raw[first..]) {
                 if velocity.is_finite() {
@@ -250,12 +250,13 @@ impl Preparation {
                 left[1] += l[1] - r[1];
             }
         }
-        let length = left[0].hypot(left[1]);
+        let length = libm::hypot(left[0], left[1]);
         if length > 1e-6 {
-            let keep = if memory.left == [0.0; 2] { 0.0 } else { (-1.0 / (FACING_S * self.rate_hz)).exp() };
+            let keep =
+                if memory.left == [0.0; 2] { 0.0 } else { libm::exp(-1.0 / (FACING_S * self.rate_hz)) };
             let mean: [f64; 2] =
                 std::array::from_fn(|i| keep * memory.left[i] + (1.0 - keep) * left[i] / length);
-            let length = mean[0].hypot(mean[1]);
+            let length = libm::hypot(mean[0], mean[1]);
             if length > 1e-6 {
                 memory.left = mean.map(|value| value / length);
             }

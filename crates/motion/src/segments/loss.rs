@@ -85,7 +85,7 @@ pub fn cross_entropy<R: Real>(
         for (index, value) in row.iter_mut().enumerate() {
             let target = spread + if index == class { 1.0 - smoothing } else { 0.0 };
             if target > 0.0 {
-                loss.sum -= weight * target * value.to_f64().max(1e-30).ln();
+                loss.sum -= weight * target * libm::log(value.to_f64().max(1e-30));
             }
             *value = R::of(weight) * (*value - R::of(target));
         }

@@ -86,7 +86,7 @@ impl<'a, R> ViewMut<'a, R> {
 }
 
 macro_rules! real {
-    ($real:ty, $add_product:path) => {
+    ($real:ty, $exp:path, $add_product:path) => {
         impl Real for $real {
             const ZERO: Self = 0.0;
             const ONE: Self = 1.0;
@@ -100,7 +100,7 @@ macro_rules! real {
             }
 
             fn exp(self) -> Self {
-                self.exp()
+                $exp(self)
             }
 
             fn sqrt(self) -> Self {
@@ -121,8 +121,8 @@ macro_rules! real {
     };
 }
 
-real!(f32, kernel);
-real!(f64, one_by_one);
+real!(f32, libm::expf, kernel);
+real!(f64, libm::exp, one_by_one);
 
 fn kernel(a: View<'_, f32>, b: View<'_, f32>, c: ViewMut<'_, f32>) {
     let gemm = gemm_f32::gemm::f32::get_gemm_fn();

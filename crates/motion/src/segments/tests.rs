@@ -22,7 +22,7 @@ fn sequence(seed: u64, segments: usize) -> (Sequence, Vec<String>, Vec<String>) 
             class = (class + rng.random_range(1..3)) % 3;
         }
         let t_s = frame as f64 / RATE_HZ;
-        let swing = (6.0 * t_s + phase).sin();
+        let swing = libm::sin(6.0 * t_s + phase);
         let lift = |wanted: u16| if class == wanted { 0.4 + 0.2 * swing } else { 0.0 };
         let down = if class == 0 { 0.2 + 0.2 * swing } else { 0.0 };
         let body = [
@@ -34,7 +34,7 @@ fn sequence(seed: u64, segments: usize) -> (Sequence, Vec<String>, Vec<String>) 
         ];
         let angle: f64 = yaw + 0.2 * t_s;
         for [x, y, z] in body {
-            let (sin, cos) = angle.sin_cos();
+            let (sin, cos) = libm::sincos(angle);
             let mut noise = || rng.random_range(-0.01..0.01);
             sequence.positions_m.push(Some([
                 x * cos - y * sin + speed * t_s + noise(),

@@ -261,7 +261,7 @@ impl Trainer {
         if self.options.constant_rate {
             1.0
         } else {
-            0.5 + 0.5 * (std::f64::consts::PI * done.min(1.0)).cos()
+            0.5 + 0.5 * libm::cos(std::f64::consts::PI * done.min(1.0))
         }
     }
 

@@ -108,7 +108,7 @@ mod tests {
                 random =
                     random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
                 let uniform = (random >> 11) as f64 / (1u64 << 53) as f64 - 0.5;
-                let wave = (2.9 * moved).sin() + 0.7 * (7.3 * moved).sin() * (0.5 * moved).cos();
+                let wave = libm::sin(2.9 * moved) + 0.7 * libm::sin(7.3 * moved) * libm::cos(0.5 * moved);
                 (t, 2.0 + wave.abs() + noise * uniform)
             })
             .collect()

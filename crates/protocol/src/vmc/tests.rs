@@ -103,7 +103,11 @@ fn bones_put_together_are_the_body() {
     let rotations = |seed: f64| {
         std::array::from_fn::<_, SEGMENTS, _>(|at| {
             let at = at as f64 + seed;
-            UnitQuaternion::from_euler_angles(at.sin() * 3.0, (at * 1.7).cos() * 1.5, (at * 2.3).sin() * 3.0)
+            UnitQuaternion::from_euler_angles(
+                libm::sin(at) * 3.0,
+                libm::cos(at * 1.7) * 1.5,
+                libm::sin(at * 2.3) * 3.0,
+            )
         })
     };
     for seed in 0..20 {

@@ -251,7 +251,7 @@ mod tests {
         let velocity = doubles(&first[1].1);
         assert_eq!((velocity[0], velocity[7]), (0.5, ROTATION_S));
         // 2 rad/s about the sensor's x axis are -2 rad/s about the room's z axis.
-        assert!((velocity[5] + 0.01_f64.sin()).abs() < 1e-12, "{velocity:?}");
+        assert!((velocity[5] + libm::sin(0.01_f64)).abs() < 1e-12, "{velocity:?}");
         let second = report(&mut publisher, &estimate(1.01, 0.6, SensorState::Repaired, 1));
         assert_eq!(
             second.iter().map(|(kind, _)| *kind).collect::<Vec<_>>(),

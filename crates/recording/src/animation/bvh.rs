@@ -65,9 +65,9 @@ fn joint(
 /// Angles of `R_z(a) R_x(b) R_y(c)`, rad.
 pub(super) fn zxy(q: &UnitQuaternion<f64>) -> [f64; 3] {
     let m = q.to_rotation_matrix().into_inner();
-    let b = m[(2, 1)].clamp(-1.0, 1.0).asin();
-    if b.cos() < 1e-6 {
-        return [m[(1, 0)].atan2(m[(0, 0)]), b, 0.0];
+    let b = libm::asin(m[(2, 1)].clamp(-1.0, 1.0));
+    if libm::cos(b) < 1e-6 {
+        return [libm::atan2(m[(1, 0)], m[(0, 0)]), b, 0.0];
     }
-    [(-m[(0, 1)]).atan2(m[(1, 1)]), b, (-m[(2, 0)]).atan2(m[(2, 2)])]
+    [libm::atan2(-m[(0, 1)], m[(1, 1)]), b, libm::atan2(-m[(2, 0)], m[(2, 2)])]
 }

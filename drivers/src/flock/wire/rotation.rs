@@ -5,9 +5,9 @@
 
 /// Unit quaternion (w, x, y, z) of azimuth, elevation, roll in radians: rotations about z, then y, then x of the turned axes.
 pub fn from_angles([azimuth, elevation, roll]: [f64; 3]) -> [f64; 4] {
-    let (sa, ca) = (azimuth / 2.0).sin_cos();
-    let (se, ce) = (elevation / 2.0).sin_cos();
-    let (sr, cr) = (roll / 2.0).sin_cos();
+    let (sa, ca) = libm::sincos(azimuth / 2.0);
+    let (se, ce) = libm::sincos(elevation / 2.0);
+    let (sr, cr) = libm::sincos(roll / 2.0);
     [
         ca * ce * cr + sa * se * sr,
         ca * ce * sr - sa * se * cr,
@@ -20,12 +20,12 @@ pub fn from_angles([azimuth, elevation, roll]: [f64; 3]) -> [f64; 4] {
 /// its ends.
 pub fn to_angles(q_wxyz: [f64; 4]) -> [f64; 3] {
     let m = to_matrix(q_wxyz);
-    let elevation = (-m[6]).clamp(-1.0, 1.0).asin();
+    let elevation = libm::asin((-m[6]).clamp(-1.0, 1.0));
     if m[6].abs() > 1.0 - 1e-12 {
         // Straight up or down only the sum of azimuth and roll shows; all of it goes to azimuth.
-        return [(-m[1]).atan2(m[4]), elevation, 0.0];
+        return [libm::atan2(-m[1], m[4]), elevation, 0.0];
     }
-    [m[3].atan2(m[0]), elevation, m[7].atan2(m[8])]
+    [libm::atan2(m[3], m[0]), elevation, libm::atan2(m[7], m[8])]
 }
 
 /// Rotation matrix of a unit quaternion (w, x, y, z), row by row: sensor to transmitter, if the quaternion is.
@@ -93,7 +93,7 @@ mod tests {
     /// Angle of the rotation between two unit quaternions, rad.
     fn distance(a: [f64; 4], b: [f64; 4]) -> f64 {
         let dot = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3];
-        2.0 * dot.abs().min(1.0).acos()
+        2.0 * libm::acos(dot.abs().min(1.0))
     }
 
     #[test]
@@ -116,7 +116,12 @@ mod tests {
     fn every_way_back_is_the_same_rotation() {
         for i in 0..1000 {
             let t = f64::from(i);
-            let q = normalised([(t * 0.7).sin(), (t * 1.3).cos(), (t * 2.1).sin(), (t * 0.3).cos() - 0.5]);
+            let q = normalised([
+                libm::sin(t * 0.7),
+                libm::cos(t * 1.3),
+                libm::sin(t * 2.1),
+                libm::cos(t * 0.3) - 0.5,
+            ]);
             assert!(distance(from_matrix(to_matrix(q)), q) < 1e-6, "{q:?}");
             assert!(distance(from_angles(to_angles(q)), q) < 1e-6, "{q:?}");
         }
