@@ -86,13 +86,17 @@ struct Tracker {
     last_number: u64,
     received_at: Timestamp,
     timed_out: bool,
+    /// Whether it has measured something, and keeps its number.
+    proven: bool,
 }
 
 /// The server of all trackers on one socket: samples are orientations (z up, heading of the tracker's own) and accelerations
 /// without gravity, both computed by the tracker.
 ///
-/// It answers whoever asks, unauthenticated: a device that claims the network address of a tracker is taken for it. Losses are
-/// estimates: packets are numbered, not samples.
+/// It answers whoever asks, unauthenticated: a device that claims the network address of a tracker is taken for it. What it answers
+/// to one datagram is no longer than that datagram, or than one reply to a handshake. Where the settings name no trackers, one
+/// that has only asked and never measured gives its number to the next, once it is gone or all 64 are taken: a stranger's
+/// questions lock nobody out. Losses are estimates: packets are numbered, not samples.
 #[derive(Clone, Debug, posed_state::State)]
 pub struct SlimeVrSession {
     #[state(keep)]
@@ -155,6 +159,7 @@ impl SlimeVrSession {
                     last_number: 0,
                     received_at: Timestamp::ZERO,
                     timed_out: false,
+                    proven: true,
                 })
                 .collect(),
             next_beat: None,
@@ -202,7 +207,7 @@ impl SlimeVrSession {
             return self.refuse(datagram.data.len());
         }
         let Some(arrival) = self.arrivals.of(offset) else { return };
-        self.packet(now, k, datagram.peer, packet, arrival);
+        self.packet(now, k, &datagram, packet, arrival);
     }
 
     /// Whether a packet is newer than those before; counts those that it shows to be missing.
@@ -228,9 +233,9 @@ impl SlimeVrSession {
         let identity = handshake.mac.map_or(Identity::Ip(peer.ip()), Identity::Mac);
         let k = match self.trackers.iter().position(|tracker| tracker.identity == identity) {
             Some(k) => k,
-            None if self.open_to_all && self.trackers.len() < MOST => {
-                let number = self.trackers.len() as u16 + 1;
-                self.trackers.push(Tracker {
+            None if let Some(k) = self.place(now) => {
+                let number = k as u16 + 1;
+                let newcomer = Tracker {
                     number,
                     identity,
                     peer: None,
@@ -238,11 +243,16 @@ impl SlimeVrSession {
                     last_number: 0,
                     received_at: now,
                     timed_out: false,
-                });
+                    proven: false,
+                };
+                match self.trackers.get_mut(k) {
+                    Some(unproven) => *unproven = newcomer,
+                    None => self.trackers.push(newcomer),
+                }
                 self.outbox.warn(now, 0x200 + u32::from(number), || {
                     format!("{identity} is tracker {number}; name it under `trackers` to keep that number")
                 });
-                self.trackers.len() - 1
+                k
             }
             None => {
                 self.outbox.warn(now, 1, || {
@@ -278,12 +288,46 @@ impl SlimeVrSession {
         self.next_beat.get_or_insert(now + BEAT);
     }
 
-    fn packet(&mut self, now: Timestamp, k: usize, peer: SocketAddr, packet: Packet<'_>, arrival: Arrival) {
+    /// Where a tracker that nobody knows may be: in the place of one that never measured and is gone, else in a new one, else in
+    /// that of the one which has kept its place for nothing longest.
+    fn place(&self, now: Timestamp) -> Option<usize> {
+        if !self.open_to_all {
+            return None;
+        }
+        let unproven = || self.trackers.iter().enumerate().filter(|(_, tracker)| !tracker.proven);
+        let gone = |tracker: &Tracker| now.seconds_since(tracker.received_at) >= GONE_S;
+        if let Some((k, _)) = unproven().find(|(_, tracker)| gone(tracker)) {
+            return Some(k);
+        }
+        if self.trackers.len() < MOST {
+            return Some(self.trackers.len());
+        }
+        unproven().min_by_key(|(_, tracker)| tracker.received_at).map(|(k, _)| k)
+    }
+
+    fn packet(
+        &mut self,
+        now: Timestamp,
+        k: usize,
+        datagram: &Datagram<'_>,
+        packet: Packet<'_>,
+        arrival: Arrival,
+    ) {
         let number = self.trackers[k].number;
         let t_device = DeviceTime::Cycle(packet.number);
+        let mut bytes_left = datagram.data.len();
+        let mut answer = |session: &mut Self, data: &[u8]| {
+            let left = bytes_left.checked_sub(data.len());
+            bytes_left = left.unwrap_or_default();
+            if left.is_some() {
+                session.send(datagram.peer, data);
+            }
+        };
         packet.items(|item| {
             let mut sample = |sensor: u8, orientation_wxyz, acceleration_m_s2: Option<[f64; 3]>| {
-                let turned = self.trackers[k].protocol >= UNTURNED;
+                let tracker = &mut self.trackers[k];
+                tracker.proven = true;
+                let turned = tracker.protocol >= UNTURNED;
                 self.motion(
                     u16::from(sensor) << 8 | number,
                     arrival,
@@ -304,7 +348,7 @@ impl SlimeVrSession {
                     sample(sensor, Some(orientation_wxyz), Some(acceleration_m_s2));
                 }
                 Ok(Item::SensorInfo(info)) => {
-                    self.send(peer, &wire::sensor_info_ack(info.sensor, info.state));
+                    answer(self, &wire::sensor_info_ack(info.sensor, info.state));
                     let sensor = info.sensor;
                     if info.state == 2 {
                         self.outbox.warn(now, 0x300 + (u32::from(number) << 8) + u32::from(sensor), || {
@@ -312,7 +356,7 @@ impl SlimeVrSession {
                         });
                     }
                 }
-                Ok(Item::FeatureFlags) => self.send(peer, &wire::feature_flags()),
+                Ok(Item::FeatureFlags) => answer(self, &wire::feature_flags()),
                 Ok(Item::Error { sensor, code }) => {
                     self.outbox.warn(now, 0x1_0000 + (u32::from(number) << 8) + u32::from(sensor), || {
                         format!("sensor {sensor} of tracker {number} reports error {code}")

@@ -349,3 +349,56 @@ fn settings_are_checked() {
     }
     assert!(SlimeVrSession::new(named(&[7, 8]), &[1, 257, 2]).is_ok());
 }
+
+/// A handshake of a device that never measures.
+fn ask(rig: &mut Rig<SlimeVrSession, Pretended>, last: u8) {
+    let peer = SocketAddr::from(([203, 0, 113, last], 4000));
+    let data = wire::encode(0, 3, &wire::handshake_body([2, 0, 0, 0, 0, last], 22, "0.6.0"));
+    rig.session.handle_bytes(rig.now, &Datagram { peer, data: &data }.encode());
+}
+
+#[test]
+fn who_asks_and_never_measures_locks_nobody_out() {
+    // All 64 numbers are taken by questions when the tracker comes, and goes on being asked for.
+    let mut rig = rig(Settings::default(), &(1..=64).collect::<Vec<_>>(), vec![]);
+    for last in 0..64 {
+        ask(&mut rig, last);
+    }
+    rig.device.trackers = vec![one(7)];
+    rig.run_ms(500);
+    assert!(!rig.samples.is_empty(), "{:?}", rig.warnings.last());
+    for last in 64..=255 {
+        ask(&mut rig, last);
+    }
+    rig.samples.clear();
+    rig.run_ms(1000);
+    assert_eq!(rig.samples.len(), 100, "the one that measures keeps its number");
+
+    // Those that are gone leave the low numbers, which a stage names, to those that come.
+    let mut rig = self::rig(Settings::default(), &[1, 2], vec![]);
+    ask(&mut rig, 1);
+    ask(&mut rig, 2);
+    rig.run_ms(4000);
+    rig.device.trackers = vec![one(7), one(8)];
+    rig.run_ms(1000);
+    assert_eq!(rig.session.sensors()[0].serial.as_deref(), Some("A4:CF:12:00:00:07"));
+    assert_eq!(rig.session.sensors()[1].serial.as_deref(), Some("A4:CF:12:00:00:08"));
+}
+
+#[test]
+fn an_answer_is_no_longer_than_its_question() {
+    let mut rig = rig(named(&[7]), &[1], vec![one(7)]);
+    rig.run_ms(500);
+    let peer = rig.device.trackers[0].peer;
+    // A compact bundle of 600 questions of two bytes each.
+    let data = wire::encode(rig.device.trackers[0].number + 1, 101, &[1, 22].repeat(600));
+    while rig.session.poll_output().is_some() {}
+    rig.session.handle_bytes(rig.now, &Datagram { peer, data: &data }.encode());
+    let mut answered = 0;
+    while let Some(output) = rig.session.poll_output() {
+        if let posed_drivers::Output::Transmit(bytes) = output {
+            answered += datagrams(&bytes).map(|datagram| datagram.unwrap().data.len()).sum::<usize>();
+        }
+    }
+    assert!((13..=data.len()).contains(&answered), "{answered} bytes for {}", data.len());
+}
