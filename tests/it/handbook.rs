@@ -252,3 +252,21 @@ fn the_tutorial_of_recorded_streams_does_what_it_says() {
     println!("{good} good poses, {golden} messages, {} key poses", made(&reader, "keys.csv").len() - 1);
     assert!(good > 100 && golden > 100, "{good} good poses, {golden} messages");
 }
+
+/// The fixed ones; those of the stage file are in its reference.
+#[test]
+fn the_budgets_are_those_of_the_code() {
+    let page = fs::read_to_string(docs().join("fault-tolerance.md")).unwrap();
+    let rows = page.lines().filter(|line| line.starts_with("| ") && line.contains(".rs` `"));
+    let mut count = 0;
+    for row in rows {
+        let marked: Vec<&str> = row.split('`').skip(1).step_by(2).collect();
+        let [file, name, value, ..] = marked[..] else { panic!("{row}") };
+        let code = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).unwrap();
+        let line = code.lines().find(|line| line.contains(&format!("const {name}: ")));
+        let line = line.unwrap_or_else(|| panic!("{file} has no {name}"));
+        assert!(line.ends_with(&format!(" = {value};")), "{name} is {line}");
+        count += 1;
+    }
+    assert!(count > 20, "{count}");
+}

@@ -57,6 +57,19 @@ async fn stages(client: &mut Client, what: &str, fits: impl Fn(&Value) -> bool) 
     message["stages"].as_array().unwrap().iter().find(|stage| fits(stage)).unwrap().clone()
 }
 
+/// A program on the network that is no part of posed.
+async fn zenoh_client(port: u16) -> posed_mesh::zenoh::Session {
+    let mut config = posed_mesh::zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", format!("[\"tcp/127.0.0.1:{port}\"]")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        config.insert_json5(key, &value).unwrap();
+    }
+    posed_mesh::zenoh::open(config).await.unwrap()
+}
+
 /// An event: somebody states where the transmitter stands.
 async fn move_transmitter(client: &mut Client, x_m: f64) {
     let model = json!({"kind": "transmitter", "position_m": [x_m, 0, 0], "orientation_wxyz": [1, 0, 0, 0]});
@@ -371,15 +384,7 @@ async fn programs_on_the_network_get_messages_status_and_recordings() {
     frames(&mut operator, 50).await;
     ok(&mut operator, json!({"type": "record.stop"})).await;
 
-    let mut config = posed_mesh::zenoh::Config::default();
-    for (key, value) in [
-        ("mode", "\"client\"".to_owned()),
-        ("connect/endpoints", format!("[\"tcp/127.0.0.1:{port}\"]")),
-        ("scouting/multicast/enabled", "false".to_owned()),
-    ] {
-        config.insert_json5(key, &value).unwrap();
-    }
-    let session = posed_mesh::zenoh::open(config).await.unwrap();
+    let session = zenoh_client(port).await;
     let subscriber = session.declare_subscriber("hall/left/topics/sensors").await.unwrap();
     let sample = tokio::time::timeout(PATIENCE, subscriber.recv_async()).await.unwrap().unwrap();
     let message: Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
@@ -491,5 +496,29 @@ async fn the_hubs_page_leads_to_the_stages_page() {
     assert_eq!(browser.complaints, Vec::<String>::new());
     drop(browser);
     assert_eq!(stage.end("INT").await.code(), Some(0));
+    assert_eq!(hub.end("INT").await.code(), Some(0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn stages_that_are_declared_without_end_keep_no_real_one_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let hub = hub(port, &[]);
+    let mut board = client(hub.address, "/ws").await;
+    let stranger = zenoh_client(port).await;
+    let mut tokens = Vec::new();
+    for n in 0..200 {
+        let token = format!("posed/fake-{n:03}/posed-stage");
+        tokens.push(stranger.liveliness().declare_token(token).await.unwrap());
+    }
+    stages(&mut board, "the strangers", |stage| stage["id"] == "fake-199").await;
+    let real = stage(folder.path(), port);
+    let message = until(&mut board, "the real one", |message| {
+        let stages = message["stages"].as_array();
+        stages.is_some_and(|stages| stages.iter().any(|stage| stage["state"] == "present"))
+    })
+    .await;
+    assert_eq!(message["stages"].as_array().unwrap().len(), 64);
+    assert_eq!(real.end("INT").await.code(), Some(0));
     assert_eq!(hub.end("INT").await.code(), Some(0));
 }

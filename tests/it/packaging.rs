@@ -70,8 +70,8 @@ fn the_service_is_never_given_up_and_waits_for_its_address() {
 /// Its own limits must not add up to more: honest use would end it.
 #[test]
 fn the_memory_of_the_service_is_beyond_what_its_limits_add_up_to() {
-    let limits = posed_daemon::server::Limits::default();
-    let clients_gib = (limits.connections * limits.queue_bytes) as f64 / f64::from(1 << 30);
+    let limits = posed_stage::Limits::default();
+    let clients_gib = limits.all_queues_bytes as f64 / f64::from(1 << 30);
     let stated = directive(&file("packaging/posed.service"), "MemoryMax");
     let stated_gib: f64 = stated.strip_suffix('G').unwrap().parse().unwrap();
     assert!(stated_gib >= clients_gib + 1.0, "{stated} for {clients_gib} GiB of clients");

@@ -90,6 +90,11 @@ impl<C> Inbox<C> {
         }
     }
 
+    /// Things for the thread itself that wait.
+    pub(super) fn commands(&self) -> usize {
+        self.lock().iter().filter(|event| matches!(event, Event::Command(_))).count()
+    }
+
     /// Stamp of the oldest entry that waits.
     pub(super) fn waiting_since(&self) -> Option<Timestamp> {
         self.lock().iter().find_map(|event| match event {

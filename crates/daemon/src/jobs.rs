@@ -15,6 +15,8 @@ use posed_protocol::{Answer, JobState, Started};
 
 /// Jobs that have ended and are still listed.
 const ENDED: usize = 16;
+/// Jobs that may run at a time.
+const RUNNING: usize = 8;
 /// Distance of two messages that tell nothing but progress.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 
@@ -93,13 +95,18 @@ impl Jobs {
         Job { jobs: self.clone(), number, cancelled }
     }
 
-    /// Begins a job on a thread of its own, answers with its number, and ends it with what `work` returns.
+    /// Begins a job on a thread of its own, answers with its number, and ends it with what `work` returns. Refused as `busy` while
+    /// eight run.
     pub(super) fn run(
         &self,
         kind: &str,
         reply: Reply,
         work: impl FnOnce(&Job) -> Result<String, Failure> + Send + 'static,
     ) {
+        if self.is_full() {
+            return reply
+                .error("busy", format!("{RUNNING} jobs are running already; wait for one, or cancel it"));
+        }
         let job = self.begin(kind);
         let number = job.number();
         #[expect(clippy::disallowed_methods, reason = "a long job has a thread of its own")]
@@ -111,6 +118,10 @@ impl Jobs {
             Ok(_) => reply.ok(Some(Answer::Started(Started { job: number }))),
             Err(error) => reply.error("failed", format!("the system gives no thread: {error}")),
         }
+    }
+
+    fn is_full(&self) -> bool {
+        self.lock().jobs.iter().filter(|listed| listed.job.state == JobState::Running).count() >= RUNNING
     }
 
     /// Tells a job to end.
@@ -267,6 +278,15 @@ mod tests {
         let ended = newest(&hub);
         assert_eq!((ended[0].state, ended[0].progress), (JobState::Done, Some(1.0)));
         assert_eq!(ended[0].message.as_deref(), Some("all of it"));
+    }
+
+    #[test]
+    fn only_so_many_run_at_a_time() {
+        let (jobs, _hub) = jobs();
+        let mut running: Vec<Job> = (0..RUNNING).map(|_| jobs.begin("faults.train")).collect();
+        assert!(jobs.is_full());
+        running.pop().unwrap().end(Ok::<_, Failure>("trained".into()));
+        assert!(!jobs.is_full());
     }
 
     #[test]

@@ -29,7 +29,6 @@ pub mod find;
 mod fusion;
 mod inbox;
 mod jobs;
-mod limits;
 pub mod link;
 mod lsl;
 mod models;
@@ -37,6 +36,7 @@ mod observers;
 mod playback;
 mod player;
 mod ports;
+mod process_limits;
 mod recorder;
 pub mod recordings;
 pub mod server;
@@ -190,7 +190,7 @@ impl Daemon {
     /// As for [`Daemon::start`].
     pub fn start_without_ports(options: Options) -> Result<Self, StartError> {
         let Options { stage, stage_toml, folder, data, listen, record, truth, clock, link } = options;
-        limits::raise();
+        process_limits::raise();
         let loaded = models::load(&stage, &data)?;
         let in_use = MapInUse::read(&stage, &data)?;
         let mut config = server::Config::new(&folder, clock.epoch_utc_ns());

@@ -63,7 +63,7 @@ impl Playback {
     /// # Panics
     /// Outside a tokio runtime with IO.
     pub fn start(recording: &Path, listen: Option<String>, speed: f64) -> Result<Self, PlaybackError> {
-        super::limits::raise();
+        super::process_limits::raise();
         let folder = match recording.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
             _ => PathBuf::from("."),

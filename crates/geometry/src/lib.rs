@@ -57,14 +57,18 @@ pub fn orientation_to_wxyz(orientation: &UnitQuaternion<f64>) -> [f64; 4] {
     [sign * orientation.w, sign * orientation.i, sign * orientation.j, sign * orientation.k]
 }
 
+/// Farthest that anything is from the origin along an axis, m: beyond, differences of positions lose what is measured, and squares
+/// become infinite in the end.
+pub const FARTHEST_M: f64 = 1e6;
+
 /// Rigid motion from a position, m, and a quaternion (w, x, y, z) of any length: coordinates in the moved frame to those in
 /// the frame that both are given in.
 ///
-/// `None` where a number is not finite, or the quaternion is no orientation ([`orientation_from_wxyz`]).
+/// `None` where a number is not finite or beyond [`FARTHEST_M`], or the quaternion is no orientation ([`orientation_from_wxyz`]).
 #[inline]
 pub fn isometry(position_m: [f64; 3], orientation_wxyz: [f64; 4]) -> Option<Isometry3<f64>> {
     let position = Vector3::from(position_m);
-    position.iter().all(|value| value.is_finite()).then_some(())?;
+    position.iter().all(|value| value.abs() <= FARTHEST_M).then_some(())?;
     Some(Isometry3::from_parts(Translation3::from(position), orientation_from_wxyz(orientation_wxyz)?))
 }
 
@@ -90,6 +94,8 @@ mod tests {
     fn zero_and_not_a_number_are_no_orientation() {
         assert!(orientation_from_wxyz([0.0; 4]).is_none());
         assert!(orientation_from_wxyz([f64::NAN, 0.0, 0.0, 1.0]).is_none());
-        assert!(isometry([f64::INFINITY, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]).is_none());
+        for far in [f64::INFINITY, f64::NAN, 1e300, -1.1e6] {
+            assert!(isometry([far, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]).is_none(), "{far}");
+        }
     }
 }

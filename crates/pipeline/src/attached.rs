@@ -58,8 +58,10 @@ impl Attached {
             let mut pair = Pair { sensor, imu: imu as SensorIndex, filter: None, waiting: None };
             if let Some(quat_wxyz) = attached.quat_wxyz {
                 let sits = posed_geometry::isometry(attached.offset_m, quat_wxyz);
-                let wrong =
-                    PipelineError::Value { key: "sensor.imu", expected: "finite numbers and a quaternion" };
+                let wrong = PipelineError::Value {
+                    key: "sensor.imu",
+                    expected: "numbers up to 1e6 and a quaternion",
+                };
                 pair.attach(&sits.ok_or(wrong)?, attached.clock_offset_ms * 1e-3);
             }
             pairs.push(pair);

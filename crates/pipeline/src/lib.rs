@@ -179,7 +179,7 @@ impl Pipeline {
             Some(pose) => posed_geometry::isometry(pose.position_m, pose.orientation_wxyz).ok_or(
                 PipelineError::Value {
                     key: "transmitter.pose_in_room",
-                    expected: "finite numbers and a quaternion",
+                    expected: "numbers up to 1e6 and a quaternion",
                 },
             )?,
         };

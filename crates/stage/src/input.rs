@@ -227,7 +227,7 @@ impl Model {
             Self::Transmitter { position_m, orientation_wxyz } => {
                 if posed_geometry::isometry(*position_m, *orientation_wxyz).is_none() {
                     return Err(
-                        "position_m, orientation_wxyz: give finite numbers and a quaternion that is not zero"
+                        "position_m, orientation_wxyz: give numbers up to 1e6 and a quaternion that is not zero"
                             .into(),
                     );
                 }
@@ -262,14 +262,14 @@ impl Model {
                 }
                 if let Some(bad) = sensors.iter().find(|sensor| !good(sensor)) {
                     return Err(format!(
-                        "sensors: give {:?} finite numbers and a quaternion that is not zero",
+                        "sensors: give {:?} numbers up to 1e6 and a quaternion that is not zero",
                         bad.sensor
                     ));
                 }
             }
             Self::AttachedImu { quat_wxyz, offset_m, clock_offset_s, .. } => {
                 if posed_geometry::isometry(*offset_m, *quat_wxyz).is_none() || !clock_offset_s.is_finite() {
-                    return Err("offset_m, quat_wxyz, clock_offset_s: give finite numbers and a quaternion that is not zero".into());
+                    return Err("offset_m, quat_wxyz, clock_offset_s: give numbers up to 1e6 and a quaternion that is not zero".into());
                 }
             }
             Self::Chain { calibration } => calibration.check()?,

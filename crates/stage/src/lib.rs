@@ -16,6 +16,7 @@ mod files;
 pub mod input;
 mod keyframes;
 pub mod layout;
+mod limits;
 mod models;
 pub mod name;
 pub mod output;
@@ -42,6 +43,7 @@ pub use driver::{Driver, TimeBase};
 pub use field::FieldWatch;
 pub use files::{read_field_map, read_intrinsics};
 pub use keyframes::Keyframes;
+pub use limits::Limits;
 pub use models::LoadedModels;
 pub use port::{PortAddress, PortAddressError};
 pub use problem::{LoadError, Problem, Problems};
@@ -348,6 +350,9 @@ pub struct Server {
     pub allowed_origins: Vec<String>,
     /// Certificate and key for TLS.
     pub tls: Option<Tls>,
+    /// What clients may take of the daemon; absent keys: as they are.
+    #[serde(default)]
+    pub limits: Limits,
 }
 
 /// An access token.

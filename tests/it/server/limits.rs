@@ -1,9 +1,7 @@
 //! Slow, silent, flooding and too many clients.
 
-use std::time::Duration;
-
 use futures_util::SinkExt;
-use posed_daemon::server::{Config, Limits};
+use posed_stage::Limits;
 use serde_json::json;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
@@ -12,7 +10,52 @@ use tokio_tungstenite::tungstenite::Message;
 use super::harness::{PATIENCE, Running, config, estimate, get, stage, start};
 
 fn with(limits: Limits) -> Running {
-    start(&stage(""), Config { limits, ..config() })
+    let mut stage = stage("");
+    stage.server.limits = limits;
+    start(&stage, config())
+}
+
+/// A connection that has asked for a websocket, for whoever wants to write frames by hand.
+async fn upgraded(server: &Running) -> TcpStream {
+    let mut stream = TcpStream::connect(server.address).await.unwrap();
+    let head = format!(
+        "GET /ws HTTP/1.1\r\nHost: {}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
+         Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n",
+        server.address
+    );
+    stream.write_all(head.as_bytes()).await.unwrap();
+    stream
+}
+
+/// Writes the same bytes until the connection is cut; how many were taken.
+async fn flood(stream: &mut TcpStream, bytes: &[u8]) -> usize {
+    let mut taken = 0;
+    tokio::time::timeout(PATIENCE, async {
+        while let Ok(more) = stream.write(bytes).await {
+            taken += more;
+        }
+    })
+    .await
+    .expect("it is never cut");
+    taken
+}
+
+#[tokio::test]
+async fn frames_of_nothing_without_end_are_cut_by_their_bytes() {
+    let server = with(Limits { byte_burst: 65_536.0, ..Limits::default() });
+    let mut stream = upgraded(&server).await;
+    // The first fragment of a text, and then empty ones: a message that never ends, and that no count of messages sees.
+    stream.write_all(&[0x01, 0x80, 0, 0, 0, 0]).await.unwrap();
+    flood(&mut stream, &[0x00, 0x80, 0, 0, 0, 0].repeat(1000)).await;
+    let mut other = server.client().await;
+    other.subscribe(&["sensors"]).await;
+}
+
+#[tokio::test]
+async fn a_request_without_end_is_cut() {
+    let server = with(Limits { byte_burst: 65_536.0, ..Limits::default() });
+    let mut stream = TcpStream::connect(server.address).await.unwrap();
+    flood(&mut stream, &b"GET / HTTP/1.1\r\nA: b\r\n".repeat(100)).await;
 }
 
 #[tokio::test]
@@ -83,18 +126,8 @@ async fn a_stalled_client_loses_old_frames_and_nobody_else_does() {
 
 #[tokio::test]
 async fn a_silent_client_is_dropped() {
-    let server = with(Limits {
-        ping_interval: Duration::from_millis(20),
-        silence_timeout: Duration::from_millis(200),
-        ..Limits::default()
-    });
-    let mut silent = TcpStream::connect(server.address).await.unwrap();
-    let head = format!(
-        "GET /ws HTTP/1.1\r\nHost: {}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
-         Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n",
-        server.address
-    );
-    silent.write_all(head.as_bytes()).await.unwrap();
+    let server = with(Limits { ping_interval_s: 0.02, silence_timeout_s: 0.2, ..Limits::default() });
+    let mut silent = upgraded(&server).await;
     let mut all = Vec::new();
     tokio::time::timeout(PATIENCE, silent.read_to_end(&mut all)).await.unwrap().unwrap();
     assert!(all.windows(18).any(|text| text == b"no answer to pings"));
@@ -102,7 +135,7 @@ async fn a_silent_client_is_dropped() {
 
 #[tokio::test]
 async fn half_a_greeting_is_cut() {
-    let server = with(Limits { greeting_timeout: Duration::from_millis(100), ..Limits::default() });
+    let server = with(Limits { greeting_timeout_s: 0.1, ..Limits::default() });
     let mut slow = TcpStream::connect(server.address).await.unwrap();
     slow.write_all(b"GET /ws HTTP/1.1\r\nHost: localh").await.unwrap();
     let mut all = Vec::new();
@@ -111,7 +144,7 @@ async fn half_a_greeting_is_cut() {
 
 #[tokio::test]
 async fn one_connection_too_many_is_informed() {
-    let server = with(Limits { connections: 2, ..Limits::default() });
+    let server = start(&stage("[server.limits]\nconnections = 2"), config());
     let mut one = server.client().await;
     let two = server.client().await;
     let (status, answer) = server.refusal(server.request("")).await;

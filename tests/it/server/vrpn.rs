@@ -198,3 +198,25 @@ async fn a_taken_port_is_named() {
     let error = posed_daemon::server::Server::bind(&stage, config()).err().unwrap().to_string();
     assert!(error.contains("VRPN") && error.contains(&address.to_string()), "{error}");
 }
+
+#[tokio::test]
+async fn a_client_that_sends_without_end_is_cut_and_another_is_served() {
+    let mut stage = stage("[vrpn]\nlisten = \"127.0.0.1:0\"");
+    stage.server.limits.byte_burst = 65_536.0;
+    let server = start(&stage, config());
+    let address = server.vrpn.unwrap();
+    let mut flooding = Client::connect(address).await;
+    flooding.described().await;
+    // Messages of a type that is no system's, with nothing in them.
+    let mut message = Vec::new();
+    for word in [24_i32, 0, 0, 0, 0, 0] {
+        message.extend(word.to_be_bytes());
+    }
+    let messages = message.repeat(1000);
+    timeout(PATIENCE, async { while flooding.stream.write_all(&messages).await.is_ok() {} })
+        .await
+        .expect("it is never cut");
+    let mut other = Client::connect(address).await;
+    other.described().await;
+    reported(&server, &mut other).await;
+}

@@ -136,11 +136,12 @@ impl Judge {
             };
             if let Some(off) = off {
                 return Err(format!(
-                    "frame {} at {t_s:.4} s: {} is {:?} and {off}, as it was {:.3} s before (sigma of time {:.1} ms)",
+                    "frame {} at {t_s:.4} s: {} is {:?} and {off}, as it was {:.3} s before (sigma {:.1} mm, of time {:.1} ms)",
                     estimate.frame,
                     rider.words,
                     sensor.state,
                     self.age_s(rider, pose, t_s),
+                    pose.sigma_m.unwrap_or_default() * 1e3,
                     estimate.sigma_t_s * 1e3
                 ));
             }

@@ -36,6 +36,8 @@ use posed_stage::input::{Model, Plan, Request};
 const NAME_BYTES: usize = 128;
 /// Calls that may wait for the disk.
 const WAITING: usize = 64;
+/// Commands that may wait for the thread that tracks.
+const COMMANDS: usize = 256;
 
 /// Carries out clients' calls on a live stage.
 pub(super) struct Calls {
@@ -113,6 +115,9 @@ impl Calls {
     }
 
     fn carry_out(&self, call: Call, reply: Reply) {
+        if self.inbox.commands() >= COMMANDS {
+            return reply.error("busy", "many requests wait already; try again later");
+        }
         match call {
             Call::RecordStart { name } => match self.recording_path(name) {
                 Ok(path) => {

@@ -2,14 +2,15 @@
 //! is a [`Dialect`]'s.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use axum::extract::ws::{CloseFrame, Message, WebSocket};
 use futures_util::SinkExt;
 use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval, timeout};
 
-use super::listen::ConnectionContext;
+use super::budget::{Budget, now};
+use super::listen::{ConnectionContext, seconds};
 use super::outbox::{Close, Form, Outbox};
 
 /// Messages written before the socket is flushed.
@@ -53,8 +54,8 @@ pub(super) async fn serve(
     context: Arc<ConnectionContext>,
 ) {
     context.metrics.clients.inc();
-    let budget = Budget::new(context.limits.messages_per_s, burst);
-    let mut client = Client { socket, outbox: dialect.outbox(), dialect, budget, context };
+    let messages = Budget::new(context.limits.messages_per_s, burst);
+    let mut client = Client { socket, outbox: dialect.outbox(), dialect, messages, context };
     let end = client.run().await;
     let Client { mut socket, dialect, context, .. } = client;
     context.metrics.clients.dec();
@@ -71,13 +72,13 @@ struct Client<D> {
     socket: WebSocket,
     outbox: Arc<Outbox>,
     dialect: D,
-    budget: Budget,
+    messages: Budget,
     context: Arc<ConnectionContext>,
 }
 
 impl<D: Dialect> Client<D> {
     async fn run(&mut self) -> End {
-        let mut pings = interval(self.context.limits.ping_interval);
+        let mut pings = interval(seconds(self.context.limits.ping_interval_s));
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut shutdown = self.context.shutdown.clone();
         let outbox = Arc::clone(&self.outbox);
@@ -96,7 +97,7 @@ impl<D: Dialect> Client<D> {
                 }
                 () = outbox.filled() => self.write().await,
                 _ = pings.tick() => {
-                    if received.elapsed() > self.context.limits.silence_timeout {
+                    if received.elapsed() > seconds(self.context.limits.silence_timeout_s) {
                         Err(End::Close(Close::SILENT))
                     } else {
                         self.send(Message::Ping(Default::default())).await
@@ -137,7 +138,7 @@ impl<D: Dialect> Client<D> {
 
     async fn handle(&mut self, message: Message) -> Result<(), End> {
         self.context.metrics.requests.inc();
-        if !self.budget.spend(now()) {
+        if !self.messages.spend(1.0, now()) {
             return Err(End::Close(Close::TOO_MANY));
         }
         let received = match &message {
@@ -190,7 +191,7 @@ async fn patiently(
     let mut shutdown = context.shutdown.clone();
     tokio::select! {
         biased;
-        written = timeout(context.limits.silence_timeout, write) => match written {
+        written = timeout(seconds(context.limits.silence_timeout_s), write) => match written {
             Ok(Ok(())) => Ok(()),
             Ok(Err(_)) => Err(End::Gone),
             Err(_) => Err(End::Close(Close::SILENT)),
@@ -218,46 +219,5 @@ fn end_of(error: axum::Error) -> End {
             End::Close(Close { code: 1002, reason: "this is not the websocket protocol" })
         }
         _ => End::Gone,
-    }
-}
-
-/// Messages that a client may still send: refilled at a steady rate up to a burst.
-struct Budget {
-    per_s: f64,
-    burst: f64,
-    left: f64,
-    at: Instant,
-}
-
-impl Budget {
-    fn new(per_s: f64, burst: f64) -> Self {
-        Self { per_s, burst, left: burst, at: now() }
-    }
-
-    fn spend(&mut self, now: Instant) -> bool {
-        let elapsed_s = now.saturating_duration_since(self.at).as_secs_f64();
-        self.left = (self.left + elapsed_s * self.per_s).min(self.burst) - 1.0;
-        self.at = now;
-        self.left >= 0.0
-    }
-}
-
-#[expect(clippy::disallowed_methods, reason = "rate limit and silence of a connection")]
-fn now() -> Instant {
-    Instant::now()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_budget_allows_bursts_and_a_rate() {
-        let mut budget = Budget::new(10.0, 3.0);
-        let start = budget.at;
-        assert!((0..3).all(|_| budget.spend(start)));
-        assert!(!budget.spend(start));
-        let later = start + Duration::from_millis(250);
-        assert!(budget.spend(later), "two and a half came back, one was owed");
     }
 }

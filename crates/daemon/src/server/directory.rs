@@ -10,9 +10,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use serde_json::Value;
 use tokio::sync::mpsc;
 
-use super::Limits;
 use super::client::{Dialect, Received};
 use super::distributor::{self, ClientId};
+use super::listen::ConnectionContext;
 use super::metrics::Metrics;
 use super::outbox::{Close, Outbox, Outgoing};
 use posed_protocol::{
@@ -22,8 +22,9 @@ use posed_stage::{Pose, Role};
 
 /// Numbers of these clients are others than those of clients of one stage.
 static NEXT: AtomicU64 = AtomicU64::new(1 << 63);
-/// Standing subscriptions of one client at most.
+/// Standing subscriptions of one client at most, and the memory that their lists take, bytes.
 const WISHES: usize = 256;
+const WISH_BYTES: usize = 64 << 10;
 
 /// What the directory receives.
 pub(super) enum Command {
@@ -44,6 +45,10 @@ pub(super) enum Command {
     Joined {
         id: Arc<str>,
         commands: mpsc::Sender<super::Command>,
+    },
+    /// A stage is forgotten.
+    Left {
+        id: Arc<str>,
     },
     Tell(Stages),
 }
@@ -66,6 +71,27 @@ struct Client {
     outbox: Arc<Outbox>,
     /// Subscriptions as they were asked for, which hold for stages that come later too.
     wishes: Vec<(RequestId, Option<Vec<String>>, Feed)>,
+}
+
+impl Client {
+    fn has_room_for(&self, stages: Option<&[String]>, feed: &Feed) -> bool {
+        let taken: usize =
+            self.wishes.iter().map(|(_, stages, feed)| bytes_of(stages.as_deref(), feed)).sum();
+        self.wishes.len() < WISHES && taken + bytes_of(stages, feed) <= WISH_BYTES
+    }
+}
+
+/// Memory that the lists of a request take.
+fn bytes_of(stages: Option<&[String]>, feed: &Feed) -> usize {
+    let names = |names: &[String]| names.iter().map(|name| size_of::<String>() + name.len()).sum::<usize>();
+    let in_feed = match feed {
+        Feed::Subscribe { topics, sensors, fields, .. } => {
+            topics.len() + sensors.as_deref().map_or(0, names) + fields.as_ref().map_or(0, Vec::len)
+        }
+        Feed::Unsubscribe { topics } => topics.len(),
+        Feed::Resume { .. } => 0,
+    };
+    stages.map_or(0, names) + in_feed
 }
 
 impl Directory {
@@ -106,6 +132,7 @@ impl Directory {
                     }
                     self.stages.insert(id, commands);
                 }
+                Command::Left { id } => _ = self.stages.remove(&id),
                 Command::Tell(stages) => {
                     for client in self.clients.values() {
                         report(&client.outbox, &ServerMessage::Stages(stages.clone()));
@@ -127,7 +154,7 @@ impl Directory {
             );
         };
         match &feed {
-            Feed::Subscribe { .. } if asking.wishes.len() >= WISHES => {
+            Feed::Subscribe { .. } if !asking.has_room_for(stages.as_deref(), &feed) => {
                 return refuse("busy", "too many subscriptions on one connection; unsubscribe first".into());
             }
             Feed::Subscribe { topics, .. } if topics.is_empty() => {
@@ -206,10 +233,10 @@ impl Member {
         encoding: Encoding,
         greeting: &Greeting,
         directory: mpsc::Sender<Command>,
-        limits: &Limits,
+        context: &ConnectionContext,
     ) -> Option<Self> {
         let id = NEXT.fetch_add(1, Ordering::Relaxed);
-        let outbox = Arc::new(Outbox::new(encoding, limits.clone()));
+        let outbox = Arc::new(context.outboxes.open(encoding, context.limits.queue_messages));
         let hello = Hello {
             version: env!("CARGO_PKG_VERSION").into(),
             stage: greeting.name.clone(),
@@ -262,11 +289,49 @@ fn read(received: Received<'_>) -> Result<(RequestId, Option<Vec<String>>, Feed)
     let stages = stages.map(serde_json::from_value::<Vec<String>>).transpose();
     let stages = stages.map_err(|_| bad("stages: give a list of names".into()))?;
     match parse(Encoding::Json, value.to_string().as_bytes()) {
+        // Before it waits anywhere.
+        Ok((id, Request::Feed(feed))) if bytes_of(stages.as_deref(), &feed) > WISH_BYTES => {
+            let message = "the lists of this request are too long".to_owned();
+            Err(ErrorReply { id: Some(id), code: "too_large".into(), message })
+        }
         Ok((id, Request::Feed(feed))) => Ok((id, stages, feed)),
         Ok((id, Request::Call(_))) => {
             let message = "a hub shows its stages; ask the daemon of the stage itself for this".into();
             Err(ErrorReply { id: Some(id), code: "hub".into(), message })
         }
         Err(error) => Err(ErrorReply { id: error.id, code: error.code.into(), message: error.message }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use posed_protocol::Topic;
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn what_a_client_wants_takes_no_more_than_its_budget() {
+        let long = json!({"id": 1, "type": "subscribe", "topics": ["sensors"], "stages": vec![""; 10_000]})
+            .to_string();
+        let refused = read(Received::Text(&long)).unwrap_err();
+        assert_eq!((refused.id, refused.code.as_ref()), (Some(RequestId::Number(1)), "too_large"));
+
+        let outboxes = crate::server::outbox::Outboxes::new(&posed_stage::Limits::default());
+        let outbox = Arc::new(outboxes.open(Encoding::Json, 16));
+        let mut client = Client { outbox, wishes: Vec::new() };
+        let stages = vec!["a stage's name".to_owned(); 500];
+        let feed = Feed::Subscribe {
+            topics: vec![Topic::Sensors],
+            max_rate_hz: None,
+            sensors: None,
+            fields: None,
+            drop: None,
+        };
+        while client.has_room_for(Some(&stages), &feed) {
+            client.wishes.push((RequestId::Number(2), Some(stages.clone()), feed.clone()));
+        }
+        assert_eq!(client.wishes.len(), 3);
+        assert!(client.has_room_for(None, &feed), "a short one still has room");
     }
 }

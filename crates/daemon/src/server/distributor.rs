@@ -6,7 +6,6 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::Limits;
 use super::holding::Holding;
 use super::hub::Item;
 use super::metrics::Metrics;
@@ -15,6 +14,7 @@ use posed_protocol::{
     Answer, Counters, DropPolicy, Encoding, ErrorReply, Feed, Field, Fields, Names, OkReply, Payload,
     Problem, RequestId, Resumed, ServerMessage, Stamp, Topic, View, encode,
 };
+use posed_stage::Limits;
 
 /// Events older than this are not resumed, in microseconds.
 const EVENT_AGE_US: i64 = 600_000_000;
@@ -481,7 +481,8 @@ mod tests {
     }
 
     fn connect(distributor: &mut Distributor, client: ClientId, limits: &Limits) -> Arc<Outbox> {
-        let outbox = Arc::new(Outbox::new(Encoding::Json, limits.clone()));
+        let outbox =
+            Arc::new(super::super::outbox::Outboxes::new(limits).open(Encoding::Json, limits.queue_messages));
         distributor.handle(Command::Connect { client, outbox: Arc::clone(&outbox), stage: None });
         outbox
     }

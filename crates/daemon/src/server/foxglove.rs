@@ -7,12 +7,12 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
+use super::Shared;
 use super::client::{Dialect, Received};
 use super::distributor::ClientId;
 use super::hub::Item;
 use super::metrics::Metrics;
 use super::outbox::{Close, Outbox, Outgoing};
-use super::{Limits, Shared};
 use posed_protocol::foxglove::wire::{self, Level, Request, ServerInfo, Subscription};
 use posed_protocol::foxglove::{Channel, Publisher, channels};
 use posed_protocol::{DropPolicy, Encoding, Payload, Problem, Stamp, Topic};
@@ -276,8 +276,7 @@ impl Viewer {
     /// Greets the viewer and makes it known; `None` at shutdown.
     pub(super) async fn begin(shared: &Arc<Shared>) -> Option<Self> {
         let id = shared.next_client.fetch_add(1, Ordering::Relaxed);
-        let limits = Limits { queue_messages: WAITING, ..shared.context.limits.clone() };
-        let outbox = Arc::new(Outbox::new(Encoding::Json, limits));
+        let outbox = Arc::new(shared.context.outboxes.open(Encoding::Json, WAITING));
         report(&outbox, shared.viewing.info.clone());
         report(&outbox, shared.viewing.advertise.clone());
         let viewer = Self { id, outbox: Arc::clone(&outbox), shared: Arc::clone(shared) };

@@ -12,6 +12,8 @@ use posed_stage::output::{Body, Estimate, Outcome, Output};
 
 /// Items that wait for the server; a healthy server has none or one.
 const CAPACITY: usize = 256;
+/// Events that wait for the server: a server that lags by so many serves nobody any more, and the oldest give way too.
+const EVENTS: usize = 1 << 14;
 /// Frames whose memory is kept.
 const SPARES: usize = 8;
 
@@ -57,7 +59,7 @@ impl Item {
 /// Handle for who publishes; clones share it.
 ///
 /// No call waits for the server or for a client. When the server lags by more than 256 items, the oldest one that is
-/// not an event is dropped and counted.
+/// not an event is dropped and counted, and beyond 16,384 events the oldest of these.
 #[derive(Clone, Debug, Default)]
 pub struct Hub {
     shared: Arc<Shared>,
@@ -128,8 +130,9 @@ impl Hub {
 
     fn push(&self, item: Item) {
         let mut queue = self.lock();
+        let oldest = queue.items.iter().position(Item::is_state);
         if queue.items.len() >= CAPACITY
-            && let Some(oldest) = queue.items.iter().position(Item::is_state)
+            && let Some(oldest) = oldest.or((queue.items.len() >= EVENTS).then_some(0))
             && let Some(item) = queue.items.remove(oldest)
         {
             queue.dropped += 1;
@@ -175,6 +178,16 @@ mod tests {
     use super::*;
     use posed_fusion::faults::Cause;
     use posed_stage::output::OutcomeKind;
+
+    #[test]
+    fn a_server_that_has_stopped_fills_no_memory() {
+        let hub = Hub::default();
+        let what = OutcomeKind::Fault { sensor: 0, cause: Cause::Gate, active: true };
+        let outcome = Outcome { t_valid: Timestamp::ZERO, t_decided: Timestamp::ZERO, what };
+        (0..2 * EVENTS).for_each(|_| hub.publish(&Output::Outcome(&outcome)));
+        assert_eq!(hub.lock().items.len(), EVENTS);
+        assert_eq!(hub.dropped(), EVENTS as u64);
+    }
 
     #[test]
     fn a_lagging_server_loses_the_oldest_frames_and_no_event() {

@@ -26,13 +26,9 @@ use super::listen::ConnectionContext;
 use super::listener::Listener;
 use super::metrics::Metrics;
 use super::slots::Slot;
-use super::{
-    BindError, Command, Limits, Shared, StageInfo, StageServices, client, http, rfc3339, topics_of, viewer,
-};
+use super::{BindError, Command, Shared, StageInfo, StageServices, client, http, rfc3339, topics_of, viewer};
 use crate::ports::ended;
-use posed_protocol::{
-    Counters, Encoding, Names, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK, Stages, Stamp, Topic,
-};
+use posed_protocol::{Counters, Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK, Stages, Stamp, Topic};
 use posed_stage::Stage;
 
 /// Items that wait for a stage's distributor.
@@ -81,8 +77,8 @@ impl HubServer {
         listen: Option<String>,
         folder: &Path,
     ) -> Result<(Self, StageRegistry), BindError> {
-        crate::limits::raise();
-        let listener = Listener::open(settings, listen, folder, Limits::default())?;
+        crate::process_limits::raise();
+        let listener = Listener::open(settings, listen, folder)?;
         let (directory, commands) = mpsc::channel(1024);
         let greeting = directory::Greeting { name: name.to_owned(), epoch_utc: rfc3339(epoch_utc_ns) };
         let registered = Registered {
@@ -145,13 +141,14 @@ impl StageRegistry {
         published: &[Topic],
         last_event_id: u64,
     ) -> StageEndpoint {
-        let ConnectionContext { access, limits, metrics, slots, .. } = &*self.registered.context;
+        let ConnectionContext { access, limits, metrics, slots, outboxes, .. } = &*self.registered.context;
         let (shutdown, seen) = watch::channel(false);
         let context = ConnectionContext {
             access: access.clone(),
             limits: limits.clone(),
             metrics: Arc::clone(metrics),
             slots: slots.clone(),
+            outboxes: outboxes.clone(),
             shutdown: seen,
         };
         let topics = topics_of(stage, published);
@@ -166,6 +163,12 @@ impl StageRegistry {
         tokio::spawn(distribute(services, fed, shutdown.subscribe()));
         let _ = self.registered.directory.send(directory::Command::Joined { id: id.into(), commands }).await;
         StageEndpoint { items, shutdown }
+    }
+
+    /// A stage is forgotten: its page and its clients' subscriptions end.
+    pub async fn leave(&self, id: &str) {
+        self.stages().remove(id);
+        let _ = self.registered.directory.send(directory::Command::Left { id: id.into() }).await;
     }
 
     /// Tells clients of the hub itself how all stages are now.
@@ -208,7 +211,7 @@ async fn distribute(
     mut shutdown: watch::Receiver<bool>,
 ) {
     let StageServices { shared, mut viewers, mut commands, .. } = services;
-    let (names, limits): (Arc<Names>, Limits) = (Arc::clone(&shared.names), shared.context.limits.clone());
+    let (names, limits) = (Arc::clone(&shared.names), shared.context.limits.clone());
     let mut distributor = Distributor::new(names, limits, Arc::clone(&shared.metrics), Counters::default());
     loop {
         tokio::select! {
@@ -260,7 +263,7 @@ async fn everything(
     let encoding = if protocol == SUBPROTOCOL_MSGPACK { Encoding::MessagePack } else { Encoding::Json };
     upgrade.on_upgrade(async move |socket| {
         let Registered { directory, greeting, .. } = &*registry.registered;
-        if let Some(member) = Member::begin(encoding, greeting, directory.clone(), &context.limits).await {
+        if let Some(member) = Member::begin(encoding, greeting, directory.clone(), &context).await {
             client::serve(socket, member, context.limits.message_burst, Arc::clone(&context)).await;
         }
         drop(slot);

@@ -14,10 +14,12 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 use tokio_rustls::TlsAcceptor;
 
-use super::Limits;
 use super::access::Access;
+use super::budget::Metered;
 use super::metrics::Metrics;
+use super::outbox::Outboxes;
 use super::slots::Slots;
+use posed_stage::Limits;
 
 /// Longest request head, in bytes.
 const HEAD_BYTES: usize = 16 * 1024;
@@ -30,7 +32,13 @@ pub(super) struct ConnectionContext {
     pub(super) limits: Limits,
     pub(super) metrics: Arc<Metrics>,
     pub(super) slots: Slots,
+    pub(super) outboxes: Outboxes,
     pub(super) shutdown: watch::Receiver<bool>,
+}
+
+/// A time of the limits.
+pub(super) fn seconds(s: f64) -> Duration {
+    Duration::from_secs_f64(s)
 }
 
 /// Accepts connections for ever.
@@ -50,11 +58,13 @@ pub(super) async fn accept(
             let served = async {
                 match tls {
                     None => serve(stream, app, &context).await,
-                    Some(tls) => match timeout(context.limits.greeting_timeout, tls.accept(stream)).await {
-                        Ok(Ok(stream)) => serve(stream, app, &context).await,
-                        Ok(Err(_)) => context.metrics.refuse("tls"),
-                        Err(_) => context.metrics.refuse("timeout"),
-                    },
+                    Some(tls) => {
+                        match timeout(seconds(context.limits.greeting_timeout_s), tls.accept(stream)).await {
+                            Ok(Ok(stream)) => serve(stream, app, &context).await,
+                            Ok(Err(_)) => context.metrics.refuse("tls"),
+                            Err(_) => context.metrics.refuse("timeout"),
+                        }
+                    }
                 }
             };
             tokio::select! {
@@ -93,13 +103,15 @@ async fn serve(
     app: axum::Router,
     context: &ConnectionContext,
 ) {
+    let greeting = seconds(context.limits.greeting_timeout_s);
+    let stream = Metered::new(stream, &context.limits);
     let connection = hyper::server::conn::http1::Builder::new()
         .timer(TokioTimer::new())
-        .header_read_timeout(context.limits.greeting_timeout)
+        .header_read_timeout(greeting)
         .max_buf_size(HEAD_BYTES)
         .serve_connection(TokioIo::new(stream), TowerToHyperService::new(app))
         .with_upgrades();
-    match timeout(context.limits.greeting_timeout + ANSWER_TIMEOUT, connection).await {
+    match timeout(greeting + ANSWER_TIMEOUT, connection).await {
         Ok(Ok(())) => {}
         Ok(Err(error)) if error.is_timeout() => context.metrics.refuse("timeout"),
         Ok(Err(error)) => tracing::trace!(%error, "connection"),

@@ -3,6 +3,7 @@
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use tokio::net::{TcpListener, TcpSocket};
 use tokio::sync::watch;
@@ -11,8 +12,12 @@ use tokio_rustls::TlsAcceptor;
 use super::access::Access;
 use super::listen::{self, ConnectionContext};
 use super::metrics::Metrics;
+use super::outbox::Outboxes;
 use super::slots::Slots;
-use super::{BindError, DEFAULT_LISTEN, Limits, tls};
+use super::{BindError, DEFAULT_LISTEN, tls};
+
+/// Time that all clients have for their goodbye.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// A bound socket that nobody is let in by yet.
 pub(super) struct Listener {
@@ -29,7 +34,6 @@ impl Listener {
         settings: &posed_stage::Server,
         listen: Option<String>,
         folder: &Path,
-        limits: Limits,
     ) -> Result<Self, BindError> {
         let listen = listen.or_else(|| settings.listen.clone()).unwrap_or_else(|| DEFAULT_LISTEN.into());
         let addresses: Vec<SocketAddr> = match listen.to_socket_addrs() {
@@ -51,9 +55,16 @@ impl Listener {
             port: address.port(),
             tls: tls.is_some(),
         };
-        let slots = Slots::new(&limits);
-        let context =
-            ConnectionContext { access, limits, metrics: Arc::new(Metrics::new()), slots, shutdown };
+        let limits = settings.limits.clone();
+        let (slots, outboxes) = (Slots::new(&limits), Outboxes::new(&limits));
+        let context = ConnectionContext {
+            access,
+            limits,
+            metrics: Arc::new(Metrics::new()),
+            slots,
+            outboxes,
+            shutdown,
+        };
         Ok(Self { listener, address, tls, report, context: Arc::new(context) })
     }
 
@@ -82,7 +93,7 @@ impl Listener {
         }
         drop(listener);
         report.send_replace(true);
-        let _ = tokio::time::timeout(context.limits.shutdown_timeout, context.slots.all_free()).await;
+        let _ = tokio::time::timeout(SHUTDOWN_TIMEOUT, context.slots.all_free()).await;
     }
 }
 

@@ -11,6 +11,7 @@
 //! per client ([`client`]) writes what is in its [`outbox`], which is bounded and which nobody waits for.
 
 mod access;
+mod budget;
 mod client;
 mod directory;
 mod distributor;
@@ -34,7 +35,6 @@ mod vrpn;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
 
 use tokio::sync::mpsc;
 
@@ -83,13 +83,11 @@ pub struct Config {
     pub clock: Option<StageClock>,
     /// What went wrong as the daemon was started, and does not keep it from running: reported with every status.
     pub problems: Vec<Problem>,
-    /// What one client, and all together, may take.
-    pub limits: Limits,
 }
 
 impl Config {
     /// For a live stage whose relative paths start from `folder`; `epoch_utc_ns` is the UTC of its epoch, in nanoseconds since
-    /// 1970. No clock, no more topics, default limits.
+    /// 1970. No clock, no more topics.
     pub fn new(folder: &Path, epoch_utc_ns: i64) -> Self {
         Self {
             listen: None,
@@ -100,68 +98,6 @@ impl Config {
             replay: false,
             clock: None,
             problems: Vec::new(),
-            limits: Limits::default(),
-        }
-    }
-}
-
-/// What one client, and all together, may take. The numbers are taken as they are.
-#[derive(Clone, Debug)]
-pub struct Limits {
-    /// Connections at a time; 512 by default. One more is refused with HTTP status 503.
-    pub connections: usize,
-    /// Connections at a time from one IPv4 address or one IPv6 network of 64 bits; 256 by default.
-    pub connections_per_address: usize,
-    /// Connections at a time that have not yet shown that they may be here, among them those for the page; 256 by default. One
-    /// more closes the oldest of the address that has most of them.
-    pub waiting: usize,
-    /// Bytes of a client's message; a larger one closes with 1009. 64 KiB by default.
-    pub message_bytes: usize,
-    /// Messages per second that a client may send on average; more closes with 1008. 50 by default.
-    pub messages_per_s: f64,
-    /// Messages that a client may send at once; 200 by default.
-    pub message_burst: f64,
-    /// Data messages per topic that wait for a client with `drop: latest`; 16 by default. One more takes the oldest one's place.
-    pub latest_messages: usize,
-    /// Data messages that wait for a client with `drop: queue`; 4096 by default. One more takes the oldest one's place.
-    pub queue_messages: usize,
-    /// Bytes that wait for a client, replies and events included; 8 MiB by default. Data messages give way.
-    pub queue_bytes: usize,
-    /// Replies and events that wait for a client; more closes with 1008. 8192 by default.
-    pub lossless_messages: usize,
-    /// Events that are kept for `resume`, ten minutes at most; 4096 by default.
-    pub events: usize,
-    /// Distinct choices of sensors, fields and encoding over all clients; 64 by default. One more is refused.
-    pub views: usize,
-    /// Time for the TLS handshake, and again for the HTTP request; 5 s by default.
-    pub greeting_timeout: Duration,
-    /// Time between two pings; 15 s by default.
-    pub ping_interval: Duration,
-    /// A client that sends nothing, not even a pong, for so long is gone; 45 s by default.
-    pub silence_timeout: Duration,
-    /// Time that all clients have for their goodbye at shutdown; 3 s by default.
-    pub shutdown_timeout: Duration,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self {
-            connections: 512,
-            connections_per_address: 256,
-            waiting: 256,
-            message_bytes: 64 * 1024,
-            messages_per_s: 50.0,
-            message_burst: 200.0,
-            latest_messages: 16,
-            queue_messages: 4096,
-            queue_bytes: 8 * 1024 * 1024,
-            lossless_messages: 8192,
-            events: 4096,
-            views: 64,
-            greeting_timeout: Duration::from_secs(5),
-            ping_interval: Duration::from_secs(15),
-            silence_timeout: Duration::from_secs(45),
-            shutdown_timeout: Duration::from_secs(3),
         }
     }
 }
@@ -316,7 +252,7 @@ impl Server {
         config: Config,
         feed: Option<Box<dyn Feed>>,
     ) -> Result<(Self, Hub, mpsc::Receiver<PendingCall>), BindError> {
-        let listener = Listener::open(&stage.server, config.listen, &config.folder, config.limits)?;
+        let listener = Listener::open(&stage.server, config.listen, &config.folder)?;
         let metrics = Arc::clone(&listener.context.metrics);
         let limits = listener.context.limits.clone();
         let topics = topics_of(stage, &config.more_topics);

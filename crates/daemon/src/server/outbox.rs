@@ -4,13 +4,14 @@
 //! oldest is dropped and counted. The distributor fills, the client's task empties.
 
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::Notify;
 
-use super::Limits;
 use posed_protocol::foxglove::wire;
 use posed_protocol::{DropPolicy, Encoding, Topic, encode};
+use posed_stage::Limits;
 
 /// Why the daemon ends a connection, as a websocket closing code and a reason of at most 123 bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -51,13 +52,46 @@ pub(super) enum Form {
     Binary,
 }
 
+/// The outboxes of all clients. Clones share the count.
+#[derive(Clone, Debug)]
+pub(super) struct Outboxes {
+    limits: Limits,
+    open: Arc<AtomicUsize>,
+}
+
+impl Outboxes {
+    pub(super) fn new(limits: &Limits) -> Self {
+        Self { limits: limits.clone(), open: Arc::default() }
+    }
+
+    /// One more, in which up to `queue_messages` data messages wait.
+    pub(super) fn open(&self, encoding: Encoding, queue_messages: usize) -> Outbox {
+        self.open.fetch_add(1, Ordering::Relaxed);
+        let all =
+            Self { limits: Limits { queue_messages, ..self.limits.clone() }, open: Arc::clone(&self.open) };
+        Outbox { encoding, queues: Mutex::default(), filled: Notify::new(), all }
+    }
+
+    /// Bytes that may wait in each of them.
+    fn share(&self) -> usize {
+        let open = self.open.load(Ordering::Relaxed).max(1);
+        self.limits.queue_bytes.min(self.limits.all_queues_bytes / open)
+    }
+}
+
 /// The queues of one client.
 #[derive(Debug)]
 pub(super) struct Outbox {
     encoding: Encoding,
     queues: Mutex<Queues>,
     filled: Notify,
-    limits: Limits,
+    all: Outboxes,
+}
+
+impl Drop for Outbox {
+    fn drop(&mut self) {
+        self.all.open.fetch_sub(1, Ordering::Relaxed);
+    }
 }
 
 #[derive(Debug, Default)]
@@ -72,10 +106,6 @@ struct Queues {
 }
 
 impl Outbox {
-    pub(super) fn new(encoding: Encoding, limits: Limits) -> Self {
-        Self { encoding, queues: Mutex::default(), filled: Notify::new(), limits }
-    }
-
     pub(super) fn encoding(&self) -> Encoding {
         self.encoding
     }
@@ -84,8 +114,8 @@ impl Outbox {
     pub(super) fn push_lossless(&self, message: Outgoing) {
         let mut queues = self.lock();
         let bytes = message.bytes();
-        let full = queues.lossless.len() >= self.limits.lossless_messages
-            || queues.bytes + bytes > self.limits.queue_bytes && !queues.lossless.is_empty();
+        let full = queues.lossless.len() >= self.all.limits.lossless_messages
+            || queues.bytes + bytes > self.all.share() && !queues.lossless.is_empty();
         if full {
             queues.overflowed = true;
         } else {
@@ -105,20 +135,21 @@ impl Outbox {
             DropPolicy::Latest => {
                 let waiting =
                     || queues.data.iter().enumerate().filter(|(_, item)| item.stream() == message.stream());
-                if waiting().count() >= self.limits.latest_messages
+                if waiting().count() >= self.all.limits.latest_messages
                     && let Some((oldest, _)) = waiting().next()
                 {
                     queues.drop_data(oldest);
                 }
             }
             DropPolicy::Queue => {
-                if queues.data.len() >= self.limits.queue_messages {
+                if queues.data.len() >= self.all.limits.queue_messages {
                     queues.drop_data(0);
                 }
             }
         }
         let bytes = message.bytes();
-        while queues.bytes + bytes > self.limits.queue_bytes && !queues.data.is_empty() {
+        let share = self.all.share();
+        while queues.bytes + bytes > share && !queues.data.is_empty() {
             queues.drop_data(0);
         }
         queues.bytes += bytes;
@@ -208,14 +239,15 @@ impl Queues {
 mod tests {
     use super::*;
 
-    fn limits() -> Limits {
-        Limits {
+    fn outbox() -> Outbox {
+        let limits = Limits {
             latest_messages: 2,
             queue_messages: 4,
             lossless_messages: 3,
             queue_bytes: 1000,
             ..Limits::default()
-        }
+        };
+        Outboxes::new(&limits).open(Encoding::Json, limits.queue_messages)
     }
 
     fn data(topic: Topic, seq: u64, bytes: usize) -> Outgoing {
@@ -236,7 +268,7 @@ mod tests {
 
     #[test]
     fn latest_drops_the_oldest_of_its_own_topic() {
-        let outbox = Outbox::new(Encoding::Json, limits());
+        let outbox = outbox();
         outbox.push_data(data(Topic::Status, 0, 10), DropPolicy::Latest);
         for seq in 0..5 {
             outbox.push_data(data(Topic::Sensors, seq, 10), DropPolicy::Latest);
@@ -246,7 +278,7 @@ mod tests {
 
     #[test]
     fn a_queue_is_bounded_by_messages_and_by_bytes() {
-        let outbox = Outbox::new(Encoding::Json, limits());
+        let outbox = outbox();
         for seq in 0..6 {
             outbox.push_data(data(Topic::Sensors, seq, 10), DropPolicy::Queue);
         }
@@ -258,8 +290,25 @@ mod tests {
     }
 
     #[test]
+    fn what_all_may_let_wait_is_shared_among_them() {
+        let limits = Limits { queue_bytes: 1000, all_queues_bytes: 1200, ..Limits::default() };
+        let outboxes = Outboxes::new(&limits);
+        let one = outboxes.open(Encoding::Json, 100);
+        let fill =
+            || (0..10).for_each(|seq| _ = one.push_data(data(Topic::Sensors, seq, 100), DropPolicy::Queue));
+        fill();
+        assert_eq!(one.lock().bytes, 1000);
+        let others = [(); 3].map(|()| outboxes.open(Encoding::Json, 100));
+        fill();
+        assert_eq!(one.lock().bytes, 300, "a quarter of all");
+        drop(others);
+        fill();
+        assert_eq!(one.lock().bytes, 1000);
+    }
+
+    #[test]
     fn events_go_first_and_close_whom_they_flood() {
-        let outbox = Outbox::new(Encoding::Json, limits());
+        let outbox = outbox();
         outbox.push_data(data(Topic::Sensors, 0, 10), DropPolicy::Latest);
         outbox.push_lossless(data(Topic::Faults, 0, 10));
         assert_eq!(taken(&outbox), ["faults 0 0", "sensors 0 0"]);

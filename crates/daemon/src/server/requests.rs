@@ -111,7 +111,7 @@ impl Requests {
     /// Greets the client and makes it known to the distributor; `None` at shutdown.
     pub(super) async fn begin(encoding: Encoding, role: Role, shared: &Arc<Shared>) -> Option<Self> {
         let id = shared.next_client.fetch_add(1, Ordering::Relaxed);
-        let outbox = Arc::new(Outbox::new(encoding, shared.context.limits.clone()));
+        let outbox = Arc::new(shared.context.outboxes.open(encoding, shared.context.limits.queue_messages));
         let role = if shared.operable { role } else { Role::Watch };
         let hello = ServerMessage::Hello(Hello {
             version: env!("CARGO_PKG_VERSION").into(),

@@ -9,9 +9,8 @@ use std::net::{IpAddr, Ipv6Addr};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use posed_stage::Limits;
 use tokio::sync::Notify;
-
-use super::Limits;
 
 /// How many connections there may be, in all and from one network; clones count together.
 #[derive(Clone, Debug)]

@@ -13,7 +13,7 @@ use tokio::net::{TcpListener, TcpStream, UdpSocket};
 use tokio::sync::{Notify, Semaphore, watch};
 use tokio::time::timeout;
 
-use super::Limits;
+use super::budget::Metered;
 use super::hub::Item;
 use super::listen;
 use super::listener::bind_first;
@@ -21,6 +21,7 @@ use super::metrics::Metrics;
 use super::slots::{Slot, Slots};
 use crate::ports::ended;
 use posed_protocol::vrpn::{Catalogue, Peer, Publisher, Refused, wire};
+use posed_stage::Limits;
 
 /// Where it listens unless the stage file specifies otherwise.
 const DEFAULT_LISTEN: &str = "127.0.0.1:3883";
@@ -48,7 +49,7 @@ pub(super) struct Vrpn {
 struct Shared {
     catalogue: Arc<Catalogue>,
     clients: Mutex<Vec<Arc<Waiting>>>,
-    latest: usize,
+    limits: Limits,
 }
 
 /// The frames that wait for one client.
@@ -86,7 +87,7 @@ impl Vrpn {
         let shared = Arc::new(Shared {
             catalogue: publisher.catalogue(),
             clients: Mutex::default(),
-            latest: limits.latest_messages,
+            limits: limits.clone(),
         });
         let outlet = Outlet {
             publisher,
@@ -196,7 +197,7 @@ impl Outlet {
         }
         let bytes: Arc<[u8]> = self.scratch.as_slice().into();
         for client in clients.iter() {
-            let dropped = client.push(Arc::clone(&bytes), self.shared.latest);
+            let dropped = client.push(Arc::clone(&bytes), self.shared.limits.latest_messages);
             self.metrics.vrpn_dropped.inc_by(u64::from(dropped));
         }
     }
@@ -251,7 +252,8 @@ impl Connection {
         }
     }
 
-    async fn talk(&self, mut stream: TcpStream) -> Result<(), End> {
+    async fn talk(&self, stream: TcpStream) -> Result<(), End> {
+        let mut stream = Metered::new(stream, &self.shared.limits);
         // Both sides speak first.
         let mut greeting = [0; wire::GREETING.len()];
         let greet = async {
@@ -306,7 +308,7 @@ impl From<Refused> for End {
     }
 }
 
-async fn write(stream: &mut TcpStream, bytes: &[u8]) -> Result<(), End> {
+async fn write(stream: &mut Metered<TcpStream>, bytes: &[u8]) -> Result<(), End> {
     match timeout(WRITE_TIMEOUT, stream.write_all(bytes)).await {
         Ok(Ok(())) => Ok(()),
         Ok(Err(_)) => Err(End::Gone),

@@ -1,5 +1,6 @@
 //! What the hub reports about its stages: written by who follows each, read once a second and when something changes.
 
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -21,12 +22,27 @@ impl Board {
         Self { entries: Arc::default(), changed: Arc::default(), clock }
     }
 
-    /// Changes what is said of a stage; it goes out with the next look.
+    /// A stage is followed from now on.
+    pub(super) fn enter(&self, id: &str) {
+        self.entries().insert(id.to_owned(), StageEntry { id: id.to_owned(), ..StageEntry::default() });
+    }
+
+    /// Changes what is said of a stage that is followed; it goes out with the next look.
     pub(super) fn write(&self, id: &str, change: impl FnOnce(&mut StageEntry)) {
+        if let Some(entry) = self.entries().get_mut(id) {
+            change(entry);
+        }
+    }
+
+    /// Of the stages that are not there, the one that has been gone longest, else the one that has said nothing yet for longest; it
+    /// is forgotten.
+    pub(super) fn forget_one(&self) -> Option<String> {
         let mut entries = self.entries();
-        let entry = entries.entry(id.to_owned()).or_default();
-        id.clone_into(&mut entry.id);
-        change(entry);
+        let absent = entries.values().filter(|entry| entry.state != StagePresence::Present);
+        let rank = |entry: &StageEntry| (entry.state != StagePresence::Gone, entry.since_s);
+        let id = absent.min_by(|a, b| rank(a).partial_cmp(&rank(b)).unwrap_or(Ordering::Equal))?.id.clone();
+        entries.remove(&id);
+        Some(id)
     }
 
     /// A stage has come, vanished or returned: that goes out at once. How long it had been as it was, s.

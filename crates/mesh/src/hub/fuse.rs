@@ -5,7 +5,7 @@
 
 use std::thread::JoinHandle;
 
-use crossbeam_channel::{Receiver, Sender, unbounded};
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use tokio::sync::mpsc;
 
 use crate::wire::{Begin, Bytes, LogChunk};
@@ -14,6 +14,9 @@ use posed_protocol::{Payload, Stamp};
 use posed_recording::Machine;
 use posed_stage::input::Entry;
 use posed_stage::output::Output;
+
+/// Entries that wait for the thread; more are asked for again.
+const ENTRIES: usize = 1 << 14;
 
 /// A stage that is being fused; ends when dropped.
 pub(super) struct Fuser {
@@ -37,7 +40,7 @@ impl Fuser {
     pub(super) fn start(begin: &Begin, items: mpsc::Sender<(Item, Stamp)>) -> Result<(Self, u64), String> {
         let (_, machine) = Machine::as_recorded(&begin.header).map_err(|error| error.to_string())?;
         let last_event_id = machine.publisher.last_event_id();
-        let (entries, taken) = unbounded();
+        let (entries, taken) = bounded(ENTRIES);
         #[expect(clippy::disallowed_methods, reason = "the hub owns the threads that fuse")]
         let thread = std::thread::Builder::new()
             .name("fusion".to_owned())
@@ -58,10 +61,13 @@ impl Fuser {
         }
         let known = usize::try_from(self.next - chunk.first).unwrap_or(usize::MAX);
         for entry in chunk.entries.into_iter().skip(known) {
-            self.next += 1;
-            if let Some(entries) = &self.entries {
-                let _ = entries.send(entry);
+            // Full: what follows is asked for again, once there is room.
+            if let Some(entries) = &self.entries
+                && let Err(TrySendError::Full(_)) = entries.try_send(entry)
+            {
+                return Taken::Missing(self.next);
             }
+            self.next += 1;
         }
         Taken::All
     }

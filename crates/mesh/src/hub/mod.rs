@@ -12,13 +12,14 @@ mod follow;
 mod fuse;
 mod questions;
 mod relation;
+mod tokens;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use tokio::sync::{mpsc, watch};
+use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::interval;
 use zenoh::Session;
@@ -27,6 +28,7 @@ use zenoh::sample::SampleKind;
 
 use self::board::Board;
 use self::follow::Follower;
+use self::tokens::Tokens;
 use super::session::{self, LinkError};
 use super::wire::{Keys, RUN, TOKEN};
 use posed_daemon::server::{BindError, HubServer, StageRegistry};
@@ -36,6 +38,9 @@ use posed_stage::Stage;
 
 /// Distance of two words about all stages when nothing changes.
 const TELL: Duration = Duration::from_secs(1);
+/// Stages that are followed at a time, and runs that are known.
+const STAGES: usize = 64;
+const RUNS: usize = 256;
 /// Time that everything has to end.
 const SHUTDOWN: Duration = Duration::from_secs(4);
 
@@ -186,9 +191,12 @@ struct Followers {
 
 impl Followers {
     async fn run(mut self, mut down: watch::Receiver<bool>) {
-        let (seen_in, mut seen) = mpsc::unbounded_channel();
-        let see = move |sample: zenoh::sample::Sample| {
-            let _ = seen_in.send((sample.key_expr().as_str().to_owned(), sample.kind() == SampleKind::Put));
+        let seen = Tokens::default();
+        let see = {
+            let seen = seen.clone();
+            move |sample: zenoh::sample::Sample| {
+                seen.put(sample.key_expr().as_str(), sample.kind() == SampleKind::Put);
+            }
         };
         let mut subscribers = Vec::new();
         for tokens in [format!("**/{TOKEN}"), format!("**/{RUN}/*")] {
@@ -202,9 +210,9 @@ impl Followers {
         loop {
             tokio::select! {
                 () = ended(&mut down) => break,
-                Some((token, there)) = seen.recv() => match Keys::of_run(&token) {
+                (token, there) = seen.next() => match Keys::of_run(&token) {
                     Some((keys, run)) => self.run_seen(&keys, run, there).await,
-                    None => self.seen(&token, there, &mut followers, &down),
+                    None => self.seen(&token, there, &mut followers, &down).await,
                 },
             }
         }
@@ -214,10 +222,16 @@ impl Followers {
     /// A daemon has come or gone: two under one key do not see each other through this hub, and are notified.
     async fn run_seen(&mut self, keys: &Keys, run: &str, there: bool) {
         let key = keys.stage();
+        if there && self.runs.values().map(BTreeSet::len).sum::<usize>() >= RUNS {
+            return tracing::warn!("more than {RUNS} daemons: {key} is not looked at for a second one");
+        }
         let runs = self.runs.entry(key.to_owned()).or_default();
         _ = if there { runs.insert(run.to_owned()) } else { runs.remove(run) };
         if runs.len() < 2 {
             self.reported.remove(key);
+            if runs.is_empty() {
+                self.runs.remove(key);
+            }
         } else if !self.reported.contains_key(key) {
             tracing::warn!(
                 "{} daemons run under the key {key}: give all but one another zenoh.key",
@@ -231,7 +245,13 @@ impl Followers {
     }
 
     /// A token has come or gone.
-    fn seen(&mut self, token: &str, there: bool, followers: &mut JoinSet<()>, down: &watch::Receiver<bool>) {
+    async fn seen(
+        &mut self,
+        token: &str,
+        there: bool,
+        followers: &mut JoinSet<()>,
+        down: &watch::Receiver<bool>,
+    ) {
         let Some(keys) = Keys::of_token(token) else { return };
         match self.followed.get(keys.stage()) {
             Some(alive) => _ = alive.send_if_modified(|alive| std::mem::replace(alive, there) != there),
@@ -244,6 +264,12 @@ impl Followers {
                         keys.stage()
                     );
                 }
+                if self.followed.len() >= STAGES && !self.forget_one().await {
+                    return tracing::warn!(
+                        "{STAGES} stages are there, which is the most: {id:?} is not followed"
+                    );
+                }
+                self.board.enter(&id);
                 let (alive, seen) = watch::channel(true);
                 let follower = Follower {
                     fuse: self.fuse.contains(&id),
@@ -259,6 +285,18 @@ impl Followers {
                 followers.spawn(follower.run(down.clone()));
             }
         }
+    }
+}
+
+impl Followers {
+    /// Makes a place: the stage that has been gone longest gives up its own. False where all are there.
+    async fn forget_one(&mut self) -> bool {
+        let Some(id) = self.board.forget_one() else { return false };
+        tracing::info!("stage {id} is forgotten: another one has come");
+        // Its follower ends as nobody can say any more whether it is there.
+        self.followed.retain(|key, _| id_of(key) != id);
+        self.registry.leave(&id).await;
+        true
     }
 }
 

@@ -1,0 +1,130 @@
+//! What may come in at what rate: messages of a client, and bytes of a connection, whatever they are.
+//!
+//! Bytes are counted below everything that reads them: frames without an end or a content, pings, half requests and messages too
+//! many all cost what they take on the line. A connection that spends more is cut.
+
+use std::io;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use std::time::Instant;
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+
+use posed_stage::Limits;
+
+/// What may still come: refilled at a steady rate up to a burst.
+pub(super) struct Budget {
+    per_s: f64,
+    burst: f64,
+    left: f64,
+    at: Instant,
+}
+
+impl Budget {
+    pub(super) fn new(per_s: f64, burst: f64) -> Self {
+        Self { per_s, burst, left: burst, at: now() }
+    }
+
+    /// Takes from it; false where it does not hold so much.
+    pub(super) fn spend(&mut self, amount: f64, now: Instant) -> bool {
+        let elapsed_s = now.saturating_duration_since(self.at).as_secs_f64();
+        self.left = (self.left + elapsed_s * self.per_s).min(self.burst) - amount;
+        self.at = now;
+        self.left >= 0.0
+    }
+}
+
+/// A connection of which no more is read than its budget allows: then reading fails.
+pub(super) struct Metered<S> {
+    stream: S,
+    bytes: Budget,
+}
+
+impl<S> Metered<S> {
+    pub(super) fn new(stream: S, limits: &Limits) -> Self {
+        Self { stream, bytes: Budget::new(limits.bytes_per_s, limits.byte_burst) }
+    }
+}
+
+impl<S: AsyncRead + Unpin> AsyncRead for Metered<S> {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        let before = buffer.filled().len();
+        std::task::ready!(Pin::new(&mut self.stream).poll_read(context, buffer))?;
+        let came = buffer.filled().len() - before;
+        if self.bytes.spend(came as f64, now()) {
+            Poll::Ready(Ok(()))
+        } else {
+            Poll::Ready(Err(io::Error::new(
+                io::ErrorKind::QuotaExceeded,
+                "more bytes a second than are taken",
+            )))
+        }
+    }
+}
+
+impl<S: AsyncWrite + Unpin> AsyncWrite for Metered<S> {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.stream).poll_write(context, bytes)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(context)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(context)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        parts: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.stream).poll_write_vectored(context, parts)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.stream.is_write_vectored()
+    }
+}
+
+#[expect(clippy::disallowed_methods, reason = "rates of a connection")]
+pub(super) fn now() -> Instant {
+    Instant::now()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use tokio::io::AsyncReadExt;
+
+    use super::*;
+
+    #[test]
+    fn a_budget_allows_bursts_and_a_rate() {
+        let mut budget = Budget::new(10.0, 3.0);
+        let start = budget.at;
+        assert!((0..3).all(|_| budget.spend(1.0, start)));
+        assert!(!budget.spend(1.0, start));
+        let later = start + Duration::from_millis(250);
+        assert!(budget.spend(1.0, later), "two and a half came back, one was owed");
+    }
+
+    #[tokio::test]
+    async fn a_connection_is_read_up_to_its_budget() {
+        let limits = Limits { bytes_per_s: 1.0, byte_burst: 100.0, ..Limits::default() };
+        let mut metered = Metered::new(&[7_u8; 300][..], &limits);
+        let mut read = [0; 64];
+        metered.read_exact(&mut read).await.unwrap();
+        assert_eq!(metered.read(&mut read).await.unwrap_err().kind(), io::ErrorKind::QuotaExceeded);
+    }
+}
