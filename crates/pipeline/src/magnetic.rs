@@ -14,6 +14,9 @@ use posed_fusion::noise::TrackerNoise;
 use posed_fusion::{Track, Tracker, Tuning};
 use posed_stage::output::{Measured, PoseEstimate};
 
+/// Uncertainty that a pose may gain on the way from its record to its frame, m and rad (3-D, one sigma), before it is no longer good.
+const LOST_M: f64 = 0.1;
+const LOST_RAD: f64 = 0.35;
 /// From these speeds on a sensor counts as moving, m/s and rad/s.
 const MOVING_M_S: f64 = 0.05;
 pub(super) const MOVING_RAD_S: f64 = 0.2;
@@ -158,6 +161,17 @@ impl Magnetic {
         let moving = track.as_ref().is_some_and(is_moving);
         (track.and_then(|track| in_room(&track, room, self.map_sigma_m)), moving)
     }
+
+    /// Whether the way from the newest believed record of this frame to `t` has left nobody knows what: of a filter that has just
+    /// begun, the velocity is unknown.
+    pub(super) fn is_lost(&self, t: Timestamp) -> bool {
+        let (Some(track), Some(reading)) = (self.tracker.at(t), &self.reading) else { return false };
+        let position = track.position_m().is_some()
+            && track.position_m2().trace() > reading.position_m2.trace() + LOST_M.powi(2);
+        let rotation = track.orientation().is_some()
+            && track.rotation_rad2().trace() > 3.0 * reading.rotation_rad2 + LOST_RAD.powi(2);
+        position || rotation
+    }
 }
 
 fn is_moving(track: &Track) -> bool {
@@ -203,4 +217,35 @@ pub(super) fn upper_triangle(position_m2: &Matrix3<f64>, rotation_rad2: &Matrix3
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_first_record_carried_far_is_lost_and_one_carried_a_little_is_not() {
+        let at = |s: f64| Timestamp::from_nanos((s * 1e9) as i64);
+        let record = Measured {
+            t_valid: at(1.0),
+            position_m: Some([0.4, 0.1, 0.2]),
+            orientation_wxyz: Some([1.0, 0.0, 0.0, 0.0]),
+            button: None,
+            inertial: None,
+        };
+        let field = Field::new(&posed_stage::Stage::parse("name = \"test\"").unwrap());
+        let mut magnetic = Magnetic::new();
+        let mut measure = |magnetic: &mut Magnetic, s: f64| {
+            magnetic.begin_frame();
+            let position_m = Some([0.4 + 0.01 * s, 0.1, 0.2 - 0.01 * s]);
+            magnetic.measure(&Measured { t_valid: at(s), position_m, ..record }, false, None, &field);
+            magnetic.reading.is_some()
+        };
+        let first_s = (0..9).map(|k| 1.0 + 0.25 * f64::from(k)).find(|s| measure(&mut magnetic, *s)).unwrap();
+        assert!(!magnetic.is_lost(at(first_s)) && !magnetic.is_lost(at(first_s + 0.005)));
+        assert!(magnetic.is_lost(at(first_s + 0.1)), "nobody knows its velocity");
+        // Once that is known, the same way is no matter.
+        assert!((1..50).all(|k| measure(&mut magnetic, first_s + 0.01 * f64::from(k))));
+        assert!(!magnetic.is_lost(at(first_s + 0.49 + 0.1)));
+    }
 }

@@ -195,6 +195,10 @@ impl Sensor {
             }
         }
         self.state = SensorState::of(finding.as_ref());
+        let lost = |magnetic: &Magnetic| magnetic.is_lost(frame.t_valid);
+        if self.state.is_usable() && self.magnetic().is_some_and(lost) {
+            self.state = SensorState::Suspect;
+        }
         self.count(slot, frame);
         let pose: Option<PoseEstimate>;
         (pose, self.moving) = match &self.kind {
