@@ -1,8 +1,9 @@
 //! Numbers the network computes with, and their matrix product.
 //!
 //! What comes in: views of slices as matrices. What goes out: sums of products. What it never does: read outside a
-//! slice; the product is `gemm`'s, which chooses its kernel (AVX-512, AVX2 and FMA, ...) when it runs. Doubles, which
-//! only check gradients, are multiplied one by one.
+//! slice; the product is `gemm`'s, which chooses its kernel (AVX-512, AVX2 and FMA, ...) when it runs, so that its last bits are
+//! the processor's: for training and whole sequences, while the live stream multiplies in one order of its own. Doubles,
+//! which only check gradients, are multiplied one by one.
 
 #![expect(unsafe_code, reason = "the matrix product takes pointers; every view is checked against its slice")]
 
