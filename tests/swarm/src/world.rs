@@ -64,6 +64,8 @@ struct World<'a> {
     frames: u64,
     /// By sensor, the last time that it was good.
     good: Vec<Timestamp>,
+    /// By sensor, the newest state.
+    states: Vec<SensorState>,
     failure: Option<String>,
 }
 
@@ -100,6 +102,7 @@ pub(crate) fn run(plan: &Plan, seed: u64) -> Result<(Summary, Vec<Entry>), Strin
         last: None,
         frames: 0,
         good: vec![Timestamp::ZERO; stage.sensors.len()],
+        states: vec![SensorState::default(); stage.sensors.len()],
         failure: None,
     };
     for input in world.host.opened() {
@@ -242,6 +245,8 @@ impl World<'_> {
         if estimate.t_closed != t || estimate.t_valid.seconds_since(estimate.t_closed) > AHEAD_S {
             return Err(format!("frame {} of {:?} closed at {t:?}", estimate.frame, estimate.t_valid));
         }
+        self.states.clear();
+        self.states.extend(estimate.sensors.iter().map(|sensor| sensor.state));
         for (sensor, good) in estimate.sensors.iter().zip(&mut self.good) {
             if sensor.pose.as_ref().is_some_and(|pose| !pose.is_finite()) {
                 return Err(format!("frame {}: a number of a pose is not finite", estimate.frame));
@@ -257,12 +262,12 @@ impl World<'_> {
     /// All that the plan has not taken away for good is good again.
     fn all_are_back(&self, plan: &Plan) -> Result<(), String> {
         let status = self.pipeline.status();
-        for (sensor, good) in self.stage.sensors.iter().zip(&self.good) {
+        for ((sensor, good), state) in self.stage.sensors.iter().zip(&self.good).zip(&self.states) {
             let at = self.stage.devices.iter().position(|device| device.name == sensor.device);
             let at = at.ok_or("a sensor of no device")?;
             if plan.devices[at].returns && good.as_secs_f64() < plan.calm_from_s + RETURN_S {
                 return Err(format!(
-                    "{} is not back {CALM_S} s after the last fault, which ended at {:.3} s: last good at {:.3} s, {:?}",
+                    "{} is not back {CALM_S} s after the last fault, which ended at {:.3} s: last good at {:.3} s, {state:?} at the end, {:?}",
                     sensor.name,
                     plan.calm_from_s,
                     good.as_secs_f64(),
