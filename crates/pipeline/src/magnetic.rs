@@ -235,7 +235,7 @@ mod tests {
         };
         let field = Field::new(&posed_stage::Stage::parse("name = \"test\"").unwrap());
         let mut magnetic = Magnetic::new();
-        let mut measure = |magnetic: &mut Magnetic, s: f64| {
+        let measure = |magnetic: &mut Magnetic, s: f64| {
             magnetic.begin_frame();
             let position_m = Some([0.4 + 0.01 * s, 0.1, 0.2 - 0.01 * s]);
             magnetic.measure(&Measured { t_valid: at(s), position_m, ..record }, false, None, &field);
