@@ -8,7 +8,7 @@ use tokio::net::TcpStream;
 use tokio_tungstenite::tungstenite::Message;
 
 use super::clients::{Socket, connect, subscribe};
-use super::vrpn;
+use super::{hostile, vrpn};
 
 pub(crate) fn run(kind: &str, url: &str) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
@@ -31,6 +31,7 @@ pub(crate) fn run(kind: &str, url: &str) {
             "flood" => flood(url).await,
             "slow" => slow(url).await,
             "crowd" => crowd(url).await,
+            "hostile" => hostile::run(url).await,
             other => panic!("there is no scenario {other}"),
         }
         std::future::pending::<()>().await;
@@ -105,12 +106,12 @@ async fn crowd(url: &str) {
 }
 
 /// `HOST:PORT` of a websocket address.
-fn address(url: &str) -> &str {
+pub(super) fn address(url: &str) -> &str {
     let rest = url.split_once("://").map_or(url, |(_, rest)| rest);
     rest.split('/').next().unwrap_or(rest)
 }
 
 #[expect(clippy::disallowed_methods, reason = "this program owns its clock")]
-async fn pause(ms: u64) {
+pub(super) async fn pause(ms: u64) {
     tokio::time::sleep(Duration::from_millis(ms)).await;
 }

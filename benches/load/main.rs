@@ -10,11 +10,12 @@
 //! and the bad client in a third. Latency is from handing over the frame to having received the whole message and read its
 //! time. With `--url` it is the age of the pose: from its capture time. `pause` is the longest time without a message at any client, `late` by how
 //! much a thread that only sleeps and hands over frames, the server's runtime and the clients' came to run too late: of a pause of that length the computer, the
-//! server or the clients are the cause.
+//! server or the clients are the cause. `peak MB` is the most memory that this process has had until then.
 #![expect(clippy::print_stdout, reason = "the table is what it is for")]
 
 mod bullies;
 mod clients;
+mod hostile;
 mod serve;
 mod vrpn;
 mod wakes;
@@ -40,7 +41,7 @@ struct Args {
     /// Length of a scenario, after a second of warming up.
     #[arg(long, default_value_t = 10.0)]
     seconds: f64,
-    /// One scenario instead of all: quiet, stalled, greeting, flood, slow, crowd.
+    /// One scenario instead of all: quiet, stalled, greeting, flood, slow, crowd, hostile; several with commas between them.
     #[arg(long)]
     scenario: Option<String>,
     /// VRPN clients instead of websockets.
@@ -60,13 +61,14 @@ struct Args {
     bench: bool,
 }
 
-const SCENARIOS: [(&str, &str); 6] = [
+const SCENARIOS: [(&str, &str); 7] = [
     ("quiet", "nobody else"),
     ("stalled", "one client subscribes and never reads"),
     ("greeting", "50 connections send half a request"),
     ("flood", "one client sends as fast as it can, and comes back"),
     ("slow", "five clients read five messages per second"),
     ("crowd", "10,000 connections one after another, 500 at a time"),
+    ("hostile", "1,000 connections of ten kinds at once, each of which comes back"),
 ];
 
 fn main() {
@@ -94,7 +96,7 @@ fn scenarios(args: &Args) {
         }
     );
     println!(
-        "{:<9} {:>9} {:>8} {:>7} {:>7} {:>7} {:>7} {:>8} {:>7} {:>14} {:>7} {:>7}  load",
+        "{:<9} {:>9} {:>8} {:>7} {:>7} {:>7} {:>7} {:>8} {:>7} {:>14} {:>7} {:>7} {:>7}  load",
         "scenario",
         "msgs/s",
         "MB/s",
@@ -106,10 +108,11 @@ fn scenarios(args: &Args) {
         "dropped",
         "late ms",
         "server%",
-        "client%"
+        "client%",
+        "peak MB"
     );
     for (name, what) in SCENARIOS {
-        if args.scenario.as_deref().is_some_and(|only| only != name) {
+        if args.scenario.as_deref().is_some_and(|some| !some.split(',').any(|wanted| wanted == name)) {
             continue;
         }
         if args.vrpn && !["quiet", "stalled", "greeting", "flood"].contains(&name) {
@@ -138,14 +141,26 @@ fn scenarios(args: &Args) {
         });
         let late = format!("{:.1}/{:.1}/{:.1}", late_ms[0], late_ms[1], report.late_ms);
         let clients = report.cpu_percent;
-        println!("{name:<9} {} {late:>14} {server:>7.1} {clients:>7.1}  {}  {what}", report.row(), load());
+        let peak_mb = peak_mb();
+        println!(
+            "{name:<9} {} {late:>14} {server:>7.1} {clients:>7.1} {peak_mb:>7.0}  {}  {what}",
+            report.row(),
+            load()
+        );
         drop(served);
     }
 }
 
 fn child(args: &Args, role: &str, url: &str) -> Child {
     let exe = std::env::current_exe().expect("own path");
-    let mut command = Command::new(exe);
+    // A thousand clients do not share the processors of a stage's computer: they give way to it.
+    let mut command = match role {
+        "hostile" => Command::new("nice"),
+        _ => Command::new(&exe),
+    };
+    if role == "hostile" {
+        command.args(["-n", "19"]).arg(&exe);
+    }
     command.args(["--role", role, "--url", url]).stdout(Stdio::piped());
     command.args(["--clients", &args.clients.to_string(), "--seconds", &args.seconds.to_string()]);
     command.args(["--rate-hz", &args.rate_hz.to_string()]);
@@ -163,6 +178,14 @@ fn cpu_s(pid: u32) -> f64 {
     let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or("").split_whitespace().collect();
     let ticks = |at: usize| fields.get(at).and_then(|field| field.parse::<f64>().ok()).unwrap_or(0.0);
     (ticks(11) + ticks(12)) / 100.0
+}
+
+/// Most memory that this process has had, with the frames and the server in it, MB.
+fn peak_mb() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap_or_default();
+    let kilobytes = line.trim().trim_end_matches("kB").trim().parse::<f64>();
+    kilobytes.unwrap_or(0.0) / 1000.0
 }
 
 /// The machine's load over the last minute: what else was going on.

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-use posed_pipeline::Pipeline;
+use posed_pipeline::SupervisedPipeline;
 use posed_recording::{Item, Machine, Reader};
 use posed_stage::Stage;
 use posed_stage::output::{Estimate, Output};
@@ -26,7 +26,7 @@ impl Recorded {
     }
 
     /// Shows every estimate, in the order of the frames; the pipeline as it stood in the end.
-    pub(super) fn estimates(mut self, mut see: impl FnMut(&Estimate)) -> Result<Pipeline, Error> {
+    pub(super) fn estimates(mut self, mut see: impl FnMut(&Estimate)) -> Result<SupervisedPipeline, Error> {
         for item in self.reader.by_ref() {
             let Item::Entry(entry) = item.map_err(Error::failed)? else { continue };
             self.machine.pipeline.push(&entry, &mut |output| {

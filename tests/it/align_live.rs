@@ -5,7 +5,7 @@ use posed_drivers::Timestamp;
 use posed_fusion::align::Guide;
 use posed_fusion::align::{AlignError, AnchorPoint, Found, Recording, align_recording};
 use posed_geometry::{isometry, orientation_to_wxyz};
-use posed_pipeline::Pipeline;
+use posed_pipeline::{Pipeline, SupervisedPipeline};
 use posed_simulator::faults::Fault;
 use posed_simulator::inertial::ImuClass;
 use posed_simulator::motion::{Motion, Orbit};
@@ -265,7 +265,7 @@ fn the_imu_carries_the_pose_through_a_dropout_and_a_replay_says_the_same() {
     let silent = vec![Fault::BirdDies { address: 0, at_s: 8.0, duration_s: Some(0.4) }];
     let (stage, scenario) = scenario(6, silent);
     let mut rig = Rig::new(&stage, &scenario);
-    rig.pipeline = Pipeline::new(&stage_of(&found)).unwrap();
+    rig.pipeline = SupervisedPipeline::new(&stage_of(&found)).unwrap();
     rig.push(Input::Line { device: 0, event: posed_drivers::LineEvent::Opened { modem_lines: false } });
     rig.push(Input::Line { device: 1, event: posed_drivers::LineEvent::Opened { modem_lines: false } });
     rig.run_until(12.0);

@@ -8,9 +8,10 @@ use std::sync::mpsc as std_mpsc;
 use std::time::Duration;
 
 use posed_drivers::Timestamp;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::mpsc;
 
 use super::clock::StageClock;
+use super::fault_points;
 use super::inbox::{Event, Inbox};
 use super::jobs::{Job, Jobs};
 use super::observers::{Excerpt, GuidedCalibration, Observer, Observers, Samples, Source, Times};
@@ -20,9 +21,9 @@ use super::server::{Hub, Refusal, Reply};
 use posed_fusion::body::SEGMENTS;
 use posed_motion::fault_map::FaultMap;
 use posed_motion::fault_map::Frames;
-use posed_pipeline::Pipeline;
+use posed_pipeline::SupervisedPipeline;
 use posed_protocol::foxglove::Views;
-use posed_protocol::{Answer, Payload, Publisher, RecordingBegun, Status, schema};
+use posed_protocol::{Answer, Payload, Publisher, RecordingBegun, schema};
 use posed_recording::{Header, Snapshot, WriteError};
 use posed_stage::RecordingContent;
 use posed_stage::input::{Entry, Input, Model, Request, SensorIndex};
@@ -234,7 +235,7 @@ pub(super) struct Recording {
 pub(super) struct Fusion {
     pub(super) clock: StageClock,
     pub(super) inbox: FusionInbox,
-    pub(super) pipeline: Pipeline,
+    pub(super) pipeline: SupervisedPipeline,
     pub(super) publisher: Publisher,
     /// What recordings show to viewers.
     pub(super) views: Views,
@@ -242,7 +243,6 @@ pub(super) struct Fusion {
     pub(super) jobs: Jobs,
     pub(super) ports: Vec<mpsc::Sender<PortCommand>>,
     pub(super) observers: Observers,
-    pub(super) status: watch::Sender<Status>,
     pub(super) recording: Option<Recording>,
     /// Recordings that were stopped and still write their index, with who wants to know when they are whole.
     pub(super) ending: Vec<(Recording, Option<Reply>)>,
@@ -301,6 +301,11 @@ impl Fusion {
     /// One entry through recording and pipeline.
     fn step(&mut self, entry: &Entry) {
         self.entries += 1;
+        let _ = fault_points::pass("fusion");
+        #[cfg(feature = "fault-points")]
+        if fault_points::pass("pipeline").is_err() {
+            self.pipeline.panic_next();
+        }
         let Self { pipeline, publisher, views, hub, ports, observers, recording, clock, .. } = self;
         let content = self.recording_header.content;
         observers.on_entry(entry);
@@ -309,6 +314,7 @@ impl Fusion {
             recorder.entry(entry);
         }
         let mut published = Timestamp::ZERO;
+        let left_out = pipeline.entries_left_out();
         pipeline.push(entry, &mut |output| {
             observers.on_output(&output, &Times { read: entry.t, published, now: clock.now() });
             match output {
@@ -353,6 +359,13 @@ impl Fusion {
             published = clock.now();
         });
         observers.after_entry(pipeline);
+        if pipeline.entries_left_out() > left_out {
+            // The panic itself stands in the log above.
+            tracing::error!(
+                "tracking went on without what it panicked at; please report this with a recording"
+            );
+            observers.health.touch();
+        }
     }
 
     fn command(&mut self, command: Command) {
@@ -505,7 +518,6 @@ impl Fusion {
         }
         let status =
             self.observers.health.status(now, &self.pipeline.status(), self.recording.as_ref(), &self.clock);
-        self.status.send_replace(status.clone());
         self.hub.publish_status(status);
     }
 }

@@ -3,7 +3,7 @@
 //! ```text
 //!  port task ┐  read, stamp                               ┌─> hub ──> server ──> clients
 //!  port task ┼──────────────> inbox ──> fusion thread ────┼─> recorder thread
-//!  timer     ┘  Entry         bounded   Pipeline::push    └─> port tasks
+//!  timer     ┘  Entry         bounded  Supervised::push   └─> port tasks
 //! ```
 //! Ports push what they read into one [`inbox`]; the [`fusion`] thread takes it from there, records it, pushes it
 //! through the pipeline and hands the outputs on. What clients ask for is carried out by [`calls`]. No client, disk or device makes
@@ -25,6 +25,7 @@
 mod calibration;
 mod calls;
 mod clock;
+mod fault_points;
 pub mod find;
 mod fusion;
 mod inbox;
@@ -73,7 +74,7 @@ use self::ports::{DevicePort, PortTask};
 use self::server::{BindError, Server};
 use self::service::Service;
 use posed_motion::segments::Model;
-use posed_pipeline::{Pipeline, PipelineError};
+use posed_pipeline::{PipelineError, SupervisedPipeline};
 use posed_protocol::foxglove::Views;
 use posed_protocol::{Fields, Problem, Publisher, Status, Topic};
 use posed_stage::Stage;
@@ -154,7 +155,6 @@ pub struct Daemon {
     clock: StageClock,
     service: Service,
     inbox: FusionInbox,
-    status: watch::Receiver<Status>,
     ports: Vec<Option<PortTask>>,
     fusion: std::thread::JoinHandle<()>,
     /// Dropped at the end.
@@ -220,7 +220,6 @@ impl Daemon {
         let mut service = Service::start(server);
         let jobs = Jobs::new(clock, hub.clone());
 
-        let (status_sender, status) = watch::channel(Status::default());
         let mut commands = Vec::new();
         let mut ports = Vec::new();
         for device in 0..stage.devices.len() {
@@ -240,14 +239,13 @@ impl Daemon {
         let mut fusion = Fusion {
             clock,
             inbox: inbox.clone(),
-            pipeline: Pipeline::new(&stage)?,
+            pipeline: SupervisedPipeline::new(&stage)?,
             publisher: Publisher::new(&stage, Fields::all()),
             views: Views::new(&stage, clock.epoch_utc_ns(), stage.recording.content),
             hub,
             jobs: jobs.clone(),
             ports: commands,
             observers: Observers::new(&stage, calibration.clone(), log),
-            status: status_sender,
             recording: None,
             ending: Vec::new(),
             entries: 0,
@@ -273,7 +271,7 @@ impl Daemon {
         let calls = Calls::new(&stage, data, clock, inbox.clone(), jobs, calibration);
         let calls = calls.run(pending, service.down());
         service.spawn("what answers requests", calls);
-        Ok(Self { clock, service, inbox, status, ports, fusion, link: session })
+        Ok(Self { clock, service, inbox, ports, fusion, link: session })
     }
 
     /// Gives a device (index in the stage's list) an open stream instead of its port; it is not opened again when it ends. Does
@@ -285,7 +283,7 @@ impl Daemon {
         if let Some(mut task) = self.ports.get_mut(usize::from(device)).and_then(Option::take) {
             // A stream that ends is no port that can be opened again.
             self.service.spawn_aside(async move {
-                if let Some(reason) = task.serve_stream(Port::new(stream)).await {
+                if let Some(reason) = task.serve_once(Port::new(stream)).await {
                     task.closed(reason);
                 }
             });
@@ -324,9 +322,9 @@ impl Daemon {
         self.service.part_ended()
     }
 
-    /// The newest status: at least one a second; empty before the first.
+    /// The newest status that clients have been sent: at least one a second while tracking and server live; empty before the first.
     pub fn status(&self) -> watch::Receiver<Status> {
-        self.status.clone()
+        self.service.status()
     }
 
     /// Ends everything: the recording is complete, clients are notified of the end. Takes less than five seconds, and what a link

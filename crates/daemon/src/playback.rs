@@ -47,7 +47,6 @@ fn forget_placeholders(server: &mut posed_stage::Server) {
 /// A recording being served; ends with [`Playback::shutdown`].
 pub struct Playback {
     service: Service,
-    status: watch::Receiver<Status>,
     commands: mpsc::Sender<Command>,
     player: std::thread::JoinHandle<()>,
 }
@@ -81,11 +80,10 @@ impl Playback {
         let (server, hub, mut calls) = Server::bind(&stage, config)?;
         let mut service = Service::start(server);
 
-        let (status_sender, status) = watch::channel(Status::default());
         let (commands, received) = mpsc::channel();
         let clock = StageClock::start();
         let jobs = Jobs::new(clock, hub.clone());
-        let outlet = Outlet { clock, hub, jobs, status: status_sender };
+        let outlet = Outlet { clock, hub, jobs };
         let played = Played { path: recording.to_owned(), end: outline.end };
         let player = Player::new(outlet, received, played, folder, speed)?;
         #[expect(clippy::disallowed_methods, reason = "the daemon owns the player's thread")]
@@ -107,7 +105,7 @@ impl Playback {
                 }
             }
         });
-        Ok(Self { service, status, commands, player })
+        Ok(Self { service, commands, player })
     }
 
     /// The address to open in a browser, as [`Daemon::url`](super::Daemon::url).
@@ -120,9 +118,9 @@ impl Playback {
         self.service.part_ended()
     }
 
-    /// The newest status: about one a second; empty before the first.
+    /// The newest status that clients have been sent: about one a second; empty before the first.
     pub fn status(&self) -> watch::Receiver<Status> {
-        self.status.clone()
+        self.service.status()
     }
 
     /// Ends everything; clients are notified of the end. Takes less than five seconds.

@@ -9,7 +9,6 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
 use posed_drivers::Timestamp;
-use tokio::sync::watch;
 
 use super::clock::StageClock;
 use super::jobs::{Failure, Job, Jobs};
@@ -17,8 +16,8 @@ use super::observers::Health;
 use super::recordings;
 use super::server::{Hub, PendingCall, Refusal};
 use super::track;
-use posed_pipeline::Pipeline;
-use posed_protocol::{Answer, Call, Recordings, ReplayStatus, Started, Status};
+use posed_pipeline::SupervisedPipeline;
+use posed_protocol::{Answer, Call, Recordings, ReplayStatus, Started};
 use posed_recording::{Item, Machine, MachineError, Outline, ReadError, Reader};
 use posed_stage::Stage;
 use posed_stage::input::Entry;
@@ -44,7 +43,6 @@ pub(super) struct Player {
     commands: Receiver<Command>,
     hub: Hub,
     jobs: Jobs,
-    status: watch::Sender<Status>,
     folder: PathBuf,
     stage: Stage,
     health: Health,
@@ -57,7 +55,6 @@ pub(super) struct Outlet {
     pub(super) clock: StageClock,
     pub(super) hub: Hub,
     pub(super) jobs: Jobs,
-    pub(super) status: watch::Sender<Status>,
 }
 
 /// A recording's file and what its index says.
@@ -78,7 +75,7 @@ struct Seeking {
 struct Playing {
     played: Played,
     reader: Reader<std::io::BufReader<std::fs::File>>,
-    pipeline: Pipeline,
+    pipeline: SupervisedPipeline,
     begun: Timestamp,
     /// The next entry, read and not yet played.
     next: Option<Entry>,
@@ -99,11 +96,11 @@ impl Player {
         folder: PathBuf,
         speed: f64,
     ) -> Result<Self, PlayError> {
-        let Outlet { clock, hub, jobs, status } = outlet;
+        let Outlet { clock, hub, jobs } = outlet;
         let playing = Playing::open(played, None, speed, clock.now())?;
         let stage = Stage::parse(&playing.reader.header().stage_toml).map_err(MachineError::from)?;
         let health = Health::new(&stage);
-        Ok(Self { clock, commands, hub, jobs, status, folder, stage, health, playing, seeking: None })
+        Ok(Self { clock, commands, hub, jobs, folder, stage, health, playing, seeking: None })
     }
 
     /// Runs until [`Command::Shutdown`].
@@ -273,7 +270,6 @@ impl Player {
             speed: speed.is_finite().then_some(*speed),
             ended: ended.clone(),
         });
-        self.status.send_replace(status.clone());
         self.hub.publish_status(status);
     }
 }

@@ -3,8 +3,10 @@
 //! It decodes nothing and knows no protocol. A port that is away costs nobody else anything. One that takes no bytes is given up,
 //! and one that gives none although its device is asked is opened anew: a handle may outlive what it was opened on.
 
+use std::panic::AssertUnwindSafe;
 use std::time::Duration;
 
+use futures_util::FutureExt;
 use posed_drivers::LineEvent;
 use posed_drivers::port::{self, Port, Stream};
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -12,6 +14,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 
 use super::clock::StageClock;
+use super::fault_points;
 use super::find;
 use super::fusion::FusionInbox;
 use posed_stage::input::{DeviceIndex, Entry, Input};
@@ -27,6 +30,9 @@ const WRITE_TIMEOUT: Duration = Duration::from_secs(2);
 const DEAF: Duration = Duration::from_secs(8);
 /// Longer than anything a device sends between two wake-ups of a healthy reader.
 const READ_BYTES: usize = 4096;
+
+/// What is said where it has panicked.
+const FAULT: &str = "what reads the port has had a fault of its own; please report this";
 
 /// What the fusion thread asks of a port.
 #[derive(Debug, PartialEq, Eq)]
@@ -102,9 +108,23 @@ impl DevicePort {
 }
 
 impl PortTask {
-    /// Keeps the port of a device open until shutdown; where it is looked for, it may be another one each time.
+    /// Keeps the port of a device open until shutdown. Where that panics it begins again, as after an unplugged cable: one port's
+    /// fault ends nothing else.
     #[expect(clippy::disallowed_methods, reason = "the daemon retries on its own clock")]
     pub(super) async fn keep_open(mut self, place: DevicePort) {
+        while AssertUnwindSafe(self.open_and_serve(&place)).catch_unwind().await.is_err() {
+            let device = place.device();
+            tracing::error!(
+                "what reads the port of {device} has panicked and begins again; please report this"
+            );
+            self.closed(FAULT.to_owned());
+            tokio::time::sleep(RETRY).await;
+        }
+    }
+
+    /// The same without that; where a port is looked for, it may be another one each time.
+    #[expect(clippy::disallowed_methods, reason = "the daemon retries on its own clock")]
+    async fn open_and_serve(&mut self, place: &DevicePort) {
         let mut reported = None;
         loop {
             let opened = tokio::select! {
@@ -113,7 +133,7 @@ impl PortTask {
             };
             let reason = match opened {
                 Ok(port) => {
-                    let Some(reason) = self.serve(port, &place).await else { return };
+                    let Some(reason) = self.serve(port, place).await else { return };
                     reason
                 }
                 Err(reason) => reason,
@@ -155,11 +175,16 @@ impl PortTask {
         }
     }
 
-    /// The same for a stream that cannot be opened anew.
-    pub(super) async fn serve_stream<S: AsyncRead + AsyncWrite + Unpin>(
+    /// The same for a stream that cannot be opened anew, and a panic is one more reason.
+    pub(super) async fn serve_once<S: AsyncRead + AsyncWrite + Unpin>(
         &mut self,
-        mut port: Port<S>,
+        port: Port<S>,
     ) -> Option<String> {
+        let served = AssertUnwindSafe(self.serve_stream(port)).catch_unwind().await;
+        served.unwrap_or_else(|_| Some(FAULT.to_owned()))
+    }
+
+    async fn serve_stream<S: AsyncRead + AsyncWrite + Unpin>(&mut self, mut port: Port<S>) -> Option<String> {
         self.opened(&port);
         loop {
             match self.pump(&mut port).await {
@@ -188,6 +213,7 @@ impl PortTask {
                 () = tokio::time::sleep_until(deaf_at), if asked.is_some() => return End::Deaf,
                 read = port.read(&mut buffer) => match read {
                     Ok(n) => {
+                        let _ = fault_points::pass("port");
                         let t = self.clock.now();
                         let input = Input::Bytes { device: self.device, bytes: buffer[..n].to_vec() };
                         self.inbox.enter(Entry { t, input });
@@ -203,7 +229,11 @@ impl PortTask {
                         written.unwrap_or_else(|_| Err(std::io::Error::other("it takes no bytes")))
                     }
                     Some(PortCommand::SetRts(asserted)) => port.set_rts(asserted),
-                    None => return End::Shutdown,
+                    // Tracking has ended; who ends the daemon is to hear of that, and not of what follows from it.
+                    None => {
+                        ended(&mut self.shutdown).await;
+                        return End::Shutdown;
+                    }
                 },
             };
             if let Err(error) = done {

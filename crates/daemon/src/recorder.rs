@@ -16,6 +16,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
 use posed_drivers::Timestamp;
 
+use super::fault_points;
 use posed_protocol::foxglove::Channel;
 use posed_recording::{Header, WriteError, Writer, sync_folder_of};
 use posed_stage::input::{DeviceIndex, Entry, Input};
@@ -281,16 +282,25 @@ fn run<S: FnMut() -> io::Result<()> + Send>(
 ) -> Result<(), WriteError> {
     let (ask, asked) = bounded(1);
     let (failed, failure) = bounded(1);
+    let sync_once = &mut *sync;
     std::thread::scope(|scope| {
-        scope.spawn(|| {
+        // It owns its ends of the queues: they close with it, however it ends.
+        scope.spawn(move || {
+            let mut sync = || fault_points::pass("sync").and_then(|()| sync_once());
             if let Some(error) = asked.iter().find_map(|()| sync().err()) {
                 let _ = failed.send(error);
             }
         });
         let written = write(&mut writer, receiver, shared, || {
             // Where it is still at the time before, it is asked again at the next.
-            let _ = ask.try_send(());
-            failure.try_recv().map_or(Ok(()), Err)
+            let asked = ask.try_send(());
+            if let Ok(error) = failure.try_recv() {
+                return Err(error);
+            }
+            match asked {
+                Err(TrySendError::Disconnected(())) => Err(io::Error::other("what syncs it has crashed")),
+                Ok(()) | Err(TrySendError::Full(())) => Ok(()),
+            }
         });
         // The other thread ends with it.
         drop(ask);
@@ -324,6 +334,7 @@ fn write(
                 let begins = matches!(job, Job::Entry(_));
                 if begins && Instant::now() >= next_flush {
                     next_flush = Instant::now() + FLUSH_EVERY;
+                    fault_points::pass("recorder")?;
                     writer.flush()?;
                     synced()?;
                 }

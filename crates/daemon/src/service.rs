@@ -11,6 +11,7 @@ use tokio::task::JoinSet;
 use super::ports::ended;
 use super::server::Server;
 use super::vital::{PartEnded, Vital};
+use posed_protocol::Status;
 
 /// Time that the thread has to end, a recording included.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(4);
@@ -20,6 +21,7 @@ pub(super) struct Service {
     address: SocketAddr,
     vrpn_address: Option<SocketAddr>,
     url: String,
+    status: watch::Receiver<Status>,
     shutdown: watch::Sender<bool>,
     vital: Vital,
     tasks: JoinSet<()>,
@@ -29,12 +31,13 @@ impl Service {
     /// Serves clients. Needs a tokio runtime.
     pub(super) fn start(server: Server) -> Self {
         let (address, vrpn_address, url) = (server.address(), server.vrpn_address(), server.url());
+        let status = server.status();
         let (shutdown, mut down) = watch::channel(false);
         let vital = Vital::new(shutdown.subscribe());
         let mut tasks = JoinSet::new();
         let serving = server.run(async move { ended(&mut down).await }, vital.clone());
         tasks.spawn(vital.task("the server", serving));
-        Self { address, vrpn_address, url, shutdown, vital, tasks }
+        Self { address, vrpn_address, url, status, shutdown, vital, tasks }
     }
 
     pub(super) fn address(&self) -> SocketAddr {
@@ -47,6 +50,12 @@ impl Service {
 
     pub(super) fn url(&self) -> &str {
         &self.url
+    }
+
+    /// The newest status that clients have been sent: at least one a second while all that it passes through lives; empty before
+    /// the first.
+    pub(super) fn status(&self) -> watch::Receiver<Status> {
+        self.status.clone()
     }
 
     /// True once everything is to end.

@@ -4,7 +4,17 @@
 //! by a panic or by itself. What it never does: start a part again. Whoever runs the daemon ends it with an error, and a service
 //! manager starts it anew in a second, from a state that holds together.
 //!
-//! What serves one client, one job or one recording is no such part: it may end alone, and its owner says so.
+//! What becomes of each part that panics:
+//!
+//! | part | what happens |
+//! |---|---|
+//! | the pipeline | goes on without the entry, or from the beginning ([`posed_pipeline::SupervisedPipeline`]); a problem in `status` |
+//! | a device's port | begins again, as after an unplugged cable; the device's state says so |
+//! | a request | is answered with an error; the others go on |
+//! | a job, a recording | ends with a reason; the others go on |
+//! | a client's connection | ends; the others go on |
+//! | what feeds LSL or zenoh | ends; a problem in `status` |
+//! | tracking around the pipeline, the server, what sends to clients, what serves VRPN, what answers requests | the program ends with its name and exit code 1 |
 
 use std::future::Future;
 

@@ -50,11 +50,13 @@ impl Answers {
     /// Declares the stage, last of all its token, and answers until `stopped`.
     pub(super) fn start(self, session: Session, stopped: Receiver<()>) -> Result<JoinHandle<()>, LinkError> {
         let (failed, begun) = bounded(1);
-        let thread =
-            thread("zenoh-answers", move || match self.run(&session, &stopped, || _ = failed.send(None)) {
+        let thread = thread("zenoh-answers", move || {
+            let answer = || match self.run(&session, &stopped, || _ = failed.send(None)) {
                 Ok(()) => _ = session.close().wait(),
                 Err(error) => _ = failed.send(Some(LinkError::Zenoh(error))),
-            })?;
+            };
+            self.feed.guard("what answers on zenoh", answer);
+        })?;
         match begun.recv() {
             Ok(None) => Ok(thread),
             Ok(Some(error)) => Err(error),

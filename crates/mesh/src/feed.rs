@@ -4,8 +4,9 @@
 //! queue: where that is full, states are lost and counted, and events are asked for later. Never: a wait. What nobody has subscribed to is not written.
 
 use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 
@@ -34,6 +35,8 @@ struct Shared {
     kept: Mutex<Kept>,
     wanted: Wanted,
     twins: Twins,
+    /// The thread that has panicked.
+    broken: OnceLock<&'static str>,
     out: Sender<Out>,
     lost: AtomicU64,
 }
@@ -93,6 +96,7 @@ impl Feed {
             kept: Mutex::default(),
             wanted: Wanted::default(),
             twins: Twins::default(),
+            broken: OnceLock::new(),
             out,
             lost: AtomicU64::new(0),
         };
@@ -150,6 +154,13 @@ impl Feed {
         self.shared.about.run
     }
 
+    /// Runs a thread of the session; where it panics, that is reported instead of passed over.
+    pub(super) fn guard(&self, thread: &'static str, run: impl FnOnce()) {
+        if catch_unwind(AssertUnwindSafe(run)).is_err() {
+            let _ = self.shared.broken.set(thread);
+        }
+    }
+
     pub(super) fn wanted(&self) -> &Wanted {
         &self.shared.wanted
     }
@@ -201,7 +212,11 @@ impl posed_daemon::link::Feed for Feed {
     }
 
     fn problem(&self) -> Option<Problem> {
-        self.shared.twins.problem(&self.shared.about.key)
+        let broken = self.shared.broken.get().map(|thread| Problem {
+            code: "zenoh".to_owned(),
+            message: format!("{thread} had a fault of its own, and other machines get nothing more: restart posed, and please report this"),
+        });
+        broken.or_else(|| self.shared.twins.problem(&self.shared.about.key))
     }
 }
 

@@ -70,17 +70,17 @@ impl Threads {
                 let declared = Publishers::declare(&session, &keys, &feed);
                 let _ = failed.send(declared.as_ref().err().map(ToString::to_string));
                 if let Ok(publishers) = declared {
-                    publishers.run(&out, &stopped);
+                    feed.guard("what publishes on zenoh", || publishers.run(&out, &stopped));
                 }
             }
         })?];
         threads.push(thread("zenoh-log", {
-            let (session, keys, log) = (session.clone(), keys.clone(), log.clone());
+            let (session, keys, log, feed) = (session.clone(), keys.clone(), log.clone(), feed.clone());
             move || {
                 let declared = declare_log(&session, &keys, &log);
                 let _ = failed.send(declared.as_ref().err().map(ToString::to_string));
                 if let Ok(publisher) = declared {
-                    run_log(&publisher, &log);
+                    feed.guard("what passes the input log on", || run_log(&publisher, &log));
                 }
             }
         })?);

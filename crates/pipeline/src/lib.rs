@@ -39,6 +39,7 @@ mod sensor;
 mod session;
 mod source;
 mod status;
+mod supervised;
 mod units;
 
 use nalgebra::Isometry3;
@@ -68,6 +69,8 @@ use posed_stage::{LoadedModels, Stage};
 use sensor::Sensor;
 use source::Source;
 pub use status::{BodyStatus, ClockStatus, DeviceStatus, PipelineStatus, SensorStatus};
+use supervised::Recoveries;
+pub use supervised::SupervisedPipeline;
 use units::Units;
 
 /// A stage file that no pipeline can be made of, or a snapshot that does not fit it.
@@ -139,6 +142,10 @@ pub struct Pipeline {
     keyframes: Option<Keyframes>,
     models_refused: u64,
     requests_refused: u64,
+    /// By device, whether its port has modem lines, if it is open.
+    opened: Vec<Option<bool>>,
+    /// Of a [`SupervisedPipeline`].
+    recoveries: Recoveries,
     /// Boxed: most stages have none.
     #[state(each)]
     naming: Option<Box<Naming>>,
@@ -197,6 +204,8 @@ impl Pipeline {
                 .collect(),
             devices,
             sources,
+            opened: vec![None; stage.devices.len()],
+            recoveries: Recoveries::default(),
             room_transmitter,
             field: Field::new(stage),
             estimate: Estimate {
@@ -301,12 +310,19 @@ impl Pipeline {
                 }),
             models_refused: self.models_refused,
             requests_refused: self.requests_refused,
+            entries_left_out: self.recoveries.entries_left_out(),
+            begun_anew: self.recoveries.begun_anew(),
         }
     }
 
     fn line(&mut self, device: DeviceIndex, event: &LineEvent, emit: &mut impl FnMut(Output<'_>)) {
         let now = self.now;
         let Some(owner) = self.devices.get_mut(usize::from(device)) else { return };
+        match event {
+            LineEvent::Opened { modem_lines } => self.opened[usize::from(device)] = Some(*modem_lines),
+            LineEvent::Closed { .. } => self.opened[usize::from(device)] = None,
+            LineEvent::Dropped { .. } => {}
+        }
         if matches!(event, LineEvent::Opened { modem_lines: true }) {
             self.sources[owner.source_range()].iter_mut().for_each(Source::know_wire);
         }

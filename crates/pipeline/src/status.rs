@@ -18,6 +18,11 @@ pub struct PipelineStatus {
     pub models_refused: u64,
     /// Requests that could not be carried out; they changed nothing.
     pub requests_refused: u64,
+    /// Entries that were left out because the pipeline panicked at them: faults of the program. Of a
+    /// [`SupervisedPipeline`](crate::SupervisedPipeline); another one ends with the first.
+    pub entries_left_out: u64,
+    /// How often the pipeline has begun anew, because leaving out did not help; all devices were set up again.
+    pub begun_anew: u64,
 }
 
 /// What is known of the body that wears the sensors.

@@ -4,7 +4,7 @@ use posed_drivers::Timestamp;
 
 use super::header::Header;
 use super::replay::Replayable;
-use posed_pipeline::{Pipeline, PipelineError};
+use posed_pipeline::{PipelineError, SupervisedPipeline};
 use posed_protocol::{Fields, Payload, Publisher};
 use posed_stage::input::Entry;
 use posed_stage::{Problems, Stage};
@@ -26,7 +26,7 @@ pub enum MachineError {
 /// Pipeline and publisher of a replay.
 pub struct Machine {
     /// Entries to outputs.
-    pub pipeline: Pipeline,
+    pub pipeline: SupervisedPipeline,
     /// Outputs to messages.
     pub publisher: Publisher,
 }
@@ -40,10 +40,10 @@ impl Machine {
         let stage = Stage::parse(&header.stage_toml)?;
         let mut publisher = Publisher::new(&stage, Fields::all());
         let pipeline = match &header.snapshot {
-            None => Pipeline::new(&stage)?,
+            None => SupervisedPipeline::new(&stage)?,
             Some(snapshot) => {
                 publisher.restore(rmp_serde::from_slice(&snapshot.publisher)?);
-                Pipeline::restore(&stage, &header.models, &snapshot.pipeline)?
+                SupervisedPipeline::restore(&stage, &header.models, &snapshot.pipeline)?
             }
         };
         Ok((stage, Self { pipeline, publisher }))
@@ -57,7 +57,7 @@ impl Machine {
     /// # Errors
     /// No pipeline can be made of `stage`.
     pub fn on_stage(header: &Header, stage: &Stage) -> Result<Self, MachineError> {
-        let mut pipeline = Pipeline::new(stage)?;
+        let mut pipeline = SupervisedPipeline::new(stage)?;
         for input in header.models.entries() {
             pipeline.push(&Entry { t: header.begun, input }, &mut |_| {});
         }

@@ -1,7 +1,7 @@
 //! A pipeline with its virtual stage.
 
 use posed_drivers::Timestamp;
-use posed_pipeline::Pipeline;
+use posed_pipeline::{Pipeline, SupervisedPipeline};
 use posed_simulator::scenario::Scenario;
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input};
@@ -14,7 +14,7 @@ pub struct Rig {
     /// The devices, and who reads them.
     pub host: Host,
     /// What is tested.
-    pub pipeline: Pipeline,
+    pub pipeline: SupervisedPipeline,
     /// All that the pipeline was given.
     pub log: Vec<Entry>,
     /// What it said of the tracking.
@@ -28,7 +28,7 @@ impl Rig {
     pub fn new(stage: &Stage, scenario: &Scenario) -> Self {
         let mut rig = Self {
             host: Host::new(simulate(stage, scenario), vec![false; stage.devices.len()]),
-            pipeline: Pipeline::new(stage).unwrap(),
+            pipeline: SupervisedPipeline::new(stage).unwrap(),
             log: Vec::new(),
             emitted: Vec::new(),
             said_at: Vec::new(),

@@ -13,6 +13,7 @@ mod guided;
 mod imu;
 mod segments;
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -20,6 +21,7 @@ use tokio::sync::{mpsc, watch};
 
 use super::calibration::{Calibration, FieldMapError};
 use super::clock::StageClock;
+use super::fault_points;
 use super::fusion::{Command, FusionInbox};
 use super::jobs::Jobs;
 use super::models::{self, Library};
@@ -114,7 +116,16 @@ impl Calls {
         }
     }
 
+    /// One that panics is answered as one that was not carried out; the others go on.
     fn carry_out(&self, call: Call, reply: Reply) {
+        let carried_out = catch_unwind(AssertUnwindSafe(|| self.attempt(call, reply)));
+        if carried_out.is_err() {
+            tracing::error!("a request was given up for a fault of the daemon's own; please report this");
+        }
+    }
+
+    fn attempt(&self, call: Call, reply: Reply) {
+        let _ = fault_points::pass("call");
         if self.inbox.commands() >= COMMANDS {
             return reply.error("busy", "many requests wait already; try again later");
         }

@@ -46,6 +46,11 @@ impl Lsl {
         Ok(Self { sender: Some(sender), thread: Some(thread) })
     }
 
+    /// Whether its thread has ended by itself, and with it all streams.
+    pub(super) fn is_broken(&self) -> bool {
+        self.thread.as_ref().is_some_and(JoinHandle::is_finished)
+    }
+
     /// Tells a sample; whether it is: not where the thread is behind.
     pub(super) fn report(&self, sample: Sample) -> bool {
         self.sender.as_ref().is_some_and(|sender| sender.try_send(sample).is_ok())

@@ -31,6 +31,8 @@ pub(crate) struct Health {
     /// What is wrong with each segment's sensor.
     body: Vec<Option<Cause>>,
     recording_failure: Option<String>,
+    /// Entries that tracking has left out, and how often it has begun anew, by the last status.
+    recovered: (u64, u64),
     changed: bool,
     last_status: Timestamp,
 }
@@ -93,6 +95,7 @@ impl Health {
             segments: None,
             body: Vec::new(),
             recording_failure: None,
+            recovered: (0, 0),
             changed: true,
             last_status: Timestamp::ZERO,
         }
@@ -182,6 +185,7 @@ impl Health {
     ) -> Status {
         self.changed = false;
         self.last_status = now;
+        self.recovered = (pipeline.entries_left_out, pipeline.begun_anew);
         let age_s = |newest: Option<Timestamp>| newest.map(|newest| now.seconds_since(newest).max(0.0));
         let mut newest = vec![None; self.devices.len()];
         for (sensor, counted) in self.sensors.iter().zip(&pipeline.sensors) {
@@ -255,6 +259,18 @@ impl Health {
                 let name = self.sensors.get(usize::from(*sensor)).map_or("", |sensor| sensor.name.as_str());
                 problem("body", format!("{segment}: the sensor {name} {}", emitted(*fault)))
             }));
+        }
+        let (left_out, begun_anew) = self.recovered;
+        if left_out > 0 {
+            let anew = match begun_anew {
+                0 => String::new(),
+                times => format!(", {times} times from the beginning, with all devices set up anew"),
+            };
+            let sentence = format!(
+                "tracking had a fault of its own and went on without the bytes that brought it ({left_out} times{anew}); \
+                 please report this with a recording"
+            );
+            problems.push(problem("tracking", sentence));
         }
         if let Some(reason) = &self.recording_failure {
             problems.push(problem("recording", format!("recording ended: {reason}")));

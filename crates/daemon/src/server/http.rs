@@ -44,11 +44,22 @@ pub(super) fn guarded(routes: Router, context: Arc<ConnectionContext>) -> Router
     routes.layer(middleware::from_fn_with_state(context, guard))
 }
 
-/// That it serves, and by its code what it runs without since its start; the sentences, which name files, are in `status` and in
-/// the log, for this is answered to anybody.
-pub(super) async fn health(State(shared): State<Arc<Shared>>) -> String {
-    let problems = shared.problems.iter().map(|problem| format!("problem: {}\n", problem.code));
-    "ok\n".to_owned() + &problems.collect::<String>()
+/// Whether tracking goes on and is passed on, and by their codes the problems that `status` names; the sentences, which name files
+/// and devices, are there and in the log, for this is answered to anybody.
+pub(super) async fn health(State(shared): State<Arc<Shared>>) -> (StatusCode, String) {
+    if let Some(silence) = shared.reports.silent_for() {
+        let sentence = format!("tracking has reported nothing for {} s\n", silence.as_secs());
+        return (StatusCode::SERVICE_UNAVAILABLE, sentence);
+    }
+    // Those of the start, too, before the first status.
+    let status = shared.reports.newest();
+    let status = status.borrow();
+    let mut codes: Vec<&str> =
+        shared.problems.iter().chain(&status.problems).map(|problem| problem.code.as_str()).collect();
+    codes.sort_unstable();
+    codes.dedup();
+    let problems = codes.iter().map(|code| format!("problem: {code}\n"));
+    (StatusCode::OK, "ok\n".to_owned() + &problems.collect::<String>())
 }
 
 /// A file of the page.

@@ -225,6 +225,9 @@ async fn distribute(
                     _ => {}
                 }
                 viewers.publish(&item, Some(&stamp));
+                if let Item::Status(status) = &item {
+                    shared.reports.passed_on(status);
+                }
                 distributor.publish(item, Some(stamp));
                 shared.last_event_id.store(distributor.last_event_id(), Ordering::Relaxed);
                 tokio::task::yield_now().await;

@@ -24,6 +24,7 @@ mod listen;
 mod listener;
 mod metrics;
 mod outbox;
+mod reports;
 mod requests;
 mod slots;
 mod streams;
@@ -36,20 +37,22 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 
 use self::distributor::Distributor;
 use self::foxglove::Viewers;
 use self::listen::ConnectionContext;
 use self::listener::Listener;
 use self::metrics::Metrics;
+use self::reports::Reports;
 use self::streams::Streaming;
 use self::vrpn::{Outlet, Vrpn};
 use super::clock::StageClock;
+use super::fault_points;
 use super::link::Feed;
 use super::vital::Vital;
 use posed_protocol::vrpn::{Catalogue, Publisher};
-use posed_protocol::{Counters, HelloSensor, Names, Problem, Topic};
+use posed_protocol::{Counters, HelloSensor, Names, Problem, Status, Topic};
 use posed_stage::input::SensorIndex;
 use posed_stage::layout::BodyLayout;
 use posed_stage::{Pose, Skeleton, Stage};
@@ -182,6 +185,7 @@ struct Shared {
     operable: bool,
     /// What went wrong as the daemon was started, and does not keep it from running.
     problems: Vec<Problem>,
+    reports: Reports,
     /// Newest event, for greetings.
     last_event_id: std::sync::atomic::AtomicU64,
     next_client: std::sync::atomic::AtomicU64,
@@ -308,6 +312,11 @@ impl Server {
         self.listener.url()
     }
 
+    /// The newest status that clients have been sent.
+    pub(super) fn status(&self) -> watch::Receiver<Status> {
+        self.shared.reports.newest()
+    }
+
     /// Serves until `shutdown` resolves; then tells every client goodbye (1001) and returns within the shutdown timeout. A part
     /// that ends before is reported by `vital`.
     pub async fn run(self, shutdown: impl Future<Output = ()>, vital: Vital) {
@@ -387,6 +396,7 @@ impl StageServices {
             calls: call_sender,
             operable,
             problems,
+            reports: Reports::new(),
             last_event_id: last_event_id.into(),
             next_client: 0.into(),
         });
@@ -416,6 +426,7 @@ async fn distribute(
     let Outlets { distributor, viewers, vrpn, vmc, lsl, feed } = &mut outlets;
     loop {
         while let Some(mut item) = hub.take() {
+            let _ = fault_points::pass("distributor");
             if matches!(item, hub::Item::Estimate(_)) {
                 shared.metrics.frames.inc();
             }
@@ -440,6 +451,9 @@ async fn distribute(
                 feed.publish(&item, stamp, &shared.names);
             }
             viewers.publish(&item, stamp.as_ref());
+            if let hub::Item::Status(status) = &item {
+                shared.reports.passed_on(status);
+            }
             if let Some(replaced) = distributor.publish(item, stamp) {
                 hub.recycle(replaced);
             }

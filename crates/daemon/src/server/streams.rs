@@ -37,7 +37,12 @@ impl Streaming {
 
     /// What the operator should know.
     pub(super) fn problem(&self) -> Option<Problem> {
-        let message = self.lsl.as_ref().err()?.clone();
+        let broken = "what feeds the streams of LSL had a fault of its own, and they have ended: restart posed, and please report this";
+        let message = match &self.lsl {
+            Ok(lsl) if lsl.is_broken() => broken.to_owned(),
+            Ok(_) => return None,
+            Err(sentence) => sentence.clone(),
+        };
         Some(Problem { code: "lsl".to_owned(), message })
     }
 

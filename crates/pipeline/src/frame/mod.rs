@@ -261,6 +261,15 @@ impl Assembler {
         self.devices[usize::from(device)].stop();
     }
 
+    /// Frame `number` with the tick `t` has been published, though this assembler does not know it: those that follow have higher
+    /// numbers and later ticks.
+    pub(crate) fn go_on_after(&mut self, number: u64, t: Timestamp) {
+        self.frame.number = self.frame.number.max(number);
+        self.last_closed = self.last_closed.max(Some(t));
+        self.last_scheduled = self.last_scheduled.max(Some(t));
+        self.pending.retain(|tick| tick.t > t);
+    }
+
     /// The next frame that at the host time `now` is complete or has waited long enough; call until `None`.
     ///
     /// # Panics
