@@ -5,11 +5,14 @@
 //! virtual Flock ──> tap ──socket pair──> daemon ──websocket──> client     "posed"
 //!                    └────socket pair──> relay ──TCP─────────> client     "bare relay"
 //! ```
-//! Run: `cargo bench --bench latency -- [SECONDS]`; on a quiet machine. Eight birds at 100 Hz, 115200 baud, group mode.
+//! Run: `cargo bench --bench latency -- [SECONDS] [DISTURBANCE ...]`; on a quiet machine. Eight birds at 100 Hz, 115200 baud, group mode. Each
+//! disturbance is measured beside the undisturbed run: `peer` asks without end how the pipeline stands, as a hub that would fuse does;
+//! `disk` hangs for SECONDS, under a recording.
 
 #![allow(clippy::disallowed_methods, reason = "a bench measures time")]
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -35,11 +38,30 @@ const WARM_UP: Duration = Duration::from_secs(8);
 type Latencies = Arc<Mutex<Histogram<u64>>>;
 
 fn main() {
-    // Cargo passes `--bench`; the only argument of ours is a number.
-    let seconds = std::env::args().filter_map(|arg| arg.parse().ok()).next().unwrap_or(30);
-    let (posed, relay) = measure(Duration::from_secs(seconds));
+    // Cargo passes `--bench`; of ours are a number and words.
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let seconds = arguments.iter().filter_map(|arg| arg.parse().ok()).next().unwrap_or(30);
+    let length = Duration::from_secs(seconds);
+    let has = |word: &str| arguments.iter().any(|arg| arg == word);
+    for disturbance in ["peer", "disk"].into_iter().filter(|word| has(word)) {
+        if has("--alone") {
+            return print(disturbance, length);
+        }
+        // What is to go wrong is said by the environment, and read once.
+        let ms = length.as_millis();
+        let ended = Command::new(std::env::current_exe().expect("own path"))
+            .args([&seconds.to_string(), disturbance, "--alone"])
+            .env("POSED_FAULTS", format!("recorder=hang:{ms}@17,sync=hang:{ms}@17"))
+            .status();
+        assert!(ended.expect("a process of our own").success());
+    }
+    print("undisturbed", length);
+}
+
+fn print(disturbance: &str, length: Duration) {
+    let (posed, relay) = measure(length, disturbance);
     let mut out = String::new();
-    row(&mut out, "posed: last byte to sensors message", &posed);
+    row(&mut out, &format!("posed: last byte to sensors message ({disturbance})"), &posed);
     row(&mut out, "bare relay: last byte to TCP client", &relay);
     std::io::Write::write_all(&mut std::io::stdout(), out.as_bytes()).expect("stdout");
 }
@@ -61,7 +83,7 @@ fn row(out: &mut String, name: &str, latencies: &Latencies) {
     .expect("a string");
 }
 
-fn measure(length: Duration) -> (Latencies, Latencies) {
+fn measure(length: Duration, disturbance: &str) -> (Latencies, Latencies) {
     let origin = Instant::now();
     let posed: Latencies = new_histogram();
     let relay: Latencies = new_histogram();
@@ -76,12 +98,18 @@ fn measure(length: Duration) -> (Latencies, Latencies) {
         let (mut to_daemon, daemon_end) = UnixStream::pair().expect("socket pair");
         let (mut to_relay, relay_end) = UnixStream::pair().expect("socket pair");
 
-        let mut daemon = Daemon::start_without_ports(Options {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut options = Options {
             listen: Some("127.0.0.1:0".into()),
             ..Options::new(stage(), String::new(), PathBuf::new())
-        })
-        .expect("daemon");
+        };
+        options.record = (disturbance == "disk").then(|| folder.path().join("take.mcap"));
+        let mut daemon = Daemon::start_without_ports(options).expect("daemon");
         daemon.attach(0, daemon_end);
+        if disturbance == "peer" {
+            let inbox = daemon.inbox();
+            std::thread::spawn(move || while inbox.begin().is_ok() {});
+        }
 
         // The unit and everybody who only watches have a runtime of their own.
         let end = Arc::clone(&frame_end);

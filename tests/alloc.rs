@@ -6,6 +6,7 @@
     reason = "helpers of tests may panic and tell what they measured"
 )]
 
+use posed_drivers::Timestamp;
 use posed_field::Prepared;
 use posed_fusion::chain::calibrate;
 use posed_motion::exercise::{Exercise, Options, Stream, teach};
@@ -13,6 +14,7 @@ use posed_motion::fault_map::Frames;
 use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
 use posed_pipeline::{Pipeline, raw_positions};
+use posed_recording::{Header, Writer};
 use posed_rig::counting::{Counting, allocations, live_bytes};
 use posed_rig::{Rig, demo, demo_stage, field_map, leg, stage};
 use posed_simulator::faults::{Bytes, Fault};
@@ -22,7 +24,7 @@ use posed_stage::input::{Entry, Input, Model};
 use posed_stage::layout::ChainLayout;
 use posed_stage::output::{Outcome, OutcomeKind, Output};
 use posed_stage::signals;
-use posed_stage::{FieldWatch, Keyframes, Stage};
+use posed_stage::{FieldWatch, Keyframes, RecordingContent, Stage};
 
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
@@ -228,6 +230,30 @@ fn stays_flat(mut rig: Rig, end_s: f64) -> usize {
     let (least, most) = (state[1..].iter().min().unwrap(), state[1..].iter().max().unwrap());
     assert!(most - least < 16_384, "{state:?}");
     frames
+}
+
+/// A recording as the recorder writes it, flushed twice a second; the writer keeps an index of its chunks until the end.
+#[test]
+fn a_recording_takes_little_memory_for_its_index() {
+    let header = Header { content: RecordingContent::Log, ..Header::new(&demo_stage().0, "", 0) };
+    let mut writer = Writer::new(std::io::sink(), header).unwrap();
+    let mut live = Vec::new();
+    let halves = (2.0 * soak_s(3600.0)) as i64;
+    for half in 0..halves {
+        for n in 0..10 {
+            let t = Timestamp::from_nanos(half * 500_000_000 + n * 50_000_000);
+            let bytes = (0..200).map(|k| (k * half + n) as u8).collect();
+            writer.entry(&Entry { t, input: Input::Bytes { device: (n % 2) as u16, bytes } }).unwrap();
+            writer.entry(&Entry { t, input: Input::Timer }).unwrap();
+        }
+        writer.flush().unwrap();
+        if half % 720 == 719 {
+            live.push(live_bytes());
+        }
+    }
+    let per_hour = (live[live.len() - 1] - live[0]) as f64 / (live.len() - 1) as f64 * 10.0;
+    println!("{:.0} kB an hour: {live:?}", per_hour / 1e3);
+    assert!(per_hour < 2.5e6, "{per_hour} bytes an hour");
 }
 
 /// The stage of `posed demo`: body, key poses, segments, the field's map.

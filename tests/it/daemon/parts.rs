@@ -194,3 +194,57 @@ async fn health_says_so_where_tracking_hangs() {
     assert!(health.contains("tracking has reported nothing"), "{health}");
     until(&mut client, "all sensors again", all_ok).await;
 }
+
+/// Sends so many requests at once; the answers, in whatever order they come.
+async fn answers(client: &mut Client, request: &Value, count: usize) -> Vec<Value> {
+    for id in 0..count {
+        let mut request = request.clone();
+        request["id"] = json!(id);
+        client.send(request).await;
+    }
+    let mut answers = Vec::new();
+    while answers.len() < count {
+        let answer = |message: &Value| matches!(message["type"].as_str(), Some("ok" | "error"));
+        answers.push(until(client, "an answer", answer).await);
+    }
+    answers
+}
+
+fn busy(answers: &[Value]) -> usize {
+    answers.iter().filter(|answer| answer["code"] == "busy").count()
+}
+
+#[tokio::test]
+async fn requests_for_a_disk_that_hangs_are_bounded_and_the_others_are_answered() {
+    let folder = tempfile::tempdir().unwrap();
+    let posed = with(folder.path(), "file=hang:3000@1");
+    let (mut lists, mut other) = (posed.client().await, posed.subscriber(&["sensors"]).await);
+    let listing =
+        tokio::spawn(async move { answers(&mut lists, &json!({"type": "replay.list"}), 100).await });
+    ok(&mut other, record_start("take")).await;
+    frames(&mut other, 20).await;
+    let answers = listing.await.unwrap();
+    // One hangs and 64 wait; who came before the thread had taken the first finds one place less.
+    assert!((35..=36).contains(&busy(&answers)), "{}", busy(&answers));
+    assert!(answers.iter().all(|answer| answer["type"] == "ok" || answer["code"] == "busy"), "{answers:?}");
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+}
+
+#[tokio::test]
+async fn requests_for_a_thread_that_hangs_are_bounded_and_tracking_goes_on_after_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let posed = with(folder.path(), "fusion=hang:4000@600");
+    let mut frames_of = posed.subscriber(&["sensors"]).await;
+    until(&mut frames_of, "all sensors", all_ok).await;
+    // It hangs once no frame comes for a second.
+    while tokio::time::timeout(std::time::Duration::from_secs(1), frames_of.next()).await.is_ok() {}
+    let (mut one, mut two) = (posed.client().await, posed.client().await);
+    let request = json!({"type": "record.stop"});
+    let (first, second) = tokio::join!(answers(&mut one, &request, 150), answers(&mut two, &request, 150));
+    // 256 wait for the thread; fewer where they come faster than they are handed on.
+    assert!(busy(&first) + busy(&second) >= 300 - 256);
+    let is_answered = |answer: &Value| answer["code"] == "busy" || answer["message"] == "nothing is being recorded";
+    assert!(first.iter().chain(&second).all(is_answered), "{first:?} {second:?}");
+    until(&mut frames_of, "all sensors again", all_ok).await;
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+}

@@ -94,6 +94,7 @@ impl Calls {
         let beside = Arc::clone(&this);
         let mut files = tokio::task::spawn_blocking(move || {
             while let Some(PendingCall { call, reply }) = waiting.blocking_recv() {
+                let _ = fault_points::pass("file");
                 beside.carry_out(call, reply);
             }
         });

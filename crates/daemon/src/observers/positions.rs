@@ -114,4 +114,24 @@ mod tests {
         assert!((p[0] - 399.0).abs() < 1e-9 && (p[2] + 3.0).abs() < 1e-9, "{p:?}");
         assert!(p[3..].iter().all(|value| value.is_nan()));
     }
+
+    #[test]
+    fn many_sensors_at_any_rate_take_no_more_than_their_share() {
+        let sensors: String = (1..=200)
+            .map(|n| format!("[[sensor]]\nname = \"s{n}\"\ndevice = \"d\"\naddress = {n}\n"))
+            .collect();
+        let device = "[[device]]\nname = \"d\"\ndriver = \"flock-of-birds\"\nport = \"none\"\n";
+        let mut recent =
+            RecentPositions::new(&toml::from_str(&format!("name = \"t\"\n{device}{sensors}")).unwrap());
+        let wide = Estimate { sensors: vec![SensorEstimate::default(); 200], ..Estimate::default() };
+        for tick in 0..10_000 {
+            recent.push(&Estimate {
+                t_valid: Timestamp::from_secs_f64(f64::from(tick) * 1e-3),
+                ..wide.clone()
+            });
+        }
+        let taken = recent.positions_m.len() * size_of::<[f64; 3]>();
+        assert!(taken <= MOST_BYTES && taken > MOST_BYTES / 2, "{taken} bytes");
+        assert_eq!(recent.positions_m.len(), recent.t_s.len() * 200);
+    }
 }

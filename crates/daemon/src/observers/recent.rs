@@ -149,4 +149,22 @@ mod tests {
         assert_eq!(excerpt.t_s, [197.0, 198.0, 199.0]);
         assert_eq!(excerpt.values, [None, Some(197.0), None, Some(198.0), None, Some(199.0)]);
     }
+
+    #[test]
+    fn many_columns_at_any_rate_take_no_more_than_their_share() {
+        let sensors: String = (1..=200)
+            .map(|n| format!("[[sensor]]\nname = \"s{n}\"\ndevice = \"d\"\naddress = {n}\n"))
+            .collect();
+        let mut recent = Recent::new(&toml::from_str(&format!("name = \"s\"\n{sensors}")).unwrap());
+        let wide = Estimate { sensors: vec![estimate(0.0).sensors[1]; 200], ..Estimate::default() };
+        for tick in 0..10_000 {
+            recent.push(&Estimate {
+                t_valid: Timestamp::from_secs_f64(f64::from(tick) * 1e-3),
+                ..wide.clone()
+            });
+        }
+        let taken = recent.values.len() * size_of::<f64>();
+        assert!(taken <= MOST_BYTES && taken > MOST_BYTES / 2, "{taken} bytes");
+        assert_eq!(recent.values.len(), recent.t_s.len() * recent.columns.len());
+    }
 }

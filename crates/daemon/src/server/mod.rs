@@ -160,6 +160,11 @@ pub enum BindError {
     Tls(#[from] TlsError),
 }
 
+/// What clients' tasks may have told the distributing one before they wait for it.
+const COMMANDS: usize = 1024;
+/// Requests that may wait to be handed on.
+const CALLS: usize = 64;
+
 /// A server that is bound and not yet running.
 pub struct Server {
     listener: Listener,
@@ -377,8 +382,8 @@ impl StageServices {
         let names = Arc::new(Names::new(stage));
         let viewers = Viewers::new(stage, &topics, epoch_utc_ns, replay, &metrics);
         let epoch_utc = rfc3339(epoch_utc_ns);
-        let (command_sender, commands) = mpsc::channel(1024);
-        let (call_sender, calls) = mpsc::channel(64);
+        let (command_sender, commands) = mpsc::channel(COMMANDS);
+        let (call_sender, calls) = mpsc::channel(CALLS);
         let shared = Arc::new(Shared {
             context: Arc::clone(context),
             metrics,
