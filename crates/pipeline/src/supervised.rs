@@ -191,6 +191,11 @@ impl SupervisedPipeline {
         self.pipeline.recoveries.entries_left_out()
     }
 
+    /// How often the pipeline has begun anew, because that did not help.
+    pub fn begun_anew(&self) -> u64 {
+        self.pipeline.recoveries.begun_anew()
+    }
+
     /// Pushes an entry; gives the panic that it ends with.
     fn attempt(
         &mut self,

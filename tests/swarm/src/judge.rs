@@ -62,6 +62,8 @@ pub(crate) struct Judge {
     pub(crate) room_transmitter: Isometry3<f64>,
     /// Values that were good, and compared.
     pub(crate) compared: u64,
+    /// How often the pipeline has begun anew.
+    pub(crate) begun_anew: u64,
 }
 
 impl Judge {
@@ -93,7 +95,14 @@ impl Judge {
             begun_s: vec![None; stage.sensors.len()],
             room_transmitter: Isometry3::identity(),
             compared: 0,
+            begun_anew: 0,
         }
+    }
+
+    /// The pipeline knows of no sensor any more on which side it was.
+    pub(crate) fn begin_anew(&mut self, times: u64) {
+        self.begun_anew = times;
+        self.begun_s.fill(None);
     }
 
     /// A sentence about the first value that is published as good and is not.

@@ -11,6 +11,7 @@
 //! - All devices are good again within ten seconds of the last fault.
 //! - Frames rise, no capture time lies after the frame's end, all numbers are finite.
 //! - No entry takes more than 8 MiB or a second (a model: 512 MiB, 20 s), and time never stands still.
+//! - A pipeline that is made to panic goes on, with all of the above: without the entry, or from the beginning where it panics again.
 //! - A pipeline restored from a snapshot anywhere says the same from then on; a replay of the log ends in the same state.
 //! - A recording on a disk that fills up anywhere holds the log up to the last flush.
 //!

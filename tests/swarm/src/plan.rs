@@ -306,5 +306,11 @@ fn parts(seed: u64, dice: &mut Dice, cast: &Cast, trouble_s: f64) -> Vec<Part> {
         let longest_s = dice.log_range(0.005, 0.4);
         parts.push(Part::Sleep(Sleep { share: dice.log_range(1e-5, 0.001), longest_s }));
     }
+    let mut dice = own();
+    for _ in 0..*dice.pick(&[0, 0, 0, 0, 1, 1, 2, 5]) {
+        let (t_s, _) = moment(&mut dice, trouble_s);
+        // Twice in a row, and it begins anew: three times then is as often as it bears.
+        parts.push(Part::Event(t_s, Event::Panic(*dice.pick(&[1, 1, 1, 2, 3]))));
+    }
     parts
 }

@@ -16,6 +16,8 @@ pub(crate) const LEAD_S: f64 = 5.0;
 pub(crate) enum Event {
     /// An entry of the log.
     Input(Input),
+    /// The pipeline panics at the next entries, so many.
+    Panic(u8),
     /// A snapshot is taken, and what is restored from it runs beside the original from then on.
     Snapshot,
 }

@@ -3,7 +3,7 @@
 use nalgebra::Isometry3;
 use posed_drivers::Timestamp;
 use posed_geometry::isometry;
-use posed_pipeline::Pipeline;
+use posed_pipeline::SupervisedPipeline;
 use posed_rig::counting::peak_bytes;
 use posed_rig::{Host, Said, Sleepy};
 use posed_simulator::scenario::StageSpec;
@@ -54,9 +54,12 @@ impl Summary {
 struct World<'a> {
     stage: &'a Stage,
     host: Host,
-    pipeline: Pipeline,
+    pipeline: SupervisedPipeline,
     /// Restored from a snapshot of the pipeline, given all that it is given since.
-    twin: Option<Pipeline>,
+    twin: Option<SupervisedPipeline>,
+    /// Panics that are to come, and the entries that have brought one.
+    panics_owed: u8,
+    panics: Vec<usize>,
     judge: Judge,
     log: Vec<Entry>,
     said: Vec<Said>,
@@ -85,7 +88,7 @@ pub(crate) fn run(plan: &Plan, seed: u64) -> Result<(Summary, Vec<Entry>), Strin
         Err(_) => return Ok((Summary { refused: 1, ..Summary::default() }, Vec::new())),
     };
     let pipeline =
-        Pipeline::new(&stage).map_err(|error| format!("a stage that is right is refused: {error}"))?;
+        SupervisedPipeline::new(&stage).map_err(|error| format!("a stage that is right is refused: {error}"))?;
     let spec = StageSpec::of(&stage).map_err(|error| error.to_string())?;
     let virtual_stage =
         VirtualStage::new(&spec, &plan.scenario, ".".as_ref()).map_err(|error| error.to_string())?;
@@ -96,6 +99,8 @@ pub(crate) fn run(plan: &Plan, seed: u64) -> Result<(Summary, Vec<Entry>), Strin
         host,
         pipeline,
         twin: None,
+        panics_owed: 0,
+        panics: Vec::new(),
         judge: Judge::new(&stage, plan),
         log: Vec::new(),
         said: Vec::new(),
@@ -112,6 +117,7 @@ pub(crate) fn run(plan: &Plan, seed: u64) -> Result<(Summary, Vec<Entry>), Strin
         world.run_until(*t_s)?;
         match event {
             Event::Snapshot => world.snapshot()?,
+            Event::Panic(times) => world.panics_owed += times,
             Event::Input(input) => world.push(input.clone()),
         }
         world.check()?;
@@ -149,7 +155,7 @@ impl World<'_> {
 
     fn snapshot(&mut self) -> Result<(), String> {
         let bytes = self.pipeline.snapshot();
-        let twin = Pipeline::restore(self.stage, self.pipeline.models(), &bytes).map_err(|error| {
+        let twin = SupervisedPipeline::restore(self.stage, self.pipeline.models(), &bytes).map_err(|error| {
             format!("at {:.4} s: its own snapshot is refused: {error}", self.host.now.as_secs_f64())
         })?;
         if twin.snapshot() != bytes {
@@ -164,7 +170,16 @@ impl World<'_> {
 
     fn push(&mut self, input: Input) {
         let is_model = matches!(input, Input::Model(_) | Input::SegmentationNetwork(_));
-        let (bytes, elapsed_s) = if is_model { (MODEL_BYTES, MODEL_S) } else { (ENTRY_BYTES, ENTRY_S) };
+        let panics = self.panics_owed > 0;
+        if panics {
+            self.panics_owed -= 1;
+            self.panics.push(self.log.len());
+            self.pipeline.panic_next();
+            self.twin.iter_mut().for_each(SupervisedPipeline::panic_next);
+        }
+        // One that has panicked is made anew, with its models.
+        let large = is_model || panics;
+        let (bytes, elapsed_s) = if large { (MODEL_BYTES, MODEL_S) } else { (ENTRY_BYTES, ENTRY_S) };
         let entry = Entry { t: self.host.now, input };
         let Self { pipeline, said, .. } = self;
         said.clear();
@@ -173,6 +188,12 @@ impl World<'_> {
         let took_s = processor_s() - began;
         if peak > bytes || took_s > elapsed_s {
             self.fail(|| format!("an entry takes {} kB and {took_s:.3} s", peak >> 10));
+        }
+        if self.pipeline.entries_left_out() != self.panics.len() as u64 {
+            self.fail(|| "the pipeline has panicked by itself".into());
+        }
+        if self.pipeline.begun_anew() > self.judge.begun_anew {
+            self.judge.begin_anew(self.pipeline.begun_anew());
         }
         self.hold(&entry);
         if let Some(twin) = &mut self.twin {
@@ -280,8 +301,13 @@ impl World<'_> {
 
     /// The log, given to another pipeline, leads where the first one is.
     fn replay(&self) -> Result<(), String> {
-        let mut again = Pipeline::new(self.stage).map_err(|error| error.to_string())?;
-        self.log.iter().for_each(|entry| again.push(entry, &mut |_: Output<'_>| {}));
+        let mut again = SupervisedPipeline::new(self.stage).map_err(|error| error.to_string())?;
+        for (number, entry) in self.log.iter().enumerate() {
+            if self.panics.contains(&number) {
+                again.panic_next();
+            }
+            again.push(entry, &mut |_: Output<'_>| {});
+        }
         if again.snapshot() == self.pipeline.snapshot() && again.status() == self.pipeline.status() {
             Ok(())
         } else {
