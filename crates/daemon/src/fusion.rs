@@ -264,7 +264,7 @@ impl Fusion {
                 self.take_ended();
             }
             match self.next_event(wake) {
-                Some(Event::Entry(entry)) => self.step(&entry),
+                Some(Event::Entry(entry)) => _ = self.step(&entry),
                 Some(Event::Command(Command::Shutdown)) => break,
                 Some(Event::Command(command)) => self.command(command),
                 None => {}
@@ -298,8 +298,8 @@ impl Fusion {
         })
     }
 
-    /// One entry through recording and pipeline.
-    fn step(&mut self, entry: &Entry) {
+    /// One entry through recording and pipeline; whether the pipeline has taken it.
+    fn step(&mut self, entry: &Entry) -> bool {
         self.entries += 1;
         let _ = fault_points::pass("fusion");
         #[cfg(feature = "fault-points")]
@@ -359,13 +359,22 @@ impl Fusion {
             published = clock.now();
         });
         observers.after_entry(pipeline);
-        if pipeline.entries_left_out() > left_out {
+        let is_taken = pipeline.entries_left_out() == left_out;
+        if !is_taken {
             // The panic itself stands in the log above.
             tracing::error!(
                 "tracking went on without what it panicked at; please report this with a recording"
             );
             observers.health.touch();
         }
+        is_taken
+    }
+
+    /// The same for what somebody waits for; in words where it was not taken.
+    fn step_or_reason(&mut self, input: Input) -> Result<(), String> {
+        let is_taken = self.step(&Entry { t: self.clock.now(), input });
+        let reason = "tracking had a fault of its own at this and goes on without it; please report this";
+        if is_taken { Ok(()) } else { Err(reason.to_owned()) }
     }
 
     fn command(&mut self, command: Command) {
@@ -388,17 +397,13 @@ impl Fusion {
                     }
                 }
                 let checked = self.pipeline.check_request(&request);
-                if checked.is_ok() {
-                    self.step(&Entry { t: self.clock.now(), input: Input::Request(request) });
-                }
-                answer(reply, checked.map(|()| None));
+                let carried_out = checked.and_then(|()| self.step_or_reason(Input::Request(request)));
+                answer(reply, carried_out.map(|()| None));
             }
             Command::LoadModel { model, reply } => {
                 let checked = self.pipeline.check_model(&model);
-                if checked.is_ok() {
-                    self.step(&Entry { t: self.clock.now(), input: Input::Model(model) });
-                }
-                answer(reply, checked.map(|()| None));
+                let taken = checked.and_then(|()| self.step_or_reason(Input::Model(model)));
+                answer(reply, taken.map(|()| None));
             }
             Command::Recent { from_s, columns, to } => {
                 let wanted = |column: &str| columns.iter().any(|wanted| wanted == column);

@@ -2,7 +2,8 @@
 //!
 //! What comes in: entries, as for a [`Pipeline`]. What goes out: its outputs; where it panics, it is put back to where it stood before
 //! that entry, from its newest checkpoint and the entries since, and goes on without the entry. Where that does not help, because
-//! what is wrong is in its state, it begins anew with the stage and the models in use, and all devices are set up again. What it never
+//! what is wrong is in its state, or cannot be, because the entry says that a port has opened or closed, it begins anew with the
+//! stage and the models in use, and all devices are set up again. What it never
 //! does: publish a frame twice, go back in time, or depend on anything but the entries. So a replay leaves out what the live
 //! stage left out, and goes on as it did.
 //!
@@ -29,8 +30,8 @@ const MOST_BYTES: usize = 256 << 10;
 const MOST_ENTRIES: usize = 4096;
 /// Panics without a frame between them after which a pipeline that has begun anew is given up.
 const MOST_IN_VAIN: u32 = 4;
-/// What runs so long without one has recovered, though it closes no frame, s.
-const CALM_S: f64 = 10.0;
+/// What runs so long without one has recovered, though it closes no frame, s: what is wrong in a state shows at once and again.
+const CALM_S: f64 = 1.0;
 
 /// Panics that a pipeline has outlived: part of its state, so that a replay which begins anywhere knows them.
 #[derive(Clone, Debug, Default, PartialEq, Plain)]
@@ -238,7 +239,12 @@ impl SupervisedPipeline {
             resume_unwind(panic);
         }
         recoveries.entries_left_out += 1;
-        let before = Some(()).filter(|()| recoveries.in_vain == 1).and_then(|()| self.before());
+        // A session that has missed that its port has opened would wait for ever.
+        let may_lack = !matches!(
+            entry.input,
+            Input::Line { event: LineEvent::Opened { .. } | LineEvent::Closed { .. }, .. }
+        );
+        let before = if recoveries.in_vain == 1 && may_lack { self.before() } else { None };
         let is_anew = before.is_none();
         recoveries.begun_anew += u64::from(is_anew);
         let opened = self.pipeline.opened.clone();

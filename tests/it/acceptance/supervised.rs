@@ -2,6 +2,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+use posed_drivers::LineEvent;
 use posed_pipeline::SupervisedPipeline;
 use posed_rig::{Rig, Said, stage};
 use posed_simulator::scenario::{DeviceScenario, Scenario};
@@ -93,6 +94,19 @@ fn a_state_that_brings_panics_is_given_up_and_the_devices_are_set_up_anew() {
     panicking.rig.run_until(7.0);
     assert!(good(&panicking.rig, 4.0) > 50, "all are good again");
     panicking.check(7.0);
+}
+
+#[test]
+fn a_port_that_opens_is_never_left_out() {
+    let mut panicking = Panicking::start();
+    let closed = LineEvent::Closed { reason: "unplugged".to_owned() };
+    panicking.rig.push(Input::Line { device: 0, event: closed });
+    panicking.panic_next();
+    panicking.rig.push(Input::Line { device: 0, event: LineEvent::Opened { modem_lines: false } });
+    assert_eq!(panicking.rig.pipeline.begun_anew(), 1);
+    panicking.rig.run_until(8.0);
+    assert!(good(&panicking.rig, 4.0) > 50, "all are good again");
+    panicking.check(8.0);
 }
 
 #[test]

@@ -243,7 +243,8 @@ async fn requests_for_a_thread_that_hangs_are_bounded_and_tracking_goes_on_after
     let (first, second) = tokio::join!(answers(&mut one, &request, 150), answers(&mut two, &request, 150));
     // 256 wait for the thread; fewer where they come faster than they are handed on.
     assert!(busy(&first) + busy(&second) >= 300 - 256);
-    let is_answered = |answer: &Value| answer["code"] == "busy" || answer["message"] == "nothing is being recorded";
+    let is_answered =
+        |answer: &Value| answer["code"] == "busy" || answer["message"] == "nothing is being recorded";
     assert!(first.iter().chain(&second).all(is_answered), "{first:?} {second:?}");
     until(&mut frames_of, "all sensors again", all_ok).await;
     assert_eq!(posed.end("INT").await.code(), Some(0));

@@ -87,8 +87,8 @@ pub(crate) fn run(plan: &Plan, seed: u64) -> Result<(Summary, Vec<Entry>), Strin
         Ok(stage) => stage,
         Err(_) => return Ok((Summary { refused: 1, ..Summary::default() }, Vec::new())),
     };
-    let pipeline =
-        SupervisedPipeline::new(&stage).map_err(|error| format!("a stage that is right is refused: {error}"))?;
+    let pipeline = SupervisedPipeline::new(&stage)
+        .map_err(|error| format!("a stage that is right is refused: {error}"))?;
     let spec = StageSpec::of(&stage).map_err(|error| error.to_string())?;
     let virtual_stage =
         VirtualStage::new(&spec, &plan.scenario, ".".as_ref()).map_err(|error| error.to_string())?;
@@ -155,9 +155,10 @@ impl World<'_> {
 
     fn snapshot(&mut self) -> Result<(), String> {
         let bytes = self.pipeline.snapshot();
-        let twin = SupervisedPipeline::restore(self.stage, self.pipeline.models(), &bytes).map_err(|error| {
-            format!("at {:.4} s: its own snapshot is refused: {error}", self.host.now.as_secs_f64())
-        })?;
+        let twin =
+            SupervisedPipeline::restore(self.stage, self.pipeline.models(), &bytes).map_err(|error| {
+                format!("at {:.4} s: its own snapshot is refused: {error}", self.host.now.as_secs_f64())
+            })?;
         if twin.snapshot() != bytes {
             return Err(format!(
                 "at {:.4} s: restored, a snapshot is another one",
