@@ -7,7 +7,7 @@ use std::time::Duration;
 use posed_drivers::flock::examine::Failure;
 use posed_drivers::flock::wire::{Addressing, Command, CommandParser, Format, Scale, Shape, record};
 use posed_drivers::flock::{FlockSession, Mode, Probe, Settings};
-use posed_drivers::{LineEvent, Output, Sample, Session, State, Timestamp};
+use posed_drivers::{LineEvent, Measurement, Output, Sample, Session, State, Timestamp};
 
 const CYCLE: Duration = Duration::from_micros(9_680);
 
@@ -32,6 +32,8 @@ struct Unit {
     revision: [u8; 2],
     /// What it answers to the questions for its measurement rate, in turn; the last one again and again.
     rates: Vec<[u8; 2]>,
+    /// Bits that turn over in its next answers about the flock, in turn.
+    flips: Vec<u8>,
 }
 
 impl Unit {
@@ -59,6 +61,7 @@ impl Unit {
             commands_seen: Vec::new(),
             revision: [3, 67],
             rates: vec![[0x4D, 0x67]],
+            flips: Vec::new(),
         }
     }
 
@@ -137,6 +140,9 @@ impl Unit {
             Command::Examine(19) => answer(8, vec![0]),
             Command::Examine(36) => {
                 let mut bytes = self.units.clone();
+                if !self.flips.is_empty() {
+                    bytes[0] ^= self.flips.remove(0);
+                }
                 bytes.resize(if bytes.len() > 14 { 30 } else { 14 }, 0);
                 answer(45, bytes);
             }
@@ -328,6 +334,42 @@ fn a_unit_that_was_switched_off_and_on_is_set_up_again() {
     let after = bench.first_sample_after(cut + Duration::from_secs(2));
     println!("unit restarted: first pose {after:.3} s after it was ready");
     assert!(after < 2.0, "{after}");
+}
+
+#[test]
+fn a_unit_that_is_switched_off_and_on_while_it_is_set_up_is_set_up_whole() {
+    let mut bench = Bench::new(Settings::default(), &[1, 2], Unit::flock(2));
+    bench.open(false);
+    let configuring = |bench: &Bench| bench.unit.unresponsive_until > bench.now;
+    while !configuring(&bench) {
+        bench.run(0.01);
+    }
+    let now = bench.now;
+    bench.unit.power_cycle(now);
+    bench.unit.unresponsive_until = now + Duration::from_millis(200);
+    bench.run(8.0);
+    assert_eq!(bench.session.state(), &State::Streaming);
+    assert!(seconds(&bench, 1) > 100, "{:?}", bench.warnings);
+    assert_eq!(seconds(&bench, 1), seconds(&bench, 2));
+}
+
+#[test]
+fn a_damaged_answer_does_not_choose_the_scale_of_positions() {
+    let extended = 0x10;
+    // The first answer, that of a later set-up, and the one by which auto-configured birds report that they run.
+    for flips in [vec![extended], vec![0, 0, extended], vec![0, 0, 0, extended]] {
+        let mut bench = Bench::new(Settings::default(), &[1, 2], Unit { flips, ..Unit::flock(2) });
+        bench.open(false);
+        bench.run(4.0);
+        bench.close();
+        bench.open(false);
+        bench.run(4.0);
+        assert!(seconds(&bench, 1) > 200);
+        for (_, sample) in &bench.samples {
+            let Measurement::Pose { position_m: Some([x, ..]), .. } = sample.measurement else { panic!() };
+            assert!((0.29..0.32).contains(&x), "{x}");
+        }
+    }
 }
 
 #[test]

@@ -30,6 +30,8 @@ impl Words for [f64; 3] {
 pub enum Evidence {
     /// Nothing: what rests may repeat itself.
     None,
+    /// Nothing, but nobody saw it come to rest: that it repeats itself becomes no habit.
+    Unseen,
     /// Other sensors move: it counts against a sensor whose words usually change.
     OthersMove,
     /// The sensor itself has moved, or its noise changes its words at all times.
@@ -93,7 +95,7 @@ impl<W: Words> Repetition<W> {
         self.run = self.run.saturating_add(1);
         let long = self.run >= W::STUCK_SAMPLES;
         self.overdue |= match evidence {
-            Evidence::None => false,
+            Evidence::None | Evidence::Unseen => false,
             Evidence::OthersMove => long && self.habit > CHANGING,
             Evidence::Certain => true,
         };
@@ -101,7 +103,9 @@ impl<W: Words> Repetition<W> {
             (true, true) => Repeats::Stuck,
             (true, false) => Repeats::Suspect,
             (false, _) => {
-                self.habit -= HABIT_WEIGHT * self.habit;
+                if evidence != Evidence::Unseen {
+                    self.habit -= HABIT_WEIGHT * self.habit;
+                }
                 Repeats::Rests
             }
         }
@@ -113,7 +117,8 @@ impl<W: Words> Repetition<W> {
     }
 
     /// Whether the latest sample repeats the one before though the words used to change: what is begun with such samples may begin
-    /// with a device that is stuck. A sensor that has come to rest meanwhile has that habit after 44 samples.
+    /// with a device that is stuck. A sensor that rests from the beginning has that habit after 44 samples; one that was seen to move and
+    /// that nobody saw come to rest must change once.
     pub fn may_be_stuck(&self) -> bool {
         self.run >= 2 && self.habit > CHANGING
     }

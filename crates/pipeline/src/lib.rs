@@ -385,7 +385,7 @@ impl Pipeline {
                 self.body.iter_mut().for_each(|body| body.restart(index));
                 self.chain.iter_mut().for_each(|chain| chain.restart(index));
             }
-            self.frames.sample(index, measured, stamp.queued);
+            self.frames.sample(index, measured, stamp.is_late());
         }
         if stamp.begins_cycle
             && route.sensor.is_some()

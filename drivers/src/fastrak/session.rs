@@ -217,7 +217,8 @@ impl FastrakSession {
         self.dropped += len as u64;
     }
 
-    /// Stations come in turn: those passed over were lost. Whole cycles leave no trace but time.
+    /// Stations come in turn: those passed over were lost. Whole cycles leave no trace but time, and are counted once that has
+    /// passed: too late for the number of a cycle, which the clock puts right by itself.
     fn count_losses(&mut self, now: Timestamp, index: usize) {
         let elapsed_s = self.last_record.replace(now).map_or(0.0, |last| now.seconds_since(last));
         let stations = self.stations.len();
@@ -244,7 +245,6 @@ impl FastrakSession {
             loss.lost += cycles;
             loss.estimated |= cycles > 0;
         }
-        self.cycle += cycles;
     }
 
     fn step(&mut self) {

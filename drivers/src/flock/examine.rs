@@ -148,6 +148,11 @@ pub struct Examination {
     findings: Findings,
     fixed_addressing: bool,
     tries: u8,
+    /// Whether positions have the extended scale, as last answered or known from before; no answer has a checksum, so that two
+    /// must agree.
+    extended: Option<bool>,
+    /// The latest answer to that contradicts what was known.
+    disputed: bool,
     #[state(skip)]
     transmits: VecDeque<Vec<u8>>,
     bytes_skipped: u64,
@@ -175,10 +180,17 @@ impl Examination {
             },
             fixed_addressing: addressing.is_some(),
             tries,
+            extended: None,
+            disputed: false,
             transmits: VecDeque::from([Command::Point.to_bytes(None, Addressing::Normal)]),
             bytes_skipped: 0,
             warnings: Vec::new(),
         }
+    }
+
+    /// What an earlier examination found out about the scale of positions: an answer that says the same is not asked for twice.
+    pub(super) fn knowing(self, extended: Option<bool>) -> Self {
+        Self { extended, ..self }
     }
 
     /// Bytes to send, in order, until `None`.
@@ -236,6 +248,7 @@ impl Examination {
                 Step::Revision | Step::Status | Step::Stop => {
                     Progress::Failed(if self.received { Failure::Unintelligible } else { Failure::Silent })
                 }
+                Step::Topology if self.disputed => Progress::Failed(Failure::Unintelligible),
                 // Firmware without this parameter gives no answer; the defaults stand.
                 _ => self.next_step(now),
             },
@@ -297,7 +310,14 @@ impl Examination {
                 }
             }
             (Step::Model, model) => found.model = String::from_utf8_lossy(model).trim().to_owned(),
-            (Step::Topology, bytes) => found.units = units(bytes),
+            (Step::Topology, bytes) => {
+                found.units = units(bytes);
+                let extended = Some(found.extended_range());
+                self.disputed = std::mem::replace(&mut self.extended, extended) != extended;
+                if self.disputed {
+                    return self.ask(now, Step::Topology);
+                }
+            }
             (Step::Rate, &[low, high]) => match value::claimed_rate([low, high]) {
                 Ok(rate) => found.rate_hz = rate.hz(),
                 Err(refused) => self.warnings.push(not_believed(&refused, found.rate_hz)),

@@ -57,6 +57,8 @@ pub struct FlockSession {
     /// Until then silence may be a unit that starts.
     powered_up_at: Timestamp,
     pause: Duration,
+    /// Set-ups in a row that ended with birds which do not run.
+    set_up_in_part: u8,
     /// Cycles go on counting over a new set-up.
     next_cycle: u64,
     #[state(keep)]
@@ -105,6 +107,7 @@ impl FlockSession {
             modem_lines: false,
             powered_up_at: Timestamp::ZERO,
             pause: FIRST_PAUSE,
+            set_up_in_part: 0,
             next_cycle: 0,
             outputs: VecDeque::new(),
         })
@@ -154,7 +157,8 @@ impl FlockSession {
 
     fn examine(&mut self, now: Timestamp) {
         self.connecting("asking the unit what it is");
-        let mut examination = Examination::new(now, self.settings.addressing, 3);
+        let known = self.findings.as_ref().map(Findings::extended_range);
+        let mut examination = Examination::new(now, self.settings.addressing, 3).knowing(known);
         while let Some(bytes) = examination.poll_transmit() {
             self.transmit(bytes);
         }

@@ -229,6 +229,14 @@ impl Framer {
         Frame { bid: found.bid, mid: found.mid, data: &self.buffer[found.data.0..found.data.1] }
     }
 
+    /// The byte behind a message, where it has come.
+    ///
+    /// # Panics
+    /// As [`Framer::frame`].
+    pub(super) fn behind(&self, found: Found) -> Option<u8> {
+        self.buffer.get(found.data.1 + 1).copied()
+    }
+
     /// Gives up what is pending, which counts as skipped: bytes are missing here, or the stream has ended.
     pub fn interrupt(&mut self) {
         self.skip(self.buffer.len() - self.start);

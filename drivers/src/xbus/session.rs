@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use posed_state::Plain;
 
-use super::frame::{Found, Frame, Framer};
+use super::frame::{Found, Frame, Framer, PREAMBLE};
 use super::message::{self, MASTER};
 use super::settings::Settings;
 use super::setup::{Progress, Setup};
@@ -127,14 +127,15 @@ impl XbusSession {
         }
     }
 
-    fn message(&mut self, now: Timestamp, frame: Frame<'_>, found: Found) {
+    /// Takes a message, and the byte behind it where that has come.
+    fn message(&mut self, now: Timestamp, frame: Frame<'_>, found: Found, behind: Option<u8>) {
         match std::mem::replace(&mut self.phase, Phase::Closed) {
             Phase::SettingUp { mut setup, bytes } => {
                 let progress = setup.handle(now, frame);
                 self.on_progress(now, setup, bytes, progress);
             }
             Phase::Streaming { stream, silent_at, refused } => {
-                self.stream_message(now, frame, found, (stream, silent_at, refused));
+                self.stream_message(now, frame, (found, behind), (stream, silent_at, refused));
             }
             other => self.phase = other,
         }
@@ -241,16 +242,21 @@ impl XbusSession {
         &mut self,
         now: Timestamp,
         frame: Frame<'_>,
-        found: Found,
+        (found, behind): (Found, Option<u8>),
         (mut stream, silent_at, refused): (Box<Stream>, Timestamp, u32),
     ) {
         let Some(arrival) = self.arrivals.of(found.offset) else { return };
         let Self { outbox, wanted, losses, .. } = self;
-        let outcome = stream.handle(frame, arrival, losses, &mut |sample| {
-            if wanted.contains(&sample.address) {
-                outbox.sample(sample);
-            }
-        });
+        let outcome = if behind.is_some_and(|byte| byte != PREAMBLE) {
+            // A byte was lost or added in front of it, and the sum fits by chance: it ends within another message.
+            Outcome::Refused
+        } else {
+            stream.handle(frame, arrival, losses, &mut |sample| {
+                if wanted.contains(&sample.address) {
+                    outbox.sample(sample);
+                }
+            })
+        };
         self.phase =
             match outcome {
                 Outcome::Data(samples) => {
@@ -348,7 +354,7 @@ impl Session for XbusSession {
         let mut framer = std::mem::take(&mut self.framer);
         framer.push(bytes);
         while let Some(found) = framer.find() {
-            self.message(now, framer.frame(found), found);
+            self.message(now, framer.frame(found), found, framer.behind(found));
         }
         self.framer = framer;
     }

@@ -70,12 +70,12 @@ impl Kind {
         matches!(self, Self::Flock | Self::Fastrak | Self::MotionStar)
     }
 
-    /// Whether bytes can be damaged so that nothing on the wire shows it: only an Xbus message has a checksum; in a Flock's
-    /// records bit 7 is known.
+    /// Whether bytes can be damaged so that nothing on the wire shows it. In a Flock's records bit 7 is known. An Xbus message has a
+    /// sum of one byte, which two flips of one bit in it leave as it was: always those of bit 7, half of the others.
     pub(crate) fn cannot_see(self, fault: &Fault) -> bool {
         match fault {
-            Fault::DataBitFlips(_) => self != Self::Xbus,
-            Fault::Bit7Flips(_) => !matches!(self, Self::Xbus | Self::Flock),
+            Fault::DataBitFlips(bytes) => self != Self::Xbus || bytes.count > 1,
+            Fault::Bit7Flips(bytes) => self != Self::Flock && (self != Self::Xbus || bytes.count > 1),
             _ => false,
         }
     }

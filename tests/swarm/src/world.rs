@@ -69,6 +69,8 @@ struct World<'a> {
     good: Vec<Timestamp>,
     /// By sensor, the newest state.
     states: Vec<SensorState>,
+    /// By device, whether a client has said how noisy it is: a gate that is narrower than the device refuses it, as it must.
+    noise_told: Vec<bool>,
     failure: Option<String>,
 }
 
@@ -108,6 +110,7 @@ pub(crate) fn run(plan: &Plan, seed: u64) -> Result<(Summary, Vec<Entry>), Strin
         frames: 0,
         good: vec![Timestamp::ZERO; stage.sensors.len()],
         states: vec![SensorState::default(); stage.sensors.len()],
+        noise_told: vec![false; stage.devices.len()],
         failure: None,
     };
     for input in world.host.opened() {
@@ -247,6 +250,7 @@ impl World<'_> {
                 let at = self.stage.devices.iter().position(|known| known.name == *device);
                 if let Some(at) = at {
                     self.judge.judged[at] = false;
+                    self.noise_told[at] = true;
                 }
             }
             _ => {}
@@ -287,7 +291,10 @@ impl World<'_> {
         for ((sensor, good), state) in self.stage.sensors.iter().zip(&self.good).zip(&self.states) {
             let at = self.stage.devices.iter().position(|device| device.name == sensor.device);
             let at = at.ok_or("a sensor of no device")?;
-            if plan.devices[at].returns && good.as_secs_f64() < plan.calm_from_s + RETURN_S {
+            if plan.devices[at].returns
+                && !self.noise_told[at]
+                && good.as_secs_f64() < plan.calm_from_s + RETURN_S
+            {
                 return Err(format!(
                     "{} is not back {CALM_S} s after the last fault, which ended at {:.3} s: last good at {:.3} s, {state:?} at the end, {:?}",
                     sensor.name,

@@ -90,6 +90,8 @@ pub struct Detector {
     mirror: Option<Mirror>,
     /// Where it was last inside its gate, repaired if need be, device axes, m.
     last_m: Option<Vector3<f64>>,
+    /// It has been inside its gate once.
+    tracked: bool,
     /// Records in a row in which prediction and fault map disagreed about the side.
     disputed: u32,
     /// What the map calls anomalous has lasted longer than a prediction does: it is followed, though never as good.
@@ -163,6 +165,7 @@ impl Detector {
         let evidence = match prediction {
             Some(prediction) if prediction.has_left(&seen, noise) => Evidence::Certain,
             _ if others_move => Evidence::OthersMove,
+            None if self.tracked => Evidence::Unseen,
             _ => Evidence::None,
         };
         match self.repetition.take(*pose, evidence) {
@@ -199,6 +202,7 @@ impl Detector {
     fn believe(&mut self, mirror: Option<Mirror>, pose: &MeasuredPose) -> Checked {
         let checked = Checked::on_side(mirror, pose);
         self.mirror = mirror;
+        self.tracked = true;
         self.last_m = checked.pose.position_m;
         checked
     }

@@ -128,6 +128,23 @@ fn what_repeats_itself_from_the_first_record_on_begins_no_track_until_it_is_know
 }
 
 #[test]
+fn what_was_seen_to_move_and_repeats_itself_after_a_break_begins_no_track_before_it_changes() {
+    let mut detector = Detector::default();
+    for k in 0..100 {
+        let expected = expected(Vector3::new(0.4 + 0.002 * f64::from(k), 0.1, -0.2));
+        assert!(!detector.check(&measured(&expected), Some(&expected), &NOISE, false, None).withheld);
+    }
+    let mut seen = |x_m| {
+        let pose = measured(&expected(Vector3::new(x_m, 0.1, -0.2)));
+        detector.check(&pose, None, &NOISE, false, None).withheld
+    };
+    // The first of them may be new; the words of a device that stands still say nothing for as long as one looks.
+    assert!(!seen(0.7));
+    assert!((0..1000).all(|_| seen(0.7)));
+    assert!(!seen(0.7001));
+}
+
+#[test]
 fn a_mirrored_position_with_another_orientation_is_an_outlier() {
     let prediction = expected(Vector3::new(0.4, 0.1, -0.2));
     let turned = prediction.orientation * so3::exp(&Vector3::new(0.0, 0.5, 0.0));

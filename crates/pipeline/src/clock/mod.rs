@@ -56,6 +56,8 @@ const UNDECIDED_S: f64 = 0.02;
 /// The same from which on the clock begins anew, and how many such cycles in a row make it do so.
 const LOST_S: f64 = 0.06;
 const UNDECIDED_CYCLES: u32 = 8;
+/// Uncertainty of a capture time from which on its sample is late, s.
+const MOST_SIGMA_S: f64 = 0.02;
 /// How long times are not to be relied on after they were contradicted, s.
 const CONTRADICTED_S: f64 = 0.2;
 /// By how much less than whole cycles a read may be late and still mean that they are missing, s.
@@ -101,6 +103,14 @@ pub struct Stamp {
     /// tells when it was measured ([`ArrivalClock`]), or it comes late and alone, and nobody knows yet whether cycles before it
     /// were lost.
     pub queued: bool,
+}
+
+impl Stamp {
+    /// Whether its sample must not pass for one of its time: it may have waited, or that time is hardly known. A frame states the
+    /// uncertainty of its own time, which need not be that of each of its samples.
+    pub fn is_late(&self) -> bool {
+        self.queued || self.sigma_s > MOST_SIGMA_S
+    }
 }
 
 /// Clock model of one device that measures in cycles. Causal; it allocates nothing per sample.
@@ -321,7 +331,7 @@ impl Clock {
             || self.fit.is_none()
         {
             let nominal = origin.counted_s.map(Nominal::Counted).or(nominal.map(Nominal::Reported));
-            self.fit = self.window.fit(nominal);
+            self.fit = self.window.fit(nominal, self.fit.as_ref());
             if !counted && self.fit.is_some_and(|fit| fit.crossing > CONTRADICTION * fit.period_s) {
                 // A cycle was lost before the line was firm enough to show it, or the device has changed its phase.
                 self.restart();

@@ -26,8 +26,11 @@ enum Delivery {
 }
 
 /// A device on a line, and how its bytes reach the host.
+#[derive(Clone, Copy)]
 struct Line {
     rate_hz: f64,
+    /// What it claims.
+    nominal_hz: f64,
     drift_ppm: f64,
     birds: u32,
     record_bytes: u32,
@@ -48,6 +51,7 @@ impl Default for Line {
     fn default() -> Self {
         Self {
             rate_hz: 100.0,
+            nominal_hz: 103.3,
             drift_ppm: 0.0,
             birds: 1,
             record_bytes: 15,
@@ -149,7 +153,7 @@ impl Line {
     fn run(&self, seed: u64) -> Outcome {
         let (samples, lost) = self.samples(seed);
         let mut clock = Clock::new(Settings { byte_time_s: BYTE_S, measurement_delay_s: 0.0 });
-        clock.set_nominal_rate_hz(Some(103.3));
+        clock.set_nominal_rate_hz(Some(self.nominal_hz));
         if self.wire {
             clock.know_wire();
         }
@@ -261,6 +265,25 @@ fn bursts_of_16_ms_do_not_hide_the_capture_time() {
     }
     let alone = Line { burst_s: Some(0.016), drift_ppm: 50.0, ..Line::default() };
     alone.check("burst, one bird");
+}
+
+#[test]
+fn a_device_that_reports_seldom_keeps_its_phase_where_some_reads_say_much_and_most_nothing() {
+    // Every 32nd cycle; some of its records are cut by a burst.
+    let line = Line {
+        rate_hz: 103.3 / 32.0,
+        nominal_hz: 103.3 / 32.0,
+        birds: 2,
+        delivery: Delivery::Fifo(8),
+        burst_s: Some(0.016),
+        seconds: 60.0,
+        ..Line::default()
+    };
+    for run in 0..16 {
+        let outcome = Line { phase_s: 0.0023 * f64::from(run), ..line }.run(7 + run as u64);
+        println!("{:.2} ms", outcome.worst_s * 1e3);
+        assert!(outcome.worst_s < 0.016, "{} s", outcome.worst_s);
+    }
 }
 
 #[test]
@@ -403,6 +426,45 @@ fn bursts_of_a_device_that_counts_leave_its_times_right() {
         // Restarted by what came late, the clock was 150 ms off.
         let limit_s = if (6.0..11.0).contains(&truth_s) { 1e-2 } else { 2e-3 };
         assert!(k < 100 || error_s.abs() < limit_s, "cycle {k}: {error_s} s");
+    }
+}
+
+#[test]
+fn cycles_that_left_no_trace_make_no_record_old_under_bursts() {
+    for lost in 1..=10 {
+        let mut clock = Clock::new(Settings { byte_time_s: 0.0, measurement_delay_s: 0.0 });
+        clock.set_nominal_rate_hz(Some(40.0));
+        let mut previous = None;
+        for k in 0..400_u64 {
+            let before = if k < 200 { 0 } else { lost };
+            let truth_s = 1.0 + (k + before) as f64 * 0.025;
+            let t_read = Timestamp::from_secs_f64((truth_s / 0.016).ceil() * 0.016);
+            let stamp = clock.push(&sample(1, t_read, previous, DeviceTime::Cycle(k)));
+            previous = Some(t_read);
+            let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
+            let stated = off_s < 0.02 || off_s < 4.0 * stamp.sigma_s;
+            assert!(stamp.is_late() || stated, "{lost} lost: cycle {k} is {off_s} s off and no one says so");
+        }
+        let sigma_s = clock.sigma_t_s().unwrap();
+        assert!(sigma_s <= MOST_SIGMA_S, "{lost} lost: {sigma_s} s at the end");
+    }
+}
+
+#[test]
+fn what_is_known_to_no_better_than_20_ms_is_late() {
+    // Two cycles in a burst, in step with it: nothing ever tells when in the burst they were measured.
+    for (burst_s, late) in [(0.16, true), (0.02, false)] {
+        let mut clock = Clock::new(Settings { byte_time_s: 0.0, measurement_delay_s: 0.0 });
+        clock.set_nominal_rate_hz(Some(2.0 / burst_s));
+        let mut previous = None;
+        for burst in 0..100_u64 {
+            let t_read = Timestamp::from_secs_f64(1.0 + burst as f64 * burst_s);
+            for k in 0..2 {
+                let stamp = clock.push(&sample(1, t_read, previous, DeviceTime::Cycle(2 * burst + k)));
+                assert!(burst < 50 || stamp.is_late() == late, "{burst_s} s: {stamp:?}");
+            }
+            previous = Some(t_read);
+        }
     }
 }
 

@@ -228,13 +228,15 @@ impl Window {
     }
 
     /// The line through the window; `None` while there is not enough to know a period.
-    pub(super) fn fit(&mut self, nominal: Option<Nominal>) -> Option<Fit> {
+    ///
+    /// `before` is the one in use, which says how late reads usually are.
+    pub(super) fn fit(&mut self, nominal: Option<Nominal>, before: Option<&Fit>) -> Option<Fit> {
         let settled = self.is_settled();
         let period_s = match nominal {
             Some(Nominal::Counted(period_s)) if !settled => Some(period_s),
             Some(Nominal::Reported(period_s)) if !settled => self.first_slope(Some(period_s)),
             None if !settled => self.first_slope(None),
-            _ => self.slope().map(|period_s| Nominal::limit(nominal, period_s)),
+            _ => self.slope(before).map(|period_s| Nominal::limit(nominal, period_s)),
         };
         let period_s = period_s.filter(|period_s| PERIOD_RANGE_S.contains(period_s))?;
         let newest = *self.newest()?;
@@ -353,10 +355,17 @@ impl Window {
     }
 
     /// Period from the middles of the blocks' bounds, by least squares without the outliers.
-    fn slope(&self) -> Option<f64> {
+    fn slope(&self, before: Option<&Fit>) -> Option<f64> {
         let first = self.blocks.first()?.upper;
+        let prompt = before.filter(|fit| fit.prompt);
         let middle = |block: &Block| {
             let lower = block.lower.unwrap_or(block.upper);
+            // On a prompt line most lower bounds say nothing and a few say much: their middles would jump by half a period.
+            let least = |fit: &Fit| Point { t: block.upper.t - fit.lateness, ..block.upper };
+            let lower = prompt.map_or(lower, |fit| {
+                let offset = |point: &Point| point.t - fit.period_s * point.x;
+                if offset(&lower) < offset(&least(fit)) { least(fit) } else { lower }
+            });
             let x = 0.5 * (block.upper.x + lower.x) - first.x;
             (x, 0.5 * (block.upper.t + lower.t) - first.t)
         };

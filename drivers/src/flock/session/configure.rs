@@ -21,6 +21,9 @@ use crate::session::State;
 const RUN_QUIET: Duration = Duration::from_millis(200);
 /// How long auto-configured birds may take to run.
 const RUNNING_LIMIT: Duration = Duration::from_secs(2);
+/// Set-ups after which those that run go on alone. One in which a bird does not run may have met a unit that was switched off
+/// and on meanwhile: what it had been told is forgotten.
+const SET_UPS: u8 = 2;
 
 #[derive(Clone, Debug, Plain)]
 pub(super) struct Configuring {
@@ -124,7 +127,12 @@ impl FlockSession {
             (Topic::Running, answer) => {
                 let limit = *configuring.running_limit.get_or_insert(now + RUNNING_LIMIT);
                 if let Some(bytes) = answer {
-                    configuring.findings.units = examine::units(bytes);
+                    let before = configuring.findings.extended_range();
+                    let units = std::mem::replace(&mut configuring.findings.units, examine::units(bytes));
+                    if configuring.findings.extended_range() != before {
+                        // Two answers had said so: this one is damaged.
+                        configuring.findings.units = units;
+                    }
                 }
                 let Configuring { present, findings, .. } = &*configuring;
                 let late: Vec<u8> =
@@ -140,6 +148,13 @@ impl FlockSession {
                     return self.pause_and_retry(now, State::Failed { reason });
                 } else if !late.is_empty() {
                     let list = late.iter().map(u8::to_string).collect::<Vec<_>>().join(", ");
+                    self.set_up_in_part += 1;
+                    if self.set_up_in_part < SET_UPS {
+                        let reason = format!(
+                            "bird {list} does not run after auto-configuration, which is tried again"
+                        );
+                        return self.pause_and_retry(now, State::Failed { reason });
+                    }
                     self.warn(format!(
                         "bird {list} does not run after auto-configuration; the others go on without it"
                     ));

@@ -51,6 +51,7 @@ pub(super) struct Poll {
 
 impl FlockSession {
     pub(super) fn start(&mut self, now: Timestamp, configuring: Configuring) {
+        self.set_up_in_part = 0;
         let group = self.wanted != [0];
         let shape = self.settings.shape(group);
         let birds: Vec<(u8, Shape)> = if group {
