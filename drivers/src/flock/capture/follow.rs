@@ -17,6 +17,8 @@ use crate::flock::wire::{
 
 /// Pieces after which a question has no answer any more: a flock's status takes the time of a hundred records at most.
 const STALE_PIECES: usize = 128;
+/// Pieces within which most answers come.
+const PROMPT_PIECES: usize = 16;
 /// Questions that may be open at once; a host waits for its answers.
 const MOST_QUESTIONS: usize = 16;
 /// Bytes after a first byte that are looked at together: more than any record has.
@@ -32,6 +34,13 @@ struct Question {
     len: usize,
     /// Pieces that had been cut when it was asked.
     pieces: usize,
+}
+
+impl Question {
+    /// Whether its answer may well come with as many pieces cut.
+    fn is_prompt(&self, pieces: usize) -> bool {
+        self.pieces + PROMPT_PIECES > pieces
+    }
 }
 
 /// What may stand at a place between two records.
@@ -60,6 +69,8 @@ pub(super) struct Follower<'a> {
     records_from: Option<usize>,
     streaming: bool,
     pub(super) pieces: Vec<Piece>,
+    /// Where answers begin and end that have nothing but whole ones and records beside them.
+    pub(super) answers: Vec<(usize, usize)>,
     pub(super) units: BTreeMap<u8, Timeline>,
     /// Group mode from a place on.
     pub(super) groups: Vec<(usize, bool)>,
@@ -67,6 +78,8 @@ pub(super) struct Follower<'a> {
     group_votes: i64,
     /// Addresses that the session says are there.
     pub(super) listed: BTreeSet<u8>,
+    /// Whether the host has said it.
+    configured: bool,
     /// Answers that say that the range is extended, less those that say that it is not.
     extended: i64,
     /// Full scale of a standard transmitter from a place on, where it has been said.
@@ -159,7 +172,8 @@ impl<'a> Follower<'a> {
                 slaves.for_each(|(_, unit)| unit.reset(place));
             }
             Command::Change { parameter: parameter::FBB_AUTO_CONFIG, data } => {
-                self.listed.extend(data.first().into_iter().flat_map(|&units| 1..=units.min(126)));
+                self.configured = true;
+                self.listed = data.first().into_iter().flat_map(|&units| 1..=units.min(126)).collect();
             }
             Command::Change { parameter: number, data } => self.learn(place, to, number, &data),
             _ => {}
@@ -186,7 +200,11 @@ impl<'a> Follower<'a> {
             (parameter::MODEL_ID, model) => self.extended += i64::from(model.starts_with(b"6DERC")),
             (parameter::FLOCK_SYSTEM_STATUS, units) => {
                 let there = |status: u8| UnitStatus(status).has(UnitStatus::ACCESSIBLE);
-                self.listed.extend((1..).zip(units).filter(|(_, status)| there(**status)).map(|(at, _)| at));
+                // The host knows how many it has set up; an answer may be damaged.
+                if !self.configured {
+                    self.listed
+                        .extend((1..).zip(units).filter(|(_, status)| there(**status)).map(|(at, _)| at));
+                }
                 let extended = units.iter().any(|&unit| UnitStatus(unit).has(UnitStatus::EXTENDED_RANGE));
                 self.extended += if extended { 1 } else { -1 };
             }
@@ -207,7 +225,8 @@ impl<'a> Follower<'a> {
                 self.questions.pop_front();
             }
             if let Some(len) = self.record_at(at) {
-                if at + len > end && !self.is_boundary(at + len) {
+                // What the host says at `end` may be answered within: with the answer's first bytes it looks like a longer one.
+                if at + len > end && (self.streaming || !self.is_boundary(at + len)) {
                     return;
                 }
                 self.cut(at + len);
@@ -215,7 +234,17 @@ impl<'a> Follower<'a> {
             }
             if !self.questions.is_empty() {
                 match self.gap(at, end) {
-                    Gap::Answers(range, len) | Gap::Perhaps(range, len) => {
+                    // A part of a damaged record may have an answer's length, too.
+                    Gap::Answers(range, len) | Gap::Perhaps(range, len)
+                        if self.streaming
+                            && !self.is_between_told(at, len)
+                            && self.is_answered_behind(at, &range) => {}
+                    Gap::Answers(range, len) => {
+                        self.answers.push((at, at + len));
+                        self.take_answers(range, len);
+                        continue;
+                    }
+                    Gap::Perhaps(range, len) => {
                         self.take_answers(range, len);
                         continue;
                     }
@@ -246,12 +275,15 @@ impl<'a> Follower<'a> {
                 [false, true].map(|group| self.may_be(&self.bytes[begin..end], begin, group));
             self.group_votes += i64::from(group) - i64::from(alone);
         }
-        let is_end = end == self.bytes.len();
-        let beside_answer = !self.questions.is_empty()
-            && !is_end
-            && !self.begins_record(end)
-            && !matches!(self.gap(end, self.bytes.len()), Gap::Answers(..));
-        self.pieces.push(Piece { begin, end, doubtful, beside_answer });
+        let last = self.pieces.last().filter(|last| last.end == begin);
+        let due = || self.questions.iter().filter(|question| question.is_prompt(self.pieces.len()));
+        let lent = last.and_then(|last| {
+            let told = |len: &usize| self.is_as_told(&self.bytes[last.begin..last.begin + len]);
+            let fits = |len: &usize| due().any(|question| last.begin + len + question.len == begin + 1);
+            self.lengths_at(last.begin).filter(told).find(fits)
+        });
+        let answer_due = !self.questions.is_empty();
+        self.pieces.push(Piece { begin, end, doubtful, answer_due, lent });
     }
 
     fn is_boundary(&self, place: usize) -> bool {
@@ -265,11 +297,8 @@ impl<'a> Follower<'a> {
             let gap = || self.gap(end, self.bytes.len());
             self.is_boundary(end) || matches!(gap(), Gap::Answers(..) | Gap::Perhaps(..))
         };
-        let lengths: Vec<usize> = self.lengths_at(place).collect();
         // What the unit was told last is likelier than a longer record that an answer's bytes complete.
-        let told =
-            lengths.iter().copied().find(|len| self.is_as_told(&self.bytes[place..place + len]) && ends(len));
-        told.or_else(|| lengths.into_iter().find(ends))
+        self.told_at(place).filter(ends).or_else(|| self.lengths_at(place).find(ends))
     }
 
     /// Whether a record has the length of what its unit was told last.
@@ -278,6 +307,29 @@ impl<'a> Follower<'a> {
         let unit = if group { record[record.len() - 1] } else { LINE_UNIT };
         let form = self.units.get(&unit).and_then(Timeline::last);
         form.is_some_and(|(format, button)| Shape { format, button, group }.len() == record.len())
+    }
+
+    /// Whether `len` bytes at `place` have records of what their units were told last on both sides.
+    fn is_between_told(&self, place: usize, len: usize) -> bool {
+        let last = self.pieces.last().filter(|last| last.end == place);
+        last.is_some_and(|last| self.told_at(last.begin) == Some(place - last.begin))
+            && self.told_at(place + len).is_some()
+    }
+
+    /// Whether answers to these questions stand a little behind `place`, between such records.
+    fn is_answered_behind(&self, place: usize, questions: &std::ops::Range<usize>) -> bool {
+        let horizon = self.bytes.len().min(place + LONGEST_PIECE);
+        let questions = || self.questions.range(questions.clone());
+        let len: usize = questions().map(|question| question.len).sum();
+        (place + 1..horizon)
+            .filter_map(|begin| Some(begin + self.told_at(begin)?))
+            .filter(|&end| end < horizon && self.told_at(end).is_none() && self.told_at(end + len).is_some())
+            .any(|end| questions().next().is_some_and(|question| self.may_answer(question, end)))
+    }
+
+    /// Length of the record of what its unit was told last that begins at `place`.
+    fn told_at(&self, place: usize) -> Option<usize> {
+        self.lengths_at(place).find(|len| self.is_as_told(&self.bytes[place..place + len]))
     }
 
     /// Whether a whole record begins at `place`, with another first byte or nothing behind it.
@@ -346,10 +398,13 @@ impl<'a> Follower<'a> {
             }
         }
         let longest = self.questions.iter().map(|question| question.len).sum::<usize>() + MAX_LEN;
-        // The record behind it may be damaged: then its first byte must do, unless a damaged one stands here.
+        // The record behind it may be damaged: then its first byte must do, unless a damaged one stands here. A flock's status
+        // has first bytes of its own, and no record is like it.
         for (k, question) in self.questions.iter().enumerate() {
             let end = at + question.len;
-            if !self.is_boundary(at) && self.is_boundary(end) && self.may_answer(question, at) {
+            let is_status = question.command == Command::Examine(parameter::FLOCK_SYSTEM_STATUS);
+            if (is_status || !self.is_boundary(at)) && self.is_boundary(end) && self.may_answer(question, at)
+            {
                 return Gap::Perhaps(k..k + 1, question.len);
             }
         }
@@ -384,6 +439,9 @@ impl<'a> Follower<'a> {
             let answer = self.bytes[at..at + question.len].to_vec();
             at += question.len;
             self.summary.answers += 1;
+            if question.is_prompt(self.pieces.len()) {
+                self.pieces[question.pieces..].iter_mut().for_each(|piece| piece.lent = None);
+            }
             if let Command::Examine(number) = question.command {
                 self.learn(at, question.to, number, &answer);
             }
