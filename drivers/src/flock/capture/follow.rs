@@ -32,7 +32,8 @@ struct Question {
     command: Command,
     to: u8,
     len: usize,
-    /// Pieces that had been cut when it was asked.
+    /// Place in the stream at which it was asked, and pieces that had been cut by then.
+    place: usize,
     pieces: usize,
 }
 
@@ -152,7 +153,7 @@ impl<'a> Follower<'a> {
             if self.questions.len() == MOST_QUESTIONS {
                 self.questions.pop_front();
             }
-            self.questions.push_back(Question { command: addressed.command, to, len, pieces });
+            self.questions.push_back(Question { command: addressed.command, to, len, place, pieces });
             return;
         }
         match addressed.command {
@@ -199,14 +200,17 @@ impl<'a> Follower<'a> {
             }
             (parameter::MODEL_ID, model) => self.extended += i64::from(model.starts_with(b"6DERC")),
             (parameter::FLOCK_SYSTEM_STATUS, units) => {
-                let there = |status: u8| UnitStatus(status).has(UnitStatus::ACCESSIBLE);
-                // The host knows how many it has set up; an answer may be damaged.
-                if !self.configured {
-                    self.listed
-                        .extend((1..).zip(units).filter(|(_, status)| there(**status)).map(|(at, _)| at));
+                let units =
+                    || (1..).zip(units.iter().copied().map(UnitStatus)).filter(|(_, unit)| unit.0 != 0);
+                // The host knows how many it has set up. One that speaks of others has a byte too many or too few.
+                let is_there = |(at, unit): (u8, UnitStatus)| {
+                    unit.has(UnitStatus::ACCESSIBLE) && (!self.configured || self.listed.contains(&at))
+                };
+                if units().all(is_there) {
+                    self.listed.extend(units().map(|(at, _)| at));
+                    let extended = units().any(|(_, unit)| unit.has(UnitStatus::EXTENDED_RANGE));
+                    self.extended += if extended { 1 } else { -1 };
                 }
-                let extended = units.iter().any(|&unit| UnitStatus(unit).has(UnitStatus::EXTENDED_RANGE));
-                self.extended += if extended { 1 } else { -1 };
             }
             (parameter::FBB_ADDRESSING_MODE, &[code]) => {
                 self.host.addressing = Addressing::from_code(code).unwrap_or(self.host.addressing);
@@ -279,7 +283,10 @@ impl<'a> Follower<'a> {
         let due = || self.questions.iter().filter(|question| question.is_prompt(self.pieces.len()));
         let lent = last.and_then(|last| {
             let told = |len: &usize| self.is_as_told(&self.bytes[last.begin..last.begin + len]);
-            let fits = |len: &usize| due().any(|question| last.begin + len + question.len == begin + 1);
+            let fits = |len: &usize| {
+                let answer = last.begin + len;
+                due().any(|due| answer + due.len == begin + 1 && self.may_answer(due, answer))
+            };
             self.lengths_at(last.begin).filter(told).find(fits)
         });
         let answer_due = !self.questions.is_empty();
@@ -425,6 +432,7 @@ impl<'a> Follower<'a> {
             Command::Examine(parameter::FLOCK_SYSTEM_STATUS) => {
                 bytes.iter().all(|&unit| unit == 0 || UnitStatus(unit).has(UnitStatus::ACCESSIBLE))
             }
+            Command::Examine(parameter::POSITION_SCALING) => matches!(bytes, [0 | 1, 0]),
             Command::Examine(parameter::MODEL_ID) => bytes.iter().all(|byte| (b' '..=b'~').contains(byte)),
             _ => true,
         }
@@ -433,17 +441,25 @@ impl<'a> Follower<'a> {
     /// The next `len` bytes answer the questions of `range`; those before it are given up.
     fn take_answers(&mut self, range: std::ops::Range<usize>, len: usize) {
         self.questions.drain(..range.start);
+        let knows = self.units.values().any(|unit| unit.last().is_some());
+        let is_prompt = self.questions.front().is_some_and(|question| question.place == self.cursor);
+        let is_clean =
+            if self.streaming { !knows || self.is_between_told(self.cursor, len) } else { is_prompt };
         let (mut at, end) = (self.cursor, self.cursor + len);
         self.cursor = end;
         for question in self.questions.drain(..range.len()).collect::<Vec<_>>() {
             let answer = self.bytes[at..at + question.len].to_vec();
             at += question.len;
             self.summary.answers += 1;
-            if question.is_prompt(self.pieces.len()) {
+            if is_clean && question.is_prompt(self.pieces.len()) {
                 self.pieces[question.pieces..].iter_mut().for_each(|piece| piece.lent = None);
             }
             if let Command::Examine(number) = question.command {
-                self.learn(at, question.to, number, &answer);
+                // What stands beside damage may be another answer, and these two decide on all positions.
+                let is_scale = matches!(number, parameter::POSITION_SCALING | parameter::FLOCK_SYSTEM_STATUS);
+                if is_clean || !is_scale {
+                    self.learn(at, question.to, number, &answer);
+                }
             }
         }
     }

@@ -296,10 +296,25 @@ impl Unit<'_, '_> {
             }
             let [before, after] = whole.damage(piece);
             let len = piece.end - piece.begin;
-            let may_be = |other: Form| {
+            let is_part = |other: Form, rest: usize| {
                 let other = self.shape(other).len();
-                let is_part = |rest: usize| rest > 0 && (other..=other + 1).contains(&(len + rest));
-                other.abs_diff(len) == 1 || is_part(before) || is_part(after)
+                rest > 0 && (other..=other + 1).contains(&(len + rest))
+            };
+            let is_cut = |other: (usize, Form)| {
+                is_part(other.1, before)
+                    && self.is_joined(reading, other, piece.begin, piece.begin - before, piece.end)
+                    || is_part(other.1, after)
+                        && self.is_joined(reading, other, piece.end, piece.begin, piece.end + after)
+            };
+            let beside = [m.checked_sub(1), Some(m + 1)].into_iter().flatten();
+            let mut others_at = beside
+                .filter_map(|k| Some((*found.get(k)?, form(k)?)))
+                .filter(|other| Some(other.1) != form(m));
+            if others_at.any(is_cut) {
+                return true;
+            }
+            let may_be = |other: Form| {
+                self.shape(other).len().abs_diff(len) == 1 || is_part(other, before) || is_part(other, after)
             };
             // Damage as long as one or two of the records around, but for a byte, has taken nothing from this one.
             let lengths = whole.lengths(piece);
@@ -315,6 +330,28 @@ impl Unit<'_, '_> {
         for i in taken_back {
             reading.at[i].1 = false;
         }
+    }
+
+    /// Whether the bytes from `begin` to `end` are a record of the form of that at `known`, and like it, once the first byte at `cut`
+    /// is taken out, or its bit 7 is.
+    fn is_joined(
+        &self,
+        reading: &Reading,
+        known: (usize, Form),
+        cut: usize,
+        begin: usize,
+        end: usize,
+    ) -> bool {
+        let (known, form) = known;
+        let shape = self.shape(form);
+        let mut bytes = self.follower.bytes[begin..end].to_vec();
+        if bytes.len() == shape.len() {
+            bytes[cut - begin] &= !record::PHASE_BIT;
+        } else {
+            bytes.remove(cut - begin);
+        }
+        let known = self.words(&self.pieces[known], reading.forms[reading.at[known].0]);
+        record::words(&bytes, shape).ok().zip(known).is_some_and(|(a, b)| jump(&a, &b) <= 2 * STEP)
     }
 
     /// Whether a record's first byte may be an answer's last one. Of a unit alone, the record in front of that answer must be one.
