@@ -231,6 +231,16 @@ impl Fault {
         }
     }
 
+    /// Whether it names no end.
+    pub(crate) fn is_for_good(&self) -> bool {
+        matches!(
+            self,
+            Self::Unplug { duration_s: None, .. }
+                | Self::BirdDies { duration_s: None, .. }
+                | Self::WrongOutput { duration_s: None, .. }
+        )
+    }
+
     /// Address of the unit or sensor that it is about; `None` for faults of the link and of the whole device.
     pub fn address(&self) -> Option<u16> {
         match *self {

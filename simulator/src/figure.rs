@@ -194,7 +194,7 @@ impl Fault {
 }
 
 /// Puts faults of 0.5 to 3 s into positions, the kinds in turn, with clean stretches between them so that about
-/// `share` of the frames (above 0, below 1) have a faulty sensor. Returns what each sensor of each frame is, frame by frame.
+/// `share` of the frames (at least 0, below 1) have a faulty sensor. Returns what each sensor of each frame is, frame by frame.
 ///
 /// `positions_m` holds three numbers for each of `sensors` sensors, frame by frame, from the transmitter, m; it is changed in
 /// place. `rate_hz`: frames per second. The same `seed` and input give the same faults; an empty `kinds` gives none.
@@ -215,7 +215,7 @@ pub fn inject(
     let clean_s = 1.75 * (1.0 - share) / share;
     let mut start = (rate_hz * clean_s * (0.5 + random.uniform())) as usize;
     for kind in kinds.iter().cycle() {
-        let end = start + (rate_hz * (0.5 + 2.5 * random.uniform())) as usize;
+        let end = start.saturating_add((rate_hz * (0.5 + 2.5 * random.uniform())) as usize);
         if end >= frames || start == 0 {
             break;
         }
@@ -261,6 +261,13 @@ mod tests {
     use super::*;
 
     const FIGURE: Figure = Figure { seed: 1, height_m: 1.75, rate_hz: 60.0, frames: 1800 };
+
+    #[test]
+    fn a_share_of_nothing_changes_nothing() {
+        let mut positions_m = vec![1.0; 3 * 2 * 300];
+        let truth = inject(&mut positions_m, 2, 100.0, 1, 0.0, &Fault::ALL);
+        assert!(truth.iter().all(|truth| *truth == Truth::Clean) && positions_m.iter().all(|p| *p == 1.0));
+    }
 
     #[test]
     fn it_stands_upright_moves_steadily_and_repeats() {

@@ -15,6 +15,9 @@ use crate::faults::Fault;
 use crate::inertial::{EarthSpec, ImuClass};
 use crate::motion::{FileError, Motion};
 
+/// No time is later, no duration longer: some thirty years, s.
+const LAST_S: f64 = 1e9;
+
 /// What is simulated in the devices' place. Every key has a default; `Scenario::default()` is a clean, quiet stage.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -287,10 +290,10 @@ impl Scenario {
             }
         };
         let not_negative = |key: &str, value: f64| {
-            if value.is_finite() && value >= 0.0 {
+            if (0.0..=LAST_S).contains(&value) {
                 Ok(())
             } else {
-                Err(invalid(key, format!("{value} should not be below 0")))
+                Err(invalid(key, format!("{value} should not be below 0, nor above {LAST_S}")))
             }
         };
         not_negative("sigma_signal_per_m3", self.sigma_signal_per_m3)?;
@@ -354,9 +357,13 @@ impl Scenario {
             }
             for fault in &device.faults {
                 let (start_s, end_s) = fault.span_s();
-                if !start_s.is_finite() || start_s < 0.0 || end_s < start_s || end_s.is_nan() {
+                let ends = fault.is_for_good() || end_s <= LAST_S;
+                if !(0.0..=LAST_S).contains(&start_s) || !(end_s >= start_s && ends) {
                     let problem = format!("{} should begin at 0 s or later and end after that", fault.name());
                     return Err(invalid(key("fault"), problem));
+                }
+                if let Fault::Bursts { burst_ms, .. } = *fault {
+                    not_negative(&key("fault.burst_ms"), burst_ms)?;
                 }
             }
         }

@@ -130,3 +130,15 @@ fn the_demo_is_named_live_and_from_its_recording_alike() {
         assert!(segments.iter().any(same), "{label} at {start_s}: {segments:?}");
     }
 }
+
+#[test]
+fn a_bench_reports_the_parameters_of_what_it_times() {
+    let folder = tempfile::tempdir().unwrap();
+    let counts = |words: &str| {
+        let answer = ok(folder.path(), &format!("segments bench --frames 2 --repeat 1 --json {words}"));
+        ["parameters", "labelling_parameters"].map(|key| answer[key].as_u64().unwrap())
+    };
+    assert_eq!(counts("--rows 19"), [545_482; 2]);
+    assert_eq!(counts("--rows 224"), [663_562; 2]);
+    assert_eq!(counts("--rows 224 --joints 19"), [663_562, 545_482]);
+}

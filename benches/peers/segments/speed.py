@@ -88,7 +88,7 @@ def main():
         expected, answer = forward(x).numpy(), session.run(None, {"x": x})[0]
         assert np.abs(expected - answer).max() < 1e-3, "the converted network is another"
         for _ in range(args.turns):
-            command = [args.posed, "segments", "bench", "--json", "--rows", str(rows), "--frames", str(args.frames), "--repeat", str(CALLS)]
+            command = [args.posed, "segments", "bench", "--json", "--rows", str(rows), "--joints", "19", "--frames", str(args.frames), "--repeat", str(CALLS)]
             own = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
             found.setdefault((f"{rows} rows, inference", "posed"), []).append(own["inference_least_ms"])
             found.setdefault((f"{rows} rows, inference", "keras"), []).append(least(lambda: forward(x)))

@@ -405,6 +405,24 @@ mod tests {
         again.lock().candidate = Some(Ok(map()));
         assert_eq!(again.accept().unwrap(), 3);
     }
+
+    #[test]
+    fn two_daemons_never_take_one_number() {
+        let data = tempfile::tempdir().unwrap();
+        let daemons = || {
+            std::thread::scope(|scope| {
+                let keep = || {
+                    let (calibration, ..) = calibration(data.path());
+                    (0..8).map(|_| calibration.keep(&map()).unwrap()).collect::<Vec<u32>>()
+                };
+                [scope.spawn(keep), scope.spawn(keep)].map(|thread| thread.join().unwrap())
+            })
+        };
+        let mut versions = daemons().concat();
+        versions.sort_unstable();
+        assert_eq!(versions, Vec::from_iter(1..=16));
+    }
+
     #[test]
     fn a_damaged_map_is_left_out_with_a_sentence_and_the_one_before_is_still_there() {
         let data = tempfile::tempdir().unwrap();

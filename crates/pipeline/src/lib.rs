@@ -162,7 +162,7 @@ impl Pipeline {
     /// # Errors
     /// All but [`PipelineError::Snapshot`]: a sensor of an unknown device, settings that a driver refuses, two IMUs on one
     /// segment, a value out of its range, a name that no sensor has, sensors on a human body without `height_m`.
-    /// [`Stage::parse`] refuses all of it but the missing height, of which [`posed_stage::check`] warns.
+    /// [`Stage::parse`] refuses all of it but the missing height, which only [`posed_stage::check`] finds: files can be worked on without.
     pub fn new(stage: &Stage) -> Result<Self, PipelineError> {
         let positive = |value: f64| value.is_finite() && value > 0.0;
         let check =

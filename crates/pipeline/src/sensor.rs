@@ -178,6 +178,10 @@ impl Sensor {
                 }
                 Kind::Inertial(inertial) => inertial.measure(&sample.measured),
             };
+            if let (Some(_), false, Kind::Magnetic(magnetic)) = (found.repair, self.repairs, &mut self.kind) {
+                // What may not be published must not come in by an attached IMU or a pole either.
+                magnetic.begin_frame();
+            }
             self.fault = found.label.cause;
             finding = Some(Finding { late: sample.late, ..found });
         }
@@ -254,9 +258,8 @@ impl Sensor {
             self.missed += u64::from(slot.missed);
             // Ticks without a record are counted by the clock, not by the line.
             let by_time = frame.by_model && slot.samples.is_empty();
-            self.missed += frame.ticks_left_out;
             // More than one at once is identified by how long its device was away.
-            self.missed_by_time |= by_time || frame.ticks_left_out > 0 || slot.missed > 1;
+            self.missed_by_time |= by_time || slot.missed > 1;
         }
     }
 

@@ -195,12 +195,12 @@ pub fn message(encoding: Encoding, head: Head<'_>, body: &[u8], out: &mut Vec<u8
                 small @ ..=0x8f => out.push(small),
                 large => out.extend_from_slice(&[0xde, 0, large - 0x80]),
             }
+            push_text("type", out);
+            push_text(topic.name(), out);
             for (key, value) in [("seq", seq), ("dropped", dropped)] {
                 push_text(key, out);
                 let _ = rmp_serde::encode::write(out, &value);
             }
-            push_text("type", out);
-            push_text(topic.name(), out);
             if let Some(stage) = stage {
                 push_text("stage", out);
                 let _ = rmp_serde::encode::write(out, stage);

@@ -331,6 +331,11 @@ mod tests {
                 encode::message(encoding, head, &body, &mut message);
                 message
             };
+            let text = |text: &'static str| [&[0xa0 | text.len() as u8], text.as_bytes()].concat();
+            let head = [text("type"), text(stamp.topic.name()), text("seq")].concat();
+            let packed = write(Encoding::MessagePack);
+            let keys = if packed[0] == 0xde { 3 } else { 1 };
+            assert!(packed[keys..].starts_with(&head), "{payload:?}: the order of JSON");
             let json: ServerMessage = serde_json::from_slice(&write(Encoding::Json)).unwrap();
             let packed: ServerMessage = rmp_serde::from_slice(&write(Encoding::MessagePack)).unwrap();
             assert_eq!(json, packed, "{payload:?}");

@@ -74,12 +74,14 @@ pub(super) struct Notes<'a> {
     /// Lines that are no TOML: what the parser made of them is not worth a second word.
     broken: Vec<usize>,
     problems: Vec<(usize, Problem)>,
+    /// What keeps a stage from running, and no command that works on files.
+    idle: Vec<(usize, Problem)>,
     warnings: Vec<(usize, Problem)>,
 }
 
 impl<'a> Notes<'a> {
     pub(super) fn new(text: &'a str) -> Self {
-        Self { text, broken: Vec::new(), problems: Vec::new(), warnings: Vec::new() }
+        Self { text, broken: Vec::new(), problems: Vec::new(), idle: Vec::new(), warnings: Vec::new() }
     }
 
     /// The line of a byte, from 1.
@@ -114,6 +116,18 @@ impl<'a> Notes<'a> {
         }
     }
 
+    /// Notes something with which no stage runs, though the file can be used otherwise.
+    pub(super) fn idle(
+        &mut self,
+        at: &Range<usize>,
+        key: &str,
+        message: impl Into<String>,
+        fix: impl Into<String>,
+    ) {
+        let problem = self.at(at.start, key, message.into(), fix.into());
+        self.idle.push((at.start, problem));
+    }
+
     /// Notes something that works, but hardly as it was meant.
     pub(super) fn warning(
         &mut self,
@@ -130,12 +144,14 @@ impl<'a> Notes<'a> {
         Problem { line: self.line(offset), key: key.to_owned(), message, fix }
     }
 
+    /// Whether the file cannot be used at all.
     pub(super) fn has_problems(&self) -> bool {
         !self.problems.is_empty()
     }
 
     /// Problems and warnings, each in the order of the text.
     pub(super) fn finish(mut self) -> (Vec<Problem>, Vec<Problem>) {
+        self.problems.append(&mut self.idle);
         self.problems.sort_by_key(|(offset, _)| *offset);
         self.warnings.sort_by_key(|(offset, _)| *offset);
         let strip = |list: Vec<(usize, Problem)>| list.into_iter().map(|(_, problem)| problem).collect();

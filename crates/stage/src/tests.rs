@@ -151,7 +151,7 @@ fn segments_of_the_stage_file_are_those_of_the_body() {
 }
 
 #[test]
-fn a_body_whose_height_is_not_known_is_warned_of() {
+fn a_body_whose_height_is_not_known_does_not_run_and_serves_on_files() {
     let text = |body: &str| {
         format!(
             "name = \"A\"\n[body]\n{body}[[device]]\nname = \"chain\"\ndriver = \"xbus\"\nport = \"auto\"\n\
@@ -159,7 +159,8 @@ fn a_body_whose_height_is_not_known_is_warned_of() {
         )
     };
     let report = check(&text(""));
-    assert!(report.ok);
-    assert_eq!((report.warnings[0].line, report.warnings[0].key.as_str()), (2, "height_m"));
-    assert_eq!(check(&text("height_m = 1.7\n")).warnings, []);
+    assert!(!report.ok);
+    assert_eq!((report.problems[0].line, report.problems[0].key.as_str()), (2, "height_m"));
+    assert!(Stage::parse(&text("")).is_ok());
+    assert!(check(&text("height_m = 1.7\n")).ok);
 }

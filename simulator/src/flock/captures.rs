@@ -289,6 +289,7 @@ fn owed(said: &Conversation, touched: &[usize]) -> Vec<bool> {
 fn judge(birds: u8, said: &Conversation, arrived: &Arrived, decoded: &Decoded) -> Verdict {
     let mut verdict =
         Verdict { sent: said.records.len(), decoded: decoded.records.len(), ..Verdict::default() };
+    let owed = owed(said, &arrived.touched);
     let mut found = vec![false; said.records.len()];
     let mut from = 0;
     for record in &decoded.records {
@@ -300,7 +301,12 @@ fn judge(birds: u8, said: &Conversation, arrived: &Arrived, decoded: &Decoded) -
                 && sent.format == record.format
                 && sent.record.as_ref() == Some(&record.record)
         };
-        match (from..said.records.len()).find(|&k| !found[k] && same(&said.records[k])) {
+        let mut equal =
+            (from..said.records.len()).filter(|&k| !found[k] && same(&said.records[k])).peekable();
+        let first = equal.peek().copied();
+        // A unit that is asked twice in one cycle sends one record twice: of the two, that which came whole is owed.
+        let whole = equal.take_while(|&k| first.is_some_and(|first| k < first + 8)).find(|&k| owed[k]);
+        match whole.or(first) {
             Some(k) => {
                 found[k] = true;
                 from = (k + 1).saturating_sub(8);
@@ -308,7 +314,6 @@ fn judge(birds: u8, said: &Conversation, arrived: &Arrived, decoded: &Decoded) -
             None => verdict.wrong += 1,
         }
     }
-    let owed = owed(said, &arrived.touched);
     verdict.lost = owed.iter().zip(&found).filter(|(owed, found)| **owed && !**found).count();
     verdict
 }
@@ -328,12 +333,25 @@ fn a_whole_log_gives_every_record_that_was_sent() {
     }
 }
 
-/// These seeds were looked at while the decoder was written. Of the next 252, which were not, 6 logs have one or two wrong
-/// records, 13 lack one or two that came whole, and none has a bird that is not there.
+/// Seeds of logs that were decoded wrongly once.
+const FOUND: [u64; 25] = [
+    55, 79, 80, 88, 91, 96, 99, 100, 107, 128, 152, 182, 200, 211, 220, 224, 244, 267, 280, 339, 442, 453,
+    498, 514, 721,
+];
+
+/// `POSED_CAPTURES=800..1300` asks it of other seeds, and `docs/fault-tolerance.md` says of how many it holds.
 #[test]
 fn a_damaged_log_gives_no_false_record_and_every_whole_one() {
+    let seeds: Vec<u64> = match std::env::var("POSED_CAPTURES") {
+        Ok(text) => {
+            let (from, to) = text.split_once("..").expect("POSED_CAPTURES is FROM..TO");
+            (from.parse().unwrap()..to.parse().unwrap()).collect()
+        }
+        Err(_) => (0..48).chain(FOUND).collect(),
+    };
     let mut failed = Vec::new();
-    for seed in 0..48 {
+    let mut all = [0; 4];
+    for seed in seeds {
         let birds = (seed % 4) as u8;
         let said = conversation(birds, seed);
         let mut random = Random::new(seed, Purpose::Faults(0));
@@ -343,9 +361,15 @@ fn a_damaged_log_gives_no_false_record_and_every_whole_one() {
         let verdict = judge(birds, &said, &arrived, &decoded);
         println!("seed {seed}, {birds} birds: {verdict:?}");
         let most = verdict.decoded * 5 > verdict.sent * 4;
-        if !most || (verdict.wrong, verdict.invented, verdict.lost) != (0, 0, 0) {
+        let faults = [verdict.wrong, verdict.invented, verdict.lost];
+        all.iter_mut().zip(faults.iter().chain([&verdict.sent])).for_each(|(sum, part)| *sum += part);
+        if !most || faults != [0; 3] {
             failed.push(seed);
         }
     }
-    assert!(failed.is_empty(), "seeds {failed:?}");
+    let [wrong, invented, lost, sent] = all;
+    assert!(
+        failed.is_empty(),
+        "of {sent} records {wrong} are wrong, {invented} of no bird, {lost} lost: seeds {failed:?}"
+    );
 }

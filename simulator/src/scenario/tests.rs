@@ -123,6 +123,25 @@ fn what_is_wrong_is_named() {
     );
     let fault = "[[device]]\nname = 'flock'\nfault = [{ kind = 'stall', at_s = -1 }]\n";
     assert!(problem(fault).contains("should begin at 0 s or later"), "{}", problem(fault));
+    for fault in [
+        "kind = 'stall', at_s = inf",
+        "kind = 'stall', at_s = 1, duration_s = inf",
+        "kind = 'stall', at_s = 1, duration_s = 1e300",
+        "kind = 'stall', at_s = 1, duration_s = nan",
+        "kind = 'unplug', at_s = 1, duration_s = inf",
+        "kind = 'bursts', start_s = 1, end_s = inf, burst_ms = 16",
+        "kind = 'bursts', start_s = 1, end_s = 2, burst_ms = inf",
+        "kind = 'bursts', start_s = 1, end_s = 2, burst_ms = -1",
+    ] {
+        let scenario =
+            toml::from_str::<Scenario>(&format!("[[device]]\nname = 'flock'\nfault = [{{ {fault} }}]\n"))
+                .unwrap();
+        assert!(scenario.check(&stage()).is_err(), "{fault}");
+    }
+    for key in ["burst_ms", "boot_ms"] {
+        let endless = problem(&format!("[[device]]\nname = 'flock'\n{key} = inf\n"));
+        assert!(endless.contains(key), "{endless}");
+    }
 }
 
 #[test]

@@ -18,9 +18,10 @@ pub(crate) struct Args {
     /// Joint rows of the input: 224 is the paper's image (663562 parameters), 19 the joints themselves (545482).
     #[arg(long, default_value_t = 19, value_parser = clap::value_parser!(u32).range(1..=1024))]
     rows: u32,
-    /// Joints, to which an image of other rows is folded once it is trained.
-    #[arg(long, default_value_t = 19, value_parser = clap::value_parser!(u32).range(1..=1024))]
-    joints: u32,
+    /// Joints, to which an image of other rows is folded once it is trained: whole sequences and streams are those of the folded
+    /// network then. Not folded unless given.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    joints: Option<u32>,
     /// Frames of the sequence.
     #[arg(long, default_value_t = 1300, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
@@ -39,12 +40,14 @@ pub(crate) struct Args {
 #[derive(Serialize)]
 struct Answer {
     rows: u32,
-    joints: u32,
+    joints: Option<u32>,
     frames: u32,
     threads: u32,
     repeat: u32,
+    /// Of the network with the rows that were asked for, which learns, and of the one that labels.
     parameters: usize,
-    /// One sequence forwards, with a row per joint.
+    labelling_parameters: usize,
+    /// One sequence forwards, labelling.
     inference_ms: f64,
     inference_least_ms: f64,
     /// One sequence forwards and backwards, with the rows that were asked for.
@@ -67,7 +70,10 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     };
     let x = draw(&network);
     // A trained network is folded before it labels anything.
-    let labelling = network.folded(args.rows as usize, args.joints as usize);
+    let labelling = match args.joints {
+        Some(joints) => network.folded(args.rows as usize, joints as usize),
+        None => network.clone(),
+    };
     let joints = draw(&labelling);
     let truth: Vec<u16> = (0..frames).map(|frame| (frame / 97 % classes) as u16).collect();
     let weights = vec![1.0; frames];
@@ -112,6 +118,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         threads: args.threads,
         repeat: args.repeat,
         parameters: shape.parameters(),
+        labelling_parameters: labelling.shape().parameters(),
         inference_ms,
         inference_least_ms,
         step_ms,
@@ -122,8 +129,12 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     if args.json {
         return print_json(&answer);
     }
+    let folded = match args.joints {
+        Some(joints) => format!(" ({} once folded to {joints} joints)", answer.labelling_parameters),
+        None => String::new(),
+    };
     print(&format!(
-        "{} parameters, {} frames, median (least) of {}\n\
+        "{} parameters{folded}, {} frames, median (least) of {}\n\
          forwards               {inference_ms:8.2} ms ({inference_least_ms:.2})\n\
          forwards and backwards {step_ms:8.2} ms ({step_least_ms:.2})\n\
          one frame of a stream  {:8.4} ms\n\

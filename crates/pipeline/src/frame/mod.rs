@@ -443,6 +443,10 @@ impl Assembler {
                 sensor.queue.pop_front();
             }
             slot.missed = sensor.missed(device, &slot.samples, tick.t, is_clock.then_some(interval_s));
+            if is_clock && slot.expected() {
+                // Others count the gap by cycles of their own.
+                slot.missed = slot.missed.saturating_add(tick.left_out.try_into().unwrap_or(u32::MAX));
+            }
         }
         self.last_closed = Some(tick.t);
     }

@@ -106,6 +106,28 @@ fn a_silent_stage_ticks_on_for_half_a_second_and_counts_the_rest() {
 }
 
 #[test]
+fn each_device_misses_its_own_cycles_of_a_silence() {
+    let mut bench = Bench::new(&[0, 1], None);
+    let both = |bench: &mut Bench, t: f64| {
+        // Before the frame closes: a late record would count as missed there.
+        if t % 50.0 == 0.0 {
+            bench.frames.stamp(1, &stamp(t), Some(0.05), ms(t + 1.0));
+            bench.frames.sample(1, measured(t), false);
+        }
+        bench.record(0, 0, t, t + 1.0);
+    };
+    (0..=20).for_each(|k| both(&mut bench, f64::from(k) * 10.0));
+    let mut now = 201.0;
+    while let Some(due) = bench.frames.poll_timeout(ms(now)) {
+        now = due.as_secs_f64() * 1e3;
+        bench.poll(now);
+    }
+    (200..=210).for_each(|k| both(&mut bench, f64::from(k) * 10.0));
+    let missed = [0, 1].map(|at| bench.closed.iter().map(|frame| frame.sensors[at].missed).sum::<u32>());
+    assert_eq!(missed, [179, 35]);
+}
+
+#[test]
 fn what_comes_after_its_frame_is_late_in_the_next() {
     let mut bench = Bench::new(&[0, 1], None);
     for k in 0..20 {

@@ -27,6 +27,8 @@ use posed_stage::output::{Body, Estimate};
 pub const DEFAULT_TARGET: &str = "127.0.0.1:39539";
 /// Frames per second unless the stage file specifies otherwise.
 pub const DEFAULT_RATE_HZ: f64 = 60.0;
+/// A body that has not come for so long does not come, s.
+const BODY_S: f64 = 0.25;
 /// Largest datagram, bytes: below what an Ethernet frame holds.
 const DATAGRAM: usize = 1400;
 /// What a bundle of nothing takes, bytes, and what each message takes beside its own bytes.
@@ -47,6 +49,8 @@ pub struct Publisher {
     trackers: Vec<(usize, String)>,
     period_s: f64,
     due_s: f64,
+    /// When the latest body came, or the first frame that waited for one, s.
+    body_s: Option<f64>,
     /// The newest good sensors, in the room.
     sensors: Vec<(usize, Isometry3<f64>)>,
 }
@@ -64,6 +68,7 @@ impl Publisher {
             trackers: trackers.into_iter().map(|at| (at, stage.sensors[at].name.clone())).collect(),
             period_s: 1.0 / settings.rate_hz.unwrap_or(DEFAULT_RATE_HZ),
             due_s: f64::NEG_INFINITY,
+            body_s: None,
             sensors: Vec::new(),
         }
     }
@@ -71,6 +76,7 @@ impl Publisher {
     /// Gives `emit` the datagrams of a body, if one is due by the rate: the bones that sensors show, relative to their parents, in
     /// Unity's axes, m, and the trackers of the newest frame. Where no bone is shown the avatar counts as not loaded.
     pub fn body(&mut self, body: &Body, emit: impl FnMut(&[u8])) {
+        self.body_s = Some(body.t_valid.as_secs_f64());
         if !self.is_due(body.t_valid) {
             return;
         }
@@ -81,8 +87,9 @@ impl Publisher {
         self.emit(body.t_valid, &bones, emit);
     }
 
-    /// Takes over the sensors of a frame whose poses may be used as good. Gives `emit` their datagrams, if they are due, on a
-    /// stage without the height of a body, for then no bones come.
+    /// Takes over the sensors of a frame whose poses may be used as good. Gives `emit` their datagrams, if they are due and no
+    /// body brings them: on a stage without the height of one, or once none has come for a quarter of a second, as before an
+    /// alignment.
     pub fn frame(&mut self, estimate: &Estimate, emit: impl FnMut(&[u8])) {
         self.sensors.clear();
         for &(at, _) in &self.trackers {
@@ -90,7 +97,9 @@ impl Publisher {
             let pose = pose.and_then(|pose| isometry(pose.position_m?, pose.orientation_wxyz));
             self.sensors.extend(pose.map(|pose| (at, pose)));
         }
-        if self.skeleton.is_none() && self.is_due(estimate.t_valid) {
+        let t_s = estimate.t_valid.as_secs_f64();
+        let no_body = t_s - *self.body_s.get_or_insert(t_s) > BODY_S;
+        if (self.skeleton.is_none() || no_body) && self.is_due(estimate.t_valid) {
             self.emit(estimate.t_valid, &[], emit);
         }
     }
@@ -108,6 +117,7 @@ impl Publisher {
     /// Lets time start anew, as after a jump in a replay, and forgets the trackers.
     pub fn rewind(&mut self) {
         self.due_s = f64::NEG_INFINITY;
+        self.body_s = None;
         self.sensors.clear();
     }
 

@@ -231,6 +231,23 @@ fn the_rate_is_kept_and_trackers_are_sent_in_room_axes() {
 }
 
 #[test]
+fn trackers_are_sent_where_a_body_has_a_height_and_never_comes() {
+    let (stage, settings) = stage("rate_hz = 50.0\ntrackers = true");
+    let mut publisher = Publisher::new(&stage, &settings);
+    let mut sent_s = Vec::new();
+    let at = |s: f64| Timestamp::from_secs_f64(s);
+    for k in 0..100 {
+        let t_s = 5.0 + 0.01 * f64::from(k);
+        publisher.frame(&Estimate { t_valid: at(t_s), ..Estimate::default() }, |_| sent_s.push(t_s));
+    }
+    assert!(sent_s[0] < 5.3 && (30..=40).contains(&sent_s.len()), "{sent_s:?}");
+    // A body that comes after all brings them again.
+    let body = Body { t_valid: at(6.0), ..body(&facing_y()) };
+    assert!(!received(&mut publisher, &body).is_empty());
+    publisher.frame(&Estimate { t_valid: at(6.1), ..Estimate::default() }, |_| panic!("a body follows"));
+}
+
+#[test]
 fn bytes_are_those_of_the_protocol() {
     let (stage, settings) = stage("");
     let mut publisher = Publisher::new(&stage, &settings);

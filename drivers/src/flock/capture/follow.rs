@@ -17,6 +17,8 @@ use crate::flock::wire::{
 
 /// Pieces after which a question has no answer any more: a flock's status takes the time of a hundred records at most.
 const STALE_PIECES: usize = 128;
+/// Pieces within which most answers come.
+const PROMPT_PIECES: usize = 16;
 /// Questions that may be open at once; a host waits for its answers.
 const MOST_QUESTIONS: usize = 16;
 /// Bytes after a first byte that are looked at together: more than any record has.
@@ -30,8 +32,16 @@ struct Question {
     command: Command,
     to: u8,
     len: usize,
-    /// Pieces that had been cut when it was asked.
+    /// Place in the stream at which it was asked, and pieces that had been cut by then.
+    place: usize,
     pieces: usize,
+}
+
+impl Question {
+    /// Whether its answer may well come with as many pieces cut.
+    fn is_prompt(&self, pieces: usize) -> bool {
+        self.pieces + PROMPT_PIECES > pieces
+    }
 }
 
 /// What may stand at a place between two records.
@@ -60,6 +70,8 @@ pub(super) struct Follower<'a> {
     records_from: Option<usize>,
     streaming: bool,
     pub(super) pieces: Vec<Piece>,
+    /// Where answers begin and end that have nothing but whole ones and records beside them.
+    pub(super) answers: Vec<(usize, usize)>,
     pub(super) units: BTreeMap<u8, Timeline>,
     /// Group mode from a place on.
     pub(super) groups: Vec<(usize, bool)>,
@@ -67,6 +79,8 @@ pub(super) struct Follower<'a> {
     group_votes: i64,
     /// Addresses that the session says are there.
     pub(super) listed: BTreeSet<u8>,
+    /// Whether the host has said it.
+    configured: bool,
     /// Answers that say that the range is extended, less those that say that it is not.
     extended: i64,
     /// Full scale of a standard transmitter from a place on, where it has been said.
@@ -139,7 +153,7 @@ impl<'a> Follower<'a> {
             if self.questions.len() == MOST_QUESTIONS {
                 self.questions.pop_front();
             }
-            self.questions.push_back(Question { command: addressed.command, to, len, pieces });
+            self.questions.push_back(Question { command: addressed.command, to, len, place, pieces });
             return;
         }
         match addressed.command {
@@ -159,7 +173,8 @@ impl<'a> Follower<'a> {
                 slaves.for_each(|(_, unit)| unit.reset(place));
             }
             Command::Change { parameter: parameter::FBB_AUTO_CONFIG, data } => {
-                self.listed.extend(data.first().into_iter().flat_map(|&units| 1..=units.min(126)));
+                self.configured = true;
+                self.listed = data.first().into_iter().flat_map(|&units| 1..=units.min(126)).collect();
             }
             Command::Change { parameter: number, data } => self.learn(place, to, number, &data),
             _ => {}
@@ -185,10 +200,17 @@ impl<'a> Follower<'a> {
             }
             (parameter::MODEL_ID, model) => self.extended += i64::from(model.starts_with(b"6DERC")),
             (parameter::FLOCK_SYSTEM_STATUS, units) => {
-                let there = |status: u8| UnitStatus(status).has(UnitStatus::ACCESSIBLE);
-                self.listed.extend((1..).zip(units).filter(|(_, status)| there(**status)).map(|(at, _)| at));
-                let extended = units.iter().any(|&unit| UnitStatus(unit).has(UnitStatus::EXTENDED_RANGE));
-                self.extended += if extended { 1 } else { -1 };
+                let units =
+                    || (1..).zip(units.iter().copied().map(UnitStatus)).filter(|(_, unit)| unit.0 != 0);
+                // The host knows how many it has set up. One that speaks of others has a byte too many or too few.
+                let is_there = |(at, unit): (u8, UnitStatus)| {
+                    unit.has(UnitStatus::ACCESSIBLE) && (!self.configured || self.listed.contains(&at))
+                };
+                if units().all(is_there) {
+                    self.listed.extend(units().map(|(at, _)| at));
+                    let extended = units().any(|(_, unit)| unit.has(UnitStatus::EXTENDED_RANGE));
+                    self.extended += if extended { 1 } else { -1 };
+                }
             }
             (parameter::FBB_ADDRESSING_MODE, &[code]) => {
                 self.host.addressing = Addressing::from_code(code).unwrap_or(self.host.addressing);
@@ -207,7 +229,8 @@ impl<'a> Follower<'a> {
                 self.questions.pop_front();
             }
             if let Some(len) = self.record_at(at) {
-                if at + len > end && !self.is_boundary(at + len) {
+                // What the host says at `end` may be answered within: with the answer's first bytes it looks like a longer one.
+                if at + len > end && (self.streaming || !self.is_boundary(at + len)) {
                     return;
                 }
                 self.cut(at + len);
@@ -215,7 +238,17 @@ impl<'a> Follower<'a> {
             }
             if !self.questions.is_empty() {
                 match self.gap(at, end) {
-                    Gap::Answers(range, len) | Gap::Perhaps(range, len) => {
+                    // A part of a damaged record may have an answer's length, too.
+                    Gap::Answers(range, len) | Gap::Perhaps(range, len)
+                        if self.streaming
+                            && !self.is_between_told(at, len)
+                            && self.is_answered_behind(at, &range) => {}
+                    Gap::Answers(range, len) => {
+                        self.answers.push((at, at + len));
+                        self.take_answers(range, len);
+                        continue;
+                    }
+                    Gap::Perhaps(range, len) => {
                         self.take_answers(range, len);
                         continue;
                     }
@@ -246,12 +279,18 @@ impl<'a> Follower<'a> {
                 [false, true].map(|group| self.may_be(&self.bytes[begin..end], begin, group));
             self.group_votes += i64::from(group) - i64::from(alone);
         }
-        let is_end = end == self.bytes.len();
-        let beside_answer = !self.questions.is_empty()
-            && !is_end
-            && !self.begins_record(end)
-            && !matches!(self.gap(end, self.bytes.len()), Gap::Answers(..));
-        self.pieces.push(Piece { begin, end, doubtful, beside_answer });
+        let last = self.pieces.last().filter(|last| last.end == begin);
+        let due = || self.questions.iter().filter(|question| question.is_prompt(self.pieces.len()));
+        let lent = last.and_then(|last| {
+            let told = |len: &usize| self.is_as_told(&self.bytes[last.begin..last.begin + len]);
+            let fits = |len: &usize| {
+                let answer = last.begin + len;
+                due().any(|due| answer + due.len == begin + 1 && self.may_answer(due, answer))
+            };
+            self.lengths_at(last.begin).filter(told).find(fits)
+        });
+        let answer_due = !self.questions.is_empty();
+        self.pieces.push(Piece { begin, end, doubtful, answer_due, lent });
     }
 
     fn is_boundary(&self, place: usize) -> bool {
@@ -265,11 +304,8 @@ impl<'a> Follower<'a> {
             let gap = || self.gap(end, self.bytes.len());
             self.is_boundary(end) || matches!(gap(), Gap::Answers(..) | Gap::Perhaps(..))
         };
-        let lengths: Vec<usize> = self.lengths_at(place).collect();
         // What the unit was told last is likelier than a longer record that an answer's bytes complete.
-        let told =
-            lengths.iter().copied().find(|len| self.is_as_told(&self.bytes[place..place + len]) && ends(len));
-        told.or_else(|| lengths.into_iter().find(ends))
+        self.told_at(place).filter(ends).or_else(|| self.lengths_at(place).find(ends))
     }
 
     /// Whether a record has the length of what its unit was told last.
@@ -278,6 +314,29 @@ impl<'a> Follower<'a> {
         let unit = if group { record[record.len() - 1] } else { LINE_UNIT };
         let form = self.units.get(&unit).and_then(Timeline::last);
         form.is_some_and(|(format, button)| Shape { format, button, group }.len() == record.len())
+    }
+
+    /// Whether `len` bytes at `place` have records of what their units were told last on both sides.
+    fn is_between_told(&self, place: usize, len: usize) -> bool {
+        let last = self.pieces.last().filter(|last| last.end == place);
+        last.is_some_and(|last| self.told_at(last.begin) == Some(place - last.begin))
+            && self.told_at(place + len).is_some()
+    }
+
+    /// Whether answers to these questions stand a little behind `place`, between such records.
+    fn is_answered_behind(&self, place: usize, questions: &std::ops::Range<usize>) -> bool {
+        let horizon = self.bytes.len().min(place + LONGEST_PIECE);
+        let questions = || self.questions.range(questions.clone());
+        let len: usize = questions().map(|question| question.len).sum();
+        (place + 1..horizon)
+            .filter_map(|begin| Some(begin + self.told_at(begin)?))
+            .filter(|&end| end < horizon && self.told_at(end).is_none() && self.told_at(end + len).is_some())
+            .any(|end| questions().next().is_some_and(|question| self.may_answer(question, end)))
+    }
+
+    /// Length of the record of what its unit was told last that begins at `place`.
+    fn told_at(&self, place: usize) -> Option<usize> {
+        self.lengths_at(place).find(|len| self.is_as_told(&self.bytes[place..place + len]))
     }
 
     /// Whether a whole record begins at `place`, with another first byte or nothing behind it.
@@ -346,10 +405,13 @@ impl<'a> Follower<'a> {
             }
         }
         let longest = self.questions.iter().map(|question| question.len).sum::<usize>() + MAX_LEN;
-        // The record behind it may be damaged: then its first byte must do, unless a damaged one stands here.
+        // The record behind it may be damaged: then its first byte must do, unless a damaged one stands here. A flock's status
+        // has first bytes of its own, and no record is like it.
         for (k, question) in self.questions.iter().enumerate() {
             let end = at + question.len;
-            if !self.is_boundary(at) && self.is_boundary(end) && self.may_answer(question, at) {
+            let is_status = question.command == Command::Examine(parameter::FLOCK_SYSTEM_STATUS);
+            if (is_status || !self.is_boundary(at)) && self.is_boundary(end) && self.may_answer(question, at)
+            {
                 return Gap::Perhaps(k..k + 1, question.len);
             }
         }
@@ -370,6 +432,7 @@ impl<'a> Follower<'a> {
             Command::Examine(parameter::FLOCK_SYSTEM_STATUS) => {
                 bytes.iter().all(|&unit| unit == 0 || UnitStatus(unit).has(UnitStatus::ACCESSIBLE))
             }
+            Command::Examine(parameter::POSITION_SCALING) => matches!(bytes, [0 | 1, 0]),
             Command::Examine(parameter::MODEL_ID) => bytes.iter().all(|byte| (b' '..=b'~').contains(byte)),
             _ => true,
         }
@@ -378,14 +441,25 @@ impl<'a> Follower<'a> {
     /// The next `len` bytes answer the questions of `range`; those before it are given up.
     fn take_answers(&mut self, range: std::ops::Range<usize>, len: usize) {
         self.questions.drain(..range.start);
+        let knows = self.units.values().any(|unit| unit.last().is_some());
+        let is_prompt = self.questions.front().is_some_and(|question| question.place == self.cursor);
+        let is_clean =
+            if self.streaming { !knows || self.is_between_told(self.cursor, len) } else { is_prompt };
         let (mut at, end) = (self.cursor, self.cursor + len);
         self.cursor = end;
         for question in self.questions.drain(..range.len()).collect::<Vec<_>>() {
             let answer = self.bytes[at..at + question.len].to_vec();
             at += question.len;
             self.summary.answers += 1;
+            if is_clean && question.is_prompt(self.pieces.len()) {
+                self.pieces[question.pieces..].iter_mut().for_each(|piece| piece.lent = None);
+            }
             if let Command::Examine(number) = question.command {
-                self.learn(at, question.to, number, &answer);
+                // What stands beside damage may be another answer, and these two decide on all positions.
+                let is_scale = matches!(number, parameter::POSITION_SCALING | parameter::FLOCK_SYSTEM_STATUS);
+                if is_clean || !is_scale {
+                    self.learn(at, question.to, number, &answer);
+                }
             }
         }
     }

@@ -5,7 +5,7 @@
 //! fit. A record next to a change must also be what its neighbours are: there a byte too many or too few makes one shape look
 //! like the other.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::follow::{Follower, LINE_UNIT};
 use super::{CapturedRecord, Decoded};
@@ -16,6 +16,8 @@ use crate::flock::wire::{Format, Shape};
 const PENDING: usize = 8;
 /// Records of a unit that may still be on their way when the host sends a change.
 const ON_THE_WAY: usize = 4;
+/// Records on either side that say how long one is.
+const AROUND: usize = 16;
 /// One step of a word's high byte, less one: a byte too many or too few makes greater jumps.
 const STEP: u16 = 511;
 /// Most by which a word lies outside of its two neighbours: noise, and motion that turns back.
@@ -28,8 +30,11 @@ pub(super) struct Piece {
     pub(super) end: usize,
     /// A single first byte stands in front of it.
     pub(super) doubtful: bool,
-    /// An answer was due, and what follows is no record: its end may be the answer's.
-    pub(super) beside_answer: bool,
+    /// An answer was due when it was cut.
+    pub(super) answer_due: bool,
+    /// Its first byte may be the last one of that answer, and the record itself has lost its first: then the piece in front is
+    /// a record of so many bytes and the rest of the answer.
+    pub(super) lent: Option<usize>,
 }
 
 /// Format and button mode.
@@ -260,28 +265,66 @@ impl Unit<'_, '_> {
                 jumps.push(words.zip(next).map_or(0, |(a, b)| jump(&a, &b)));
                 words = next;
             }
+            // None of them may be new yet.
+            let after = (end..self.pieces.len()).find(|&k| reading.at[k].1).filter(|_| end < i + ON_THE_WAY);
+            let form = after.map(|k| reading.forms[reading.at[k].0]).filter(|form| form.0 == new_form.0);
+            let next = after.zip(form).and_then(|(k, form)| self.words(&self.pieces[k], form));
+            jumps.extend(words.zip(next).map(|(a, b)| jump(&a, &b)));
             let most = jumps.iter().copied().max().unwrap_or(0);
             let change = jumps.iter().position(|&jump| jump == most).unwrap_or(0);
             reading.at[i..i + change].iter_mut().for_each(|at| at.0 = old);
         }
     }
 
-    /// Takes back the records that may be something else, unless their neighbours prove them: those next to a change may be
-    /// damaged ones of the other form, with a byte too many or too few, or a part of one that was cut in two; one with an
-    /// answer behind it may end in that. `whole` says where records end that were found, by where they begin.
-    fn prove(&self, reading: &mut Reading, whole: &BTreeMap<usize, usize>, all: &[Piece]) {
+    /// Takes back the records that may be something else, unless their neighbours prove them. One beside damage may be a part of
+    /// something or have taken in a part, unless the damaged bytes are a record's length by themselves. One next to a change may
+    /// be a damaged one of the other form, with a byte too many or too few.
+    fn prove(&self, reading: &mut Reading, whole: &Whole) {
         let found: Vec<usize> = (0..reading.at.len()).filter(|&i| reading.at[i].1).collect();
         let form = |m: usize| found.get(m).map(|&i| reading.forms[reading.at[i].0]);
         let unproven = |&m: &usize| {
             let piece = &self.pieces[found[m]];
+            let beside = [m.checked_sub(1).and_then(form), form(m + 1)];
+            if self.is_lent(reading, &found, m) {
+                return true;
+            }
+            let others = || beside.into_iter().flatten().filter(|other| Some(*other) != form(m));
+            // The words of a record that has lost its button byte are whole: only another one without tells.
+            let twin = |(format, _): Form| form(m).is_some_and(|here| here.0 == format);
+            if others().any(twin) && !beside.contains(&form(m)) {
+                return true;
+            }
+            let [before, after] = whole.damage(piece);
             let len = piece.end - piece.begin;
-            let other = |k: Option<usize>| k.and_then(form).filter(|other| Some(*other) != form(m));
-            let others = [other(m.checked_sub(1)), other(Some(m + 1))].into_iter().flatten();
-            let suspect = |other: Form| {
+            let is_part = |other: Form, rest: usize| {
                 let other = self.shape(other).len();
-                other.abs_diff(len) == 1 || self.is_part(piece, other, whole, all)
+                rest > 0 && (other..=other + 1).contains(&(len + rest))
             };
-            (piece.beside_answer || others.into_iter().any(suspect)) && !self.is_proven(reading, &found, m)
+            let is_cut = |other: (usize, Form)| {
+                is_part(other.1, before)
+                    && self.is_joined(reading, other, piece.begin, piece.begin - before, piece.end)
+                    || is_part(other.1, after)
+                        && self.is_joined(reading, other, piece.end, piece.begin, piece.end + after)
+            };
+            let beside = [m.checked_sub(1), Some(m + 1)].into_iter().flatten();
+            let mut others_at = beside
+                .filter_map(|k| Some((*found.get(k)?, form(k)?)))
+                .filter(|other| Some(other.1) != form(m));
+            if others_at.any(is_cut) {
+                return true;
+            }
+            let may_be = |other: Form| {
+                self.shape(other).len().abs_diff(len) == 1 || is_part(other, before) || is_part(other, after)
+            };
+            // Damage as long as one or two of the records around, but for a byte, has taken nothing from this one.
+            let lengths = whole.lengths(piece);
+            let sums = lengths.iter().flat_map(|one| lengths.iter().map(move |other| one + other));
+            let lengths: BTreeSet<usize> = lengths.iter().copied().chain(sums).collect();
+            let is_apart =
+                |damaged: usize| damaged == 0 || lengths.iter().any(|len| len.abs_diff(damaged) <= 1);
+            let is_exposed =
+                before + after > 0 && (piece.answer_due || !is_apart(before) || !is_apart(after));
+            (is_exposed || others().any(may_be)) && !self.is_proven(reading, &found, m)
         };
         let taken_back: Vec<usize> = (0..found.len()).filter(unproven).map(|m| found[m]).collect();
         for i in taken_back {
@@ -289,14 +332,37 @@ impl Unit<'_, '_> {
         }
     }
 
-    /// Whether a piece and the rest beside it may be one record of `len` bytes that a first byte in its middle has cut in two.
-    fn is_part(&self, piece: &Piece, len: usize, whole: &BTreeMap<usize, usize>, all: &[Piece]) -> bool {
-        let at = all.partition_point(|other| other.begin < piece.begin);
-        let before = at.checked_sub(1).map(|k| all[k]).filter(|other| other.end == piece.begin);
-        let after = all.get(at + 1).filter(|other| other.begin == piece.end).copied();
-        let rest = [before, after].into_iter().flatten().filter(|other| !whole.contains_key(&other.begin));
-        rest.map(|other| other.end - other.begin + piece.end - piece.begin)
-            .any(|sum| sum == len || sum == len + 1)
+    /// Whether the bytes from `begin` to `end` are a record of the form of that at `known`, and like it, once the first byte at `cut`
+    /// is taken out, or its bit 7 is.
+    fn is_joined(
+        &self,
+        reading: &Reading,
+        known: (usize, Form),
+        cut: usize,
+        begin: usize,
+        end: usize,
+    ) -> bool {
+        let (known, form) = known;
+        let shape = self.shape(form);
+        let mut bytes = self.follower.bytes[begin..end].to_vec();
+        if bytes.len() == shape.len() {
+            bytes[cut - begin] &= !record::PHASE_BIT;
+        } else {
+            bytes.remove(cut - begin);
+        }
+        let known = self.words(&self.pieces[known], reading.forms[reading.at[known].0]);
+        record::words(&bytes, shape).ok().zip(known).is_some_and(|(a, b)| jump(&a, &b) <= 2 * STEP)
+    }
+
+    /// Whether a record's first byte may be an answer's last one. Of a unit alone, the record in front of that answer must be one.
+    fn is_lent(&self, reading: &Reading, found: &[usize], m: usize) -> bool {
+        let piece = &self.pieces[found[m]];
+        let Some(len) = piece.lent else { return false };
+        let Some(known) = m.checked_sub(1).map(|k| found[k]).filter(|_| !self.group) else { return true };
+        let Some(front) = self.pieces[..found[m]].last() else { return true };
+        let front = Piece { end: front.begin + len, ..*front };
+        let words = |piece: &Piece| self.words(piece, reading.forms[reading.at[known].0]);
+        words(&front).zip(words(&self.pieces[known])).is_none_or(|(a, b)| jump(&a, &b) <= 2 * STEP)
     }
 
     /// Whether a record continues its neighbours, one of which may be what is wrong.
@@ -330,6 +396,37 @@ fn jump(a: &[i16], b: &[i16]) -> u16 {
     a.iter().zip(b).map(|(a, b)| a.wrapping_sub(*b).unsigned_abs()).max().unwrap_or(0)
 }
 
+/// Records and answers that seem whole.
+struct Whole {
+    /// Where each ends, by where it begins, and the other way round; the log's ends are among them.
+    begins: BTreeMap<usize, usize>,
+    ends: BTreeMap<usize, usize>,
+}
+
+impl Whole {
+    fn new(all: impl Iterator<Item = (usize, usize)>, len: usize) -> Self {
+        let mut begins: BTreeMap<usize, usize> = all.collect();
+        let mut ends: BTreeMap<usize, usize> = begins.iter().map(|(&begin, &end)| (end, begin)).collect();
+        ends.insert(0, 0);
+        begins.insert(len, len);
+        Self { begins, ends }
+    }
+
+    /// What is damaged in front of a piece and behind it: numbers of bytes.
+    fn damage(&self, piece: &Piece) -> [usize; 2] {
+        let before = self.ends.range(..=piece.begin).next_back().map_or(0, |(&end, _)| end);
+        let after = self.begins.range(piece.end..).next().map_or(piece.end, |(&begin, _)| begin);
+        [piece.begin - before, after - piece.end]
+    }
+
+    /// Lengths of the records and answers around a piece.
+    fn lengths(&self, piece: &Piece) -> BTreeSet<usize> {
+        let before = self.ends.range(..=piece.begin).rev().take(AROUND).map(|(end, begin)| end - begin);
+        let after = self.begins.range(piece.end..).take(AROUND).map(|(begin, end)| end - begin);
+        before.chain(after).filter(|&len| len > 0).collect()
+    }
+}
+
 /// Reads all pieces, each unit's by itself.
 pub(super) fn decide(mut follower: Follower<'_>) -> Decoded {
     let pieces = std::mem::take(&mut follower.pieces);
@@ -348,14 +445,18 @@ pub(super) fn decide(mut follower: Follower<'_>) -> Decoded {
         let reading = unit.read();
         read.push((address, unit, reading));
     }
-    let whole: BTreeMap<usize, usize> = read
-        .iter()
-        .flat_map(|(_, unit, reading)| unit.pieces.iter().zip(&reading.at))
-        .filter(|(_, (_, fits))| *fits)
-        .map(|(piece, _)| (piece.begin, piece.end))
-        .collect();
+    // One that a single first byte stands in front of is not believed, but it is no part of another one.
+    let records = read.iter().flat_map(|(_, unit, reading)| {
+        let pieces = unit.pieces.iter().zip(&reading.at);
+        let fitting = pieces.filter(|(piece, (k, _))| {
+            let shape = unit.shape(reading.forms[*k]);
+            follower.fits(unit.bytes(piece), piece.begin, shape)
+        });
+        fitting.map(|(piece, _)| (piece.begin, piece.end))
+    });
+    let whole = Whole::new(records.chain(follower.answers.iter().copied()), follower.bytes.len());
     for (_, unit, reading) in &mut read {
-        unit.prove(reading, &whole, &pieces);
+        unit.prove(reading, &whole);
     }
     let most = read.iter().map(|(.., reading)| reading.fits).max().unwrap_or(0);
     let mut records: BTreeMap<usize, (usize, CapturedRecord)> = BTreeMap::new();
