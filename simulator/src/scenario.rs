@@ -358,7 +358,7 @@ impl Scenario {
             for fault in &device.faults {
                 let (start_s, end_s) = fault.span_s();
                 let ends = fault.is_for_good() || end_s <= LAST_S;
-                if !(0.0..=LAST_S).contains(&start_s) || !(end_s >= start_s && ends) {
+                if !((0.0..=LAST_S).contains(&start_s) && end_s >= start_s && ends) {
                     let problem = format!("{} should begin at 0 s or later and end after that", fault.name());
                     return Err(invalid(key("fault"), problem));
                 }

@@ -24,6 +24,11 @@ fn with(folder: &Path, faults: &str) -> Posed {
     Posed::spawn(Command::new("bash").args(["-c", &script]).env("POSED_FAULTS", faults))
 }
 
+#[expect(clippy::disallowed_methods, reason = "how late a frame is, is measured")]
+fn now() -> std::time::Instant {
+    std::time::Instant::now()
+}
+
 /// Longest time between two frames, in their own time and as they come, s, until one fits that comes after `what`.
 async fn longest_gaps(client: &mut Client, what: &str, fits: impl Fn(&Value) -> bool) -> (f64, f64) {
     let (mut last, mut gaps) = (None::<(f64, std::time::Instant)>, (0.0_f64, 0.0_f64));
@@ -33,7 +38,7 @@ async fn longest_gaps(client: &mut Client, what: &str, fits: impl Fn(&Value) -> 
             return gaps;
         }
         if message["type"] == "sensors" {
-            let (t_s, at) = (message["t_s"].as_f64().unwrap(), std::time::Instant::now());
+            let (t_s, at) = (message["t_s"].as_f64().unwrap(), now());
             if let Some((before_s, before)) = last {
                 assert!(t_s > before_s, "{what}: time goes back");
                 gaps = (gaps.0.max(t_s - before_s), gaps.1.max(at.duration_since(before).as_secs_f64()));
@@ -187,7 +192,7 @@ async fn health_says_so_where_tracking_hangs() {
             if health.starts_with("HTTP/1.1 503") {
                 return health;
             }
-            tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+            tokio::task::yield_now().await;
         }
     };
     let health = tokio::time::timeout(super::process::PATIENCE, sick).await.expect("it says so");

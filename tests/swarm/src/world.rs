@@ -25,6 +25,8 @@ const ENTRY_S: f64 = 1.0;
 const MODEL_S: f64 = 20.0;
 /// So far a frame's time may lie after its end, s: times rise by microseconds where they would be equal.
 const AHEAD_S: f64 = 1e-4;
+/// Panics further apart are not in a row, s.
+const APART_S: f64 = 1.5;
 /// A device whose last trouble is this long over streams again.
 const RETURN_S: f64 = CALM_S - 6.0;
 
@@ -59,6 +61,7 @@ struct World<'a> {
     twin: Option<SupervisedPipeline>,
     /// Panics that are to come, and the entries that have brought one.
     panics_owed: u8,
+    panicked_at: Option<f64>,
     panics: Vec<usize>,
     judge: Judge,
     log: Vec<Entry>,
@@ -102,6 +105,7 @@ pub(crate) fn run(plan: &Plan, seed: u64) -> Result<(Summary, Vec<Entry>), Strin
         pipeline,
         twin: None,
         panics_owed: 0,
+        panicked_at: None,
         panics: Vec::new(),
         judge: Judge::new(&stage, plan),
         log: Vec::new(),
@@ -120,7 +124,11 @@ pub(crate) fn run(plan: &Plan, seed: u64) -> Result<(Summary, Vec<Entry>), Strin
         world.run_until(*t_s)?;
         match event {
             Event::Snapshot => world.snapshot()?,
-            Event::Panic(times) => world.panics_owed += times,
+            // In a row are those of one event: of more, a pipeline that has begun anew is given up.
+            Event::Panic(times) if world.panicked_at.is_none_or(|at| *t_s > at + APART_S) => {
+                world.panics_owed = *times;
+            }
+            Event::Panic(_) => {}
             Event::Input(input) => world.push(input.clone()),
         }
         world.check()?;
@@ -178,6 +186,7 @@ impl World<'_> {
         if panics {
             self.panics_owed -= 1;
             self.panics.push(self.log.len());
+            self.panicked_at = Some(self.host.now.as_secs_f64());
             self.pipeline.panic_next();
             self.twin.iter_mut().for_each(SupervisedPipeline::panic_next);
         }
