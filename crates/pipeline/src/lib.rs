@@ -412,6 +412,7 @@ impl Pipeline {
             chain,
             faults,
             attached,
+            recoveries,
             ..
         } = self;
         while let Some(frame) = frames.poll(*now) {
@@ -435,6 +436,7 @@ impl Pipeline {
             if let Some(keyframes) = keyframes {
                 keyframes.frame(estimate);
             }
+            recoveries.closed(estimate.frame, estimate.t_valid);
             emit(Output::Estimate(estimate));
             if let Some(naming) = naming {
                 naming.push(estimate, segments, emit);

@@ -41,7 +41,7 @@ pub(crate) struct Recoveries {
     /// Panics since the last frame.
     in_vain: u32,
     last: Option<Timestamp>,
-    /// Newest frame by then: its number and its tick.
+    /// Newest frame: its number and its tick.
     frame: Option<(u64, Timestamp)>,
 }
 
@@ -49,6 +49,11 @@ impl Recoveries {
     /// Entries that were left out because the pipeline panicked at them.
     pub(crate) fn entries_left_out(&self) -> u64 {
         self.entries_left_out
+    }
+
+    /// A frame is published.
+    pub(crate) fn closed(&mut self, number: u64, tick: Timestamp) {
+        (self.frame, self.in_vain) = (Some((number, tick)), 0);
     }
 
     /// How often the pipeline has begun anew.
@@ -203,15 +208,12 @@ impl SupervisedPipeline {
         entry: &Entry,
         emit: &mut impl FnMut(Output<'_>),
     ) -> Result<(), Box<dyn Any + Send>> {
-        let (mut emitting, mut newest) = (false, None);
+        let mut emitting = false;
         #[cfg(feature = "fault-points")]
         let panics = std::mem::take(&mut self.panic_next);
         let pipeline = &mut self.pipeline;
         let attempt = catch_unwind(AssertUnwindSafe(|| {
             pipeline.push(entry, &mut |output| {
-                if let Output::Estimate(estimate) = &output {
-                    newest = Some((estimate.frame, estimate.t_valid));
-                }
                 emitting = true;
                 emit(output);
                 emitting = false;
@@ -219,10 +221,6 @@ impl SupervisedPipeline {
             #[cfg(feature = "fault-points")]
             assert!(!panics, "a panic that a test asked for");
         }));
-        let recoveries = &mut self.pipeline.recoveries;
-        if newest.is_some() {
-            (recoveries.frame, recoveries.in_vain) = (newest, 0);
-        }
         attempt.map_err(|panic| if emitting { resume_unwind(panic) } else { panic })
     }
 

@@ -290,7 +290,7 @@ impl Unit<'_, '_> {
             }
             let others = || beside.into_iter().flatten().filter(|other| Some(*other) != form(m));
             // The words of a record that has lost its button byte are whole: only another one without tells.
-            let twin = |(format, _): Form| form(m).is_some_and(|here| here.0 == format);
+            let twin = |other: Form| other.1 && form(m) == Some((other.0, false));
             if others().any(twin) && !beside.contains(&form(m)) {
                 return true;
             }
