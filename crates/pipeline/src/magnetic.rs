@@ -67,6 +67,11 @@ impl Magnetic {
         }
     }
 
+    /// Goes on where another one was, with all but its track.
+    pub(super) fn follow(&mut self, before: &Self) {
+        self.detector = before.detector.after_break();
+    }
+
     pub(super) fn set_noise(&mut self, noise: TrackerNoise) {
         self.tracker.set_noise(noise);
     }

@@ -111,6 +111,17 @@ impl Sensor {
         }
     }
 
+    /// Goes on where another pipeline's sensor was, as after a break: with its counts, and what nobody could know from a beginning.
+    pub(super) fn follow(&mut self, before: &Self) {
+        if let (Kind::Magnetic(this), Kind::Magnetic(before)) = (&mut self.kind, &before.kind) {
+            this.follow(before);
+        }
+        self.published = before.published;
+        self.samples = before.samples;
+        (self.newest, self.unpublished) = (before.newest, before.unpublished);
+        (self.missed, self.missed_by_time) = (before.missed, before.missed_by_time);
+    }
+
     /// Its samples are corrected otherwise from now on.
     pub(super) fn restart(&mut self) {
         if let Kind::Inertial(inertial) = &mut self.kind {

@@ -246,7 +246,12 @@ impl SupervisedPipeline {
         let is_anew = before.is_none();
         recoveries.begun_anew += u64::from(is_anew);
         let opened = self.pipeline.opened.clone();
-        let Some(pipeline) = before.or_else(|| self.anew()) else { resume_unwind(panic) };
+        let Some(mut pipeline) = before.or_else(|| self.anew()) else { resume_unwind(panic) };
+        if is_anew {
+            // A tracker that is on the other side, or stuck, is that still.
+            let sensors = pipeline.sensors.iter_mut().zip(&self.pipeline.sensors);
+            sensors.for_each(|(sensor, before)| sensor.follow(before));
+        }
         self.pipeline = pipeline;
         self.pipeline.now = now;
         if let Some((number, tick)) = recoveries.frame {

@@ -5,6 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use posed_drivers::LineEvent;
 use posed_pipeline::SupervisedPipeline;
 use posed_rig::{Rig, Said, stage};
+use posed_simulator::faults::Fault;
 use posed_simulator::scenario::{DeviceScenario, Scenario};
 use posed_stage::input::Input;
 use posed_stage::output::{Estimate, SensorState};
@@ -22,9 +23,15 @@ struct Panicking {
 
 impl Panicking {
     fn start() -> Self {
+        Self::with(Vec::new())
+    }
+
+    /// The same with faults of the first device.
+    fn with(faults: Vec<Fault>) -> Self {
         let device =
             |number: usize| DeviceScenario { name: format!("d{number}"), ..DeviceScenario::default() };
-        let devices = vec![device(0), DeviceScenario { rate_hz: 60.0, ..device(1) }];
+        let devices =
+            vec![DeviceScenario { faults, ..device(0) }, DeviceScenario { rate_hz: 60.0, ..device(1) }];
         let scenario = Scenario { devices, sigma_signal_per_m3: NOISE, ..Scenario::default() };
         let mut rig = Rig::new(&stage(&[2, 2]), &scenario);
         rig.run_until(4.0);
@@ -94,6 +101,21 @@ fn a_state_that_brings_panics_is_given_up_and_the_devices_are_set_up_anew() {
     panicking.rig.run_until(7.0);
     assert!(good(&panicking.rig, 4.0) > 50, "all are good again");
     panicking.check(7.0);
+}
+
+#[test]
+fn a_tracker_that_is_stuck_or_mirrored_is_that_still_after_a_new_beginning() {
+    let flipped = Fault::HemisphereFlip { address: 1, at_s: 3.5, duration_s: 4.0 };
+    let stuck = Fault::OutOfRange { address: 2, at_s: 3.5, duration_s: 4.0 };
+    let mut panicking = Panicking::with(vec![flipped, stuck]);
+    for _ in 0..2 {
+        panicking.panic_next();
+        panicking.rig.push(Input::Timer);
+    }
+    assert_eq!(panicking.rig.pipeline.begun_anew(), 1);
+    panicking.rig.run_until(12.0);
+    assert!(good(&panicking.rig, 8.0) > 100, "all are good again");
+    panicking.check(12.0);
 }
 
 #[test]

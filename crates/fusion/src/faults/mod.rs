@@ -99,6 +99,13 @@ pub struct Detector {
 }
 
 impl Detector {
+    /// A detector that goes on after a break in which nothing else is known any more: of the side on which the sensor was, and that
+    /// it must change before it is believed, nothing is forgotten.
+    pub fn after_break(&self) -> Self {
+        let Self { mirror, last_m, tracked, .. } = *self;
+        Self { mirror, last_m, tracked, ..Self::default() }
+    }
+
     /// Labels one measurement.
     ///
     /// `prediction` is the filter's, at the measurement's time; `None` while nothing is tracked.
