@@ -321,7 +321,11 @@ impl Pipeline {
         match event {
             LineEvent::Opened { modem_lines } => self.opened[usize::from(device)] = Some(*modem_lines),
             LineEvent::Closed { .. } => self.opened[usize::from(device)] = None,
-            LineEvent::Dropped { .. } => {}
+            LineEvent::Dropped { .. } => {
+                // Nobody knows how many cycles they were, where no device counts them.
+                let rate_hz = owner.session.get().rate_hz();
+                self.sources[owner.source_range()].iter_mut().for_each(|source| source.restart(rate_hz));
+            }
         }
         if matches!(event, LineEvent::Opened { modem_lines: true }) {
             self.sources[owner.source_range()].iter_mut().for_each(Source::know_wire);
