@@ -44,7 +44,7 @@ pub(crate) fn go_on(stage: &Stage, mut pipeline: Pipeline, log: &[Entry]) {
 }
 
 /// What an entry makes a pipeline say, as messages with all fields.
-pub(crate) fn say(stage: &Stage, pipeline: &mut Pipeline, entry: &Entry) -> Vec<Vec<u8>> {
+fn say(stage: &Stage, pipeline: &mut Pipeline, entry: &Entry) -> Vec<Vec<u8>> {
     let mut publisher = Publisher::new(stage, Fields::all());
     let mut messages = Vec::new();
     pipeline.push(entry, &mut |output| {

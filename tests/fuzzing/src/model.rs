@@ -29,6 +29,7 @@ enum Wish {
 /// That does not hold.
 pub(crate) fn model(data: &[u8]) {
     let inputs = read(data);
+    inputs.iter().for_each(prepare);
     for stand in &*STANDS {
         for input in &inputs {
             survives_being_written(input);
@@ -72,6 +73,16 @@ fn file(text: &[u8]) -> Option<Model> {
     }
     let fault_map = serde_json::from_slice::<FaultMap>(text).ok()?;
     Some(Model::Faults { fault_map: Box::new(fault_map) })
+}
+
+/// As whoever loads a map: the thread that tracks has no time for it.
+fn prepare(input: &Input) {
+    if let Input::Model(model) = input
+        && let Model::Field { map: Some(map), .. } = model
+        && model.check().is_ok()
+    {
+        map.corrector();
+    }
 }
 
 /// What may be used comes out of a recording as it went in.

@@ -1,7 +1,8 @@
 //! Seeds that are made rather than found: from virtual devices, from the tests' files, and by hand. A fuzzer begins at what is right.
 
+use nalgebra::Vector3;
 use posed_drivers::{LineEvent, Timestamp};
-use posed_field::{FieldMap, Prepared};
+use posed_field::{FieldMap, Hull, Prepared};
 use posed_fusion::chain::calibrate;
 use posed_motion::exercise::{Exercise, Options, Stream, teach};
 use posed_motion::fault_map::{FaultMap, Frames, Size, Training};
@@ -84,7 +85,14 @@ fn models() -> Vec<Model> {
         "mag": {"offset": [0.1, 0.0, 0.0], "matrix": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
             "norm": 1.0, "residual": 0.01},
     });
-    let map = FieldMap::from_json(include_bytes!("../../../config/demo-field.json")).expect("the demo's");
+    let mut map = FieldMap::from_json(include_bytes!("../../../config/demo-field.json")).expect("the demo's");
+    // Of a smaller room, which takes less time.
+    let corners: Vec<_> = (0..8)
+        .map(|k| {
+            Vector3::new(0.4, 0.0, 0.0) + Vector3::from([0, 1, 2].map(|axis| f64::from(k >> axis & 1) * 0.1))
+        })
+        .collect();
+    map.hull = Hull::new(corners.iter()).expect("points");
     let mounted = MountedSensor {
         sensor: "imu_torso".into(),
         segment: Some("torso".into()),
