@@ -14,6 +14,9 @@ use posed_geometry::{orientation_from_wxyz, orientation_to_wxyz};
 pub const VERSION: u32 = 1;
 /// Distance of the nodes of the grid of uncertainty, m.
 const COARSE_STEP_M: f64 = 0.25;
+/// Most sources and bumps: each costs time at every node, and beside metal at every reading. A solution has 10 and 60 at most.
+const MOST_SOURCES: usize = 64;
+const MOST_BUMPS: usize = 256;
 /// Farther outside the hull than a model holds, the correction fades to its value at the hull over this, m.
 pub(crate) const FADE_M: f64 = 0.2;
 
@@ -139,11 +142,46 @@ impl FieldMap {
         for polynomial in self.model.polynomial.iter().chain(&self.rotation) {
             polynomial.check()?;
         }
+        let bumps = self.model.local.as_ref().map_or(0, |local| local.centers_m.len());
+        if self.model.sources.len() > MOST_SOURCES || bumps > MOST_BUMPS {
+            return Err(format!("a map has {MOST_SOURCES} sources and {MOST_BUMPS} bumps at most"));
+        }
         if let Some(local) = &self.model.local
             && local.centers_m.len() != local.coefficients.len()
         {
             return Err("the bumps have another number of coefficients".into());
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit_known;
+    use crate::model::local::Local;
+
+    #[test]
+    fn a_map_of_more_parts_than_anybody_solves_is_refused() {
+        let pairs: Vec<_> = (0..300)
+            .map(|k| {
+                let place = |n: usize| (k * n % 31) as f64 / 15.0 - 1.0;
+                let p = Vector3::new(place(1), place(7), place(12)) * 0.5;
+                (p * 1.03, p)
+            })
+            .filter(|(z, _)| z.norm() > 0.1)
+            .collect();
+        let map = fit_known(&pairs, FieldNoise { sigma_signal: 1e-5, floor_m: 3e-4 }).unwrap();
+        assert_eq!(map.check(), Ok(()));
+        let mut bumpy = map.clone();
+        let mut with = |bumps: usize| {
+            let points = vec![[0.0; 3]; bumps];
+            let local =
+                Local { length_m: 0.4, sigma_m: 0.01, centers_m: points.clone(), coefficients: points };
+            bumpy.model.local = Some(local);
+            bumpy.check()
+        };
+        assert_eq!(with(MOST_BUMPS), Ok(()));
+        assert!(with(MOST_BUMPS + 1).is_err());
     }
 }

@@ -73,6 +73,24 @@ fn models_without_sense_are_counted_and_not_used() {
 }
 
 #[test]
+fn a_snapshot_that_was_damaged_is_refused() {
+    let mut pipeline = Pipeline::new(&stage(STAGE)).unwrap();
+    let opened = Input::Line { device: 0, event: LineEvent::Opened { modem_lines: false } };
+    pipeline.push(&Entry { t: Timestamp::from_secs_f64(1.0), input: opened }, &mut |_| {});
+    let snapshot = pipeline.snapshot();
+    let restore = |bytes: &[u8]| Pipeline::restore(&stage(STAGE), pipeline.models(), bytes);
+    assert!(restore(&snapshot).is_ok());
+    for at in (0..snapshot.len()).step_by(7).chain(snapshot.len() - 8..snapshot.len()) {
+        for value in [snapshot[at] ^ 1, snapshot[at] ^ 0x80, !snapshot[at]] {
+            let mut damaged = snapshot.clone();
+            damaged[at] = value;
+            assert!(restore(&damaged).is_err(), "byte {at} as {value}");
+        }
+        assert!(restore(&snapshot[..at]).is_err(), "its first {at} bytes");
+    }
+}
+
+#[test]
 fn entries_without_sense_do_no_harm() {
     let mut random = 1_u64;
     let mut next = |bound: u64| {

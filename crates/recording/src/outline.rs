@@ -4,16 +4,18 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::{Read, Seek};
+use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 use std::time::Duration;
 
-use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
+use mcap::records::{Record, op};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use posed_drivers::Timestamp;
 
 use super::ending::ReadError;
 use super::info::Info;
 use super::reader::Reader;
+use super::records::parse;
 
 /// End and topics of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -31,11 +33,8 @@ impl Outline {
     /// It cannot be opened, or is no recording.
     pub fn read(path: &Path) -> Result<Self, ReadError> {
         let header = Reader::open(path)?.header().clone();
-        if let Some(summary) = index(path)?
-            && let Some(statistics) = &summary.stats
-        {
-            let topics = summary.channels.values().map(|channel| channel.topic.clone()).collect();
-            let end = header.stage_time(statistics.message_end_time).max(header.begun);
+        if let Some(Index { end_ns, topics }) = index(path)? {
+            let end = header.stage_time(end_ns).max(header.begun);
             return Ok(Self { end, topics });
         }
         let info = Info::read(path, |_| ())?;
@@ -44,23 +43,53 @@ impl Outline {
     }
 }
 
-/// The index at the end of the file; `None` where there is none that can be read.
-fn index(path: &Path) -> Result<Option<mcap::Summary>, ReadError> {
+/// What the index says.
+struct Index {
+    /// Time of the last message, ns of UTC.
+    end_ns: u64,
+    topics: BTreeSet<String>,
+}
+
+/// Bytes of the last record and of the mark behind it; the place of the index stands after its kind and length.
+const FOOTER: i64 = 1 + 8 + 20 + mcap::MAGIC.len() as i64;
+const PLACE: std::ops::Range<usize> = 9..17;
+
+/// The index at the end of the file; `None` where there is none that can be read: torn or damaged, what can be read of it says more.
+fn index(path: &Path) -> Result<Option<Index>, ReadError> {
     let mut file = File::open(path)?;
-    let options = SummaryReaderOptions::default().with_file_size(file.metadata()?.len());
-    let mut reader = SummaryReader::new_with_options(options);
+    let bytes = file.metadata()?.len();
+    let mut footer = [0; FOOTER as usize];
+    if bytes < footer.len() as u64 {
+        return Ok(None);
+    }
+    file.seek(SeekFrom::End(-FOOTER))?;
+    file.read_exact(&mut footer)?;
+    let place = footer[PLACE].try_into().map_or(0, u64::from_le_bytes);
+    if !footer.ends_with(mcap::MAGIC) || footer[0] != op::FOOTER || !(1..bytes).contains(&place) {
+        return Ok(None);
+    }
+    file.seek(SeekFrom::Start(place))?;
+    let longest = usize::try_from(bytes - place).unwrap_or(usize::MAX);
+    let options =
+        LinearReaderOptions::default().with_skip_start_magic(true).with_record_length_limit(longest);
+    let mut reader = LinearReader::new_with_options(options);
+    let (mut topics, mut end_ns) = (BTreeSet::new(), None);
     while let Some(event) = reader.next_event() {
         match event {
-            Ok(SummaryReadEvent::ReadRequest(bytes)) => {
-                let read = file.read(reader.insert(bytes))?;
+            Ok(LinearReadEvent::ReadRequest(wanted)) => {
+                let read = file.read(reader.insert(wanted))?;
                 reader.notify_read(read);
             }
-            Ok(SummaryReadEvent::SeekRequest(to)) => reader.notify_seeked(file.seek(to)?),
-            // Torn or damaged: what can be read of it says more.
+            Ok(LinearReadEvent::Record { opcode, data }) => match parse(opcode, data) {
+                Ok(Record::Channel(channel)) => _ = topics.insert(channel.topic),
+                Ok(Record::Statistics(statistics)) => end_ns = Some(statistics.message_end_time),
+                Ok(_) => {}
+                Err(_) => return Ok(None),
+            },
             Err(_) => return Ok(None),
         }
     }
-    Ok(reader.finish())
+    Ok(end_ns.map(|end_ns| Index { end_ns, topics }))
 }
 
 #[cfg(test)]
@@ -88,6 +117,14 @@ mod tests {
         let through = Outline::read(&torn).unwrap();
         assert_eq!(outline.end, through.end);
         assert!(through.topics.is_subset(&outline.topics));
+        // An index that claims to be nowhere.
+        let mut bytes = std::fs::read(&path).unwrap();
+        let place = bytes.len() - FOOTER as usize + PLACE.start;
+        for claimed in [0, 1, u64::MAX, i64::MAX as u64, bytes.len() as u64] {
+            bytes[place..place + 8].copy_from_slice(&claimed.to_le_bytes());
+            std::fs::write(&torn, &bytes).unwrap();
+            assert_eq!(Outline::read(&torn).unwrap().end, through.end, "{claimed}");
+        }
         std::fs::write(&torn, "nothing").unwrap();
         assert!(Outline::read(&torn).is_err());
     }

@@ -75,7 +75,7 @@ impl<R: Read> Records<R> {
                 Some(Ok(LinearReadEvent::Record { opcode: 0, .. })) => Ok(Step::Torn),
                 Some(Ok(LinearReadEvent::Record { opcode, data })) => match opcode {
                     op::SCHEMA | op::CHANNEL | op::MESSAGE | op::ATTACHMENT | op::METADATA => {
-                        mcap::parse_record(opcode, data).map(|record| Step::Record(record.into_owned()))
+                        parse(opcode, data).map(|record| Step::Record(record.into_owned()))
                     }
                     op::DATA_END => {
                         self.summary = true;
@@ -189,10 +189,94 @@ impl<R: Read> Records<R> {
     }
 }
 
+/// The record of these bytes.
+///
+/// # Errors
+/// They are none.
+pub(super) fn parse(opcode: u8, data: &[u8]) -> Result<Raw<'_>, McapError> {
+    if !lies_within(opcode, data) {
+        return Err(io::Error::new(io::ErrorKind::InvalidData, "a part is longer than its record").into());
+    }
+    mcap::parse_record(opcode, data)
+}
+
+/// Whether the parts of a record end before it does: the library takes memory for a text that is as long as it claims to be, and
+/// takes for granted that an attachment is there.
+fn lies_within(opcode: u8, mut data: &[u8]) -> bool {
+    let (begins, texts, has_map, ends) = match opcode {
+        op::SCHEMA => (2, 2, false, 4),
+        op::CHANNEL => (4, 2, true, 0),
+        op::ATTACHMENT => (16, 2, false, 12),
+        op::METADATA => (0, 1, true, 0),
+        _ => return true,
+    };
+    let rest = &mut data;
+    let begins = take(rest, begins).is_some() && (0..texts).all(|_| text(rest).is_some());
+    begins && (!has_map || map(rest).is_some()) && rest.len() >= ends
+}
+
+fn take<'a>(rest: &mut &'a [u8], length: usize) -> Option<&'a [u8]> {
+    let (taken, later) = rest.split_at_checked(length)?;
+    *rest = later;
+    Some(taken)
+}
+
+fn length(rest: &mut &[u8]) -> Option<usize> {
+    let bytes = take(rest, 4)?.try_into().ok()?;
+    usize::try_from(u32::from_le_bytes(bytes)).ok()
+}
+
+fn text(rest: &mut &[u8]) -> Option<()> {
+    let length = length(rest)?;
+    take(rest, length).map(drop)
+}
+
+/// Names and values, after how many bytes they have.
+fn map(rest: &mut &[u8]) -> Option<()> {
+    let length = length(rest)?;
+    let before = rest.len();
+    while before - rest.len() < length {
+        text(rest)?;
+        text(rest)?;
+    }
+    Some(())
+}
+
 enum Step {
     Skip,
     Read(usize),
     Record(Raw<'static>),
     Torn,
     End,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_that_claims_to_be_longer_than_its_record_takes_no_memory() {
+        let long = u32::MAX.to_le_bytes();
+        let texts = [&1_u32.to_le_bytes()[..], b"a"].concat();
+        for (opcode, begins) in [
+            (op::SCHEMA, vec![0; 2]),
+            (op::SCHEMA, [&[0; 2], &texts[..]].concat()),
+            (op::CHANNEL, vec![0; 4]),
+            (op::CHANNEL, [&[0; 4], &texts[..], &texts[..], &100_u32.to_le_bytes()].concat()),
+            (op::METADATA, vec![]),
+            (op::METADATA, [&texts[..], &100_u32.to_le_bytes()].concat()),
+            (op::ATTACHMENT, vec![0; 16]),
+        ] {
+            let claims = [&begins[..], &long].concat();
+            assert!(!lies_within(opcode, &claims), "{opcode} {begins:?}");
+            assert!(parse(opcode, &claims).is_err());
+        }
+        // An attachment without a sum, which the library reads beyond its beginning.
+        assert!(parse(op::ATTACHMENT, &[&[0; 16], &texts[..], &texts[..], &[0; 8][..]].concat()).is_err());
+        // What is whole is read.
+        let metadata = [&texts[..], &10_u32.to_le_bytes(), &texts[..], &texts[..]].concat();
+        assert!(
+            matches!(parse(op::METADATA, &metadata), Ok(Raw::Metadata(read)) if read.metadata["a"] == "a")
+        );
+    }
 }

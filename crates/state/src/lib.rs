@@ -1,8 +1,10 @@
 //! State that is put away and goes on.
 //!
 //! What comes in: any value made of plain data. What goes out: bytes, little-endian and in the order of the fields, with a fingerprint
-//! of the layout in front; and the same value again. What it never does: read bytes of another layout, trust a length
-//! with memory, make code for more than one format.
+//! of the layout in front and their sum behind; and the same value again. What it never does: read bytes of another layout or ones
+//! that have changed, trust a length with memory, make code for more than one format.
+//!
+//! The sum finds damage, not malice: whoever forges a snapshot with its sum makes a value that no program would have made.
 //!
 //! A [`Plain`] is written and read whole. A [`State`] is read in place: what made it has put its parameters and models there
 //! (`#[state(keep)]`), and only what changed since comes from the bytes. What must be as it was, like the name of a part, is written
@@ -91,24 +93,26 @@ impl<T: Plain> State for T {
     }
 }
 
-/// A state as bytes, little-endian: eight of the fingerprint, then the state. The same state gives the same bytes on every machine.
+/// A state as bytes, little-endian: eight of the fingerprint, then the state, then eight of the sum of all these. The same state gives the same bytes on every machine.
 pub fn snapshot<T: State>(state: &T) -> Vec<u8> {
     let mut writer = Writer::default();
     writer.word(T::LAYOUT);
     state.save_state(&mut writer);
+    writer.seal();
     writer.into_bytes()
 }
 
 /// Puts a [`snapshot`] in place of `state`, which must have been made from the same parameters: those are not in the bytes.
 ///
 /// # Errors
-/// The bytes are damaged, too many, or of another layout. After [`Damaged::OtherLayout`] `state` is as it was; after any other
-/// error throw it away.
+/// The bytes are damaged, too many, or of another layout. After [`Damaged::OtherLayout`] and [`Damaged::Changed`] `state` is as it
+/// was; after any other error throw it away.
 pub fn restore<T: State>(state: &mut T, bytes: &[u8]) -> Result<(), Damaged> {
-    let mut reader = Reader::new(bytes);
-    if reader.word()? != T::LAYOUT {
+    if Reader::new(bytes).word()? != T::LAYOUT {
         return Err(Damaged::OtherLayout);
     }
+    let mut reader = Reader::unsealed(bytes)?;
+    reader.word()?;
     state.load_state(&mut reader)?;
     reader.end()
 }

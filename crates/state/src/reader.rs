@@ -2,6 +2,8 @@
 
 use thiserror::Error;
 
+use crate::writer::sum;
+
 /// Why bytes are no such state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Damaged {
@@ -14,6 +16,9 @@ pub enum Damaged {
     /// A byte or text that no such value has.
     #[error("it holds what is no {0}")]
     Word(&'static str),
+    /// A byte is another one.
+    #[error("it was changed since it was written")]
+    Changed,
     /// It was written by another version, with other fields.
     #[error("another version of the program wrote it")]
     OtherLayout,
@@ -33,6 +38,15 @@ impl<'a> Reader<'a> {
     /// Over bytes, from their beginning.
     pub fn new(bytes: &'a [u8]) -> Self {
         Self { rest: bytes }
+    }
+
+    /// Over all bytes but their sum at the end.
+    ///
+    /// # Errors
+    /// [`Damaged::Changed`] where it is the sum of others, [`Damaged::Ends`] where there is none.
+    pub(crate) fn unsealed(bytes: &'a [u8]) -> Result<Self, Damaged> {
+        let (rest, sealed) = bytes.split_last_chunk().ok_or(Damaged::Ends)?;
+        if sum(rest) == u64::from_le_bytes(*sealed) { Ok(Self { rest }) } else { Err(Damaged::Changed) }
     }
 
     /// The next `length` bytes, not copied.

@@ -10,8 +10,6 @@
 mod asker;
 pub mod capture;
 pub mod examine;
-#[doc(hidden)]
-pub mod fuzzing;
 pub mod parser;
 mod plan;
 pub mod probe;

@@ -64,7 +64,7 @@ impl Settings {
     }
 
     /// What each unit receives, in this order.
-    pub(super) fn commands(&self) -> Vec<(String, Value)> {
+    pub(crate) fn commands(&self) -> Vec<(String, Value)> {
         let divisor = self.divisor();
         [
             ("ping", Value::Null),

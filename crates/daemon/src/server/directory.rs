@@ -303,6 +303,18 @@ fn read(received: Received<'_>) -> Result<(RequestId, Option<Vec<String>>, Feed)
     }
 }
 
+/// What the fuzz target does with any message of a hub's client: a request, or an error with a sentence.
+#[doc(hidden)]
+pub fn fuzz_hub_message(data: &[u8]) {
+    let text = std::str::from_utf8(data).ok().map(Received::Text);
+    for received in text.into_iter().chain([Received::Binary(data)]) {
+        match read(received) {
+            Ok((_, stages, feed)) => assert!(bytes_of(stages.as_deref(), &feed) <= WISH_BYTES),
+            Err(error) => assert!(!error.message.is_empty()),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use posed_protocol::Topic;

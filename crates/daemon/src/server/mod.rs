@@ -57,6 +57,8 @@ use posed_stage::input::SensorIndex;
 use posed_stage::layout::BodyLayout;
 use posed_stage::{Pose, Skeleton, Stage};
 
+#[doc(hidden)]
+pub use self::directory::fuzz_hub_message;
 pub use self::holding::Holding;
 pub use self::hub::{Hub, Item};
 pub use self::hub_server::{HubServer, StageEndpoint, StageRegistry};

@@ -158,6 +158,10 @@ impl Labeller {
         let classes = model.card.labels.len();
         let rate_hz = model.card.preparation.rate_hz;
         softmax(&mut self.buffer);
+        // Scores that no number holds, of weights or positions without sense, say nothing of any class.
+        if !self.buffer.iter().all(|probability| probability.is_finite()) {
+            self.buffer.fill(1.0 / classes as f32);
+        }
         let slot = (self.scored % self.slots) as usize * classes;
         self.probabilities[slot..slot + classes].copy_from_slice(&self.buffer);
         let Self { decoder, buffer, probabilities, slots, start_s, .. } = self;
