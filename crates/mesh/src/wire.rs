@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use posed_daemon::server::Item;
 use posed_geometry::bytes;
-use posed_protocol::{Stamp, Topic};
+use posed_protocol::{Stamp, Topic, unpacker};
 use posed_recording::Header;
 
 /// Version of everything in this file.
@@ -130,9 +130,9 @@ pub(crate) fn write_fed(head: &Head, item: &Item) -> Option<Vec<u8>> {
 }
 
 /// Reads what [`write_fed`] wrote.
-pub(crate) fn read_fed(mut payload: &[u8]) -> Result<(Head, Item), decode::Error> {
-    let head = rmp_serde::from_read(&mut payload)?;
-    Ok((head, rmp_serde::from_read(payload)?))
+pub(crate) fn read_fed(payload: &[u8]) -> Result<(Head, Item), decode::Error> {
+    let mut unpacker = unpacker(payload);
+    Ok((Head::deserialize(&mut unpacker)?, Item::deserialize(&mut unpacker)?))
 }
 
 /// Bytes as MessagePack's own.

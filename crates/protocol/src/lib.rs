@@ -28,6 +28,7 @@ pub mod foxglove;
 pub mod lsl;
 mod message;
 mod names;
+mod packed;
 mod plain;
 mod publisher;
 mod request;
@@ -49,6 +50,7 @@ pub use message::{
     StageLatency, StagePresence, Stages, Started, Status, Tracked, TruthEntry, Truths,
 };
 pub use names::Names;
+pub use packed::{unpack, unpacker};
 pub use publisher::{Counters, Publisher, PublisherState, Stamp};
 pub use request::{
     AnchorSpec, Call, DropPolicy, Feed, ParseError, Request, RequestId, RoomPoint, Speed, SpeedWord,

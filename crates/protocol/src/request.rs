@@ -9,6 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::packed::DEPTH;
 use super::{Encoding, Field, Topic};
 use posed_fusion::body::Thoroughness;
 use posed_fusion::faults::Class;
@@ -415,8 +416,7 @@ pub fn parse(encoding: Encoding, bytes: &[u8]) -> Result<(RequestId, Request), P
 fn read_message_pack(bytes: &[u8]) -> Result<Value, String> {
     let mut rest = bytes;
     let mut deserializer = rmp_serde::Deserializer::new(&mut rest);
-    // Nested maps are read by recursion: requests are flat, so a few levels are plenty.
-    deserializer.set_max_depth(32);
+    deserializer.set_max_depth(DEPTH);
     let value = Value::deserialize(&mut deserializer).map_err(|e| format!("this is not MessagePack: {e}"))?;
     if rest.is_empty() { Ok(value) } else { Err("bytes follow the message".into()) }
 }

@@ -154,7 +154,7 @@ impl Header {
         let models = match attachments.get(MODELS) {
             None => LoadedModels::default(),
             Some(bytes) => {
-                rmp_serde::from_slice(bytes).map_err(|error| format!("its {MODELS} is wrong: {error}"))?
+                posed_protocol::unpack(bytes).map_err(|error| format!("its {MODELS} is wrong: {error}"))?
             }
         };
         let snapshot = match (attachments.get(PIPELINE), attachments.get(PUBLISHER)) {

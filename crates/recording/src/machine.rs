@@ -5,7 +5,7 @@ use posed_drivers::Timestamp;
 use super::header::Header;
 use super::replay::Replayable;
 use posed_pipeline::{PipelineError, SupervisedPipeline};
-use posed_protocol::{Fields, Payload, Publisher};
+use posed_protocol::{Fields, Payload, Publisher, unpack};
 use posed_stage::input::Entry;
 use posed_stage::{Problems, Stage};
 
@@ -42,7 +42,7 @@ impl Machine {
         let pipeline = match &header.snapshot {
             None => SupervisedPipeline::new(&stage)?,
             Some(snapshot) => {
-                publisher.restore(rmp_serde::from_slice(&snapshot.publisher)?);
+                publisher.restore(unpack(&snapshot.publisher)?);
                 SupervisedPipeline::restore(&stage, &header.models, &snapshot.pipeline)?
             }
         };

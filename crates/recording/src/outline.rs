@@ -80,12 +80,14 @@ fn index(path: &Path) -> Result<Option<Index>, ReadError> {
                 let read = file.read(reader.insert(wanted))?;
                 reader.notify_read(read);
             }
-            Ok(LinearReadEvent::Record { opcode, data }) => match parse(opcode, data) {
-                Ok(Record::Channel(channel)) => _ = topics.insert(channel.topic),
-                Ok(Record::Statistics(statistics)) => end_ns = Some(statistics.message_end_time),
-                Ok(_) => {}
-                Err(_) => return Ok(None),
-            },
+            Ok(LinearReadEvent::Record { opcode: opcode @ (op::CHANNEL | op::STATISTICS), data }) => {
+                match parse(opcode, data) {
+                    Ok(Record::Channel(channel)) => _ = topics.insert(channel.topic),
+                    Ok(Record::Statistics(statistics)) => end_ns = Some(statistics.message_end_time),
+                    _ => return Ok(None),
+                }
+            }
+            Ok(LinearReadEvent::Record { .. }) => {}
             Err(_) => return Ok(None),
         }
     }

@@ -296,7 +296,7 @@ fn item(kind: LogKind, t: Timestamp, data: &[u8]) -> Result<Item, ReadError> {
 
 /// The checksum of its chunk is right: what cannot be unpacked is no damage, but of another version.
 fn unpack<T: DeserializeOwned>(data: &[u8], what: &str) -> Result<T, ReadError> {
-    rmp_serde::from_slice(data).map_err(|error| ReadError::Newer(format!("a {what} ({error})")))
+    posed_protocol::unpack(data).map_err(|error| ReadError::Newer(format!("a {what} ({error})")))
 }
 
 impl<R: Read> Iterator for Reader<R> {

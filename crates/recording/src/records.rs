@@ -189,10 +189,10 @@ impl<R: Read> Records<R> {
     }
 }
 
-/// The record of these bytes.
+/// The record of these bytes: a schema, channel, message, attachment, metadata or statistics.
 ///
 /// # Errors
-/// They are none.
+/// They are none, or of another kind.
 pub(super) fn parse(opcode: u8, data: &[u8]) -> Result<Raw<'_>, McapError> {
     if !lies_within(opcode, data) {
         return Err(io::Error::new(io::ErrorKind::InvalidData, "a part is longer than its record").into());
@@ -208,7 +208,9 @@ fn lies_within(opcode: u8, mut data: &[u8]) -> bool {
         op::CHANNEL => (4, 2, true, 0),
         op::ATTACHMENT => (16, 2, false, 12),
         op::METADATA => (0, 1, true, 0),
-        _ => return true,
+        op::MESSAGE | op::STATISTICS => return true,
+        // Nobody asks for another kind: who does must say where its texts are.
+        _ => return false,
     };
     let rest = &mut data;
     let begins = take(rest, begins).is_some() && (0..texts).all(|_| text(rest).is_some());
@@ -266,6 +268,7 @@ mod tests {
             (op::METADATA, vec![]),
             (op::METADATA, [&texts[..], &100_u32.to_le_bytes()].concat()),
             (op::ATTACHMENT, vec![0; 16]),
+            (op::CHUNK_INDEX, vec![0; 32]),
         ] {
             let claims = [&begins[..], &long].concat();
             assert!(!lies_within(opcode, &claims), "{opcode} {begins:?}");

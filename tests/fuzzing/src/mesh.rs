@@ -6,7 +6,7 @@ mod wire;
 
 use posed_daemon::server::Item;
 use posed_drivers::Timestamp;
-use posed_protocol::{Counters, Fields, Publisher, Stamp, Topic};
+use posed_protocol::{Counters, Fields, Publisher, Stamp, Topic, unpack};
 use posed_recording::{Header, Machine, Replayable, Snapshot};
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input};
@@ -26,24 +26,23 @@ pub(crate) fn message(data: &[u8]) {
     match choice % 6 {
         0 => fed(&STANDS[0].stage, payload),
         1 => {
-            let Ok(joined) = rmp_serde::from_slice::<wire::Joined>(payload) else { return };
+            let Ok(joined) = unpack::<wire::Joined>(payload) else { return };
             let Ok(stage) = Stage::parse(&joined.stage_toml) else { return };
             joined.events.iter().chain(&joined.states).for_each(|bytes| fed(&stage, &bytes.0));
         }
         2 => {
-            let Ok(chunk) = rmp_serde::from_slice::<wire::LogChunk>(payload) else { return };
+            let Ok(chunk) = unpack::<wire::LogChunk>(payload) else { return };
             let mut pipeline = STANDS[3].pipeline.clone();
-            for entry in chunk.entries.iter().map_while(|bytes| rmp_serde::from_slice::<Entry>(&bytes.0).ok())
-            {
+            for entry in chunk.entries.iter().map_while(|bytes| unpack::<Entry>(&bytes.0).ok()) {
                 pipeline.push(&entry, &mut |_| {});
             }
         }
         3 => {
-            let Ok(begin) = rmp_serde::from_slice::<wire::Begin>(payload) else { return };
+            let Ok(begin) = unpack::<wire::Begin>(payload) else { return };
             let Ok((_, mut machine)) = Machine::as_recorded(&begin.header) else { return };
             machine.push(&Entry { t: Timestamp::ZERO, input: Input::Timer }, &mut |_, _, _| {});
         }
-        4 => _ = rmp_serde::from_slice::<wire::ClockReading>(payload),
+        4 => _ = unpack::<wire::ClockReading>(payload),
         _ => {
             let Ok(token) = std::str::from_utf8(payload) else { return };
             if let Some(keys) = wire::Keys::of_token(token) {

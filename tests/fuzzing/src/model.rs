@@ -53,7 +53,7 @@ fn read(data: &[u8]) -> Vec<Input> {
             Err(_) => file(data).into_iter().map(Input::Model).collect(),
         },
         _ => {
-            let mut inputs = rmp_serde::from_slice::<Vec<Input>>(data).unwrap_or_default();
+            let mut inputs = posed_protocol::unpack::<Vec<Input>>(data).unwrap_or_default();
             inputs.truncate(MOST);
             inputs
         }

@@ -17,6 +17,7 @@ use super::metrics::Metrics;
 use super::outbox::{Close, Outbox, Outgoing};
 use posed_protocol::{
     Encoding, ErrorReply, Feed, Hello, OkReply, Request, RequestId, ServerMessage, Stages, encode, parse,
+    unpack,
 };
 use posed_stage::{Pose, Role};
 
@@ -283,7 +284,7 @@ fn read(received: Received<'_>) -> Result<(RequestId, Option<Vec<String>>, Feed)
     let bad = |message: String| ErrorReply { id: None, code: "bad_request".into(), message };
     let mut value: Value = match received {
         Received::Text(text) => serde_json::from_str(text).map_err(|error| bad(error.to_string()))?,
-        Received::Binary(bytes) => rmp_serde::from_slice(bytes).map_err(|error| bad(error.to_string()))?,
+        Received::Binary(bytes) => unpack(bytes).map_err(|error| bad(error.to_string()))?,
     };
     let stages = value.as_object_mut().and_then(|map| map.remove("stages"));
     let stages = stages.map(serde_json::from_value::<Vec<String>>).transpose();

@@ -19,7 +19,7 @@ use posed_daemon::ended;
 use posed_daemon::server::Item;
 use posed_daemon::server::rfc3339;
 use posed_daemon::server::{StageEndpoint, StageRegistry};
-use posed_protocol::{LinkState, Problem, RelatedClock, StagePresence, Stamp, Status};
+use posed_protocol::{LinkState, Problem, RelatedClock, StagePresence, Stamp, Status, unpack};
 use posed_stage::Stage;
 
 /// Messages of zenoh that wait for this task; more are lost, and events among them asked for.
@@ -230,7 +230,7 @@ impl Work {
 
     /// Entries of the input log.
     fn log(&mut self, payload: &[u8]) {
-        match rmp_serde::from_slice::<LogChunk>(payload) {
+        match unpack::<LogChunk>(payload) {
             Ok(chunk) => _ = self.entries(chunk),
             Err(error) => tracing::warn!("stage {}: {error}: is it of another version?", self.follower.id),
         }

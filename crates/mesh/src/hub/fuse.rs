@@ -10,7 +10,7 @@ use tokio::sync::mpsc;
 
 use crate::wire::{Begin, Bytes, LogChunk};
 use posed_daemon::server::Item;
-use posed_protocol::{Payload, Stamp};
+use posed_protocol::{Payload, Stamp, unpack};
 use posed_recording::Machine;
 use posed_stage::input::Entry;
 use posed_stage::output::Output;
@@ -84,7 +84,7 @@ impl Drop for Fuser {
 /// The thread: until no more entries can come, or nobody takes what is said.
 fn run(mut machine: Machine, taken: &Receiver<Bytes>, items: &mpsc::Sender<(Item, Stamp)>) {
     for Bytes(bytes) in taken {
-        let entry: Entry = match rmp_serde::from_slice(&bytes) {
+        let entry: Entry = match unpack(&bytes) {
             Ok(entry) => entry,
             Err(error) => {
                 // To go on without it would be a silent wrong pose.

@@ -9,6 +9,7 @@ use zenoh::Session;
 
 use crate::wire::{Begin, ClockReading, Joined, Keys, LogChunk};
 use posed_daemon::StageClock;
+use posed_protocol::unpack;
 
 /// Longest wait for an answer. A question that was lost with a link is asked again.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -85,7 +86,7 @@ impl Questions {
         let replies = self.session.get(selector).timeout(patience).await?;
         let reply = replies.recv_async().await.map_err(|_| format!("{selector} was not answered"))?;
         match reply.into_result() {
-            Ok(sample) => rmp_serde::from_slice(&sample.payload().to_bytes())
+            Ok(sample) => unpack(&sample.payload().to_bytes())
                 .map_err(|error| format!("{selector}: the answer cannot be read: {error}").into()),
             Err(error) => Err(String::from_utf8_lossy(&error.payload().to_bytes()).into()),
         }

@@ -148,6 +148,18 @@ fn a_gap_ends_a_stream_and_nothing_is_said_twice() {
 }
 
 #[test]
+fn scores_that_no_number_holds_say_nothing_of_any_class() {
+    let (mut model, _) = trained(Options { epochs: 1, ..options() });
+    let shape = model.network.shape().clone();
+    model.network = SegmentationNetwork::new(shape.clone(), vec![3e38; shape.parameters()]).unwrap();
+    let model = Model::from_bytes(&model.to_bytes().unwrap()).unwrap();
+    let (sequence, ..) = sequence(4, 2);
+    let found = label(&model, &sequence);
+    let least = 1.0 / model.card.labels.len() as f64;
+    assert!(found.iter().all(|(_, confidence)| (confidence - least).abs() < 1e-6), "{:?}", &found[..3]);
+}
+
+#[test]
 fn a_restored_labeller_goes_on_as_if_nothing_had_happened() {
     let (model, _) = trained(Options { epochs: 1, ..options() });
     let (sequence, ..) = sequence(5, 3);
