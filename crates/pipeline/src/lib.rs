@@ -271,6 +271,13 @@ impl Pipeline {
         posed_state::snapshot(self)
     }
 
+    /// A pipeline before its first input, with these models in use.
+    fn with_models(stage: &Stage, models: &LoadedModels) -> Result<Self, PipelineError> {
+        let mut pipeline = Self::new(stage)?;
+        models.entries().for_each(|input| pipeline.push(&Entry { t: Timestamp::ZERO, input }, &mut |_| {}));
+        Ok(pipeline)
+    }
+
     /// A pipeline that goes on from a snapshot taken on the same stage with the same models ([`Self::models`]): the same entries
     /// give it the same outputs.
     ///
@@ -278,8 +285,7 @@ impl Pipeline {
     /// As [`Self::new`]; [`PipelineError::Snapshot`] where the bytes are no snapshot of this version, or of a stage with other
     /// devices, sensors or models as far as the bytes show it.
     pub fn restore(stage: &Stage, models: &LoadedModels, snapshot: &[u8]) -> Result<Self, PipelineError> {
-        let mut pipeline = Self::new(stage)?;
-        models.entries().for_each(|input| pipeline.push(&Entry { t: Timestamp::ZERO, input }, &mut |_| {}));
+        let mut pipeline = Self::with_models(stage, models)?;
         posed_state::restore(&mut pipeline, snapshot)?;
         Ok(pipeline)
     }

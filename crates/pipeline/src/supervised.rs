@@ -277,25 +277,16 @@ impl SupervisedPipeline {
     /// The pipeline as it stood before the entry at which it panicked; `None` where it panics on the way there.
     fn before(&self) -> Option<Pipeline> {
         let Checkpoint { models, state, .. } = &self.checkpoint;
-        catch_unwind(AssertUnwindSafe(|| {
-            let mut pipeline = Pipeline::restore(&self.stage, models, state).ok()?;
+        unless_it_panics(|| {
+            let mut pipeline = Pipeline::restore(&self.stage, models, state)?;
             self.checkpoint.entries().for_each(|entry| pipeline.push(&entry, &mut |_| {}));
-            Some(pipeline)
-        }))
-        .ok()
-        .flatten()
+            Ok(pipeline)
+        })
     }
 
     /// The pipeline before its first entry, with the models that were in use when it had not panicked yet.
     fn anew(&self) -> Option<Pipeline> {
-        catch_unwind(AssertUnwindSafe(|| {
-            let mut pipeline = Pipeline::new(&self.stage).ok()?;
-            let models = self.checkpoint.models.entries();
-            models.for_each(|input| pipeline.push(&Entry { t: Timestamp::ZERO, input }, &mut |_| {}));
-            Some(pipeline)
-        }))
-        .ok()
-        .flatten()
+        unless_it_panics(|| Pipeline::with_models(&self.stage, &self.checkpoint.models))
     }
 
     /// Lets the pipeline panic at the end of the next entry, all of whose outputs have gone out then. For tests of what is around it.
@@ -303,4 +294,9 @@ impl SupervisedPipeline {
     pub fn panic_next(&mut self) {
         self.panic_next = true;
     }
+}
+
+/// What is made, where that succeeds.
+fn unless_it_panics(make: impl FnOnce() -> Result<Pipeline, PipelineError>) -> Option<Pipeline> {
+    catch_unwind(AssertUnwindSafe(make)).ok()?.ok()
 }

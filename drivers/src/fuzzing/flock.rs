@@ -15,7 +15,7 @@ use crate::sample::Timestamp;
 /// Full scale of the largest range, and a little.
 const REACH_M: f64 = 3.7;
 
-const FORMATS: [Format; 7] = [
+pub(super) const FORMATS: [Format; 7] = [
     Format::PositionQuaternion,
     Format::Position,
     Format::Angles,
@@ -23,6 +23,15 @@ const FORMATS: [Format; 7] = [
     Format::Quaternion,
     Format::PositionAngles,
     Format::PositionMatrix,
+];
+
+pub(super) const HEMISPHERES: [Hemisphere; 6] = [
+    Hemisphere::Forward,
+    Hemisphere::Aft,
+    Hemisphere::Right,
+    Hemisphere::Left,
+    Hemisphere::Lower,
+    Hemisphere::Upper,
 ];
 
 /// Records, commands, captures, the probe and a session.
@@ -37,14 +46,7 @@ pub fn flock(data: &[u8]) -> usize {
         mode: head.pick([Mode::Stream, Mode::Listen, Mode::Point]),
         button: head.flag(false),
         range_in: head.pick([None, Some(Range::In36), Some(Range::In72), Some(Range::In144)]),
-        hemisphere: head.pick([
-            Hemisphere::Forward,
-            Hemisphere::Aft,
-            Hemisphere::Right,
-            Hemisphere::Left,
-            Hemisphere::Lower,
-            Hemisphere::Upper,
-        ]),
+        hemisphere: head.pick(HEMISPHERES),
         report_every_cycles: head.pick([
             ReportRate::Every,
             ReportRate::Every2,

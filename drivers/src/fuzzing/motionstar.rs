@@ -1,8 +1,9 @@
 //! MotionStar.
 
+use super::flock::{FORMATS, HEMISPHERES};
 use super::head::Head;
 use super::script::{cut_both_ways, pieces, probe, session};
-use crate::flock::wire::{Format, Hemisphere, QuaternionSense};
+use crate::flock::wire::QuaternionSense;
 use crate::motionstar::probe::inquiry;
 use crate::motionstar::wire::{self, Packets, kind};
 use crate::motionstar::{MotionStarSession, Settings};
@@ -18,25 +19,10 @@ const REACH_M: f64 = 104.1;
 pub fn motionstar(data: &[u8]) -> usize {
     let (mut head, script) = Head::of(data);
     let settings = Settings {
-        format: head.pick([
-            Format::PositionQuaternion,
-            Format::Position,
-            Format::Angles,
-            Format::Matrix,
-            Format::Quaternion,
-            Format::PositionAngles,
-            Format::PositionMatrix,
-        ]),
+        format: head.pick(FORMATS),
         measurement_rate_hz: head.number(20.0, 144.0),
         report_every_cycles: head.optional_byte().unwrap_or(1),
-        hemisphere: head.pick([
-            Hemisphere::Forward,
-            Hemisphere::Aft,
-            Hemisphere::Right,
-            Hemisphere::Left,
-            Hemisphere::Lower,
-            Hemisphere::Upper,
-        ]),
+        hemisphere: head.pick(HEMISPHERES),
         quaternion_sense: head.pick([QuaternionSense::Vendor, QuaternionSense::Direct]),
         button: head.flag(false),
     };
