@@ -190,8 +190,12 @@ impl LogRatio {
         let mut parts = [0.0; 2];
         self.background.log_density(observation, &mut parts);
         let [rest, wide] = parts;
-        let high = rest.max(wide);
-        high + libm::log(0.5 * (libm::exp(rest - high) + libm::exp(wide - high)))
+        let (low, high) = (rest.min(wide), rest.max(wide));
+        // Below half the last place of 1 the other part adds nothing, which most frames need not work out.
+        if low - high < -37.0 {
+            return high - std::f64::consts::LN_2;
+        }
+        high + libm::log(0.5 * (1.0 + libm::exp(low - high)))
     }
 }
 
