@@ -57,6 +57,16 @@ impl Rate {
     }
 }
 
+/// Rate below which no pose is good, Hz: a pose is kept for half a second, and a record must follow before.
+const LEAST_HZ: f64 = 2.0;
+
+/// What to report of a device that is set to `rate_hz` records a second from each sensor, if they are too seldom to track by.
+pub(crate) fn too_seldom(rate_hz: f64) -> Option<String> {
+    (rate_hz <= LEAST_HZ).then(|| {
+        format!("at {rate_hz:.1} Hz no pose is good: more than {LEAST_HZ} a second are needed; lower report_every_cycles")
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -9,8 +9,11 @@ use posed_state::Plain;
 
 use crate::sample::Timestamp;
 
-/// What is held back somewhere is here that soon after the pause.
-const SETTLE: Duration = Duration::from_millis(100);
+/// What is held back somewhere is here that soon after the pause; several bursts of an adapter fit in, each of which may hold
+/// another part of a cycle back.
+const SETTLE: Duration = Duration::from_millis(150);
+/// Part of a cycle by which the pace may be off meanwhile. A part is held back by bursts, a cycle that is owed as a whole is lost.
+const SLACK: f64 = 0.2;
 /// Over which the unit's pace is measured: first, to have it soon, and then.
 const FIRST_WINDOW_S: f64 = 0.5;
 const WINDOW_S: f64 = 2.0;
@@ -75,7 +78,7 @@ impl Debt {
             Some((until, least)) if now < until => self.doubt = Some((until, least.min(self.owed))),
             Some((_, least)) => {
                 self.doubt = None;
-                let cycles = (least.min(self.owed) / stations).round();
+                let cycles = (least.min(self.owed) / stations + SLACK).floor();
                 self.owed = (self.owed - cycles * stations).max(0.0);
                 return cycles as u64;
             }

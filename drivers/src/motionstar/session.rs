@@ -15,6 +15,7 @@ use crate::arrivals::Arrivals;
 use crate::flock::SettingsError;
 use crate::flock::wire::{Format, Hemisphere, QuaternionSense};
 use crate::outbox::Outbox;
+use crate::rate::too_seldom;
 use crate::sample::{Arrival, DeviceTime, Measurement, Sample, Timestamp};
 use crate::session::{Counters, LineEvent, Loss, Output, SensorInfo, Session, State};
 
@@ -292,6 +293,9 @@ impl MotionStarSession {
             (Step::ReadBird(k), kind::RSP_ILLEGAL | kind::RSP_UNKNOWN) => self.next_bird(now, k + 1),
             (Step::WriteBird(k), kind::RSP_SEND_SETUP) => self.next_bird(now, k + 1),
             (Step::Run, kind::RSP_RUN_CONTINUOUS) => {
+                if let Some(warning) = self.rate_hz().and_then(too_seldom) {
+                    self.outbox.warn(now, 0x300, || warning);
+                }
                 self.last_sequence = None;
                 self.phase = Phase::Running { silent_at: now + self.silence() };
             }

@@ -95,8 +95,6 @@ impl Kind {
             "units" | "addressing" | "transmitter_address" | "transmitter_number" => false,
             // The unit has another one, and says so.
             "range_in" => value.as_integer() != Some(144),
-            // A pose is kept for half a second.
-            "report_every_cycles" => value.as_integer().is_none_or(|cycles| cycles <= 14),
             // Nobody has set it up.
             "mode" => value.as_str() != Some("listen"),
             "hemisphere" | "quaternion_sense" => judged,

@@ -8,10 +8,11 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use posed_geometry::orientation_from_wxyz;
 use posed_simulator::inertial::ImuClass;
 use posed_simulator::motion::Body;
-use posed_stage::output::{Estimate, PoseEstimate};
+use posed_stage::output::{Estimate, PoseEstimate, SensorState};
 use posed_stage::{Driver, Stage};
 
-use crate::plan::Plan;
+use crate::plan::{BLIND_S, Plan};
+use crate::trouble::LEAD_S;
 
 /// A pose this far off, and further than its noise and its time explain, is wrong.
 const WRONG_M: f64 = 0.02;
@@ -56,10 +57,14 @@ pub(crate) struct Judge {
     blind: Vec<(usize, f64, f64)>,
     /// Devices, and from when to when, s, a sensor of theirs is on the other side of its transmitter.
     flips: Vec<(usize, f64, f64)>,
+    /// Devices, and from when to when, s, something is wrong with them or their lines.
+    faults: Vec<(usize, f64, f64)>,
     /// By sensor, when it was good for the first time, s.
     begun_s: Vec<Option<f64>>,
     /// Where a model has put the transmitter, which stands at the room's origin.
     pub(crate) room_transmitter: Isometry3<f64>,
+    /// A sensor whose good values are told one by one.
+    traced: Option<String>,
     /// Values that were good, and compared.
     pub(crate) compared: u64,
     /// How often the pipeline has begun anew.
@@ -86,12 +91,21 @@ impl Judge {
                 },
             }
         });
+        let devices = scenario.devices.iter().enumerate();
+        let faults = devices.flat_map(|(at, device)| {
+            device.faults.iter().map(move |fault| {
+                let (start_s, end_s) = fault.span_s();
+                (at, start_s, end_s)
+            })
+        });
         Self {
             riders: riders.collect(),
             sigma_signal: scenario.sigma_signal_per_m3,
             judged: plan.devices.iter().map(|device| device.judged).collect(),
             blind: plan.blind.clone(),
             flips: plan.flips.clone(),
+            faults: faults.collect(),
+            traced: plan.traced.clone(),
             begun_s: vec![None; stage.sensors.len()],
             room_transmitter: Isometry3::identity(),
             compared: 0,
@@ -99,10 +113,15 @@ impl Judge {
         }
     }
 
-    /// The pipeline knows of no sensor any more on which side it was.
-    pub(crate) fn begin_anew(&mut self, times: u64) {
+    /// The pipeline knows of no sensor any more on which side it was, and sets its devices up: what goes wrong meanwhile is as if
+    /// it did before the first fault may begin.
+    pub(crate) fn begin_anew(&mut self, times: u64, t_s: f64) {
         self.begun_anew = times;
         self.begun_s.fill(None);
+        let meanwhile =
+            self.faults.iter().filter(|(_, start_s, end_s)| *start_s < t_s + LEAD_S && *end_s > t_s);
+        let blind = meanwhile.map(|&(device, _, end_s)| (device, t_s, end_s.min(t_s + LEAD_S) + BLIND_S));
+        self.blind.extend(blind);
     }
 
     /// A sentence about the first value that is published as good and is not.
@@ -124,6 +143,12 @@ impl Judge {
             if !self.judged[rider.device] || self.blind.iter().any(is_blind) {
                 continue;
             }
+            // Who could not tell damaged bytes from good ones may be wrong about the side of a sensor for ever after, and says that
+            // it repairs.
+            let was_blind = |(device, from_s, _): &(usize, f64, f64)| *device == rider.device && *from_s < t_s;
+            if sensor.state == SensorState::Repaired && self.blind.iter().any(was_blind) {
+                continue;
+            }
             self.compared += 1;
             let truth = rider.body.pose(0, t_s);
             let twist = rider.body.twist(0, t_s);
@@ -143,6 +168,9 @@ impl Judge {
                     inertial(pose, &truth.rotation, turned_deg, tilt_deg, false)
                 }
             };
+            if self.traced.as_ref().is_some_and(|name| rider.words.starts_with(&format!("{name} "))) {
+                self.trace(estimate, sensor.state, pose, rider);
+            }
             if let Some(off) = off {
                 return Err(format!(
                     "frame {} at {t_s:.4} s: {} is {:?} and {off}, as it was {:.3} s before (sigma {:.1} mm, of time {:.1} ms)",
@@ -156,6 +184,25 @@ impl Judge {
             }
         }
         Ok(())
+    }
+
+    #[expect(clippy::print_stdout, reason = "for whoever looks at one seed")]
+    fn trace(&self, estimate: &Estimate, state: SensorState, pose: &PoseEstimate, rider: &Rider) {
+        let t_s = estimate.t_valid.as_secs_f64();
+        let truth = self.room_transmitter * rider.body.pose(0, t_s);
+        let off_m = pose.position_m.map(|p| (Vector3::from(p) - truth.translation.vector).norm());
+        let reported = orientation_from_wxyz(pose.orientation_wxyz).unwrap_or_default();
+        let down = |q: &UnitQuaternion<f64>| q.inverse() * Vector3::z();
+        println!(
+            "{t_s:.4} s, closed {:.1} ms later: {state:?}, {:.1} mm, {:.2} degrees (tilt {:.2}, says {:.2}) off, as {:.3} s before, sigma of time {:.1} ms",
+            1e3 * estimate.t_closed.seconds_since(estimate.t_valid),
+            1e3 * off_m.unwrap_or_default(),
+            reported.angle_to(&truth.rotation).to_degrees(),
+            down(&reported).angle(&down(&truth.rotation)).to_degrees(),
+            sigma_deg(pose),
+            self.age_s(rider, pose, t_s),
+            1e3 * estimate.sigma_t_s,
+        );
     }
 
     /// How old the value looks, s: the age at which it would be nearest to the truth, within a second.

@@ -36,7 +36,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub use world::Summary;
 
 use dice::Dice;
-use plan::plan;
+use plan::{Plan, plan};
 use posed_rig::counting::Counting;
 
 // Memory of an entry is among what must hold.
@@ -73,9 +73,21 @@ impl std::fmt::Display for Failure {
 /// # Errors
 /// What did not hold.
 pub fn run(seed: u64, minutes: f64, without: &[usize]) -> Result<Summary, Failure> {
-    let plan = plan(seed, minutes, without);
+    run_plan(&plan(seed, minutes, without), seed, without)
+}
+
+/// As [`run`], and tells how far off every good value of a sensor is that is compared.
+///
+/// # Errors
+/// What did not hold.
+pub fn run_traced(seed: u64, minutes: f64, without: &[usize], sensor: &str) -> Result<Summary, Failure> {
+    let plan = Plan { traced: Some(sensor.to_owned()), ..plan(seed, minutes, without) };
+    run_plan(&plan, seed, without)
+}
+
+fn run_plan(plan: &Plan, seed: u64, without: &[usize]) -> Result<Summary, Failure> {
     let attempt = AssertUnwindSafe(|| {
-        let (summary, log) = world::run(&plan, seed)?;
+        let (summary, log) = world::run(plan, seed)?;
         let mut dice = Dice::new(seed, (1 << 32) + 1);
         if summary.refused == 0 && dice.chance(0.2) {
             disk::holds(&plan.stage_toml, &log, &mut dice)?;

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use clap::Parser;
-use posed_swarm::{described, minimised, run_all};
+use posed_swarm::{described, minimised, run_all, run_traced};
 
 /// Runs random stages in virtual time and tells which seeds fail.
 #[derive(Parser)]
@@ -28,6 +28,9 @@ struct Arguments {
     /// Tells the stage file and the parts of the first seed.
     #[arg(long)]
     show: bool,
+    /// Tells every good value of this sensor in the first seed.
+    #[arg(long)]
+    trace: Option<String>,
     /// Does not make failing seeds smaller.
     #[arg(long)]
     as_is: bool,
@@ -39,13 +42,22 @@ struct Arguments {
     reason = "it tells what it found and how long that took"
 )]
 fn main() -> ExitCode {
-    let Arguments { seed, count, minutes, without, jobs, show, as_is } = Arguments::parse();
+    let Arguments { seed, count, minutes, without, jobs, show, trace, as_is } = Arguments::parse();
     if show {
         let (stage, parts) = described(seed, minutes, &without);
         println!("{stage}\n{}", parts.join("\n"));
     }
     // A panic is reported with its seed.
     std::panic::set_hook(Box::new(|_| {}));
+    if let Some(sensor) = trace {
+        return match run_traced(seed, minutes, &without, &sensor) {
+            Ok(_) => ExitCode::SUCCESS,
+            Err(failure) => {
+                println!("{failure}");
+                ExitCode::FAILURE
+            }
+        };
+    }
     let began = Instant::now();
     let failed = AtomicU64::new(0);
     let total = run_all(seed..seed + count, minutes, &without, jobs, |failure| {

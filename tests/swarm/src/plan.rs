@@ -20,7 +20,7 @@ const TROUBLE_S: f64 = 2.0;
 pub(crate) const CALM_S: f64 = 16.0;
 
 /// What bytes that were damaged without a sign do to a filter is gone so long afterwards, s.
-const BLIND_S: f64 = 8.0;
+pub(crate) const BLIND_S: f64 = 8.0;
 /// So long before it is read a record may have been measured, s.
 const ON_ITS_WAY_S: f64 = 0.1;
 /// Longest time between two reports of a device, s.
@@ -50,6 +50,8 @@ pub(crate) struct Plan {
     /// When all faults and events are over, s.
     pub(crate) calm_from_s: f64,
     pub(crate) end_s: f64,
+    /// A sensor whose values are to be told.
+    pub(crate) traced: Option<String>,
     /// Numbers of the parts, each of which may be left out.
     pub(crate) numbers: Vec<usize>,
     /// A line of each for a reader.
@@ -214,6 +216,7 @@ pub(crate) fn plan(seed: u64, minutes: f64, without: &[usize]) -> Plan {
         modem_lines: devices.iter().map(|device| device.modem_lines).collect(),
         calm_from_s: LEAD_S,
         end_s: 0.0,
+        traced: None,
         numbers: Vec::new(),
         parts: Vec::new(),
     };
@@ -235,6 +238,12 @@ pub(crate) fn plan(seed: u64, minutes: f64, without: &[usize]) -> Plan {
             Part::Event(t_s, event) => plan.meets(t_s, event),
             Part::Sleep(sleep) => plan.sleep = Some(sleep),
         }
+    }
+    for (table, honesty) in tables.iter().zip(&mut plan.devices) {
+        // A pose is kept for half a second.
+        let measured_hz = table.get("measurement_rate_hz").and_then(toml::Value::as_float).unwrap_or(100.0);
+        let every = table.get("report_every_cycles").and_then(toml::Value::as_integer).unwrap_or(1);
+        honesty.returns &= measured_hz / every as f64 > 4.0;
     }
     plan.events.sort_by(|(a, _), (b, _)| a.total_cmp(b));
     plan.end_s = plan.calm_from_s + CALM_S;

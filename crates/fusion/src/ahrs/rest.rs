@@ -48,6 +48,8 @@ impl Default for RestParams {
 /// Turn that a direction must show by to say anything, rad, and which part of it may be noise.
 const TELLING_RAD: f64 = 0.02;
 const NOISE_SHARE: f64 = 0.3;
+/// Change of the low-passed gyro that may be its noise, rad/s, some 0.3 degrees a second.
+const STEADY_RAD_S: f64 = 5e-3;
 
 /// State of the detector.
 #[derive(Clone, Debug, Default, PartialEq, Plain)]
@@ -66,7 +68,8 @@ pub(super) struct Rest {
 /// What there was when the low-passes had settled.
 #[derive(Clone, Debug, PartialEq, Plain)]
 struct RestReference {
-    /// Gravity and field then.
+    /// The low-passed gyro, and gravity and field then.
+    gyro_rad_s: Vector3<f64>,
     directions: [Vector3<f64>; 2],
     /// How long ago, s.
     ago_s: f64,
@@ -96,6 +99,7 @@ impl Rest {
         self.reference = match self.reference.take() {
             _ if self.steady_s < params.tau_s => None,
             None => Some(RestReference {
+                gyro_rad_s: angular_velocity_rad_s,
                 directions: [specific_force_m_s2, field],
                 ago_s: 0.0,
                 turned_rad: Vector3::zeros(),
@@ -106,6 +110,28 @@ impl Rest {
                 ..reference
             }),
         };
+    }
+
+    /// Whether what the gyro reads beyond a bias of `bias_rad_s` has stayed as it is, as a bias does, while gravity stayed where it
+    /// was. What turns too slowly to show it otherwise shows it so, and is watched anew from then on.
+    pub(super) fn may_be_bias(&mut self, params: &RestParams, bias_rad_s: &Vector3<f64>) -> bool {
+        let Some(reference) = &self.reference else { return false };
+        let ends = [reference.directions[0], self.accel.stage[1]].map(|force| force.try_normalize(0.0));
+        let [Some(from), Some(to)] = ends else { return false };
+        // A direction of the room turns in sensor axes against the sensor.
+        let expected = from.cross(&(reference.turned_rad - bias_rad_s * reference.ago_s));
+        let turns = expected.norm() > TELLING_RAD && (to - from).dot(&expected) > 0.5 * expected.norm_squared();
+        let gyro = self.gyro_rad_s();
+        let beyond_rad_s = (gyro - bias_rad_s).norm();
+        let varies = (gyro - reference.gyro_rad_s).norm() > STEADY_RAD_S.max(NOISE_SHARE * beyond_rad_s);
+        // A rotation about the vertical shows in neither.
+        let is_told = expected.norm() > TELLING_RAD || reference.ago_s >= params.min_s;
+        let is_told = is_told || beyond_rad_s <= STEADY_RAD_S;
+        if turns || varies {
+            self.reference = None;
+            self.steady_s = 0.0;
+        }
+        !turns && !varies && is_told
     }
 
     /// Whether the angular velocity is a bias however large it is, because gravity and field kept their places. A rotation

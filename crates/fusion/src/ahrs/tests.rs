@@ -181,6 +181,29 @@ fn an_even_rotation_is_no_bias() {
     }
 }
 
+/// As slow as a bias may be, and from the first moment on, when nothing is known of the bias.
+#[test]
+fn a_slow_rotation_is_no_rest() {
+    for axis in [Vector3::x(), Vector3::new(1.0, 1.0, 0.0)] {
+        let (mut ahrs, mut simulation) = (Ahrs::new(params()), Simulation::new(0.0));
+        simulation.bias = Vector3::zeros();
+        let angular_velocity_rad_s = axis * 1.6_f64.to_radians();
+        let mut most_deg = 0.0_f64;
+        for _ in 0..2000 {
+            simulation.truth *= so3::exp(&(angular_velocity_rad_s / RATE_HZ));
+            let mut sample = simulation.step();
+            sample.gyro_rad_s += angular_velocity_rad_s;
+            let q = ahrs.push(&sample, 1.0 / RATE_HZ);
+            let down = |q: &UnitQuaternion<f64>| q.inverse() * Vector3::z();
+            most_deg = most_deg.max(down(&q).angle(&down(&simulation.truth)).to_degrees());
+        }
+        assert!(most_deg < 2.0, "tilts {most_deg} degrees off");
+        // Then it lies still, which is seen.
+        run(&mut ahrs, &mut simulation, 4.0);
+        assert!(ahrs.at_rest());
+    }
+}
+
 #[test]
 fn motion_alone_reveals_the_bias() {
     let (mut ahrs, mut simulation) = (Ahrs::new(params()), Simulation::new(1.5));

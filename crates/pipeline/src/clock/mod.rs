@@ -332,7 +332,11 @@ impl Clock {
         {
             let nominal = origin.counted_s.map(Nominal::Counted).or(nominal.map(Nominal::Reported));
             self.fit = self.window.fit(nominal, self.fit.as_ref());
-            if !counted && self.fit.is_some_and(|fit| fit.crossing > CONTRADICTION * fit.period_s) {
+            let is_other = |fit: Fit| {
+                fit.crossing > CONTRADICTION * fit.period_s
+                    || self.window.lasting_lateness_s(&fit) > UNDECIDED_S.max(0.5 * fit.period_s)
+            };
+            if !counted && self.fit.is_some_and(is_other) {
                 // A cycle was lost before the line was firm enough to show it, or the device has changed its phase.
                 self.restart();
                 return self.push(sample);

@@ -489,3 +489,60 @@ fn cycles_that_left_no_trace_make_no_record_old() {
         }
     }
 }
+
+/// Nobody knows the period yet, and what is late by a lost cycle is as good as the others.
+#[test]
+fn cycles_lost_at_the_very_beginning_do_not_date_all_later_ones_early() {
+    for first in 1..40 {
+        for lost in 1..4 {
+            let mut clock = Clock::new(Settings { byte_time_s: BYTE_S, measurement_delay_s: 0.0 });
+            clock.set_nominal_rate_hz(Some(30.0));
+            let mut random = Random(7);
+            let (mut previous, mut count) = (None, 0);
+            let mut off_s = 0.0_f64;
+            for k in 0..600 {
+                if k >= first && (k - first) % 5 == 0 && (k - first) / 5 < lost {
+                    continue;
+                }
+                let truth_s = 20.0 + f64::from(k) / 30.0;
+                let t_read = Timestamp::from_secs_f64(truth_s + 4e-3 + 1e-3 * random.uniform());
+                let stamp = clock.push(&sample(1, t_read, previous, DeviceTime::Cycle(count)));
+                (previous, count) = (Some(t_read), count + 1);
+                if k > 300 {
+                    off_s = off_s.max((stamp.t_valid.as_secs_f64() - truth_s).abs());
+                }
+            }
+            assert!(off_s < 0.01, "cycles lost from {first} on, {lost} of them: {off_s} s off");
+        }
+    }
+}
+
+/// An adapter that begins to keep bytes back, in the middle of a prompt stream: cycles of one read say nothing of the period.
+#[test]
+fn a_line_that_begins_to_burst_keeps_its_period() {
+    for burst_ms in [20.0, 30.0, 42.7, 64.0] {
+        let mut clock = Clock::new(Settings { byte_time_s: BYTE_S, measurement_delay_s: 0.0 });
+        clock.set_nominal_rate_hz(Some(120.0));
+        clock.know_wire();
+        let (mut previous, mut reads, mut worst_s) = (None, Vec::<(Timestamp, f64, u64)>::new(), 0.0_f64);
+        for k in 0..600_u64 {
+            let truth_s = 20.0 + k as f64 / 120.0;
+            let there_s = truth_s + 33.0 * BYTE_S;
+            let burst_s = burst_ms * 1e-3;
+            let read_s = if k < 300 { there_s } else { (there_s / burst_s).ceil() * burst_s };
+            reads.push((Timestamp::from_secs_f64(read_s), truth_s, k));
+        }
+        for chunk in reads.chunk_by(|(a, ..), (b, ..)| a == b) {
+            for (place, &(t_read, truth_s, k)) in chunk.iter().enumerate() {
+                let mut sample = sample(1, t_read, previous, DeviceTime::Cycle(k));
+                sample.arrival.bytes_after = 33 * (chunk.len() - place - 1) as u32;
+                let stamp = clock.push(&sample);
+                if k > 100 && !stamp.is_late() {
+                    worst_s = worst_s.max((stamp.t_valid.as_secs_f64() - truth_s).abs());
+                }
+            }
+            previous = Some(chunk[0].0);
+        }
+        assert!(worst_s < burst_ms * 1e-3, "bursts of {burst_ms} ms: {worst_s} s off");
+    }
+}

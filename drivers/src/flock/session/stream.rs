@@ -14,6 +14,7 @@ use crate::flock::parser::{Event, Splitter};
 use crate::flock::plan;
 use crate::flock::settings::Mode;
 use crate::flock::wire::{Addressing, Command, Shape, Tolerance};
+use crate::rate::too_seldom;
 use crate::sample::Timestamp;
 use crate::session::{Output, SensorInfo, State};
 
@@ -71,7 +72,7 @@ impl FlockSession {
         }
         let (rate_hz, warning) =
             plan::record_rate_hz(&self.settings, configuring.findings.rate_hz, &birds, self.baud);
-        if let Some(warning) = warning {
+        for warning in warning.into_iter().chain(too_seldom(rate_hz)) {
             self.warn(warning);
         }
         self.rate_hz = Some(rate_hz);
