@@ -17,6 +17,8 @@ pub(crate) struct Honesty {
     pub(crate) judged: bool,
     /// It streams again once nothing is wrong with it.
     pub(crate) returns: bool,
+    /// It measures more seldom than a limb can be followed by a gyroscope, 10 Hz.
+    pub(crate) seldom: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -100,7 +102,8 @@ impl Kind {
             "hemisphere" | "quaternion_sense" => judged,
             _ => true,
         };
-        Honesty { judged, returns }
+        let seldom = key == "rate_hz" && value.as_float().is_some_and(|rate_hz| rate_hz < 10.0);
+        Honesty { judged, returns, seldom }
     }
 }
 

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use posed_geometry::orientation_from_wxyz;
+use posed_simulator::faults::Fault;
 use posed_simulator::inertial::ImuClass;
 use posed_simulator::motion::Body;
 use posed_stage::output::{Estimate, PoseEstimate, SensorState};
@@ -36,7 +37,8 @@ struct Rider {
     kind: Kind,
     /// What it is, for a reader.
     words: String,
-    /// Whether its errors are those of a bare chip that nobody has calibrated: a share of a compass, and a worse level.
+    /// Whether its errors are those of a bare chip that nobody has calibrated, or of one that is read too seldom to follow a limb:
+    /// a share of a compass, and a worse level.
     bare: bool,
 }
 
@@ -59,11 +61,13 @@ pub(crate) struct Judge {
     flips: Vec<(usize, f64, f64)>,
     /// Devices, and from when to when, s, something is wrong with them or their lines.
     faults: Vec<(usize, f64, f64)>,
+    /// The same, where a chain that is searched meanwhile gives its trackers other numbers.
+    renumbered: Vec<(usize, f64, f64)>,
     /// By sensor, when it was good for the first time, s.
     begun_s: Vec<Option<f64>>,
     /// Where a model has put the transmitter, which stands at the room's origin.
     pub(crate) room_transmitter: Isometry3<f64>,
-    /// A sensor whose good values are told one by one.
+    /// A sensor whose good values are told one by one, those that are not compared too.
     traced: Option<String>,
     /// Values that were good, and compared.
     pub(crate) compared: u64,
@@ -83,7 +87,7 @@ impl Judge {
                 body: Body::new(body.motion.clone(), Path::new(".")).expect("a motion without a file"),
                 device,
                 words: format!("{} ({})", sensor.name, driver.word()),
-                bare: scenario.devices[device].imu == ImuClass::Mpu,
+                bare: scenario.devices[device].imu == ImuClass::Mpu || plan.devices[device].seldom,
                 kind: match driver {
                     Driver::FlockOfBirds(_) | Driver::MotionStar(_) | Driver::Fastrak(_) => Kind::Magnetic,
                     driver if driver.measures_field() && sensor.magnetometer => Kind::Compass,
@@ -92,19 +96,22 @@ impl Judge {
             }
         });
         let devices = scenario.devices.iter().enumerate();
-        let faults = devices.flat_map(|(at, device)| {
-            device.faults.iter().map(move |fault| {
-                let (start_s, end_s) = fault.span_s();
-                (at, start_s, end_s)
-            })
-        });
+        let faults = devices.flat_map(|(at, device)| device.faults.iter().map(move |fault| (at, fault)));
+        let span = |(at, fault): (usize, &Fault)| {
+            let (start_s, end_s) = fault.span_s();
+            (at, start_s, end_s)
+        };
+        let renumbers = |(at, fault): &(usize, &Fault)| {
+            matches!(fault, Fault::BirdDies { .. }) && matches!(stage.devices[*at].driver, Driver::Xbus(_))
+        };
         Self {
             riders: riders.collect(),
             sigma_signal: scenario.sigma_signal_per_m3,
             judged: plan.devices.iter().map(|device| device.judged).collect(),
             blind: plan.blind.clone(),
             flips: plan.flips.clone(),
-            faults: faults.collect(),
+            renumbered: faults.clone().filter(renumbers).map(span).collect(),
+            faults: faults.map(span).collect(),
             traced: plan.traced.clone(),
             begun_s: vec![None; stage.sensors.len()],
             room_transmitter: Isometry3::identity(),
@@ -118,8 +125,11 @@ impl Judge {
     pub(crate) fn begin_anew(&mut self, times: u64, t_s: f64) {
         self.begun_anew = times;
         self.begun_s.fill(None);
-        let meanwhile =
-            self.faults.iter().filter(|(_, start_s, end_s)| *start_s < t_s + LEAD_S && *end_s > t_s);
+        let is_now = |(_, start_s, end_s): &&(usize, f64, f64)| *start_s < t_s + LEAD_S && *end_s > t_s;
+        for (device, ..) in self.renumbered.iter().filter(is_now) {
+            self.judged[*device] = false;
+        }
+        let meanwhile = self.faults.iter().filter(is_now);
         let blind = meanwhile.map(|&(device, _, end_s)| (device, t_s, end_s.min(t_s + LEAD_S) + BLIND_S));
         self.blind.extend(blind);
     }
@@ -129,6 +139,9 @@ impl Judge {
         let t_s = estimate.t_valid.as_secs_f64();
         for (at, (sensor, rider)) in estimate.sensors.iter().zip(&self.riders).enumerate() {
             let Some(pose) = sensor.usable_pose() else { continue };
+            if self.traced.as_ref().is_some_and(|name| rider.words.starts_with(&format!("{name} "))) {
+                self.trace(estimate, sensor.state, pose, rider);
+            }
             let begun_s = *self.begun_s[at].get_or_insert(t_s);
             // Nobody can know that it began on the other side.
             let began_flipped = |(device, from_s, until_s): &(usize, f64, f64)| {
@@ -168,9 +181,6 @@ impl Judge {
                     inertial(pose, &truth.rotation, turned_deg, tilt_deg, false)
                 }
             };
-            if self.traced.as_ref().is_some_and(|name| rider.words.starts_with(&format!("{name} "))) {
-                self.trace(estimate, sensor.state, pose, rider);
-            }
             if let Some(off) = off {
                 return Err(format!(
                     "frame {} at {t_s:.4} s: {} is {:?} and {off}, as it was {:.3} s before (sigma {:.1} mm, of time {:.1} ms)",

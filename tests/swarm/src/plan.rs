@@ -208,7 +208,7 @@ pub(crate) fn plan(seed: u64, minutes: f64, without: &[usize]) -> Plan {
             devices: devices.iter().map(|device| device.behaviour.clone()).collect(),
             ..Scenario::default()
         },
-        devices: vec![Honesty { judged: true, returns: true }; devices.len()],
+        devices: vec![Honesty { judged: true, returns: true, seldom: false }; devices.len()],
         blind: Vec::new(),
         flips: Vec::new(),
         events: Vec::new(),
@@ -232,6 +232,7 @@ pub(crate) fn plan(seed: u64, minutes: f64, without: &[usize]) -> Plan {
                 let said = devices[device].kind.honesty(&setting);
                 plan.devices[device].judged &= said.judged;
                 plan.devices[device].returns &= said.returns;
+                plan.devices[device].seldom |= said.seldom;
                 tables[device].insert(setting.key, setting.value);
             }
             Part::Fault(device, fault) => plan.suffers(device, devices[device].kind, fault),
