@@ -22,6 +22,8 @@ use crate::session::{Counters, LineEvent, Loss, Output, SensorInfo, Session, Sta
 /// Time for an answer, and how often a question is repeated.
 const ANSWER: Duration = Duration::from_millis(500);
 const TRIES: u8 = 3;
+/// How often all are set up again for a unit that comes later, until the line is opened anew.
+const JOINS: u8 = 3;
 /// Pause after a failure.
 const PAUSE: Duration = Duration::from_secs(1);
 /// Silence of a stream.
@@ -117,6 +119,10 @@ struct Bird {
     address: u8,
     status: Option<BirdStatus>,
     range_m: f64,
+    /// It was set up: until then nobody knows what its records mean.
+    set_up: bool,
+    /// How often all were set up again for its sake.
+    joined: u8,
 }
 
 /// A live session with one MotionStar: samples are poses in the transmitter frame, of the birds asked for.
@@ -168,7 +174,7 @@ impl MotionStarSession {
             losses: wide.map(|address| Loss { address, ..Loss::default() }).collect(),
             birds: addresses
                 .into_iter()
-                .map(|address| Bird { address, status: None, range_m: 0.0 })
+                .map(|address| Bird { address, status: None, range_m: 0.0, set_up: false, joined: 0 })
                 .collect(),
             phase: Phase::Closed,
             sequence: 0,
@@ -285,13 +291,20 @@ impl MotionStarSession {
                     );
                 };
                 self.birds[k].range_m = range_m;
+                self.birds[k].set_up = false;
                 let has_sensor = status.has_sensor();
                 self.birds[k].status = Some(status);
                 if has_sensor { self.go(now, Step::WriteBird(k)) } else { self.next_bird(now, k + 1) }
             }
             // A unit that is not there: the others go on without it.
-            (Step::ReadBird(k), kind::RSP_ILLEGAL | kind::RSP_UNKNOWN) => self.next_bird(now, k + 1),
-            (Step::WriteBird(k), kind::RSP_SEND_SETUP) => self.next_bird(now, k + 1),
+            (Step::ReadBird(k), kind::RSP_ILLEGAL | kind::RSP_UNKNOWN) => {
+                self.birds[k].set_up = false;
+                self.next_bird(now, k + 1);
+            }
+            (Step::WriteBird(k), kind::RSP_SEND_SETUP) => {
+                self.birds[k].set_up = true;
+                self.next_bird(now, k + 1);
+            }
             (Step::Run, kind::RSP_RUN_CONTINUOUS) => {
                 if let Some(warning) = self.rate_hz().and_then(too_seldom) {
                     self.outbox.warn(now, 0x300, || warning);
@@ -322,7 +335,7 @@ impl MotionStarSession {
         };
         let Some(arrival) = self.arrivals.of(start) else { return };
         self.count_losses(now, header.sequence);
-        let mut any_good = false;
+        let (mut any_good, mut joins) = (false, None);
         let millis = u64::from(header.seconds) * 1000 + u64::from(header.millis);
         let t_device = DeviceTime::Counter { ticks: millis, tick_s: 1e-3 };
         let mut offset = wire::HEADER as u32;
@@ -332,6 +345,10 @@ impl MotionStarSession {
             let len = 2 + 2 * record.words.len() as u32 + buttons;
             offset += len;
             let Some(k) = self.birds.iter().position(|bird| bird.address == record.address) else { continue };
+            if !self.birds[k].set_up {
+                joins = joins.or(Some(k));
+                continue;
+            }
             match record.pose(self.birds[k].range_m, self.settings.quaternion_sense) {
                 Ok(Some(pose)) => {
                     any_good = true;
@@ -360,6 +377,24 @@ impl MotionStarSession {
             self.phase = Phase::Running { silent_at: now + self.silence() };
             self.outbox.streaming();
         }
+        if let Some(k) = joins {
+            self.join(now, k);
+        }
+    }
+
+    /// A bird sends that was not there at set-up: all are set up again, unless that was in vain before.
+    fn join(&mut self, now: Timestamp, k: usize) {
+        let Bird { address, joined, .. } = &mut self.birds[k];
+        let address = *address;
+        if *joined >= JOINS {
+            self.outbox.warn(now, 0x400 + u32::from(address), || {
+                format!("unit {address} sends though it reports no sensor; its records are left out")
+            });
+            return;
+        }
+        *joined += 1;
+        self.outbox.connecting(format!("unit {address} has come; all are set up again"));
+        self.go(now, Step::Stop);
     }
 
     /// How long a system that runs may send nothing.
@@ -397,6 +432,7 @@ impl Session for MotionStarSession {
                 self.packets.interrupt();
                 self.arrivals.reopen();
                 self.outbox.connecting("waking the system");
+                self.birds.iter_mut().for_each(|bird| bird.joined = 0);
                 self.go(now, Step::Stop);
             }
             LineEvent::Closed { reason } => {

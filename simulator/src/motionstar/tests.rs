@@ -122,6 +122,19 @@ fn bad_data_are_refused_and_a_lost_sensor_leaves_the_others() {
 }
 
 #[test]
+fn a_bird_that_is_not_there_at_set_up_joins_when_it_appears() {
+    let mut pair = with(vec![Fault::BirdDies { address: 3, at_s: 0.0, duration_s: Some(4.0) }]);
+    pair.run_until(10.0);
+    assert!(pair.samples_of(2).len() > 700, "the others stream meanwhile: {}", pair.samples_of(2).len());
+    let joined = pair.samples_of(3);
+    assert!(joined.len() > 300, "{}", joined.len());
+    for sample in joined {
+        let off_m = pose(sample.measurement).0 - pair.truth_of(&sample).1.pose.translation.vector;
+        assert!(off_m.norm() < 1e-3, "{off_m:?}");
+    }
+}
+
+#[test]
 fn mirrored_frozen_and_far_sensors_have_their_classes() {
     let flip = Fault::HemisphereFlip { address: 2, at_s: 2.0, duration_s: 0.5 };
     let frozen = Fault::OutOfRange { address: 3, at_s: 3.0, duration_s: 0.5 };

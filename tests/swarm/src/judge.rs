@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use posed_geometry::orientation_from_wxyz;
 use posed_simulator::faults::Fault;
 use posed_simulator::inertial::ImuClass;
-use posed_simulator::motion::Body;
+use posed_simulator::motion::{Body, Motion};
 use posed_stage::output::{Estimate, PoseEstimate, SensorState};
 use posed_stage::{Driver, Stage};
 
@@ -40,6 +40,8 @@ struct Rider {
     /// Whether its errors are those of a bare chip that nobody has calibrated, or of one that is read too seldom to follow a limb:
     /// a share of a compass, and a worse level.
     bare: bool,
+    /// It lies still before a transmitter: if nobody saw it come to rest, its device may as well be stuck, until it moves.
+    rests: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -83,16 +85,18 @@ impl Judge {
             let body = scenario.bodies.iter().find(|body| body.name == rides.body).expect("a body");
             let device = stage.devices.iter().position(|device| device.name == sensor.device).expect("known");
             let driver = &stage.devices[device].driver;
+            let kind = match driver {
+                Driver::FlockOfBirds(_) | Driver::MotionStar(_) | Driver::Fastrak(_) => Kind::Magnetic,
+                driver if driver.measures_field() && sensor.magnetometer => Kind::Compass,
+                _ => Kind::Tilt,
+            };
             Rider {
+                rests: kind == Kind::Magnetic && matches!(body.motion, Motion::Still(_)),
                 body: Body::new(body.motion.clone(), Path::new(".")).expect("a motion without a file"),
                 device,
                 words: format!("{} ({})", sensor.name, driver.word()),
                 bare: scenario.devices[device].imu == ImuClass::Mpu || plan.devices[device].seldom,
-                kind: match driver {
-                    Driver::FlockOfBirds(_) | Driver::MotionStar(_) | Driver::Fastrak(_) => Kind::Magnetic,
-                    driver if driver.measures_field() && sensor.magnetometer => Kind::Compass,
-                    _ => Kind::Tilt,
-                },
+                kind,
             }
         });
         let devices = scenario.devices.iter().enumerate();
@@ -118,6 +122,11 @@ impl Judge {
             compared: 0,
             begun_anew: 0,
         }
+    }
+
+    /// Whether a sensor may stay doubtful for ever, for it does not move.
+    pub(crate) fn may_stay_doubtful(&self, sensor: usize) -> bool {
+        self.riders[sensor].rests
     }
 
     /// The pipeline knows of no sensor any more on which side it was, and sets its devices up: what goes wrong meanwhile is as if

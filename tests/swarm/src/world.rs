@@ -310,11 +310,13 @@ impl World<'_> {
     /// All that the plan has not taken away for good is good again.
     fn all_are_back(&self, plan: &Plan) -> Result<(), String> {
         let status = self.pipeline.status();
-        for ((sensor, good), state) in self.stage.sensors.iter().zip(&self.good).zip(&self.states) {
+        let sensors = self.stage.sensors.iter().zip(&self.good).zip(&self.states).enumerate();
+        for (number, ((sensor, good), state)) in sensors {
             let at = self.stage.devices.iter().position(|device| device.name == sensor.device);
             let at = at.ok_or("a sensor of no device")?;
             if plan.devices[at].returns
                 && !self.noise_told[at]
+                && !(*state == SensorState::Suspect && self.judge.may_stay_doubtful(number))
                 && good.as_secs_f64() < plan.calm_from_s + RETURN_S
             {
                 return Err(format!(
