@@ -358,9 +358,11 @@ impl Assembler {
             return self.next_grid_tick(grid_s, now);
         }
         let device = &self.devices[self.reference?];
-        let last = self.last_scheduled?;
-        let t = last + Duration::from_secs_f64(device.period_s()?);
-        let alive = t.seconds_since(device.latest()?) <= COAST_S && device.is_running();
+        let (last, latest, period_s) = (self.last_scheduled?, device.latest()?, device.period_s()?);
+        // It has begun anew in another phase: its cycles follow ticks of the old one too closely to get ticks of their own.
+        let has_shifted = (0.0..0.5 * period_s).contains(&latest.seconds_since(last));
+        let t = if has_shifted { latest } else { last } + Duration::from_secs_f64(period_s);
+        let alive = t.seconds_since(latest) <= COAST_S && device.is_running();
         let due = t + Duration::from_secs_f64(device.lag_s() + self.wait_s);
         let device = self.reference.filter(|_| self.scheduled_by == self.reference);
         alive.then_some((Tick { t, device, by_model: true, left_out: 0 }, due))

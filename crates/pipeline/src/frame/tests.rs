@@ -105,6 +105,29 @@ fn a_silent_stage_ticks_on_for_half_a_second_and_counts_the_rest() {
     assert_eq!((frame.t_valid, frame.ticks_left_out), (ms(2000.0), 140));
 }
 
+/// A unit that begins anew measures in another phase, a little later than the ticks that go on without it.
+#[test]
+fn ticks_follow_a_device_that_has_changed_its_phase() {
+    for shift_ms in [10.0, 25.0, 45.0, 55.0, 90.0] {
+        let mut bench = Bench::new(&[0], None);
+        let mut last_ms = 0.0;
+        for k in 0..40 {
+            let t_ms = f64::from(k) * 100.0 + if k < 10 { 0.0 } else { shift_ms };
+            while let Some(due) = bench.frames.poll_timeout(ms(last_ms)).filter(|due| *due < ms(t_ms + 1.0)) {
+                last_ms = due.as_secs_f64() * 1e3;
+                bench.poll(last_ms);
+            }
+            last_ms = t_ms + 1.0;
+            bench.frames.stamp(0, &stamp(t_ms), Some(0.1), ms(last_ms));
+            bench.frames.sample(0, measured(t_ms), false);
+            bench.poll(last_ms);
+        }
+        let tick_ms = bench.times_ms();
+        let last_ms = tick_ms.last().unwrap();
+        assert!((last_ms - 3900.0 - shift_ms).abs() < 0.1, "by {shift_ms} ms: {tick_ms:?}");
+    }
+}
+
 #[test]
 fn each_device_misses_its_own_cycles_of_a_silence() {
     let mut bench = Bench::new(&[0, 1], None);
