@@ -53,7 +53,7 @@ const INCONSISTENT_SPAN: u32 = 64;
 const FIFO_BYTES: f64 = 9.0;
 /// Lateness beyond the usual from which on a cycle's time is not to be relied on until it is known what it comes from, s.
 const UNDECIDED_S: f64 = 0.02;
-/// The same from which on the clock begins anew, and how many such cycles in a row make it do so.
+/// The same from which on the clock begins anew, and how many such cycles in a row make it do so, or reads while little is known.
 const LOST_S: f64 = 0.06;
 const UNDECIDED_CYCLES: u32 = 8;
 /// Uncertainty of a capture time from which on its sample is late, s.
@@ -132,6 +132,8 @@ pub struct Clock {
     contradicted: Option<Timestamp>,
     /// Cycles in a row that came late and alone.
     undecided: u32,
+    /// Reads in a row of which all came late, while little is known of the line.
+    late_reads: u32,
     doubt: Doubt,
     last: Option<Cycle>,
     /// Most bytes that were behind a cycle that was not late.
@@ -212,6 +214,7 @@ impl Clock {
             trial: None,
             contradicted: None,
             undecided: 0,
+            late_reads: 0,
             doubt: Doubt::default(),
             last: None,
             usual_behind: FIFO_BYTES as u32,
@@ -248,6 +251,7 @@ impl Clock {
         self.renumbered = 0;
         self.trial = None;
         self.undecided = 0;
+        self.late_reads = 0;
         self.doubt = Doubt::default();
         self.usual_bytes_after = 0;
         self.inconsistent = 0;
@@ -323,8 +327,15 @@ impl Clock {
         let contradicted =
             self.contradicted.is_some_and(|t| sample.arrival.t_read.seconds_since(t) < CONTRADICTED_S);
         let queued = undecided || contradicted || self.trial.is_some();
-        // What waited for a reader bends a line of which little is known.
+        // What waited for a reader bends a line of which little is known; but what always does tells that the line is wrong.
         let waited = late_s > UNDECIDED_S && !self.window.is_settled();
+        let is_next_read = self.last.is_some_and(|last| last.t_read != sample.arrival.t_read);
+        self.late_reads = if waited { self.late_reads + u32::from(is_next_read) } else { 0 };
+        if self.late_reads > UNDECIDED_CYCLES {
+            self.restart();
+            self.contradicted = Some(sample.arrival.t_read);
+            return self.push(sample);
+        }
         if self.trial.is_some() || undecided || waited {
             // Evidence of a count that may be wrong would bend the line.
         } else if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S)
