@@ -167,7 +167,8 @@ impl Judge {
             }
             // Who could not tell damaged bytes from good ones may be wrong about the side of a sensor for ever after, and says that
             // it repairs.
-            let was_blind = |(device, from_s, _): &(usize, f64, f64)| *device == rider.device && *from_s < t_s;
+            let was_blind =
+                |(device, from_s, _): &(usize, f64, f64)| *device == rider.device && *from_s < t_s;
             if sensor.state == SensorState::Repaired && self.blind.iter().any(was_blind) {
                 continue;
             }

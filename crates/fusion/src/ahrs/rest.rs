@@ -120,7 +120,8 @@ impl Rest {
         let [Some(from), Some(to)] = ends else { return false };
         // A direction of the room turns in sensor axes against the sensor.
         let expected = from.cross(&(reference.turned_rad - bias_rad_s * reference.ago_s));
-        let turns = expected.norm() > TELLING_RAD && (to - from).dot(&expected) > 0.5 * expected.norm_squared();
+        let turns =
+            expected.norm() > TELLING_RAD && (to - from).dot(&expected) > 0.5 * expected.norm_squared();
         let gyro = self.gyro_rad_s();
         let beyond_rad_s = (gyro - bias_rad_s).norm();
         let varies = (gyro - reference.gyro_rad_s).norm() > STEADY_RAD_S.max(NOISE_SHARE * beyond_rad_s);

@@ -206,7 +206,8 @@ impl Window {
             return 0.0;
         }
         // The newest block may have a single cycle.
-        let latest = (1..=FIRM_BLOCKS).map(|back| &self.blocks[(self.newest_index() + BLOCKS - back) % BLOCKS]);
+        let latest =
+            (1..=FIRM_BLOCKS).map(|back| &self.blocks[(self.newest_index() + BLOCKS - back) % BLOCKS]);
         latest.map(|block| block.upper.t - fit.line(block.upper.x) - fit.upper).fold(f64::INFINITY, f64::min)
     }
 
