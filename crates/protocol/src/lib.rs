@@ -52,6 +52,8 @@ pub use message::{
 pub use names::Names;
 pub use packed::{unpack, unpacker};
 pub use publisher::{Counters, Publisher, PublisherState, Stamp};
+#[doc(hidden)]
+pub use request::REQUEST_EXAMPLES;
 pub use request::{
     AnchorSpec, Call, DropPolicy, Feed, ParseError, Request, RequestId, RoomPoint, Speed, SpeedWord,
     fuzz_client_message, parse,

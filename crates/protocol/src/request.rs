@@ -439,6 +439,37 @@ fn shortened(text: &str) -> String {
     text.chars().take(40).collect()
 }
 
+/// Requests of every kind, for tests and as seeds of the fuzz target.
+#[doc(hidden)]
+pub const REQUEST_EXAMPLES: [&str; 26] = [
+    r#"{"type":"subscribe","id":1,"topics":["sensors"],"max_rate_hz":30,"sensors":["a"],"fields":["raw"],"drop":"queue"}"#,
+    r#"{"type":"unsubscribe","id":"x","topics":["status","body"]}"#,
+    r#"{"type":"resume","id":1,"after":7}"#,
+    r#"{"type":"record.start","id":1}"#,
+    r#"{"type":"record.stop","id":1}"#,
+    r#"{"type":"replay.list","id":1}"#,
+    r#"{"type":"replay.track","id":1,"name":"a.mcap","columns":["a.x"]}"#,
+    r#"{"type":"replay.open","id":1,"name":"a.mcap"}"#,
+    r#"{"type":"replay.seek","id":1,"t_s":3}"#,
+    r#"{"type":"replay.speed","id":1,"speed":"max"}"#,
+    r#"{"type":"replay.speed","id":1,"speed":0.5}"#,
+    r#"{"type":"field.start","id":1,"sensors":["a","b","c"],"spacing_m":0.3}"#,
+    r#"{"type":"field.finish","id":1,"anchors":[{"name":"p","sensor":"a","t_start":1,"t_end":2,"position_m":[1,0,0]}]}"#,
+    r#"{"type":"field.accept","id":1}"#,
+    r#"{"type":"field.rollback","id":1}"#,
+    r#"{"type":"job.cancel","id":1,"job":3}"#,
+    r#"{"type":"stage.align","id":1,"sensor":"a","anchors":[{"name":"door","position_m":[1,0,0]}]}"#,
+    r#"{"type":"imu.calibrate","id":1,"sensor":"a"}"#,
+    r#"{"type":"exercise.list","id":1}"#,
+    r#"{"type":"exercise.teach","id":1,"name":"curl","repetitions":5,"last_s":30,"sensors":["a"]}"#,
+    r#"{"type":"exercise.select","id":1,"exercises":["curl"],"repetitions":10,"sets":3,"rest_s":60}"#,
+    r#"{"type":"exercise.reset","id":1,"subject":"a"}"#,
+    r#"{"type":"faults.train","id":1,"last_s":120}"#,
+    r#"{"type":"faults.train","id":1,"recording":"a.mcap"}"#,
+    r#"{"type":"faults.name_cell","id":1,"row":0,"column":3,"class":"clean"}"#,
+    r#"{"type":"model.load","id":1,"model":{"kind":"transmitter","position_m":[0,0,1],"orientation_wxyz":[1,0,0,0]}}"#,
+];
+
 /// Body of the fuzz target: bytes of a client in either encoding, and what can be read is written and read again.
 ///
 /// # Panics
@@ -469,34 +500,7 @@ mod tests {
 
     #[test]
     fn reads_every_request() {
-        for text in [
-            r#"{"type":"subscribe","id":1,"topics":["sensors"],"max_rate_hz":30,"sensors":["a"],"fields":["raw"],"drop":"queue"}"#,
-            r#"{"type":"unsubscribe","id":"x","topics":["status","body"]}"#,
-            r#"{"type":"resume","id":1,"after":7}"#,
-            r#"{"type":"record.start","id":1}"#,
-            r#"{"type":"record.stop","id":1}"#,
-            r#"{"type":"replay.list","id":1}"#,
-            r#"{"type":"replay.track","id":1,"name":"a.mcap","columns":["a.x"]}"#,
-            r#"{"type":"replay.open","id":1,"name":"a.mcap"}"#,
-            r#"{"type":"replay.seek","id":1,"t_s":3}"#,
-            r#"{"type":"replay.speed","id":1,"speed":"max"}"#,
-            r#"{"type":"replay.speed","id":1,"speed":0.5}"#,
-            r#"{"type":"field.start","id":1,"sensors":["a","b","c"],"spacing_m":0.3}"#,
-            r#"{"type":"field.finish","id":1,"anchors":[{"name":"p","sensor":"a","t_start":1,"t_end":2,"position_m":[1,0,0]}]}"#,
-            r#"{"type":"field.accept","id":1}"#,
-            r#"{"type":"field.rollback","id":1}"#,
-            r#"{"type":"job.cancel","id":1,"job":3}"#,
-            r#"{"type":"stage.align","id":1,"sensor":"a","anchors":[{"name":"door","position_m":[1,0,0]}]}"#,
-            r#"{"type":"imu.calibrate","id":1,"sensor":"a"}"#,
-            r#"{"type":"exercise.list","id":1}"#,
-            r#"{"type":"exercise.teach","id":1,"name":"curl","repetitions":5,"last_s":30,"sensors":["a"]}"#,
-            r#"{"type":"exercise.select","id":1,"exercises":["curl"],"repetitions":10,"sets":3,"rest_s":60}"#,
-            r#"{"type":"exercise.reset","id":1,"subject":"a"}"#,
-            r#"{"type":"faults.train","id":1,"last_s":120}"#,
-            r#"{"type":"faults.train","id":1,"recording":"a.mcap"}"#,
-            r#"{"type":"faults.name_cell","id":1,"row":0,"column":3,"class":"clean"}"#,
-            r#"{"type":"model.load","id":1,"model":{"kind":"transmitter","position_m":[0,0,1],"orientation_wxyz":[1,0,0,0]}}"#,
-        ] {
+        for text in REQUEST_EXAMPLES {
             let request = json(text).unwrap_or_else(|error| panic!("{text}: {error:?}"));
             let value: Value = serde_json::from_str(text).unwrap();
             let packed = rmp_serde::to_vec(&value).unwrap();

@@ -8,7 +8,7 @@ use posed_motion::exercise::{Exercise, Options, Stream, teach};
 use posed_motion::fault_map::{FaultMap, Frames, Size, Training};
 use posed_motion::segments;
 use posed_motion::segments::SegmentationNetwork;
-use posed_protocol::{Counters, Fields, Payload, Publisher};
+use posed_protocol::{Counters, Fields, Payload, Publisher, REQUEST_EXAMPLES};
 use posed_recording::{Header, Snapshot, Writer};
 use posed_rig::{demo, leg};
 use posed_stage::input::{Entry, Input, Model, MountedSensor, Plan, Request};
@@ -59,11 +59,10 @@ pub fn all() -> Vec<Seed> {
     for (name, data) in mesh_messages() {
         add("mesh_message", &name, data);
     }
-    for text in REQUESTS {
+    for (number, text) in REQUEST_EXAMPLES.into_iter().chain([OF_A_HUB]).enumerate() {
         let value: serde_json::Value = serde_json::from_str(text).expect("JSON");
-        let name = value["type"].as_str().expect("its type").to_owned();
-        add("client_message", &name, text.as_bytes().to_vec());
-        add("client_message", &format!("{name}-packed"), rmp_serde::to_vec(&value).expect("plain data"));
+        add("client_message", &number.to_string(), text.as_bytes().to_vec());
+        add("client_message", &format!("{number}-packed"), rmp_serde::to_vec(&value).expect("plain data"));
     }
     for (name, text) in STAGES {
         add("stage_file", name, text.as_bytes().to_vec());
@@ -353,31 +352,8 @@ const TABLES: [&str; 8] = [
      MOTION\nFrames: 2\nFrame Time: 0.01\n0 90 0 0 0 0 0 0 0\n0 91 0 5 0 0 0 10 0\n",
 ];
 
-/// One of each kind.
-const REQUESTS: [&str; 22] = [
-    r#"{"type":"subscribe","id":1,"topics":["sensors"],"max_rate_hz":30,"sensors":["a"],"fields":["raw"],"drop":"queue","stages":["s"]}"#,
-    r#"{"type":"unsubscribe","id":"x","topics":["status","body"]}"#,
-    r#"{"type":"resume","id":1,"after":7}"#,
-    r#"{"type":"record.start","id":1}"#,
-    r#"{"type":"replay.list","id":1}"#,
-    r#"{"type":"replay.track","id":1,"name":"a.mcap","columns":["a.x"]}"#,
-    r#"{"type":"replay.open","id":1,"name":"a.mcap"}"#,
-    r#"{"type":"replay.seek","id":1,"t_s":3}"#,
-    r#"{"type":"replay.speed","id":1,"speed":"max"}"#,
-    r#"{"type":"field.start","id":1,"sensors":["a","b","c"],"spacing_m":0.3}"#,
-    r#"{"type":"field.finish","id":1,"anchors":[{"name":"p","sensor":"a","t_start":1,"t_end":2,"position_m":[1,0,0]}]}"#,
-    r#"{"type":"field.accept","id":1}"#,
-    r#"{"type":"job.cancel","id":1,"job":3}"#,
-    r#"{"type":"stage.align","id":1,"sensor":"a","anchors":[{"name":"door","position_m":[1,0,0]}]}"#,
-    r#"{"type":"imu.calibrate","id":1,"sensor":"a"}"#,
-    r#"{"type":"exercise.list","id":1}"#,
-    r#"{"type":"exercise.teach","id":1,"name":"curl","repetitions":5,"last_s":30,"sensors":["a"]}"#,
-    r#"{"type":"exercise.select","id":1,"exercises":["curl"],"repetitions":10,"sets":3,"rest_s":60}"#,
-    r#"{"type":"exercise.reset","id":1,"subject":"a"}"#,
-    r#"{"type":"faults.train","id":1,"recording":"a.mcap"}"#,
-    r#"{"type":"faults.name_cell","id":1,"row":0,"column":3,"class":"clean"}"#,
-    r#"{"type":"model.load","id":1,"model":{"kind":"transmitter","position_m":[0,0,1],"orientation_wxyz":[1,0,0,0]}}"#,
-];
+/// A subscription that only a hub takes.
+const OF_A_HUB: &str = r#"{"type":"subscribe","id":1,"topics":["sensors"],"stages":["s"]}"#;
 
 /// The stage files of the documents, and the demo's with its scenario.
 const STAGES: [(&str, &str); 9] = [
