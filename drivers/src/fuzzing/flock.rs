@@ -1,7 +1,7 @@
 //! Flock of Birds.
 
 use super::head::Head;
-use super::script::{Probe, pieces, probe, session};
+use super::script::{pieces, probe, session};
 use crate::flock::capture::{self, Options};
 use crate::flock::parser::{Event, Splitter};
 use crate::flock::settings::{Filters, Mode, Settings};
@@ -137,26 +137,4 @@ fn splitter(pieces: &[&[u8]], shape: Shape) {
     splitter.finish();
     let skipped = splitter.take_counters().bytes_skipped as usize;
     assert_eq!(published + skipped, pieces.concat().len(), "a byte is unaccounted for");
-}
-
-impl Probe for flock::Probe {
-    fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
-        self.handle_bytes(now, bytes);
-    }
-
-    fn handle_timeout(&mut self, now: Timestamp) {
-        self.handle_timeout(now);
-    }
-
-    fn poll_timeout(&self) -> Option<Timestamp> {
-        self.poll_timeout()
-    }
-
-    fn drain(&mut self) {
-        while self.poll_output().is_some() {}
-    }
-
-    fn is_done(&self) -> bool {
-        self.result().is_some()
-    }
 }

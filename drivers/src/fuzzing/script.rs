@@ -3,6 +3,7 @@
 use std::fmt::Debug;
 use std::time::Duration;
 
+use crate::flock;
 use crate::probe::Inquiry;
 use crate::sample::{Measurement, Timestamp};
 use crate::session::{LineEvent, Output, Session};
@@ -139,27 +140,35 @@ pub(super) trait Probe {
     fn is_done(&self) -> bool;
 }
 
-impl Probe for Inquiry {
-    fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
-        self.handle_bytes(now, bytes);
-    }
+/// Both kinds have the same methods of their own, but for the name of what they send.
+macro_rules! impl_probe {
+    ($probe:ty, $poll:ident) => {
+        impl Probe for $probe {
+            fn handle_bytes(&mut self, now: Timestamp, bytes: &[u8]) {
+                self.handle_bytes(now, bytes);
+            }
 
-    fn handle_timeout(&mut self, now: Timestamp) {
-        self.handle_timeout(now);
-    }
+            fn handle_timeout(&mut self, now: Timestamp) {
+                self.handle_timeout(now);
+            }
 
-    fn poll_timeout(&self) -> Option<Timestamp> {
-        self.poll_timeout()
-    }
+            fn poll_timeout(&self) -> Option<Timestamp> {
+                self.poll_timeout()
+            }
 
-    fn drain(&mut self) {
-        while self.poll_transmit().is_some() {}
-    }
+            fn drain(&mut self) {
+                while self.$poll().is_some() {}
+            }
 
-    fn is_done(&self) -> bool {
-        self.result().is_some()
-    }
+            fn is_done(&self) -> bool {
+                self.result().is_some()
+            }
+        }
+    };
 }
+
+impl_probe!(Inquiry, poll_transmit);
+impl_probe!(flock::Probe, poll_output);
 
 /// Lets the script answer what looks for a device; line events are nothing to it.
 ///
