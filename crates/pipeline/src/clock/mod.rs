@@ -318,7 +318,11 @@ impl Clock {
         let lateness_s = if lone { late_s } else { 0.0 };
         let undecided = lateness_s > UNDECIDED_S;
         self.undecided = if undecided { self.undecided + u32::from(begins_cycle) } else { 0 };
-        if lateness_s > LOST_S || self.undecided > UNDECIDED_CYCLES {
+        // What waited for a reader bends a line of which little is known; but what always does tells that the line is wrong.
+        let waited = late_s > UNDECIDED_S && !self.window.is_settled();
+        let is_next_read = self.last.is_some_and(|last| last.t_read != sample.arrival.t_read);
+        self.late_reads = if waited { self.late_reads + u32::from(is_next_read) } else { 0 };
+        if lateness_s > LOST_S || self.undecided > UNDECIDED_CYCLES || self.late_reads > UNDECIDED_CYCLES {
             // An unknown number of cycles is lost, or else a reader was late; what follows shows which.
             self.restart();
             self.contradicted = Some(sample.arrival.t_read);
@@ -327,15 +331,6 @@ impl Clock {
         let contradicted =
             self.contradicted.is_some_and(|t| sample.arrival.t_read.seconds_since(t) < CONTRADICTED_S);
         let queued = undecided || contradicted || self.trial.is_some();
-        // What waited for a reader bends a line of which little is known; but what always does tells that the line is wrong.
-        let waited = late_s > UNDECIDED_S && !self.window.is_settled();
-        let is_next_read = self.last.is_some_and(|last| last.t_read != sample.arrival.t_read);
-        self.late_reads = if waited { self.late_reads + u32::from(is_next_read) } else { 0 };
-        if self.late_reads > UNDECIDED_CYCLES {
-            self.restart();
-            self.contradicted = Some(sample.arrival.t_read);
-            return self.push(sample);
-        }
         if self.trial.is_some() || undecided || waited {
             // Evidence of a count that may be wrong would bend the line.
         } else if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S)
@@ -343,12 +338,8 @@ impl Clock {
         {
             let nominal = origin.counted_s.map(Nominal::Counted).or(nominal.map(Nominal::Reported));
             self.fit = self.window.fit(nominal, self.fit.as_ref());
-            let is_other = |fit: Fit| {
-                fit.crossing > CONTRADICTION * fit.period_s
-                    || self.window.lasting_lateness_s(&fit) > UNDECIDED_S.max(0.5 * fit.period_s)
-            };
-            if !counted && self.fit.is_some_and(is_other) {
-                // A cycle was lost before the line was firm enough to show it, or the device has changed its phase.
+            if !counted && self.fit.is_some_and(|fit| fit.crossing > CONTRADICTION * fit.period_s) {
+                // A cycle was lost before the line was firm enough to show it.
                 self.restart();
                 return self.push(sample);
             }

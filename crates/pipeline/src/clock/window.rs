@@ -199,18 +199,6 @@ impl Window {
         full || !settled
     }
 
-    /// By how much even the promptest of the latest cycles came later than the line's bound, s; 0 before so many have come that
-    /// bursts do not explain it. What is always late has lost cycles before it, or its line has another delay than it had.
-    pub(super) fn lasting_lateness_s(&self, fit: &Fit) -> f64 {
-        if self.blocks.len() <= FIRM_BLOCKS {
-            return 0.0;
-        }
-        // The newest block may have a single cycle.
-        let latest =
-            (1..=FIRM_BLOCKS).map(|back| &self.blocks[(self.newest_index() + BLOCKS - back) % BLOCKS]);
-        latest.map(|block| block.upper.t - fit.line(block.upper.x) - fit.upper).fold(f64::INFINITY, f64::min)
-    }
-
     fn newest_index(&self) -> usize {
         (self.next + BLOCKS - 1) % BLOCKS
     }
