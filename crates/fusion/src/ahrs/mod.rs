@@ -363,7 +363,7 @@ impl Ahrs {
     fn rest_gyro_rad_s(&mut self) -> Option<Vector3<f64>> {
         let gyro = self.rest.gyro_rad_s();
         let bias_rad_s = self.inclination.bias_rad_s();
-        let steady = self.rest.at_rest() && self.rest.may_be_bias(&self.params.rest, &bias_rad_s);
+        let steady = self.rest.at_rest() && self.rest.holds_steady(&self.params.rest, &bias_rad_s);
         let credible = steady && self.inclination.may_be_bias(&self.params.inclination, &gyro);
         if !credible && self.rest.proves_bias(&self.params.rest, !self.rested) {
             // A unit that nobody has calibrated. Bias and heading were estimated with a gyro that turned on the spot.

@@ -114,7 +114,7 @@ impl Rest {
 
     /// Whether what the gyro reads beyond a bias of `bias_rad_s` has stayed as it is, as a bias does, while gravity stayed where it
     /// was. What turns too slowly to show it otherwise shows it so, and is watched anew from then on.
-    pub(super) fn may_be_bias(&mut self, params: &RestParams, bias_rad_s: &Vector3<f64>) -> bool {
+    pub(super) fn holds_steady(&mut self, params: &RestParams, bias_rad_s: &Vector3<f64>) -> bool {
         let Some(reference) = &self.reference else { return false };
         let ends = [reference.directions[0], self.accel.stage[1]].map(|force| force.try_normalize(0.0));
         let [Some(from), Some(to)] = ends else { return false };
@@ -126,8 +126,8 @@ impl Rest {
         let beyond_rad_s = (gyro - bias_rad_s).norm();
         let varies = (gyro - reference.gyro_rad_s).norm() > STEADY_RAD_S.max(NOISE_SHARE * beyond_rad_s);
         // A rotation about the vertical shows in neither.
-        let is_told = expected.norm() > TELLING_RAD || reference.ago_s >= params.min_s;
-        let is_told = is_told || beyond_rad_s <= STEADY_RAD_S;
+        let is_told =
+            expected.norm() > TELLING_RAD || reference.ago_s >= params.min_s || beyond_rad_s <= STEADY_RAD_S;
         if turns || varies {
             self.reference = None;
             self.steady_s = 0.0;
