@@ -12,7 +12,7 @@ use posed_simulator::motion::{Body, Motion};
 use posed_stage::output::{Estimate, PoseEstimate, SensorState};
 use posed_stage::{Driver, Stage};
 
-use crate::plan::{BLIND_S, Plan};
+use crate::plan::{BLIND_S, Plan, Span};
 use crate::trouble::LEAD_S;
 
 /// A pose this far off, and further than its noise and its time explain, is wrong.
@@ -58,13 +58,13 @@ pub(crate) struct Judge {
     sigma_signal: f64,
     /// Whether a device can still be compared.
     pub(crate) judged: Vec<bool>,
-    blind: Vec<(usize, f64, f64)>,
-    /// Devices, and from when to when, s, a sensor of theirs is on the other side of its transmitter.
-    flips: Vec<(usize, f64, f64)>,
-    /// Devices, and from when to when, s, something is wrong with them or their lines.
-    faults: Vec<(usize, f64, f64)>,
+    blind: Vec<Span>,
+    /// A sensor is on the other side of its transmitter.
+    flips: Vec<Span>,
+    /// Something is wrong with the device or its line.
+    faults: Vec<Span>,
     /// The same, where a chain that is searched meanwhile gives its trackers other numbers.
-    renumbered: Vec<(usize, f64, f64)>,
+    renumbered: Vec<Span>,
     /// By sensor, when it was good for the first time, s.
     begun_s: Vec<Option<f64>>,
     /// Where a model has put the transmitter, which stands at the room's origin.
@@ -102,8 +102,8 @@ impl Judge {
         let devices = scenario.devices.iter().enumerate();
         let faults = devices.flat_map(|(at, device)| device.faults.iter().map(move |fault| (at, fault)));
         let span = |(at, fault): (usize, &Fault)| {
-            let (start_s, end_s) = fault.span_s();
-            (at, start_s, end_s)
+            let (from_s, until_s) = fault.span_s();
+            Span { device: at, from_s, until_s }
         };
         let renumbers = |(at, fault): &(usize, &Fault)| {
             matches!(fault, Fault::BirdDies { .. }) && matches!(stage.devices[*at].driver, Driver::Xbus(_))
@@ -134,13 +134,16 @@ impl Judge {
     pub(crate) fn begin_anew(&mut self, times: u64, t_s: f64) {
         self.begun_anew = times;
         self.begun_s.fill(None);
-        let is_now = |(_, start_s, end_s): &&(usize, f64, f64)| *start_s < t_s + LEAD_S && *end_s > t_s;
-        for (device, ..) in self.renumbered.iter().filter(is_now) {
-            self.judged[*device] = false;
+        let is_now = |span: &&Span| span.from_s < t_s + LEAD_S && span.until_s > t_s;
+        for span in self.renumbered.iter().filter(is_now) {
+            self.judged[span.device] = false;
         }
         let meanwhile = self.faults.iter().filter(is_now);
-        let blind = meanwhile.map(|&(device, _, end_s)| (device, t_s, end_s.min(t_s + LEAD_S) + BLIND_S));
-        self.blind.extend(blind);
+        self.blind.extend(meanwhile.map(|fault| Span {
+            from_s: t_s,
+            until_s: fault.until_s.min(t_s + LEAD_S) + BLIND_S,
+            ..*fault
+        }));
     }
 
     /// A sentence about the first value that is published as good and is not.
@@ -153,25 +156,17 @@ impl Judge {
             }
             let begun_s = *self.begun_s[at].get_or_insert(t_s);
             // Nobody can know that it began on the other side.
-            let began_flipped = |(device, from_s, until_s): &(usize, f64, f64)| {
-                *device == rider.device && (*from_s..*until_s).contains(&begun_s)
-            };
-            if self.flips.iter().any(began_flipped) {
+            let device = rider.device;
+            if self.flips.iter().any(|span| span.holds(device, begun_s)) {
                 continue;
             }
-            let is_blind = |(device, from_s, until_s): &(usize, f64, f64)| {
-                *device == rider.device && (*from_s..*until_s).contains(&t_s)
-            };
-            if !self.judged[rider.device] || self.blind.iter().any(is_blind) {
+            if !self.judged[device] || self.blind.iter().any(|span| span.holds(device, t_s)) {
                 continue;
             }
             // Who could not tell damaged bytes from good ones may be wrong about the side of a sensor for ever after, and says that
             // it repairs.
-            let was_blind =
-                |(device, from_s, _): &(usize, f64, f64)| *device == rider.device && *from_s < t_s;
-            if sensor.state == SensorState::Repaired && self.blind.iter().any(was_blind) {
-                continue;
-            }
+            let was_blind = self.blind.iter().any(|span| span.device == device && span.from_s < t_s);
+            let any_side = was_blind && sensor.state == SensorState::Repaired;
             self.compared += 1;
             let truth = rider.body.pose(0, t_s);
             let twist = rider.body.twist(0, t_s);
@@ -181,7 +176,9 @@ impl Judge {
                 Kind::Magnetic => {
                     let r = truth.translation.vector.norm();
                     let moved_m = twist.linear_m_s.norm() * late_s;
-                    self.magnetic(pose, &truth, r, moved_m, turned_deg)
+                    let held = |truth| self.magnetic(pose, truth, r, moved_m, turned_deg);
+                    let mirrored = Isometry3 { translation: truth.translation.inverse(), ..truth };
+                    held(&truth).filter(|_| !any_side || held(&mirrored).is_some())
                 }
                 Kind::Compass if !rider.bare => {
                     inertial(pose, &truth.rotation, turned_deg, WRONG_TILT_DEG, true)
@@ -212,13 +209,12 @@ impl Judge {
         let truth = self.room_transmitter * rider.body.pose(0, t_s);
         let off_m = pose.position_m.map(|p| (Vector3::from(p) - truth.translation.vector).norm());
         let reported = orientation_from_wxyz(pose.orientation_wxyz).unwrap_or_default();
-        let down = |q: &UnitQuaternion<f64>| q.inverse() * Vector3::z();
         println!(
             "{t_s:.4} s, closed {:.1} ms later: {state:?}, {:.1} mm, {:.2} degrees (tilt {:.2}, says {:.2}) off, as {:.3} s before, sigma of time {:.1} ms",
             1e3 * estimate.t_closed.seconds_since(estimate.t_valid),
             1e3 * off_m.unwrap_or_default(),
             reported.angle_to(&truth.rotation).to_degrees(),
-            down(&reported).angle(&down(&truth.rotation)).to_degrees(),
+            tilt_deg(&reported, &truth.rotation),
             sigma_deg(pose),
             self.age_s(rider, pose, t_s),
             1e3 * estimate.sigma_t_s,
@@ -278,7 +274,7 @@ fn inertial(
     heading: bool,
 ) -> Option<String> {
     let reported = orientation_from_wxyz(pose.orientation_wxyz)?;
-    let tilt_deg = (reported.inverse() * Vector3::z()).angle(&(truth.inverse() * Vector3::z())).to_degrees();
+    let tilt_deg = tilt_deg(&reported, truth);
     // What is left when both stand upright.
     let turn = reported * truth.inverse();
     let heading_deg = (2.0 * libm::atan2(turn.k, turn.w)).to_degrees();
@@ -293,6 +289,11 @@ fn inertial(
             sigma_deg(pose)
         )
     })
+}
+
+/// Angle between what two orientations take for down.
+fn tilt_deg(a: &UnitQuaternion<f64>, b: &UnitQuaternion<f64>) -> f64 {
+    (a.inverse() * Vector3::z()).angle(&(b.inverse() * Vector3::z())).to_degrees()
 }
 
 /// Root mean square of the stated rotation error: the diagonal's places in the upper triangle of six rows.

@@ -33,15 +33,29 @@ pub(crate) struct Sleep {
     pub(crate) longest_s: f64,
 }
 
+/// A time of one device, s.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Span {
+    pub(crate) device: usize,
+    pub(crate) from_s: f64,
+    pub(crate) until_s: f64,
+}
+
+impl Span {
+    pub(crate) fn holds(&self, device: usize, t_s: f64) -> bool {
+        self.device == device && (self.from_s..self.until_s).contains(&t_s)
+    }
+}
+
 /// All that a seed says.
 pub(crate) struct Plan {
     pub(crate) stage_toml: String,
     pub(crate) scenario: Scenario,
     pub(crate) devices: Vec<Honesty>,
-    /// Devices, and from when to when, s, nobody can tell damaged bytes from good ones.
-    pub(crate) blind: Vec<(usize, f64, f64)>,
-    /// The same, where a sensor is on the other side of its transmitter.
-    pub(crate) flips: Vec<(usize, f64, f64)>,
+    /// Nobody can tell damaged bytes from good ones.
+    pub(crate) blind: Vec<Span>,
+    /// A sensor is on the other side of its transmitter.
+    pub(crate) flips: Vec<Span>,
     /// Rising in time.
     pub(crate) events: Vec<(f64, Event)>,
     pub(crate) sleep: Option<Sleep>,
@@ -258,14 +272,14 @@ impl Plan {
     fn suffers(&mut self, device: usize, kind: Kind, fault: Fault) {
         let (start_s, end_s) = fault.span_s();
         if kind.cannot_see(&fault) {
-            self.blind.push((device, start_s - ON_ITS_WAY_S, end_s + BLIND_S));
+            self.blind.push(Span { device, from_s: start_s - ON_ITS_WAY_S, until_s: end_s + BLIND_S });
         }
         if matches!(fault, Fault::OutOfRange { .. }) {
             // What it measured last may be new to the host, and comes with the next report.
-            self.blind.push((device, start_s, start_s + REPORT_S));
+            self.blind.push(Span { device, from_s: start_s, until_s: start_s + REPORT_S });
         }
         if matches!(fault, Fault::HemisphereFlip { .. }) {
-            self.flips.push((device, start_s, end_s + ON_ITS_WAY_S));
+            self.flips.push(Span { device, from_s: start_s, until_s: end_s + ON_ITS_WAY_S });
         }
         if kind == Kind::Xbus && matches!(fault, Fault::BirdDies { .. }) {
             // A chain is searched when its port opens, and a tracker that has come back is not found before.
@@ -278,7 +292,8 @@ impl Plan {
     fn meets(&mut self, t_s: f64, event: Event) {
         self.calm_from_s = self.calm_from_s.max(t_s);
         if let Event::Input(Input::Bytes { device, .. }) = &event {
-            self.blind.push((usize::from(*device), t_s - ON_ITS_WAY_S, t_s + BLIND_S));
+            let device = usize::from(*device);
+            self.blind.push(Span { device, from_s: t_s - ON_ITS_WAY_S, until_s: t_s + BLIND_S });
         }
         self.events.push((t_s, event));
     }
