@@ -10,6 +10,7 @@ use posed_drivers::{Measurement, Timestamp};
 use posed_state::Plain;
 
 use super::magnetic::{MOVING_RAD_S, upper_triangle};
+use super::spike::Spikes;
 use posed_fusion::ahrs::{Ahrs, CALIBRATED_HEADING_RAD, CALIBRATED_TILT_RAD, ImuSample, Params};
 use posed_fusion::faults::{Cause, Evidence, Finding, ImuWords, Label, Repeats, Repetition, Verdict};
 use posed_stage::output::{self, Measured, PoseEstimate};
@@ -46,6 +47,7 @@ pub(super) struct Inertial {
     interval_s: Option<f64>,
     began: Option<Timestamp>,
     last: Option<Oriented>,
+    spikes: Spikes,
     repetition: Repetition<ImuWords>,
 }
 
@@ -89,6 +91,7 @@ impl Inertial {
             interval_s: None,
             began: None,
             last: None,
+            spikes: Spikes::default(),
             repetition: Repetition::default(),
         }
     }
@@ -96,6 +99,7 @@ impl Inertial {
     /// Forgets what was learnt of the unit: its samples are corrected otherwise from now on.
     pub(super) fn restart(&mut self) {
         self.filter.forget();
+        self.spikes = Spikes::default();
         (self.began, self.last) = (None, None);
     }
 
@@ -170,7 +174,7 @@ impl Inertial {
         Finding::new(Verdict::Used, Label::CLEAN)
     }
 
-    /// The filter's orientation after a sample; `None` where the numbers make no sense.
+    /// The filter's orientation after a sample; `None` where the numbers make no sense, or may not.
     fn filtered(&mut self, t: Timestamp, sample: ImuSample) -> Option<Oriented> {
         let since_s = self.last.map(|last| t.seconds_since(last.t));
         let dt_s = match since_s {
@@ -179,11 +183,15 @@ impl Inertial {
             // The sensor may have been turned meanwhile: a return is settled like a start.
             Some(_) => {
                 self.filter.resume();
+                self.spikes = Spikes::default();
                 self.began = None;
                 LEAST_INTERVAL_S
             }
             None => LEAST_INTERVAL_S,
         };
+        if self.spikes.leave_out(&sample, dt_s) {
+            return None;
+        }
         let rejected = self.filter.rejected();
         let sample = ImuSample { mag: sample.mag.filter(|_| self.magnetometer), ..sample };
         let orientation = self.filter.push(&sample, dt_s);
@@ -281,10 +289,14 @@ mod tests {
         /// Rates and specific force: the record, what was found of it, and the error of the orientation, rad.
         fn rates(&mut self, k: u32) -> (Measured, Finding, f64) {
             // Noise, so that no words repeat.
-            let noise = 1e-4 * f64::from(k % 7);
+            self.turning(1e-4 * f64::from(k % 7))
+        }
+
+        /// The same with an angular velocity, rad/s, that the truth does not follow.
+        fn turning(&mut self, about_x_rad_s: f64) -> (Measured, Finding, f64) {
             let gravity = self.truth.inverse() * Vector3::new(0.0, 0.0, posed_geometry::GRAVITY_M_S2);
             let record = self.message(Measurement::Imu {
-                angular_velocity_rad_s: Some([noise, 0.0, 0.0]),
+                angular_velocity_rad_s: Some([about_x_rad_s, 0.0, 0.0]),
                 specific_force_m_s2: Some(gravity.into()),
                 linear_acceleration_m_s2: None,
                 magnetic_field: None,
@@ -344,5 +356,28 @@ mod tests {
             let (record, ..) = unit.rates(k);
             assert!(k < 2 || record.orientation_wxyz.is_some(), "record {k}");
         }
+    }
+
+    #[test]
+    fn a_damaged_angular_velocity_does_not_turn_a_body() {
+        for (gap_s, damaged_rad_s) in [(0.0, 35.0), (0.04, 35.0), (0.1, -60.0), (0.0, 1e4), (0.0, 1e30)] {
+            let mut unit = Unit::new();
+            unit.run(1000);
+            unit.t = unit.t + std::time::Duration::from_secs_f64(gap_s);
+            let (_, finding, error_rad) = unit.turning(damaged_rad_s);
+            assert_eq!(finding.verdict, Verdict::Suspect);
+            let (_, next, later_rad) = unit.rates(1);
+            assert!(next.verdict == Verdict::Used && error_rad.max(later_rad) < 0.02, "{later_rad} rad");
+        }
+    }
+
+    #[test]
+    fn a_blow_is_followed_one_record_late() {
+        let mut unit = Unit::new();
+        unit.run(1000);
+        assert_eq!(unit.turning(20.0).1.verdict, Verdict::Suspect);
+        let (_, finding, turned_rad) = unit.turning(22.0);
+        assert_eq!(finding.verdict, Verdict::Used);
+        assert!((0.35..0.5).contains(&turned_rad), "{turned_rad} rad of 0.42");
     }
 }

@@ -38,6 +38,7 @@ mod naming;
 mod sensor;
 mod session;
 mod source;
+mod spike;
 mod status;
 mod supervised;
 mod units;
