@@ -56,6 +56,8 @@ const UNDECIDED_S: f64 = 0.02;
 /// The same from which on the clock begins anew, and how many such cycles in a row make it do so, or reads while little is known.
 const LOST_S: f64 = 0.06;
 const UNDECIDED_CYCLES: u32 = 8;
+/// So many late reads in a row are a host that was late, while little is known; more may be a line that is wrong.
+const BELIEVED_LATE_READS: u32 = 2;
 /// Uncertainty of a capture time from which on its sample is late, s.
 const MOST_SIGMA_S: f64 = 0.02;
 /// How long times are not to be relied on after they were contradicted, s.
@@ -322,15 +324,21 @@ impl Clock {
         let waited = late_s > UNDECIDED_S && !self.window.is_settled();
         let is_next_read = self.last.is_some_and(|last| last.t_read != sample.arrival.t_read);
         self.late_reads = if waited { self.late_reads + u32::from(is_next_read) } else { 0 };
-        if lateness_s > LOST_S || self.undecided > UNDECIDED_CYCLES || self.late_reads > UNDECIDED_CYCLES {
+        let contradicts = self.late_reads > UNDECIDED_CYCLES;
+        if lateness_s > LOST_S || self.undecided > UNDECIDED_CYCLES || contradicts {
             // An unknown number of cycles is lost, or else a reader was late; what follows shows which.
             self.restart();
+            if contradicts {
+                // It would be contradicted again, and never come to be known.
+                self.nominal_period_s = None;
+            }
             self.contradicted = Some(sample.arrival.t_read);
             return self.push(sample);
         }
         let contradicted =
             self.contradicted.is_some_and(|t| sample.arrival.t_read.seconds_since(t) < CONTRADICTED_S);
-        let queued = undecided || contradicted || self.trial.is_some();
+        let queued =
+            undecided || contradicted || self.trial.is_some() || self.late_reads > BELIEVED_LATE_READS;
         if self.trial.is_some() || undecided || waited {
             // Evidence of a count that may be wrong would bend the line.
         } else if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S)

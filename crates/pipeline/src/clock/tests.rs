@@ -549,3 +549,28 @@ fn a_line_that_begins_to_burst_keeps_its_period() {
         assert!(worst_s < burst_ms * 1e-3, "bursts of {burst_ms} ms: {worst_s} s off");
     }
 }
+
+/// What is claimed, or was learnt from a line that damage had bent, is not believed for ever against all reads.
+#[test]
+fn a_rate_that_is_not_the_devices_is_found_out() {
+    for (rate_hz, claimed) in
+        [12.5, 30.0].into_iter().flat_map(|rate_hz| [0.95, 0.98, 1.02, 1.05].map(|off| (rate_hz, off)))
+    {
+        let mut clock = Clock::new(Settings { byte_time_s: BYTE_S, measurement_delay_s: 0.0 });
+        clock.set_nominal_rate_hz(Some(rate_hz * claimed));
+        let mut previous = None;
+        for k in 0..300_u64 {
+            let truth_s = 20.0 + k as f64 / rate_hz;
+            let t_read = Timestamp::from_secs_f64(truth_s + 14.0 * BYTE_S);
+            let stamp = clock.push(&sample(1, t_read, previous, DeviceTime::Cycle(k)));
+            previous = Some(t_read);
+            let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
+            let most_s = if k < 100 { f64::max(0.06, 3.0 * stamp.sigma_s) } else { 0.005 };
+            assert!(
+                stamp.is_late() || off_s < most_s,
+                "{claimed} of {rate_hz} Hz is claimed: cycle {k} is {off_s} s off"
+            );
+            assert!(k < 200 || !stamp.is_late(), "{claimed} of {rate_hz} Hz is claimed: cycle {k} is late");
+        }
+    }
+}

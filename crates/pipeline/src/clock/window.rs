@@ -19,6 +19,11 @@ const TRIMMED: f64 = 0.15;
 const PERIOD_RANGE_S: std::ops::Range<f64> = 1e-4..60.0;
 /// One block in so many is taken to be free of delays by the host.
 const UNDISTURBED: usize = 8;
+/// The first cycles show the period whatever is claimed where they span so many cycles, lie on a line to within this share of it, and
+/// its slope differs by so many standard deviations: neither a step, of a cycle that was lost, nor a host that sleeps once does so.
+const CLEAR_SPAN: f64 = 8.0;
+const CLEAR_SHARE: f64 = 0.03;
+const CLEAR_SIGMAS: f64 = 6.0;
 /// Candidate periods on either side of the first estimate.
 const GRID: usize = 8;
 /// Inflation of the spread between bounds, so that two sigmas hold also for simulated bursts in step with the cycles.
@@ -107,8 +112,8 @@ pub(super) struct Window {
     /// Ring, oldest at `start` once full.
     blocks: Vec<Block>,
     next: usize,
-    /// Sums over the first cycles, for a period before there are blocks: n, x, t, xx, xt.
-    sums: [f64; 5],
+    /// Sums over the first cycles, for a period before there are blocks: n, x, t, xx, xt, tt.
+    sums: [f64; 6],
     #[state(skip)]
     scratch: Vec<f64>,
 }
@@ -118,7 +123,7 @@ impl Window {
         Self {
             blocks: Vec::with_capacity(BLOCKS),
             next: 0,
-            sums: [0.0; 5],
+            sums: [0.0; 6],
             scratch: Vec::with_capacity(BLOCKS),
         }
     }
@@ -126,7 +131,7 @@ impl Window {
     pub(super) fn clear(&mut self) {
         self.blocks.clear();
         self.next = 0;
-        self.sums = [0.0; 5];
+        self.sums = [0.0; 6];
     }
 
     /// Bytes have turned out to take their time on a wire.
@@ -164,7 +169,7 @@ impl Window {
         let settled = self.is_settled();
         if !settled {
             let (x, t) = (evidence.x, evidence.upper);
-            for (sum, term) in self.sums.iter_mut().zip([1.0, x, t, x * x, x * t]) {
+            for (sum, term) in self.sums.iter_mut().zip([1.0, x, t, x * x, x * t, t * t]) {
                 *sum += term;
             }
         }
@@ -339,7 +344,7 @@ impl Window {
 
     /// Period from the first cycles, by least squares and the nominal one.
     fn first_slope(&self, nominal_period_s: Option<f64>) -> Option<f64> {
-        let [n, x, t, xx, xt] = self.sums;
+        let [n, x, t, xx, xt, tt] = self.sums;
         let spread = n * xx - x * x;
         let span = (12.0 * spread / (n * n)).sqrt();
         let measured = (n * xt - x * t) / spread;
@@ -349,6 +354,15 @@ impl Window {
             Some(nominal) => {
                 // A slow line makes a unit skip whole cycles, so that its period is a multiple of the nominal.
                 let multiple = (measured / nominal).round().max(1.0) * nominal;
+                // A claim gives way to reads that lie on another line.
+                let residual_s = ((n * tt - t * t - measured * measured * spread).max(0.0) / (n * n)).sqrt();
+                let sigma_s = residual_s * (n / spread).sqrt();
+                if span > CLEAR_SPAN
+                    && residual_s < CLEAR_SHARE * measured
+                    && (measured - multiple).abs() > CLEAR_SIGMAS * sigma_s
+                {
+                    return Some(measured);
+                }
                 // What comes in one read, or in bursts, shows the line's pace and not the unit's.
                 let is_hurried = measured < nominal;
                 Some(if is_hurried || (measured / multiple - 1.0).abs() < 0.2 { multiple } else { measured })
