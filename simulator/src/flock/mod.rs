@@ -42,6 +42,9 @@ pub struct UnitConfig {
     pub transmitter: bool,
 }
 
+/// However short a unit is without power, it takes so long until it measures again, s: drivers wait for one or two.
+const LEAST_BOOT_S: f64 = 1.0;
+
 /// A chain of units.
 #[derive(Clone, Debug)]
 pub struct FlockConfig {
@@ -292,7 +295,10 @@ impl VirtualFlock {
     fn is_accessible(&self, unit: usize, t: Timestamp) -> bool {
         let address = u16::from(self.units[unit].address);
         !self.config.faults.iter().any(|fault| {
-            matches!(*fault, Fault::BirdDies { address: dead, .. } if dead == address) && fault.is_active(t)
+            let (from_s, until_s) = fault.span_s();
+            let until_s = until_s.max(from_s + LEAST_BOOT_S.max(self.config.boot.as_secs_f64()));
+            matches!(*fault, Fault::BirdDies { address: dead, .. } if dead == address)
+                && (from_s..until_s).contains(&t.as_secs_f64())
         })
     }
 
