@@ -41,7 +41,7 @@ struct Args {
     /// Length of a scenario, after a second of warming up.
     #[arg(long, default_value_t = 10.0)]
     seconds: f64,
-    /// One scenario instead of all: quiet, stalled, greeting, flood, slow, crowd, hostile; several with commas between them.
+    /// One scenario instead of all: quiet, stalled, greeting, flood, slow, crowd, beside, hostile; several with commas between them.
     #[arg(long)]
     scenario: Option<String>,
     /// VRPN clients instead of websockets.
@@ -61,13 +61,14 @@ struct Args {
     bench: bool,
 }
 
-const SCENARIOS: [(&str, &str); 7] = [
+const SCENARIOS: [(&str, &str); 8] = [
     ("quiet", "nobody else"),
     ("stalled", "one client subscribes and never reads"),
     ("greeting", "50 connections send half a request"),
     ("flood", "one client sends as fast as it can, and comes back"),
     ("slow", "five clients read five messages per second"),
     ("crowd", "10,000 connections one after another, 500 at a time"),
+    ("beside", "what is hostile attacks another daemon of this computer"),
     ("hostile", "1,000 connections of ten kinds at once, each of which comes back"),
 ];
 
@@ -121,7 +122,10 @@ fn scenarios(args: &Args) {
         let served = args.url.is_none().then(|| serve::start(args));
         let url =
             served.as_ref().map_or_else(|| args.url.clone().unwrap_or_default(), |served| served.url.clone());
-        let mut bully = (name != "quiet").then(|| child(args, name, &url));
+        // What an attack takes of the computer alone: attackers have computers of their own elsewhere.
+        let other = (name == "beside").then(|| serve::start(args));
+        let (role, victim) = other.as_ref().map_or((name, &url), |other| ("hostile", &other.url));
+        let mut bully = (name != "quiet").then(|| child(args, role, victim));
         // The bad client is there before the others come.
         std::thread::park_timeout(Duration::from_millis(if bully.is_some() { 500 } else { 0 }));
         let cpu_before = cpu_s(std::process::id());
@@ -147,19 +151,19 @@ fn scenarios(args: &Args) {
             report.row(),
             load()
         );
-        drop(served);
+        drop((served, other));
     }
 }
 
 fn child(args: &Args, role: &str, url: &str) -> Child {
     let exe = std::env::current_exe().expect("own path");
-    // A thousand clients do not share the processors of a stage's computer: they give way to it.
+    // A thousand clients do not share the processors of a stage's computer: they have what it leaves over.
     let mut command = match role {
-        "hostile" => Command::new("nice"),
+        "hostile" => Command::new("chrt"),
         _ => Command::new(&exe),
     };
     if role == "hostile" {
-        command.args(["-n", "19"]).arg(&exe);
+        command.args(["--idle", "0"]).arg(&exe);
     }
     command.args(["--role", role, "--url", url]).stdout(Stdio::piped());
     command.args(["--clients", &args.clients.to_string(), "--seconds", &args.seconds.to_string()]);

@@ -15,6 +15,12 @@ pub struct Limits {
     /// Connections at a time that have not yet shown that they may be here, those for the page among them; one more closes the oldest of the address that has most.
     #[schemars(range(min = 1, max = 65_536))]
     pub waiting: usize,
+    /// New connections per second from one IPv4 address or one IPv6 network of 64 bits on average, each request of a page among them; more are closed unanswered. One that is cut for what it sent counts fifty.
+    #[schemars(range(min = 1.0, max = 1e6))]
+    pub connections_per_s: f64,
+    /// New connections that may come from there at once.
+    #[schemars(range(min = 16.0, max = 1e6))]
+    pub connection_burst: f64,
     /// Bytes of a client's message; a larger one closes (1009).
     #[schemars(range(min = 1024, max = 67_108_864))]
     pub message_bytes: usize,
@@ -24,6 +30,12 @@ pub struct Limits {
     /// Messages that a client may send at once.
     #[schemars(range(min = 1.0, max = 1e6))]
     pub message_burst: f64,
+    /// Messages per second that all clients of one IPv4 address or one IPv6 network of 64 bits may send on average; whose message is one more is closed (1008).
+    #[schemars(range(min = 1.0, max = 1e6))]
+    pub messages_per_s_per_address: f64,
+    /// Messages that they may send at once.
+    #[schemars(range(min = 1.0, max = 1e6))]
+    pub message_burst_per_address: f64,
     /// Bytes per second that may come over a connection on average, whatever they are; more cuts it.
     #[schemars(range(min = 1024.0, max = 1e9))]
     pub bytes_per_s: f64,
@@ -68,11 +80,15 @@ impl Default for Limits {
             connections: 512,
             connections_per_address: 256,
             waiting: 256,
+            connections_per_s: 20.0,
+            connection_burst: 400.0,
             message_bytes: 64 << 10,
             messages_per_s: 50.0,
             message_burst: 200.0,
+            messages_per_s_per_address: 300.0,
+            message_burst_per_address: 3000.0,
             bytes_per_s: 131_072.0,
-            byte_burst: 2_097_152.0,
+            byte_burst: 524_288.0,
             latest_messages: 16,
             queue_messages: 4096,
             queue_bytes: 8 << 20,

@@ -12,6 +12,7 @@ use tokio::time::{MissedTickBehavior, interval, timeout};
 use super::budget::{Budget, now};
 use super::listen::{ConnectionContext, seconds};
 use super::outbox::{Close, Form, Outbox};
+use super::slots::Slot;
 
 /// Messages written before the socket is flushed.
 const BATCH: usize = 32;
@@ -52,17 +53,23 @@ pub(super) async fn serve(
     dialect: impl Dialect,
     burst: f64,
     context: Arc<ConnectionContext>,
+    slot: Option<Arc<Slot>>,
 ) {
     context.metrics.clients.inc();
     let messages = Budget::new(context.limits.messages_per_s, burst);
-    let mut client = Client { socket, outbox: dialect.outbox(), dialect, messages, context };
+    let mut client = Client { socket, outbox: dialect.outbox(), dialect, messages, context, slot };
     let end = client.run().await;
-    let Client { mut socket, dialect, context, .. } = client;
+    let Client { mut socket, dialect, context, slot, .. } = client;
     context.metrics.clients.dec();
     dialect.leave().await;
     if let End::Close(close) = end {
         if close != Close::SHUTDOWN {
             context.metrics.refuse("policy");
+        }
+        if close.is_breach()
+            && let Some(slot) = &slot
+        {
+            slot.breach();
         }
         goodbye(&mut socket, close).await;
     }
@@ -74,6 +81,7 @@ struct Client<D> {
     dialect: D,
     messages: Budget,
     context: Arc<ConnectionContext>,
+    slot: Option<Arc<Slot>>,
 }
 
 impl<D: Dialect> Client<D> {
@@ -138,7 +146,7 @@ impl<D: Dialect> Client<D> {
 
     async fn handle(&mut self, message: Message) -> Result<(), End> {
         self.context.metrics.requests.inc();
-        if !self.messages.spend(1.0, now()) {
+        if !self.messages.spend(1.0, now()) || self.slot.as_ref().is_some_and(|slot| !slot.may_speak()) {
             return Err(End::Close(Close::TOO_MANY));
         }
         let received = match &message {

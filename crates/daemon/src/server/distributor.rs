@@ -123,7 +123,7 @@ impl Distributor {
                 status.problems.push(Problem {
                     code: "connections".to_owned(),
                     message: format!(
-                        "{new} connections were refused because too many are open; end programs that connect again \
+                        "{new} connections were refused because too many are open, or come at once; end programs that connect again \
                          and again"
                     ),
                 });

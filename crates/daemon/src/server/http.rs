@@ -162,18 +162,17 @@ pub(super) async fn websocket(
         match speaks {
             Speaks::Own(encoding) => {
                 if let Some(requests) = Requests::begin(encoding, role, &shared).await {
-                    client::serve(socket, requests, burst, Arc::clone(&shared.context)).await;
+                    client::serve(socket, requests, burst, Arc::clone(&shared.context), slot).await;
                 }
             }
             Speaks::Foxglove => {
                 if let Some(viewer) = Viewer::begin(&shared).await {
                     // Some subscribe to every channel by a message of its own.
                     let burst = burst + viewer.channels() as f64;
-                    client::serve(socket, viewer, burst, Arc::clone(&shared.context)).await;
+                    client::serve(socket, viewer, burst, Arc::clone(&shared.context), slot).await;
                 }
             }
         }
-        drop(slot);
     })
 }
 

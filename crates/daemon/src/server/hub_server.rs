@@ -267,9 +267,8 @@ async fn everything(
     upgrade.on_upgrade(async move |socket| {
         let Registered { directory, greeting, .. } = &*registry.registered;
         if let Some(member) = Member::begin(encoding, greeting, directory.clone(), &context).await {
-            client::serve(socket, member, context.limits.message_burst, Arc::clone(&context)).await;
+            client::serve(socket, member, context.limits.message_burst, Arc::clone(&context), slot).await;
         }
-        drop(slot);
     })
 }
 

@@ -18,7 +18,7 @@ use super::access::Access;
 use super::budget::Metered;
 use super::metrics::Metrics;
 use super::outbox::Outboxes;
-use super::slots::Slots;
+use super::slots::{Slot, Slots};
 use posed_stage::Limits;
 
 /// Longest request head, in bytes.
@@ -50,18 +50,27 @@ pub(super) async fn accept(
 ) {
     loop {
         let (stream, address) = next(listener).await;
-        let slot = Arc::new(context.slots.wait(address.ip()));
+        let Some(slot) = context.slots.wait(address.ip()).map(Arc::new) else {
+            context.metrics.refuse("rate");
+            drop(stream);
+            // Who comes in hundreds must not keep the others waiting until all of them are gone.
+            tokio::task::yield_now().await;
+            continue;
+        };
         let app = app.clone().layer(Extension(Arc::clone(&slot)));
         let context = Arc::clone(context);
         let tls = tls.cloned();
         tokio::spawn(async move {
             let served = async {
                 match tls {
-                    None => serve(stream, app, &context).await,
+                    None => serve(stream, app, &context, &slot).await,
                     Some(tls) => {
                         match timeout(seconds(context.limits.greeting_timeout_s), tls.accept(stream)).await {
-                            Ok(Ok(stream)) => serve(stream, app, &context).await,
-                            Ok(Err(_)) => context.metrics.refuse("tls"),
+                            Ok(Ok(stream)) => serve(stream, app, &context, &slot).await,
+                            Ok(Err(_)) => {
+                                slot.breach();
+                                context.metrics.refuse("tls");
+                            }
                             Err(_) => context.metrics.refuse("timeout"),
                         }
                     }
@@ -102,9 +111,10 @@ async fn serve(
     stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
     app: axum::Router,
     context: &ConnectionContext,
+    slot: &Arc<Slot>,
 ) {
     let greeting = seconds(context.limits.greeting_timeout_s);
-    let stream = Metered::new(stream, &context.limits);
+    let stream = Metered::new(stream, &context.limits, Arc::clone(slot));
     let connection = hyper::server::conn::http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(greeting)
@@ -114,7 +124,12 @@ async fn serve(
     match timeout(greeting + ANSWER_TIMEOUT, connection).await {
         Ok(Ok(())) => {}
         Ok(Err(error)) if error.is_timeout() => context.metrics.refuse("timeout"),
-        Ok(Err(error)) => tracing::trace!(%error, "connection"),
+        Ok(Err(error)) => {
+            if error.is_parse() {
+                slot.breach();
+            }
+            tracing::trace!(%error, "connection");
+        }
         Err(_) => context.metrics.refuse("timeout"),
     }
 }

@@ -86,9 +86,10 @@ impl Metrics {
         self.refused.get_or_create(&vec![("reason", reason.to_owned())]).inc();
     }
 
-    /// Connections refused so far because there were too many.
+    /// Connections refused so far because there were too many, or too many new ones.
     pub(super) fn refused_over_limit(&self) -> u64 {
-        self.refused.get_or_create(&vec![("reason", "limit".to_owned())]).get()
+        let of = |reason: &str| self.refused.get_or_create(&vec![("reason", reason.to_owned())]).get();
+        of("limit") + of("rate")
     }
 
     /// Takes over the numbers of a status.

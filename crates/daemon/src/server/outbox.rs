@@ -30,6 +30,11 @@ impl Close {
     pub(super) const SILENT: Self = Self { code: 1008, reason: "no answer to pings" };
     pub(super) const TOO_LARGE: Self =
         Self { code: 1009, reason: "the message is larger than this daemon takes" };
+
+    /// Whether it is for what the client sent, not for what it did not read or answer.
+    pub(super) fn is_breach(&self) -> bool {
+        ![Self::SHUTDOWN, Self::TOO_SLOW, Self::SILENT].contains(self)
+    }
 }
 
 /// One message to write.

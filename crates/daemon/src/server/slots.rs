@@ -3,6 +3,10 @@
 //! A connection waits until it has asked for a websocket and its Origin and token were accepted; then it takes a place. Both are
 //! counted by network: an IPv4 address, or 64 bits of an IPv6 address, of which one subscriber has as many as it likes. Whoever
 //! comes may wait. Where too many do, the oldest of the network that has most of them is closed: a flood closes itself.
+//!
+//! Being closed costs whoever comes back at once nothing, but us a handshake and a greeting: so a network has a budget of new
+//! connections, and pays fifty of them for one that is cut for what it sent. What is beyond is closed before anything is read of it.
+//! Messages cost as much from many connections as from one: a network has a budget of them too.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::net::{IpAddr, Ipv6Addr};
@@ -12,12 +16,17 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use posed_stage::Limits;
 use tokio::sync::Notify;
 
+use super::budget::{Budget, now};
+
+/// New connections that one costs which is cut for what it sent.
+const BREACH: f64 = 50.0;
+/// Networks whose budgets are kept; of one more, those of the one that has spent least are forgotten.
+const NETWORKS: usize = 1024;
+
 /// How many connections there may be, in all and from one network; clones count together.
 #[derive(Clone, Debug)]
 pub(super) struct Slots {
-    connections: usize,
-    per_address: usize,
-    waiting: usize,
+    limits: Limits,
     taken: Arc<Taken>,
 }
 
@@ -33,6 +42,14 @@ struct Counts {
     inside: BTreeMap<IpAddr, usize>,
     /// Those that wait, oldest first, by network: what closes each of them.
     waiting: BTreeMap<IpAddr, VecDeque<Arc<Notify>>>,
+    budgets: BTreeMap<IpAddr, Budgets>,
+}
+
+/// What may still come from one network.
+#[derive(Debug)]
+struct Budgets {
+    connections: Budget,
+    messages: Budget,
 }
 
 /// Why a connection gets no place; the sentences are answers.
@@ -57,25 +74,29 @@ pub(super) struct Slot {
 
 impl Slots {
     pub(super) fn new(limits: &Limits) -> Self {
-        Self {
-            connections: limits.connections,
-            per_address: limits.connections_per_address,
-            waiting: limits.waiting,
-            taken: Arc::default(),
-        }
+        Self { limits: limits.clone(), taken: Arc::default() }
     }
 
-    /// Lets a new connection wait; where too many do, another one is closed.
-    pub(super) fn wait(&self, address: IpAddr) -> Slot {
+    /// Lets a new connection wait; where too many do, another one is closed. `None` where its network has too many new ones.
+    pub(super) fn wait(&self, address: IpAddr) -> Option<Slot> {
         let network = network(address);
         let mut counts = self.taken.lock();
+        let limits = &self.limits;
+        let new = || Budgets {
+            connections: Budget::new(limits.connections_per_s, limits.connection_burst),
+            messages: Budget::new(limits.messages_per_s_per_address, limits.message_burst_per_address),
+        };
+        if !counts.budgets.entry(network).or_insert_with(new).connections.spend(1.0, now()) {
+            return None;
+        }
+        counts.forget_networks();
         let given_up = Arc::new(Notify::new());
         counts.waiting.entry(network).or_default().push_back(Arc::clone(&given_up));
-        if counts.waiting.values().map(VecDeque::len).sum::<usize>() > self.waiting {
+        if counts.waiting.values().map(VecDeque::len).sum::<usize>() > limits.waiting {
             counts.give_up_one();
         }
         drop(counts);
-        Slot { network, given_up, is_inside: AtomicBool::new(false), slots: self.clone() }
+        Some(Slot { network, given_up, is_inside: AtomicBool::new(false), slots: self.clone() })
     }
 
     /// Waits until no connection is left.
@@ -97,11 +118,12 @@ impl Slot {
     /// There is none; it waits on, for the answer.
     pub(super) fn enter(&self) -> Result<(), NoSlot> {
         let mut counts = self.slots.taken.lock();
-        if counts.inside.values().sum::<usize>() >= self.slots.connections {
-            return Err(NoSlot::Total(self.slots.connections));
+        let &Limits { connections, connections_per_address, .. } = &self.slots.limits;
+        if counts.inside.values().sum::<usize>() >= connections {
+            return Err(NoSlot::Total(connections));
         }
-        if counts.inside.get(&self.network).is_some_and(|inside| *inside >= self.slots.per_address) {
-            return Err(NoSlot::PerAddress(self.slots.per_address));
+        if counts.inside.get(&self.network).is_some_and(|inside| *inside >= connections_per_address) {
+            return Err(NoSlot::PerAddress(connections_per_address));
         }
         if !counts.remove(self.network, &self.given_up) {
             return Err(NoSlot::GivenUp);
@@ -109,6 +131,19 @@ impl Slot {
         *counts.inside.entry(self.network).or_insert(0) += 1;
         self.is_inside.store(true, Ordering::Relaxed);
         Ok(())
+    }
+
+    /// Its connection is cut for what it sent.
+    pub(super) fn breach(&self) {
+        if let Some(budgets) = self.slots.taken.lock().budgets.get_mut(&self.network) {
+            budgets.connections.charge(BREACH, now());
+        }
+    }
+
+    /// Counts a message; false where its network has sent too many.
+    pub(super) fn may_speak(&self) -> bool {
+        let mut counts = self.slots.taken.lock();
+        counts.budgets.get_mut(&self.network).is_none_or(|budgets| budgets.messages.spend(1.0, now()))
     }
 
     /// Waits until the connection has waited too long beside too many others.
@@ -144,6 +179,22 @@ impl Taken {
 impl Counts {
     fn is_empty(&self) -> bool {
         self.inside.is_empty() && self.waiting.is_empty()
+    }
+
+    /// Keeps no more budgets than it may.
+    fn forget_networks(&mut self) {
+        if self.budgets.len() <= NETWORKS {
+            return;
+        }
+        let now = now();
+        let spent_least = self
+            .budgets
+            .iter_mut()
+            .map(|(network, budgets)| (*network, budgets.connections.left(now)))
+            .max_by(|(_, a), (_, b)| a.total_cmp(b));
+        if let Some((network, _)) = spent_least {
+            self.budgets.remove(&network);
+        }
     }
 
     /// Closes the oldest connection of the network of which most wait.
@@ -184,7 +235,10 @@ mod tests {
     use super::*;
 
     fn slots(connections: usize, connections_per_address: usize, waiting: usize) -> Slots {
-        Slots::new(&Limits { connections, connections_per_address, waiting, ..Limits::default() })
+        let connection_burst = 2000.0;
+        let limits =
+            Limits { connections, connections_per_address, waiting, connection_burst, ..Limits::default() };
+        Slots::new(&limits)
     }
 
     fn address(text: &str) -> IpAddr {
@@ -195,7 +249,7 @@ mod tests {
     fn places_are_counted_in_all_and_per_network() {
         let slots = slots(3, 2, 10);
         let enter = |text: &str| {
-            let slot = slots.wait(address(text));
+            let slot = slots.wait(address(text)).unwrap();
             slot.enter().map(|()| slot)
         };
         // All addresses of a subscriber are one.
@@ -211,16 +265,43 @@ mod tests {
     #[tokio::test]
     async fn a_flood_of_connections_that_wait_closes_itself_and_no_other() {
         let slots = slots(512, 256, 8);
-        let honest = slots.wait(address("192.0.2.1"));
+        let honest = slots.wait(address("192.0.2.1")).unwrap();
         let floods = ["198.51.100.1", "198.51.100.2"].map(address);
-        let flood: Vec<Slot> = (0..1000).map(|k| slots.wait(floods[k % 2])).collect();
+        let flood: Vec<Slot> = (0..1000).map(|k| slots.wait(floods[k % 2]).unwrap()).collect();
         flood[0].given_up().await;
         assert_eq!(flood[0].enter().unwrap_err(), NoSlot::GivenUp);
         // Neither who came before nor who comes now.
-        assert!(honest.enter().is_ok() && slots.wait(address("192.0.2.2")).enter().is_ok());
+        assert!(honest.enter().is_ok() && slots.wait(address("192.0.2.2")).unwrap().enter().is_ok());
         let left = flood.iter().filter(|slot| slot.enter().is_ok()).count();
         assert_eq!(left, 7);
         drop((flood, honest));
         slots.all_free().await;
+    }
+
+    #[test]
+    fn a_network_that_comes_again_and_again_is_not_looked_at_and_no_other_suffers() {
+        let slots = slots(512, 256, 8);
+        let flood = address("2001:db8:1:2::1");
+        let come = |address| slots.wait(address).is_some();
+        assert_eq!((0..10_000).filter(|_| come(flood)).count().div_ceil(100), 20);
+        assert!(!come(address("2001:db8:1:2::3")) && come(address("2001:db8:1:3::1")));
+        // Nor do those that are counted grow without end, whoever comes; who has spent most is not forgotten.
+        for k in 0..5000_u16 {
+            assert!(come(Ipv6Addr::new(0x2001, 0xdb8, 2, k, 0, 0, 0, 1).into()));
+        }
+        assert_eq!(slots.taken.lock().budgets.len(), NETWORKS);
+        assert!((0..100).filter(|_| come(flood)).count() < 50);
+    }
+
+    #[test]
+    fn messages_are_counted_over_all_connections_of_a_network() {
+        let limits = Limits { message_burst_per_address: 100.0, ..Limits::default() };
+        let slots = Slots::new(&limits);
+        let come = |text: &str| slots.wait(address(text)).unwrap();
+        let talkers = ["192.0.2.1"; 10].map(come);
+        let other = come("192.0.2.2");
+        let taken = (0..1000).filter(|k| talkers[k % 10].may_speak()).count();
+        assert!((100..200).contains(&taken), "{taken}");
+        assert!(other.may_speak() && !come("192.0.2.1").may_speak());
     }
 }

@@ -164,18 +164,19 @@ impl Vrpn {
     }
 
     fn connection(&self, address: IpAddr) -> Option<Connection> {
-        let slot = self.slots.wait(address);
-        match slot.enter() {
-            Ok(()) => Some(Connection {
-                shared: Arc::clone(&self.shared),
-                metrics: Arc::clone(&self.metrics),
-                _slot: slot,
-            }),
-            Err(_) => {
-                self.metrics.refuse("limit");
-                None
-            }
+        let Some(slot) = self.slots.wait(address) else {
+            self.metrics.refuse("rate");
+            return None;
+        };
+        if slot.enter().is_err() {
+            self.metrics.refuse("limit");
+            return None;
         }
+        Some(Connection {
+            shared: Arc::clone(&self.shared),
+            metrics: Arc::clone(&self.metrics),
+            slot: Arc::new(slot),
+        })
     }
 }
 
@@ -233,7 +234,7 @@ impl Waiting {
 struct Connection {
     shared: Arc<Shared>,
     metrics: Arc<Metrics>,
-    _slot: Slot,
+    slot: Arc<Slot>,
 }
 
 impl Connection {
@@ -247,13 +248,14 @@ impl Connection {
             Err(End::Silent) => self.metrics.refuse("timeout"),
             Err(End::Refused(why)) => {
                 tracing::warn!("a VRPN client was sent away: {why}");
+                self.slot.breach();
                 self.metrics.refuse("vrpn");
             }
         }
     }
 
     async fn talk(&self, stream: TcpStream) -> Result<(), End> {
-        let mut stream = Metered::new(stream, &self.shared.limits);
+        let mut stream = Metered::new(stream, &self.shared.limits, Arc::clone(&self.slot));
         // Both sides speak first.
         let mut greeting = [0; wire::GREETING.len()];
         let greet = async {
