@@ -188,3 +188,37 @@ async fn connections_that_say_nothing_keep_nobody_out() {
     tokio::time::timeout(PATIENCE, silent[0].read_to_end(&mut all)).await.unwrap().unwrap();
     assert!(all.is_empty());
 }
+
+#[tokio::test]
+async fn who_comes_again_and_again_is_sent_away_unheard_and_who_is_there_stays() {
+    let server = with(Limits { connections_per_s: 1.0, connection_burst: 16.0, ..Limits::default() });
+    let mut other = server.client().await;
+    other.subscribe(&["sensors"]).await;
+    // Cut for what it sent, it has spent what its network may.
+    let mut flooding = server.client().await;
+    flooding.socket.send(Message::Text(" ".repeat(65 * 1024).into())).await.unwrap();
+    assert_eq!(flooding.closed().await.0, 1009);
+    let mut all = Vec::new();
+    let mut again = TcpStream::connect(server.address).await.unwrap();
+    // Nothing is read of it: it is closed, or reset where something was on its way.
+    let _ = tokio::time::timeout(PATIENCE, again.read_to_end(&mut all)).await.unwrap();
+    assert!(all.is_empty());
+    server.frame(1);
+    assert_eq!(other.next().await["type"], "sensors");
+}
+
+#[tokio::test]
+async fn a_network_is_heard_no_more_often_for_many_connections() {
+    let limits =
+        Limits { messages_per_s_per_address: 1.0, message_burst_per_address: 20.0, ..Limits::default() };
+    let server = with(limits);
+    let (mut first, mut second) = (server.client().await, server.client().await);
+    for _ in 0..15 {
+        first.subscribe(&["sensors"]).await;
+    }
+    for id in 0..15 {
+        let _ = second.socket.send(Message::Text(json!({"id": id}).to_string().into())).await;
+    }
+    let (code, reason) = second.closed().await;
+    assert_eq!((code, reason.as_str()), (1008, "too many messages per second"));
+}
