@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::process::Command;
+use std::time::Duration;
 
 use posed_recording::Info;
 use serde_json::{Value, json};
@@ -185,12 +186,14 @@ async fn a_disk_that_hangs_holds_no_frame_back_and_leaves_no_hole() {
 /// What `/health` answers once that is no longer ok.
 async fn sick(posed: &Posed) -> String {
     let sick = async {
+        // As a service manager asks: who asks without end is not answered.
+        let mut beat = tokio::time::interval(Duration::from_millis(100));
         loop {
+            beat.tick().await;
             let health = posed.get("/health").await;
             if health.starts_with("HTTP/1.1 503") {
                 return health;
             }
-            tokio::task::yield_now().await;
         }
     };
     tokio::time::timeout(super::process::PATIENCE, sick).await.expect("it says so")
