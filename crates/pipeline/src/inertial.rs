@@ -72,6 +72,8 @@ impl<T: Copy> Waiting<T> {
 #[derive(Clone, Copy, Debug, Plain)]
 struct Oriented {
     t: Timestamp,
+    /// As [`Stamp::is_late`](super::clock::Stamp::is_late), or it came after its frame: nothing is told from its time.
+    late: bool,
     orientation: UnitQuaternion<f64>,
     /// Sensor axes.
     angular_velocity_rad_s: Vector3<f64>,
@@ -153,7 +155,7 @@ impl Inertial {
         })
     }
 
-    pub(super) fn measure(&mut self, measured: &Measured) -> Finding {
+    pub(super) fn measure(&mut self, measured: &Measured, late: bool) -> Finding {
         const SUSPECT: Finding = Finding::new(Verdict::Suspect, Label::anomalous(Cause::Gate));
         let Some(inertial) = measured.inertial else { return SUSPECT };
         let oriented = match inertial.sample() {
@@ -161,7 +163,7 @@ impl Inertial {
             None => self.reported(measured),
         };
         let Some(oriented) = oriented else { return SUSPECT };
-        self.last = Some(oriented);
+        self.last = Some(Oriented { late, ..oriented });
         // Units without angular velocities may rest.
         let words = inertial.words();
         if words.is_some_and(|words| self.repetition.take(words, Evidence::Certain) == Repeats::Stuck) {
@@ -184,7 +186,7 @@ impl Inertial {
             Some(_) => {
                 self.filter.resume();
                 self.spikes = Spikes::default();
-                self.began = None;
+                (self.began, self.last) = (None, None);
                 LEAST_INTERVAL_S
             }
             None => LEAST_INTERVAL_S,
@@ -193,22 +195,29 @@ impl Inertial {
             return None;
         }
         let rejected = self.filter.rejected();
-        let sample = ImuSample { mag: sample.mag.filter(|_| self.magnetometer), ..sample };
+        let mag = sample.mag.filter(|_| self.magnetometer).and_then(|field| self.spikes.field(field));
+        let sample = ImuSample { mag, ..sample };
         let orientation = self.filter.push(&sample, dt_s);
         let angular_velocity_rad_s = self.filter.angular_velocity_rad_s();
-        (self.filter.rejected() == rejected).then_some(Oriented { t, orientation, angular_velocity_rad_s })
+        (self.filter.rejected() == rejected).then_some(Oriented {
+            t,
+            late: false,
+            orientation,
+            angular_velocity_rad_s,
+        })
     }
 
     /// The orientation that the unit computes; its angular velocity comes from two of them.
     fn reported(&self, measured: &Measured) -> Option<Oriented> {
         let t = measured.t_valid;
         let orientation = posed_geometry::orientation_from_wxyz(measured.orientation_wxyz?)?;
-        let before =
-            self.last.filter(|last| (LEAST_INTERVAL_S..=COAST_RATE_S).contains(&t.seconds_since(last.t)));
+        let is_before =
+            |last: &Oriented| (LEAST_INTERVAL_S..=COAST_RATE_S).contains(&t.seconds_since(last.t));
+        let before = self.last.filter(|last| !last.late && is_before(last));
         let angular_velocity_rad_s = before.map_or_else(Vector3::zeros, |last| {
             (last.orientation.inverse() * orientation).scaled_axis() / t.seconds_since(last.t)
         });
-        Some(Oriented { t, orientation, angular_velocity_rad_s })
+        Some(Oriented { t, late: false, orientation, angular_velocity_rad_s })
     }
 
     /// The orientation in the room at `t`, and whether the sensor turns.
@@ -286,7 +295,7 @@ mod tests {
             }
         }
 
-        /// Rates and specific force: the record, what was found of it, and the error of the orientation, rad.
+        /// Rates and specific force: the record, what was found of it, and the error of the orientation, rad; NaN before there is one.
         fn rates(&mut self, k: u32) -> (Measured, Finding, f64) {
             // Noise, so that no words repeat.
             self.turning(1e-4 * f64::from(k % 7))
@@ -303,12 +312,13 @@ mod tests {
                 orientation_wxyz: None,
             });
             let record = record.expect("rates complete a record");
-            let finding = self.inertial.measure(&record);
-            let pose = self.inertial.at(self.t).0.expect("a sample has just come");
+            let finding = self.inertial.measure(&record, false);
+            let pose = self.inertial.at(self.t).0;
             let orientation =
-                posed_geometry::orientation_from_wxyz(pose.orientation_wxyz).expect("a unit quaternion");
+                pose.and_then(|pose| posed_geometry::orientation_from_wxyz(pose.orientation_wxyz));
+            let error_rad = orientation.map_or(f64::NAN, |orientation| orientation.angle_to(&self.truth));
             self.t = self.t + std::time::Duration::from_secs_f64(STEP_S);
-            (record, finding, orientation.angle_to(&self.truth))
+            (record, finding, error_rad)
         }
 
         fn run(&mut self, records: u32) {
@@ -347,6 +357,31 @@ mod tests {
     }
 
     #[test]
+    fn what_has_waited_turns_nothing_that_comes_after_it() {
+        let mut unit = Unit::new();
+        let mut orientation = |turned_rad: f64, late: bool| {
+            unit.truth = UnitQuaternion::from_scaled_axis(Vector3::new(turned_rad, 0.0, 0.0));
+            let orientation_wxyz = Some(posed_geometry::orientation_to_wxyz(&unit.truth));
+            let record = Measured {
+                t_valid: unit.t,
+                position_m: None,
+                orientation_wxyz,
+                button: None,
+                inertial: Some(output::Inertial::default()),
+            };
+            unit.inertial.measure(&record, late);
+            unit.t = unit.t + std::time::Duration::from_secs_f64(STEP_S);
+            let pose = unit.inertial.at(unit.t).0.expect("a sample has just come");
+            posed_geometry::orientation_from_wxyz(pose.orientation_wxyz).unwrap().angle_to(&unit.truth)
+        };
+        assert!((0..9).all(|k| orientation(0.01 * f64::from(k), false) < 0.011));
+        // Two seconds old, said to be of now; and the first that is.
+        orientation(0.1, true);
+        assert!(orientation(1.1, false) < 1e-6);
+        assert!((orientation(1.12, false) - 0.02).abs() < 1e-6);
+    }
+
+    #[test]
     fn a_slow_unit_keeps_its_parts() {
         let mut unit = Unit::new();
         for k in 0..50 {
@@ -368,6 +403,57 @@ mod tests {
             assert_eq!(finding.verdict, Verdict::Suspect);
             let (_, next, later_rad) = unit.rates(1);
             assert!(next.verdict == Verdict::Used && error_rad.max(later_rad) < 0.02, "{later_rad} rad");
+        }
+    }
+
+    #[test]
+    fn a_damaged_specific_force_levels_nothing() {
+        for away_s in [None, Some(0.6), Some(60.0)] {
+            let mut unit = Unit::new();
+            if let Some(away_s) = away_s {
+                unit.run(1000);
+                unit.t = unit.t + std::time::Duration::from_secs_f64(away_s);
+            }
+            let truth = std::mem::replace(&mut unit.truth, UnitQuaternion::from_euler_angles(1.2, 0.3, 0.1));
+            unit.parts();
+            unit.rates(0);
+            unit.truth = truth;
+            for k in 1..200 {
+                let (_, finding, error_rad) = unit.rates(k);
+                let is_good = finding.verdict == Verdict::Suspect || error_rad < 0.02;
+                assert!(is_good, "{away_s:?}: record {k} is {error_rad} rad off");
+                assert!(k < 50 || finding.verdict == Verdict::Used);
+                if k % 5 == 0 {
+                    unit.parts();
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_damaged_field_gives_no_heading() {
+        const DAMAGED: [[f64; 3]; 4] =
+            [[1e20, 0.0, 1.0], [1e-20, 1e-20, 0.0], [0.0, -0.4, 0.9], [f64::NAN; 3]];
+        for magnetic_field in DAMAGED.map(Some) {
+            for records in [0, 1000] {
+                let mut unit = Unit::new();
+                unit.run(records);
+                unit.message(Measurement::Imu {
+                    angular_velocity_rad_s: None,
+                    specific_force_m_s2: None,
+                    linear_acceleration_m_s2: None,
+                    magnetic_field,
+                    orientation_wxyz: None,
+                });
+                for k in 1..100 {
+                    let (_, finding, error_rad) = unit.rates(k);
+                    let is_good = finding.verdict == Verdict::Suspect || error_rad < 0.02;
+                    assert!(is_good, "{magnetic_field:?} after {records}: record {k} is {error_rad} rad off");
+                    if k % 5 == 0 {
+                        unit.parts();
+                    }
+                }
+            }
         }
     }
 

@@ -187,7 +187,7 @@ impl Sensor {
                     let by_map = advice.map(|advice| advice.label.class);
                     magnetic.measure(&sample.measured, others_move, by_map, field)
                 }
-                Kind::Inertial(inertial) => inertial.measure(&sample.measured),
+                Kind::Inertial(inertial) => inertial.measure(&sample.measured, sample.late),
             };
             if let (Some(_), false, Kind::Magnetic(magnetic)) = (found.repair, self.repairs, &mut self.kind) {
                 // What may not be published must not come in by an attached IMU or a pole either.

@@ -1,9 +1,10 @@
 //! Records of an IMU that no body makes: damage of a line without a checksum.
 //!
-//! In: angular velocity and specific force of a record, and how long after the one before it came. Out: whether it is to be left out.
-//! One such record turns an orientation by as much as it says for as long as it stands for, and gravity takes half a minute to bring
-//! it back. So an angular velocity that leaps is doubted until the next record confirms it: a blow is one record late, damage never
-//! comes in.
+//! In: angular velocity, specific force and magnetic field of a record, and how long after the one before it came. Out: whether the
+//! record, or its field, is to be left out. One such record turns an orientation by as much as it says for as long as it stands for,
+//! and gravity takes half a minute to bring it back; an orientation that begins with such a specific force, or such a field, holds the
+//! earth's field for a disturbed one, and its heading is wrong for good. So what leaps, and what is first, is doubted until the next
+//! one confirms it: a blow is one record late, damage never comes in.
 
 use nalgebra::Vector3;
 use posed_fusion::ahrs::ImuSample;
@@ -18,14 +19,45 @@ const LEAP_RAD_S2: f64 = 1500.0;
 const LEAP_RAD: f64 = 0.05;
 /// By how much the usual interval follows a longer one.
 const FOLLOWS: f64 = 1.1;
+/// Share of itself by which gravity at the beginning, or a field, may change beside what the sensor's turning makes of it.
+const LEAP: f64 = 0.5;
 
 #[derive(Clone, Copy, Debug, Default, Plain)]
 pub(super) struct Spikes {
-    /// The latest angular velocity that was taken, and the one after it that is doubted, rad/s.
-    taken_rad_s: Option<Vector3<f64>>,
-    doubted_rad_s: Option<Vector3<f64>>,
+    /// rad/s.
+    angular_velocity: Values,
     /// Interval of the records without their gaps, s.
     usual_s: f64,
+    /// m/s²; of the beginning only.
+    specific_force: Values,
+    /// Any unit.
+    field: Values,
+    /// What the sensor may have turned since the latest field, rad.
+    turned_rad: f64,
+}
+
+/// The latest value that was taken, and the one after it that is doubted.
+#[derive(Clone, Copy, Debug, Default, Plain)]
+struct Values {
+    taken: Option<Vector3<f64>>,
+    doubted: Option<Vector3<f64>>,
+}
+
+impl Values {
+    /// Takes a value that is near the one before, or near one that was doubted; else it is doubted itself, as the first one is.
+    fn take(&mut self, value: Vector3<f64>, is_near: impl Fn(&Vector3<f64>) -> bool) -> bool {
+        let follows = self.taken.as_ref().is_some_and(&is_near);
+        let is_confirmed = self.doubted.take().as_ref().is_some_and(is_near);
+        let is_taken = follows || is_confirmed;
+        *if is_taken { &mut self.taken } else { &mut self.doubted } = Some(value);
+        is_taken
+    }
+
+    /// Takes one that the room keeps, of a sensor that turned by so much.
+    fn take_turned(&mut self, value: Vector3<f64>, turned_rad: f64) -> bool {
+        let share = LEAP + turned_rad;
+        self.take(value, |other| (value - other).norm() <= share * value.norm().min(other.norm()))
+    }
 }
 
 impl Spikes {
@@ -38,14 +70,18 @@ impl Spikes {
         }
         self.usual_s = if self.usual_s > 0.0 { since_s.min(FOLLOWS * self.usual_s) } else { since_s };
         let most_rad_s = (LEAP_RAD_S2 * self.usual_s).max(LEAP_RAD / self.usual_s);
-        let is_near = |other: &Vector3<f64>| (gyro_rad_s - other).norm() <= most_rad_s;
-        let leaps = self.taken_rad_s.is_some_and(|taken| !is_near(&taken));
-        let is_confirmed = self.doubted_rad_s.take().is_some_and(|doubted| is_near(&doubted));
-        if leaps && !is_confirmed {
-            self.doubted_rad_s = Some(gyro_rad_s);
-            return true;
-        }
-        self.taken_rad_s = Some(gyro_rad_s);
-        false
+        let turned_rad = gyro_rad_s.norm() * since_s;
+        self.turned_rad += turned_rad;
+        let begins = self.specific_force.taken.is_none();
+        let is_level = !begins || self.specific_force.take_turned(sample.accel_m_s2, turned_rad);
+        let is_smooth =
+            self.angular_velocity.take(gyro_rad_s, |other| (gyro_rad_s - other).norm() <= most_rad_s);
+        !(is_level && is_smooth)
+    }
+
+    /// The field of a record that was not left out, if it is to be believed.
+    pub(super) fn field(&mut self, field: Vector3<f64>) -> Option<Vector3<f64>> {
+        let turned_rad = std::mem::take(&mut self.turned_rad);
+        self.field.take_turned(field, turned_rad).then_some(field)
     }
 }

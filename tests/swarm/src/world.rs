@@ -316,9 +316,10 @@ impl World<'_> {
         for (number, ((sensor, good), state)) in sensors {
             let at = self.stage.devices.iter().position(|device| device.name == sensor.device);
             let at = at.ok_or("a sensor of no device")?;
+            let doubtful = matches!(state, SensorState::Suspect | SensorState::Stuck);
             if plan.devices[at].returns
                 && !self.noise_told[at]
-                && !(*state == SensorState::Suspect && self.judge.may_stay_doubtful(number))
+                && !(doubtful && self.judge.may_stay_doubtful(number))
                 && good.as_secs_f64() < plan.calm_from_s + RETURN_S
             {
                 return Err(format!(

@@ -99,6 +99,13 @@ impl Prediction {
         (one_m - other_m).norm() > APART_M && distance(&one_m) < distance(&other_m)
     }
 
+    /// Whether two positions that are not next to one another are both not improbable; false without positions.
+    pub(super) fn holds_apart(&self, one: &MeasuredPose, other: &MeasuredPose, noise: &TrackerNoise) -> bool {
+        let (Some(one_m), Some(other_m)) = (one.position_m, other.position_m) else { return false };
+        let holds = |pose| self.gate(pose, noise) != Gate::Outside;
+        (one_m - other_m).norm() > APART_M && holds(one) && holds(other)
+    }
+
     /// Whether a position is so far from the prediction that the sensor must have been turned over: just outside the gate it may
     /// as well have been predicted wrongly, and near a plane of symmetry its mirror image would be inside.
     pub(super) fn is_far(&self, position_m: &Vector3<f64>, noise: &TrackerNoise) -> bool {

@@ -187,9 +187,10 @@ impl Detector {
         }
         let Some(prediction) = prediction else { return self.begin(pose) };
         if prediction.gate(pose, noise) != Gate::Outside {
-            // Records that are seldom leave a prediction so wide that it holds both sides: the nearer one counts then.
-            let is_mirrored = prediction.prefers(&Mirror::Point.apply(pose), pose, noise);
-            return self.believe(is_mirrored.then_some(Mirror::Point), pose);
+            // Records that are seldom leave a prediction so wide that it holds both sides. It is a straight line then, where a limb
+            // has long turned back: where the sensor was says more.
+            let holds_both = prediction.holds_apart(&Mirror::Point.apply(pose), pose, noise);
+            return self.believe(if holds_both { self.nearer_side(pose) } else { None }, pose);
         }
         let mirrors = [Mirror::Point, Mirror::Vertical].into_iter();
         let is_far = pose.position_m.is_some_and(|position_m| prediction.is_far(&position_m, noise));
@@ -217,13 +218,17 @@ impl Detector {
     /// Labels a measurement with nothing to judge it by: of the two sides it is on the one nearer to where it was last. It may
     /// have left either, or been set right, while nobody looked.
     fn begin(&mut self, pose: &MeasuredPose) -> Checked {
+        self.mirror = self.nearer_side(pose);
+        Checked::on_side(self.mirror, pose)
+    }
+
+    /// The side that is nearer to where it was last; the latest one where it never was.
+    fn nearer_side(&self, pose: &MeasuredPose) -> Option<Mirror> {
         let distance_m = |pose: &MeasuredPose| Some((pose.position_m? - self.last_m?).norm());
         let candidates = [None, Some(self.mirror.unwrap_or(Mirror::Point))];
         let seen = |mirror: Option<Mirror>| mirror.map_or(*pose, |mirror| mirror.apply(pose));
         let nearer = candidates.into_iter().filter_map(|mirror| Some((mirror, distance_m(&seen(mirror))?)));
-        // Where it never was, it is as it says.
-        self.mirror = nearer.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(self.mirror, |(mirror, _)| mirror);
-        Checked::on_side(self.mirror, pose)
+        nearer.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(self.mirror, |(mirror, _)| mirror)
     }
 }
 

@@ -105,17 +105,20 @@ fn with_nothing_to_judge_by_the_side_nearer_to_where_it_was_counts() {
 }
 
 #[test]
-fn a_prediction_that_holds_both_sides_leaves_it_to_the_nearer_one() {
-    let wide = Prediction {
-        position_m2: Matrix3::identity(),
-        reach_m: 5.0,
-        ..expected(Vector3::new(0.4, 0.1, -0.2))
-    };
-    let pose = measured(&wide);
-    let mut detector = Detector::default();
-    let checked = detector.check(&Mirror::Point.apply(&pose), Some(&wide), &NOISE, false, None);
-    assert_eq!((checked.label, checked.pose), (Label::INVERTED, pose));
-    assert_eq!(detector.check(&pose, Some(&wide), &NOISE, false, None).label, Label::CLEAN);
+fn a_prediction_that_holds_both_sides_leaves_it_to_where_the_sensor_was() {
+    let narrow = expected(Vector3::new(0.4, 0.1, -0.2));
+    let pose = measured(&narrow);
+    // Half a second ahead, a line goes through the transmitter.
+    for ahead in [1.0, 0.1, -1.0] {
+        let position_m = narrow.position_m * ahead;
+        let wide = Prediction { position_m2: Matrix3::identity(), reach_m: 5.0, position_m, ..narrow };
+        let mut detector = Detector::default();
+        detector.check(&pose, Some(&narrow), &NOISE, false, None);
+        let mut check = |pose: &MeasuredPose| detector.check(pose, Some(&wide), &NOISE, false, None);
+        let checked = check(&Mirror::Point.apply(&pose));
+        assert_eq!((checked.label, checked.pose), (Label::INVERTED, pose));
+        assert_eq!(check(&pose).label, Label::CLEAN);
+    }
 }
 
 #[test]
