@@ -56,8 +56,6 @@ const UNDECIDED_S: f64 = 0.02;
 /// The same from which on the clock begins anew, and how many such cycles in a row make it do so, or reads while little is known.
 const LOST_S: f64 = 0.06;
 const UNDECIDED_CYCLES: u32 = 8;
-/// So many late reads in a row are a host that was late, while little is known; more may be a line that is wrong.
-const BELIEVED_LATE_READS: u32 = 2;
 /// Uncertainty of a capture time from which on its sample is late, s.
 const MOST_SIGMA_S: f64 = 0.02;
 /// How long times are not to be relied on after they were contradicted, s.
@@ -328,17 +326,12 @@ impl Clock {
         if lateness_s > LOST_S || self.undecided > UNDECIDED_CYCLES || contradicts {
             // An unknown number of cycles is lost, or else a reader was late; what follows shows which.
             self.restart();
-            if contradicts {
-                // It would be contradicted again, and never come to be known.
-                self.nominal_period_s = None;
-            }
             self.contradicted = Some(sample.arrival.t_read);
             return self.push(sample);
         }
         let contradicted =
             self.contradicted.is_some_and(|t| sample.arrival.t_read.seconds_since(t) < CONTRADICTED_S);
-        let queued =
-            undecided || contradicted || self.trial.is_some() || self.late_reads > BELIEVED_LATE_READS;
+        let queued = undecided || contradicted || self.trial.is_some();
         if self.trial.is_some() || undecided || waited {
             // Evidence of a count that may be wrong would bend the line.
         } else if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S)
