@@ -67,12 +67,20 @@ pub(super) struct Metered<S> {
     bytes: Budget,
     /// What has been read in this turn.
     turn: usize,
+    /// More came than it may hold: it pays once.
+    is_cut: bool,
     slot: Arc<Slot>,
 }
 
 impl<S> Metered<S> {
     pub(super) fn new(stream: S, limits: &Limits, slot: Arc<Slot>) -> Self {
-        Self { stream, bytes: Budget::new(limits.bytes_per_s, limits.byte_burst), turn: 0, slot }
+        Self {
+            stream,
+            bytes: Budget::new(limits.bytes_per_s, limits.byte_burst),
+            turn: 0,
+            is_cut: false,
+            slot,
+        }
     }
 }
 
@@ -96,10 +104,12 @@ impl<S: AsyncRead + Unpin> AsyncRead for Metered<S> {
         read?;
         let came = buffer.filled().len() - before;
         self.turn += came;
-        if self.bytes.spend(came as f64, now()) {
+        if !self.is_cut && self.bytes.spend(came as f64, now()) {
             Poll::Ready(Ok(()))
         } else {
-            self.slot.breach();
+            if !std::mem::replace(&mut self.is_cut, true) {
+                self.slot.breach();
+            }
             Poll::Ready(Err(io::Error::new(
                 io::ErrorKind::QuotaExceeded,
                 "more bytes a second than are taken",
@@ -171,7 +181,7 @@ mod tests {
             bytes_per_s: 1.0,
             byte_burst: 100.0,
             connections_per_s: 1e-3,
-            connection_burst: 16.0,
+            connection_burst: 60.0,
             ..Limits::default()
         };
         let slots = Slots::new(&limits);
@@ -180,7 +190,10 @@ mod tests {
         let mut metered = Metered::new(&[7_u8; 300][..], &limits, slot);
         let mut read = [0; 64];
         metered.read_exact(&mut read).await.unwrap();
-        assert_eq!(metered.read(&mut read).await.unwrap_err().kind(), io::ErrorKind::QuotaExceeded);
-        assert!(slots.wait(home).is_none(), "it has cost more than one connection");
+        for _ in 0..3 {
+            assert_eq!(metered.read(&mut read).await.unwrap_err().kind(), io::ErrorKind::QuotaExceeded);
+        }
+        let left = (0..100).filter(|_| slots.wait(home).is_some()).count();
+        assert_eq!(left, 9, "it has cost fifty connections, once");
     }
 }

@@ -20,7 +20,7 @@ use super::budget::{Budget, now};
 
 /// New connections that one costs which is cut for what it sent.
 const BREACH: f64 = 50.0;
-/// Networks whose budgets are kept; of one more, those of the one that has spent least are forgotten.
+/// Networks whose budgets are kept; of one more, those of the one without a connection that has spent least are forgotten.
 const NETWORKS: usize = 1024;
 
 /// How many connections there may be, in all and from one network; clones count together.
@@ -89,9 +89,9 @@ impl Slots {
         if !counts.budgets.entry(network).or_insert_with(new).connections.spend(1.0, now()) {
             return None;
         }
-        counts.forget_networks();
         let given_up = Arc::new(Notify::new());
         counts.waiting.entry(network).or_default().push_back(Arc::clone(&given_up));
+        counts.forget_networks();
         if counts.waiting.values().map(VecDeque::len).sum::<usize>() > limits.waiting {
             counts.give_up_one();
         }
@@ -187,9 +187,10 @@ impl Counts {
             return;
         }
         let now = now();
-        let spent_least = self
-            .budgets
+        let Self { inside, waiting, budgets } = self;
+        let spent_least = budgets
             .iter_mut()
+            .filter(|(network, _)| !inside.contains_key(network) && !waiting.contains_key(network))
             .map(|(network, budgets)| (*network, budgets.connections.left(now)))
             .max_by(|(_, a), (_, b)| a.total_cmp(b));
         if let Some((network, _)) = spent_least {
@@ -303,5 +304,11 @@ mod tests {
         let taken = (0..1000).filter(|k| talkers[k % 10].may_speak()).count();
         assert!((100..200).contains(&taken), "{taken}");
         assert!(other.may_speak() && !come("192.0.2.1").may_speak());
+        // Nor are they forgotten while it is there, whoever else comes.
+        for k in 0..5000_u16 {
+            let newcomer = || slots.wait(Ipv6Addr::new(0x2001, 0xdb8, 2, k, 0, 0, 0, 1).into());
+            assert!(newcomer().is_some() && newcomer().is_some());
+        }
+        assert!((100..200).contains(&(0..1000).filter(|_| other.may_speak()).count()));
     }
 }
