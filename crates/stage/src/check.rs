@@ -66,9 +66,16 @@ fn report(text: &str, folder: Option<&Path>) -> (Option<Stage>, Report) {
     let mut notes = Notes::new(text);
     let (document, errors) = DeTable::parse_recoverable(text);
     let mut broken = false;
+    // What stands behind a broken header seems to stand in the table before it.
+    let mut header_broken = false;
     for error in &errors {
-        let duplicate = syntax(text, error, &mut notes);
+        let duplicate = is_duplicate(error);
+        if duplicate && header_broken {
+            continue;
+        }
+        syntax(text, error, &mut notes);
         broken |= !duplicate;
+        header_broken |= !duplicate && line_of(text, error).0.trim_start().starts_with('[');
     }
     Shape::new(&SCHEMA, &mut notes, broken).document(document.span(), document.get_ref());
     if !broken {
@@ -81,9 +88,7 @@ fn report(text: &str, folder: Option<&Path>) -> (Option<Stage>, Report) {
                 rules::check_parsed(&document, folder, &parsed, &mut notes);
                 stage = Some(parsed).filter(|_| !notes.has_problems());
             }
-            Err(error) => {
-                syntax(text, &error, &mut notes);
-            }
+            Err(error) => syntax(text, &error, &mut notes),
         }
     }
     let (problems, warnings) = notes.finish();
@@ -91,11 +96,21 @@ fn report(text: &str, folder: Option<&Path>) -> (Option<Stage>, Report) {
     (stage, report)
 }
 
-/// Notes an error of the TOML parser; returns whether it is no more than a duplicate.
-fn syntax(text: &str, error: &TomlError, notes: &mut Notes<'_>) -> bool {
+/// Whether an error of the TOML parser is a name that stands in its table already.
+fn is_duplicate(error: &TomlError) -> bool {
+    error.message().contains("duplicate key")
+}
+
+/// The line that an error of the TOML parser is on, and where it starts.
+fn line_of<'a>(text: &'a str, error: &TomlError) -> (&'a str, usize) {
+    line_around(text, error.span().map_or(0, |at| at.start))
+}
+
+/// Notes an error of the TOML parser.
+fn syntax(text: &str, error: &TomlError, notes: &mut Notes<'_>) {
     let at = error.span().unwrap_or(0..0);
-    let (line, start) = line_around(text, at.start);
-    if error.message().contains("duplicate key") {
+    let (line, start) = line_of(text, error);
+    if is_duplicate(error) {
         let name = text.get(at.clone()).unwrap_or_default().trim_matches(['"', '\'']);
         let (message, fix) = if line.trim_start().starts_with('[') {
             (format!("[{name}] stands here a second time"), "join the two tables into one")
@@ -103,13 +118,12 @@ fn syntax(text: &str, error: &TomlError, notes: &mut Notes<'_>) -> bool {
             (format!("`{name}` stands here a second time in its table"), "keep one of the two")
         };
         notes.problem(&at, name, message, fix);
-        return true;
+        return;
     }
     let (key, message, fix) = broken_line(line);
     let message = message.or(error.message().lines().next()).unwrap_or("this is no TOML");
     // An error at the very end of a line is an error of that line, not of the next.
     notes.broken(&(start.min(at.start)..at.end), key, message, fix);
-    false
 }
 
 /// The line that a byte is on, and where it starts; the last line with text for the end of the file.
