@@ -101,6 +101,11 @@ impl Inertial {
     /// Forgets what was learnt of the unit: its samples are corrected otherwise from now on.
     pub(super) fn restart(&mut self) {
         self.filter.forget();
+        self.settle_anew();
+    }
+
+    /// The next records begin an orientation.
+    fn settle_anew(&mut self) {
         self.spikes = Spikes::default();
         (self.began, self.last) = (None, None);
     }
@@ -159,11 +164,11 @@ impl Inertial {
         const SUSPECT: Finding = Finding::new(Verdict::Suspect, Label::anomalous(Cause::Gate));
         let Some(inertial) = measured.inertial else { return SUSPECT };
         let oriented = match inertial.sample() {
-            Some(sample) => self.filtered(measured.t_valid, sample),
-            None => self.reported(measured),
+            Some(sample) => self.filtered(measured.t_valid, sample, late),
+            None => self.reported(measured, late),
         };
         let Some(oriented) = oriented else { return SUSPECT };
-        self.last = Some(Oriented { late, ..oriented });
+        self.last = Some(oriented);
         // Units without angular velocities may rest.
         let words = inertial.words();
         if words.is_some_and(|words| self.repetition.take(words, Evidence::Certain) == Repeats::Stuck) {
@@ -177,7 +182,7 @@ impl Inertial {
     }
 
     /// The filter's orientation after a sample; `None` where the numbers make no sense, or may not.
-    fn filtered(&mut self, t: Timestamp, sample: ImuSample) -> Option<Oriented> {
+    fn filtered(&mut self, t: Timestamp, sample: ImuSample, late: bool) -> Option<Oriented> {
         let since_s = self.last.map(|last| t.seconds_since(last.t));
         let dt_s = match since_s {
             Some(dt_s) if dt_s <= 0.0 => return None,
@@ -185,8 +190,7 @@ impl Inertial {
             // The sensor may have been turned meanwhile: a return is settled like a start.
             Some(_) => {
                 self.filter.resume();
-                self.spikes = Spikes::default();
-                (self.began, self.last) = (None, None);
+                self.settle_anew();
                 LEAST_INTERVAL_S
             }
             None => LEAST_INTERVAL_S,
@@ -201,14 +205,14 @@ impl Inertial {
         let angular_velocity_rad_s = self.filter.angular_velocity_rad_s();
         (self.filter.rejected() == rejected).then_some(Oriented {
             t,
-            late: false,
+            late,
             orientation,
             angular_velocity_rad_s,
         })
     }
 
     /// The orientation that the unit computes; its angular velocity comes from two of them.
-    fn reported(&self, measured: &Measured) -> Option<Oriented> {
+    fn reported(&self, measured: &Measured, late: bool) -> Option<Oriented> {
         let t = measured.t_valid;
         let orientation = posed_geometry::orientation_from_wxyz(measured.orientation_wxyz?)?;
         let is_before =
@@ -217,7 +221,7 @@ impl Inertial {
         let angular_velocity_rad_s = before.map_or_else(Vector3::zeros, |last| {
             (last.orientation.inverse() * orientation).scaled_axis() / t.seconds_since(last.t)
         });
-        Some(Oriented { t, late: false, orientation, angular_velocity_rad_s })
+        Some(Oriented { t, late, orientation, angular_velocity_rad_s })
     }
 
     /// The orientation in the room at `t`, and whether the sensor turns.

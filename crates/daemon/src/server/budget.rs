@@ -90,6 +90,9 @@ impl<S: AsyncRead + Unpin> AsyncRead for Metered<S> {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
+        if self.is_cut {
+            return Poll::Ready(Err(too_many()));
+        }
         if self.turn >= TURN_BYTES {
             // The runtime would go on for a hundred reads.
             self.turn = 0;
@@ -104,18 +107,17 @@ impl<S: AsyncRead + Unpin> AsyncRead for Metered<S> {
         read?;
         let came = buffer.filled().len() - before;
         self.turn += came;
-        if !self.is_cut && self.bytes.spend(came as f64, now()) {
-            Poll::Ready(Ok(()))
-        } else {
-            if !std::mem::replace(&mut self.is_cut, true) {
-                self.slot.breach();
-            }
-            Poll::Ready(Err(io::Error::new(
-                io::ErrorKind::QuotaExceeded,
-                "more bytes a second than are taken",
-            )))
+        self.is_cut = !self.bytes.spend(came as f64, now());
+        if self.is_cut {
+            self.slot.breach();
+            return Poll::Ready(Err(too_many()));
         }
+        Poll::Ready(Ok(()))
     }
+}
+
+fn too_many() -> io::Error {
+    io::Error::new(io::ErrorKind::QuotaExceeded, "more bytes a second than are taken")
 }
 
 impl<S: AsyncWrite + Unpin> AsyncWrite for Metered<S> {

@@ -92,18 +92,15 @@ impl Prediction {
     }
 
     /// Whether one position is nearer to the prediction than another that is not next to it; false without positions.
-    pub fn prefers(&self, one: &MeasuredPose, other: &MeasuredPose, noise: &TrackerNoise) -> bool {
-        let (Some(one_m), Some(other_m)) = (one.position_m, other.position_m) else { return false };
+    pub(super) fn prefers(&self, one: &MeasuredPose, other: &MeasuredPose, noise: &TrackerNoise) -> bool {
         let covariance = self.position_innovation_m2(noise, &self.position_m);
         let distance = |p: &Vector3<f64>| squared_distance(&covariance, &self.position_innovation(p));
-        (one_m - other_m).norm() > APART_M && distance(&one_m) < distance(&other_m)
+        apart(one, other).is_some_and(|[one_m, other_m]| distance(&one_m) < distance(&other_m))
     }
 
-    /// Whether two positions that are not next to one another are both not improbable; false without positions.
-    pub(super) fn holds_apart(&self, one: &MeasuredPose, other: &MeasuredPose, noise: &TrackerNoise) -> bool {
-        let (Some(one_m), Some(other_m)) = (one.position_m, other.position_m) else { return false };
-        let holds = |pose| self.gate(pose, noise) != Gate::Outside;
-        (one_m - other_m).norm() > APART_M && holds(one) && holds(other)
+    /// Whether a position that is not next to another one is not improbable either; false without positions.
+    pub(super) fn holds_too(&self, one: &MeasuredPose, other: &MeasuredPose, noise: &TrackerNoise) -> bool {
+        apart(one, other).is_some() && self.gate(one, noise) != Gate::Outside
     }
 
     /// Whether a position is so far from the prediction that the sensor must have been turned over: just outside the gate it may
@@ -143,6 +140,12 @@ impl Prediction {
             (false, _) => Gate::Outside,
         }
     }
+}
+
+/// Two positions that are not next to one another, m.
+fn apart(one: &MeasuredPose, other: &MeasuredPose) -> Option<[Vector3<f64>; 2]> {
+    let (one_m, other_m) = (one.position_m?, other.position_m?);
+    ((one_m - other_m).norm() > APART_M).then_some([one_m, other_m])
 }
 
 /// `v' C^-1 v`; infinite where the covariance is not positive definite.

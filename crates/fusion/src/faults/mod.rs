@@ -189,7 +189,7 @@ impl Detector {
         if prediction.gate(pose, noise) != Gate::Outside {
             // Records that are seldom leave a prediction so wide that it holds both sides. It is a straight line then, where a limb
             // has long turned back: where the sensor was says more.
-            let holds_both = prediction.holds_apart(&Mirror::Point.apply(pose), pose, noise);
+            let holds_both = prediction.holds_too(&Mirror::Point.apply(pose), pose, noise);
             return self.believe(if holds_both { self.nearer_side(pose) } else { None }, pose);
         }
         let mirrors = [Mirror::Point, Mirror::Vertical].into_iter();
