@@ -337,6 +337,10 @@ impl Clock {
         } else if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S)
             || self.fit.is_none()
         {
+            if !counted && self.fit.is_some_and(|fit| self.window.has_slipped(&fit)) {
+                self.restart();
+                return self.push(sample);
+            }
             let nominal = origin.counted_s.map(Nominal::Counted).or(nominal.map(Nominal::Reported));
             self.fit = self.window.fit(nominal, self.fit.as_ref());
             if !counted && self.fit.is_some_and(|fit| fit.crossing > CONTRADICTION * fit.period_s) {
@@ -485,7 +489,8 @@ impl Clock {
             None => (evidence.upper, 1e-2, 1e-2),
         };
         // Whether cycles left no trace is not decided yet.
-        let sigma_s = self.trial.map_or(sigma_s, |trial| sigma_s.max(0.5 * period_s * trial.shift as f64));
+        let mut sigma_s =
+            self.trial.map_or(sigma_s, |trial| sigma_s.max(0.5 * period_s * trial.shift as f64));
         let model_ns = ((relative_s - self.settings.measurement_delay_s) * 1e9).round() as i64;
         let mut t_ns = origin.t.as_nanos().saturating_add(model_ns);
         let mut cycles_skipped = 0;
@@ -501,7 +506,9 @@ impl Clock {
                 let limit_ns = (SLEW * period_s * steps * 1e9) as i64;
                 // A renumbering or a first fit is put right at once, a correction of the phase bit by bit.
                 if self.window.is_settled() && error_ns.saturating_abs() < (0.5 * period_s * 1e9) as i64 {
-                    t_ns = expected_ns + error_ns.clamp(-limit_ns, limit_ns);
+                    let held_ns = error_ns - error_ns.clamp(-limit_ns, limit_ns);
+                    t_ns -= held_ns;
+                    sigma_s = libm::hypot(sigma_s, held_ns as f64 * 1e-9);
                 }
             }
         }

@@ -520,6 +520,36 @@ fn cycles_lost_at_the_very_beginning_do_not_date_all_later_ones_early() {
     }
 }
 
+/// Damage that reads like a record is a cycle that never was.
+#[test]
+fn cycles_that_never_were_do_not_bend_a_line_that_begins() {
+    for (rate_hz, first) in [14.0, 40.0].into_iter().flat_map(|rate_hz| (1..70).map(move |at| (rate_hz, at)))
+    {
+        let mut clock = Clock::new(Settings { byte_time_s: BYTE_S, measurement_delay_s: 0.0 });
+        clock.set_nominal_rate_hz(Some(rate_hz));
+        let mut random = Random(7);
+        let (mut previous, mut count) = (None, 0);
+        for k in 0..400 {
+            let truth_s = 20.0 + f64::from(k) / rate_hz;
+            let t_read = |late_s: f64| Timestamp::from_secs_f64(truth_s + late_s);
+            let mut push = |t_read| {
+                let stamp = clock.push(&sample(1, t_read, previous, DeviceTime::Cycle(count)));
+                (previous, count) = (Some(t_read), count + 1);
+                stamp
+            };
+            let stamp = push(t_read(4e-3 + 1e-3 * random.uniform()));
+            let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
+            assert!(
+                stamp.is_late() || off_s < f64::max(0.01, 6.0 * stamp.sigma_s) || k - first < 2,
+                "{rate_hz} Hz, one from {first} on: cycle {k} is {off_s} s off"
+            );
+            if k == first {
+                push(t_read(0.5 / rate_hz));
+            }
+        }
+    }
+}
+
 /// An adapter that begins to keep bytes back, in the middle of a prompt stream: cycles of one read say nothing of the period.
 #[test]
 fn a_line_that_begins_to_burst_keeps_its_period() {
@@ -571,6 +601,43 @@ fn a_rate_that_is_not_the_devices_is_found_out() {
                 "{claimed} of {rate_hz} Hz is claimed: cycle {k} is {off_s} s off"
             );
             assert!(k < 200 || !stamp.is_late(), "{claimed} of {rate_hz} Hz is claimed: cycle {k} is late");
+        }
+    }
+}
+
+/// Reads say much of some blocks, and little of others: a line through all of them must not jump where that changes.
+#[test]
+fn a_line_that_ceases_to_burst_keeps_its_period() {
+    for (rate_hz, burst_ms, burst_cycles) in [14.0, 40.0, 100.0].into_iter().flat_map(|rate_hz| {
+        [20.0, 42.7, 57.1, 64.0].into_iter().flat_map(move |burst_ms| {
+            [10_u64, 20, 31, 40, 57, 80].map(|burst_cycles| (rate_hz, burst_ms, burst_cycles))
+        })
+    }) {
+        let mut clock = Clock::new(Settings { byte_time_s: BYTE_S, measurement_delay_s: 0.0 });
+        clock.set_nominal_rate_hz(Some(rate_hz));
+        clock.know_wire();
+        let (mut previous, mut reads, mut latest_s) = (None, Vec::<(Timestamp, f64, u64)>::new(), 0.0_f64);
+        for k in 0..400 {
+            let truth_s = 20.0 + k as f64 / rate_hz;
+            let there_s = truth_s + 33.0 * BYTE_S;
+            let burst_s = burst_ms * 1e-3;
+            let read_s = if k > burst_cycles { there_s } else { (there_s / burst_s).ceil() * burst_s };
+            latest_s = latest_s.max(read_s);
+            reads.push((Timestamp::from_secs_f64(latest_s), truth_s, k));
+        }
+        for chunk in reads.chunk_by(|(a, ..), (b, ..)| a == b) {
+            for (place, &(t_read, truth_s, k)) in chunk.iter().enumerate() {
+                let mut sample = sample(1, t_read, previous, DeviceTime::Cycle(k));
+                sample.arrival.bytes_after = 33 * (chunk.len() - place) as u32 - 1;
+                let stamp = clock.push(&sample);
+                let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
+                // Half a period before, with a tenth of that stated.
+                assert!(
+                    k < 16 || stamp.is_late() || off_s < f64::max(0.006, 6.0 * stamp.sigma_s),
+                    "{rate_hz} Hz, bursts of {burst_ms} ms for {burst_cycles} cycles: cycle {k} is {off_s} s off"
+                );
+            }
+            previous = Some(chunk[0].0);
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use super::reads::Evidence;
 use super::{CRYSTAL, SIGMA_FLOOR_S};
+use posed_drivers::Timestamp;
 use posed_state::Plain;
 
 /// Cycles in one block.
@@ -24,6 +25,10 @@ const UNDISTURBED: usize = 8;
 const CLEAR_SPAN: f64 = 8.0;
 const CLEAR_SHARE: f64 = 0.03;
 const CLEAR_SIGMAS: f64 = 6.0;
+/// Share of a period within which the reads of a block follow their cycles closely, and within which what lies between two such
+/// blocks is a whole number of them.
+const CLOSE: f64 = 0.2;
+const SLIP: f64 = 0.3;
 /// Candidate periods on either side of the first estimate.
 const GRID: usize = 8;
 /// Inflation of the spread between bounds, so that two sigmas hold also for simulated bursts in step with the cycles.
@@ -59,6 +64,9 @@ struct Point {
 #[derive(Clone, Copy, Debug, Plain)]
 struct Block {
     cycles: u32,
+    /// Reads in which they came, and the latest of them.
+    reads: u32,
+    t_read: Timestamp,
     samples: f64,
     sum_x: f64,
     sum_paced: f64,
@@ -66,6 +74,18 @@ struct Block {
     upper: Point,
     lower: Option<Point>,
     paced: Point,
+}
+
+impl Block {
+    /// How late its first read was at most, s: twice the mean of what the others were later, where each cycle came in a read of its
+    /// own.
+    fn lateness_s(&self, fit: &Fit) -> f64 {
+        if self.reads < self.cycles {
+            return if fit.prompt { fit.lateness } else { f64::INFINITY };
+        }
+        let mean = (self.sum_paced - fit.period_s * self.sum_x) / self.samples;
+        2.0 * (mean - (self.paced.t - fit.period_s * self.paced.x)).max(0.0)
+    }
 }
 
 /// `t = base_t + period (x - base_x)` plus something between `lower` and `upper`.
@@ -151,6 +171,24 @@ impl Window {
         self.blocks.len() > if prompt { SETTLED_BLOCKS } else { FIRM_BLOCKS }
     }
 
+    /// Whether the count has slipped by whole cycles in these first blocks: one that was lost without a trace, or damage that read
+    /// like one. Reads that follow their cycles closely show it, whatever the line through all of them; it would be bent for as long
+    /// as the window remembers.
+    pub(super) fn has_slipped(&self, fit: &Fit) -> bool {
+        let begins = self.blocks.len() > SETTLED_BLOCKS && self.blocks.len() <= 2 * FIRM_BLOCKS;
+        let newest = self.blocks.len().saturating_sub(1);
+        let offset = |point: &Point| (point.t - fit.period_s * point.x) / fit.period_s;
+        let close =
+            |block: &&Block| block.reads >= block.cycles && block.lateness_s(fit) < CLOSE * fit.period_s;
+        let mut cycles = self.blocks[..newest].iter().filter(close).map(|block| offset(&block.paced));
+        let mut before = cycles.next();
+        begins
+            && cycles.any(|now| {
+                let step = now - before.replace(now).unwrap_or(now);
+                step.round() != 0.0 && (step - step.round()).abs() < SLIP
+            })
+    }
+
     /// Adds one arrival; returns whether it is time to fit again.
     pub(super) fn push(
         &mut self,
@@ -181,6 +219,8 @@ impl Window {
             let at = self.newest_index();
             let block = &mut self.blocks[at];
             block.cycles += u32::from(begins_cycle);
+            block.reads += u32::from(evidence.t_read != block.t_read);
+            block.t_read = evidence.t_read;
             block.samples += 1.0;
             block.sum_x += evidence.x;
             block.sum_paced += evidence.paced;
@@ -216,6 +256,8 @@ impl Window {
         let x = evidence.x;
         let block = Block {
             cycles: 1,
+            reads: 1,
+            t_read: evidence.t_read,
             samples: 1.0,
             sum_x: x,
             sum_paced: evidence.paced,
@@ -373,14 +415,14 @@ impl Window {
     /// Period from the middles of the blocks' bounds, by least squares without the outliers.
     fn slope(&self, before: Option<&Fit>) -> Option<f64> {
         let first = self.blocks.first()?.upper;
-        let prompt = before.filter(|fit| fit.prompt);
         let middle = |block: &Block| {
             let lower = block.lower.unwrap_or(block.upper);
-            // On a prompt line most lower bounds say nothing and a few say much: their middles would jump by half a period.
-            let least = |fit: &Fit| Point { t: block.upper.t - fit.lateness, ..block.upper };
-            let lower = prompt.map_or(lower, |fit| {
+            // Where reads follow the bytes most lower bounds say nothing and a few say much: their middles would jump by half a
+            // period, and so they would where bursts begin or cease. What the block's own reads were late by says more.
+            let lower = before.map_or(lower, |fit| {
                 let offset = |point: &Point| point.t - fit.period_s * point.x;
-                if offset(&lower) < offset(&least(fit)) { least(fit) } else { lower }
+                let least = Point { t: block.upper.t - block.lateness_s(fit), ..block.upper };
+                if offset(&lower) < offset(&least) { least } else { lower }
             });
             let x = 0.5 * (block.upper.x + lower.x) - first.x;
             (x, 0.5 * (block.upper.t + lower.t) - first.t)
