@@ -270,3 +270,45 @@ fn the_budgets_are_those_of_the_code() {
     }
     assert!(count > 20, "{count}");
 }
+
+/// Whether a file below this folder has a test, by the file's module and its name.
+fn has_test(folder: &Path, test: &str) -> bool {
+    let Some((module, name)) = test.rsplit_once("::") else { panic!("{test}: name its module") };
+    let module = module.replace("::", "/");
+    let (files, test) = ([format!("{module}.rs"), format!("{module}/mod.rs")], format!("fn {name}()"));
+    fs::read_dir(folder).unwrap().any(|entry| {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            return has_test(&path, &format!("{module}::{name}"));
+        }
+        files.iter().any(|file| path.ends_with(file)) && fs::read_to_string(path).unwrap().contains(&test)
+    })
+}
+
+/// Those of the stage file too.
+#[test]
+fn every_budget_has_a_test_that_goes_beyond_it() {
+    let page = fs::read_to_string(docs().join("fault-tolerance.md")).unwrap();
+    let section = page.split("\n## ").find(|section| section.starts_with("Budgets")).unwrap();
+    let limits = serde_json::to_value(posed_stage::Limits::default()).unwrap();
+    let mut keys: BTreeSet<&str> = limits.as_object().unwrap().keys().map(String::as_str).collect();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for row in section.lines().filter(|line| line.starts_with("| ") && line.contains('`')) {
+        let cells: Vec<&str> = row.trim_matches(['|', ' ']).split(" | ").collect();
+        keys.remove(cells[0].trim_matches('`'));
+        // Those behind a crate are its own; those before are here.
+        let (mut folder, mut count) = (root.join("tests/it"), 0);
+        for name in cells[cells.len() - 1].split('`').skip(1).step_by(2) {
+            match name.strip_prefix("posed-") {
+                Some("drivers") => folder = root.join("drivers"),
+                Some(name) => folder = root.join("crates").join(name),
+                None => {
+                    assert!(has_test(&folder, name), "{} has no {name}", folder.display());
+                    count += 1;
+                }
+            }
+        }
+        assert!(count > 0, "no test: {row}");
+    }
+    assert!(keys.is_empty(), "no row, and no test: {keys:?}");
+}

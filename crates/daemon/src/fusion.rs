@@ -562,7 +562,26 @@ fn answer(reply: Option<Reply>, result: Result<Option<Answer>, impl ToString>) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::PORT_COMMANDS;
     use super::*;
+
+    #[test]
+    fn a_port_that_takes_nothing_is_left_out_and_the_other_gets_all_that_is_its() {
+        let (stuck_in, mut stuck) = mpsc::channel(PORT_COMMANDS);
+        let (other_in, mut other) = mpsc::channel(PORT_COMMANDS);
+        let ports = [stuck_in, other_in];
+        let bytes = |n: usize| PortCommand::Transmit(n.to_le_bytes().to_vec());
+        for n in 0..2 * PORT_COMMANDS {
+            send(&ports, 0, bytes(n));
+            send(&ports, 1, bytes(n));
+            assert_eq!(other.try_recv(), Ok(bytes(n)));
+        }
+        // What was said first is whole: a device must not be sent the end of something without its beginning.
+        let waiting: Vec<_> = std::iter::from_fn(|| stuck.try_recv().ok()).collect();
+        assert_eq!(waiting, (0..PORT_COMMANDS).map(bytes).collect::<Vec<_>>());
+        send(&ports, 0, bytes(7));
+        assert_eq!(stuck.try_recv(), Ok(bytes(7)));
+    }
 
     #[test]
     fn what_was_read_before_a_time_out_comes_before_it() {

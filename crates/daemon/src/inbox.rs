@@ -137,6 +137,7 @@ fn drop_oldest_chunk<C>(queue: &mut VecDeque<Event<C>>) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::fusion::INBOX_CAPACITY;
     use super::*;
 
     fn chunk(device: u16, n: i64, len: usize) -> Event<()> {
@@ -193,6 +194,39 @@ mod tests {
             .sum();
         assert_eq!(bytes + kept, 90, "every byte is either delivered or counted");
         assert!(kept >= 20, "the newest chunks stay");
+    }
+
+    #[test]
+    fn beyond_its_capacity_the_oldest_bytes_are_counted_and_all_else_is_there() {
+        let inbox = Inbox::new(INBOX_CAPACITY);
+        let surplus = 1000;
+        inbox.push(opened(0, 0));
+        inbox.push(opened(1, 1));
+        (0..INBOX_CAPACITY + surplus).for_each(|n| inbox.push(chunk(0, 2 + n as i64, 10)));
+        inbox.command(());
+        inbox.push(chunk(1, 9000, 5));
+        inbox.push(opened(1, 9001));
+        // A mark takes a place of its own, one for each device.
+        assert!(inbox.lock().len() <= INBOX_CAPACITY + 2, "{}", inbox.lock().len());
+        assert_eq!(inbox.commands(), 1);
+        let inputs = drain(&inbox);
+        let bytes_of = |device: u16| {
+            let bytes = |input: &Input| match input {
+                Input::Bytes { device: of, bytes } if *of == device => (bytes.len() as u64, 0),
+                Input::Line { device: of, event: LineEvent::Dropped { bytes } } if *of == device => {
+                    (0, *bytes)
+                }
+                _ => (0, 0),
+            };
+            inputs.iter().map(bytes).fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
+        };
+        let (kept, lost) = bytes_of(0);
+        assert_eq!(kept + lost, 10 * (INBOX_CAPACITY + surplus) as u64);
+        assert!(lost / 10 <= surplus as u64 + 10, "no more gives way than must: {lost} bytes");
+        assert_eq!(bytes_of(1), (5, 0), "the other device");
+        let is_opened = |input: &&Input| matches!(input, Input::Line { event: LineEvent::Opened { .. }, .. });
+        assert_eq!(inputs.iter().filter(is_opened).count(), 3);
+        assert!(matches!(inputs[2], Input::Line { device: 0, event: LineEvent::Dropped { .. } }));
     }
 
     #[test]

@@ -254,6 +254,7 @@ pub(super) fn aside<T: Send>(work: impl FnOnce() -> T + Send) -> Result<T, NoThr
 
 #[cfg(test)]
 mod tests {
+    use super::super::server::testing::{Asking, ids};
     use super::*;
 
     fn jobs() -> (Jobs, Hub) {
@@ -281,12 +282,33 @@ mod tests {
     }
 
     #[test]
-    fn only_so_many_run_at_a_time() {
-        let (jobs, _hub) = jobs();
-        let mut running: Vec<Job> = (0..RUNNING).map(|_| jobs.begin("faults.train")).collect();
-        assert!(jobs.is_full());
-        running.pop().unwrap().end(Ok::<_, Failure>("trained".into()));
-        assert!(!jobs.is_full());
+    fn more_jobs_than_may_run_are_refused_and_those_that_run_go_on() {
+        let (jobs, hub) = jobs();
+        let (flooding, other) = (Asking::new(), Asking::new());
+        let (release, held) = crossbeam_channel::bounded::<()>(0);
+        let train = |reply| {
+            let held = held.clone();
+            jobs.run("faults.train", reply, move |_| {
+                let _ = held.recv();
+                Ok("trained".to_owned())
+            });
+        };
+        (0..RUNNING + 3).for_each(|id| train(flooding.reply(id)));
+        let answers = flooding.answers();
+        let is_busy = |answer: &&serde_json::Value| answer["code"] == "busy";
+        assert_eq!(ids(&answers), (0..RUNNING + 3).collect::<Vec<_>>());
+        assert!(answers[..RUNNING].iter().all(|answer| answer["type"] == "ok"), "{answers:?}");
+        assert_eq!(answers.iter().filter(is_busy).count(), 3);
+        // A recording is none of them, and is not refused.
+        let recording = jobs.begin("record.start");
+        let mut listed = newest(&hub);
+        assert_eq!((listed.len(), listed[RUNNING].job), (RUNNING + 1, recording.number()));
+        drop((recording, release));
+        while listed.iter().filter(|job| job.state == JobState::Done).count() < RUNNING {
+            listed = std::iter::repeat_with(|| newest(&hub)).find(|listed| !listed.is_empty()).unwrap();
+        }
+        train(other.reply(7));
+        assert_eq!(other.answers()[0]["type"], "ok");
     }
 
     #[test]

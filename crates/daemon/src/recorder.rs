@@ -30,6 +30,13 @@ const QUEUE_ITEMS: usize = 1 << 16;
 /// Bytes that may wait for the disk.
 const QUEUE_BYTES: usize = 128 << 20;
 
+/// What may wait for the disk.
+#[derive(Clone, Copy, Debug)]
+struct Room {
+    items: usize,
+    bytes: usize,
+}
+
 /// How a recording stands.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum RecorderState {
@@ -57,6 +64,8 @@ pub(super) enum RecorderState {
 pub(super) struct Recorder {
     /// Gone once nothing more is taken.
     sender: Option<Sender<Job>>,
+    /// Bytes that may wait.
+    most_bytes: usize,
     shared: Arc<Shared>,
     thread: JoinHandle<()>,
 }
@@ -112,13 +121,13 @@ impl Recorder {
                 let _ = std::fs::remove_file(&path);
             })
         };
-        Self::start_with(begin, QUEUE_ITEMS, begun)
+        Self::start_with(begin, Room { items: QUEUE_ITEMS, bytes: QUEUE_BYTES }, begun)
     }
 
     /// Begins a recording into what `begin` makes: the file, and what brings to the disk what was flushed into it.
     fn start_with<W: Write, S: FnMut() -> io::Result<()> + Send>(
         begin: impl FnOnce() -> Result<(Writer<W>, S), WriteError> + Send + 'static,
-        queue_items: usize,
+        room: Room,
         begun: impl FnOnce(Result<(), WriteError>) + Send + 'static,
     ) -> io::Result<Self> {
         let shared = Arc::new(Shared {
@@ -126,7 +135,7 @@ impl Recorder {
             queued: AtomicUsize::new(0),
             bytes: OnceLock::new(),
         });
-        let (sender, receiver) = bounded(queue_items);
+        let (sender, receiver) = bounded(room.items);
         let thread = {
             let shared = Arc::clone(&shared);
             #[expect(clippy::disallowed_methods, reason = "the daemon owns the recorder's thread")]
@@ -146,7 +155,7 @@ impl Recorder {
                 }
             })?
         };
-        Ok(Self { sender: Some(sender), shared, thread })
+        Ok(Self { sender: Some(sender), most_bytes: room.bytes, shared, thread })
     }
 
     /// Appends an entry, before the messages that follow from it.
@@ -214,7 +223,8 @@ impl Recorder {
         let Some(sender) = &self.sender else { return };
         let size = job.size();
         let queued = self.shared.queued.fetch_add(size, Ordering::Relaxed) + size;
-        let sent = if queued > QUEUE_BYTES { Err(TrySendError::Full(job)) } else { sender.try_send(job) };
+        let is_full = queued > self.most_bytes;
+        let sent = if is_full { Err(TrySendError::Full(job)) } else { sender.try_send(job) };
         match sent {
             Ok(()) => {}
             Err(TrySendError::Full(_)) => {
@@ -369,6 +379,9 @@ mod tests {
     use posed_recording::testing::{Full, chunk, header};
     use posed_recording::{Ending, Item, Reader, RepairError};
 
+    /// More than these tests let wait.
+    const AMPLE: Room = Room { items: 10_000, bytes: QUEUE_BYTES };
+
     /// Begins a file.
     fn start(path: &Path, schemas: fn() -> Schemas) -> Result<Recorder, WriteError> {
         let (to, begun) = bounded(1);
@@ -381,7 +394,7 @@ mod tests {
     fn start_with<W: Write>(
         sink: impl FnOnce() -> W + Send + 'static,
         sync: impl FnMut() -> io::Result<()> + Send + 'static,
-        queue_items: usize,
+        room: Room,
     ) -> (Recorder, Receiver<()>) {
         let (to, begun) = bounded(1);
         let begin = move || front(sink(), sync, header(), &Vec::new());
@@ -390,7 +403,7 @@ mod tests {
             // Not every test waits for it.
             let _ = to.send(());
         };
-        (Recorder::start_with(begin, queue_items, tell).unwrap(), begun)
+        (Recorder::start_with(begin, room, tell).unwrap(), begun)
     }
 
     fn read(path: &Path) -> (Vec<Item>, Option<Ending>, Option<String>) {
@@ -463,7 +476,7 @@ mod tests {
     #[test]
     fn given_a_full_disk_the_recording_fails_and_who_records_goes_on() {
         let sink = Full { left: 20_000, ..Full::default() };
-        let (mut recorder, _) = start_with(|| sink, || Ok(()), 10_000);
+        let (mut recorder, _) = start_with(|| sink, || Ok(()), AMPLE);
         let mut n = 0;
         while !recorder.is_finished() {
             // Bytes that do not compress, so that the disk fills.
@@ -476,25 +489,49 @@ mod tests {
         assert!(reason.contains("disk"), "{reason}");
     }
 
-    #[test]
-    fn given_a_disk_that_hangs_the_recording_ends_without_a_hole() {
+    /// Records onto a disk that hangs until nothing more is taken; how many entries were handed in, and how many the file holds then.
+    fn recorded_onto_a_disk_that_hangs(room: Room) -> (usize, usize) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.mcap");
         let (release, held) = bounded::<()>(0);
         let sink = Hanging { held, file: File::create(&path).unwrap(), free_bytes: 2000 };
-        let (mut recorder, _) = start_with(|| sink, || Ok(()), 64);
+        let (mut recorder, _) = start_with(|| sink, || Ok(()), room);
         let mut n = 0;
         while recorder.state() == RecorderState::Recording {
             recorder.entry(&chunk(n));
             n += 1;
         }
+        // Who records goes on meanwhile, and so does a recording on another disk.
+        recorder.entry(&chunk(n));
+        let other_path = folder.path().join("b.mcap");
+        let mut other = start(&other_path, Vec::new).unwrap();
+        (0..100).for_each(|n| other.entry(&chunk(n)));
+        assert_eq!(other.wait(), RecorderState::Stopped { reason: "stopped".to_owned() });
+        assert_eq!(read(&other_path).0.len(), 100);
         drop(release);
         let RecorderState::Failed { reason } = recorder.wait() else { panic!("it did not fail") };
         assert!(reason.contains("does not keep up"), "{reason}");
         let (items, ending, end_reason) = read(&path);
         assert_eq!((ending, end_reason), (Some(Ending::Complete), Some(reason)));
         let expected: Vec<_> = (0..items.len() as i64).map(|n| Item::Entry(chunk(n))).collect();
-        assert!(items == expected && items.len() >= 64 && (items.len() as i64) < n);
+        assert!(items == expected, "there is a hole");
+        (n as usize, items.len())
+    }
+
+    #[test]
+    fn more_pieces_than_may_wait_for_a_disk_that_hangs_end_the_recording_without_a_hole() {
+        let room = Room { items: 64, ..AMPLE };
+        let (handed_in, kept) = recorded_onto_a_disk_that_hangs(room);
+        assert!(kept >= 64 && kept < handed_in, "{kept} of {handed_in}");
+    }
+
+    #[test]
+    fn more_bytes_than_may_wait_for_a_disk_that_hangs_end_the_recording_without_a_hole() {
+        let room = Room { bytes: 64 << 10, ..AMPLE };
+        let (handed_in, kept) = recorded_onto_a_disk_that_hangs(room);
+        let size = Job::Entry(chunk(0)).size();
+        assert!(kept >= room.bytes / size && kept < handed_in, "{kept} of {handed_in}");
+        assert!(handed_in < room.items, "it was the bytes");
     }
 
     #[test]
@@ -511,7 +548,7 @@ mod tests {
             Ok(())
         };
         let file = File::create(&path).unwrap();
-        let (mut recorder, begun) = start_with(|| file, sync, 1000);
+        let (mut recorder, begun) = start_with(|| file, sync, AMPLE);
         begun.recv().unwrap();
         for n in 0..3 {
             recorder.entry(&chunk(n));
@@ -533,7 +570,7 @@ mod tests {
             let _ = held.recv();
             file
         };
-        let (mut recorder, begun) = start_with(sink, || Ok(()), 1000);
+        let (mut recorder, begun) = start_with(sink, || Ok(()), AMPLE);
         (0..100).for_each(|n| recorder.entry(&chunk(n)));
         assert_eq!((recorder.bytes_written(), begun.is_empty()), (0, true));
         drop(release);

@@ -146,6 +146,26 @@ mod tests {
     }
 
     #[test]
+    fn entries_beyond_the_memory_for_them_are_the_oldest_and_the_newest_are_whole() {
+        let log = Log::new(7);
+        let (count, len) = (40, 1 << 20);
+        for n in 0..count {
+            log.append(&chunk(n, len));
+        }
+        let kept = log.ring().entries.len();
+        let bytes = log.ring().bytes;
+        assert!((MOST_BYTES - 2 * len..=MOST_BYTES).contains(&bytes), "{bytes} bytes");
+        assert_eq!(log.next(), count as u64);
+        // Who asks for an older one is told so by the number of the first that there is.
+        let oldest = log.from(0);
+        assert_eq!(oldest.first, (count - kept) as u64);
+        for n in count - kept..count {
+            let entry = &log.from(n as u64).entries[0].0;
+            assert_eq!(rmp_serde::from_slice::<Entry>(entry).unwrap(), chunk(n, len));
+        }
+    }
+
+    #[test]
     fn it_gives_what_is_requested_and_begins_later_where_that_is_gone() {
         let log = Log::new(7);
         for n in 0..400 {

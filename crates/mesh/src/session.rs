@@ -106,7 +106,40 @@ pub(super) fn thread<T: Send + 'static>(
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
+
+    #[test]
+    fn a_message_larger_than_may_be_is_refused_and_those_after_it_come() {
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let end = vec![format!("tcp/127.0.0.1:{port}")];
+        let hub = open(&Zenoh { listen: end.clone(), ..Zenoh::default() }).unwrap();
+        let (heard_in, heard) = crossbeam_channel::unbounded();
+        let hear = move |sample: zenoh::sample::Sample| heard_in.send(sample.payload().len()).unwrap();
+        let _subscriber = hub.declare_subscriber("posed/a").callback(hear).wait().unwrap();
+        let stage = open(&Zenoh { connect: end, ..Zenoh::default() }).unwrap();
+        let put = |bytes: usize| {
+            let put = stage.put("posed/a", vec![0; bytes]);
+            put.congestion_control(zenoh::qos::CongestionControl::Block).wait().unwrap();
+        };
+        // Until they know each other.
+        while heard.recv_timeout(Duration::from_millis(5)).is_err() {
+            put(1);
+        }
+        let next = || loop {
+            match heard.recv_timeout(Duration::from_secs(10)) {
+                Ok(1) => {}
+                other => return other.ok(),
+            }
+        };
+        let largest = MESSAGE_BYTES as usize;
+        put(largest + 1);
+        put(2);
+        assert_eq!(next(), Some(2));
+        put(largest - 1024);
+        assert_eq!(next(), Some(largest - 1024));
+    }
 
     #[test]
     fn zenoh_knows_every_key_that_is_set() {

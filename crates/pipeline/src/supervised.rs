@@ -300,3 +300,61 @@ impl SupervisedPipeline {
 fn unless_it_panics(make: impl FnOnce() -> Result<Pipeline, PipelineError>) -> Option<Pipeline> {
     catch_unwind(AssertUnwindSafe(make)).ok()?.ok()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pipeline() -> SupervisedPipeline {
+        let device = |name: &str| {
+            format!(
+                "[[device]]\nname = \"{name}\"\ndriver = \"flock-of-birds\"\nport = \"/dev/{name}\"\n\
+                 [[sensor]]\nname = \"of {name}\"\ndevice = \"{name}\"\naddress = 1\n"
+            )
+        };
+        let stage = format!("name = \"s\"\n{}{}", device("d"), device("e"));
+        SupervisedPipeline::new(&Stage::parse(&stage).unwrap()).unwrap()
+    }
+
+    /// Pushes entries of one instant; the most entries and bytes that a panic would have had to go through again.
+    fn most_kept(pipeline: &mut SupervisedPipeline, entries: impl Iterator<Item = Input>) -> (usize, usize) {
+        let mut most = (0, 0);
+        for input in entries {
+            pipeline.push(&Entry { t: Timestamp::ZERO, input }, &mut |_| {});
+            let Checkpoint { since, bytes, .. } = &pipeline.checkpoint;
+            most = (most.0.max(since.len()), most.1.max(bytes.len()));
+        }
+        most
+    }
+
+    /// After a panic it stands as before: with all that came before the checkpoint, and all since.
+    fn outlives_a_panic(mut pipeline: SupervisedPipeline) {
+        let before = pipeline.pipeline.snapshot();
+        assert!(pipeline.before().is_some_and(|again| again.snapshot() == before));
+        let entry = Entry { t: Timestamp::ZERO, input: Input::Timer };
+        pipeline.recover(&entry, Box::new("a panic that a test asked for"), &mut |_| {});
+        assert_eq!((pipeline.entries_left_out(), pipeline.begun_anew()), (1, 0));
+        pipeline.pipeline.recoveries = Recoveries::default();
+        assert!(pipeline.pipeline.snapshot() == before, "something is lost");
+    }
+
+    #[test]
+    fn more_entries_than_a_panic_may_have_to_go_through_bring_a_checkpoint_and_none_is_lost() {
+        let mut pipeline = pipeline();
+        let bytes = |n: usize| Input::Bytes { device: (n % 2) as DeviceIndex, bytes: vec![n as u8] };
+        let (entries, _) = most_kept(&mut pipeline, (0..MOST_ENTRIES + 100).map(bytes));
+        assert_eq!((entries, pipeline.checkpoint.since.len()), (MOST_ENTRIES, 100));
+        outlives_a_panic(pipeline);
+    }
+
+    #[test]
+    fn more_bytes_than_a_panic_may_have_to_go_through_bring_a_checkpoint_and_none_is_lost() {
+        let mut pipeline = pipeline();
+        let read = 4096;
+        let bytes = |n: usize| Input::Bytes { device: (n % 2) as DeviceIndex, bytes: vec![n as u8; read] };
+        let fit = MOST_BYTES / read + 1;
+        let (_, most) = most_kept(&mut pipeline, (0..fit + 3).map(bytes));
+        assert_eq!((most, pipeline.checkpoint.bytes.len()), (fit * read, 3 * read));
+        outlives_a_panic(pipeline);
+    }
+}

@@ -337,6 +337,35 @@ fn an_unknown_device_or_a_giant_is_an_error() {
 }
 
 #[test]
+fn a_record_that_claims_more_than_one_may_have_is_damage_and_what_is_before_it_is_read() {
+    let items = items();
+    let mut bytes = record(&items, 6);
+    // Where the chunks begin.
+    let (mut at, mut chunks) = (mcap::MAGIC.len(), Vec::new());
+    while at + 9 < bytes.len() - mcap::MAGIC.len() {
+        if bytes[at] == mcap::records::op::CHUNK {
+            chunks.push(at);
+        }
+        at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+    }
+    // A chunk is read bit by bit; any other record is read as a whole.
+    let second = chunks[1];
+    bytes[second] = mcap::records::op::METADATA;
+    let mut claim = |length: usize| {
+        bytes[second + 1..second + 9].copy_from_slice(&(length as u64).to_le_bytes());
+        read_all(&bytes)
+    };
+    let (before, error, ending) = claim(MAX_RECORD_BYTES + 1);
+    assert!((1..items.len()).contains(&before.len()), "{} of {}", before.len(), items.len());
+    assert!(before == items[..before.len()]);
+    assert!(matches!(error, Some(ReadError::Corrupt { .. })), "{error:?}");
+    assert_eq!(ending, None);
+    // One that may be so long has only been torn off.
+    let (torn, error, ending) = claim(MAX_RECORD_BYTES);
+    assert!(torn == before && error.is_none() && ending == Some(Ending::Torn), "{error:?}");
+}
+
+#[test]
 fn a_repaired_file_is_the_prefix_and_complete() {
     let items = items();
     let bytes = record(&items, 6);

@@ -386,6 +386,21 @@ fn who_asks_and_never_measures_locks_nobody_out() {
 }
 
 #[test]
+fn beyond_64_that_measure_nobody_is_let_in_and_none_of_them_loses_anything() {
+    let mut rig = rig(Settings::default(), &(1..=64).collect::<Vec<_>>(), (0..64).map(one).collect());
+    rig.run_ms(500);
+    rig.device.trackers.push(one(64));
+    rig.samples.clear();
+    rig.run_ms(1500);
+    let counts =
+        (1..=64).map(|address| rig.samples.iter().filter(|sample| sample.address == address).count());
+    assert_eq!(counts.collect::<Vec<_>>(), [150; 64]);
+    assert!(!rig.device.trackers[64].connected);
+    assert!(rig.warnings.iter().any(|warning| warning.contains("A4:CF:12:00:00:40 wants to join")));
+    assert!(rig.session.losses().iter().all(|loss| loss.lost == 0));
+}
+
+#[test]
 fn an_answer_is_no_longer_than_its_question() {
     let mut rig = rig(named(&[7]), &[1], vec![one(7)]);
     rig.run_ms(500);

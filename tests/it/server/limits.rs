@@ -127,19 +127,31 @@ async fn a_stalled_client_loses_old_frames_and_nobody_else_does() {
 #[tokio::test]
 async fn a_silent_client_is_dropped() {
     let server = with(Limits { ping_interval_s: 0.02, silence_timeout_s: 0.2, ..Limits::default() });
+    let mut other = server.client().await;
+    other.subscribe(&["sensors"]).await;
     let mut silent = upgraded(&server).await;
     let mut all = Vec::new();
-    tokio::time::timeout(PATIENCE, silent.read_to_end(&mut all)).await.unwrap().unwrap();
+    // Another one has nothing to say either, and answers as it is asked.
+    tokio::select! {
+        read = tokio::time::timeout(PATIENCE, silent.read_to_end(&mut all)) => assert!(read.unwrap().is_ok()),
+        message = other.next() => panic!("nothing was published: {message}"),
+    }
     assert!(all.windows(18).any(|text| text == b"no answer to pings"));
+    server.frame(1);
+    assert_eq!(other.next().await["type"], "sensors");
 }
 
 #[tokio::test]
 async fn half_a_greeting_is_cut() {
     let server = with(Limits { greeting_timeout_s: 0.1, ..Limits::default() });
+    let mut other = server.client().await;
+    other.subscribe(&["sensors"]).await;
     let mut slow = TcpStream::connect(server.address).await.unwrap();
     slow.write_all(b"GET /ws HTTP/1.1\r\nHost: localh").await.unwrap();
     let mut all = Vec::new();
     tokio::time::timeout(PATIENCE, slow.read_to_end(&mut all)).await.unwrap().unwrap();
+    server.frame(1);
+    assert_eq!(other.next().await["type"], "sensors");
 }
 
 #[tokio::test]

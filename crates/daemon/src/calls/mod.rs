@@ -280,3 +280,44 @@ fn is_slow(call: &Call) -> bool {
 fn in_use(changed: Result<u32, FieldMapError>) -> Result<Option<Answer>, Refusal> {
     changed.map(|version| Some(Answer::MapVersion(MapVersion { version }))).map_err(Refusal::failed)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::fusion::INBOX_CAPACITY;
+    use super::super::inbox::{Event, Inbox};
+    use super::super::server::Hub;
+    use super::super::server::testing::{Asking, ids};
+    use super::*;
+    use posed_stage::input::{Entry, Input};
+
+    #[test]
+    fn more_commands_than_may_wait_are_refused_and_what_devices_say_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let (stage, clock) = (Stage::parse("name = \"s\"").unwrap(), StageClock::start());
+        let inbox = Inbox::new(INBOX_CAPACITY);
+        let jobs = Jobs::new(clock, Hub::default());
+        let calibration = Calibration::new(&stage, folder.path(), clock, inbox.clone(), jobs.clone());
+        let calls = Calls::new(&stage, folder.path().to_owned(), clock, inbox.clone(), jobs, calibration);
+        let (flooding, other) = (Asking::new(), Asking::new());
+        for id in 0..COMMANDS + 50 {
+            calls.carry_out(Call::RecordStop {}, flooding.reply(id));
+            inbox.enter(Entry { t: clock.now(), input: Input::Timer });
+        }
+        let refused = flooding.answers();
+        assert!(refused.iter().all(|answer| answer["code"] == "busy"), "{refused:?}");
+        assert_eq!(ids(&refused), (COMMANDS..COMMANDS + 50).collect::<Vec<_>>());
+        // The thread goes on: all that waits for it is there, and there is room again.
+        let mut entries = 0;
+        while let Some(event) = inbox.pop_until(Some(clock.instant(clock.now()))) {
+            match event {
+                Event::Entry(_) => entries += 1,
+                Event::Command(Command::StopRecording { reply }) => reply.unwrap().ok(None),
+                Event::Command(command) => panic!("{command:?}"),
+            }
+        }
+        assert_eq!(entries, COMMANDS + 50);
+        assert_eq!(ids(&flooding.answers()), (0..COMMANDS).collect::<Vec<_>>());
+        calls.carry_out(Call::RecordStop {}, other.reply(7));
+        assert_eq!((inbox.commands(), other.answers().len()), (1, 0));
+    }
+}

@@ -37,11 +37,16 @@ impl Lsl {
     ) -> Result<Self, String> {
         let library = Arc::new(Library::load(settings.library.as_deref())?);
         let outlets = streams.iter().map(|stream| library.offer(stream)).collect::<Result<Vec<_>, _>>()?;
+        Self::with(move |receiver| run(&library, &outlets, &receiver, clock))
+    }
+
+    /// With what the thread does with the samples.
+    fn with(run: impl FnOnce(Receiver<Sample>) + Send + 'static) -> Result<Self, String> {
         let (sender, receiver) = bounded(WAITING);
         #[expect(clippy::disallowed_methods, reason = "the daemon owns the thread that calls liblsl")]
         let thread = std::thread::Builder::new()
             .name("lsl".to_owned())
-            .spawn(move || run(&library, &outlets, &receiver, clock))
+            .spawn(move || run(receiver))
             .map_err(|error| format!("the system gives no thread for LSL: {error}"))?;
         Ok(Self { sender: Some(sender), thread: Some(thread) })
     }
@@ -106,7 +111,32 @@ fn offset_s(library: &Library, clock: StageClock) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use posed_drivers::Timestamp;
+
     use super::*;
+
+    #[test]
+    fn samples_beyond_those_that_may_wait_are_left_out_and_those_that_wait_are_told() {
+        let (release, held) = bounded::<()>(0);
+        let (told_in, told) = bounded(2 * WAITING);
+        let lsl = Lsl::with(move |samples| {
+            let _ = held.recv();
+            samples.iter().for_each(|sample| told_in.send(sample.t).unwrap());
+        });
+        let lsl = lsl.unwrap();
+        // Gone before it, so that a failure ends the thread too.
+        let release = release;
+        let t = |n: usize| Timestamp::from_nanos(n as i64);
+        let report = |n| lsl.report(Sample { stream: 0, t: t(n), data: Data::Numbers(Vec::new()) });
+        let taken: Vec<usize> = (0..WAITING + 50).filter(|n| report(*n)).collect();
+        assert_eq!(taken, (0..WAITING).collect::<Vec<_>>());
+        drop(release);
+        // Once the library goes on, all that waited is there, and so is what comes.
+        let next = |n: usize| assert_eq!(told.recv().unwrap(), t(n));
+        (0..WAITING).for_each(next);
+        assert!(report(9999));
+        next(9999);
+    }
 
     #[test]
     fn a_library_that_is_none_or_not_there_is_said_in_words() {

@@ -166,5 +166,9 @@ mod tests {
         let taken = recent.values.len() * size_of::<f64>();
         assert!(taken <= MOST_BYTES && taken > MOST_BYTES / 2, "{taken} bytes");
         assert_eq!(recent.values.len(), recent.t_s.len() * recent.columns.len());
+        // The newest are there without a gap.
+        let first = 10_000 - recent.t_s.len();
+        let expected = (first..10_000).map(|tick| Timestamp::from_secs_f64(tick as f64 * 1e-3).as_secs_f64());
+        assert!(recent.t_s.iter().copied().eq(expected));
     }
 }

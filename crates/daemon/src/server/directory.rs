@@ -321,7 +321,50 @@ mod tests {
     use posed_protocol::Topic;
     use serde_json::json;
 
+    use super::super::testing::received;
     use super::*;
+
+    fn subscribe() -> Feed {
+        Feed::Subscribe {
+            topics: vec![Topic::Sensors],
+            max_rate_hz: None,
+            sensors: None,
+            fields: None,
+            drop: None,
+        }
+    }
+
+    #[tokio::test]
+    async fn who_subscribes_without_end_is_refused_and_the_others_are_not() {
+        let mut directory = Directory::new(Arc::new(Metrics::new()));
+        let (stage_in, mut stage) = mpsc::channel(4 * WISHES);
+        directory.stages.insert("a".into(), stage_in);
+        let outboxes = super::super::outbox::Outboxes::new(&posed_stage::Limits::default());
+        let clients = [1, 2, 3].map(|client| {
+            let outbox = Arc::new(outboxes.open(Encoding::Json, 16));
+            directory.clients.insert(client, Client { outbox: Arc::clone(&outbox), wishes: Vec::new() });
+            outbox
+        });
+        for id in 0..WISHES as i64 + 10 {
+            directory.ask(1, RequestId::Number(id), None, subscribe()).await;
+        }
+        // One whose lists are long is refused before.
+        let long = Some(vec!["a".repeat(14); 500]);
+        for id in 0..5 {
+            directory.ask(2, RequestId::Number(id), long.clone(), subscribe()).await;
+        }
+        directory.ask(3, RequestId::Number(7), None, subscribe()).await;
+        let [many, large, other] = clients.map(|outbox| received(&outbox));
+        let served = |answers: &[Value]| answers.iter().take_while(|answer| answer["type"] == "ok").count();
+        let is_busy = |answers: &[Value]| answers.iter().all(|answer| answer["code"] == "busy");
+        assert_eq!((many.len(), served(&many)), (WISHES + 10, WISHES));
+        assert!(is_busy(&many[WISHES..]));
+        assert_eq!((large.len(), served(&large)), (5, 3));
+        assert!(is_busy(&large[3..]));
+        assert_eq!((other.len(), served(&other)), (1, 1));
+        // The stage has heard of those that were taken and are about it.
+        assert_eq!(std::iter::from_fn(|| stage.try_recv().ok()).count(), WISHES + 1);
+    }
 
     #[test]
     fn what_a_client_wants_takes_no_more_than_its_budget() {
@@ -334,13 +377,7 @@ mod tests {
         let outbox = Arc::new(outboxes.open(Encoding::Json, 16));
         let mut client = Client { outbox, wishes: Vec::new() };
         let stages = vec!["a stage's name".to_owned(); 500];
-        let feed = Feed::Subscribe {
-            topics: vec![Topic::Sensors],
-            max_rate_hz: None,
-            sensors: None,
-            fields: None,
-            drop: None,
-        };
+        let feed = subscribe();
         while client.has_room_for(Some(&stages), &feed) {
             client.wishes.push((RequestId::Number(2), Some(stages.clone()), feed.clone()));
         }

@@ -468,7 +468,9 @@ fn written(
 mod tests {
     use posed_drivers::Timestamp;
 
+    use super::super::testing::received;
     use super::*;
+    use posed_fusion::faults::Cause;
     use posed_motion::exercise::EventKind;
     use posed_stage::Stage;
     use posed_stage::output::{Estimate, Outcome};
@@ -563,14 +565,38 @@ mod tests {
         assert_eq!(reported, [r#""b" "state" null"#, r#""b" "counted" 2"#, r#""a" "state" null"#]);
     }
 
-    fn received(outbox: &Outbox) -> Vec<serde_json::Value> {
-        let mut out = Vec::new();
-        let mut all = Vec::new();
-        while let Ok(Some(_)) = outbox.pop(&mut out) {
-            all.push(serde_json::from_slice(&out).unwrap());
-            out.clear();
+    #[test]
+    fn events_beyond_those_that_are_kept_are_the_oldest_and_who_was_there_has_had_them() {
+        let limits = Limits { events: 3, ..Limits::default() };
+        let mut distributor = distributor(&limits);
+        let feed = |distributor: &mut Distributor, client, feed| {
+            distributor.handle(Command::Feed { client, id: RequestId::Number(1), feed });
+        };
+        let was_there = connect(&mut distributor, 1, &limits);
+        let faults = Feed::Subscribe {
+            topics: vec![Topic::Faults],
+            max_rate_hz: None,
+            sensors: None,
+            fields: None,
+            drop: None,
+        };
+        feed(&mut distributor, 1, faults);
+        for sensor in 0..5 {
+            let what = OutcomeKind::Fault { sensor, cause: Cause::Gate, active: true };
+            let t = Timestamp::ZERO;
+            publish(&mut distributor, Item::Outcome(Box::new(Outcome { t_valid: t, t_decided: t, what })));
         }
-        all
+        let back = connect(&mut distributor, 2, &limits);
+        feed(&mut distributor, 2, Feed::Resume { after: 0 });
+        let ids = |outbox: &Outbox| {
+            let mut messages = received(outbox);
+            let answer = messages.remove(0);
+            assert_eq!(answer["type"], "ok");
+            let ids: Vec<_> = messages.iter().map(|message| message["event_id"].as_u64().unwrap()).collect();
+            (answer["result"]["complete"].clone(), ids)
+        };
+        assert_eq!(ids(&back), (false.into(), vec![3, 4, 5]));
+        assert_eq!(ids(&was_there).1, [1, 2, 3, 4, 5]);
     }
 
     #[test]
@@ -611,6 +637,8 @@ mod tests {
         assert_eq!(distributor.metrics.bodies.get(), 2);
         subscribe(&mut distributor, 9, None, &[Field::Device]);
         assert_eq!(received(&outboxes[9])[0]["code"], "busy", "no third view");
+        frame(&mut distributor, 10_000);
+        assert!(outboxes[..9].iter().all(|outbox| received(outbox).len() == 3), "an answer and both frames");
         for client in (0..9).filter(|client| client % 2 == 0) {
             distributor.handle(Command::Disconnect { client });
         }

@@ -317,3 +317,73 @@ impl Dialect for Viewer {
         let _ = self.command(Command::Disconnect { client: self.id }).await;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use posed_drivers::Timestamp;
+
+    use super::super::outbox::Form;
+    use super::super::testing::services;
+    use super::super::{Command as Told, StageServices};
+    use super::*;
+    use posed_fusion::faults::Cause;
+    use posed_protocol::Counters;
+    use posed_stage::output::{Estimate, Outcome, OutcomeKind};
+
+    /// Numbers of the subscriptions and times of the messages that wait for a viewer.
+    fn data(outbox: &Outbox) -> Vec<(u32, u64)> {
+        let (mut out, mut all) = (Vec::new(), Vec::new());
+        while let Ok(Some(form)) = outbox.pop(&mut out) {
+            if form == Form::Binary {
+                let subscription = u32::from_le_bytes(out[1..5].try_into().unwrap());
+                all.push((subscription, u64::from_le_bytes(out[5..13].try_into().unwrap())));
+            }
+            out.clear();
+        }
+        all
+    }
+
+    #[tokio::test]
+    async fn a_viewer_that_reads_nothing_loses_the_oldest_and_no_event_and_another_loses_nothing() {
+        let stage = "name = \"s\"\n[[device]]\nname = \"d\"\ndriver = \"flock-of-birds\"\nport = \"auto\"\n\
+                     [[sensor]]\nname = \"a\"\ndevice = \"d\"\naddress = 1\n";
+        let StageServices { shared, mut viewers, mut commands, .. } = services(&Stage::parse(stage).unwrap());
+        let channel = |topic| {
+            let place = viewers.channels.iter().position(|channel| channel.published() == Some(topic));
+            place.unwrap() + 1
+        };
+        let subscribe = format!(
+            r#"{{"op": "subscribe", "subscriptions": [{{"id": 1, "channelId": {}}}, {{"id": 2, "channelId": {}}}]}}"#,
+            channel(Topic::Sensors),
+            channel(Topic::Faults)
+        );
+        let (mut stalled, mut reading) =
+            (Viewer::begin(&shared).await.unwrap(), Viewer::begin(&shared).await.unwrap());
+        for viewer in [&mut stalled, &mut reading] {
+            viewer.hear(Received::Text(&subscribe)).await.unwrap();
+        }
+        while let Ok(Told::Viewer(command)) = commands.try_recv() {
+            viewers.handle(command);
+        }
+        let mut counters = Counters::default();
+        let mut publish = |item: Item| {
+            let stamp = counters.stamp(&item.payload().unwrap());
+            viewers.publish(&item, Some(&stamp));
+        };
+        let what = OutcomeKind::Fault { sensor: 0, cause: Cause::Gate, active: true };
+        let t = Timestamp::ZERO;
+        publish(Item::Outcome(Box::new(Outcome { t_valid: t, t_decided: t, what })));
+        assert_eq!(data(&reading.outbox).len(), 1);
+        let surplus = 50;
+        for frame in 1..=(WAITING + surplus) as u64 {
+            let t_valid = Timestamp::from_nanos(frame as i64 * 1_000_000);
+            publish(Item::Estimate(Estimate { frame, t_valid, ..Estimate::default() }));
+            assert_eq!(data(&reading.outbox), [(1, frame * 1_000_000)]);
+        }
+        assert_eq!(shared.metrics.dropped.get(), surplus as u64);
+        let waiting = data(&stalled.outbox);
+        assert_eq!(waiting[0].0, 2, "the event is first, and there");
+        let newest = (surplus + 1..=WAITING + surplus).map(|frame| (1, frame as u64 * 1_000_000));
+        assert!(waiting[1..].iter().copied().eq(newest), "{waiting:?}");
+    }
+}

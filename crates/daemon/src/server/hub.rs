@@ -182,11 +182,21 @@ mod tests {
     #[test]
     fn a_server_that_has_stopped_fills_no_memory() {
         let hub = Hub::default();
-        let what = OutcomeKind::Fault { sensor: 0, cause: Cause::Gate, active: true };
-        let outcome = Outcome { t_valid: Timestamp::ZERO, t_decided: Timestamp::ZERO, what };
-        (0..2 * EVENTS).for_each(|_| hub.publish(&Output::Outcome(&outcome)));
+        let surplus = 100;
+        for n in 0..(EVENTS + surplus) as i64 {
+            let what = OutcomeKind::Fault { sensor: 0, cause: Cause::Gate, active: true };
+            let outcome = Outcome { t_valid: Timestamp::from_nanos(n), t_decided: Timestamp::ZERO, what };
+            hub.publish(&Output::Outcome(&outcome));
+        }
         assert_eq!(hub.lock().items.len(), EVENTS);
-        assert_eq!(hub.dropped(), EVENTS as u64);
+        assert_eq!(hub.dropped(), surplus as u64);
+        // The newest are there, in their order, for a server that goes on.
+        for n in surplus..EVENTS + surplus {
+            let Some(Item::Outcome(outcome)) = hub.take() else { panic!("{n} is not there") };
+            assert_eq!(outcome.t_valid, Timestamp::from_nanos(n as i64));
+        }
+        hub.publish_estimate(&Estimate::default());
+        assert!(matches!(hub.take(), Some(Item::Estimate(_))));
     }
 
     #[test]
@@ -200,6 +210,8 @@ mod tests {
         }
         assert_eq!(hub.dropped(), 10);
         assert!(matches!(hub.take(), Some(Item::Outcome(_))));
-        assert!(matches!(hub.take(), Some(Item::Estimate(estimate)) if estimate.frame == 10));
+        for newest in 10..CAPACITY as u64 + 9 {
+            assert!(matches!(hub.take(), Some(Item::Estimate(estimate)) if estimate.frame == newest));
+        }
     }
 }

@@ -133,3 +133,43 @@ async fn serve(
         Err(_) => context.metrics.refuse("timeout"),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
+
+    use super::super::testing::context;
+    use super::*;
+
+    /// A request whose head has so many bytes.
+    fn request(head_bytes: usize) -> String {
+        let begin = "GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nA: ";
+        let end = "\r\n\r\n";
+        format!("{begin}{}{end}", "b".repeat(head_bytes - begin.len() - end.len()))
+    }
+
+    async fn answer(mut connection: DuplexStream, rest: &str) -> String {
+        connection.write_all(rest.as_bytes()).await.unwrap();
+        let mut answer = String::new();
+        connection.read_to_string(&mut answer).await.unwrap();
+        answer.lines().next().unwrap_or_default().to_owned()
+    }
+
+    #[tokio::test]
+    async fn a_head_beyond_what_is_read_ends_its_connection_and_no_other() {
+        let context = context(&Limits::default());
+        let connect = |address: &str| {
+            let slot = Arc::new(context.slots.wait(address.parse().unwrap()).unwrap());
+            let (near, far) = duplex(4 * HEAD_BYTES);
+            let context = Arc::clone(&context);
+            tokio::spawn(async move { serve(far, axum::Router::new(), &context, &slot).await });
+            near
+        };
+        // Another one is at its own head meanwhile, and there is nothing at the end of its way.
+        let (mut other, head) = (connect("192.0.2.2"), request(HEAD_BYTES - 100));
+        other.write_all(&head.as_bytes()[..100]).await.unwrap();
+        let refused = answer(connect("192.0.2.1"), &request(HEAD_BYTES + 100)).await;
+        assert_eq!(refused, "HTTP/1.1 431 Request Header Fields Too Large");
+        assert_eq!(answer(other, &head[100..]).await, "HTTP/1.1 404 Not Found");
+    }
+}

@@ -28,6 +28,8 @@ mod reports;
 mod requests;
 mod slots;
 mod streams;
+#[cfg(test)]
+pub(crate) mod testing;
 mod tls;
 mod viewer;
 mod vmc;

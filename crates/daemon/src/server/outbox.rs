@@ -312,6 +312,34 @@ mod tests {
     }
 
     #[test]
+    fn what_one_client_lets_wait_costs_no_other_anything() {
+        let limits = Limits {
+            latest_messages: 2,
+            queue_messages: 4,
+            lossless_messages: 3,
+            queue_bytes: 1000,
+            ..Limits::default()
+        };
+        let outboxes = Outboxes::new(&limits);
+        let open = || outboxes.open(Encoding::Json, limits.queue_messages);
+        let (latest, queue, large, events, other) = (open(), open(), open(), open(), open());
+        let mut got = Vec::new();
+        for seq in 0..20 {
+            latest.push_data(data(Topic::Sensors, seq, 10), DropPolicy::Latest);
+            queue.push_data(data(Topic::Sensors, seq, 10), DropPolicy::Queue);
+            large.push_data(data(Topic::Sensors, seq, 400), DropPolicy::Queue);
+            events.push_lossless(data(Topic::Faults, seq, 10));
+            other.push_data(data(Topic::Sensors, seq, 400), DropPolicy::Queue);
+            other.push_lossless(data(Topic::Faults, seq, 10));
+            got.extend(taken(&other));
+        }
+        assert_eq!([latest, queue, large].map(|outbox| taken(&outbox).len()), [2, 4, 2]);
+        assert_eq!(events.pop(&mut Vec::new()), Err(Close::TOO_SLOW));
+        let all = (0..20).flat_map(|seq| [format!("faults {seq} 0"), format!("sensors {seq} 0")]);
+        assert!(got.into_iter().eq(all));
+    }
+
+    #[test]
     fn events_go_first_and_close_whom_they_flood() {
         let outbox = outbox();
         outbox.push_data(data(Topic::Sensors, 0, 10), DropPolicy::Latest);

@@ -56,6 +56,10 @@ pub struct Reply {
 }
 
 impl Reply {
+    pub(super) fn new(outbox: Arc<Outbox>, id: RequestId) -> Self {
+        Self { outbox, id: Some(id) }
+    }
+
     /// Answers that it is done; `result` is what was asked for, `None` where there is nothing to tell.
     pub fn ok(mut self, result: Option<Answer>) {
         let id = self.id.take();
@@ -136,7 +140,7 @@ impl Requests {
     }
 
     fn call(&self, id: RequestId, call: Call) {
-        let reply = Reply { outbox: Arc::clone(&self.outbox), id: Some(id) };
+        let reply = Reply::new(Arc::clone(&self.outbox), id);
         if !self.shared.operable {
             reply.error("hub", "a hub shows its stages; ask the daemon of the stage itself for this");
             return;
@@ -185,5 +189,117 @@ impl Dialect for Requests {
 
     async fn leave(self) {
         let _ = self.report(distributor::Command::Disconnect { client: self.id }).await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::pin::pin;
+
+    use futures_util::FutureExt;
+    use tokio::sync::mpsc;
+
+    use super::super::distributor::Distributor;
+    use super::super::hub::Item;
+    use super::super::testing::{ids, received, services};
+    use super::super::{CALLS, COMMANDS, StageServices};
+    use super::*;
+    use posed_protocol::Counters;
+    use posed_stage::Stage;
+    use posed_stage::output::Estimate;
+
+    const SUBSCRIBE: &str = r#"{"id": 1, "type": "subscribe", "topics": ["sensors"]}"#;
+
+    fn stage() -> StageServices {
+        services(&Stage::parse("name = \"s\"").unwrap())
+    }
+
+    async fn operator(shared: &Arc<Shared>) -> Requests {
+        Requests::begin(Encoding::Json, Role::Operate, shared).await.unwrap()
+    }
+
+    async fn ask(requests: &mut Requests, id: usize) {
+        let request = format!(r#"{{"id": {id}, "type": "record.stop"}}"#);
+        requests.hear(Received::Text(&request)).await.unwrap();
+    }
+
+    /// Carries out what clients have told so far; how much that was.
+    fn distribute(distributor: &mut Distributor, commands: &mut mpsc::Receiver<Command>) -> usize {
+        let told = std::iter::from_fn(|| commands.try_recv().ok());
+        told.map(|command| match command {
+            Command::Client(command) => distributor.handle(command),
+            Command::Viewer(_) => panic!("nobody views"),
+        })
+        .count()
+    }
+
+    fn distributor(shared: &Shared) -> Distributor {
+        let limits = shared.context.limits.clone();
+        Distributor::new(Arc::clone(&shared.names), limits, Arc::clone(&shared.metrics), Counters::default())
+    }
+
+    fn frame(distributor: &mut Distributor) {
+        let item = Item::Estimate(Estimate::default());
+        let stamp = distributor.stamp(&item);
+        distributor.publish(item, stamp);
+    }
+
+    #[tokio::test]
+    async fn more_requests_than_may_wait_are_refused_and_those_that_wait_are_carried_out() {
+        let StageServices { shared, mut commands, mut calls, .. } = stage();
+        let (mut asking, mut other) = (operator(&shared).await, operator(&shared).await);
+        for id in 0..CALLS + 10 {
+            ask(&mut asking, id).await;
+        }
+        let refused = received(&asking.outbox).split_off(1);
+        assert!(refused.iter().all(|answer| answer["code"] == "busy"), "{refused:?}");
+        assert_eq!(ids(&refused), (CALLS..CALLS + 10).collect::<Vec<_>>());
+        // Who watches is served all the same.
+        let mut distributor = distributor(&shared);
+        other.hear(Received::Text(SUBSCRIBE)).await.unwrap();
+        distribute(&mut distributor, &mut commands);
+        frame(&mut distributor);
+        let received_meanwhile = received(&other.outbox);
+        assert_eq!(
+            (&received_meanwhile[1]["type"], &received_meanwhile[2]["type"]),
+            (&"ok".into(), &"sensors".into())
+        );
+        // All that wait are answered, in their order, and then there is room for everybody.
+        while let Ok(PendingCall { reply, .. }) = calls.try_recv() {
+            reply.ok(None);
+        }
+        let answered = received(&asking.outbox);
+        assert!(answered.iter().all(|answer| answer["type"] == "ok"), "{answered:?}");
+        assert_eq!(ids(&answered), (0..CALLS).collect::<Vec<_>>());
+        ask(&mut other, 7).await;
+        assert!(calls.try_recv().is_ok());
+    }
+
+    #[tokio::test]
+    async fn who_tells_more_than_the_distributor_has_room_for_waits_and_nothing_told_is_lost() {
+        let StageServices { shared, mut commands, mut calls, .. } = stage();
+        let (mut eager, mut other) = (operator(&shared).await, operator(&shared).await);
+        let outbox = Arc::clone(&eager.outbox);
+        // Both have told that they are there.
+        for _ in 2..COMMANDS {
+            eager.hear(Received::Text(SUBSCRIBE)).await.unwrap();
+        }
+        assert_eq!(shared.commands.capacity(), 0);
+        let mut one_more = pin!(eager.hear(Received::Text(SUBSCRIBE)));
+        assert!(one_more.as_mut().now_or_never().is_none());
+        // What another one asks of the daemon goes out past it.
+        ask(&mut other, 7).await;
+        assert!(calls.try_recv().is_ok());
+        let mut distributor = distributor(&shared);
+        assert_eq!(distribute(&mut distributor, &mut commands), COMMANDS);
+        one_more.await.unwrap();
+        other.hear(Received::Text(SUBSCRIBE)).await.unwrap();
+        assert_eq!(distribute(&mut distributor, &mut commands), 2);
+        frame(&mut distributor);
+        // A greeting, the answers, the frame.
+        assert_eq!(received(&outbox).len(), 1 + (COMMANDS - 2) + 1 + 1);
+        let types: Vec<_> =
+            received(&other.outbox).into_iter().map(|message| message["type"].clone()).collect();
+        assert_eq!(types, ["hello", "error", "ok", "sensors"]);
     }
 }

@@ -3,14 +3,14 @@
 //! In: frames and outcomes from the distributor's task, connections and datagrams from sockets. Out: messages of [`posed_protocol::vrpn`]. Never: a wait for a
 //! client. Each frame is serialised once; a client that does not read loses the oldest frames, and its connection in the end.
 
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream, UdpSocket};
-use tokio::sync::{Notify, Semaphore, watch};
+use tokio::sync::{Notify, watch};
 use tokio::time::timeout;
 
 use super::budget::Metered;
@@ -29,8 +29,9 @@ const DEFAULT_LISTEN: &str = "127.0.0.1:3883";
 const GREETING_TIMEOUT: Duration = Duration::from_secs(2);
 /// A client that has not read for so long is gone.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
-/// Calls back that are under way at a time.
+/// Calls back that are under way at a time, and those of them that go to one address: one that asks for many locks nobody out.
 const CALLS: usize = 16;
+const CALLS_PER_ADDRESS: usize = 4;
 /// Longest datagram that asks for a call.
 const MAX_REQUEST: usize = 199;
 
@@ -128,8 +129,7 @@ impl Vrpn {
 
     /// Connects to the clients that ask for it by a datagram: to where it came from, not to the host that it names.
     async fn call_back(&self, down: &watch::Receiver<bool>) {
-        let known: Arc<Mutex<BTreeSet<SocketAddr>>> = Arc::default();
-        let calls = Arc::new(Semaphore::new(CALLS));
+        let calls = Calls::default();
         let mut datagram = [0; MAX_REQUEST + 1];
         loop {
             let Ok((length, source)) = self.udp.recv_from(&mut datagram).await else {
@@ -146,19 +146,18 @@ impl Vrpn {
                 continue;
             }
             let target = SocketAddr::new(source.ip(), port);
-            let Ok(permit) = Arc::clone(&calls).try_acquire_owned() else { continue };
             // It asks again and again until it is connected.
-            let Some(place) = CallSlot::take(&known, target) else { continue };
+            let Some(call) = calls.begin(target) else { continue };
             let Some(connection) = self.connection(source.ip()) else { continue };
             let down = down.clone();
             tokio::spawn(async move {
                 let called = timeout(GREETING_TIMEOUT, TcpStream::connect(target)).await;
-                drop(permit);
+                call.settled();
                 if let Ok(Ok(stream)) = called {
                     let _ = stream.set_nodelay(true);
                     connection.serve(stream, down).await;
                 }
-                drop(place);
+                drop(call);
             });
         }
     }
@@ -341,22 +340,46 @@ impl Drop for Present<'_> {
     }
 }
 
-/// An address that is being called or has been; free when dropped.
-struct CallSlot {
-    known: Arc<Mutex<BTreeSet<SocketAddr>>>,
+/// Addresses that are being called, or have been and are connected; clones share them. True: it is under way.
+#[derive(Clone, Default)]
+struct Calls(Arc<Mutex<BTreeMap<SocketAddr, bool>>>);
+
+/// One of them; free when dropped.
+struct Call {
+    calls: Calls,
     target: SocketAddr,
 }
 
-impl CallSlot {
-    fn take(known: &Arc<Mutex<BTreeSet<SocketAddr>>>, target: SocketAddr) -> Option<Self> {
-        let free = known.lock().unwrap_or_else(PoisonError::into_inner).insert(target);
-        free.then(|| Self { known: Arc::clone(known), target })
+impl Calls {
+    /// Takes a place for a call; `None` where there is none, or this target has one already.
+    fn begin(&self, target: SocketAddr) -> Option<Call> {
+        let mut known = self.lock();
+        let under_way = || known.iter().filter(|(_, is_under_way)| **is_under_way).map(|(known, _)| known);
+        let is_full = under_way().count() >= CALLS
+            || under_way().filter(|known| known.ip() == target.ip()).count() >= CALLS_PER_ADDRESS;
+        if is_full || known.contains_key(&target) {
+            return None;
+        }
+        known.insert(target, true);
+        Some(Call { calls: self.clone(), target })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<SocketAddr, bool>> {
+        // Every change is complete before anything in it could panic.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Drop for CallSlot {
+impl Call {
+    /// It has been answered, or is given up: another one may begin.
+    fn settled(&self) {
+        self.calls.lock().insert(self.target, false);
+    }
+}
+
+impl Drop for Call {
     fn drop(&mut self) {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.target);
+        self.calls.lock().remove(&self.target);
     }
 }
 
@@ -373,6 +396,37 @@ fn requested_port(datagram: &[u8]) -> Option<u16> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn target(host: u8, port: u16) -> SocketAddr {
+        SocketAddr::from(([192, 0, 2, host], port))
+    }
+
+    #[test]
+    fn more_calls_than_may_be_under_way_are_not_made_and_those_that_are_go_on() {
+        let calls = Calls::default();
+        let mut under_way: Vec<Call> =
+            (0..CALLS as u8).map(|host| calls.begin(target(host, 4000)).unwrap()).collect();
+        assert!(calls.begin(target(99, 4000)).is_none());
+        // Who is connected has a place and takes none of another one, and is not called twice.
+        under_way[0].settled();
+        let late = calls.begin(target(99, 4000)).unwrap();
+        assert!(calls.begin(target(98, 4000)).is_none());
+        drop(late);
+        assert!(calls.begin(target(0, 4000)).is_none());
+        drop(under_way.remove(0));
+        assert!(calls.begin(target(0, 4000)).is_some());
+    }
+
+    #[test]
+    fn an_address_that_asks_for_many_calls_locks_no_other_out() {
+        let calls = Calls::default();
+        let flood: Vec<Call> = (1024..=u16::MAX).filter_map(|port| calls.begin(target(1, port))).collect();
+        assert_eq!(flood.len(), CALLS_PER_ADDRESS);
+        assert!(calls.begin(target(2, 4000)).is_some());
+        // Nor itself, once they are through.
+        flood.iter().for_each(Call::settled);
+        assert!(calls.begin(target(1, 9)).is_some());
+    }
 
     #[test]
     fn only_a_host_and_a_high_port_are_a_request() {

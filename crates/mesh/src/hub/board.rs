@@ -81,3 +81,28 @@ impl Board {
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_is_gone_or_has_said_nothing_gives_way_and_who_is_there_does_not() {
+        let board = Board::new(StageClock::start());
+        for (id, state, since_s) in [
+            ("there", StagePresence::Present, 0.0),
+            ("silent", StagePresence::Joining, 1.0),
+            ("silent for longer", StagePresence::Joining, 0.5),
+            ("gone", StagePresence::Gone, 3.0),
+            ("gone for longer", StagePresence::Gone, 2.0),
+            ("there too", StagePresence::Present, 9.0),
+        ] {
+            board.enter(id);
+            board.write(id, |entry| (entry.state, entry.since_s) = (state, since_s));
+        }
+        let forgotten: Vec<String> = std::iter::from_fn(|| board.forget_one()).collect();
+        assert_eq!(forgotten, ["gone for longer", "gone", "silent for longer", "silent"]);
+        let left = board.stages().stages.into_iter().map(|entry| entry.id);
+        assert!(left.eq(["there", "there too"]));
+    }
+}

@@ -116,3 +116,28 @@ fn owned(output: &Output<'_>) -> Option<Item> {
         _ => return None,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chunk(first: usize, until: usize) -> LogChunk {
+        let entries = (first..until).map(|n| Bytes(n.to_le_bytes().to_vec())).collect();
+        LogChunk { run: 0, first: first as u64, entries }
+    }
+
+    #[test]
+    fn entries_beyond_those_that_may_wait_are_asked_for_again_and_none_is_left_out_or_doubled() {
+        let (entries_in, entries) = bounded(ENTRIES);
+        let (all, past) = (ENTRIES + 300, ENTRIES as u64);
+        let mut fuser = Fuser { next: 0, entries: Some(entries_in), thread: None };
+        assert_eq!(fuser.take(chunk(0, all)), Taken::Missing(past));
+        // Nor does a later run of them go past those that are missing.
+        assert_eq!(fuser.take(chunk(all, all + 10)), Taken::Missing(past));
+        let mut fused: Vec<Vec<u8>> = entries.try_iter().map(|Bytes(bytes)| bytes).collect();
+        assert_eq!(fuser.take(chunk(ENTRIES - 5, all)), Taken::All);
+        assert_eq!(fuser.next(), all as u64);
+        fused.extend(entries.try_iter().map(|Bytes(bytes)| bytes));
+        assert!(fused.into_iter().eq((0..all).map(|n| n.to_le_bytes().to_vec())));
+    }
+}

@@ -12,9 +12,10 @@ mod follow;
 mod fuse;
 mod questions;
 mod relation;
+mod runs;
 mod tokens;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -28,6 +29,7 @@ use zenoh::sample::SampleKind;
 
 use self::board::Board;
 use self::follow::Follower;
+use self::runs::{RUNS, Runs};
 use self::tokens::Tokens;
 use super::session::{self, LinkError};
 use super::wire::{Keys, RUN, TOKEN};
@@ -38,9 +40,8 @@ use posed_stage::Stage;
 
 /// Distance of two words about all stages when nothing changes.
 const TELL: Duration = Duration::from_secs(1);
-/// Stages that are followed at a time, and runs that are known.
+/// Stages that are followed at a time.
 const STAGES: usize = 64;
-const RUNS: usize = 256;
 /// Time that everything has to end.
 const SHUTDOWN: Duration = Duration::from_secs(4);
 
@@ -115,7 +116,7 @@ impl Hub {
             clock,
             fuse,
             followed: BTreeMap::new(),
-            runs: BTreeMap::new(),
+            runs: Runs::default(),
             reported: BTreeMap::new(),
         };
         tasks.spawn(vital.task("what follows the stages", followers.run(down)));
@@ -183,8 +184,7 @@ struct Followers {
     clock: StageClock,
     fuse: Vec<String>,
     followed: BTreeMap<String, watch::Sender<bool>>,
-    /// Runs that are there now, by the stage's key.
-    runs: BTreeMap<String, BTreeSet<String>>,
+    runs: Runs,
     /// What the daemons of a key with several are identified by.
     reported: BTreeMap<String, LivelinessToken>,
 }
@@ -222,21 +222,13 @@ impl Followers {
     /// A daemon has come or gone: two under one key do not see each other through this hub, and are notified.
     async fn run_seen(&mut self, keys: &Keys, run: &str, there: bool) {
         let key = keys.stage();
-        if there && self.runs.values().map(BTreeSet::len).sum::<usize>() >= RUNS {
+        let Some(runs) = self.runs.see(key, run, there) else {
             return tracing::warn!("more than {RUNS} daemons: {key} is not looked at for a second one");
-        }
-        let runs = self.runs.entry(key.to_owned()).or_default();
-        _ = if there { runs.insert(run.to_owned()) } else { runs.remove(run) };
-        if runs.len() < 2 {
+        };
+        if runs < 2 {
             self.reported.remove(key);
-            if runs.is_empty() {
-                self.runs.remove(key);
-            }
         } else if !self.reported.contains_key(key) {
-            tracing::warn!(
-                "{} daemons run under the key {key}: give all but one another zenoh.key",
-                runs.len()
-            );
+            tracing::warn!("{runs} daemons run under the key {key}: give all but one another zenoh.key");
             match self.session.liveliness().declare_token(keys.twin(&self.session.zid().to_string())).await {
                 Ok(token) => _ = self.reported.insert(key.to_owned(), token),
                 Err(error) => tracing::warn!("{key}: {error}"),
