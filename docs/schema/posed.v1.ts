@@ -270,13 +270,16 @@ export type Deviation = {
   phase: number;
   /** Range of the channel, the taught one being 1. */
   range: number;
-  /** Its deviation, in the channel's unit; positive is more than taught. */
+  /** Its deviation, in the channel's unit; positive is more than taught. At a turning point that of its way, beside how far the other joints went. */
   size: number;
-  /** The same in standard deviations of the taught movement. */
-  size_sd: number;
   /** Duration, the taught median being 1. */
   tempo: number;
+  /** The same, the least that is worth a word being 1; 0 of a channel that no word is said of. */
+  worth: number;
 };
+
+/** In which way a channel deviates. */
+export type DeviationKind = "too_far" | "short" | "too_high" | "too_low";
 
 /** Health of a device. Counts never go back. */
 export type DeviceStatus = {
@@ -351,6 +354,8 @@ export type Exercise = {
   revision?: number;
   /** Sizes in which the movement was taught, falling from 1: the first and the last step of a walk are smaller. */
   sizes?: number[];
+  /** Turning point of each channel, in the order of `channels`; empty: those of the states' means, whose spread is not known. */
+  turns?: Turn[];
   /** Version of the format. */
   version: number;
 };
@@ -390,6 +395,8 @@ export type ExerciseEventMessage = ({
   phase: number | null;
   /** In words. */
   sentence: string | null;
+  /** The same in German. */
+  sentence_de: string | null;
 }) & {
   /** Data messages of all topics that were dropped for this client so far. */
   dropped: number;
@@ -739,14 +746,20 @@ export type JointEntry = {
 export type Judged = {
   /** Repetitions counted since it was selected or reset, with this one; only rises. */
   count: number;
-  /** The numbers behind the sentence. */
+  /** What deviated most, worth a word or not. */
   deviation: Deviation | null;
   /** The exercise. */
   exercise: string;
   /** Why it does not count; null where it does. */
   reason: Reason | null;
-  /** What deviated most, in words; null where all was as taught. */
+  /** The one thing to say of it; null where all was as taught. */
+  remark: Spoken | null;
+  /** The repetition in points; null where it was not measured. */
+  score: Score | null;
+  /** The same in words of the body; of one that does not count, why, where nothing else is to be said. */
   sentence: string | null;
+  /** The same in German. */
+  sentence_de: string | null;
   /** Repetitions of the set, with this one. */
   set_count: number;
   /** Beginning of the repetition, s. */
@@ -931,6 +944,9 @@ export type Movement = {
   states: Gaussians;
 };
 
+/** Where in the movement, relative to the turning point of the channel. */
+export type MovementPhase = "start" | "way_up" | "top" | "way_back" | "end";
+
 /** Reply to a request that was carried out. */
 export type OkReply = {
   /** The request's. */
@@ -1069,6 +1085,20 @@ export type RoomPoint = {
   position_m: [number, number, number];
 };
 
+/** A repetition beside the lesson, in points from 0 to 100: 100 is as taught. */
+export type Score = {
+  /** How far the joints went, in percent of the lesson, each weighted by its way; farther is 100. Without joints the size of the whole movement. */
+  amplitude: number;
+  /** 100 as smooth as the lesson (log dimensionless jerk, Hogan & Sternad 2009); twice the jerk costs 15. */
+  smoothness: number;
+  /** The lesser of left and right in percent of the other, each beside its own way in the lesson; null where the exercise does not move the same joint on both sides. */
+  symmetry: number | null;
+  /** 100 between the shortest and the longest repetition of the lesson; beyond, their ratio in percent. */
+  tempo: number;
+  /** The parts below, weighted 0.5, 0.2, 0.15 and 0.15; without symmetry the others in the same proportion. */
+  total: number;
+};
+
 /** A segment. */
 export type SegmentEntry = {
   /** What is wrong with that sensor; null where nothing is. */
@@ -1203,6 +1233,9 @@ export type ServerMessage = Hello & {
   type: "stages";
 };
 
+/** Side of the body. */
+export type Side = "left" | "right";
+
 /** Which segments a body has. */
 export type Skeleton = "human" | "custom";
 
@@ -1211,6 +1244,33 @@ export type Speed = number | SpeedWord;
 
 /** A speed in words. */
 export type SpeedWord = "max";
+
+/** A remark for programs. */
+export type Spoken = {
+  about: "joint";
+  /** The angle less the taught one, degrees; at a turning point that of its way, beside how far the other joints went. */
+  deviation_deg: number;
+  /** `elbow`, as in the name of the angle. */
+  joint: string;
+  /** In which way it deviates. */
+  kind: DeviationKind;
+  /** `flexion`, as in the name of the angle; empty where the name has none. */
+  movement: string;
+  /** Where in the movement; `top` is the turning point of this joint. */
+  place: MovementPhase;
+  /** Its side; null of the trunk, and where the name has none. */
+  side: Side | null;
+} | {
+  about: "size";
+  /** The taught one being 1. */
+  size: number;
+} | {
+  about: "tempo";
+  /** Duration, the taught median being 1. */
+  tempo: number;
+} | {
+  about: "smoothness";
+};
 
 /** One of them. */
 export type StageEntry = {
@@ -1342,4 +1402,14 @@ export type TruthsMessage = {
   seq: number;
   /** Capture time, exact, s; rises strictly. */
   t_s: number;
+};
+
+/** The turning point of a channel, as it was taught. */
+export type Turn = {
+  /** Standard deviation of the way from repetition to repetition, of a joint beside the other joints' ways. */
+  sd: number;
+  /** The state in which the channel is farthest from its ends, from 0. */
+  state: number;
+  /** Mean way from the nearer end to the turning point, in the channel's unit; negative where it falls. */
+  way: number;
 };

@@ -660,8 +660,18 @@ async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_devic
     browser.until("document.querySelectorAll('#exercises input').length === 1").await;
     browser.value("document.querySelector('#exercises input').checked = true").await;
     browser.value("document.getElementById('target').value = 3").await;
+    // Who does as was taught is praised, in the language that is wished, and aloud if that is.
+    browser
+        .value("speechSynthesis.speak = ({ text, lang }) => { window.spoken = `${lang}: ${text}`; }")
+        .await;
+    browser.value("document.getElementById('language').value = 'de'").await;
+    browser.click("aloud").await;
     browser.click("select").await;
     browser.until("document.querySelectorAll('.bars .done').length === 3").await;
+    browser
+        .until(&format!("{} === 'Gut gemacht.' && window.spoken === 'de: Gut gemacht.'", text("feedback")))
+        .await;
+    browser.until(&format!("/^[0-9]+ von 100: Ausmaß [0-9]+, Tempo/.test({})", text("score"))).await;
     browser.click("tab-analysis").await;
     let counted = "[...document.getElementById('repetitions').rows].map((row) => [...row.cells].map((cell) => \
         cell.textContent)).filter((cells) => cells[1] === 'curl' && cells[4] === 'counted')";

@@ -172,7 +172,7 @@ pub struct Head<'a> {
 /// body makes no message.
 ///
 /// # Panics
-/// In debug builds, where a MessagePack body is no map of twelve keys or fewer.
+/// In debug builds, where a MessagePack body is no map of fifteen keys or fewer.
 pub fn message(encoding: Encoding, head: Head<'_>, body: &[u8], out: &mut Vec<u8>) {
     use std::io::Write;
     let Head { stage, topic, seq, dropped } = head;
@@ -189,8 +189,8 @@ pub fn message(encoding: Encoding, head: Head<'_>, body: &[u8], out: &mut Vec<u8
             out.extend_from_slice(rest);
         }
         Encoding::MessagePack => {
-            // Bodies have at most 12 keys, so the count of keys is the low half of the first byte, and three more fit.
-            debug_assert!((0x80..=0x8c).contains(&opening), "a body is a small map");
+            // Bodies have at most 15 keys, so the count of keys is the low half of the first byte; three or four more need two bytes.
+            debug_assert!((0x80..=0x8f).contains(&opening), "a body is a small map");
             match opening + 3 + u8::from(stage.is_some()) {
                 small @ ..=0x8f => out.push(small),
                 large => out.extend_from_slice(&[0xde, 0, large - 0x80]),

@@ -1,12 +1,14 @@
 //! From outcomes of the exercise stage to the body of topic `exercise`.
 
-use super::message::{Begun, Deviation, ExerciseChange, Judged};
+use super::message::{Begun, Deviation, ExerciseChange, Judged, Spoken};
 use super::round;
-use posed_motion::exercise::{EventKind, Exercise, Feedback, Remark};
+use posed_motion::exercise::{EventKind, Exercise, Feedback, Joint, Language, Remark, Score};
 use posed_stage::output::{ExerciseWhat, LiveHint, Repetition};
 
 /// Digits of ratios, phases and deviations.
 const FINE: f64 = 1e4;
+/// Digits of points and degrees.
+const TENTHS: f64 = 10.0;
 /// Digits of times.
 const MICROSECONDS: f64 = 1e6;
 
@@ -38,14 +40,19 @@ pub(super) fn change(what: &ExerciseWhat) -> ExerciseChange {
             EventKind::Rejected => ExerciseChange::Rejected(judged(repetition)),
         },
         ExerciseWhat::Hint(None) => {
-            ExerciseChange::Hint { exercise: None, phase: None, anomaly: false, sentence: None }
+            let (sentence, sentence_de) = (None, None);
+            ExerciseChange::Hint { exercise: None, phase: None, anomaly: false, sentence, sentence_de }
         }
-        ExerciseWhat::Hint(Some(LiveHint { exercise, phase, anomaly, remark })) => ExerciseChange::Hint {
-            exercise: Some(exercise.to_string()),
-            phase: Some(round::to(FINE, *phase)),
-            anomaly: *anomaly,
-            sentence: remark.as_ref().map(|(channel, remark)| remark.sentence(channel)),
-        },
+        ExerciseWhat::Hint(Some(LiveHint { exercise, phase, anomaly, remark })) => {
+            let said = |language| remark.as_ref().map(|(channel, remark)| remark.sentence(channel, language));
+            ExerciseChange::Hint {
+                exercise: Some(exercise.to_string()),
+                phase: Some(round::to(FINE, *phase)),
+                anomaly: *anomaly,
+                sentence: said(Language::English),
+                sentence_de: said(Language::German),
+            }
+        }
     }
 }
 
@@ -61,14 +68,53 @@ fn begun(repetition: &Repetition) -> Begun {
 fn judged(repetition: &Repetition) -> Judged {
     let feedback = repetition.feedback.as_ref();
     let channel = feedback.map_or("", |(channel, _)| channel);
+    let said = |language| match (&repetition.remark, repetition.reason) {
+        (Some(remark), _) => Some(remark.sentence(channel, language)),
+        (None, Some(reason)) => Some(reason.sentence(language).to_owned()),
+        (None, None) => None,
+    };
     Judged {
         exercise: repetition.exercise.to_string(),
         count: repetition.count,
         set_count: repetition.set_count,
         t_start_s: round::to(MICROSECONDS, repetition.t_start_s),
         reason: repetition.reason,
-        sentence: repetition.remark.as_ref().map(|remark: &Remark| remark.sentence(channel)),
+        remark: repetition.remark.as_ref().and_then(|remark| spoken(channel, remark)),
+        sentence: said(Language::English),
+        sentence_de: said(Language::German),
+        score: feedback.map(|(_, feedback)| score(&feedback.score)),
         deviation: feedback.map(|(channel, feedback)| deviation(channel, feedback)),
+    }
+}
+
+/// A remark for programs; `channel` is the name of the channel that it speaks of.
+fn spoken(channel: &str, remark: &Remark) -> Option<Spoken> {
+    Some(match *remark {
+        Remark::Deviation { deviation, kind, place, .. } => {
+            let joint = Joint::of(channel)?;
+            Spoken::Joint {
+                joint: joint.joint.to_owned(),
+                side: joint.side,
+                movement: joint.movement.to_owned(),
+                deviation_deg: round::to(TENTHS, deviation * joint.degrees),
+                kind,
+                place,
+            }
+        }
+        Remark::Size(size) => Spoken::Size { size: round::to(FINE, size) },
+        Remark::Tempo(tempo) => Spoken::Tempo { tempo: round::to(FINE, tempo) },
+        Remark::Jerky => Spoken::Smoothness,
+    })
+}
+
+fn score(score: &Score) -> Score {
+    let tenths = |points| round::to(TENTHS, points);
+    Score {
+        total: tenths(score.total),
+        amplitude: tenths(score.amplitude),
+        tempo: tenths(score.tempo),
+        smoothness: tenths(score.smoothness),
+        symmetry: score.symmetry.map(tenths),
     }
 }
 
@@ -77,7 +123,7 @@ fn deviation(channel: &str, feedback: &Feedback) -> Deviation {
     Deviation {
         channel: channel.to_owned(),
         size: fine(feedback.deviation),
-        size_sd: fine(feedback.deviation_sd),
+        worth: fine(feedback.worth),
         phase: fine(feedback.phase),
         range: fine(feedback.range),
         tempo: fine(feedback.tempo),

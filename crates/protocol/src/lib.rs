@@ -46,8 +46,8 @@ pub use message::{
     Exercises, Fault, FaultChange, FieldChange, FieldEvent, Figure, HeadingSource, Hello, HelloSensor, Job,
     JobState, Jobs, JointEntry, Judged, KeptExercise, KeptFile, KeyPose, LinkState, MapVersion, Measured,
     OkReply, Problem, Quality, RecordingBegun, RecordingStatus, Recordings, RelatedClock, ReplayStatus,
-    Resumed, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage, StageEntry,
-    StageLatency, StagePresence, Stages, Started, Status, Tracked, TruthEntry, Truths,
+    Resumed, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage, Spoken,
+    StageEntry, StageLatency, StagePresence, Stages, Started, Status, Tracked, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use packed::{unpack, unpacker};

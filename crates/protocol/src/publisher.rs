@@ -162,7 +162,7 @@ mod tests {
     use crate::{Jobs, ServerMessage, Status};
     use posed_fusion::body::{ANGLES, BodySegment, Heading, SEGMENTS};
     use posed_fusion::faults::Cause;
-    use posed_motion::exercise::{EventKind, Feedback, Reason, Remark};
+    use posed_motion::exercise::{DeviationKind, EventKind, Feedback, MovementPhase, Reason, Score};
     use posed_stage::Sensor;
     use posed_stage::input::{Model, Truth, TruthSensor};
     use posed_stage::output::{
@@ -251,14 +251,18 @@ mod tests {
         let feedback = Feedback {
             channel: 0,
             deviation: -22.04999,
-            share: -0.4,
-            deviation_sd: -2.0,
+            worth: 2.0,
+            kind: DeviationKind::Short,
+            place: MovementPhase::Top,
             phase: 0.5,
             rms_sd: 1.0,
             range: 0.8,
+            size: None,
             tempo: 1.0,
+            off_tempo: false,
             fifth_tempo: [1.0; 5],
             jerk: 0.0,
+            score: Score { total: 88.88, amplitude: 80.0, tempo: 100.0, smoothness: 100.0, symmetry: None },
         };
         Repetition {
             exercise: "curl".into(),
@@ -268,7 +272,7 @@ mod tests {
             t_start_s: 1.0,
             reason: Some(Reason::TooSmall),
             feedback: Some(("elbow_deg".into(), feedback)),
-            remark: Some(Remark::Jerky),
+            remark: feedback.remark(),
         }
     }
 

@@ -4,7 +4,7 @@
 
 use std::path::PathBuf;
 
-use posed_motion::exercise::{Counter, Event, EventKind, Exercise, columns_of};
+use posed_motion::exercise::{Counter, Event, EventKind, Exercise, Language, columns_of};
 use posed_recording::table::{Streams, TableError, TableWriter};
 use serde::Serialize;
 
@@ -127,7 +127,7 @@ fn write(args: &Args, exercises: &[&Exercise], events: &[Event]) -> Result<(), T
         table.text(event.kind.as_str())?;
         table.number(event.count as f64)?;
         table.text(event.reason.map_or("", |reason| reason.as_str()))?;
-        let sentence = event.feedback.and_then(|feedback| feedback.sentence(exercise));
+        let sentence = event.sentence(&exercise.channels, Language::English);
         table.text(sentence.as_deref().unwrap_or(""))?;
         table.end_row()?;
     }

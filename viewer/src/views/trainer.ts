@@ -4,12 +4,28 @@ import { Vector3 } from "three";
 import { acting, el, prompt, setText } from "../dom";
 import { BodyFigure } from "../scene/body";
 import { Scene } from "../scene/scene";
-import type { ExerciseEventMessage, ExerciseProgress, ExerciseState, Job, KeptExercise } from "../protocol";
+import type { ExerciseEventMessage, ExerciseProgress, ExerciseState, Job, KeptExercise, Score } from "../protocol";
 import type { Context, View } from "../view";
 
 /** Bars that are shown where a set has no end. */
 const OPEN_BARS = 10;
 const NOTHING = "Nothing is being counted. Choose an exercise below, or teach one.";
+
+type Language = "en" | "de";
+/** What is said of a repetition as taught, and of one that does not count for a reason that nobody can name. */
+const PRAISE: Record<Language, string> = { en: "Well done.", de: "Gut gemacht." };
+const REFUSED: Record<Language, string> = { en: "That one did not count.", de: "Diese wurde nicht gezählt." };
+/** The parts of a score, as the person who moves reads them. */
+const PARTS: Record<Language, [keyof Score, string][]> = {
+  en: [["amplitude", "amplitude"], ["tempo", "tempo"], ["smoothness", "smoothness"], ["symmetry", "symmetry"]],
+  de: [["amplitude", "Ausmaß"], ["tempo", "Tempo"], ["smoothness", "Gleichmaß"], ["symmetry", "Symmetrie"]],
+};
+const OF_100: Record<Language, string> = { en: "of 100", de: "von 100" };
+
+/** A sentence as one is written: the daemon's begin small. */
+function written(sentence: string): string {
+  return `${sentence.charAt(0).toUpperCase()}${sentence.slice(1)}.`;
+}
 
 export class TrainerView implements View {
   readonly id = "trainer";
@@ -18,7 +34,11 @@ export class TrainerView implements View {
   private readonly says = el("p", { class: "says", role: "alert" });
   private readonly counts = el("div", { class: "counts" });
   private readonly sentence = el("p", { id: "feedback", class: "sentence", role: "status" });
+  private readonly score = el("p", { id: "score", class: "quiet" });
   private readonly hint = el("p", { id: "hint", class: "quiet", role: "status" });
+  private readonly language = el("select", { id: "language", "aria-label": "language of the feedback" },
+    el("option", { value: "en" }, "English"), el("option", { value: "de" }, "Deutsch"));
+  private readonly aloud = el("input", { id: "aloud", type: "checkbox" });
   private readonly name = el("input", { id: "teach-name", required: true, maxlength: 64, placeholder: "curl" });
   private readonly repetitions = el("input", { id: "teach-repetitions", type: "number", min: 3, max: 10, value: 5 });
   private readonly teach = el("button", { id: "teach", class: "primary" }, "Teach");
@@ -55,7 +75,10 @@ export class TrainerView implements View {
       el("label", {}, "Rest, s ", this.rest), el("button", { id: "select", class: "primary" }, "Count these")));
     select.addEventListener("submit", acting(this.says, () => this.select()));
     this.reset.addEventListener("click", acting(this.says, () => link.request({ type: "exercise.reset" })));
-    this.element = el("div", {}, this.stand, this.counts, this.sentence, this.hint, this.reset, this.says,
+    this.language.value = navigator.language.startsWith("de") ? "de" : "en";
+    const words = el("div", { class: "row" }, el("label", {}, "Feedback in ", this.language),
+      el("label", {}, this.aloud, " say it aloud"), this.reset);
+    this.element = el("div", {}, this.stand, this.counts, this.sentence, this.score, this.hint, words, this.says,
       el("h2", {}, "Teach an exercise"), teach, this.lesson,
       el("h2", {}, "What is counted"), select);
     model.listen((message) => {
@@ -168,14 +191,43 @@ export class TrainerView implements View {
         const counted = message.event === "counted";
         const progress = this.state?.exercises.find(({ exercise }) => exercise === message.exercise);
         if (progress) Object.assign(progress, { count: message.count, set_count: message.set_count });
-        setText(this.sentence, message.sentence ?? (counted ? "As taught." : "That one did not count."));
-        this.sentence.className = `sentence ${counted && message.sentence === null ? "good" : "care"}`;
+        this.judge(message, counted);
         break;
       }
       case "hint":
-        setText(this.hint, message.sentence ?? "");
+        setText(this.hint, this.spoken(message) ?? "");
         break;
     }
+  }
+
+  private spoken({ sentence, sentence_de }: { sentence: string | null; sentence_de: string | null }): string | null {
+    return this.language.value === "de" ? sentence_de : sentence;
+  }
+
+  /** One sentence of a repetition, praise where all was as taught, and its points. */
+  private judge(message: Extract<ExerciseEventMessage, { event: "counted" | "rejected" }>, counted: boolean): void {
+    const language = this.language.value as Language;
+    const said = this.spoken(message);
+    const sentence = said === null ? (counted ? PRAISE : REFUSED)[language] : written(said);
+    setText(this.sentence, sentence);
+    this.sentence.lang = language;
+    this.sentence.className = `sentence ${counted && said === null ? "good" : "care"}`;
+    const { score } = message;
+    const part = ([name, word]: [keyof Score, string]) => {
+      const points = score?.[name] ?? null;
+      return points === null ? [] : [`${word} ${Math.round(points)}`];
+    };
+    setText(this.score, score ? `${Math.round(score.total)} ${OF_100[language]}: ${PARTS[language].flatMap(part).join(", ")}` : "");
+    this.score.lang = language;
+    if (this.aloud.checked) this.say(sentence, language);
+  }
+
+  /** Speaks; what was not said yet is over. */
+  private say(sentence: string, language: Language): void {
+    const utterance = new SpeechSynthesisUtterance(sentence);
+    utterance.lang = language;
+    speechSynthesis.cancel();
+    speechSynthesis.speak(utterance);
   }
 
   private boxes(): HTMLInputElement[] {

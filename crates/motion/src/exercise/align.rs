@@ -10,7 +10,7 @@ use super::viterbi::ShortTimeViterbi;
 /// More frames than these in one of the first or last states are waiting: five times as long as at the taught pace.
 const WAITING: u64 = 10;
 /// The first and the last states are one part in so many.
-const ENDS: usize = 5;
+pub(super) const ENDS: usize = 5;
 
 /// Whether a path that is for `dwell` frames in a state waits for the movement to begin.
 pub(super) fn waits_before(state: usize, states: usize, dwell: u64) -> bool {

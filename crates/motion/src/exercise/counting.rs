@@ -11,10 +11,11 @@ use super::cost::Spans;
 use super::event::{Event, EventKind};
 use super::exercise::Exercise;
 use super::exercise_topology::{ExerciseTopology, PathState};
-use super::feedback::{Feedback, describe};
+use super::feedback::{Feedback, Way, beside, describe};
 use super::frames::{Differentiator, Frame};
 use super::hint::{Follower, Hint};
 use super::hmm::{LogRatio, Movement};
+use super::joint::Spoken;
 use super::judge::{Measures, Reason, judge, measure};
 use super::passage::{Mark, Passage};
 use super::viterbi::ShortTimeViterbi;
@@ -23,6 +24,8 @@ use super::viterbi::ShortTimeViterbi;
 #[derive(Clone, Debug, Plain)]
 struct Watched {
     exercise: Exercise,
+    /// Which of its channels may be spoken of.
+    spoken: Vec<Option<Spoken>>,
     /// The sizes in which it is looked for.
     sizes: Vec<Size>,
     /// Where its channels are among all.
@@ -49,7 +52,7 @@ struct Size {
 impl Size {
     fn new(exercise: &Exercise, size: f64) -> Self {
         let movement = exercise.movement.sized(size);
-        Self { ratio: LogRatio::new(&movement), movement }
+        Self { ratio: LogRatio::new(&movement, &exercise.channels), movement }
     }
 }
 
@@ -74,6 +77,8 @@ pub(super) struct Counting {
     emitted: Vec<(u64, u16)>,
     /// Path of the repetition that is judged.
     path: Vec<u16>,
+    #[state(skip)]
+    ways: Vec<Option<Way>>,
     hint: Option<Hint>,
 }
 
@@ -84,7 +89,8 @@ impl Counting {
         let Spans { bound_frames: bound, capacity_frames: capacity } = Spans::of(&exercises);
         let watched: Vec<Watched> = exercises
             .into_iter()
-            .map(|exercise| {
+            .map(|mut exercise| {
+                exercise.find_turns();
                 let width = exercise.channels.len();
                 let place = |channel: &String| all.iter().position(|other| other == channel).unwrap_or(0);
                 Watched {
@@ -97,6 +103,7 @@ impl Counting {
                     pending: None,
                     counted_until: None,
                     follower: Follower::new(rate_hz, width),
+                    spoken: Spoken::of(&exercise.channels),
                     exercise,
                 }
             })
@@ -114,6 +121,7 @@ impl Counting {
             marks: Vec::with_capacity(4),
             emitted: Vec::with_capacity(2 * bound + 8),
             path: Vec::with_capacity(capacity),
+            ways: Vec::new(),
             hint: None,
         }
     }
@@ -199,8 +207,8 @@ impl Counting {
                     let width = 2 * watched.channels.len();
                     let observation = &watched.observations[slot * width..(slot + 1) * width];
                     let log_ratio = self.log_density[best];
-                    let Watched { follower, exercise, .. } = watched;
-                    hint = Some(follower.follow(exercise, index, state, observation, log_ratio));
+                    let Watched { follower, exercise, spoken, .. } = watched;
+                    hint = Some(follower.follow((index, exercise), spoken, state, observation, log_ratio));
                 }
                 _ => watched.follower.leave(),
             }
@@ -313,9 +321,12 @@ impl Counting {
         event.reason = verdict.err();
         event.measures = judged.map(|(measures, _)| measures);
         if let Some((measures, span)) = judged {
-            event.feedback = self.feedback(exercise, start, span, &measures);
-            let taught = &self.watched[exercise].exercise;
-            event.remark = event.feedback.and_then(|feedback| feedback.remark(taught));
+            let mut ways = std::mem::take(&mut self.ways);
+            event.feedback = self.feedback(exercise, start, span, &measures, &mut ways);
+            self.ways = ways;
+            // What does not count has a reason; which joint of another movement went wrong nobody can say.
+            event.remark =
+                event.feedback.filter(|_| kind == EventKind::Counted).and_then(|feedback| feedback.remark());
         }
         each(event);
     }
@@ -330,16 +341,33 @@ impl Counting {
         }
     }
 
-    fn feedback(&self, exercise: usize, start: u64, span: [u64; 2], measures: &Measures) -> Option<Feedback> {
+    fn feedback(
+        &self,
+        exercise: usize,
+        start: u64,
+        span: [u64; 2],
+        measures: &Measures,
+        ways: &mut Vec<Option<Way>>,
+    ) -> Option<Feedback> {
         let watched = &self.watched[exercise];
+        let number = self.size()?;
         let (first, width) =
-            (self.exercise_topology.range(exercise, self.size()?).start, 2 * watched.channels.len());
+            (self.exercise_topology.range(exercise, number).start, 2 * watched.channels.len());
         let rows = (span[0]..=span[1]).map(|frame| {
             let slot = (frame % self.capacity()) as usize;
             let state = usize::from(self.path[(frame - start) as usize]) - first;
             (&watched.observations[slot * width..(slot + 1) * width], state)
         });
-        describe(&watched.exercise, measures, rows)
+        let size = watched.exercise.sizes.get(number).copied().unwrap_or(1.0);
+        let pad = beside((span[1] + 1 - span[0]) as usize) as u64;
+        let now = self.viterbi.frames();
+        let oldest = now.saturating_sub(self.capacity());
+        let around = (span[0].saturating_sub(pad).max(oldest)..now.min(span[1] + 1 + pad)).map(|frame| {
+            let slot = (frame % self.capacity()) as usize;
+            let own = (span[0]..=span[1]).contains(&frame);
+            (&watched.observations[slot * width..(slot + 1) * width], own)
+        });
+        describe(&watched.exercise, &watched.spoken, measures, size, rows, around, ways)
     }
 
     /// Looks at the path that is best now: a repetition at its end is provisional.

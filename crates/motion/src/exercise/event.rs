@@ -2,8 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::feedback::{Feedback, Remark};
+use super::feedback::Feedback;
 use super::judge::{Measures, Reason};
+use super::remark::Remark;
+use super::words::Language;
 
 /// What happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -55,6 +57,17 @@ pub struct Event {
     pub measures: Option<Measures>,
     /// What deviated most in a counted or rejected repetition.
     pub feedback: Option<Feedback>,
-    /// What to say of it; none where all was as taught.
+    /// What to say of a counted repetition; none where all was as taught.
     pub remark: Option<Remark>,
+}
+
+impl Event {
+    /// What to say of it to the person who moves, in words of the channels of its exercise: the remark, or why it does not count;
+    /// `None` where all was as taught, and of what is not complete.
+    pub fn sentence(&self, channels: &[String], language: Language) -> Option<String> {
+        let channel =
+            self.feedback.and_then(|feedback| channels.get(feedback.channel)).map_or("", String::as_str);
+        let remark = self.remark.map(|remark| remark.sentence(channel, language));
+        remark.or_else(|| self.reason.map(|reason| reason.sentence(language).to_owned()))
+    }
 }

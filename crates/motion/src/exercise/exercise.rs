@@ -7,6 +7,7 @@ use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 use super::hmm::{Gaussians, Movement};
+use super::turns::Turn;
 
 /// First field of the file.
 const FORMAT: &str = "posed-exercise";
@@ -44,6 +45,9 @@ pub struct Exercise {
     #[serde(default = "taught_size")]
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 8)))]
     pub sizes: Vec<f64>,
+    /// Turning point of each channel, in the order of `channels`; empty: those of the states' means, whose spread is not known.
+    #[serde(default)]
+    pub turns: Vec<Turn>,
     /// Durations of the taught repetitions.
     pub durations: Durations,
     /// Log dimensionless jerk of the taught repetitions.
@@ -133,7 +137,7 @@ impl Exercise {
         gate: Gate,
     ) -> Self {
         let (format, version) = (FORMAT.to_owned(), VERSION);
-        let (revision, sizes, log_jerk) = (first(), taught_size(), 0.0);
+        let (revision, sizes, turns, log_jerk) = (first(), taught_size(), Vec::new(), 0.0);
         Self {
             format,
             version,
@@ -143,6 +147,7 @@ impl Exercise {
             channels,
             movement,
             sizes,
+            turns,
             durations,
             log_jerk,
             gate,
@@ -176,6 +181,16 @@ impl Exercise {
         let mut text = serde_json::to_string_pretty(self)?;
         text.push('\n');
         Ok(text)
+    }
+
+    /// Takes the turning points of the states' means where a file has none.
+    pub(super) fn find_turns(&mut self) {
+        if self.turns.is_empty() {
+            let turn = |channel| {
+                Turn::new(&self.movement, channel, std::iter::empty::<std::iter::Empty<(f64, bool)>>())
+            };
+            self.turns = (0..self.channels.len()).map(turn).collect();
+        }
     }
 
     /// Number of states.
@@ -219,6 +234,8 @@ impl Exercise {
             Err(ExerciseError::Damaged("a standard deviation or an amplitude is not above 0"))
         } else if !sizes_fit(&self.sizes) {
             Err(ExerciseError::Damaged("the sizes do not fall from 1"))
+        } else if !self.turns_fit() {
+            Err(ExerciseError::Damaged("the turning points do not match the channels"))
         } else if !(fast >= 0.0 && fast <= slow && slow <= 10.0) {
             Err(ExerciseError::Damaged("the gate's durations are not in order"))
         } else if !(1.0..=1000.0).contains(&self.rate_hz) {
@@ -231,6 +248,18 @@ impl Exercise {
         } else {
             Ok(())
         }
+    }
+}
+
+impl Exercise {
+    fn turns_fit(&self) -> bool {
+        let fits = |turn: &Turn| {
+            (turn.state as usize) < self.states()
+                && turn.way.is_finite()
+                && turn.sd >= 0.0
+                && turn.sd.is_finite()
+        };
+        self.turns.is_empty() || (self.turns.len() == self.channels.len() && self.turns.iter().all(fits))
     }
 }
 

@@ -1,25 +1,52 @@
 //! What was off: one repetition against the taught ones.
 //!
-//! What comes in: the observations and states of a repetition. What goes out: the largest deviation with its channel,
-//! phase and size, the tempo and the smoothness, and a sentence. What it never does: decide whether it counts.
+//! What comes in: the observations and states of a repetition. What goes out: what deviated most with its channel, place and size, the
+//! tempo, the smoothness, and a score. What it never does: decide whether it counts; speak of an angle where it is not defined, of a
+//! sensor's axis, or of what is within the person's own spread.
+//!
+//! How far a joint goes is its way from the nearer end of the repetition to its turning point, beside how far the other joints went:
+//! who tires goes less far with all of them, and that is no fault of one. On the way there and back only what is far off is worth a
+//! word, and nothing in the first and the last fifth, where a set begins and ends elsewhere than its repetitions.
 
 use serde::{Deserialize, Serialize};
 
 use super::exercise::Exercise;
+use super::hmm::range;
+use super::joint::{Joint, Spoken};
 use super::judge::Measures;
+use super::remark::{DeviationKind, MovementPhase, Remark};
+use super::score::Score;
 
-/// Deviations are means over this share of the movement: shorter ones are noise or alignment.
+/// Least way that is missing at a turning point to be worth a word, degrees; beyond it, where the lesson's own spread is larger.
+const SHORT_DEG: f64 = 11.0;
+/// The same of what is too much: farther than shown is seldom a fault.
+const FAR_DEG: f64 = 20.0;
+/// Least deviation on the way there and back that is worth a word, degrees.
+const ASTRAY_DEG: f64 = 25.0;
+/// Standard deviations of the lesson that are nobody's fault.
+const SPREAD: f64 = 2.0;
+/// The part of a repetition in which deviations on the way are worth a word.
+pub(super) const ON_THE_WAY: std::ops::RangeInclusive<f64> = 0.2..=0.8;
+/// Deviations on the way are means over this share of the movement: shorter ones are noise or alignment.
 const WINDOW: f64 = 0.12;
-/// Least deviation worth a word, half the taught range of the largest channel of its kind being 1.
-pub(super) const WORTH_A_WORD: f64 = 0.16;
-/// Tempo within these bounds is as taught.
-const SAME_TEMPO: [f64; 2] = [0.75, 1.35];
-/// Log dimensionless jerk above the taught one that is worth a word.
-const JERKY: f64 = 1.5;
-/// Channels that move less than this, the largest of their kind being 1, have no turning point worth a word.
-const TURNING: f64 = 0.3;
 /// Half width of the turning point, as a share of the movement.
-const TURN: f64 = 0.15;
+pub(super) const TURN: f64 = 0.15;
+/// Least way of a joint that turns: as a share of the one that goes farthest, and in degrees.
+const LEAST_WAY: f64 = 0.2;
+const LEAST_WAY_DEG: f64 = 15.0;
+/// Least way of a joint that turns, as a share of the range of its taught course.
+const IN_PHASE: f64 = 0.7;
+/// By how much the whole repetition may be smaller or larger before the difference is a joint's own.
+const COMMON: f64 = 0.12;
+/// A way that goes as taught, degrees, against which the other joints' ways are weighed: small ones alone say little about the size.
+const AS_TAUGHT_DEG: f64 = 40.0;
+/// Size of a movement without joints that is as taught.
+const SAME_SIZE: [f64; 2] = [0.75, 1.35];
+/// Tempo within these bounds is as taught, and so is what is within this factor of the lesson's own.
+const SAME_TEMPO: [f64; 2] = [0.65, 1.5];
+const LESSON_TEMPO: f64 = 1.15;
+/// Log dimensionless jerk above the taught one that is worth a word.
+const JERKY: f64 = 2.0;
 
 /// What deviated in a repetition from the movement as it was taught. It compares with the demonstration, which need not
 /// be right itself.
@@ -27,118 +54,344 @@ const TURN: f64 = 0.15;
 pub struct Feedback {
     /// Index of the channel that deviated most.
     pub channel: usize,
-    /// Its deviation there, in the channel's unit; positive is more than taught.
+    /// Its deviation there, in the channel's unit; positive is more than taught. At a turning point that of its way, beside how far the
+    /// other joints went.
     pub deviation: f64,
-    /// The same, half the taught range of the largest channel of its kind being 1.
-    pub share: f64,
-    /// The same in standard deviations of the taught movement.
-    pub deviation_sd: f64,
+    /// The same, the least that is worth a word being 1; 0 of a channel that no word is said of.
+    pub worth: f64,
+    /// In which way it deviates.
+    pub kind: DeviationKind,
+    /// Where in the movement, relative to its turning point.
+    pub place: MovementPhase,
     /// Where in the movement: 0 is the beginning, 1 the end.
     pub phase: f64,
     /// Root mean square deviation of that channel over the repetition, in standard deviations.
     pub rms_sd: f64,
     /// Range of that channel, the taught one being 1.
     pub range: f64,
+    /// Size of the whole movement, the taught one being 1, where the exercise has no joints to speak of.
+    pub size: Option<f64>,
     /// Duration, the taught median being 1; above 1 is slower.
     pub tempo: f64,
+    /// Whether that is worth a word.
+    pub off_tempo: bool,
     /// Duration of each fifth of the movement, the taught one being 1.
     pub fifth_tempo: [f64; 5],
     /// Log dimensionless jerk above the taught one; 0.7 is twice the jerk.
     pub jerk: f64,
+    /// In points.
+    pub score: Score,
 }
 
-/// Compares a repetition with what was taught; `None` where no channel has a value.
+impl Feedback {
+    /// The one thing to say of it; `None` where all was as taught.
+    pub fn remark(&self) -> Option<Remark> {
+        let Self { channel, deviation, kind, place, .. } = *self;
+        let size = self.size.filter(|size| !(SAME_SIZE[0]..=SAME_SIZE[1]).contains(size));
+        if self.worth >= 1.0 {
+            Some(Remark::Deviation { channel, deviation, kind, place })
+        } else if let Some(size) = size {
+            Some(Remark::Size(size))
+        } else if self.off_tempo {
+            Some(Remark::Tempo(self.tempo))
+        } else {
+            (self.jerk > JERKY).then_some(Remark::Jerky)
+        }
+    }
+}
+
+/// A deviation of one channel.
+#[derive(Clone, Copy)]
+struct Deviation {
+    channel: usize,
+    deviation: f64,
+    worth: f64,
+    kind: DeviationKind,
+    place: MovementPhase,
+    phase: f64,
+}
+
+/// A joint's way in a repetition and in the lesson, degrees, and the lesson's spread of it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Way {
+    went: f64,
+    taught: f64,
+    sd: f64,
+}
+
+/// The frames beside a repetition in which its ends may lie, as a share of its duration: where the path begins and ends is where the
+/// movement is likelier than rest.
+const BESIDE: f64 = 0.3;
+
+/// Number of frames beside a repetition of so many in which its ends may lie.
+pub(super) fn beside(frames: usize) -> usize {
+    (BESIDE * frames as f64).ceil() as usize
+}
+
+/// Compares a repetition, whose size is so much of the taught one, with what was taught; `None` where no channel has a value. `rows` are
+/// its frames with their states, `around` these and what is [`beside`] them, each with whether it is one of its own;
+/// `ways` is room for the joints' ways.
 pub(super) fn describe<'a>(
     exercise: &Exercise,
+    spoken: &[Option<Spoken>],
     measures: &Measures,
+    size: f64,
     rows: impl Iterator<Item = (&'a [f64], usize)> + Clone,
+    around: impl Iterator<Item = (&'a [f64], bool)> + Clone,
+    ways: &mut Vec<Option<Way>>,
 ) -> Option<Feedback> {
+    fill(ways, exercise, spoken, size, around);
+    let at_turn = (0..ways.len()).filter_map(|channel| at_turn(exercise, ways, channel));
+    let largest = |best: Option<Deviation>, next: Deviation| match best {
+        Some(best) if best.worth >= next.worth => Some(best),
+        _ => Some(next),
+    };
+    let turned = at_turn.fold(None, largest);
+    // How far the turn is from the taught one does not depend on the alignment: it comes first.
+    let said = turned.filter(|turned| turned.worth >= 1.0).or_else(|| {
+        let astray = (0..spoken.len()).filter_map(|channel| {
+            let spoken = spoken[channel]?;
+            on_the_way(exercise, spoken, channel, ways[channel].is_some(), rows.clone())
+        });
+        astray.chain(turned).fold(None, largest)
+    });
+    let most = said.or_else(|| strangest(exercise, rows.clone()))?;
     let states = exercise.states();
-    let gaussians = &exercise.movement.states;
-    let half = (0.5 * WINDOW * states as f64).max(1.0);
-    let mut worst: Option<(Feedback, (bool, f64))> = None;
+    let (rms_sd, range) = course(exercise, most.channel, rows.clone());
+    let jerk = log_jerk(rows.clone().map(|(observation, _)| observation), exercise) - exercise.log_jerk;
+    let mut fifth_tempo = [0.0; 5];
+    for (_, state) in rows {
+        fifth_tempo[(5 * state / states).min(4)] += 5.0 / (exercise.durations.median_s * exercise.rate_hz);
+    }
+    let speaks = spoken.iter().any(Option::is_some);
+    let duration_s = measures.duration_s;
+    let durations = &exercise.durations;
+    let tempo = duration_s / durations.median_s;
+    let like_the_lesson = durations.shortest_s / LESSON_TEMPO..=durations.longest_s * LESSON_TEMPO;
+    Some(Feedback {
+        channel: most.channel,
+        deviation: most.deviation,
+        worth: most.worth,
+        kind: most.kind,
+        place: most.place,
+        phase: most.phase,
+        rms_sd,
+        range,
+        size: (!speaks).then_some(measures.gain),
+        tempo,
+        off_tempo: !(SAME_TEMPO[0]..=SAME_TEMPO[1]).contains(&tempo)
+            && !like_the_lesson.contains(&duration_s),
+        fifth_tempo,
+        jerk,
+        score: score(exercise, ways, measures, jerk),
+    })
+}
+
+/// The ways of the joints that turn, in place of what was there.
+fn fill<'a>(
+    ways: &mut Vec<Option<Way>>,
+    exercise: &Exercise,
+    spoken: &[Option<Spoken>],
+    size: f64,
+    around: impl Iterator<Item = (&'a [f64], bool)> + Clone,
+) {
+    let of = |channel: usize| {
+        let (spoken, turn) = (spoken[channel].as_ref()?, exercise.turns.get(channel)?);
+        let means = &exercise.movement.states.mean;
+        let taught = |other: usize| means[other][(turn.state as usize).min(means[other].len() - 1)];
+        // A joint that is elsewhere in its own cycle (the other arm, by turns) has no way of its own within the repetition.
+        let (low, high) = range(means[channel].iter().copied());
+        (turn.way.abs() >= IN_PHASE * (high - low)).then_some(())?;
+        spoken.is_defined(taught).then_some(())?;
+        let went = turn.way_of(around.clone().map(|(observation, own)| (observation[channel], own)))?;
+        let degrees = spoken.degrees;
+        Some(Way { went: went * degrees, taught: size * turn.way * degrees, sd: turn.sd * degrees })
+    };
+    ways.clear();
+    ways.extend((0..spoken.len()).map(of));
+    let farthest = ways.iter().flatten().map(|way| way.taught.abs()).fold(0.0, f64::max);
+    for way in ways {
+        *way = way.filter(|way| way.taught.abs() >= LEAST_WAY_DEG.max(LEAST_WAY * farthest));
+    }
+}
+
+/// How far beyond its taught turning point a joint went, degrees, beside how far the others went.
+fn beyond(exercise: &Exercise, ways: &[Option<Way>], channel: usize) -> Option<f64> {
+    let way = ways[channel]?;
+    let joint = Joint::of(&exercise.channels[channel])?;
+    let others = ways.iter().zip(&exercise.channels).filter_map(|(way, name)| {
+        let other = Joint::of(name)?;
+        way.filter(|_| (other.joint, other.side) != (joint.joint, joint.side))
+    });
+    let as_taught = AS_TAUGHT_DEG.powi(2);
+    let (went, taught) = others.fold((as_taught, as_taught), |(went, taught), other| {
+        (went + other.went * other.taught, taught + other.taught.powi(2))
+    });
+    let size = (went / taught).clamp(1.0 - COMMON, 1.0 + COMMON);
+    Some(exercise.turns[channel].outward() * (way.went - size * way.taught))
+}
+
+/// States for each channel how much its way differs from repetition to repetition of the lesson, beside the other joints' ways. The
+/// rows are those around each repetition.
+pub(super) fn spread<'a, R>(exercise: &mut Exercise, repetitions: impl Iterator<Item = R>)
+where
+    R: Iterator<Item = (&'a [f64], bool)> + Clone,
+{
+    let spoken = Spoken::of(&exercise.channels);
+    let (mut sums, mut ways) = (vec![(0.0, 0.0); spoken.len()], Vec::new());
+    for rows in repetitions {
+        fill(&mut ways, exercise, &spoken, 1.0, rows);
+        for (channel, (n, squares)) in sums.iter_mut().enumerate() {
+            if let Some(beyond) = beyond(exercise, &ways, channel) {
+                *n += 1.0;
+                *squares += beyond.powi(2);
+            }
+        }
+    }
+    for ((turn, spoken), (n, squares)) in exercise.turns.iter_mut().zip(&spoken).zip(sums) {
+        if let Some(spoken) = spoken {
+            turn.sd = (squares / f64::max(n - 1.0, 1.0)).sqrt() / spoken.degrees;
+        }
+    }
+}
+
+/// The same with what is worth a word.
+fn at_turn(exercise: &Exercise, ways: &[Option<Way>], channel: usize) -> Option<Deviation> {
+    let (way, off) = (ways[channel]?, beyond(exercise, ways, channel)?);
+    let turn = exercise.turns[channel];
+    let joint = Joint::of(&exercise.channels[channel])?;
+    let least = if off < 0.0 { SHORT_DEG } else { FAR_DEG };
+    Some(Deviation {
+        channel,
+        deviation: turn.outward() * off / joint.degrees,
+        worth: off.abs() / least.max(SPREAD * way.sd),
+        kind: if off < 0.0 { DeviationKind::Short } else { DeviationKind::TooFar },
+        place: MovementPhase::Top,
+        phase: (f64::from(turn.state) + 0.5) / exercise.states() as f64,
+    })
+}
+
+/// Least deviation in a state that is worth a word, in the channel's unit: in the lesson itself the first and the last repetition may differ
+/// from the others, where the next one begins before this one has ended.
+pub(super) fn astray(exercise: &Exercise, spoken: &Spoken, channel: usize, state: usize) -> f64 {
+    (ASTRAY_DEG / spoken.degrees).max(SPREAD * exercise.movement.states.sd[channel][state])
+}
+
+/// The largest mean deviation over a window of the way there and back.
+fn on_the_way<'a>(
+    exercise: &Exercise,
+    spoken: Spoken,
+    channel: usize,
+    turns: bool,
+    rows: impl Iterator<Item = (&'a [f64], usize)> + Clone,
+) -> Option<Deviation> {
+    let states = exercise.states();
+    let means = &exercise.movement.states.mean;
+    let half = 0.5 * WINDOW;
+    let phase_of = |state: usize| (state as f64 + 0.5) / states as f64;
+    let turn_phase = phase_of(exercise.turns.get(channel).map_or(0, |turn| turn.state as usize));
+    let off = rows.filter_map(|(observation, state)| {
+        let here =
+            spoken.is_defined(|other| observation[other]) && spoken.is_defined(|other| means[other][state]);
+        let off = observation[channel] - means[channel][state];
+        (here && off.is_finite()).then(|| (phase_of(state), off, astray(exercise, &spoken, channel, state)))
+    });
+    let mut most: Option<(f64, f64, f64)> = None;
+    for centre in (0..states).map(phase_of) {
+        if !ON_THE_WAY.contains(&centre) || (turns && (centre - turn_phase).abs() <= TURN) {
+            continue;
+        }
+        let near = off.clone().filter(|(phase, ..)| (phase - centre).abs() <= half);
+        let (sum, least, n) =
+            near.fold((0.0, 0.0, 0.0), |(sum, least, n), (_, off, one)| (sum + off, least + one, n + 1.0));
+        let worth = f64::abs(sum) / least;
+        if n > 0.0 && most.is_none_or(|(_, _, most)| worth > most) {
+            most = Some((centre, sum / n, worth));
+        }
+    }
+    let (phase, deviation, worth) = most?;
+    Some(Deviation {
+        channel,
+        deviation,
+        worth,
+        kind: if deviation > 0.0 { DeviationKind::TooHigh } else { DeviationKind::TooLow },
+        place: MovementPhase::of(phase, turn_phase),
+        phase,
+    })
+}
+
+/// The channel that is farthest from what was taught in its own measure, where no word is said of any.
+fn strangest<'a>(
+    exercise: &Exercise,
+    rows: impl Iterator<Item = (&'a [f64], usize)> + Clone,
+) -> Option<Deviation> {
+    let (states, gaussians) = (exercise.states() as f64, &exercise.movement.states);
+    let mut most: Option<(f64, Deviation)> = None;
     for channel in 0..exercise.channels.len() {
-        let (mean, sd) = (&gaussians.mean[channel], &gaussians.sd[channel]);
-        let there = rows
-            .clone()
-            .filter(|(observation, _)| observation[channel].is_finite())
-            .map(|(observation, state)| (observation[channel], state));
-        let (mut n, mut square, mut low, mut high) = (0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
-        let (mut taught_low, mut taught_high) = (f64::INFINITY, f64::NEG_INFINITY);
-        for (value, state) in there.clone() {
+        let amplitude = exercise.movement.amplitude[channel];
+        for (observation, state) in rows.clone() {
+            let deviation = observation[channel] - gaussians.mean[channel][state];
+            let share = deviation.abs() / amplitude;
+            if share.is_finite() && most.is_none_or(|(most, _)| share > most) {
+                let phase = (state as f64 + 0.5) / states;
+                let turn =
+                    exercise.turns.get(channel).map_or(0.0, |turn| (f64::from(turn.state) + 0.5) / states);
+                let kind = if deviation > 0.0 { DeviationKind::TooHigh } else { DeviationKind::TooLow };
+                let place = MovementPhase::of(phase, turn);
+                most = Some((share, Deviation { channel, deviation, worth: 0.0, kind, place, phase }));
+            }
+        }
+    }
+    most.map(|(_, most)| most)
+}
+
+/// Root mean square deviation of a channel in standard deviations, and its range, the taught one being 1.
+fn course<'a>(
+    exercise: &Exercise,
+    channel: usize,
+    rows: impl Iterator<Item = (&'a [f64], usize)>,
+) -> (f64, f64) {
+    let gaussians = &exercise.movement.states;
+    let (mean, sd) = (&gaussians.mean[channel], &gaussians.sd[channel]);
+    let (mut n, mut square, mut low, mut high) = (0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
+    let (mut taught_low, mut taught_high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for (observation, state) in rows {
+        let value = observation[channel];
+        if value.is_finite() {
             n += 1.0;
             square += ((value - mean[state]) / sd[state]).powi(2);
             (low, high) = (low.min(value), high.max(value));
             (taught_low, taught_high) = (taught_low.min(mean[state]), taught_high.max(mean[state]));
         }
-        // The largest mean deviation over a window of states.
-        let (mut peak, mut turned) = ((0.0, 0.0_f64, 0.0), false);
-        for centre in 0..states {
-            let (mut weight, mut sum, mut sum_sd) = (0.0, 0.0, 0.0);
-            for (value, state) in there.clone() {
-                if (state as f64 - centre as f64).abs() <= half {
-                    weight += 1.0;
-                    sum += value - mean[state];
-                    sum_sd += (value - mean[state]) / sd[state];
-                }
-            }
-            if weight > 0.0 && (sum / weight).abs() > peak.1.abs() {
-                peak = (sum_sd / weight, sum / weight, (centre as f64 + 0.5) / states as f64);
-            }
-        }
-        // How far the turn is from the taught one does not depend on the alignment: it comes first.
-        if let Some((turn, off)) = at_turn(exercise, channel, there.clone())
-            && off.abs() >= WORTH_A_WORD * exercise.movement.amplitude[channel]
-        {
-            peak = (off / sd[turn], off, (turn as f64 + 0.5) / states as f64);
-            turned = true;
-        }
-        let (deviation_sd, deviation, phase) = peak;
-        let share = deviation / exercise.movement.amplitude[channel];
-        let rank = (turned, share.abs());
-        if n > 0.0 && worst.is_none_or(|(_, worst)| rank > worst) {
-            let feedback = Feedback {
-                channel,
-                deviation,
-                share,
-                deviation_sd,
-                phase,
-                rms_sd: f64::sqrt(square / n),
-                range: (high - low) / (taught_high - taught_low).max(1e-9),
-                tempo: measures.duration_s / exercise.durations.median_s,
-                fifth_tempo: [0.0; 5],
-                jerk: log_jerk(rows.clone().map(|(observation, _)| observation), exercise)
-                    - exercise.log_jerk,
-            };
-            worst = Some((feedback, rank));
-        }
     }
-    let (mut feedback, _) = worst?;
-    for (_, state) in rows {
-        feedback.fifth_tempo[(5 * state / states).min(4)] +=
-            5.0 / (exercise.durations.median_s * exercise.rate_hz);
+    if n == 0.0 {
+        return (0.0, 0.0);
     }
-    Some(feedback)
+    ((square / n).sqrt(), (high - low) / (taught_high - taught_low).max(1e-9))
 }
 
-/// The state in which a channel turns, and how far beyond the taught turn it went; none of a channel that hardly moves.
-fn at_turn(
-    exercise: &Exercise,
-    channel: usize,
-    values: impl Iterator<Item = (f64, usize)> + Clone,
-) -> Option<(usize, f64)> {
-    let mean = &exercise.movement.states.mean[channel];
-    let (turn, reach) = turning_point(exercise, channel);
-    if reach.abs() < 2.0 * TURNING * exercise.movement.amplitude[channel] {
-        return None;
+fn score(exercise: &Exercise, ways: &[Option<Way>], measures: &Measures, jerk: f64) -> Score {
+    let there =
+        || ways.iter().zip(&exercise.channels).filter_map(|(way, name)| Some(((*way)?, Joint::of(name)?)));
+    let share = |way: &Way| way.went / way.taught;
+    let (mut went, mut whole) = (0.0, 0.0);
+    let (mut even, mut both) = (0.0, 0.0);
+    for (way, joint) in there() {
+        went += share(&way).clamp(0.0, 1.0) * way.taught.abs();
+        whole += way.taught.abs();
+        let other = there().find(|(_, other)| {
+            (other.joint, other.movement) == (joint.joint, joint.movement)
+                && joint.side.zip(other.side).is_some_and(|(side, other)| side != other)
+        });
+        if let Some((other, _)) = other {
+            let (a, b) = (share(&way).max(0.0), share(&other).max(0.0));
+            even += way.taught.abs() * if a.max(b) > 0.0 { a.min(b) / a.max(b) } else { 0.0 };
+            both += way.taught.abs();
+        }
     }
-    let outward = reach.signum();
-    // Three frames at a time: one alone may be noise.
-    let later = values.clone().skip(1);
-    let latest = values.clone().skip(2);
-    let smooth = values.zip(later).zip(latest).map(|((a, b), c)| outward * (a.0 + b.0 + c.0) / 3.0);
-    let farthest = smooth.fold(f64::NEG_INFINITY, f64::max);
-    farthest.is_finite().then(|| (turn, outward * (farthest - outward * mean[turn])))
+    let amplitude = if whole > 0.0 { went / whole } else { measures.gain };
+    let symmetry = (both > 0.0).then(|| even / both);
+    Score::new(amplitude, measures.duration_s, &exercise.durations, jerk, symmetry)
 }
 
 /// Log dimensionless jerk (Hogan & Sternad 2009) of all channels, each in units of its amplitude.
@@ -165,177 +418,4 @@ pub(super) fn log_jerk<'a>(rows: impl Iterator<Item = &'a [f64]> + Clone, exerci
     }
     let duration_s = frames / rate_hz;
     if jerk > 0.0 && fastest > 0.0 { libm::log(duration_s.powi(3) * jerk / fastest) } else { 0.0 }
-}
-
-/// A deviation in words, as far as they do not depend on the channel's name.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Remark {
-    /// A channel deviates somewhere in the movement.
-    Deviation {
-        /// Index of the channel.
-        channel: usize,
-        /// How much, in the channel's unit; positive is more than taught.
-        deviation: f64,
-        /// In which way.
-        way: DeviationKind,
-        /// Where in the movement.
-        place: MovementPhase,
-    },
-    /// Slower or faster; the duration, the taught one being 1.
-    Tempo(f64),
-    /// Less smooth.
-    Jerky,
-}
-
-/// In which way a channel deviates.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum DeviationKind {
-    /// Beyond the turning point.
-    TooFar,
-    /// Not as far as the turning point.
-    Short,
-    /// A larger value elsewhere.
-    TooHigh,
-    /// A smaller value elsewhere.
-    TooLow,
-}
-
-/// Where in the movement, relative to the turning point of the channel.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum MovementPhase {
-    /// Its first tenth.
-    Start,
-    /// Before the turning point.
-    WayUp,
-    /// Around the turning point.
-    Top,
-    /// After the turning point.
-    WayBack,
-    /// Its last tenth.
-    End,
-}
-
-impl Feedback {
-    /// The one thing to say of it; `None` where all was as taught.
-    pub fn remark(&self, exercise: &Exercise) -> Option<Remark> {
-        if self.share.abs() >= WORTH_A_WORD {
-            Remark::deviation(exercise, self.channel, self.deviation, self.phase)
-        } else if !(SAME_TEMPO[0]..=SAME_TEMPO[1]).contains(&self.tempo) {
-            Some(Remark::Tempo(self.tempo))
-        } else {
-            (self.jerk > JERKY).then_some(Remark::Jerky)
-        }
-    }
-
-    /// One English sentence for the person who moves; `None` where all was as taught.
-    pub fn sentence(&self, exercise: &Exercise) -> Option<String> {
-        let channel = exercise.channels.get(self.channel)?;
-        self.remark(exercise).map(|remark| remark.sentence(channel))
-    }
-}
-
-impl Remark {
-    /// That a channel deviates at a phase of the movement.
-    pub(super) fn deviation(exercise: &Exercise, channel: usize, deviation: f64, phase: f64) -> Option<Self> {
-        let mean = exercise.movement.states.mean.get(channel)?;
-        let (turn, reach) = turning_point(exercise, channel);
-        let outward = reach.signum();
-        let turn_phase = (turn as f64 + 0.5) / mean.len() as f64;
-        let place = if (phase - turn_phase).abs() <= TURN {
-            MovementPhase::Top
-        } else if phase < 0.1 {
-            MovementPhase::Start
-        } else if phase > 0.9 {
-            MovementPhase::End
-        } else if phase < turn_phase {
-            MovementPhase::WayUp
-        } else {
-            MovementPhase::WayBack
-        };
-        let way = match (place == MovementPhase::Top, deviation * outward > 0.0, deviation > 0.0) {
-            (true, true, _) => DeviationKind::TooFar,
-            (true, false, _) => DeviationKind::Short,
-            (false, _, true) => DeviationKind::TooHigh,
-            (false, _, false) => DeviationKind::TooLow,
-        };
-        Some(Self::Deviation { channel, deviation, way, place })
-    }
-
-    /// One sentence for the person who moves; `channel` is the name of the channel it speaks of.
-    pub fn sentence(&self, channel: &str) -> String {
-        match *self {
-            Self::Deviation { deviation, way, place, .. } => {
-                let (name, unit, factor) = words(channel);
-                let size = amount(deviation.abs() * factor);
-                format!("{name} {size}{unit} {} {}", way.words(), place.words())
-            }
-            Self::Tempo(tempo) if tempo > 1.0 => {
-                format!("slower than taught: {tempo:.1} times the duration")
-            }
-            Self::Tempo(tempo) => format!("faster than taught: {tempo:.1} times the duration"),
-            Self::Jerky => "less smooth than taught".to_owned(),
-        }
-    }
-}
-
-impl DeviationKind {
-    fn words(self) -> &'static str {
-        match self {
-            Self::TooFar => "too far",
-            Self::Short => "short",
-            Self::TooHigh => "too high",
-            Self::TooLow => "too low",
-        }
-    }
-}
-
-impl MovementPhase {
-    fn words(self) -> &'static str {
-        match self {
-            Self::Start => "at the start",
-            Self::WayUp => "on the way up",
-            Self::Top => "at the top",
-            Self::WayBack => "on the way back",
-            Self::End => "at the end",
-        }
-    }
-}
-
-/// The state in which a channel is farthest from rest, and how far.
-fn turning_point(exercise: &Exercise, channel: usize) -> (usize, f64) {
-    let rest = exercise.movement.background.mean[channel][0];
-    let mut farthest = (0, 0.0_f64);
-    for (state, value) in exercise.movement.states.mean[channel].iter().enumerate() {
-        if (value - rest).abs() > farthest.1.abs() {
-            farthest = (state, value - rest);
-        }
-    }
-    farthest
-}
-
-/// A channel's name in words, its unit with a space before it, and the factor from its unit to that one.
-fn words(channel: &str) -> (String, &'static str, f64) {
-    let (name, unit, factor) = if let Some(name) = channel.strip_suffix("_deg") {
-        (name, " degrees", 1.0)
-    } else if let Some(name) = channel.strip_suffix("_rad") {
-        (name, " degrees", 180.0 / std::f64::consts::PI)
-    } else if let Some(name) = channel.strip_suffix("_m") {
-        (name, " cm", 100.0)
-    } else if let Some((name, axis)) = channel.rsplit_once("up_") {
-        // A component of the vertical in sensor axes: about the angle by which that axis is lifted.
-        let tilt = format!("{} tilt of {axis}", name.trim_end_matches('_').replace('_', " "));
-        return (tilt.trim_start().to_owned(), " degrees", 180.0 / std::f64::consts::PI);
-    } else {
-        (channel, "", 1.0)
-    };
-    (name.replace('_', " "), unit, factor)
-}
-
-/// A number with the digits that matter to a person.
-fn amount(value: f64) -> String {
-    match value {
-        value if value >= 10.0 => format!("{value:.0}"),
-        value if value >= 1.0 => format!("{value:.1}"),
-        _ => format!("{value:.2}"),
-    }
 }

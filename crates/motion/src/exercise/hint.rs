@@ -7,7 +7,9 @@
 use posed_state::Plain;
 
 use super::exercise::Exercise;
-use super::feedback::{Remark, WORTH_A_WORD};
+use super::feedback::{ON_THE_WAY, TURN, astray};
+use super::joint::Spoken;
+use super::remark::{DeviationKind, MovementPhase, Remark};
 
 /// Time constant of the low pass, s.
 const SMOOTH_S: f64 = 0.2;
@@ -21,8 +23,9 @@ pub struct Hint {
     pub exercise: usize,
     /// Index of the channel that deviates most.
     pub channel: usize,
-    /// Its deviation, half the taught range of the largest channel of its kind being 1, low-passed.
-    pub share: f64,
+    /// Its deviation, the least that is worth a word being 1, low-passed; 0 where nothing is said of it, and around its turning point,
+    /// which is not over yet.
+    pub worth: f64,
     /// The same in the channel's unit.
     pub deviation: f64,
     /// Where in the movement: 0 is the beginning, 1 the end.
@@ -34,8 +37,12 @@ pub struct Hint {
 impl Hint {
     /// What to say of the channel; `None` where its deviation is not worth a word.
     pub fn remark(&self, exercise: &Exercise) -> Option<Remark> {
-        let worth = self.share.abs() >= WORTH_A_WORD;
-        if worth { Remark::deviation(exercise, self.channel, self.deviation, self.phase) } else { None }
+        let Self { channel, deviation, phase, .. } = *self;
+        let turn = exercise.turns.get(channel)?;
+        let turn = (f64::from(turn.state) + 0.5) / exercise.states() as f64;
+        let kind = if deviation > 0.0 { DeviationKind::TooHigh } else { DeviationKind::TooLow };
+        let place = MovementPhase::of(phase, turn);
+        (self.worth >= 1.0).then_some(Remark::Deviation { channel, deviation, kind, place })
     }
 }
 
@@ -43,8 +50,8 @@ impl Hint {
 #[derive(Clone, Debug, PartialEq, Plain)]
 pub(super) struct Follower {
     rate_hz: f64,
-    /// Low-passed deviation of each channel, as a share and in its own unit.
-    smooth: Vec<[f64; 2]>,
+    /// Low-passed deviation of each channel, in its own unit.
+    smooth: Vec<f64>,
     /// Frames for which the background has been likelier.
     below: f64,
     inside: bool,
@@ -52,13 +59,13 @@ pub(super) struct Follower {
 
 impl Follower {
     pub(super) fn new(rate_hz: f64, channels: usize) -> Self {
-        Self { rate_hz, smooth: vec![[0.0; 2]; channels], below: 0.0, inside: false }
+        Self { rate_hz, smooth: vec![0.0; channels], below: 0.0, inside: false }
     }
 
     /// The path is elsewhere.
     pub(super) fn leave(&mut self) {
         if self.inside {
-            self.smooth.fill([0.0; 2]);
+            self.smooth.fill(0.0);
             self.below = 0.0;
             self.inside = false;
         }
@@ -67,8 +74,8 @@ impl Follower {
     /// The path is in `state` of the exercise, which is its `index`-th.
     pub(super) fn follow(
         &mut self,
-        exercise: &Exercise,
-        index: usize,
+        (index, exercise): (usize, &Exercise),
+        spoken: &[Option<Spoken>],
         state: usize,
         observation: &[f64],
         log_ratio: f64,
@@ -76,28 +83,28 @@ impl Follower {
         self.inside = true;
         let weight = 1.0 - libm::exp(-1.0 / (SMOOTH_S * self.rate_hz));
         let gaussians = &exercise.movement.states;
-        for (channel, smooth) in self.smooth.iter_mut().enumerate() {
-            let off = observation[channel] - gaussians.mean[channel][state];
+        let phase_of = |state: f64| (state + 0.5) / exercise.states() as f64;
+        let phase = phase_of(state as f64);
+        let (mut channel, mut worth) = (0, 0.0);
+        for (at, smooth) in self.smooth.iter_mut().enumerate() {
+            let off = observation[at] - gaussians.mean[at][state];
             if off.is_finite() {
-                smooth[0] += weight * (off / exercise.movement.amplitude[channel] - smooth[0]);
-                smooth[1] += weight * (off - smooth[1]);
+                *smooth += weight * (off - *smooth);
+            }
+            let Some((spoken, turn)) = spoken[at].zip(exercise.turns.get(at)) else { continue };
+            let turns = (phase - phase_of(f64::from(turn.state))).abs() <= TURN;
+            let defined = spoken.is_defined(|other| observation[other])
+                && spoken.is_defined(|other| gaussians.mean[other][state]);
+            if defined && !turns && ON_THE_WAY.contains(&phase) {
+                let here = smooth.abs() / astray(exercise, &spoken, at, state);
+                if here > worth {
+                    (channel, worth) = (at, here);
+                }
             }
         }
         self.below = if log_ratio < 0.0 { self.below + 1.0 } else { 0.0 };
-        let mut worst = 0;
-        for (channel, smooth) in self.smooth.iter().enumerate() {
-            if smooth[0].abs() > self.smooth[worst][0].abs() {
-                worst = channel;
-            }
-        }
-        let [share, deviation] = self.smooth.get(worst).copied().unwrap_or_default();
-        Hint {
-            exercise: index,
-            channel: worst,
-            share,
-            deviation,
-            phase: (state as f64 + 0.5) / exercise.states() as f64,
-            anomaly: self.below >= ANOMALY_S * self.rate_hz,
-        }
+        let deviation = self.smooth.get(channel).copied().unwrap_or_default();
+        let anomaly = self.below >= ANOMALY_S * self.rate_hz;
+        Hint { exercise: index, channel, worth, deviation, phase, anomaly }
     }
 }

@@ -11,7 +11,8 @@
 use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
-use super::kinds::largest;
+use super::align::ENDS;
+use super::kinds::{is_posture, largest};
 
 /// Frames that the pooled variance counts for.
 const POOLED_FRAMES: f64 = 4.0;
@@ -157,11 +158,18 @@ impl Density {
 pub(super) struct LogRatio {
     states: Density,
     background: Density,
+    /// Its channels are angles of joints: who waits may look like its ends.
+    of_joints: bool,
 }
 
 impl LogRatio {
-    pub(super) fn new(movement: &Movement) -> Self {
-        Self { states: Density::new(&movement.states), background: Density::new(&movement.background) }
+    /// Of a movement of these channels.
+    pub(super) fn new(movement: &Movement, channels: &[String]) -> Self {
+        Self {
+            states: Density::new(&movement.states),
+            background: Density::new(&movement.background),
+            of_joints: channels.iter().any(|channel| is_posture(channel)),
+        }
     }
 
     pub(super) fn states(&self) -> usize {
@@ -175,14 +183,30 @@ impl LogRatio {
     pub(super) fn write(&self, observation: &[f64], out: &mut [f64]) {
         self.states.log_density(observation, out);
         let background = self.background(observation);
-        for out in out {
-            *out -= background;
+        let states = out.len();
+        let waiting = background.max(out[0]).max(out[states - 1]);
+        for (state, out) in out.iter_mut().enumerate() {
+            *out -= if self.is_end(state) { waiting } else { background };
         }
     }
 
     /// [`LogRatio::write`] for one state.
     pub(super) fn of(&self, observation: &[f64], state: usize) -> f64 {
-        self.states.of(observation, state) - self.background(observation)
+        let (mut background, last) = (self.background(observation), self.states() - 1);
+        if self.is_end(state) {
+            let ends = [0, last].map(|end| self.states.of(observation, end));
+            background = background.max(ends[0]).max(ends[1]);
+        }
+        self.states.of(observation, state) - background
+    }
+
+    /// Whether a state is in the first or the last part of a movement of joints. Who waits on another day, when sensors sit otherwise,
+    /// or waits for another exercise, often looks more like these states than like the rest of the lesson. So they are held against
+    /// waiting there, too, and a path gains nothing by it: else it would be there, and not elsewhere, when a movement begins. What
+    /// is no posture (angular velocities of a watch) needs its ends: its rest is the same on all days.
+    fn is_end(&self, state: usize) -> bool {
+        let states = self.states();
+        self.of_joints && (ENDS * (state + 1) <= states || ENDS * (states - state) <= states)
     }
 
     /// Log density of the mixture of rest and any movement.
@@ -375,7 +399,7 @@ mod tests {
         let movement = estimate(&observations, &[0], 6, &alignments, &[]);
         assert_eq!(movement.states.mean[0], [0.5, 2.5, 4.5, 6.5, 8.5, 10.5]);
         assert_eq!(movement.amplitude[0], 5.0);
-        let ratio = LogRatio::new(&movement);
+        let ratio = LogRatio::new(&movement, &[]);
         let mut out = [0.0; 6];
         ratio.write(&[2.5, 5.0], &mut out);
         assert!(out[1] > 0.5 && out[1] > out[2] && out[5] < 0.0, "{out:?}");

@@ -31,7 +31,8 @@ pub(super) fn smaller(
     }
     let sizes = sizes_down_to(0.0);
     let sized: Vec<Movement> = sizes.iter().map(|size| movement.sized(*size)).collect();
-    let ratios: Vec<LogRatio> = sized.iter().map(LogRatio::new).collect();
+    let ratios: Vec<LogRatio> =
+        sized.iter().map(|movement| LogRatio::new(movement, &material.channels)).collect();
     let states = ratios[0].states();
     let measures = |repetition: &Repetition| {
         let rows = material.along(repetition.moving(states));

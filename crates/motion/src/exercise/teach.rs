@@ -14,14 +14,16 @@ use serde::{Deserialize, Serialize};
 
 use super::align::{Repetition, repetitions};
 use super::exercise::{Durations, Exercise, Gate};
-use super::feedback::log_jerk;
+use super::feedback::{beside, log_jerk, spread};
 use super::hmm::{LogRatio, Movement, equal_parts, estimate, median, range, states_for};
+use super::joint::{Joint, Spoken};
 use super::judge::{Measures, is_alike, measure};
-use super::kinds::{kinds, largest, siblings};
+use super::kinds::{is_posture, kinds, largest, siblings};
 use super::material::{Material, RATE_HZ, Stream};
 use super::motif::motifs;
 use super::psd::{periods, repeatability};
 use super::smaller::{LEAST_GAIN, interval, sizes_down_to, smaller};
+use super::turns::Turn;
 
 /// Shortest repetition, s.
 const SHORTEST_S: f64 = 0.5;
@@ -44,6 +46,12 @@ const LEAST_MOVED: f64 = 0.15;
 const SEARCH_HZ: f64 = 12.5;
 /// Least log ratio per frame of a repetition that counts, the taught median being 1: other days are less alike.
 const LEAST_RATIO: f64 = 0.15;
+
+/// A joint that goes so far in a demonstration moves, degrees.
+const MOVES_DEG: f64 = 30.0;
+
+/// Least size of a repetition that shows how far a movement goes, the taught one being 1.
+const FULL_SIZE: f64 = 0.75;
 
 /// How much a cut in full motion costs.
 const AT_REST: f64 = 0.6;
@@ -216,7 +224,36 @@ fn best_of(hypotheses: &[Hypothesis]) -> Option<&Hypothesis> {
 /// The channels that move, on a grid of at most `most_hz`.
 fn material(stream: &Stream<'_>, options: &Options, most_hz: f64) -> Result<Material, Refusal> {
     let all = Material::new(stream, options.channels.as_deref(), most_hz).map_err(Refusal::NoChannel)?;
-    Ok(without_still_channels(&all))
+    let moving = without_still_channels(&all);
+    Ok(if options.channels.is_none() { joints_or_all(moving) } else { moving })
+}
+
+/// The angles of the joints, where one of them moves: the tilts and places of the sensors say the same once more, in words that nobody
+/// understands.
+fn joints_or_all(moving: Material) -> Material {
+    let spoken = Spoken::of(&moving.channels);
+    let middle = |channel: usize| {
+        median(
+            moving
+                .values
+                .iter()
+                .skip(channel)
+                .step_by(moving.width())
+                .copied()
+                .filter(|value| value.is_finite()),
+        )
+    };
+    // Nor an angle that the movement loses on its way.
+    let is_defined = |spoken: &Spoken| spoken.is_defined(|channel| middle(channel).unwrap_or(f64::NAN));
+    let joints: Vec<usize> =
+        (0..moving.width()).filter(|channel| spoken[*channel].as_ref().is_some_and(is_defined)).collect();
+    let moves = |channel: &usize| {
+        let degrees = Joint::of(&moving.channels[*channel]).map_or(0.0, |joint| joint.degrees);
+        let column = moving.values.iter().skip(*channel).step_by(moving.width()).copied();
+        let (low, high) = range(column);
+        is_posture(&moving.channels[*channel]) && (high - low) * degrees >= MOVES_DEG
+    };
+    if joints.iter().any(moves) { moving.only(&joints) } else { moving }
 }
 
 /// Where the motif finder sees the repetitions of a period.
@@ -273,7 +310,8 @@ fn refine(
             &alignments,
             &idle(alignments.iter(), material.frames()),
         );
-        let found = repetitions(&material.observations, width, &[LogRatio::new(&movement)]);
+        let found =
+            repetitions(&material.observations, width, &[LogRatio::new(&movement, &material.channels)]);
         let (found, log_ratio) = alike(&material, &movement, found);
         if found.len() < 2 {
             return None;
@@ -343,7 +381,7 @@ fn openness(material: &Material, movement: &Movement, frames: Range<usize>) -> f
 /// The repetitions that are like most of them, and the middle between the mean and the least of their log ratios per
 /// frame.
 fn alike(material: &Material, movement: &Movement, found: Vec<Repetition>) -> (Vec<Repetition>, f64) {
-    let ratio = LogRatio::new(movement);
+    let ratio = LogRatio::new(movement, &material.channels);
     let states = ratio.states();
     let measured: Vec<Measures> = found
         .iter()
@@ -474,7 +512,30 @@ fn conclude(material: &Material, hypothesis: &Hypothesis, options: &Options) -> 
         log_jerk(rows, &exercise)
     });
     exercise.log_jerk = jerks.sum::<f64>() / segments.len() as f64;
+    find_turns(&mut exercise, material, &segments, &measures);
     Ok(Lesson { exercise, report })
+}
+
+/// Finds where each channel turns, and how far it goes there in the repetitions of full size.
+fn find_turns(
+    exercise: &mut Exercise,
+    material: &Material,
+    segments: &[Range<usize>],
+    measures: &[Measures],
+) {
+    let width = 2 * material.width();
+    let whole = || segments.iter().zip(measures).filter(|(_, measures)| measures.gain >= FULL_SIZE);
+    let around = |segment: &Range<usize>| {
+        let (own, pad) = (segment.clone(), beside(segment.len()));
+        let frames = segment.start.saturating_sub(pad)..(segment.end + pad).min(material.frames());
+        frames.map(move |frame| (&material.observations[frame * width..][..width], own.contains(&frame)))
+    };
+    let turn = |channel: usize| {
+        let values = whole().map(|(segment, _)| around(segment).map(move |(row, own)| (row[channel], own)));
+        Turn::new(&exercise.movement, channel, values)
+    };
+    exercise.turns = (0..material.width()).map(turn).collect();
+    spread(exercise, whole().map(|(segment, _)| around(segment)));
 }
 
 /// How far the number seen may be from the number announced: people miscount long sets.
@@ -503,8 +564,13 @@ fn against_the_others(material: &Material, hypothesis: &Hypothesis) -> Vec<(Rang
         .map(|(repetition, size, movement)| {
             let rows = material.along(repetition.path.iter());
             let movement = movement.turned(&siblings);
-            let mut measures =
-                measure(&movement, &LogRatio::new(&movement), &material.channels, material.rate_hz, rows);
+            let mut measures = measure(
+                &movement,
+                &LogRatio::new(&movement, &material.channels),
+                &material.channels,
+                material.rate_hz,
+                rows,
+            );
             measures.gain *= size;
             (repetition.range(states), measures)
         })

@@ -223,10 +223,12 @@ fn given_a_deficit_at_the_top_the_feedback_names_joint_place_and_size() {
     person.rest(3.0);
     let events = events(vec![exercise.clone()], &person);
     let sentences: Vec<String> =
-        events.iter().filter_map(|event| event.feedback?.sentence(&exercise)).collect();
+        events.iter().filter_map(|event| event.sentence(&exercise.channels, Language::English)).collect();
     let named = sentences
         .iter()
-        .filter(|sentence| sentence.starts_with("elbow flexion") && sentence.ends_with("short at the top"))
+        .filter(|sentence| {
+            sentence.starts_with("elbow bent 3") && sentence.ends_with("less than shown at the top")
+        })
         .count();
     assert!(named >= 9, "{sentences:?}");
 }

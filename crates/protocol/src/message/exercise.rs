@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use posed_motion::exercise::Reason;
+use posed_motion::exercise::{DeviationKind, MovementPhase, Reason, Score, Side};
 use posed_stage::output::ExerciseState;
 
 /// Body of `exercise`: an event.
@@ -62,6 +62,8 @@ pub enum ExerciseChange {
         anomaly: bool,
         /// In words.
         sentence: Option<String>,
+        /// The same in German.
+        sentence_de: Option<String>,
     },
 }
 
@@ -91,10 +93,49 @@ pub struct Judged {
     pub t_start_s: f64,
     /// Why it does not count; null where it does.
     pub reason: Option<Reason>,
-    /// What deviated most, in words; null where all was as taught.
+    /// The one thing to say of it; null where all was as taught.
+    pub remark: Option<Spoken>,
+    /// The same in words of the body; of one that does not count, why, where nothing else is to be said.
     pub sentence: Option<String>,
-    /// The numbers behind the sentence.
+    /// The same in German.
+    pub sentence_de: Option<String>,
+    /// The repetition in points; null where it was not measured.
+    pub score: Option<Score>,
+    /// What deviated most, worth a word or not.
     pub deviation: Option<Deviation>,
+}
+
+/// A remark for programs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "about", rename_all = "snake_case")]
+pub enum Spoken {
+    /// A joint, somewhere in the movement.
+    Joint {
+        /// `elbow`, as in the name of the angle.
+        joint: String,
+        /// Its side; null of the trunk, and where the name has none.
+        side: Option<Side>,
+        /// `flexion`, as in the name of the angle; empty where the name has none.
+        movement: String,
+        /// The angle less the taught one, degrees; at a turning point that of its way, beside how far the other joints went.
+        deviation_deg: f64,
+        /// In which way it deviates.
+        kind: DeviationKind,
+        /// Where in the movement; `top` is the turning point of this joint.
+        place: MovementPhase,
+    },
+    /// The whole movement is smaller or larger.
+    Size {
+        /// The taught one being 1.
+        size: f64,
+    },
+    /// It was slower or faster.
+    Tempo {
+        /// Duration, the taught median being 1.
+        tempo: f64,
+    },
+    /// It was less smooth.
+    Smoothness,
 }
 
 /// How a repetition differed from the taught ones.
@@ -102,10 +143,11 @@ pub struct Judged {
 pub struct Deviation {
     /// The channel that deviated most.
     pub channel: String,
-    /// Its deviation, in the channel's unit; positive is more than taught.
+    /// Its deviation, in the channel's unit; positive is more than taught. At a turning point that of its way, beside how far the other
+    /// joints went.
     pub size: f64,
-    /// The same in standard deviations of the taught movement.
-    pub size_sd: f64,
+    /// The same, the least that is worth a word being 1; 0 of a channel that no word is said of.
+    pub worth: f64,
     /// Where in the movement: 0 is the beginning, 1 the end.
     pub phase: f64,
     /// Range of the channel, the taught one being 1.

@@ -27,7 +27,7 @@ pub use self::answer::{
     Tracked,
 };
 pub use self::body::{Figure, HeadingSource, JointEntry, SegmentEntry};
-pub use self::exercise::{Begun, Deviation, ExerciseChange, ExerciseEvent, Judged};
+pub use self::exercise::{Begun, Deviation, ExerciseChange, ExerciseEvent, Judged, Spoken};
 pub use self::faults::{Fault, FaultChange};
 pub use self::field::{FieldChange, FieldEvent};
 pub use self::hello::{Hello, HelloSensor};
