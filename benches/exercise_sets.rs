@@ -33,7 +33,7 @@ struct Score {
     right: usize,
     complained: usize,
     deficits: usize,
-    /// Of these, the repetitions that somebody was told a word about, and the one that joint and phase were named in.
+    /// Of these, the repetitions of which joint and phase were named.
     named: usize,
 }
 

@@ -53,16 +53,6 @@ type ExerciseMessage = Extract<ServerMessage, { type: "exercise" }>;
 
 const RETRY_MS = [500, 1000, 2000, 5000];
 
-const REASONS: Record<string, string> = {
-  too_fast: "too fast",
-  too_slow: "too slow",
-  too_small: "too small",
-  too_large: "too large",
-  different: "another movement",
-  incomplete: "not completed",
-  too_soon: "too soon after the last one",
-};
-
 export class Session {
   state: State = {
     link: "connecting", stage: "", known: [], exercises: [], repetitions: null, sets: null, feedback: null, hint: null,
@@ -195,8 +185,7 @@ export class Session {
       case "counted":
       case "rejected": {
         const good = event.event === "counted";
-        const reason = good ? "good" : `not counted: ${REASONS[event.reason ?? ""] ?? event.reason}`;
-        this.change({ feedback: { good, text: event.sentence ?? reason } });
+        this.change({ feedback: { good, text: event.sentence ?? "good" } });
         this.update(event.exercise, { count: event.count, setCount: event.set_count, provisional: false });
         break;
       }

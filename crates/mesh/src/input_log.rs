@@ -156,7 +156,7 @@ mod tests {
         let bytes = log.ring().bytes;
         assert!((MOST_BYTES - 2 * len..=MOST_BYTES).contains(&bytes), "{bytes} bytes");
         assert_eq!(log.next(), count as u64);
-        // Who asks for an older one is told so by the number of the first that there is.
+        // Who asks for an older one learns it from the number of the first that there is.
         let oldest = log.from(0);
         assert_eq!(oldest.first, (count - kept) as u64);
         for n in count - kept..count {

@@ -2,7 +2,7 @@
 
 use super::message::{Begun, Deviation, ExerciseChange, Judged, Spoken};
 use super::round;
-use posed_motion::exercise::{EventKind, Exercise, Feedback, Joint, Language, Remark, Score};
+use posed_motion::exercise::{EventKind, Exercise, Feedback, Joint, Language, Remark, Score, sentence};
 use posed_stage::output::{ExerciseWhat, LiveHint, Repetition};
 
 /// Digits of ratios, phases and deviations.
@@ -68,11 +68,7 @@ fn begun(repetition: &Repetition) -> Begun {
 fn judged(repetition: &Repetition) -> Judged {
     let feedback = repetition.feedback.as_ref();
     let channel = feedback.map_or("", |(channel, _)| channel);
-    let said = |language| match (&repetition.remark, repetition.reason) {
-        (Some(remark), _) => Some(remark.sentence(channel, language)),
-        (None, Some(reason)) => Some(reason.sentence(language).to_owned()),
-        (None, None) => None,
-    };
+    let said = |language| sentence(repetition.remark, repetition.reason, channel, language);
     Judged {
         exercise: repetition.exercise.to_string(),
         count: repetition.count,

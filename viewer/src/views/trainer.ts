@@ -12,9 +12,8 @@ const OPEN_BARS = 10;
 const NOTHING = "Nothing is being counted. Choose an exercise below, or teach one.";
 
 type Language = "en" | "de";
-/** What is said of a repetition as taught, and of one that does not count for a reason that nobody can name. */
+/** What is said of a repetition as taught. */
 const PRAISE: Record<Language, string> = { en: "Well done.", de: "Gut gemacht." };
-const REFUSED: Record<Language, string> = { en: "That one did not count.", de: "Diese wurde nicht gezählt." };
 /** The parts of a score, as the person who moves reads them. */
 const PARTS: Record<Language, [keyof Score, string][]> = {
   en: [["amplitude", "amplitude"], ["tempo", "tempo"], ["smoothness", "smoothness"], ["symmetry", "symmetry"]],
@@ -188,10 +187,9 @@ export class TrainerView implements View {
       case "counted":
       case "rejected": {
         this.provisional.delete(message.exercise);
-        const counted = message.event === "counted";
         const progress = this.state?.exercises.find(({ exercise }) => exercise === message.exercise);
         if (progress) Object.assign(progress, { count: message.count, set_count: message.set_count });
-        this.judge(message, counted);
+        this.judge(message);
         break;
       }
       case "hint":
@@ -204,14 +202,14 @@ export class TrainerView implements View {
     return this.language.value === "de" ? sentence_de : sentence;
   }
 
-  /** One sentence of a repetition, praise where all was as taught, and its points. */
-  private judge(message: Extract<ExerciseEventMessage, { event: "counted" | "rejected" }>, counted: boolean): void {
+  /** One sentence of a repetition, praise where the daemon has none (what does not count has a reason), and its points. */
+  private judge(message: Extract<ExerciseEventMessage, { event: "counted" | "rejected" }>): void {
     const language = this.language.value as Language;
     const said = this.spoken(message);
-    const sentence = said === null ? (counted ? PRAISE : REFUSED)[language] : written(said);
+    const sentence = said === null ? PRAISE[language] : written(said);
     setText(this.sentence, sentence);
     this.sentence.lang = language;
-    this.sentence.className = `sentence ${counted && said === null ? "good" : "care"}`;
+    this.sentence.className = `sentence ${said === null ? "good" : "care"}`;
     const { score } = message;
     const part = ([name, word]: [keyof Score, string]) => {
       const points = score?.[name] ?? null;

@@ -118,10 +118,10 @@ mod tests {
     #[test]
     fn samples_beyond_those_that_may_wait_are_left_out_and_those_that_wait_are_told() {
         let (release, held) = bounded::<()>(0);
-        let (told_in, told) = bounded(2 * WAITING);
+        let (pushed_in, pushed) = bounded(2 * WAITING);
         let lsl = Lsl::with(move |samples| {
             let _ = held.recv();
-            samples.iter().for_each(|sample| told_in.send(sample.t).unwrap());
+            samples.iter().for_each(|sample| pushed_in.send(sample.t).unwrap());
         });
         let lsl = lsl.unwrap();
         // Gone before it, so that a failure ends the thread too.
@@ -132,7 +132,7 @@ mod tests {
         assert_eq!(taken, (0..WAITING).collect::<Vec<_>>());
         drop(release);
         // Once the library goes on, all that waited is there, and so is what comes.
-        let next = |n: usize| assert_eq!(told.recv().unwrap(), t(n));
+        let next = |n: usize| assert_eq!(pushed.recv().unwrap(), t(n));
         (0..WAITING).for_each(next);
         assert!(report(9999));
         next(9999);

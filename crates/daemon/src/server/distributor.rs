@@ -515,6 +515,10 @@ mod tests {
         publish(distributor, Item::Estimate(Estimate { t_valid, ..Estimate::default() }));
     }
 
+    fn to(topic: Topic) -> Feed {
+        Feed::Subscribe { topics: vec![topic], max_rate_hz: None, sensors: None, fields: None, drop: None }
+    }
+
     #[test]
     fn who_subscribes_late_is_reported_the_state_and_the_newest_counts() {
         use posed_stage::output::{ExerciseState, Repetition};
@@ -549,13 +553,7 @@ mod tests {
         emit("b", repetition(EventKind::Provisional, 2));
         emit("a", state());
         let outbox = connect(&mut distributor, 1, &limits);
-        let feed = Feed::Subscribe {
-            topics: vec![Topic::Exercise],
-            max_rate_hz: None,
-            sensors: None,
-            fields: None,
-            drop: None,
-        };
+        let feed = to(Topic::Exercise);
         distributor.handle(Command::Feed { client: 1, id: RequestId::Number(1), feed });
         let reported: Vec<_> = received(&outbox)
             .into_iter()
@@ -573,13 +571,7 @@ mod tests {
             distributor.handle(Command::Feed { client, id: RequestId::Number(1), feed });
         };
         let was_there = connect(&mut distributor, 1, &limits);
-        let faults = Feed::Subscribe {
-            topics: vec![Topic::Faults],
-            max_rate_hz: None,
-            sensors: None,
-            fields: None,
-            drop: None,
-        };
+        let faults = to(Topic::Faults);
         feed(&mut distributor, 1, faults);
         for sensor in 0..5 {
             let what = OutcomeKind::Fault { sensor, cause: Cause::Gate, active: true };

@@ -164,7 +164,7 @@ pub enum BindError {
     Tls(#[from] TlsError),
 }
 
-/// What clients' tasks may have told the distributing one before they wait for it.
+/// What clients' tasks may have sent to the distributing one before they wait for it.
 const COMMANDS: usize = 1024;
 /// Requests that may wait to be handed on.
 const CALLS: usize = 64;

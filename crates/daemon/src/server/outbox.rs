@@ -244,14 +244,18 @@ impl Queues {
 mod tests {
     use super::*;
 
-    fn outbox() -> Outbox {
-        let limits = Limits {
+    fn limits() -> Limits {
+        Limits {
             latest_messages: 2,
             queue_messages: 4,
             lossless_messages: 3,
             queue_bytes: 1000,
             ..Limits::default()
-        };
+        }
+    }
+
+    fn outbox() -> Outbox {
+        let limits = limits();
         Outboxes::new(&limits).open(Encoding::Json, limits.queue_messages)
     }
 
@@ -313,13 +317,7 @@ mod tests {
 
     #[test]
     fn what_one_client_lets_wait_costs_no_other_anything() {
-        let limits = Limits {
-            latest_messages: 2,
-            queue_messages: 4,
-            lossless_messages: 3,
-            queue_bytes: 1000,
-            ..Limits::default()
-        };
+        let limits = limits();
         let outboxes = Outboxes::new(&limits);
         let open = || outboxes.open(Encoding::Json, limits.queue_messages);
         let (latest, queue, large, events, other) = (open(), open(), open(), open(), open());

@@ -223,10 +223,10 @@ mod tests {
         requests.hear(Received::Text(&request)).await.unwrap();
     }
 
-    /// Carries out what clients have told so far; how much that was.
+    /// Carries out what clients have sent so far; how much that was.
     fn distribute(distributor: &mut Distributor, commands: &mut mpsc::Receiver<Command>) -> usize {
-        let told = std::iter::from_fn(|| commands.try_recv().ok());
-        told.map(|command| match command {
+        let sent = std::iter::from_fn(|| commands.try_recv().ok());
+        sent.map(|command| match command {
             Command::Client(command) => distributor.handle(command),
             Command::Viewer(_) => panic!("nobody views"),
         })
@@ -280,7 +280,7 @@ mod tests {
         let StageServices { shared, mut commands, mut calls, .. } = stage();
         let (mut eager, mut other) = (operator(&shared).await, operator(&shared).await);
         let outbox = Arc::clone(&eager.outbox);
-        // Both have told that they are there.
+        // Both have said that they are there.
         for _ in 2..COMMANDS {
             eager.hear(Received::Text(SUBSCRIBE)).await.unwrap();
         }

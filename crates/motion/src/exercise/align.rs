@@ -10,16 +10,26 @@ use super::viterbi::ShortTimeViterbi;
 /// More frames than these in one of the first or last states are waiting: five times as long as at the taught pace.
 const WAITING: u64 = 10;
 /// The first and the last states are one part in so many.
-pub(super) const ENDS: usize = 5;
+const ENDS: usize = 5;
+
+/// Whether a state is one of the first of a movement.
+pub(super) fn is_first(state: usize, states: usize) -> bool {
+    ENDS * (state + 1) <= states
+}
+
+/// Whether a state is one of the last of a movement.
+pub(super) fn is_last(state: usize, states: usize) -> bool {
+    ENDS * (states - state) <= states
+}
 
 /// Whether a path that is for `dwell` frames in a state waits for the movement to begin.
 pub(super) fn waits_before(state: usize, states: usize, dwell: u64) -> bool {
-    dwell > WAITING && ENDS * (state + 1) <= states
+    dwell > WAITING && is_first(state, states)
 }
 
 /// Whether a path that is for `dwell` frames in a state waits after the movement.
 pub(super) fn waits_after(state: usize, states: usize, dwell: u64) -> bool {
-    dwell > WAITING && ENDS * (states - state) <= states
+    dwell > WAITING && is_last(state, states)
 }
 
 /// One repetition on the path.

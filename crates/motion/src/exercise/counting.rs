@@ -42,6 +42,14 @@ struct Watched {
     follower: Follower,
 }
 
+impl Watched {
+    /// What it saw in a frame that a ring of so many still holds.
+    fn observation(&self, frame: u64, capacity: u64) -> &[f64] {
+        let (slot, width) = ((frame % capacity) as usize, 2 * self.channels.len());
+        &self.observations[slot * width..(slot + 1) * width]
+    }
+}
+
 /// An exercise in one size.
 #[derive(Clone, Debug, Plain)]
 struct Size {
@@ -90,7 +98,7 @@ impl Counting {
         let watched: Vec<Watched> = exercises
             .into_iter()
             .map(|mut exercise| {
-                exercise.find_turns();
+                exercise.take_turns_of_means();
                 let width = exercise.channels.len();
                 let place = |channel: &String| all.iter().position(|other| other == channel).unwrap_or(0);
                 Watched {
@@ -291,11 +299,11 @@ impl Counting {
         let Size { movement, ratio } = watched.sizes.get(number)?;
         let states = self.path.iter().map(|state| usize::from(*state) - first);
         let moving = trim(states.clone(), ratio.states());
-        let width = 2 * watched.channels.len();
-        let rows = states.enumerate().skip(moving.start).take(moving.len()).map(|(index, state)| {
-            let slot = ((start + index as u64) % capacity) as usize;
-            (&watched.observations[slot * width..(slot + 1) * width], state)
-        });
+        let rows = states
+            .enumerate()
+            .skip(moving.start)
+            .take(moving.len())
+            .map(|(index, state)| (watched.observation(start + index as u64, capacity), state));
         let mut measures = measure(movement, ratio, &watched.exercise.channels, self.rate_hz, rows);
         measures.gain *= watched.exercise.sizes[number];
         Some((measures, [start + moving.start as u64, start + moving.end as u64 - 1]))
@@ -350,23 +358,18 @@ impl Counting {
         ways: &mut Vec<Option<Way>>,
     ) -> Option<Feedback> {
         let watched = &self.watched[exercise];
-        let number = self.size()?;
-        let (first, width) =
-            (self.exercise_topology.range(exercise, number).start, 2 * watched.channels.len());
+        let (number, capacity) = (self.size()?, self.capacity());
+        let first = self.exercise_topology.range(exercise, number).start;
         let rows = (span[0]..=span[1]).map(|frame| {
-            let slot = (frame % self.capacity()) as usize;
             let state = usize::from(self.path[(frame - start) as usize]) - first;
-            (&watched.observations[slot * width..(slot + 1) * width], state)
+            (watched.observation(frame, capacity), state)
         });
         let size = watched.exercise.sizes.get(number).copied().unwrap_or(1.0);
         let pad = beside((span[1] + 1 - span[0]) as usize) as u64;
         let now = self.viterbi.frames();
-        let oldest = now.saturating_sub(self.capacity());
-        let around = (span[0].saturating_sub(pad).max(oldest)..now.min(span[1] + 1 + pad)).map(|frame| {
-            let slot = (frame % self.capacity()) as usize;
-            let own = (span[0]..=span[1]).contains(&frame);
-            (&watched.observations[slot * width..(slot + 1) * width], own)
-        });
+        let oldest = now.saturating_sub(capacity);
+        let around = (span[0].saturating_sub(pad).max(oldest)..now.min(span[1] + 1 + pad))
+            .map(|frame| (watched.observation(frame, capacity), (span[0]..=span[1]).contains(&frame)));
         describe(&watched.exercise, &watched.spoken, measures, size, rows, around, ways)
     }
 

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::feedback::Feedback;
 use super::judge::{Measures, Reason};
 use super::remark::Remark;
-use super::words::Language;
+use super::words::{Language, sentence};
 
 /// What happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -62,12 +62,10 @@ pub struct Event {
 }
 
 impl Event {
-    /// What to say of it to the person who moves, in words of the channels of its exercise: the remark, or why it does not count;
-    /// `None` where all was as taught, and of what is not complete.
+    /// [`sentence`] of this one; `channels` are those of its exercise.
     pub fn sentence(&self, channels: &[String], language: Language) -> Option<String> {
         let channel =
             self.feedback.and_then(|feedback| channels.get(feedback.channel)).map_or("", String::as_str);
-        let remark = self.remark.map(|remark| remark.sentence(channel, language));
-        remark.or_else(|| self.reason.map(|reason| reason.sentence(language).to_owned()))
+        sentence(self.remark, self.reason, channel, language)
     }
 }

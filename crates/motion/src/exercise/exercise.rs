@@ -184,11 +184,9 @@ impl Exercise {
     }
 
     /// Takes the turning points of the states' means where a file has none.
-    pub(super) fn find_turns(&mut self) {
+    pub(super) fn take_turns_of_means(&mut self) {
         if self.turns.is_empty() {
-            let turn = |channel| {
-                Turn::new(&self.movement, channel, std::iter::empty::<std::iter::Empty<(f64, bool)>>())
-            };
+            let turn = |channel| Turn::of_means(&self.movement, channel);
             self.turns = (0..self.channels.len()).map(turn).collect();
         }
     }
@@ -234,7 +232,7 @@ impl Exercise {
             Err(ExerciseError::Damaged("a standard deviation or an amplitude is not above 0"))
         } else if !sizes_fit(&self.sizes) {
             Err(ExerciseError::Damaged("the sizes do not fall from 1"))
-        } else if !self.turns_fit() {
+        } else if !turns_fit(&self.turns, self.channels.len(), self.states()) {
             Err(ExerciseError::Damaged("the turning points do not match the channels"))
         } else if !(fast >= 0.0 && fast <= slow && slow <= 10.0) {
             Err(ExerciseError::Damaged("the gate's durations are not in order"))
@@ -251,16 +249,12 @@ impl Exercise {
     }
 }
 
-impl Exercise {
-    fn turns_fit(&self) -> bool {
-        let fits = |turn: &Turn| {
-            (turn.state as usize) < self.states()
-                && turn.way.is_finite()
-                && turn.sd >= 0.0
-                && turn.sd.is_finite()
-        };
-        self.turns.is_empty() || (self.turns.len() == self.channels.len() && self.turns.iter().all(fits))
-    }
+/// Whether turning points are those of so many channels, each in one of so many states.
+fn turns_fit(turns: &[Turn], channels: usize, states: usize) -> bool {
+    let fits = |turn: &Turn| {
+        (turn.state as usize) < states && turn.way.is_finite() && turn.sd >= 0.0 && turn.sd.is_finite()
+    };
+    turns.is_empty() || (turns.len() == channels && turns.iter().all(fits))
 }
 
 /// Whether sizes fall from 1, not below a hundredth.

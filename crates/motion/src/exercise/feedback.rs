@@ -16,6 +16,7 @@ use super::joint::{Joint, Spoken};
 use super::judge::Measures;
 use super::remark::{DeviationKind, MovementPhase, Remark};
 use super::score::Score;
+use super::turns::phase;
 
 /// Least way that is missing at a turning point to be worth a word, degrees; beyond it, where the lesson's own spread is larger.
 const SHORT_DEG: f64 = 11.0;
@@ -36,6 +37,9 @@ const LEAST_WAY: f64 = 0.2;
 const LEAST_WAY_DEG: f64 = 15.0;
 /// Least way of a joint that turns, as a share of the range of its taught course.
 const IN_PHASE: f64 = 0.7;
+/// The frames beside a repetition in which its ends may lie, as a share of its duration: where the path begins and ends is where the
+/// movement is likelier than rest.
+const BESIDE: f64 = 0.3;
 /// By how much the whole repetition may be smaller or larger before the difference is a joint's own.
 const COMMON: f64 = 0.12;
 /// A way that goes as taught, degrees, against which the other joints' ways are weighed: small ones alone say little about the size.
@@ -118,10 +122,6 @@ pub(super) struct Way {
     taught: f64,
     sd: f64,
 }
-
-/// The frames beside a repetition in which its ends may lie, as a share of its duration: where the path begins and ends is where the
-/// movement is likelier than rest.
-const BESIDE: f64 = 0.3;
 
 /// Number of frames beside a repetition of so many in which its ends may lie.
 pub(super) fn beside(frames: usize) -> usize {
@@ -221,7 +221,7 @@ fn beyond(exercise: &Exercise, ways: &[Option<Way>], channel: usize) -> Option<f
     let joint = Joint::of(&exercise.channels[channel])?;
     let others = ways.iter().zip(&exercise.channels).filter_map(|(way, name)| {
         let other = Joint::of(name)?;
-        way.filter(|_| (other.joint, other.side) != (joint.joint, joint.side))
+        way.filter(|_| !other.is_beside(&joint))
     });
     let as_taught = AS_TAUGHT_DEG.powi(2);
     let (went, taught) = others.fold((as_taught, as_taught), |(went, taught), other| {
@@ -267,7 +267,7 @@ fn at_turn(exercise: &Exercise, ways: &[Option<Way>], channel: usize) -> Option<
         worth: off.abs() / least.max(SPREAD * way.sd),
         kind: if off < 0.0 { DeviationKind::Short } else { DeviationKind::TooFar },
         place: MovementPhase::Top,
-        phase: (f64::from(turn.state) + 0.5) / exercise.states() as f64,
+        phase: turn.phase(exercise.states()),
     })
 }
 
@@ -288,20 +288,19 @@ fn on_the_way<'a>(
     let states = exercise.states();
     let means = &exercise.movement.states.mean;
     let half = 0.5 * WINDOW;
-    let phase_of = |state: usize| (state as f64 + 0.5) / states as f64;
-    let turn_phase = phase_of(exercise.turns.get(channel).map_or(0, |turn| turn.state as usize));
+    let turn_phase = exercise.turns[channel].phase(states);
     let off = rows.filter_map(|(observation, state)| {
-        let here =
-            spoken.is_defined(|other| observation[other]) && spoken.is_defined(|other| means[other][state]);
+        let here = spoken.is_defined_in(observation, means, state);
         let off = observation[channel] - means[channel][state];
-        (here && off.is_finite()).then(|| (phase_of(state), off, astray(exercise, &spoken, channel, state)))
+        (here && off.is_finite())
+            .then(|| (phase(state, states), off, astray(exercise, &spoken, channel, state)))
     });
     let mut most: Option<(f64, f64, f64)> = None;
-    for centre in (0..states).map(phase_of) {
+    for centre in (0..states).map(|state| phase(state, states)) {
         if !ON_THE_WAY.contains(&centre) || (turns && (centre - turn_phase).abs() <= TURN) {
             continue;
         }
-        let near = off.clone().filter(|(phase, ..)| (phase - centre).abs() <= half);
+        let near = off.clone().filter(|(at, ..)| (at - centre).abs() <= half);
         let (sum, least, n) =
             near.fold((0.0, 0.0, 0.0), |(sum, least, n), (_, off, one)| (sum + off, least + one, n + 1.0));
         let worth = f64::abs(sum) / least;
@@ -314,7 +313,7 @@ fn on_the_way<'a>(
         channel,
         deviation,
         worth,
-        kind: if deviation > 0.0 { DeviationKind::TooHigh } else { DeviationKind::TooLow },
+        kind: DeviationKind::on_the_way(deviation),
         place: MovementPhase::of(phase, turn_phase),
         phase,
     })
@@ -325,7 +324,7 @@ fn strangest<'a>(
     exercise: &Exercise,
     rows: impl Iterator<Item = (&'a [f64], usize)> + Clone,
 ) -> Option<Deviation> {
-    let (states, gaussians) = (exercise.states() as f64, &exercise.movement.states);
+    let (states, gaussians) = (exercise.states(), &exercise.movement.states);
     let mut most: Option<(f64, Deviation)> = None;
     for channel in 0..exercise.channels.len() {
         let amplitude = exercise.movement.amplitude[channel];
@@ -333,11 +332,9 @@ fn strangest<'a>(
             let deviation = observation[channel] - gaussians.mean[channel][state];
             let share = deviation.abs() / amplitude;
             if share.is_finite() && most.is_none_or(|(most, _)| share > most) {
-                let phase = (state as f64 + 0.5) / states;
-                let turn =
-                    exercise.turns.get(channel).map_or(0.0, |turn| (f64::from(turn.state) + 0.5) / states);
-                let kind = if deviation > 0.0 { DeviationKind::TooHigh } else { DeviationKind::TooLow };
-                let place = MovementPhase::of(phase, turn);
+                let phase = phase(state, states);
+                let kind = DeviationKind::on_the_way(deviation);
+                let place = MovementPhase::of(phase, exercise.turns[channel].phase(states));
                 most = Some((share, Deviation { channel, deviation, worth: 0.0, kind, place, phase }));
             }
         }

@@ -10,6 +10,7 @@ use super::exercise::Exercise;
 use super::feedback::{ON_THE_WAY, TURN, astray};
 use super::joint::Spoken;
 use super::remark::{DeviationKind, MovementPhase, Remark};
+use super::turns::phase;
 
 /// Time constant of the low pass, s.
 const SMOOTH_S: f64 = 0.2;
@@ -38,10 +39,9 @@ impl Hint {
     /// What to say of the channel; `None` where its deviation is not worth a word.
     pub fn remark(&self, exercise: &Exercise) -> Option<Remark> {
         let Self { channel, deviation, phase, .. } = *self;
-        let turn = exercise.turns.get(channel)?;
-        let turn = (f64::from(turn.state) + 0.5) / exercise.states() as f64;
-        let kind = if deviation > 0.0 { DeviationKind::TooHigh } else { DeviationKind::TooLow };
-        let place = MovementPhase::of(phase, turn);
+        let turn_phase = exercise.turns.get(channel)?.phase(exercise.states());
+        let kind = DeviationKind::on_the_way(deviation);
+        let place = MovementPhase::of(phase, turn_phase);
         (self.worth >= 1.0).then_some(Remark::Deviation { channel, deviation, kind, place })
     }
 }
@@ -83,8 +83,8 @@ impl Follower {
         self.inside = true;
         let weight = 1.0 - libm::exp(-1.0 / (SMOOTH_S * self.rate_hz));
         let gaussians = &exercise.movement.states;
-        let phase_of = |state: f64| (state + 0.5) / exercise.states() as f64;
-        let phase = phase_of(state as f64);
+        let states = exercise.states();
+        let phase = phase(state, states);
         let (mut channel, mut worth) = (0, 0.0);
         for (at, smooth) in self.smooth.iter_mut().enumerate() {
             let off = observation[at] - gaussians.mean[at][state];
@@ -92,9 +92,8 @@ impl Follower {
                 *smooth += weight * (off - *smooth);
             }
             let Some((spoken, turn)) = spoken[at].zip(exercise.turns.get(at)) else { continue };
-            let turns = (phase - phase_of(f64::from(turn.state))).abs() <= TURN;
-            let defined = spoken.is_defined(|other| observation[other])
-                && spoken.is_defined(|other| gaussians.mean[other][state]);
+            let turns = (phase - turn.phase(states)).abs() <= TURN;
+            let defined = spoken.is_defined_in(observation, &gaussians.mean, state);
             if defined && !turns && ON_THE_WAY.contains(&phase) {
                 let here = smooth.abs() / astray(exercise, &spoken, at, state);
                 if here > worth {

@@ -11,7 +11,7 @@
 use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
-use super::align::ENDS;
+use super::align::{is_first, is_last};
 use super::kinds::{is_posture, largest};
 
 /// Frames that the pooled variance counts for.
@@ -206,7 +206,7 @@ impl LogRatio {
     /// is no posture (angular velocities of a watch) needs its ends: its rest is the same on all days.
     fn is_end(&self, state: usize) -> bool {
         let states = self.states();
-        self.of_joints && (ENDS * (state + 1) <= states || ENDS * (states - state) <= states)
+        self.of_joints && (is_first(state, states) || is_last(state, states))
     }
 
     /// Log density of the mixture of rest and any movement.

@@ -60,6 +60,11 @@ impl<'a> Joint<'a> {
         })
     }
 
+    /// Whether both are angles of one joint of one side.
+    pub(super) fn is_beside(&self, other: &Joint<'_>) -> bool {
+        (self.joint, self.side) == (other.joint, other.side)
+    }
+
     /// Whether it is lost where the arm hangs.
     fn needs_a_lifted_arm(&self) -> bool {
         self.joint == "shoulder" && matches!(self.movement, "plane" | "rotation")
@@ -80,19 +85,22 @@ impl Spoken {
     pub(super) fn of(channels: &[String]) -> Vec<Option<Self>> {
         let angle = |channel: &String| {
             let joint = Joint::of(channel)?;
-            let elevation = channels.iter().position(|other| {
-                Joint::of(other).is_some_and(|other| {
-                    other.movement == "elevation" && (other.joint, other.side) == (joint.joint, joint.side)
-                })
-            });
-            let is_defined = !joint.needs_a_lifted_arm() || elevation.is_some();
-            let elevation = elevation.filter(|_| joint.needs_a_lifted_arm());
-            is_defined.then_some(Self { degrees: joint.degrees, elevation })
+            let lifts = |other: &String| {
+                Joint::of(other).is_some_and(|other| other.movement == "elevation" && other.is_beside(&joint))
+            };
+            let elevation =
+                if joint.needs_a_lifted_arm() { Some(channels.iter().position(lifts)?) } else { None };
+            Some(Self { degrees: joint.degrees, elevation })
         };
         channels.iter().map(angle).collect()
     }
 
-    /// Whether the angle is defined where the channels have these values: of the lesson, or just now.
+    /// Whether the angle is defined both just now and in that state of the lesson, whose means these are.
+    pub(super) fn is_defined_in(&self, observation: &[f64], mean: &[Vec<f64>], state: usize) -> bool {
+        self.is_defined(|channel| observation[channel]) && self.is_defined(|channel| mean[channel][state])
+    }
+
+    /// Whether the angle is defined where the channels have these values.
     pub(super) fn is_defined(&self, values: impl Fn(usize) -> f64) -> bool {
         self.elevation.is_none_or(|elevation| LIFTED_DEG.contains(&(values(elevation) * self.degrees)))
     }

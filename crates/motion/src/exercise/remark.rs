@@ -41,6 +41,13 @@ pub enum DeviationKind {
     TooLow,
 }
 
+impl DeviationKind {
+    /// Of a deviation that is not at a turning point.
+    pub(super) fn on_the_way(deviation: f64) -> Self {
+        if deviation > 0.0 { Self::TooHigh } else { Self::TooLow }
+    }
+}
+
 /// Where in the movement, relative to the turning point of the channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]

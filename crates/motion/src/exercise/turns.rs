@@ -23,16 +23,8 @@ pub struct Turn {
 }
 
 impl Turn {
-    /// The turning point of a channel of a movement, with its way in these repetitions; where there are none, that of the states'
-    /// means.
-    pub(super) fn new<'a, V>(
-        movement: &Movement,
-        channel: usize,
-        repetitions: impl Iterator<Item = V>,
-    ) -> Self
-    where
-        V: Iterator<Item = (f64, bool)> + Clone + 'a,
-    {
+    /// The turning point of a channel of a movement, with the way that the states' means go there.
+    pub(super) fn of_means(movement: &Movement, channel: usize) -> Self {
         let mean = &movement.states.mean[channel];
         let (first, last) = (mean.first().copied().unwrap_or(0.0), mean.last().copied().unwrap_or(0.0));
         let ends = 0.5 * (first + last);
@@ -43,15 +35,29 @@ impl Turn {
             }
         }
         let outward = if mean[state] < ends { -1.0 } else { 1.0 };
-        let (n, sum) = repetitions
-            .filter_map(|values| way(values, outward))
-            .fold((0.0, 0.0), |(n, sum), way| (n + 1.0, sum + way));
-        let way = if n > 0.0 {
-            sum / n
-        } else {
-            way(mean.iter().map(|value| (*value, true)), outward).unwrap_or(0.0)
-        };
+        let way = way(mean.iter().map(|value| (*value, true)), outward).unwrap_or(0.0);
         Self { state: state as u32, way, sd: 0.0 }
+    }
+
+    /// The same with its mean way in these repetitions.
+    pub(super) fn new<'a, V>(
+        movement: &Movement,
+        channel: usize,
+        repetitions: impl Iterator<Item = V>,
+    ) -> Self
+    where
+        V: Iterator<Item = (f64, bool)> + Clone + 'a,
+    {
+        let turn = Self::of_means(movement, channel);
+        let (n, sum) = repetitions
+            .filter_map(|values| turn.way_of(values))
+            .fold((0.0, 0.0), |(n, sum), way| (n + 1.0, sum + way));
+        Self { way: if n > 0.0 { sum / n } else { turn.way }, ..turn }
+    }
+
+    /// Where in a movement of so many states it is: 0 is the beginning, 1 the end.
+    pub(super) fn phase(&self, states: usize) -> f64 {
+        phase(self.state as usize, states)
     }
 
     /// The way of a repetition, in the same direction: of its values, and those beside it, which are not its own.
@@ -63,6 +69,11 @@ impl Turn {
     pub(super) fn outward(&self) -> f64 {
         if self.way < 0.0 { -1.0 } else { 1.0 }
     }
+}
+
+/// Where in a movement of so many states the middle of one of them is: 0 is the beginning, 1 the end.
+pub(super) fn phase(state: usize, states: usize) -> f64 {
+    (state as f64 + 0.5) / states as f64
 }
 
 /// From the nearer end, the least value before or after it, to the farthest point in a direction; the mean of three values each, for

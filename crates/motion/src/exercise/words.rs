@@ -28,6 +28,18 @@ impl Language {
     }
 }
 
+/// What to say of a repetition to the person who moves: the remark, in words of the channel that it speaks of, or why it does not count;
+/// `None` where all was as taught, and of what is not complete.
+pub fn sentence(
+    remark: Option<Remark>,
+    reason: Option<Reason>,
+    channel: &str,
+    language: Language,
+) -> Option<String> {
+    let remark = remark.map(|remark| remark.sentence(channel, language));
+    remark.or_else(|| reason.map(|reason| reason.sentence(language).to_owned()))
+}
+
 impl Remark {
     /// One sentence for the person who moves; `channel` is the name of the channel it speaks of.
     pub fn sentence(&self, channel: &str, language: Language) -> String {
