@@ -61,6 +61,7 @@ impl Arrivals {
             bytes_after: read_end.saturating_sub(offset + 1).min(u32::MAX.into()) as u32,
             cycle_bytes_before: 0,
             split: false,
+            after_loss: false,
         })
     }
 }

@@ -23,14 +23,18 @@ pub struct Arrival {
     /// Whether the read ended within the record, the rest of which came later: proof that bytes take their time.
     /// Only the Flock's driver looks; the others say `false`.
     pub split: bool,
+    /// Whether bytes were lost since the record before, of this station (Fastrak) or of the device (Flock), by more than the bytes
+    /// that came damaged account for: whole cycles may have gone with them, and a number of [`DeviceTime::Cycle`] may have fallen
+    /// behind here. The others say `false`.
+    pub after_loss: bool,
 }
 
 /// The device's own idea of when a record was measured; not checked against the host's clock but for the x-IMU3.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub enum DeviceTime {
     /// No clock on the wire, only a number. Flock, Fastrak: the driver numbers measurement cycles by the order of addresses.
-    /// Records damaged on the wire are counted; cycles that left no trace in the bytes are not, so the number may fall behind;
-    /// it never goes back. SlimeVR: the tracker's packet number, which begins anew with a handshake and is 0 where the tracker
+    /// Records damaged on the wire are counted; cycles that left no trace in the bytes are not, so the number may fall behind
+    /// (see [`Arrival::after_loss`]); it never goes back. SlimeVR: the tracker's packet number, which begins anew with a handshake and is 0 where the tracker
     /// does not count. Xbus without a counter: the driver's count of data messages, which begins anew with each set-up.
     Cycle(u64),
     /// The unit's counter, unwrapped by the driver, in ticks of a nominal `tick_s` seconds. Xbus: sample time (0.1 ms), else

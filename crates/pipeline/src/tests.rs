@@ -138,6 +138,7 @@ fn samples_without_sense_are_never_good() {
             bytes_after: u32::MAX,
             cycle_bytes_before: (k % 7) as u32 * 1_000_000,
             split: k % 5 == 0,
+            after_loss: k % 7 == 0,
         };
         let sample = Sample {
             address: 1 + (k % 2) as u16,

@@ -16,7 +16,7 @@ use super::wire::{Piece, Record, STATIONS, Shape, Splitter};
 use crate::arrivals::Arrivals;
 use crate::flock::SettingsError;
 use crate::outbox::Outbox;
-use crate::sample::{DeviceTime, Measurement, Sample, Timestamp};
+use crate::sample::{Arrival, DeviceTime, Measurement, Sample, Timestamp};
 use crate::session::{Counters, LineEvent, Loss, Output, SensorInfo, Session, State};
 
 /// Measurements per second of a unit, shared by its stations.
@@ -105,6 +105,10 @@ pub struct FastrakSession {
     debt: Debt,
     /// The stream has been started anew since the last record.
     started: bool,
+    /// Bytes of no record, until the last one.
+    skipped_before: u64,
+    /// By station: bytes were lost since its last record, and nobody knows how many.
+    after_loss: Vec<bool>,
 }
 
 impl FastrakSession {
@@ -129,6 +133,7 @@ impl FastrakSession {
             settings,
             sensors: addresses.clone().map(|address| SensorInfo { address, serial: None }).collect(),
             losses: addresses.map(|address| Loss { address, ..Loss::default() }).collect(),
+            after_loss: vec![false; stations.len()],
             stations,
             phase: Phase::Closed,
             questions: 0,
@@ -140,6 +145,7 @@ impl FastrakSession {
             last_record: None,
             debt: Debt::default(),
             started: false,
+            skipped_before: 0,
         })
     }
 
@@ -187,9 +193,10 @@ impl FastrakSession {
             return;
         };
         self.phase = Phase::Streaming { silent_at: now + SILENCE };
-        self.count_losses(now, index);
+        self.count_losses(now, index, len as u64);
         if record.status != b' ' {
             self.refuse(len);
+            self.skipped_before = self.skipped();
             self.losses[index].lost += 1;
             let (station, letter) = (record.station, char::from(record.status));
             self.outbox.warn(now, u32::from(station) << 8 | u32::from(record.status), || {
@@ -200,9 +207,10 @@ impl FastrakSession {
         self.outbox.counters.records += 1;
         self.outbox.streaming();
         let Some(arrival) = self.arrivals.of(offset) else { return };
+        let after_loss = std::mem::take(&mut self.after_loss[index]);
         self.outbox.sample(Sample {
             address: record.station.into(),
-            arrival,
+            arrival: Arrival { after_loss, ..arrival },
             t_device: DeviceTime::Cycle(self.cycle),
             measurement: Measurement::Pose {
                 position_m: Some(record.position_m),
@@ -217,25 +225,40 @@ impl FastrakSession {
         self.dropped += len as u64;
     }
 
-    /// Stations come in turn: those passed over were lost. Whole cycles leave no trace but time, and are counted once that has
-    /// passed: too late for the number of a cycle, which the clock puts right by itself.
-    fn count_losses(&mut self, now: Timestamp, index: usize) {
+    /// Bytes of no record up to here.
+    fn skipped(&self) -> u64 {
+        self.dropped + self.splitter.bytes_skipped()
+    }
+
+    /// Stations come in turn: those passed over were lost, and so were whole cycles where the bytes of no record are as many.
+    /// Of bytes that never came, whole cycles leave no trace but time, and are counted once that has passed: too late for the number
+    /// of a cycle, which the clock puts right by itself where it knows that there is doubt. `len` are the bytes of a record.
+    fn count_losses(&mut self, now: Timestamp, index: usize, len: u64) {
         let elapsed_s = self.last_record.replace(now).map_or(0.0, |last| now.seconds_since(last));
         let stations = self.stations.len();
-        if std::mem::take(&mut self.started) {
+        let started = std::mem::take(&mut self.started);
+        if started {
             self.debt.forgive();
             let missed = (elapsed_s * UNIT_RATE_HZ / stations as f64).round() as u64;
             self.lose_cycles(missed.saturating_sub(1));
             self.due = index;
         }
-        let mut passed = 0;
-        while self.due != index {
+        let skipped = self.skipped();
+        let damaged = skipped - std::mem::replace(&mut self.skipped_before, skipped);
+        let damaged = if started { 0 } else { damaged };
+        let to_index = ((index + stations - self.due) % stations) as u64;
+        let cycle_len = stations as u64 * len;
+        let whole = (damaged.saturating_sub(to_index * len) + cycle_len / 2) / cycle_len;
+        let passed = to_index + whole * stations as u64;
+        if damaged != passed * len {
+            self.after_loss.fill(true);
+        }
+        for _ in 0..passed {
             self.losses[self.due].lost += 1;
             self.losses[self.due].estimated = true;
-            passed += 1;
             self.step();
         }
-        let cycles = self.debt.record(now, passed, stations, UNIT_RATE_HZ);
+        let cycles = self.debt.record(now, passed as u32, stations, UNIT_RATE_HZ);
         self.lose_cycles(cycles);
         self.step();
     }

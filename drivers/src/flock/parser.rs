@@ -296,7 +296,9 @@ impl Splitter {
             BirdSlot::Running(index) => index,
             BirdSlot::Absent(index) => return self.sight(index, emit),
         };
-        let (skipped, agrees) = self.skipped_records(index);
+        let (skipped, skipped_bytes) = self.skipped_records(index);
+        let slack = if self.damage == 0 { 0 } else { SLACK_BYTES };
+        let agrees = skipped_bytes.abs_diff(self.damage) <= slack;
         // Not a byte is missing or too many: the birds between did not speak. An address that a flipped bit made
         // would not go on where its bird left off.
         let agrees = agrees || (self.damage == 0 && self.continues(place));
@@ -305,6 +307,8 @@ impl Splitter {
         } else if self.in_order && skipped > 0 {
             self.count_misses(index);
         }
+        // Damaged bytes that are not those of whole records: others are lost, nobody knows how many.
+        let after_loss = self.damage > 0 && self.damage != skipped_bytes;
         let position = self.next as u64 + skipped;
         let birds = self.slots.len() as u64;
         let cycle = self.cycle + position / birds;
@@ -327,6 +331,7 @@ impl Splitter {
                         bytes_after: self.piece.bytes_after,
                         cycle_bytes_before: self.bytes_before(index) as u32,
                         split: self.piece.split,
+                        after_loss,
                     },
                     t_device: DeviceTime::Cycle(cycle),
                     measurement: Measurement::Pose {
@@ -349,16 +354,15 @@ impl Splitter {
         self.let_go_of_silent_birds(emit);
     }
 
-    /// How many records lie between the expected one and this slot's, and whether the damage says the same.
-    fn skipped_records(&self, index: usize) -> (u64, bool) {
+    /// How many records lie between the expected one and this slot's, as the damage says best, and how many bytes they have.
+    fn skipped_records(&self, index: usize) -> (u64, u64) {
         let birds = self.slots.len();
         let to_slot = (index + birds - self.next) % birds;
         let partial: u64 = (0..to_slot).map(|i| self.slots[(self.next + i) % birds].shape.len() as u64).sum();
         let cycle_len = self.bytes_before(birds);
         let whole = (self.damage.saturating_sub(partial) + cycle_len / 2) / cycle_len;
         let skipped_bytes = partial + whole * cycle_len;
-        let slack = if self.damage == 0 { 0 } else { SLACK_BYTES };
-        (to_slot as u64 + whole * birds as u64, skipped_bytes.abs_diff(self.damage) <= slack)
+        (to_slot as u64 + whole * birds as u64, skipped_bytes)
     }
 
     /// Bytes of the first `count` records of a cycle.

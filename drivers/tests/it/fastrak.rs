@@ -116,6 +116,9 @@ struct Pretended {
     out: VecDeque<Vec<u8>>,
     received: Vec<u8>,
     skip: usize,
+    /// Records to come whose first byte is damaged, and bytes at the front of the next one that are lost.
+    damaged: usize,
+    cut: usize,
     /// From one record to the next.
     period: Duration,
 }
@@ -133,6 +136,8 @@ impl Pretended {
             out: VecDeque::new(),
             received: vec![],
             skip: 0,
+            damaged: 0,
+            cut: 0,
             period: Duration::from_nanos(8_333_333),
         }
     }
@@ -176,6 +181,11 @@ impl Device for Pretended {
                     button: Some(true),
                 }
                 .encode(self.shape, &mut bytes);
+                if self.damaged > 0 {
+                    self.damaged -= 1;
+                    bytes[0] ^= 0x40;
+                }
+                bytes.drain(..std::mem::take(&mut self.cut));
                 self.out.push_back(bytes);
             }
         }
@@ -247,6 +257,34 @@ fn what_a_gap_swallows_is_counted_by_time() {
             let turns = cycle(rig.samples.len() - 1) - cycle(before as usize - 1);
             let records = rig.samples.len() as u64 - before;
             assert!(turns.abs_diff(records / stations.len() as u64) <= 1, "{case}: {turns} cycles");
+        }
+    }
+}
+
+#[test]
+fn damaged_records_are_counted_by_their_bytes_and_lost_bytes_leave_doubt() {
+    for text in [false, true] {
+        for stations in [&[1][..], &[1, 2], &[1, 2, 3, 4]] {
+            for records in [1, 3, 9] {
+                let mut rig = rig(Settings { text, ..Settings::default() }, stations);
+                rig.run_ms(1000);
+                rig.samples.clear();
+                rig.device.damaged = records;
+                rig.run_ms(300);
+                let case = format!("{records} of {} stations, text {text}", stations.len());
+                let lost: u64 = rig.session.losses().iter().map(|loss| loss.lost).sum();
+                assert_eq!(lost, records as u64, "{case}");
+                assert!(rig.samples.iter().all(|sample| !sample.arrival.after_loss), "{case}");
+
+                rig.samples.clear();
+                rig.device.cut = 13;
+                rig.run_stored_ms(300);
+                // Each station has a clock of its own: each is told, once.
+                let told = rig.samples.iter().filter(|sample| sample.arrival.after_loss);
+                let mut told: Vec<_> = told.map(|sample| sample.address).collect();
+                told.sort_unstable();
+                assert_eq!(told, *stations, "{case}");
+            }
         }
     }
 }

@@ -19,6 +19,9 @@
 //! proof. The second may be a host that stamped the earlier read late, so it is believed on [`Trial`]: times follow at
 //! once, but count and window only when [`CONFIRMED`] reads agree, and none that contradicts has come before.
 //!
+//! Where the driver saw that bytes are missing, cycles may be missing with them, and a slow reader or bursts hide it for a while: until
+//! a read shows that none is, or how many, times are not relied on.
+//!
 //! A count that its own read contradicts is doubted ([`doubt`]): such a cycle is taken for the next one, and the window does
 //! not see it. No capture time lies after its read, whatever the device says, but for the microsecond by which each of several
 //! cycles that would have the same follows the one before.
@@ -62,6 +65,8 @@ const MOST_SIGMA_S: f64 = 0.02;
 const CONTRADICTED_S: f64 = 0.2;
 /// By how much less than whole cycles a read may be late and still mean that they are missing, s.
 const LATE_BY_LESS_S: f64 = 5e-5;
+/// How long cycles may be missing without a trace after bytes were lost, unless a read shows that none is, s.
+const LOSSY_S: f64 = 0.5;
 /// Share of a period by which the bounds of a window may contradict each other.
 const CONTRADICTION: f64 = 0.4;
 /// Reads that must agree on cycles that left no trace.
@@ -128,6 +133,8 @@ pub struct Clock {
     /// Cycles that the driver's count is behind (Cycle only).
     renumbered: i64,
     trial: Option<Trial>,
+    /// When bytes were lost, as long as nobody knows whether whole cycles went with them (Cycle only).
+    lossy: Option<Timestamp>,
     /// When a cycle was read last that had not been measured yet, by the line.
     contradicted: Option<Timestamp>,
     /// Cycles in a row that came late and alone.
@@ -212,6 +219,7 @@ impl Clock {
             interval: Interval::default(),
             renumbered: 0,
             trial: None,
+            lossy: None,
             contradicted: None,
             undecided: 0,
             late_reads: 0,
@@ -241,15 +249,21 @@ impl Clock {
     /// Forgets the phase: the device or its line began anew. The period is kept as the nominal one, and capture times go on
     /// rising.
     pub fn restart(&mut self) {
+        self.begin_anew(false);
+    }
+
+    /// As [`Clock::restart`]; whether the line is not what it was.
+    fn begin_anew(&mut self, has_changed: bool) {
         if let Some(period) = self.period_s() {
             self.nominal_period_s = Some(period);
         }
-        self.window.clear();
+        self.window.clear(self.fit.as_ref(), has_changed);
         self.fit = None;
         self.origin = None;
         self.interval = Interval::default();
         self.renumbered = 0;
         self.trial = None;
+        self.lossy = None;
         self.undecided = 0;
         self.late_reads = 0;
         self.doubt = Doubt::default();
@@ -303,6 +317,10 @@ impl Clock {
         let byte_s = self.settings.byte_time_s;
         let mut evidence =
             self.reads.evidence(&sample.arrival, origin.t, count + self.renumbered as f64, byte_s);
+        // Without a line there is none to fall behind of.
+        if sample.arrival.after_loss && !counted && self.fit.is_some() {
+            self.lossy = Some(sample.arrival.t_read);
+        }
         if begins_cycle && self.fit.is_some_and(|fit| self.window.may_judge(fit.prompt)) {
             self.check(&evidence, !counted);
             if self.fit.is_none() {
@@ -331,8 +349,9 @@ impl Clock {
         }
         let contradicted =
             self.contradicted.is_some_and(|t| sample.arrival.t_read.seconds_since(t) < CONTRADICTED_S);
-        let queued = undecided || contradicted || self.trial.is_some();
-        if self.trial.is_some() || undecided || waited {
+        let lossy = self.lossy.is_some_and(|t| sample.arrival.t_read.seconds_since(t) < LOSSY_S);
+        let queued = undecided || contradicted || lossy || self.trial.is_some();
+        if self.trial.is_some() || undecided || waited || lossy {
             // Evidence of a count that may be wrong would bend the line.
         } else if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S)
             || self.fit.is_none()
@@ -351,7 +370,14 @@ impl Clock {
         } else if let Some(fit) = &mut self.fit {
             fit.tighten(&evidence);
         }
-        if begins_cycle { self.begin_cycle(raw, x, origin, known, &evidence, queued) } else { self.repeat() }
+        if begins_cycle {
+            return self.begin_cycle(raw, x, origin, known, &evidence, queued);
+        }
+        if let Some(last) = &mut self.last {
+            // What comes after a loss may be of a later cycle.
+            last.queued |= lossy;
+        }
+        self.repeat()
     }
 
     /// What to think of a count before it is used.
@@ -423,6 +449,10 @@ impl Clock {
         } else if usual {
             self.usual_bytes_after = self.usual_bytes_after.max(evidence.bytes_after);
         }
+        if self.lossy.is_some() && late - period < fit.lower - tolerance {
+            // Were it a later cycle, it would have been read before it was measured: none is missing.
+            self.lossy = None;
+        }
         if let Some(trial) = &mut self.trial {
             trial.cycles += 1;
             let refuted = late - trial.shift as f64 * period < fit.lower - tolerance;
@@ -433,7 +463,7 @@ impl Clock {
                 self.renumber(shift);
             }
         }
-        self.count_consistency(inconsistent);
+        self.count_consistency(inconsistent, evidence.t_read);
     }
 
     /// By how much a cycle comes later than usual, s, if by more than half a period; and whether nothing is behind it: cycles before it
@@ -450,6 +480,7 @@ impl Clock {
     fn renumber(&mut self, shift: i64) {
         self.renumbered += shift;
         self.trial = None;
+        self.lossy = None;
     }
 
     /// One more read says that at least so many cycles left no trace.
@@ -464,11 +495,12 @@ impl Clock {
         }
     }
 
-    fn count_consistency(&mut self, inconsistent: bool) {
+    fn count_consistency(&mut self, inconsistent: bool, t_read: Timestamp) {
         self.inconsistent_seen += 1;
         self.inconsistent += u32::from(inconsistent);
         if self.inconsistent >= INCONSISTENT_LIMIT {
-            self.restart();
+            self.begin_anew(true);
+            self.contradicted = Some(t_read);
         } else if self.inconsistent_seen >= INCONSISTENT_SPAN {
             self.inconsistent_seen = 0;
             self.inconsistent = 0;

@@ -138,6 +138,7 @@ impl Line {
                     bytes_after: (end - at - 1 - i) as u32,
                     cycle_bytes_before: bird * self.record_bytes,
                     split: false,
+                    after_loss: false,
                 };
                 let measurement =
                     Measurement::Pose { position_m: None, orientation_wxyz: None, button: None };
@@ -336,7 +337,14 @@ pub(super) fn sample(
     t_previous_read: Option<Timestamp>,
     t_device: DeviceTime,
 ) -> Sample {
-    let arrival = Arrival { t_read, t_previous_read, bytes_after: 0, cycle_bytes_before: 0, split: false };
+    let arrival = Arrival {
+        t_read,
+        t_previous_read,
+        bytes_after: 0,
+        cycle_bytes_before: 0,
+        split: false,
+        after_loss: false,
+    };
     let measurement = Measurement::Pose { position_m: None, orientation_wxyz: None, button: None };
     Sample { address, arrival, t_device, measurement }
 }
@@ -636,6 +644,44 @@ fn a_line_that_ceases_to_burst_keeps_its_period() {
                     k < 16 || stamp.is_late() || off_s < f64::max(0.006, 6.0 * stamp.sigma_s),
                     "{rate_hz} Hz, bursts of {burst_ms} ms for {burst_cycles} cycles: cycle {k} is {off_s} s off"
                 );
+            }
+            previous = Some(chunk[0].0);
+        }
+    }
+}
+
+/// Bytes are lost, cycles with them, and bursts hide for a while that they are missing: no capture time is a cycle early meanwhile.
+#[test]
+fn cycles_lost_with_bytes_are_waited_for() {
+    for (burst_ms, first, lost) in [40.0, 57.5, 75.0].into_iter().flat_map(|burst_ms| {
+        (200_u64..220).flat_map(move |first| [0, 1, 2, 4].map(|lost| (burst_ms, first, lost)))
+    }) {
+        let mut clock = Clock::new(Settings { byte_time_s: BYTE_S, measurement_delay_s: 0.0 });
+        clock.set_nominal_rate_hz(Some(30.0));
+        clock.know_wire();
+        let (mut previous, mut reads) = (None, Vec::<(Timestamp, f64, u64)>::new());
+        for k in (0..400).filter(|k| !(first..first + lost).contains(k)) {
+            let truth_s = 20.0 + k as f64 / 30.0;
+            let there_s = truth_s + 33.0 * BYTE_S;
+            let burst_s = burst_ms * 1e-3;
+            let read_s = if k < 60 { there_s } else { (there_s / burst_s).ceil() * burst_s };
+            reads.push((Timestamp::from_secs_f64(read_s), truth_s, k));
+        }
+        for chunk in reads.chunk_by(|(a, ..), (b, ..)| a == b) {
+            for (place, &(t_read, truth_s, k)) in chunk.iter().enumerate() {
+                let count = if k < first { k } else { k - lost };
+                let mut sample = sample(1, t_read, previous, DeviceTime::Cycle(count));
+                sample.arrival.bytes_after = 33 * (chunk.len() - place) as u32 - 1;
+                sample.arrival.after_loss = k == first + lost;
+                let stamp = clock.push(&sample);
+                let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
+                let case = format!("{lost} cycles from {first} on, bursts of {burst_ms} ms: cycle {k}");
+                assert!(
+                    stamp.is_late() || off_s < f64::max(0.01, 6.0 * stamp.sigma_s),
+                    "{case} is {off_s} s off"
+                );
+                let decided = k > first + lost + 15;
+                assert!(!decided || clock.lossy.is_none() || stamp.is_late(), "{case} is in doubt");
             }
             previous = Some(chunk[0].0);
         }

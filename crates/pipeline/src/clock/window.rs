@@ -7,6 +7,8 @@ use posed_state::Plain;
 
 /// Cycles in one block.
 const BLOCK_CYCLES: u32 = 8;
+/// Newest blocks that tell how late the reads of a line are now.
+const LATEST_BLOCKS: usize = 2;
 /// Blocks in the window: 3072 cycles, half a minute at 100 Hz.
 const BLOCKS: usize = 384;
 /// From so many blocks on the fitted period is better than a nominal one.
@@ -83,6 +85,11 @@ impl Block {
         if self.reads < self.cycles {
             return if fit.prompt { fit.lateness } else { f64::INFINITY };
         }
+        self.spread_s(fit)
+    }
+
+    /// Twice the mean of what its samples were later than the first.
+    fn spread_s(&self, fit: &Fit) -> f64 {
         let mean = (self.sum_paced - fit.period_s * self.sum_x) / self.samples;
         2.0 * (mean - (self.paced.t - fit.period_s * self.paced.x)).max(0.0)
     }
@@ -134,6 +141,8 @@ pub(super) struct Window {
     next: usize,
     /// Sums over the first cycles, for a period before there are blocks: n, x, t, xx, xt, tt.
     sums: [f64; 6],
+    /// [`Fit::lateness`] of the line before it began anew, 0 where there was none.
+    known_lateness_s: f64,
     #[state(skip)]
     scratch: Vec<f64>,
 }
@@ -144,11 +153,19 @@ impl Window {
             blocks: Vec::with_capacity(BLOCKS),
             next: 0,
             sums: [0.0; 6],
+            known_lateness_s: 0.0,
             scratch: Vec::with_capacity(BLOCKS),
         }
     }
 
-    pub(super) fn clear(&mut self) {
+    /// Begins anew; what stays is how late the reads of the line until now, `fit`, were: usually, or the newest where it `has_changed`.
+    pub(super) fn clear(&mut self, fit: Option<&Fit>, has_changed: bool) {
+        if let Some(fit) = fit.filter(|_| self.is_settled()) {
+            let newest = if has_changed { LATEST_BLOCKS } else { 0 };
+            let newest =
+                (1..=newest).filter_map(|back| self.blocks.get((self.next + BLOCKS - back) % BLOCKS));
+            self.known_lateness_s = newest.map(|block| block.spread_s(fit)).fold(fit.lateness, f64::max);
+        }
         self.blocks.clear();
         self.next = 0;
         self.sums = [0.0; 6];
@@ -301,13 +318,16 @@ impl Window {
             Some(2.0 * (usual - paced).max(0.0) + (upper - paced).max(0.0))
         };
         let middle = self.blocks.len() / 2;
-        let prompt = lateness(|block| block.sum_prompt, middle)? < 0.5 * period_s;
+        // The first reads after a new beginning cannot tell how late they are: those before it did.
+        let known_s = if settled { 0.0 } else { self.known_lateness_s };
+        let prompt = lateness(|block| block.sum_prompt, middle)?.max(known_s) < 0.5 * period_s;
         let median = lateness(|block| block.sum_paced, middle)?;
         let bursts = bound > upper - median;
         // On a prompt line the blocks that fared best speak: a host that is late now and then gives no information about how
         // late reads usually are.
         let undisturbed = self.blocks.len() / UNDISTURBED;
-        let lateness = if prompt { lateness(|block| block.sum_paced, undisturbed)? } else { median };
+        let lateness =
+            if prompt { lateness(|block| block.sum_paced, undisturbed)? } else { median }.max(known_s);
         let lower = bound.max(upper - lateness);
         // Bounds that cross by a little, from an imperfect slope, share the error.
         let (lower, upper) = if lower > upper { (upper, lower) } else { (lower, upper) };
