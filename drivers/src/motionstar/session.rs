@@ -148,6 +148,8 @@ pub struct MotionStarSession {
     losses: Vec<Loss>,
     rate_hz: Option<f64>,
     last_sequence: Option<u16>,
+    /// That of a packet that did not follow the one before.
+    strange_sequence: Option<u16>,
     last_data: Option<Timestamp>,
 }
 
@@ -186,6 +188,7 @@ impl MotionStarSession {
             system: None,
             rate_hz: None,
             last_sequence: None,
+            strange_sequence: None,
             last_data: None,
         })
     }
@@ -310,6 +313,7 @@ impl MotionStarSession {
                     self.outbox.warn(now, 0x300, || warning);
                 }
                 self.last_sequence = None;
+                self.strange_sequence = None;
                 self.phase = Phase::Running { silent_at: now + self.silence() };
             }
             _ => {}
@@ -328,7 +332,7 @@ impl MotionStarSession {
     }
 
     fn data(&mut self, now: Timestamp, start: u64, header: Header, body: &[u8]) {
-        let Some(records) = wire::records(body) else {
+        let Some(records) = wire::records(body).filter(|_| self.follows(header.sequence)) else {
             self.outbox.counters.rejected += 1;
             self.refused_bytes += (wire::HEADER + body.len()) as u64;
             return;
@@ -401,6 +405,15 @@ impl MotionStarSession {
     fn silence(&self) -> Duration {
         let periods = self.rate_hz().map(|rate_hz| Duration::from_secs_f64(SILENT_PERIODS / rate_hz));
         SILENCE.max(periods.unwrap_or_default())
+    }
+
+    /// Whether a packet comes after the latest one by its number. One that does not lacks a byte of its header, or has one of the packet
+    /// before it for its first, and then the time at which that was read; where the next follows it, the server counts anew.
+    fn follows(&mut self, sequence: u16) -> bool {
+        let follows = |before: u16| sequence.wrapping_sub(before) <= MOST_LOST;
+        let believed = self.last_sequence.is_none_or(follows) || self.strange_sequence.is_some_and(follows);
+        self.strange_sequence = (!believed).then_some(sequence);
+        believed
     }
 
     /// Data packets are numbered; after a break only time tells what was missed.

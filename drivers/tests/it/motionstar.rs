@@ -293,6 +293,20 @@ fn lost_packets_are_counted() {
 }
 
 #[test]
+fn a_packet_that_does_not_follow_is_refused_and_a_new_count_believed() {
+    let mut rig = rig(&[2, 3]);
+    rig.run_ms(1000);
+    let before = rig.session.counters();
+    rig.samples.clear();
+    rig.device.sequence = rig.device.sequence.wrapping_add(20_000);
+    rig.run_stored_ms(200);
+    let counters = rig.session.counters();
+    assert_eq!(counters.rejected - before.rejected, 1);
+    assert!(rig.samples.len() > 20, "{}", rig.samples.len());
+    assert!(rig.session.losses().iter().all(|loss| loss.lost == 0), "{:?}", rig.session.losses());
+}
+
+#[test]
 fn a_rate_that_cannot_be_is_not_believed() {
     for digits in ["000000", "000001", "999999", "garbag"] {
         let mut rig = rig(&[2, 3]);
