@@ -27,6 +27,8 @@ const STOP: Duration = Duration::from_millis(500);
 const ANSWER: Duration = Duration::from_millis(1000);
 /// A reset unit answers after 10 to 15 s.
 const RESET: Duration = Duration::from_secs(16);
+/// Records that may be owed at once: hours of them. A damaged recording can claim any number of dropped bytes.
+const MOST_PASSED: u64 = 1 << 20;
 /// Unanswered questions after which the unit is reset.
 const QUESTIONS: u8 = 3;
 /// Silence of a stream, and of one that has just been started.
@@ -246,19 +248,21 @@ impl FastrakSession {
         let skipped = self.skipped();
         let damaged = skipped - std::mem::replace(&mut self.skipped_before, skipped);
         let damaged = if started { 0 } else { damaged };
-        let to_index = ((index + stations - self.due) % stations) as u64;
+        let to_index = (index + stations - self.due) % stations;
         let cycle_len = stations as u64 * len;
-        let whole = (damaged.saturating_sub(to_index * len) + cycle_len / 2) / cycle_len;
-        let passed = to_index + whole * stations as u64;
-        if damaged != passed * len {
+        let whole = damaged.saturating_sub(to_index as u64 * len).saturating_add(cycle_len / 2) / cycle_len;
+        let passed = to_index as u64 + whole * stations as u64;
+        if damaged != passed.saturating_mul(len) {
             self.after_loss.fill(true);
         }
-        for _ in 0..passed {
+        self.cycle += whole;
+        self.lose_cycles(whole);
+        for _ in 0..to_index {
             self.losses[self.due].lost += 1;
             self.losses[self.due].estimated = true;
             self.step();
         }
-        let cycles = self.debt.record(now, passed as u32, stations, UNIT_RATE_HZ);
+        let cycles = self.debt.record(now, passed.min(MOST_PASSED) as u32, stations, UNIT_RATE_HZ);
         self.lose_cycles(cycles);
         self.step();
     }

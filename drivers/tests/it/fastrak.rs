@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use posed_drivers::fastrak::wire::{Piece, Record, Shape, Splitter};
 use posed_drivers::fastrak::{FastrakSession, Settings};
-use posed_drivers::{DeviceTime, Measurement, Session, State, Timestamp};
+use posed_drivers::{DeviceTime, LineEvent, Measurement, Session, State, Timestamp};
 use proptest::prelude::*;
 
 use crate::hex;
@@ -287,6 +287,18 @@ fn damaged_records_are_counted_by_their_bytes_and_lost_bytes_leave_doubt() {
             }
         }
     }
+}
+
+#[test]
+fn any_number_of_dropped_bytes_is_borne() {
+    let mut rig = rig(Settings::default(), &[1, 2]);
+    rig.run_ms(1000);
+    let now = Timestamp::from_secs_f64(1.0);
+    rig.session.handle_line(now, &LineEvent::Dropped { bytes: u64::MAX / 2 });
+    rig.samples.clear();
+    rig.run_ms(500);
+    assert!(rig.samples.len() > 50 && rig.is_streaming());
+    assert_eq!(rig.samples.iter().filter(|sample| sample.arrival.after_loss).count(), 2);
 }
 
 #[test]
