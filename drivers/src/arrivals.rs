@@ -1,4 +1,4 @@
-//! Which read delivered which byte.
+//! Which read delivered which byte, and how many cycles bytes are that none delivered whole.
 //!
 //! What comes in: reads, by stamp and length. What goes out: the [`Arrival`] of the record that begins at
 //! a given place of the stream. It never looks at the bytes.
@@ -64,6 +64,11 @@ impl Arrivals {
             after_loss: false,
         })
     }
+}
+
+/// Whole cycles, of `cycle_len` bytes, that are nearest to what damaged bytes leave beside those of a `part` of a cycle.
+pub(crate) fn whole_cycles(damaged: u64, part: u64, cycle_len: u64) -> u64 {
+    damaged.saturating_sub(part).saturating_add(cycle_len / 2) / cycle_len
 }
 
 #[cfg(test)]

@@ -30,7 +30,7 @@ pub(super) struct Debt {
     /// unit's nominal rate.
     pace_hz: Option<f64>,
     /// Where the window began, and its records since.
-    window: Option<(Timestamp, u32)>,
+    window: Option<(Timestamp, u64)>,
     owed: f64,
     /// Until when what is owed may be held back, and the least of it since.
     doubt: Option<(Timestamp, f64)>,
@@ -44,18 +44,18 @@ impl Debt {
 
     /// A record came, and `passed` others before it are known to be lost; `nominal_hz` is the most that the unit sends, all
     /// `stations` together. Returns the cycles that are lost besides.
-    pub(super) fn record(&mut self, now: Timestamp, passed: u32, stations: usize, nominal_hz: f64) -> u64 {
+    pub(super) fn record(&mut self, now: Timestamp, passed: u64, stations: usize, nominal_hz: f64) -> u64 {
         let elapsed_s = self.last.replace(now).map_or(0.0, |last| now.seconds_since(last));
         self.measure_pace(now, 1 + passed, nominal_hz);
         let Some(pace_hz) = self.pace_hz else { return 0 };
         let due = elapsed_s * pace_hz;
         // Of a pause none is forgiven: it may be what is looked for.
         let forgiven = if self.doubt.is_none() { TOO_FAST * due.min(1.0) } else { 0.0 };
-        self.owed = (self.owed + due - forgiven - f64::from(1 + passed)).max(0.0);
+        self.owed = (self.owed + due - forgiven - (1 + passed) as f64).max(0.0);
         self.settle(now, stations as f64)
     }
 
-    fn measure_pace(&mut self, now: Timestamp, records: u32, nominal_hz: f64) {
+    fn measure_pace(&mut self, now: Timestamp, records: u64, nominal_hz: f64) {
         let (began, before) = *self.window.get_or_insert((now, 0));
         let elapsed_s = now.seconds_since(began);
         let least_s = if self.pace_hz.is_some() { WINDOW_S } else { FIRST_WINDOW_S };
@@ -65,7 +65,7 @@ impl Debt {
             self.window = Some((began, before + records));
             return;
         }
-        let measured_hz = f64::from(before + records) / elapsed_s;
+        let measured_hz = (before + records) as f64 / elapsed_s;
         let known_hz = self.pace_hz.unwrap_or(0.0) * (1.0 - FORGET);
         self.pace_hz = Some(measured_hz.max(known_hz).min(nominal_hz));
         self.window = Some((now, 0));

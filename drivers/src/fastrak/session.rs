@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::debt::Debt;
 use super::wire::{Piece, Record, STATIONS, Shape, Splitter};
-use crate::arrivals::Arrivals;
+use crate::arrivals::{Arrivals, whole_cycles};
 use crate::flock::SettingsError;
 use crate::outbox::Outbox;
 use crate::sample::{Arrival, DeviceTime, Measurement, Sample, Timestamp};
@@ -27,8 +27,6 @@ const STOP: Duration = Duration::from_millis(500);
 const ANSWER: Duration = Duration::from_millis(1000);
 /// A reset unit answers after 10 to 15 s.
 const RESET: Duration = Duration::from_secs(16);
-/// Records that may be owed at once: hours of them. A damaged recording can claim any number of dropped bytes.
-const MOST_PASSED: u64 = 1 << 20;
 /// Unanswered questions after which the unit is reset.
 const QUESTIONS: u8 = 3;
 /// Silence of a stream, and of one that has just been started.
@@ -238,19 +236,17 @@ impl FastrakSession {
     fn count_losses(&mut self, now: Timestamp, index: usize, len: u64) {
         let elapsed_s = self.last_record.replace(now).map_or(0.0, |last| now.seconds_since(last));
         let stations = self.stations.len();
-        let started = std::mem::take(&mut self.started);
-        if started {
+        if std::mem::take(&mut self.started) {
             self.debt.forgive();
             let missed = (elapsed_s * UNIT_RATE_HZ / stations as f64).round() as u64;
             self.lose_cycles(missed.saturating_sub(1));
             self.due = index;
+            self.skipped_before = self.skipped();
         }
         let skipped = self.skipped();
         let damaged = skipped - std::mem::replace(&mut self.skipped_before, skipped);
-        let damaged = if started { 0 } else { damaged };
         let to_index = (index + stations - self.due) % stations;
-        let cycle_len = stations as u64 * len;
-        let whole = damaged.saturating_sub(to_index as u64 * len).saturating_add(cycle_len / 2) / cycle_len;
+        let whole = whole_cycles(damaged, to_index as u64 * len, stations as u64 * len);
         let passed = to_index as u64 + whole * stations as u64;
         if damaged != passed.saturating_mul(len) {
             self.after_loss.fill(true);
@@ -262,7 +258,7 @@ impl FastrakSession {
             self.losses[self.due].estimated = true;
             self.step();
         }
-        let cycles = self.debt.record(now, passed.min(MOST_PASSED) as u32, stations, UNIT_RATE_HZ);
+        let cycles = self.debt.record(now, passed, stations, UNIT_RATE_HZ);
         self.lose_cycles(cycles);
         self.step();
     }

@@ -24,6 +24,7 @@ use posed_state::Plain;
 
 use super::wire::record::{self, MAX_LEN, MAX_WORDS, PHASE_BIT};
 use super::wire::{Scale, Shape, Tolerance};
+use crate::arrivals::whole_cycles;
 use crate::sample::{Arrival, DeviceTime, Measurement, Sample, Timestamp};
 use crate::session::Counters;
 
@@ -360,7 +361,7 @@ impl Splitter {
         let to_slot = (index + birds - self.next) % birds;
         let partial: u64 = (0..to_slot).map(|i| self.slots[(self.next + i) % birds].shape.len() as u64).sum();
         let cycle_len = self.bytes_before(birds);
-        let whole = (self.damage.saturating_sub(partial) + cycle_len / 2) / cycle_len;
+        let whole = whole_cycles(self.damage, partial, cycle_len);
         let skipped_bytes = partial + whole * cycle_len;
         (to_slot as u64 + whole * birds as u64, skipped_bytes)
     }
