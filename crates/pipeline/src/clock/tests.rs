@@ -558,32 +558,51 @@ fn cycles_that_never_were_do_not_bend_a_line_that_begins() {
     }
 }
 
+/// Gives the clock of a device of `rate_hz`, on a wire, its `cycles`; those that `bursts` names are read when an adapter lets them go,
+/// every `burst_ms`, the others at once. `alter` may change each sample, by the number of its cycle; `check` gets the stamp of each, with
+/// that number and when it was measured, s.
+fn read_in_bursts(
+    (rate_hz, burst_ms): (f64, f64),
+    cycles: impl Iterator<Item = u64>,
+    bursts: impl Fn(u64) -> bool,
+    alter: impl Fn(u64, &mut Sample),
+    mut check: impl FnMut(&Clock, u64, f64, Stamp),
+) {
+    let mut clock = Clock::new(Settings { byte_time_s: BYTE_S, measurement_delay_s: 0.0 });
+    clock.set_nominal_rate_hz(Some(rate_hz));
+    clock.know_wire();
+    let (mut previous, mut reads, mut latest_s) = (None, Vec::<(Timestamp, f64, u64)>::new(), 0.0_f64);
+    for k in cycles {
+        let truth_s = 20.0 + k as f64 / rate_hz;
+        let there_s = truth_s + 33.0 * BYTE_S;
+        let burst_s = burst_ms * 1e-3;
+        let read_s = if bursts(k) { (there_s / burst_s).ceil() * burst_s } else { there_s };
+        latest_s = latest_s.max(read_s);
+        reads.push((Timestamp::from_secs_f64(latest_s), truth_s, k));
+    }
+    for chunk in reads.chunk_by(|(a, ..), (b, ..)| a == b) {
+        for (place, &(t_read, truth_s, k)) in chunk.iter().enumerate() {
+            let mut sample = sample(1, t_read, previous, DeviceTime::Cycle(k));
+            sample.arrival.bytes_after = 33 * (chunk.len() - place) as u32 - 1;
+            alter(k, &mut sample);
+            let stamp = clock.push(&sample);
+            check(&clock, k, truth_s, stamp);
+        }
+        previous = Some(chunk[0].0);
+    }
+}
+
 /// An adapter that begins to keep bytes back, in the middle of a prompt stream: cycles of one read say nothing of the period.
 #[test]
 fn a_line_that_begins_to_burst_keeps_its_period() {
     for burst_ms in [20.0, 30.0, 42.7, 64.0] {
-        let mut clock = Clock::new(Settings { byte_time_s: BYTE_S, measurement_delay_s: 0.0 });
-        clock.set_nominal_rate_hz(Some(120.0));
-        clock.know_wire();
-        let (mut previous, mut reads, mut worst_s) = (None, Vec::<(Timestamp, f64, u64)>::new(), 0.0_f64);
-        for k in 0..600_u64 {
-            let truth_s = 20.0 + k as f64 / 120.0;
-            let there_s = truth_s + 33.0 * BYTE_S;
-            let burst_s = burst_ms * 1e-3;
-            let read_s = if k < 300 { there_s } else { (there_s / burst_s).ceil() * burst_s };
-            reads.push((Timestamp::from_secs_f64(read_s), truth_s, k));
-        }
-        for chunk in reads.chunk_by(|(a, ..), (b, ..)| a == b) {
-            for (place, &(t_read, truth_s, k)) in chunk.iter().enumerate() {
-                let mut sample = sample(1, t_read, previous, DeviceTime::Cycle(k));
-                sample.arrival.bytes_after = 33 * (chunk.len() - place - 1) as u32;
-                let stamp = clock.push(&sample);
-                if k > 100 && !stamp.is_late() {
-                    worst_s = worst_s.max((stamp.t_valid.as_secs_f64() - truth_s).abs());
-                }
+        let mut worst_s = 0.0_f64;
+        let check = |_: &Clock, k, truth_s: f64, stamp: Stamp| {
+            if k > 100 && !stamp.is_late() {
+                worst_s = worst_s.max((stamp.t_valid.as_secs_f64() - truth_s).abs());
             }
-            previous = Some(chunk[0].0);
-        }
+        };
+        read_in_bursts((120.0, burst_ms), 0..600, |k| k >= 300, |_, _| (), check);
         assert!(worst_s < burst_ms * 1e-3, "bursts of {burst_ms} ms: {worst_s} s off");
     }
 }
@@ -621,32 +640,15 @@ fn a_line_that_ceases_to_burst_keeps_its_period() {
             [10_u64, 20, 31, 40, 57, 80].map(|burst_cycles| (rate_hz, burst_ms, burst_cycles))
         })
     }) {
-        let mut clock = Clock::new(Settings { byte_time_s: BYTE_S, measurement_delay_s: 0.0 });
-        clock.set_nominal_rate_hz(Some(rate_hz));
-        clock.know_wire();
-        let (mut previous, mut reads, mut latest_s) = (None, Vec::<(Timestamp, f64, u64)>::new(), 0.0_f64);
-        for k in 0..400 {
-            let truth_s = 20.0 + k as f64 / rate_hz;
-            let there_s = truth_s + 33.0 * BYTE_S;
-            let burst_s = burst_ms * 1e-3;
-            let read_s = if k > burst_cycles { there_s } else { (there_s / burst_s).ceil() * burst_s };
-            latest_s = latest_s.max(read_s);
-            reads.push((Timestamp::from_secs_f64(latest_s), truth_s, k));
-        }
-        for chunk in reads.chunk_by(|(a, ..), (b, ..)| a == b) {
-            for (place, &(t_read, truth_s, k)) in chunk.iter().enumerate() {
-                let mut sample = sample(1, t_read, previous, DeviceTime::Cycle(k));
-                sample.arrival.bytes_after = 33 * (chunk.len() - place) as u32 - 1;
-                let stamp = clock.push(&sample);
-                let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
-                // Half a period before, with a tenth of that stated.
-                assert!(
-                    k < 16 || stamp.is_late() || off_s < f64::max(0.006, 6.0 * stamp.sigma_s),
-                    "{rate_hz} Hz, bursts of {burst_ms} ms for {burst_cycles} cycles: cycle {k} is {off_s} s off"
-                );
-            }
-            previous = Some(chunk[0].0);
-        }
+        let check = |_: &Clock, k, truth_s: f64, stamp: Stamp| {
+            let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
+            // Half a period before, with a tenth of that stated.
+            assert!(
+                k < 16 || stamp.is_late() || off_s < f64::max(0.006, 6.0 * stamp.sigma_s),
+                "{rate_hz} Hz, bursts of {burst_ms} ms for {burst_cycles} cycles: cycle {k} is {off_s} s off"
+            );
+        };
+        read_in_bursts((rate_hz, burst_ms), 0..400, |k| k <= burst_cycles, |_, _| (), check);
     }
 }
 
@@ -656,34 +658,21 @@ fn cycles_lost_with_bytes_are_waited_for() {
     for (burst_ms, first, lost) in [40.0, 57.5, 75.0].into_iter().flat_map(|burst_ms| {
         (200_u64..220).flat_map(move |first| [0, 1, 2, 4].map(|lost| (burst_ms, first, lost)))
     }) {
-        let mut clock = Clock::new(Settings { byte_time_s: BYTE_S, measurement_delay_s: 0.0 });
-        clock.set_nominal_rate_hz(Some(30.0));
-        clock.know_wire();
-        let (mut previous, mut reads) = (None, Vec::<(Timestamp, f64, u64)>::new());
-        for k in (0..400).filter(|k| !(first..first + lost).contains(k)) {
-            let truth_s = 20.0 + k as f64 / 30.0;
-            let there_s = truth_s + 33.0 * BYTE_S;
-            let burst_s = burst_ms * 1e-3;
-            let read_s = if k < 60 { there_s } else { (there_s / burst_s).ceil() * burst_s };
-            reads.push((Timestamp::from_secs_f64(read_s), truth_s, k));
-        }
-        for chunk in reads.chunk_by(|(a, ..), (b, ..)| a == b) {
-            for (place, &(t_read, truth_s, k)) in chunk.iter().enumerate() {
-                let count = if k < first { k } else { k - lost };
-                let mut sample = sample(1, t_read, previous, DeviceTime::Cycle(count));
-                sample.arrival.bytes_after = 33 * (chunk.len() - place) as u32 - 1;
-                sample.arrival.after_loss = k == first + lost;
-                let stamp = clock.push(&sample);
-                let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
-                let case = format!("{lost} cycles from {first} on, bursts of {burst_ms} ms: cycle {k}");
-                assert!(
-                    stamp.is_late() || off_s < f64::max(0.01, 6.0 * stamp.sigma_s),
-                    "{case} is {off_s} s off"
-                );
-                let decided = k > first + lost + 15;
-                assert!(!decided || clock.lossy.is_none() || stamp.is_late(), "{case} is in doubt");
-            }
-            previous = Some(chunk[0].0);
-        }
+        let alter = |k, sample: &mut Sample| {
+            sample.t_device = DeviceTime::Cycle(if k < first { k } else { k - lost });
+            sample.arrival.after_loss = k == first + lost;
+        };
+        let check = |clock: &Clock, k, truth_s: f64, stamp: Stamp| {
+            let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
+            let case = format!("{lost} cycles from {first} on, bursts of {burst_ms} ms: cycle {k}");
+            assert!(
+                stamp.is_late() || off_s < f64::max(0.01, 6.0 * stamp.sigma_s),
+                "{case} is {off_s} s off"
+            );
+            let decided = k > first + lost + 15;
+            assert!(!decided || clock.lossy.is_none() || stamp.is_late(), "{case} is in doubt");
+        };
+        let cycles = (0..400).filter(|k| !(first..first + lost).contains(k));
+        read_in_bursts((30.0, burst_ms), cycles, |k| k >= 60, alter, check);
     }
 }
