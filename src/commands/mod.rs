@@ -46,6 +46,7 @@ mod run;
 mod schema;
 mod segments;
 mod service;
+mod session;
 mod simulate;
 mod simulation;
 mod watch;
@@ -93,6 +94,8 @@ enum Command {
     Decode(decode::Args),
     /// Learns exercises from a few repetitions, and counts them.
     Exercise(exercise::Args),
+    /// Shows who trained what, when and how well: lists, reports, exports.
+    Session(session::Args),
     /// Learns and finds faulty frames of magnetic sensors.
     Faults(faults::Args),
     /// Finds the frames at which a motion changes, and a smooth path between them.
@@ -131,6 +134,7 @@ impl Command {
             Self::Doctor(args) => doctor::run(args),
             Self::Decode(args) => decode::run(args),
             Self::Exercise(args) => exercise::run(args),
+            Self::Session(args) => session::run(args),
             Self::Faults(args) => faults::run(args),
             Self::Keyframes(args) => keyframes::run(args),
             Self::Segments(args) => segments::run(args),

@@ -65,8 +65,8 @@ impl<'a> Joint<'a> {
         (self.joint, self.side) == (other.joint, other.side)
     }
 
-    /// Whether it is lost where the arm hangs.
-    fn needs_a_lifted_arm(&self) -> bool {
+    /// Whether it is lost where the arm hangs: plane and rotation of a shoulder.
+    pub fn needs_a_lifted_arm(&self) -> bool {
         self.joint == "shoulder" && matches!(self.movement, "plane" | "rotation")
     }
 }

@@ -63,4 +63,4 @@ pub use score::Score;
 pub use teach::{Lesson, Options, Refusal, Report, TaughtRepetition, teach};
 pub use turns::Turn;
 pub use viterbi::{ShortTimeViterbi, Topology};
-pub use words::{Language, sentence};
+pub use words::{Language, joint_name, sentence};

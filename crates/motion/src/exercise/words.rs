@@ -115,7 +115,7 @@ fn deviates(
     };
     let size = (deviation * joint.degrees).abs().round();
     let (name, verb, place) =
-        (joint_words(joint, language), verb(joint, positive, language), place.words(language));
+        (joint_name(joint, language), verb(joint, positive, language), place.words(language));
     match language {
         Language::English => {
             let more = if more { "more" } else { "less" };
@@ -128,7 +128,8 @@ fn deviates(
     }
 }
 
-fn joint_words(joint: &Joint<'_>, language: Language) -> String {
+/// A joint with its side: `right elbow`.
+pub fn joint_name(joint: &Joint<'_>, language: Language) -> String {
     match language {
         Language::English => {
             let name = match joint.joint {
