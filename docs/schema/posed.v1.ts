@@ -15,7 +15,7 @@ export type AnchorSpec = {
 };
 
 /** What a request was answered with; which one gets which: [`Answers`]. All others are answered with `ok` alone. */
-export type Answer = Resumed | RecordingBegun | Started | Recordings | Tracked | Exercises | MapVersion | KeptFile;
+export type Answer = Resumed | RecordingBegun | Started | Forgotten | Recordings | Tracked | Exercises | MapVersion | KeptFile | SessionBegun | ListedSessions | Shown | Report | People | Plans;
 
 /** The `result` of each request that has one, by the request's `type`. */
 export type Answers = {
@@ -34,6 +34,13 @@ export type Answers = {
   "replay.track": Tracked;
   resume: Resumed;
   "segments.train": Started;
+  "session.begin": SessionBegun;
+  "session.forget": Forgotten;
+  "session.list": ListedSessions;
+  "session.people": People;
+  "session.plans": Plans;
+  "session.report": Report;
+  "session.show": Shown;
   "stage.align": Started;
 };
 
@@ -225,6 +232,86 @@ export type Call = {
 } | {
   /** The reply carries it. */
   id: RequestId;
+  /** Who trains: a name or a number of 1 to 64 bytes; taken in where it is new. */
+  person: string;
+  /** A plan that `session.plans` gave; absent: what is selected by hand. */
+  plan?: string | null;
+  /** The subject of the exercises; absent: `default`. */
+  subject?: string | null;
+  type: "session.begin";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** Of this subject; absent: `default`. */
+  subject?: string | null;
+  type: "session.end";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** At most so many, 1 to 1000; absent: 100. */
+  limit?: number | null;
+  /** Only those of this person. */
+  person?: string | null;
+  type: "session.list";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** Its number. */
+  session: number;
+  type: "session.show";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** In which language; absent: `english`. */
+  language?: ReportLanguage | null;
+  /** the person. */
+  person?: string | null;
+  /** Number of the session; or */
+  session?: number | null;
+  /** Time zone of its dates by its IANA name, `Europe/Berlin`; absent: that of the daemon. */
+  time_zone?: string | null;
+  type: "session.report";
+} | {
+  /** Repetitions that were really done. */
+  counted: number;
+  /** The reply carries it. */
+  id: RequestId;
+  /** Number of the session. */
+  session: number;
+  /** Number of the set in it. */
+  set: number;
+  type: "session.correct";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  type: "session.people";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** Who. */
+  person: string;
+  /** Whether the recordings of their sessions go too, whoever else is in them. */
+  recordings: boolean;
+  type: "session.forget";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  type: "session.plans";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** The plan. */
+  plan: Plan;
+  type: "session.save_plan";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
+  /** Its name. */
+  name: string;
+  type: "session.delete_plan";
+} | {
+  /** The reply carries it. */
+  id: RequestId;
   /** Its number. */
   job: number;
   type: "job.cancel";
@@ -321,6 +408,12 @@ export type Durations = {
   /** Shortest. */
   shortest_s: number;
 };
+
+/** How a session ended. */
+export type EndedBy = "request" | "plan" | "daemon" | "interruption" | "recording";
+
+/** Whether the bytes of somebody who was forgotten are gone from the disk. */
+export type Erasure = "done" | "pending";
 
 /** Reply to a request that was not carried out. */
 export type ErrorReply = {
@@ -594,6 +687,16 @@ export type FigureMessage = {
   t_s: number;
 };
 
+/** What went with a person. */
+export type Forgotten = {
+  /** Whether the bytes are gone too. */
+  erasure: Erasure;
+  /** The recordings that these sessions name; whoever has the files removes them. */
+  recordings: string[];
+  /** Sessions with all that was in them. */
+  sessions: number;
+};
+
 /** What the fault map reports about a frame. */
 export type FrameLabel = {
   /** Why; null where it is clean. */
@@ -807,6 +910,12 @@ export type KeyPoseMessage = {
 /** What a device's link does. */
 export type LinkState = "streaming" | "connecting" | "silent" | "failed";
 
+/** Sessions in one line each. */
+export type ListedSessions = {
+  /** The newest first. */
+  sessions: SessionSummary[];
+};
+
 /** Hard and soft iron: `m = matrix (raw - offset)` has the length `norm` in every direction. */
 export type MagIntrinsics = {
   /** Soft iron, row by row; symmetric, determinant 1. */
@@ -955,8 +1064,64 @@ export type OkReply = {
   result?: Answer | null;
 };
 
+/** Everybody who trains. */
+export type People = {
+  /** By name. */
+  people: Person[];
+};
+
+/** Somebody who trains. */
+export type Person = {
+  /** When the newest began, RFC 3339 in UTC; absent: none yet. */
+  last?: string | null;
+  /** A name or a number. */
+  name: string;
+  /** Sessions so far. */
+  sessions: number;
+};
+
 /** How final an event is that can be taken back. */
 export type Phase = "provisional" | "confirmed" | "withdrawn";
+
+/** A plan: its steps in order, each with all its sets. */
+export type Plan = {
+  /** Its name, 1 to 64 bytes. */
+  name: string;
+  /** 1 to 64 of them. */
+  steps: PlanStep[];
+};
+
+/** How far a plan is. */
+export type PlanProgress = {
+  /** The exercise of that step; how far it is with its sets: topic `exercise`. */
+  exercise: string;
+  /** Its name. */
+  name: string;
+  /** End of the rest between two steps that goes on, s; null: none. Rests between sets: topic `exercise`. */
+  rest_until_s: number | null;
+  /** The step that is at hand or comes after the rest, from 1. */
+  step: number;
+  /** How many it has. */
+  steps: number;
+};
+
+/** One exercise of a plan. */
+export type PlanStep = {
+  /** Name of the exercise. */
+  exercise: string;
+  /** Repetitions of each set, 1 to 1000. */
+  repetitions: number;
+  /** Rest after each set, s, 0 to 3600. */
+  rest_s?: number;
+  /** Sets, 1 to 100. */
+  sets: number;
+};
+
+/** All plans. */
+export type Plans = {
+  /** By name. */
+  plans: Plan[];
+};
 
 /** A pose: the named frame in the room. */
 export type Pose = {
@@ -1063,6 +1228,15 @@ export type ReplayStatus = {
   t_s: number;
 };
 
+/** A report. */
+export type Report = {
+  /** One self-contained HTML page. */
+  html: string;
+};
+
+/** Languages of a report. */
+export type ReportLanguage = "english" | "german";
+
 /** What a client calls its request; replies carry it. */
 export type RequestId = number | string;
 
@@ -1083,6 +1257,24 @@ export type RoomPoint = {
   name: string;
   /** Where it is, room, m. */
   position_m: [number, number, number];
+};
+
+/** A session that goes on. */
+export type RunningSession = {
+  /** When it began, s. */
+  begun_s: number;
+  /** Repetitions counted since. */
+  counted: number;
+  /** Who trains. */
+  person: string;
+  /** How far its plan is; null: it follows none. */
+  plan: PlanProgress | null;
+  /** What stands against it, in one sentence; null: nothing. */
+  problem: string | null;
+  /** Its number, for `session.show` and others. */
+  session: number;
+  /** The subject of the exercises. */
+  subject: string;
 };
 
 /** A repetition beside the lesson, in points from 0 to 100: 100 is as taught. */
@@ -1219,6 +1411,8 @@ export type ServerMessage = Hello & {
   type: "truth";
 } | JobsMessage & {
   type: "jobs";
+} | SessionsMessage & {
+  type: "session";
 } | FaultMessage & {
   type: "faults";
 } | KeyPoseMessage & {
@@ -1231,6 +1425,56 @@ export type ServerMessage = Hello & {
   type: "segments";
 } | Stages & {
   type: "stages";
+};
+
+/** A session that has begun. */
+export type SessionBegun = {
+  /** Its number. */
+  session: number;
+};
+
+/** A session in one line. */
+export type SessionSummary = {
+  /** When it began, RFC 3339 in UTC. */
+  begun: string;
+  /** Repetitions counted. */
+  counted: number;
+  /** How long it took, s; absent while it goes on. */
+  duration_s?: number | null;
+  /** How it ended; absent while it goes on. */
+  ended_by?: EndedBy | null;
+  /** Who trained. */
+  person: string;
+  /** The plan that was followed; absent: none. */
+  plan?: string | null;
+  /** The recording of it, if one was kept. */
+  recording?: string | null;
+  /** Repetitions that were seen and not counted. */
+  rejected: number;
+  /** Mean score of those counted, points; absent where none has one. */
+  score?: number | null;
+  /** Its number. */
+  session: number;
+  /** Sets begun. */
+  sets: number;
+};
+
+/** What every data message starts with, and its body. */
+export type SessionsMessage = {
+  /** Data messages of all topics that were dropped for this client so far. */
+  dropped: number;
+  /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
+  seq: number;
+  /** Sessions that go on, one per subject at most. */
+  sessions: RunningSession[];
+  /** Host time, s; rises strictly. */
+  t_s: number;
+};
+
+/** A session in full. */
+export type Shown = {
+  /** Its sets, repetitions, scores and courses, as `posed session show --json` prints them. */
+  shown: unknown;
 };
 
 /** Side of the body. */
@@ -1361,7 +1605,7 @@ export type StatusMessage = {
 export type Thoroughness = "quick" | "full" | "assign";
 
 /** A topic; its name is the `type` of its messages. */
-export type Topic = "status" | "sensors" | "body" | "faults" | "keyframes" | "segments" | "exercise" | "field" | "jobs" | "truth";
+export type Topic = "status" | "sensors" | "body" | "faults" | "keyframes" | "segments" | "exercise" | "field" | "jobs" | "truth" | "session";
 
 /** Channels of a whole recording. */
 export type Tracked = {

@@ -523,6 +523,7 @@ impl Fusion {
         }
         let status =
             self.observers.health.status(now, &self.pipeline.status(), self.recording.as_ref(), &self.clock);
+        self.observers.training.recording(status.recording.as_ref().map(|recording| recording.name.as_str()));
         self.hub.publish_status(status);
     }
 }

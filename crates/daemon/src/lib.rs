@@ -43,6 +43,7 @@ pub mod recordings;
 pub mod server;
 mod service;
 mod track;
+mod training;
 mod vital;
 
 use std::any::Any;
@@ -68,18 +69,19 @@ use self::fusion::{Command, Fusion, INBOX_CAPACITY};
 use self::inbox::Inbox;
 use self::jobs::Jobs;
 use self::link::Link;
-use self::models::Loaded;
+use self::models::{Library, Loaded};
 use self::observers::Observers;
 use self::ports::{DevicePort, PortTask};
 use self::server::{BindError, Server};
 use self::service::Service;
+use self::training::{Tools, Training};
 use posed_motion::segments::Model;
 use posed_pipeline::{PipelineError, SupervisedPipeline};
 use posed_protocol::foxglove::Views;
 use posed_protocol::{Fields, Problem, Publisher, Status, Topic};
-use posed_stage::Stage;
 use posed_stage::input::{Entry, Input};
 use posed_stage::layout::BodyLayout;
+use posed_stage::{LoadedModels, Stage};
 
 /// Commands that wait for a port that writes slowly.
 const PORT_COMMANDS: usize = 256;
@@ -236,6 +238,10 @@ impl Daemon {
             let input = Input::SegmentationNetwork(network(&stage, &segments.model)?);
             inbox.enter(Entry { t: clock.now(), input });
         }
+        let models: LoadedModels = loaded.models.iter().cloned().collect();
+        let exercises = Library::new(models::exercise_folder(&stage, &data), "json");
+        let tools = Tools { clock, hub: hub.clone(), inbox: inbox.clone(), exercises };
+        let (training, follow) = Training::new(&stage, &data, &models, tools);
         let mut fusion = Fusion {
             clock,
             inbox: inbox.clone(),
@@ -245,7 +251,7 @@ impl Daemon {
             hub,
             jobs: jobs.clone(),
             ports: commands,
-            observers: Observers::new(&stage, calibration.clone(), log),
+            observers: Observers::new(&stage, calibration.clone(), follow, log),
             recording: None,
             ending: Vec::new(),
             entries: 0,
@@ -262,13 +268,18 @@ impl Daemon {
             fusion.start_recording(path, false, move |begun| _ = to.send(begun));
             begun.recv().unwrap_or(Err(RecordError::NoThread))?;
         }
+        let sessions = training.start().map_err(StartError::Thread)?;
         #[expect(clippy::disallowed_methods, reason = "the daemon owns the fusion thread")]
         let fusion = std::thread::Builder::new()
             .name("fusion".into())
-            .spawn(service.vital().thread("tracking", move || fusion.run()))
+            .spawn(service.vital().thread("tracking", move || {
+                fusion.run();
+                // It ends with what follows the tracking.
+                let _ = sessions.join();
+            }))
             .map_err(StartError::Thread)?;
 
-        let calls = Calls::new(&stage, data, clock, inbox.clone(), jobs, calibration);
+        let calls = Calls::new(&stage, data, clock, inbox.clone(), jobs, calibration, training);
         let calls = calls.run(pending, service.down());
         service.spawn("what answers requests", calls);
         Ok(Self { clock, service, inbox, ports, fusion, link: session })

@@ -69,6 +69,11 @@ pub enum ModelError {
 /// Longest name of an exercise, bytes.
 const NAME_BYTES: usize = 64;
 
+/// Where a stage keeps its exercises; `data` is where daemons keep what they learn.
+pub(super) fn exercise_folder(stage: &Stage, data: &Path) -> PathBuf {
+    stage.models.exercise_folder.clone().unwrap_or_else(|| data.join("exercises"))
+}
+
 /// Where a stage keeps the intrinsics of its IMUs; `data` is where daemons keep what they learn.
 pub(super) fn imu_folder(stage: &Stage, data: &Path) -> PathBuf {
     stage.models.imu_folder.clone().unwrap_or_else(|| data.join("imus"))

@@ -199,9 +199,20 @@ impl Player {
             | Call::SegmentsTrain { .. }
             | Call::BodyCalibrate { .. }
             | Call::StageAlign { .. }
-            | Call::ImuCalibrate { .. } => Err(Refusal::new(
+            | Call::ImuCalibrate { .. }
+            | Call::SessionBegin { .. }
+            | Call::SessionEnd { .. }
+            | Call::SessionList { .. }
+            | Call::SessionShow { .. }
+            | Call::SessionReport { .. }
+            | Call::SessionCorrect { .. }
+            | Call::SessionPeople {}
+            | Call::SessionForget { .. }
+            | Call::SessionPlans {}
+            | Call::SessionSavePlan { .. }
+            | Call::SessionDeletePlan { .. } => Err(Refusal::new(
                 "replay",
-                "this daemon replays a recording; recording, models, exercises and calibrations belong to a live stage",
+                "this daemon replays a recording; recording, models, exercises, sessions and calibrations belong to a live stage",
             )),
             Call::JobCancel { job } => {
                 self.jobs.cancel(job).map(|()| None).map_err(|error| Refusal::new("no_such_job", error))

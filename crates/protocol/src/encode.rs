@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::body::FigureBody;
 use super::message::{
-    ExerciseEvent, Fault, FaultChange, FieldChange, FieldEvent, Jobs, KeyPose, SegmentBody, Status,
+    ExerciseEvent, Fault, FaultChange, FieldChange, FieldEvent, Jobs, KeyPose, SegmentBody, Sessions, Status,
 };
 use super::sensors::{SensorsBody, TruthBody};
 use super::{Names, Stamp, Topic, View, exercise, round};
@@ -39,6 +39,8 @@ pub enum Payload<'a> {
     Status(&'a Status),
     /// To `jobs`; its `t_s` is when it was true, and is rounded on the way.
     Jobs(&'a Jobs),
+    /// To `session`; its `t_s` is when it was true, and is rounded on the way.
+    Sessions(&'a Sessions),
 }
 
 impl<'a> Payload<'a> {
@@ -66,6 +68,7 @@ impl<'a> Payload<'a> {
             Self::Truth(_) => Topic::Truth,
             Self::Status(_) => Topic::Status,
             Self::Jobs(_) => Topic::Jobs,
+            Self::Sessions(_) => Topic::Session,
             Self::Outcome(outcome) => match outcome.what {
                 OutcomeKind::Fault { .. } => Topic::Faults,
                 OutcomeKind::ModelSwapped(Model::Exercise { .. }) | OutcomeKind::Exercise(_) => {
@@ -91,6 +94,7 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
         Payload::Truth(truth) => write(encoding, &TruthBody { stamp, truth, names, view }, out),
         Payload::Status(status) => write(encoding, &rounded_status(status, stamp), out),
         Payload::Jobs(jobs) => write(encoding, &rounded_jobs(jobs, stamp), out),
+        Payload::Sessions(sessions) => write(encoding, &rounded_sessions(sessions, stamp), out),
         Payload::Outcome(outcome) => {
             let t_s = stamp.t_s();
             let event_id = stamp.event_id.unwrap_or(0);
@@ -260,6 +264,17 @@ fn rounded_status(status: &Status, stamp: &Stamp) -> Status {
         recording.started_s = round::to(1e6, recording.started_s);
     }
     status
+}
+
+fn rounded_sessions(sessions: &Sessions, stamp: &Stamp) -> Sessions {
+    let mut sessions = Sessions { t_s: stamp.t_s(), ..sessions.clone() };
+    for session in &mut sessions.sessions {
+        session.begun_s = round::to(1e6, session.begun_s);
+        if let Some(plan) = &mut session.plan {
+            plan.rest_until_s = plan.rest_until_s.map(|t_s| round::to(1e3, t_s));
+        }
+    }
+    sessions
 }
 
 fn rounded_jobs(jobs: &Jobs, stamp: &Stamp) -> Jobs {

@@ -44,9 +44,10 @@ pub use encode::{Encoding, Payload};
 pub use message::{
     Answer, Begun, Change, Data, Deviation, DeviceStatus, ErrorReply, ExerciseChange, ExerciseEvent,
     Exercises, Fault, FaultChange, FieldChange, FieldEvent, Figure, HeadingSource, Hello, HelloSensor, Job,
-    JobState, Jobs, JointEntry, Judged, KeptExercise, KeptFile, KeyPose, LinkState, MapVersion, Measured,
-    OkReply, Problem, Quality, RecordingBegun, RecordingStatus, Recordings, RelatedClock, ReplayStatus,
-    Resumed, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage, Spoken,
+    JobState, Jobs, JointEntry, Judged, KeptExercise, KeptFile, KeyPose, LinkState, ListedSessions,
+    MapVersion, Measured, OkReply, People, PlanProgress, Plans, Problem, Quality, RecordingBegun,
+    RecordingStatus, Recordings, RelatedClock, ReplayStatus, Report, Resumed, RunningSession, SegmentBody,
+    SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage, SessionBegun, Sessions, Shown, Spoken,
     StageEntry, StageLatency, StagePresence, Stages, Started, Status, Tracked, TruthEntry, Truths,
 };
 pub use names::Names;
@@ -55,8 +56,8 @@ pub use publisher::{Counters, Publisher, PublisherState, Stamp};
 #[doc(hidden)]
 pub use request::REQUEST_EXAMPLES;
 pub use request::{
-    AnchorSpec, Call, DropPolicy, Feed, ParseError, Request, RequestId, RoomPoint, Speed, SpeedWord,
-    fuzz_client_message, parse,
+    AnchorSpec, Call, DropPolicy, Feed, ParseError, ReportLanguage, Request, RequestId, RoomPoint, Speed,
+    SpeedWord, fuzz_client_message, parse,
 };
 pub use sensors::{Field, Fields, View};
 pub use topic::Topic;

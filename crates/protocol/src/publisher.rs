@@ -36,13 +36,14 @@ impl Stamp {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counters {
     events: u64,
+    #[serde(with = "by_topic")]
     last_t_us: [Option<i64>; Topic::COUNT],
 }
 
 impl Counters {
     /// Stamps a payload: the next event number, and its time, moved up to keep it rising by 1 µs at least within the topic. The
     /// time is the capture time of frames, bodies and ground truth, the stream time at which an event was decided, the host time
-    /// of `status` and `jobs`; to the nearest microsecond.
+    /// of `status`, `jobs` and `session`; to the nearest microsecond.
     pub fn stamp(&mut self, payload: &Payload<'_>) -> Stamp {
         let topic = payload.topic();
         let t_us = match payload {
@@ -52,6 +53,7 @@ impl Counters {
             Payload::Outcome(outcome) => microseconds(outcome.t_decided),
             Payload::Status(status) => microseconds(Timestamp::from_secs_f64(status.t_s)),
             Payload::Jobs(jobs) => microseconds(Timestamp::from_secs_f64(jobs.t_s)),
+            Payload::Sessions(sessions) => microseconds(Timestamp::from_secs_f64(sessions.t_s)),
         };
         let last = &mut self.last_t_us[topic.index()];
         let t_us = last.map_or(t_us, |last| t_us.max(last + 1));
@@ -82,6 +84,32 @@ impl Counters {
     }
 }
 
+/// A value per topic. What an earlier version wrote has fewer: topics that it did not know have given out nothing.
+mod by_topic {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+
+    use crate::Topic;
+
+    pub(super) fn serialize<T: Serialize, S: Serializer>(
+        values: &[T; Topic::COUNT],
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        values.as_slice().serialize(serializer)
+    }
+
+    pub(super) fn deserialize<'de, T, D>(deserializer: D) -> Result<[T; Topic::COUNT], D::Error>
+    where
+        T: Copy + Default + Deserialize<'de>,
+        D: Deserializer<'de>,
+    {
+        let read = Vec::<T>::deserialize(deserializer)?;
+        let mut values = [T::default(); Topic::COUNT];
+        let known = values.get_mut(..read.len());
+        known.ok_or_else(|| de::Error::custom("more topics than this version knows"))?.copy_from_slice(&read);
+        Ok(values)
+    }
+}
+
 /// To the nearest microsecond.
 pub(super) fn microseconds(t: Timestamp) -> i64 {
     (t.as_nanos().saturating_add(500)).div_euclid(1000)
@@ -102,6 +130,7 @@ pub struct Publisher {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PublisherState {
     counters: Counters,
+    #[serde(with = "by_topic")]
     seq: [u64; Topic::COUNT],
 }
 
@@ -376,5 +405,19 @@ mod tests {
         replay.restore(rmp_serde::from_slice(&stored).unwrap());
         assert_eq!(text(&mut live, &payloads[2]), expected[2]);
         assert_eq!(text(&mut replay, &payloads[2]), expected[2]);
+    }
+
+    #[test]
+    fn numbers_that_a_version_with_fewer_topics_wrote_go_on_and_more_topics_are_refused() {
+        let read = |topics: usize| {
+            let times: Vec<Option<i64>> = (0..topics as i64).map(Some).collect();
+            let seq: Vec<u64> = (0..topics as u64).collect();
+            let written = rmp_serde::to_vec(&((7_u64, times), seq)).unwrap();
+            rmp_serde::from_slice::<PublisherState>(&written)
+        };
+        let state = read(10).unwrap();
+        assert_eq!((state.seq[9], state.seq[10]), (9, 0));
+        assert_eq!((state.counters.last_t_us[9], state.counters.last_t_us[10]), (Some(9), None));
+        assert!(read(Topic::COUNT).is_ok() && read(Topic::COUNT + 1).is_err());
     }
 }

@@ -13,6 +13,7 @@ use super::packed::DEPTH;
 use super::{Encoding, Field, Topic};
 use posed_fusion::body::Thoroughness;
 use posed_fusion::faults::Class;
+use posed_sessions::{Plan, SessionId};
 use posed_stage::input::Model;
 
 /// What a client calls its request; replies carry it.
@@ -246,6 +247,94 @@ pub enum Call {
         #[serde(default)]
         sensor: Option<String>,
     },
+    /// Begins a session: what a subject does from now on is kept for this person. With a plan its steps are selected one after the
+    /// other, with their rests, and the session ends after the last.
+    #[serde(rename = "session.begin")]
+    SessionBegin {
+        /// Who trains: a name or a number of 1 to 64 bytes; taken in where it is new.
+        person: String,
+        /// A plan that `session.plans` gave; absent: what is selected by hand.
+        #[serde(default)]
+        plan: Option<String>,
+        /// The subject of the exercises; absent: `default`.
+        #[serde(default)]
+        subject: Option<String>,
+    },
+    /// Ends a session.
+    #[serde(rename = "session.end")]
+    SessionEnd {
+        /// Of this subject; absent: `default`.
+        #[serde(default)]
+        subject: Option<String>,
+    },
+    /// Names sessions, the newest first.
+    #[serde(rename = "session.list")]
+    SessionList {
+        /// Only those of this person.
+        #[serde(default)]
+        person: Option<String>,
+        /// At most so many, 1 to 1000; absent: 100.
+        #[serde(default)]
+        limit: Option<u32>,
+    },
+    /// Gives a session in full.
+    #[serde(rename = "session.show")]
+    SessionShow {
+        /// Its number.
+        session: SessionId,
+    },
+    /// Writes a report of one session, or of all sessions of a person.
+    #[serde(rename = "session.report")]
+    SessionReport {
+        /// Number of the session; or
+        #[serde(default)]
+        session: Option<SessionId>,
+        /// the person.
+        #[serde(default)]
+        person: Option<String>,
+        /// In which language; absent: `english`.
+        #[serde(default)]
+        language: Option<ReportLanguage>,
+        /// Time zone of its dates by its IANA name, `Europe/Berlin`; absent: that of the daemon.
+        #[serde(default)]
+        time_zone: Option<String>,
+    },
+    /// Keeps the count of a set that somebody has seen, beside the one that was counted.
+    #[serde(rename = "session.correct")]
+    SessionCorrect {
+        /// Number of the session.
+        session: SessionId,
+        /// Number of the set in it.
+        set: u32,
+        /// Repetitions that were really done.
+        counted: u32,
+    },
+    /// Names everybody who trains.
+    #[serde(rename = "session.people")]
+    SessionPeople {},
+    /// Removes a person with everything of them.
+    #[serde(rename = "session.forget")]
+    SessionForget {
+        /// Who.
+        person: String,
+        /// Whether the recordings of their sessions go too, whoever else is in them.
+        recordings: bool,
+    },
+    /// Gives all plans.
+    #[serde(rename = "session.plans")]
+    SessionPlans {},
+    /// Keeps a plan, in the place of one of its name.
+    #[serde(rename = "session.save_plan")]
+    SessionSavePlan {
+        /// The plan.
+        plan: Plan,
+    },
+    /// Removes a plan.
+    #[serde(rename = "session.delete_plan")]
+    SessionDeletePlan {
+        /// Its name.
+        name: String,
+    },
     /// Cancels a job.
     #[serde(rename = "job.cancel")]
     JobCancel {
@@ -265,6 +354,17 @@ impl Call {
     pub fn changes_something(&self) -> bool {
         !matches!(self, Self::ReplayList {} | Self::ReplayTrack { .. } | Self::ExerciseList {})
     }
+}
+
+/// Languages of a report.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ReportLanguage {
+    /// English.
+    #[default]
+    English,
+    /// German.
+    German,
 }
 
 /// A surveyed point that a sensor of the pole stood on.
@@ -344,7 +444,7 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 23] = [
+const CALLS: [&str; 34] = [
     "record.start",
     "record.stop",
     "replay.list",
@@ -366,6 +466,17 @@ const CALLS: [&str; 23] = [
     "segments.train",
     "stage.align",
     "imu.calibrate",
+    "session.begin",
+    "session.end",
+    "session.list",
+    "session.show",
+    "session.report",
+    "session.correct",
+    "session.people",
+    "session.forget",
+    "session.plans",
+    "session.save_plan",
+    "session.delete_plan",
     "job.cancel",
     "model.load",
 ];
@@ -441,7 +552,7 @@ fn shortened(text: &str) -> String {
 
 /// Requests of every kind, for tests and as seeds of the fuzz target.
 #[doc(hidden)]
-pub const REQUEST_EXAMPLES: [&str; 26] = [
+pub const REQUEST_EXAMPLES: [&str; 37] = [
     r#"{"type":"subscribe","id":1,"topics":["sensors"],"max_rate_hz":30,"sensors":["a"],"fields":["raw"],"drop":"queue"}"#,
     r#"{"type":"unsubscribe","id":"x","topics":["status","body"]}"#,
     r#"{"type":"resume","id":1,"after":7}"#,
@@ -467,6 +578,17 @@ pub const REQUEST_EXAMPLES: [&str; 26] = [
     r#"{"type":"faults.train","id":1,"last_s":120}"#,
     r#"{"type":"faults.train","id":1,"recording":"a.mcap"}"#,
     r#"{"type":"faults.name_cell","id":1,"row":0,"column":3,"class":"clean"}"#,
+    r#"{"type":"session.begin","id":1,"person":"P-17","plan":"week 3","subject":"a"}"#,
+    r#"{"type":"session.end","id":1}"#,
+    r#"{"type":"session.list","id":1,"person":"P-17","limit":10}"#,
+    r#"{"type":"session.show","id":1,"session":12}"#,
+    r#"{"type":"session.report","id":1,"person":"P-17","language":"german","time_zone":"Europe/Berlin"}"#,
+    r#"{"type":"session.correct","id":1,"session":12,"set":1,"counted":10}"#,
+    r#"{"type":"session.people","id":1}"#,
+    r#"{"type":"session.forget","id":1,"person":"P-17","recordings":true}"#,
+    r#"{"type":"session.plans","id":1}"#,
+    r#"{"type":"session.save_plan","id":1,"plan":{"name":"week 3","steps":[{"exercise":"curl","sets":3,"repetitions":8,"rest_s":60}]}}"#,
+    r#"{"type":"session.delete_plan","id":1,"name":"week 3"}"#,
     r#"{"type":"model.load","id":1,"model":{"kind":"transmitter","position_m":[0,0,1],"orientation_wxyz":[1,0,0,0]}}"#,
 ];
 

@@ -6,8 +6,8 @@ use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
 
 use super::message::{
-    Answers, Data, ExerciseEvent, Fault, FieldEvent, Figure, Jobs, KeyPose, SegmentBody, Sensors, Status,
-    Truths,
+    Answers, Data, ExerciseEvent, Fault, FieldEvent, Figure, Jobs, KeyPose, SegmentBody, Sensors, Sessions,
+    Status, Truths,
 };
 use super::plain::plain;
 use super::{Call, Feed, RequestId, ServerMessage, Topic, typescript};
@@ -55,6 +55,7 @@ pub fn of_topic(topic: Topic) -> String {
         Topic::Sensors => generator.root_schema_for::<Data<Sensors>>(),
         Topic::Truth => generator.root_schema_for::<Data<Truths>>(),
         Topic::Jobs => generator.root_schema_for::<Data<Jobs>>(),
+        Topic::Session => generator.root_schema_for::<Data<Sessions>>(),
         Topic::Faults => generator.root_schema_for::<Data<Fault>>(),
         Topic::Field => generator.root_schema_for::<Data<FieldEvent>>(),
         Topic::Exercise => generator.root_schema_for::<Data<ExerciseEvent>>(),

@@ -28,11 +28,13 @@ pub enum Topic {
     Jobs,
     /// Ground truth of a simulated stage, in the form of `sensors`.
     Truth,
+    /// Who trains now, and how far the plan is.
+    Session,
 }
 
 impl Topic {
     /// Number of topics.
-    pub const COUNT: usize = 10;
+    pub const COUNT: usize = 11;
     /// All topics, in the order of their indices.
     pub const ALL: [Self; Self::COUNT] = [
         Self::Status,
@@ -45,6 +47,7 @@ impl Topic {
         Self::Field,
         Self::Jobs,
         Self::Truth,
+        Self::Session,
     ];
 
     /// Name on the wire.
@@ -60,6 +63,7 @@ impl Topic {
             Self::Field => "field",
             Self::Jobs => "jobs",
             Self::Truth => "truth",
+            Self::Session => "session",
         }
     }
 

@@ -12,7 +12,7 @@ use std::path::Path;
 use serde_json::Value;
 
 /// Topics that depend on the wall clock and the machine's load.
-const NOT_REPLAYED: [&str; 2] = ["status", "jobs"];
+const NOT_REPLAYED: [&str; 3] = ["status", "jobs", "session"];
 
 /// Keys of a message that differ from client to client.
 const PER_CLIENT: [&str; 2] = ["seq", "dropped"];

@@ -10,26 +10,17 @@
 //! ```
 //! A replay says the same outputs as the live stage did, and so the follower finds the same repetitions in it, number by number:
 //! every figure of a report can be counted again ([`Session::differences`]).
-//!
-//! ```
-//! use posed_sessions::{EndedBy, NewSession, Store};
-//!
-//! let mut store = Store::in_memory()?;
-//! let session = store.begin(&NewSession { person: "P-17", ..NewSession::default() })?;
-//! store.end(session, 600.0, EndedBy::Request)?;
-//! assert_eq!(store.sessions(Some("P-17"), 10)?.len(), 1);
-//! assert_eq!(store.forget("P-17")?.sessions, 1);
-//! # Ok::<(), posed_sessions::StoreError>(())
-//! ```
 
 pub mod export;
 mod follower;
 mod lesson;
 mod number;
+mod people;
 mod plan;
 mod repetition;
 pub mod report;
 mod session;
+#[cfg(feature = "store")]
 mod store;
 mod summary;
 #[cfg(test)]
@@ -37,8 +28,10 @@ mod testing;
 
 pub use follower::Follower;
 pub use lesson::{LessonJoint, TaughtLesson};
+pub use people::{Erasure, Forgotten, Person};
 pub use plan::{Plan, PlanStep};
 pub use repetition::{JointCourse, POINTS, Repetition, Score};
-pub use session::{EndedBy, Session, SessionSummary, TrainingSet};
-pub use store::{Erasure, Forgotten, NewSession, Person, SessionId, Store, StoreError, file_in};
+pub use session::{EndedBy, Session, SessionId, SessionSummary, TrainingSet};
+#[cfg(feature = "store")]
+pub use store::{NewSession, Store, StoreError, file_in};
 pub use summary::{ExerciseSummary, JointSummary};

@@ -2,16 +2,19 @@
 
 use std::sync::Arc;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::lesson::TaughtLesson;
 use crate::repetition::Repetition;
 
+/// Number of a session.
+pub type SessionId = i64;
+
 /// A session in one line.
-#[derive(Clone, Debug, PartialEq, Serialize, schemars::JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct SessionSummary {
     /// Its number.
-    pub session: i64,
+    pub session: SessionId,
     /// Who trained.
     pub person: String,
     /// The plan that was followed; absent: none.
@@ -40,7 +43,7 @@ pub struct SessionSummary {
 }
 
 /// How a session ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, schemars::JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EndedBy {
     /// It was asked to.
@@ -69,6 +72,7 @@ impl EndedBy {
         Self::ALL.iter().find(|(known, _)| *known == self).map_or("", |(_, word)| word)
     }
 
+    #[cfg(feature = "store")]
     pub(crate) fn named(word: &str) -> Option<Self> {
         Self::ALL.iter().find(|(_, known)| *known == word).map(|(ended_by, _)| *ended_by)
     }

@@ -29,6 +29,7 @@ use super::ports::ended;
 use super::recordings;
 use super::server::{PendingCall, Refusal, Reply};
 use super::track;
+use super::training::Training;
 use posed_pipeline::DEFAULT_SUBJECT;
 use posed_protocol::{Answer, Call, Exercises, KeptExercise, MapVersion, Recordings};
 use posed_stage::Stage;
@@ -54,6 +55,7 @@ pub(super) struct Calls {
     inbox: FusionInbox,
     jobs: Jobs,
     calibration: Calibration,
+    training: Training,
 }
 
 impl Calls {
@@ -64,10 +66,10 @@ impl Calls {
         inbox: FusionInbox,
         jobs: Jobs,
         calibration: Calibration,
+        training: Training,
     ) -> Self {
         let recordings = stage.recording.folder.clone().unwrap_or_else(|| folder.join("recordings"));
-        let exercises = stage.models.exercise_folder.clone().unwrap_or_else(|| folder.join("exercises"));
-        let exercises = Library::new(exercises, "json");
+        let exercises = Library::new(models::exercise_folder(stage, &folder), "json");
         let faults = stage.models.faults_folder.clone().unwrap_or_else(|| folder.join("faults"));
         let faults = Library::new(faults, "json");
         let imus = models::imu_folder(stage, &folder);
@@ -84,6 +86,7 @@ impl Calls {
             inbox,
             jobs,
             calibration,
+            training,
         }
     }
 
@@ -184,6 +187,26 @@ impl Calls {
             Call::BodyCalibrate { how } => self.calibrate_body(how.unwrap_or_default(), reply),
             Call::StageAlign { sensor, anchors } => self.align_stage(sensor, anchors, reply),
             Call::ImuCalibrate { sensor } => self.calibrate_imu(sensor, reply),
+            Call::SessionBegin { person, plan, subject } => {
+                reply.answer(self.training.begin(&person, plan.as_deref(), subject));
+            }
+            Call::SessionEnd { subject } => reply.answer(self.training.end(subject)),
+            Call::SessionList { person, limit } => reply.answer(self.training.list(person.as_deref(), limit)),
+            Call::SessionShow { session } => reply.answer(self.training.show(session)),
+            Call::SessionReport { session, person, language, time_zone } => {
+                let (person, time_zone) = (person.as_deref(), time_zone.as_deref());
+                reply.answer(self.training.report(session, person, language.unwrap_or_default(), time_zone));
+            }
+            Call::SessionCorrect { session, set, counted } => {
+                reply.answer(self.training.correct(session, set, counted));
+            }
+            Call::SessionPeople {} => reply.answer(self.training.people()),
+            Call::SessionForget { person, recordings } => {
+                reply.answer(self.training.forget(&person, recordings.then_some(&*self.recordings)));
+            }
+            Call::SessionPlans {} => reply.answer(self.training.plans()),
+            Call::SessionSavePlan { plan } => reply.answer(self.training.save_plan(&plan)),
+            Call::SessionDeletePlan { name } => reply.answer(self.training.delete_plan(&name)),
             Call::JobCancel { job } => match self.jobs.cancel(job) {
                 Ok(()) => {
                     self.inbox.command(Command::LookAtJobs);
@@ -273,6 +296,17 @@ fn is_slow(call: &Call) -> bool {
             | Call::ExerciseSelect { .. }
             | Call::ExerciseReset { .. }
             | Call::FaultsNameCell { .. }
+            | Call::SessionBegin { .. }
+            | Call::SessionEnd { .. }
+            | Call::SessionList { .. }
+            | Call::SessionShow { .. }
+            | Call::SessionReport { .. }
+            | Call::SessionCorrect { .. }
+            | Call::SessionPeople {}
+            | Call::SessionForget { .. }
+            | Call::SessionPlans {}
+            | Call::SessionSavePlan { .. }
+            | Call::SessionDeletePlan { .. }
     )
 }
 
@@ -287,7 +321,9 @@ mod tests {
     use super::super::inbox::{Event, Inbox};
     use super::super::server::Hub;
     use super::super::server::testing::{Asking, ids};
+    use super::super::training::Tools;
     use super::*;
+    use posed_stage::LoadedModels;
     use posed_stage::input::{Entry, Input};
 
     #[test]
@@ -297,7 +333,11 @@ mod tests {
         let inbox = Inbox::new(INBOX_CAPACITY);
         let jobs = Jobs::new(clock, Hub::default());
         let calibration = Calibration::new(&stage, folder.path(), clock, inbox.clone(), jobs.clone());
-        let calls = Calls::new(&stage, folder.path().to_owned(), clock, inbox.clone(), jobs, calibration);
+        let exercises = Library::new(folder.path().join("exercises"), "json");
+        let tools = Tools { clock, hub: Hub::default(), inbox: inbox.clone(), exercises };
+        let (training, _follow) = Training::new(&stage, folder.path(), &LoadedModels::default(), tools);
+        let data = folder.path().to_owned();
+        let calls = Calls::new(&stage, data, clock, inbox.clone(), jobs, calibration, training);
         let (flooding, other) = (Asking::new(), Asking::new());
         for id in 0..COMMANDS + 50 {
             calls.carry_out(Call::RecordStop {}, flooding.reply(id));

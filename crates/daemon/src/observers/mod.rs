@@ -19,6 +19,7 @@ pub(super) use self::samples::{
     AlignmentSample, AlignmentSource, BodySource, ChainSource, GuidedCalibration, ImuSource, Samples, Source,
 };
 use super::calibration::Calibration;
+use super::training::Follow;
 use posed_pipeline::Pipeline;
 use posed_stage::Stage;
 use posed_stage::input::Entry;
@@ -62,6 +63,7 @@ pub(super) struct Observers {
     /// What fault maps are learnt from.
     pub(super) positions: RecentPositions,
     field: Calibration,
+    pub(super) training: Follow,
     /// The input log of a link to other machines.
     log: Option<Box<dyn Observer + Send>>,
     /// What guided calibrations take, by [`GuidedCalibration`].
@@ -69,12 +71,18 @@ pub(super) struct Observers {
 }
 
 impl Observers {
-    pub(super) fn new(stage: &Stage, field: Calibration, log: Option<Box<dyn Observer + Send>>) -> Self {
+    pub(super) fn new(
+        stage: &Stage,
+        field: Calibration,
+        training: Follow,
+        log: Option<Box<dyn Observer + Send>>,
+    ) -> Self {
         Self {
             health: Health::new(stage),
             recent: Recent::new(stage),
             positions: RecentPositions::new(stage),
             field,
+            training,
             log,
             guided: Default::default(),
         }
@@ -86,8 +94,8 @@ impl Observers {
     }
 
     fn all(&mut self) -> impl Iterator<Item = &mut dyn Observer> {
-        let Self { health, recent, positions, field, log, guided } = self;
-        let own: [&mut dyn Observer; 4] = [health, recent, positions, field];
+        let Self { health, recent, positions, field, training, log, guided } = self;
+        let own: [&mut dyn Observer; 5] = [health, recent, positions, field, training];
         let given = log.iter_mut().chain(guided.iter_mut().flatten());
         own.into_iter().chain(given.map(|observer| &mut **observer as &mut dyn Observer))
     }

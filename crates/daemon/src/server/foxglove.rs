@@ -237,7 +237,7 @@ impl Viewers {
 /// How many messages of a channel are kept for who subscribes later; states come by themselves many times a second.
 fn kept(channel: &Channel) -> usize {
     match channel.published() {
-        Some(Topic::Status | Topic::Jobs) => 1,
+        Some(Topic::Status | Topic::Jobs | Topic::Session) => 1,
         _ if channel.is_log() => LOG,
         _ => 0,
     }

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use serde::{Deserialize, Serialize};
 use tokio::sync::Notify;
 
-use posed_protocol::{Jobs, Payload, Status};
+use posed_protocol::{Jobs, Payload, Sessions, Status};
 use posed_stage::input::Truth;
 use posed_stage::output::{Body, Estimate, Outcome, Output};
 
@@ -32,6 +32,8 @@ pub enum Item {
     Status(Box<Status>),
     /// The list of jobs.
     Jobs(Box<Jobs>),
+    /// The sessions that go on.
+    Sessions(Box<Sessions>),
     /// Time goes back: a replay was asked to.
     Rewind,
 }
@@ -46,6 +48,7 @@ impl Item {
             Self::Outcome(outcome) => Payload::Outcome(outcome),
             Self::Status(status) => Payload::Status(status),
             Self::Jobs(jobs) => Payload::Jobs(jobs),
+            Self::Sessions(sessions) => Payload::Sessions(sessions),
             Self::Rewind => return None,
         })
     }
@@ -86,7 +89,7 @@ impl Hub {
             Some(Payload::Body(body)) => self.push(Item::Body(Box::new(body.clone()))),
             Some(Payload::Truth(truth)) => self.push(Item::Truth(Box::new(truth.clone()))),
             Some(Payload::Outcome(outcome)) => self.push(Item::Outcome(Box::new(outcome.clone()))),
-            Some(Payload::Status(_) | Payload::Jobs(_)) | None => {}
+            Some(Payload::Status(_) | Payload::Jobs(_) | Payload::Sessions(_)) | None => {}
         }
     }
 
@@ -107,6 +110,11 @@ impl Hub {
     /// Publishes the list of jobs; its `t_s` is now.
     pub fn publish_jobs(&self, jobs: Jobs) {
         self.push(Item::Jobs(Box::new(jobs)));
+    }
+
+    /// Publishes the sessions that go on; its `t_s` is now.
+    pub fn publish_sessions(&self, sessions: Sessions) {
+        self.push(Item::Sessions(Box::new(sessions)));
     }
 
     /// Lets time go back: what follows was captured before what came before. Only for a replay.

@@ -59,7 +59,7 @@ impl Outlet {
             Item::Estimate(estimate) => publisher.frame(estimate, send),
             Item::Status(status) => publisher.look(status.t_s, send),
             Item::Rewind => publisher.rewind(),
-            Item::Truth(_) | Item::Outcome(_) | Item::Jobs(_) => {}
+            Item::Truth(_) | Item::Outcome(_) | Item::Jobs(_) | Item::Sessions(_) => {}
         }
     }
 }

@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use posed_sessions::{Forgotten, Person, Plan, SessionId, SessionSummary};
+
 /// What a request was answered with; which one gets which: [`Answers`]. All others are answered with `ok` alone.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
@@ -13,6 +15,8 @@ pub enum Answer {
     RecordingBegun(RecordingBegun),
     /// To all that is a job.
     Started(Started),
+    /// To `session.forget`; before [`Recordings`], which is a part of it.
+    Forgotten(Forgotten),
     /// To `replay.list`.
     Recordings(Recordings),
     /// To `replay.track`.
@@ -23,6 +27,18 @@ pub enum Answer {
     MapVersion(MapVersion),
     /// To `faults.name_cell`.
     KeptFile(KeptFile),
+    /// To `session.begin`.
+    SessionBegun(SessionBegun),
+    /// To `session.list`.
+    Sessions(ListedSessions),
+    /// To `session.show`.
+    Shown(Shown),
+    /// To `session.report`.
+    Report(Report),
+    /// To `session.people`.
+    People(People),
+    /// To `session.plans`.
+    Plans(Plans),
 }
 
 /// Which events follow.
@@ -107,6 +123,48 @@ pub struct KeptFile {
     pub file: String,
 }
 
+/// A session that has begun.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct SessionBegun {
+    /// Its number.
+    pub session: SessionId,
+}
+
+/// Sessions in one line each.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ListedSessions {
+    /// The newest first.
+    pub sessions: Vec<SessionSummary>,
+}
+
+/// A session in full.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Shown {
+    /// Its sets, repetitions, scores and courses, as `posed session show --json` prints them.
+    pub shown: serde_json::Value,
+}
+
+/// A report.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Report {
+    /// One self-contained HTML page.
+    pub html: String,
+}
+
+/// Everybody who trains.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct People {
+    /// By name.
+    pub people: Vec<Person>,
+}
+
+/// All plans.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Plans {
+    /// By name.
+    pub plans: Vec<Plan>,
+}
+
 /// The `result` of each request that has one, by the request's `type`.
 #[derive(JsonSchema)]
 #[expect(dead_code, reason = "a table for the published schema")]
@@ -142,4 +200,18 @@ pub(crate) struct Answers {
     stage_align: Started,
     #[serde(rename = "imu.calibrate")]
     imu_calibrate: Started,
+    #[serde(rename = "session.begin")]
+    session_begin: SessionBegun,
+    #[serde(rename = "session.list")]
+    session_list: ListedSessions,
+    #[serde(rename = "session.show")]
+    session_show: Shown,
+    #[serde(rename = "session.report")]
+    session_report: Report,
+    #[serde(rename = "session.people")]
+    session_people: People,
+    #[serde(rename = "session.forget")]
+    session_forget: Forgotten,
+    #[serde(rename = "session.plans")]
+    session_plans: Plans,
 }

@@ -14,6 +14,7 @@ mod keyframes;
 mod reply;
 mod segments;
 mod sensors;
+mod session;
 mod stages;
 mod status;
 mod truth;
@@ -23,8 +24,8 @@ use serde::{Deserialize, Serialize};
 
 pub(super) use self::answer::Answers;
 pub use self::answer::{
-    Answer, Exercises, KeptExercise, KeptFile, MapVersion, RecordingBegun, Recordings, Resumed, Started,
-    Tracked,
+    Answer, Exercises, KeptExercise, KeptFile, ListedSessions, MapVersion, People, Plans, RecordingBegun,
+    Recordings, Report, Resumed, SessionBegun, Shown, Started, Tracked,
 };
 pub use self::body::{Figure, HeadingSource, JointEntry, SegmentEntry};
 pub use self::exercise::{Begun, Deviation, ExerciseChange, ExerciseEvent, Judged, Spoken};
@@ -36,6 +37,7 @@ pub use self::keyframes::KeyPose;
 pub use self::reply::{ErrorReply, OkReply};
 pub use self::segments::SegmentBody;
 pub use self::sensors::{Change, Measured, Quality, SensorEntry, Sensors};
+pub use self::session::{PlanProgress, RunningSession, Sessions};
 pub use self::stages::{RelatedClock, StageEntry, StagePresence, Stages};
 pub use self::status::{
     DeviceStatus, LinkState, Problem, RecordingStatus, ReplayStatus, SensorStatus, StageLatency, Status,
@@ -62,6 +64,8 @@ pub enum ServerMessage {
     Truth(Data<Truths>),
     /// All jobs, running and lately ended.
     Jobs(Data<Jobs>),
+    /// All sessions that go on.
+    Session(Data<Sessions>),
     /// A fault began or ended, or the fault map changed.
     Faults(Data<Fault>),
     /// A sensor's motion changed.

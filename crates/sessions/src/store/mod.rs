@@ -2,6 +2,17 @@
 //!
 //! What comes in: people, plans, sessions, repetitions. What goes out: the same. What it never does: lose what it has taken (each
 //! call is a transaction that is on the disk when it returns), or leave bytes of a person who is to be forgotten.
+//!
+//! ```
+//! use posed_sessions::{EndedBy, NewSession, Store};
+//!
+//! let mut store = Store::in_memory()?;
+//! let session = store.begin(&NewSession { person: "P-17", ..NewSession::default() })?;
+//! store.end(session, 600.0, EndedBy::Request)?;
+//! assert_eq!(store.sessions(Some("P-17"), 10)?.len(), 1);
+//! assert_eq!(store.forget("P-17")?.sessions, 1);
+//! # Ok::<(), posed_sessions::StoreError>(())
+//! ```
 
 mod courses;
 mod people;
@@ -16,16 +27,14 @@ use std::time::Duration;
 
 use rusqlite::Connection;
 
-pub use self::people::{Erasure, Forgotten, Person};
+use crate::session::SessionId;
+
 pub use self::writing::NewSession;
 
 /// Version of the tables.
 const VERSION: i64 = 1;
 /// How long another program may hold the database.
 const PATIENCE: Duration = Duration::from_secs(2);
-
-/// Number of a session.
-pub type SessionId = i64;
 
 /// The database.
 #[derive(Debug)]

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use rusqlite::{OptionalExtension, Row, params};
 
 use super::courses::{course, degrees};
-use super::{SessionId, Store, StoreError};
+use super::{Store, StoreError};
 use crate::lesson::{LessonJoint, TaughtLesson};
 use crate::repetition::{JointCourse, Repetition, Score};
-use crate::session::{EndedBy, Session, SessionSummary, TrainingSet};
+use crate::session::{EndedBy, Session, SessionId, SessionSummary, TrainingSet};
 use posed_motion::exercise::Reason;
 
 /// What a summary is made of.

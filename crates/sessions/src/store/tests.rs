@@ -6,6 +6,7 @@ use super::*;
 use crate::plan::{Plan, PlanStep};
 use crate::session::EndedBy;
 use crate::testing::{lesson, rejected, repetition};
+use crate::{Erasure, Forgotten};
 use crate::{Repetition, Session};
 
 const PERSON: &str = "Ottilie-Wurzelbacher";
@@ -54,7 +55,7 @@ fn what_was_trained_comes_back_number_by_number_and_counts_again_without_a_diffe
     assert_eq!(session.summary.begun, "2023-11-14T22:13:21Z");
     assert_eq!((session.summary.counted, session.summary.rejected, session.summary.sets), (5, 1, 2));
     assert_eq!((session.summary.duration_s, session.summary.ended_by), (Some(60.0), Some(EndedBy::Request)));
-    assert_eq!(store.sessions(None, 10).unwrap(), [session.summary.clone()]);
+    assert_eq!(store.sessions(None, 10).unwrap(), std::slice::from_ref(&session.summary));
 
     assert_eq!(session.differences(&repetitions(), 0.0), [""; 0]);
     let mut other = repetitions();

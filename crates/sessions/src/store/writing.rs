@@ -3,10 +3,10 @@
 use rusqlite::{OptionalExtension, Transaction, params};
 
 use super::courses::{bytes, hundredths};
-use super::{SessionId, Store, StoreError, named, people};
+use super::{Store, StoreError, named, people};
 use crate::lesson::TaughtLesson;
 use crate::repetition::Repetition;
-use crate::session::EndedBy;
+use crate::session::{EndedBy, SessionId};
 
 /// What a session begins with.
 #[derive(Clone, Copy, Debug, Default)]

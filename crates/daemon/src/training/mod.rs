@@ -1,0 +1,116 @@
+//! Sessions of training: who trains now is kept, repetition by repetition.
+//!
+//! What comes in: what the fusion thread reports ([`Follow`], which never waits), requests of clients. What goes out: the database
+//! `sessions.db` in the data folder, the topic `session`, answers, and for a plan the exercises that are selected one after the other.
+//! What it never does: keep the fusion thread waiting. A thread of its own writes; what cannot be written (the disk is full) waits
+//! and is tried again, and the topic says so.
+//!
+//! ```text
+//! fusion thread: Follow ──> bounded queue ──> thread "sessions" ──> State ──> Store
+//! requests, on the thread for files ─────────────────────────────────┘
+//! ```
+
+mod follow;
+mod plan;
+mod requests;
+mod state;
+
+use std::path::Path;
+use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use posed_drivers::Timestamp;
+
+pub(super) use self::follow::Follow;
+use self::follow::Report;
+use self::state::State;
+use super::clock::StageClock;
+use super::fusion::FusionInbox;
+use super::models::Library;
+use super::server::Hub;
+use posed_sessions::file_in;
+use posed_stage::{LoadedModels, Stage};
+
+/// Reports that may wait for the thread: a repetition takes a second, the disk may take its time.
+const REPORTS: usize = 1024;
+/// Distance of two looks at the clock, for rests and for what could not be written.
+const TICK: Duration = Duration::from_millis(200);
+
+/// All sessions of a stage; clones share them.
+#[derive(Clone, Debug)]
+pub(super) struct Training {
+    shared: Arc<Shared>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    reports: Receiver<Report>,
+    /// Capture time up to which everything is decided and reported, ns.
+    decided_ns: AtomicI64,
+    /// Reports that were lost because the queue was full.
+    lost: AtomicU64,
+    state: Mutex<State>,
+}
+
+/// What a stage's sessions work with.
+#[derive(Debug)]
+pub(super) struct Tools {
+    pub(super) clock: StageClock,
+    pub(super) hub: Hub,
+    pub(super) inbox: FusionInbox,
+    /// Where exercises are kept.
+    pub(super) exercises: Library,
+}
+
+impl Training {
+    /// For a stage that keeps what it learns in `data`, with the models that it begins with. Nothing is opened yet.
+    pub(super) fn new(stage: &Stage, data: &Path, models: &LoadedModels, tools: Tools) -> (Self, Follow) {
+        let (to, reports): (Sender<Report>, _) = bounded(REPORTS);
+        let shared = Arc::new(Shared {
+            reports,
+            decided_ns: AtomicI64::new(0),
+            lost: AtomicU64::new(0),
+            state: Mutex::new(State::new(stage.name.clone(), file_in(data), tools)),
+        });
+        let follow = Follow::new(stage, models, to, Arc::clone(&shared));
+        (Self { shared }, follow)
+    }
+
+    /// Starts the thread, which ends with [`Follow`]: all sessions have ended then.
+    pub(super) fn start(&self) -> std::io::Result<JoinHandle<()>> {
+        let shared = Arc::clone(&self.shared);
+        #[expect(clippy::disallowed_methods, reason = "the daemon owns the thread that writes sessions")]
+        std::thread::Builder::new().name("sessions".into()).spawn(move || shared.run())
+    }
+}
+
+impl Shared {
+    fn run(&self) {
+        self.lock().begin();
+        loop {
+            match self.reports.recv_timeout(TICK) {
+                Ok(report) => self.lock().take(report),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            self.lock().tick(self.lost.load(Ordering::Relaxed));
+        }
+        self.lock().shut_down();
+    }
+
+    /// The state with all that was reported until now, and the capture time up to which that is all there is.
+    fn up_to_date(&self) -> (MutexGuard<'_, State>, Timestamp) {
+        let mut state = self.lock();
+        let decided = Timestamp::from_nanos(self.decided_ns.load(Ordering::Acquire));
+        self.reports.try_iter().for_each(|report| state.take(report));
+        (state, decided)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // What a panic leaves is a session without its last repetition at worst.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,217 @@
+//! What clients ask of sessions. Reads and writes files: not for an asynchronous task.
+
+use std::path::Path;
+use std::sync::atomic::Ordering;
+
+use jiff::tz::TimeZone;
+use posed_drivers::Timestamp;
+
+use super::super::server::Refusal;
+use super::Training;
+use super::plan::PlanRun;
+use super::state::{Running, State};
+use posed_motion::exercise::Language;
+use posed_pipeline::DEFAULT_SUBJECT;
+use posed_protocol::{Answer, ListedSessions, People, Plans, Report, ReportLanguage, SessionBegun, Shown};
+use posed_sessions::{EndedBy, NewSession, Plan, SessionId, StoreError, report};
+use posed_stage::input::Model;
+
+/// Sessions that are listed unless a client asks for more or fewer, and most.
+const LISTED: u32 = 100;
+const MOST_LISTED: u32 = 1000;
+/// Sessions at a time.
+const RUNNING: usize = 64;
+/// A frame older than this is none of now, s.
+const FRESH_S: f64 = 1.0;
+
+/// What a request is answered with.
+type Outcome = Result<Option<Answer>, Refusal>;
+
+impl From<StoreError> for Refusal {
+    fn from(error: StoreError) -> Self {
+        match error {
+            StoreError::NoSession(_)
+            | StoreError::NoSet(..)
+            | StoreError::NoPerson(_)
+            | StoreError::NoPlan(_) => Self::new("not_found", error),
+            StoreError::Refused(_) => Self::bad_request(error),
+            StoreError::Database(_) | StoreError::Version(_) | StoreError::Damaged(_) => Self::failed(error),
+        }
+    }
+}
+
+impl Training {
+    /// Begins a session; with a plan selects its first exercise.
+    pub(crate) fn begin(&self, person: &str, plan: Option<&str>, subject: Option<String>) -> Outcome {
+        let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
+        let (mut state, decided) = self.shared.up_to_date();
+        if state.running.iter().any(|running| running.subject == subject) {
+            return Err(Refusal::new("already", format!("a session of {subject:?} goes on; end that first")));
+        }
+        if state.running.len() >= RUNNING {
+            return Err(Refusal::new("busy", format!("{RUNNING} sessions go on already")));
+        }
+        let plan = plan.map(|name| state.store()?.plan(name).map_err(Refusal::from)).transpose()?;
+        let now_s = state.now_s();
+        let plan = plan.map(|plan| state.prepared(plan, now_s)).transpose()?;
+        let t_begin_s = time_s(&state, decided);
+        let (stage, recording) = (state.stage.clone(), state.recording.clone());
+        let epoch_utc_ns = state.tools.clock.epoch_utc_ns();
+        let session = state.store()?.begin(&NewSession {
+            person,
+            plan: plan.as_ref().map(PlanRun::name),
+            stage: &stage,
+            subject: &subject,
+            epoch_utc_ns,
+            t_begin_s,
+            recording: recording.as_deref(),
+        })?;
+        if let Some(plan) = &plan {
+            state.tools.inbox.command(plan.select(&subject));
+        }
+        let person = person.to_owned();
+        state.running.push(Running { session, person, subject, t_begin_s, counted: 0, plan });
+        state.publish(self.shared.lost.load(Ordering::Relaxed));
+        Ok(Some(Answer::SessionBegun(SessionBegun { session })))
+    }
+
+    /// Ends a session.
+    pub(crate) fn end(&self, subject: Option<String>) -> Outcome {
+        let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
+        let (mut state, decided) = self.shared.up_to_date();
+        let t_end_s = time_s(&state, decided);
+        if !state.end(&subject, t_end_s, EndedBy::Request) {
+            return Err(Refusal::new("not_found", format!("no session of {subject:?} goes on")));
+        }
+        state.publish(self.shared.lost.load(Ordering::Relaxed));
+        Ok(None)
+    }
+
+    pub(crate) fn list(&self, person: Option<&str>, limit: Option<u32>) -> Outcome {
+        let limit = limit.unwrap_or(LISTED);
+        if !(1..=MOST_LISTED).contains(&limit) {
+            return Err(Refusal::bad_request(format!("limit: give 1 to {MOST_LISTED}")));
+        }
+        let sessions = self.shared.lock().store()?.sessions(person, limit)?;
+        Ok(Some(Answer::Sessions(ListedSessions { sessions })))
+    }
+
+    pub(crate) fn show(&self, session: SessionId) -> Outcome {
+        let session = self.shared.lock().store()?.session(session)?;
+        let shown = serde_json::to_value(session).map_err(Refusal::failed)?;
+        Ok(Some(Answer::Shown(Shown { shown })))
+    }
+
+    pub(crate) fn report(
+        &self,
+        session: Option<SessionId>,
+        person: Option<&str>,
+        language: ReportLanguage,
+        time_zone: Option<&str>,
+    ) -> Outcome {
+        let language = match language {
+            ReportLanguage::English => Language::English,
+            ReportLanguage::German => Language::German,
+        };
+        let time_zone = match time_zone {
+            Some(name) => {
+                TimeZone::get(name).map_err(|error| Refusal::bad_request(format!("time_zone: {error}")))?
+            }
+            None => TimeZone::system(),
+        };
+        let reader = report::Reader { language, time_zone };
+        let mut state = self.shared.lock();
+        let html = match (session, person) {
+            (Some(session), None) => report::session(&state.store()?.session(session)?, &reader),
+            (None, Some(person)) => report::course(person, &state.store()?.course(person)?, &reader),
+            _ => return Err(Refusal::bad_request("give session or person")),
+        };
+        Ok(Some(Answer::Report(Report { html })))
+    }
+
+    pub(crate) fn correct(&self, session: SessionId, set: u32, counted: u32) -> Outcome {
+        let mut state = self.shared.lock();
+        let now = state.tools.clock.now().as_nanos();
+        let utc_ns = state.tools.clock.epoch_utc_ns().saturating_add(now);
+        state.store()?.correct(session, set, counted, utc_ns)?;
+        Ok(None)
+    }
+
+    pub(crate) fn people(&self) -> Outcome {
+        let people = self.shared.lock().store()?.people()?;
+        Ok(Some(Answer::People(People { people })))
+    }
+
+    /// Removes somebody; their session ends. Recordings go where they are asked to, but not the one that runs.
+    pub(crate) fn forget(&self, person: &str, recordings: Option<&Path>) -> Outcome {
+        let (mut state, decided) = self.shared.up_to_date();
+        let t_end_s = time_s(&state, decided);
+        let running = state.running.iter().find(|running| running.person == person);
+        if let Some(subject) = running.map(|running| running.subject.clone()) {
+            state.end(&subject, t_end_s, EndedBy::Request);
+        }
+        let current = state.recording.clone();
+        let mut forgotten = state.store()?.forget(person)?;
+        if let Some(folder) = recordings {
+            // What is left is what could not be removed.
+            forgotten.recordings.retain(|name| {
+                let is_plain = Path::new(name).file_name().is_some_and(|plain| plain == name.as_str());
+                let is_running = current.as_ref() == Some(name);
+                is_running || !is_plain || !is_removed(&folder.join(name))
+            });
+        }
+        state.publish(self.shared.lost.load(Ordering::Relaxed));
+        Ok(Some(Answer::Forgotten(forgotten)))
+    }
+
+    pub(crate) fn plans(&self) -> Outcome {
+        let plans = self.shared.lock().store()?.plans()?;
+        Ok(Some(Answer::Plans(Plans { plans })))
+    }
+
+    pub(crate) fn save_plan(&self, plan: &Plan) -> Outcome {
+        self.shared.lock().store()?.save_plan(plan)?;
+        Ok(None)
+    }
+
+    pub(crate) fn delete_plan(&self, name: &str) -> Outcome {
+        self.shared.lock().store()?.delete_plan(name)?;
+        Ok(None)
+    }
+}
+
+/// Whether a file is gone.
+fn is_removed(path: &Path) -> bool {
+    match std::fs::remove_file(path) {
+        Ok(()) => true,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => true,
+        Err(error) => {
+            tracing::warn!("cannot remove {}: {error}", path.display());
+            false
+        }
+    }
+}
+
+/// Where a session begins or ends: at the newest frame, so that a replay draws the same line between repetitions; where nothing is
+/// tracked, now.
+fn time_s(state: &State, decided: Timestamp) -> f64 {
+    let (now_s, decided_s) = (state.now_s(), decided.as_secs_f64());
+    let fresh = (now_s - decided_s).abs() <= FRESH_S;
+    let t_s = if fresh { decided_s } else { now_s };
+    // As times of repetitions are rounded.
+    (t_s * 1e6).round() / 1e6
+}
+
+impl State {
+    /// A plan with the exercises that its steps need from the folder.
+    fn prepared(&self, plan: Plan, now_s: f64) -> Result<PlanRun, Refusal> {
+        let newest = |exercise: &str| match self.tools.exercises.newest(exercise) {
+            Ok(Some(exercise)) => Ok(Some(Model::Exercise { exercise: Box::new(exercise) })),
+            // The stage file may name it.
+            Ok(None) => Ok(None),
+            Err(error) => Err(Refusal::failed(error)),
+        };
+        let models = plan.steps.iter().map(|step| newest(&step.exercise)).collect::<Result<_, _>>()?;
+        Ok(PlanRun::new(plan, models, now_s))
+    }
+}
