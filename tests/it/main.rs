@@ -38,6 +38,7 @@ mod pipeline;
 mod reference;
 mod segments;
 mod server;
+mod sessions;
 mod simulated;
 mod stages;
 mod supply;

@@ -12,6 +12,7 @@
 //! | a device's port | begins again, as after an unplugged cable; the device's state says so |
 //! | a request | is answered with an error; the others go on |
 //! | a job, a recording | ends with a reason; the others go on |
+//! | what keeps sessions of training | goes on without the report that it panicked at |
 //! | a client's connection | ends; the others go on |
 //! | what feeds LSL or zenoh | ends; a problem in `status` |
 //! | tracking around the pipeline, the server, what sends to clients, what serves VRPN, what answers requests | the program ends with its name and exit code 1 |

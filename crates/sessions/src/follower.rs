@@ -45,12 +45,13 @@ pub struct Follower {
 struct SetInProgress {
     planned: Option<u32>,
     counted: u32,
-    is_over: bool,
+    /// Nothing was seen yet since the exercise was selected or reset.
+    is_new: bool,
 }
 
 impl Default for SetInProgress {
     fn default() -> Self {
-        Self { planned: None, counted: 0, is_over: true }
+        Self { planned: None, counted: 0, is_new: true }
     }
 }
 
@@ -127,7 +128,7 @@ impl Follower {
         for progress in &state.exercises {
             let set = self.sets.entry((subject.to_owned(), progress.exercise.clone())).or_default();
             set.planned = state.repetitions;
-            set.is_over |= progress.count == 0;
+            set.is_new |= progress.count == 0;
         }
     }
 
@@ -146,13 +147,13 @@ impl Follower {
         // Of a recording that begins in the middle of a run, an exercise may be selected that was not loaded since.
         let lesson = self.lessons.get(&exercise)?.clone();
         let set = self.sets.entry((subject.to_owned(), exercise)).or_default();
-        let begins_set = set.is_over || (is_counted && repetition.set_count <= set.counted);
+        // What comes after the last planned one still belongs to that set, also what is seen in the rest.
+        let begins_set = set.is_new || (is_counted && repetition.set_count <= set.counted);
         if begins_set {
-            (set.counted, set.is_over) = (0, false);
+            (set.counted, set.is_new) = (0, false);
         }
         if is_counted {
             set.counted = repetition.set_count;
-            set.is_over = set.planned.is_some_and(|planned| set.counted >= planned);
         }
         let planned = set.planned;
         let feedback = repetition.feedback.as_ref();

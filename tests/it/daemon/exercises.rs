@@ -9,7 +9,7 @@ use super::process::{Posed, all_ok, ok, refused, two_devices, until};
 use crate::exercise::CURL;
 
 /// The exercise of the simulated arm, as if taught with this stage's sensors.
-fn write(path: &Path, name: &str) {
+pub(super) fn write(path: &Path, name: &str) {
     let mut exercise = CURL.clone();
     exercise.name = name.into();
     for channel in &mut exercise.channels {

@@ -15,3 +15,4 @@ mod replay;
 mod run;
 mod segments;
 mod service;
+mod sessions;

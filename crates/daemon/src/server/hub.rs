@@ -136,6 +136,15 @@ impl Hub {
         })
     }
 
+    /// The next list of sessions that nobody has taken.
+    #[cfg(test)]
+    pub(crate) fn take_sessions(&self) -> Option<Sessions> {
+        std::iter::from_fn(|| self.take()).find_map(|item| match item {
+            Item::Sessions(sessions) => Some(*sessions),
+            _ => None,
+        })
+    }
+
     fn push(&self, item: Item) {
         let mut queue = self.lock();
         let oldest = queue.items.iter().position(Item::is_state);

@@ -14,7 +14,10 @@ mod follow;
 mod plan;
 mod requests;
 mod state;
+#[cfg(test)]
+mod tests;
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -28,6 +31,7 @@ pub(super) use self::follow::Follow;
 use self::follow::Report;
 use self::state::State;
 use super::clock::StageClock;
+use super::fault_points;
 use super::fusion::FusionInbox;
 use super::models::Library;
 use super::server::Hub;
@@ -91,12 +95,20 @@ impl Shared {
     fn run(&self) {
         self.lock().begin();
         loop {
-            match self.reports.recv_timeout(TICK) {
-                Ok(report) => self.lock().take(report),
-                Err(RecvTimeoutError::Timeout) => {}
+            let report = match self.reports.recv_timeout(TICK) {
+                Ok(report) => Some(report),
+                Err(RecvTimeoutError::Timeout) => None,
                 Err(RecvTimeoutError::Disconnected) => break,
+            };
+            let handled = catch_unwind(AssertUnwindSafe(|| {
+                let _ = fault_points::pass("sessions");
+                let mut state = self.lock();
+                report.into_iter().for_each(|report| state.take(report));
+                state.tick(self.lost.load(Ordering::Relaxed));
+            }));
+            if handled.is_err() {
+                tracing::error!("sessions go on without what they panicked at; please report this");
             }
-            self.lock().tick(self.lost.load(Ordering::Relaxed));
         }
         self.lock().shut_down();
     }

@@ -20,7 +20,7 @@ use posed_stage::input::Model;
 const LISTED: u32 = 100;
 const MOST_LISTED: u32 = 1000;
 /// Sessions at a time.
-const RUNNING: usize = 64;
+pub(super) const RUNNING: usize = 64;
 /// A frame older than this is none of now, s.
 const FRESH_S: f64 = 1.0;
 

@@ -11,7 +11,7 @@ use super::follow::Report;
 use super::plan::PlanRun;
 
 /// Repetitions that may wait for the disk.
-const UNWRITTEN: usize = 4096;
+pub(super) const UNWRITTEN: usize = 4096;
 
 /// All of it.
 #[derive(Debug)]

@@ -368,19 +368,31 @@ fn course<'a>(
 }
 
 fn score(exercise: &Exercise, ways: &[Option<Way>], measures: &Measures, jerk: f64) -> Score {
-    let there =
-        || ways.iter().zip(&exercise.channels).filter_map(|(way, name)| Some(((*way)?, Joint::of(name)?)));
+    let all = || {
+        let ways = ways.iter().zip(&exercise.channels).enumerate();
+        ways.filter_map(|(channel, (way, name))| Some((channel, (*way)?, Joint::of(name)?)))
+    };
+    let other_side = |joint: &Joint<'_>| {
+        all().map(|(_, way, other)| (way, other)).find(|(_, other)| {
+            (other.joint, other.movement) == (joint.joint, joint.movement)
+                && joint.side.zip(other.side).is_some_and(|(side, other)| side != other)
+        })
+    };
+    // Of two sides that move by turns, the repetition is that of one: what the other one does in it depends on whether it is the first
+    // or the last of a set.
+    let there = || {
+        all().filter_map(|(channel, way, joint)| {
+            let by_turns = other_side(&joint).is_some_and(|(other, _)| other.taught * way.taught < 0.0);
+            (!by_turns || begins_at_rest(exercise, channel)).then_some((way, joint, by_turns))
+        })
+    };
     let share = |way: &Way| way.went / way.taught;
     let (mut went, mut whole) = (0.0, 0.0);
     let (mut even, mut both) = (0.0, 0.0);
-    for (way, joint) in there() {
+    for (way, joint, by_turns) in there() {
         went += share(&way).clamp(0.0, 1.0) * way.taught.abs();
         whole += way.taught.abs();
-        let other = there().find(|(_, other)| {
-            (other.joint, other.movement) == (joint.joint, joint.movement)
-                && joint.side.zip(other.side).is_some_and(|(side, other)| side != other)
-        });
-        if let Some((other, _)) = other {
+        if let Some((other, _)) = other_side(&joint).filter(|_| !by_turns) {
             let (a, b) = (share(&way).max(0.0), share(&other).max(0.0));
             even += way.taught.abs() * if a.max(b) > 0.0 { a.min(b) / a.max(b) } else { 0.0 };
             both += way.taught.abs();
@@ -389,6 +401,15 @@ fn score(exercise: &Exercise, ways: &[Option<Way>], measures: &Measures, jerk: f
     let amplitude = if whole > 0.0 { went / whole } else { measures.gain };
     let symmetry = (both > 0.0).then(|| even / both);
     Score::new(amplitude, measures.duration_s, &exercise.durations, jerk, symmetry)
+}
+
+/// Whether the taught course of a joint is nearer to its rest at the ends than at its turning point.
+fn begins_at_rest(exercise: &Exercise, channel: usize) -> bool {
+    let (movement, turn) = (&exercise.movement, exercise.turns[channel]);
+    let rest = movement.background.mean[channel][0];
+    let states = &movement.states.mean[channel];
+    let turned = states[(turn.state as usize).min(states.len() - 1)];
+    (turned - turn.way - rest).abs() <= (turned - rest).abs()
 }
 
 /// Log dimensionless jerk (Hogan & Sternad 2009) of all channels, each in units of its amplitude.

@@ -12,6 +12,8 @@ const BELOW: f64 = 16.0;
 const EDGE: f64 = 6.0;
 /// Lines across, at most.
 const LINES: f64 = 4.0;
+/// Least span of a drawing: points, degrees or repetitions.
+const LEAST_SPAN: f64 = 10.0;
 /// Distances of the lines.
 const STEPS: [f64; 12] = [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1e3, 1e4, 1e5];
 /// Repetitions that are drawn at most; of more, some at equal distances.
@@ -29,7 +31,10 @@ impl Scale {
     fn around(x: [f64; 2], values: impl Iterator<Item = f64> + Clone) -> Self {
         let least = values.clone().fold(f64::INFINITY, f64::min);
         let greatest = values.fold(f64::NEG_INFINITY, f64::max);
-        let (least, greatest) = if least > greatest { (0.0, 1.0) } else { (least, greatest) };
+        let (least, greatest) = if least > greatest { (0.0, 0.0) } else { (least, greatest) };
+        // What hardly changes is not drawn as if it did.
+        let missing = (LEAST_SPAN - (greatest - least)).max(0.0);
+        let (least, greatest) = (least - missing / 2.0, greatest + missing / 2.0);
         let rough = (greatest - least) / LINES;
         let step = STEPS.into_iter().find(|step| *step >= rough).unwrap_or(rough);
         let (low, high) = ((least / step).floor() * step, (greatest / step).ceil() * step);
@@ -60,11 +65,11 @@ impl Scale {
         let lines = ((self.y[1] - self.y[0]) / self.step).round() as u32;
         for line in 0..=lines {
             let value = self.y[0] + f64::from(line) * self.step;
-            let (x, y) = self.at(self.x[0], value);
+            let (_, y) = self.at(self.x[0], value);
             let (right, text, below) = (WIDTH - EDGE, LEFT - 4.0, y + 3.5);
             let _ = write!(
                 svg,
-                "<line class=\"axis\" x1=\"{x:.1}\" y1=\"{y:.1}\" x2=\"{right}\" y2=\"{y:.1}\"/>\
+                "<line class=\"axis\" x1=\"{LEFT}\" y1=\"{y:.1}\" x2=\"{right}\" y2=\"{y:.1}\"/>\
                  <text x=\"{text}\" y=\"{below:.1}\" text-anchor=\"end\">{value:.0}</text>"
             );
         }
@@ -103,9 +108,9 @@ pub(super) fn trend(name: &str, points: &[(f64, f64)], goal: Option<f64>, ends: 
     let scale = Scale::around(x, points.iter().map(|point| point.1).chain(goal));
     let mut svg = scale.begin(name, ends);
     if let Some(goal) = goal {
-        let ((x1, y), right) = (scale.at(x[0], goal), WIDTH - EDGE);
+        let ((_, y), right) = (scale.at(x[0], goal), WIDTH - EDGE);
         let _ =
-            write!(svg, "<line class=\"goal\" x1=\"{x1:.1}\" y1=\"{y:.1}\" x2=\"{right}\" y2=\"{y:.1}\"/>");
+            write!(svg, "<line class=\"goal\" x1=\"{LEFT}\" y1=\"{y:.1}\" x2=\"{right}\" y2=\"{y:.1}\"/>");
     }
     svg += &scale.line("trend", points.iter().copied());
     for (week, value) in points {

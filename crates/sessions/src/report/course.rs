@@ -26,9 +26,11 @@ pub fn course(person: &str, sessions: &[Session], reader: &Reader) -> String {
         return page.finish();
     };
     page.note(&format!(
-        "{} {} · {} – {}",
-        sessions.len(),
-        reader.say("sessions", "Sitzungen"),
+        "{} · {} – {}",
+        match sessions.len() {
+            1 => reader.say("1 session", "1 Sitzung").to_owned(),
+            several => format!("{several} {}", reader.say("sessions", "Sitzungen")),
+        },
         reader.day(&first.summary.begun),
         reader.day(&last.summary.begun),
     ));

@@ -25,7 +25,7 @@ mod writing;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use rusqlite::Connection;
+use rusqlite::{Connection, Transaction, TransactionBehavior};
 
 use crate::session::SessionId;
 
@@ -105,12 +105,29 @@ impl Store {
         Self::new(Connection::open_in_memory()?)
     }
 
+    /// How long it waits for another program that has the database; absent: 2 s.
+    ///
+    /// # Errors
+    /// The database does not serve.
+    pub fn set_patience(&self, patience: Duration) -> Result<(), StoreError> {
+        Ok(self.connection.busy_timeout(patience)?)
+    }
+
+    /// Keeps everybody else from writing until what it returns is dropped: for what must not change meanwhile, a copy of the file for
+    /// example.
+    ///
+    /// # Errors
+    /// Somebody else writes.
+    pub fn hold(&self) -> Result<impl Drop + '_, StoreError> {
+        Ok(Transaction::new_unchecked(&self.connection, TransactionBehavior::Immediate)?)
+    }
+
     fn new(mut connection: Connection) -> Result<Self, StoreError> {
         connection.busy_timeout(PATIENCE)?;
         connection.execute_batch(
             "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON; PRAGMA secure_delete = ON;",
         )?;
-        let transaction = connection.transaction_with_behavior(rusqlite::TransactionBehavior::Immediate)?;
+        let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
         match transaction.query_row("PRAGMA user_version", [], |row| row.get(0))? {
             VERSION => {}
             0 => {
