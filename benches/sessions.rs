@@ -59,9 +59,11 @@ fn repetition(lesson: &Arc<TaughtLesson>, number: u32, t_s: f64) -> Repetition {
             symmetry: Some(93.4),
         }),
         // One in four has a sentence.
-        sentence: (number % 4 == 0)
+        sentence: number
+            .is_multiple_of(4)
             .then(|| "right elbow bent 20 degrees less than shown at the top".to_owned()),
-        sentence_de: (number % 4 == 0)
+        sentence_de: number
+            .is_multiple_of(4)
             .then(|| "rechter Ellenbogen am Umkehrpunkt 20 Grad weniger gebeugt als gezeigt".to_owned()),
         joints: (0..JOINTS).map(joint).collect(),
     }

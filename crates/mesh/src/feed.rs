@@ -175,6 +175,10 @@ impl posed_daemon::link::Feed for Feed {
     fn publish(&self, item: &Item, stamp: &Stamp, names: &Names) {
         let Shared { about, wanted, .. } = &*self.shared;
         let Some(payload) = item.payload() else { return };
+        // Who trains is nobody else's business: it stays on this machine.
+        if matches!(item, Item::Sessions(_)) {
+            return;
+        }
         let topic = stamp.topic;
         let is_frame = matches!(item, Item::Estimate(_) | Item::Body(_) | Item::Truth(_));
         let is_fed = wanted.feed.load(Ordering::Relaxed);

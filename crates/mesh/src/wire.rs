@@ -122,7 +122,7 @@ pub(crate) fn write_fed(head: &Head, item: &Item) -> Option<Vec<u8>> {
             rmp_serde::encode::write(&mut out, item).ok()?
         }
         // What has optional fields needs their names.
-        Item::Outcome(_) | Item::Status(_) | Item::Jobs(_) | Item::Rewind => {
+        Item::Outcome(_) | Item::Status(_) | Item::Jobs(_) | Item::Sessions(_) | Item::Rewind => {
             rmp_serde::encode::write_named(&mut out, item).ok()?;
         }
     }
