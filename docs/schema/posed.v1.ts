@@ -857,9 +857,9 @@ export type Judged = {
   reason: Reason | null;
   /** The one thing to say of it; null where all was as taught. */
   remark: Spoken | null;
-  /** The repetition in points; null where it was not measured. */
+  /** The repetition in points; null of one that does not count, and where it was not measured. */
   score: Score | null;
-  /** The same in words of the body; of one that does not count, why, where nothing else is to be said. */
+  /** The same in words of the body; of one that does not count, why; null too of a movement that was not meant: another one, outside of a set. */
   sentence: string | null;
   /** The same in German. */
   sentence_de: string | null;

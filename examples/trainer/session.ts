@@ -185,7 +185,8 @@ export class Session {
       case "counted":
       case "rejected": {
         const good = event.event === "counted";
-        this.change({ feedback: { good, text: event.sentence ?? "good" } });
+        // Of a movement that was not meant nothing is said.
+        if (good || event.sentence) this.change({ feedback: { good, text: event.sentence ?? "good" } });
         this.update(event.exercise, { count: event.count, setCount: event.set_count, provisional: false });
         break;
       }

@@ -446,6 +446,9 @@ fn the_demos_squats_are_counted_beside_its_curls_without_a_complaint() {
     }
     let said: Vec<_> = repetitions.iter().filter_map(|it| it.remark).collect();
     assert!(said.is_empty(), "{said:?}");
+    // He reaches about between the sets: that is not meant, and nobody hears of it.
+    let meant = |it: &&&Repetition| it.kind == EventKind::Rejected && it.is_attempt;
+    assert_eq!(repetitions.iter().filter(meant).collect::<Vec<_>>(), Vec::<&&Repetition>::new());
     // The arms curl by turns: neither the first nor the last of a set is lopsided for that.
     for it in repetitions.iter().filter(|it| it.kind == EventKind::Counted) {
         let score = it.feedback.as_ref().unwrap().1.score;

@@ -672,6 +672,23 @@ async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_devic
         .until(&format!("{} === 'Gut gemacht.' && window.spoken === 'de: Gut gemacht.'", text("feedback")))
         .await;
     browser.until(&format!("/^[0-9]+ von 100: Ausmaß [0-9]+, Tempo/.test({})", text("score"))).await;
+    // A session by a plan, from its making to its report, without a hand on it between.
+    browser.click("tab-sessions").await;
+    browser.value("document.getElementById('plan-name').value = 'week 1'").await;
+    browser.value("document.querySelector('.step-exercise').value = 'curl'").await;
+    browser.value("document.querySelectorAll('#plan-steps input')[1].value = 1").await;
+    browser.value("document.querySelectorAll('#plan-steps input')[2].value = 2").await;
+    browser.click("plan-save").await;
+    browser.until("document.getElementById('session-plan').value === 'week 1'").await;
+    browser.value("document.getElementById('session-person').value = 'P-17'").await;
+    browser.click("session-begin").await;
+    browser.until(&format!("/^P-17 trains .*step 1 of 1: curl/.test({})", text("session-now"))).await;
+    browser.until("/P-17.*week 1 *1 *2 /.test([...(document.getElementById('session-list').rows[0]?.cells ?? [])].map((cell) => cell.textContent).join(' '))").await;
+    browser.until(&format!("{} === 'Nobody trains now.'", text("session-now"))).await;
+    browser.value("document.querySelector('#session-list button').click()").await;
+    browser
+        .until("document.getElementById('report').srcdoc.includes('2 repetitions counted (planned 2)')")
+        .await;
     browser.click("tab-analysis").await;
     let counted = "[...document.getElementById('repetitions').rows].map((row) => [...row.cells].map((cell) => \
         cell.textContent)).filter((cells) => cells[1] === 'curl' && cells[4] === 'counted')";

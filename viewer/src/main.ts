@@ -8,8 +8,10 @@ import { Pace } from "./pace";
 import type { View } from "./view";
 import { AnalysisView } from "./views/analysis";
 import { HealthView } from "./views/health";
+import { PatientView } from "./views/patient";
 import { ReplayView } from "./views/replay";
 import { CalibrateRecordView } from "./views/calibrate-record";
+import { SessionsView } from "./views/sessions";
 import { StageView } from "./views/stage";
 import { TrainerView } from "./views/trainer";
 
@@ -36,6 +38,8 @@ const context = { model, link };
 const views: View[] = [
   new StageView(context),
   new TrainerView(context),
+  new PatientView(context),
+  new SessionsView(context),
   new HealthView(context),
   new CalibrateRecordView(context),
   new AnalysisView(context),

@@ -68,7 +68,8 @@ fn begun(repetition: &Repetition) -> Begun {
 fn judged(repetition: &Repetition) -> Judged {
     let feedback = repetition.feedback.as_ref();
     let channel = feedback.map_or("", |(channel, _)| channel);
-    let said = |language| sentence(repetition.remark, repetition.reason, channel, language);
+    let reason = repetition.reason.filter(|_| repetition.is_attempt);
+    let said = |language| sentence(repetition.remark, reason, channel, language);
     Judged {
         exercise: repetition.exercise.to_string(),
         count: repetition.count,
@@ -78,7 +79,8 @@ fn judged(repetition: &Repetition) -> Judged {
         remark: repetition.remark.as_ref().and_then(|remark| spoken(channel, remark)),
         sentence: said(Language::English),
         sentence_de: said(Language::German),
-        score: feedback.map(|(_, feedback)| score(&feedback.score)),
+        // In points of a lesson only what counts can be measured.
+        score: feedback.filter(|_| repetition.reason.is_none()).map(|(_, feedback)| score(&feedback.score)),
         deviation: feedback.map(|(channel, feedback)| deviation(channel, feedback)),
     }
 }

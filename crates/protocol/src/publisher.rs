@@ -300,6 +300,7 @@ mod tests {
             set_count: 3,
             t_start_s: 1.0,
             reason: Some(Reason::TooSmall),
+            is_attempt: true,
             feedback: Some(("elbow_deg".into(), feedback)),
             remark: feedback.remark(),
         }

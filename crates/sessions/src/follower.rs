@@ -140,8 +140,10 @@ impl Follower {
     ) -> Option<Repetition> {
         let is_counted = match repetition.kind {
             EventKind::Counted => true,
-            EventKind::Rejected => false,
-            EventKind::Started | EventKind::Provisional | EventKind::Withdrawn => return None,
+            EventKind::Rejected if repetition.is_attempt => false,
+            EventKind::Rejected | EventKind::Started | EventKind::Provisional | EventKind::Withdrawn => {
+                return None;
+            }
         };
         let exercise = repetition.exercise.to_string();
         // Of a recording that begins in the middle of a run, an exercise may be selected that was not loaded since.

@@ -92,7 +92,7 @@ export class AnalysisView implements View {
         [repetition.t_valid_s.toFixed(2)], [repetition.exercise, "word"],
         [(repetition.t_valid_s - repetition.t_start_s).toFixed(1)], [counted ? String(repetition.count) : "–"],
         [counted ? "counted" : `not counted: ${spoken(repetition.reason ?? "")}`, `word ${counted ? "good" : "care"}`],
-        [repetition.sentence ?? (counted ? "as taught" : ""), "word reason"],
+        [counted ? (repetition.sentence ?? "as taught") : "", "word reason"],
       ];
     }));
   }

@@ -1,30 +1,22 @@
 // Trainer: teach an exercise, choose what is counted, see the count as bars, and one sentence after each repetition.
 
-import { Vector3 } from "three";
 import { acting, el, prompt, setText } from "../dom";
-import { BodyFigure } from "../scene/body";
-import { Scene } from "../scene/scene";
+import { ownLanguage, say, sentenceOf, spokenIn, type Language } from "../feedback";
+import { Person } from "../scene/person";
 import type { ExerciseEventMessage, ExerciseProgress, ExerciseState, Job, KeptExercise, Score } from "../protocol";
+import type { Repetition } from "../model";
 import type { Context, View } from "../view";
 
 /** Bars that are shown where a set has no end. */
 const OPEN_BARS = 10;
 const NOTHING = "Nothing is being counted. Choose an exercise below, or teach one.";
 
-type Language = "en" | "de";
-/** What is said of a repetition as taught. */
-const PRAISE: Record<Language, string> = { en: "Well done.", de: "Gut gemacht." };
 /** The parts of a score, as the person who moves reads them. */
 const PARTS: Record<Language, [keyof Score, string][]> = {
   en: [["amplitude", "amplitude"], ["tempo", "tempo"], ["smoothness", "smoothness"], ["symmetry", "symmetry"]],
   de: [["amplitude", "Ausmaß"], ["tempo", "Tempo"], ["smoothness", "Gleichmaß"], ["symmetry", "Symmetrie"]],
 };
 const OF_100: Record<Language, string> = { en: "of 100", de: "von 100" };
-
-/** A sentence as one is written: the daemon's begin small. */
-function written(sentence: string): string {
-  return `${sentence.charAt(0).toUpperCase()}${sentence.slice(1)}.`;
-}
 
 export class TrainerView implements View {
   readonly id = "trainer";
@@ -48,10 +40,7 @@ export class TrainerView implements View {
   private readonly sets = el("input", { id: "sets", type: "number", min: 1, max: 20, placeholder: "open" });
   private readonly rest = el("input", { id: "rest", type: "number", min: 0, max: 600, value: 30 });
   private readonly reset = el("button", { id: "reset", hidden: true }, "Reset");
-  private readonly stand = el("div", { id: "avatar", class: "avatar", hidden: true });
-  private readonly avatar = new BodyFigure();
-  private scene: Scene | null = null;
-  private drawn = -1;
+  private readonly avatar = new Person("avatar", "the person who wears the sensors; Analysis shows the joint angles in numbers");
   private state: ExerciseState | null = null;
   /** Repetitions whose end is not confirmed yet, by exercise. */
   private readonly provisional = new Set<string>();
@@ -74,10 +63,10 @@ export class TrainerView implements View {
       el("label", {}, "Rest, s ", this.rest), el("button", { id: "select", class: "primary" }, "Count these")));
     select.addEventListener("submit", acting(this.says, () => this.select()));
     this.reset.addEventListener("click", acting(this.says, () => link.request({ type: "exercise.reset" })));
-    this.language.value = navigator.language.startsWith("de") ? "de" : "en";
+    this.language.value = ownLanguage();
     const words = el("div", { class: "row" }, el("label", {}, "Feedback in ", this.language),
       el("label", {}, this.aloud, " say it aloud"), this.reset);
-    this.element = el("div", {}, this.stand, this.counts, this.sentence, this.score, this.hint, words, this.says,
+    this.element = el("div", {}, this.avatar.element, this.counts, this.sentence, this.score, this.hint, words, this.says,
       el("h2", {}, "Teach an exercise"), teach, this.lesson,
       el("h2", {}, "What is counted"), select);
     model.listen((message) => {
@@ -89,12 +78,12 @@ export class TrainerView implements View {
 
   shown(): void {
     this.changed = true;
-    this.drawn = -1;
+    this.avatar.shown();
     void this.refresh();
   }
 
   draw(): void {
-    this.drawAvatar();
+    this.avatar.draw(this.context.model);
     const rests = this.state?.exercises.some(({ rest_until_s }) => rest_until_s !== null) ?? false;
     if (!this.changed && !rests) return;
     this.changed = false;
@@ -123,29 +112,6 @@ export class TrainerView implements View {
     this.teach.disabled = running || hello?.role !== "operate" || !!status?.replay;
     this.cancel.hidden = !running;
     prompt(this.lesson, job, "Stand still, press the button, do the repetitions, and rest when they are done. What is taught is counted from then on.");
-  }
-
-  /** The person from the front, once there is one. */
-  private drawAvatar(): void {
-    const { body, hello, version } = this.context.model;
-    this.stand.hidden = body === null;
-    if (body === null) return;
-    const changed = this.drawn !== version;
-    this.drawn = version;
-    if (changed) this.avatar.update(body, hello?.height_m ?? null);
-    if (this.scene === null && !this.stand.hasChildNodes()) {
-      try {
-        this.scene = new Scene("the person who wears the sensors; Analysis shows the joint angles in numbers");
-        this.scene.scene.add(this.avatar.group);
-        this.stand.append(this.scene.canvas);
-        const { hips, facing } = this.avatar;
-        const ahead = new Vector3(Math.cos(facing + 0.35), Math.sin(facing + 0.35), 0.12).multiplyScalar(2.9);
-        this.scene.look(ahead.add(hips), hips);
-      } catch {
-        this.stand.append(el("p", {}, "This browser has no WebGL, which the picture needs."));
-      }
-    }
-    this.scene?.render(changed);
   }
 
   private drawProgress(row: Element, progress: ExerciseProgress): void {
@@ -193,23 +159,20 @@ export class TrainerView implements View {
         break;
       }
       case "hint":
-        setText(this.hint, this.spoken(message) ?? "");
+        setText(this.hint, spokenIn(this.language.value as Language, message) ?? "");
         break;
     }
   }
 
-  private spoken({ sentence, sentence_de }: { sentence: string | null; sentence_de: string | null }): string | null {
-    return this.language.value === "de" ? sentence_de : sentence;
-  }
-
-  /** One sentence of a repetition, praise where the daemon has none (what does not count has a reason), and its points. */
-  private judge(message: Extract<ExerciseEventMessage, { event: "counted" | "rejected" }>): void {
+  /** One sentence of a repetition, and its points. */
+  private judge(message: Repetition): void {
     const language = this.language.value as Language;
-    const said = this.spoken(message);
-    const sentence = said === null ? PRAISE[language] : written(said);
-    setText(this.sentence, sentence);
+    const said = sentenceOf(message, language);
+    if (said === null) return;
+    const { text, good } = said;
+    setText(this.sentence, text);
     this.sentence.lang = language;
-    this.sentence.className = `sentence ${said === null ? "good" : "care"}`;
+    this.sentence.className = `sentence ${good ? "good" : "care"}`;
     const { score } = message;
     const part = ([name, word]: [keyof Score, string]) => {
       const points = score?.[name] ?? null;
@@ -217,15 +180,7 @@ export class TrainerView implements View {
     };
     setText(this.score, score ? `${Math.round(score.total)} ${OF_100[language]}: ${PARTS[language].flatMap(part).join(", ")}` : "");
     this.score.lang = language;
-    if (this.aloud.checked) this.say(sentence, language);
-  }
-
-  /** Speaks; what was not said yet is over. */
-  private say(sentence: string, language: Language): void {
-    const utterance = new SpeechSynthesisUtterance(sentence);
-    utterance.lang = language;
-    speechSynthesis.cancel();
-    speechSynthesis.speak(utterance);
+    if (this.aloud.checked) say(text, language);
   }
 
   private boxes(): HTMLInputElement[] {

@@ -541,6 +541,7 @@ mod tests {
                 set_count,
                 t_start_s,
                 reason,
+                is_attempt: true,
                 feedback,
                 remark,
             })

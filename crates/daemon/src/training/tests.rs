@@ -73,6 +73,7 @@ impl Stand {
                 set_count: number,
                 t_start_s: t_s - 2.0,
                 reason: None,
+                is_attempt: true,
                 feedback: None,
                 remark: None,
             }),

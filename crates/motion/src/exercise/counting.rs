@@ -16,9 +16,12 @@ use super::frames::{Differentiator, Frame};
 use super::hint::{Follower, Hint};
 use super::hmm::{LogRatio, Movement};
 use super::joint::Spoken;
-use super::judge::{Measures, Reason, judge, measure};
+use super::judge::{Measures, Reason, goes_the_way, judge, measure};
 use super::passage::{Mark, Passage};
 use super::viterbi::ShortTimeViterbi;
+
+/// A set still goes on for so many of the longest taught repetitions after the one that was counted last.
+const IN_SET: f64 = 2.0;
 
 /// One exercise with what it sees.
 #[derive(Clone, Debug, Plain)]
@@ -328,6 +331,8 @@ impl Counting {
         let mut event = self.event(exercise, kind, times, t_s);
         event.reason = verdict.err();
         event.measures = judged.map(|(measures, _)| measures);
+        event.is_attempt =
+            verdict.is_ok() || self.is_attempt(exercise, start, judged.map(|(measures, _)| measures));
         if let Some((measures, span)) = judged {
             let mut ways = std::mem::take(&mut self.ways);
             event.feedback = self.feedback(exercise, start, span, &measures, &mut ways);
@@ -337,6 +342,16 @@ impl Counting {
                 event.feedback.filter(|_| kind == EventKind::Counted).and_then(|feedback| feedback.remark());
         }
         each(event);
+    }
+
+    /// Whether what was rejected was meant: it goes the way of the exercise, or comes so soon after a repetition that counted that
+    /// the set still goes on. People reach for a glass between sets, and nobody wants to hear of that.
+    fn is_attempt(&self, exercise: usize, start: u64, measures: Option<Measures>) -> bool {
+        let Watched { exercise, counted_until, .. } = &self.watched[exercise];
+        let set_goes_on = counted_until.is_some_and(|last| {
+            start.saturating_sub(last) as f64 <= IN_SET * exercise.durations.longest_s * self.rate_hz
+        });
+        set_goes_on || measures.is_some_and(|measures| goes_the_way(&measures, &exercise.gate))
     }
 
     fn verdict(&self, exercise: usize, measures: &Measures, span: [u64; 2]) -> Result<(), Reason> {
@@ -441,7 +456,19 @@ impl Counting {
 
     fn event(&self, exercise: usize, kind: EventKind, [t_start_s, t_s]: [f64; 2], t_decided_s: f64) -> Event {
         let count = self.watched[exercise].count;
-        let (reason, measures, feedback, remark) = (None, None, None, None);
-        Event { t_s, t_start_s, t_decided_s, exercise, kind, count, reason, measures, feedback, remark }
+        let (reason, measures, is_attempt, feedback, remark) = (None, None, true, None, None);
+        Event {
+            t_s,
+            t_start_s,
+            t_decided_s,
+            exercise,
+            kind,
+            count,
+            reason,
+            measures,
+            is_attempt,
+            feedback,
+            remark,
+        }
     }
 }

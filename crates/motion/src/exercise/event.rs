@@ -57,15 +57,17 @@ pub struct Event {
     pub measures: Option<Measures>,
     /// What deviated most in a counted or rejected repetition.
     pub feedback: Option<Feedback>,
+    /// Whether it was meant: false of a rejected movement that is another one, outside of a set; true of every other kind.
+    pub is_attempt: bool,
     /// What to say of a counted repetition; none where all was as taught.
     pub remark: Option<Remark>,
 }
 
 impl Event {
-    /// [`sentence`] of this one; `channels` are those of its exercise.
+    /// [`sentence`] of this one, `None` where it was no attempt; `channels` are those of its exercise.
     pub fn sentence(&self, channels: &[String], language: Language) -> Option<String> {
         let channel =
             self.feedback.and_then(|feedback| channels.get(feedback.channel)).map_or("", String::as_str);
-        sentence(self.remark, self.reason, channel, language)
+        sentence(self.remark, self.reason.filter(|_| self.is_attempt), channel, language)
     }
 }

@@ -199,10 +199,14 @@ fn farthest_sds() -> f64 {
     (2.0 * WORST).sqrt()
 }
 
+/// Whether a movement goes the way of the exercise, whatever its size and its tempo.
+pub(super) fn goes_the_way(measures: &Measures, gate: &Gate) -> bool {
+    measures.elsewhere <= ELSEWHERE && measures.similarity >= gate.similarity
+}
+
 /// The first measure that is out of the gate.
 pub(super) fn judge(measures: &Measures, gate: &Gate, durations: &Durations) -> Result<(), Reason> {
-    let Measures { duration_s, mean_log_ratio, fifth_log_ratio, gain, similarity, visited, elsewhere } =
-        *measures;
+    let Measures { duration_s, mean_log_ratio, fifth_log_ratio, gain, visited, .. } = *measures;
     if duration_s < gate.duration[0] * durations.shortest_s {
         Err(Reason::TooFast)
     } else if duration_s > gate.duration[1] * durations.longest_s {
@@ -213,8 +217,7 @@ pub(super) fn judge(measures: &Measures, gate: &Gate, durations: &Durations) -> 
         Err(Reason::TooSmall)
     } else if gain > gate.gain[1] {
         Err(Reason::TooLarge)
-    } else if elsewhere > ELSEWHERE
-        || similarity < gate.similarity
+    } else if !goes_the_way(measures, gate)
         || mean_log_ratio < gate.mean_log_ratio
         || fifth_log_ratio < gate.fifth_log_ratio
     {

@@ -137,6 +137,7 @@ impl Subject {
             set_count: progress.set_count,
             t_start_s: event.t_start_s,
             reason: event.reason,
+            is_attempt: event.is_attempt,
             feedback: feedback.and_then(|feedback| Some((channel(feedback.channel)?, feedback))),
             remark: event.remark,
         };

@@ -95,11 +95,11 @@ pub struct Judged {
     pub reason: Option<Reason>,
     /// The one thing to say of it; null where all was as taught.
     pub remark: Option<Spoken>,
-    /// The same in words of the body; of one that does not count, why, where nothing else is to be said.
+    /// The same in words of the body; of one that does not count, why; null too of a movement that was not meant: another one, outside of a set.
     pub sentence: Option<String>,
     /// The same in German.
     pub sentence_de: Option<String>,
-    /// The repetition in points; null where it was not measured.
+    /// The repetition in points; null of one that does not count, and where it was not measured.
     pub score: Option<Score>,
     /// What deviated most, worth a word or not.
     pub deviation: Option<Deviation>,

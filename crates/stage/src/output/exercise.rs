@@ -41,6 +41,8 @@ pub struct Repetition {
     pub t_start_s: f64,
     /// Why it does not count; absent unless it is rejected.
     pub reason: Option<Reason>,
+    /// Whether it was meant: false of a rejected movement that is another one, outside of a set; true of every other kind.
+    pub is_attempt: bool,
     /// What deviated most, with the name of its channel; absent unless it is counted or rejected, and where nothing can be
     /// compared.
     pub feedback: Option<(Name, Feedback)>,
