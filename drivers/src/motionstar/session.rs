@@ -10,7 +10,7 @@ use posed_state::Plain;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::wire::{self, BirdStatus, Header, Packets, SystemStatus, kind};
+use super::wire::{self, BirdStatus, Found, Header, Packets, SystemStatus, kind};
 use crate::arrivals::Arrivals;
 use crate::flock::SettingsError;
 use crate::flock::wire::{Format, Hemisphere, QuaternionSense};
@@ -230,7 +230,9 @@ impl MotionStarSession {
         self.phase = Phase::Pausing { until: now + PAUSE };
     }
 
-    fn packet(&mut self, now: Timestamp, offset: u64, header: Header, body: &[u8]) {
+    /// Takes a packet, and whether what has come behind it can be the next one: else its last record is not what was sent.
+    fn packet(&mut self, now: Timestamp, found: Found, body: &[u8], is_followed: bool) {
+        let Found { offset, header, .. } = found;
         if header.error != 0 {
             let code = header.error;
             self.outbox.warn(now, u32::from(code), || {
@@ -239,7 +241,7 @@ impl MotionStarSession {
         }
         match (header.kind, self.phase) {
             (kind::DATA_PACKET | kind::DATA_SINGLE, Phase::Running { .. }) => {
-                self.data(now, offset, header, body)
+                self.data(now, offset, header, (body, is_followed))
             }
             (kind::DATA_PACKET, Phase::Asking { step, .. }) if !matches!(step, Step::Stop | Step::Run) => {
                 // It did not hear the question to stop, and must not be set up while it runs.
@@ -331,8 +333,9 @@ impl MotionStarSession {
         }
     }
 
-    fn data(&mut self, now: Timestamp, start: u64, header: Header, body: &[u8]) {
-        let Some(records) = wire::records(body).filter(|_| self.follows(header.sequence)) else {
+    fn data(&mut self, now: Timestamp, start: u64, header: Header, (body, is_followed): (&[u8], bool)) {
+        let records = wire::records(body).filter(|_| is_followed);
+        let Some(records) = records.filter(|_| self.follows(header.sequence)) else {
             self.outbox.counters.rejected += 1;
             self.refused_bytes += (wire::HEADER + body.len()) as u64;
             return;
@@ -466,7 +469,7 @@ impl Session for MotionStarSession {
         let mut packets = std::mem::take(&mut self.packets);
         packets.push(bytes);
         while let Some(found) = packets.find() {
-            self.packet(now, found.offset, found.header, packets.body(found));
+            self.packet(now, found, packets.body(found), packets.is_followed(found));
         }
         self.packets = packets;
     }

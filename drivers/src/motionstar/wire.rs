@@ -163,10 +163,7 @@ impl Packets {
         loop {
             let pending = &self.buffer[self.start..];
             let head = pending.first_chunk()?;
-            let body = |len: usize| &pending[HEADER..pending.len().min(HEADER + len)];
-            let parsed = Header::parse(head)
-                .filter(|(header, len)| !header.has_records() || may_be_records(body(*len), *len));
-            let Some((header, len)) = parsed else {
+            let Some((header, len)) = possible(head, &pending[HEADER..]) else {
                 if let Some(offset) = self.before.take().and_then(|before| self.begun_in(before)) {
                     self.start = offset;
                     continue;
@@ -202,6 +199,22 @@ impl Packets {
         &self.buffer[found.body.0..found.body.1]
     }
 
+    /// Whether what has come behind a data packet can be the front of another one. Where it cannot, a byte of the packet was lost or
+    /// added: its last record ends elsewhere. Until a whole header is there its number tells, for the next one steps by one.
+    ///
+    /// # Panics
+    /// As [`Packets::body`].
+    pub(super) fn is_followed(&self, found: Found) -> bool {
+        let behind = &self.buffer[found.body.1..];
+        match behind.first_chunk() {
+            Some(head) => possible(head, &behind[HEADER..]).is_some(),
+            None => {
+                let next = found.header.sequence.wrapping_add(1).to_be_bytes();
+                behind.iter().zip(&next).all(|(byte, expected)| byte == expected)
+            }
+        }
+    }
+
     /// Bytes are missing here, or the stream has ended: what is pending is no packet and counts as skipped.
     pub fn interrupt(&mut self) {
         self.bytes_skipped += (self.buffer.len() - self.start) as u64;
@@ -213,6 +226,12 @@ impl Packets {
     pub fn bytes_skipped(&self) -> u64 {
         self.bytes_skipped
     }
+}
+
+/// The header that a packet can begin with, and the length of its body; `rest` is what has come of that and behind it.
+fn possible(head: &[u8; HEADER], rest: &[u8]) -> Option<(Header, usize)> {
+    Header::parse(head)
+        .filter(|&(header, len)| !header.has_records() || may_be_records(&rest[..rest.len().min(len)], len))
 }
 
 /// What the whole system reports about itself (answer 201 for unit 0); 16 bytes, then one per address.

@@ -7,7 +7,7 @@ use posed_drivers::flock::wire::{Format, QuaternionSense};
 use posed_drivers::motionstar::wire::{self, BirdStatus, Header, Packets, Pose, SystemStatus, kind};
 use posed_drivers::motionstar::{MotionStarSession, Settings};
 use posed_drivers::rate::Rate;
-use posed_drivers::{Measurement, Session, State, Timestamp};
+use posed_drivers::{Measurement, Output, Session, State, Timestamp};
 use proptest::prelude::*;
 
 use crate::hex;
@@ -163,6 +163,8 @@ struct Pretended {
     writes: usize,
     /// Six digits of its measurement rate, mHz.
     rate: String,
+    /// What happens to the next data packet on its way.
+    damage: Option<Box<dyn FnOnce(&mut Vec<u8>)>>,
 }
 
 impl Pretended {
@@ -177,6 +179,7 @@ impl Pretended {
             sequence: 500,
             writes: 0,
             rate: "100000".into(),
+            damage: None,
         }
     }
 
@@ -251,6 +254,9 @@ impl Device for Pretended {
             };
             let mut bytes = Vec::new();
             header.encode(&body, &mut bytes);
+            if let Some(damage) = self.damage.take() {
+                damage(&mut bytes);
+            }
             self.out.push_back(bytes);
         }
         self.out.pop_front()
@@ -304,6 +310,60 @@ fn a_packet_that_does_not_follow_is_refused_and_a_new_count_believed() {
     assert_eq!(counters.rejected - before.rejected, 1);
     assert!(rig.samples.len() > 20, "{}", rig.samples.len());
     assert!(rig.session.losses().iter().all(|loss| loss.lost == 0), "{:?}", rig.session.losses());
+}
+
+/// Angles can be anything; what tells that a record has lost or gained a byte is that no packet begins where its own ends.
+#[test]
+fn a_packet_behind_which_none_can_begin_is_refused() {
+    let settings = Settings { format: Format::PositionAngles, ..Settings::default() };
+    let mut rig = Rig::open(MotionStarSession::new(settings, &[2, 3]).unwrap(), Pretended::new());
+    rig.run_ms(1000);
+    let expected = rig.samples[0].measurement;
+    assert!(rig.samples.iter().all(|sample| sample.measurement == expected));
+    let len = wire::HEADER + 2 * (2 + 12);
+    for at in 0..len {
+        for lost in [false, true] {
+            rig.samples.clear();
+            rig.device.damage = Some(Box::new(move |bytes: &mut Vec<u8>| {
+                if lost {
+                    bytes.remove(at);
+                } else {
+                    bytes.insert(at, 0x55);
+                }
+            }));
+            // What is damaged, and what comes in one read with those that follow.
+            if at % 2 == 0 {
+                rig.run_stored_ms(60)
+            } else {
+                rig.hold_back_ms(60)
+            }
+            let case = format!("a byte {} at {at}", if lost { "lost" } else { "inserted" });
+            assert!(rig.samples.len() >= 8, "{case}: {} samples", rig.samples.len());
+            for sample in &rig.samples {
+                assert_eq!(sample.measurement, expected, "{case}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_read_that_ends_within_a_header_costs_no_record() {
+    let mut rig = rig(&[2, 3]);
+    rig.run_ms(1000);
+    let len = wire::HEADER + 2 * (2 + 14);
+    for cut in 1..=wire::HEADER + 4 {
+        let mut stream = Vec::new();
+        while stream.len() < 2 * len {
+            rig.now = rig.now + Duration::from_millis(1);
+            stream.extend(rig.device.send(rig.now).into_iter().flatten());
+        }
+        let (one, other) = stream.split_at(len + cut);
+        rig.session.handle_bytes(rig.now, one);
+        rig.session.handle_bytes(rig.now, other);
+        let outputs = std::iter::from_fn(|| rig.session.poll_output());
+        let samples = outputs.filter(|output| matches!(output, Output::Sample(_))).count();
+        assert_eq!(samples, 4, "the first read has {cut} bytes of the second packet");
+    }
 }
 
 #[test]
