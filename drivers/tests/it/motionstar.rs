@@ -152,6 +152,13 @@ proptest! {
     }
 }
 
+/// A byte of a packet, by its place.
+#[derive(Clone, Copy, Debug)]
+enum Damage {
+    Lost(usize),
+    Added(usize),
+}
+
 struct Pretended {
     packets: Packets,
     out: VecDeque<Vec<u8>>,
@@ -164,7 +171,7 @@ struct Pretended {
     /// Six digits of its measurement rate, mHz.
     rate: String,
     /// What happens to the next data packet on its way.
-    damage: Option<Box<dyn FnOnce(&mut Vec<u8>)>>,
+    damage: Option<Damage>,
 }
 
 impl Pretended {
@@ -254,8 +261,10 @@ impl Device for Pretended {
             };
             let mut bytes = Vec::new();
             header.encode(&body, &mut bytes);
-            if let Some(damage) = self.damage.take() {
-                damage(&mut bytes);
+            match self.damage.take() {
+                Some(Damage::Lost(at)) => drop(bytes.remove(at)),
+                Some(Damage::Added(at)) => bytes.insert(at, 0x55),
+                None => {}
             }
             self.out.push_back(bytes);
         }
@@ -322,25 +331,18 @@ fn a_packet_behind_which_none_can_begin_is_refused() {
     assert!(rig.samples.iter().all(|sample| sample.measurement == expected));
     let len = wire::HEADER + 2 * (2 + 12);
     for at in 0..len {
-        for lost in [false, true] {
+        for damage in [Damage::Added(at), Damage::Lost(at)] {
             rig.samples.clear();
-            rig.device.damage = Some(Box::new(move |bytes: &mut Vec<u8>| {
-                if lost {
-                    bytes.remove(at);
-                } else {
-                    bytes.insert(at, 0x55);
-                }
-            }));
+            rig.device.damage = Some(damage);
             // What is damaged, and what comes in one read with those that follow.
             if at % 2 == 0 {
                 rig.run_stored_ms(60)
             } else {
                 rig.hold_back_ms(60)
             }
-            let case = format!("a byte {} at {at}", if lost { "lost" } else { "inserted" });
-            assert!(rig.samples.len() >= 8, "{case}: {} samples", rig.samples.len());
+            assert!(rig.samples.len() >= 8, "{damage:?}: {} samples", rig.samples.len());
             for sample in &rig.samples {
-                assert_eq!(sample.measurement, expected, "{case}");
+                assert_eq!(sample.measurement, expected, "{damage:?}");
             }
         }
     }
