@@ -94,7 +94,7 @@ async fn a_stage_without_a_body_has_none_to_calibrate() {
 #[tokio::test]
 async fn a_body_is_calibrated_from_a_terminal() {
     let folder = tempfile::tempdir().unwrap();
-    let stage = crate::page::posing(folder.path());
+    let stage = crate::page::calibration::posing(folder.path());
     let daemon = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let at = daemon.address.to_string();
     let calibrate = move |more: &'static [&'static str]| {
