@@ -1,6 +1,7 @@
 // What a person hears of a repetition, in the language that is wished.
 
 import type { Repetition } from "./model";
+import type { ExerciseState } from "./protocol";
 
 export type Language = "en" | "de";
 
@@ -24,6 +25,17 @@ export function sentenceOf(repetition: Repetition, language: Language): { text: 
   // The daemon's begin small.
   const text = said === null ? PRAISE[language] : `${said.charAt(0).toUpperCase()}${said.slice(1)}.`;
   return { text, good: said === null };
+}
+
+/** Takes a judged repetition into what was said of the sets; a count that begins anew is the next set. */
+export function advance(state: ExerciseState | null, { event, exercise, count, set_count }: Repetition): void {
+  const progress = state?.exercises.find((each) => each.exercise === exercise);
+  if (!progress) return;
+  if (event === "counted") {
+    if (progress.set_count > 0 && set_count <= progress.set_count) progress.set++;
+    progress.rest_until_s = null;
+  }
+  Object.assign(progress, { count, set_count });
 }
 
 /** Speaks; what was not said yet is over. */

@@ -141,6 +141,15 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let mut browser = Browser::open(&format!("http://{}/", posed.address)).await;
     browser.until(LIVE).await;
+    // One view at a time takes room.
+    for view in
+        ["trainer", "patient", "sessions", "health", "calibrate-record", "analysis", "replay", "stage-view"]
+    {
+        browser.click(&format!("tab-{view}")).await;
+        let shown =
+            "[...document.querySelectorAll('[role=tabpanel]')].filter((each) => each.offsetHeight > 0)";
+        browser.until(&format!("{shown}.map(({{ id }}) => id).join() === '{view}'")).await;
+    }
     browser.click("tab-health").await;
     browser.until("document.getElementById('latency').rows.length >= 1").await;
     browser.picture("health").await;

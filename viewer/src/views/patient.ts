@@ -1,7 +1,7 @@
 // For the person who trains, two metres away: one thing at a time, large. Nothing here has to be touched while a plan runs.
 
 import { el, setText } from "../dom";
-import { ownLanguage, say, sentenceOf, type Language } from "../feedback";
+import { advance, ownLanguage, say, sentenceOf, type Language } from "../feedback";
 import type { Repetition } from "../model";
 import type { ExerciseEventMessage, ExerciseState, RunningSession } from "../protocol";
 import { Person } from "../scene/person";
@@ -108,8 +108,7 @@ export class PatientView implements View {
       // What is selected anew is not what has ended.
       if (message.state.exercises.some(({ done }) => !done)) this.ended = null;
     } else if (message.event === "counted" || message.event === "rejected") {
-      const progress = this.state?.exercises.find(({ exercise }) => exercise === message.exercise);
-      if (progress) Object.assign(progress, { count: message.count, set_count: message.set_count, rest_until_s: null });
+      advance(this.state, message);
       const language = this.language.value as Language;
       const said = sentenceOf(message, language);
       if (said === null) return;

@@ -1,7 +1,7 @@
 // Trainer: teach an exercise, choose what is counted, see the count as bars, and one sentence after each repetition.
 
 import { acting, el, prompt, setText } from "../dom";
-import { ownLanguage, say, sentenceOf, spokenIn, type Language } from "../feedback";
+import { advance, ownLanguage, say, sentenceOf, spokenIn, type Language } from "../feedback";
 import { Person } from "../scene/person";
 import type { ExerciseEventMessage, ExerciseProgress, ExerciseState, Job, KeptExercise, Score } from "../protocol";
 import type { Repetition } from "../model";
@@ -153,8 +153,7 @@ export class TrainerView implements View {
       case "counted":
       case "rejected": {
         this.provisional.delete(message.exercise);
-        const progress = this.state?.exercises.find(({ exercise }) => exercise === message.exercise);
-        if (progress) Object.assign(progress, { count: message.count, set_count: message.set_count });
+        advance(this.state, message);
         this.judge(message);
         break;
       }
