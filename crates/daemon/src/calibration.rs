@@ -23,6 +23,17 @@ use posed_stage::{Stage, read_field_map};
 /// Names the version in use.
 const ACTIVE: &str = "active";
 
+/// Why a calibration gave no map.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Unfit {
+    /// Somebody cancelled it.
+    #[error("it was cancelled")]
+    Cancelled,
+    /// The map is no better than none, or the run did not show enough: in the solver's words.
+    #[error("{0}")]
+    Inaccurate(String),
+}
+
 /// Why the version of the field's map stays as it is.
 #[derive(Debug, thiserror::Error)]
 pub enum FieldMapError {
@@ -34,7 +45,7 @@ pub enum FieldMapError {
     NoCandidate,
     /// What was calibrated is not good.
     #[error("the last calibration was refused: {0}")]
-    Rejected(String),
+    Rejected(#[from] Unfit),
     /// The folder takes no map.
     #[error("cannot keep the map in {}: {error}", folder.display())]
     Keep {
@@ -77,7 +88,7 @@ struct State {
     /// Who asked for the end of the run, and the anchors.
     requested: Option<(Reply, Vec<AnchorSpec>)>,
     /// What the last calibration gave, or why nothing.
-    candidate: Option<Result<Prepared, String>>,
+    candidate: Option<Result<Prepared, Unfit>>,
 }
 
 /// The map that a stage begins with.
@@ -218,10 +229,10 @@ impl Calibration {
                     map.corrector();
                     Ok(map)
                 }
-                None if job.is_cancelled() => Err("it was cancelled".to_owned()),
+                None if job.is_cancelled() => Err(Unfit::Cancelled),
                 None => {
                     let reasons: Vec<_> = report.reasons.into_iter().map(|reason| reason.text).collect();
-                    Err(reasons.join("; "))
+                    Err(Unfit::Inaccurate(reasons.join("; ")))
                 }
             };
             let emitted = outcome.as_ref().map(|_| {
@@ -232,7 +243,7 @@ impl Calibration {
                     1e3 * report.raw_m
                 )
             });
-            let emitted = emitted.map_err(|reason| reason.clone().into());
+            let emitted = emitted.map_err(|unfit| unfit.clone().into());
             this.lock().candidate = Some(outcome);
             emitted
         });
@@ -244,9 +255,9 @@ impl Calibration {
         let candidate = self.lock().candidate.take();
         let map = match candidate {
             None => return Err(FieldMapError::NoCandidate),
-            Some(Err(reason)) => {
-                self.lock().candidate = Some(Err(reason.clone()));
-                return Err(FieldMapError::Rejected(reason));
+            Some(Err(unfit)) => {
+                self.lock().candidate = Some(Err(unfit.clone()));
+                return Err(unfit.into());
             }
             Some(Ok(map)) => map,
         };
@@ -387,7 +398,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (calibration, inbox, _) = calibration(folder.path());
         assert!(calibration.accept().is_err() && calibration.rollback().is_err());
-        calibration.lock().candidate = Some(Err("the pole was hardly ever held along z".into()));
+        calibration.lock().candidate =
+            Some(Err(Unfit::Inaccurate("the pole was hardly ever held along z".into())));
         assert!(calibration.accept().unwrap_err().to_string().contains("along z"));
         for version in [1, 2] {
             calibration.lock().candidate = Some(Ok(map()));

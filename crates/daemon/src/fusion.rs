@@ -111,6 +111,17 @@ pub enum RecordError {
     NoThread,
 }
 
+/// Why a request or a model is not taken.
+#[derive(Debug, thiserror::Error)]
+enum NotTaken {
+    /// The pipeline states what stands against it.
+    #[error("{0}")]
+    Refused(String),
+    /// The pipeline panicked at it.
+    #[error("tracking had a fault of its own at this and goes on without it; please report this")]
+    Fault,
+}
+
 /// A recording that is not whole.
 #[derive(Clone, Debug, thiserror::Error)]
 #[error("{name}: {reason}")]
@@ -370,11 +381,11 @@ impl Fusion {
         is_taken
     }
 
-    /// The same for what somebody waits for; in words where it was not taken.
-    fn step_or_reason(&mut self, input: Input) -> Result<(), String> {
+    /// The same for what somebody waits for, if the pipeline accepts it.
+    fn step_checked(&mut self, checked: Result<(), String>, input: Input) -> Result<(), NotTaken> {
+        checked.map_err(NotTaken::Refused)?;
         let is_taken = self.step(&Entry { t: self.clock.now(), input });
-        let reason = "tracking had a fault of its own at this and goes on without it; please report this";
-        if is_taken { Ok(()) } else { Err(reason.to_owned()) }
+        if is_taken { Ok(()) } else { Err(NotTaken::Fault) }
     }
 
     fn command(&mut self, command: Command) {
@@ -397,12 +408,12 @@ impl Fusion {
                     }
                 }
                 let checked = self.pipeline.check_request(&request);
-                let carried_out = checked.and_then(|()| self.step_or_reason(Input::Request(request)));
+                let carried_out = self.step_checked(checked, Input::Request(request));
                 answer(reply, carried_out.map(|()| None));
             }
             Command::LoadModel { model, reply } => {
                 let checked = self.pipeline.check_model(&model);
-                let taken = checked.and_then(|()| self.step_or_reason(Input::Model(model)));
+                let taken = self.step_checked(checked, Input::Model(model));
                 answer(reply, taken.map(|()| None));
             }
             Command::Recent { from_s, columns, to } => {

@@ -29,7 +29,7 @@ mod testing;
 pub use follower::Follower;
 pub use lesson::{LessonJoint, TaughtLesson};
 pub use people::{Erasure, Forgotten, Person};
-pub use plan::{Plan, PlanStep};
+pub use plan::{Plan, PlanError, PlanStep};
 pub use repetition::{JointCourse, POINTS, Repetition, Score};
 pub use session::{EndedBy, Session, SessionId, SessionSummary, TrainingSet};
 #[cfg(feature = "store")]

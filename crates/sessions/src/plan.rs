@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 /// Steps of a plan at most.
 const STEPS: usize = 64;
 /// Longest name, bytes.
-pub(crate) const NAME_BYTES: usize = 64;
+const NAME_BYTES: usize = 64;
 
 /// A plan: its steps in order, each with all its sets.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -32,37 +32,57 @@ pub struct PlanStep {
     pub rest_s: f64,
 }
 
+/// What is wrong with a plan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PlanError {
+    /// It has no name that serves.
+    #[error("name: give {NAME}")]
+    Name,
+    /// It has no steps, or too many.
+    #[error("steps: give 1 to {STEPS}")]
+    Steps,
+    /// A step has a value that does not serve.
+    #[error("steps[{step}].{key}: give {expected}")]
+    Step {
+        /// Which step, from 0.
+        step: usize,
+        /// Which of its keys.
+        key: &'static str,
+        /// What serves.
+        expected: &'static str,
+    },
+}
+
 impl Plan {
     /// Whether it can be kept.
     ///
     /// # Errors
     /// What is wrong, with the place.
-    pub fn check(&self) -> Result<(), String> {
-        check_name(&self.name).map_err(|reason| format!("name: {reason}"))?;
-        if !(1..=STEPS).contains(&self.steps.len()) {
-            return Err(format!("steps: give 1 to {STEPS}"));
+    pub fn check(&self) -> Result<(), PlanError> {
+        if !is_name(&self.name) {
+            return Err(PlanError::Name);
         }
-        self.steps.iter().enumerate().try_for_each(|(at, step)| {
-            let PlanStep { exercise, sets, repetitions, rest_s } = step;
-            let wrong = |what: &str| Err(format!("steps[{at}].{what}"));
+        if !(1..=STEPS).contains(&self.steps.len()) {
+            return Err(PlanError::Steps);
+        }
+        self.steps.iter().enumerate().try_for_each(|(step, of)| {
+            let PlanStep { exercise, sets, repetitions, rest_s } = of;
+            let wrong = |key, expected| Err(PlanError::Step { step, key, expected });
             match () {
-                () if check_name(exercise).is_err() => wrong("exercise: give the name of an exercise"),
-                () if !(1..=100).contains(sets) => wrong("sets: give 1 to 100"),
-                () if !(1..=1000).contains(repetitions) => wrong("repetitions: give 1 to 1000"),
-                () if !(0.0..=3600.0).contains(rest_s) => wrong("rest_s: give 0 to 3600 seconds"),
+                () if !is_name(exercise) => wrong("exercise", "the name of an exercise"),
+                () if !(1..=100).contains(sets) => wrong("sets", "1 to 100"),
+                () if !(1..=1000).contains(repetitions) => wrong("repetitions", "1 to 1000"),
+                () if !(0.0..=3600.0).contains(rest_s) => wrong("rest_s", "0 to 3600 seconds"),
                 () => Ok(()),
             }
         })
     }
 }
 
+/// What [`is_name`] wants, in words.
+pub(crate) const NAME: &str = "1 to 64 bytes without control characters and spaces at the ends";
+
 /// Whether a person, a plan or an exercise can have this name.
-pub(crate) fn check_name(name: &str) -> Result<(), String> {
-    if name.trim() != name || name.is_empty() || name.len() > NAME_BYTES || name.chars().any(char::is_control)
-    {
-        return Err(format!(
-            "give 1 to {NAME_BYTES} bytes without control characters and spaces at the ends"
-        ));
-    }
-    Ok(())
+pub(crate) fn is_name(name: &str) -> bool {
+    name.trim() == name && (1..=NAME_BYTES).contains(&name.len()) && !name.chars().any(char::is_control)
 }

@@ -2,7 +2,7 @@
 #![expect(unsafe_code, reason = "liblsl is a C library that is loaded at run time")]
 
 use std::ffi::{CString, c_char, c_double, c_int, c_void};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::ptr::NonNull;
 use std::sync::Arc;
 
@@ -48,27 +48,48 @@ pub(super) struct Outlet {
     channels: usize,
 }
 
+/// Why liblsl offers nothing.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum LibraryError {
+    /// A second C library would come with it.
+    #[error("this posed is the static one, which loads no libraries: [lsl] needs the packaged one")]
+    Static,
+    /// It is nowhere.
+    #[error(
+        "liblsl is not installed, so [lsl] offers nothing: install it from \
+         https://github.com/sccn/liblsl/releases, or name its file in lsl.library"
+    )]
+    Absent,
+    /// The file that the stage names does not serve.
+    #[error("cannot load {}: {error}", file.display())]
+    Load {
+        /// The file.
+        file: PathBuf,
+        /// What the system said.
+        error: libloading::Error,
+    },
+    /// It lacks a function.
+    #[error("this is no liblsl: {0}")]
+    Lacks(libloading::Error),
+    /// It refuses a stream.
+    #[error("liblsl does not take the stream {0}")]
+    Stream(String),
+}
+
 impl Library {
-    /// Loads it from this file, or from where the system has it. The error is a sentence.
-    pub(super) fn load(file: Option<&Path>) -> Result<Self, String> {
+    /// Loads it from this file, or from where the system has it.
+    pub(super) fn load(file: Option<&Path>) -> Result<Self, LibraryError> {
         if cfg!(target_feature = "crt-static") {
-            // A second C library would come with it.
-            return Err(
-                "this posed is the static one, which loads no libraries: [lsl] needs the packaged one"
-                    .to_owned(),
-            );
+            return Err(LibraryError::Static);
         }
         let loaded = match file {
             Some(file) => {
-                open(file.as_os_str()).map_err(|error| format!("cannot load {}: {error}", file.display()))?
+                let unloaded = |error| LibraryError::Load { file: file.to_owned(), error };
+                open(file.as_os_str()).map_err(unloaded)?
             }
-            None => NAMES.iter().find_map(|name| open(name.as_ref()).ok()).ok_or_else(|| {
-                "liblsl is not installed, so [lsl] offers nothing: install it from \
-                 https://github.com/sccn/liblsl/releases, or name its file in lsl.library"
-                    .to_owned()
-            })?,
+            None => NAMES.iter().find_map(|name| open(name.as_ref()).ok()).ok_or(LibraryError::Absent)?,
         };
-        let lacks = |error: libloading::Error| format!("this is no liblsl: {error}");
+        let lacks = LibraryError::Lacks;
         // SAFETY: the symbols are those of lsl_c.h, whose signatures the fields have; the pointers live no longer than the library beside them.
         unsafe {
             Ok(Self {
@@ -94,8 +115,8 @@ impl Library {
     }
 
     /// Offers a stream.
-    pub(super) fn offer(self: &Arc<Self>, stream: &Stream) -> Result<Outlet, String> {
-        let refused = || format!("liblsl does not take the stream {}", stream.name);
+    pub(super) fn offer(self: &Arc<Self>, stream: &Stream) -> Result<Outlet, LibraryError> {
+        let refused = || LibraryError::Stream(stream.name.clone());
         let [name, kind, source] = [stream.name.as_str(), stream.kind, &stream.source_id].map(text);
         let channels = i32::try_from(stream.channels.len()).map_err(|_| refused())?;
         let (count, format) = if channels == 0 { (1, STRING) } else { (channels, DOUBLE) };

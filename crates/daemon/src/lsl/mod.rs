@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 
-use self::library::{Library, Outlet};
+use self::library::{Library, LibraryError, Outlet};
 use super::clock::StageClock;
 use posed_protocol::lsl::{Data, Sample, Stream};
 
@@ -28,26 +28,34 @@ pub(super) struct Lsl {
     thread: Option<JoinHandle<()>>,
 }
 
+/// Why nothing is offered.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum LslError {
+    /// The library does not serve.
+    #[error(transparent)]
+    Library(#[from] LibraryError),
+    /// The system has no thread for it.
+    #[error("the system gives no thread for LSL: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
 impl Lsl {
-    /// Loads the library and offers the streams. The error is a sentence for the operator.
+    /// Loads the library and offers the streams.
     pub(super) fn start(
         settings: &posed_stage::Lsl,
         streams: &[Stream],
         clock: StageClock,
-    ) -> Result<Self, String> {
+    ) -> Result<Self, LslError> {
         let library = Arc::new(Library::load(settings.library.as_deref())?);
         let outlets = streams.iter().map(|stream| library.offer(stream)).collect::<Result<Vec<_>, _>>()?;
-        Self::with(move |receiver| run(&library, &outlets, &receiver, clock))
+        Ok(Self::with(move |receiver| run(&library, &outlets, &receiver, clock))?)
     }
 
     /// With what the thread does with the samples.
-    fn with(run: impl FnOnce(Receiver<Sample>) + Send + 'static) -> Result<Self, String> {
+    fn with(run: impl FnOnce(Receiver<Sample>) + Send + 'static) -> std::io::Result<Self> {
         let (sender, receiver) = bounded(WAITING);
         #[expect(clippy::disallowed_methods, reason = "the daemon owns the thread that calls liblsl")]
-        let thread = std::thread::Builder::new()
-            .name("lsl".to_owned())
-            .spawn(move || run(receiver))
-            .map_err(|error| format!("the system gives no thread for LSL: {error}"))?;
+        let thread = std::thread::Builder::new().name("lsl".to_owned()).spawn(move || run(receiver))?;
         Ok(Self { sender: Some(sender), thread: Some(thread) })
     }
 
@@ -145,12 +153,12 @@ mod tests {
             [(file.path().to_owned(), "cannot load"), ("/no/such/liblsl.so".into(), "cannot load")]
         {
             let settings = posed_stage::Lsl { library: Some(path) };
-            let sentence = Lsl::start(&settings, &[], StageClock::start()).unwrap_err();
+            let sentence = Lsl::start(&settings, &[], StageClock::start()).unwrap_err().to_string();
             assert!(sentence.contains(word), "{sentence}");
         }
         // A library, but not this one: the C library itself.
         let settings = posed_stage::Lsl { library: Some("libc.so.6".into()) };
-        let sentence = Lsl::start(&settings, &[], StageClock::start()).unwrap_err();
+        let sentence = Lsl::start(&settings, &[], StageClock::start()).unwrap_err().to_string();
         assert!(sentence.contains("no liblsl"), "{sentence}");
     }
 }

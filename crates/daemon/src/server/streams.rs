@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::hub::Item;
 use super::metrics::Metrics;
 use crate::clock::StageClock;
-use crate::lsl::Lsl;
+use crate::lsl::{Lsl, LslError};
 use posed_protocol::lsl::Streams;
 use posed_protocol::{Encoding, Names, Payload, Problem, Stamp, View, encode};
 use posed_stage::Stage;
@@ -15,7 +15,7 @@ use posed_stage::Stage;
 /// The streams of a stage, or why there are none.
 pub(super) struct Streaming {
     streams: Streams,
-    lsl: Result<Lsl, String>,
+    lsl: Result<Lsl, LslError>,
     metrics: Arc<Metrics>,
 }
 
@@ -29,8 +29,8 @@ impl Streaming {
     ) -> Self {
         let streams = Streams::new(stage);
         let lsl = Lsl::start(settings, streams.list(), clock);
-        if let Err(sentence) = &lsl {
-            tracing::warn!("{sentence}");
+        if let Err(error) = &lsl {
+            tracing::warn!("{error}");
         }
         Self { streams, lsl, metrics }
     }
@@ -41,7 +41,7 @@ impl Streaming {
         let message = match &self.lsl {
             Ok(lsl) if lsl.is_broken() => broken.to_owned(),
             Ok(_) => return None,
-            Err(sentence) => sentence.clone(),
+            Err(error) => error.to_string(),
         };
         Some(Problem { code: "lsl".to_owned(), message })
     }

@@ -25,8 +25,11 @@ mod writing;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use rusqlite::{Connection, Transaction, TransactionBehavior};
+#[cfg(feature = "testing")]
+use rusqlite::Transaction;
+use rusqlite::{Connection, TransactionBehavior};
 
+use crate::plan::{NAME, PlanError, is_name};
 use crate::session::SessionId;
 
 pub use self::writing::NewSession;
@@ -63,9 +66,12 @@ pub enum StoreError {
     /// There is no plan of that name.
     #[error("there is no plan called {0:?}")]
     NoPlan(String),
-    /// What was to be kept does not serve.
-    #[error("{0}")]
-    Refused(String),
+    /// The name of a person does not serve.
+    #[error("person: give {NAME}")]
+    Name,
+    /// A plan does not serve.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
     /// What was kept is not what this program writes.
     #[error("the database of sessions is damaged: {0}")]
     Damaged(String),
@@ -105,19 +111,20 @@ impl Store {
         Self::new(Connection::open_in_memory()?)
     }
 
-    /// How long it waits for another program that has the database; absent: 2 s.
+    /// How long it waits for another program that has the database: 2 s where nobody says otherwise.
     ///
     /// # Errors
     /// The database does not serve.
+    #[cfg(feature = "testing")]
     pub fn set_patience(&self, patience: Duration) -> Result<(), StoreError> {
         Ok(self.connection.busy_timeout(patience)?)
     }
 
-    /// Keeps everybody else from writing until what it returns is dropped: for what must not change meanwhile, a copy of the file for
-    /// example.
+    /// Keeps everybody else from writing until what it returns is dropped.
     ///
     /// # Errors
     /// Somebody else writes.
+    #[cfg(feature = "testing")]
     pub fn hold(&self) -> Result<impl Drop + '_, StoreError> {
         Ok(Transaction::new_unchecked(&self.connection, TransactionBehavior::Immediate)?)
     }
@@ -144,7 +151,7 @@ impl Store {
     }
 }
 
-/// Whether somebody or something can be called so.
-fn named(what: &str, name: &str) -> Result<(), StoreError> {
-    crate::plan::check_name(name).map_err(|reason| StoreError::Refused(format!("{what}: {reason}")))
+/// Whether somebody can be called so.
+fn check_person(name: &str) -> Result<(), StoreError> {
+    if is_name(name) { Ok(()) } else { Err(StoreError::Name) }
 }

@@ -1,8 +1,8 @@
 //! People: a name or a number each, and no trace of those who are to be forgotten.
 
-use rusqlite::{OptionalExtension, Transaction, params};
+use rusqlite::{Connection, OptionalExtension, params};
 
-use super::{Store, StoreError, named};
+use super::{Store, StoreError, check_person};
 use crate::people::{Erasure, Forgotten, Person};
 
 impl Store {
@@ -11,7 +11,7 @@ impl Store {
     /// # Errors
     /// The name does not serve, or the database does not.
     pub fn add_person(&mut self, name: &str) -> Result<(), StoreError> {
-        named("person", name)?;
+        check_person(name)?;
         self.connection.execute("INSERT OR IGNORE INTO person (name) VALUES (?1)", [name])?;
         Ok(())
     }
@@ -39,7 +39,7 @@ impl Store {
     /// There is no such person, or the database does not serve: then nothing is removed.
     pub fn forget(&mut self, name: &str) -> Result<Forgotten, StoreError> {
         let transaction = self.connection.transaction()?;
-        let person = id_of(&transaction, name)?.ok_or_else(|| StoreError::NoPerson(name.to_owned()))?;
+        let person = id_of(&transaction, name)?;
         let recordings = {
             let mut statement = transaction.prepare(
                 "SELECT DISTINCT recording FROM session WHERE person = ?1 AND recording IS NOT NULL ORDER BY 1",
@@ -63,7 +63,11 @@ impl Store {
 }
 
 /// Number of a person.
-pub(super) fn id_of(transaction: &Transaction<'_>, name: &str) -> Result<Option<i64>, StoreError> {
+///
+/// # Errors
+/// There is no such person, or the database cannot be read.
+pub(super) fn id_of(connection: &Connection, name: &str) -> Result<i64, StoreError> {
     let person = "SELECT id FROM person WHERE name = ?1";
-    Ok(transaction.query_row(person, [name], |row| row.get(0)).optional()?)
+    let id = connection.query_row(person, [name], |row| row.get(0)).optional()?;
+    id.ok_or_else(|| StoreError::NoPerson(name.to_owned()))
 }

@@ -11,7 +11,7 @@ impl Store {
     /// # Errors
     /// It is out of bounds, or the database does not serve.
     pub fn save_plan(&mut self, plan: &Plan) -> Result<(), StoreError> {
-        plan.check().map_err(StoreError::Refused)?;
+        plan.check()?;
         let transaction = self.connection.transaction()?;
         transaction.execute("DELETE FROM plan WHERE name = ?1", [&plan.name])?;
         transaction.execute("INSERT INTO plan (name) VALUES (?1)", [&plan.name])?;

@@ -3,7 +3,7 @@
 use rusqlite::{OptionalExtension, Transaction, params};
 
 use super::courses::{bytes, hundredths};
-use super::{Store, StoreError, named, people};
+use super::{Store, StoreError, check_person, people};
 use crate::lesson::TaughtLesson;
 use crate::repetition::Repetition;
 use crate::session::{EndedBy, SessionId};
@@ -33,7 +33,7 @@ impl Store {
     /// # Errors
     /// The name of the person does not serve, or the database does not.
     pub fn begin(&mut self, new: &NewSession<'_>) -> Result<SessionId, StoreError> {
-        named("person", new.person)?;
+        check_person(new.person)?;
         let transaction = self.connection.transaction()?;
         transaction.execute("INSERT OR IGNORE INTO person (name) VALUES (?1)", [new.person])?;
         let person = people::id_of(&transaction, new.person)?;
