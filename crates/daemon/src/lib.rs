@@ -54,7 +54,7 @@ use posed_drivers::port::Port;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{mpsc, watch};
 
-pub use self::calibration::FieldMapError;
+pub use self::calibration::{FieldMapError, Unfit};
 pub use self::clock::StageClock;
 pub use self::fusion::{Begin, BeginError, Ended, FusionInbox, RecordError};
 pub use self::models::ModelError;
@@ -79,9 +79,9 @@ use posed_motion::segments::Model;
 use posed_pipeline::{PipelineError, SupervisedPipeline};
 use posed_protocol::foxglove::Views;
 use posed_protocol::{Fields, Problem, Publisher, Status, Topic};
+use posed_stage::Stage;
 use posed_stage::input::{Entry, Input};
 use posed_stage::layout::BodyLayout;
-use posed_stage::{LoadedModels, Stage};
 
 /// Commands that wait for a port that writes slowly.
 const PORT_COMMANDS: usize = 256;
@@ -238,10 +238,9 @@ impl Daemon {
             let input = Input::SegmentationNetwork(network(&stage, &segments.model)?);
             inbox.enter(Entry { t: clock.now(), input });
         }
-        let models: LoadedModels = loaded.models.iter().cloned().collect();
         let exercises = Library::new(models::exercise_folder(&stage, &data), "json");
         let tools = Tools { clock, hub: hub.clone(), inbox: inbox.clone(), exercises };
-        let (training, follow) = Training::new(&stage, &data, &models, tools);
+        let (training, follow) = Training::new(&stage, &data, tools);
         let mut fusion = Fusion {
             clock,
             inbox: inbox.clone(),

@@ -111,7 +111,8 @@ export class SessionsView implements View {
         if (ended) void this.refresh();
       } else if (message.type === "hello") {
         this.changed = true;
-        void this.refresh();
+        // Who looks at another view has no use for it yet.
+        if (!this.element.hidden) void this.refresh();
       }
     });
   }

@@ -323,7 +323,6 @@ mod tests {
     use super::super::server::testing::{Asking, ids};
     use super::super::training::Tools;
     use super::*;
-    use posed_stage::LoadedModels;
     use posed_stage::input::{Entry, Input};
 
     #[test]
@@ -335,7 +334,7 @@ mod tests {
         let calibration = Calibration::new(&stage, folder.path(), clock, inbox.clone(), jobs.clone());
         let exercises = Library::new(folder.path().join("exercises"), "json");
         let tools = Tools { clock, hub: Hub::default(), inbox: inbox.clone(), exercises };
-        let (training, _follow) = Training::new(&stage, folder.path(), &LoadedModels::default(), tools);
+        let (training, _follow) = Training::new(&stage, folder.path(), tools);
         let data = folder.path().to_owned();
         let calls = Calls::new(&stage, data, clock, inbox.clone(), jobs, calibration, training);
         let (flooding, other) = (Asking::new(), Asking::new());

@@ -41,8 +41,15 @@ pub(crate) struct Follow {
 }
 
 impl Follow {
-    pub(super) fn new(stage: &Stage, models: &LoadedModels, to: Sender<Report>, shared: Arc<Shared>) -> Self {
-        Self { follower: Follower::new(stage, models), to, shared, newest_ns: 0, recording: None }
+    /// Exercises come as outputs, as all that is swapped in.
+    pub(super) fn new(stage: &Stage, to: Sender<Report>, shared: Arc<Shared>) -> Self {
+        Self {
+            follower: Follower::new(stage, &LoadedModels::default()),
+            to,
+            shared,
+            newest_ns: 0,
+            recording: None,
+        }
     }
 
     /// The recording that runs now.

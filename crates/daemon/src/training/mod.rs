@@ -24,7 +24,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use crossbeam_channel::{Receiver, Select, Sender, TryRecvError, bounded};
 use posed_drivers::Timestamp;
 
 pub(super) use self::follow::Follow;
@@ -36,7 +36,7 @@ use super::fusion::FusionInbox;
 use super::models::Library;
 use super::server::Hub;
 use posed_sessions::file_in;
-use posed_stage::{LoadedModels, Stage};
+use posed_stage::Stage;
 
 /// Reports that may wait for the thread: a repetition takes a second, the disk may take its time.
 const REPORTS: usize = 1024;
@@ -70,8 +70,8 @@ pub(super) struct Tools {
 }
 
 impl Training {
-    /// For a stage that keeps what it learns in `data`, with the models that it begins with. Nothing is opened yet.
-    pub(super) fn new(stage: &Stage, data: &Path, models: &LoadedModels, tools: Tools) -> (Self, Follow) {
+    /// For a stage that keeps what it learns in `data`. Nothing is opened yet.
+    pub(super) fn new(stage: &Stage, data: &Path, tools: Tools) -> (Self, Follow) {
         let (to, reports): (Sender<Report>, _) = bounded(REPORTS);
         let shared = Arc::new(Shared {
             reports,
@@ -79,7 +79,7 @@ impl Training {
             lost: AtomicU64::new(0),
             state: Mutex::new(State::new(stage.name.clone(), file_in(data), tools)),
         });
-        let follow = Follow::new(stage, models, to, Arc::clone(&shared));
+        let follow = Follow::new(stage, to, Arc::clone(&shared));
         (Self { shared }, follow)
     }
 
@@ -94,23 +94,31 @@ impl Training {
 impl Shared {
     fn run(&self) {
         self.lock().begin();
+        let mut reported = Select::new();
+        reported.recv(&self.reports);
         loop {
-            let report = match self.reports.recv_timeout(TICK) {
-                Ok(report) => Some(report),
-                Err(RecvTimeoutError::Timeout) => None,
-                Err(RecvTimeoutError::Disconnected) => break,
-            };
-            let handled = catch_unwind(AssertUnwindSafe(|| {
-                let _ = fault_points::pass("sessions");
-                let mut state = self.lock();
-                report.into_iter().for_each(|report| state.take(report));
-                state.tick(self.lost.load(Ordering::Relaxed));
-            }));
-            if handled.is_err() {
-                tracing::error!("sessions go on without what they panicked at; please report this");
+            // Reports stay in the queue until the state is locked: who ends a session takes them in before.
+            let _ = reported.ready_timeout(TICK);
+            match catch_unwind(AssertUnwindSafe(|| self.look())) {
+                Ok(true) => {}
+                Ok(false) => break,
+                Err(_) => tracing::error!("sessions go on without what they panicked at; please report this"),
             }
         }
         self.lock().shut_down();
+    }
+
+    /// Does what is due; false once nothing more can be reported.
+    fn look(&self) -> bool {
+        let _ = fault_points::pass("sessions");
+        let (mut state, decided) = self.up_to_date();
+        state.tick(decided, self.lost());
+        match self.reports.try_recv() {
+            Ok(report) => state.take(report),
+            Err(TryRecvError::Empty) => {}
+            Err(TryRecvError::Disconnected) => return false,
+        }
+        true
     }
 
     /// The state with all that was reported until now, and the capture time up to which that is all there is.
@@ -119,6 +127,11 @@ impl Shared {
         let decided = Timestamp::from_nanos(self.decided_ns.load(Ordering::Acquire));
         self.reports.try_iter().for_each(|report| state.take(report));
         (state, decided)
+    }
+
+    /// Reports that never came.
+    fn lost(&self) -> u64 {
+        self.lost.load(Ordering::Relaxed)
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {

@@ -1,10 +1,8 @@
 //! What clients ask of sessions. Reads and writes files: not for an asynchronous task.
 
 use std::path::Path;
-use std::sync::atomic::Ordering;
 
 use jiff::tz::TimeZone;
-use posed_drivers::Timestamp;
 
 use super::super::server::Refusal;
 use super::Training;
@@ -13,7 +11,7 @@ use super::state::{Running, State};
 use posed_motion::exercise::Language;
 use posed_pipeline::DEFAULT_SUBJECT;
 use posed_protocol::{Answer, ListedSessions, People, Plans, Report, ReportLanguage, SessionBegun, Shown};
-use posed_sessions::{EndedBy, NewSession, Plan, SessionId, StoreError, report};
+use posed_sessions::{EndedBy, NewSession, Plan, SessionId, Store, StoreError, report};
 use posed_stage::input::Model;
 
 /// Sessions that are listed unless a client asks for more or fewer, and most.
@@ -21,8 +19,6 @@ const LISTED: u32 = 100;
 const MOST_LISTED: u32 = 1000;
 /// Sessions at a time.
 pub(super) const RUNNING: usize = 64;
-/// A frame older than this is none of now, s.
-const FRESH_S: f64 = 1.0;
 
 /// What a request is answered with.
 type Outcome = Result<Option<Answer>, Refusal>;
@@ -34,7 +30,7 @@ impl From<StoreError> for Refusal {
             | StoreError::NoSet(..)
             | StoreError::NoPerson(_)
             | StoreError::NoPlan(_) => Self::new("not_found", error),
-            StoreError::Refused(_) => Self::bad_request(error),
+            StoreError::Name | StoreError::Plan(_) => Self::bad_request(error),
             StoreError::Database(_) | StoreError::Version(_) | StoreError::Damaged(_) => Self::failed(error),
         }
     }
@@ -51,10 +47,10 @@ impl Training {
         if state.running.len() >= RUNNING {
             return Err(Refusal::new("busy", format!("{RUNNING} sessions go on already")));
         }
-        let plan = plan.map(|name| state.store()?.plan(name).map_err(Refusal::from)).transpose()?;
+        let plan = plan.map(|name| state.read(|store| store.plan(name))).transpose()?;
         let now_s = state.now_s();
         let plan = plan.map(|plan| state.prepared(plan, now_s)).transpose()?;
-        let t_begin_s = time_s(&state, decided);
+        let t_begin_s = state.moment_s(decided);
         let (stage, recording) = (state.stage.clone(), state.recording.clone());
         let epoch_utc_ns = state.tools.clock.epoch_utc_ns();
         let session = state.store()?.begin(&NewSession {
@@ -71,7 +67,7 @@ impl Training {
         }
         let person = person.to_owned();
         state.running.push(Running { session, person, subject, t_begin_s, counted: 0, plan });
-        state.publish(self.shared.lost.load(Ordering::Relaxed));
+        state.publish(self.shared.lost());
         Ok(Some(Answer::SessionBegun(SessionBegun { session })))
     }
 
@@ -79,11 +75,11 @@ impl Training {
     pub(crate) fn end(&self, subject: Option<String>) -> Outcome {
         let subject = subject.unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
         let (mut state, decided) = self.shared.up_to_date();
-        let t_end_s = time_s(&state, decided);
+        let t_end_s = state.moment_s(decided);
         if !state.end(&subject, t_end_s, EndedBy::Request) {
             return Err(Refusal::new("not_found", format!("no session of {subject:?} goes on")));
         }
-        state.publish(self.shared.lost.load(Ordering::Relaxed));
+        state.publish(self.shared.lost());
         Ok(None)
     }
 
@@ -92,12 +88,12 @@ impl Training {
         if !(1..=MOST_LISTED).contains(&limit) {
             return Err(Refusal::bad_request(format!("limit: give 1 to {MOST_LISTED}")));
         }
-        let sessions = self.shared.lock().store()?.sessions(person, limit)?;
+        let sessions = self.shared.lock().read(|store| store.sessions(person, limit))?;
         Ok(Some(Answer::Sessions(ListedSessions { sessions })))
     }
 
     pub(crate) fn show(&self, session: SessionId) -> Outcome {
-        let session = self.shared.lock().store()?.session(session)?;
+        let session = self.shared.lock().read(|store| store.session(session))?;
         let shown = serde_json::to_value(session).map_err(Refusal::failed)?;
         Ok(Some(Answer::Shown(Shown { shown })))
     }
@@ -122,8 +118,10 @@ impl Training {
         let reader = report::Reader { language, time_zone };
         let mut state = self.shared.lock();
         let html = match (session, person) {
-            (Some(session), None) => report::session(&state.store()?.session(session)?, &reader),
-            (None, Some(person)) => report::course(person, &state.store()?.course(person)?, &reader),
+            (Some(session), None) => report::session(&state.read(|store| store.session(session))?, &reader),
+            (None, Some(person)) => {
+                report::course(person, &state.read(|store| store.course(person))?, &reader)
+            }
             _ => return Err(Refusal::bad_request("give session or person")),
         };
         Ok(Some(Answer::Report(Report { html })))
@@ -138,14 +136,14 @@ impl Training {
     }
 
     pub(crate) fn people(&self) -> Outcome {
-        let people = self.shared.lock().store()?.people()?;
+        let people = self.shared.lock().read(Store::people)?;
         Ok(Some(Answer::People(People { people })))
     }
 
     /// Removes somebody; their session ends. Recordings go where they are asked to, but not the one that runs.
     pub(crate) fn forget(&self, person: &str, recordings: Option<&Path>) -> Outcome {
         let (mut state, decided) = self.shared.up_to_date();
-        let t_end_s = time_s(&state, decided);
+        let t_end_s = state.moment_s(decided);
         let running = state.running.iter().find(|running| running.person == person);
         if let Some(subject) = running.map(|running| running.subject.clone()) {
             state.end(&subject, t_end_s, EndedBy::Request);
@@ -160,12 +158,12 @@ impl Training {
                 is_running || !is_plain || !is_removed(&folder.join(name))
             });
         }
-        state.publish(self.shared.lost.load(Ordering::Relaxed));
+        state.publish(self.shared.lost());
         Ok(Some(Answer::Forgotten(forgotten)))
     }
 
     pub(crate) fn plans(&self) -> Outcome {
-        let plans = self.shared.lock().store()?.plans()?;
+        let plans = self.shared.lock().read(Store::plans)?;
         Ok(Some(Answer::Plans(Plans { plans })))
     }
 
@@ -190,16 +188,6 @@ fn is_removed(path: &Path) -> bool {
             false
         }
     }
-}
-
-/// Where a session begins or ends: at the newest frame, so that a replay draws the same line between repetitions; where nothing is
-/// tracked, now.
-fn time_s(state: &State, decided: Timestamp) -> f64 {
-    let (now_s, decided_s) = (state.now_s(), decided.as_secs_f64());
-    let fresh = (now_s - decided_s).abs() <= FRESH_S;
-    let t_s = if fresh { decided_s } else { now_s };
-    // As times of repetitions are rounded.
-    (t_s * 1e6).round() / 1e6
 }
 
 impl State {

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::path::PathBuf;
 
+use posed_drivers::Timestamp;
 use posed_protocol::{RunningSession, Sessions};
 use posed_sessions::{EndedBy, Repetition, SessionId, Store, StoreError};
 
@@ -12,6 +13,9 @@ use super::plan::PlanRun;
 
 /// Repetitions that may wait for the disk.
 pub(super) const UNWRITTEN: usize = 4096;
+
+/// A frame older than this is none of now, s.
+const FRESH_S: f64 = 1.0;
 
 /// All of it.
 #[derive(Debug)]
@@ -93,8 +97,28 @@ impl State {
         Ok(self.store.insert(store))
     }
 
+    /// Reads what is kept. A database that is not there is an empty one: looking makes no file.
+    pub(super) fn read<T>(
+        &mut self,
+        read: impl FnOnce(&Store) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        if self.store.is_none() && !self.file.exists() {
+            return read(&Store::in_memory()?);
+        }
+        read(self.store()?)
+    }
+
     pub(super) fn now_s(&self) -> f64 {
         self.tools.clock.now().as_secs_f64()
+    }
+
+    /// Where a session begins or ends: at the newest frame, so that a replay draws the same line between repetitions; where nothing
+    /// is tracked, now.
+    pub(super) fn moment_s(&self, decided: Timestamp) -> f64 {
+        let (now_s, decided_s) = (self.now_s(), decided.as_secs_f64());
+        let t_s = if (now_s - decided_s).abs() <= FRESH_S { decided_s } else { now_s };
+        // As times of repetitions are rounded.
+        (t_s * 1e6).round() / 1e6
     }
 
     /// Takes a report.
@@ -103,11 +127,10 @@ impl State {
             Report::Recording(name) => {
                 self.recording.clone_from(&name);
                 if let Some(name) = name {
-                    let sessions: Vec<SessionId> =
-                        self.running.iter().map(|running| running.session).collect();
-                    sessions
-                        .into_iter()
-                        .for_each(|session| self.write(session, Change::Recording(name.clone())));
+                    for running in &self.running {
+                        self.unwritten.push_back((running.session, Change::Recording(name.clone())));
+                    }
+                    self.write_what_waits();
                 }
             }
             Report::Repetition(repetition) => {
@@ -131,8 +154,9 @@ impl State {
         }
     }
 
-    /// Goes on with plans and with what could not be written, and publishes what has changed. `lost` reports never came.
-    pub(super) fn tick(&mut self, lost: u64) {
+    /// Goes on with plans and with what could not be written, and publishes what has changed. All that was `decided` by then
+    /// has been taken; `lost` reports never came.
+    pub(super) fn tick(&mut self, decided: Timestamp, lost: u64) {
         if self.running.is_empty() && self.unwritten.is_empty() && self.published.sessions.is_empty() {
             return;
         }
@@ -144,9 +168,9 @@ impl State {
             }
         }
         let is_done = |running: &&Running| running.plan.as_ref().is_some_and(PlanRun::is_done);
+        let t_end_s = self.moment_s(decided);
         while let Some(subject) = self.running.iter().find(is_done).map(|running| running.subject.clone()) {
-            // Nothing is decided for the subject until it selects again.
-            self.end(&subject, now_s, EndedBy::Plan);
+            self.end(&subject, t_end_s, EndedBy::Plan);
         }
         self.write_what_waits();
         self.publish(lost);

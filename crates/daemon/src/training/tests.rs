@@ -2,6 +2,7 @@
 
 use posed_drivers::Timestamp;
 use posed_motion::exercise::{EventKind, Exercise};
+use posed_protocol::{Answer, ListedSessions, People, Plans};
 use posed_sessions::{EndedBy, Session};
 use posed_stage::input::{Entry, Input, Model};
 use posed_stage::name::Name;
@@ -52,14 +53,18 @@ impl Stand {
         let inbox = Inbox::new(INBOX_CAPACITY);
         let exercises = Library::new(folder.path().join("exercises"), "json");
         let tools = Tools { clock, hub: Hub::default(), inbox: inbox.clone(), exercises };
-        let models = [Model::Exercise { exercise: Box::new(exercise()) }].into_iter().collect();
-        let (training, follow) = Training::new(&stage, folder.path(), &models, tools);
-        Self { folder, training, follow, inbox }
+        let (training, follow) = Training::new(&stage, folder.path(), tools);
+        let mut stand = Self { folder, training, follow, inbox };
+        stand.outcome(0.0, OutcomeKind::ModelSwapped(Model::Exercise { exercise: Box::new(exercise()) }));
+        stand
     }
 
     fn say(&mut self, t_s: f64, what: ExerciseWhat) {
+        self.outcome(t_s, OutcomeKind::Exercise(ExerciseOutcome { subject: Name::from("default"), what }));
+    }
+
+    fn outcome(&mut self, t_s: f64, what: OutcomeKind) {
         let t = Timestamp::from_secs_f64(t_s);
-        let what = OutcomeKind::Exercise(ExerciseOutcome { subject: Name::from("default"), what });
         self.follow.on_output(&Output::Outcome(&Outcome { t_valid: t, t_decided: t, what }), &NOW);
     }
 
@@ -96,8 +101,7 @@ impl Stand {
 
     /// Lets the thread do what it does at each look.
     fn look(&self) {
-        let (mut state, _) = self.training.shared.up_to_date();
-        state.tick(self.training.shared.lost.load(Ordering::Relaxed));
+        self.training.shared.look();
     }
 
     fn session(&self, session: i64) -> Session {
@@ -155,7 +159,7 @@ fn a_plan_rests_between_its_steps_and_ends_the_session_after_the_last() {
 }
 
 #[test]
-fn what_cannot_be_written_waits_is_told_and_is_written_when_it_can() {
+fn what_cannot_be_written_waits_is_reported_and_is_written_when_it_can() {
     let mut stand = Stand::new();
     stand.training.begin("P-1", None, None).unwrap();
     // Another program has the database.
@@ -171,8 +175,8 @@ fn what_cannot_be_written_waits_is_told_and_is_written_when_it_can() {
             .last()
             .and_then(|sessions| sessions.sessions[0].problem.clone())
     };
-    let told = problem(&stand).unwrap();
-    assert!(told.contains("it is tried again"), "{told}");
+    let reported = problem(&stand).unwrap();
+    assert!(reported.contains("it is tried again"), "{reported}");
     drop(held);
     stand.look();
     assert_eq!(problem(&stand), None);
@@ -222,4 +226,18 @@ fn more_sessions_than_may_go_on_are_refused_and_those_that_go_on_do() {
     stand.repetition(1e6, 1);
     stand.look();
     assert_eq!(stand.session(1).repetitions().count(), 1);
+}
+
+#[test]
+fn looking_makes_no_file_and_finds_nobody() {
+    let stand = Stand::new();
+    let answers = [stand.training.people(), stand.training.list(None, None), stand.training.plans()];
+    let emptied = [
+        Answer::People(People { people: vec![] }),
+        Answer::Sessions(ListedSessions { sessions: vec![] }),
+        Answer::Plans(Plans { plans: vec![] }),
+    ];
+    assert_eq!(answers.map(|answer| answer.unwrap().unwrap()), emptied);
+    assert!(stand.training.show(1).is_err() && stand.training.begin("P-1", Some("none"), None).is_err());
+    assert_eq!(std::fs::read_dir(stand.folder.path()).unwrap().count(), 0);
 }
