@@ -101,7 +101,7 @@ fn what_was_said_live_is_kept_from_the_recording_reported_exported_and_forgotten
 }
 
 #[test]
-fn plans_and_what_is_not_there_are_told_in_words() {
+fn plans_and_what_is_not_there_are_reported_in_words() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let failed = |args: &[&str]| {

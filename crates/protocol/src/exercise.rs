@@ -2,7 +2,7 @@
 
 use super::message::{Begun, Deviation, ExerciseChange, Judged, Spoken};
 use super::round;
-use posed_motion::exercise::{EventKind, Exercise, Feedback, Joint, Language, Remark, Score, sentence};
+use posed_motion::exercise::{EventKind, Exercise, Feedback, Joint, Language, Remark, Score};
 use posed_stage::output::{ExerciseWhat, LiveHint, Repetition};
 
 /// Digits of ratios, phases and deviations.
@@ -68,8 +68,6 @@ fn begun(repetition: &Repetition) -> Begun {
 fn judged(repetition: &Repetition) -> Judged {
     let feedback = repetition.feedback.as_ref();
     let channel = feedback.map_or("", |(channel, _)| channel);
-    let reason = repetition.reason.filter(|_| repetition.is_attempt);
-    let said = |language| sentence(repetition.remark, reason, channel, language);
     Judged {
         exercise: repetition.exercise.to_string(),
         count: repetition.count,
@@ -77,8 +75,8 @@ fn judged(repetition: &Repetition) -> Judged {
         t_start_s: round::to(MICROSECONDS, repetition.t_start_s),
         reason: repetition.reason,
         remark: repetition.remark.as_ref().and_then(|remark| spoken(channel, remark)),
-        sentence: said(Language::English),
-        sentence_de: said(Language::German),
+        sentence: repetition.sentence(Language::English),
+        sentence_de: repetition.sentence(Language::German),
         // In points of a lesson only what counts can be measured.
         score: feedback.filter(|_| repetition.reason.is_none()).map(|(_, feedback)| score(&feedback.score)),
         deviation: feedback.map(|(channel, feedback)| deviation(channel, feedback)),

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use crate::lesson::{LessonJoint, TaughtLesson, bounds, resampled};
 use crate::number::{degrees, points, time_s};
 use crate::repetition::{JointCourse, Repetition, Score};
-use posed_motion::exercise::{EventKind, Exercise, Language, sentence};
+use posed_motion::exercise::{EventKind, Exercise, Language};
 use posed_stage::input::Model;
 use posed_stage::layout::BodyLayout;
 use posed_stage::output::{Body, ExerciseOutcome, ExerciseState, ExerciseWhat, Outcome, OutcomeKind, Output};
@@ -159,8 +159,6 @@ impl Follower {
         }
         let planned = set.planned;
         let feedback = repetition.feedback.as_ref();
-        let channel = feedback.map_or("", |(channel, _)| channel);
-        let said = |language| sentence(repetition.remark, repetition.reason, channel, language);
         let (t_start_s, t_end_s) = (repetition.t_start_s, outcome.t_valid.as_secs_f64());
         Some(Repetition {
             subject: subject.to_owned(),
@@ -172,8 +170,8 @@ impl Follower {
             t_decided_s: time_s(outcome.t_decided.as_secs_f64()),
             reason: repetition.reason,
             score: feedback.filter(|_| is_counted).map(|(_, feedback)| score(&feedback.score)),
-            sentence: said(Language::English),
-            sentence_de: said(Language::German),
+            sentence: repetition.sentence(Language::English),
+            sentence_de: repetition.sentence(Language::German),
             joints: self.courses(&lesson, t_start_s, t_end_s),
             lesson,
         })

@@ -59,22 +59,15 @@ pub enum EndedBy {
 }
 
 impl EndedBy {
-    const ALL: [(Self, &str); 5] = [
-        (Self::Request, "request"),
-        (Self::Plan, "plan"),
-        (Self::Daemon, "daemon"),
-        (Self::Interruption, "interruption"),
-        (Self::Recording, "recording"),
-    ];
-
     /// As messages and the store spell it.
     pub fn as_str(self) -> &'static str {
-        Self::ALL.iter().find(|(known, _)| *known == self).map_or("", |(_, word)| word)
-    }
-
-    #[cfg(feature = "store")]
-    pub(crate) fn named(word: &str) -> Option<Self> {
-        Self::ALL.iter().find(|(_, known)| *known == word).map(|(ended_by, _)| *ended_by)
+        match self {
+            Self::Request => "request",
+            Self::Plan => "plan",
+            Self::Daemon => "daemon",
+            Self::Interruption => "interruption",
+            Self::Recording => "recording",
+        }
     }
 }
 

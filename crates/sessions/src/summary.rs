@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use crate::lesson::TaughtLesson;
+use crate::lesson::{LessonJoint, TaughtLesson};
 use crate::number::{degrees, points, time_s};
 use crate::repetition::{JointCourse, Repetition, Score};
 use crate::session::{Session, TrainingSet};
@@ -59,20 +59,28 @@ impl Session {
                 lessons.push(&set.lesson);
             }
         }
-        lessons.into_iter().map(|lesson| self.exercise(lesson)).collect()
+        lessons.into_iter().map(|lesson| ExerciseSummary::of(lesson, self.sets_of(lesson))).collect()
     }
 
     /// The sets of a lesson.
     pub fn sets_of<'a>(&'a self, lesson: &'a TaughtLesson) -> impl Iterator<Item = &'a TrainingSet> + Clone {
         self.training.iter().filter(move |set| *set.lesson == *lesson)
     }
+}
 
-    fn exercise(&self, lesson: &Arc<TaughtLesson>) -> ExerciseSummary {
-        let sets = || self.sets_of(lesson);
+impl ExerciseSummary {
+    /// Of sets of a lesson.
+    pub(crate) fn of<'a>(
+        lesson: &Arc<TaughtLesson>,
+        sets: impl Iterator<Item = &'a TrainingSet> + Clone,
+    ) -> Self {
+        let sets = || sets.clone();
         let counted: Vec<&Repetition> = sets().flat_map(TrainingSet::counted).collect();
         let is_corrected = sets().any(|set| set.corrected.is_some());
         let in_set = |set: &TrainingSet| set.corrected.unwrap_or(set.counted().count() as u32);
-        ExerciseSummary {
+        let joint =
+            |(joint, taught): (u32, &LessonJoint)| joint_summary(lesson, joint, &taught.name, &counted);
+        Self {
             lesson: Arc::clone(lesson),
             sets: sets().count() as u32,
             planned: sets().map(|set| set.planned).sum(),
@@ -81,10 +89,7 @@ impl Session {
             rejected: (sets().map(|set| set.repetitions.len()).sum::<usize>() - counted.len()) as u32,
             score: mean_score(&counted),
             duration_s: median(counted.iter().map(|repetition| repetition.duration_s())).map(time_s),
-            joints: (0..)
-                .zip(&lesson.joints)
-                .map(|(joint, taught)| joint_summary(lesson, joint, &taught.name, &counted))
-                .collect(),
+            joints: (0..).zip(&lesson.joints).map(joint).collect(),
             sentence: most_said(&counted),
         }
     }

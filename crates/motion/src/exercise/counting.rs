@@ -331,8 +331,7 @@ impl Counting {
         let mut event = self.event(exercise, kind, times, t_s);
         event.reason = verdict.err();
         event.measures = judged.map(|(measures, _)| measures);
-        event.is_attempt =
-            verdict.is_ok() || self.is_attempt(exercise, start, judged.map(|(measures, _)| measures));
+        event.is_attempt = verdict.is_ok() || self.is_attempt(exercise, start, event.measures.as_ref());
         if let Some((measures, span)) = judged {
             let mut ways = std::mem::take(&mut self.ways);
             event.feedback = self.feedback(exercise, start, span, &measures, &mut ways);
@@ -346,12 +345,12 @@ impl Counting {
 
     /// Whether what was rejected was meant: it goes the way of the exercise, or comes so soon after a repetition that counted that
     /// the set still goes on. People reach for a glass between sets, and nobody wants to hear of that.
-    fn is_attempt(&self, exercise: usize, start: u64, measures: Option<Measures>) -> bool {
+    fn is_attempt(&self, exercise: usize, start: u64, measures: Option<&Measures>) -> bool {
         let Watched { exercise, counted_until, .. } = &self.watched[exercise];
         let set_goes_on = counted_until.is_some_and(|last| {
             start.saturating_sub(last) as f64 <= IN_SET * exercise.durations.longest_s * self.rate_hz
         });
-        set_goes_on || measures.is_some_and(|measures| goes_the_way(&measures, &exercise.gate))
+        set_goes_on || measures.is_some_and(|measures| goes_the_way(measures, &exercise.gate))
     }
 
     fn verdict(&self, exercise: usize, measures: &Measures, span: [u64; 2]) -> Result<(), Reason> {

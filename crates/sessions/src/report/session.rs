@@ -114,8 +114,7 @@ fn sets(page: &mut Page, session: &Session, exercise: &ExerciseSummary, reader: 
         reader.say("Duration (s)", "Dauer (s)"),
     ];
     let rows = session.sets_of(&exercise.lesson).map(|set| {
-        let of_set = Session { training: vec![set.clone()], ..session.clone() }.exercises();
-        let figures = &of_set[0];
+        let figures = ExerciseSummary::of(&exercise.lesson, std::iter::once(set));
         let score = figures.score;
         let points = |part: Option<f64>| reader.number(part, 0);
         let mut counted = figures.counted.to_string();

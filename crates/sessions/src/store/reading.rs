@@ -4,18 +4,18 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use rusqlite::{OptionalExtension, Row, params};
+use serde::de::{DeserializeOwned, IntoDeserializer};
 
 use super::courses::{course, degrees};
-use super::{Store, StoreError};
+use super::{Store, StoreError, people};
 use crate::lesson::{LessonJoint, TaughtLesson};
 use crate::repetition::{JointCourse, Repetition, Score};
-use crate::session::{EndedBy, Session, SessionId, SessionSummary, TrainingSet};
-use posed_motion::exercise::Reason;
+use crate::session::{Session, SessionId, SessionSummary, TrainingSet};
 
 /// What a summary is made of.
 const SUMMARY: &str =
     "SELECT session.id, person.name, plan, epoch_utc_ns, t_begin_s, session.t_end_s, ended_by, recording,
-    count(DISTINCT training_set.id), count(repetition.number), count(reason), avg(score_total)
+    count(DISTINCT training_set.id), count(repetition.number), count(reason), avg(score_total), stage, subject
     FROM session JOIN person ON person.id = session.person
     LEFT JOIN training_set ON training_set.session = session.id
     LEFT JOIN repetition ON repetition.training_set = training_set.id";
@@ -26,11 +26,7 @@ impl Store {
     /// # Errors
     /// There is no such person, or the database cannot be read.
     pub fn sessions(&self, person: Option<&str>, at_most: u32) -> Result<Vec<SessionSummary>, StoreError> {
-        if let Some(name) = person {
-            let known = "SELECT 1 FROM person WHERE name = ?1";
-            let known = self.connection.query_row(known, [name], |_| Ok(())).optional()?;
-            known.ok_or_else(|| StoreError::NoPerson(name.to_owned()))?;
-        }
+        person.map(|name| people::id_of(&self.connection, name)).transpose()?;
         let sql = format!(
             "{SUMMARY} WHERE ?1 IS NULL OR person.name = ?1 GROUP BY session.id
              ORDER BY epoch_utc_ns + CAST(t_begin_s * 1e9 AS INTEGER) DESC, session.id DESC LIMIT ?2"
@@ -45,16 +41,11 @@ impl Store {
     /// # Errors
     /// There is no such session, or the database cannot be read.
     pub fn session(&self, session: SessionId) -> Result<Session, StoreError> {
-        let mut statement = self
-            .connection
-            .prepare_cached(&format!("{SUMMARY} WHERE session.id = ?1 GROUP BY session.id"))?;
-        let summary = statement.query_row([session], summary).optional()?;
-        let summary = summary.ok_or(StoreError::NoSession(session))?;
-        let rest = "SELECT stage, subject, epoch_utc_ns, t_begin_s FROM session WHERE id = ?1";
-        let (stage, subject, epoch_utc_ns, t_begin_s): (_, String, _, _) = self
-            .connection
-            .prepare_cached(rest)?
-            .query_row([session], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?)))?;
+        let sql = format!("{SUMMARY} WHERE session.id = ?1 GROUP BY session.id");
+        let mut statement = self.connection.prepare_cached(&sql)?;
+        let read = |row: &Row<'_>| Ok((summary(row)?, row.get(12)?, row.get(13)?, row.get(3)?, row.get(4)?));
+        let (summary, stage, subject, epoch_utc_ns, t_begin_s): (_, _, String, _, _) =
+            statement.query_row([session], read).optional()?.ok_or(StoreError::NoSession(session))?;
         let training = self.sets(session, &subject)?;
         Ok(Session { summary, stage, subject, epoch_utc_ns, t_begin_s, training })
     }
@@ -128,7 +119,7 @@ impl Store {
                 t_start_s: row.get(2)?,
                 t_end_s: row.get(3)?,
                 t_decided_s: row.get(4)?,
-                reason: reason.map(|word| reason_named(&word)).transpose()?,
+                reason: reason.map(|word| named(&word)).transpose()?,
                 score: score(row)?,
                 sentence: row.get(11)?,
                 sentence_de: row.get(12)?,
@@ -171,7 +162,7 @@ fn summary(row: &Row<'_>) -> rusqlite::Result<SessionSummary> {
         plan: row.get(2)?,
         begun: rfc3339(epoch_utc_ns.saturating_add((t_begin_s * 1e9) as i64)),
         duration_s: t_end_s.map(|t_end_s| crate::number::time_s(t_end_s - t_begin_s)),
-        ended_by: ended_by.and_then(|word| EndedBy::named(&word)),
+        ended_by: ended_by.and_then(|word| named(&word).ok()),
         recording: row.get(7)?,
         sets: row.get(8)?,
         counted: row.get(9)?,
@@ -186,9 +177,10 @@ fn score(row: &Row<'_>) -> rusqlite::Result<Option<Score>> {
     Ok(Some(Score { total, amplitude, tempo, smoothness, symmetry }))
 }
 
-fn reason_named(word: &str) -> Result<Reason, StoreError> {
-    serde_json::from_value(serde_json::Value::from(word))
-        .map_err(|error| StoreError::Damaged(error.to_string()))
+/// What messages spell so.
+fn named<T: DeserializeOwned>(word: &str) -> Result<T, StoreError> {
+    T::deserialize(word.into_deserializer())
+        .map_err(|error: serde::de::value::Error| StoreError::Damaged(error.to_string()))
 }
 
 /// A time in UTC, to the second.

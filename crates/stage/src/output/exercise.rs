@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::name::Name;
-use posed_motion::exercise::{EventKind, Feedback, Reason, Remark};
+use posed_motion::exercise::{EventKind, Feedback, Language, Reason, Remark, sentence};
 
 /// Something happened with the exercises of a subject. Of a repetition, the outcome's `t_valid` is its end, or its beginning
 /// where it has only begun.
@@ -48,6 +48,14 @@ pub struct Repetition {
     pub feedback: Option<(Name, Feedback)>,
     /// What to say of it; absent where all was as taught.
     pub remark: Option<Remark>,
+}
+
+impl Repetition {
+    /// What to say of it to the person who moves; `None` where all was as taught, and of a movement that was not meant.
+    pub fn sentence(&self, language: Language) -> Option<String> {
+        let channel = self.feedback.as_ref().map_or("", |(channel, _)| channel);
+        sentence(self.remark, self.reason.filter(|_| self.is_attempt), channel, language)
+    }
 }
 
 /// What deviates while a repetition happens; provisional by nature.
