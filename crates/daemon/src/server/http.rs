@@ -22,8 +22,10 @@ use posed_protocol::foxglove;
 use posed_protocol::{Encoding, SUBPROTOCOL_JSON, SUBPROTOCOL_MSGPACK};
 use posed_stage::Role;
 
-/// The page loads its own files and speaks to its own server; nothing else, from nowhere else.
-const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
+/// The page loads its own files and speaks to its own server; nothing else, from nowhere else. The one style that may stand in a document
+/// is that of a report, by its hash.
+const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; \
+    style-src 'self' 'sha256-vJCJIUwHF6Fgs6eoxQVnJGR4PcyaPSUgJ/2tmH39GeE='; connect-src 'self'; \
     img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// What one stage answers.
@@ -222,4 +224,16 @@ pub(super) fn refuse(
         response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
     }
     response
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_style_of_a_report_is_allowed_as_it_is() {
+        let digest = ring::digest::digest(&ring::digest::SHA256, posed_sessions::report::STYLE.as_bytes());
+        let hash = data_encoding::BASE64.encode(digest.as_ref());
+        assert!(CONTENT_SECURITY_POLICY.contains(&format!("style-src 'self' 'sha256-{hash}'")), "{hash}");
+    }
 }

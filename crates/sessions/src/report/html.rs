@@ -4,8 +4,9 @@ use std::fmt::Write;
 
 use super::Reader;
 
-/// One look in the browser and on paper.
-const STYLE: &str = "\
+/// The style of every report: one look in the browser and on paper. A page that shows a report under a policy of its own allows it by its
+/// hash.
+pub const STYLE: &str = "\
 :root{color-scheme:light;--ink:#1c2430;--soft:#5b6675;--line:#d5dbe3;--own:#0b6bcb;--taught:#b45309}\
 *{box-sizing:border-box}body{font:15px/1.45 system-ui,sans-serif;color:var(--ink);margin:2rem auto;max-width:60rem;padding:0 1rem}\
 h1{font-size:1.6rem;margin:0 0 .2rem}h2{font-size:1.2rem;margin:2rem 0 .5rem;border-bottom:1px solid var(--line);padding-bottom:.2rem}\

@@ -12,6 +12,7 @@ mod tests;
 mod words;
 
 pub use course::course;
+pub use html::STYLE;
 pub use session::session;
 
 use jiff::tz::TimeZone;
