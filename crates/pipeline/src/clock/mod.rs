@@ -49,7 +49,7 @@ const SIGMA_FLOOR_S: f64 = 1e-4;
 const TOLERANCE_S: f64 = 3e-4;
 /// Share of a period by which one cycle's time may be corrected.
 const SLEW: f64 = 0.05;
-/// So many of the latest [`INCONSISTENT_SPAN`] cycles outside their bounds mean another phase: start again.
+/// So many of the latest [`INCONSISTENT_SPAN`] reads with cycles outside their bounds mean another phase: start again.
 const INCONSISTENT_LIMIT: u32 = 32;
 const INCONSISTENT_SPAN: u32 = 64;
 /// Bytes that a UART may keep to itself, beyond those that the bounds allow for.
@@ -105,8 +105,8 @@ pub struct Stamp {
     /// of it; 0 after a restart, for samples inside a cycle, and for devices without cycles.
     pub cycles_skipped: u32,
     /// Whether its time may be another one by more than `sigma_s` says: it may have waited on its way where nothing but its arrival
-    /// tells when it was measured ([`ArrivalClock`]), or it comes late and alone, and nobody knows yet whether cycles before it
-    /// were lost.
+    /// tells when it was measured ([`ArrivalClock`]), or it is of the first read of a line, or it comes late and alone, and nobody
+    /// knows yet whether cycles before it were lost.
     pub queued: bool,
 }
 
@@ -149,6 +149,8 @@ pub struct Clock {
     usual_bytes_after: u32,
     inconsistent: u32,
     inconsistent_seen: u32,
+    /// The latest read that was counted, and whether as one outside.
+    judged: Option<(Timestamp, bool)>,
 }
 
 /// Where internal times and counts begin, so that doubles keep their precision.
@@ -229,6 +231,7 @@ impl Clock {
             usual_bytes_after: 0,
             inconsistent: 0,
             inconsistent_seen: 0,
+            judged: None,
         }
     }
 
@@ -268,6 +271,7 @@ impl Clock {
         self.late_reads = 0;
         self.doubt = Doubt::default();
         self.usual_bytes_after = 0;
+        self.judged = None;
         self.inconsistent = 0;
         self.inconsistent_seen = 0;
         // `last` stays: time goes on rising over a restart.
@@ -350,7 +354,10 @@ impl Clock {
         let contradicted =
             self.contradicted.is_some_and(|t| sample.arrival.t_read.seconds_since(t) < CONTRADICTED_S);
         let lossy = self.lossy.is_some_and(|t| sample.arrival.t_read.seconds_since(t) < LOSSY_S);
-        let queued = undecided || contradicted || lossy || self.trial.is_some();
+        // Only the read before tells for how long the bytes of a first read can have waited.
+        let is_first = evidence.t_read == origin.t
+            && evidence.lower.is_none_or(|lower| evidence.upper - lower > UNDECIDED_S);
+        let queued = undecided || contradicted || lossy || is_first || self.trial.is_some();
         if self.trial.is_some() || undecided || waited || lossy {
             // Evidence of a count that may be wrong would bend the line.
         } else if self.window.push(&evidence, begins_cycle, self.fit.as_ref(), TOLERANCE_S)
@@ -495,9 +502,13 @@ impl Clock {
         }
     }
 
+    /// A read counts once, however many cycles it holds: a host that has slept was late once.
     fn count_consistency(&mut self, inconsistent: bool, t_read: Timestamp) {
-        self.inconsistent_seen += 1;
-        self.inconsistent += u32::from(inconsistent);
+        let judged = self.judged.filter(|(judged, _)| *judged == t_read);
+        let counted = judged.is_some_and(|(_, counted)| counted);
+        self.inconsistent_seen += u32::from(judged.is_none());
+        self.inconsistent += u32::from(inconsistent && !counted);
+        self.judged = Some((t_read, inconsistent || counted));
         if self.inconsistent >= INCONSISTENT_LIMIT {
             self.begin_anew(true);
             self.contradicted = Some(t_read);

@@ -656,7 +656,8 @@ fn a_line_that_ceases_to_burst_keeps_its_period() {
 #[test]
 fn cycles_lost_with_bytes_are_waited_for() {
     for (burst_ms, first, lost) in [40.0, 57.5, 75.0].into_iter().flat_map(|burst_ms| {
-        (200_u64..220).flat_map(move |first| [0, 1, 2, 4].map(|lost| (burst_ms, first, lost)))
+        // So late that a line which begins to burst at the 60th cycle is firm.
+        (280_u64..300).flat_map(move |first| [0, 1, 2, 4].map(|lost| (burst_ms, first, lost)))
     }) {
         let alter = |k, sample: &mut Sample| {
             sample.t_device = DeviceTime::Cycle(if k < first { k } else { k - lost });
@@ -672,7 +673,70 @@ fn cycles_lost_with_bytes_are_waited_for() {
             let decided = k > first + lost + 15;
             assert!(!decided || clock.lossy.is_none() || stamp.is_late(), "{case} is in doubt");
         };
-        let cycles = (0..400).filter(|k| !(first..first + lost).contains(k));
+        let cycles = (0..480).filter(|k| !(first..first + lost).contains(k));
         read_in_bursts((30.0, burst_ms), cycles, |k| k >= 60, alter, check);
+    }
+}
+
+/// A host that sleeps longer than half of the cycles that may contradict their line has read once, late: that is no other line.
+#[test]
+fn a_read_that_is_late_by_many_cycles_leaves_the_line_as_it_is() {
+    let rate_hz = 120.0;
+    for (burst_ms, first) in
+        [200.0, 275.0, 350.0].into_iter().flat_map(|burst_ms| (200..272).map(move |first| (burst_ms, first)))
+    {
+        let burst = |k: u64| {
+            let there_s = 20.0 + k as f64 / rate_hz + 33.0 * BYTE_S;
+            (there_s * 1e3 / burst_ms).ceil() as u64
+        };
+        // Eight cycles by themselves between two times of sleep.
+        let slept = burst(first);
+        let again = (first..).find(|&k| burst(k) > slept).unwrap() + 8;
+        let sleeps = |k: u64| burst(k) == slept || burst(k) == slept + 1 && k >= again;
+        // By eight bytes at a time.
+        let alter = |_, sample: &mut Sample| {
+            sample.arrival.bytes_after -= 25;
+            sample.arrival.t_read = sample.arrival.t_read - Duration::from_secs_f64(25.0 * BYTE_S);
+        };
+        let check = |clock: &Clock, k, truth_s: f64, stamp: Stamp| {
+            let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
+            let case = format!("asleep for {burst_ms} ms around {first}: cycle {k}");
+            let stated = stamp.is_late() || off_s < f64::max(0.005, 6.0 * stamp.sigma_s);
+            assert!(k < 100 || stated, "{case} is {off_s} s off");
+            assert!(k < 100 || clock.window.is_settled(), "{case} begins another line");
+        };
+        read_in_bursts((rate_hz, burst_ms), 0..500, sleeps, alter, check);
+    }
+}
+
+/// Nothing tells how late a first read is: one that holds many cycles held them for a while, and the line begins with the last of them.
+#[test]
+fn a_first_read_for_which_the_host_has_slept_dates_no_cycle_late() {
+    for (rate_hz, burst_ms, counts) in [14.0, 40.0, 120.0].into_iter().flat_map(|rate_hz| {
+        [230.0, 350.0]
+            .into_iter()
+            .flat_map(move |burst_ms| [(rate_hz, burst_ms, false), (rate_hz, burst_ms, true)])
+    }) {
+        let burst = |k: u64| {
+            let there_s = 20.0 + k as f64 / rate_hz + 33.0 * BYTE_S;
+            (there_s * 1e3 / burst_ms).ceil() as u64
+        };
+        let alter = |k: u64, sample: &mut Sample| {
+            if counts {
+                let ticks = (k as f64 / rate_hz * 1e6).round() as u64;
+                sample.t_device = DeviceTime::Counter { ticks, tick_s: 1e-6 };
+            }
+        };
+        let first = (1..).find(|&k| burst(k) > burst(0)).unwrap();
+        let check = |_: &Clock, k, truth_s: f64, stamp: Stamp| {
+            let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
+            let case = format!("{rate_hz} Hz, {burst_ms} ms, counts {counts}: cycle {k}");
+            assert!(
+                stamp.is_late() || off_s < f64::max(0.01, 6.0 * stamp.sigma_s),
+                "{case} is {off_s} s off"
+            );
+            assert!(k < first + 2 || !stamp.is_late(), "{case} is late: {stamp:?}");
+        };
+        read_in_bursts((rate_hz, burst_ms), 0..400, |k| burst(k) == burst(0), alter, check);
     }
 }

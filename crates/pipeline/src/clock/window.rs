@@ -416,10 +416,11 @@ impl Window {
             Some(nominal) => {
                 // A slow line makes a unit skip whole cycles, so that its period is a multiple of the nominal.
                 let multiple = (measured / nominal).round().max(1.0) * nominal;
-                // A claim gives way to reads that lie on another line.
+                // A claim gives way to reads that lie on another line, each with a cycle of its own.
                 let residual_s = ((n * tt - t * t - measured * measured * spread).max(0.0) / (n * n)).sqrt();
                 let sigma_s = residual_s * (n / spread).sqrt();
                 if span > CLEAR_SPAN
+                    && self.blocks.iter().all(|block| block.reads >= block.cycles)
                     && residual_s < CLEAR_SHARE * measured
                     && (measured - multiple).abs() > CLEAR_SIGMAS * sigma_s
                 {
