@@ -14,7 +14,8 @@
 //! with a frame rate of its own ticks on the grid of that rate instead.
 //!
 //! A frame closes when every expected sensor has said what it has to say up to the tick, or else
-//! `frame_wait_ms` after the last of them usually has. A sample that comes later joins the next frame.
+//! `frame_wait_ms` after the last of them usually has. A sample that comes later joins the next frame, late, and so does one whose
+//! own tick was left out.
 
 mod device;
 
@@ -47,7 +48,8 @@ const FASTER: f64 = 0.99;
 pub struct FrameSample {
     /// The record, with its capture time.
     pub measured: Measured,
-    /// It belongs to an earlier frame, which had closed when it arrived; or it may have waited on its way, so that nobody knows.
+    /// It belongs to an earlier frame, which had closed when it arrived or was left out; or it may have waited on its way, so that
+    /// nobody knows.
     pub late: bool,
 }
 
@@ -431,7 +433,9 @@ impl Assembler {
             while let Some(sample) = sensor.queue.front()
                 && sample.measured.t_valid <= tick.t
             {
-                slot.samples.push(*sample);
+                let waited_s = tick.t.seconds_since(sample.measured.t_valid);
+                let late = sample.late || tick.left_out > 0 && waited_s > tick_s;
+                slot.samples.push(FrameSample { late, ..*sample });
                 sensor.queue.pop_front();
             }
             let is_clock = tick.device == Some(sensor.device);

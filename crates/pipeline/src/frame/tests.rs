@@ -172,6 +172,29 @@ fn what_comes_after_its_frame_is_late_in_the_next() {
     assert_eq!((samples.len(), samples[0].late, samples[1].late), (2, true, false));
 }
 
+/// Both devices fall silent after a sample for which no tick comes any more.
+#[test]
+fn what_waits_through_a_silence_is_late_in_the_frame_after_it() {
+    for rate_hz in [None, Some(100.0)] {
+        let mut bench = Bench::new(&[0, 1], rate_hz);
+        for k in 0..20 {
+            let t = f64::from(k) * 10.0;
+            bench.record(0, 0, t, t + 1.0);
+            bench.record(1, 1, t + 4.0, t + 5.0);
+        }
+        bench.frames.stop(0);
+        bench.frames.stop(1);
+        bench.record(0, 0, 720.0, 721.0);
+        bench.record(0, 0, 730.0, 731.0);
+        bench.poll(760.0);
+        let after = bench.closed.iter().find(|frame| frame.ticks_left_out > 0).unwrap();
+        let waited = &after.sensors[1].samples;
+        assert!(waited.iter().all(|sample| sample.late), "{rate_hz:?}: {after:?}");
+        assert_eq!(waited.len(), 1, "{rate_hz:?}: it is not lost");
+        assert!(after.sensors[0].samples.iter().all(|sample| !sample.late), "{rate_hz:?}: {after:?}");
+    }
+}
+
 #[test]
 fn a_rate_of_its_own_makes_a_grid() {
     let mut bench = Bench::new(&[0], Some(25.0));
