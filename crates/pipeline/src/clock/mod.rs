@@ -56,7 +56,8 @@ const INCONSISTENT_SPAN: u32 = 64;
 const FIFO_BYTES: f64 = 9.0;
 /// Lateness beyond the usual from which on a cycle's time is not to be relied on until it is known what it comes from, s.
 const UNDECIDED_S: f64 = 0.02;
-/// The same from which on the clock begins anew, and how many such cycles in a row make it do so, or reads while little is known.
+/// The same from which on the clock begins anew, unless it is less than half a period, and how many undecided cycles in a row make it
+/// do so, or reads while little is known.
 const LOST_S: f64 = 0.06;
 const UNDECIDED_CYCLES: u32 = 8;
 /// Uncertainty of a capture time from which on its sample is late, s.
@@ -345,7 +346,8 @@ impl Clock {
         let is_next_read = self.last.is_some_and(|last| last.t_read != sample.arrival.t_read);
         self.late_reads = if waited { self.late_reads + u32::from(is_next_read) } else { 0 };
         let contradicts = self.late_reads > UNDECIDED_CYCLES;
-        if lateness_s > LOST_S || self.undecided > UNDECIDED_CYCLES || contradicts {
+        let lost = self.fit.is_some_and(|fit| lateness_s > LOST_S.max(0.5 * fit.period_s));
+        if lost || self.undecided > UNDECIDED_CYCLES || contradicts {
             // An unknown number of cycles is lost, or else a reader was late; what follows shows which.
             self.restart();
             self.contradicted = Some(sample.arrival.t_read);
@@ -473,14 +475,13 @@ impl Clock {
         self.count_consistency(inconsistent, evidence.t_read);
     }
 
-    /// By how much a cycle comes later than usual, s, if by more than half a period; and whether nothing is behind it: cycles before it
-    /// may be missing then as well as it may have waited.
+    /// By how much a cycle comes later than usual, s; and whether nothing is behind it: cycles before it may be missing then, or the
+    /// device may have paused for a part of one, as well as it may have waited.
     fn lateness_s(&mut self, fit: &Fit, evidence: &Evidence) -> (f64, bool) {
         let late_s = evidence.upper - fit.line(evidence.x) - fit.upper - fit.lateness;
         if late_s <= 0.0 {
             self.usual_behind = self.usual_behind.max(evidence.bytes_after);
         }
-        let late_s = if late_s > 0.5 * fit.period_s { late_s } else { 0.0 };
         (late_s, evidence.bytes_after <= self.usual_behind)
     }
 

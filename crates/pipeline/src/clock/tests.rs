@@ -740,3 +740,29 @@ fn a_first_read_for_which_the_host_has_slept_dates_no_cycle_late() {
         read_in_bursts((rate_hz, burst_ms), 0..400, |k| burst(k) == burst(0), alter, check);
     }
 }
+
+/// A device that does not count and pauses for a part of its period goes on in another phase.
+#[test]
+fn a_pause_of_less_than_a_cycle_dates_none_early() {
+    for (rate_hz, pause_ms) in [5.0, 8.0, 12.5, 20.0]
+        .into_iter()
+        .flat_map(|rate_hz| [25.0, 37.0, 52.0, 80.0].map(move |pause_ms| (rate_hz, pause_ms)))
+    {
+        let paused = |k: u64| Duration::from_secs_f64(if k >= 150 { pause_ms * 1e-3 } else { 0.0 });
+        let alter = |k: u64, sample: &mut Sample| {
+            let arrival = &mut sample.arrival;
+            arrival.t_read = arrival.t_read + paused(k);
+            arrival.t_previous_read = arrival.t_previous_read.map(|previous| previous + paused(k - 1));
+        };
+        let mut late = 0;
+        let check = |_: &Clock, k: u64, truth_s: f64, stamp: Stamp| {
+            let off_s = stamp.t_valid.as_secs_f64() - truth_s - paused(k).as_secs_f64();
+            let case = format!("{rate_hz} Hz, {pause_ms} ms: cycle {k}");
+            let stated = stamp.is_late() || off_s.abs() < f64::max(0.025, 6.0 * stamp.sigma_s);
+            assert!(k < 100 || stated, "{case} is {off_s} s off");
+            late += u32::from(k >= 100 && stamp.is_late());
+        };
+        read_in_bursts((rate_hz, 10.0), 0..400, |_| false, alter, check);
+        assert!(late < 40, "{rate_hz} Hz, {pause_ms} ms: {late} of 300 cycles are late");
+    }
+}
