@@ -12,7 +12,7 @@ use std::task::{Context, Poll};
 use thiserror::Error;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
 use tokio::net::TcpStream;
-use tokio_serial::{ErrorKind, SerialPort, SerialStream};
+use tokio_serial::{ClearBuffer, ErrorKind, SerialPort, SerialStream};
 
 pub use udp::{UdpStream, shared as shared_udp};
 
@@ -201,7 +201,7 @@ impl AsyncWrite for Stream {
 
 /// Opens a serial port (8 data bits, no parity, 1 stop bit, raw, exclusive), `tcp://HOST:PORT` or `udp://HOST:PORT`.
 ///
-/// RTS is let go at once, where it exists: opening a port raises it, and it holds a Flock in reset. TCP sends without delay (no
+/// What a serial port has received before is thrown away. RTS is let go at once, where it exists: opening a port raises it, and it holds a Flock in reset. TCP sends without delay (no
 /// Nagle). Under Linux an FTDI adapter is set to a latency of 1 ms; where that is not allowed, its bytes may come in bursts of
 /// 16 ms. The opening has no time limit of its own: an address that does not answer takes as long as the operating system waits.
 ///
@@ -228,6 +228,8 @@ pub async fn open(port: &str, options: Options) -> Result<Port<Stream>, PortErro
     let baud = options.baud;
     let mut serial =
         SerialStream::open(&tokio_serial::new(port, baud)).map_err(|error| in_words(port, &error))?;
+    // What came before the line had its rate and form is noise; where it cannot be cleared, the session skips it.
+    let _ = serial.clear(ClearBuffer::Input);
     ask_for_low_latency(port);
     // A pseudo-terminal has no modem lines and says so with an error, which is no fault.
     let modem_lines = serial.write_request_to_send(false).is_ok();
@@ -312,6 +314,21 @@ mod tests {
         assert_eq!(far.read(&mut buffer).await.unwrap(), 1);
         drop(near);
         assert_eq!(far.read(&mut buffer).await.unwrap_err().kind(), io::ErrorKind::UnexpectedEof);
+    }
+
+    #[cfg(unix)]
+    #[tokio::test]
+    async fn what_came_before_a_port_was_open_is_not_read() {
+        let (device, host) = SerialStream::pair().unwrap();
+        let path = host.name().unwrap();
+        drop(host);
+        let mut device = Port::new(device);
+        device.write_all(b"noise of another rate").await.unwrap();
+        let mut port = open(&path, Options::baud(115_200)).await.unwrap();
+        device.write_all(b"new").await.unwrap();
+        let mut buffer = [0; 64];
+        assert_eq!(port.read(&mut buffer).await.unwrap(), 3);
+        assert_eq!(&buffer[..3], b"new");
     }
 
     #[test]
