@@ -49,9 +49,8 @@ pub(super) fn guarded(routes: Router, context: Arc<ConnectionContext>) -> Router
 /// Whether tracking goes on and is passed on, and by their codes the problems that `status` names; the sentences, which name files
 /// and devices, are there and in the log, for this is answered to anybody.
 pub(super) async fn health(State(shared): State<Arc<Shared>>) -> (StatusCode, String) {
-    if let Some(silence) = shared.reports.silent_for() {
-        let sentence = format!("tracking has reported nothing for {} s\n", silence.as_secs());
-        return (StatusCode::SERVICE_UNAVAILABLE, sentence);
+    if let Err(silent) = shared.reports.check() {
+        return (StatusCode::SERVICE_UNAVAILABLE, format!("{silent}\n"));
     }
     // Those of the start, too, before the first status.
     let status = shared.reports.newest();
