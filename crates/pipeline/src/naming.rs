@@ -1,7 +1,8 @@
 //! Segments live: positions of the stage's sensors in, beginnings of segments out.
 //!
 //! What comes in: the frames' estimates. What goes out: a segment as soon as it seems to begin (`provisional`), and later
-//! that it did (`confirmed`) or did not (`withdrawn`). What it never does: take back what it confirmed.
+//! that it did (`confirmed`) or did not (`withdrawn`). What it never does: take back what it confirmed, or take for movement what is
+//! none: it begins once all that it looks at is there, and anew where the body's position comes from elsewhere.
 
 use posed_state::{Plain, State};
 use std::collections::VecDeque;
@@ -11,12 +12,15 @@ use posed_drivers::Timestamp;
 use posed_fusion::body::BodySegment;
 use posed_motion::segments::{Labeller, Model, Position, Tick};
 use posed_stage::input::SensorIndex;
-use posed_stage::output::{self, Body, Estimate, Outcome, OutcomeKind, Output, SegmentEvent};
+use posed_stage::output::{self, Body, Estimate, Outcome, OutcomeKind, Output, PositionSource, SegmentEvent};
 
 /// Segments that may wait for their confirmation; more are withdrawn, the oldest first.
 const OPEN: usize = 64;
 /// A provisional segment is given up so long after the last time at which it could have been confirmed, s.
 const GRACE_S: f64 = 0.5;
+
+/// It begins after so long, s, though a joint is not there: a sensor that is broken is no reason to say nothing.
+const LATEST_START_S: f64 = 3.0;
 
 /// A model at work on a stage's sensors.
 #[derive(Clone, Debug, State)]
@@ -28,6 +32,11 @@ pub(super) struct Naming {
     #[state(keep)]
     joints: Vec<Joint>,
     positions: Vec<Position>,
+    /// When the first frame came, and whether it has begun since.
+    first: Option<Timestamp>,
+    begun: bool,
+    /// Where the body's position came from last.
+    source: Option<PositionSource>,
     /// Said as provisional, neither confirmed nor withdrawn.
     open: VecDeque<Open>,
     /// Numbers given to segments so far.
@@ -73,6 +82,9 @@ impl Naming {
             labeller: Labeller::new(&model),
             positions: vec![None; joints.len()],
             joints,
+            first: None,
+            begun: false,
+            source: None,
             model,
             open: VecDeque::with_capacity(OPEN),
             segments: 0,
@@ -102,9 +114,21 @@ impl Naming {
             let segment = joint.segment.and_then(|segment| body?.segments[segment].position_m);
             *position = segment.or_else(|| pose?.position_m);
         }
+        let first = *self.first.get_or_insert(estimate.t_valid);
+        let waits = self.positions.iter().any(Option::is_none)
+            && estimate.t_valid.seconds_since(first) < LATEST_START_S;
+        let source = body.map(|body| body.position_source);
+        let before = std::mem::replace(&mut self.source, source);
+        let jumps = source == Some(PositionSource::Trackers) && before != source;
+        self.begun |= !waits;
         let Self { model, labeller, positions, open, segments, last, .. } = self;
         let mut events = Events { model, open, segments, last, t_decided: estimate.t_valid, emit };
-        labeller.push(model, estimate.t_valid.as_secs_f64(), positions, &mut |tick| events.take(tick));
+        if jumps {
+            labeller.finish(model, &mut |tick| events.take(tick));
+        }
+        if self.begun {
+            labeller.push(model, estimate.t_valid.as_secs_f64(), positions, &mut |tick| events.take(tick));
+        }
         emit(Output::Named);
     }
 }

@@ -191,6 +191,49 @@ fn a_network_of_other_sensors_is_refused() {
     assert!(pipeline.naming.is_none());
 }
 
+/// Joints that are not there yet, and a body that from one frame to the next stands elsewhere, for trackers show its place now, are no
+/// movement.
+#[test]
+fn where_a_body_is_put_is_no_movement() {
+    use posed_fusion::body::{ANGLES, AngleSpread, Heading, SEGMENTS, Skeleton, upright};
+    use posed_stage::output::{Body, PositionSource, SegmentEstimate};
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/demo-moves.safetensors");
+    let mut naming = naming::Naming::new(&std::fs::read(path).unwrap(), [].into_iter(), true).unwrap();
+    let skeleton = Skeleton::from_height(1.75);
+    let standing = [upright(); SEGMENTS];
+    let mut labels = Vec::new();
+    for frame in 0..600_u32 {
+        let t_s = f64::from(frame) / 100.0;
+        let mut pelvis_m = skeleton.standing_m(&standing);
+        let position_source = if frame < 160 { PositionSource::Origin } else { PositionSource::Trackers };
+        if position_source == PositionSource::Trackers {
+            pelvis_m += nalgebra::Vector3::new(2.0, 1.0, 0.0);
+        }
+        let segment = |origin_m: &nalgebra::Vector3<f64>| SegmentEstimate {
+            position_m: (frame >= 40).then_some((*origin_m).into()),
+            ..SegmentEstimate::default()
+        };
+        let body = Body {
+            t_valid: Timestamp::from_secs_f64(t_s),
+            heading: Heading::Field,
+            position_source,
+            segments: skeleton.origins_m(&standing, pelvis_m).iter().map(segment).collect(),
+            angles_rad: [None; ANGLES],
+            spread: AngleSpread::default(),
+        };
+        let estimate = Estimate { t_valid: body.t_valid, ..Estimate::default() };
+        naming.push(&estimate, Some(&body), &mut |output| {
+            if let Output::Outcome(Outcome { t_valid, what: OutcomeKind::MotionSegment(segment), .. }) =
+                output
+            {
+                labels.push((t_valid.as_secs_f64(), segment.label.clone()));
+            }
+        });
+    }
+    assert!(!labels.is_empty() && labels.iter().all(|(_, label)| label == "standing"), "{labels:?}");
+    assert!(labels.iter().all(|(t_s, _)| *t_s >= 0.4 - 1e-9), "{labels:?}");
+}
+
 /// Every segment that is provisional is confirmed or withdrawn once, confirmed ones rise, and none comes later than
 /// is stated; a restored pipeline goes on with the same events.
 #[test]
