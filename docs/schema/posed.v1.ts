@@ -1366,7 +1366,7 @@ export type SensorStatus = {
   age_s: number | null;
   /** Whether `lost` is partly estimated, because whole cycles left no trace in the bytes. */
   estimated: boolean;
-  /** Expected samples that were not published as `ok`. */
+  /** Expected samples that were not published as `ok`, but for those with which its filter began. */
   lost: number;
   /** Its name. */
   name: string;

@@ -14,7 +14,7 @@ use posed_simulator::motion::{Motion, Person};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input};
-use posed_stage::output::{Body, PositionSource, SegmentState};
+use posed_stage::output::{Body, OutcomeKind, PositionSource, SegmentState, SensorState};
 use posed_stage::signals::{self, BodyColumns};
 
 use posed_rig::{Rig, Said, demo, replay};
@@ -380,4 +380,26 @@ fn the_demo_shows_a_body_that_stands_where_it_stands() {
     let mut emitted = Vec::new();
     rig.pipeline.push(&entry, &mut |output| emitted.extend(Said::of_tracking(&output)));
     assert!(emitted.iter().all(|emitted| !matches!(emitted, Said::Body(_))));
+}
+
+/// What begins and has not settled is no fault and no loss: an operator who did everything right is told of none.
+#[test]
+fn the_demo_begins_without_a_fault_or_a_loss() {
+    let (_, mut rig) = demo();
+    rig.run_until(6.0);
+    let faults: Vec<_> = rig
+        .emitted
+        .iter()
+        .filter(|said| matches!(said, Said::Outcome(outcome) if matches!(outcome.what, OutcomeKind::Fault { .. })))
+        .collect();
+    assert!(faults.is_empty(), "{faults:?}");
+    let status = rig.pipeline.status();
+    for device in &status.devices {
+        assert_eq!((device.counters.rejected, device.counters.bytes_skipped), (0, 0), "{device:?}");
+    }
+    for sensor in &status.sensors {
+        assert!(sensor.samples > 300 && sensor.lost == 0, "{sensor:?}");
+    }
+    let last = rig.estimates().last().unwrap();
+    assert!(last.sensors.iter().all(|sensor| sensor.state == SensorState::Ok), "{last:?}");
 }

@@ -176,7 +176,7 @@ impl Inertial {
         }
         let began = *self.began.get_or_insert(measured.t_valid);
         if inertial.angular_velocity_rad_s.is_some() && measured.t_valid.seconds_since(began) < SETTLING_S {
-            return SUSPECT;
+            return Finding::SETTLING;
         }
         Finding::new(Verdict::Used, Label::CLEAN)
     }

@@ -151,6 +151,8 @@ impl Magnetic {
         let label = match (verdict, checked.label) {
             // Enough records agree: the sensor was taken elsewhere.
             (Verdict::Used, Label { cause: Some(Cause::Gate), .. }) => Label::CLEAN,
+            // Nothing is tracked that it could contradict.
+            (Verdict::Suspect, Label::CLEAN) if expected.is_none() => Label::CLEAN,
             (Verdict::Suspect, Label { class, .. }) if class != Class::Unknown => {
                 Label::anomalous(Cause::Gate)
             }

@@ -52,6 +52,8 @@ pub(super) struct Sensor {
     unpublished: u64,
     missed: u64,
     missed_by_time: bool,
+    /// Whether any was published as `ok`.
+    was_ok: bool,
 }
 
 impl Sensor {
@@ -79,6 +81,7 @@ impl Sensor {
             samples: 0,
             newest: None,
             unpublished: 0,
+            was_ok: false,
             missed: 0,
             missed_by_time: false,
         }
@@ -120,6 +123,7 @@ impl Sensor {
         self.samples = before.samples;
         (self.newest, self.unpublished) = (before.newest, before.unpublished);
         (self.missed, self.missed_by_time) = (before.missed, before.missed_by_time);
+        self.was_ok = before.was_ok;
     }
 
     /// Its samples are corrected otherwise from now on.
@@ -214,7 +218,10 @@ impl Sensor {
         if self.state.is_usable() && self.magnetic().is_some_and(lost) {
             self.state = SensorState::Suspect;
         }
-        self.count(slot, frame);
+        self.was_ok |= self.state == SensorState::Ok;
+        // Whose filter settles for the first time has lost nothing.
+        let settles = finding.is_some_and(|found| found == Finding { late: found.late, ..Finding::SETTLING });
+        self.count(slot, frame, settles && !self.was_ok);
         let pose: Option<PoseEstimate>;
         (pose, self.moving) = match &self.kind {
             Kind::Magnetic(magnetic) => magnetic.at(frame.t_valid, room),
@@ -260,11 +267,11 @@ impl Sensor {
         self.magnetic()?.pole_reading(t)
     }
 
-    fn count(&mut self, slot: &FrameSensor, frame: &Frame) {
+    fn count(&mut self, slot: &FrameSensor, frame: &Frame, settles: bool) {
         self.samples += slot.samples.len() as u64;
         self.newest = self.newest.max(slot.samples.iter().map(|sample| sample.measured.t_valid).max());
         if slot.expected() {
-            let unpublished = !slot.samples.is_empty() && self.state != SensorState::Ok;
+            let unpublished = !slot.samples.is_empty() && !settles && self.state != SensorState::Ok;
             self.unpublished += u64::from(unpublished);
             self.missed += u64::from(slot.missed);
             // Ticks without a record are counted by the clock, not by the line.

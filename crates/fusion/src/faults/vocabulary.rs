@@ -139,7 +139,7 @@ pub enum Repair {
 pub enum Verdict {
     /// Inside its gate and used.
     Used,
-    /// Outside its gate, or not yet confirmed by others.
+    /// Outside its gate, or not yet confirmed by others; with [`Label::CLEAN`] of a filter that has just begun.
     Suspect,
     /// Not looked at: withheld, not a number, or too old.
     Dropped,
@@ -161,6 +161,9 @@ pub struct Finding {
 }
 
 impl Finding {
+    /// Its filter has just begun and may not be relied on yet; nothing is wrong with the sensor.
+    pub const SETTLING: Self = Self::new(Verdict::Suspect, Label::CLEAN);
+
     /// In time, not repaired, not extrapolated.
     pub const fn new(verdict: Verdict, label: Label) -> Self {
         Self { verdict, label, repair: None, extrapolated: false, late: false }

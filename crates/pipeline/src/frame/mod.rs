@@ -134,7 +134,11 @@ impl Sensor {
             let away_s = self.accounted.map_or(0.0, |before| t.seconds_since(before) - interval_s);
             let away = (away_s / period_s).round().max(0.0) as u32;
             let between = samples.iter().filter(|sample| !sample.late).count().saturating_sub(1) as u32;
-            self.accounted = Some(t);
+            let begins = self.accounted.replace(t).is_none();
+            if begins && samples.is_empty() {
+                // The first cycle of a device that was met in the middle of one.
+                return 0;
+            }
             return away.saturating_sub(between)
                 + u32::from(samples.is_empty() && period_s < 1.5 * interval_s);
         }

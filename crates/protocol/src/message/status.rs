@@ -89,7 +89,7 @@ pub struct SensorStatus {
     pub rate_hz: Option<f64>,
     /// Age of the newest sample, s; null before the first.
     pub age_s: Option<f64>,
-    /// Expected samples that were not published as `ok`.
+    /// Expected samples that were not published as `ok`, but for those with which its filter began.
     pub lost: u64,
     /// Whether `lost` is partly estimated, because whole cycles left no trace in the bytes.
     pub estimated: bool,
