@@ -15,11 +15,12 @@ export type AnchorSpec = {
 };
 
 /** What a request was answered with; which one gets which: [`Answers`]. All others are answered with `ok` alone. */
-export type Answer = Resumed | RecordingBegun | Started | Forgotten | Recordings | Tracked | Exercises | MapVersion | KeptFile | SessionBegun | ListedSessions | Shown | Report | People | Plans;
+export type Answer = Resumed | RecordingBegun | Started | Forgotten | Recordings | Tracked | Exercises | Demonstration | MapVersion | KeptFile | SessionBegun | ListedSessions | Shown | Report | People | Plans;
 
 /** The `result` of each request that has one, by the request's `type`. */
 export type Answers = {
   "body.calibrate": Started;
+  "exercise.demonstration": Demonstration;
   "exercise.list": Exercises;
   "exercise.teach": Started;
   "faults.name_cell": KeptFile;
@@ -78,7 +79,7 @@ export type CalibratedSegment = {
   quat_wxyz: [number, number, number, number];
 };
 
-/** Requests for the daemon. All but `replay.list` and `exercise.list` need the role `operate`. */
+/** Requests for the daemon. All but `replay.list`, `replay.track`, `exercise.list` and `exercise.demonstration` need the role `operate`. */
 export type Call = {
   /** The reply carries it. */
   id: RequestId;
@@ -145,6 +146,12 @@ export type Call = {
   /** The reply carries it. */
   id: RequestId;
   type: "exercise.list";
+} | {
+  /** Its name, as `exercise.list` gave it. */
+  exercise: string;
+  /** The reply carries it. */
+  id: RequestId;
+  type: "exercise.demonstration";
 } | {
   /** Only these channels; absent: those that do the same in every repetition. */
   channels?: string[] | null;
@@ -344,6 +351,20 @@ export type Change = {
 
 /** Everything a client can send. */
 export type ClientMessage = Feed | Call;
+
+/** How an exercise was taught, as a figure that moves. */
+export type Demonstration = {
+  /** The angles that are shown, by their channels; all other joints hang straight. */
+  angles: string[];
+  /** How long a repetition takes, s: the median of the lesson. */
+  duration_s: number;
+  /** Name of the exercise. */
+  exercise: string;
+  /** The figure at equal distances in time, from the beginning of a repetition to its end. */
+  frames: FigureSegment[][];
+  /** How often it was taught. */
+  revision: number;
+};
 
 /** How a repetition differed from the taught ones. */
 export type Deviation = {
@@ -685,6 +706,16 @@ export type FigureMessage = {
   seq: number;
   /** Capture time of the newest sample in it, s; rises strictly. */
   t_s: number;
+};
+
+/** A segment of a figure that stands above the room's origin and looks along the room's x. */
+export type FigureSegment = {
+  /** Its name, as in `body`. */
+  name: string;
+  /** Segment to room, unit, scalar first. */
+  orientation_wxyz: [number, number, number, number];
+  /** Its origin, room, m. */
+  position_m: [number, number, number];
 };
 
 /** What went with a person. */

@@ -4,21 +4,33 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Output;
 
-use posed_motion::exercise::{Options, Stream, teach};
-use posed_rig::{DEMO, demo, record};
+use posed_motion::exercise::{Exercise, Options, Stream, teach};
+use posed_rig::{DEMO, Rig, demo, record};
 use posed_stage::input::{Input, Model, Plan, Request};
 use serde_json::{Value, json};
 
 use crate::exercise::wearer;
 
-/// A recording of the demo's person, who curls in sets of five after she was taught from the first one, and its messages.
-fn recorded(path: &Path) -> Vec<Value> {
+/// The demo's person has curled five times, and was taught from it.
+fn taught() -> (Rig, Exercise) {
     let (stage, mut rig) = demo();
     rig.run_until(13.5);
     let (columns, t_s, values) = wearer(&rig, &stage, 0.0..13.5);
     let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
     let options = Options { name: "curl".into(), repetitions: 5, channels: None };
-    let exercise = Box::new(teach(&stream, &options).unwrap().exercise);
+    let exercise = teach(&stream, &options).unwrap().exercise;
+    (rig, exercise)
+}
+
+/// The curl of the demo's person, taught from the joints of her body.
+pub(crate) fn write_curl_of_a_body(path: &Path) {
+    std::fs::write(path, taught().1.to_json().unwrap()).unwrap();
+}
+
+/// A recording of the demo's person, who curls in sets of five after she was taught from the first one, and its messages.
+fn recorded(path: &Path) -> Vec<Value> {
+    let (mut rig, exercise) = taught();
+    let exercise = Box::new(exercise);
     rig.push(Input::Model(Model::Exercise { exercise }));
     let plan = Plan { repetitions: Some(3), sets: Some(2), rest_s: 3.0 };
     let (subject, exercises) = ("default".to_owned(), vec!["curl".to_owned()]);

@@ -191,6 +191,7 @@ impl Player {
             | Call::FieldAccept {}
             | Call::FieldRollback {}
             | Call::ExerciseList {}
+            | Call::ExerciseDemonstration { .. }
             | Call::ExerciseTeach { .. }
             | Call::ExerciseSelect { .. }
             | Call::ExerciseReset { .. }

@@ -42,13 +42,14 @@ pub mod vrpn;
 
 pub use encode::{Encoding, Payload};
 pub use message::{
-    Answer, Begun, Change, Data, Deviation, DeviceStatus, ErrorReply, ExerciseChange, ExerciseEvent,
-    Exercises, Fault, FaultChange, FieldChange, FieldEvent, Figure, HeadingSource, Hello, HelloSensor, Job,
-    JobState, Jobs, JointEntry, Judged, KeptExercise, KeptFile, KeyPose, LinkState, ListedSessions,
-    MapVersion, Measured, OkReply, People, PlanProgress, Plans, Problem, Quality, RecordingBegun,
-    RecordingStatus, Recordings, RelatedClock, ReplayStatus, Report, Resumed, RunningSession, SegmentBody,
-    SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage, SessionBegun, Sessions, Shown, Spoken,
-    StageEntry, StageLatency, StagePresence, Stages, Started, Status, Tracked, TruthEntry, Truths,
+    Answer, Begun, Change, Data, Demonstration, Deviation, DeviceStatus, ErrorReply, ExerciseChange,
+    ExerciseEvent, Exercises, Fault, FaultChange, FieldChange, FieldEvent, Figure, FigureSegment,
+    HeadingSource, Hello, HelloSensor, Job, JobState, Jobs, JointEntry, Judged, KeptExercise, KeptFile,
+    KeyPose, LinkState, ListedSessions, MapVersion, Measured, OkReply, People, PlanProgress, Plans, Problem,
+    Quality, RecordingBegun, RecordingStatus, Recordings, RelatedClock, ReplayStatus, Report, Resumed,
+    RunningSession, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage,
+    SessionBegun, Sessions, Shown, Spoken, StageEntry, StageLatency, StagePresence, Stages, Started, Status,
+    Tracked, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use packed::{unpack, unpacker};

@@ -69,7 +69,7 @@ pub enum Feed {
     },
 }
 
-/// Requests for the daemon. All but `replay.list` and `exercise.list` need the role `operate`.
+/// Requests for the daemon. All but `replay.list`, `replay.track`, `exercise.list` and `exercise.demonstration` need the role `operate`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "type", deny_unknown_fields)]
 pub enum Call {
@@ -137,6 +137,12 @@ pub enum Call {
     /// Names the exercises that can be selected: those in the stage's folder.
     #[serde(rename = "exercise.list")]
     ExerciseList {},
+    /// Shows how an exercise was taught, as a figure that moves.
+    #[serde(rename = "exercise.demonstration")]
+    ExerciseDemonstration {
+        /// Its name, as `exercise.list` gave it.
+        exercise: String,
+    },
     /// Teaches an exercise from what is tracked; a job. The exercise is kept as a file, loaded, and counted for the
     /// subject from then on.
     #[serde(rename = "exercise.teach")]
@@ -350,9 +356,16 @@ pub enum Call {
 }
 
 impl Call {
-    /// Whether it needs the role `operate`: all do but `replay.list`, `replay.track` and `exercise.list`.
+    /// Whether it needs the role `operate`: all do but `replay.list`, `replay.track`, `exercise.list` and `exercise.demonstration`.
     pub fn changes_something(&self) -> bool {
-        !matches!(self, Self::ReplayList {} | Self::ReplayTrack { .. } | Self::ExerciseList {})
+        let only_tells = matches!(
+            self,
+            Self::ReplayList {}
+                | Self::ReplayTrack { .. }
+                | Self::ExerciseList {}
+                | Self::ExerciseDemonstration { .. }
+        );
+        !only_tells
     }
 }
 
@@ -444,7 +457,7 @@ pub struct ParseError {
 }
 
 const FEEDS: [&str; 3] = ["subscribe", "unsubscribe", "resume"];
-const CALLS: [&str; 34] = [
+const CALLS: [&str; 35] = [
     "record.start",
     "record.stop",
     "replay.list",
@@ -457,6 +470,7 @@ const CALLS: [&str; 34] = [
     "field.accept",
     "field.rollback",
     "exercise.list",
+    "exercise.demonstration",
     "exercise.teach",
     "exercise.select",
     "exercise.reset",
@@ -552,7 +566,7 @@ fn shortened(text: &str) -> String {
 
 /// Requests of every kind, for tests and as seeds of the fuzz target.
 #[doc(hidden)]
-pub const REQUEST_EXAMPLES: [&str; 37] = [
+pub const REQUEST_EXAMPLES: [&str; 38] = [
     r#"{"type":"subscribe","id":1,"topics":["sensors"],"max_rate_hz":30,"sensors":["a"],"fields":["raw"],"drop":"queue"}"#,
     r#"{"type":"unsubscribe","id":"x","topics":["status","body"]}"#,
     r#"{"type":"resume","id":1,"after":7}"#,
@@ -572,6 +586,7 @@ pub const REQUEST_EXAMPLES: [&str; 37] = [
     r#"{"type":"stage.align","id":1,"sensor":"a","anchors":[{"name":"door","position_m":[1,0,0]}]}"#,
     r#"{"type":"imu.calibrate","id":1,"sensor":"a"}"#,
     r#"{"type":"exercise.list","id":1}"#,
+    r#"{"type":"exercise.demonstration","id":1,"exercise":"curl"}"#,
     r#"{"type":"exercise.teach","id":1,"name":"curl","repetitions":5,"last_s":30,"sensors":["a"]}"#,
     r#"{"type":"exercise.select","id":1,"exercises":["curl"],"repetitions":10,"sets":3,"rest_s":60}"#,
     r#"{"type":"exercise.reset","id":1,"subject":"a"}"#,

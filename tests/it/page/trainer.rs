@@ -2,8 +2,11 @@
 
 use std::path::Path;
 
+use serde_json::json;
+
 use crate::browser::{self, Browser};
-use crate::daemon::process::{Posed, two_devices, until};
+use crate::daemon::process::{Posed, ok, two_devices, until};
+use crate::sessions::write_curl_of_a_body;
 
 use super::{LIVE, done};
 
@@ -114,5 +117,33 @@ async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_devic
         browser.value(&format!("{counted}.slice(0, 3).map((cells) => Number(cells[2])).{middle}")).await;
     // Of the two seconds the slow ones at either end are rest.
     assert!((0.5..2.5).contains(&repetition.as_f64().unwrap()), "{repetition}");
+    done(browser, posed).await;
+}
+
+/// Beside the person who trains stands a figure that does what is to be done.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_demonstration_stands_beside_the_person() {
+    if !browser::is_wanted() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
+    for name in ["demo.toml", "demo-moves.safetensors", "demo-field.json"] {
+        std::fs::copy(config.join(name), folder.path().join(name)).unwrap();
+    }
+    std::fs::create_dir(folder.path().join("exercises")).unwrap();
+    write_curl_of_a_body(&folder.path().join("exercises/curl-001.json"));
+    let posed =
+        Posed::start(["demo".as_ref(), "--stage".as_ref(), folder.path().join("demo.toml").as_os_str()]);
+    let mut browser = Browser::open(&format!("http://{}/#patient", posed.address)).await;
+    browser.until(LIVE).await;
+    let shows = "document.getElementById('patient-figure').dataset.demonstrates";
+    browser.until("document.querySelector('#patient-figure canvas') !== null").await;
+    let mut client = posed.client().await;
+    ok(&mut client, json!({"type": "exercise.select", "exercises": ["curl"]})).await;
+    browser.until(&format!("{shows} === 'curl'")).await;
+    browser.until("document.getElementById('patient-title').textContent === 'curl'").await;
+    ok(&mut client, json!({"type": "exercise.select", "exercises": []})).await;
+    browser.until(&format!("{shows} === ''")).await;
     done(browser, posed).await;
 }

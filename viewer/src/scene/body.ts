@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import { mergeGeometries } from "three/examples/jsm/utils/BufferGeometryUtils.js";
-import type { FigureMessage, SegmentEntry, SegmentState } from "../protocol";
+import type { SegmentEntry, SegmentState } from "../protocol";
 import { Labels } from "./labels";
 import { quaternion, vector } from "./scene";
 import { spoken } from "../dom";
@@ -25,6 +25,10 @@ export const BODY_LOOKS: Record<SegmentState, { words: string; sign: string; col
   missing: { words: "segment, not shown by anything", sign: "▒", colour: 0x888888, opacity: 0.35, net: true },
 };
 const ILL = 0xb3261e;
+const GHOST = new THREE.MeshStandardMaterial({ color: 0x2a9d8f, roughness: 0.8, transparent: true, opacity: 0.4 });
+
+/** A segment as it is drawn; without a state it is as good as one that is measured. */
+type Drawn = Pick<SegmentEntry, "name" | "position_m" | "orientation_wxyz"> & Partial<Pick<SegmentEntry, "state" | "fault">>;
 
 /** Parents first; where the joint sits in the parent and in the segment itself. */
 type Place = { parent: string | null; inParent: [number, number, number]; inOwn: [number, number, number] };
@@ -95,8 +99,10 @@ export class BodyFigure {
   private said: string[] = [];
   private readonly offset = new THREE.Vector3();
 
-  constructor() {
+  /** A ghost is see-through, whatever its segments' states. */
+  constructor(kind: "person" | "ghost" = "person") {
     const material = (state: SegmentState) => {
+      if (kind === "ghost") return GHOST;
       const { colour, opacity, net } = BODY_LOOKS[state];
       return new THREE.MeshStandardMaterial({ color: colour, roughness: 0.65, transparent: opacity < 1, opacity, wireframe: net });
     };
@@ -113,14 +119,14 @@ export class BodyFigure {
     this.group.visible = false;
   }
 
-  update({ segments }: FigureMessage, height_m: number | null): void {
+  update({ segments }: { segments: readonly Drawn[] }, height_m: number | null): void {
     const scale = height_m ?? USUAL_HEIGHT_M;
     this.group.visible = true;
     const byName = new Map(segments.map((segment) => [segment.name, segment]));
     for (const [name, { parent, inParent, inOwn }] of Object.entries(PLACES)) {
       const part = this.parts.get(name)!;
       const segment = byName.get(name);
-      const state = segment?.state ?? "missing";
+      const state = segment ? (segment.state ?? "ok") : "missing";
       if (state !== part.state) {
         part.state = state;
         part.mesh.material = this.materials[state];
@@ -145,12 +151,12 @@ export class BodyFigure {
   }
 
   /** A pelvis that nothing shows: as the torso, or upright. */
-  private upright(into: THREE.Quaternion, torso: SegmentEntry | undefined): void {
+  private upright(into: THREE.Quaternion, torso: Drawn | undefined): void {
     if (torso?.orientation_wxyz) quaternion(torso.orientation_wxyz, into);
     else into.set(Math.SQRT1_2, 0, 0, Math.SQRT1_2);
   }
 
-  private below(pelvis: THREE.Group, torso: SegmentEntry | undefined, scale: number): void {
+  private below(pelvis: THREE.Group, torso: Drawn | undefined, scale: number): void {
     if (torso?.position_m) {
       vector(torso.position_m, pelvis.position);
       pelvis.position.sub(this.offset.set(0, (TRUNK / 2) * scale, 0).applyQuaternion(pelvis.quaternion));
@@ -158,7 +164,7 @@ export class BodyFigure {
   }
 
   /** An octahedron with the reason at each segment's joint. */
-  private markIll(ill: SegmentEntry[]): void {
+  private markIll(ill: Drawn[]): void {
     const said = ill.map(({ name, fault }) => `${name}: ${spoken(fault ?? "faulty")}`);
     if (said.join("\n") !== this.said.join("\n")) {
       this.said = said;

@@ -3,7 +3,7 @@
 import { el, setText } from "../dom";
 import { advance, ownLanguage, say, sentenceOf, type Language } from "../feedback";
 import type { Repetition } from "../model";
-import type { ExerciseEventMessage, ExerciseState, RunningSession } from "../protocol";
+import type { ExerciseEventMessage, ExerciseProgress, ExerciseState, RunningSession } from "../protocol";
 import { Person } from "../scene/person";
 import type { Context, View } from "../view";
 
@@ -14,11 +14,11 @@ const SUBJECT = "default";
 const WORDS = {
   en: {
     wait: "Please wait: nothing is chosen yet.", ready: "Ready when you are.", rest: "Rest", next: "next", set: "set", of: "of",
-    done: "Done. Thank you!", repetitions: "repetitions", language: "Language", aloud: "say it aloud", figure: "you, from the front",
+    done: "Done. Thank you!", repetitions: "repetitions", language: "Language", aloud: "say it aloud", figure: "you, from the front, and see-through how it was shown",
   },
   de: {
     wait: "Bitte warten: Es ist noch nichts ausgewählt.", ready: "Los geht es, wenn du willst.", rest: "Pause", next: "danach", set: "Satz", of: "von",
-    done: "Geschafft. Danke!", repetitions: "Wiederholungen", language: "Sprache", aloud: "vorlesen", figure: "du, von vorn",
+    done: "Geschafft. Danke!", repetitions: "Wiederholungen", language: "Sprache", aloud: "vorlesen", figure: "du, von vorn, und durchscheinend, wie es gezeigt wurde",
   },
 } satisfies Record<Language, Record<string, string>>;
 
@@ -46,7 +46,7 @@ export class PatientView implements View {
 
   constructor(private readonly context: Context) {
     this.language.value = ownLanguage();
-    this.person = new Person("patient-figure", WORDS[ownLanguage()].figure);
+    this.person = new Person("patient-figure", WORDS[ownLanguage()].figure, context.link);
     const words = el("div", { class: "row" }, this.language, el("label", {}, this.aloud, " ", this.aloudWords));
     this.element = el("div", { class: "far" }, el("div", { class: "far-words" }, this.name, this.large, this.small, this.sentence),
       this.person.element, words);
@@ -62,7 +62,8 @@ export class PatientView implements View {
   }
 
   draw(now_ms: number): void {
-    this.person.draw(this.context.model);
+    this.person.demonstrate(this.current()?.exercise ?? null);
+    this.person.draw(this.context.model, now_ms);
     const language = this.language.value as Language;
     const { title, large, small } = this.now(WORDS[language]);
     setText(this.name, title);
@@ -84,9 +85,7 @@ export class PatientView implements View {
     if (plan !== null && plan.rest_until_s !== null) {
       return { title: words.rest, large: seconds(plan.rest_until_s - now_s), small: `${words.next}: ${plan.exercise}` };
     }
-    const exercises = this.state?.exercises ?? [];
-    // Of several, the one that was done last.
-    const current = exercises.find(({ exercise }) => exercise === this.last?.repetition.exercise) ?? exercises[0];
+    const current = this.current();
     if (!current) return { title: words.wait, large: "", small: "" };
     if (current.rest_until_s !== null && current.rest_until_s > now_s) {
       return { title: words.rest, large: seconds(current.rest_until_s - now_s), small: `${words.next}: ${current.exercise}` };
@@ -101,8 +100,15 @@ export class PatientView implements View {
     };
   }
 
+  /** What is done now: of several, the one that was done last. */
+  private current(): ExerciseProgress | undefined {
+    const exercises = this.state?.exercises ?? [];
+    return exercises.find(({ exercise }) => exercise === this.last?.repetition.exercise) ?? exercises[0];
+  }
+
   private take(message: ExerciseEventMessage): void {
-    if (message.event === "state") {
+    if (message.event === "loaded") this.person.taught();
+    else if (message.event === "state") {
       if (message.state.exercises.every(({ count }) => count === 0)) this.last = null;
       this.state = message.state;
       // What is selected anew is not what has ended.

@@ -40,14 +40,18 @@ export class TrainerView implements View {
   private readonly sets = el("input", { id: "sets", type: "number", min: 1, max: 20, placeholder: "open" });
   private readonly rest = el("input", { id: "rest", type: "number", min: 0, max: 600, value: 30 });
   private readonly reset = el("button", { id: "reset", hidden: true }, "Reset");
-  private readonly avatar = new Person("avatar", "the person who wears the sensors; Analysis shows the joint angles in numbers");
+  private readonly avatar: Person;
   private state: ExerciseState | null = null;
   /** Repetitions whose end is not confirmed yet, by exercise. */
   private readonly provisional = new Set<string>();
+  /** The exercise that was done last. */
+  private latest: string | null = null;
   private changed = true;
 
   constructor(private readonly context: Context) {
     const { link, model } = context;
+    const label = "the person who wears the sensors, and see-through how the exercise was taught; Analysis shows the joint angles in numbers";
+    this.avatar = new Person("avatar", label, link);
     const teach = el("form", { class: "row" },
       el("label", {}, "Name ", this.name), el("label", {}, "Repetitions ", this.repetitions),
       this.teach, this.cancel);
@@ -82,8 +86,9 @@ export class TrainerView implements View {
     void this.refresh();
   }
 
-  draw(): void {
-    this.avatar.draw(this.context.model);
+  draw(now_ms: number): void {
+    this.avatar.demonstrate(this.latest ?? this.state?.exercises[0]?.exercise ?? null);
+    this.avatar.draw(this.context.model, now_ms);
     const rests = this.state?.exercises.some(({ rest_until_s }) => rest_until_s !== null) ?? false;
     if (!this.changed && !rests) return;
     this.changed = false;
@@ -137,8 +142,10 @@ export class TrainerView implements View {
     switch (message.event) {
       case "state":
         this.state = message.state;
+        if (!message.state.exercises.some(({ exercise }) => exercise === this.latest)) this.latest = null;
         break;
       case "loaded":
+        this.avatar.taught();
         void this.refresh();
         break;
       case "started":
@@ -154,6 +161,7 @@ export class TrainerView implements View {
       case "rejected": {
         this.provisional.delete(message.exercise);
         advance(this.state, message);
+        this.latest = message.exercise;
         this.judge(message);
         break;
       }

@@ -7,6 +7,7 @@
 mod align;
 mod body;
 mod chain;
+mod demonstration;
 mod exercise;
 mod faults;
 mod guided;
@@ -169,6 +170,9 @@ impl Calls {
                 let answer = |kept| Some(Answer::Exercises(Exercises { exercises: all(kept) }));
                 reply.answer(self.exercises.list().map(answer).map_err(Refusal::failed));
             }
+            Call::ExerciseDemonstration { exercise } => {
+                reply.answer(self.demonstration(&exercise).map(|shown| Some(Answer::Demonstration(shown))));
+            }
             Call::ExerciseTeach { name, repetitions, last_s, sensors, channels, subject } => {
                 let lesson = exercise::Lesson { name, repetitions, last_s, sensors, channels, subject };
                 self.teach(lesson, reply);
@@ -293,6 +297,7 @@ fn is_slow(call: &Call) -> bool {
             | Call::FieldAccept {}
             | Call::FieldRollback {}
             | Call::ExerciseList {}
+            | Call::ExerciseDemonstration { .. }
             | Call::ExerciseSelect { .. }
             | Call::ExerciseReset { .. }
             | Call::FaultsNameCell { .. }

@@ -23,6 +23,8 @@ pub enum Answer {
     Tracked(Tracked),
     /// To `exercise.list`.
     Exercises(Exercises),
+    /// To `exercise.demonstration`.
+    Demonstration(Demonstration),
     /// To `field.accept` and `field.rollback`.
     MapVersion(MapVersion),
     /// To `faults.name_cell`.
@@ -107,6 +109,32 @@ pub struct KeptExercise {
     pub revision: u32,
 }
 
+/// How an exercise was taught, as a figure that moves.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Demonstration {
+    /// Name of the exercise.
+    pub exercise: String,
+    /// How often it was taught.
+    pub revision: u32,
+    /// How long a repetition takes, s: the median of the lesson.
+    pub duration_s: f64,
+    /// The angles that are shown, by their channels; all other joints hang straight.
+    pub angles: Vec<String>,
+    /// The figure at equal distances in time, from the beginning of a repetition to its end.
+    pub frames: Vec<Vec<FigureSegment>>,
+}
+
+/// A segment of a figure that stands above the room's origin and looks along the room's x.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct FigureSegment {
+    /// Its name, as in `body`.
+    pub name: String,
+    /// Its origin, room, m.
+    pub position_m: [f64; 3],
+    /// Segment to room, unit, scalar first.
+    pub orientation_wxyz: [f64; 4],
+}
+
 /// The map of the field that is in use now.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct MapVersion {
@@ -186,6 +214,8 @@ pub(crate) struct Answers {
     field_rollback: MapVersion,
     #[serde(rename = "exercise.list")]
     exercise_list: Exercises,
+    #[serde(rename = "exercise.demonstration")]
+    exercise_demonstration: Demonstration,
     #[serde(rename = "exercise.teach")]
     exercise_teach: Started,
     #[serde(rename = "faults.train")]

@@ -24,8 +24,8 @@ use serde::{Deserialize, Serialize};
 
 pub(super) use self::answer::Answers;
 pub use self::answer::{
-    Answer, Exercises, KeptExercise, KeptFile, ListedSessions, MapVersion, People, Plans, RecordingBegun,
-    Recordings, Report, Resumed, SessionBegun, Shown, Started, Tracked,
+    Answer, Demonstration, Exercises, FigureSegment, KeptExercise, KeptFile, ListedSessions, MapVersion,
+    People, Plans, RecordingBegun, Recordings, Report, Resumed, SessionBegun, Shown, Started, Tracked,
 };
 pub use self::body::{Figure, HeadingSource, JointEntry, SegmentEntry};
 pub use self::exercise::{Begun, Deviation, ExerciseChange, ExerciseEvent, Judged, Spoken};

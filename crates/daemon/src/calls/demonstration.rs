@@ -1,0 +1,75 @@
+//! How an exercise was taught, as a figure that moves: for who is to do the same.
+//!
+//! In: the newest revision of an exercise. Out: the figure at equal distances in time. It shows what the exercise looks at: a joint that is
+//! not among its channels hangs straight.
+
+use super::super::server::Refusal;
+use super::Calls;
+use posed_fusion::body::{ANGLES, BodySegment, SEGMENTS, Skeleton, angle_of_column, orientations};
+use posed_motion::exercise::Exercise;
+use posed_protocol::{Demonstration, FigureSegment};
+use posed_stage::layout::skeleton_of;
+
+/// Figures of a demonstration: as many as a repetition of 3 s has at 15 Hz.
+const FRAMES: usize = 45;
+/// Height of a figure on a stage that does not know its person's, m.
+const USUAL_HEIGHT_M: f64 = 1.75;
+
+impl Calls {
+    /// How an exercise of the folder was taught.
+    pub(super) fn demonstration(&self, name: &str) -> Result<Demonstration, Refusal> {
+        let kept = self.exercises.newest(name).map_err(Refusal::failed)?;
+        let exercise = kept.ok_or_else(|| Refusal::bad_request(format!("there is no exercise {name:?}")))?;
+        let skeleton = self.stage.body.as_ref().and_then(skeleton_of);
+        let skeleton = skeleton.unwrap_or_else(|| Skeleton::from_height(USUAL_HEIGHT_M));
+        demonstration(&exercise, &skeleton).ok_or_else(|| {
+            let why = "it was not taught from joint angles, so that no figure can show it";
+            Refusal::bad_request(format!("{name}: {why}"))
+        })
+    }
+}
+
+/// `None` where none of its channels is an angle of the body.
+fn demonstration(exercise: &Exercise, skeleton: &Skeleton) -> Option<Demonstration> {
+    let channels = exercise.channels.iter().zip(&exercise.movement.states.mean);
+    let shown: Vec<_> = channels
+        .filter_map(|(column, states)| {
+            angle_of_column(column).map(|(angle, rad)| (column, angle, rad, states))
+        })
+        .collect();
+    let frame = |number: usize| {
+        let mut known_rad = [None; ANGLES];
+        for (_, angle, rad, states) in &shown {
+            known_rad[*angle] = Some(rad * between(states, number as f64 / (FRAMES - 1) as f64));
+        }
+        figure(&orientations(&known_rad), skeleton)
+    };
+    (!shown.is_empty()).then(|| Demonstration {
+        exercise: exercise.name.clone(),
+        revision: exercise.revision,
+        duration_s: exercise.durations.median_s,
+        angles: shown.iter().map(|(column, ..)| (*column).clone()).collect(),
+        frames: (0..FRAMES).map(frame).collect(),
+    })
+}
+
+/// The value at a share of the course, linearly between neighbours; 0 of none.
+fn between(values: &[f64], share: f64) -> f64 {
+    let Some(last) = values.len().checked_sub(1) else { return 0.0 };
+    let at = share * last as f64;
+    let left = (at as usize).min(last);
+    values[left] + (at - left as f64) * (values[(left + 1).min(last)] - values[left])
+}
+
+fn figure(
+    orientations: &[nalgebra::UnitQuaternion<f64>; SEGMENTS],
+    skeleton: &Skeleton,
+) -> Vec<FigureSegment> {
+    let origins_m = skeleton.origins_m(orientations, skeleton.standing_m(orientations));
+    let segment = |segment: BodySegment| FigureSegment {
+        name: segment.name().to_owned(),
+        position_m: origins_m[segment.index()].into(),
+        orientation_wxyz: posed_geometry::orientation_to_wxyz(&orientations[segment.index()]),
+    };
+    BodySegment::ALL.into_iter().map(segment).collect()
+}
