@@ -107,6 +107,15 @@ async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_devic
     browser
         .until("document.getElementById('report').srcdoc.includes('2 repetitions counted (planned 2)')")
         .await;
+    // Each repetition over its lesson; and a count that is put right is kept beside the daemon's.
+    browser.value("document.querySelectorAll('#session-list button')[1].click()").await;
+    browser.until(&format!("{} === 'Session 1 of P-17'", text("sets-title"))).await;
+    browser.value("document.querySelector('#session-sets td:last-child button:not(.quiet)').click()").await;
+    browser.until(&format!("/^Repetition 1 of set 1, [0-9.]+ s/.test({})", text("repetition-told"))).await;
+    browser.value("document.querySelector('#session-sets input').value = 3").await;
+    browser.value("document.querySelector('#session-sets form button').click()").await;
+    browser.until(&format!("{}.includes('put right')", text("session-sets"))).await;
+    browser.until("document.querySelector('#session-sets input').value === '3'").await;
     browser.click("tab-analysis").await;
     let counted = "[...document.getElementById('repetitions').rows].map((row) => [...row.cells].map((cell) => \
         cell.textContent)).filter((cells) => cells[1] === 'curl' && cells[4] === 'counted')";

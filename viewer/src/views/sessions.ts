@@ -3,6 +3,7 @@
 import { acting, el, num, setText } from "../dom";
 import type { Plan, PlanStep, RunningSession, SessionSummary } from "../protocol";
 import type { Context, View } from "../view";
+import { SessionSets } from "./session-sets";
 
 type ReportOf = { session: number } | { person: string };
 
@@ -54,6 +55,7 @@ export class SessionsView implements View {
   private readonly save = el("a", { id: "report-save", hidden: true }, "Save the report");
   // Nothing in it may run: a name is a name.
   private readonly report = el("iframe", { id: "report", class: "report", sandbox: "", title: "Report", hidden: true });
+  private readonly sets: SessionSets;
   private rows: StepRow[] = [];
   private plans: Plan[] = [];
   private running: RunningSession[] = [];
@@ -61,6 +63,7 @@ export class SessionsView implements View {
 
   constructor(private readonly context: Context) {
     const { link, model } = context;
+    this.sets = new SessionSets(context);
     const begin = el("form", { class: "row" }, el("label", {}, "Who ", this.person), this.people,
       el("label", {}, "Plan ", this.plan), this.begin, this.end);
     begin.addEventListener("submit", acting(this.says, () => link.request({
@@ -101,7 +104,7 @@ export class SessionsView implements View {
       el("div", { class: "row" }, el("label", {}, "Of ", this.of), weeks, el("label", {}, "in ", this.language), this.save, forget),
       el("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "sessions" },
         el("table", {}, el("thead", {}, el("tr", {}, ...head)), this.list)),
-      this.report);
+      this.sets.element, this.report);
     this.addStep(null);
     model.listen((message) => {
       if (message.type === "session") {
@@ -184,12 +187,12 @@ export class SessionsView implements View {
     const { session, person, begun, duration_s, plan, sets, counted, rejected, score } = summary;
     const read = el("button", { type: "button" }, "Report");
     read.addEventListener("click", acting(this.says, () => this.show({ session })));
-    const correct = el("button", { type: "button" }, "Correct a count");
-    correct.addEventListener("click", acting(this.says, () => this.correct(session)));
+    const look = el("button", { type: "button" }, "Sets");
+    look.addEventListener("click", acting(this.says, () => this.sets.show(session)));
     const minutes = duration_s === undefined || duration_s === null ? "goes on" : num(duration_s / 60, 0);
     const cells = [String(session), new Date(begun).toLocaleString(), person, minutes, plan ?? "", String(sets), String(counted),
       String(rejected), num(score, 0)];
-    return el("tr", {}, ...cells.map((cell) => el("td", {}, cell)), el("td", {}, read, " ", correct));
+    return el("tr", {}, ...cells.map((cell) => el("td", {}, cell)), el("td", {}, read, " ", look));
   }
 
   private async show(of: ReportOf): Promise<void> {
@@ -204,16 +207,6 @@ export class SessionsView implements View {
     this.save.hidden = false;
   }
 
-  /** A count that somebody has seen: kept beside the one of the daemon. */
-  private async correct(session: number): Promise<void> {
-    const set = window.prompt("Which set of the session? The report numbers them.");
-    if (set === null) return;
-    const counted = window.prompt("How many repetitions were really done?");
-    if (counted === null) return;
-    await this.context.link.request({ type: "session.correct", session, set: Number(set), counted: Number(counted) });
-    await this.show({ session });
-  }
-
   private async forget(): Promise<void> {
     const person = this.of.value;
     if (person === "") throw new Error("Choose whom.");
@@ -221,6 +214,7 @@ export class SessionsView implements View {
     await this.context.link.request({ type: "session.forget", person, recordings: true });
     this.of.value = "";
     this.report.hidden = this.save.hidden = true;
+    this.sets.hide();
     await this.refresh();
   }
 }
