@@ -8,6 +8,7 @@ use posed_motion::exercise::{
     Counter, EventKind, Exercise, Joint, Language, Lesson, Options, Stream, rests, teach,
 };
 use posed_pipeline::Pipeline;
+use posed_recording::table::Streams;
 use posed_simulator::exercises::{self, Day, Exercise as Training, Person, Variant};
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
@@ -16,7 +17,7 @@ use posed_stage::input::{Input, Model, Plan, Request};
 use posed_stage::output::{Estimate, ExerciseState, ExerciseWhat, OutcomeKind, Repetition};
 use posed_stage::signals::{self, BodyColumns};
 
-use crate::cli::posed;
+use crate::cli::{json, posed};
 use posed_rig::{Rig, Said, demo, record, replay, stage};
 
 /// A forearm and an upper arm that curl so many times.
@@ -509,4 +510,46 @@ fn counting_and_teaching_from_the_recording_is_what_was_live() {
     let output = posed(command.into_iter().chain([path("again.json"), path("take.mcap")]));
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     Exercise::from_json(&std::fs::read_to_string(path("again.json")).unwrap()).unwrap();
+}
+
+#[test]
+fn a_session_is_taught_from_its_ranges_which_the_program_proposes() {
+    let mut day = Day::new(&Person::new(500), 0);
+    day.set(Training::Squat, 6, Variant::Right);
+    day.set(Training::Curl, 7, Variant::Right);
+    let (columns, t_s, values) = angles(&day.finish());
+    let folder = tempfile::tempdir().unwrap();
+    let (session, squat) = (folder.path().join("session.csv"), folder.path().join("squat.json"));
+    Streams { columns, t_s, values }.write(&session).unwrap();
+    let teach = |options: &[&str]| {
+        let begin = ["exercise".as_ref(), "teach".as_ref(), session.as_os_str()];
+        posed(begin.into_iter().chain(options.iter().map(|option| option.as_ref())))
+    };
+    let ranges = json(&teach(&["--propose", "--json"]))["ranges"].clone();
+    let repetitions: Vec<u64> =
+        ranges.as_array().unwrap().iter().map(|range| range["repetitions"].as_u64().unwrap()).collect();
+    assert_eq!(repetitions, [6, 7], "{ranges}");
+    // What it proposes is a command that works.
+    let text = String::from_utf8(teach(&["--propose"]).stdout).unwrap();
+    let words: Vec<&str> = text.lines().nth(1).unwrap().split_whitespace().collect();
+    let options: Vec<&str> = words[4..]
+        .iter()
+        .map(|word| match *word {
+            "NAME" => "squat",
+            "NAME.json" => squat.to_str().unwrap(),
+            word => word,
+        })
+        .collect();
+    let output = teach(&options);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let exercise = Exercise::from_json(&std::fs::read_to_string(&squat).unwrap()).unwrap();
+    assert_eq!(count(&exercise, &set(500, 3, Training::Squat, 9, Variant::Right)).0, 9);
+    // The whole session holds more than six squats, and a range beside it nothing.
+    let whole = ["--name", "squat", "--repetitions", "6", "-o", squat.to_str().unwrap()];
+    let refused = teach(&whole);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("--propose"));
+    let empty = teach(&[&whole[..], &["--from-s", "5000"]].concat());
+    assert!(String::from_utf8_lossy(&empty.stderr).contains("the range is empty"), "{empty:?}");
+    assert_eq!(teach(&[&whole[..], &["--from-s", "9", "--to-s", "3"]].concat()).status.code(), Some(2));
 }

@@ -1,6 +1,7 @@
 //! `posed exercise`: teaching and counting from files.
 
 mod count;
+mod propose;
 mod teach;
 
 use clap::Subcommand;

@@ -21,6 +21,18 @@ pub struct Stream<'a> {
     pub values: &'a [Option<f64>],
 }
 
+impl<'a> Stream<'a> {
+    /// What lies from one time to another, s, both included; empty where nothing does.
+    #[must_use]
+    pub fn between(&self, from_s: f64, to_s: f64) -> Stream<'a> {
+        let from = self.t_s.partition_point(|t_s| *t_s < from_s);
+        let to = self.t_s.partition_point(|t_s| *t_s <= to_s).max(from);
+        let width = self.columns.len();
+        let values = self.values.get(from * width..to * width).unwrap_or_default();
+        Stream { columns: self.columns, t_s: &self.t_s[from..to], values }
+    }
+}
+
 /// Values per frame.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Material {

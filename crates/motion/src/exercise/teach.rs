@@ -26,7 +26,7 @@ use super::smaller::{LEAST_GAIN, interval, sizes_down_to, smaller};
 use super::turns::Turn;
 
 /// Shortest repetition, s.
-const SHORTEST_S: f64 = 0.5;
+pub(super) const SHORTEST_S: f64 = 0.5;
 /// Periods tried.
 const PERIODS: usize = 6;
 /// Motifs tried per period.
@@ -43,7 +43,7 @@ const LEAST_COMMON: f64 = 0.25;
 const LEAST_MOVED: f64 = 0.15;
 
 /// Frames per second while hypotheses are compared.
-const SEARCH_HZ: f64 = 12.5;
+pub(super) const SEARCH_HZ: f64 = 12.5;
 /// Least log ratio per frame of a repetition that counts, the taught median being 1: other days are less alike.
 const LEAST_RATIO: f64 = 0.15;
 
@@ -168,7 +168,7 @@ pub fn teach(stream: &Stream<'_>, options: &Options) -> Result<Lesson, Refusal> 
         return Err(Refusal::TooFew(announced));
     }
     // Hypotheses are compared on a coarse grid, the best one is refined on the fine one.
-    let coarse = material(stream, options, SEARCH_HZ)?;
+    let coarse = moving_channels(stream, options, SEARCH_HZ)?;
     let (seconds, longest) =
         (coarse.frames() as f64 / coarse.rate_hz, coarse.frames() as f64 / announced as f64);
     let shortest = SHORTEST_S * coarse.rate_hz;
@@ -191,7 +191,7 @@ pub fn teach(stream: &Stream<'_>, options: &Options) -> Result<Lesson, Refusal> 
         }
     }
     let Some(best) = best_of(&hypotheses) else { return Err(Refusal::NothingRepeats(announced)) };
-    let fine = material(stream, options, RATE_HZ)?;
+    let fine = moving_channels(stream, options, RATE_HZ)?;
     let factor = fine.rate_hz / coarse.rate_hz;
     let segments: Vec<_> = segments_of(best)
         .iter()
@@ -222,7 +222,11 @@ fn best_of(hypotheses: &[Hypothesis]) -> Option<&Hypothesis> {
 }
 
 /// The channels that move, on a grid of at most `most_hz`.
-fn material(stream: &Stream<'_>, options: &Options, most_hz: f64) -> Result<Material, Refusal> {
+pub(super) fn moving_channels(
+    stream: &Stream<'_>,
+    options: &Options,
+    most_hz: f64,
+) -> Result<Material, Refusal> {
     let all = Material::new(stream, options.channels.as_deref(), most_hz).map_err(Refusal::NoChannel)?;
     let moving = without_still_channels(&all);
     Ok(if options.channels.is_none() { joints_or_all(moving) } else { moving })
