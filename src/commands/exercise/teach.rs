@@ -165,6 +165,7 @@ fn sentences(channels: &[String], report: &Report) -> String {
         100.0 * report.quality,
         channels.join(", ")
     );
+    text.push_str(&format!("these channels because {}\n", report.because));
     for (index, seen) in report.repetitions.iter().enumerate() {
         let (number, alike) = (index + 1, 100.0 * seen.measures.similarity);
         text.push_str(&format!(

@@ -115,6 +115,12 @@ impl Material {
         }
     }
 
+    /// Standard deviation of a channel; 0 where it has no two values.
+    pub(super) fn sd(&self, channel: usize) -> f64 {
+        let column = self.values.iter().skip(channel).step_by(self.width()).copied();
+        super::hmm::spread(column).map_or(0.0, |(_, sd)| sd)
+    }
+
     /// Values scaled by `weights` over each channel's standard deviation, about their means; a missing value keeps
     /// the one before it.
     pub(super) fn scaled(&self, weights: &[f64]) -> Vec<f64> {

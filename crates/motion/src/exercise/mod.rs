@@ -14,6 +14,7 @@
 
 mod align;
 mod channels;
+mod choice;
 mod cost;
 mod counter;
 mod counting;
@@ -48,6 +49,7 @@ mod viterbi;
 mod words;
 
 pub use channels::{all_channels, columns_of};
+pub use choice::TriedChannels;
 pub use cost::CountingCost;
 pub use counter::{Counter, CounterError};
 pub use event::{Event, EventKind};

@@ -9,7 +9,7 @@
 
 use std::ops::Range;
 
-use super::hmm::{median, spread};
+use super::hmm::median;
 use super::kinds::{kinds, largest};
 use super::material::{Material, Stream};
 use super::teach::{Lesson, Options, Refusal, SEARCH_HZ, SHORTEST_S, moving_channels, teach};
@@ -145,12 +145,7 @@ impl Run {
 /// For each frame the length of two windows that begin there and are alike, frames, and how much.
 fn similarities(material: &Material) -> Vec<(usize, f64)> {
     let (width, frames) = (material.width(), material.frames());
-    let sds: Vec<f64> = (0..width)
-        .map(|channel| {
-            let column = material.values.iter().skip(channel).step_by(width).copied();
-            spread(column).map_or(0.0, |(_, sd)| sd)
-        })
-        .collect();
+    let sds: Vec<f64> = (0..width).map(|channel| material.sd(channel)).collect();
     let most = largest(&kinds(&material.channels), &sds);
     let weights: Vec<f64> = sds.iter().zip(most).map(|(sd, most)| sd / most.max(1e-12)).collect();
     let values = material.scaled(&weights);

@@ -13,6 +13,7 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use super::align::{Repetition, repetitions};
+use super::choice::{self, ASKED_FOR, TriedChannels, because, choose, sets_of};
 use super::exercise::{Durations, Exercise, Gate};
 use super::feedback::{beside, log_jerk, spread};
 use super::hmm::{LogRatio, Movement, equal_parts, estimate, median, range, states_for};
@@ -41,6 +42,9 @@ const LAST_ROUNDS: usize = 3;
 const LEAST_COMMON: f64 = 0.25;
 /// A channel is used if it moves so much, the largest of its kind being 1.
 const LEAST_MOVED: f64 = 0.15;
+
+/// Most passes through a lesson, each without some of its repetitions.
+const FOLDS: usize = 8;
 
 /// Frames per second while hypotheses are compared.
 pub(super) const SEARCH_HZ: f64 = 12.5;
@@ -93,6 +97,12 @@ pub struct Report {
     pub quality: f64,
     /// What could be better, in sentences; empty when nothing.
     pub remarks: Vec<String>,
+    /// Why the exercise has the channels that it has, a sentence.
+    #[serde(default)]
+    pub because: String,
+    /// Sets of channels that were tried, the richest first; empty where there was nothing to choose from.
+    #[serde(default)]
+    pub tried: Vec<TriedChannels>,
 }
 
 /// A repetition of the demonstration.
@@ -167,17 +177,69 @@ pub fn teach(stream: &Stream<'_>, options: &Options) -> Result<Lesson, Refusal> 
     if announced < 2 {
         return Err(Refusal::TooFew(announced));
     }
-    // Hypotheses are compared on a coarse grid, the best one is refined on the fine one.
-    let coarse = moving_channels(stream, options, SEARCH_HZ)?;
-    let (seconds, longest) =
-        (coarse.frames() as f64 / coarse.rate_hz, coarse.frames() as f64 / announced as f64);
-    let shortest = SHORTEST_S * coarse.rate_hz;
-    if longest < shortest {
+    let (coarse, fine) =
+        (moving_channels(stream, options, SEARCH_HZ)?, moving_channels(stream, options, RATE_HZ)?);
+    let seconds = coarse.frames() as f64 / coarse.rate_hz;
+    if coarse.frames() as f64 / (announced as f64) < SHORTEST_S * coarse.rate_hz {
         return Err(Refusal::TooShort { seconds, announced });
     }
+    let sets = match options.channels {
+        Some(_) => vec![(0..coarse.width()).collect()],
+        None => sets_of(&coarse),
+    };
+    let (mut tried, mut lessons): (Vec<TriedChannels>, Vec<Option<(Material, Hypothesis)>>) =
+        Default::default();
+    for set in &sets {
+        let coarse = coarse.only(set);
+        let in_fine = |name: &String| fine.channels.iter().position(|channel| channel == name);
+        let fine = fine.only(&coarse.channels.iter().filter_map(in_fine).collect::<Vec<_>>());
+        let seen = see(&coarse, &fine, options);
+        // Where there is nothing to choose from nothing needs to be left out.
+        if sets.len() == 1 {
+            lessons.push(seen);
+            break;
+        }
+        let of = match &seen {
+            Some((material, hypothesis)) => held_out(material, hypothesis, options),
+            None => TriedChannels::nothing(coarse.channels, announced),
+        };
+        // What is alike more often than announced in all channels is so whatever a part of them says.
+        let is_enough = of.is_perfect() || tried.is_empty() && !of.accepted && of.of > announced;
+        lessons.push(seen);
+        tried.push(of);
+        if is_enough {
+            break;
+        }
+    }
+    // Where none teaches what was announced, the richest that saw anything states why.
+    let taken = choose(&tried).or_else(|| lessons.iter().position(Option::is_some));
+    let Some((taken, (material, hypothesis))) =
+        taken.and_then(|taken| Some((taken, lessons.swap_remove(taken)?)))
+    else {
+        return Err(Refusal::NothingRepeats(announced));
+    };
+    let because = if options.channels.is_some() { ASKED_FOR.to_owned() } else { because(&tried, taken) };
+    let mut result = conclude(&material, &hypothesis, options);
+    if let Ok(Lesson { report, .. }) | Err(Refusal::Count { report, .. }) = &mut result {
+        (report.because, report.tried) = (because, tried);
+    }
+    result
+}
+
+/// Frames of all repetitions, those of full size first.
+fn ranges_of(hypothesis: &Hypothesis) -> Vec<Range<usize>> {
+    let states = hypothesis.movement.states.mean.first().map_or(0, Vec::len);
+    hypothesis.found.iter().chain(&hypothesis.smaller).map(|repetition| repetition.range(states)).collect()
+}
+
+/// How the repetitions are best seen in these channels, on the grid on which hypotheses are compared and on the one on which the best is refined.
+fn see(coarse: &Material, fine: &Material, options: &Options) -> Option<(Material, Hypothesis)> {
+    let announced = options.repetitions;
+    let longest = coarse.frames() as f64 / announced as f64;
+    let shortest = SHORTEST_S * coarse.rate_hz;
     let mut hypotheses = Vec::new();
     for period in periods(&coarse.values, coarse.width(), coarse.rate_hz, [shortest, longest], PERIODS) {
-        for starts in starts_of(&coarse, period, announced) {
+        for starts in starts_of(coarse, period, announced) {
             for phase in 0..PHASES {
                 let shift = (phase as f64 / PHASES as f64 - 0.5) * period;
                 let segments: Vec<_> =
@@ -185,28 +247,66 @@ pub fn teach(stream: &Stream<'_>, options: &Options) -> Result<Lesson, Refusal> 
                 if segments.len() + 1 < announced {
                     continue;
                 }
-                let refined = refine(&coarse, &segments, options, ROUNDS);
+                let refined = refine(coarse, &segments, options, ROUNDS);
                 hypotheses.extend(refined.map(|(_, hypothesis)| hypothesis));
             }
         }
     }
-    let Some(best) = best_of(&hypotheses) else { return Err(Refusal::NothingRepeats(announced)) };
-    let fine = moving_channels(stream, options, RATE_HZ)?;
     let factor = fine.rate_hz / coarse.rate_hz;
-    let segments: Vec<_> = segments_of(best)
+    let segments: Vec<_> = segments_of(best_of(&hypotheses)?)
         .iter()
         .filter_map(|segment| {
             moved(segment.start as f64 * factor, 0.0, segment.len() as f64 * factor, fine.frames())
         })
         .collect();
-    match refine(&fine, &segments, options, LAST_ROUNDS) {
-        Some((material, mut hypothesis)) => {
-            let missing = announced.saturating_sub(hypothesis.found.len());
-            let (movement, found) = (&hypothesis.movement, &hypothesis.found);
-            hypothesis.smaller = smaller(&material, movement, found, missing);
-            conclude(&material, &hypothesis, options)
+    let (material, mut hypothesis) = refine(fine, &segments, options, LAST_ROUNDS)?;
+    let missing = announced.saturating_sub(hypothesis.found.len());
+    hypothesis.smaller = smaller(&material, &hypothesis.movement, &hypothesis.found, missing);
+    Some((material, hypothesis))
+}
+
+/// Leaves each repetition out once, and counts the lesson by what the others teach.
+fn held_out(material: &Material, hypothesis: &Hypothesis, options: &Options) -> TriedChannels {
+    let announced = options.repetitions;
+    let states = hypothesis.movement.states.mean[0].len();
+    let kinds = kinds(&material.channels);
+    let idle = idle(hypothesis.all(), material.frames());
+    let ranges = ranges_of(hypothesis);
+    let seen = ranges.len();
+    let folds = seen.min(FOLDS);
+    let (mut counted, mut false_counts) = (0, 0);
+    for fold in 0..folds {
+        let is_kept = |index: &usize| index % folds != fold;
+        let pick = |from: &[Repetition], first: usize| -> Vec<Repetition> {
+            (0..from.len())
+                .filter(|index| is_kept(&(first + index)))
+                .map(|index| from[index].clone())
+                .collect()
+        };
+        let found = pick(&hypothesis.found, 0);
+        let smaller = pick(&hypothesis.smaller, hypothesis.found.len());
+        if found.len() < 2 {
+            continue;
         }
-        None => Err(Refusal::NothingRepeats(announced)),
+        let alignments: Vec<_> = found.iter().map(|repetition| repetition.path.clone()).collect();
+        let movement = estimate(&material.observations, &kinds, states, &alignments, &idle);
+        let others = Hypothesis { movement, found, smaller, score: 0.0, open: 0.0 };
+        let measured = against_the_others(material, &others);
+        let (hits, wrong) =
+            choice::counted(&exercise_of(material, &others, &measured, options), material, &ranges);
+        counted += (0..seen).filter(|index| !is_kept(index) && hits[*index]).count();
+        false_counts += wrong;
+    }
+    let of = seen.max(announced);
+    let similarities =
+        against_the_others(material, hypothesis).into_iter().map(|(_, one)| one.similarity.max(0.0));
+    TriedChannels {
+        channels: material.channels.clone(),
+        counted,
+        of,
+        explained: similarities.map(|similarity| similarity * similarity).sum::<f64>() / of as f64,
+        false_counts: false_counts as f64 / folds.max(1) as f64,
+        accepted: seen.abs_diff(announced) <= tolerance(announced),
     }
 }
 
@@ -474,22 +574,35 @@ fn common_channels(all: &Material, states: usize, alignments: &[Vec<(usize, usiz
 /// Judges the chosen hypothesis: the exercise, or the reason why not.
 fn conclude(material: &Material, hypothesis: &Hypothesis, options: &Options) -> Result<Lesson, Refusal> {
     let announced = options.repetitions;
-    let (segments, measures): (Vec<_>, Vec<_>) = against_the_others(material, hypothesis).into_iter().unzip();
-    let repetitions: Vec<TaughtRepetition> = segments
+    let measured = against_the_others(material, hypothesis);
+    let repetitions: Vec<TaughtRepetition> = measured
         .iter()
-        .zip(&measures)
         .map(|(segment, measures)| TaughtRepetition {
             t_start_s: material.t_s(segment.start),
             t_end_s: material.t_s(segment.end),
             measures: *measures,
         })
         .collect();
-    let quality = measures.iter().map(|measures| measures.similarity).sum::<f64>() / measures.len() as f64;
-    let mut report = Report { announced, repetitions, quality: quality.clamp(0.0, 1.0), remarks: Vec::new() };
+    let similarities = measured.iter().map(|(_, measures)| measures.similarity);
+    let quality = similarities.sum::<f64>() / measured.len() as f64;
+    let mut report = Report { announced, repetitions, quality: quality.clamp(0.0, 1.0), ..Report::default() };
     if report.repetitions.len().abs_diff(announced) > tolerance(announced) {
         let reason = reason_of(&report);
         return Err(Refusal::Count { report, reason });
     }
+    let exercise = exercise_of(material, hypothesis, &measured, options);
+    report.remarks = remarks_of(&report, &exercise.durations);
+    Ok(Lesson { exercise, report })
+}
+
+/// What the repetitions teach, each with its measures against the others.
+fn exercise_of(
+    material: &Material,
+    hypothesis: &Hypothesis,
+    measured: &[(Range<usize>, Measures)],
+    options: &Options,
+) -> Exercise {
+    let (segments, measures): (Vec<Range<usize>>, Vec<Measures>) = measured.iter().cloned().unzip();
     let lengths = || segments.iter().map(|segment| segment.len() as f64 / material.rate_hz);
     let (shortest_s, longest_s) = range(lengths());
     let durations = Durations {
@@ -498,7 +611,6 @@ fn conclude(material: &Material, hypothesis: &Hypothesis, options: &Options) -> 
         longest_s,
         interval_s: interval(&segments).unwrap_or(0.0) / material.rate_hz,
     };
-    report.remarks = remarks_of(&report, &durations);
     let least = measures.iter().map(|measures| measures.gain).fold(1.0, f64::min);
     let sizes = sizes_down_to(least);
     let mut exercise = Exercise::new(
@@ -517,7 +629,7 @@ fn conclude(material: &Material, hypothesis: &Hypothesis, options: &Options) -> 
     });
     exercise.log_jerk = jerks.sum::<f64>() / segments.len() as f64;
     find_turns(&mut exercise, material, &segments, &measures);
-    Ok(Lesson { exercise, report })
+    exercise
 }
 
 /// Finds where each channel turns, and how far it goes there in the repetitions of full size.

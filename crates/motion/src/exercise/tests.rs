@@ -324,3 +324,41 @@ fn an_exercise_that_would_take_gigabytes_is_refused_before_they_are_taken() {
     let refusal = Counter::new((0..8).map(many).collect(), &columns).unwrap_err();
     assert!(refusal.to_string().contains("select fewer exercises"), "{refusal}");
 }
+
+/// Strides of a foot, seen by its angular velocities: about `gy` all alike, about the other axes but for those that turn.
+fn strides(seed: u64, count: usize) -> (Vec<String>, Vec<f64>, Vec<Option<f64>>) {
+    let mut random = Random::new(seed);
+    let columns = ["gx", "gy", "gz"].map(str::to_owned).to_vec();
+    let mut values = Vec::new();
+    let noise = |random: &mut Random| 0.2 * (random.unit() - 0.5);
+    for _ in 0..200 {
+        values.extend([Some(noise(&mut random)), Some(noise(&mut random)), Some(noise(&mut random))]);
+    }
+    for stride in 0..count {
+        let across = if stride % 4 == 2 { [-5.0, 4.0] } else { [3.0, -2.0] };
+        let frames = (100.0 + 20.0 * (random.unit() - 0.5)) as usize;
+        for frame in 0..frames {
+            let phase = frame as f64 / frames as f64;
+            let swing =
+                libm::exp(-(phase - 0.5).powi(2) / 0.01) - 0.4 * libm::exp(-(phase - 0.8).powi(2) / 0.004);
+            let row = [across[0] * swing, 5.0 * swing, across[1] * swing];
+            values.extend(row.map(|value| Some(value + noise(&mut random))));
+        }
+    }
+    for _ in 0..200 {
+        values.extend([Some(noise(&mut random)), Some(noise(&mut random)), Some(noise(&mut random))]);
+    }
+    let t_s = (0..values.len() / 3).map(|row| row as f64 / 100.0).collect();
+    (columns, t_s, values)
+}
+
+#[test]
+fn the_axis_that_does_the_same_in_every_repetition_is_taken_and_the_report_says_why() {
+    let (columns, t_s, values) = strides(3, 14);
+    let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
+    let Lesson { exercise, report } = teach(&stream, &options(14)).unwrap();
+    assert_eq!(exercise.channels, ["gy"], "{:?}", report.tried);
+    assert!(report.because.contains("; in gx, gy, gz it counts"), "{}", report.because);
+    let named = Options { channels: Some(vec!["gy".to_owned()]), ..options(14) };
+    assert_eq!(teach(&stream, &named).unwrap().report.because, "they were asked for");
+}
