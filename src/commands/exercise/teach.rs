@@ -59,6 +59,8 @@ struct Answer {
     reason: Option<String>,
     channels: Vec<String>,
     report: Report,
+    /// How many more repetitions a refused demonstration needs; 0 where more would not help.
+    more: usize,
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
@@ -86,11 +88,12 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         return propose::run(&stream, &options, &args.stream, &args.reading(), args.json);
     }
     let taught = teach(&stream, &options);
+    let more = if let Err(Refusal::Count { more, .. }) = &taught { *more } else { 0 };
     let (channels, report, reason) = match &taught {
         Ok(lesson) => (lesson.exercise.channels.clone(), lesson.report.clone(), None),
         Err(refusal) => {
             let report = match refusal {
-                Refusal::Count { report, .. } => report.clone(),
+                Refusal::Count { report, .. } => Report::clone(report),
                 _ => Report { announced, ..Report::default() },
             };
             (Vec::new(), report, Some(refusal.to_string()))
@@ -110,7 +113,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     match (args.json, reason) {
         (true, reason) => {
             let accepted = reason.is_none();
-            print_json(&Answer { accepted, reason, channels, report })?;
+            print_json(&Answer { accepted, reason, channels, report, more })?;
             if accepted { Ok(()) } else { Err(Error::Reported) }
         }
         (false, Some(reason)) => {

@@ -115,6 +115,16 @@ impl Material {
         }
     }
 
+    /// Stretches of at least so many seconds in which no channel has a value: beginning and end, s.
+    pub(super) fn lost(&self, least_s: f64) -> Vec<[f64; 2]> {
+        let there = |frame: &usize| {
+            self.values[frame * self.width()..][..self.width()].iter().any(|value| value.is_finite())
+        };
+        let there: Vec<usize> = (0..self.frames()).filter(there).collect();
+        let between = |pair: &[usize]| [self.t_s(pair[0]) + 1.0 / self.rate_hz, self.t_s(pair[1])];
+        there.windows(2).map(between).filter(|[from_s, to_s]| to_s - from_s >= least_s).collect()
+    }
+
     /// Standard deviation of a channel; 0 where it has no two values.
     pub(super) fn sd(&self, channel: usize) -> f64 {
         let column = self.values.iter().skip(channel).step_by(self.width()).copied();

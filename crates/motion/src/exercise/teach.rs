@@ -57,6 +57,9 @@ const MOVES_DEG: f64 = 30.0;
 /// Least size of a repetition that shows how far a movement goes, the taught one being 1.
 const FULL_SIZE: f64 = 0.75;
 
+/// A stretch without packets may hide a repetition from so much of the median one on.
+const LOST: f64 = 0.25;
+
 /// How much a cut in full motion costs.
 const AT_REST: f64 = 0.6;
 
@@ -137,13 +140,24 @@ pub enum Refusal {
     #[error("nothing in the recording repeats itself {0} times")]
     NothingRepeats(usize),
     /// Another number than announced.
-    #[error("found {} of {}: {reason}", report.repetitions.len(), report.announced)]
+    #[error("found {} of {}: {reason}{}", report.repetitions.len(), report.announced, request(*more))]
     Count {
         /// What was seen.
-        report: Report,
+        report: Box<Report>,
         /// What is wrong with it.
         reason: String,
+        /// How many more repetitions make a lesson of it, done as the ones that were seen; 0 where more would not.
+        more: usize,
     },
+}
+
+/// What the person is asked for.
+fn request(more: usize) -> String {
+    match more {
+        0 => String::new(),
+        1 => "; do 1 more repetition like the others, then rest".to_owned(),
+        more => format!("; do {more} more repetitions like the others, then rest"),
+    }
 }
 
 impl Hypothesis {
@@ -220,7 +234,12 @@ pub fn teach(stream: &Stream<'_>, options: &Options) -> Result<Lesson, Refusal> 
     };
     let because = if options.channels.is_some() { ASKED_FOR.to_owned() } else { because(&tried, taken) };
     let mut result = conclude(&material, &hypothesis, options);
-    if let Ok(Lesson { report, .. }) | Err(Refusal::Count { report, .. }) = &mut result {
+    let report = match &mut result {
+        Ok(lesson) => Some(&mut lesson.report),
+        Err(Refusal::Count { report, .. }) => Some(&mut **report),
+        Err(_) => None,
+    };
+    if let Some(report) = report {
         (report.because, report.tried) = (because, tried);
     }
     result
@@ -586,12 +605,17 @@ fn conclude(material: &Material, hypothesis: &Hypothesis, options: &Options) -> 
     let similarities = measured.iter().map(|(_, measures)| measures.similarity);
     let quality = similarities.sum::<f64>() / measured.len() as f64;
     let mut report = Report { announced, repetitions, quality: quality.clamp(0.0, 1.0), ..Report::default() };
-    if report.repetitions.len().abs_diff(announced) > tolerance(announced) {
+    let seen = report.repetitions.len();
+    let hidden = hidden(material, &report.repetitions);
+    let missing = announced.saturating_sub(seen);
+    if missing > tolerance(announced).max(hidden.len()) || seen > announced + tolerance(announced) {
+        // A lesson of which not even half is like the rest is none: what was seen may be something else.
+        let more = if 2 * seen > announced { missing } else { 0 };
         let reason = reason_of(&report);
-        return Err(Refusal::Count { report, reason });
+        return Err(Refusal::Count { report: Box::new(report), reason, more });
     }
     let exercise = exercise_of(material, hypothesis, &measured, options);
-    report.remarks = remarks_of(&report, &exercise.durations);
+    report.remarks = remarks_of(&report, &exercise.durations, &hidden);
     Ok(Lesson { exercise, report })
 }
 
@@ -733,9 +757,32 @@ fn reason_of(report: &Report) -> String {
     "the others differ too much from these; do them evenly, with a short rest before and after".to_owned()
 }
 
-fn remarks_of(report: &Report, durations: &Durations) -> Vec<String> {
+/// Stretches without packets that may hide a repetition, s, each as often as it may hide one: they lie in none that was seen.
+fn hidden(material: &Material, seen: &[TaughtRepetition]) -> Vec<[f64; 2]> {
+    let Some(median_s) = median(seen.iter().map(|one| one.t_end_s - one.t_start_s)) else {
+        return Vec::new();
+    };
+    let lost = material.lost(LOST * median_s).into_iter();
+    let is_apart = |[from_s, to_s]: &[f64; 2]| {
+        let middle_s = from_s.midpoint(*to_s);
+        seen.iter().all(|one| !(one.t_start_s..one.t_end_s).contains(&middle_s))
+    };
+    let often = |stretch: [f64; 2]| {
+        let count = 1 + ((stretch[1] - stretch[0]) / median_s) as usize;
+        std::iter::repeat_n(stretch, count)
+    };
+    lost.filter(is_apart).flat_map(often).collect()
+}
+
+fn remarks_of(report: &Report, durations: &Durations, hidden: &[[f64; 2]]) -> Vec<String> {
     let mut remarks = Vec::new();
-    if report.repetitions.len() != report.announced {
+    if let (true, Some([from_s, to_s])) = (report.repetitions.len() < report.announced, hidden.first()) {
+        remarks.push(format!(
+            "saw {} repetitions, {} were announced: no packets came from {from_s:.1} to {to_s:.1} s",
+            report.repetitions.len(),
+            report.announced
+        ));
+    } else if report.repetitions.len() != report.announced {
         remarks.push(format!(
             "saw {} repetitions, {} were announced: {}",
             report.repetitions.len(),

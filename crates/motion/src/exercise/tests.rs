@@ -362,3 +362,47 @@ fn the_axis_that_does_the_same_in_every_repetition_is_taken_and_the_report_says_
     let named = Options { channels: Some(vec!["gy".to_owned()]), ..options(14) };
     assert_eq!(teach(&stream, &named).unwrap().report.because, "they were asked for");
 }
+
+/// The stream without the rows of some stretches, s.
+fn without(person: &Person, lost_s: &[[f64; 2]]) -> (Vec<f64>, Vec<Option<f64>>) {
+    let is_there = |t_s: &f64| lost_s.iter().all(|[from_s, to_s]| t_s < from_s || t_s > to_s);
+    let rows = person.t_s.iter().zip(person.values.chunks(2)).filter(|(t_s, _)| is_there(t_s));
+    let (t_s, values): (Vec<f64>, Vec<&[Option<f64>]>) = rows.unzip();
+    (t_s, values.concat())
+}
+
+#[test]
+fn given_lost_packets_it_teaches_what_was_there() {
+    for seed in 0..6 {
+        let mut person = Person::new(seed);
+        person.set(6);
+        // A little of some repetitions, and all of one.
+        let some = [0, 2, 4].map(|index| [person.truth[index][0] + 0.8, person.truth[index][0] + 1.3]);
+        let whole = [[person.truth[3][0] + 0.1, person.truth[3][1] - 0.1]];
+        for (lost_s, seen) in [(&some[..], 6), (&whole[..], 5)] {
+            let (t_s, values) = without(&person, lost_s);
+            let stream = Stream { columns: &person.columns, t_s: &t_s, values: &values };
+            let lesson = teach(&stream, &options(6)).unwrap();
+            assert_eq!(lesson.report.repetitions.len(), seen, "seed {seed}");
+            let says_so = lesson.report.remarks.iter().any(|remark| remark.contains("no packets came from"));
+            assert_eq!(says_so, seen < 6, "{:?}", lesson.report.remarks);
+        }
+    }
+}
+
+#[test]
+fn given_one_that_is_different_one_more_is_asked_for_and_enough() {
+    let mut person = Person::new(5);
+    person.rest(3.0);
+    let different = |person: &mut Person| person.curl(9.0, 1.0, 0.0);
+    (0..2).for_each(|_| person.curl(2.5, 1.0, 0.0));
+    different(&mut person);
+    (0..2).for_each(|_| person.curl(2.5, 1.0, 0.0));
+    person.rest(3.0);
+    let refusal = teach(&person.stream(), &options(5)).unwrap_err();
+    assert!(matches!(refusal, Refusal::Count { more: 1, .. }), "{refusal}");
+    assert!(refusal.to_string().ends_with("do 1 more repetition like the others, then rest"), "{refusal}");
+    person.curl(2.5, 1.0, 0.0);
+    person.rest(3.0);
+    assert_eq!(teach(&person.stream(), &options(5)).unwrap().report.repetitions.len(), 5);
+}
