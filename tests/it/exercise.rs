@@ -544,12 +544,40 @@ fn a_session_is_taught_from_its_ranges_which_the_program_proposes() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let exercise = Exercise::from_json(&std::fs::read_to_string(&squat).unwrap()).unwrap();
     assert_eq!(count(&exercise, &set(500, 3, Training::Squat, 9, Variant::Right)).0, 9);
-    // The whole session holds more than six squats, and a range beside it nothing.
-    let whole = ["--name", "squat", "--repetitions", "6", "-o", squat.to_str().unwrap()];
+    // Nothing in the session is repeated four times, and a range beside it holds nothing.
+    let whole = ["--name", "squat", "--repetitions", "4", "-o", squat.to_str().unwrap()];
     let refused = teach(&whole);
     assert_eq!(refused.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&refused.stderr).contains("--propose"));
     let empty = teach(&[&whole[..], &["--from-s", "5000"]].concat());
     assert!(String::from_utf8_lossy(&empty.stderr).contains("the range is empty"), "{empty:?}");
     assert_eq!(teach(&[&whole[..], &["--from-s", "9", "--to-s", "3"]].concat()).status.code(), Some(2));
+}
+
+#[test]
+fn angles_whose_names_lack_their_unit_count_as_well_when_it_is_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let write = |name: &str, recording: &exercises::Recording| {
+        let (columns, t_s, values) = angles(recording);
+        let columns = columns.iter().map(|column| column.trim_end_matches("_deg").to_owned()).collect();
+        Streams { columns, t_s, values }.write(path(name).as_ref()).unwrap();
+    };
+    write("lesson.csv", &set(500, 0, Training::Squat, 5, Variant::Right));
+    write("set.csv", &set(500, 1, Training::Squat, 9, Variant::Right));
+    let run = |words: &str| {
+        posed(["exercise".to_owned()].into_iter().chain(
+            words.split(' ').map(|word| if word.contains('.') { path(word) } else { word.to_owned() }),
+        ))
+    };
+    let taught = run("teach lesson.csv --name squat --repetitions 5 -o squat.json --units deg");
+    assert!(taught.status.success(), "{}", String::from_utf8_lossy(&taught.stderr));
+    let exercise = Exercise::from_json(&std::fs::read_to_string(path("squat.json")).unwrap()).unwrap();
+    assert!(exercise.channels.iter().all(|channel| channel.ends_with("_deg")), "{:?}", exercise.channels);
+    // The same as from names that have their units.
+    assert_eq!(exercise, lesson(Training::Squat, &set(500, 0, Training::Squat, 5, Variant::Right)).exercise);
+    let counted = json(&run("count squat.json --in set.csv -o events.csv --units deg --json"));
+    assert_eq!(counted["exercises"][0]["count"], 9, "{counted}");
+    let unknown = run("count squat.json --in set.csv -o events.csv");
+    assert!(String::from_utf8_lossy(&unknown.stderr).contains("needs the channel"), "{unknown:?}");
 }

@@ -6,6 +6,7 @@ use posed_motion::exercise::{Options, Refusal, Report, Stream, columns_of, teach
 use serde::Serialize;
 
 use super::super::{Error, output, print, print_json};
+use super::units::Unit;
 use super::{propose, read};
 use crate::pictures::exercise as picture;
 
@@ -41,6 +42,9 @@ pub(crate) struct Args {
     /// Use these channels instead of choosing.
     #[arg(long, value_delimiter = ',', value_name = "A,B")]
     columns: Option<Vec<String>>,
+    /// Units of columns whose names lack them: deg, rad or m, of all such columns or of some (NAME=UNIT).
+    #[arg(long, value_delimiter = ',', value_name = "UNIT|NAME=UNIT")]
+    units: Vec<Unit>,
     /// Rows per second of a recording without a column `t`.
     #[arg(long, value_name = "HZ")]
     rate_hz: Option<f64>,
@@ -72,7 +76,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         return Err(Error::Usage("--name must not be empty".to_owned()));
     }
     let [from_s, to_s] = args.range()?;
-    let streams = read(&args.stream, args.rate_hz, |columns| match &args.columns {
+    let streams = read(&args.stream, args.rate_hz, &args.units, |columns| match &args.columns {
         Some(channels) => columns_of(channels, columns)
             .map(Some)
             .map_err(|channel| format!("there is no channel `{channel}`")),
@@ -140,6 +144,10 @@ impl Args {
         let mut text = self.stream.display().to_string();
         if let Some(columns) = &self.columns {
             text.push_str(&format!(" --columns {}", columns.join(",")));
+        }
+        if !self.units.is_empty() {
+            let units: Vec<String> = self.units.iter().map(Unit::to_string).collect();
+            text.push_str(&format!(" --units {}", units.join(",")));
         }
         if let Some(rate_hz) = self.rate_hz {
             text.push_str(&format!(" --rate-hz {rate_hz}"));

@@ -59,6 +59,7 @@ pub use hint::Hint;
 pub use hmm::{Gaussians, Movement};
 pub use joint::{Joint, Side};
 pub use judge::{Measures, Reason};
+pub use kinds::has_unit;
 pub use material::Stream;
 pub use ranges::{RepeatingRange, repeating_ranges};
 pub use remark::{DeviationKind, MovementPhase, Remark};
