@@ -2,8 +2,9 @@
 //!
 //! FOLDER holds walking trials with a sensor on each foot (`events.csv` and one `.csv.gz` per trial, cells of lost packets empty).
 //! Each trial's foot is taught once, from the whole trial with its number of swings, and counted on the same foot
-//! of all other people. CHANNELS are the axes (`gy`; without it the three sets of the document: `gy`, `gx,gy,gz` and
-//! `ax,ay,az,gx,gy,gz`, of which teaching chooses). One line per trial that is taught, a summary per set of channels.
+//! of all other people (`others`), and on itself (`own`: whether a lesson knows its own strides). Each is also taught from its own way there
+//! and counted on the turn and the way back, and the other way round (`halves`): nothing that is counted was taught. CHANNELS are the axes (`gy`; without it the three sets of the document: `gy`, `gx,gy,gz` and
+//! `ax,ay,az,gx,gy,gz`, of which teaching chooses). One line per trial that is taught, three summaries per set of channels.
 //!
 //! Marks outside the walk (`trial`) are left out. A stride is found when a repetition ends within half a stride of the end of its swing; each repetition finds one.
 
@@ -28,6 +29,8 @@ struct Foot {
     streams: Streams,
     /// Ends of the swings, s.
     swings_s: Vec<f64>,
+    /// Beginning and end of the turn, s.
+    turn_s: [f64; 2],
 }
 
 #[derive(Default)]
@@ -50,21 +53,26 @@ fn main() -> Result<(), Box<dyn Error>> {
     let sets = if named.is_empty() { SETS.map(str::to_owned).to_vec() } else { named };
     for set in sets {
         let axes: Vec<&str> = set.split(',').collect();
-        let mut score = Score::default();
+        let (mut others, mut own, mut halves) = (Score::default(), Score::default(), Score::default());
         for teacher in &feet {
-            teach_one(teacher, &feet, &axes, &mut score, &mut out)?;
+            teach_one(teacher, &feet, &axes, [&mut others, &mut own], &mut out)?;
         }
-        writeln!(out, "{set}: {}", score.line())?;
+        for foot in &feet {
+            teach_half(foot, &axes, &mut halves, &mut out)?;
+        }
+        for (name, score) in [("others", &others), ("own", &own), ("halves", &halves)] {
+            writeln!(out, "{set}, {name}: {}", score.line())?;
+        }
     }
     Ok(())
 }
 
-/// Teaches one foot and counts that side of everybody else.
+/// Teaches one foot and counts that side of everybody.
 fn teach_one(
     teacher: &Foot,
     feet: &[Foot],
     axes: &[&str],
-    score: &mut Score,
+    [others, own]: [&mut Score; 2],
     out: &mut impl Write,
 ) -> Result<(), Box<dyn Error>> {
     let streams = teacher.only(axes)?;
@@ -78,16 +86,17 @@ fn teach_one(
         }
         Err(refusal) => {
             write!(out, "{} refused: {refusal}", teacher.name)?;
-            score.refused += 1;
+            others.refused += 1;
+            own.refused += 1;
             None
         }
     };
-    for foot in feet.iter().filter(|foot| foot.person != teacher.person && foot.side == teacher.side) {
+    for foot in feet.iter().filter(|foot| foot.side == teacher.side) {
         let ends_s = match &lesson {
-            Some(lesson) => ends_s(&lesson.exercise, &foot.only(axes)?)?,
+            Some(lesson) => ends_s(&lesson.exercise, &stream(&foot.only(axes)?))?,
             None => Vec::new(),
         };
-        let found = foot.found(&ends_s);
+        let found = found(&foot.swings_s, &ends_s);
         write!(
             out,
             " {}{:+}({}/{})",
@@ -96,9 +105,49 @@ fn teach_one(
             found,
             foot.swings_s.len()
         )?;
+        let score = if foot.person == teacher.person { &mut *own } else { &mut *others };
         score.add(foot.swings_s.len(), found, ends_s.len());
     }
     writeln!(out)?;
+    Ok(())
+}
+
+/// Teaches one way of a foot and counts the other one, with the turn.
+fn teach_half(
+    foot: &Foot,
+    axes: &[&str],
+    score: &mut Score,
+    out: &mut impl Write,
+) -> Result<(), Box<dyn Error>> {
+    let streams = foot.only(axes)?;
+    let [turn_s, back_s] = foot.turn_s;
+    let ways = [([0.0, turn_s], [turn_s, f64::INFINITY]), ([back_s, f64::INFINITY], [0.0, back_s])];
+    for (taught, counted) in ways {
+        let swings = |[from_s, to_s]: [f64; 2]| -> Vec<f64> {
+            foot.swings_s.iter().copied().filter(|end_s| (from_s..to_s).contains(end_s)).collect()
+        };
+        let repetitions = swings(taught).len();
+        let options = Options { name: "stride".into(), repetitions, channels: None };
+        let lesson = teach(&stream(&streams).between(taught[0], taught[1]), &options);
+        let ends_s = match &lesson {
+            Ok(lesson) => {
+                let saw = lesson.report.repetitions.len();
+                let channels = lesson.exercise.channels.join(" ");
+                write!(out, "{} half saw {saw} of {repetitions} in {channels}:", foot.name)?;
+                let all = self::stream(&streams);
+                ends_s(&lesson.exercise, &all.between(counted[0], counted[1]))?
+            }
+            Err(refusal) => {
+                write!(out, "{} half refused: {refusal}", foot.name)?;
+                score.refused += 1;
+                Vec::new()
+            }
+        };
+        let swings_s = swings(counted);
+        let found = found(&swings_s, &ends_s);
+        writeln!(out, " {:+}({found}/{})", ends_s.len() as i64 - swings_s.len() as i64, swings_s.len())?;
+        score.add(swings_s.len(), found, ends_s.len());
+    }
     Ok(())
 }
 
@@ -120,20 +169,20 @@ impl Foot {
             values: rows.flat_map(|row| columns.iter().map(|column| row[*column])).collect(),
         })
     }
+}
 
-    /// How many swings one of the repetitions ends within half a stride of, each repetition used once.
-    fn found(&self, ends_s: &[f64]) -> usize {
-        let mut lengths: Vec<f64> = self.swings_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        lengths.sort_by(f64::total_cmp);
-        let half_s = 0.5 * lengths.get(lengths.len() / 2).copied().unwrap_or(1.0);
-        let mut rest = ends_s.iter().peekable();
-        let mut found = 0;
-        for swing_s in &self.swings_s {
-            while rest.next_if(|end_s| **end_s < swing_s - half_s).is_some() {}
-            found += usize::from(rest.next_if(|end_s| **end_s <= swing_s + half_s).is_some());
-        }
-        found
+/// How many swings one of the repetitions ends within half a stride of, each repetition used once.
+fn found(swings_s: &[f64], ends_s: &[f64]) -> usize {
+    let mut lengths: Vec<f64> = swings_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    lengths.sort_by(f64::total_cmp);
+    let half_s = 0.5 * lengths.get(lengths.len() / 2).copied().unwrap_or(1.0);
+    let mut rest = ends_s.iter().peekable();
+    let mut found = 0;
+    for swing_s in swings_s {
+        while rest.next_if(|end_s| **end_s < swing_s - half_s).is_some() {}
+        found += usize::from(rest.next_if(|end_s| **end_s <= swing_s + half_s).is_some());
     }
+    found
 }
 
 impl Score {
@@ -161,16 +210,16 @@ impl Score {
 }
 
 /// Ends of the repetitions that are counted, s.
-fn ends_s(exercise: &Exercise, streams: &Streams) -> Result<Vec<f64>, Box<dyn Error>> {
-    let mut counter = Counter::new(vec![exercise.clone()], &streams.columns)?;
+fn ends_s(exercise: &Exercise, stream: &Stream<'_>) -> Result<Vec<f64>, Box<dyn Error>> {
+    let mut counter = Counter::new(vec![exercise.clone()], stream.columns)?;
     let mut ends_s = Vec::new();
     let mut note = |event: posed_motion::exercise::Event| {
         if event.kind == EventKind::Counted {
             ends_s.push(event.t_s);
         }
     };
-    for (row, t_s) in streams.t_s.iter().enumerate() {
-        counter.push(*t_s, streams.row(row), &mut note);
+    for (t_s, row) in stream.t_s.iter().zip(stream.values.chunks_exact(stream.columns.len())) {
+        counter.push(*t_s, row, &mut note);
     }
     counter.finish(&mut note);
     Ok(ends_s)
@@ -183,10 +232,12 @@ fn stream(streams: &Streams) -> Stream<'_> {
 /// Both feet of every trial.
 fn read(folder: &Path) -> Result<Vec<Foot>, Box<dyn Error>> {
     let mut table = TableReader::open(&folder.join("events.csv"))?;
-    let [trial, event, to] = table.require(["trial", "event", "to"])?;
+    let [trial, event, from, to] = table.require(["trial", "event", "from", "to"])?;
+    let mut begins: BTreeMap<(String, String), Vec<f64>> = BTreeMap::new();
     let mut events: BTreeMap<(String, String), Vec<f64>> = BTreeMap::new();
     while table.next_row()? {
         let key = (table.text(trial).to_owned(), table.text(event).to_owned());
+        begins.entry(key.clone()).or_default().push(table.required_number(from)? / RATE_HZ);
         events.entry(key).or_default().push(table.required_number(to)? / RATE_HZ);
     }
     let mut feet = Vec::new();
@@ -199,6 +250,10 @@ fn read(folder: &Path) -> Result<Vec<Foot>, Box<dyn Error>> {
         let walk = events.get(&(trial.clone(), "trial".to_owned()));
         let end_s = walk.and_then(|ends_s| ends_s.first()).copied().unwrap_or(f64::INFINITY);
         swings_s.retain(|swing_s| *swing_s <= end_s);
+        let turn = |of: &BTreeMap<(String, String), Vec<f64>>| {
+            of.get(&(trial.clone(), "uturn".to_owned())).and_then(|times_s| times_s.first()).copied()
+        };
+        let turn_s = [turn(&begins).unwrap_or(end_s), turn(&events).unwrap_or(end_s)];
         let columns: Vec<String> =
             ["ax", "ay", "az", "gx", "gy", "gz"].map(|axis| format!("{side}_{axis}")).to_vec();
         let path = folder.join(format!("{trial}.csv.gz"));
@@ -207,7 +262,7 @@ fn read(folder: &Path) -> Result<Vec<Foot>, Box<dyn Error>> {
             column.drain(..3);
         }
         let person = trial.split('-').next().unwrap_or(&trial).to_owned();
-        feet.push(Foot { name: format!("{trial}{side}"), person, side, streams, swings_s });
+        feet.push(Foot { name: format!("{trial}{side}"), person, side, streams, swings_s, turn_s });
     }
     Ok(feet)
 }

@@ -8,6 +8,7 @@ use posed_motion::exercise::{
     Counter, EventKind, Exercise, Joint, Language, Lesson, Options, Stream, rests, teach,
 };
 use posed_pipeline::Pipeline;
+use posed_recording::table::Streams;
 use posed_simulator::exercises::{self, Day, Exercise as Training, Person, Variant};
 use posed_simulator::motion::{Curl, Motion};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
@@ -16,7 +17,7 @@ use posed_stage::input::{Input, Model, Plan, Request};
 use posed_stage::output::{Estimate, ExerciseState, ExerciseWhat, OutcomeKind, Repetition};
 use posed_stage::signals::{self, BodyColumns};
 
-use crate::cli::posed;
+use crate::cli::{json, posed};
 use posed_rig::{Rig, Said, demo, record, replay, stage};
 
 /// A forearm and an upper arm that curl so many times.
@@ -509,4 +510,74 @@ fn counting_and_teaching_from_the_recording_is_what_was_live() {
     let output = posed(command.into_iter().chain([path("again.json"), path("take.mcap")]));
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     Exercise::from_json(&std::fs::read_to_string(path("again.json")).unwrap()).unwrap();
+}
+
+#[test]
+fn a_session_is_taught_from_its_ranges_which_the_program_proposes() {
+    let mut day = Day::new(&Person::new(500), 0);
+    day.set(Training::Squat, 6, Variant::Right);
+    day.set(Training::Curl, 7, Variant::Right);
+    let (columns, t_s, values) = angles(&day.finish());
+    let folder = tempfile::tempdir().unwrap();
+    let (session, squat) = (folder.path().join("session.csv"), folder.path().join("squat.json"));
+    Streams { columns, t_s, values }.write(&session).unwrap();
+    let teach = |options: &[&str]| {
+        let begin = ["exercise".as_ref(), "teach".as_ref(), session.as_os_str()];
+        posed(begin.into_iter().chain(options.iter().map(|option| option.as_ref())))
+    };
+    let ranges = json(&teach(&["--propose", "--json"]))["ranges"].clone();
+    let repetitions: Vec<u64> =
+        ranges.as_array().unwrap().iter().map(|range| range["repetitions"].as_u64().unwrap()).collect();
+    assert_eq!(repetitions, [6, 7], "{ranges}");
+    // What it proposes is a command that works.
+    let text = String::from_utf8(teach(&["--propose"]).stdout).unwrap();
+    let words: Vec<&str> = text.lines().nth(1).unwrap().split_whitespace().collect();
+    let options: Vec<&str> = words[4..]
+        .iter()
+        .map(|word| match *word {
+            "NAME" => "squat",
+            "NAME.json" => squat.to_str().unwrap(),
+            word => word,
+        })
+        .collect();
+    let output = teach(&options);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let exercise = Exercise::from_json(&std::fs::read_to_string(&squat).unwrap()).unwrap();
+    assert_eq!(count(&exercise, &set(500, 3, Training::Squat, 9, Variant::Right)).0, 9);
+    // Nothing in the session is repeated four times, and a range beside it holds nothing.
+    let whole = ["--name", "squat", "--repetitions", "4", "-o", squat.to_str().unwrap()];
+    let refused = teach(&whole);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("--propose"));
+    let empty = teach(&[&whole[..], &["--from-s", "5000"]].concat());
+    assert!(String::from_utf8_lossy(&empty.stderr).contains("the range is empty"), "{empty:?}");
+    assert_eq!(teach(&[&whole[..], &["--from-s", "9", "--to-s", "3"]].concat()).status.code(), Some(2));
+}
+
+#[test]
+fn angles_whose_names_lack_their_unit_count_as_well_when_it_is_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let write = |name: &str, recording: &exercises::Recording| {
+        let (columns, t_s, values) = angles(recording);
+        let columns = columns.iter().map(|column| column.trim_end_matches("_deg").to_owned()).collect();
+        Streams { columns, t_s, values }.write(path(name).as_ref()).unwrap();
+    };
+    write("lesson.csv", &set(500, 0, Training::Squat, 5, Variant::Right));
+    write("set.csv", &set(500, 1, Training::Squat, 9, Variant::Right));
+    let run = |words: &str| {
+        posed(["exercise".to_owned()].into_iter().chain(
+            words.split(' ').map(|word| if word.contains('.') { path(word) } else { word.to_owned() }),
+        ))
+    };
+    let taught = run("teach lesson.csv --name squat --repetitions 5 -o squat.json --units deg");
+    assert!(taught.status.success(), "{}", String::from_utf8_lossy(&taught.stderr));
+    let exercise = Exercise::from_json(&std::fs::read_to_string(path("squat.json")).unwrap()).unwrap();
+    assert!(exercise.channels.iter().all(|channel| channel.ends_with("_deg")), "{:?}", exercise.channels);
+    // The same as from names that have their units.
+    assert_eq!(exercise, lesson(Training::Squat, &set(500, 0, Training::Squat, 5, Variant::Right)).exercise);
+    let counted = json(&run("count squat.json --in set.csv -o events.csv --units deg --json"));
+    assert_eq!(counted["exercises"][0]["count"], 9, "{counted}");
+    let unknown = run("count squat.json --in set.csv -o events.csv");
+    assert!(String::from_utf8_lossy(&unknown.stderr).contains("needs the channel"), "{unknown:?}");
 }

@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use super::super::{Error, output, print, print_json};
 use super::read;
+use super::units::Unit;
 use crate::pictures::exercise as picture;
 
 /// Columns of the events.
@@ -33,6 +34,9 @@ pub(crate) struct Args {
     /// Draw the recording and the repetitions that were counted in it.
     #[arg(long, value_name = "PICTURE.svg")]
     picture: Option<PathBuf>,
+    /// Units of columns whose names lack them: deg, rad or m, of all such columns or of some (NAME=UNIT).
+    #[arg(long, value_delimiter = ',', value_name = "UNIT|NAME=UNIT")]
+    units: Vec<Unit>,
     /// Rows per second of a recording without a column `t`.
     #[arg(long, value_name = "HZ")]
     rate_hz: Option<f64>,
@@ -59,7 +63,7 @@ struct Counted {
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     let exercises: Vec<Exercise> = args.exercises.iter().map(load).collect::<Result<_, _>>()?;
-    let streams = read(&args.input, args.rate_hz, |columns| {
+    let streams = read(&args.input, args.rate_hz, &args.units, |columns| {
         let mut needed: Vec<String> = Vec::new();
         for exercise in &exercises {
             let of = columns_of(&exercise.channels, columns)

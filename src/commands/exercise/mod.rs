@@ -1,7 +1,9 @@
 //! `posed exercise`: teaching and counting from files.
 
 mod count;
+mod propose;
 mod teach;
+mod units;
 
 use clap::Subcommand;
 
@@ -11,6 +13,7 @@ use posed_recording::is_recording;
 use posed_recording::table::{Streams, TableReader};
 
 use super::Error;
+use units::Unit;
 
 /// What to do with exercises.
 #[derive(clap::Args)]
@@ -32,21 +35,32 @@ enum Command {
 }
 
 /// Reads a recording (`.mcap`), or of a CSV file the columns that `needed` chooses among those that are there (none:
-/// all).
+/// all). `units` are those that names lack.
 fn read(
     path: &Path,
     rate_hz: Option<f64>,
+    units: &[Unit],
     needed: impl FnOnce(&[String]) -> Result<Option<Vec<String>>, String>,
 ) -> Result<Streams, Error> {
     let lacks = |sentence: String| Error::Failed(format!("{}: {sentence}", path.display()));
     if is_recording(path) {
-        let streams = Streams::read_recording(path).map_err(Error::failed)?;
+        let mut streams = Streams::read_recording(path).map_err(Error::failed)?;
+        streams.columns = units::named(&streams.columns, units).map_err(lacks)?;
         needed(&streams.columns).map_err(lacks)?;
         return Ok(streams);
     }
     let table = TableReader::open(path).map_err(Error::failed)?;
-    let columns = needed(table.columns()).map_err(lacks)?;
-    Streams::from_table(table, columns.as_deref(), rate_hz).map_err(Error::failed)
+    let columns = table.columns().to_vec();
+    let names = units::named(&columns, units).map_err(lacks)?;
+    let chosen = needed(&names).map_err(lacks)?;
+    let in_file = |chosen: &Vec<String>| -> Vec<String> {
+        let both = columns.iter().zip(&names);
+        both.filter(|(_, name)| chosen.contains(name)).map(|(column, _)| column.clone()).collect()
+    };
+    let in_file = chosen.as_ref().map(in_file);
+    let mut streams = Streams::from_table(table, in_file.as_deref(), rate_hz).map_err(Error::failed)?;
+    streams.columns = units::named(&streams.columns, &Unit::of(units, &streams.columns)).map_err(lacks)?;
+    Ok(streams)
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {

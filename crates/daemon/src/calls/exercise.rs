@@ -118,6 +118,16 @@ struct Classroom {
     library: Library,
 }
 
+/// A demonstration that did not teach.
+#[derive(Clone)]
+struct Refused {
+    sentence: String,
+    /// What was seen.
+    report: Option<Box<Report>>,
+    /// How many more repetitions are asked for.
+    more: usize,
+}
+
 impl Classroom {
     fn run(self, job: &Job, requested_s: f64) -> Result<String, Failure> {
         let (exercise, report) = match self.lesson.last_s {
@@ -135,6 +145,8 @@ impl Classroom {
         job.progress(None, Some(format!("do {announced} repetitions, then rest")));
         // After a rest that taught nothing they may begin anew; while it lasts, when it was last seen.
         let (mut anew_s, mut rest_s) = (from_s, None);
+        // How many repetitions were asked for beside those announced.
+        let mut asked = 0;
         loop {
             std::thread::sleep(LOOK_INTERVAL);
             if job.is_cancelled() {
@@ -145,22 +157,26 @@ impl Classroom {
             if rests(&since(&excerpt, anew_s)) {
                 rest_s = Some(now_s);
                 // What follows the last rest, or else all of it: also who rests after each repetition can teach.
-                let lesson = self.learn(&since(&excerpt, anew_s));
-                let lesson = lesson.or_else(|why| {
-                    if anew_s > from_s {
-                        self.learn(&since(&excerpt, from_s)).map_err(|_| why)
-                    } else {
-                        Err(why)
+                let lesson = self.learn(&since(&excerpt, anew_s), 0).or_else(|why| {
+                    if anew_s <= from_s {
+                        return Err(why);
                     }
+                    let whole = since(&excerpt, from_s);
+                    // Those that were asked for once more may be counted among them, or take the place of those that were different.
+                    let with_more = |_| if asked > 0 { self.learn(&whole, asked) } else { Err(why.clone()) };
+                    self.learn(&whole, 0)
+                        .or_else(with_more)
+                        .map_err(|later| if later.more > 0 { later } else { why })
                 });
                 match lesson {
                     Ok(lesson) => return Ok(lesson),
-                    Err((error, report)) => {
-                        if let Some(report) = report {
+                    Err(refused) => {
+                        if let Some(report) = refused.report {
                             job.result(json!({ "report": report }));
                         }
-                        job.progress(None, Some(format!("not yet: {error}")));
-                        refusal = error;
+                        job.progress(None, Some(format!("not yet: {}", refused.sentence)));
+                        refusal = refused.sentence;
+                        asked = asked.max(refused.more);
                     }
                 }
             } else if let Some(rest_s) = rest_s.take() {
@@ -175,11 +191,11 @@ impl Classroom {
 
     fn taught(&self, job: &Job, from_s: f64) -> Result<(Exercise, Report), Failure> {
         let excerpt = self.excerpt(from_s)?;
-        self.learn(&since(&excerpt, from_s)).map_err(|(error, report)| {
-            if let Some(report) = report {
+        self.learn(&since(&excerpt, from_s), 0).map_err(|refused| {
+            if let Some(report) = refused.report {
                 job.result(json!({ "report": report }));
             }
-            error.into()
+            refused.sentence.into()
         })
     }
 
@@ -189,18 +205,21 @@ impl Classroom {
         self.inbox.ask(|to| Command::Recent { from_s, columns, to })
     }
 
-    fn learn(&self, stream: &Stream<'_>) -> Result<(Exercise, Report), (String, Option<Report>)> {
+    /// Teaches from a stream that holds the announced repetitions and so many more.
+    fn learn(&self, stream: &Stream<'_>, more: usize) -> Result<(Exercise, Report), Refused> {
         let options = Options {
             name: self.lesson.name.trim().to_owned(),
-            repetitions: self.lesson.repetitions as usize,
+            repetitions: self.lesson.repetitions as usize + more,
             channels: self.lesson.channels.clone(),
         };
         match teach(stream, &options) {
             Ok(lesson) => Ok((lesson.exercise, lesson.report)),
             Err(refusal) => {
                 let sentence = refusal.to_string();
-                let Refusal::Count { report, .. } = refusal else { return Err((sentence, None)) };
-                Err((sentence, Some(report)))
+                let Refusal::Count { report, more, .. } = refusal else {
+                    return Err(Refused { sentence, report: None, more: 0 });
+                };
+                Err(Refused { sentence, report: Some(report), more })
             }
         }
     }

@@ -19,9 +19,22 @@ pub(super) fn kinds(channels: &[String]) -> Vec<usize> {
         .collect()
 }
 
+/// Ends of names that are units.
+const UNITS: [&str; 3] = ["_deg", "_rad", "_m"];
+/// Ends of names of orientations and of vectors in sensor axes, whose units are known.
+const SENSORS: [&str; 4] = ["q", "g", "a", "m"];
+
+/// Whether the name of a column states what it measures: it ends in a unit (`_deg`, `_rad`, `_m`), or is a part of an orientation or an
+/// axis of a sensor (`qw`, `gx`, `wrist_ay`).
+pub fn has_unit(column: &str) -> bool {
+    let last = column.rsplit('_').next().unwrap_or(column);
+    let axis = last.strip_suffix(['w', 'x', 'y', 'z']).unwrap_or("");
+    UNITS.iter().any(|unit| column.ends_with(unit)) || SENSORS.contains(&axis)
+}
+
 /// The unit at the end of a name; else what is left of it without its axis.
 fn kind(channel: &str) -> &str {
-    if let Some(unit) = ["_deg", "_rad", "_m"].into_iter().find(|unit| channel.ends_with(unit)) {
+    if let Some(unit) = UNITS.into_iter().find(|unit| channel.ends_with(unit)) {
         return unit;
     }
     // The vertical of any sensor is a vertical.

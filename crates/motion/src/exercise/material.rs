@@ -21,6 +21,18 @@ pub struct Stream<'a> {
     pub values: &'a [Option<f64>],
 }
 
+impl<'a> Stream<'a> {
+    /// What lies from one time to another, s, both included; empty where nothing does.
+    #[must_use]
+    pub fn between(&self, from_s: f64, to_s: f64) -> Stream<'a> {
+        let from = self.t_s.partition_point(|t_s| *t_s < from_s);
+        let to = self.t_s.partition_point(|t_s| *t_s <= to_s).max(from);
+        let width = self.columns.len();
+        let values = self.values.get(from * width..to * width).unwrap_or_default();
+        Stream { columns: self.columns, t_s: &self.t_s[from..to], values }
+    }
+}
+
 /// Values per frame.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Material {
@@ -101,6 +113,22 @@ impl Material {
             values: pick(&self.values, width, chosen),
             observations: pick(&self.observations, 2 * width, &both),
         }
+    }
+
+    /// Stretches of at least so many seconds in which no channel has a value: beginning and end, s.
+    pub(super) fn lost(&self, least_s: f64) -> Vec<[f64; 2]> {
+        let there = |frame: &usize| {
+            self.values[frame * self.width()..][..self.width()].iter().any(|value| value.is_finite())
+        };
+        let there: Vec<usize> = (0..self.frames()).filter(there).collect();
+        let between = |pair: &[usize]| [self.t_s(pair[0]) + 1.0 / self.rate_hz, self.t_s(pair[1])];
+        there.windows(2).map(between).filter(|[from_s, to_s]| to_s - from_s >= least_s).collect()
+    }
+
+    /// Standard deviation of a channel; 0 where it has no two values.
+    pub(super) fn sd(&self, channel: usize) -> f64 {
+        let column = self.values.iter().skip(channel).step_by(self.width()).copied();
+        super::hmm::spread(column).map_or(0.0, |(_, sd)| sd)
     }
 
     /// Values scaled by `weights` over each channel's standard deviation, about their means; a missing value keeps

@@ -14,6 +14,7 @@
 
 mod align;
 mod channels;
+mod choice;
 mod cost;
 mod counter;
 mod counting;
@@ -35,6 +36,7 @@ mod material;
 mod motif;
 mod passage;
 mod psd;
+mod ranges;
 mod remark;
 mod rest;
 mod score;
@@ -47,6 +49,7 @@ mod viterbi;
 mod words;
 
 pub use channels::{all_channels, columns_of};
+pub use choice::TriedChannels;
 pub use cost::CountingCost;
 pub use counter::{Counter, CounterError};
 pub use event::{Event, EventKind};
@@ -56,7 +59,9 @@ pub use hint::Hint;
 pub use hmm::{Gaussians, Movement};
 pub use joint::{Joint, Side};
 pub use judge::{Measures, Reason};
+pub use kinds::has_unit;
 pub use material::Stream;
+pub use ranges::{RepeatingRange, repeating_ranges};
 pub use remark::{DeviationKind, MovementPhase, Remark};
 pub use rest::rests;
 pub use score::Score;

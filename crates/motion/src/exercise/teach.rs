@@ -13,6 +13,7 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use super::align::{Repetition, repetitions};
+use super::choice::{self, ASKED_FOR, TriedChannels, because, choose, sets_of};
 use super::exercise::{Durations, Exercise, Gate};
 use super::feedback::{beside, log_jerk, spread};
 use super::hmm::{LogRatio, Movement, equal_parts, estimate, median, range, states_for};
@@ -26,7 +27,7 @@ use super::smaller::{LEAST_GAIN, interval, sizes_down_to, smaller};
 use super::turns::Turn;
 
 /// Shortest repetition, s.
-const SHORTEST_S: f64 = 0.5;
+pub(super) const SHORTEST_S: f64 = 0.5;
 /// Periods tried.
 const PERIODS: usize = 6;
 /// Motifs tried per period.
@@ -42,8 +43,11 @@ const LEAST_COMMON: f64 = 0.25;
 /// A channel is used if it moves so much, the largest of its kind being 1.
 const LEAST_MOVED: f64 = 0.15;
 
+/// Most passes through a lesson, each without some of its repetitions.
+const FOLDS: usize = 8;
+
 /// Frames per second while hypotheses are compared.
-const SEARCH_HZ: f64 = 12.5;
+pub(super) const SEARCH_HZ: f64 = 12.5;
 /// Least log ratio per frame of a repetition that counts, the taught median being 1: other days are less alike.
 const LEAST_RATIO: f64 = 0.15;
 
@@ -52,6 +56,9 @@ const MOVES_DEG: f64 = 30.0;
 
 /// Least size of a repetition that shows how far a movement goes, the taught one being 1.
 const FULL_SIZE: f64 = 0.75;
+
+/// A stretch without packets may hide a repetition from so much of the median one on.
+const LOST: f64 = 0.25;
 
 /// How much a cut in full motion costs.
 const AT_REST: f64 = 0.6;
@@ -93,6 +100,12 @@ pub struct Report {
     pub quality: f64,
     /// What could be better, in sentences; empty when nothing.
     pub remarks: Vec<String>,
+    /// Why the exercise has the channels that it has, a sentence.
+    #[serde(default)]
+    pub because: String,
+    /// Sets of channels that were tried, the richest first; empty where there was nothing to choose from.
+    #[serde(default)]
+    pub tried: Vec<TriedChannels>,
 }
 
 /// A repetition of the demonstration.
@@ -127,13 +140,24 @@ pub enum Refusal {
     #[error("nothing in the recording repeats itself {0} times")]
     NothingRepeats(usize),
     /// Another number than announced.
-    #[error("found {} of {}: {reason}", report.repetitions.len(), report.announced)]
+    #[error("found {} of {}: {reason}{}", report.repetitions.len(), report.announced, request(*more))]
     Count {
         /// What was seen.
-        report: Report,
+        report: Box<Report>,
         /// What is wrong with it.
         reason: String,
+        /// How many more repetitions make a lesson of it, done as the ones that were seen; 0 where more would not.
+        more: usize,
     },
+}
+
+/// What the person is asked for.
+fn request(more: usize) -> String {
+    match more {
+        0 => String::new(),
+        1 => "; do 1 more repetition like the others, then rest".to_owned(),
+        more => format!("; do {more} more repetitions like the others, then rest"),
+    }
 }
 
 impl Hypothesis {
@@ -167,17 +191,74 @@ pub fn teach(stream: &Stream<'_>, options: &Options) -> Result<Lesson, Refusal> 
     if announced < 2 {
         return Err(Refusal::TooFew(announced));
     }
-    // Hypotheses are compared on a coarse grid, the best one is refined on the fine one.
-    let coarse = material(stream, options, SEARCH_HZ)?;
-    let (seconds, longest) =
-        (coarse.frames() as f64 / coarse.rate_hz, coarse.frames() as f64 / announced as f64);
-    let shortest = SHORTEST_S * coarse.rate_hz;
-    if longest < shortest {
+    let (coarse, fine) =
+        (moving_channels(stream, options, SEARCH_HZ)?, moving_channels(stream, options, RATE_HZ)?);
+    let seconds = coarse.frames() as f64 / coarse.rate_hz;
+    if coarse.frames() as f64 / (announced as f64) < SHORTEST_S * coarse.rate_hz {
         return Err(Refusal::TooShort { seconds, announced });
     }
+    let sets = match options.channels {
+        Some(_) => vec![(0..coarse.width()).collect()],
+        None => sets_of(&coarse),
+    };
+    let (mut tried, mut lessons): (Vec<TriedChannels>, Vec<Option<(Material, Hypothesis)>>) =
+        Default::default();
+    for set in &sets {
+        let coarse = coarse.only(set);
+        let in_fine = |name: &String| fine.channels.iter().position(|channel| channel == name);
+        let fine = fine.only(&coarse.channels.iter().filter_map(in_fine).collect::<Vec<_>>());
+        let seen = see(&coarse, &fine, options);
+        // Where there is nothing to choose from nothing needs to be left out.
+        if sets.len() == 1 {
+            lessons.push(seen);
+            break;
+        }
+        let of = match &seen {
+            Some((material, hypothesis)) => held_out(material, hypothesis, options),
+            None => TriedChannels::nothing(coarse.channels, announced),
+        };
+        // What is alike more often than announced in all channels is so whatever a part of them says.
+        let is_enough = of.is_perfect() || tried.is_empty() && !of.accepted && of.of > announced;
+        lessons.push(seen);
+        tried.push(of);
+        if is_enough {
+            break;
+        }
+    }
+    // Where none teaches what was announced, the richest that saw anything states why.
+    let taken = choose(&tried).or_else(|| lessons.iter().position(Option::is_some));
+    let Some((taken, (material, hypothesis))) =
+        taken.and_then(|taken| Some((taken, lessons.swap_remove(taken)?)))
+    else {
+        return Err(Refusal::NothingRepeats(announced));
+    };
+    let because = if options.channels.is_some() { ASKED_FOR.to_owned() } else { because(&tried, taken) };
+    let mut result = conclude(&material, &hypothesis, options);
+    let report = match &mut result {
+        Ok(lesson) => Some(&mut lesson.report),
+        Err(Refusal::Count { report, .. }) => Some(&mut **report),
+        Err(_) => None,
+    };
+    if let Some(report) = report {
+        (report.because, report.tried) = (because, tried);
+    }
+    result
+}
+
+/// Frames of all repetitions, those of full size first.
+fn ranges_of(hypothesis: &Hypothesis) -> Vec<Range<usize>> {
+    let states = hypothesis.movement.states.mean.first().map_or(0, Vec::len);
+    hypothesis.found.iter().chain(&hypothesis.smaller).map(|repetition| repetition.range(states)).collect()
+}
+
+/// How the repetitions are best seen in these channels, on the grid on which hypotheses are compared and on the one on which the best is refined.
+fn see(coarse: &Material, fine: &Material, options: &Options) -> Option<(Material, Hypothesis)> {
+    let announced = options.repetitions;
+    let longest = coarse.frames() as f64 / announced as f64;
+    let shortest = SHORTEST_S * coarse.rate_hz;
     let mut hypotheses = Vec::new();
     for period in periods(&coarse.values, coarse.width(), coarse.rate_hz, [shortest, longest], PERIODS) {
-        for starts in starts_of(&coarse, period, announced) {
+        for starts in starts_of(coarse, period, announced) {
             for phase in 0..PHASES {
                 let shift = (phase as f64 / PHASES as f64 - 0.5) * period;
                 let segments: Vec<_> =
@@ -185,28 +266,66 @@ pub fn teach(stream: &Stream<'_>, options: &Options) -> Result<Lesson, Refusal> 
                 if segments.len() + 1 < announced {
                     continue;
                 }
-                let refined = refine(&coarse, &segments, options, ROUNDS);
+                let refined = refine(coarse, &segments, options, ROUNDS);
                 hypotheses.extend(refined.map(|(_, hypothesis)| hypothesis));
             }
         }
     }
-    let Some(best) = best_of(&hypotheses) else { return Err(Refusal::NothingRepeats(announced)) };
-    let fine = material(stream, options, RATE_HZ)?;
     let factor = fine.rate_hz / coarse.rate_hz;
-    let segments: Vec<_> = segments_of(best)
+    let segments: Vec<_> = segments_of(best_of(&hypotheses)?)
         .iter()
         .filter_map(|segment| {
             moved(segment.start as f64 * factor, 0.0, segment.len() as f64 * factor, fine.frames())
         })
         .collect();
-    match refine(&fine, &segments, options, LAST_ROUNDS) {
-        Some((material, mut hypothesis)) => {
-            let missing = announced.saturating_sub(hypothesis.found.len());
-            let (movement, found) = (&hypothesis.movement, &hypothesis.found);
-            hypothesis.smaller = smaller(&material, movement, found, missing);
-            conclude(&material, &hypothesis, options)
+    let (material, mut hypothesis) = refine(fine, &segments, options, LAST_ROUNDS)?;
+    let missing = announced.saturating_sub(hypothesis.found.len());
+    hypothesis.smaller = smaller(&material, &hypothesis.movement, &hypothesis.found, missing);
+    Some((material, hypothesis))
+}
+
+/// Leaves each repetition out once, and counts the lesson by what the others teach.
+fn held_out(material: &Material, hypothesis: &Hypothesis, options: &Options) -> TriedChannels {
+    let announced = options.repetitions;
+    let states = hypothesis.movement.states.mean[0].len();
+    let kinds = kinds(&material.channels);
+    let idle = idle(hypothesis.all(), material.frames());
+    let ranges = ranges_of(hypothesis);
+    let seen = ranges.len();
+    let folds = seen.min(FOLDS);
+    let (mut counted, mut false_counts) = (0, 0);
+    for fold in 0..folds {
+        let is_kept = |index: &usize| index % folds != fold;
+        let pick = |from: &[Repetition], first: usize| -> Vec<Repetition> {
+            (0..from.len())
+                .filter(|index| is_kept(&(first + index)))
+                .map(|index| from[index].clone())
+                .collect()
+        };
+        let found = pick(&hypothesis.found, 0);
+        let smaller = pick(&hypothesis.smaller, hypothesis.found.len());
+        if found.len() < 2 {
+            continue;
         }
-        None => Err(Refusal::NothingRepeats(announced)),
+        let alignments: Vec<_> = found.iter().map(|repetition| repetition.path.clone()).collect();
+        let movement = estimate(&material.observations, &kinds, states, &alignments, &idle);
+        let others = Hypothesis { movement, found, smaller, score: 0.0, open: 0.0 };
+        let measured = against_the_others(material, &others);
+        let (hits, wrong) =
+            choice::counted(&exercise_of(material, &others, &measured, options), material, &ranges);
+        counted += (0..seen).filter(|index| !is_kept(index) && hits[*index]).count();
+        false_counts += wrong;
+    }
+    let of = seen.max(announced);
+    let similarities =
+        against_the_others(material, hypothesis).into_iter().map(|(_, one)| one.similarity.max(0.0));
+    TriedChannels {
+        channels: material.channels.clone(),
+        counted,
+        of,
+        explained: similarities.map(|similarity| similarity * similarity).sum::<f64>() / of as f64,
+        false_counts: false_counts as f64 / folds.max(1) as f64,
+        accepted: seen.abs_diff(announced) <= tolerance(announced),
     }
 }
 
@@ -222,7 +341,11 @@ fn best_of(hypotheses: &[Hypothesis]) -> Option<&Hypothesis> {
 }
 
 /// The channels that move, on a grid of at most `most_hz`.
-fn material(stream: &Stream<'_>, options: &Options, most_hz: f64) -> Result<Material, Refusal> {
+pub(super) fn moving_channels(
+    stream: &Stream<'_>,
+    options: &Options,
+    most_hz: f64,
+) -> Result<Material, Refusal> {
     let all = Material::new(stream, options.channels.as_deref(), most_hz).map_err(Refusal::NoChannel)?;
     let moving = without_still_channels(&all);
     Ok(if options.channels.is_none() { joints_or_all(moving) } else { moving })
@@ -470,22 +593,40 @@ fn common_channels(all: &Material, states: usize, alignments: &[Vec<(usize, usiz
 /// Judges the chosen hypothesis: the exercise, or the reason why not.
 fn conclude(material: &Material, hypothesis: &Hypothesis, options: &Options) -> Result<Lesson, Refusal> {
     let announced = options.repetitions;
-    let (segments, measures): (Vec<_>, Vec<_>) = against_the_others(material, hypothesis).into_iter().unzip();
-    let repetitions: Vec<TaughtRepetition> = segments
+    let measured = against_the_others(material, hypothesis);
+    let repetitions: Vec<TaughtRepetition> = measured
         .iter()
-        .zip(&measures)
         .map(|(segment, measures)| TaughtRepetition {
             t_start_s: material.t_s(segment.start),
             t_end_s: material.t_s(segment.end),
             measures: *measures,
         })
         .collect();
-    let quality = measures.iter().map(|measures| measures.similarity).sum::<f64>() / measures.len() as f64;
-    let mut report = Report { announced, repetitions, quality: quality.clamp(0.0, 1.0), remarks: Vec::new() };
-    if report.repetitions.len().abs_diff(announced) > tolerance(announced) {
+    let similarities = measured.iter().map(|(_, measures)| measures.similarity);
+    let quality = similarities.sum::<f64>() / measured.len() as f64;
+    let mut report = Report { announced, repetitions, quality: quality.clamp(0.0, 1.0), ..Report::default() };
+    let seen = report.repetitions.len();
+    let hidden = hidden(material, &report.repetitions);
+    let missing = announced.saturating_sub(seen);
+    if missing > tolerance(announced).max(hidden.len()) || seen > announced + tolerance(announced) {
+        // A lesson of which not even half is like the rest is none: what was seen may be something else.
+        let more = if 2 * seen > announced { missing } else { 0 };
         let reason = reason_of(&report);
-        return Err(Refusal::Count { report, reason });
+        return Err(Refusal::Count { report: Box::new(report), reason, more });
     }
+    let exercise = exercise_of(material, hypothesis, &measured, options);
+    report.remarks = remarks_of(&report, &exercise.durations, &hidden);
+    Ok(Lesson { exercise, report })
+}
+
+/// What the repetitions teach, each with its measures against the others.
+fn exercise_of(
+    material: &Material,
+    hypothesis: &Hypothesis,
+    measured: &[(Range<usize>, Measures)],
+    options: &Options,
+) -> Exercise {
+    let (segments, measures): (Vec<Range<usize>>, Vec<Measures>) = measured.iter().cloned().unzip();
     let lengths = || segments.iter().map(|segment| segment.len() as f64 / material.rate_hz);
     let (shortest_s, longest_s) = range(lengths());
     let durations = Durations {
@@ -494,7 +635,6 @@ fn conclude(material: &Material, hypothesis: &Hypothesis, options: &Options) -> 
         longest_s,
         interval_s: interval(&segments).unwrap_or(0.0) / material.rate_hz,
     };
-    report.remarks = remarks_of(&report, &durations);
     let least = measures.iter().map(|measures| measures.gain).fold(1.0, f64::min);
     let sizes = sizes_down_to(least);
     let mut exercise = Exercise::new(
@@ -513,7 +653,7 @@ fn conclude(material: &Material, hypothesis: &Hypothesis, options: &Options) -> 
     });
     exercise.log_jerk = jerks.sum::<f64>() / segments.len() as f64;
     find_turns(&mut exercise, material, &segments, &measures);
-    Ok(Lesson { exercise, report })
+    exercise
 }
 
 /// Finds where each channel turns, and how far it goes there in the repetitions of full size.
@@ -617,9 +757,32 @@ fn reason_of(report: &Report) -> String {
     "the others differ too much from these; do them evenly, with a short rest before and after".to_owned()
 }
 
-fn remarks_of(report: &Report, durations: &Durations) -> Vec<String> {
+/// Stretches without packets that may hide a repetition, s, each as often as it may hide one: they lie in none that was seen.
+fn hidden(material: &Material, seen: &[TaughtRepetition]) -> Vec<[f64; 2]> {
+    let Some(median_s) = median(seen.iter().map(|one| one.t_end_s - one.t_start_s)) else {
+        return Vec::new();
+    };
+    let lost = material.lost(LOST * median_s).into_iter();
+    let is_apart = |[from_s, to_s]: &[f64; 2]| {
+        let middle_s = from_s.midpoint(*to_s);
+        seen.iter().all(|one| !(one.t_start_s..one.t_end_s).contains(&middle_s))
+    };
+    let often = |stretch: [f64; 2]| {
+        let count = 1 + ((stretch[1] - stretch[0]) / median_s) as usize;
+        std::iter::repeat_n(stretch, count)
+    };
+    lost.filter(is_apart).flat_map(often).collect()
+}
+
+fn remarks_of(report: &Report, durations: &Durations, hidden: &[[f64; 2]]) -> Vec<String> {
     let mut remarks = Vec::new();
-    if report.repetitions.len() != report.announced {
+    if let (true, Some([from_s, to_s])) = (report.repetitions.len() < report.announced, hidden.first()) {
+        remarks.push(format!(
+            "saw {} repetitions, {} were announced: no packets came from {from_s:.1} to {to_s:.1} s",
+            report.repetitions.len(),
+            report.announced
+        ));
+    } else if report.repetitions.len() != report.announced {
         remarks.push(format!(
             "saw {} repetitions, {} were announced: {}",
             report.repetitions.len(),

@@ -324,3 +324,85 @@ fn an_exercise_that_would_take_gigabytes_is_refused_before_they_are_taken() {
     let refusal = Counter::new((0..8).map(many).collect(), &columns).unwrap_err();
     assert!(refusal.to_string().contains("select fewer exercises"), "{refusal}");
 }
+
+/// Strides of a foot, seen by its angular velocities: about `gy` all alike, about the other axes but for those that turn.
+fn strides(seed: u64, count: usize) -> (Vec<String>, Vec<f64>, Vec<Option<f64>>) {
+    let mut random = Random::new(seed);
+    let columns = ["gx", "gy", "gz"].map(str::to_owned).to_vec();
+    let mut values = Vec::new();
+    let noise = |random: &mut Random| 0.2 * (random.unit() - 0.5);
+    for _ in 0..200 {
+        values.extend([Some(noise(&mut random)), Some(noise(&mut random)), Some(noise(&mut random))]);
+    }
+    for stride in 0..count {
+        let across = if stride % 4 == 2 { [-5.0, 4.0] } else { [3.0, -2.0] };
+        let frames = (100.0 + 20.0 * (random.unit() - 0.5)) as usize;
+        for frame in 0..frames {
+            let phase = frame as f64 / frames as f64;
+            let swing =
+                libm::exp(-(phase - 0.5).powi(2) / 0.01) - 0.4 * libm::exp(-(phase - 0.8).powi(2) / 0.004);
+            let row = [across[0] * swing, 5.0 * swing, across[1] * swing];
+            values.extend(row.map(|value| Some(value + noise(&mut random))));
+        }
+    }
+    for _ in 0..200 {
+        values.extend([Some(noise(&mut random)), Some(noise(&mut random)), Some(noise(&mut random))]);
+    }
+    let t_s = (0..values.len() / 3).map(|row| row as f64 / 100.0).collect();
+    (columns, t_s, values)
+}
+
+#[test]
+fn the_axis_that_does_the_same_in_every_repetition_is_taken_and_the_report_says_why() {
+    let (columns, t_s, values) = strides(3, 14);
+    let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
+    let Lesson { exercise, report } = teach(&stream, &options(14)).unwrap();
+    assert_eq!(exercise.channels, ["gy"], "{:?}", report.tried);
+    assert!(report.because.contains("; in gx, gy, gz it counts"), "{}", report.because);
+    let named = Options { channels: Some(vec!["gy".to_owned()]), ..options(14) };
+    assert_eq!(teach(&stream, &named).unwrap().report.because, "they were asked for");
+}
+
+/// The stream without the rows of some stretches, s.
+fn without(person: &Person, lost_s: &[[f64; 2]]) -> (Vec<f64>, Vec<Option<f64>>) {
+    let is_there = |t_s: &f64| lost_s.iter().all(|[from_s, to_s]| t_s < from_s || t_s > to_s);
+    let rows = person.t_s.iter().zip(person.values.chunks(2)).filter(|(t_s, _)| is_there(t_s));
+    let (t_s, values): (Vec<f64>, Vec<&[Option<f64>]>) = rows.unzip();
+    (t_s, values.concat())
+}
+
+#[test]
+fn given_lost_packets_it_teaches_what_was_there() {
+    for seed in 0..6 {
+        let mut person = Person::new(seed);
+        person.set(6);
+        // A little of some repetitions, and all of one.
+        let some = [0, 2, 4].map(|index| [person.truth[index][0] + 0.8, person.truth[index][0] + 1.3]);
+        let whole = [[person.truth[3][0] + 0.1, person.truth[3][1] - 0.1]];
+        for (lost_s, seen) in [(&some[..], 6), (&whole[..], 5)] {
+            let (t_s, values) = without(&person, lost_s);
+            let stream = Stream { columns: &person.columns, t_s: &t_s, values: &values };
+            let lesson = teach(&stream, &options(6)).unwrap();
+            assert_eq!(lesson.report.repetitions.len(), seen, "seed {seed}");
+            let says_so = lesson.report.remarks.iter().any(|remark| remark.contains("no packets came from"));
+            assert_eq!(says_so, seen < 6, "{:?}", lesson.report.remarks);
+        }
+    }
+}
+
+#[test]
+fn given_one_that_is_different_one_more_is_asked_for_and_enough() {
+    let mut person = Person::new(5);
+    person.rest(3.0);
+    let different = |person: &mut Person| person.curl(9.0, 1.0, 0.0);
+    (0..2).for_each(|_| person.curl(2.5, 1.0, 0.0));
+    different(&mut person);
+    (0..2).for_each(|_| person.curl(2.5, 1.0, 0.0));
+    person.rest(3.0);
+    let refusal = teach(&person.stream(), &options(5)).unwrap_err();
+    assert!(matches!(refusal, Refusal::Count { more: 1, .. }), "{refusal}");
+    assert!(refusal.to_string().ends_with("do 1 more repetition like the others, then rest"), "{refusal}");
+    person.curl(2.5, 1.0, 0.0);
+    person.rest(3.0);
+    assert_eq!(teach(&person.stream(), &options(5)).unwrap().report.repetitions.len(), 5);
+}
