@@ -14,8 +14,8 @@
 //! with a frame rate of its own ticks on the grid of that rate instead.
 //!
 //! A frame closes when every expected sensor has said what it has to say up to the tick, or else
-//! `frame_wait_ms` after the last of them usually has. A sample that comes later joins the next frame, late, and so does one whose
-//! own tick was left out.
+//! `frame_wait_ms` after the last of them usually has. A sample that comes later joins the next frame, late, and so does one that
+//! has waited for a tick for so long that it is of another time.
 
 mod device;
 
@@ -36,6 +36,10 @@ pub const COAST_S: f64 = 0.5;
 const SLACK: f64 = 0.25;
 /// How much longer than the ticks' interval the period of a device may be that measures at every tick.
 const SAME_RATE: f64 = 1.1;
+/// A sample that waited longer for a tick than so many of its device's periods, and than so long, s, is of another time: ticks were left
+/// out, or they follow a slower device.
+const WAITS_PERIODS: f64 = 1.5;
+const WAITS_S: f64 = 0.1;
 /// A sensor that has missed so many cycles is no longer waited for.
 const UNHEARD_CYCLES: f64 = 5.0;
 /// Share of a period by which a cycle between two ticks may be late before it counts as missed.
@@ -48,8 +52,8 @@ const FASTER: f64 = 0.99;
 pub struct FrameSample {
     /// The record, with its capture time.
     pub measured: Measured,
-    /// It belongs to an earlier frame, which had closed when it arrived or was left out; or it may have waited on its way, so that
-    /// nobody knows.
+    /// It belongs to an earlier frame, which had closed when it arrived, or to a time without frames; or it may have waited on its way,
+    /// so that nobody knows.
     pub late: bool,
 }
 
@@ -434,11 +438,13 @@ impl Assembler {
         frame.by_model = tick.by_model;
         for (sensor, slot) in self.sensors.iter_mut().zip(&mut frame.sensors) {
             slot.samples.clear();
+            let period_s = self.devices[sensor.device].period_s().unwrap_or(0.0);
+            let longest_s = (WAITS_PERIODS * period_s).max(WAITS_S);
             while let Some(sample) = sensor.queue.front()
                 && sample.measured.t_valid <= tick.t
             {
                 let waited_s = tick.t.seconds_since(sample.measured.t_valid);
-                let late = sample.late || tick.left_out > 0 && waited_s > tick_s;
+                let late = sample.late || waited_s > longest_s;
                 slot.samples.push(FrameSample { late, ..*sample });
                 sensor.queue.pop_front();
             }

@@ -195,6 +195,41 @@ fn what_waits_through_a_silence_is_late_in_the_frame_after_it() {
     }
 }
 
+/// A fast device ends just before a tick of a slow one, which takes over the clock.
+#[test]
+fn what_waits_for_a_slower_device_is_late() {
+    let mut bench = Bench::new(&[0, 1], None);
+    for k in 0..200 {
+        let t = f64::from(k) * 10.0;
+        if k < 181 {
+            bench.record(0, 0, t, t + 1.0);
+        }
+        if k == 180 {
+            bench.frames.sample(0, measured(t + 4.0), false);
+            bench.frames.stop(0);
+        }
+        if k % 40 == 20 {
+            bench.frames.stamp(1, &stamp(t + 2.0), Some(0.4), ms(t + 3.0));
+            bench.frames.sample(1, measured(t + 2.0), false);
+        }
+        bench.poll(t + 3.5);
+    }
+    bench.frames.stamp(1, &stamp(2202.0), Some(0.4), ms(2203.0));
+    bench.frames.sample(1, measured(2202.0), false);
+    bench.poll(2300.0);
+    let samples = bench.closed.iter().flat_map(|frame| {
+        frame.sensors[0].samples.iter().map(|sample| (frame.t_valid, sample.measured.t_valid, sample.late))
+    });
+    let mut waited = 0;
+    for (tick, t_valid, late) in samples {
+        assert_eq!(late, tick.seconds_since(t_valid) > 0.1, "{t_valid:?} in the frame of {tick:?}");
+        waited += u32::from(late);
+    }
+    assert_eq!(waited, 1);
+    let last = bench.closed.last().unwrap();
+    assert!(last.sensors[1].samples.iter().all(|sample| !sample.late), "{last:?}");
+}
+
 #[test]
 fn a_rate_of_its_own_makes_a_grid() {
     let mut bench = Bench::new(&[0], Some(25.0));
