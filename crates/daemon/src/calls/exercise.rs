@@ -21,6 +21,8 @@ use posed_stage::signals;
 
 /// Longest time that repetitions may take, s.
 const LONGEST_S: f64 = 120.0;
+/// Channels that a sentence names at most.
+const MOST_NAMED: usize = 4;
 /// Distance of two looks at whether the repetitions were done.
 const LOOK_INTERVAL: Duration = Duration::from_millis(500);
 
@@ -134,6 +136,8 @@ impl Classroom {
             Some(last_s) => self.taught(job, requested_s - last_s),
             None => self.watch(job, requested_s),
         }?;
+        // Which channels, why these, and what else was tried.
+        job.result(json!({ "channels": exercise.channels, "report": report }));
         self.keep(exercise, &report)
     }
 
@@ -228,11 +232,12 @@ impl Classroom {
     fn keep(&self, mut exercise: Exercise, report: &Report) -> Result<String, Failure> {
         self.library.keep(&mut exercise)?;
         let sentence = format!(
-            "saw {} of {} repetitions of {}, {:.0} % similar",
+            "saw {} of {} repetitions of {}, {:.0} % similar, in {}",
             report.repetitions.len(),
             report.announced,
             exercise.name,
-            100.0 * report.quality
+            100.0 * report.quality,
+            channels_in_words(&exercise.channels)
         );
         let subject = self.lesson.subject.clone().unwrap_or_else(|| DEFAULT_SUBJECT.to_owned());
         let exercises = vec![exercise.name.clone()];
@@ -242,6 +247,16 @@ impl Classroom {
         self.inbox.command(Command::Request { request, models: Vec::new(), reply: None });
         let remarks = report.remarks.iter().map(|remark| format!("; {remark}"));
         Ok(std::iter::once(sentence).chain(remarks).collect())
+    }
+}
+
+/// All of a few channels, or the first ones of many.
+fn channels_in_words(channels: &[String]) -> String {
+    match channels {
+        [some @ .., _] if some.len() >= MOST_NAMED => {
+            format!("{} and {} others", channels[..MOST_NAMED].join(", "), channels.len() - MOST_NAMED)
+        }
+        all => all.join(", "),
     }
 }
 
