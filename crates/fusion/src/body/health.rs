@@ -32,6 +32,9 @@ const IMPOSSIBLE_TAU_S: f64 = 0.4;
 const SLOW_RAD_S: f64 = 0.3;
 /// For so long must a disagreement last, s.
 const MISFIT_S: f64 = 0.2;
+/// Without a sample for so long, the filters go on by guess, s; what does not fit for so long after is laid to that, s.
+const GAP_S: f64 = 0.15;
+const AFTER_GAP_S: f64 = 3.0;
 
 /// What is remembered of a sensor's health.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Plain)]
@@ -49,6 +52,8 @@ pub(super) struct Watch {
     since_broken_s: Option<f64>,
     since_saturated_s: Option<f64>,
     since_misfit_s: Option<f64>,
+    /// Time since samples were missing.
+    since_gap_s: Option<f64>,
 }
 
 /// All numbers that every filter needs are finite.
@@ -62,8 +67,12 @@ impl Watch {
         for since in [&mut self.since_broken_s, &mut self.since_saturated_s, &mut self.since_misfit_s] {
             *since = since.map(|s| s + dt_s).filter(|s| *s < TOLD_S);
         }
+        self.since_gap_s = self.since_gap_s.map(|s| s + dt_s).filter(|s| *s < AFTER_GAP_S);
         let Some(sample) = sample else {
             self.silent_s += dt_s;
+            if self.silent_s >= GAP_S {
+                self.since_gap_s = Some(0.0);
+            }
             return;
         };
         self.silent_s = 0.0;
@@ -126,9 +135,40 @@ impl Watch {
         } else if self.since_saturated_s.is_some() {
             Some(Cause::Saturated)
         } else if self.since_misfit_s.is_some() {
-            Some(Cause::Misfit)
+            // A strap that holds is not to be blamed for samples that did not come.
+            Some(if self.since_gap_s.is_some() { Cause::Missing } else { Cause::Misfit })
         } else {
             None
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DT_S: f64 = 0.01;
+
+    /// The cause after a second in which sensor and body are 30 degrees apart; of every `each` samples only one comes.
+    fn apart(each: usize) -> Option<Cause> {
+        let mut watch = Watch::default();
+        let body = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), 0.52);
+        for k in 0..100 {
+            let turned = k as f64 * 1e-3;
+            let sample = ImuSample {
+                gyro_rad_s: Vector3::new(turned, 0.0, 0.0),
+                accel_m_s2: Vector3::new(0.0, turned, GRAVITY_M_S2),
+                mag: None,
+            };
+            watch.sample((k % each == 0).then_some(&sample), DT_S);
+            watch.agrees(Some(UnitQuaternion::identity()), Some(body), false, DT_S);
+        }
+        watch.fault()
+    }
+
+    #[test]
+    fn what_does_not_fit_for_want_of_samples_is_not_laid_to_a_strap() {
+        assert_eq!(apart(1), Some(Cause::Misfit));
+        assert_eq!(apart(20), Some(Cause::Missing));
     }
 }
