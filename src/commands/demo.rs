@@ -40,6 +40,10 @@ pub(crate) struct Args {
     /// Record everything that comes in, from the first byte on.
     #[arg(long, value_name = "REC.mcap")]
     record: Option<PathBuf>,
+    /// Where recordings, exercises, sessions and maps are kept; absent: beside STAGE.toml, and of the stage that is built in the recordings
+    /// in `recordings`, and all else only until the end.
+    #[arg(long, value_name = "FOLDER")]
+    data: Option<PathBuf>,
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
@@ -72,6 +76,15 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let devices = simulation::virtual_stage(&stage, &folder)?;
     let rehearsed = args.stage.is_none().then(|| stage.clone());
     let mut options = options(stage, text, folder);
+    match args.data {
+        Some(data) => options.data = data,
+        None if rehearsed.is_some() => {
+            // Who only looks leaves nothing behind but what was asked for.
+            options.data = ports.path().join("data");
+            options.stage.recording.folder.get_or_insert_with(|| PathBuf::from("recordings"));
+        }
+        None => {}
+    }
     options.listen = args.listen;
     options.record = args.record;
     options.truth = true;

@@ -1,9 +1,11 @@
 //! `posed demo` and `posed run` from the first line to the exit code.
 
-use posed_recording::Info;
-use serde_json::Value;
+use std::process::Command;
 
-use super::process::{Posed, all_ok, frames, one_device, two_devices, until};
+use posed_recording::Info;
+use serde_json::{Value, json};
+
+use super::process::{Posed, all_ok, frames, ok, one_device, two_devices, until};
 use crate::simulated::Simulation;
 
 fn vector(value: &Value) -> [f64; 3] {
@@ -91,4 +93,26 @@ async fn a_unit_that_starts_is_no_silent_one() {
             break;
         }
     }
+}
+
+/// Who only looks at the demo finds nothing in the folder afterwards but the recording that was asked for.
+#[tokio::test]
+async fn the_demo_leaves_nothing_behind_but_recordings() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_posed"));
+    let posed = Posed::spawn(command.args(["demo", "--listen", "127.0.0.1:0"]).current_dir(folder.path()));
+    let mut client = posed.client().await;
+    ok(&mut client, json!({"type": "session.begin", "person": "P-1"})).await;
+    ok(&mut client, json!({"type": "session.end"})).await;
+    let listed = ok(&mut client, json!({"type": "session.list"})).await;
+    assert_eq!(listed["sessions"].as_array().unwrap().len(), 1);
+    let begun = ok(&mut client, json!({"type": "record.start", "name": "take"})).await;
+    ok(&mut client, json!({"type": "record.stop"})).await;
+    assert_eq!(posed.end("INT").await.code(), Some(0));
+    let left = |path: &std::path::Path| {
+        let entries = std::fs::read_dir(path).unwrap();
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect::<Vec<_>>()
+    };
+    assert_eq!(left(folder.path()), ["recordings"]);
+    assert_eq!(left(&folder.path().join("recordings")), [begun["name"].as_str().unwrap()]);
 }
