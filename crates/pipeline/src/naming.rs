@@ -1,8 +1,8 @@
 //! Segments live: positions of the stage's sensors in, beginnings of segments out.
 //!
 //! What comes in: the frames' estimates. What goes out: a segment as soon as it seems to begin (`provisional`), and later
-//! that it did (`confirmed`) or did not (`withdrawn`). What it never does: take back what it confirmed, or take for movement what is
-//! none: it begins once all that it looks at is there, and anew where the body's position comes from elsewhere.
+//! that it did (`confirmed`) or did not (`withdrawn`). What it never does: take back what it confirmed, or begin before all that it
+//! looks at is there.
 
 use posed_state::{Plain, State};
 use std::collections::VecDeque;
@@ -12,7 +12,7 @@ use posed_drivers::Timestamp;
 use posed_fusion::body::BodySegment;
 use posed_motion::segments::{Labeller, Model, Position, Tick};
 use posed_stage::input::SensorIndex;
-use posed_stage::output::{self, Body, Estimate, Outcome, OutcomeKind, Output, PositionSource, SegmentEvent};
+use posed_stage::output::{self, Body, Estimate, Outcome, OutcomeKind, Output, SegmentEvent};
 
 /// Segments that may wait for their confirmation; more are withdrawn, the oldest first.
 const OPEN: usize = 64;
@@ -35,8 +35,6 @@ pub(super) struct Naming {
     /// When the first frame came, and whether it has begun since.
     first: Option<Timestamp>,
     begun: bool,
-    /// Where the body's position came from last.
-    source: Option<PositionSource>,
     /// Said as provisional, neither confirmed nor withdrawn.
     open: VecDeque<Open>,
     /// Numbers given to segments so far.
@@ -84,7 +82,6 @@ impl Naming {
             joints,
             first: None,
             begun: false,
-            source: None,
             model,
             open: VecDeque::with_capacity(OPEN),
             segments: 0,
@@ -117,15 +114,9 @@ impl Naming {
         let first = *self.first.get_or_insert(estimate.t_valid);
         let waits = self.positions.iter().any(Option::is_none)
             && estimate.t_valid.seconds_since(first) < LATEST_START_S;
-        let source = body.map(|body| body.position_source);
-        let before = std::mem::replace(&mut self.source, source);
-        let jumps = source == Some(PositionSource::Trackers) && before != source;
         self.begun |= !waits;
         let Self { model, labeller, positions, open, segments, last, .. } = self;
         let mut events = Events { model, open, segments, last, t_decided: estimate.t_valid, emit };
-        if jumps {
-            labeller.finish(model, &mut |tick| events.take(tick));
-        }
         if self.begun {
             labeller.push(model, estimate.t_valid.as_secs_f64(), positions, &mut |tick| events.take(tick));
         }

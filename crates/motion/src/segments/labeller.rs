@@ -2,7 +2,7 @@
 //!
 //! What comes in: positions of the model's joints with their times, at any rate. What goes out: per tick of the
 //! model's clock a provisional class as soon as the network has seen enough, and its final one after minimum durations.
-//! What it never does: allocate per frame once warm, give a tick two final classes, or bridge a gap: after one the
+//! What it never does: allocate per frame once warm, give a tick two final classes, or bridge a gap or a jump: there the
 //! stream ends and a new one begins.
 
 use posed_state::State;
@@ -13,6 +13,20 @@ use super::loss::{best, softmax};
 use super::model::Model;
 use super::sequence::{GAP_S, Sequence, between};
 use super::stream::Stream;
+
+/// Nobody moves so fast as a whole, m/s: joints that do were put elsewhere, as a body is whose place is known from then on.
+const FASTEST_M_S: f64 = 15.0;
+
+/// Whether the joints as a whole have moved in `dt_s` as nothing moves.
+fn is_elsewhere(before: &[Position], now: &[Position], dt_s: f64) -> bool {
+    let (mut moved_m, mut joints) = ([0.0; 3], 0.0);
+    for (before, now) in before.iter().zip(now).filter_map(|(before, now)| before.zip(*now)) {
+        (0..3).for_each(|axis| moved_m[axis] += now[axis] - before[axis]);
+        joints += 1.0;
+    }
+    let way_m = libm::sqrt(moved_m.iter().map(|way_m| way_m * way_m).sum());
+    way_m > FASTEST_M_S * dt_s * joints
+}
 
 /// The class of one tick of the model's rate. Every tick comes provisional first and final later.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -88,7 +102,7 @@ impl Labeller {
 
     /// Takes the positions of the model's joints at `t_s` (s), z up, m; `emit` gets ticks. A frame that is not after
     /// the last one, or whose time is not finite, is left out; positions are interpolated to ticks, and a longer gap
-    /// ends the stream.
+    /// ends the stream, and so does a jump of all joints at more than 15 m/s.
     ///
     /// # Panics
     /// The positions are not as many as the model's joints.
@@ -100,7 +114,9 @@ impl Labeller {
         }
         match self.last_s {
             Some(last_s) if t_s <= last_s => return,
-            Some(last_s) if t_s - last_s <= GAP_S.max(1.5 / preparation.rate_hz) => {}
+            Some(last_s)
+                if t_s - last_s <= GAP_S.max(1.5 / preparation.rate_hz)
+                    && !is_elsewhere(&self.last, positions, t_s - last_s) => {}
             _ => {
                 self.finish(model, emit);
                 self.start_s = t_s;
