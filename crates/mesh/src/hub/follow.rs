@@ -19,7 +19,7 @@ use posed_daemon::ended;
 use posed_daemon::server::Item;
 use posed_daemon::server::rfc3339;
 use posed_daemon::server::{StageEndpoint, StageRegistry};
-use posed_protocol::{LinkState, Problem, RelatedClock, StagePresence, Stamp, Status, unpack};
+use posed_protocol::{LinkState, Problem, RelatedClock, StagePresence, Stamp, Status, Topic, unpack};
 use posed_stage::Stage;
 
 /// Messages of zenoh that wait for this task; more are lost, and events among them asked for.
@@ -53,7 +53,8 @@ struct Following {
     /// Newest event that the stage has spoken of.
     newest_event_id: u64,
     relation: Relation,
-    status: Option<(Status, Stamp)>,
+    /// Its latest status; an empty one before the first.
+    status: (Status, Stamp),
     frames: u32,
 }
 
@@ -140,9 +141,8 @@ impl Work {
             (false, following) => {
                 board.presence(id, StagePresence::Gone);
                 tracing::warn!("stage {id} has vanished: it has ended, or the network to it is cut");
-                if let Some(following) = following
-                    && let Some((status, stamp)) = &mut following.status
-                {
+                if let Some(following) = following {
+                    let (status, stamp) = &mut following.status;
                     // Times rise, and the stage's own next status is later than that.
                     stamp.t_us += 1;
                     following.end.publish(Item::Status(Box::new(vanished(status))), *stamp).await;
@@ -399,7 +399,7 @@ impl Work {
             last_event_id: 0,
             newest_event_id: joined.last_event_id,
             relation: Relation::default(),
-            status: None,
+            status: (Status::default(), Stamp { topic: Topic::Status, t_us: 0, event_id: None }),
             frames: 0,
         };
         Ok((following, until))
@@ -421,7 +421,7 @@ impl Following {
             entry.streaming = streaming.count() as u32;
             entry.problems.clone_from(&status.problems);
         });
-        self.status = Some((status.clone(), stamp));
+        self.status = (status.clone(), stamp);
         self.end.publish(Item::Status(Box::new(status)), stamp).await;
     }
 }
