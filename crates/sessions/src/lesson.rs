@@ -72,12 +72,14 @@ pub(crate) fn bounds(values: &[f64]) -> (f64, f64) {
 
 /// Values at equal distances, at [`POINTS`] of them, linearly between neighbours; `degrees` per unit.
 pub(crate) fn resampled(values: &[f64], degrees_per_unit: f64) -> Vec<f64> {
-    let last = values.len().saturating_sub(1);
-    let point = |point: usize| {
-        let at = last as f64 * point as f64 / (POINTS - 1) as f64;
-        let (left, share) = (at as usize, at.fract());
-        let (left, right) = (values[left], values[(left + 1).min(last)]);
-        degrees((left + share * (right - left)) * degrees_per_unit)
-    };
-    if values.is_empty() { vec![0.0; POINTS] } else { (0..POINTS).map(point).collect() }
+    (0..POINTS).map(|point| degrees(course_at(values, point, POINTS) * degrees_per_unit)).collect()
+}
+
+/// The value of a course at one of `points` equally distant points (2 or more), linearly between neighbours; 0 of none.
+pub fn course_at(values: &[f64], point: usize, points: usize) -> f64 {
+    let Some(last) = values.len().checked_sub(1) else { return 0.0 };
+    let at = last as f64 * point as f64 / (points - 1) as f64;
+    let (left, share) = (at as usize, at.fract());
+    let (left, right) = (values[left], values[(left + 1).min(last)]);
+    left + share * (right - left)
 }

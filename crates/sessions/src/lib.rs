@@ -27,7 +27,7 @@ mod summary;
 mod testing;
 
 pub use follower::Follower;
-pub use lesson::{LessonJoint, TaughtLesson};
+pub use lesson::{LessonJoint, TaughtLesson, course_at};
 pub use people::{Erasure, Forgotten, Person};
 pub use plan::{Plan, PlanError, PlanStep};
 pub use repetition::{JointCourse, POINTS, Repetition, Score};

@@ -8,7 +8,9 @@ use posed_stage::RecordingContent;
 use posed_stage::input::Input;
 use serde_json::{Value, json};
 
-use super::process::{Posed, all_ok, frames, ok, record_start, replays, succeed, two_devices, until};
+use super::process::{
+    Posed, all_ok, copy_demo, frames, ok, record_start, replays, succeed, two_devices, until,
+};
 use crate::cli::posed;
 
 /// In a stage file: messages beside the log, to hold the replay against.
@@ -187,11 +189,8 @@ fn repaired(torn: &Path) {
 async fn the_demo_s_log_alone_gives_everything_that_was_recorded() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
-    for name in ["demo-moves.safetensors", "demo-field.json"] {
-        std::fs::copy(config.join(name), path(name)).unwrap();
-    }
-    let text = std::fs::read_to_string(config.join("demo.toml")).unwrap() + FULL;
+    copy_demo(folder.path());
+    let text = std::fs::read_to_string(path("demo.toml")).unwrap() + FULL;
     std::fs::write(path("demo.toml"), text).unwrap();
     let daemon = Posed::start([
         "demo".as_ref(),

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde_json::json;
 
 use crate::browser::{self, Browser};
-use crate::daemon::process::{Posed, ok, two_devices, until};
+use crate::daemon::process::{Posed, copy_demo, ok, two_devices, until};
 use crate::sessions::write_curl_of_a_body;
 
 use super::{LIVE, done};
@@ -111,7 +111,7 @@ async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_devic
     browser.value("document.querySelectorAll('#session-list button')[1].click()").await;
     browser.until(&format!("{} === 'Session 1 of P-17'", text("sets-title"))).await;
     browser.value("document.querySelector('#session-sets td:last-child button:not(.quiet)').click()").await;
-    browser.until(&format!("/^Repetition 1 of set 1, [0-9.]+ s/.test({})", text("repetition-told"))).await;
+    browser.until(&format!("/^Repetition 1 of set 1, [0-9.]+ s/.test({})", text("repetition-summary"))).await;
     browser.value("document.querySelector('#session-sets input').value = 3").await;
     browser.value("document.querySelector('#session-sets form button').click()").await;
     browser.until(&format!("{}.includes('put right')", text("session-sets"))).await;
@@ -136,10 +136,7 @@ async fn the_demonstration_stands_beside_the_person() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
-    for name in ["demo.toml", "demo-moves.safetensors", "demo-field.json"] {
-        std::fs::copy(config.join(name), folder.path().join(name)).unwrap();
-    }
+    copy_demo(folder.path());
     std::fs::create_dir(folder.path().join("exercises")).unwrap();
     write_curl_of_a_body(&folder.path().join("exercises/curl-001.json"));
     let posed =

@@ -32,10 +32,10 @@ export class SessionSets {
   private readonly title = el("h2", { id: "sets-title" });
   private readonly says = el("p", { class: "says", role: "alert" });
   private readonly sets = el("tbody", { id: "session-sets" });
-  private readonly told = el("p", { id: "repetition-told" });
+  private readonly summary = el("p", { id: "repetition-summary" });
   private readonly joint = el("select", { id: "repetition-joint", "aria-label": "joint" });
   private readonly holder = el("section", { class: "curve", "aria-label": "The repetition and its lesson" });
-  private readonly beside = el("div", { id: "repetition", hidden: true }, this.told, el("label", {}, "Joint ", this.joint), this.holder);
+  private readonly beside = el("div", { id: "repetition", hidden: true }, this.summary, el("label", {}, "Joint ", this.joint), this.holder);
   private session = 0;
   private plot: uPlot | null = null;
   private shown: { set: TrainedSet; repetition: TrainedRepetition } | null = null;
@@ -89,7 +89,7 @@ export class SessionSets {
     const what = reason === undefined ? `Repetition ${number ?? "?"}` : "A movement";
     const points = score ? `, ${Math.round(score.total)} of 100` : "";
     const said = spokenIn(ownLanguage(), { sentence, sentence_de });
-    setText(this.told, `${what} of set ${set.set}, ${num(t_end_s - t_start_s, 1)} s${points}${said === null ? "" : `: ${said}`}.`);
+    setText(this.summary, `${what} of set ${set.set}, ${num(t_end_s - t_start_s, 1)} s${points}${said === null ? "" : `: ${said}`}.`);
     const range = (name: string) => {
       const course = set.lesson.joints.find((joint) => joint.name === name)?.demonstration_deg ?? [0];
       return Math.max(...course) - Math.min(...course);

@@ -5,9 +5,10 @@
 
 use super::super::server::Refusal;
 use super::Calls;
-use posed_fusion::body::{ANGLES, BodySegment, SEGMENTS, Skeleton, angle_of_column, orientations};
-use posed_motion::exercise::Exercise;
+use posed_fusion::body::{ANGLE_NAMES, ANGLES, BodySegment, SEGMENTS, Skeleton, orientations};
+use posed_motion::exercise::{Exercise, Joint};
 use posed_protocol::{Demonstration, FigureSegment};
+use posed_sessions::course_at;
 use posed_stage::layout::skeleton_of;
 
 /// Figures of a demonstration: as many as a repetition of 3 s has at 15 Hz.
@@ -40,7 +41,7 @@ fn demonstration(exercise: &Exercise, skeleton: &Skeleton) -> Option<Demonstrati
     let frame = |number: usize| {
         let mut known_rad = [None; ANGLES];
         for (_, angle, rad, states) in &shown {
-            known_rad[*angle] = Some(rad * between(states, number as f64 / (FRAMES - 1) as f64));
+            known_rad[*angle] = Some(rad * course_at(states, number, FRAMES));
         }
         figure(&orientations(&known_rad), skeleton)
     };
@@ -53,12 +54,12 @@ fn demonstration(exercise: &Exercise, skeleton: &Skeleton) -> Option<Demonstrati
     })
 }
 
-/// The value at a share of the course, linearly between neighbours; 0 of none.
-fn between(values: &[f64], share: f64) -> f64 {
-    let Some(last) = values.len().checked_sub(1) else { return 0.0 };
-    let at = share * last as f64;
-    let left = (at as usize).min(last);
-    values[left] + (at - left as f64) * (values[(left + 1).min(last)] - values[left])
+/// The angle that a column holds, `elbow_r_flexion_deg` or `elbow_r_flexion_rad`: where it is in [`ANGLE_NAMES`], and rad per unit; `None`
+/// of any other column.
+fn angle_of_column(column: &str) -> Option<(usize, f64)> {
+    let rad = Joint::of(column)?.degrees.to_radians();
+    let (name, _) = column.rsplit_once('_')?;
+    ANGLE_NAMES.iter().position(|known| *known == name).map(|index| (index, rad))
 }
 
 fn figure(
@@ -72,4 +73,20 @@ fn figure(
         orientation_wxyz: posed_geometry::orientation_to_wxyz(&orientations[segment.index()]),
     };
     BodySegment::ALL.into_iter().map(segment).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_of_other_quantities_are_no_angles() {
+        let (index, rad) = angle_of_column("elbow_r_flexion_deg").unwrap();
+        assert_eq!((index, rad), (8, 1.0_f64.to_radians()));
+        let (index, rad) = angle_of_column("elbow_r_flexion_rad").unwrap();
+        assert!(index == 8 && (rad - 1.0).abs() < 1e-15, "{rad}");
+        for column in ["elbow_r_flexion", "wand_x_m", "elbow_flexion_deg", "_deg"] {
+            assert_eq!(angle_of_column(column), None, "{column}");
+        }
+    }
 }

@@ -252,11 +252,9 @@ impl Classroom {
 
 /// All of a few channels, or the first ones of many.
 fn channels_in_words(channels: &[String]) -> String {
-    match channels {
-        [some @ .., _] if some.len() >= MOST_NAMED => {
-            format!("{} and {} others", channels[..MOST_NAMED].join(", "), channels.len() - MOST_NAMED)
-        }
-        all => all.join(", "),
+    match channels.split_at_checked(MOST_NAMED) {
+        Some((named, rest)) if !rest.is_empty() => format!("{} and {} more", named.join(", "), rest.len()),
+        _ => channels.join(", "),
     }
 }
 

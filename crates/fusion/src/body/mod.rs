@@ -39,7 +39,7 @@ pub use calibrate::{Calibrated, CalibrationError, REPEAT_DEG, calibrate};
 pub use guide::{Guide, Thoroughness};
 pub use inverse::{Figure, Follower, Tracked};
 pub use limbs::{elbow, knee};
-pub use posture::{angle_of_column, orientations};
+pub use posture::orientations;
 pub use skeleton::{BodySegment, Limb, SEGMENTS, Skeleton, upright};
 pub use spread::{AngleSpread, independent};
 

@@ -1,22 +1,12 @@
-//! From joint angles by their names to a whole figure: how a demonstration is shown.
+//! From joint angles to a whole figure: how a demonstration is shown.
 //!
-//! In: some angles of [`super::ANGLE_NAMES`], in degrees or radians by the ending of their names. Out: orientations of all segments in the room,
-//! of a body that looks along the room's x with its pelvis upright. A joint that no angle names hangs straight.
+//! In: some angles of [`super::ANGLE_NAMES`], rad. Out: orientations of all segments in the room, of a body that looks along the room's x with
+//! its pelvis upright. A joint of which no angle is known hangs straight.
 
 use nalgebra::UnitQuaternion;
 
-use super::angles::{ANGLE_NAMES, ANGLES, joint_rotation, of_joint};
+use super::angles::{ANGLES, joint_rotation, of_joint};
 use super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
-
-/// The angles that a column holds, `elbow_r_flexion_deg` or `elbow_r_flexion_rad`: where it is in [`ANGLE_NAMES`], and rad per unit;
-/// `None` of any other column.
-pub fn angle_of_column(column: &str) -> Option<(usize, f64)> {
-    let (name, rad) = column
-        .strip_suffix("_deg")
-        .map(|name| (name, std::f64::consts::PI / 180.0))
-        .or_else(|| column.strip_suffix("_rad").map(|name| (name, 1.0)))?;
-    ANGLE_NAMES.iter().position(|known| *known == name).map(|index| (index, rad))
-}
 
 /// Segment to room, by [`BodySegment::index`], from the angles that are known, rad, in the order of [`ANGLE_NAMES`].
 ///
@@ -46,19 +36,10 @@ pub fn orientations(known_rad: &[Option<f64>; ANGLES]) -> [UnitQuaternion<f64>; 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::body::angles;
+    use crate::body::{ANGLE_NAMES, angles};
 
     fn index(name: &str) -> usize {
         ANGLE_NAMES.iter().position(|known| *known == name).unwrap()
-    }
-
-    #[test]
-    fn columns_of_other_quantities_are_no_angles() {
-        assert_eq!(angle_of_column("elbow_r_flexion_deg"), Some((8, 1.0_f64.to_radians())));
-        assert_eq!(angle_of_column("elbow_r_flexion_rad"), Some((8, 1.0)));
-        for column in ["elbow_r_flexion", "wand_x_m", "elbow_flexion_deg", "_deg"] {
-            assert_eq!(angle_of_column(column), None, "{column}");
-        }
     }
 
     /// What is known comes back, and what is not hangs.

@@ -438,8 +438,8 @@ impl Assembler {
         frame.by_model = tick.by_model;
         for (sensor, slot) in self.sensors.iter_mut().zip(&mut frame.sensors) {
             slot.samples.clear();
-            let period_s = self.devices[sensor.device].period_s().unwrap_or(0.0);
-            let longest_s = (WAITS_PERIODS * period_s).max(WAITS_S);
+            let device = &self.devices[sensor.device];
+            let longest_s = (WAITS_PERIODS * device.period_s().unwrap_or(0.0)).max(WAITS_S);
             while let Some(sample) = sensor.queue.front()
                 && sample.measured.t_valid <= tick.t
             {
@@ -449,7 +449,6 @@ impl Assembler {
                 sensor.queue.pop_front();
             }
             let is_clock = tick.device == Some(sensor.device);
-            let device = &self.devices[sensor.device];
             let period_s = device.period_s().filter(|period_s| *period_s <= SAME_RATE * tick_s);
             if let (true, Some(period_s)) = (slot.samples.is_empty(), period_s)
                 && let Some(next) = sensor.queue.front()
