@@ -8,7 +8,7 @@ use nalgebra::UnitQuaternion;
 use super::angles::{ANGLES, joint_rotation, of_joint};
 use super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
 
-/// Segment to room, by [`BodySegment::index`], from the angles that are known, rad, in the order of [`ANGLE_NAMES`].
+/// Segment to room, by [`BodySegment::index`], from the angles that are known, rad, in the order of [`super::ANGLE_NAMES`].
 ///
 /// A shoulder is placed by its flexion and abduction where either is known, else by plane and elevation; a plane that is not known is
 /// that of the front.
