@@ -81,7 +81,7 @@ struct Run {
 }
 
 fn record(case: &Case) -> Run {
-    let script = Script { activity: case.activity, calibration: true, facing: 0.6 };
+    let script = Script { activity: case.activity, calibration: true, facing: 0.6, mistake: None };
     let spec = WearerSpec {
         script: script.clone(),
         build: Build::of_height(HEIGHT_M),
@@ -284,7 +284,7 @@ fn main() {
         let skin = SensorErrors { skin_m: 5e-4, skin_rad_m: 2.0, ..SensorErrors::calibrated() };
         row("skin", &Case { errors: skin, ..Case::new(activity, Mounting::Calibrated) });
         let mut far = Case::new(activity, Mounting::Perfect);
-        let calibration = Script { activity, calibration: true, facing: 0.0 };
+        let calibration = Script { activity, calibration: true, facing: 0.0, mistake: None };
         let start_s = calibration.activity_s() + 15.0;
         let disturbed = |azimuth_rad: f64, norm, dip_rad: f64| {
             vec![Disturbance { start_s, end_s: start_s + 30.0, azimuth_rad, norm, dip_rad }]

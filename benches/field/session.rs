@@ -68,7 +68,7 @@ impl Session {
         let seats: Vec<Vector3<f64>> =
             lengths.iter().map(|length| Vector3::new(0.0, -0.5 * length, 0.0) + vector(0.03)).collect();
         let phases = vector(3.0);
-        let script = Script { activity: Activity::Reaching, calibration: false, facing: 0.0 };
+        let script = Script { activity: Activity::Reaching, calibration: false, facing: 0.0, mistake: None };
         let place = |t_s: f64| {
             let mut posture = script.at(t_s, &build);
             let wander = |axis: usize, period_s: f64| libm::sin(TAU * t_s / period_s + phases[axis]);

@@ -45,7 +45,7 @@ impl Recorded {
     fn of(stage: &str, samples: usize, names: [&str; 3]) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let mut wearer = Wearer::new(WearerSpec {
-            script: Script { activity: Activity::Curls, calibration: true, facing: -0.9 },
+            script: Script { activity: Activity::Curls, calibration: true, facing: -0.9, mistake: None },
             build: Build::of_height(1.8),
             errors: SensorErrors::calibrated(),
             magnetometer: true,

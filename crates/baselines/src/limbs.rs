@@ -267,7 +267,7 @@ mod tests {
 
     fn wearer(activity: Activity) -> Wearer {
         Wearer::new(WearerSpec {
-            script: Script { activity, calibration: false, facing: 0.6 },
+            script: Script { activity, calibration: false, facing: 0.6, mistake: None },
             build: Build::of_height(HEIGHT_M),
             errors: SensorErrors::calibrated(),
             magnetometer: true,

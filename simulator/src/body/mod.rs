@@ -14,5 +14,5 @@ mod tests;
 mod wearer;
 
 pub use kinematics::{Build, Placement, Posture, SEGMENT_NAMES, TrueBody};
-pub use script::{Activity, BlockSpan, Script};
+pub use script::{Activity, BlockSpan, Mistake, Script};
 pub use wearer::{Disturbance, Sample, SensorErrors, Truth, Wearer, WearerSpec};

@@ -19,13 +19,32 @@ pub enum Activity {
     Curls,
     /// Squats with the arms held forward.
     Squats,
-    /// Holds an N-pose and a T-pose in turn, three seconds each: what a guided calibration asks for.
+    /// Holds an N-pose and a T-pose in turn, three seconds each: what a quick guided calibration asks for.
     Poses,
+    /// Stands, holds a T-pose, then bends elbows, knees, hips and trunk with rests between, again and again: what a full calibration
+    /// asks for, with or without magnetometers.
+    Bends,
     /// Stands, holds a T-pose, then moves limb after limb and the trunk with rests between, again and again: what a calibration asks
     /// for that finds which sensor sits where.
     Movements,
     /// Three sets of five curls, reaches, three sets of five squats, with five seconds of rest after each set: two minutes, again and again.
     Workout,
+}
+
+/// What somebody does wrong who holds the poses of a calibration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Mistake {
+    /// The arms are raised forward, not sideways.
+    ArmsForward,
+    /// The arms are raised half way.
+    ArmsLow,
+    /// The palms look forward in the T-pose.
+    PalmsForward,
+    /// The elbows are bent by 60 degrees where the arms hang.
+    BentElbows,
+    /// The trunk is bent by 30 degrees where the arms hang.
+    Stoops,
 }
 
 /// A part of a workout.
@@ -76,6 +95,8 @@ pub struct Script {
     pub calibration: bool,
     /// Which way the person faces at first, rad: 0 is along the room's x, positive to the left.
     pub facing: f64,
+    /// What is done wrong in the first round of [`Activity::Poses`], [`Activity::Bends`] and [`Activity::Movements`].
+    pub mistake: Option<Mistake>,
 }
 
 /// The movements: name, amplitude in rad; three seconds there and back, twice.
@@ -94,11 +115,19 @@ const MOVEMENTS: [(&str, f64); 13] = [
     ("trunk_rotation", 0.7),
     ("shoulder_abduction_r", 1.0),
 ];
-/// Of these, those that move one limb or the trunk: arms, legs, bow and trunk.
+/// Of these, those that a full calibration asks for: elbows, knees, hips and a bow.
+const BENDS: [usize; 7] = [0, 1, 6, 7, 8, 9, 10];
+/// And those that move one limb or the trunk: arms, legs, bow and trunk.
 const EACH_LIMB: [usize; 10] = [0, 4, 1, 5, 6, 8, 7, 9, 10, 11];
 const POSE_S: f64 = 3.0;
 const CHANGE_S: f64 = 2.0;
 const MOVE_S: f64 = 5.0;
+/// A round of two poses, s.
+const POSES_S: f64 = 2.0 * (POSE_S + CHANGE_S);
+/// Where movements follow on the poses: so long somebody stands before them, s, after so long they begin, and so often they come.
+const STAND_S: f64 = 8.0;
+const BEGIN_S: f64 = STAND_S + 2.0 * CHANGE_S + POSE_S + 0.5 * STAND_S;
+const MOVED_S: f64 = MOVE_S + 2.0;
 
 impl Script {
     /// When which pose or movement is held, in the order of time; empty without a calibration.
@@ -145,11 +174,24 @@ impl Script {
         if t > 0.0 {
             self.activity.act(&mut posture, t, step(t / RAMP_S));
         }
+        if let (Some(mistake), Some(round_s)) = (self.mistake, self.activity.round_s()) {
+            mistake.spoil(&mut posture, step((round_s - t) / CHANGE_S));
+        }
         posture
     }
 }
 
 impl Activity {
+    /// After how long a calibration's poses and movements come again, s; `None` of what is no calibration.
+    fn round_s(self) -> Option<f64> {
+        match self {
+            Activity::Poses => Some(POSES_S),
+            Activity::Bends => Some(round_s(&BENDS)),
+            Activity::Movements => Some(round_s(&EACH_LIMB)),
+            _ => None,
+        }
+    }
+
     /// How far a movement of this duration has come, from 0 to 1 and back to 0.
     pub(super) fn swell(t: f64, duration_s: f64) -> f64 {
         Self::swell_within(RAMP_S, t, duration_s)
@@ -227,27 +269,9 @@ impl Activity {
                 let (s, c) = libm::sincos(p.pelvis[0]);
                 p.pelvis_m -= Vector3::new(c, s, 0.0) * (0.15 * down);
             }
-            Activity::Poses => {
-                const ROUND_S: f64 = 2.0 * (POSE_S + CHANGE_S);
-                let at = t.rem_euclid(ROUND_S);
-                hold_t_pose(p, at, POSE_S);
-            }
-            Activity::Movements => {
-                const STAND_S: f64 = 8.0;
-                const MOVED_S: f64 = MOVE_S + 2.0;
-                let begin_s = STAND_S + 2.0 * CHANGE_S + POSE_S + 0.5 * STAND_S;
-                let at = t.rem_euclid(begin_s + MOVED_S * EACH_LIMB.len() as f64);
-                hold_t_pose(p, at, STAND_S);
-                if at >= begin_s {
-                    let index = ((at - begin_s) / MOVED_S) as usize;
-                    let (kind, amplitude) = MOVEMENTS[EACH_LIMB[index]];
-                    bend(
-                        p,
-                        kind,
-                        amplitude * there_and_back((at - begin_s - MOVED_S * index as f64) / MOVE_S),
-                    );
-                }
-            }
+            Activity::Poses => hold_t_pose(p, t.rem_euclid(POSES_S), POSE_S),
+            Activity::Bends => pose_and_move(p, t, &BENDS),
+            Activity::Movements => pose_and_move(p, t, &EACH_LIMB),
             Activity::Workout => {
                 let round_s: f64 = WORKOUT.iter().map(|part| part.duration_s + part.rest_s).sum();
                 let mut at = (t - LEAD_S).rem_euclid(round_s);
@@ -266,6 +290,44 @@ impl Activity {
             }
         }
     }
+}
+
+impl Mistake {
+    /// Adds this share of it to a posture as it should be.
+    fn spoil(self, p: &mut Posture, share: f64) {
+        for side in 0..2 {
+            let elevation = p.shoulder[side][1];
+            let hangs = 1.0 - elevation / std::f64::consts::FRAC_PI_2;
+            match self {
+                // Of arms that go up sideways: in a movement they have a plane.
+                Mistake::ArmsForward if p.shoulder[side][0] != 0.0 => {}
+                Mistake::ArmsForward => {
+                    p.shoulder[side][0] += share * std::f64::consts::FRAC_PI_2;
+                    p.shoulder[side][2] -= share * std::f64::consts::FRAC_PI_2;
+                }
+                Mistake::ArmsLow => p.shoulder[side][1] *= 1.0 - 0.5 * share,
+                Mistake::PalmsForward => p.shoulder[side][2] -= share * elevation,
+                Mistake::BentElbows => p.elbow[side][0] += share * 1.05 * hangs,
+                // Once for each side.
+                Mistake::Stoops => p.spine[0] += share * 0.26 * hangs,
+            }
+        }
+    }
+}
+
+/// Stands, holds a T-pose, stands, and makes these movements one after the other, again and again.
+fn pose_and_move(p: &mut Posture, t: f64, movements: &[usize]) {
+    let at = t.rem_euclid(round_s(movements));
+    hold_t_pose(p, at, STAND_S);
+    if at >= BEGIN_S {
+        let index = ((at - BEGIN_S) / MOVED_S) as usize;
+        let (kind, amplitude) = MOVEMENTS[movements[index]];
+        bend(p, kind, amplitude * there_and_back((at - BEGIN_S - MOVED_S * index as f64) / MOVE_S));
+    }
+}
+
+fn round_s(movements: &[usize]) -> f64 {
+    BEGIN_S + MOVED_S * movements.len() as f64
 }
 
 /// Both arms go up sideways from a time on, s, are held, and come down again.

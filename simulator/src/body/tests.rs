@@ -52,7 +52,7 @@ fn segments_stand_as_in_the_poses_by_hand() {
 
 #[test]
 fn a_sensor_that_rests_feels_gravity_and_the_field_and_nothing_else() {
-    let script = Script { activity: Activity::Curls, calibration: true, facing: 0.7 };
+    let script = Script { activity: Activity::Curls, calibration: true, facing: 0.7, mistake: None };
     let build = Build::of_height(1.8);
     let spec = WearerSpec {
         script,
@@ -81,7 +81,7 @@ fn a_sensor_that_rests_feels_gravity_and_the_field_and_nothing_else() {
 
 #[test]
 fn angular_velocities_add_up_to_the_rotation() {
-    let script = Script { activity: Activity::Walking, calibration: false, facing: 0.0 };
+    let script = Script { activity: Activity::Walking, calibration: false, facing: 0.0, mistake: None };
     let spec = WearerSpec {
         script,
         build: Build::of_height(1.7),

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::body::{Activity, Build, SEGMENT_NAMES, Script};
+use crate::body::{Activity, Build, Mistake, SEGMENT_NAMES, Script};
 
 /// A whole person who stands, calibrates, moves.
 ///
@@ -12,8 +12,9 @@ use crate::body::{Activity, Build, SEGMENT_NAMES, Script};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Person {
-    /// What the person does: `walking`, `reaching`, `curls`, `squats`, `poses` (N-pose and T-pose in
-    /// turn, 3 s each), `movements` (a T-pose, then limb after limb and the trunk), or `workout` (three sets of five curls,
+    /// What the person does: `walking`, `reaching`, `curls`, `squats`, what a calibration asks for (`poses`: N-pose and T-pose in
+    /// turn, 3 s each, for `how = "quick"`; `bends`: a T-pose, then elbows, knees, hips and a bow, for `full`; `movements`: a T-pose,
+    /// then limb after limb and the trunk, for `assign`), or `workout` (three sets of five curls,
     /// reaches, three sets of five squats, with rests between: two minutes).
     pub activity: Activity,
     /// Whether a calibration comes first: poses and movements, 88 s.
@@ -24,6 +25,8 @@ pub struct Person {
     pub position_m: [f64; 3],
     /// Where the person looks at first: 0 is along room x, counter-clockwise positive, degrees.
     pub heading_deg: f64,
+    /// What the person does wrong in the first round of `poses`, `bends` and `movements`.
+    pub mistake: Option<Mistake>,
 }
 
 impl Default for Person {
@@ -34,6 +37,7 @@ impl Default for Person {
             height_m: 1.75,
             position_m: [0.0; 3],
             heading_deg: 0.0,
+            mistake: None,
         }
     }
 }
@@ -47,6 +51,7 @@ impl Person {
             activity: self.activity,
             calibration: self.calibration,
             facing: self.heading_deg.to_radians(),
+            mistake: self.mistake,
         };
         let mut posture = script.at(t_s, &build);
         posture.pelvis_m += Vector3::from(self.position_m);

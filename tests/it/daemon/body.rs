@@ -94,7 +94,12 @@ async fn a_stage_without_a_body_has_none_to_calibrate() {
 #[tokio::test]
 async fn a_body_is_calibrated_from_a_terminal() {
     let folder = tempfile::tempdir().unwrap();
+    // A person who first raises the arms forward.
     let stage = crate::page::calibration::posing(folder.path());
+    let text = fs::read_to_string(&stage).unwrap();
+    let with_mistake = "activity = \"poses\"\nmistake = \"arms-forward\"";
+    assert!(text.contains("activity = \"poses\""), "{text}");
+    fs::write(&stage, text.replace("activity = \"poses\"", with_mistake)).unwrap();
     let daemon = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let at = daemon.address.to_string();
     let calibrate = move |more: &'static [&'static str]| {
@@ -110,7 +115,14 @@ async fn a_body_is_calibrated_from_a_terminal() {
         lines[0].starts_with("1 of 2: Stand upright") && lines[1].starts_with("2 of 2: Raise"),
         "{reported}"
     );
-    assert!(lines[2].starts_with("the sensors' mounting is known") && lines.len() == 13, "{reported}");
+    assert!(
+        lines[2].starts_with("1 of 2: t_pose (upper_arm_r) and t_pose (upper_arm_l) disagree by 1")
+            && lines[2]
+                .ends_with("Once more: Stand upright, arms hanging, palms to the body, and hold still"),
+        "{reported}"
+    );
+    assert!(lines[3].starts_with("2 of 2: Raise"), "{reported}");
+    assert!(lines[4].starts_with("the sensors' mounting is known") && lines.len() == 15, "{reported}");
     // Nobody is there.
     assert_eq!(daemon.end("INT").await.code(), Some(0));
     let alone = calibrate(&["--json"]).await.unwrap();

@@ -15,7 +15,7 @@ use super::guided::{self, Guided};
 use posed_fusion::body::assign;
 use posed_fusion::body::{Block, Calibrated, CalibrationError, Recorded, calibrate};
 use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton};
-use posed_fusion::body::{Guide, Thoroughness};
+use posed_fusion::body::{Guide, Places, Thoroughness, Trackers};
 use posed_geometry::orientation_to_wxyz;
 use posed_pipeline::all_have_field;
 use posed_stage::Stage;
@@ -45,7 +45,12 @@ impl Calls {
             return Err(no_body("this stage has no IMU on a segment of the body"));
         }
         let magnetic = all_have_field(&self.stage, &wearers.imus);
-        Ok(Session { stage: self.stage.clone(), skeleton, magnetic, how, inbox: self.inbox.clone() })
+        let mut trackers = [None; SEGMENTS];
+        for (tracker, segment) in wearers.trackers {
+            trackers[segment.index()].get_or_insert(tracker);
+        }
+        let (stage, inbox) = (self.stage.clone(), self.inbox.clone());
+        Ok(Session { stage, skeleton, magnetic, how, trackers, inbox })
     }
 }
 
@@ -58,15 +63,23 @@ struct Session {
     skeleton: Skeleton,
     magnetic: bool,
     how: Thoroughness,
+    /// The magnetic tracker on each segment.
+    trackers: [Option<SensorIndex>; SEGMENTS],
     inbox: FusionInbox,
 }
 
 impl Session {
     fn run(self, job: &Job) -> Result<String, Failure> {
         let imus = self.inbox.ask(|to| Command::BodyImus { to })?;
-        let guide = Guide::new(imus.map(|imu| imu.is_some()), self.magnetic, self.how);
+        let offsets_m = BodySegment::ALL.map(|segment| {
+            let tracker = self.trackers[segment.index()]?;
+            let known_m = offset_on(&self.stage.sensors[usize::from(tracker)], segment);
+            Some(known_m.unwrap_or_else(|| self.skeleton.usual_sensor_m(segment)))
+        });
+        let guide = Guide::new(imus.map(|imu| imu.is_some()), self.magnetic, self.how)
+            .with_trackers(Trackers::new(self.skeleton, offsets_m));
         let mut guided = Body { guide, reported: None };
-        let source = BodySource::new(imus, self.magnetic);
+        let source = BodySource::new(imus, self.trackers, self.magnetic);
         guided::run(&mut guided, job, &self.inbox, source)?;
         self.solve(job, imus, &guided.guide)
     }
@@ -158,10 +171,10 @@ impl Session {
     }
 }
 
-/// What is done, and the step that was reported last.
+/// What is done, and the step that was reported last, with the objections by then.
 struct Body {
     guide: Guide,
-    reported: Option<usize>,
+    reported: Option<(usize, usize)>,
 }
 
 impl Guided for Body {
@@ -176,17 +189,21 @@ impl Guided for Body {
 
     fn report(&mut self, job: &Job, prompt: &str) {
         let (done, steps) = self.guide.progress();
-        if self.reported.replace(done) != Some(done) {
-            let message = format!("{} of {steps}: {prompt}", done + 1);
+        let (objections, objection) = self.guide.objection();
+        let now = (done, objections);
+        if self.reported.replace(now) != Some(now) {
+            let again = objection.map_or_else(String::new, |objection| format!("{objection}. Once more: "));
+            let message = format!("{} of {steps}: {again}{prompt}", done + 1);
             job.progress(Some(done as f64 / steps as f64), Some(message));
         }
     }
 
-    fn time_s((t_s, _): &Recorded) -> f64 {
+    fn time_s(((t_s, _), _): &(Recorded, Places)) -> f64 {
         *t_s
     }
 
-    fn push(&mut self, (t_s, samples): Recorded) {
+    fn push(&mut self, ((t_s, samples), places): (Recorded, Places)) {
+        self.guide.push_places(&places);
         self.guide.push(t_s, &samples);
     }
 

@@ -6,12 +6,11 @@
 
 use std::sync::mpsc::{SyncSender, TrySendError};
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 
 use super::{Observer, Times};
 use posed_fusion::ahrs::ImuSample;
-use posed_fusion::body::Recorded;
-use posed_fusion::body::SEGMENTS;
+use posed_fusion::body::{Places, Recorded, SEGMENTS};
 use posed_fusion::chain::Epoch;
 use posed_pipeline::{ImuRecords, Pipeline};
 use posed_stage::input::SensorIndex;
@@ -141,31 +140,41 @@ impl Source for AlignmentSource {
     }
 }
 
-/// Body calibration: samples of the whole body, frame by frame.
+/// Body calibration: samples of the whole body, frame by frame, and where trackers on it are.
 #[derive(Debug)]
 pub(crate) struct BodySource {
     imus: [Option<SensorIndex>; SEGMENTS],
+    trackers: [Option<SensorIndex>; SEGMENTS],
     records: ImuRecords,
 }
 
 impl BodySource {
-    /// Of the IMU of each segment; `magnetic` if all of them have magnetometers.
-    pub(crate) fn new(imus: [Option<SensorIndex>; SEGMENTS], magnetic: bool) -> Self {
-        Self { imus, records: ImuRecords::new(magnetic) }
+    /// Of the IMU of each segment, and of the tracker; `magnetic` if all IMUs have magnetometers.
+    pub(crate) fn new(
+        imus: [Option<SensorIndex>; SEGMENTS],
+        trackers: [Option<SensorIndex>; SEGMENTS],
+        magnetic: bool,
+    ) -> Self {
+        Self { imus, trackers, records: ImuRecords::new(magnetic) }
     }
 }
 
 impl Source for BodySource {
     const CALIBRATION: GuidedCalibration = GuidedCalibration::Body;
-    type Sample = Recorded;
+    type Sample = (Recorded, Places);
 
-    fn of_frame(&mut self, estimate: &Estimate) -> Option<Recorded> {
-        let Self { imus, records } = self;
+    fn of_frame(&mut self, estimate: &Estimate) -> Option<(Recorded, Places)> {
+        let Self { imus, trackers, records } = self;
         let samples = std::array::from_fn(|segment| {
             let sensor = estimate.sensors.get(usize::from(imus[segment]?))?;
             records.sample(segment, sensor.measured.as_ref()?)
         });
-        Some((estimate.t_valid.as_secs_f64(), samples))
+        let places = trackers.map(|tracker| {
+            let sensor = estimate.sensors.get(usize::from(tracker?))?;
+            let pose = sensor.pose.as_ref().filter(|_| sensor.state.is_usable())?;
+            pose.position_m.map(Vector3::from)
+        });
+        Some(((estimate.t_valid.as_secs_f64(), samples), places))
     }
 }
 

@@ -220,7 +220,7 @@ mod tests {
 
     /// What a person does who follows the guide, with every sensor's samples under the segment at the opposite end of the list.
     fn guided(magnetometer: bool, seed: u64) -> Guide {
-        let script = Script { activity: Activity::Movements, calibration: false, facing: 0.6 };
+        let script = Script { activity: Activity::Movements, calibration: false, facing: 0.6, mistake: None };
         let (recording, _) = record(&mut wearer_of(script, magnetometer, seed), 100.0);
         let mut guide = Guide::new([true; SEGMENTS], magnetometer, Thoroughness::Assign);
         for (t_s, mut samples) in recording {

@@ -6,12 +6,18 @@
 //! A pose is done once all sensors were still for [`HOLD_S`] in it; a movement once its own sensors moved and came to rest again.
 //! Where it is to be found which sensor sits where, samples stand under the segments that sensors were taken to sit on: then any
 //! sensor may show a movement, and as many as there are on the arms a T-pose.
+//!
+//! What contradicts that a step was done as asked ([`Contradiction`], [`Misplaced`]) is an objection: the movement is asked for
+//! again, and from the second time on, or where it was a pose, all of it from the first pose on, since either of two poses may
+//! have been the wrong one. Whoever begins with raised arms and lowers them has held the first pose second.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::block::{Block, BlockKind, Movement, Recorded};
+use super::calibrate::{CalibrationError, Contradiction, objection_to};
 use super::health::usable;
+use super::places::{Places, Trackers};
 use super::{BodySamples, BodySegment, SEGMENTS};
 
 /// For so long a pose is held, s.
@@ -28,10 +34,10 @@ const REST_S: f64 = 1.0;
 const MOVEMENT_S: f64 = 1.5;
 /// What belongs to a movement before it was noticed, s.
 const LEAD_S: f64 = 0.4;
-/// Between arms that hang and arms held sideways gravity turns at least so far in a sensor, rad.
-const RAISED_RAD: f64 = 0.9;
-/// Arms that hang again are within this of how they hung, rad.
-const HANGS_RAD: f64 = 0.5;
+/// Arms that are meant to be held sideways have turned so far against gravity, rad; whether it is enough is judged then.
+const RAISED_RAD: f64 = 0.5;
+/// Arms that are meant to hang again are within this of how they hung, rad; whether they do is judged then.
+const HANGS_RAD: f64 = 1.2;
 
 /// How much is done.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -57,6 +63,13 @@ pub struct Guide {
     at: usize,
     recording: Vec<Recorded>,
     blocks: Vec<Block>,
+    /// Where trackers on the body were, since when the pose is held.
+    trackers: Option<Trackers>,
+    /// What contradicted the last step, and how many steps were contradicted.
+    objection: Option<String>,
+    objections: usize,
+    /// Arms that are still raised are not to be taken for the first pose again.
+    must_move: bool,
     /// Smoothed angular speeds, rad/s, and specific forces, m/s², per sensor.
     angular_speeds_rad_s: [f64; SEGMENTS],
     specific_forces_m_s2: [Vector3<f64>; SEGMENTS],
@@ -81,12 +94,28 @@ impl Guide {
             at: 0,
             recording: Vec::new(),
             blocks: Vec::new(),
+            trackers: None,
+            objection: None,
+            objections: 0,
+            must_move: false,
             angular_speeds_rad_s: [0.0; SEGMENTS],
             specific_forces_m_s2: [Vector3::zeros(); SEGMENTS],
             hung: None,
             still_since_s: None,
             moving_since_s: None,
             rest_since_s: None,
+        }
+    }
+
+    /// With trackers on the same body: where they are contradicts poses, too.
+    pub fn with_trackers(self, trackers: Trackers) -> Self {
+        Self { trackers: Some(trackers), ..self }
+    }
+
+    /// Where trackers on the body are at the time of the next samples.
+    pub fn push_places(&mut self, places: &Places) {
+        if let Some(trackers) = &mut self.trackers {
+            trackers.push(places);
         }
     }
 
@@ -122,6 +151,12 @@ impl Guide {
         self.steps.get(self.at).map(|kind| words(*kind))
     }
 
+    /// What contradicted the step that was to be the last, a sentence without a full stop; `None` where nothing did. With how many
+    /// steps were contradicted by now.
+    pub fn objection(&self) -> (usize, Option<&str>) {
+        (self.objections, self.objection.as_deref())
+    }
+
     /// What has been recorded, and when which pose or movement was held: for [`super::calibrate::calibrate`] or
     /// [`super::assign::assign`].
     pub fn recorded(&self) -> (&[Recorded], &[Block]) {
@@ -129,9 +164,18 @@ impl Guide {
     }
 
     fn pose(&mut self, kind: BlockKind, t_s: f64) {
+        let moves = self.all().any(|index| self.angular_speeds_rad_s[index] > MOVES_RAD_S);
+        self.must_move &= !moves;
         let still = self.all().all(|index| self.angular_speeds_rad_s[index] < STILL_RAD_S);
-        if !still || (kind == BlockKind::TPose && !self.raised()) || !self.upright_again(kind) {
+        if !still
+            || self.must_move
+            || (kind == BlockKind::TPose && !self.raised())
+            || !self.upright_again(kind)
+        {
             self.still_since_s = None;
+            if let Some(trackers) = &mut self.trackers {
+                trackers.clear();
+            }
             return;
         }
         let since_s = *self.still_since_s.get_or_insert(t_s);
@@ -163,11 +207,38 @@ impl Guide {
     }
 
     fn done(&mut self, block: Block) {
-        self.blocks.push(block);
-        self.at += 1;
         (self.still_since_s, self.moving_since_s, self.rest_since_s) = (None, None, None);
+        self.blocks.push(block);
+        let is_pose = matches!(block.kind, BlockKind::NPose | BlockKind::TPose);
+        let misplaced = self.trackers.as_mut().filter(|_| is_pose).and_then(|at| at.objection_to(block.kind));
+        let contradicted = objection_to(&self.recording, &self.blocks, self.assigned);
+        let was_lowered =
+            matches!(contradicted, Some(CalibrationError::Contradicted(Contradiction::Lowered)));
+        let was_objected_to = self.objection.is_some();
+        self.objection = match (contradicted, misplaced) {
+            (Some(contradicted), Some(_)) if was_lowered => Some(contradicted.to_string()),
+            (_, Some(misplaced)) => Some(misplaced.to_string()),
+            (contradicted, None) => contradicted.map(|contradicted| contradicted.to_string()),
+        };
+        if self.objection.is_none() {
+            self.at += 1;
+            return;
+        }
+        self.objections += 1;
+        if was_lowered {
+            // What was taken for the second pose was the first.
+            self.blocks = vec![Block { kind: BlockKind::NPose, ..block }];
+            (self.at, self.hung) = (1, Some(self.specific_forces_m_s2));
+        } else if is_pose || was_objected_to {
+            self.blocks.clear();
+            (self.at, self.hung) = (0, None);
+            self.must_move = block.kind == BlockKind::TPose;
+        } else {
+            self.blocks.pop();
+        }
     }
 
+    /// The sensors there are.
     fn all(&self) -> impl Iterator<Item = usize> + '_ {
         (0..SEGMENTS).filter(|index| self.present[*index])
     }
@@ -229,7 +300,6 @@ fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<B
     }
     if how == Thoroughness::Assign {
         if with_arms {
-            // Arms that are lowered must not be taken for the first movement.
             steps.push(BlockKind::NPose);
         }
         let bends = LIMBS.into_iter().filter(|limb| has(*limb));
@@ -246,9 +316,12 @@ fn steps(present: &[bool; SEGMENTS], magnetic: bool, how: Thoroughness) -> Vec<B
     let limbs = [BodySegment::ForearmR, BodySegment::ForearmL, BodySegment::ShankR, BodySegment::ShankL];
     // Without a field every sensor needs a movement of its own.
     let full = how == Thoroughness::Full || !magnetic;
-    for moved in limbs.into_iter().filter(|moved| has(*moved) && full) {
-        steps.push(BlockKind::Move(moved, Movement::Flexion));
+    let mut moved = limbs.into_iter().filter(|moved| has(*moved) && full).peekable();
+    if with_arms && moved.peek().is_some() {
+        // Arms that are lowered must not be taken for the first movement.
+        steps.push(BlockKind::NPose);
     }
+    steps.extend(moved.map(|moved| BlockKind::Move(moved, Movement::Flexion)));
     if !magnetic {
         let thighs = [BodySegment::ThighR, BodySegment::ThighL].into_iter().filter(|thigh| has(*thigh));
         steps.extend(thighs.map(|thigh| BlockKind::Move(thigh, Movement::Flexion)));

@@ -99,7 +99,7 @@ pub(super) fn wearer_of(script: Script, magnetometer: bool, seed: u64) -> Wearer
 }
 
 fn script(activity: Activity) -> Script {
-    Script { activity, calibration: true, facing: 0.6 }
+    Script { activity, calibration: true, facing: 0.6, mistake: None }
 }
 
 pub(super) type Orientations = [UnitQuaternion<f64>; SEGMENTS];
@@ -200,8 +200,11 @@ fn what_a_calibration_lacks_is_named() {
 
 /// Somebody who reaches, and a filter that knows how the sensors sit but has seen nothing.
 fn reaching(seed: u64) -> (BodyFilter, Wearer) {
-    let wearer =
-        wearer_of(Script { activity: Activity::Reaching, calibration: false, facing: 0.6 }, true, seed);
+    let wearer = wearer_of(
+        Script { activity: Activity::Reaching, calibration: false, facing: 0.6, mistake: None },
+        true,
+        seed,
+    );
     let mounts = BodySegment::ALL.map(|segment| {
         let (q_segment_sensor, offset_m) = wearer.mounting(segment.index());
         Some(SensorMount { q_segment_sensor, offset_m, heading_rad: None })
@@ -340,7 +343,7 @@ fn trackers_alone_show_the_limbs_between_them() {
         Translation3::new(0.03, -0.1, 0.02),
         UnitQuaternion::from_euler_angles(0.4, -0.8, 1.9),
     );
-    let script = Script { activity: Activity::Squats, calibration: false, facing: 2.5 };
+    let script = Script { activity: Activity::Squats, calibration: false, facing: 2.5, mistake: None };
     let build = Build::of_height(1.8);
     let (mut worst_m, mut worst_rad) = (0.0_f64, 0.0_f64);
     for k in 0..200 {

@@ -23,7 +23,7 @@ type Records = [Option<Inertial>; SEGMENTS];
 
 impl Rig {
     fn new() -> Self {
-        let script = Script { activity: Activity::Reaching, calibration: false, facing: 0.6 };
+        let script = Script { activity: Activity::Reaching, calibration: false, facing: 0.6, mistake: None };
         let wearer = Wearer::new(WearerSpec {
             script,
             build: Build::of_height(1.8),

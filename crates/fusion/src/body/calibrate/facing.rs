@@ -1,0 +1,140 @@
+//! Which way a body faces, from the axes of its movements and from arms that were raised sideways.
+//!
+//! In: poses and axes as the sensors saw them. Out: level directions, each with what shows it, and their weighted mean.
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::super::block::BlockKind;
+use super::super::skeleton::{BodySegment, upright};
+use super::super::{joint_rotation, yaw_from_upright};
+use super::CalibrationError;
+use super::session::{Axis, Held};
+
+/// How well people raise their arms just sideways, and stand straight ahead, degrees.
+pub(super) const FACING_DEG: f64 = 5.0;
+/// An arm whose direction has a shorter level part was not raised.
+const RAISED: f64 = 0.7;
+/// Upper arm and forearm of each side.
+pub(super) const ARMS: [[BodySegment; 2]; 2] =
+    [[BodySegment::UpperArmR, BodySegment::ForearmR], [BodySegment::UpperArmL, BodySegment::ForearmL]];
+
+/// The direction that one movement or pose shows in one sensor.
+pub(super) struct Faced {
+    pub(super) segment: BodySegment,
+    pub(super) kind: BlockKind,
+    /// Level, in the room or the sensor's level frame; short where what shows it is steep.
+    pub(super) forward: Vector3<f64>,
+    pub(super) sigma_deg: f64,
+}
+
+/// Which way the body faced in the N-pose, or in the T-pose where none was held, by all that shows it.
+pub(super) fn faced<'a>(
+    standing: Option<&'a Held>,
+    spread: Option<&'a Held>,
+    axes: &'a [Axis],
+) -> impl Iterator<Item = Faced> + 'a {
+    let by_axis = axes.iter().filter_map(move |axis| {
+        let sensor = standing.or(spread)?[axis.segment.index()]?;
+        // Forward is where the axis would point if the body looked along the room's x, turned with it.
+        let nominal = upright() * posture(axis.segment, standing.is_none()) * axis.in_segment;
+        let forward = forward(&(sensor * axis.sensor), &nominal);
+        Some(Faced { segment: axis.segment, kind: axis.block.kind, forward, sigma_deg: axis.sigma_deg })
+    });
+    // From the N-pose to the T-pose an arm goes to the body's side, however it turns about its own length.
+    let by_arms = ARMS.into_iter().flatten().filter_map(move |segment| {
+        let (low, high) = (standing?, spread?);
+        let rotation = high[segment.index()]? * low[segment.index()]?.inverse();
+        let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -turned_between(low, high));
+        let arm = turned * raised_to(&rotation);
+        let forward = Vector3::new(-arm.y, arm.x, 0.0) * segment.side();
+        let faced = Faced { segment, kind: BlockKind::TPose, forward, sigma_deg: FACING_DEG };
+        (forward.norm() > RAISED).then_some(faced)
+    });
+    by_axis.chain(by_arms)
+}
+
+/// Where a segment that hung points after a rotation.
+pub(super) fn raised_to(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
+    rotation * -Vector3::z()
+}
+
+/// Which way the body faces.
+pub(super) struct Facing<'a> {
+    pub(super) magnetic: bool,
+    pub(super) standing: Option<&'a Held>,
+    pub(super) spread: Option<&'a Held>,
+    pub(super) axes: &'a [Axis],
+}
+
+impl Facing<'_> {
+    /// Turn of the body about the vertical in a segment's room or level frame, rad.
+    pub(super) fn of(&self, segment: BodySegment) -> Result<f64, CalibrationError> {
+        let sum: Vector3<f64> = faced(self.standing, self.spread, self.axes)
+            .filter(|faced| self.magnetic || faced.segment == segment)
+            .map(|faced| faced.forward / faced.sigma_deg)
+            .sum();
+        if sum.norm() < 1e-6 {
+            return Err(self.missing(segment));
+        }
+        Ok(libm::atan2(sum.y, sum.x))
+    }
+
+    fn missing(&self, segment: BodySegment) -> CalibrationError {
+        if self.magnetic {
+            let fix = "a `t_pose`, or a movement such as `elbow_flexion_r` or `knee_flexion_r`";
+            return CalibrationError::Facing { of: "the body", fix };
+        }
+        let fix = match segment {
+            BodySegment::Torso | BodySegment::Pelvis => {
+                "a `bow` (without magnetometers each sensor needs a movement)"
+            }
+            BodySegment::UpperArmR | BodySegment::ForearmR => "a `t_pose` or `elbow_flexion_r`",
+            BodySegment::UpperArmL | BodySegment::ForearmL => "a `t_pose` or `elbow_flexion_l`",
+            BodySegment::ThighR => "`hip_flexion_r`",
+            BodySegment::ThighL => "`hip_flexion_l`",
+            BodySegment::ShankR => "`knee_flexion_r`",
+            BodySegment::ShankL => "`knee_flexion_l`",
+        };
+        CalibrationError::Facing { of: segment.name(), fix }
+    }
+}
+
+/// The body's forward direction, level, from a direction that was `seen` where `nominal` is that of a body which looks along x;
+/// short where the direction is steep.
+fn forward(seen: &Vector3<f64>, nominal: &Vector3<f64>) -> Vector3<f64> {
+    let (s, n) = (Vector3::new(seen.x, seen.y, 0.0), Vector3::new(nominal.x, nominal.y, 0.0));
+    Vector3::new(s.dot(&n), n.x * s.y - n.y * s.x, 0.0)
+}
+
+/// A segment's rotation in a pose against the N-pose.
+pub(in super::super) fn posture(segment: BodySegment, raised: bool) -> UnitQuaternion<f64> {
+    let quarter = std::f64::consts::FRAC_PI_2;
+    match segment {
+        BodySegment::UpperArmR | BodySegment::ForearmR if raised => {
+            joint_rotation(BodySegment::UpperArmR, &[0.0, quarter, 0.0])
+        }
+        BodySegment::UpperArmL | BodySegment::ForearmL if raised => {
+            joint_rotation(BodySegment::UpperArmL, &[0.0, quarter, 0.0])
+        }
+        _ => UnitQuaternion::identity(),
+    }
+}
+
+/// By how much the body turned about the vertical from one pose to another, as the trunk and legs show it, rad.
+pub(super) fn turned_between(first: &Held, second: &Held) -> f64 {
+    let still = [
+        BodySegment::Torso,
+        BodySegment::Pelvis,
+        BodySegment::ThighR,
+        BodySegment::ThighL,
+        BodySegment::ShankR,
+        BodySegment::ShankL,
+    ];
+    still
+        .into_iter()
+        .find_map(|segment| {
+            let (a, b) = (first[segment.index()]?, second[segment.index()]?);
+            Some(yaw_from_upright(&(b * a.inverse() * upright())))
+        })
+        .unwrap_or(0.0)
+}

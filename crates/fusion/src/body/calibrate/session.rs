@@ -1,0 +1,324 @@
+//! What a calibration's recording shows by itself: how each sensor was turned in every pose, and the axes of every movement.
+//!
+//! In: the recording of a whole body, and when which pose or movement was held. Out: directions in the sensors' own axes, or why
+//! a pose or movement does not show them. It knows nothing of how a sensor sits.
+
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+
+use super::super::block::{Block, BlockKind, Movement, Recorded};
+use super::super::skeleton::{BodySegment, SEGMENTS};
+use super::CalibrationError;
+use crate::ahrs::{Ahrs, ImuSample, Params};
+use crate::chain;
+use crate::mounting::{Refused, hinge_axes};
+use posed_geometry::so3;
+
+/// A pose in which a sensor turns faster than this, root mean square about its mean, was not held, rad/s.
+const HELD_RAD_S: f64 = 0.2;
+/// A gyro that says more than this in a pose that is held has a bias, rad/s: nobody turns so on the spot for seconds.
+const BIAS_RAD_S: f64 = 0.035;
+/// How far the segment above a joint must turn meanwhile, root mean square, to show the axis without a magnetometer, rad.
+const PARENT_ROTATES_RAD: f64 = 0.35;
+/// How well people move about one axis, degrees: about a hinge, and any other.
+const HINGE_DEG: f64 = 2.0;
+const BALL_DEG: f64 = 6.0;
+
+/// A movement's axis, as a sensor saw it.
+pub(super) struct Axis {
+    pub(super) block: Block,
+    pub(super) segment: BodySegment,
+    pub(super) sensor: Vector3<f64>,
+    pub(super) in_segment: Vector3<f64>,
+    pub(super) sigma_deg: f64,
+}
+
+/// A pose as the sensors held it: their mean orientations, level frame or room, by [`BodySegment::index`].
+pub(super) type Held = [Option<UnitQuaternion<f64>>; SEGMENTS];
+
+/// What all poses and movements show, in their order.
+pub(super) struct Seen {
+    pub(super) standing: Vec<(Block, Held)>,
+    pub(super) spread: Vec<(Block, Held)>,
+    pub(super) axes: Vec<Axis>,
+}
+
+/// The recording with every sensor's orientations.
+pub(super) struct Session<'a> {
+    pub(super) recording: &'a [Recorded],
+    pub(super) present: [bool; SEGMENTS],
+    /// Whether all have magnetometers.
+    pub(super) magnetic: bool,
+    /// Sensor to its level frame, or to the room where all have magnetometers; empty for absent ones.
+    pub(super) tracks: [Vec<UnitQuaternion<f64>>; SEGMENTS],
+}
+
+/// Orientations of all sensors over the recording.
+fn tracks(
+    recording: &[Recorded],
+    present: &[bool; SEGMENTS],
+    magnetic: bool,
+) -> [Vec<UnitQuaternion<f64>>; SEGMENTS] {
+    BodySegment::ALL.map(|segment| {
+        let index = segment.index();
+        if !present[index] {
+            return Vec::new();
+        }
+        let mut filter = Ahrs::new(Params::default());
+        let mut last_s = None;
+        let mut track = Vec::with_capacity(recording.len());
+        for (t_s, samples) in recording {
+            let dt_s = last_s.map_or(0.01, |last| t_s - last);
+            last_s = Some(*t_s);
+            match samples[index] {
+                Some(sample) => {
+                    _ = filter.push(&ImuSample { mag: sample.mag.filter(|_| magnetic), ..sample }, dt_s);
+                }
+                None => filter.coast(dt_s),
+            }
+            track.push(if magnetic { filter.orientation() } else { filter.orientation_6d() });
+        }
+        track
+    })
+}
+
+impl<'a> Session<'a> {
+    /// # Errors
+    /// [`CalibrationError::Empty`] where no sensor has a sample.
+    pub(super) fn new(recording: &'a [Recorded]) -> Result<Self, CalibrationError> {
+        let present =
+            BodySegment::ALL.map(|segment| recording.iter().any(|(_, s)| s[segment.index()].is_some()));
+        if !present.contains(&true) {
+            return Err(CalibrationError::Empty);
+        }
+        let magnetic = BodySegment::ALL.iter().filter(|segment| present[segment.index()]).all(|segment| {
+            recording.iter().any(|(_, samples)| samples[segment.index()].is_some_and(|s| s.mag.is_some()))
+        });
+        Ok(Self { recording, present, magnetic, tracks: tracks(recording, &present, magnetic) })
+    }
+
+    /// What these poses and movements show.
+    pub(super) fn seen(&self, blocks: &[Block]) -> Result<Seen, CalibrationError> {
+        let poses = |kind: BlockKind| -> Result<Vec<(Block, Held)>, CalibrationError> {
+            let held = |block: &Block| Ok((*block, self.held(block)?));
+            blocks.iter().filter(|block| block.kind == kind).map(held).collect()
+        };
+        let (standing, spread) = (poses(BlockKind::NPose)?, poses(BlockKind::TPose)?);
+        let mut axes = Vec::new();
+        for block in blocks {
+            self.axes(block, &mut axes)?;
+        }
+        Ok(Seen { standing, spread, axes })
+    }
+
+    /// The samples of a span.
+    pub(super) fn range(&self, block: &Block) -> std::ops::Range<usize> {
+        let begin = self.recording.partition_point(|(t_s, _)| *t_s < block.start_s);
+        let end = self.recording.partition_point(|(t_s, _)| *t_s <= block.end_s);
+        begin..end
+    }
+
+    /// Mean orientations in a pose.
+    fn held(&self, block: &Block) -> Result<Held, CalibrationError> {
+        let range = self.range(block);
+        let mut held: Held = [None; SEGMENTS];
+        for segment in BodySegment::ALL.into_iter().filter(|segment| self.present[segment.index()]) {
+            let index = segment.index();
+            let wrong = |problem| CalibrationError::NotHeld {
+                pose: block.kind.name(),
+                start_s: block.start_s,
+                end_s: block.end_s,
+                segment: segment.name(),
+                problem,
+            };
+            let gyros_rad_s: Vec<Vector3<f64>> = self.recording[range.clone()]
+                .iter()
+                .filter_map(|(_, samples)| samples[index].map(|sample| sample.gyro_rad_s))
+                .filter(|w| w.iter().all(|value| value.is_finite()))
+                .collect();
+            if gyros_rad_s.len() < 10 {
+                return Err(wrong("has no samples then"));
+            }
+            let mean = gyros_rad_s.iter().sum::<Vector3<f64>>() / gyros_rad_s.len() as f64;
+            if mean.norm() > BIAS_RAD_S {
+                return Err(wrong(
+                    "turns by more than 2 degrees per second at rest: its gyro has a bias that no filter here corrects; run \
+                     `posed imu calibrate` on the unit first",
+                ));
+            }
+            let moved =
+                gyros_rad_s.iter().map(|w| (w - mean).norm_squared()).sum::<f64>() / gyros_rad_s.len() as f64;
+            if moved.sqrt() > HELD_RAD_S {
+                return Err(wrong("moved: stand still and repeat it"));
+            }
+            let track = &self.tracks[index][range.clone()];
+            held[index] = Some(mean_orientation(track));
+        }
+        Ok(held)
+    }
+
+    /// The axes that a movement shows, in the sensors on both sides of the joint.
+    fn axes(&self, block: &Block, out: &mut Vec<Axis>) -> Result<(), CalibrationError> {
+        let range = self.range(block);
+        let failed = |reason| CalibrationError::Movement {
+            movement: block.kind.name(),
+            start_s: block.start_s,
+            end_s: block.end_s,
+            reason,
+        };
+        let (segment, movement) = match block.kind {
+            BlockKind::NPose | BlockKind::TPose => return Ok(()),
+            BlockKind::Bow => {
+                for segment in [BodySegment::Torso, BodySegment::Pelvis] {
+                    if self.present[segment.index()] {
+                        let sensor =
+                            main_axis(&self.tracks[segment.index()][range.clone()]).map_err(failed)?;
+                        out.push(Axis {
+                            block: *block,
+                            segment,
+                            sensor,
+                            in_segment: -Vector3::z(),
+                            sigma_deg: BALL_DEG,
+                        });
+                    }
+                }
+                return Ok(());
+            }
+            BlockKind::TrunkRotation => {
+                if self.present[BodySegment::Torso.index()] {
+                    let sensor =
+                        main_axis(&self.tracks[BodySegment::Torso.index()][range]).map_err(failed)?;
+                    let (segment, in_segment) = (BodySegment::Torso, Vector3::y());
+                    out.push(Axis { block: *block, segment, sensor, in_segment, sigma_deg: BALL_DEG });
+                }
+                return Ok(());
+            }
+            BlockKind::Move(segment, movement) => (segment, movement),
+        };
+        let Some(parent) = segment.parent() else { return Ok(()) };
+        if !self.present[segment.index()] {
+            return Ok(());
+        }
+        let side = segment.side();
+        let hinge = matches!(
+            segment,
+            BodySegment::ForearmR | BodySegment::ForearmL | BodySegment::ShankR | BodySegment::ShankL
+        );
+        let (in_segment, both) = match movement {
+            Movement::Flexion if matches!(segment, BodySegment::ShankR | BodySegment::ShankL) => {
+                (-Vector3::z(), true)
+            }
+            Movement::Flexion => (Vector3::z(), true),
+            Movement::Abduction => (-Vector3::x() * side, true),
+            // The axis goes with the segment: the one above sees it wherever the segment points.
+            Movement::Rotation | Movement::Pronation => (Vector3::y() * side, false),
+        };
+        let sigma_deg = if hinge && both { HINGE_DEG } else { BALL_DEG };
+        let axes = if self.present[parent.index()] {
+            self.pair(parent, segment, range).map_err(failed)?
+        } else {
+            [None, Some(main_axis(&self.tracks[segment.index()][range]).map_err(failed)?)]
+        };
+        let [above, below] = axes;
+        if let Some(sensor) = above.filter(|_| both) {
+            out.push(Axis { block: *block, segment: parent, sensor, in_segment, sigma_deg });
+        }
+        if let Some(sensor) = below {
+            out.push(Axis { block: *block, segment, sensor, in_segment, sigma_deg });
+        }
+        Ok(())
+    }
+
+    /// The axis between two sensors, positive for the way that the movement begins.
+    fn pair(
+        &self,
+        parent: BodySegment,
+        segment: BodySegment,
+        range: std::ops::Range<usize>,
+    ) -> Result<[Option<Vector3<f64>>; 2], Refused> {
+        let (a, b) = (parent.index(), segment.index());
+        let samples: Vec<_> = self.recording[range.clone()]
+            .iter()
+            .filter_map(|(_, samples)| {
+                let (a, b) = (samples[a]?, samples[b]?);
+                Some(([a.gyro_rad_s, b.gyro_rad_s], [a.accel_m_s2, b.accel_m_s2]))
+            })
+            .filter(|(w, a)| w.iter().chain(a).all(|v| v.iter().all(|v| v.is_finite())))
+            .collect();
+        let (before, behind) = (&self.tracks[a][range.clone()], &self.tracks[b][range.clone()]);
+        // Headings of their own tie the two together only as far as both turn: above a parent that stands still, the joint shows
+        // its axis in the sensor below alone.
+        if !self.magnetic && turned_rad(before) < PARENT_ROTATES_RAD {
+            return main_axis(behind).map(|axis| [None, Some(axis)]);
+        }
+        let steps_s: Vec<f64> = range
+            .clone()
+            .map(|k| if k == 0 { 0.01 } else { self.recording[k].0 - self.recording[k - 1].0 })
+            .collect();
+        let rough = match hinge_axes(&samples) {
+            Ok(axes) if !self.magnetic => Some(axes),
+            Ok(_) | Err(Refused::Excitation { .. }) => None,
+            Err(refused) => return Err(refused),
+        };
+        let [first, second] = match rough {
+            Some(axes) => chain::refined_axes(&axes, before, behind, &steps_s),
+            None => relative_axis(before, behind)?,
+        };
+        // The way the movement begins: the mean rotation from the posture at its start.
+        let start = before[0].inverse() * behind[0];
+        let mean: Vector3<f64> = before
+            .iter()
+            .zip(behind)
+            .map(|(a, b)| so3::log(&(start.inverse() * (a.inverse() * b))))
+            .sum::<Vector3<f64>>();
+        let sign = mean.dot(&second).signum();
+        Ok([Some(first * sign), Some(second * sign)])
+    }
+}
+
+/// How far a sensor turned from where it began, root mean square, rad.
+fn turned_rad(track: &[UnitQuaternion<f64>]) -> f64 {
+    let Some(start) = track.first() else { return 0.0 };
+    let squares: f64 = track.iter().map(|q| start.angle_to(q).powi(2)).sum();
+    (squares / track.len() as f64).sqrt()
+}
+
+/// The axis about which a sensor mainly turned, its axes, positive for the way that the movement begins.
+fn main_axis(track: &[UnitQuaternion<f64>]) -> Result<Vector3<f64>, Refused> {
+    let still = vec![UnitQuaternion::identity(); track.len()];
+    relative_axis(&still, track).map(|[_, second]| second)
+}
+
+/// The axis about which the second of two sensors mainly turned against the first, in the axes of both: the plane of the
+/// relative rotations' vectors is narrow, and their long axis is it.
+fn relative_axis(
+    before: &[UnitQuaternion<f64>],
+    behind: &[UnitQuaternion<f64>],
+) -> Result<[Vector3<f64>; 2], Refused> {
+    let relative: Vec<_> = before.iter().zip(behind).map(|(a, b)| a.inverse() * b).collect();
+    let Some(start) = relative.first() else { return Err(Refused::TooShort { found: 0, needed: 50 }) };
+    let mut spread = Matrix3::zeros();
+    let mut mean = Vector3::zeros();
+    for q in &relative {
+        let rotation_vector_rad = so3::log(&(start.inverse() * q));
+        spread += rotation_vector_rad * rotation_vector_rad.transpose();
+        mean += rotation_vector_rad;
+    }
+    let n = relative.len() as f64;
+    spread /= n;
+    let eigen = spread.symmetric_eigen();
+    let largest = eigen.eigenvalues.imax();
+    let axis: Vector3<f64> = eigen.eigenvectors.column(largest).into();
+    // A rotation of at least 12 degrees, root mean square, and nearly all of it about one axis.
+    let needed = 12_f64.to_radians().powi(2);
+    if eigen.eigenvalues[largest].is_nan() || eigen.eigenvalues[largest] < needed {
+        return Err(Refused::Excitation { found: eigen.eigenvalues[largest], needed });
+    }
+    let axis = axis * axis.dot(&mean).signum();
+    Ok([start * axis, axis])
+}
+
+fn mean_orientation(track: &[UnitQuaternion<f64>]) -> UnitQuaternion<f64> {
+    let first = track.first().copied().unwrap_or_else(UnitQuaternion::identity);
+    let sum: Vector3<f64> = track.iter().map(|q| so3::log(&(first.inverse() * q))).sum();
+    first * so3::exp(&(sum / track.len().max(1) as f64))
+}

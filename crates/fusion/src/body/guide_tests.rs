@@ -1,0 +1,127 @@
+//! A simulated person follows the guide, from any moment on, and makes the mistakes that people make.
+
+use nalgebra::UnitQuaternion;
+use posed_simulator::body::{Activity, Build, Mistake, Script, SensorErrors, Wearer, WearerSpec};
+
+use super::tests::record;
+use super::*;
+
+struct Case {
+    how: Thoroughness,
+    activity: Activity,
+    magnetometer: bool,
+    mistake: Option<Mistake>,
+    /// How the person stands, standard deviation of every joint, rad.
+    clumsiness_rad: f64,
+    /// When in the person's round the guide begins, s.
+    begin_s: f64,
+    seed: u64,
+}
+
+/// What was objected to, in the end too, and the worst mounting, degrees.
+fn guided(case: &Case) -> (Vec<String>, Option<f64>) {
+    let mut wearer = Wearer::new(WearerSpec {
+        script: Script { activity: case.activity, calibration: false, facing: 0.6, mistake: case.mistake },
+        build: Build::of_height(1.8),
+        errors: SensorErrors::calibrated(),
+        magnetometer: case.magnetometer,
+        disturbances: Vec::new(),
+        rate_hz: 100.0,
+        clumsiness_rad: case.clumsiness_rad,
+        seed: case.seed,
+    });
+    record(&mut wearer, case.begin_s);
+    let mut guide = Guide::new([true; SEGMENTS], case.magnetometer, case.how);
+    let mut objections = Vec::new();
+    for _ in 0..240 {
+        for (t_s, samples) in record(&mut wearer, 1.0).0 {
+            guide.push(t_s, &samples);
+            let (count, objection) = guide.objection();
+            if count > objections.len() {
+                objections.push(objection.unwrap().to_owned());
+            }
+        }
+        if guide.prompt().is_none() {
+            break;
+        }
+    }
+    assert_eq!(guide.prompt(), None, "{:?} {} {objections:?}", case.how, case.begin_s);
+    let (recording, blocks) = guide.recorded();
+    let found = calibrate(recording, blocks, &Skeleton::from_height(1.8), &[None; SEGMENTS]);
+    let worst_deg = found.as_ref().ok().map(|found| {
+        BodySegment::ALL.into_iter().fold(0.0, |worst: f64, segment| {
+            let mount: UnitQuaternion<f64> = found.mounts[segment.index()].unwrap().q_segment_sensor;
+            worst.max(mount.angle_to(&wearer.mounting(segment.index()).0).to_degrees())
+        })
+    });
+    objections.extend(found.err().map(|error| error.to_string()));
+    (objections, worst_deg)
+}
+
+/// Every `how` with what a person does for it; a quick one without magnetometers asks for as much as a full one.
+const HOWS: [(Thoroughness, Activity, bool); 5] = [
+    (Thoroughness::Quick, Activity::Poses, true),
+    (Thoroughness::Full, Activity::Bends, true),
+    (Thoroughness::Assign, Activity::Movements, true),
+    (Thoroughness::Full, Activity::Bends, false),
+    (Thoroughness::Assign, Activity::Movements, false),
+];
+
+#[test]
+fn every_how_is_followed_from_any_moment_on() {
+    for (how, activity, magnetometer) in HOWS {
+        for begin_s in [0.0, 5.5, 10.5, 12.3] {
+            let case =
+                Case { how, activity, magnetometer, mistake: None, clumsiness_rad: 0.0, begin_s, seed: 3 };
+            let (objections, worst_deg) = guided(&case);
+            let worst_deg = worst_deg.unwrap();
+            assert!(worst_deg < 5.0, "{how:?} {magnetometer} {begin_s} {objections:?} {worst_deg}");
+        }
+    }
+}
+
+#[test]
+fn a_mistake_is_named_and_does_not_count() {
+    let mistakes = |how| {
+        [
+            (Mistake::ArmsForward, "about which way the body faces"),
+            (Mistake::ArmsLow, "was raised by"),
+            (Mistake::PalmsForward, "about its length"),
+            (Mistake::BentElbows, if how == Thoroughness::Assign { "leans by" } else { "was bent by" }),
+            (Mistake::Stoops, "leans by"),
+        ]
+    };
+    for (how, activity, magnetometer) in HOWS {
+        for (mistake, words) in mistakes(how) {
+            let case = Case {
+                how,
+                activity,
+                magnetometer,
+                mistake: Some(mistake),
+                clumsiness_rad: 0.02,
+                begin_s: 0.0,
+                seed: 5,
+            };
+            let (objections, worst_deg) = guided(&case);
+            assert!(
+                objections.iter().any(|objection| objection.contains(words)),
+                "{mistake:?} {objections:?}"
+            );
+            // Who does not know yet who sits where is told so in the end, and begins again.
+            let is_right = worst_deg.map_or(how == Thoroughness::Assign, |worst_deg| worst_deg < 12.0);
+            assert!(is_right, "{how:?} {magnetometer} {mistake:?} {worst_deg:?} {objections:?}");
+        }
+    }
+}
+
+#[test]
+fn people_who_stand_as_people_do_hear_nothing() {
+    for (how, activity, magnetometer) in HOWS {
+        for seed in [10, 11] {
+            let case =
+                Case { how, activity, magnetometer, mistake: None, clumsiness_rad: 0.06, begin_s: 0.0, seed };
+            let (objections, worst_deg) = guided(&case);
+            assert_eq!(objections, Vec::<String>::new(), "{how:?} {magnetometer} {seed} {worst_deg:?}");
+        }
+    }
+}
