@@ -34,6 +34,8 @@ struct Unit {
     rates: Vec<[u8; 2]>,
     /// Bits that turn over in its next answers about the flock, in turn.
     flips: Vec<u8>,
+    /// After how many answers about the flock which others come in their place: those of a line that is out of step.
+    strays: (usize, Vec<Vec<u8>>),
 }
 
 impl Unit {
@@ -62,6 +64,7 @@ impl Unit {
             revision: [3, 67],
             rates: vec![[0x4D, 0x67]],
             flips: Vec::new(),
+            strays: (0, Vec::new()),
         }
     }
 
@@ -142,6 +145,10 @@ impl Unit {
                 let mut bytes = self.units.clone();
                 if !self.flips.is_empty() {
                     bytes[0] ^= self.flips.remove(0);
+                }
+                match &mut self.strays {
+                    (0, strays) if !strays.is_empty() => bytes = strays.remove(0),
+                    (left, _) => *left = left.saturating_sub(1),
                 }
                 bytes.resize(if bytes.len() > 14 { 30 } else { 14 }, 0);
                 answer(45, bytes);
@@ -368,6 +375,26 @@ fn a_damaged_answer_does_not_choose_the_scale_of_positions() {
         for (_, sample) in &bench.samples {
             let Measurement::Pose { position_m: Some([x, ..]), .. } = sample.measurement else { panic!() };
             assert!((0.29..0.32).contains(&x), "{x}");
+        }
+    }
+}
+
+#[test]
+fn answers_that_are_out_of_step_do_not_choose_the_scale_of_positions() {
+    // The end of an answer about the model and a record, after any number of right answers.
+    let strays = vec![b"6DFOB  \xf1\x90".to_vec(), b"\xf1\x21\x5a\x0c\x26\x75".to_vec()];
+    for right in 0..6 {
+        let strays = (right, strays.clone());
+        let mut bench = Bench::new(Settings::default(), &[1], Unit { strays, ..Unit::flock(1) });
+        for _ in 0..3 {
+            bench.open(false);
+            bench.run(4.0);
+            bench.close();
+        }
+        assert!(seconds(&bench, 1) > 200, "{right}");
+        for (_, sample) in &bench.samples {
+            let Measurement::Pose { position_m: Some([x, ..]), .. } = sample.measurement else { panic!() };
+            assert!((0.29..0.32).contains(&x), "{right}: {x}");
         }
     }
 }

@@ -21,6 +21,8 @@ const FIRST_QUIET: Duration = Duration::from_millis(100);
 const QUIET: Duration = Duration::from_millis(40);
 /// How long a stream may go on after the stop command.
 const STOP_LIMIT: Duration = Duration::from_millis(600);
+/// Answers about the flock that may differ from the one before.
+const DISPUTES: u8 = 3;
 /// Tries to stop a stream.
 const STOP_TRIES: u8 = 3;
 /// Measurement rate that a unit which does not tell its own is taken to have, Hz: the nominal one after power-up.
@@ -148,11 +150,10 @@ pub struct Examination {
     findings: Findings,
     fixed_addressing: bool,
     tries: u8,
-    /// Whether positions have the extended scale, as last answered or known from before; no answer has a checksum, so that two
-    /// must agree.
-    extended: Option<bool>,
-    /// The latest answer to that contradicts what was known.
-    disputed: bool,
+    /// The latest answer about the flock, but for who runs: none has a checksum, so that two in a row must agree.
+    topology: Option<Vec<u8>>,
+    /// How often they may still differ.
+    disputes_left: u8,
     #[state(skip)]
     transmits: VecDeque<Vec<u8>>,
     bytes_skipped: u64,
@@ -180,17 +181,12 @@ impl Examination {
             },
             fixed_addressing: addressing.is_some(),
             tries,
-            extended: None,
-            disputed: false,
+            topology: None,
+            disputes_left: DISPUTES,
             transmits: VecDeque::from([Command::Point.to_bytes(None, Addressing::Normal)]),
             bytes_skipped: 0,
             warnings: Vec::new(),
         }
-    }
-
-    /// What an earlier examination found out about the scale of positions: an answer that says the same is not asked for twice.
-    pub(super) fn knowing(self, extended: Option<bool>) -> Self {
-        Self { extended, ..self }
     }
 
     /// Bytes to send, in order, until `None`.
@@ -248,7 +244,7 @@ impl Examination {
                 Step::Revision | Step::Status | Step::Stop => {
                     Progress::Failed(if self.received { Failure::Unintelligible } else { Failure::Silent })
                 }
-                Step::Topology if self.disputed => Progress::Failed(Failure::Unintelligible),
+                Step::Topology if self.topology.is_some() => Progress::Failed(Failure::Unintelligible),
                 // Firmware without this parameter gives no answer; the defaults stand.
                 _ => self.next_step(now),
             },
@@ -309,12 +305,24 @@ impl Examination {
                     found.addressing = addressing;
                 }
             }
-            (Step::Model, model) => found.model = String::from_utf8_lossy(model).trim().to_owned(),
+            (Step::Model, model) => {
+                let model = String::from_utf8_lossy(model).trim_matches([' ', '\0']).to_owned();
+                if !model.chars().all(|c| c.is_ascii_graphic() || c == ' ') {
+                    // Not its name: answers are out of step with the questions.
+                    return Progress::Failed(Failure::Unintelligible);
+                }
+                found.model = model;
+            }
             (Step::Topology, bytes) => {
                 found.units = units(bytes);
-                let extended = Some(found.extended_range());
-                self.disputed = std::mem::replace(&mut self.extended, extended) != extended;
-                if self.disputed {
+                let answer = Some(bytes.iter().map(|status| status & !UnitStatus::RUNNING).collect());
+                if self.topology != answer {
+                    let is_first = self.topology.is_none();
+                    self.topology = answer;
+                    if self.disputes_left == 0 {
+                        return Progress::Failed(Failure::Unintelligible);
+                    }
+                    self.disputes_left -= u8::from(!is_first);
                     return self.ask(now, Step::Topology);
                 }
             }

@@ -157,8 +157,7 @@ impl FlockSession {
 
     fn examine(&mut self, now: Timestamp) {
         self.connecting("asking the unit what it is");
-        let known = self.findings.as_ref().map(Findings::extended_range);
-        let mut examination = Examination::new(now, self.settings.addressing, 3).knowing(known);
+        let mut examination = Examination::new(now, self.settings.addressing, 3);
         while let Some(bytes) = examination.poll_transmit() {
             self.transmit(bytes);
         }
