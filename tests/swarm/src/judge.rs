@@ -62,6 +62,8 @@ pub(crate) struct Judge {
     blind: Vec<Span>,
     /// A sensor is on the other side of its transmitter.
     flips: Vec<Span>,
+    /// A sensor repeats itself.
+    repeats: Vec<Span>,
     /// Something is wrong with the device or its line.
     faults: Vec<Span>,
     /// The same, where a chain that is searched meanwhile gives its trackers other numbers.
@@ -115,6 +117,11 @@ impl Judge {
             judged: plan.devices.iter().map(|device| device.judged).collect(),
             blind: plan.blind.clone(),
             flips: plan.flips.clone(),
+            repeats: faults
+                .clone()
+                .filter(|(_, fault)| matches!(fault, Fault::OutOfRange { .. }))
+                .map(span)
+                .collect(),
             renumbered: faults.clone().filter(renumbers).map(span).collect(),
             faults: faults.map(span).collect(),
             traced: plan.traced.clone(),
@@ -159,6 +166,10 @@ impl Judge {
             // Nobody can know that it began on the other side.
             let device = rider.device;
             if self.flips.iter().any(|span| span.holds(device, begun_s)) {
+                continue;
+            }
+            // Nor that it repeats itself from its first record on, until it changes: it may as well lie still.
+            if self.repeats.iter().any(|span| span.holds(device, begun_s) && t_s < span.until_s + BLIND_S) {
                 continue;
             }
             if !self.judged[device] || self.blind.iter().any(|span| span.holds(device, t_s)) {
