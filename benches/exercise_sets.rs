@@ -2,8 +2,8 @@
 //! with `-- SEED` for other people.
 //!
 //! Ten people, five exercises, ten sets of 5 to 15 repetitions each, taught from one set of five on another day, and sets in which one
-//! joint falls short by 20 degrees: with the one exercise loaded, and with all five of the person. An hour of other movement with all
-//! five.
+//! joint falls short by 20 degrees, or in which the trunk leans back by 20: with the one exercise loaded, with all five of the person, and
+//! with all five of somebody else. An hour of other movement with all five.
 
 use std::io::Write;
 
@@ -35,6 +35,9 @@ struct Score {
     deficits: usize,
     /// Of these, the repetitions of which joint and phase were named.
     named: usize,
+    leaned: usize,
+    /// Of these, the repetitions of which it was said that the trunk leaned.
+    lean_named: usize,
 }
 
 /// What a person was taught: each exercise, none where its demonstration was refused.
@@ -46,14 +49,18 @@ struct Lessons {
 
 fn main() -> std::io::Result<()> {
     let first = std::env::args().find_map(|argument| argument.parse().ok()).unwrap_or(300);
-    let (mut alone, mut together) = (Score::default(), Score::default());
+    let (mut alone, mut together, mut strangers) = (Score::default(), Score::default(), Score::default());
+    let mut before: Option<Vec<Exercise>> = None;
     let (mut refused, mut false_counts, mut other_s) = (0, 0, 0.0);
     for seed in first..first + PEOPLE {
         let lessons = Lessons::new(seed);
         refused += lessons.exercises.iter().filter(|exercise| exercise.is_none()).count();
         lessons.count(first, |number| lessons.exercises[number].iter().cloned().collect(), &mut alone);
-        let all = || lessons.exercises.iter().flatten().cloned().collect::<Vec<_>>();
+        let all = || lessons.taught();
         lessons.count(first, |_| all(), &mut together);
+        // With what the person before was taught.
+        let others = before.replace(all()).unwrap_or_else(|| Lessons::new(first + PEOPLE).taught());
+        lessons.count(first, |_| others.clone(), &mut strangers);
         let mut day = Day::new(&lessons.person, 999);
         day.other(OTHER_S);
         let recording = day.finish();
@@ -64,7 +71,8 @@ fn main() -> std::io::Result<()> {
     writeln!(out, "{refused} demonstrations refused")?;
     writeln!(out, "{false_counts} false counts in {:.0} minutes of other movement", other_s / 60.0)?;
     alone.write("one exercise loaded", &mut out)?;
-    together.write("all five loaded", &mut out)
+    together.write("all five loaded", &mut out)?;
+    strangers.write("all five of somebody else loaded", &mut out)
 }
 
 impl Lessons {
@@ -79,6 +87,10 @@ impl Lessons {
         };
         let exercises = (0..).step_by(100).zip(Training::ALL).map(lesson).collect();
         Self { person, seed, exercises }
+    }
+
+    fn taught(&self) -> Vec<Exercise> {
+        self.exercises.iter().flatten().cloned().collect()
     }
 
     /// Counts all sets of this person with what is loaded for each exercise.
@@ -101,6 +113,9 @@ impl Lessons {
                 day.set(training, 10, Variant::Short { angle, by_deg: 20.0 });
                 score.deficit(&exercises, training.name(), &day.finish(), angle);
             }
+            let mut day = Day::new(&self.person, number + 70);
+            day.set(training, 10, Variant::Leans(20.0));
+            score.lean(&exercises, training.name(), &day.finish());
         }
     }
 }
@@ -171,6 +186,20 @@ impl Score {
         }
     }
 
+    fn lean(&mut self, exercises: &[Exercise], name: &str, recording: &Recording) {
+        let events = events(exercises.to_vec(), recording);
+        for truth in &recording.repetitions {
+            self.leaned += 1;
+            let judged = |event: &&Event| {
+                event.feedback.is_some() && near(event, *truth) && exercises[event.exercise].name == name
+            };
+            let Some(event) = events.iter().find(judged) else { continue };
+            let of = |channel| exercises[event.exercise].channel(channel) == Some("trunk_flexion_deg");
+            self.lean_named +=
+                usize::from(matches!(event.remark, Some(Remark::Deviation { channel, .. }) if of(channel)));
+        }
+    }
+
     fn write(mut self, title: &str, out: &mut impl Write) -> std::io::Result<()> {
         let percent = |part: usize, whole: usize| 100.0 * part as f64 / whole.max(1) as f64;
         self.confirmed.sort_by(f64::total_cmp);
@@ -202,6 +231,12 @@ impl Score {
             "  right ones without a complaint: {:.1} % of {right}; 20 degrees short named with joint and phase: {:.1} % of {deficits}",
             percent(right - complained, right),
             percent(self.named, deficits)
+        )?;
+        writeln!(
+            out,
+            "  trunk that leans back by 20 degrees named: {:.1} % of {}",
+            percent(self.lean_named, self.leaned),
+            self.leaned
         )
     }
 }

@@ -387,7 +387,7 @@ export type Deviation = {
 };
 
 /** In which way a channel deviates. */
-export type DeviationKind = "too_far" | "short" | "too_high" | "too_low";
+export type DeviationKind = "too_far" | "short" | "too_high" | "too_low" | "moved";
 
 /** Health of a device. Counts never go back. */
 export type DeviceStatus = {
@@ -468,6 +468,8 @@ export type Exercise = {
   revision?: number;
   /** Sizes in which the movement was taught, falling from 1: the first and the last step of a walk are smaller. */
   sizes?: number[];
+  /** Joints that keep still in it; empty: nothing is known of them. */
+  still?: Still[];
   /** Turning point of each channel, in the order of `channels`; empty: those of the states' means, whose spread is not known. */
   turns?: Turn[];
   /** Version of the format. */
@@ -1630,6 +1632,18 @@ export type StatusMessage = {
   seq: number;
   /** Host time, s; rises strictly. */
   t_s: number;
+};
+
+/** An angle that keeps still in an exercise, in the channel's unit. */
+export type Still = {
+  /** The channel. */
+  channel: string;
+  /** Mean of how far it goes with the movement there and back. */
+  moves: number;
+  /** Standard deviation of that from repetition to repetition. */
+  moves_sd: number;
+  /** Least and greatest value in the taught repetitions. */
+  range: [number, number];
 };
 
 /** How much is done. */

@@ -166,6 +166,8 @@ pub enum Variant {
     Partly(f64),
     /// The largest angle goes one way, all others the opposite one.
     WrongPhase,
+    /// The trunk leans back by so many degrees at the turning point.
+    Leans(f64),
 }
 
 /// A person on one day: makes a recording piece by piece. Each call appends to the recording; all is seeded by person and day.
@@ -260,7 +262,7 @@ impl Day {
 
     /// A repetition and the pause after it, `tired` from 0 to 1: a tired person is slower and goes less far.
     ///
-    /// [`Variant::Right`] and [`Variant::Short`] are noted as true repetitions, the others are not.
+    /// [`Variant::Right`], [`Variant::Short`] and [`Variant::Leans`] are noted as true repetitions, the others are not.
     pub fn repetition(&mut self, exercise: Exercise, variant: Variant, tired: f64) {
         let person = self.person.clone();
         let slower = 1.0 + person.fatigue * tired;
@@ -279,6 +281,7 @@ impl Day {
                 Variant::Partly(share) => whole * share,
                 Variant::WrongPhase if angle != largest => -whole,
                 Variant::Short { angle: short, by_deg } if angle == short => whole - whole.signum() * by_deg,
+                Variant::Leans(by_deg) if ANGLES[angle] == "trunk_flexion_deg" => whole - by_deg,
                 _ => whole,
             };
             low[angle] + way
@@ -287,7 +290,7 @@ impl Day {
         self.go(top, seconds * person.shares[0]);
         self.rest(seconds * person.shares[1]);
         self.go(low, seconds * person.shares[2]);
-        if matches!(variant, Variant::Right | Variant::Short { .. }) {
+        if matches!(variant, Variant::Right | Variant::Short { .. } | Variant::Leans(_)) {
             let end_s = self.t_s();
             self.recording.repetitions.push([start_s, end_s]);
         }
@@ -336,17 +339,31 @@ impl Day {
     /// Takes a sip: the forearm as in a curl, the arm forward, a long hold; no repetition is noted.
     pub fn drink(&mut self) {
         let (up_s, hold_s, down_s) = (self.between(0.9, 1.6), self.between(1.0, 3.0), self.between(0.8, 1.6));
+        // The palm stays as it hung, or turns.
+        let pronation = self.between(-45.0, 45.0);
         self.stand();
-        self.go([42.0, 18.0, 118.0, 15.0, 4.0, 5.0, 0.0], up_s);
+        self.go([42.0, 18.0, 118.0, pronation, 4.0, 5.0, 0.0], up_s);
         self.rest(hold_s);
         self.go(STANDING, down_s);
+    }
+
+    /// Waves: the bent arm goes up to the side and comes down again, some times.
+    pub fn wave(&mut self) {
+        let elbow = self.between(75.0, 110.0);
+        self.go([10.0, 12.0, elbow, 20.0, 4.0, 5.0, 3.0], 0.8);
+        for _ in 0..3 + self.between(0.0, 5.0) as usize {
+            let (up, seconds) = (self.between(60.0, 95.0), self.between(0.5, 1.4));
+            self.go([14.0, up, elbow + 8.0, 10.0, 4.0, 5.0, 2.0], seconds);
+            self.go([10.0, 20.0, elbow, 20.0, 4.0, 5.0, 3.0], seconds);
+        }
+        self.stand();
     }
 
     /// At least so many seconds of movement that is no repetition of anything: the last piece is finished.
     pub fn other(&mut self, seconds: f64) {
         let end_s = self.t_s() + seconds;
         while self.t_s() < end_s {
-            let what = self.between(0.0, 6.0) as usize;
+            let what = self.between(0.0, 7.0) as usize;
             let exercise = Exercise::ALL[self.between(0.0, 4.999) as usize];
             match what {
                 0 => {
@@ -358,6 +375,7 @@ impl Day {
                     let seconds = self.between(2.0, 6.0);
                     self.rest(seconds);
                 }
+                6 => self.wave(),
                 kind => {
                     self.prepare(exercise);
                     let times = 1 + self.between(0.0, 5.0) as usize;

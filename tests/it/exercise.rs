@@ -273,10 +273,47 @@ fn count(exercise: &Exercise, recording: &exercises::Recording) -> (usize, Vec<S
     for (row, t_s) in values.chunks(columns.len()).zip(&t_s) {
         counter.push(*t_s, row, &mut |event| {
             counted += usize::from(event.kind == EventKind::Counted);
-            sentences.extend(event.sentence(&exercise.channels, Language::English));
+            sentences.extend(event.sentence(exercise, Language::English));
         });
     }
     (counted, sentences)
+}
+
+#[test]
+fn given_a_trunk_that_leans_it_is_named_as_a_compensation() {
+    for person in [310, 311, 312] {
+        let taught = lesson(Training::Curl, &set(person, 0, Training::Curl, 5, Variant::Right));
+        let still: Vec<_> = taught.exercise.still.iter().map(|still| still.channel.as_str()).collect();
+        assert!(still.contains(&"trunk_flexion_deg"), "{still:?}");
+        let (counted, said) =
+            count(&taught.exercise, &set(person, 1, Training::Curl, 8, Variant::Leans(25.0)));
+        assert_eq!(counted, 8, "{said:?}");
+        let leans = |said: &&String| {
+            said.starts_with("trunk leaned back by 2") && said.ends_with("meanwhile: keep it still")
+        };
+        assert!(said.iter().filter(leans).count() >= 7, "{said:?}");
+        let (_, said) = count(&taught.exercise, &set(person, 2, Training::Curl, 8, Variant::Right));
+        assert_eq!(said, Vec::<String>::new());
+    }
+}
+
+/// Of 18 who drink, two may pass for somebody who curls: elbow and palm turn in both, and the upper arm goes along.
+#[test]
+fn given_waving_and_drinking_hardly_anybody_raises_a_shoulder_or_curls() {
+    let mut false_counts = [0, 0];
+    for person in [310, 311, 312] {
+        let taught = [Training::Curl, Training::ShoulderRaise]
+            .map(|training| lesson(training, &set(person, 0, training, 5, Variant::Right)).exercise);
+        let mut day = Day::new(&Person::new(person), 7);
+        for _ in 0..6 {
+            day.wave();
+            day.drink();
+        }
+        let recording = day.finish();
+        let counted = taught.map(|exercise| count(&exercise, &recording).0);
+        false_counts = [false_counts[0] + counted[0], false_counts[1] + counted[1]];
+    }
+    assert!(false_counts[0] <= 2 && false_counts[1] == 0, "{false_counts:?}");
 }
 
 /// A set on one day of a simulated person.

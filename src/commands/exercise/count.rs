@@ -131,7 +131,7 @@ fn write(args: &Args, exercises: &[&Exercise], events: &[Event]) -> Result<(), T
         table.text(event.kind.as_str())?;
         table.number(event.count as f64)?;
         table.text(event.reason.map_or("", |reason| reason.as_str()))?;
-        let sentence = event.sentence(&exercise.channels, Language::English);
+        let sentence = event.sentence(exercise, Language::English);
         table.text(sentence.as_deref().unwrap_or(""))?;
         table.end_row()?;
     }

@@ -76,6 +76,13 @@ impl Counter {
                 all.push(channel.clone());
             }
         }
+        // Joints that keep still are looked at where they are there.
+        for still in exercises.iter().flat_map(|exercise| &exercise.still) {
+            let is_there = Binding::new(std::slice::from_ref(&still.channel), columns).is_ok();
+            if is_there && !all.contains(&still.channel) {
+                all.push(still.channel.clone());
+            }
+        }
         let rate_hz = exercises.first().map_or(0.0, |first| first.rate_hz);
         // Every channel was found above.
         let binding = Binding::new(&all, columns)

@@ -18,6 +18,8 @@ use super::hmm::{LogRatio, Movement};
 use super::joint::Spoken;
 use super::judge::{Measures, Reason, goes_the_way, judge, measure};
 use super::passage::{Mark, Passage};
+use super::remark::DeviationKind;
+use super::still::{Still, ways};
 use super::viterbi::ShortTimeViterbi;
 
 /// A set still goes on for so many of the longest taught repetitions after the one that was counted last.
@@ -37,6 +39,11 @@ struct Watched {
     differentiator: Differentiator,
     /// Ring of observations, a frame per slot.
     observations: Vec<f64>,
+    /// Where the joints that keep still are among all, where they are there, and the ring of their values.
+    still_channels: Vec<Option<usize>>,
+    still_values: Vec<f64>,
+    /// How far the movement is in each state.
+    ways: Vec<f64>,
     count: u64,
     /// A repetition that was said to be provisional: its first and last frame.
     pending: Option<[u64; 2]>,
@@ -50,6 +57,11 @@ impl Watched {
     fn observation(&self, frame: u64, capacity: u64) -> &[f64] {
         let (slot, width) = ((frame % capacity) as usize, 2 * self.channels.len());
         &self.observations[slot * width..(slot + 1) * width]
+    }
+
+    /// The same of a joint that keeps still.
+    fn still_value(&self, still: usize, frame: u64, capacity: u64) -> f64 {
+        self.still_values[(frame % capacity) as usize * self.still_channels.len() + still]
     }
 }
 
@@ -110,6 +122,16 @@ impl Counting {
                     values: vec![f64::NAN; width],
                     differentiator: Differentiator::new(rate_hz, width),
                     observations: vec![f64::NAN; 2 * width * capacity],
+                    still_channels: exercise
+                        .still
+                        .iter()
+                        .map(|still| all.iter().position(|other| *other == still.channel))
+                        .collect(),
+                    ways: match exercise.still.is_empty() {
+                        true => Vec::new(),
+                        false => ways(&exercise.movement, &exercise.channels),
+                    },
+                    still_values: vec![f64::NAN; exercise.still.len() * capacity],
                     count: 0,
                     pending: None,
                     counted_until: None,
@@ -191,6 +213,10 @@ impl Counting {
         for (index, watched) in self.watched.iter_mut().enumerate() {
             for (value, channel) in watched.values.iter_mut().zip(&watched.channels) {
                 *value = frame.values[*channel];
+            }
+            for (still, channel) in watched.still_channels.iter().enumerate() {
+                let value = channel.map_or(f64::NAN, |channel| frame.values[channel]);
+                watched.still_values[slot * watched.still_channels.len() + still] = value;
             }
             let observation = watched.differentiator.push(&watched.values);
             let width = observation.len();
@@ -309,7 +335,31 @@ impl Counting {
             .map(|(index, state)| (watched.observation(start + index as u64, capacity), state));
         let mut measures = measure(movement, ratio, &watched.exercise.channels, self.rate_hz, rows);
         measures.gain *= watched.exercise.sizes[number];
-        Some((measures, [start + moving.start as u64, start + moving.end as u64 - 1]))
+        let span = [start + moving.start as u64, start + moving.end as u64 - 1];
+        for (number, still) in watched.exercise.still.iter().enumerate() {
+            let course = self.still_course(watched, number, start, span, first);
+            let share = still.elsewhere(course.clone().map(|(_, value)| value));
+            let is_another = still.moved(course).is_some_and(|moved| still.is_another(moved));
+            measures.elsewhere = measures.elsewhere.max(if is_another { 1.0 } else { share });
+        }
+        Some((measures, span))
+    }
+
+    /// The values of a joint that keeps still in the repetition on `path`, whose states begin with `first`, each with how far the movement
+    /// is there.
+    fn still_course<'a>(
+        &'a self,
+        watched: &'a Watched,
+        number: usize,
+        start: u64,
+        [from, to]: [u64; 2],
+        first: usize,
+    ) -> impl Iterator<Item = (f64, f64)> + Clone + 'a {
+        let capacity = self.capacity();
+        (from..=to).map(move |frame| {
+            let state = usize::from(self.path[(frame - start) as usize]) - first;
+            (watched.ways[state], watched.still_value(number, frame, capacity))
+        })
     }
 
     /// Judges the certain repetition of the frames `start..end`.
@@ -336,9 +386,14 @@ impl Counting {
             let mut ways = std::mem::take(&mut self.ways);
             event.feedback = self.feedback(exercise, start, span, &measures, &mut ways);
             self.ways = ways;
-            // What does not count has a reason; which joint of another movement went wrong nobody can say.
-            event.remark =
-                event.feedback.filter(|_| kind == EventKind::Counted).and_then(|feedback| feedback.remark());
+            // What does not count has a reason; which joint of another movement went wrong nobody can say, but for one that was to
+            // keep still.
+            let is_compensated =
+                |feedback: &Feedback| event.is_attempt && feedback.kind == DeviationKind::Moved;
+            let is_said = |feedback: &Feedback| {
+                kind == EventKind::Counted || verdict == Err(Reason::Different) && is_compensated(feedback)
+            };
+            event.remark = event.feedback.filter(is_said).and_then(|feedback| feedback.remark());
         }
         each(event);
     }
@@ -384,7 +439,20 @@ impl Counting {
         let oldest = now.saturating_sub(capacity);
         let around = (span[0].saturating_sub(pad).max(oldest)..now.min(span[1] + 1 + pad))
             .map(|frame| (watched.observation(frame, capacity), (span[0]..=span[1]).contains(&frame)));
-        describe(&watched.exercise, &watched.spoken, measures, size, rows, around, ways)
+        let compensation = self.compensation(exercise, start, span);
+        describe((&watched.exercise, &watched.spoken), measures, size, rows, around, compensation, ways)
+    }
+
+    /// Of the joints that keep still, the one that moved most with the movement: its number, by how much, and what that is worth.
+    fn compensation(&self, exercise: usize, start: u64, span: [u64; 2]) -> Option<(usize, f64, f64)> {
+        let watched = &self.watched[exercise];
+        let first = self.exercise_topology.range(exercise, self.size()?).start;
+        let moved = |(number, still): (usize, &Still)| {
+            let moved = still.moved(self.still_course(watched, number, start, span, first))?;
+            Some((number, moved, still.worth(moved)))
+        };
+        let most = |a: (usize, f64, f64), b: (usize, f64, f64)| if b.2 > a.2 { b } else { a };
+        watched.exercise.still.iter().enumerate().filter_map(moved).reduce(most)
     }
 
     /// Looks at the path that is best now: a repetition at its end is provisional.

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::exercise::Exercise;
 use super::feedback::Feedback;
 use super::judge::{Measures, Reason};
 use super::remark::Remark;
@@ -64,10 +65,9 @@ pub struct Event {
 }
 
 impl Event {
-    /// [`sentence`] of this one, `None` where it was no attempt; `channels` are those of its exercise.
-    pub fn sentence(&self, channels: &[String], language: Language) -> Option<String> {
-        let channel =
-            self.feedback.and_then(|feedback| channels.get(feedback.channel)).map_or("", String::as_str);
+    /// [`sentence`] of this one, `None` where it was no attempt.
+    pub fn sentence(&self, exercise: &Exercise, language: Language) -> Option<String> {
+        let channel = self.feedback.and_then(|feedback| exercise.channel(feedback.channel)).unwrap_or("");
         sentence(self.remark, self.reason.filter(|_| self.is_attempt), channel, language)
     }
 }

@@ -7,6 +7,7 @@ use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 use super::hmm::{Gaussians, Movement};
+use super::still::{self, Still};
 use super::turns::Turn;
 
 /// First field of the file.
@@ -48,6 +49,10 @@ pub struct Exercise {
     /// Turning point of each channel, in the order of `channels`; empty: those of the states' means, whose spread is not known.
     #[serde(default)]
     pub turns: Vec<Turn>,
+    /// Joints that keep still in it; empty: nothing is known of them.
+    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(length(max = 64)))]
+    pub still: Vec<Still>,
     /// Durations of the taught repetitions.
     pub durations: Durations,
     /// Log dimensionless jerk of the taught repetitions.
@@ -137,7 +142,7 @@ impl Exercise {
         gate: Gate,
     ) -> Self {
         let (format, version) = (FORMAT.to_owned(), VERSION);
-        let (revision, sizes, turns, log_jerk) = (first(), taught_size(), Vec::new(), 0.0);
+        let (revision, sizes, turns, still, log_jerk) = (first(), taught_size(), Vec::new(), Vec::new(), 0.0);
         Self {
             format,
             version,
@@ -148,6 +153,7 @@ impl Exercise {
             movement,
             sizes,
             turns,
+            still,
             durations,
             log_jerk,
             gate,
@@ -189,6 +195,12 @@ impl Exercise {
             let turn = |channel| Turn::of_means(&self.movement, channel);
             self.turns = (0..self.channels.len()).map(turn).collect();
         }
+    }
+
+    /// The channel that a number of [`Feedback`](super::Feedback) means: one of `channels`, or behind them a joint that keeps still.
+    pub fn channel(&self, number: usize) -> Option<&str> {
+        let still = || self.still.get(number.checked_sub(self.channels.len())?).map(|still| &still.channel);
+        self.channels.get(number).or_else(still).map(String::as_str)
     }
 
     /// Number of states.
@@ -234,6 +246,8 @@ impl Exercise {
             Err(ExerciseError::Damaged("the sizes do not fall from 1"))
         } else if !turns_fit(&self.turns, self.channels.len(), self.states()) {
             Err(ExerciseError::Damaged("the turning points do not match the channels"))
+        } else if self.still.len() > still::MOST || !self.still.iter().all(Still::is_right) {
+            Err(ExerciseError::Damaged("a joint that keeps still has no range"))
         } else if !(fast >= 0.0 && fast <= slow && slow <= 10.0) {
             Err(ExerciseError::Damaged("the gate's durations are not in order"))
         } else if !(1.0..=1000.0).contains(&self.rate_hz) {

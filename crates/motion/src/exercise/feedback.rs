@@ -56,7 +56,7 @@ const JERKY: f64 = 2.0;
 /// be right itself.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Feedback {
-    /// Index of the channel that deviated most.
+    /// Number of the channel that deviated most, for [`Exercise::channel`].
     pub channel: usize,
     /// Its deviation there, in the channel's unit; positive is more than taught. At a turning point that of its way, beside how far the
     /// other joints went.
@@ -130,14 +130,15 @@ pub(super) fn beside(frames: usize) -> usize {
 
 /// Compares a repetition, whose size is so much of the taught one, with what was taught; `None` where no channel has a value. `rows` are
 /// its frames with their states, `around` these and what is [`beside`] them, each with whether it is one of its own;
+/// `compensation` is the joint among those that keep still that moved most with the movement, by how much, and what that is worth;
 /// `ways` is room for the joints' ways.
 pub(super) fn describe<'a>(
-    exercise: &Exercise,
-    spoken: &[Option<Spoken>],
+    (exercise, spoken): (&Exercise, &[Option<Spoken>]),
     measures: &Measures,
     size: f64,
     rows: impl Iterator<Item = (&'a [f64], usize)> + Clone,
     around: impl Iterator<Item = (&'a [f64], bool)> + Clone,
+    compensation: Option<(usize, f64, f64)>,
     ways: &mut Vec<Option<Way>>,
 ) -> Option<Feedback> {
     fill(ways, exercise, spoken, size, around);
@@ -147,17 +148,27 @@ pub(super) fn describe<'a>(
         _ => Some(next),
     };
     let turned = at_turn.fold(None, largest);
+    let compensated = compensation.map(|(still, deviation, worth)| Deviation {
+        channel: exercise.channels.len() + still,
+        deviation,
+        worth,
+        kind: DeviationKind::Moved,
+        place: MovementPhase::Top,
+        phase: 0.5,
+    });
     // How far the turn is from the taught one does not depend on the alignment: it comes first.
     let said = turned.filter(|turned| turned.worth >= 1.0).or_else(|| {
         let astray = (0..spoken.len()).filter_map(|channel| {
             let spoken = spoken[channel]?;
             on_the_way(exercise, spoken, channel, ways[channel].is_some(), rows.clone())
         });
-        astray.chain(turned).fold(None, largest)
+        astray.chain(turned).chain(compensated).fold(None, largest)
     });
     let most = said.or_else(|| strangest(exercise, rows.clone()))?;
     let states = exercise.states();
-    let (rms_sd, range) = course(exercise, most.channel, rows.clone());
+    // Of a joint that keeps still no course was taught.
+    let is_channel = most.channel < exercise.channels.len();
+    let (rms_sd, range) = if is_channel { course(exercise, most.channel, rows.clone()) } else { (0.0, 1.0) };
     let jerk = log_jerk(rows.clone().map(|(observation, _)| observation), exercise) - exercise.log_jerk;
     let mut fifth_tempo = [0.0; 5];
     for (_, state) in rows {

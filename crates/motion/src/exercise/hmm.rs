@@ -19,6 +19,9 @@ const POOLED_FRAMES: f64 = 4.0;
 /// Least standard deviation of a state as a share of the channel's amplitude: values, which shift with posture and the
 /// place of the sensor, and velocities, which do not.
 const FLOOR: [f64; 2] = [0.3, 0.2];
+/// How far another day, and somebody else, goes and how fast, against the lesson: a standard deviation as a share of the way from the
+/// movement's ends, and of the velocity.
+const VARIES: f64 = 0.15;
 /// Least amplitude that a channel is taken for, as a share of the largest of its kind: so much of that one a
 /// misplaced sensor mixes into it, and posture shifts it as far.
 const LEAST_SHARE: f64 = 0.33;
@@ -71,6 +74,23 @@ impl Movement {
             }
         }
         turned
+    }
+
+    /// The same movement as its joints do it on another day, and with somebody else: farther or less far, faster or slower. What is no
+    /// joint stays as it is.
+    pub(super) fn varied(&self, channels: &[String]) -> Self {
+        let mut varied = self.clone();
+        let width = channels.len();
+        for (row, (sds, means)) in varied.states.sd.iter_mut().zip(&self.states.mean).enumerate() {
+            if !is_posture(&channels[row % width]) {
+                continue;
+            }
+            let ends = if row < width { 0.5 * (means[0] + means[means.len() - 1]) } else { 0.0 };
+            for (sd, mean) in sds.iter_mut().zip(means) {
+                *sd = libm::hypot(*sd, VARIES * (mean - ends));
+            }
+        }
+        varied
     }
 
     /// The same movement at another size, the taught one being 1: as far from rest as that, and as fast.

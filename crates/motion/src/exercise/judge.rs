@@ -12,9 +12,9 @@ use super::kinds::is_posture;
 
 /// A joint so far from where it was taught is in another posture, degrees: half a right angle, more than people and the placing of
 /// sensors differ.
-const FAR_DEG: f64 = 45.0;
+pub(super) const ELSEWHERE_DEG: f64 = 45.0;
 /// A movement of which a longer share is spent there is another one.
-const ELSEWHERE: f64 = 0.8;
+const ELSEWHERE: f64 = 0.6;
 /// Shortest and longest repetition of a demonstration, the median being 1.
 const UNEVEN: [f64; 2] = [0.55, 1.7];
 /// Least log ratio per frame of a repetition of a demonstration, the median being 1.
@@ -128,11 +128,14 @@ pub(super) fn measure<'a>(
         whole += weight * (high - low);
         reached += weight * (highest - lowest).max(0.0);
         let values = frames.clone().map(|(observation, _)| observation[channel]);
-        if let Some(went) = way(values).filter(|_| is_posture(&names[channel])) {
+        if let Some(went) = way(values.clone()).filter(|_| is_posture(&names[channel])) {
             joints_went += weight * went;
             joints_go += weight * (high - low);
         }
-        if n > 0.0 {
+        // A joint that says the same all the time has failed, and does not make another movement of this one.
+        let (least, greatest) = range(values.clone());
+        let has_failed = is_posture(&names[channel]) && least == greatest;
+        if n > 0.0 && !has_failed {
             let scale = movement.amplitude[channel].powi(-2);
             along += scale * (xy - x * y / n);
             taught += scale * (yy - y * y / n);
@@ -173,18 +176,24 @@ fn elsewhere<'a>(
 ) -> f64 {
     let share = |channel: usize| {
         let (mean, sd) = (&movement.states.mean[channel], &movement.states.sd[channel]);
-        let (mut count, mut far, mut low, mut high) = (0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
         let values = frames.clone().map(|(observation, state)| (observation[channel], state));
-        for (value, state) in values.filter(|(value, _)| !value.is_nan()) {
-            let allowed = FAR_DEG.max(farthest_sds() * sd[state]);
-            count += 1.0;
-            far += f64::from(u8::from((value - mean[state]).abs() > allowed));
-            (low, high) = (f64::min(low, value), f64::max(high, value));
-        }
-        // A joint that says the same all the time has failed.
-        if high > low { far / count } else { 0.0 }
+        share_far(values.map(|(value, state)| {
+            let allowed = ELSEWHERE_DEG.max(farthest_sds() * sd[state]);
+            (value, (value - mean[state]).abs() > allowed)
+        }))
     };
     (0..names.len()).filter(|channel| is_posture(&names[*channel])).map(share).fold(0.0, f64::max)
+}
+
+/// Share of the values that are far; 0 of a joint that says the same all the time: it has failed.
+pub(super) fn share_far(values: impl Iterator<Item = (f64, bool)>) -> f64 {
+    let (mut count, mut far, mut low, mut high) = (0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
+    for (value, is_far) in values.filter(|(value, _)| !value.is_nan()) {
+        count += 1.0;
+        far += f64::from(u8::from(is_far));
+        (low, high) = (f64::min(low, value), f64::max(high, value));
+    }
+    if high > low { far / count } else { 0.0 }
 }
 
 /// How far a joint went, from its least to its greatest angle; `None` where it has failed, and says the same all the time, or was not seen all the time.

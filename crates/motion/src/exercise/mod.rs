@@ -41,6 +41,7 @@ mod remark;
 mod rest;
 mod score;
 mod smaller;
+mod still;
 mod teach;
 #[cfg(test)]
 mod tests;
@@ -65,6 +66,7 @@ pub use ranges::{RepeatingRange, repeating_ranges};
 pub use remark::{DeviationKind, MovementPhase, Remark};
 pub use rest::rests;
 pub use score::Score;
+pub use still::Still;
 pub use teach::{Lesson, Options, Refusal, Report, TaughtRepetition, teach};
 pub use turns::Turn;
 pub use viterbi::{ShortTimeViterbi, Topology};

@@ -39,6 +39,8 @@ pub enum DeviationKind {
     TooHigh,
     /// A smaller value elsewhere.
     TooLow,
+    /// A joint that was to keep still moved with the movement: a compensation.
+    Moved,
 }
 
 impl DeviationKind {

@@ -24,6 +24,7 @@ use super::material::{Material, RATE_HZ, Stream};
 use super::motif::motifs;
 use super::psd::{periods, repeatability};
 use super::smaller::{LEAST_GAIN, interval, sizes_down_to, smaller};
+use super::still::stills;
 use super::turns::Turn;
 
 /// Shortest repetition, s.
@@ -241,6 +242,10 @@ pub fn teach(stream: &Stream<'_>, options: &Options) -> Result<Lesson, Refusal> 
     };
     if let Some(report) = report {
         (report.because, report.tried) = (because, tried);
+    }
+    if let Ok(Lesson { exercise, report }) = &mut result {
+        let spans: Vec<_> = report.repetitions.iter().map(|one| [one.t_start_s, one.t_end_s]).collect();
+        exercise.still = stills(stream, exercise, &spans);
     }
     result
 }
@@ -641,7 +646,7 @@ fn exercise_of(
         options.name.clone(),
         material.rate_hz,
         material.channels.clone(),
-        hypothesis.movement.turned(&siblings(&material.channels)),
+        hypothesis.movement.turned(&siblings(&material.channels)).varied(&material.channels),
         durations,
         gate_of(&measures, sizes.last().copied().unwrap_or(1.0)),
     );
@@ -703,7 +708,7 @@ fn against_the_others(material: &Material, hypothesis: &Hypothesis) -> Vec<(Rang
         .chain(smaller)
         .map(|(repetition, size, movement)| {
             let rows = material.along(repetition.path.iter());
-            let movement = movement.turned(&siblings);
+            let movement = movement.turned(&siblings).varied(&material.channels);
             let mut measures = measure(
                 &movement,
                 &LogRatio::new(&movement, &material.channels),

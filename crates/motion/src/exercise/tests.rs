@@ -223,7 +223,7 @@ fn given_a_deficit_at_the_top_the_feedback_names_joint_place_and_size() {
     person.rest(3.0);
     let events = events(vec![exercise.clone()], &person);
     let sentences: Vec<String> =
-        events.iter().filter_map(|event| event.sentence(&exercise.channels, Language::English)).collect();
+        events.iter().filter_map(|event| event.sentence(&exercise, Language::English)).collect();
     let named = sentences
         .iter()
         .filter(|sentence| {

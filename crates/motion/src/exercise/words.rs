@@ -112,6 +112,7 @@ fn deviates(
         DeviationKind::TooFar => (deviation > 0.0, true),
         DeviationKind::TooHigh => (true, true),
         DeviationKind::TooLow => (true, false),
+        DeviationKind::Moved => return compensates(joint, deviation, language),
     };
     let size = (deviation * joint.degrees).abs().round();
     let (name, verb, place) =
@@ -125,6 +126,16 @@ fn deviates(
             let more = if more { "mehr" } else { "weniger" };
             format!("{name} {place} {size} Grad {more} {verb} als gezeigt")
         }
+    }
+}
+
+/// `trunk leaned back by 20 degrees meanwhile: keep it still`.
+fn compensates(joint: &Joint<'_>, deviation: f64, language: Language) -> String {
+    let size = (deviation * joint.degrees).abs().round();
+    let (name, verb) = (joint_name(joint, language), verb(joint, deviation > 0.0, language));
+    match language {
+        Language::English => format!("{name} {verb} by {size} degrees meanwhile: keep it still"),
+        Language::German => format!("{name} dabei um {size} Grad {verb}: ruhig halten"),
     }
 }
 
@@ -229,6 +240,13 @@ mod tests {
             [
                 "knee bent 29 degrees more than shown on the way back",
                 "Knie auf dem Rückweg 29 Grad mehr gebeugt als gezeigt"
+            ]
+        );
+        assert_eq!(
+            said("spine_flexion_deg", -20.0, DeviationKind::Moved, MovementPhase::Top),
+            [
+                "trunk leaned back by 20 degrees meanwhile: keep it still",
+                "Rumpf dabei um 20 Grad nach hinten geneigt: ruhig halten"
             ]
         );
         // A sensor's axis is never named.

@@ -232,7 +232,10 @@ impl ExerciseStage {
         if !sensors.is_empty() && !channels.any(taught) {
             return Err("sensors: these exercises were taught with none of them".into());
         }
-        for channel in exercises.iter_mut().flat_map(|exercise| &mut exercise.channels) {
+        let named = exercises.iter_mut().flat_map(|Exercise { channels, still, .. }| {
+            channels.iter_mut().chain(still.iter_mut().map(|still| &mut still.channel))
+        });
+        for channel in named {
             let renamed =
                 sensors.iter().find_map(|(from, to)| Some(format!("{to}{}", behind(channel, from)?)));
             if let Some(renamed) = renamed {

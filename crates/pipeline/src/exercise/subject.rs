@@ -54,7 +54,10 @@ impl Subject {
     pub(super) fn new(name: Name, counter: Option<Counter>, plan: Plan, selected: bool) -> Self {
         let exercises = counter.iter().flat_map(Counter::exercises).map(|exercise| Progress {
             name: Name::from(exercise.name.as_str()),
-            channels: exercise.channels.iter().map(|channel| Name::from(channel.as_str())).collect(),
+            channels: (0..exercise.channels.len() + exercise.still.len())
+                .filter_map(|number| exercise.channel(number))
+                .map(Name::from)
+                .collect(),
             count: 0,
             sets: 0,
             set_count: 0,
