@@ -11,8 +11,8 @@ use super::calibrate::posture;
 use super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
 
 /// Heights and level distances of two trackers may differ from the skeleton's by so much, m, and by so much of their distance.
-const PLACE_M: f64 = 0.1;
-const PLACE_SHARE: f64 = 0.15;
+const PLACE_M: f64 = 0.06;
+const PLACE_SHARE: f64 = 0.1;
 
 /// Position of the tracker on each segment, room frame, m, by [`BodySegment::index`]; `None` where none is seen.
 pub type Places = [Option<Vector3<f64>>; SEGMENTS];
@@ -126,7 +126,7 @@ mod tests {
             (10.0, BlockKind::NPose),
             (10.0, BlockKind::TPose),
             (80.0, BlockKind::NPose),
-            (80.0, BlockKind::TPose),
+            (120.0, BlockKind::TPose),
         ] {
             let facing = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 2.0);
             let bent = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), f64::to_radians(bent_deg));

@@ -452,7 +452,10 @@ impl Counting {
             Some((number, moved, still.worth(moved)))
         };
         let most = |a: (usize, f64, f64), b: (usize, f64, f64)| if b.2 > a.2 { b } else { a };
-        watched.exercise.still.iter().enumerate().filter_map(moved).reduce(most)
+        // Of channels there is more to say than this.
+        let is_silent = |still: &Still| !watched.exercise.channels.contains(&still.channel);
+        let stills = watched.exercise.still.iter().enumerate().filter(|(_, still)| is_silent(still));
+        stills.filter_map(moved).reduce(most)
     }
 
     /// Looks at the path that is best now: a repetition at its end is provisional.

@@ -1,7 +1,7 @@
 //! Joints that keep still in an exercise.
 //!
-//! What comes in: the courses of the joints that no channel of the exercise looks at. What goes out: those of them that belong to the limb
-//! that moves, or to the trunk, with how they were held; and of a repetition, how long they were held quite otherwise, and by how much
+//! What comes in: the courses of all joints. What goes out: those that hardly move, and belong to the limb
+//! that does or to the trunk, with how they were held; and of a repetition, how long they were held quite otherwise, and by how much
 //! one moved with the movement. What it never does: take part in the likelihood: a joint that says nothing about the movement must
 //! not decide where it begins. It is a gate (who waves with a bent arm raises no straight one), and a word (who
 //! leans back to lift a weight).
@@ -88,16 +88,17 @@ impl Still {
     }
 }
 
-/// How far an angle goes with the movement, by least squares. The values come with how far the movement is, from 0 to 1: who holds it at its
-/// turning point is there.
+/// How far an angle goes with the movement, by least squares; `None` of a joint that says the same all the time, and has failed. The values
+/// come with how far the movement is, from 0 to 1: who holds it at its turning point is there.
 fn moves(values: impl Iterator<Item = (f64, f64)> + Clone) -> Option<f64> {
     let there = values.filter(|(way, value)| way.is_finite() && value.is_finite());
     let (n, x, y) =
         there.clone().fold((0.0, 0.0, 0.0), |(n, x, y), (way, value)| (n + 1.0, x + way, y + value));
     let (x, y) = (x / n, y / n);
+    let (low, high) = range(there.clone().map(|(_, value)| value));
     let (xy, xx) = there
         .fold((0.0, 0.0), |(xy, xx), (way, value)| (xy + (way - x) * (value - y), xx + (way - x).powi(2)));
-    (xx > 0.0).then(|| xy / xx)
+    (xx > 0.0 && high > low).then(|| xy / xx)
 }
 
 /// How far a movement is in each of its states, from 0 to 1, by the joint that goes farthest; NaN at its ends, since sets begin and end
@@ -120,7 +121,7 @@ pub(super) fn ways(movement: &Movement, channels: &[String]) -> Vec<f64> {
 
 /// The joints that keep still in an exercise while its repetitions, s, are done.
 pub(super) fn stills(stream: &Stream<'_>, exercise: &Exercise, repetitions: &[[f64; 2]]) -> Vec<Still> {
-    let is_meant = |name: &String| !exercise.channels.contains(name) && concerns(name, &exercise.channels);
+    let is_meant = |name: &String| concerns(name, &exercise.channels);
     let names: Vec<String> = all_channels(stream.columns).into_iter().filter(is_meant).take(MOST).collect();
     if names.is_empty() {
         return Vec::new();
