@@ -7,7 +7,7 @@
 //! Where it is to be found which sensor sits where, samples stand under the segments that sensors were taken to sit on: then any
 //! sensor may show a movement, and as many as there are on the arms a T-pose.
 //!
-//! What contradicts that a step was done as asked ([`Contradiction`], [`Misplaced`]) is an objection: the movement is asked for
+//! What contradicts that a step was done as asked ([`Contradiction`], [`super::places::Misplaced`]) is an objection: the movement is asked for
 //! again, and from the second time on, or where it was a pose, all of it from the first pose on, since either of two poses may
 //! have been the wrong one. Whoever begins with raised arms and lowers them has held the first pose second.
 
