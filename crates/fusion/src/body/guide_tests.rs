@@ -125,3 +125,23 @@ fn people_who_stand_as_people_do_hear_nothing() {
         }
     }
 }
+
+#[test]
+fn a_unit_that_must_be_calibrated_itself_is_named_in_the_end_and_nobody_poses_in_vain() {
+    let mut wearer = Wearer::new(WearerSpec {
+        script: Script { activity: Activity::Poses, calibration: false, facing: 0.0, mistake: None },
+        build: Build::of_height(1.8),
+        errors: SensorErrors { gyro_bias_rad_s: 0.045, ..SensorErrors::calibrated() },
+        magnetometer: true,
+        disturbances: Vec::new(),
+        rate_hz: 100.0,
+        clumsiness_rad: 0.0,
+        seed: 3,
+    });
+    let mut guide = Guide::new([true; SEGMENTS], true, Thoroughness::Quick);
+    record(&mut wearer, 25.0).0.iter().for_each(|(t_s, samples)| guide.push(*t_s, samples));
+    assert_eq!((guide.prompt(), guide.objection()), (None, (0, None)));
+    let (recording, blocks) = guide.recorded();
+    let found = calibrate(recording, blocks, &Skeleton::from_height(1.8), &[None; SEGMENTS]);
+    assert!(found.unwrap_err().to_string().contains("posed imu calibrate"));
+}

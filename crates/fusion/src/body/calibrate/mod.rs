@@ -195,8 +195,8 @@ pub fn calibrate(
     Ok(out)
 }
 
-/// What contradicts that these poses and movements were done as their names say; where it is not `assigned` which sensor sits
-/// where, only what needs no segment is looked at.
+/// What contradicts that these poses and movements were done as their names say, as far as doing them once more may help; where it
+/// is not `assigned` which sensor sits where, only what needs no segment is looked at.
 pub(super) fn objection_to(
     recording: &[Recorded],
     blocks: &[Block],
@@ -213,7 +213,10 @@ pub(super) fn objection_to(
         let seen = session.seen(blocks)?;
         Ok(contradiction::check(&session, &seen)?)
     };
-    objection().err()
+    let may_help = |error: &CalibrationError| {
+        matches!(error, CalibrationError::Contradicted(_) | CalibrationError::Movement { .. })
+    };
+    objection().err().filter(may_help)
 }
 
 /// The blocks of a recording without any.
