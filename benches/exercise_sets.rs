@@ -169,14 +169,23 @@ impl Score {
         }
     }
 
+    /// The event that judges a repetition of an exercise.
+    fn judged<'a>(
+        events: &'a [Event],
+        exercises: &[Exercise],
+        name: &str,
+        truth: [f64; 2],
+    ) -> Option<&'a Event> {
+        events.iter().find(|event| {
+            event.feedback.is_some() && near(event, truth) && exercises[event.exercise].name == name
+        })
+    }
+
     fn deficit(&mut self, exercises: &[Exercise], name: &str, recording: &Recording, angle: usize) {
         let events = events(exercises.to_vec(), recording);
         for truth in &recording.repetitions {
             self.deficits += 1;
-            let judged = |event: &&Event| {
-                event.feedback.is_some() && near(event, *truth) && exercises[event.exercise].name == name
-            };
-            let Some(event) = events.iter().find(judged) else { continue };
+            let Some(event) = Self::judged(&events, exercises, name, *truth) else { continue };
             let channels = &exercises[event.exercise].channels;
             self.named += usize::from(matches!(
                 event.remark,
@@ -190,10 +199,7 @@ impl Score {
         let events = events(exercises.to_vec(), recording);
         for truth in &recording.repetitions {
             self.leaned += 1;
-            let judged = |event: &&Event| {
-                event.feedback.is_some() && near(event, *truth) && exercises[event.exercise].name == name
-            };
-            let Some(event) = events.iter().find(judged) else { continue };
+            let Some(event) = Self::judged(&events, exercises, name, *truth) else { continue };
             let of = |channel| exercises[event.exercise].channel(channel) == Some("trunk_flexion_deg");
             self.lean_named +=
                 usize::from(matches!(event.remark, Some(Remark::Deviation { channel, .. }) if of(channel)));

@@ -21,8 +21,8 @@ const FIRST_QUIET: Duration = Duration::from_millis(100);
 const QUIET: Duration = Duration::from_millis(40);
 /// How long a stream may go on after the stop command.
 const STOP_LIMIT: Duration = Duration::from_millis(600);
-/// Answers about the flock that may differ from the one before.
-const DISPUTES: u8 = 3;
+/// Answers about the flock that may differ from the one before, the first one among them.
+const DISPUTES: u8 = 4;
 /// Tries to stop a stream.
 const STOP_TRIES: u8 = 3;
 /// Measurement rate that a unit which does not tell its own is taken to have, Hz: the nominal one after power-up.
@@ -317,12 +317,11 @@ impl Examination {
                 found.units = units(bytes);
                 let answer = Some(bytes.iter().map(|status| status & !UnitStatus::RUNNING).collect());
                 if self.topology != answer {
-                    let is_first = self.topology.is_none();
                     self.topology = answer;
                     if self.disputes_left == 0 {
                         return Progress::Failed(Failure::Unintelligible);
                     }
-                    self.disputes_left -= u8::from(!is_first);
+                    self.disputes_left -= 1;
                     return self.ask(now, Step::Topology);
                 }
             }

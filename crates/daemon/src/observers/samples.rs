@@ -170,8 +170,7 @@ impl Source for BodySource {
             records.sample(segment, sensor.measured.as_ref()?)
         });
         let places = trackers.map(|tracker| {
-            let sensor = estimate.sensors.get(usize::from(tracker?))?;
-            let pose = sensor.pose.as_ref().filter(|_| sensor.state.is_usable())?;
+            let pose = estimate.sensors.get(usize::from(tracker?))?.usable_pose()?;
             pose.position_m.map(Vector3::from)
         });
         Some(((estimate.t_valid.as_secs_f64(), samples), places))

@@ -215,11 +215,9 @@ impl Guide {
         let was_lowered =
             matches!(contradicted, Some(CalibrationError::Contradicted(Contradiction::Lowered)));
         let was_objected_to = self.objection.is_some();
-        self.objection = match (contradicted, misplaced) {
-            (Some(contradicted), Some(_)) if was_lowered => Some(contradicted.to_string()),
-            (_, Some(misplaced)) => Some(misplaced.to_string()),
-            (contradicted, None) => contradicted.map(|contradicted| contradicted.to_string()),
-        };
+        // Trackers know where arms are, but not that they were to be there first.
+        let misplaced = misplaced.filter(|_| !was_lowered).map(|misplaced| misplaced.to_string());
+        self.objection = misplaced.or_else(|| Some(contradicted?.to_string()));
         if self.objection.is_none() {
             self.at += 1;
             return;

@@ -107,7 +107,7 @@ fn a_mistake_is_named_and_does_not_count() {
                 objections.iter().any(|objection| objection.contains(words)),
                 "{mistake:?} {objections:?}"
             );
-            // Who does not know yet who sits where is told so in the end, and begins again.
+            // Who does not know yet who sits where hears of it in the end, and begins again.
             let is_right = worst_deg.map_or(how == Thoroughness::Assign, |worst_deg| worst_deg < 12.0);
             assert!(is_right, "{how:?} {magnetometer} {mistake:?} {worst_deg:?} {objections:?}");
         }

@@ -37,8 +37,8 @@ impl CountingCost {
             let states = exercise.states() * exercise.sizes.len();
             let width = 2 * exercise.channels.len();
             cost.states += states;
-            // Mean and deviation of a state, for the movement and for its ratio to the background.
             cost.bytes += 8 * (exercise.still.len() * spans.capacity_frames) as u64;
+            // Mean and deviation of a state, for the movement and for its ratio to the background.
             cost.bytes += 8 * (width * spans.capacity_frames) as u64 + 32 * (width * states) as u64;
             cost.evaluations_per_s += (states * width) as f64 * exercise.rate_hz;
         }

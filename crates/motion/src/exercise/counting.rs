@@ -127,10 +127,7 @@ impl Counting {
                         .iter()
                         .map(|still| all.iter().position(|other| *other == still.channel))
                         .collect(),
-                    ways: match exercise.still.is_empty() {
-                        true => Vec::new(),
-                        false => ways(&exercise.movement, &exercise.channels),
-                    },
+                    ways: ways(&exercise.movement, &exercise.channels),
                     still_values: vec![f64::NAN; exercise.still.len() * capacity],
                     count: 0,
                     pending: None,

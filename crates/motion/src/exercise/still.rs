@@ -59,8 +59,7 @@ impl Still {
 
     /// Share of a repetition in which it was quite elsewhere; 0 of a joint that was not seen, or always says the same.
     pub(super) fn elsewhere(&self, values: impl Iterator<Item = f64> + Clone) -> f64 {
-        let Some(joint) = Joint::of(&self.channel) else { return 0.0 };
-        let far = ELSEWHERE_DEG / joint.degrees;
+        let far = ELSEWHERE_DEG / self.degrees();
         let [low, high] = self.range;
         share_far(values.map(|value| (value, value < low - far || value > high + far)))
     }

@@ -129,7 +129,7 @@ pub enum Contradiction {
 /// Holds poses and movements against one another.
 pub(super) fn check(session: &Session<'_>, seen: &Seen) -> Result<(), Contradiction> {
     lowered(session, seen)?;
-    if let (Some((_, low)), Some((_, high))) = (seen.standing.first(), seen.spread.first()) {
+    if let (Some(low), Some(high)) = (seen.low(), seen.high()) {
         raised(session.magnetic, low, high)?;
     }
     upright_in_all(seen)?;
@@ -142,7 +142,7 @@ pub(super) fn check(session: &Session<'_>, seen: &Seen) -> Result<(), Contradict
 
 /// Whatever hung in the first pose is not lower in the second, wherever it sits.
 pub(super) fn lowered(session: &Session<'_>, seen: &Seen) -> Result<(), Contradiction> {
-    if let (Some((_, low)), Some((block, high))) = (seen.standing.first(), seen.spread.first())
+    if let (Some(low), Some((block, high))) = (seen.low(), seen.spread.first())
         && rise_m(session, low, high, block).is_some_and(|rise_m| rise_m < 0.0)
     {
         return Err(Contradiction::Lowered);
@@ -215,19 +215,15 @@ fn raised(magnetic: bool, low: &Held, high: &Held) -> Result<(), Contradiction> 
         }
         let Some(below) = rotation(fore) else { continue };
         let elbow = if fore.side() > 0.0 { "elbow_r" } else { "elbow_l" };
-        match (above, quarter_turn(fore, &below)) {
-            (None, done) => done?,
-            // Whatever its own heading is worth, an arm whose upper half is right and whose lower is not is bent.
-            (Some(above), Err(_)) => {
-                let found_deg = above.angle_to(&below).to_degrees();
-                return Err(Contradiction::Bent { elbow, found_deg });
-            }
-            (Some(above), Ok(())) => {
-                let found_deg = above.angle_to(&below).to_degrees();
-                if magnetic && found_deg > STRAIGHT_DEG {
-                    return Err(Contradiction::Bent { elbow, found_deg });
-                }
-            }
+        let done = quarter_turn(fore, &below);
+        let Some(above) = above else {
+            done?;
+            continue;
+        };
+        // Whatever its own heading is worth, an arm whose upper half is right and whose lower is not is bent.
+        let found_deg = above.angle_to(&below).to_degrees();
+        if done.is_err() || magnetic && found_deg > STRAIGHT_DEG {
+            return Err(Contradiction::Bent { elbow, found_deg });
         }
     }
     Ok(())
@@ -235,15 +231,15 @@ fn raised(magnetic: bool, low: &Held, high: &Held) -> Result<(), Contradiction> 
 
 /// A rotation of a segment that hung takes it to the height of the shoulders, and does not turn it about its length.
 fn quarter_turn(segment: BodySegment, rotation: &UnitQuaternion<f64>) -> Result<(), Contradiction> {
-    let segment_name = segment.name();
+    let segment = segment.name();
     let found_deg = (rotation * Vector3::z()).angle(&Vector3::z()).to_degrees();
     if (found_deg - 90.0).abs() > RAISED_DEG {
-        return Err(Contradiction::Raised { segment: segment_name, found_deg });
+        return Err(Contradiction::Raised { segment, found_deg });
     }
     let swing = UnitQuaternion::rotation_between(&-Vector3::z(), &raised_to(rotation));
     let found_deg = swing.map_or(0.0, |swing| swing.angle_to(rotation).to_degrees());
     if found_deg > STRAIGHT_DEG {
-        return Err(Contradiction::Twisted { segment: segment_name, found_deg });
+        return Err(Contradiction::Twisted { segment, found_deg });
     }
     Ok(())
 }
@@ -281,7 +277,7 @@ fn leans(
     limit_deg: f64,
     segment: &'static str,
 ) -> Result<(), Contradiction> {
-    let first = seen.standing.first().and_then(|(_, first)| first[at.index()]);
+    let first = seen.low().and_then(|first| first[at.index()]);
     let (Some(first), Some(held)) = (first, held[at.index()]) else { return Ok(()) };
     let found_deg = tilt_deg(&first, &held);
     if found_deg > limit_deg {
@@ -294,7 +290,7 @@ fn leans(
 fn begins_in_pose(session: &Session<'_>, seen: &Seen, axis: &Axis) -> Result<(), Contradiction> {
     let BlockKind::Move(segment, _) = axis.block.kind else { return Ok(()) };
     let index = segment.index();
-    let Some(held) = seen.standing.first().and_then(|(_, held)| held[index]) else { return Ok(()) };
+    let Some(held) = seen.low().and_then(|held| held[index]) else { return Ok(()) };
     let Some(start) = session.tracks[index].get(session.range(&axis.block).start) else { return Ok(()) };
     let found_deg = tilt_deg(&held, start);
     if found_deg > START_DEG {
@@ -306,14 +302,9 @@ fn begins_in_pose(session: &Session<'_>, seen: &Seen, axis: &Axis) -> Result<(),
 
 /// An axis is as level in the sensor as in somebody who holds the pose.
 fn level(seen: &Seen, axis: &Axis) -> Result<(), Contradiction> {
-    let (held, is_raised) = match (seen.standing.first(), seen.spread.first()) {
-        (Some((_, held)), _) => (held, false),
-        (None, Some((_, held))) => (held, true),
-        (None, None) => return Ok(()),
-    };
-    let Some(held) = held[axis.segment.index()] else { return Ok(()) };
+    let Some(held) = seen.reference().and_then(|held| held[axis.segment.index()]) else { return Ok(()) };
     let steepness_deg = |v: Vector3<f64>| libm::asin(v.z.clamp(-1.0, 1.0)).to_degrees();
-    let asked = upright() * posture(axis.segment, is_raised) * axis.in_segment;
+    let asked = upright() * posture(axis.segment, seen.low().is_none()) * axis.in_segment;
     let found_deg = (steepness_deg(held * axis.sensor) - steepness_deg(asked)).abs();
     if found_deg > LEVEL_DEG {
         let (movement, segment) = (axis.block.kind.name(), axis.segment.name());
@@ -325,13 +316,7 @@ fn level(seen: &Seen, axis: &Axis) -> Result<(), Contradiction> {
 /// All that shows which way the body faces shows one way: of the whole body where headings are those of the room, else of each
 /// sensor.
 fn one_body(magnetic: bool, seen: &Seen) -> Result<(), Contradiction> {
-    let mut faced: Vec<_> = faced(
-        seen.standing.first().map(|(_, held)| held),
-        seen.spread.first().map(|(_, held)| held),
-        &seen.axes,
-    )
-    .filter(|faced| faced.forward.norm() > SHOWS_FACING)
-    .collect();
+    let mut faced: Vec<_> = faced(seen).filter(|faced| faced.forward.norm() > SHOWS_FACING).collect();
     faced.sort_by_key(|faced| (faced.segment.index(), faced.kind != BlockKind::TPose));
     for (k, one) in faced.iter().enumerate() {
         for other in &faced[..k] {

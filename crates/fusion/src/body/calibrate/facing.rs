@@ -8,7 +8,7 @@ use super::super::block::BlockKind;
 use super::super::skeleton::{BodySegment, upright};
 use super::super::{joint_rotation, yaw_from_upright};
 use super::CalibrationError;
-use super::session::{Axis, Held};
+use super::session::{Held, Seen};
 
 /// How well people raise their arms just sideways, and stand straight ahead, degrees.
 pub(super) const FACING_DEG: f64 = 5.0;
@@ -28,21 +28,17 @@ pub(super) struct Faced {
 }
 
 /// Which way the body faced in the N-pose, or in the T-pose where none was held, by all that shows it.
-pub(super) fn faced<'a>(
-    standing: Option<&'a Held>,
-    spread: Option<&'a Held>,
-    axes: &'a [Axis],
-) -> impl Iterator<Item = Faced> + 'a {
-    let by_axis = axes.iter().filter_map(move |axis| {
-        let sensor = standing.or(spread)?[axis.segment.index()]?;
+pub(super) fn faced(seen: &Seen) -> impl Iterator<Item = Faced> {
+    let by_axis = seen.axes.iter().filter_map(|axis| {
+        let sensor = seen.reference()?[axis.segment.index()]?;
         // Forward is where the axis would point if the body looked along the room's x, turned with it.
-        let nominal = upright() * posture(axis.segment, standing.is_none()) * axis.in_segment;
+        let nominal = upright() * posture(axis.segment, seen.low().is_none()) * axis.in_segment;
         let forward = forward(&(sensor * axis.sensor), &nominal);
         Some(Faced { segment: axis.segment, kind: axis.block.kind, forward, sigma_deg: axis.sigma_deg })
     });
     // From the N-pose to the T-pose an arm goes to the body's side, however it turns about its own length.
-    let by_arms = ARMS.into_iter().flatten().filter_map(move |segment| {
-        let (low, high) = (standing?, spread?);
+    let by_arms = ARMS.into_iter().flatten().filter_map(|segment| {
+        let (low, high) = (seen.low()?, seen.high()?);
         let rotation = high[segment.index()]? * low[segment.index()]?.inverse();
         let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -turned_between(low, high));
         let arm = turned * raised_to(&rotation);
@@ -61,15 +57,13 @@ pub(super) fn raised_to(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
 /// Which way the body faces.
 pub(super) struct Facing<'a> {
     pub(super) magnetic: bool,
-    pub(super) standing: Option<&'a Held>,
-    pub(super) spread: Option<&'a Held>,
-    pub(super) axes: &'a [Axis],
+    pub(super) seen: &'a Seen,
 }
 
 impl Facing<'_> {
     /// Turn of the body about the vertical in a segment's room or level frame, rad.
     pub(super) fn of(&self, segment: BodySegment) -> Result<f64, CalibrationError> {
-        let sum: Vector3<f64> = faced(self.standing, self.spread, self.axes)
+        let sum: Vector3<f64> = faced(self.seen)
             .filter(|faced| self.magnetic || faced.segment == segment)
             .map(|faced| faced.forward / faced.sigma_deg)
             .sum();

@@ -21,7 +21,7 @@ use thiserror::Error;
 pub use self::contradiction::Contradiction;
 pub(super) use self::facing::posture;
 use self::facing::{FACING_DEG, Facing, turned_between};
-use self::session::{Seen, Session};
+use self::session::Session;
 use super::SensorMount;
 use super::block::{Block, BlockKind, Movement, Recorded};
 use super::skeleton::{BodySegment, SEGMENTS, Skeleton, upright};
@@ -138,20 +138,14 @@ pub fn calibrate(
         contradiction::check(&session, &seen)?;
     }
     let Session { present, magnetic, .. } = session;
-    let Seen { standing, spread, axes } = seen;
-    let reference = standing.first().or(spread.first()).map(|(_, held)| *held);
-    let facing = Facing {
-        magnetic,
-        standing: standing.first().map(|(_, held)| held),
-        spread: spread.first().map(|(_, held)| held),
-        axes: &axes,
-    };
+    let facing = Facing { magnetic, seen: &seen };
     let mut out =
         Calibrated { mounts: [None; SEGMENTS], quality_deg: [None; SEGMENTS], warnings: Vec::new() };
     for segment in BodySegment::ALL.into_iter().filter(|segment| present[segment.index()]) {
         let index = segment.index();
         let yaw = facing.of(segment)?;
-        let mut seen: Vec<SegmentAxis> = axes
+        let mut directions: Vec<SegmentAxis> = seen
+            .axes
             .iter()
             .filter(|axis| axis.segment == segment)
             .map(|axis| SegmentAxis {
@@ -160,21 +154,21 @@ pub fn calibrate(
                 sigma_deg: axis.sigma_deg,
             })
             .collect();
-        for (block, held) in standing.iter().chain(&spread) {
+        for (block, held) in seen.standing.iter().chain(&seen.spread) {
             let Some(sensor) = held[index] else { continue };
             let raised = block.kind == BlockKind::TPose;
-            let turned = reference.map_or(0.0, |first| turned_between(&first, held));
+            let turned = seen.reference().map_or(0.0, |first| turned_between(first, held));
             let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw + turned);
             let body = heading * upright() * posture(segment, raised);
             for (direction, sigma_deg) in [(Vector3::z(), POSE_DEG), (heading * -Vector3::y(), FACING_DEG)] {
-                seen.push(SegmentAxis {
+                directions.push(SegmentAxis {
                     sensor: sensor.inverse() * direction,
                     segment: body.inverse() * direction,
                     sigma_deg,
                 });
             }
         }
-        let (q_segment_sensor, rms_deg) = wahba(&seen);
+        let (q_segment_sensor, rms_deg) = wahba(&directions);
         if rms_deg > REFUSE_DEG {
             return Err(CalibrationError::Disagree { segment: segment.name(), found_deg: rms_deg });
         }

@@ -42,6 +42,23 @@ pub(super) struct Seen {
     pub(super) axes: Vec<Axis>,
 }
 
+impl Seen {
+    /// The first N-pose.
+    pub(super) fn low(&self) -> Option<&Held> {
+        self.standing.first().map(|(_, held)| held)
+    }
+
+    /// The first T-pose.
+    pub(super) fn high(&self) -> Option<&Held> {
+        self.spread.first().map(|(_, held)| held)
+    }
+
+    /// The pose that all else is held against: the first N-pose, or the first T-pose where none was held.
+    pub(super) fn reference(&self) -> Option<&Held> {
+        self.low().or(self.high())
+    }
+}
+
 /// The recording with every sensor's orientations.
 pub(super) struct Session<'a> {
     pub(super) recording: &'a [Recorded],
