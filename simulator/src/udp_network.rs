@@ -42,8 +42,8 @@ struct Flight {
 /// not modelled.
 #[derive(Debug)]
 pub struct UdpNetwork {
-    /// Datagrams still to hit, next one first.
-    fates: VecDeque<(Timestamp, Fate, &'static str)>,
+    /// Datagrams still to hit, next one first: from when on and until when, for a fault does not outlast its span.
+    fates: VecDeque<([Timestamp; 2], Fate, &'static str)>,
     /// Times during which datagrams wait.
     delays: Vec<(Timestamp, Timestamp)>,
     plugging: VecDeque<(Timestamp, bool)>,
@@ -55,33 +55,33 @@ pub struct UdpNetwork {
 
 impl UdpNetwork {
     pub(crate) fn new(faults: &[Fault], mut random: Random) -> Self {
-        let mut fates: Vec<(Timestamp, Fate, &'static str)> = Vec::new();
+        let mut fates: Vec<([Timestamp; 2], Fate, &'static str)> = Vec::new();
         let mut plugging = Vec::new();
         let mut delays = Vec::new();
         for fault in faults {
             let (start_s, end_s) = fault.span_s();
-            let start = Timestamp::from_secs_f64(start_s);
+            let [start, end] = [start_s, end_s].map(Timestamp::from_secs_f64);
             let mut spread = |Bytes { count, .. }: Bytes, fate| {
                 fates.extend((0..count).map(|_| {
                     let t_s = start_s + random.uniform() * (end_s - start_s);
-                    (Timestamp::from_secs_f64(t_s), fate, fault.name())
+                    ([Timestamp::from_secs_f64(t_s), end], fate, fault.name())
                 }));
             };
             match *fault {
                 Fault::LostDatagrams(datagrams) => spread(datagrams, Fate::Lose),
                 Fault::DuplicatedDatagrams(datagrams) => spread(datagrams, Fate::Double),
                 Fault::ReorderedDatagrams(datagrams) => spread(datagrams, Fate::Delay),
-                Fault::DelayedDatagrams { .. } => delays.push((start, Timestamp::from_secs_f64(end_s))),
+                Fault::DelayedDatagrams { .. } => delays.push((start, end)),
                 Fault::Unplug { .. } => {
                     plugging.push((start, false));
                     if end_s.is_finite() {
-                        plugging.push((Timestamp::from_secs_f64(end_s), true));
+                        plugging.push((end, true));
                     }
                 }
                 _ => {}
             }
         }
-        fates.sort_by_key(|&(t, ..)| t);
+        fates.sort_by_key(|&([from, _], ..)| from);
         plugging.sort();
         Self {
             fates: fates.into(),
@@ -111,7 +111,10 @@ impl UdpNetwork {
         let held = self.delays.iter().find(|&&(from, to)| from <= sent && sent < to);
         let deliver = held.map_or(sent, |&(_, to)| to) + LATENCY;
         // Only datagrams with data are hit, so that the script states what is lost.
-        let due = self.fates.front().copied().filter(|&(t, ..)| t <= sent && !records.is_empty());
+        while self.fates.front().is_some_and(|&([_, until], ..)| until < sent) {
+            self.fates.pop_front();
+        }
+        let due = self.fates.front().copied().filter(|&([from, _], ..)| from <= sent && !records.is_empty());
         if let Some((_, fate, name)) = due {
             self.fates.pop_front();
             let (cycle, address) = records.first().map_or((None, None), |r| (Some(r.cycle), r.address));

@@ -25,8 +25,9 @@ const ENTRY_S: f64 = 1.0;
 const MODEL_S: f64 = 20.0;
 /// Entries that are timed together, for asking costs as much as many of them.
 const TIMED_ENTRIES: u32 = 64;
-/// So far a frame's time may lie after its end, s: times rise by microseconds where they would be equal.
-const AHEAD_S: f64 = 1e-4;
+/// So far a frame's time may lie after its end, s: times rise by microseconds where they would be equal, as those of hundreds of
+/// packets are that have waited and come at once.
+const AHEAD_S: f64 = 1e-3;
 /// Panics further apart are not in a row, s.
 const APART_S: f64 = 1.5;
 /// A device whose last trouble is this long over streams again.
@@ -295,8 +296,12 @@ impl World<'_> {
         if estimate.t_closed != t || estimate.t_valid.seconds_since(estimate.t_closed) > AHEAD_S {
             return Err(format!("frame {} of {:?} closed at {t:?}", estimate.frame, estimate.t_valid));
         }
-        self.states.clear();
-        self.states.extend(estimate.sensors.iter().map(|sensor| sensor.state));
+        // Between the reports of a slow device there is nothing, which says nothing of them.
+        for (state, sensor) in self.states.iter_mut().zip(&estimate.sensors) {
+            if sensor.state != SensorState::Missing {
+                *state = sensor.state;
+            }
+        }
         for (sensor, good) in estimate.sensors.iter().zip(&mut self.good) {
             if sensor.pose.as_ref().is_some_and(|pose| !pose.is_finite()) {
                 return Err(format!("frame {}: a number of a pose is not finite", estimate.frame));
@@ -323,7 +328,7 @@ impl World<'_> {
                 && good.as_secs_f64() < plan.calm_from_s + RETURN_S
             {
                 return Err(format!(
-                    "{} is not back {CALM_S} s after the last fault, which ended at {:.3} s: last good at {:.3} s, {state:?} at the end, {:?}",
+                    "{} is not back {CALM_S} s after the last fault, which ended at {:.3} s: last good at {:.3} s, last seen {state:?}, {:?}",
                     sensor.name,
                     plan.calm_from_s,
                     good.as_secs_f64(),

@@ -427,8 +427,10 @@ impl Assembler {
 
     fn close(&mut self, tick: Tick, now: Timestamp) {
         let interval_s = self.last_closed.map_or(f64::INFINITY, |last| tick.t.seconds_since(last));
-        let reference_s = self.reference.and_then(|index| self.devices[index].period_s());
-        let tick_s = self.grid_s.or(reference_s).unwrap_or(interval_s);
+        // That of the device whose cycle it is, though another one be the reference by now.
+        let clock = tick.device.or(self.reference);
+        let clock_s = clock.and_then(|index| self.devices[index].period_s());
+        let tick_s = self.grid_s.or(clock_s).unwrap_or(interval_s);
         let frame = &mut self.frame;
         frame.number += u64::from(self.last_closed.is_some());
         frame.t_valid = tick.t;

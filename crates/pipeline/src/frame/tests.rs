@@ -288,3 +288,31 @@ fn devices_that_drift_slip_past_a_tick_once() {
         );
     }
 }
+
+#[test]
+fn a_tick_of_a_fast_device_that_has_gone_silent_takes_no_later_sample_of_a_slow_one() {
+    let mut bench = Bench::new(&[0, 1], None);
+    let slow = |bench: &mut Bench, t_ms: f64, now_ms: f64| {
+        bench.frames.stamp(1, &stamp(t_ms), Some(0.34), ms(now_ms));
+        bench.frames.sample(1, measured(t_ms), false);
+    };
+    for k in 0..=200 {
+        let t = f64::from(k) * 10.0;
+        if k % 34 == 0 && k < 200 {
+            slow(&mut bench, t, t + 1.0);
+        }
+        bench.record(0, 0, t, t + 1.0);
+    }
+    // The host sleeps, with two more cycles of the fast one and one of the slow one before it.
+    for t in [2010.0, 2020.0] {
+        bench.frames.stamp(0, &stamp(t), Some(0.01), ms(2021.0));
+        bench.frames.sample(0, measured(t), false);
+    }
+    slow(&mut bench, 2090.0, 2800.0);
+    bench.poll(2800.0);
+    let samples_at = |t_ms: f64| {
+        let frame = bench.closed.iter().find(|frame| frame.t_valid == ms(t_ms));
+        frame.map(|frame| frame.sensors[1].samples.len())
+    };
+    assert_eq!([2010.0, 2020.0].map(samples_at), [Some(0), Some(0)]);
+}
