@@ -397,8 +397,9 @@ impl Assembler {
         let n = (self.last_scheduled?.as_secs_f64() / grid_s).round() + 1.0;
         let t = Timestamp::from_secs_f64(n * grid_s);
         (t.seconds_since(latest) <= COAST_S).then_some(())?;
-        // Due once the fastest device has gone past it; the deadline sees to those that have not.
-        let due = if latest >= t { now } else { self.deadline(t, now).map_or(t, |deadline| deadline.max(t)) };
+        // Due once the fastest device has gone past it, though never before it is: the times of packets that have waited rise a
+        // little beyond their arrival. The deadline sees to those that have not gone past it.
+        let due = if latest >= t { t } else { self.deadline(t, now).map_or(t, |deadline| deadline.max(t)) };
         Some((Tick { t, device: None, by_model: false, left_out: self.left_out }, due))
     }
 

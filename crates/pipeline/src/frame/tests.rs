@@ -316,3 +316,16 @@ fn a_tick_of_a_fast_device_that_has_gone_silent_takes_no_later_sample_of_a_slow_
     };
     assert_eq!([2010.0, 2020.0].map(samples_at), [Some(0), Some(0)]);
 }
+
+#[test]
+fn no_frame_of_a_grid_closes_before_its_time() {
+    let mut bench = Bench::new(&[0], Some(100.0));
+    for t in [0.0, 10.0, 20.0] {
+        bench.record(0, 0, t, t + 1.0);
+    }
+    bench.record(0, 0, 30.1, 29.9);
+    assert_eq!(bench.times_ms(), [10.0, 20.0]);
+    assert_eq!(bench.frames.poll_timeout(ms(29.9)), Some(ms(30.0)));
+    bench.poll(30.0);
+    assert_eq!(bench.times_ms(), [10.0, 20.0, 30.0]);
+}
