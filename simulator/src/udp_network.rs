@@ -37,8 +37,8 @@ struct Flight {
 
 /// The network of one device. Which datagrams are hit is seeded.
 ///
-/// Modelled: a latency of 0.3 ms, datagrams that the script loses, doubles, delays or reorders (15 ms late), and a network that
-/// goes away. Only datagrams with measurements are lost, doubled or reordered, and none from the host. Jitter and congestion are
+/// Modelled: a latency of 0.3 ms, datagrams that the script loses, doubles, delays or reorders (15 ms late; as many as it says, or
+/// as come in the fault's span), and a network that goes away. Only datagrams with measurements are lost, doubled or reordered, and none from the host. Jitter and congestion are
 /// not modelled.
 #[derive(Debug)]
 pub struct UdpNetwork {
@@ -228,6 +228,13 @@ mod tests {
         let (_, data) = run(&[Fault::ReorderedDatagrams(few(1))]);
         assert_eq!(data.len(), 100);
         assert_eq!(data.windows(2).filter(|pair| pair[1] < pair[0]).count(), 1);
+    }
+
+    #[test]
+    fn no_fault_outlasts_its_span() {
+        let (_, data) = run(&[Fault::LostDatagrams(Bytes { start_s: 0.1, end_s: 0.15, count: 40 })]);
+        let lost: Vec<u8> = (0..100).filter(|cycle| !data.contains(cycle)).collect();
+        assert!(!lost.is_empty() && lost.iter().all(|cycle| (10..=15).contains(cycle)), "{lost:?}");
     }
 
     #[test]

@@ -25,9 +25,8 @@ const ENTRY_S: f64 = 1.0;
 const MODEL_S: f64 = 20.0;
 /// Entries that are timed together, for asking costs as much as many of them.
 const TIMED_ENTRIES: u32 = 64;
-/// So far a frame's time may lie after its end, s: times rise by microseconds where they would be equal, as those of hundreds of
-/// packets are that have waited and come at once.
-const AHEAD_S: f64 = 1e-3;
+/// So far a frame's time may lie after its end, s: times rise by microseconds where they would be equal.
+const AHEAD_S: f64 = 1e-4;
 /// Panics further apart are not in a row, s.
 const APART_S: f64 = 1.5;
 /// A device whose last trouble is this long over streams again.
@@ -71,10 +70,9 @@ struct World<'a> {
     said: Vec<Said>,
     last: Option<(u64, Timestamp)>,
     frames: u64,
-    /// By sensor, the last time that it was good.
+    /// By sensor, the last time that it was good, and that it was doubtful.
     good: Vec<Timestamp>,
-    /// By sensor, the newest state.
-    states: Vec<SensorState>,
+    doubtful: Vec<Timestamp>,
     /// By device, whether a client has said how noisy it is: a gate that is narrower than the device refuses it, as it must.
     noise_told: Vec<bool>,
     /// Entries since the processor's time was looked at, and that time, s.
@@ -119,7 +117,7 @@ pub(crate) fn run(plan: &Plan, seed: u64) -> Result<(Summary, Vec<Entry>), Strin
         last: None,
         frames: 0,
         good: vec![Timestamp::ZERO; stage.sensors.len()],
-        states: vec![SensorState::default(); stage.sensors.len()],
+        doubtful: vec![Timestamp::ZERO; stage.sensors.len()],
         noise_told: vec![false; stage.devices.len()],
         timed_entries: 0,
         timed_from_s: processor_s(),
@@ -296,19 +294,17 @@ impl World<'_> {
         if estimate.t_closed != t || estimate.t_valid.seconds_since(estimate.t_closed) > AHEAD_S {
             return Err(format!("frame {} of {:?} closed at {t:?}", estimate.frame, estimate.t_valid));
         }
-        // Between the reports of a slow device there is nothing, which says nothing of them.
-        for (state, sensor) in self.states.iter_mut().zip(&estimate.sensors) {
-            if sensor.state != SensorState::Missing {
-                *state = sensor.state;
-            }
-        }
-        for (sensor, good) in estimate.sensors.iter().zip(&mut self.good) {
+        let times = self.good.iter_mut().zip(&mut self.doubtful);
+        for (sensor, (good, doubtful)) in estimate.sensors.iter().zip(times) {
             if sensor.pose.as_ref().is_some_and(|pose| !pose.is_finite()) {
                 return Err(format!("frame {}: a number of a pose is not finite", estimate.frame));
             }
             // Formats without a position have no pose, and what averages for long is always late.
             if sensor.state.is_usable() || sensor.state == SensorState::Late {
                 *good = estimate.t_valid;
+            }
+            if matches!(sensor.state, SensorState::Suspect | SensorState::Stuck) {
+                *doubtful = estimate.t_valid;
             }
         }
         self.judge.frame(estimate)
@@ -317,21 +313,22 @@ impl World<'_> {
     /// All that the plan has not taken away for good is good again.
     fn all_are_back(&self, plan: &Plan) -> Result<(), String> {
         let status = self.pipeline.status();
-        let sensors = self.stage.sensors.iter().zip(&self.good).zip(&self.states).enumerate();
-        for (number, ((sensor, good), state)) in sensors {
+        let since_s = plan.calm_from_s + RETURN_S;
+        let sensors = self.stage.sensors.iter().zip(&self.good).zip(&self.doubtful).enumerate();
+        for (number, ((sensor, good), doubtful)) in sensors {
             let at = self.stage.devices.iter().position(|device| device.name == sensor.device);
             let at = at.ok_or("a sensor of no device")?;
-            let doubtful = matches!(state, SensorState::Suspect | SensorState::Stuck);
             if plan.devices[at].returns
                 && !self.noise_told[at]
-                && !(doubtful && self.judge.may_stay_doubtful(number))
-                && good.as_secs_f64() < plan.calm_from_s + RETURN_S
+                && !(doubtful.as_secs_f64() >= since_s && self.judge.may_stay_doubtful(number))
+                && good.as_secs_f64() < since_s
             {
                 return Err(format!(
-                    "{} is not back {CALM_S} s after the last fault, which ended at {:.3} s: last good at {:.3} s, last seen {state:?}, {:?}",
+                    "{} is not back {CALM_S} s after the last fault, which ended at {:.3} s: last good at {:.3} s, doubtful at {:.3} s, {:?}",
                     sensor.name,
                     plan.calm_from_s,
                     good.as_secs_f64(),
+                    doubtful.as_secs_f64(),
                     status.devices[at]
                 ));
             }
