@@ -72,7 +72,7 @@ impl<T: Copy> Waiting<T> {
 #[derive(Clone, Copy, Debug, Plain)]
 struct Oriented {
     t: Timestamp,
-    /// As [`Stamp::is_late`](super::clock::Stamp::is_late), or it came after its frame: nothing is told from its time.
+    /// As [`Stamp::is_late`](super::clock::Stamp::is_late), or it came after its frame: nothing is derived from its time.
     late: bool,
     orientation: UnitQuaternion<f64>,
     /// Sensor axes.

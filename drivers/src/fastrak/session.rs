@@ -82,7 +82,7 @@ enum Phase {
 /// A live session with one Fastrak: samples are poses in the transmitter frame, of the stations asked for.
 ///
 /// All records are read as position and quaternion in metres; those of a station with an error letter are refused. A record
-/// whose bytes were damaged in the position alone cannot be told from a true one within 10 m.
+/// whose bytes were damaged in the position alone cannot be distinguished from a true one within 10 m.
 #[derive(Clone, Debug, posed_state::State)]
 pub struct FastrakSession {
     #[state(keep)]

@@ -74,7 +74,7 @@ pub fn flock(data: &[u8]) -> usize {
     let baud = head.pick([115_200, 0, 1, 2400, 9600, u32::MAX]);
     let modem_lines = head.flag(false);
     let wanted = head.addresses(&[0]);
-    let told = Options {
+    let options = Options {
         format: head.pick([None, Some(settings.format)]),
         range: settings.range_in,
         quaternion_sense: settings.quaternion_sense,
@@ -83,7 +83,7 @@ pub fn flock(data: &[u8]) -> usize {
     let shape = Shape { format: settings.format, button: settings.button, group: wanted != [0] };
     records(&bytes.concat(), shape);
     commands(&bytes.concat(), settings.addressing.unwrap_or_default());
-    let _ = capture::decode(&bytes.concat(), told);
+    let _ = capture::decode(&bytes.concat(), options);
     splitter(&bytes, shape);
     probe(flock::Probe::new(Timestamp::ZERO, modem_lines), script);
     let Ok(mut live) = FlockSession::new(settings, baud, &wanted) else { return 0 };

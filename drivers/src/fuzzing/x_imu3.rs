@@ -44,7 +44,7 @@ pub fn x_imu3(input: &[u8]) -> usize {
     }
     probe(inquiry(Timestamp::ZERO), script);
     let Ok(mut live) = XImu3Session::new(settings.clone(), &wanted) else { return 0 };
-    // Each unit repeats what it is told.
+    // Each unit acknowledges every command.
     let commands = settings.commands();
     let lead: Vec<Vec<u8>> = commands
         .iter()

@@ -324,7 +324,7 @@ mod tests {
 
     use super::super::outbox::Form;
     use super::super::testing::services;
-    use super::super::{Command as Told, StageServices};
+    use super::super::{Command as Publishing, StageServices};
     use super::*;
     use posed_fusion::faults::Cause;
     use posed_protocol::Counters;
@@ -362,7 +362,7 @@ mod tests {
         for viewer in [&mut stalled, &mut reading] {
             viewer.hear(Received::Text(&subscribe)).await.unwrap();
         }
-        while let Ok(Told::Viewer(command)) = commands.try_recv() {
+        while let Ok(Publishing::Viewer(command)) = commands.try_recv() {
             viewers.handle(command);
         }
         let mut counters = Counters::default();

@@ -1,7 +1,7 @@
 //! Follows a recorded conversation: what the host asked decides what the unit's bytes are.
 //!
 //! What comes in: the lines of a log. What goes out: answers are learned from, the rest of the unit's bytes is cut into pieces
-//! that may be records, and each unit's [`Timeline`] knows what it was told. What the pieces are is decided in the end,
+//! that may be records, and each unit's [`Timeline`] knows what it was set to. What the pieces are is decided in the end,
 //! when all of them are there: see [`super::judge`].
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -92,7 +92,7 @@ pub(super) struct Follower<'a> {
 /// Decodes the lines of a log, in order: records with what the session says of their units, and counts.
 ///
 /// Where the session does not say the format of a unit, that which fits most of its records is taken, and a warning tells how
-/// many records that concerns. Where a format or button mode changes, records of both sides of the change are told apart by
+/// many records that concerns. Where a format or button mode changes, records of both sides of the change are distinguished by
 /// what fits; one of which nothing tells is left out. A log without records is no error.
 ///
 /// # Errors
@@ -219,7 +219,7 @@ impl<'a> Follower<'a> {
         }
     }
 
-    /// Cuts the unit's bytes up to `end`, where the host speaks next; what cannot be told yet waits.
+    /// Cuts the unit's bytes up to `end`, where the host speaks next; what cannot be identified yet waits.
     fn advance(&mut self, end: usize) {
         let is_last = end == self.bytes.len();
         while self.cursor < end {
@@ -241,7 +241,7 @@ impl<'a> Follower<'a> {
                     // A part of a damaged record may have an answer's length, too.
                     Gap::Answers(range, len) | Gap::Perhaps(range, len)
                         if self.streaming
-                            && !self.is_between_told(at, len)
+                            && !self.is_between_set(at, len)
                             && self.is_answered_behind(at, &range) => {}
                     Gap::Answers(range, len) => {
                         self.answers.push((at, at + len));
@@ -282,12 +282,12 @@ impl<'a> Follower<'a> {
         let last = self.pieces.last().filter(|last| last.end == begin);
         let due = || self.questions.iter().filter(|question| question.is_prompt(self.pieces.len()));
         let lent = last.and_then(|last| {
-            let told = |len: &usize| self.is_as_told(&self.bytes[last.begin..last.begin + len]);
+            let as_set = |len: &usize| self.is_as_set(&self.bytes[last.begin..last.begin + len]);
             let fits = |len: &usize| {
                 let answer = last.begin + len;
                 due().any(|due| answer + due.len == begin + 1 && self.may_answer(due, answer))
             };
-            self.lengths_at(last.begin).filter(told).find(fits)
+            self.lengths_at(last.begin).filter(as_set).find(fits)
         });
         let answer_due = !self.questions.is_empty();
         self.pieces.push(Piece { begin, end, doubtful, answer_due, lent });
@@ -304,23 +304,23 @@ impl<'a> Follower<'a> {
             let gap = || self.gap(end, self.bytes.len());
             self.is_boundary(end) || matches!(gap(), Gap::Answers(..) | Gap::Perhaps(..))
         };
-        // What the unit was told last is likelier than a longer record that an answer's bytes complete.
-        self.told_at(place).filter(ends).or_else(|| self.lengths_at(place).find(ends))
+        // What the unit was set to last is likelier than a longer record that an answer's bytes complete.
+        self.set_at(place).filter(ends).or_else(|| self.lengths_at(place).find(ends))
     }
 
-    /// Whether a record has the length of what its unit was told last.
-    fn is_as_told(&self, record: &[u8]) -> bool {
+    /// Whether a record has the length of what its unit was set to last.
+    fn is_as_set(&self, record: &[u8]) -> bool {
         let group = self.groups.last().map_or(self.group_votes > 0, |&(_, group)| group);
         let unit = if group { record[record.len() - 1] } else { LINE_UNIT };
         let form = self.units.get(&unit).and_then(Timeline::last);
         form.is_some_and(|(format, button)| Shape { format, button, group }.len() == record.len())
     }
 
-    /// Whether `len` bytes at `place` have records of what their units were told last on both sides.
-    fn is_between_told(&self, place: usize, len: usize) -> bool {
+    /// Whether `len` bytes at `place` have records of what their units were set to last on both sides.
+    fn is_between_set(&self, place: usize, len: usize) -> bool {
         let last = self.pieces.last().filter(|last| last.end == place);
-        last.is_some_and(|last| self.told_at(last.begin) == Some(place - last.begin))
-            && self.told_at(place + len).is_some()
+        last.is_some_and(|last| self.set_at(last.begin) == Some(place - last.begin))
+            && self.set_at(place + len).is_some()
     }
 
     /// Whether answers to these questions stand a little behind `place`, between such records.
@@ -329,14 +329,14 @@ impl<'a> Follower<'a> {
         let questions = || self.questions.range(questions.clone());
         let len: usize = questions().map(|question| question.len).sum();
         (place + 1..horizon)
-            .filter_map(|begin| Some(begin + self.told_at(begin)?))
-            .filter(|&end| end < horizon && self.told_at(end).is_none() && self.told_at(end + len).is_some())
+            .filter_map(|begin| Some(begin + self.set_at(begin)?))
+            .filter(|&end| end < horizon && self.set_at(end).is_none() && self.set_at(end + len).is_some())
             .any(|end| questions().next().is_some_and(|question| self.may_answer(question, end)))
     }
 
-    /// Length of the record of what its unit was told last that begins at `place`.
-    fn told_at(&self, place: usize) -> Option<usize> {
-        self.lengths_at(place).find(|len| self.is_as_told(&self.bytes[place..place + len]))
+    /// Length of the record of what its unit was set to last that begins at `place`.
+    fn set_at(&self, place: usize) -> Option<usize> {
+        self.lengths_at(place).find(|len| self.is_as_set(&self.bytes[place..place + len]))
     }
 
     /// Whether a whole record begins at `place`, with another first byte or nothing behind it.
@@ -444,7 +444,7 @@ impl<'a> Follower<'a> {
         let knows = self.units.values().any(|unit| unit.last().is_some());
         let is_prompt = self.questions.front().is_some_and(|question| question.place == self.cursor);
         let is_clean =
-            if self.streaming { !knows || self.is_between_told(self.cursor, len) } else { is_prompt };
+            if self.streaming { !knows || self.is_between_set(self.cursor, len) } else { is_prompt };
         let (mut at, end) = (self.cursor, self.cursor + len);
         self.cursor = end;
         for question in self.questions.drain(..range.len()).collect::<Vec<_>>() {

@@ -40,10 +40,10 @@ pub(super) struct Piece {
 /// Format and button mode.
 pub(super) type Form = (Format, bool);
 
-/// A unit that has just been switched on, or has forgotten what it was told.
+/// A unit that has just been switched on, or has lost what it was set to.
 const POWER_UP: Form = (Format::PositionAngles, false);
 
-/// What a unit was told.
+/// What the host set a unit to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Change {
     Format(Format),
@@ -61,25 +61,25 @@ impl Change {
     }
 }
 
-/// All that a unit was told about its records, in order, each with the place in the stream at which it was told.
+/// All that the host set a unit to, in order, each with the place in the stream at which it did.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Timeline {
-    told: Vec<(usize, Change)>,
+    changes: Vec<(usize, Change)>,
     /// So many of them before the first record was asked for: they are in force with it.
     settled: usize,
 }
 
 impl Timeline {
     pub(super) fn set_format(&mut self, place: usize, format: Format) {
-        self.told.push((place, Change::Format(format)));
+        self.changes.push((place, Change::Format(format)));
     }
 
     pub(super) fn set_button(&mut self, place: usize, on: bool) {
-        self.told.push((place, Change::Button(on)));
+        self.changes.push((place, Change::Button(on)));
     }
 
     pub(super) fn reset(&mut self, place: usize) {
-        self.told.push((place, Change::Reset));
+        self.changes.push((place, Change::Reset));
     }
 
     /// The unit reports its format. The host's word counts for more, since answers may be damaged.
@@ -91,12 +91,12 @@ impl Timeline {
 
     /// Records are asked for, for the first time: none is on its way.
     pub(super) fn settle(&mut self) {
-        self.settled = self.told.len();
+        self.settled = self.changes.len();
     }
 
     /// Index of the change from which on the format is known.
     fn first_format(&self) -> Option<usize> {
-        self.told.iter().position(|(_, change)| !matches!(change, Change::Button(_)))
+        self.changes.iter().position(|(_, change)| !matches!(change, Change::Button(_)))
     }
 
     /// All that there can be.
@@ -110,14 +110,14 @@ impl Timeline {
         if self.first_format().is_none() {
             return Self::anything();
         }
-        let last = self.told.iter().rev().take(PENDING + 1);
+        let last = self.changes.iter().rev().take(PENDING + 1);
         let formats = last.filter_map(|(_, change)| match change {
             Change::Format(format) => Some(*format),
             Change::Button(_) => None,
             Change::Reset => Some(POWER_UP.0),
         });
         // More than so many button modes in a row say nothing of the format before them.
-        let format = self.told.iter().rev().find(|(_, change)| !matches!(change, Change::Button(_)));
+        let format = self.changes.iter().rev().find(|(_, change)| !matches!(change, Change::Button(_)));
         let format = format.map(|(_, change)| change.of(POWER_UP).0);
         formats.chain(format).flat_map(|format| [(format, false), (format, true)]).collect()
     }
@@ -126,18 +126,18 @@ impl Timeline {
     pub(super) fn last(&self) -> Option<Form> {
         let known = self.first_format()?;
         let button =
-            self.told[known..].iter().any(|(_, change)| !matches!(change, Change::Format(_))) || known > 0;
-        button.then(|| self.forms(POWER_UP)[self.told.len()])
+            self.changes[known..].iter().any(|(_, change)| !matches!(change, Change::Format(_))) || known > 0;
+        button.then(|| self.forms(POWER_UP)[self.changes.len()])
     }
 
     /// What it may have sent at any time.
     fn ever(&self) -> Vec<Form> {
-        let told = |format: Format| {
-            self.told
+        let was_set = |format: Format| {
+            self.changes
                 .iter()
                 .any(|(_, change)| change.of(POWER_UP).0 == format && !matches!(change, Change::Button(_)))
         };
-        let formats = Format::ALL.into_iter().filter(|&format| format == POWER_UP.0 || told(format));
+        let formats = Format::ALL.into_iter().filter(|&format| format == POWER_UP.0 || was_set(format));
         if self.first_format().is_none() {
             return Self::anything();
         }
@@ -147,7 +147,7 @@ impl Timeline {
     /// The forms that follow each other if the unit begins with this one.
     fn forms(&self, first: Form) -> Vec<Form> {
         let mut forms = vec![first];
-        for (_, change) in &self.told {
+        for (_, change) in &self.changes {
             forms.push(change.of(forms[forms.len() - 1]));
         }
         forms
@@ -209,7 +209,7 @@ impl Unit<'_, '_> {
         let mut best = vec![0];
         let mut steps: Vec<(usize, Vec<(usize, bool)>)> = Vec::with_capacity(self.pieces.len());
         for piece in &self.pieces {
-            let high = self.timeline.told.partition_point(|(place, _)| *place <= piece.begin).max(low);
+            let high = self.timeline.changes.partition_point(|(place, _)| *place <= piece.begin).max(low);
             let next_low = low.max(high.saturating_sub(PENDING));
             let (mut came, mut most) = (low, best[0]);
             let mut next = Vec::with_capacity(high + 1 - next_low);
@@ -244,7 +244,7 @@ impl Unit<'_, '_> {
         Reading { fits, forms, at }
     }
 
-    /// Position and angles have records of one length. Which of the first after a change are still of the old kind is told by
+    /// Position and angles have records of one length. Which of the first after a change are still of the old kind is shown by
     /// the greatest jump alone.
     fn part_twins(&self, reading: &mut Reading) {
         for i in 1..reading.at.len() {
@@ -511,12 +511,12 @@ fn group_modes(follower: &Follower<'_>, pieces: &[Piece]) -> Vec<bool> {
             && forms
                 .any(|&(format, button)| follower.fits(bytes, piece.begin, Shape { format, button, group }))
     };
-    let mut told = follower.groups.iter().peekable();
+    let mut groups = follower.groups.iter().peekable();
     let mut mode = None;
     let mut before = None;
     let mut modes = Vec::with_capacity(pieces.len());
     for piece in pieces {
-        while let Some(&(_, group)) = told.next_if(|(place, _)| *place <= piece.begin) {
+        while let Some(&(_, group)) = groups.next_if(|(place, _)| *place <= piece.begin) {
             before = mode.filter(|mode| *mode != group).or(before);
             mode = Some(group);
         }

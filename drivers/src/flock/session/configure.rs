@@ -22,7 +22,7 @@ const RUN_QUIET: Duration = Duration::from_millis(200);
 /// How long auto-configured birds may take to run.
 const RUNNING_LIMIT: Duration = Duration::from_secs(2);
 /// Set-ups after which those that run go on alone. One in which a bird does not run may have met a unit that was switched off
-/// and on meanwhile: what it had been told is forgotten.
+/// and on meanwhile: what it had been set to is lost.
 const SET_UPS: u8 = 2;
 
 #[derive(Clone, Debug, Plain)]
