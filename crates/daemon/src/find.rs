@@ -10,7 +10,7 @@ use std::time::Duration;
 use posed_drivers::flock::Findings;
 use posed_drivers::flock::examine::Failure;
 use posed_drivers::flock::wire::Addressing;
-use posed_drivers::port::{self, Options, Port, Stream, Udp};
+use posed_drivers::port::{self, Options, Port, PortError, Stream, Udp};
 use posed_drivers::probe::{Identity, Inquiry, NoAnswer};
 use posed_drivers::session::SensorInfo;
 use posed_drivers::x_imu3::probe::{ANNOUNCEMENTS, Announcement};
@@ -22,8 +22,8 @@ use posed_stage::{Device, Driver};
 
 /// How long to listen for announcements: x-IMU3 units announce themselves once a second.
 pub const ANNOUNCED: Duration = Duration::from_millis(1300);
-/// Longest that a port may take to open.
-const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
+/// Longest that a port may take to open: an attempt that hangs, such as a host that does not answer, is given up after this.
+pub(super) const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// A kind of device that can be asked who it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -211,6 +211,40 @@ pub fn options(device: &Device) -> Options {
     Options { baud: device.baud, udp }
 }
 
+/// Why the port of a device was not found.
+#[derive(Debug, thiserror::Error)]
+pub enum NotFound {
+    /// The port at which it is does not open.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// No device of this kind answers.
+    #[error("no port answers as {word} at {baud} baud; `posed doctor` shows what is there")]
+    Nobody {
+        /// [`Kind::word`].
+        word: &'static str,
+        /// Line rate at which ports were asked, bit/s.
+        baud: u32,
+    },
+    /// One answers that is not meant.
+    #[error(
+        "one {word} answers, but not with the serial number of the stage file; `posed doctor` shows its own"
+    )]
+    Another {
+        /// [`Kind::word`].
+        word: &'static str,
+    },
+    /// Several answer, none of which is meant.
+    #[error(
+        "{count} devices answer as {word}, none with the serial number of the stage file; `posed doctor` shows theirs"
+    )]
+    Others {
+        /// [`Kind::word`].
+        word: &'static str,
+        /// How many.
+        count: usize,
+    },
+}
+
 /// Looks for a device on all serial ports but `taken`, and by its announcement where it makes one.
 ///
 /// `serials` are the units that are meant; without any, the first device that answers is. Serial ports are asked at the device's
@@ -218,15 +252,15 @@ pub fn options(device: &Device) -> Options {
 /// and opens `udp://0.0.0.0:6969`.
 ///
 /// # Errors
-/// No device answers, none with such a serial number, or the port that was found does not open: one sentence for the operator.
+/// [`NotFound`]: no device answers, none with such a serial number, or the port that was found does not open.
 pub async fn search(
     device: &Device,
     serials: &[String],
     taken: &[String],
-) -> Result<(String, Port<Stream>), String> {
+) -> Result<(String, Port<Stream>), NotFound> {
     let Some(kind) = Kind::of(&device.driver) else {
         let all = "udp://0.0.0.0:6969";
-        let opened = port::open(all, options(device)).await.map_err(|error| error.to_string())?;
+        let opened = port::open(all, options(device)).await?;
         return Ok((all.to_owned(), opened));
     };
     let mut others = 0;
@@ -246,7 +280,7 @@ pub async fn search(
                 let name = unit.port();
                 let local_port = device.local_port.or(Some(unit.sends_to).filter(|port| *port > 0));
                 let options = Options { baud: device.baud, udp: Udp::Peer { local_port } };
-                let opened = port::open(&name, options).await.map_err(|error| error.to_string())?;
+                let opened = port::open(&name, options).await?;
                 return Ok((name, opened));
             }
         }
@@ -254,13 +288,9 @@ pub async fn search(
     }
     let word = kind.word();
     Err(match others {
-        0 => format!("no port answers as {word} at {} baud; `posed doctor` shows what is there", device.baud),
-        1 => format!(
-            "one {word} answers, but not with the serial number of the stage file; `posed doctor` shows its own"
-        ),
-        n => format!(
-            "{n} devices answer as {word}, none with the serial number of the stage file; `posed doctor` shows theirs"
-        ),
+        0 => NotFound::Nobody { word, baud: device.baud },
+        1 => NotFound::Another { word },
+        count => NotFound::Others { word, count },
     })
 }
 

@@ -8,22 +8,20 @@ use std::time::Duration;
 
 use futures_util::FutureExt;
 use posed_drivers::LineEvent;
-use posed_drivers::port::{self, Port, Stream};
+use posed_drivers::port::{self, Port, PortError, Stream};
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 
 use super::clock::StageClock;
 use super::fault_points;
-use super::find;
+use super::find::{self, NotFound, OPEN_TIMEOUT};
 use super::fusion::FusionInbox;
 use posed_stage::input::{DeviceIndex, Entry, Input};
 use posed_stage::{Device, PortAddress, Stage};
 
 /// A port that returned is seen after half of this at the median; an attempt costs one failed `open`.
 const RETRY: Duration = Duration::from_millis(200);
-/// An attempt that hangs, such as a host that does not answer, is given up after this.
-const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
 /// A write that takes longer is one into a port that takes nothing: a full queue of the slowest line is gone in half of it.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(2);
 /// Silence after which a port whose device was asked something is opened anew: sessions ask every second or sooner.
@@ -41,6 +39,20 @@ pub(super) enum PortCommand {
     Transmit(Vec<u8>),
     /// Set RTS (`true` = asserted).
     SetRts(bool),
+}
+
+/// Why a port is not open.
+#[derive(Debug, thiserror::Error)]
+enum NotOpen {
+    /// It was looked for.
+    #[error(transparent)]
+    NotFound(#[from] NotFound),
+    /// It does not open.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// Nothing came of it in time.
+    #[error("{port} does not answer; check the address and the cable")]
+    NoAnswer { port: String },
 }
 
 /// Why reading and writing ended.
@@ -93,17 +105,15 @@ impl DevicePort {
     }
 
     /// Opens the port, or finds it.
-    async fn open(&self) -> Result<Port<Stream>, String> {
+    async fn open(&self) -> Result<Port<Stream>, NotOpen> {
         let path = &self.device.port;
         if path.parse() == Ok(PortAddress::Auto) {
             let (found, port) = find::search(&self.device, &self.serials, &self.taken).await?;
             tracing::info!("{} is at {found}", self.device.name);
             return Ok(port);
         }
-        match tokio::time::timeout(OPEN_TIMEOUT, port::open(path, find::options(&self.device))).await {
-            Ok(opened) => opened.map_err(|error| error.to_string()),
-            Err(_) => Err(format!("{path} does not answer; check the address and the cable")),
-        }
+        let opened = tokio::time::timeout(OPEN_TIMEOUT, port::open(path, find::options(&self.device))).await;
+        Ok(opened.map_err(|_| NotOpen::NoAnswer { port: path.clone() })??)
     }
 }
 
@@ -136,7 +146,7 @@ impl PortTask {
                     let Some(reason) = self.serve(port, place).await else { return };
                     reason
                 }
-                Err(reason) => reason,
+                Err(not_open) => not_open.to_string(),
             };
             // The log holds changes, not five attempts a second.
             if reported.as_ref() != Some(&reason) {
@@ -168,7 +178,7 @@ impl PortTask {
                     };
                     port = match again {
                         Ok(port) => port,
-                        Err(reason) => return Some(reason),
+                        Err(not_open) => return Some(not_open.to_string()),
                     };
                 }
             }
