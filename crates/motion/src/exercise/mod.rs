@@ -29,6 +29,7 @@ mod feedback;
 mod frames;
 mod hint;
 mod hmm;
+mod hypothesis;
 mod joint;
 mod judge;
 mod kinds;

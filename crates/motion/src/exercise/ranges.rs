@@ -10,9 +10,10 @@
 use std::ops::Range;
 
 use super::hmm::median;
+use super::hypothesis::SHORTEST_S;
 use super::kinds::{kinds, largest};
 use super::material::{Material, Stream};
-use super::teach::{Lesson, Options, Refusal, SEARCH_HZ, SHORTEST_S, moving_channels, teach};
+use super::teach::{Lesson, Options, Refusal, SEARCH_HZ, moving_channels, teach};
 
 /// Longest period looked for, s.
 const LONGEST_S: f64 = 12.0;
