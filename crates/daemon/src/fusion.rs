@@ -21,7 +21,7 @@ use super::server::{Hub, Refusal, Reply};
 use posed_fusion::body::SEGMENTS;
 use posed_motion::fault_map::FaultMap;
 use posed_motion::fault_map::Frames;
-use posed_pipeline::SupervisedPipeline;
+use posed_pipeline::{InputError, SupervisedPipeline};
 use posed_protocol::foxglove::Views;
 use posed_protocol::{Answer, Payload, Publisher, RecordingBegun, schema};
 use posed_recording::{Header, Snapshot, WriteError};
@@ -115,8 +115,8 @@ pub enum RecordError {
 #[derive(Debug, thiserror::Error)]
 enum NotTaken {
     /// The pipeline states what stands against it.
-    #[error("{0}")]
-    Refused(String),
+    #[error(transparent)]
+    Refused(#[from] InputError),
     /// The pipeline panicked at it.
     #[error("tracking had a fault of its own at this and goes on without it; please report this")]
     Fault,
@@ -382,8 +382,8 @@ impl Fusion {
     }
 
     /// The same for what somebody waits for, if the pipeline accepts it.
-    fn step_checked(&mut self, checked: Result<(), String>, input: Input) -> Result<(), NotTaken> {
-        checked.map_err(NotTaken::Refused)?;
+    fn step_checked(&mut self, checked: Result<(), InputError>, input: Input) -> Result<(), NotTaken> {
+        checked?;
         let is_taken = self.step(&Entry { t: self.clock.now(), input });
         if is_taken { Ok(()) } else { Err(NotTaken::Fault) }
     }

@@ -32,6 +32,7 @@ mod fault_map;
 mod field;
 pub mod frame;
 mod inertial;
+mod input_error;
 mod keyframes;
 mod magnetic;
 mod naming;
@@ -59,6 +60,7 @@ use exercise::ExerciseStage;
 use fault_map::FaultMapStage;
 pub use fault_map::{raw_positions, upright};
 use field::Field;
+pub use input_error::InputError;
 use keyframes::Keyframes;
 use naming::Naming;
 use posed_fusion::body::SEGMENTS;
@@ -481,9 +483,9 @@ impl Pipeline {
     /// Whether a model can be used now; [`Input::Model`] then swaps it in, unless it is of a part that this stage does not have.
     ///
     /// # Errors
-    /// A sentence about what stands against it: [`Model::check`], or that there are too many of its kind, or that it costs too much.
-    pub fn check_model(&self, model: &Model) -> Result<(), String> {
-        model.check()?;
+    /// What stands against it: [`Model::check`], or that there are too many of its kind, or that it costs too much.
+    pub fn check_model(&self, model: &Model) -> Result<(), InputError> {
+        model.check().map_err(InputError::NoModel)?;
         match model {
             Model::Exercise { exercise } => self.exercise.check_load(exercise),
             Model::Imu { unit, .. } => self.units.check_load(unit),
@@ -513,9 +515,9 @@ impl Pipeline {
     /// Whether a request about exercises can be carried out now; [`Input::Request`] then does.
     ///
     /// # Errors
-    /// A sentence about what stands against it. Requests about the field are refused here in any case; [`Self::push`] carries
+    /// What stands against it. Requests about the field are refused here in any case; [`Self::push`] carries
     /// them out all the same.
-    pub fn check_request(&self, request: &Request) -> Result<(), String> {
+    pub fn check_request(&self, request: &Request) -> Result<(), InputError> {
         self.exercise.check(request)
     }
 

@@ -4,6 +4,7 @@
 //! filters are to take. What the unit said stays beside it: recordings, raw fields and the next calibration need that. A unit is
 //! identified by the serial number that its device reports, else by that of the stage file, else by its sensor's name.
 
+use super::input_error::InputError;
 use posed_fusion::intrinsics::Intrinsics;
 use posed_stage::input::SensorIndex;
 use posed_stage::output::Measured;
@@ -44,13 +45,16 @@ impl Units {
     /// Whether a unit's intrinsics can be taken.
     ///
     /// # Errors
-    /// A sentence: its name is too long, or there are too many units.
-    pub(super) fn check_load(&self, unit: &str) -> Result<(), String> {
+    /// Its name is too long, or there are too many units.
+    pub(super) fn check_load(&self, unit: &str) -> Result<(), InputError> {
         let known = self.known.binary_search_by(|known| known.unit.as_str().cmp(unit)).is_ok();
         if unit.len() > UNIT_BYTES {
-            Err(format!("unit: give a name of at most {UNIT_BYTES} bytes"))
+            Err(InputError::OutOfRange {
+                key: "unit",
+                expected: format!("a name of at most {UNIT_BYTES} bytes"),
+            })
         } else if !known && self.known.len() >= UNITS {
-            Err(format!("unit: there are {UNITS} units already"))
+            Err(InputError::Full { key: "unit", limit: UNITS })
         } else {
             Ok(())
         }

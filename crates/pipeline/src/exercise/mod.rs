@@ -11,6 +11,7 @@ use std::collections::BTreeMap;
 use posed_state::State;
 
 use self::subject::Subject;
+use super::input_error::InputError;
 use posed_motion::exercise::{Counter, CountingCost, Exercise};
 use posed_stage::Stage;
 use posed_stage::input::{Plan, Request};
@@ -32,6 +33,10 @@ const STAGE_COST: CountingCost = CountingCost { states: 65_536, bytes: 256 << 20
 const LONGEST_SET: u32 = 10_000;
 /// Longest name of a subject, bytes.
 const NAME_BYTES: usize = 64;
+
+fn out_of_range(key: &'static str, expected: String) -> InputError {
+    InputError::OutOfRange { key, expected }
+}
 
 /// All exercises and who does them.
 #[derive(Clone, Debug, State)]
@@ -61,16 +66,14 @@ impl ExerciseStage {
     /// Whether an exercise can be loaded.
     ///
     /// # Errors
-    /// A sentence: the stage lacks one of its channels, it costs too much, or there are too many.
-    pub(super) fn check_load(&self, exercise: &Exercise) -> Result<(), String> {
+    /// The stage lacks one of its channels, it costs too much, or there are too many.
+    pub(super) fn check_load(&self, exercise: &Exercise) -> Result<(), InputError> {
         let known = self.library.iter().any(|known| known.name == exercise.name);
         if !known && self.library.len() >= LOADED {
-            return Err(format!(
-                "there are {LOADED} exercises already: load it under the name of one of them"
-            ));
+            return Err(InputError::Loaded(LOADED));
         }
         let one = std::slice::from_ref(exercise);
-        Counter::check(one, &self.columns).map(drop).map_err(|error| error.to_string())
+        Ok(Counter::check(one, &self.columns).map(drop)?)
     }
 
     /// Takes an exercise that [`Self::check_load`] accepts; false where it does not.
@@ -108,26 +111,26 @@ impl ExerciseStage {
     /// Whether a request can be carried out.
     ///
     /// # Errors
-    /// A sentence about what stands against it.
-    pub(super) fn check(&self, request: &Request) -> Result<(), String> {
+    /// What stands against it.
+    pub(super) fn check(&self, request: &Request) -> Result<(), InputError> {
         match request {
             Request::ExerciseSelect { subject, exercises, plan, sensors } => {
                 let known = self.subjects.iter().any(|known| known.name() == subject);
                 if subject.is_empty() || subject.len() > NAME_BYTES {
-                    return Err(format!("subject: give a name of 1 to {NAME_BYTES} bytes"));
+                    return Err(out_of_range("subject", format!("a name of 1 to {NAME_BYTES} bytes")));
                 }
                 if !known && self.subjects.len() >= SUBJECTS {
-                    return Err(format!("subject: there are {SUBJECTS} subjects already"));
+                    return Err(InputError::Full { key: "subject", limit: SUBJECTS });
                 }
                 if exercises.len() > SELECTED {
-                    return Err(format!("exercises: at most {SELECTED} at once"));
+                    return Err(InputError::Selected(SELECTED));
                 }
                 let in_range = |count: Option<u32>| count.is_none_or(|n| (1..=LONGEST_SET).contains(&n));
                 if !in_range(plan.repetitions) || !in_range(plan.sets) {
-                    return Err(format!("repetitions, sets: give 1 to {LONGEST_SET}"));
+                    return Err(out_of_range("repetitions, sets", format!("1 to {LONGEST_SET}")));
                 }
                 if !(0.0..=3600.0).contains(&plan.rest_s) {
-                    return Err("rest_s: give 0 to 3600 seconds".into());
+                    return Err(out_of_range("rest_s", "0 to 3600 seconds".into()));
                 }
                 if exercises.is_empty() {
                     Ok(())
@@ -137,11 +140,9 @@ impl ExerciseStage {
             }
             Request::ExerciseReset { subject } => {
                 let known = self.subjects.iter().any(|known| known.name() == subject);
-                if known { Ok(()) } else { Err(format!("subject: nothing is counted for {subject:?}")) }
+                if known { Ok(()) } else { Err(InputError::NoSubject(subject.clone())) }
             }
-            Request::FieldStart { .. } | Request::FieldFinish {} => {
-                Err("this is no request about exercises".into())
-            }
+            Request::FieldStart { .. } | Request::FieldFinish {} => Err(InputError::NotAboutExercises),
         }
     }
 
@@ -195,16 +196,14 @@ impl ExerciseStage {
         subject: &str,
         names: &[String],
         sensors: &BTreeMap<String, String>,
-    ) -> Result<Vec<Exercise>, String> {
+    ) -> Result<Vec<Exercise>, InputError> {
         let exercises = self.exercises(names, sensors)?;
-        let cost = Counter::check(&exercises, &self.columns).map_err(|error| error.to_string())?;
+        let cost = Counter::check(&exercises, &self.columns)?;
         let others = self.subjects.iter().filter(|other| other.name() != subject).filter_map(Subject::cost);
         if others.fold(cost, CountingCost::plus).within(&STAGE_COST) {
             Ok(exercises)
         } else {
-            Err("exercises: counting them beside those of all other subjects takes more memory or time than a stage has; \
-                 select fewer"
-                .into())
+            Err(InputError::TooCostly)
         }
     }
 
@@ -213,24 +212,23 @@ impl ExerciseStage {
         &self,
         names: &[String],
         sensors: &BTreeMap<String, String>,
-    ) -> Result<Vec<Exercise>, String> {
+    ) -> Result<Vec<Exercise>, InputError> {
         let mut exercises = Vec::with_capacity(names.len());
         for name in names {
             if exercises.iter().any(|known: &Exercise| known.name == *name) {
-                return Err(format!("exercises: {name:?} stands there twice"));
+                return Err(InputError::Twice(name.clone()));
             }
             let known = self.library.iter().find(|exercise| exercise.name == *name);
-            exercises
-                .push(known.cloned().ok_or_else(|| format!("exercises: no exercise {name:?} is loaded"))?);
+            exercises.push(known.cloned().ok_or_else(|| InputError::NotLoaded(name.clone()))?);
         }
         let on_stage = |sensor: &str| self.columns.iter().any(|column| behind(column, sensor).is_some());
         if let Some(sensor) = sensors.values().find(|sensor| !on_stage(sensor)) {
-            return Err(format!("sensors: this stage has no sensor {sensor:?}"));
+            return Err(InputError::NoSensor(sensor.clone()));
         }
         let mut channels = exercises.iter().flat_map(|exercise| &exercise.channels);
         let taught = |channel: &String| sensors.keys().any(|sensor| behind(channel, sensor).is_some());
         if !sensors.is_empty() && !channels.any(taught) {
-            return Err("sensors: these exercises were taught with none of them".into());
+            return Err(InputError::TaughtWithOthers);
         }
         let named = exercises.iter_mut().flat_map(|Exercise { channels, still, .. }| {
             channels.iter_mut().chain(still.iter_mut().map(|still| &mut still.channel))
