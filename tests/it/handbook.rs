@@ -271,6 +271,68 @@ fn the_budgets_are_those_of_the_code() {
     assert!(count > 20, "{count}");
 }
 
+/// What a queue is made with, in a line of code; empty: without a bound.
+fn capacity(line: &str) -> Option<&str> {
+    if line.trim_start().starts_with("//") {
+        return None;
+    }
+    let made = |maker| {
+        let (before, made) = line.split_once(maker)?;
+        let whole = !before.ends_with(|last: char| last.is_alphanumeric() || last == '_');
+        let arguments = match made.strip_prefix("::<") {
+            Some(typed) => typed.rsplit_once(">(")?.1,
+            None => made.strip_prefix('(')?,
+        };
+        let capacity = arguments.split_once(')')?.0;
+        let simple = capacity.chars().all(|c| c.is_alphanumeric() || "_:. *".contains(c));
+        (whole && simple).then_some(capacity)
+    };
+    let unbounded = line.contains("unbounded_channel(").then_some("");
+    unbounded
+        .or_else(|| made("mpsc::channel"))
+        .or_else(|| made("sync_channel"))
+        .or_else(|| made("bounded").filter(|capacity| !capacity.is_empty()))
+}
+
+#[test]
+fn every_queue_has_its_bound_in_the_table() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let page = fs::read_to_string(docs().join("fault-tolerance.md")).unwrap();
+    let mut folders = vec![root.join("src"), root.join("drivers/src"), root.join("crates")];
+    let (mut named, mut other) = (0, Vec::new());
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+                continue;
+            }
+            if path.extension().is_none_or(|extension| extension != "rs") {
+                continue;
+            }
+            let code = fs::read_to_string(&path).unwrap();
+            let code = code.split("#[cfg(test)]").next().unwrap();
+            let file = path.strip_prefix(root).unwrap().display().to_string();
+            for capacity in code.lines().filter_map(capacity) {
+                // A constant of this file, or one that another names for it; or a single answer.
+                let is_here = page.contains(&format!("{file}` `{capacity}`"));
+                let is_elsewhere = !code.contains(&format!("const {capacity}:"))
+                    && page.contains(&format!(".rs` `{capacity}`"));
+                match capacity.parse::<usize>() {
+                    Ok(0..=2) => {}
+                    _ if is_here || is_elsewhere => named += 1,
+                    _ => other.push((file.clone(), capacity.to_owned())),
+                }
+            }
+        }
+    }
+    assert!(named > 10, "{named}");
+    other.sort();
+    // The recorder's own tests make it smaller. The truth of a simulation waits without a bound: a file with holes would be none.
+    let known = [("crates/daemon/src/recorder.rs", "room.items"), ("src/commands/simulate.rs", "")];
+    assert_eq!(other, known.map(|(file, capacity)| (file.to_owned(), capacity.to_owned())));
+}
+
 /// Whether a file below this folder has a test, by the file's module and its name.
 fn has_test(folder: &Path, test: &str) -> bool {
     let Some((module, name)) = test.rsplit_once("::") else { panic!("{test}: name its module") };

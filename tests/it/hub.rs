@@ -522,3 +522,32 @@ async fn stages_that_are_declared_without_end_keep_no_real_one_out() {
     assert_eq!(real.end("INT").await.code(), Some(0));
     assert_eq!(hub.end("INT").await.code(), Some(0));
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn messages_without_end_in_a_stages_name_cost_neither_an_event_nor_the_poses() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let hub = hub(port, &[]);
+    let stage = stage(folder.path(), port);
+    let mut operator = stage.client().await;
+    let mut here = client(hub.address, "/two/ws").await;
+    ok(&mut here, json!({"type": "subscribe", "topics": ["field", "faults", "sensors"]})).await;
+    let mut there = stage.subscriber(&["field", "faults"]).await;
+    let stranger = zenoh_client(port).await;
+    let flood = async {
+        for _ in 0..40 * 1024 {
+            stranger.put("posed/two/feed/states", vec![7_u8; 256]).await.unwrap();
+        }
+    };
+    let moves = async {
+        for n in 1..=20 {
+            move_transmitter(&mut operator, f64::from(n)).await;
+        }
+    };
+    tokio::join!(flood, moves);
+    let got = events(&mut here, 0, 20).await;
+    assert_eq!(got, events(&mut there, 0, 20).await, "as at the stage");
+    frames(&mut here, 20).await;
+    assert_eq!(stage.end("INT").await.code(), Some(0));
+    assert_eq!(hub.end("INT").await.code(), Some(0));
+}

@@ -47,22 +47,22 @@ impl FusionInbox {
 
     /// Begins to send samples for a guided calibration; whoever took them before gets nothing more.
     pub(super) fn watch<S: Source>(&self, source: S) -> std_mpsc::Receiver<S::Sample> {
-        let (to, samples) = std_mpsc::sync_channel(SAMPLES_WAITING);
-        let observer = Box::new(Samples::new(source, to));
+        let (observer, samples) = Samples::new(source);
+        let observer = Box::new(observer);
         self.command(Command::Watch { calibration: S::CALIBRATION, observer });
         samples
     }
 
     /// Sends a command that is answered with a value, and waits for it: not for an asynchronous task.
-    pub(super) fn ask<T>(&self, command: impl FnOnce(std_mpsc::Sender<T>) -> Command) -> Result<T, Ended> {
-        let (to, from) = std_mpsc::channel();
+    pub(super) fn ask<T>(
+        &self,
+        command: impl FnOnce(std_mpsc::SyncSender<T>) -> Command,
+    ) -> Result<T, Ended> {
+        let (to, from) = std_mpsc::sync_channel(1);
         self.command(command(to));
         from.recv_timeout(PATIENCE).map_err(|_| Ended)
     }
 }
-
-/// Samples that may wait for a guided calibration: ten seconds at 100 Hz.
-const SAMPLES_WAITING: usize = 1024;
 
 /// The pipeline as it stands before an entry, for fusion on another machine.
 #[derive(Debug)]
@@ -183,19 +183,19 @@ pub enum Command {
         /// Of these columns, of those that there are.
         columns: Vec<String>,
         /// Where the copy goes.
-        to: std_mpsc::Sender<Excerpt>,
+        to: std_mpsc::SyncSender<Excerpt>,
     },
     /// Copies the raw positions of the newest seconds.
     Positions {
         /// So many; absent: all that is remembered.
         last_s: Option<f64>,
         /// Where the copy goes.
-        to: std_mpsc::Sender<Frames>,
+        to: std_mpsc::SyncSender<Frames>,
     },
     /// Copies the fault map in use.
     Faults {
         /// Where the copy goes.
-        to: std_mpsc::Sender<Option<Box<FaultMap>>>,
+        to: std_mpsc::SyncSender<Option<Box<FaultMap>>>,
     },
     /// Lets a guided calibration look on, in the place of an older one of its kind.
     Watch {
@@ -207,19 +207,19 @@ pub enum Command {
     /// Reports which IMU is worn where.
     BodyImus {
         /// Where the IMU of each segment goes.
-        to: std_mpsc::Sender<[Option<SensorIndex>; SEGMENTS]>,
+        to: std_mpsc::SyncSender<[Option<SensorIndex>; SEGMENTS]>,
     },
     /// Reports how the pipeline stands, for fusion on another machine; the sentence states why not.
     Begin {
         /// Where it goes.
-        to: std_mpsc::Sender<Result<Begin, rmp_serde::encode::Error>>,
+        to: std_mpsc::SyncSender<Result<Begin, rmp_serde::encode::Error>>,
     },
     /// Reports which unit a sensor is now.
     Unit {
         /// The sensor.
         sensor: SensorIndex,
         /// Where its serial number or name goes.
-        to: std_mpsc::Sender<Option<String>>,
+        to: std_mpsc::SyncSender<Option<String>>,
     },
     /// A job was cancelled; it may be one of this thread.
     LookAtJobs,

@@ -263,7 +263,7 @@ impl Daemon {
         }
         if let Some(path) = record {
             // Nothing is tracked yet: this may wait for the disk.
-            let (to, begun) = std::sync::mpsc::channel();
+            let (to, begun) = std::sync::mpsc::sync_channel(1);
             fusion.start_recording(path, false, move |begun| _ = to.send(begun));
             begun.recv().unwrap_or(Err(RecordError::NoThread))?;
         }

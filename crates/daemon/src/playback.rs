@@ -1,20 +1,23 @@
 //! A daemon without devices: a recording served to clients as a live stage would be.
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc;
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 
-use tokio::sync::watch;
+use tokio::sync::{mpsc, watch};
 
 use super::clock::StageClock;
 use super::jobs::Jobs;
-use super::player::{Command, Outlet, PlayError, Played, Player};
+use super::player::{Outlet, PlayError, Played, Player};
 use super::ports::ended;
-use super::server::{BindError, Config, Server};
+use super::server::{BindError, Config, PendingCall, Server};
 use super::service::Service;
 use super::vital::PartEnded;
 use posed_protocol::{Status, Topic};
 use posed_recording::{Header, Outline, ReadError, Reader};
 use posed_stage::{Problems, Secret, Stage, Token};
+
+/// Requests that wait for the player.
+const WAITING: usize = 64;
 
 /// Why a recording cannot be served.
 #[derive(Debug, thiserror::Error)]
@@ -47,7 +50,6 @@ fn forget_placeholders(server: &mut posed_stage::Server) {
 /// A recording being served; ends with [`Playback::shutdown`].
 pub struct Playback {
     service: Service,
-    commands: mpsc::Sender<Command>,
     player: std::thread::JoinHandle<()>,
 }
 
@@ -77,10 +79,10 @@ impl Playback {
         if outline.topics.contains("/input/truth") {
             config.more_topics.push(Topic::Truth);
         }
-        let (server, hub, mut calls) = Server::bind(&stage, config)?;
+        let (server, hub, pending) = Server::bind(&stage, config)?;
         let mut service = Service::start(server);
 
-        let (commands, received) = mpsc::channel();
+        let (calls, received) = sync_channel(WAITING);
         let clock = StageClock::start();
         let jobs = Jobs::new(clock, hub.clone());
         let outlet = Outlet { clock, hub, jobs };
@@ -92,20 +94,9 @@ impl Playback {
             .spawn(service.vital().thread("the player", move || player.run()))
             .map_err(PlaybackError::Thread)?;
 
-        let forward = commands.clone();
-        let mut down = service.down();
-        service.spawn("what answers requests", async move {
-            loop {
-                tokio::select! {
-                    () = ended(&mut down) => return,
-                    call = calls.recv() => match call {
-                        Some(call) => _ = forward.send(Command::Call(call)),
-                        None => return,
-                    },
-                }
-            }
-        });
-        Ok(Self { service, commands, player })
+        let down = service.down();
+        service.spawn("what answers requests", forward(pending, calls, down));
+        Ok(Self { service, player })
     }
 
     /// The address to open in a browser, as [`Daemon::url`](super::Daemon::url).
@@ -125,7 +116,54 @@ impl Playback {
 
     /// Ends everything; clients are notified of the end. Takes less than five seconds.
     pub async fn shutdown(self) {
-        let _ = self.commands.send(Command::Shutdown);
         self.service.shutdown(self.player).await;
+    }
+}
+
+/// Hands requests on to the player until the end, which ends the player too.
+async fn forward(
+    mut pending: mpsc::Receiver<PendingCall>,
+    calls: SyncSender<PendingCall>,
+    mut down: watch::Receiver<bool>,
+) {
+    loop {
+        tokio::select! {
+            () = ended(&mut down) => return,
+            call = pending.recv() => match call.map(|call| calls.try_send(call)) {
+                Some(Ok(())) => {}
+                Some(Err(TrySendError::Full(PendingCall { reply, .. }))) => {
+                    reply.error("busy", "the player is slow, and many requests wait for it already; try again later");
+                }
+                Some(Err(TrySendError::Disconnected(_))) | None => return,
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::server::testing::{Asking, ids};
+    use super::*;
+    use posed_protocol::Call;
+
+    #[tokio::test]
+    async fn more_requests_than_may_wait_for_a_player_that_hangs_are_refused_and_those_that_wait_are_there() {
+        let (calls, player) = sync_channel(WAITING);
+        let (sender, pending) = mpsc::channel(1);
+        let (_up, down) = watch::channel(false);
+        let task = tokio::spawn(forward(pending, calls, down));
+        let asking = Asking::new();
+        for id in 0..WAITING + 50 {
+            sender.send(PendingCall { call: Call::ReplayList {}, reply: asking.reply(id) }).await.unwrap();
+        }
+        drop(sender);
+        task.await.unwrap();
+        let refused = asking.answers();
+        assert!(refused.iter().all(|answer| answer["code"] == "busy"), "{refused:?}");
+        assert_eq!(ids(&refused), (WAITING..WAITING + 50).collect::<Vec<_>>());
+        for PendingCall { reply, .. } in player.try_iter() {
+            reply.ok(None);
+        }
+        assert_eq!(ids(&asking.answers()), (0..WAITING).collect::<Vec<_>>());
     }
 }

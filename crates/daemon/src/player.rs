@@ -29,18 +29,10 @@ const SEEK_BATCH: usize = 1024;
 /// What lies so shortly before the place sought is published: who seeks in a pause sees where he is.
 const SEEK_SHOWN: Duration = Duration::from_millis(100);
 
-/// What the player receives.
-pub(super) enum Command {
-    /// A client's call.
-    Call(PendingCall),
-    /// Ends the thread.
-    Shutdown,
-}
-
 /// The thread's state.
 pub(super) struct Player {
     clock: StageClock,
-    commands: Receiver<Command>,
+    calls: Receiver<PendingCall>,
     hub: Hub,
     jobs: Jobs,
     folder: PathBuf,
@@ -91,7 +83,7 @@ struct Playing {
 impl Player {
     pub(super) fn new(
         outlet: Outlet,
-        commands: Receiver<Command>,
+        calls: Receiver<PendingCall>,
         played: Played,
         folder: PathBuf,
         speed: f64,
@@ -100,10 +92,10 @@ impl Player {
         let playing = Playing::open(played, None, speed, clock.now())?;
         let stage = Stage::parse(&playing.reader.header().stage_toml).map_err(MachineError::from)?;
         let health = Health::new(&stage);
-        Ok(Self { clock, commands, hub, jobs, folder, stage, health, playing, seeking: None })
+        Ok(Self { clock, calls, hub, jobs, folder, stage, health, playing, seeking: None })
     }
 
-    /// Runs until [`Command::Shutdown`].
+    /// Runs until nobody can call any more.
     pub(super) fn run(mut self) {
         let mut next_status = self.clock.now();
         loop {
@@ -118,15 +110,15 @@ impl Player {
             };
             let wake = due.map_or(next_status, |due| due.min(next_status));
             let wait = Duration::try_from_secs_f64(wake.seconds_since(now)).unwrap_or_default();
-            match self.commands.recv_timeout(wait) {
-                Ok(Command::Call(PendingCall { call: Call::ReplayTrack { name, columns }, reply })) => {
+            match self.calls.recv_timeout(wait) {
+                Ok(PendingCall { call: Call::ReplayTrack { name, columns }, reply }) => {
                     track::answer(&self.folder, &name, columns, reply);
                 }
-                Ok(Command::Call(PendingCall { call, reply })) => {
+                Ok(PendingCall { call, reply }) => {
                     reply.answer(self.carry_out(call));
                     next_status = self.clock.now();
                 }
-                Ok(Command::Shutdown) | Err(RecvTimeoutError::Disconnected) => return,
+                Err(RecvTimeoutError::Disconnected) => return,
                 Err(RecvTimeoutError::Timeout) => {
                     if self.seeking.is_some() {
                         if self.seek_on() {

@@ -17,7 +17,7 @@ use std::thread::JoinHandle;
 
 use crossbeam_channel::{Receiver, bounded, select};
 use serde::Serialize;
-use zenoh::query::Query;
+use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
 use super::feed::Feed;
@@ -73,14 +73,8 @@ impl Answers {
             }
         };
         let _clock = session.declare_queryable(key).callback(tell_time).wait()?;
-        let (sender, questions) = bounded::<Query>(WAITING);
         let keys = [self.keys.status(), format!("{}/**", self.keys.recordings()), self.keys.ask("*")];
-        let declare = |key: String| {
-            let sender = sender.clone();
-            // Where too many wait, who asks sees that there is no answer.
-            session.declare_queryable(key).callback(move |query| _ = sender.try_send(query)).wait()
-        };
-        let _queryables = keys.into_iter().map(declare).collect::<zenoh::Result<Vec<_>>>()?;
+        let (_queryables, questions) = collect(session, keys)?;
         let _lookout = self.feed.twins().look(session, &self.keys, run)?;
         let _token = session.liveliness().declare_token(self.keys.token()).wait()?;
         begun();
@@ -164,4 +158,45 @@ fn check_secrets(path: &Path) -> zenoh::Result<()> {
 
 fn packed(answer: &impl Serialize) -> zenoh::Result<Vec<u8>> {
     Ok(rmp_serde::to_vec_named(answer)?)
+}
+
+/// What is asked under these keys, as long as the first is kept.
+fn collect<const N: usize>(
+    session: &Session,
+    keys: [String; N],
+) -> zenoh::Result<(Vec<Queryable<()>>, Receiver<Query>)> {
+    let (sender, questions) = bounded(WAITING);
+    let declare = |key| {
+        let sender = sender.clone();
+        // Where too many wait, who asks sees that there is no answer.
+        session.declare_queryable(key).callback(move |query| _ = sender.try_send(query)).wait()
+    };
+    Ok((keys.into_iter().map(declare).collect::<zenoh::Result<_>>()?, questions))
+}
+
+#[cfg(test)]
+mod tests {
+    use posed_stage::Zenoh;
+
+    use super::*;
+    use crate::session::open;
+
+    #[test]
+    fn more_questions_than_may_wait_get_no_answer_at_once_and_those_that_wait_get_theirs() {
+        let session = open(&Zenoh::default()).unwrap();
+        let (_queryables, questions) = collect(&session, ["posed/a/status".to_owned()]).unwrap();
+        let ask = |_| session.get("posed/a/status").wait().unwrap();
+        let asked = (0..WAITING + 50).map(ask).collect::<Vec<_>>();
+        let (waiting, surplus) = asked.split_at(WAITING);
+        assert!(surplus.iter().all(|answer| answer.recv().is_err()));
+        for query in questions.try_iter() {
+            query.reply("posed/a/status", "here").wait().unwrap();
+        }
+        let is_here =
+            |answer: zenoh::query::Reply| answer.result().is_ok_and(|sample| sample.payload().len() == 4);
+        assert!(waiting.iter().all(|answer| answer.recv().is_ok_and(is_here)));
+        let late = ask(0);
+        questions.recv().unwrap().reply("posed/a/status", "here").wait().unwrap();
+        assert!(late.recv().is_ok_and(is_here));
+    }
 }

@@ -1,7 +1,7 @@
 //! What is published, on its way to other machines: kept and numbered, so that what was missed can be asked for.
 //!
 //! In: items with their stamps, on the distributor's task. Out: bytes for the thread that hands them to zenoh, behind a bounded
-//! queue: where that is full, states are lost and counted, and events are asked for later. Never: a wait. What nobody has subscribed to is not written.
+//! queue: where that is full, states are lost, which the status says, and events are asked for later. Never: a wait. What nobody has subscribed to is not written.
 
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -38,6 +38,7 @@ struct Shared {
     /// The thread that has panicked.
     broken: OnceLock<&'static str>,
     out: Sender<Out>,
+    /// Messages that found it full since the status last said so.
     lost: AtomicU64,
 }
 
@@ -220,7 +221,14 @@ impl posed_daemon::link::Feed for Feed {
             code: "zenoh".to_owned(),
             message: format!("{thread} had a fault of its own, and other machines get nothing more: restart posed, and please report this"),
         });
-        broken.or_else(|| self.shared.twins.problem(&self.shared.about.key))
+        let lost = self.shared.lost.swap(0, Ordering::Relaxed);
+        let slow = (lost > 0).then(|| Problem {
+            code: "zenoh".to_owned(),
+            message: format!(
+                "zenoh is too slow for this stage: {lost} of its messages to other machines were left out in the last second"
+            ),
+        });
+        broken.or_else(|| self.shared.twins.problem(&self.shared.about.key)).or(slow)
     }
 }
 
@@ -246,5 +254,56 @@ impl Kept {
         encode::body(payload, stamp, names, &View::all(Encoding::Json), &mut body);
         encode::message(Encoding::Json, head, &body, &mut json);
         json
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use posed_daemon::link::Feed as _;
+    use posed_drivers::Timestamp;
+    use posed_fusion::faults::Cause;
+    use posed_protocol::Status;
+    use posed_stage::output::{Outcome, OutcomeKind};
+
+    use super::*;
+
+    #[test]
+    fn what_zenoh_is_too_slow_for_is_left_out_and_said_and_events_can_be_asked_for() {
+        let about = StageInfo { key: "posed/a".to_owned(), run: 1, stage_toml: String::new() };
+        let (feed, taken) = Feed::new(about);
+        feed.wanted().feed.store(true, Ordering::Relaxed);
+        let names = Names::default();
+        let surplus = 100;
+        for n in 1..=(EVENTS + surplus) as u64 {
+            let what = OutcomeKind::Fault { sensor: 0, cause: Cause::Gate, active: true };
+            let (t_valid, t_decided) = (Timestamp::from_nanos(n as i64), Timestamp::ZERO);
+            let item = Item::Outcome(Box::new(Outcome { t_valid, t_decided, what }));
+            let stamp = Stamp { topic: Topic::Faults, t_us: n as i64, event_id: Some(n) };
+            feed.publish(&item, &stamp, &names);
+        }
+        assert_eq!(taken.try_iter().count(), WAITING);
+        let said = feed.problem().unwrap().message;
+        assert!(said.contains(&format!(" {} of its messages", EVENTS + surplus - WAITING)), "{said}");
+        assert_eq!(feed.problem(), None, "once");
+        // All that are kept can be had, and who lacks more is told so.
+        let joined = feed.join(surplus as u64);
+        assert_eq!((joined.events.len(), joined.complete), (EVENTS, true));
+        let late = feed.join(1);
+        assert_eq!((late.events.len(), late.complete), (EVENTS, false));
+        // And what comes next goes out.
+        let status = Stamp { topic: Topic::Status, t_us: 1 << 20, event_id: None };
+        feed.publish(&Item::Status(Box::new(Status::default())), &status, &names);
+        assert!(matches!(taken.try_recv(), Ok(Out::States(_))));
+    }
+
+    #[test]
+    fn large_events_are_kept_up_to_their_bytes() {
+        let mut kept = Kept::default();
+        let mebibyte: Arc<[u8]> = vec![0; 1 << 20].into();
+        for id in 1..=40 {
+            kept.keep(Event { id, t_us: id as i64, bytes: Arc::clone(&mebibyte) });
+        }
+        let ids = kept.events.iter().map(|event| event.id);
+        assert!(ids.eq(25..=40) && kept.event_bytes == EVENT_BYTES);
     }
 }

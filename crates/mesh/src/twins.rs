@@ -15,6 +15,9 @@ use zenoh::{Session, Wait};
 use super::wire::Keys;
 use posed_protocol::Problem;
 
+/// Tokens that are kept; of more it is not seen when they go.
+const TOKENS: usize = 256;
+
 /// What is seen of others; clones share it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Twins {
@@ -44,8 +47,12 @@ impl Twins {
 
     fn see(&self, own: &str, token: &str, kind: SampleKind) {
         match kind {
-            SampleKind::Put if token != own => _ = self.seen().insert(token.to_owned()),
-            SampleKind::Put => {}
+            SampleKind::Put => {
+                let mut seen = self.seen();
+                if token != own && seen.len() < TOKENS {
+                    seen.insert(token.to_owned());
+                }
+            }
             SampleKind::Delete => _ = self.seen().remove(token),
         }
     }
@@ -83,5 +90,21 @@ mod tests {
         assert!(!is_problem("posed/a/posed-twin/f0", SampleKind::Delete));
         twins.see(own, "posed/a/posed-run/3", SampleKind::Put);
         assert!(twins.problem("posed/a").unwrap().message.contains("posed/a"));
+    }
+
+    #[test]
+    fn tokens_without_end_fill_nothing_and_a_twin_that_was_there_stays_seen() {
+        let (twins, own) = (Twins::default(), "posed/a/posed-run/1");
+        let tokens = (2..2 * TOKENS).map(|run| format!("posed/a/posed-run/{run}")).collect::<Vec<_>>();
+        for token in &tokens {
+            twins.see(own, token, SampleKind::Put);
+        }
+        assert_eq!(twins.seen().len(), TOKENS);
+        for token in &tokens[1..] {
+            twins.see(own, token, SampleKind::Delete);
+        }
+        assert!(twins.problem("posed/a").is_some());
+        twins.see(own, &tokens[0], SampleKind::Delete);
+        assert!(twins.problem("posed/a").is_none());
     }
 }

@@ -4,7 +4,7 @@
 //! them, to the one job that takes them. It never waits for that one: what it does not take in time is left out, and once it has gone
 //! nothing is done.
 
-use std::sync::mpsc::{SyncSender, TrySendError};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 
 use nalgebra::{Isometry3, Vector3};
 
@@ -15,6 +15,9 @@ use posed_fusion::chain::Epoch;
 use posed_pipeline::{ImuRecords, Pipeline};
 use posed_stage::input::SensorIndex;
 use posed_stage::output::{Estimate, Output};
+
+/// Samples that wait for a calibration: ten seconds at 100 Hz.
+const WAITING: usize = 1024;
 
 /// Calibrations that guide somebody; one of each kind may be under way.
 #[derive(Clone, Copy, Debug)]
@@ -55,8 +58,10 @@ pub(crate) struct Samples<S: Source> {
 }
 
 impl<S: Source> Samples<S> {
-    pub(crate) fn new(source: S, to: SyncSender<S::Sample>) -> Self {
-        Self { source, to: Some(to) }
+    /// What makes them, and where they are taken.
+    pub(crate) fn new(source: S) -> (Self, Receiver<S::Sample>) {
+        let (to, taken) = sync_channel(WAITING);
+        (Self { source, to: Some(to) }, taken)
     }
 
     fn send(&mut self, sample: impl FnOnce(&mut S) -> Option<S::Sample>) {
@@ -193,5 +198,45 @@ impl Source for ChainSource {
         let samples: Vec<_> = self.imus.iter().map(sample).collect();
         let any = samples.iter().any(Option::is_some);
         any.then(|| Epoch { t_s: estimate.t_valid.as_secs_f64(), samples })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use posed_stage::Stage;
+
+    use super::*;
+
+    /// Numbers.
+    struct Counting(usize);
+
+    impl Source for Counting {
+        const CALIBRATION: GuidedCalibration = GuidedCalibration::Imu;
+        type Sample = usize;
+
+        fn of_frame(&mut self, _: &Estimate) -> Option<usize> {
+            None
+        }
+
+        fn of_pipeline(&mut self, _: &Pipeline) -> Option<usize> {
+            self.0 += 1;
+            Some(self.0)
+        }
+    }
+
+    #[test]
+    fn samples_that_a_calibration_does_not_take_in_time_are_left_out_and_nobody_waits() {
+        let pipeline = Pipeline::new(&Stage::parse("name = \"s\"").unwrap()).unwrap();
+        let (mut samples, taken) = Samples::new(Counting(0));
+        for _ in 0..WAITING + 100 {
+            samples.after_entry(&pipeline);
+        }
+        assert_eq!(taken.try_iter().collect::<Vec<_>>(), (1..=WAITING).collect::<Vec<_>>());
+        samples.after_entry(&pipeline);
+        assert_eq!(taken.try_iter().collect::<Vec<_>>(), [WAITING + 101]);
+        drop(taken);
+        samples.after_entry(&pipeline);
+        samples.after_entry(&pipeline);
+        assert_eq!(samples.source.0, WAITING + 102, "nothing is made for nobody");
     }
 }

@@ -33,6 +33,8 @@ use posed_stage::Stage;
 
 /// Items that wait for a stage's distributor.
 const WAITING: usize = 256;
+/// What stages and clients have told the hub's directory and what waits for it.
+const TOLD: usize = 1024;
 
 /// A server for many stages that is bound and not yet running.
 pub struct HubServer {
@@ -79,7 +81,7 @@ impl HubServer {
     ) -> Result<(Self, StageRegistry), BindError> {
         crate::process_limits::raise();
         let listener = Listener::open(settings, listen, folder)?;
-        let (directory, commands) = mpsc::channel(1024);
+        let (directory, commands) = mpsc::channel(TOLD);
         let greeting = directory::Greeting { name: name.to_owned(), epoch_utc: rfc3339(epoch_utc_ns) };
         let registered = Registered {
             context: Arc::clone(&listener.context),
@@ -329,4 +331,54 @@ async fn stage_health(State(registry): State<StageRegistry>, PathOf(id): PathOf<
 
 fn unknown() -> Response {
     (StatusCode::NOT_FOUND, "this hub has not heard of such a stage; / lists those it has\n").into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use posed_protocol::Status;
+
+    async fn waits(telling: impl Future<Output = ()>) -> bool {
+        tokio::time::timeout(Duration::from_millis(50), telling).await.is_err()
+    }
+
+    #[tokio::test]
+    async fn who_brings_more_than_a_stages_distributor_has_room_for_waits_and_nothing_is_lost() {
+        let (items, mut fed) = mpsc::channel(WAITING);
+        let end = StageEndpoint { items, shutdown: watch::channel(false).0 };
+        let bring = |t_us| {
+            let stamp = Stamp { topic: Topic::Status, t_us, event_id: None };
+            end.publish(Item::Status(Box::new(Status::default())), stamp)
+        };
+        for t_us in 0..WAITING as i64 {
+            bring(t_us).await;
+        }
+        assert!(waits(bring(-1)).await);
+        for t_us in 0..WAITING as i64 {
+            assert_eq!(fed.recv().await.unwrap().1.t_us, t_us);
+        }
+        bring(-2).await;
+        assert_eq!(fed.recv().await.unwrap().1.t_us, -2);
+    }
+
+    #[tokio::test]
+    async fn who_tells_the_directory_more_than_it_has_room_for_waits_until_it_has() {
+        let folder = tempfile::tempdir().unwrap();
+        let listen = Some("127.0.0.1:0".to_owned());
+        let settings = posed_stage::Server::default();
+        let (server, registry) = HubServer::bind("hub", 0, &settings, listen, folder.path()).unwrap();
+        for _ in 0..TOLD {
+            registry.report(Stages::default()).await;
+        }
+        let more = tokio::spawn(async move { registry.report(Stages::default()).await });
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        assert!(!more.is_finished());
+        let (end, mut ended) = watch::channel(false);
+        let run = tokio::spawn(server.run(async move { _ = ended.changed().await }));
+        more.await.unwrap();
+        end.send_replace(true);
+        run.await.unwrap();
+    }
 }

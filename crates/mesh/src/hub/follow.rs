@@ -24,6 +24,8 @@ use posed_stage::Stage;
 
 /// Messages of zenoh that wait for this task; more are lost, and events among them asked for.
 const WAITING: usize = 1024;
+/// Answers that wait; those who bring more wait, too.
+const ANSWERS: usize = 16;
 /// Distance of two looks at what is missing.
 const LOOK: Duration = Duration::from_millis(100);
 /// Looks between two readings of the stage's clock.
@@ -66,6 +68,8 @@ struct Work {
     /// A question about events, or about the log, is on its way.
     asking: bool,
     asking_log: bool,
+    /// Something came that cannot be read.
+    unreadable: bool,
 }
 
 impl Follower {
@@ -86,7 +90,7 @@ impl Follower {
             (Ok(feed), Ok(entries)) => (feed, entries),
             (Err(error), _) | (_, Err(error)) => return tracing::error!("{}: {error}", self.id),
         };
-        let (answers_in, mut answers) = mpsc::channel(16);
+        let (answers_in, mut answers) = mpsc::channel(ANSWERS);
         let questions = Questions {
             session: self.session.clone(),
             keys: self.keys.clone(),
@@ -94,7 +98,14 @@ impl Follower {
             answers: answers_in,
         };
         let mut alive = self.alive.clone();
-        let mut work = Work { follower: self, questions, following: None, asking: false, asking_log: false };
+        let mut work = Work {
+            follower: self,
+            questions,
+            following: None,
+            asking: false,
+            asking_log: false,
+            unreadable: false,
+        };
         let mut looks = interval(LOOK);
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut look = 0;
@@ -191,7 +202,11 @@ impl Work {
         let (head, item) = match wire::read_fed(payload) {
             Ok(read) => read,
             Err(error) => {
-                return tracing::warn!("stage {}: {error}: is it of another version?", self.follower.id);
+                // Once: who sends such things sends many.
+                if !std::mem::replace(&mut self.unreadable, true) {
+                    tracing::warn!("stage {}: {error}: is it of another version?", self.follower.id);
+                }
+                return;
             }
         };
         let Some(following) = &mut self.following else { return };
