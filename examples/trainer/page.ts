@@ -1,8 +1,9 @@
 // The page: shows a session's state, and turns buttons into requests. Replace this file to make another front end.
 import { Session } from "./session.ts";
-import type { Socket, State } from "./session.ts";
+import type { State } from "./session.ts";
 
 const element = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
+const make = (tag: string): HTMLElement => document.createElement(tag);
 const number = (id: string): number => element<HTMLInputElement>(id).valueAsNumber;
 
 // The daemon's address and token come from the page's own: ?daemon=HOST:PORT&token=SECRET&subject=NAME
@@ -11,11 +12,7 @@ const daemon = options.get("daemon") ?? "127.0.0.1:8787";
 const token = options.get("token");
 const address = `ws://${daemon}/ws${token === null ? "" : `?token=${encodeURIComponent(token)}`}`;
 
-const session = new Session(
-  () => new WebSocket(address, "posed.v1") as Socket,
-  show,
-  options.get("subject") ?? "default",
-);
+const session = new Session(() => new WebSocket(address, "posed.v1"), show, options.get("subject") ?? "default");
 
 element("teach").onsubmit = (event) => {
   event.preventDefault();
@@ -26,7 +23,7 @@ element("select").onsubmit = (event) => {
   event.preventDefault();
   session.select(element<HTMLSelectElement>("known").value, number("repetitions"), number("sets"), number("rest"));
 };
-element("reset").onclick = () => session.reset();
+element("reset").onclick = () => session.ask({ type: "exercise.reset", subject: session.subject });
 
 function show(state: State): void {
   text("link", { connecting: "connecting…", live: `connected to ${state.stage}`, lost: `no connection to ${daemon}; trying again` }[state.link]);
@@ -41,29 +38,25 @@ function show(state: State): void {
   if (known.options.length !== state.known.length) {
     known.replaceChildren(...state.known.map((name) => new Option(name)));
   }
-  element("exercises").replaceChildren(...state.exercises.map((exercise) => {
-    const row = document.createElement("section");
-    const title = document.createElement("h2");
-    const ofSets = state.sets === null ? "" : ` of ${state.sets}`;
-    const rest = exercise.restUntilS === null ? "" : ", rest";
-    title.textContent = `${exercise.name}: ${exercise.setCount}, set ${exercise.set}${ofSets}${exercise.done ? ", done" : rest}`;
-    const bars = document.createElement("div");
+  const { repetitions, sets, exercises } = state.selected ?? { repetitions: null, sets: null, exercises: [] };
+  element("exercises").replaceChildren(...exercises.map((one) => {
+    const [row, title, bars] = [make("section"), make("h2"), make("div")];
+    const rest = one.rest_until_s === null ? "" : ", rest";
+    title.textContent = `${one.exercise}: ${one.set_count}, set ${one.set}${sets === null ? "" : ` of ${sets}`}${one.done ? ", done" : rest}`;
     bars.className = "bars";
     // One bar per repetition of the set, and one more while it is not certain yet.
-    const bar = (full: boolean, likely: boolean) => {
-      const one = document.createElement("span");
-      one.className = full ? "full" : likely ? "likely" : "";
-      return one;
+    const likely = state.provisional.includes(one.exercise);
+    const bar = (_: unknown, i: number) => {
+      const bar = make("span");
+      bar.className = i < one.set_count ? "full" : likely && i === one.set_count ? "likely" : "";
+      return bar;
     };
-    const total = Math.max(state.repetitions ?? 0, exercise.setCount + Number(exercise.provisional));
-    bars.append(...Array.from({ length: total }, (_, i) =>
-      bar(i < exercise.setCount, exercise.provisional && i === exercise.setCount)));
+    bars.append(...Array.from({ length: Math.max(repetitions ?? 0, one.set_count + Number(likely)) }, bar));
     row.append(title, bars);
     return row;
   }));
 }
 
 function text(id: string, value: string): void {
-  const target = element(id);
-  if (target.textContent !== value) target.textContent = value;
+  if (element(id).textContent !== value) element(id).textContent = value;
 }

@@ -27,6 +27,9 @@ process.exit(0);
 #[test]
 fn it_shows_what_the_daemon_says_and_asks_what_the_daemon_understands() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/trainer");
+    let lines = |file| std::fs::read_to_string(folder.join(file)).unwrap().lines().count();
+    // It is to be read at one sitting.
+    assert!(lines("session.ts") + lines("page.ts") < 200);
     let esbuild = folder.join("node_modules/.bin/esbuild");
     if !esbuild.exists() {
         println!("skipped: run `npm install` in examples/trainer to test it");
@@ -58,8 +61,8 @@ fn it_shows_what_the_daemon_says_and_asks_what_the_daemon_understands() {
     let output = node.wait_with_output().unwrap();
     let answer: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(answer["state"]["known"], json!(["curl"]));
-    let exercise = &answer["state"]["exercises"][0];
-    assert_eq!((&exercise["name"], &exercise["count"]), (&json!("curl"), &json!(6)));
+    let exercise = &answer["state"]["selected"]["exercises"][0];
+    assert_eq!((&exercise["exercise"], &exercise["count"]), (&json!("curl"), &json!(6)));
     assert_eq!(answer["state"]["feedback"]["good"], true);
     for request in answer["sent"].as_array().unwrap() {
         let text = request.to_string();
