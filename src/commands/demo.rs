@@ -40,8 +40,8 @@ pub(crate) struct Args {
     /// Record everything that comes in, from the first byte on.
     #[arg(long, value_name = "REC.mcap")]
     record: Option<PathBuf>,
-    /// Where recordings, exercises, sessions and maps are kept; absent: beside STAGE.toml, and of the stage that is built in the recordings
-    /// in `recordings`, and all else only until the end.
+    /// Where recordings, exercises, sessions and maps are kept; absent: the recordings in `recordings` beside STAGE.toml, or here for
+    /// the stage that is built in, and all else only until the end.
     #[arg(long, value_name = "FOLDER")]
     data: Option<PathBuf>,
 }
@@ -75,16 +75,13 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let duration_s = simulation::scenario(&stage)?.duration_s;
     let devices = simulation::virtual_stage(&stage, &folder)?;
     let rehearsed = args.stage.is_none().then(|| stage.clone());
+    let recordings = folder.join("recordings");
     let mut options = options(stage, text, folder);
-    match args.data {
-        Some(data) => options.data = data,
-        None if rehearsed.is_some() => {
-            // Who only looks leaves nothing behind but what was asked for.
-            options.data = ports.path().join("data");
-            options.stage.recording.folder.get_or_insert_with(|| PathBuf::from("recordings"));
-        }
-        None => {}
-    }
+    options.data = args.data.unwrap_or_else(|| {
+        // What virtual devices teach is true of no room, and of nobody: it would be in the way of the real ones of this stage.
+        options.stage.recording.folder.get_or_insert(recordings);
+        ports.path().join("data")
+    });
     options.listen = args.listen;
     options.record = args.record;
     options.truth = true;

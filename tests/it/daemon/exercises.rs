@@ -27,7 +27,7 @@ async fn exercises_are_loaded_selected_and_taught() {
     fs::create_dir(folder.path().join("exercises")).unwrap();
     write(&folder.path().join("exercises/squat-001.json"), "squat");
     write(&folder.path().join("exercises/squat-002.json"), "squat");
-    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let posed = Posed::demo_that_keeps(&stage);
     let mut client = posed.subscriber(&["exercise", "jobs", "sensors"]).await;
     let loaded = until(&mut client, "what is loaded", |message| message["event"] == "loaded").await;
     assert_eq!((&loaded["exercise"], &loaded["subject"]), (&json!("curl"), &json!(null)));
@@ -75,7 +75,7 @@ async fn a_demonstration_is_a_figure_that_moves() {
     fs::create_dir(folder.path().join("exercises")).unwrap();
     write(&folder.path().join("exercises/wave-001.json"), "wave");
     write_curl_of_a_body(&folder.path().join("exercises/curl-001.json"));
-    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let posed = Posed::demo_that_keeps(&stage);
     let mut client = posed.client().await;
     let ask = |exercise: &str| json!({"type": "exercise.demonstration", "exercise": exercise});
     for exercise in ["lunge", "wave"] {

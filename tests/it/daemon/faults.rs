@@ -11,7 +11,7 @@ use crate::cli::posed;
 async fn a_map_is_learnt_named_kept_and_loaded() {
     let folder = tempfile::tempdir().unwrap();
     let stage = two_devices(folder.path(), "");
-    let daemon = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let daemon = Posed::demo_that_keeps(&stage);
     let mut client = daemon.subscriber(&["faults", "jobs"]).await;
     ok(&mut client, json!({"type": "subscribe", "topics": ["sensors"], "fields": ["fault", "raw"]})).await;
     let cell = json!({"type": "faults.name_cell", "row": 0, "column": 0, "class": "anomalous"});
@@ -48,7 +48,7 @@ async fn a_map_is_learnt_named_kept_and_loaded() {
 
     // The file serves the next run, and is refused for other sensors.
     let stage = two_devices(folder.path(), "[models]\nfaults = \"faults/faults-002.json\"\n");
-    let daemon = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let daemon = Posed::demo_that_keeps(&stage);
     let mut client = daemon.subscriber(&["faults"]).await;
     let map = until(&mut client, "the loaded map", |message| message["event"] == "map").await;
     assert_eq!((&map["revision"], &map["cells"][0]), (&json!(2), &json!("anomalous")));

@@ -29,6 +29,18 @@ impl Posed {
         Self::spawn(Command::new(env!("CARGO_BIN_EXE_posed")).args(args).args(["--listen", "127.0.0.1:0"]))
     }
 
+    /// The demo of a stage file that keeps what it learns beside that, as a daemon does.
+    pub(crate) fn demo_that_keeps(stage: &Path) -> Self {
+        let folder = stage.parent().unwrap();
+        Self::start([
+            "demo".as_ref(),
+            "--stage".as_ref(),
+            stage.as_os_str(),
+            "--data".as_ref(),
+            folder.as_os_str(),
+        ])
+    }
+
     /// Any command that prints the line with the address.
     pub(crate) fn spawn(command: &mut Command) -> Self {
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();

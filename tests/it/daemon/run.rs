@@ -1,5 +1,6 @@
 //! `posed demo` and `posed run` from the first line to the exit code.
 
+use std::path::Path;
 use std::process::Command;
 
 use posed_recording::Info;
@@ -95,12 +96,20 @@ async fn a_unit_that_starts_is_no_silent_one() {
     }
 }
 
-/// Who only looks at the demo finds nothing in the folder afterwards but the recording that was asked for.
-#[tokio::test]
-async fn the_demo_leaves_nothing_behind_but_recordings() {
-    let folder = tempfile::tempdir().unwrap();
+/// What lies in a folder, by name.
+fn left(path: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(path).unwrap();
+    let mut names =
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect::<Vec<_>>();
+    names.sort();
+    names
+}
+
+/// Who only looks finds nothing in the folder afterwards but the recording that was asked for, which is named here.
+async fn look(folder: &Path, args: &[&str]) -> String {
     let mut command = Command::new(env!("CARGO_BIN_EXE_posed"));
-    let posed = Posed::spawn(command.args(["demo", "--listen", "127.0.0.1:0"]).current_dir(folder.path()));
+    let posed =
+        Posed::spawn(command.args(["demo", "--listen", "127.0.0.1:0"]).args(args).current_dir(folder));
     let mut client = posed.client().await;
     ok(&mut client, json!({"type": "session.begin", "person": "P-1"})).await;
     ok(&mut client, json!({"type": "session.end"})).await;
@@ -109,10 +118,24 @@ async fn the_demo_leaves_nothing_behind_but_recordings() {
     let begun = ok(&mut client, json!({"type": "record.start", "name": "take"})).await;
     ok(&mut client, json!({"type": "record.stop"})).await;
     assert_eq!(posed.end("INT").await.code(), Some(0));
-    let left = |path: &std::path::Path| {
-        let entries = std::fs::read_dir(path).unwrap();
-        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect::<Vec<_>>()
-    };
+    begun["name"].as_str().unwrap().to_owned()
+}
+
+#[tokio::test]
+async fn the_demo_leaves_nothing_behind_but_recordings() {
+    let folder = tempfile::tempdir().unwrap();
+    let take = look(folder.path(), &[]).await;
     assert_eq!(left(folder.path()), ["recordings"]);
-    assert_eq!(left(&folder.path().join("recordings")), [begun["name"].as_str().unwrap()]);
+    assert_eq!(left(&folder.path().join("recordings")), [take]);
+}
+
+#[tokio::test]
+async fn nor_does_that_of_a_stage_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let stage = two_devices(folder.path(), "");
+    let before = left(folder.path());
+    let take = look(folder.path(), &["--stage", stage.to_str().unwrap()]).await;
+    assert_eq!(left(&folder.path().join("recordings")), [take]);
+    std::fs::remove_dir_all(folder.path().join("recordings")).unwrap();
+    assert_eq!(left(folder.path()), before);
 }

@@ -11,7 +11,7 @@ use super::process::{Posed, ok, record_start, refused, replays, two_devices, unt
 async fn a_labelled_recording_is_learnt_and_named_by_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let stage = two_devices(folder.path(), super::recordings::FULL);
-    let daemon = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let daemon = Posed::demo_that_keeps(&stage);
     let mut client = daemon.subscriber(&["sensors", "segments", "jobs"]).await;
     let ended = |message: &serde_json::Value, state: &str| {
         let last = message["jobs"].as_array().and_then(|jobs| jobs.last().cloned());
@@ -50,7 +50,7 @@ async fn a_labelled_recording_is_learnt_and_named_by_at_once() {
 
     // The file serves the next run.
     let stage = two_devices(folder.path(), "[segments]\nmodel = \"segments/segments-002.safetensors\"\n");
-    let daemon = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let daemon = Posed::demo_that_keeps(&stage);
     let mut client = daemon.subscriber(&["segments"]).await;
     until(&mut client, "a name", |message| message["event"] == "provisional").await;
     assert_eq!(daemon.end("INT").await.code(), Some(0));

@@ -9,8 +9,7 @@ use super::process::{PATIENCE, Posed, ok, refused, two_devices, until};
 use crate::server::harness::Client;
 
 fn start(folder: &Path) -> Posed {
-    let stage = two_devices(folder, "");
-    Posed::start(["demo", "--stage", stage.to_str().unwrap()])
+    Posed::demo_that_keeps(&two_devices(folder, ""))
 }
 
 /// What goes on, as the topic says it.
