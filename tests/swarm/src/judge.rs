@@ -70,6 +70,8 @@ pub(crate) struct Judge {
     renumbered: Vec<Span>,
     /// By sensor, when it was good for the first time, s.
     begun_s: Vec<Option<f64>>,
+    /// By sensor: it began on the other side of its transmitter. A pipeline that begins anew goes on with the side.
+    mirrored: Vec<bool>,
     /// Where a model has put the transmitter, which stands at the room's origin.
     pub(crate) room_transmitter: Isometry3<f64>,
     /// A sensor whose good values are told one by one, those that are not compared too.
@@ -126,6 +128,7 @@ impl Judge {
             faults: faults.map(span).collect(),
             traced: plan.traced.clone(),
             begun_s: vec![None; stage.sensors.len()],
+            mirrored: vec![false; stage.sensors.len()],
             room_transmitter: Isometry3::identity(),
             compared: 0,
             begun_anew: 0,
@@ -137,8 +140,7 @@ impl Judge {
         self.riders[sensor].rests
     }
 
-    /// The pipeline knows of no sensor any more on which side it was, and sets its devices up: what goes wrong meanwhile is as if
-    /// it did before the first fault may begin.
+    /// The pipeline sets its devices up: what goes wrong meanwhile is as if it did before the first fault may begin.
     pub(crate) fn begin_anew(&mut self, times: u64, t_s: f64) {
         self.begun_anew = times;
         self.begun_s.fill(None);
@@ -165,7 +167,8 @@ impl Judge {
             let begun_s = *self.begun_s[at].get_or_insert(t_s);
             // Nobody can know that it began on the other side.
             let device = rider.device;
-            if self.flips.iter().any(|span| span.holds(device, begun_s)) {
+            self.mirrored[at] |= self.flips.iter().any(|span| span.holds(device, begun_s));
+            if self.mirrored[at] {
                 continue;
             }
             // Nor that it repeats itself from its first record on, until it changes: it may as well lie still.
