@@ -129,12 +129,15 @@ async fn forward(
     loop {
         tokio::select! {
             () = ended(&mut down) => return,
-            call = pending.recv() => match call.map(|call| calls.try_send(call)) {
-                Some(Ok(())) => {}
-                Some(Err(TrySendError::Full(PendingCall { reply, .. }))) => {
-                    reply.error("busy", "the player is slow, and many requests wait for it already; try again later");
+            call = pending.recv() => {
+                let Some(call) = call else { return };
+                match calls.try_send(call) {
+                    Ok(()) => {}
+                    Err(TrySendError::Full(PendingCall { reply, .. })) => {
+                        reply.error("busy", "the player is slow, and many requests wait for it already; try again later");
+                    }
+                    Err(TrySendError::Disconnected(_)) => return,
                 }
-                Some(Err(TrySendError::Disconnected(_))) | None => return,
             },
         }
     }

@@ -262,7 +262,6 @@ mod tests {
     use posed_daemon::link::Feed as _;
     use posed_drivers::Timestamp;
     use posed_fusion::faults::Cause;
-    use posed_protocol::Status;
     use posed_stage::output::{Outcome, OutcomeKind};
 
     use super::*;
@@ -292,7 +291,7 @@ mod tests {
         assert_eq!((late.events.len(), late.complete), (EVENTS, false));
         // And what comes next goes out.
         let status = Stamp { topic: Topic::Status, t_us: 1 << 20, event_id: None };
-        feed.publish(&Item::Status(Box::new(Status::default())), &status, &names);
+        feed.publish(&Item::Status(Box::default()), &status, &names);
         assert!(matches!(taken.try_recv(), Ok(Out::States(_))));
     }
 

@@ -338,7 +338,6 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use posed_protocol::Status;
 
     async fn waits(telling: impl Future<Output = ()>) -> bool {
         tokio::time::timeout(Duration::from_millis(50), telling).await.is_err()
@@ -350,7 +349,7 @@ mod tests {
         let end = StageEndpoint { items, shutdown: watch::channel(false).0 };
         let bring = |t_us| {
             let stamp = Stamp { topic: Topic::Status, t_us, event_id: None };
-            end.publish(Item::Status(Box::new(Status::default())), stamp)
+            end.publish(Item::Status(Box::default()), stamp)
         };
         for t_us in 0..WAITING as i64 {
             bring(t_us).await;
@@ -372,9 +371,8 @@ mod tests {
         for _ in 0..TOLD {
             registry.report(Stages::default()).await;
         }
-        let more = tokio::spawn(async move { registry.report(Stages::default()).await });
-        tokio::time::sleep(Duration::from_millis(50)).await;
-        assert!(!more.is_finished());
+        let mut more = tokio::spawn(async move { registry.report(Stages::default()).await });
+        assert!(waits(async { (&mut more).await.unwrap() }).await);
         let (end, mut ended) = watch::channel(false);
         let run = tokio::spawn(server.run(async move { _ = ended.changed().await }));
         more.await.unwrap();
