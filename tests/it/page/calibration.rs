@@ -290,7 +290,7 @@ async fn an_imu_is_calibrated_in_the_browser_and_its_file_kept() {
     let folder = tempfile::tempdir().unwrap();
     let stage = folder.path().join("table.toml");
     std::fs::write(&stage, TABLE).unwrap();
-    let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
+    let posed = Posed::demo_that_keeps(&stage);
     let mut browser = Browser::open(&format!("http://{}/#calibrate-record", posed.address)).await;
     browser.until(LIVE).await;
     browser.click("unit-calibrate").await;

@@ -139,8 +139,7 @@ async fn the_demonstration_stands_beside_the_person() {
     copy_demo(folder.path());
     std::fs::create_dir(folder.path().join("exercises")).unwrap();
     write_curl_of_a_body(&folder.path().join("exercises/curl-001.json"));
-    let posed =
-        Posed::start(["demo".as_ref(), "--stage".as_ref(), folder.path().join("demo.toml").as_os_str()]);
+    let posed = Posed::demo_that_keeps(&folder.path().join("demo.toml"));
     let mut browser = Browser::open(&format!("http://{}/#patient", posed.address)).await;
     browser.until(LIVE).await;
     let shows = "document.getElementById('patient-figure').dataset.demonstrates";
