@@ -382,7 +382,7 @@ fn the_demo_shows_a_body_that_stands_where_it_stands() {
     assert!(emitted.iter().all(|emitted| !matches!(emitted, Said::Body(_))));
 }
 
-/// What begins and has not settled is no fault and no loss: an operator who did everything right is told of none.
+/// What begins and has not settled is no fault and no loss: to an operator who did everything right none is reported.
 #[test]
 fn the_demo_begins_without_a_fault_or_a_loss() {
     let (_, mut rig) = demo();

@@ -284,7 +284,7 @@ mod tests {
         let said = feed.problem().unwrap().message;
         assert!(said.contains(&format!(" {} of its messages", EVENTS + surplus - WAITING)), "{said}");
         assert_eq!(feed.problem(), None, "once");
-        // All that are kept can be had, and who lacks more is told so.
+        // All that are kept can be had; that more is missing is reported.
         let joined = feed.join(surplus as u64);
         assert_eq!((joined.events.len(), joined.complete), (EVENTS, true));
         let late = feed.join(1);

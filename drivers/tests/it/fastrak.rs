@@ -245,11 +245,11 @@ fn what_a_gap_swallows_is_counted_by_time() {
             rig.device.skip = lost;
             rig.run_stored_ms(2000);
             let losses = rig.session.losses();
-            let told: u64 = losses.iter().map(|loss| loss.lost).sum();
+            let reported: u64 = losses.iter().map(|loss| loss.lost).sum();
             let case = format!("{lost} records of {} stations: {losses:?}", stations.len());
-            assert!(told.abs_diff(lost as u64) <= 1, "{case}");
+            assert!(reported.abs_diff(lost as u64) <= 1, "{case}");
             assert!(losses.iter().all(|loss| loss.estimated == (loss.lost > 0)), "{case}");
-            // It is told 0.1 s later, when a clock has found it out by itself: the number of a cycle must not tell it again.
+            // It is reported 0.1 s later, when a clock has detected it by itself: the number of a cycle must not report it again.
             let cycle = |at: usize| match rig.samples[at].t_device {
                 DeviceTime::Cycle(cycle) => cycle,
                 DeviceTime::Counter { .. } => unreachable!(),
@@ -279,11 +279,11 @@ fn damaged_records_are_counted_by_their_bytes_and_lost_bytes_leave_doubt() {
                 rig.samples.clear();
                 rig.device.cut = 13;
                 rig.run_stored_ms(300);
-                // Each station has a clock of its own: each is told, once.
-                let told = rig.samples.iter().filter(|sample| sample.arrival.after_loss);
-                let mut told: Vec<_> = told.map(|sample| sample.address).collect();
-                told.sort_unstable();
-                assert_eq!(told, *stations, "{case}");
+                // Each station has a clock of its own: each reports it, once.
+                let reported = rig.samples.iter().filter(|sample| sample.arrival.after_loss);
+                let mut reported: Vec<_> = reported.map(|sample| sample.address).collect();
+                reported.sort_unstable();
+                assert_eq!(reported, *stations, "{case}");
             }
         }
     }

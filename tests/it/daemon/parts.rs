@@ -78,7 +78,7 @@ async fn tracking_outlives_its_own_panics_and_a_replay_does_so_too() {
     assert_eq!(posed.end("INT").await.code(), Some(0));
     let log = std::fs::read_to_string(folder.path().join("log")).unwrap();
     assert!(log.contains("went on without what it panicked at"), "{log}");
-    // The recording holds what brought the panics; a replay that does not panic at it is another story, told by the unit's tests.
+    // The recording holds what brought the panics; a replay that does not panic at it is held by the unit's tests.
     assert!(Info::read(&folder.path().join("recordings/take.mcap"), |_| ()).unwrap().complete);
 }
 

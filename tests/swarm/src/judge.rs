@@ -74,7 +74,7 @@ pub(crate) struct Judge {
     mirrored: Vec<bool>,
     /// Where a model has put the transmitter, which stands at the room's origin.
     pub(crate) room_transmitter: Isometry3<f64>,
-    /// A sensor whose good values are told one by one, those that are not compared too.
+    /// A sensor whose good values are printed one by one, those that are not compared too.
     traced: Option<String>,
     /// Values that were good, and compared.
     pub(crate) compared: u64,

@@ -25,10 +25,10 @@ struct Arguments {
     /// Threads.
     #[arg(long, default_value_t = 2)]
     jobs: usize,
-    /// Tells the stage file and the parts of the first seed.
+    /// Prints the stage file and the parts of the first seed.
     #[arg(long)]
     show: bool,
-    /// Tells every good value of this sensor in the first seed.
+    /// Prints every good value of this sensor in the first seed.
     #[arg(long)]
     trace: Option<String>,
     /// Does not make failing seeds smaller.
@@ -39,7 +39,7 @@ struct Arguments {
 #[expect(
     clippy::print_stdout,
     clippy::disallowed_methods,
-    reason = "it tells what it found and how long that took"
+    reason = "it prints what it found and how long that took"
 )]
 fn main() -> ExitCode {
     let Arguments { seed, count, minutes, without, jobs, show, trace, as_is } = Arguments::parse();

@@ -64,7 +64,7 @@ pub(crate) struct Plan {
     /// When all faults and events are over, s.
     pub(crate) calm_from_s: f64,
     pub(crate) end_s: f64,
-    /// A sensor whose values are to be told.
+    /// A sensor whose values are to be printed.
     pub(crate) traced: Option<String>,
     /// Numbers of the parts, each of which may be left out.
     pub(crate) numbers: Vec<usize>,

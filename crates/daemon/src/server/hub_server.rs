@@ -33,8 +33,8 @@ use posed_stage::Stage;
 
 /// Items that wait for a stage's distributor.
 const WAITING: usize = 256;
-/// What stages and clients have told the hub's directory and what waits for it.
-const TOLD: usize = 1024;
+/// What stages and clients have reported to the hub's directory and what waits for it.
+const DIRECTORY_REPORTS: usize = 1024;
 
 /// A server for many stages that is bound and not yet running.
 pub struct HubServer {
@@ -81,7 +81,7 @@ impl HubServer {
     ) -> Result<(Self, StageRegistry), BindError> {
         crate::process_limits::raise();
         let listener = Listener::open(settings, listen, folder)?;
-        let (directory, commands) = mpsc::channel(TOLD);
+        let (directory, commands) = mpsc::channel(DIRECTORY_REPORTS);
         let greeting = directory::Greeting { name: name.to_owned(), epoch_utc: rfc3339(epoch_utc_ns) };
         let registered = Registered {
             context: Arc::clone(&listener.context),
@@ -363,12 +363,12 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn who_tells_the_directory_more_than_it_has_room_for_waits_until_it_has() {
+    async fn who_reports_more_to_the_directory_than_it_has_room_for_waits_until_it_has() {
         let folder = tempfile::tempdir().unwrap();
         let listen = Some("127.0.0.1:0".to_owned());
         let settings = posed_stage::Server::default();
         let (server, registry) = HubServer::bind("hub", 0, &settings, listen, folder.path()).unwrap();
-        for _ in 0..TOLD {
+        for _ in 0..DIRECTORY_REPORTS {
             registry.report(Stages::default()).await;
         }
         let mut more = tokio::spawn(async move { registry.report(Stages::default()).await });
