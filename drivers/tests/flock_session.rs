@@ -20,9 +20,12 @@ struct Unit {
     running: bool,
     streaming: bool,
     group: bool,
-    format: Format,
+    /// Of each bird, by address; the first one of a stand-alone unit.
+    formats: Vec<Format>,
     error: u8,
     dead: Vec<u8>,
+    /// Birds that keep their format, whatever they are asked for.
+    deaf: Vec<u8>,
     /// It takes and gives nothing before then.
     unresponsive_until: Timestamp,
     next_cycle: Timestamp,
@@ -42,7 +45,8 @@ impl Unit {
     fn flock(birds: u8) -> Self {
         let mut units = vec![0xE0; usize::from(birds)];
         units[0] = 0xA1;
-        Self { units, initialised: false, ..Self::alone() }
+        let formats = vec![Format::PositionAngles; units.len()];
+        Self { units, formats, initialised: false, ..Self::alone() }
     }
 
     fn alone() -> Self {
@@ -53,9 +57,10 @@ impl Unit {
             running: true,
             streaming: false,
             group: false,
-            format: Format::PositionAngles,
+            formats: vec![Format::PositionAngles],
             error: 0,
             dead: Vec::new(),
+            deaf: Vec::new(),
             unresponsive_until: Timestamp::ZERO,
             next_cycle: Timestamp::ZERO,
             cycle: 0,
@@ -72,13 +77,16 @@ impl Unit {
         self.cycle += 1;
         let q = [1.0, 0.0, 0.0, 0.0];
         let p = [0.3 + 0.001 * f64::from(self.cycle % 10), 0.1, 0.2];
-        let shape = Shape { format: self.format, button: false, group: self.group };
+        let shape = |address: u8| {
+            let format = self.formats[usize::from(address.saturating_sub(1))];
+            Shape { format, button: false, group: self.group }
+        };
         let addresses: Vec<u8> = if self.group { (1..=self.units.len() as u8).collect() } else { vec![0] };
         let mut bytes = Vec::new();
         for address in addresses {
             let runs = !self.group || self.units[usize::from(address) - 1] & 0xE0 == 0xE0;
             if runs && !self.dead.contains(&address) {
-                record::encode(p, q, (0, address), shape, Scale::default(), &mut bytes);
+                record::encode(p, q, (0, address), shape(address), Scale::default(), &mut bytes);
             }
         }
         bytes
@@ -91,14 +99,15 @@ impl Unit {
         for &byte in bytes {
             if let Some(parsed) = self.commands.push(byte) {
                 match parsed {
-                    Ok(addressed) => self.obey(now, addressed.command),
+                    Ok(addressed) => self.obey(now, addressed.to, addressed.command),
                     Err(_) => self.error = 6,
                 }
             }
         }
     }
 
-    fn obey(&mut self, now: Timestamp, command: Command) {
+    fn obey(&mut self, now: Timestamp, to: Option<u8>, command: Command) {
+        let to = to.unwrap_or(1);
         self.commands_seen.push(command.clone());
         let busy = self.unresponsive_until.max(now);
         let mut answer = |ms: u64, bytes: Vec<u8>| self.out.push((busy + Duration::from_millis(ms), bytes));
@@ -113,18 +122,21 @@ impl Unit {
                 self.next_cycle = now + CYCLE;
             }
             Command::Run => self.running = true,
-            Command::Format(format) => self.format = format,
+            Command::Format(_) if self.dead.contains(&to) || self.deaf.contains(&to) => {}
+            Command::Format(format) => self.formats[usize::from(to) - 1] = format,
             Command::Change { parameter: 0x23, data } => self.group = data[0] != 0,
             Command::Change { parameter: 0x32, .. } => {
                 self.initialised = true;
                 self.unresponsive_until = now + Duration::from_millis(270);
-                self.units.iter_mut().for_each(|unit| *unit |= 0x60);
+                // A chain with a hole is not configured: the unit on the line does not run, those behind it do.
+                let configured = if self.dead.is_empty() { 0x60 } else { 0 };
+                self.units.iter_mut().for_each(|unit| *unit |= configured);
             }
             Command::Examine(0) => {
                 let status = 0x8100u16
                     | u16::from(self.initialised) << 14
                     | u16::from(self.running) << 12
-                    | u16::from(self.format.status_code()) << 1;
+                    | u16::from(self.formats[0].status_code()) << 1;
                 answer(8, status.to_le_bytes().to_vec());
             }
             Command::Examine(1) => answer(8, self.revision.to_vec()),
@@ -143,6 +155,7 @@ impl Unit {
             Command::Examine(19) => answer(8, vec![0]),
             Command::Examine(36) => {
                 let mut bytes = self.units.clone();
+                self.dead.iter().for_each(|&address| bytes[usize::from(address) - 1] = 0);
                 if !self.flips.is_empty() {
                     bytes[0] ^= self.flips.remove(0);
                 }
@@ -358,6 +371,72 @@ fn a_unit_that_is_switched_off_and_on_while_it_is_set_up_is_set_up_whole() {
     assert_eq!(bench.session.state(), &State::Streaming);
     assert!(seconds(&bench, 1) > 100, "{:?}", bench.warnings);
     assert_eq!(seconds(&bench, 1), seconds(&bench, 2));
+}
+
+#[test]
+fn a_bird_that_comes_back_at_any_moment_of_a_set_up_is_set_up_too() {
+    for back_ms in (0..9000).step_by(50) {
+        let mut bench = Bench::new(Settings::default(), &[1, 2, 3, 4], Unit::flock(4));
+        bench.open(false);
+        bench.run(4.0);
+        bench.unit.dead = vec![2];
+        bench.run(0.5);
+        let now = bench.now;
+        bench.unit.power_cycle(now);
+        bench.unit.dead = vec![2];
+        bench.run(f64::from(back_ms) * 1e-3);
+        bench.unit.dead.clear();
+        bench.run(9.0);
+        let before: Vec<usize> = (1..=4).map(|address| seconds(&bench, address)).collect();
+        bench.run(1.0);
+        assert_eq!(bench.session.state(), &State::Streaming, "back after {back_ms} ms");
+        for (address, before) in (1..).zip(before) {
+            let came = seconds(&bench, address) - before;
+            assert!(came > 100, "bird {address}, back after {back_ms} ms: {came}, {:?}", bench.warnings);
+        }
+    }
+}
+
+#[test]
+fn a_bird_that_restarts_by_itself_is_set_up_again() {
+    // Every bird has a power supply of its own; one that is away for a moment has not left.
+    for away_s in [0.005, 0.5] {
+        let mut bench = Bench::new(Settings::default(), &[1, 2, 3], Unit::flock(3));
+        bench.open(false);
+        bench.run(4.0);
+        bench.unit.dead = vec![2];
+        bench.run(away_s);
+        bench.unit.dead.clear();
+        bench.unit.formats[1] = Format::PositionAngles;
+        bench.run(4.0);
+        let before: Vec<usize> = (1..=3).map(|address| seconds(&bench, address)).collect();
+        bench.run(1.0);
+        for (address, before) in (1..).zip(before) {
+            assert!(seconds(&bench, address) - before > 100, "bird {address}: {:?}", bench.warnings);
+        }
+        assert!(
+            bench.warnings.iter().any(|text| text.contains("bird 2 has restarted")),
+            "{:?}",
+            bench.warnings
+        );
+    }
+}
+
+#[test]
+fn a_bird_that_keeps_another_format_costs_the_others_one_set_up() {
+    let mut bench = Bench::new(Settings::default(), &[1, 2, 3], Unit::flock(3));
+    bench.open(false);
+    bench.run(4.0);
+    bench.unit.deaf = vec![2];
+    bench.unit.formats[1] = Format::PositionAngles;
+    bench.run(4.0);
+    let before = [seconds(&bench, 1), seconds(&bench, 3)];
+    bench.run(10.0);
+    let restarts = bench.warnings.iter().filter(|text| text.contains("has restarted")).count();
+    assert_eq!(restarts, 1, "{:?}", bench.warnings);
+    for (address, before) in [1, 3].into_iter().zip(before) {
+        assert!(seconds(&bench, address) - before > 1000, "bird {address}: {:?}", bench.warnings);
+    }
 }
 
 #[test]

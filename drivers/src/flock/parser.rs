@@ -32,6 +32,8 @@ use crate::session::Counters;
 const MISSES_TO_LEAVE: u8 = 3;
 /// Records of an absent bird after which it is put back.
 const SIGHTINGS_TO_RETURN: u8 = 2;
+/// Pieces of one wrong length in a row after which a bird has another format: damage does not repeat itself.
+const MISFITS_TO_RESHAPE: u8 = 4;
 /// Three words and an address.
 const SHORTEST_RECORD: usize = 7;
 /// Bytes by which damage may differ from whole records, and still say how many they were.
@@ -51,6 +53,9 @@ pub enum Event {
     Returned(u8),
     /// A whole piece that ends in the address of a bird which is not known here. One alone may be damage. Only in group mode.
     Stranger(u8),
+    /// A bird sends records of another length than its format's, several in a row: it has restarted by itself, and is as it is when it
+    /// is switched on. By its address. Only in group mode.
+    Reshaped(u8),
 }
 
 /// One bird in the order of records.
@@ -62,6 +67,8 @@ struct Slot {
     last: Option<[i16; MAX_WORDS]>,
     /// Clean cycles in a row in which it did not speak; for an absent bird, how often it was seen.
     count: u8,
+    /// Length of its latest pieces that are none of its records, and how many of them came in a row; `None` after a record.
+    misfits: Option<(usize, u8)>,
 }
 
 /// The piece being read: all bytes since a first byte.
@@ -116,7 +123,7 @@ impl Splitter {
         Self {
             slots: birds
                 .iter()
-                .map(|&(address, shape)| Slot { address, shape, last: None, count: 0 })
+                .map(|&(address, shape)| Slot { address, shape, last: None, count: 0, misfits: None })
                 .collect(),
             absent: Vec::new(),
             scale,
@@ -253,6 +260,9 @@ impl Splitter {
                 if let Some(address) = self.stranger() {
                     emit(Event::Stranger(address));
                 }
+                if let Some(address) = self.reshaped() {
+                    emit(Event::Reshaped(address));
+                }
                 self.abandon_piece();
             }
         }
@@ -266,6 +276,19 @@ impl Splitter {
             self.piece.bytes.last().copied().filter(|_| whole && self.piece.len >= SHORTEST_RECORD)?;
         let known = |slot: &Slot| !slot.shape.group || slot.address == address;
         (!self.slots.iter().chain(&self.absent).any(known)).then_some(address)
+    }
+
+    /// The bird at the end of the open piece, if its latest pieces were all as long as this one, which is no record of its.
+    fn reshaped(&mut self) -> Option<u8> {
+        let Piece { bytes, len, published, .. } = &self.piece;
+        let whole = !published && *len == bytes.len() && *len >= SHORTEST_RECORD;
+        let address = bytes.last().copied().filter(|_| whole)?;
+        let named = |slot: &&mut Slot| slot.shape.group && slot.address == address;
+        let slot = self.slots.iter_mut().chain(&mut self.absent).find(named)?;
+        let before = slot.misfits.filter(|(before, _)| before == len).map_or(0, |(_, count)| count);
+        let is_certain = before + 1 >= MISFITS_TO_RESHAPE;
+        slot.misfits = (!is_certain).then_some((*len, before + 1));
+        is_certain.then_some(address)
     }
 
     /// The bird whose record the open, unpublished piece could be: by address and length only.
@@ -345,6 +368,7 @@ impl Splitter {
                 let slot = &mut self.slots[index];
                 slot.last = words;
                 slot.count = 0;
+                slot.misfits = None;
                 emit(Event::Sample(sample));
             }
             _ => {

@@ -59,6 +59,8 @@ pub struct FlockSession {
     pause: Duration,
     /// Set-ups in a row that ended with birds which do not run.
     set_up_in_part: u8,
+    /// Birds for whose format the flock was set up again, and of which no record has come since: once must do.
+    set_up_for: Vec<u8>,
     /// Cycles go on counting over a new set-up.
     next_cycle: u64,
     #[state(keep)]
@@ -108,6 +110,7 @@ impl FlockSession {
             powered_up_at: Timestamp::ZERO,
             pause: FIRST_PAUSE,
             set_up_in_part: 0,
+            set_up_for: Vec::new(),
             next_cycle: 0,
             outputs: VecDeque::new(),
         })
@@ -203,6 +206,7 @@ impl Session for FlockSession {
                 self.leave_stream();
                 self.modem_lines = *modem_lines;
                 self.serials.clear();
+                self.set_up_for.clear();
                 self.pause = FIRST_PAUSE;
                 self.powered_up_at = now + POWER_UP;
                 self.set_state(State::Connecting { reason: "the port is open".into() });

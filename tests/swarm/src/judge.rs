@@ -5,7 +5,9 @@
 use std::path::Path;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use posed_drivers::Timestamp;
 use posed_geometry::orientation_from_wxyz;
+use posed_rig::Said;
 use posed_simulator::faults::Fault;
 use posed_simulator::inertial::ImuClass;
 use posed_simulator::motion::{Body, Motion};
@@ -216,6 +218,14 @@ impl Judge {
             }
         }
         Ok(())
+    }
+
+    /// Prints what a device reports of itself, where one sensor is looked at.
+    #[expect(clippy::print_stdout, reason = "for whoever looks at one seed")]
+    pub(crate) fn trace_said(&self, t: Timestamp, said: &Said) {
+        if self.traced.is_some() {
+            println!("{:.4} s: {said:?}", t.as_secs_f64());
+        }
     }
 
     #[expect(clippy::print_stdout, reason = "for whoever looks at one seed")]

@@ -252,7 +252,8 @@ impl World<'_> {
                         self.swapped(model);
                     }
                 }
-                Said::Body(_) | Said::State(..) | Said::Warning(..) | Said::Other(_) => {}
+                Said::State(..) | Said::Warning(..) => self.judge.trace_said(entry.t, said),
+                Said::Body(_) | Said::Other(_) => {}
             }
         }
         self.said = said;

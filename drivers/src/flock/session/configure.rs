@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use posed_state::Plain;
 
+use super::stream::NEWCOMER;
 use super::{FlockSession, Phase};
 use crate::flock::asker::Asker;
 use crate::flock::examine::{self, Findings};
@@ -115,6 +116,13 @@ impl FlockSession {
         configuring.question = Some((topic, asker));
     }
 
+    /// Whether birds stream that were not there when this set-up began: it has not set their format, and the order needs the
+    /// length of their records.
+    fn has_newcomers(&self, configuring: &Configuring) -> bool {
+        let examined = self.findings.as_ref().map(Findings::sensors).unwrap_or_default();
+        configuring.findings.units.iter().any(|unit| unit.streams() && !examined.contains(&unit.address))
+    }
+
     /// An answer came, or will not come (`None`).
     pub(super) fn on_answer(
         &mut self,
@@ -133,6 +141,10 @@ impl FlockSession {
                         // Two answers had said so: this one is damaged.
                         configuring.findings.units = units;
                     }
+                }
+                if self.has_newcomers(&configuring) {
+                    self.warn(NEWCOMER.into());
+                    return self.examine(now);
                 }
                 let Configuring { present, findings, .. } = &*configuring;
                 let late: Vec<u8> =

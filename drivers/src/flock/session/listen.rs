@@ -41,6 +41,7 @@ impl FlockSession {
             poll: None,
             returned: Vec::new(),
             strangers: 0,
+            reshaped: None,
         }));
     }
 

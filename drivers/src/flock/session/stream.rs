@@ -23,6 +23,7 @@ use crate::session::{Output, SensorInfo, State};
 const SETTLE: Duration = Duration::from_millis(500);
 /// Records of missing birds after which the flock is set up again with them: one may be damage.
 const STRANGERS_TO_SET_UP: u8 = 4;
+pub(super) const NEWCOMER: &str = "a bird that was missing has appeared; the flock is set up again with it";
 /// Shortest silence that counts as one.
 const MIN_SILENCE: Duration = Duration::from_millis(250);
 /// A reply to POINT that has not come by then was lost.
@@ -38,6 +39,8 @@ pub(super) struct Streaming {
     pub(super) returned: Vec<(u16, Timestamp)>,
     /// Records of wanted birds that were not there at set-up.
     pub(super) strangers: u8,
+    /// A wanted bird that has restarted by itself.
+    pub(super) reshaped: Option<u8>,
     /// In point mode: when the next question is due, and whether its reply is still awaited.
     pub(super) poll: Option<Poll>,
 }
@@ -103,6 +106,7 @@ impl FlockSession {
             settled_at: now + SETTLE,
             returned: Vec::new(),
             strangers: 0,
+            reshaped: None,
             poll,
         }));
     }
@@ -130,16 +134,17 @@ impl FlockSession {
         mut streaming: Box<Streaming>,
         input: impl FnOnce(&mut Splitter, &mut dyn FnMut(Event)),
     ) {
-        let Self { outputs, settling, wanted, .. } = self;
+        let Self { outputs, settling, wanted, set_up_for, .. } = self;
         let mut received = false;
         let mut published = false;
-        let Streaming { splitter, settled_at, returned, strangers, .. } = &mut *streaming;
+        let Streaming { splitter, settled_at, returned, strangers, reshaped, .. } = &mut *streaming;
         let settled = now >= *settled_at;
         returned.retain(|&(_, until)| now < until);
         input(splitter, &mut |event| {
             match event {
             Event::Sample(sample) => {
                 received = true;
+                set_up_for.retain(|&address| u16::from(address) != sample.address);
                 if !settled || returned.iter().any(|&(address, _)| address == sample.address) {
                     *settling += 1;
                 } else if wanted.iter().any(|&address| u16::from(address) == sample.address) {
@@ -157,6 +162,11 @@ impl FlockSession {
             Event::Stranger(address) => {
                 *strangers = strangers.saturating_add(u8::from(wanted.contains(&address)));
             }
+            Event::Reshaped(address) if wanted.contains(&address) && !set_up_for.contains(&address) => {
+                set_up_for.push(address);
+                *reshaped = Some(address);
+            }
+            Event::Reshaped(_) => {}
         }
         });
         if settled {
@@ -167,10 +177,16 @@ impl FlockSession {
             self.counters.records += counted.records;
             self.settling += counted.rejected;
         }
-        if streaming.strangers >= STRANGERS_TO_SET_UP && self.settings.mode != Mode::Listen {
+        let why = match streaming.reshaped.take() {
+            Some(address) => {
+                Some(format!("bird {address} has restarted by itself; the flock is set up again"))
+            }
+            None => (streaming.strangers >= STRANGERS_TO_SET_UP).then(|| NEWCOMER.into()),
+        };
+        if let Some(why) = why.filter(|_| self.settings.mode != Mode::Listen) {
             self.phase = Phase::Streaming(streaming);
             self.leave_stream();
-            self.warn("a bird that was missing has appeared; the flock is set up again with it".into());
+            self.warn(why);
             return self.examine(now);
         }
         if received {
