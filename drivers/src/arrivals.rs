@@ -71,6 +71,13 @@ pub(crate) fn whole_cycles(damaged: u64, part: u64, cycle_len: u64) -> u64 {
     damaged.saturating_sub(part).saturating_add(cycle_len / 2) / cycle_len
 }
 
+/// Whether cycles may be missing that damaged bytes do not show: they are not as many as the `passed_bytes` of the records that were
+/// passed over, or they are more than those of one record, `len`. What is left of several that lost bytes is as long as a whole number of
+/// them by chance.
+pub(crate) fn hides_losses(damaged: u64, passed_bytes: u64, len: u64) -> bool {
+    damaged > 0 && (damaged != passed_bytes || damaged > len)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

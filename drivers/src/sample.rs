@@ -24,8 +24,8 @@ pub struct Arrival {
     /// Only the Flock's driver looks; the others say `false`.
     pub split: bool,
     /// Whether bytes were lost since the record before, of this station (Fastrak) or of the device (Flock), by more than the bytes
-    /// that came damaged account for: whole cycles may have gone with them, and a number of [`DeviceTime::Cycle`] may have fallen
-    /// behind here. The others say `false`.
+    /// that came damaged account for, or than one record: whole cycles may have gone with them, and a number of
+    /// [`DeviceTime::Cycle`] may be another here. The others say `false`.
     pub after_loss: bool,
 }
 

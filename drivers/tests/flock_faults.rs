@@ -233,6 +233,27 @@ fn example_9_of_the_sheet_a_lost_byte() {
 }
 
 #[test]
+fn what_is_left_of_several_records_leaves_doubt_even_where_its_bytes_are_whole_ones() {
+    let shape = shape(Format::PositionQuaternion, true);
+    let len = shape.len();
+    for (damaged, doubt) in [(1, false), (2, true), (5, true)] {
+        let mut splitter = Splitter::new(&[(1, shape)], Scale::default(), Tolerance::LIVE, BAUD);
+        let mut stream: Vec<u8> = (0..40).flat_map(|cycle| record_of(1, cycle, shape)).collect();
+        // The address of each is another bird's.
+        (20..20 + damaged).for_each(|record| stream[(record + 1) * len - 1] = 9);
+        let mut after_loss = Vec::new();
+        let now = Timestamp::from_secs_f64(1.0);
+        splitter.handle_bytes(now, &stream, &mut |event| {
+            if let Event::Sample(sample) = event {
+                after_loss.push(sample.arrival.after_loss);
+            }
+        });
+        assert_eq!(after_loss.len(), 39 - damaged);
+        assert_eq!(after_loss.contains(&true), doubt, "{damaged} records");
+    }
+}
+
+#[test]
 fn a_dead_bird_does_not_stop_the_others_and_may_come_back() {
     let group = shape(Format::PositionQuaternion, true);
     let birds = [(1, group), (2, group), (3, group)];

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::debt::Debt;
 use super::wire::{Piece, Record, STATIONS, Shape, Splitter};
-use crate::arrivals::{Arrivals, whole_cycles};
+use crate::arrivals::{Arrivals, hides_losses, whole_cycles};
 use crate::flock::SettingsError;
 use crate::outbox::Outbox;
 use crate::sample::{Arrival, DeviceTime, Measurement, Sample, Timestamp};
@@ -248,7 +248,7 @@ impl FastrakSession {
         let to_index = (index + stations - self.due) % stations;
         let whole = whole_cycles(damaged, to_index as u64 * len, stations as u64 * len);
         let passed = to_index as u64 + whole * stations as u64;
-        if damaged != passed.saturating_mul(len) {
+        if hides_losses(damaged, passed.saturating_mul(len), len) {
             self.after_loss.fill(true);
         }
         self.cycle += whole;

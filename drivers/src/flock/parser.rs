@@ -24,7 +24,7 @@ use posed_state::Plain;
 
 use super::wire::record::{self, MAX_LEN, MAX_WORDS, PHASE_BIT};
 use super::wire::{Scale, Shape, Tolerance};
-use crate::arrivals::whole_cycles;
+use crate::arrivals::{hides_losses, whole_cycles};
 use crate::sample::{Arrival, DeviceTime, Measurement, Sample, Timestamp};
 use crate::session::Counters;
 
@@ -331,8 +331,7 @@ impl Splitter {
         } else if self.in_order && skipped > 0 {
             self.count_misses(index);
         }
-        // Damaged bytes that are not those of whole records: others are lost, nobody knows how many.
-        let after_loss = self.damage > 0 && self.damage != skipped_bytes;
+        let after_loss = hides_losses(self.damage, skipped_bytes, self.piece.len as u64);
         let position = self.next as u64 + skipped;
         let birds = self.slots.len() as u64;
         let cycle = self.cycle + position / birds;

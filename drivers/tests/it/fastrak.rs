@@ -274,7 +274,9 @@ fn damaged_records_are_counted_by_their_bytes_and_lost_bytes_leave_doubt() {
                 let case = format!("{records} of {} stations, text {text}", stations.len());
                 let lost: u64 = rig.session.losses().iter().map(|loss| loss.lost).sum();
                 assert_eq!(lost, records as u64, "{case}");
-                assert!(rig.samples.iter().all(|sample| !sample.arrival.after_loss), "{case}");
+                // Of more than one, the bytes may be as many by chance.
+                let doubtful = rig.samples.iter().any(|sample| sample.arrival.after_loss);
+                assert_eq!(doubtful, records > 1, "{case}");
 
                 rig.samples.clear();
                 rig.device.cut = 13;

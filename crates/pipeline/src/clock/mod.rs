@@ -323,7 +323,13 @@ impl Clock {
         let mut evidence =
             self.reads.evidence(&sample.arrival, origin.t, count + self.renumbered as f64, byte_s);
         // Without a line there is none to fall behind of.
-        if sample.arrival.after_loss && !counted && self.fit.is_some() {
+        if let Some(fit) = self.fit.filter(|_| sample.arrival.after_loss && !counted) {
+            if !self.window.may_judge(fit.prompt) {
+                // Nor one that shows whether cycles are missing: they would bend the line for as long as the window remembers.
+                self.restart();
+                self.contradicted = Some(sample.arrival.t_read);
+                return self.push(sample);
+            }
             self.lossy = Some(sample.arrival.t_read);
         }
         if begins_cycle && self.fit.is_some_and(|fit| self.window.may_judge(fit.prompt)) {

@@ -123,6 +123,34 @@ fn cycles_that_never_were_do_not_bend_a_line_that_begins() {
     }
 }
 
+/// Who lost bytes counts the cycles among them as well as their number says: one too many, or too few.
+#[test]
+fn a_count_that_lost_bytes_left_wrong_does_not_bend_a_line_that_begins() {
+    for (rate_hz, first, wrong) in [14.0, 40.0].into_iter().flat_map(|rate_hz| {
+        (2..70).flat_map(move |first| [-2, -1, 1, 2].map(|wrong| (rate_hz, first, wrong)))
+    }) {
+        let mut clock = Clock::new(Settings { byte_time_s: BYTE_S, measurement_delay_s: 0.0 });
+        clock.set_nominal_rate_hz(Some(rate_hz));
+        let mut random = Random(7);
+        let (mut previous, mut count) = (None, 2);
+        for k in (0..400_i32).filter(|k| !(first..first + 4).contains(k)) {
+            let truth_s = 20.0 + f64::from(k) / rate_hz;
+            let after_loss = k == first + 4;
+            count += if after_loss { 5 + wrong } else { 1 };
+            let t_read = Timestamp::from_secs_f64(truth_s + 4e-3 + 1e-3 * random.uniform());
+            let mut sample = sample(1, t_read, previous, DeviceTime::Cycle(count as u64));
+            sample.arrival.after_loss = after_loss;
+            let stamp = clock.push(&sample);
+            previous = Some(t_read);
+            let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
+            assert!(
+                stamp.is_late() || off_s < f64::max(0.01, 6.0 * stamp.sigma_s),
+                "{rate_hz} Hz, {wrong} from {first} on: cycle {k} is {off_s} s off"
+            );
+        }
+    }
+}
+
 /// Gives the clock of a device of `rate_hz`, on a wire, its `cycles`; those that `bursts` names are read when an adapter lets them go,
 /// every `burst_ms`, the others at once. `alter` may change each sample, by the number of its cycle; `check` gets the stamp of each, with
 /// that number and when it was measured, s.
