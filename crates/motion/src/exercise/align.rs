@@ -98,7 +98,7 @@ pub(super) fn repetitions(observations: &[f64], width: usize, sizes: &[LogRatio]
     let mut open = false;
     for (frame, state) in path.iter().enumerate() {
         let before = if frame > 0 { path[frame - 1] } else { 0 };
-        let PathState::Within { size, state: within, .. } = exercise_topology.place(*state) else {
+        let PathState::Within { chain: size, state: within, .. } = exercise_topology.place(*state) else {
             open = false;
             continue;
         };

@@ -16,7 +16,7 @@ const DELAY_SHARE: f64 = 0.5;
 /// What counting some exercises in one stream takes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Plain)]
 pub struct CountingCost {
-    /// States of the joint model: those of every exercise in every size, and the background.
+    /// States of the joint model: those of every exercise in every manner, and the background.
     pub states: usize,
     /// Memory of the decoder, the models and their observations, bytes; right to a factor of two.
     pub bytes: u64,
@@ -34,7 +34,7 @@ impl CountingCost {
         let spans = Spans::of(exercises);
         let mut cost = Self { states: 1, ..Self::default() };
         for exercise in exercises {
-            let states = exercise.states() * exercise.sizes.len();
+            let states = exercise.states() * exercise.chains();
             let width = 2 * exercise.channels.len();
             cost.states += states;
             cost.bytes += 8 * (exercise.still.len() * spans.capacity_frames) as u64;

@@ -9,17 +9,19 @@ use posed_state::Plain;
 use super::align::trim;
 use super::cost::Spans;
 use super::event::{Event, EventKind};
-use super::exercise::Exercise;
+use super::exercise::{Exercise, Manner};
 use super::exercise_topology::{ExerciseTopology, PathState};
 use super::feedback::{Feedback, Way, beside, describe};
 use super::frames::{Differentiator, Frame};
+use super::frozen::Frozen;
 use super::hint::{Follower, Hint};
 use super::hmm::{LogRatio, Movement};
 use super::joint::Spoken;
 use super::judge::{Measures, Reason, goes_the_way, judge, measure};
 use super::passage::{Mark, Passage};
+use super::posture::Posture;
 use super::remark::DeviationKind;
-use super::still::{Still, ways};
+use super::still::{Still, Together, ways};
 use super::viterbi::ShortTimeViterbi;
 
 /// A set still goes on for so many of the longest taught repetitions after the one that was counted last.
@@ -31,17 +33,21 @@ struct Watched {
     exercise: Exercise,
     /// Which of its channels may be spoken of.
     spoken: Vec<Option<Spoken>>,
-    /// The sizes in which it is looked for.
-    sizes: Vec<Size>,
+    /// The manners in which it is looked for.
+    chains: Vec<Chain>,
     /// Where its channels are among all.
     channels: Vec<usize>,
     values: Vec<f64>,
     differentiator: Differentiator,
+    frozen: Frozen,
+    posture: Posture,
     /// Ring of observations, a frame per slot.
     observations: Vec<f64>,
     /// Where the joints that keep still are among all, where they are there, and the ring of their values.
     still_channels: Vec<Option<usize>>,
     still_values: Vec<f64>,
+    /// Those of them that belong to one joint.
+    together: Vec<Together>,
     /// How far the movement is in each state.
     ways: Vec<f64>,
     count: u64,
@@ -65,17 +71,18 @@ impl Watched {
     }
 }
 
-/// An exercise in one size.
+/// An exercise in one manner.
 #[derive(Clone, Debug, Plain)]
-struct Size {
+struct Chain {
+    size: f64,
     movement: Movement,
     ratio: LogRatio,
 }
 
-impl Size {
-    fn new(exercise: &Exercise, size: f64) -> Self {
-        let movement = exercise.movement.sized(size);
-        Self { ratio: LogRatio::new(&movement, &exercise.channels), movement }
+impl Chain {
+    fn new(exercise: &Exercise, Manner { size, tempo }: Manner) -> Self {
+        let movement = exercise.movement.sized(size).at_tempo(tempo);
+        Self { size, ratio: LogRatio::new(&movement, &exercise.channels), movement }
     }
 }
 
@@ -108,7 +115,7 @@ pub(super) struct Counting {
 impl Counting {
     pub(super) fn new(exercises: Vec<Exercise>, all: &[String], rate_hz: f64) -> Self {
         let exercise_topology =
-            ExerciseTopology::new(exercises.iter().map(|exercise| (exercise.states(), exercise.sizes.len())));
+            ExerciseTopology::new(exercises.iter().map(|exercise| (exercise.states(), exercise.chains())));
         let Spans { bound_frames: bound, capacity_frames: capacity } = Spans::of(&exercises);
         let watched: Vec<Watched> = exercises
             .into_iter()
@@ -117,10 +124,13 @@ impl Counting {
                 let width = exercise.channels.len();
                 let place = |channel: &String| all.iter().position(|other| other == channel).unwrap_or(0);
                 Watched {
-                    sizes: exercise.sizes.iter().map(|size| Size::new(&exercise, *size)).collect(),
+                    chains: exercise.manners().map(|manner| Chain::new(&exercise, manner)).collect(),
                     channels: exercise.channels.iter().map(place).collect(),
                     values: vec![f64::NAN; width],
                     differentiator: Differentiator::new(rate_hz, width),
+                    frozen: Frozen::new(&exercise.channels, rate_hz),
+                    posture: Posture::new(&exercise, rate_hz),
+                    together: Together::of(&exercise.still),
                     observations: vec![f64::NAN; 2 * width * capacity],
                     still_channels: exercise
                         .still
@@ -200,6 +210,8 @@ impl Counting {
             self.origin = None;
             for watched in &mut self.watched {
                 watched.differentiator.reset();
+                watched.frozen.reset();
+                watched.posture.reset();
                 watched.counted_until = None;
             }
         }
@@ -215,11 +227,16 @@ impl Counting {
                 let value = channel.map_or(f64::NAN, |channel| frame.values[channel]);
                 watched.still_values[slot * watched.still_channels.len() + still] = value;
             }
-            let observation = watched.differentiator.push(&watched.values);
-            let width = observation.len();
-            watched.observations[slot * width..(slot + 1) * width].copy_from_slice(observation);
-            for (number, size) in watched.sizes.iter().enumerate() {
-                size.ratio
+            let from = watched.differentiator.push(&watched.values);
+            let width = from.len();
+            let observation = &mut watched.observations[slot * width..(slot + 1) * width];
+            observation.copy_from_slice(from);
+            watched.frozen.leave_out(observation);
+            watched.posture.push(&watched.values);
+            watched.posture.take_off(observation);
+            for (number, chain) in watched.chains.iter().enumerate() {
+                chain
+                    .ratio
                     .write(observation, &mut self.log_density[self.exercise_topology.range(index, number)]);
             }
         }
@@ -308,10 +325,10 @@ impl Counting {
         known
     }
 
-    /// The size that the repetition on `path` has; a repetition stays in one.
-    fn size(&self) -> Option<usize> {
+    /// The manner of the repetition on `path`; a repetition stays in one.
+    fn chain(&self) -> Option<usize> {
         match self.exercise_topology.place(usize::from(*self.path.first()?)) {
-            PathState::Within { size, .. } => Some(size),
+            PathState::Within { chain, .. } => Some(chain),
             PathState::Background => None,
         }
     }
@@ -319,10 +336,10 @@ impl Counting {
     /// Measures of the repetition on `path`, which begins at frame `start`, and its first and last frame.
     fn measures(&self, exercise: usize, start: u64) -> Option<(Measures, [u64; 2])> {
         let capacity = self.capacity();
-        let number = self.size()?;
+        let number = self.chain()?;
         let first = self.exercise_topology.range(exercise, number).start;
         let watched = &self.watched[exercise];
-        let Size { movement, ratio } = watched.sizes.get(number)?;
+        let Chain { size, movement, ratio } = watched.chains.get(number)?;
         let states = self.path.iter().map(|state| usize::from(*state) - first);
         let moving = trim(states.clone(), ratio.states());
         let rows = states
@@ -331,13 +348,18 @@ impl Counting {
             .take(moving.len())
             .map(|(index, state)| (watched.observation(start + index as u64, capacity), state));
         let mut measures = measure(movement, ratio, &watched.exercise.channels, self.rate_hz, rows);
-        measures.gain *= watched.exercise.sizes[number];
+        measures.gain *= size;
         let span = [start + moving.start as u64, start + moving.end as u64 - 1];
         for (number, still) in watched.exercise.still.iter().enumerate() {
-            let course = self.still_course(watched, number, start, span, first);
-            let share = still.elsewhere(course.clone().map(|(_, value)| value));
-            let is_another = still.moved(course).is_some_and(|moved| still.is_another(moved));
-            measures.elsewhere = measures.elsewhere.max(if is_another { 1.0 } else { share });
+            let values = self.still_course(watched, number, start, span, first).map(|(_, value)| value);
+            measures.elsewhere = measures.elsewhere.max(still.elsewhere(values));
+        }
+        let moved = |number: usize| {
+            let still = &watched.exercise.still[number];
+            still.moved_deg(self.still_course(watched, number, start, span, first))
+        };
+        if watched.together.iter().any(|together| together.is_another(moved)) {
+            measures.elsewhere = 1.0;
         }
         Some((measures, span))
     }
@@ -424,13 +446,13 @@ impl Counting {
         ways: &mut Vec<Option<Way>>,
     ) -> Option<Feedback> {
         let watched = &self.watched[exercise];
-        let (number, capacity) = (self.size()?, self.capacity());
+        let (number, capacity) = (self.chain()?, self.capacity());
         let first = self.exercise_topology.range(exercise, number).start;
         let rows = (span[0]..=span[1]).map(|frame| {
             let state = usize::from(self.path[(frame - start) as usize]) - first;
             (watched.observation(frame, capacity), state)
         });
-        let size = watched.exercise.sizes.get(number).copied().unwrap_or(1.0);
+        let size = watched.chains.get(number).map_or(1.0, |chain| chain.size);
         let pad = beside((span[1] + 1 - span[0]) as usize) as u64;
         let now = self.viterbi.frames();
         let oldest = now.saturating_sub(capacity);
@@ -443,7 +465,7 @@ impl Counting {
     /// Of the joints that keep still, the one that moved most with the movement: its number, by how much, and what that is worth.
     fn compensation(&self, exercise: usize, start: u64, span: [u64; 2]) -> Option<(usize, f64, f64)> {
         let watched = &self.watched[exercise];
-        let first = self.exercise_topology.range(exercise, self.size()?).start;
+        let first = self.exercise_topology.range(exercise, self.chain()?).start;
         let moved = |(number, still): (usize, &Still)| {
             let moved = still.moved(self.still_course(watched, number, start, span, first))?;
             Some((number, moved, still.worth(moved)))

@@ -46,6 +46,14 @@ pub struct Exercise {
     #[serde(default = "taught_size")]
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 8)))]
     pub sizes: Vec<f64>,
+    /// Tempi in which it is counted, the taught one, 1, first: how fast joints go against the lesson. Other people go about it in their
+    /// own.
+    #[serde(default = "taught_tempo")]
+    #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 8)))]
+    pub tempi: Vec<f64>,
+    /// Where each channel was while all joints of the lesson rested, in the order of `channels`; empty: not known.
+    #[serde(default)]
+    pub rest: Vec<f64>,
     /// Turning point of each channel, in the order of `channels`; empty: those of the states' means, whose spread is not known.
     #[serde(default)]
     pub turns: Vec<Turn>,
@@ -67,6 +75,19 @@ fn first() -> u32 {
 
 fn taught_size() -> Vec<f64> {
     vec![1.0]
+}
+
+fn taught_tempo() -> Vec<f64> {
+    vec![1.0]
+}
+
+/// How an exercise is looked for, the way it was taught being 1: each manner is a chain of states of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
+pub(super) struct Manner {
+    /// How far the joints go.
+    pub(super) size: f64,
+    /// How fast.
+    pub(super) tempo: f64,
 }
 
 /// Durations of repetitions, s.
@@ -142,20 +163,22 @@ impl Exercise {
         gate: Gate,
     ) -> Self {
         let (format, version) = (FORMAT.to_owned(), VERSION);
-        let (revision, sizes, turns, still, log_jerk) = (first(), taught_size(), Vec::new(), Vec::new(), 0.0);
+        let (sizes, tempi) = (taught_size(), taught_tempo());
         Self {
             format,
             version,
             name,
-            revision,
+            revision: first(),
             rate_hz,
             channels,
             movement,
             sizes,
-            turns,
-            still,
+            tempi,
+            rest: Vec::new(),
+            turns: Vec::new(),
+            still: Vec::new(),
             durations,
-            log_jerk,
+            log_jerk: 0.0,
             gate,
         }
     }
@@ -208,6 +231,17 @@ impl Exercise {
         self.movement.states.mean.first().map_or(0, Vec::len)
     }
 
+    /// The manners in which it is looked for: each size in the taught tempo, and the full size in each other one.
+    pub(super) fn manners(&self) -> impl Iterator<Item = Manner> + '_ {
+        let sizes = self.sizes.iter().map(|size| Manner { size: *size, tempo: 1.0 });
+        sizes.chain(self.tempi.iter().skip(1).map(|tempo| Manner { size: 1.0, tempo: *tempo }))
+    }
+
+    /// Number of its manners.
+    pub(super) fn chains(&self) -> usize {
+        self.sizes.len() + self.tempi.len().saturating_sub(1)
+    }
+
     /// Whether its parts fit together.
     ///
     /// # Errors
@@ -244,6 +278,12 @@ impl Exercise {
             Err(ExerciseError::Damaged("a standard deviation or an amplitude is not above 0"))
         } else if !sizes_fit(&self.sizes) {
             Err(ExerciseError::Damaged("the sizes do not fall from 1"))
+        } else if !tempi_fit(&self.tempi) {
+            Err(ExerciseError::Damaged("the tempi do not begin with 1, or one is not between 0.25 and 4"))
+        } else if !self.rest.is_empty()
+            && (self.rest.len() != self.channels.len() || self.rest.iter().any(|rest| !rest.is_finite()))
+        {
+            Err(ExerciseError::Damaged("the posture at rest does not match the channels"))
         } else if !turns_fit(&self.turns, self.channels.len(), self.states()) {
             Err(ExerciseError::Damaged("the turning points do not match the channels"))
         } else if self.still.len() > still::MOST || !self.still.iter().all(Still::is_right) {
@@ -269,6 +309,13 @@ fn turns_fit(turns: &[Turn], channels: usize, states: usize) -> bool {
         (turn.state as usize) < states && turn.way.is_finite() && turn.sd >= 0.0 && turn.sd.is_finite()
     };
     turns.is_empty() || (turns.len() == channels && turns.iter().all(fits))
+}
+
+/// Whether tempi begin with the taught one, and none is absurd.
+fn tempi_fit(tempi: &[f64]) -> bool {
+    (1..=8).contains(&tempi.len())
+        && tempi[0] == 1.0
+        && tempi.iter().all(|tempo| (0.25..=4.0).contains(tempo))
 }
 
 /// Whether sizes fall from 1, not below a hundredth.

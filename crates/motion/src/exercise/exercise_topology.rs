@@ -1,6 +1,6 @@
 //! The states of several exercises and the background in one model, and what a path through it means.
 //!
-//! What comes in: the number of states of each exercise, and in how many sizes it is looked for: each size is a chain of
+//! What comes in: the number of states of each exercise, and in how many manners (sizes, tempi) it is looked for: each is a chain of
 //! states of its own. What goes out: the topology, and for pairs of states whether
 //! a repetition begins or ends between them. State 0 is the background, which all exercises share: their
 //! states are scored relative to their own background, so that exercises on different channels can compete.
@@ -31,20 +31,20 @@ pub(super) struct ExerciseTopology {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PathState {
     Background,
-    /// In the `state`-th state of an exercise, in its `size`-th size.
+    /// In the `state`-th state of an exercise, in its `chain`-th manner.
     Within {
         exercise: usize,
-        size: usize,
+        chain: usize,
         state: usize,
     },
 }
 
 impl ExerciseTopology {
-    /// Network of exercises with these numbers of states and of sizes.
+    /// Network of exercises with these numbers of states and of manners.
     pub(super) fn new(exercises: impl Iterator<Item = (usize, usize)>) -> Self {
         let (mut offsets, mut chains) = (vec![1], vec![0]);
-        for (states, sizes) in exercises {
-            for _ in 0..sizes {
+        for (states, manners) in exercises {
+            for _ in 0..manners {
                 offsets.push(offsets[offsets.len() - 1] + states);
             }
             chains.push(offsets.len() - 1);
@@ -57,14 +57,14 @@ impl ExerciseTopology {
         self.offsets[self.offsets.len() - 1]
     }
 
-    /// States of an exercise in one of its sizes.
-    pub(super) fn range(&self, exercise: usize, size: usize) -> std::ops::Range<usize> {
-        let chain = self.chains[exercise] + size;
+    /// States of an exercise in one of its manners.
+    pub(super) fn range(&self, exercise: usize, chain: usize) -> std::ops::Range<usize> {
+        let chain = self.chains[exercise] + chain;
         self.offsets[chain]..self.offsets[chain + 1]
     }
 
-    /// Number of sizes of an exercise.
-    fn sizes(&self, exercise: usize) -> usize {
+    /// Number of manners of an exercise.
+    fn manners(&self, exercise: usize) -> usize {
         self.chains[exercise + 1] - self.chains[exercise]
     }
 
@@ -81,7 +81,7 @@ impl ExerciseTopology {
         let exercise = self.chains.partition_point(|first| *first <= chain) - 1;
         PathState::Within {
             exercise,
-            size: chain - self.chains[exercise],
+            chain: chain - self.chains[exercise],
             state: state - self.offsets[chain],
         }
     }
@@ -98,12 +98,14 @@ impl ExerciseTopology {
         initial[0] = 0.0;
         let exercises = self.chains.len() - 1;
         let mut transitions = vec![(0, 0, if exercises > 0 { 1.0 - BEGIN } else { 1.0 })];
-        for (exercise, size) in (0..exercises).flat_map(|e| (0..self.sizes(e)).map(move |size| (e, size))) {
-            let sizes = self.sizes(exercise);
-            let range = self.range(exercise, size);
+        for (exercise, chain) in
+            (0..exercises).flat_map(|e| (0..self.manners(e)).map(move |chain| (e, chain)))
+        {
+            let manners = self.manners(exercise);
+            let range = self.range(exercise, chain);
             let (first, last) = (range.start, range.end - 1);
             for (step, probability) in ENTRY.into_iter().enumerate() {
-                transitions.push((0, first + step, BEGIN / (exercises * sizes) as f64 * probability));
+                transitions.push((0, first + step, BEGIN / (exercises * manners) as f64 * probability));
             }
             for state in range {
                 let mut leave = 0.0;
@@ -116,13 +118,13 @@ impl ExerciseTopology {
                 }
                 if leave > 0.0 {
                     transitions.push((state, 0, leave * (1.0 - AGAIN)));
-                    for next in 0..sizes {
+                    for next in 0..manners {
                         let first = self.range(exercise, next).start;
                         for (step, probability) in ENTRY.into_iter().enumerate() {
                             transitions.push((
                                 state,
                                 first + step,
-                                leave * AGAIN / sizes as f64 * probability,
+                                leave * AGAIN / manners as f64 * probability,
                             ));
                         }
                     }
@@ -146,10 +148,10 @@ mod tests {
         let exercise_topology = ExerciseTopology::new([(6, 1), (8, 2)].into_iter());
         assert_eq!(exercise_topology.states(), 23);
         assert_eq!(exercise_topology.place(0), PathState::Background);
-        assert_eq!(exercise_topology.place(6), PathState::Within { exercise: 0, size: 0, state: 5 });
-        assert_eq!(exercise_topology.place(7), PathState::Within { exercise: 1, size: 0, state: 0 });
-        assert_eq!(exercise_topology.place(22), PathState::Within { exercise: 1, size: 1, state: 7 });
-        // The next repetition may be of another size.
+        assert_eq!(exercise_topology.place(6), PathState::Within { exercise: 0, chain: 0, state: 5 });
+        assert_eq!(exercise_topology.place(7), PathState::Within { exercise: 1, chain: 0, state: 0 });
+        assert_eq!(exercise_topology.place(22), PathState::Within { exercise: 1, chain: 1, state: 7 });
+        // The next repetition may be of another manner.
         assert!(
             exercise_topology.is_boundary(14, 15)
                 && exercise_topology.is_boundary(22, 7)

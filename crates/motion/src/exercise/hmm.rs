@@ -33,6 +33,9 @@ const WIDE: f64 = 1.0;
 const REST_FLOOR: f64 = 0.1;
 /// Most that one channel can speak against a state, in half squared standard deviations.
 pub(super) const WORST: f64 = 8.0;
+/// The same of the angle of a joint: one that is alive and elsewhere means another movement, and one that has failed is left out
+/// ([`super::frozen`]).
+const WORST_POSTURE: f64 = 16.0;
 /// Mean frames in a state at the taught speed.
 const FRAMES_PER_STATE: f64 = 2.0;
 /// Fewest states.
@@ -93,6 +96,17 @@ impl Movement {
         varied
     }
 
+    /// The same movement in another tempo, the taught one being 1: so much faster along the same way.
+    pub(super) fn at_tempo(&self, tempo: f64) -> Self {
+        let mut faster = self.clone();
+        let velocities = self.amplitude.len() / 2;
+        for rows in [&mut faster.states.mean, &mut faster.states.sd] {
+            rows[velocities..].iter_mut().flatten().for_each(|value| *value *= tempo);
+        }
+        faster.amplitude[velocities..].iter_mut().for_each(|amplitude| *amplitude *= tempo);
+        faster
+    }
+
     /// The same movement at another size, the taught one being 1: as far from rest as that, and as fast.
     pub(super) fn sized(&self, size: f64) -> Self {
         let mut sized = self.clone();
@@ -119,10 +133,13 @@ pub(super) struct Density {
     log_norm: Vec<f64>,
     /// Sum of `log_norm` over the channels, per state.
     log_norms: Vec<f64>,
+    /// Most that each channel can speak against a state.
+    worst: Vec<f64>,
 }
 
 impl Density {
-    pub(super) fn new(gaussians: &Gaussians) -> Self {
+    /// Of the values and velocities of `channels`.
+    pub(super) fn new(gaussians: &Gaussians, channels: &[String]) -> Self {
         let states = gaussians.mean.first().map_or(0, Vec::len);
         let sd = || gaussians.sd.iter().flatten();
         let log_norm: Vec<f64> =
@@ -134,6 +151,11 @@ impl Density {
             half_precision: sd().map(|sd| 0.5 / (sd * sd)).collect(),
             log_norm,
             log_norms,
+            worst: (0..gaussians.mean.len())
+                .map(|row| {
+                    if channels.get(row).is_some_and(|name| is_posture(name)) { WORST_POSTURE } else { WORST }
+                })
+                .collect(),
         }
     }
 
@@ -141,8 +163,9 @@ impl Density {
     pub(super) fn log_density(&self, observation: &[f64], out: &mut [f64]) {
         out.copy_from_slice(&self.log_norms);
         let channels = self.mean.chunks_exact(self.states).zip(self.half_precision.chunks_exact(self.states));
-        for ((value, (mean, half_precision)), log_norm) in
-            observation.iter().zip(channels).zip(self.log_norm.chunks_exact(self.states))
+        let norms = self.log_norm.chunks_exact(self.states).zip(&self.worst);
+        for ((value, (mean, half_precision)), (log_norm, worst)) in
+            observation.iter().zip(channels).zip(norms)
         {
             if value.is_nan() {
                 for (out, log_norm) in out.iter_mut().zip(log_norm) {
@@ -152,7 +175,7 @@ impl Density {
             }
             for ((out, mean), half_precision) in out.iter_mut().zip(mean).zip(half_precision) {
                 let off = value - mean;
-                *out -= (off * off * half_precision).min(WORST);
+                *out -= (off * off * half_precision).min(*worst);
             }
         }
     }
@@ -166,7 +189,8 @@ impl Density {
             let place = channel * self.states + state;
             if !value.is_nan() {
                 let off = value - self.mean[place];
-                sum += self.log_norm[place] - (off * off * self.half_precision[place]).min(WORST);
+                sum +=
+                    self.log_norm[place] - (off * off * self.half_precision[place]).min(self.worst[channel]);
             }
         }
         sum
@@ -186,8 +210,8 @@ impl LogRatio {
     /// Of a movement of these channels.
     pub(super) fn new(movement: &Movement, channels: &[String]) -> Self {
         Self {
-            states: Density::new(&movement.states),
-            background: Density::new(&movement.background),
+            states: Density::new(&movement.states, channels),
+            background: Density::new(&movement.background, channels),
             of_joints: channels.iter().any(|channel| is_posture(channel)),
         }
     }
@@ -389,7 +413,7 @@ mod tests {
 
     #[test]
     fn the_log_density_is_that_of_independent_gaussians() {
-        let density = Density::new(&gaussians([0.0, 1.0], [1.0, 2.0]));
+        let density = Density::new(&gaussians([0.0, 1.0], [1.0, 2.0]), &[]);
         let mut out = [0.0; 2];
         density.log_density(&[0.5, 1.0], &mut out);
         let gauss = |x: f64, mean: f64, sd: f64| {
@@ -403,12 +427,41 @@ mod tests {
 
     #[test]
     fn a_missing_channel_says_nothing_and_a_glitch_has_a_limit() {
-        let density = Density::new(&gaussians([0.0, 1.0], [1.0, 2.0]));
+        let density = Density::new(&gaussians([0.0, 1.0], [1.0, 2.0]), &[]);
         let mut one = [0.0; 2];
         density.log_density(&[f64::NAN, f64::NAN], &mut one);
         assert_eq!(one, [0.0; 2]);
         density.log_density(&[1e6, f64::NAN], &mut one);
         assert!(one[0] > -20.0);
+    }
+
+    #[test]
+    fn a_joint_that_is_elsewhere_speaks_louder_than_a_glitch() {
+        let names = ["elbow_flexion_deg".to_owned()];
+        let speaks = |channels: &[String], observation: [f64; 2], expected: f64| {
+            let density = Density::new(&gaussians([0.0, 0.0], [1.0, 1.0]), channels);
+            let spoken = density.of(&[0.0; 2], 0) - density.of(&observation, 0);
+            assert!((spoken - expected).abs() < 1e-9, "{channels:?}, {observation:?}: {spoken}");
+        };
+        speaks(&names, [5.0, 0.0], 12.5);
+        speaks(&names, [90.0, 0.0], WORST_POSTURE);
+        // Neither its velocity nor what is no joint.
+        speaks(&names, [0.0, 90.0], WORST);
+        speaks(&["gx".to_owned()], [90.0, 0.0], WORST);
+    }
+
+    #[test]
+    fn another_tempo_changes_velocities_alone() {
+        let movement = Movement {
+            states: gaussians([3.0, 5.0], [1.0, 2.0]),
+            background: gaussians([1.0, 2.0], [1.0, 1.0]),
+            amplitude: vec![2.0; 2],
+        };
+        let slow = movement.at_tempo(0.5);
+        assert_eq!((&slow.states.mean[0], &slow.states.sd[0]), (&vec![3.0, 5.0], &vec![1.0, 2.0]));
+        assert_eq!((&slow.states.mean[1], &slow.states.sd[1]), (&vec![1.5, 2.5], &vec![0.5, 1.0]));
+        assert_eq!((slow.amplitude, slow.background), (vec![2.0, 1.0], movement.background.clone()));
+        assert_eq!(movement.at_tempo(1.0), movement);
     }
 
     #[test]

@@ -75,15 +75,48 @@ impl Still {
         moved.abs() / (MOVES_DEG / self.degrees()).max(MOVES_SDS * self.moves_sd)
     }
 
-    /// Whether it moved so far that the movement is another one.
-    pub(super) fn is_another(&self, moved: f64) -> bool {
-        let is_trunk = Joint::of(&self.channel).is_some_and(|joint| part(joint.joint) == Some(Part::Trunk));
-        moved.abs() * self.degrees() > if is_trunk { TRUNK_DEG } else { LIMB_DEG }
+    /// As [`Self::moved`], in degrees.
+    pub(super) fn moved_deg(&self, values: impl Iterator<Item = (f64, f64)> + Clone) -> Option<f64> {
+        Some(self.moved(values)? * self.degrees())
     }
 
     /// Degrees per unit of the channel.
     fn degrees(&self) -> f64 {
         Joint::of(&self.channel).map_or(1.0, |joint| joint.degrees)
+    }
+}
+
+/// The angles of one joint that keep still, which turn together: how a sensor sits shares a turn out among them.
+#[derive(Clone, Debug, PartialEq, Plain)]
+pub(super) struct Together {
+    /// Their numbers.
+    members: Vec<usize>,
+    limit_deg: f64,
+}
+
+impl Together {
+    /// The joints of these angles.
+    pub(super) fn of(stills: &[Still]) -> Vec<Self> {
+        let joint = |number: usize| Joint::of(&stills[number].channel);
+        let is_of = |one: usize, other: usize| {
+            joint(one).zip(joint(other)).map_or(one == other, |(one, other)| one.is_beside(&other))
+        };
+        let firsts = (0..stills.len()).filter(|one| !(0..*one).any(|other| is_of(*one, other)));
+        firsts
+            .map(|first| {
+                let is_trunk = joint(first).is_some_and(|joint| part(joint.joint) == Some(Part::Trunk));
+                Self {
+                    members: (first..stills.len()).filter(|other| is_of(first, *other)).collect(),
+                    limit_deg: if is_trunk { TRUNK_DEG } else { LIMB_DEG },
+                }
+            })
+            .collect()
+    }
+
+    /// Whether the joint moved so far that the movement is another one; `moved_deg` is how far each of the angles did, degrees.
+    pub(super) fn is_another(&self, moved_deg: impl Fn(usize) -> Option<f64>) -> bool {
+        let moved = self.members.iter().filter_map(|member| moved_deg(*member));
+        moved.map(|moved| moved * moved).sum::<f64>() > self.limit_deg * self.limit_deg
     }
 }
 
@@ -240,9 +273,26 @@ mod tests {
         let elsewhere = |offset| still.elsewhere(course(0.0, offset).map(|(_, value)| value));
         assert_eq!([elsewhere(20.0), elsewhere(60.0), elsewhere(-60.0)], [0.0, 1.0, 1.0]);
         assert_eq!(still.elsewhere((0..50).map(|_| 90.0)), 0.0, "a sensor that has failed");
-        let arm = Still { channel: "shoulder_r_flexion_deg".into(), ..still.clone() };
-        assert_eq!([15.0, 30.0, -50.0].map(|moved| still.is_another(moved)), [false, false, true]);
-        assert_eq!([15.0, 30.0, -50.0].map(|moved| arm.is_another(moved)), [false, true, true]);
         assert_eq!(still.moved((0..50).map(|k| (f64::from(k) / 50.0, f64::NAN))), None);
+    }
+
+    #[test]
+    fn the_angles_of_one_joint_make_another_movement_together() {
+        let named =
+            |channel: &str| Still { channel: channel.into(), range: [0.0; 2], moves: 0.0, moves_sd: 1.0 };
+        let names = [
+            "shoulder_r_flexion_deg",
+            "spine_flexion_deg",
+            "shoulder_r_adduction_deg",
+            "elbow_r_flexion_deg",
+        ];
+        let joints = Together::of(&names.map(named));
+        let members: Vec<_> = joints.iter().map(|joint| joint.members.clone()).collect();
+        assert_eq!(members, [vec![0, 2], vec![1], vec![3]]);
+        let is_another =
+            |joint: usize, moved: [f64; 4]| joints[joint].is_another(|number| Some(moved[number]));
+        assert!(!is_another(0, [15.0, 90.0, 10.0, 90.0]) && is_another(0, [15.0, 0.0, -15.0, 0.0]));
+        assert!(!is_another(1, [90.0, 30.0, 90.0, 90.0]) && is_another(1, [0.0, -50.0, 0.0, 0.0]));
+        assert!(!joints[2].is_another(|_| None), "a joint that was not seen");
     }
 }

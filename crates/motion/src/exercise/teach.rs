@@ -18,6 +18,7 @@ use super::joint::{Joint, Spoken};
 use super::judge::{Measures, measure};
 use super::kinds::{is_posture, kinds, siblings};
 use super::material::{Material, RATE_HZ, Stream};
+use super::posture::rest_of;
 use super::report::{Report, TaughtRepetition, hidden, reason_of, remarks_of};
 use super::smaller::{LEAST_GAIN, interval, sizes_down_to};
 use super::still::stills;
@@ -33,6 +34,9 @@ const LEAST_RATIO: f64 = 0.15;
 
 /// A joint that goes so far in a demonstration moves, degrees.
 const MOVES_DEG: f64 = 30.0;
+
+/// Tempi in which joints are looked for, the taught one being 1: the states' deviations cover what lies between them.
+const TEMPI: [f64; 3] = [1.0, 1.4, 0.7];
 
 /// Least size of a repetition that shows how far a movement goes, the taught one being 1.
 const FULL_SIZE: f64 = 0.75;
@@ -321,6 +325,10 @@ fn exercise_of(
         gate_of(&measures, sizes.last().copied().unwrap_or(1.0)),
     );
     exercise.sizes = sizes;
+    if material.channels.iter().any(|channel| is_posture(channel)) {
+        exercise.tempi = TEMPI.to_vec();
+        exercise.rest = rest_of(material, &idle(hypothesis.all(), material.frames()));
+    }
     let width = 2 * material.width();
     let jerks = segments.iter().map(|segment| {
         let rows = material.observations[segment.start * width..segment.end * width].chunks_exact(width);

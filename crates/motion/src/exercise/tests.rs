@@ -9,6 +9,8 @@ struct Person {
     columns: Vec<String>,
     t_s: Vec<f64>,
     values: Vec<Option<f64>>,
+    /// How far both joints sit from where they are.
+    offset_deg: f64,
     /// Beginning and end of every true repetition, s.
     truth: Vec<[f64; 2]>,
 }
@@ -17,7 +19,7 @@ impl Person {
     fn new(seed: u64) -> Self {
         let columns = ["elbow_flexion_deg", "shoulder_flexion_deg"].map(str::to_owned).to_vec();
         let (t_s, values, truth) = (Vec::new(), Vec::new(), Vec::new());
-        Self { random: Random::new(seed), columns, t_s, values, truth }
+        Self { random: Random::new(seed), columns, t_s, values, offset_deg: 0.0, truth }
     }
 
     fn noise(&mut self) -> f64 {
@@ -25,7 +27,7 @@ impl Person {
     }
 
     fn sample(&mut self, elbow_deg: f64, shoulder_deg: f64) {
-        let row = [elbow_deg + self.noise(), shoulder_deg + self.noise()];
+        let row = [elbow_deg, shoulder_deg].map(|angle_deg| angle_deg + self.offset_deg + self.noise());
         self.t_s.push(self.t_s.len() as f64 / 100.0);
         self.values.extend(row.map(Some));
     }
@@ -206,10 +208,63 @@ fn given_smaller_ones_among_the_taught_they_count_and_otherwise_not() {
     let full = teach(&steps(3, 12, 1.0).stream(), &options(12)).unwrap().exercise;
     assert_eq!(full.sizes, [1.0]);
     assert_eq!(of(EventKind::Counted, &events(vec![full], &other)).len(), 10);
-    // An exercise of an older file has one size.
+    // An exercise of an older file has one size and one tempo.
+    let mut older: serde_json::Value = serde_json::from_str(&lesson.exercise.to_json().unwrap()).unwrap();
+    for newer in ["sizes", "tempi", "rest"] {
+        older.as_object_mut().unwrap().remove(newer);
+    }
+    let older = Exercise::from_json(&older.to_string()).unwrap();
+    assert_eq!((older.sizes, older.tempi, older.rest), (vec![1.0], vec![1.0], Vec::new()));
     let mut damaged = lesson.exercise;
     damaged.sizes = vec![0.5];
     assert!(damaged.check().is_err());
+}
+
+#[test]
+fn given_somebody_in_another_tempo_repetitions_count_and_look_more_like_the_lesson_than_in_its_own_alone() {
+    let exercise = taught(4).exercise;
+    let alone = Exercise { tempi: vec![1.0], ..exercise.clone() };
+    let ratio = |exercise: &Exercise, seconds: f64| {
+        let mut person = Person::new(90);
+        person.rest(3.0);
+        (0..10).for_each(|_| person.curl(seconds, 1.0, 0.0));
+        person.rest(3.0);
+        let events = events(vec![exercise.clone()], &person);
+        let counted = of(EventKind::Counted, &events);
+        assert_eq!(counted.len(), 10, "{seconds} s");
+        counted.iter().map(|event| event.measures.unwrap().mean_log_ratio).sum::<f64>() / 10.0
+    };
+    for (seconds, gains) in [(1.6, 1.1), (2.5, 0.99), (4.0, 1.1)] {
+        let (with, without) = (ratio(&exercise, seconds), ratio(&alone, seconds));
+        assert!(with > gains * without, "{seconds} s: {with}, {without}");
+    }
+    for tempi in [vec![], vec![1.4, 1.0], vec![1.0, 0.0], vec![1.0, f64::NAN], vec![1.0; 9]] {
+        assert!(Exercise { tempi: tempi.clone(), ..exercise.clone() }.check().is_err(), "{tempi:?}");
+    }
+}
+
+#[test]
+fn given_somebody_who_stands_otherwise_repetitions_count_from_where_they_rest() {
+    let exercise = taught(4).exercise;
+    for (rest, expected) in exercise.rest.iter().zip([10.0, 5.0]) {
+        assert!((rest - expected).abs() < 1.0, "{:?}", exercise.rest);
+    }
+    let unaware = Exercise { rest: Vec::new(), ..exercise.clone() };
+    let ratio = |exercise: &Exercise, offset_deg: f64| {
+        let mut person = Person { offset_deg, ..Person::new(91) };
+        person.set(10);
+        let events = events(vec![exercise.clone()], &person);
+        let counted = of(EventKind::Counted, &events);
+        assert_eq!(counted.len(), 10, "{offset_deg} degrees");
+        counted.iter().map(|event| event.measures.unwrap().mean_log_ratio).sum::<f64>() / 10.0
+    };
+    let usual = ratio(&exercise, 0.0);
+    for offset_deg in [-20.0, 20.0] {
+        assert!(ratio(&exercise, offset_deg) > 0.95 * usual && ratio(&unaware, offset_deg) < 0.8 * usual);
+    }
+    for rest in [vec![0.0], vec![f64::NAN, 0.0]] {
+        assert!(Exercise { rest, ..exercise.clone() }.check().is_err());
+    }
 }
 
 #[test]
@@ -301,6 +356,7 @@ fn enormous() -> Exercise {
         rows.iter_mut().for_each(|row| *row = vec![row[0]; states]);
     }
     exercise.sizes = (0..8).map(|k| 1.0 - 0.1 * f64::from(k)).collect();
+    exercise.tempi = (0..8).map(|k| 1.0 + 0.1 * f64::from(k)).collect();
     exercise.rate_hz = 1000.0;
     (exercise.durations.median_s, exercise.durations.longest_s) = (599.0, 599.0);
     exercise.check().unwrap();
@@ -311,13 +367,14 @@ fn enormous() -> Exercise {
 fn an_exercise_that_would_take_gigabytes_is_refused_before_they_are_taken() {
     let columns = enormous().channels;
     let refusal = Counter::new(vec![enormous()], &columns).unwrap_err();
-    assert!(matches!(refusal, CounterError::TooCostly { states: 32769, .. }), "{refusal}");
+    assert!(matches!(refusal, CounterError::TooCostly { states: 61441, .. }), "{refusal}");
     // Each could be counted alone.
     let many = |k: u32| {
         let mut exercise = enormous();
         exercise.name = format!("exercise {k}");
         (exercise.rate_hz, exercise.durations.median_s, exercise.durations.longest_s) = (25.0, 4.0, 6.0);
-        exercise.sizes.truncate(3);
+        exercise.sizes.truncate(2);
+        exercise.tempi.truncate(2);
         exercise
     };
     assert!(Counter::new(vec![many(0)], &columns).is_ok());
