@@ -106,13 +106,6 @@ pub struct Durations {
     pub interval_s: f64,
 }
 
-impl Durations {
-    /// Two ends nearer than this are those of one repetition, s.
-    pub(super) fn refractory_s(&self) -> f64 {
-        (REFRACTORY * self.shortest_s).max(RHYTHM * self.interval_s)
-    }
-}
-
 /// What a repetition must be like to count; see `judge`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Plain)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -229,6 +222,13 @@ impl Exercise {
     /// Number of states.
     pub fn states(&self) -> usize {
         self.movement.states.mean.first().map_or(0, Vec::len)
+    }
+
+    /// Two ends nearer than this are those of one repetition, s. Who goes about it in a faster tempo has a faster rhythm, too.
+    pub(super) fn refractory_s(&self) -> f64 {
+        let Durations { shortest_s, interval_s, .. } = self.durations;
+        let fastest = self.tempi.iter().copied().fold(1.0, f64::max);
+        (REFRACTORY * shortest_s).max(RHYTHM * interval_s) / fastest
     }
 
     /// The manners in which it is looked for: each size in the taught tempo, and the full size in each other one.

@@ -244,6 +244,23 @@ fn given_somebody_in_another_tempo_repetitions_count_and_look_more_like_the_less
 }
 
 #[test]
+fn given_somebody_twice_as_fast_as_the_lesson_none_comes_too_soon() {
+    let curls = |seed: u64, count: usize, seconds: f64| {
+        let mut person = Person::new(seed);
+        person.rest(3.0);
+        (0..count).for_each(|_| person.curl(seconds, 1.0, 0.0));
+        person.rest(3.0);
+        person
+    };
+    let exercise = teach(&curls(92, 5, 3.6).stream(), &options(5)).unwrap().exercise;
+    let alone = Exercise { tempi: vec![1.0], ..exercise.clone() };
+    let fast = curls(93, 10, 1.8);
+    let counted = |exercise: Exercise| of(EventKind::Counted, &events(vec![exercise], &fast)).len();
+    assert_eq!(counted(exercise), 10);
+    assert!(counted(alone) < 8);
+}
+
+#[test]
 fn given_somebody_who_stands_otherwise_repetitions_count_from_where_they_rest() {
     let exercise = taught(4).exercise;
     for (rest, expected) in exercise.rest.iter().zip([10.0, 5.0]) {
