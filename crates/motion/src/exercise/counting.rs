@@ -86,6 +86,12 @@ impl Chain {
     }
 }
 
+/// Whether what begins at frame `start` belongs to the set of the repetition that counted last.
+fn set_goes_on(exercise: &Exercise, counted_until: Option<u64>, start: u64, rate_hz: f64) -> bool {
+    let longest_frames = exercise.durations.longest_s * rate_hz;
+    counted_until.is_some_and(|last| start.saturating_sub(last) as f64 <= IN_SET * longest_frames)
+}
+
 /// See the module.
 #[derive(Clone, Debug, Plain)]
 pub(super) struct Counting {
@@ -250,7 +256,7 @@ impl Counting {
     /// What deviates in the repetition that the best path is in.
     fn follow(&mut self, slot: usize) -> Option<Hint> {
         let best = self.viterbi.best()?;
-        let place = self.exercise_topology.place(best);
+        let (place, now) = (self.exercise_topology.place(best), self.viterbi.frames());
         let mut hint = None;
         for (index, watched) in self.watched.iter_mut().enumerate() {
             match place {
@@ -258,8 +264,11 @@ impl Counting {
                     let width = 2 * watched.channels.len();
                     let observation = &watched.observations[slot * width..(slot + 1) * width];
                     let log_ratio = self.log_density[best];
-                    let Watched { follower, exercise, spoken, .. } = watched;
-                    hint = Some(follower.follow((index, exercise), spoken, state, observation, log_ratio));
+                    let Watched { follower, exercise, spoken, counted_until, .. } = watched;
+                    let followed = follower.follow((index, exercise), spoken, state, observation, log_ratio);
+                    // Before one has counted, whatever somebody does may be on its way to look like it.
+                    hint =
+                        Some(followed).filter(|_| set_goes_on(exercise, *counted_until, now, self.rate_hz));
                 }
                 _ => watched.follower.leave(),
             }
@@ -421,16 +430,14 @@ impl Counting {
     /// the set still goes on. People reach for a glass between sets, and nobody wants to hear of that.
     fn is_attempt(&self, exercise: usize, start: u64, measures: Option<&Measures>) -> bool {
         let Watched { exercise, counted_until, .. } = &self.watched[exercise];
-        let set_goes_on = counted_until.is_some_and(|last| {
-            start.saturating_sub(last) as f64 <= IN_SET * exercise.durations.longest_s * self.rate_hz
-        });
-        set_goes_on || measures.is_some_and(|measures| goes_the_way(measures, &exercise.gate))
+        set_goes_on(exercise, *counted_until, start, self.rate_hz)
+            || measures.is_some_and(|measures| goes_the_way(measures, &exercise.gate))
     }
 
     fn verdict(&self, exercise: usize, measures: &Measures, span: [u64; 2]) -> Result<(), Reason> {
         let Watched { exercise, counted_until, .. } = &self.watched[exercise];
         judge(measures, &exercise.gate, &exercise.durations)?;
-        let refractory = exercise.durations.refractory_s() * self.rate_hz;
+        let refractory = exercise.refractory_s() * self.rate_hz;
         match counted_until {
             Some(last) if span[1] < *last || ((span[1] - last) as f64) < refractory => Err(Reason::TooSoon),
             _ => Ok(()),
@@ -518,7 +525,7 @@ impl Counting {
             return;
         }
         let watched = &mut self.watched[exercise];
-        let near = (watched.exercise.durations.refractory_s() * self.rate_hz) as u64;
+        let near = (watched.exercise.refractory_s() * self.rate_hz) as u64;
         if watched.pending.is_some_and(|pending| pending[1].abs_diff(span[1]) <= near) {
             return;
         }

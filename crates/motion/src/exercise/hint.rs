@@ -8,12 +8,15 @@ use posed_state::Plain;
 
 use super::exercise::Exercise;
 use super::feedback::{ON_THE_WAY, TURN, astray};
+use super::hmm::range;
 use super::joint::Spoken;
 use super::remark::{DeviationKind, MovementPhase, Remark};
 use super::turns::phase;
 
 /// Time constant of the low pass, s.
 const SMOOTH_S: f64 = 0.2;
+/// The likeliest state of now is right to this share of the movement: the path may be in another tempo, and what follows shows it.
+const PHASE_ERROR: f64 = 0.1;
 /// So long below the background is an anomaly, s.
 const ANOMALY_S: f64 = 0.5;
 
@@ -87,7 +90,7 @@ impl Follower {
         let phase = phase(state, states);
         let (mut channel, mut worth) = (0, 0.0);
         for (at, smooth) in self.smooth.iter_mut().enumerate() {
-            let off = observation[at] - gaussians.mean[at][state];
+            let off = beyond(observation[at], &gaussians.mean[at], state);
             if off.is_finite() {
                 *smooth += weight * (off - *smooth);
             }
@@ -105,5 +108,27 @@ impl Follower {
         let deviation = self.smooth.get(channel).copied().unwrap_or_default();
         let anomaly = self.below >= ANOMALY_S * self.rate_hz;
         Hint { exercise: index, channel, worth, deviation, phase, anomaly }
+    }
+}
+
+/// By how much a value is beyond the means of the states around `state`.
+fn beyond(value: f64, means: &[f64], state: usize) -> f64 {
+    let error = (PHASE_ERROR * means.len() as f64).round() as usize;
+    let around = &means[state.saturating_sub(error)..(state + error + 1).min(means.len())];
+    let (low, high) = range(around.iter().copied());
+    value - value.max(low).min(high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_value_of_a_state_nearby_does_not_deviate() {
+        let means: Vec<f64> = (0..30).map(|state| 10.0 * f64::from(state)).collect();
+        let off = [180.0, 150.0, 119.0, 181.0, 100.0].map(|value| beyond(value, &means, 15));
+        assert_eq!(off, [0.0, 0.0, -1.0, 1.0, -20.0]);
+        assert_eq!((beyond(0.0, &means, 0), beyond(300.0, &means, 29)), (0.0, 10.0));
+        assert!(beyond(f64::NAN, &means, 15).is_nan());
     }
 }
