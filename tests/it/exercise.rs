@@ -346,7 +346,7 @@ fn simulated_people_are_counted_corrected_and_otherwise_left_alone() {
 
         let (_, sentences) = count(&squat, &squats(3, 8, Variant::Short { angle: 5, by_deg: 25.0 }));
         let named = |sentence: &&String| {
-            sentence.starts_with("knee bent") && sentence.ends_with("less than shown at the top")
+            sentence.starts_with("knee bent") && sentence.ends_with("less than shown at the turning point")
         };
         assert!(sentences.iter().filter(named).count() >= 6, "person {person}: {sentences:?}");
     }

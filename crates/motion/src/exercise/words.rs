@@ -116,7 +116,7 @@ fn deviates(
     };
     let size = (deviation * joint.degrees).abs().round();
     let (name, verb, place) =
-        (joint_name(joint, language), verb(joint, positive, language), place.words(language));
+        (joint_name(joint, language), verb(joint, positive, language), place.words(joint, language));
     match language {
         Language::English => {
             let more = if more { "more" } else { "less" };
@@ -202,8 +202,12 @@ fn verb(joint: &Joint<'_>, positive: bool, language: Language) -> &'static str {
 }
 
 impl MovementPhase {
-    fn words(self, language: Language) -> &'static str {
+    /// Where a joint is. Arms turn at the top; knees, hips and the trunk do where the body is low.
+    fn words(self, joint: &Joint<'_>, language: Language) -> &'static str {
+        let is_arm = matches!(joint.joint, "shoulder" | "elbow" | "wrist");
         match self {
+            Self::WayUp if !is_arm => language.pick("on the way there", "auf dem Hinweg"),
+            Self::Top if !is_arm => language.pick("at the turning point", "am Umkehrpunkt"),
             Self::Start => language.pick("at the start", "am Anfang"),
             Self::WayUp => language.pick("on the way up", "auf dem Hinweg"),
             Self::Top => language.pick("at the top", "am Umkehrpunkt"),
@@ -249,6 +253,13 @@ mod tests {
                 "Rumpf dabei um 20 Grad nach hinten geneigt: ruhig halten"
             ]
         );
+        // Who squats is low where the knee turns.
+        for (place, expected) in [
+            (MovementPhase::Top, "knee bent 20 degrees less than shown at the turning point"),
+            (MovementPhase::WayUp, "knee bent 20 degrees less than shown on the way there"),
+        ] {
+            assert_eq!(said("knee_flexion_deg", -20.0, DeviationKind::Short, place)[0], expected);
+        }
         // A sensor's axis is never named.
         let watch = said("watch_gx", 3.0, DeviationKind::TooHigh, MovementPhase::Top);
         assert_eq!(watch, ["otherwise than shown", "anders als gezeigt"]);
