@@ -216,7 +216,7 @@ pub(crate) fn resident_bytes(pid: u32) -> u64 {
 }
 
 /// Bytes of a text in base64.
-fn base64(text: &str) -> Vec<u8> {
+pub(crate) fn base64(text: &str) -> Vec<u8> {
     let digit = |c: u8| match c {
         b'A'..=b'Z' => u32::from(c - b'A'),
         b'a'..=b'z' => u32::from(c - b'a') + 26,

@@ -4,6 +4,7 @@
 //! picture in `docs/pictures/`.
 
 pub(crate) mod calibration;
+mod report;
 mod trainer;
 
 use std::time::Duration;
