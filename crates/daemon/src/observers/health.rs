@@ -15,6 +15,12 @@ use std::time::Duration;
 
 /// Samples of each latency between two status messages; more than a second holds.
 const SAMPLES: usize = 4096;
+/// A machine keeps up where all but a hundredth of the frames are estimated so soon after their bytes were read, ms; and does not where
+/// that is so for longer than this, s.
+const KEEPS_UP_MS: f64 = 50.0;
+const BEHIND_S: f64 = 3.0;
+/// Frames that say so in one status.
+const BEHIND_FRAMES: usize = 10;
 /// Warnings about one device that are kept.
 const WARNINGS: usize = 4;
 
@@ -33,6 +39,8 @@ pub(crate) struct Health {
     recording_failure: Option<String>,
     /// Entries that tracking has left out, and how often it has begun anew, by the last status.
     recovered: (u64, u64),
+    /// The time since which this machine does not keep up, and by how much, ms.
+    behind: Option<(Timestamp, f64)>,
     changed: bool,
     last_status: Timestamp,
 }
@@ -96,6 +104,7 @@ impl Health {
             body: Vec::new(),
             recording_failure: None,
             recovered: (0, 0),
+            behind: None,
             changed: true,
             last_status: Timestamp::ZERO,
         }
@@ -184,7 +193,8 @@ impl Health {
         clock: &StageClock,
     ) -> Status {
         self.changed = false;
-        self.last_status = now;
+        let since = std::mem::replace(&mut self.last_status, now);
+        self.watch_load(since);
         self.recovered = (pipeline.entries_left_out, pipeline.begun_anew);
         let age_s = |newest: Option<Timestamp>| newest.map(|newest| now.seconds_since(newest).max(0.0));
         let mut newest = vec![None; self.devices.len()];
@@ -241,6 +251,17 @@ impl Health {
         }
     }
 
+    /// Notes whether this machine has kept up since then.
+    fn watch_load(&mut self, since: Timestamp) {
+        let frames = self.read_to_estimate.samples_s.len();
+        if frames < BEHIND_FRAMES {
+            return;
+        }
+        let late_ms = self.read_to_estimate.quantile_ms(0.99);
+        let from = self.behind.map_or(since, |(from, _)| from);
+        self.behind = (late_ms > KEEPS_UP_MS).then_some((from, late_ms));
+    }
+
     fn problems(&self, clock: &StageClock, body: Option<&BodyStatus>) -> Vec<Problem> {
         let problem = |code: &str, message: String| Problem { code: code.to_owned(), message };
         let mut problems = Vec::new();
@@ -259,6 +280,14 @@ impl Health {
                 let name = self.sensors.get(usize::from(*sensor)).map_or("", |sensor| sensor.name.as_str());
                 problem("body", format!("{segment}: the sensor {name} {}", emitted(*fault)))
             }));
+        }
+        let lasts = |from: &Timestamp| self.last_status.seconds_since(*from) > BEHIND_S;
+        if let Some((_, late_ms)) = self.behind.filter(|(from, _)| lasts(from)) {
+            let sentence = format!(
+                "this machine does not keep up: one frame in a hundred is ready more than {late_ms:.0} ms after its bytes came, and \
+                 devices may fall silent; end other programs, or track fewer sensors or at a lower rate"
+            );
+            problems.push(problem("load", sentence));
         }
         let (left_out, begun_anew) = self.recovered;
         if left_out > 0 {
@@ -318,18 +347,16 @@ impl Latency {
         }
     }
 
-    fn take(&mut self) -> StageLatency {
+    /// That share of the samples is not above it, ms; 0 of none.
+    fn quantile_ms(&mut self, q: f64) -> f64 {
         self.samples_s.sort_unstable_by(f64::total_cmp);
-        let quantile = |q: f64| {
-            let last = self.samples_s.len().saturating_sub(1) as f64;
-            self.samples_s.get((q * last).round() as usize).map_or(0.0, |seconds| seconds * 1e3)
-        };
-        let latency = StageLatency {
-            stage: self.stage.to_owned(),
-            p50_ms: quantile(0.5),
-            p99_ms: quantile(0.99),
-            max_ms: quantile(1.0),
-        };
+        let last = self.samples_s.len().saturating_sub(1) as f64;
+        self.samples_s.get((q * last).round() as usize).map_or(0.0, |seconds| seconds * 1e3)
+    }
+
+    fn take(&mut self) -> StageLatency {
+        let [p50_ms, p99_ms, max_ms] = [0.5, 0.99, 1.0].map(|q| self.quantile_ms(q));
+        let latency = StageLatency { stage: self.stage.to_owned(), p50_ms, p99_ms, max_ms };
         self.samples_s.clear();
         latency
     }
@@ -363,6 +390,27 @@ mod tests {
         let problems = health.problems(&clock, None);
         assert_eq!((problems.len(), problems[0].code.as_str()), (1, "wall_clock"));
         assert!(problems[0].message.contains("restart posed"), "{}", problems[0].message);
+    }
+
+    #[test]
+    fn a_machine_that_does_not_keep_up_is_a_problem_until_it_does() {
+        let mut health = Health::new(&Stage::parse("name = \"A\"\n").unwrap());
+        let clock = StageClock::with_utc(|| 0);
+        let pipeline =
+            posed_pipeline::Pipeline::new(&Stage::parse("name = \"A\"\n").unwrap()).unwrap().status();
+        let mut named = |second: i64, late_s: f64| {
+            (0..100).for_each(|_| health.read_to_estimate.add(late_s));
+            let now = Timestamp::from_nanos(second * 1_000_000_000);
+            health.status(now, &pipeline, None, &clock).problems.iter().any(|problem| problem.code == "load")
+        };
+        assert!((1..10).all(|second| !named(second, 0.002)));
+        // A moment is none.
+        assert!(!named(10, 0.2) && !named(11, 0.2) && !named(12, 0.002));
+        assert_eq!(
+            (13..18).map(|second| named(second, 0.2)).collect::<Vec<_>>(),
+            [false, false, false, true, true]
+        );
+        assert!(!named(18, 0.002));
     }
 
     #[test]
