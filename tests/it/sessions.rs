@@ -87,7 +87,12 @@ fn what_was_said_live_is_kept_from_the_recording_reported_exported_and_forgotten
         answer(at, &["verify", "1", "take.mcap", "--json"]),
         json!({"compared": kept["repetitions"].as_array().unwrap().len(), "differences": []})
     );
+    assert_eq!(answer(at, &["accuracy", "--json"]), json!({"counted": []}), "nobody has looked yet");
     answer(at, &["correct", "1", "1", "4"]);
+    // Truth for whoever wants to know how well sets are counted, now and then.
+    let off_by_one = json!([{"exercise": "curl", "sets": 1, "exact": 0, "within_one": 1}]);
+    let accuracy = answer(at, &["accuracy", "--recordings", ".", "--json"]);
+    assert_eq!(accuracy, json!({"counted": off_by_one, "counted_again": off_by_one, "not_counted_again": 0}));
     assert_eq!(answer(at, &["show", "1", "--json"])["training"][0]["corrected"], 4);
 
     answer(at, &["report", "1", "-o", "today.html", "--language", "de"]);

@@ -11,6 +11,7 @@
 //! A replay says the same outputs as the live stage did, and so the follower finds the same repetitions in it, number by number:
 //! every figure of a report can be counted again ([`Session::differences`]).
 
+mod accuracy;
 pub mod export;
 mod follower;
 mod lesson;
@@ -26,6 +27,7 @@ mod summary;
 #[cfg(test)]
 mod testing;
 
+pub use accuracy::CountAccuracy;
 pub use follower::Follower;
 pub use lesson::{LessonJoint, TaughtLesson, course_at};
 pub use people::{Erasure, Forgotten, Person};

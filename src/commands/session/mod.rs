@@ -1,5 +1,6 @@
 //! `posed session`: who trained what, when and how well.
 
+mod accuracy;
 mod change;
 mod recording;
 mod show;
@@ -49,6 +50,8 @@ enum Command {
     Count(recording::Count),
     /// Compares a session with its recording, number by number.
     Verify(recording::Verify),
+    /// Reports how well sets were counted, by the counts that somebody put right; with `--recordings` also as this version counts them.
+    Accuracy(accuracy::Accuracy),
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
@@ -64,6 +67,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         Command::Plan(args) => args.run(data),
         Command::Count(args) => args.run(data),
         Command::Verify(args) => args.run(&open(data)?),
+        Command::Accuracy(args) => args.run(&open(data)?),
     }
 }
 

@@ -10,16 +10,16 @@ use super::super::{Error, print, print_json};
 use super::open_or_create;
 
 /// What a recording shows.
-struct Counted {
+pub(super) struct Counted {
     stage: String,
     epoch_utc_ns: i64,
-    begun_s: f64,
+    pub(super) begun_s: f64,
     end_s: f64,
-    repetitions: Vec<Repetition>,
+    pub(super) repetitions: Vec<Repetition>,
 }
 
 /// Plays a recording through the pipeline that it was made with, and counts.
-fn count(path: &Path) -> Result<Counted, Error> {
+pub(super) fn count(path: &Path) -> Result<Counted, Error> {
     let mut reader = Reader::open(path).map_err(Error::failed)?;
     let header = reader.header().clone();
     let (stage, mut machine) = Machine::as_recorded(&header).map_err(Error::failed)?;
