@@ -464,12 +464,16 @@ export type Exercise = {
   name: string;
   /** Frames per second of the model. */
   rate_hz: number;
+  /** Where each channel was while all joints of the lesson rested, in the order of `channels`; empty: not known. */
+  rest?: number[];
   /** Counts how often an exercise of this name was taught, from 1. */
   revision?: number;
   /** Sizes in which the movement was taught, falling from 1: the first and the last step of a walk are smaller. */
   sizes?: number[];
   /** Joints that keep still in it; empty: nothing is known of them. */
   still?: Still[];
+  /** Tempi in which it is counted, the taught one, 1, first: how fast joints go against the lesson. Other people go about it in their own. */
+  tempi?: number[];
   /** Turning point of each channel, in the order of `channels`; empty: those of the states' means, whose spread is not known. */
   turns?: Turn[];
   /** Version of the format. */
