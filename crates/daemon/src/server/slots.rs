@@ -281,34 +281,40 @@ mod tests {
 
     #[test]
     fn a_network_that_comes_again_and_again_is_not_looked_at_and_no_other_suffers() {
-        let slots = slots(512, 256, 8);
+        // Nothing comes back while the test lasts, however slow the machine.
+        let limits = Limits { connections_per_s: 1e-9, ..Limits::default() };
+        let slots = Slots::new(&limits);
         let flood = address("2001:db8:1:2::1");
         let come = |address| slots.wait(address).is_some();
-        assert_eq!((0..10_000).filter(|_| come(flood)).count().div_ceil(100), 20);
+        assert_eq!((0..10_000).filter(|_| come(flood)).count() as f64, limits.connection_burst);
         assert!(!come(address("2001:db8:1:2::3")) && come(address("2001:db8:1:3::1")));
         // Nor do those that are counted grow without end, whoever comes; who has spent most is not forgotten.
         for k in 0..5000_u16 {
             assert!(come(Ipv6Addr::new(0x2001, 0xdb8, 2, k, 0, 0, 0, 1).into()));
         }
         assert_eq!(slots.taken.lock().budgets.len(), NETWORKS);
-        assert!((0..100).filter(|_| come(flood)).count() < 50);
+        assert!(!(0..100).any(|_| come(flood)));
     }
 
     #[test]
     fn messages_are_counted_over_all_connections_of_a_network() {
-        let limits = Limits { message_burst_per_address: 100.0, ..Limits::default() };
+        let limits = Limits {
+            message_burst_per_address: 100.0,
+            messages_per_s_per_address: 1e-9,
+            ..Limits::default()
+        };
         let slots = Slots::new(&limits);
         let come = |text: &str| slots.wait(address(text)).unwrap();
         let talkers = ["192.0.2.1"; 10].map(come);
         let other = come("192.0.2.2");
         let taken = (0..1000).filter(|k| talkers[k % 10].may_speak()).count();
-        assert!((100..200).contains(&taken), "{taken}");
+        assert_eq!(taken, 100);
         assert!(other.may_speak() && !come("192.0.2.1").may_speak());
         // Nor are they forgotten while it is there, whoever else comes.
         for k in 0..5000_u16 {
             let newcomer = || slots.wait(Ipv6Addr::new(0x2001, 0xdb8, 2, k, 0, 0, 0, 1).into());
             assert!(newcomer().is_some() && newcomer().is_some());
         }
-        assert!((100..200).contains(&(0..1000).filter(|_| other.may_speak()).count()));
+        assert_eq!((0..1000).filter(|_| other.may_speak()).count(), 99);
     }
 }
