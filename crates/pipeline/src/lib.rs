@@ -76,6 +76,9 @@ use supervised::Recoveries;
 pub use supervised::SupervisedPipeline;
 use units::Units;
 
+/// No port brings more bytes in its life: who claims so is a damaged recording, and drivers add such numbers up.
+const MOST_DROPPED_BYTES: u64 = 1 << 40;
+
 /// A stage file that no pipeline can be made of, or a snapshot that does not fit it.
 #[derive(Debug, Error)]
 pub enum PipelineError {
@@ -325,6 +328,14 @@ impl Pipeline {
     }
 
     fn line(&mut self, device: DeviceIndex, event: &LineEvent, emit: &mut impl FnMut(Output<'_>)) {
+        let capped;
+        let event = match event {
+            LineEvent::Dropped { bytes } if *bytes > MOST_DROPPED_BYTES => {
+                capped = LineEvent::Dropped { bytes: MOST_DROPPED_BYTES };
+                &capped
+            }
+            other => other,
+        };
         let now = self.now;
         let Some(owner) = self.devices.get_mut(usize::from(device)) else { return };
         match event {

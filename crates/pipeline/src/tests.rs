@@ -125,6 +125,28 @@ fn entries_without_sense_do_no_harm() {
 }
 
 #[test]
+fn losses_beyond_what_a_port_ever_brings_overflow_no_sum() {
+    let configs =
+        [include_str!("../../../config/many-devices.toml"), include_str!("../../../config/fastrak.toml")];
+    for text in configs {
+        let stage = stage(text);
+        let mut pipeline = Pipeline::new(&stage).unwrap();
+        let mut t = Timestamp::ZERO;
+        for device in (0..).take(stage.devices.len()) {
+            let line = |event| Input::Line { device, event };
+            let dropped = || line(LineEvent::Dropped { bytes: u64::MAX });
+            let bytes = || Input::Bytes { device, bytes: vec![0x80; 64] };
+            let opened = line(LineEvent::Opened { modem_lines: false });
+            for input in [opened, dropped(), bytes(), dropped(), Input::Timer, bytes(), dropped()] {
+                t = t + std::time::Duration::from_secs(1);
+                pipeline.push(&Entry { t, input }, &mut |_| {});
+            }
+        }
+        assert_eq!(pipeline.status().entries_left_out, 0);
+    }
+}
+
+#[test]
 fn samples_without_sense_are_never_good() {
     let mut pipeline = Pipeline::new(&stage(STAGE)).unwrap();
     let mut good = 0;
