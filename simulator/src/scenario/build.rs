@@ -79,7 +79,9 @@ impl Scenario {
         let transmitter = transmitter_in_room(stage);
         let rider = |(index, sensor): (usize, &SensorSpec)| {
             let Some(given) = self.sensors.iter().find(|given| given.name == sensor.name) else {
-                let body = Body::new(Motion::Orbit(default_orbit(index, &transmitter)), folder)
+                let device = stage.devices.iter().find(|device| device.name == sensor.device);
+                let hemisphere = device.and_then(|device| device.hemisphere);
+                let body = Body::new(Motion::Orbit(default_orbit(index, &transmitter, hemisphere)), folder)
                     .map_err(|source| ScenarioError::Motion { body: sensor.name.clone(), source })?;
                 return Ok(Sensor { index, body, segment: 0, mount: Isometry3::identity() });
             };
@@ -176,9 +178,10 @@ pub(super) fn transmitter_in_room(stage: &StageSpec) -> Isometry3<f64> {
     })
 }
 
-/// A curve of its own for each sensor that the scenario leaves out: half a metre before the transmitter.
-fn default_orbit(index: usize, transmitter: &Isometry3<f64>) -> Orbit {
-    let center = transmitter * nalgebra::Point3::new(0.5, 0.0, 0.0);
+/// A curve of its own for each sensor that the scenario leaves out: half a metre from the transmitter, where its host looks for it.
+fn default_orbit(index: usize, transmitter: &Isometry3<f64>, hemisphere: Option<[f64; 3]>) -> Orbit {
+    let direction = hemisphere.and_then(|direction| Vector3::from(direction).try_normalize(0.0));
+    let center = transmitter * nalgebra::Point3::from(0.5 * direction.unwrap_or_else(Vector3::x));
     Orbit {
         center_m: center.coords.into(),
         radius_m: [0.12, 0.15, 0.1],

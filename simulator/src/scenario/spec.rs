@@ -1,6 +1,7 @@
 //! What the simulator needs to know of a stage.
 
-use serde::{Deserialize, Serialize};
+use posed_drivers::flock::wire::Hemisphere;
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// The parts of a stage file that the simulator needs, without the types of its reader. Nothing in it is checked.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -71,6 +72,24 @@ pub struct DeviceSpec {
     /// Constant delay from measurement to the record's first bit, ms; below 0 counts as 0, the default.
     #[serde(default)]
     pub measurement_delay_ms: f64,
+    /// Half-space around the transmitter in which its host looks for its sensors, as a direction in the transmitter's axes; absent:
+    /// forward, along x. Sensors that no scenario moves move there.
+    #[serde(default, deserialize_with = "direction")]
+    pub hemisphere: Option<[f64; 3]>,
+}
+
+/// A half-space, by its word (Flock, MotionStar) or by its direction (Fastrak).
+fn direction<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 3]>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum HalfSpace {
+        Word(Hemisphere),
+        Direction([f64; 3]),
+    }
+    Ok(Some(match HalfSpace::deserialize(deserializer)? {
+        HalfSpace::Word(hemisphere) => hemisphere.direction(),
+        HalfSpace::Direction(direction) => direction,
+    }))
 }
 
 impl DeviceSpec {

@@ -219,3 +219,27 @@ fn every_driver_can_be_simulated_and_wrong_addresses_are_named() {
     assert!(of("vicon", "a", &[1]).unwrap_err().contains("cannot be simulated"));
     assert!(of("slimevr", "/dev/ttyUSB0", &[1]).unwrap_err().contains("udp://"));
 }
+
+#[test]
+fn sensors_that_no_scenario_moves_move_where_their_host_looks_for_them() {
+    let half_spaces = [
+        ("fastrak", serde_json::json!([0.0, 0.0, -2.0]), [0.0, 0.0, -1.0]),
+        ("flock-of-birds", serde_json::json!("left"), [0.0, -1.0, 0.0]),
+        ("flock-of-birds", serde_json::json!(null), [1.0, 0.0, 0.0]),
+        // No half-space at all.
+        ("fastrak", serde_json::json!([0.0, 0.0, 0.0]), [1.0, 0.0, 0.0]),
+    ];
+    for (driver, hemisphere, direction) in half_spaces {
+        let mut device = serde_json::json!({ "name": "tracker", "driver": driver });
+        if !hemisphere.is_null() {
+            device["hemisphere"] = hemisphere;
+        }
+        let sensors = [1, 2].map(|address| serde_json::json!({ "name": format!("s{address}"), "device": "tracker", "address": address }));
+        let stage = StageSpec::of(&serde_json::json!({ "device": [device], "sensor": sensors })).unwrap();
+        for rider in Scenario::default().riders(&stage, Path::new(".")).unwrap() {
+            let along =
+                |t_s: f64| rider.pose_in_room_s(t_s).translation.vector.dot(&Vector3::from(direction));
+            assert!((0..600).all(|tick| along(0.05 * f64::from(tick)) > 0.3), "{driver} {direction:?}");
+        }
+    }
+}
