@@ -61,7 +61,9 @@ impl Accuracy {
         if let Some(again) = again {
             text.push_str(&table("counted again", &again));
             if missing > 0 {
-                text.push_str(&format!("{missing} sets have no recording there, or one that begins later\n"));
+                text.push_str(&format!(
+                    "without a recording there, or with one that begins later: {missing}\n"
+                ));
             }
         }
         print(&text)
@@ -88,7 +90,7 @@ fn table(title: &str, exercises: &[CountAccuracy]) -> String {
     for CountAccuracy { exercise, sets, exact, within_one } in exercises {
         let percent = |part: u32| 100.0 * f64::from(part) / f64::from((*sets).max(1));
         text.push_str(&format!(
-            "  {exercise}: {sets} sets put right, exact {exact} ({:.1} %), within one {within_one} ({:.1} %)\n",
+            "  {exercise}: sets put right {sets}, exact {exact} ({:.1} %), within one {within_one} ({:.1} %)\n",
             percent(*exact),
             percent(*within_one)
         ));

@@ -39,7 +39,7 @@ fn line(summary: &SessionSummary) -> String {
     let score = summary.score.map_or(String::new(), |score| format!(", score {score:.0}"));
     let plan = summary.plan.as_ref().map_or(String::new(), |plan| format!(", plan {plan}"));
     format!(
-        "{session:>5}  {begun}  {person}  {duration}: {sets} sets, {counted} counted, {rejected} not{score}{plan}\n"
+        "{session:>5}  {begun}  {person}  {duration}: sets {sets}, counted {counted}, not counted {rejected}{score}{plan}\n"
     )
 }
 
