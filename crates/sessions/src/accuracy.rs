@@ -55,8 +55,7 @@ impl Session {
             Some(0.5 * (last_s(before)? + first_s(after)?))
         };
         let from_s = at.checked_sub(1).and_then(between).unwrap_or(self.t_begin_s);
-        let end_s = self.summary.duration_s.map_or(f64::INFINITY, |duration_s| self.t_begin_s + duration_s);
-        let until_s = between(at).unwrap_or(end_s);
+        let until_s = between(at).unwrap_or(self.t_end_s());
         let set = &self.training[at];
         if first_s(set)? < begun_s {
             return None;

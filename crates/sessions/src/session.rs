@@ -120,11 +120,16 @@ impl Session {
         self.training.iter().flat_map(|set| &set.repetitions)
     }
 
+    /// Its end; infinite of one that goes on.
+    pub(crate) fn t_end_s(&self) -> f64 {
+        self.summary.duration_s.map_or(f64::INFINITY, |duration_s| self.t_begin_s + duration_s)
+    }
+
     /// In what it differs from what was counted again in its recording, a sentence each; empty where every number is the same.
     /// `counted` are all repetitions of the recording; those of another subject or time are left aside, and so is what began before
     /// the recording did, at `begun_s`.
     pub fn differences(&self, counted: &[Repetition], begun_s: f64) -> Vec<String> {
-        let t_end_s = self.summary.duration_s.map_or(f64::INFINITY, |duration_s| self.t_begin_s + duration_s);
+        let t_end_s = self.t_end_s();
         let is_of_it = |repetition: &&Repetition| {
             repetition.subject == self.subject
                 && repetition.t_decided_s > self.t_begin_s

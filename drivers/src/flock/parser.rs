@@ -87,6 +87,14 @@ struct Piece {
     published: bool,
 }
 
+impl Piece {
+    /// The address at its end, if it is whole and as long as a record: `None` of what was published.
+    fn address(&self) -> Option<u8> {
+        let is_whole = !self.published && self.len == self.bytes.len() && self.len >= SHORTEST_RECORD;
+        self.bytes.last().copied().filter(|_| is_whole)
+    }
+}
+
 /// Cuts records out of a stream; see the module's words. Positions are in m in the transmitter frame, orientations sensor to
 /// transmitter.
 ///
@@ -271,23 +279,19 @@ impl Splitter {
 
     /// The address at the end of the open piece, if no known bird's record could be damaged to this.
     fn stranger(&self) -> Option<u8> {
-        let whole = !self.piece.published && self.damage == 0 && self.piece.len == self.piece.bytes.len();
-        let address =
-            self.piece.bytes.last().copied().filter(|_| whole && self.piece.len >= SHORTEST_RECORD)?;
+        let address = self.piece.address().filter(|_| self.damage == 0)?;
         let known = |slot: &Slot| !slot.shape.group || slot.address == address;
         (!self.slots.iter().chain(&self.absent).any(known)).then_some(address)
     }
 
     /// The bird at the end of the open piece, if its latest pieces were all as long as this one, which is no record of its.
     fn reshaped(&mut self) -> Option<u8> {
-        let Piece { bytes, len, published, .. } = &self.piece;
-        let whole = !published && *len == bytes.len() && *len >= SHORTEST_RECORD;
-        let address = bytes.last().copied().filter(|_| whole)?;
+        let (address, len) = (self.piece.address()?, self.piece.len);
         let named = |slot: &&mut Slot| slot.shape.group && slot.address == address;
         let slot = self.slots.iter_mut().chain(&mut self.absent).find(named)?;
-        let before = slot.misfits.filter(|(before, _)| before == len).map_or(0, |(_, count)| count);
+        let before = slot.misfits.filter(|(before, _)| *before == len).map_or(0, |(_, count)| count);
         let is_certain = before + 1 >= MISFITS_TO_RESHAPE;
-        slot.misfits = (!is_certain).then_some((*len, before + 1));
+        slot.misfits = (!is_certain).then_some((len, before + 1));
         is_certain.then_some(address)
     }
 

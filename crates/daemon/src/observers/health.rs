@@ -194,7 +194,13 @@ impl Health {
     ) -> Status {
         self.changed = false;
         let since = std::mem::replace(&mut self.last_status, now);
-        self.watch_load(since);
+        let frames = self.read_to_estimate.samples_s.len();
+        let latency: Vec<StageLatency> = [&mut self.read_to_estimate, &mut self.capture_to_estimate]
+            .into_iter()
+            .chain(&mut self.segments)
+            .map(Latency::take)
+            .collect();
+        self.watch_load(since, frames, latency[0].p99_ms);
         self.recovered = (pipeline.entries_left_out, pipeline.begun_anew);
         let age_s = |newest: Option<Timestamp>| newest.map(|newest| now.seconds_since(newest).max(0.0));
         let mut newest = vec![None; self.devices.len()];
@@ -234,11 +240,7 @@ impl Health {
             t_s: now.as_secs_f64(),
             devices: self.devices.iter().zip(&pipeline.devices).zip(newest).map(device).collect(),
             sensors: self.sensors.iter_mut().zip(&pipeline.sensors).map(sensor).collect(),
-            latency: [&mut self.read_to_estimate, &mut self.capture_to_estimate]
-                .into_iter()
-                .chain(&mut self.segments)
-                .map(Latency::take)
-                .collect(),
+            latency,
             recording: recording.map(|recording| RecordingStatus {
                 name: recording.name.clone(),
                 bytes: recording.recorder.bytes_written(),
@@ -251,13 +253,11 @@ impl Health {
         }
     }
 
-    /// Notes whether this machine has kept up since then.
-    fn watch_load(&mut self, since: Timestamp) {
-        let frames = self.read_to_estimate.samples_s.len();
+    /// Notes whether this machine has kept up since then: all but a hundredth of so many frames were ready after `late_ms`.
+    fn watch_load(&mut self, since: Timestamp, frames: usize, late_ms: f64) {
         if frames < BEHIND_FRAMES {
             return;
         }
-        let late_ms = self.read_to_estimate.quantile_ms(0.99);
         let from = self.behind.map_or(since, |(from, _)| from);
         self.behind = (late_ms > KEEPS_UP_MS).then_some((from, late_ms));
     }
@@ -347,15 +347,13 @@ impl Latency {
         }
     }
 
-    /// That share of the samples is not above it, ms; 0 of none.
-    fn quantile_ms(&mut self, q: f64) -> f64 {
+    /// The quantiles of the interval, which ends with it; 0 of one without samples.
+    fn take(&mut self) -> StageLatency {
         self.samples_s.sort_unstable_by(f64::total_cmp);
         let last = self.samples_s.len().saturating_sub(1) as f64;
-        self.samples_s.get((q * last).round() as usize).map_or(0.0, |seconds| seconds * 1e3)
-    }
-
-    fn take(&mut self) -> StageLatency {
-        let [p50_ms, p99_ms, max_ms] = [0.5, 0.99, 1.0].map(|q| self.quantile_ms(q));
+        let at =
+            |q: f64| self.samples_s.get((q * last).round() as usize).map_or(0.0, |seconds| seconds * 1e3);
+        let [p50_ms, p99_ms, max_ms] = [0.5, 0.99, 1.0].map(at);
         let latency = StageLatency { stage: self.stage.to_owned(), p50_ms, p99_ms, max_ms };
         self.samples_s.clear();
         latency

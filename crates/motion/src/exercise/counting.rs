@@ -69,6 +69,12 @@ impl Watched {
     fn still_value(&self, still: usize, frame: u64, capacity: u64) -> f64 {
         self.still_values[(frame % capacity) as usize * self.still_channels.len() + still]
     }
+
+    /// Whether what begins at frame `start` belongs to the set of the repetition that counted last.
+    fn set_goes_on(&self, start: u64, rate_hz: f64) -> bool {
+        let longest_frames = self.exercise.durations.longest_s * rate_hz;
+        self.counted_until.is_some_and(|last| start.saturating_sub(last) as f64 <= IN_SET * longest_frames)
+    }
 }
 
 /// An exercise in one manner.
@@ -84,12 +90,6 @@ impl Chain {
         let movement = exercise.movement.sized(size).at_tempo(tempo);
         Self { size, ratio: LogRatio::new(&movement, &exercise.channels), movement }
     }
-}
-
-/// Whether what begins at frame `start` belongs to the set of the repetition that counted last.
-fn set_goes_on(exercise: &Exercise, counted_until: Option<u64>, start: u64, rate_hz: f64) -> bool {
-    let longest_frames = exercise.durations.longest_s * rate_hz;
-    counted_until.is_some_and(|last| start.saturating_sub(last) as f64 <= IN_SET * longest_frames)
 }
 
 /// See the module.
@@ -135,7 +135,7 @@ impl Counting {
                     values: vec![f64::NAN; width],
                     differentiator: Differentiator::new(rate_hz, width),
                     frozen: Frozen::new(&exercise.channels, rate_hz),
-                    posture: Posture::new(&exercise, rate_hz),
+                    posture: Posture::new(&exercise.channels, &exercise.rest, rate_hz),
                     together: Together::of(&exercise.still),
                     observations: vec![f64::NAN; 2 * width * capacity],
                     still_channels: exercise
@@ -264,11 +264,11 @@ impl Counting {
                     let width = 2 * watched.channels.len();
                     let observation = &watched.observations[slot * width..(slot + 1) * width];
                     let log_ratio = self.log_density[best];
-                    let Watched { follower, exercise, spoken, counted_until, .. } = watched;
-                    let followed = follower.follow((index, exercise), spoken, state, observation, log_ratio);
                     // Before one has counted, whatever somebody does may be on its way to look like it.
-                    hint =
-                        Some(followed).filter(|_| set_goes_on(exercise, *counted_until, now, self.rate_hz));
+                    let is_meant = watched.set_goes_on(now, self.rate_hz);
+                    let Watched { follower, exercise, spoken, .. } = watched;
+                    let followed = follower.follow((index, exercise), spoken, state, observation, log_ratio);
+                    hint = Some(followed).filter(|_| is_meant);
                 }
                 _ => watched.follower.leave(),
             }
@@ -429,9 +429,9 @@ impl Counting {
     /// Whether what was rejected was meant: it goes the way of the exercise, or comes so soon after a repetition that counted that
     /// the set still goes on. People reach for a glass between sets, and nobody wants to hear of that.
     fn is_attempt(&self, exercise: usize, start: u64, measures: Option<&Measures>) -> bool {
-        let Watched { exercise, counted_until, .. } = &self.watched[exercise];
-        set_goes_on(exercise, *counted_until, start, self.rate_hz)
-            || measures.is_some_and(|measures| goes_the_way(measures, &exercise.gate))
+        let watched = &self.watched[exercise];
+        watched.set_goes_on(start, self.rate_hz)
+            || measures.is_some_and(|measures| goes_the_way(measures, &watched.exercise.gate))
     }
 
     fn verdict(&self, exercise: usize, measures: &Measures, span: [u64; 2]) -> Result<(), Reason> {

@@ -239,7 +239,7 @@ impl Exercise {
 
     /// Number of its manners.
     pub(super) fn chains(&self) -> usize {
-        self.sizes.len() + self.tempi.len().saturating_sub(1)
+        self.manners().count()
     }
 
     /// Whether its parts fit together.

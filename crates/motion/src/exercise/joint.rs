@@ -22,6 +22,14 @@ pub enum Side {
     Right,
 }
 
+/// A part of the body whose joints hang together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Part {
+    Trunk,
+    Arm,
+    Leg,
+}
+
 /// An angle of a joint, from the name of its channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Joint<'a> {
@@ -63,6 +71,16 @@ impl<'a> Joint<'a> {
     /// Whether both are angles of one joint of one side.
     pub(super) fn is_beside(&self, other: &Joint<'_>) -> bool {
         (self.joint, self.side) == (other.joint, other.side)
+    }
+
+    /// The part of the body that it belongs to; `None` of a joint without a part, as the neck is.
+    pub(super) fn part(&self) -> Option<Part> {
+        match self.joint {
+            "spine" | "trunk" | "torso" => Some(Part::Trunk),
+            "shoulder" | "elbow" | "wrist" => Some(Part::Arm),
+            "hip" | "knee" | "ankle" => Some(Part::Leg),
+            _ => None,
+        }
     }
 
     /// Whether it is lost where the arm hangs: plane and rotation of a shoulder.

@@ -6,7 +6,6 @@
 
 use posed_state::Plain;
 
-use super::exercise::Exercise;
 use super::hmm::median;
 use super::joint::Joint;
 use super::kinds::is_posture;
@@ -111,15 +110,16 @@ pub(super) struct Posture {
 }
 
 impl Posture {
-    pub(super) fn new(exercise: &Exercise, rate_hz: f64) -> Self {
+    /// For the channels of an exercise and where they rested in its lesson, as [`rest_of`] has it.
+    pub(super) fn new(channels: &[String], rest: &[f64], rate_hz: f64) -> Self {
         // A lesson without rest has nothing that today's could be held against.
-        let channels = if exercise.rest.is_empty() { &[][..] } else { &exercise.channels };
+        let channels = if rest.is_empty() { &[][..] } else { channels };
         let resting = Resting::new(channels, rate_hz);
         let joints = resting.joints.len();
         let kept = (DOUBT_S * rate_hz).ceil() as usize + 1;
         Self {
             resting,
-            rest: exercise.rest.clone(),
+            rest: rest.to_vec(),
             means: vec![f64::NAN; kept * joints],
             frames: 0,
             next: 0,
@@ -179,14 +179,7 @@ mod tests {
 
     fn posture() -> Posture {
         let channels = ["elbow_flexion_deg", "shoulder_flexion_deg"].map(str::to_owned);
-        Posture {
-            resting: Resting::new(&channels, RATE_HZ),
-            rest: vec![10.0, 5.0],
-            means: vec![f64::NAN; 2 * 9],
-            frames: 0,
-            next: 0,
-            offsets: vec![0.0; 2],
-        }
+        Posture::new(&channels, &[10.0, 5.0], RATE_HZ)
     }
 
     /// What is left of the values after so many seconds of them.

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::channels::all_channels;
 use super::exercise::Exercise;
 use super::hmm::{Movement, range};
-use super::joint::{Joint, Side};
+use super::joint::{Joint, Part, Side};
 use super::judge::{ELSEWHERE_DEG, share_far};
 use super::kinds::is_posture;
 use super::material::{Material, Stream};
@@ -104,7 +104,7 @@ impl Together {
         let firsts = (0..stills.len()).filter(|one| !(0..*one).any(|other| is_of(*one, other)));
         firsts
             .map(|first| {
-                let is_trunk = joint(first).is_some_and(|joint| part(joint.joint) == Some(Part::Trunk));
+                let is_trunk = joint(first).is_some_and(|joint| joint.part() == Some(Part::Trunk));
                 Self {
                     members: (first..stills.len()).filter(|other| is_of(first, *other)).collect(),
                     limit_deg: if is_trunk { TRUNK_DEG } else { LIMB_DEG },
@@ -208,30 +208,13 @@ fn still(
 /// Whether a joint's angle shows a posture that the exercise depends on: of the trunk, or of the limb that moves.
 fn concerns(name: &str, channels: &[String]) -> bool {
     let (Some(joint), true) = (Joint::of(name), is_posture(name)) else { return false };
-    let Some(part) = part(joint.joint).filter(|_| joint.movement != "pronation") else { return false };
+    let Some(part) = joint.part().filter(|_| joint.movement != "pronation") else { return false };
     let moves = channels.iter().filter_map(|channel| Joint::of(channel));
     let beside = |other: &Joint<'_>| {
         let one_side = |a: Option<Side>, b: Option<Side>| a.zip(b).is_none_or(|(a, b)| a == b);
-        self::part(other.joint) == Some(part) && one_side(joint.side, other.side)
+        other.part() == Some(part) && one_side(joint.side, other.side)
     };
     part == Part::Trunk || moves.clone().any(|other| beside(&other))
-}
-
-/// A part of the body whose joints hang together.
-#[derive(Clone, Copy, PartialEq)]
-enum Part {
-    Trunk,
-    Arm,
-    Leg,
-}
-
-fn part(joint: &str) -> Option<Part> {
-    match joint {
-        "spine" | "trunk" | "torso" => Some(Part::Trunk),
-        "shoulder" | "elbow" | "wrist" => Some(Part::Arm),
-        "hip" | "knee" | "ankle" => Some(Part::Leg),
-        _ => None,
-    }
 }
 
 #[cfg(test)]
@@ -294,5 +277,10 @@ mod tests {
         assert!(!is_another(0, [15.0, 90.0, 10.0, 90.0]) && is_another(0, [15.0, 0.0, -15.0, 0.0]));
         assert!(!is_another(1, [90.0, 30.0, 90.0, 90.0]) && is_another(1, [0.0, -50.0, 0.0, 0.0]));
         assert!(!joints[2].is_another(|_| None), "a joint that was not seen");
+        // By itself the trunk may go farther than a limb.
+        let by_itself =
+            |joint: usize| [15.0, 30.0, -50.0].map(|moved| joints[joint].is_another(|_| Some(moved)));
+        assert_eq!(by_itself(1), [false, false, true]);
+        assert_eq!(by_itself(2), [false, true, true]);
     }
 }

@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::joint::{Joint, Side};
+use super::joint::{Joint, Part, Side};
 use super::judge::Reason;
 use super::remark::{DeviationKind, MovementPhase, Remark};
 
@@ -204,13 +204,14 @@ fn verb(joint: &Joint<'_>, positive: bool, language: Language) -> &'static str {
 impl MovementPhase {
     /// Where a joint is. Arms turn at the top; knees, hips and the trunk do where the body is low.
     fn words(self, joint: &Joint<'_>, language: Language) -> &'static str {
-        let is_arm = matches!(joint.joint, "shoulder" | "elbow" | "wrist");
+        let (way_up, top) = match joint.part() {
+            Some(Part::Arm) => ("on the way up", "at the top"),
+            _ => ("on the way there", "at the turning point"),
+        };
         match self {
-            Self::WayUp if !is_arm => language.pick("on the way there", "auf dem Hinweg"),
-            Self::Top if !is_arm => language.pick("at the turning point", "am Umkehrpunkt"),
             Self::Start => language.pick("at the start", "am Anfang"),
-            Self::WayUp => language.pick("on the way up", "auf dem Hinweg"),
-            Self::Top => language.pick("at the top", "am Umkehrpunkt"),
+            Self::WayUp => language.pick(way_up, "auf dem Hinweg"),
+            Self::Top => language.pick(top, "am Umkehrpunkt"),
             Self::WayBack => language.pick("on the way back", "auf dem Rückweg"),
             Self::End => language.pick("at the end", "am Ende"),
         }

@@ -326,9 +326,7 @@ impl Clock {
         if let Some(fit) = self.fit.filter(|_| sample.arrival.after_loss && !counted) {
             if !self.window.may_judge(fit.prompt) {
                 // Nor one that shows whether cycles are missing: they would bend the line for as long as the window remembers.
-                self.restart();
-                self.contradicted = Some(sample.arrival.t_read);
-                return self.push(sample);
+                return self.begin_with(sample);
             }
             self.lossy = Some(sample.arrival.t_read);
         }
@@ -355,9 +353,7 @@ impl Clock {
         let lost = self.fit.is_some_and(|fit| lateness_s > LOST_S.max(0.5 * fit.period_s));
         if lost || self.undecided > UNDECIDED_CYCLES || contradicts {
             // An unknown number of cycles is lost, or else a reader was late; what follows shows which.
-            self.restart();
-            self.contradicted = Some(sample.arrival.t_read);
-            return self.push(sample);
+            return self.begin_with(sample);
         }
         let contradicted =
             self.contradicted.is_some_and(|t| sample.arrival.t_read.seconds_since(t) < CONTRADICTED_S);
@@ -393,6 +389,13 @@ impl Clock {
             last.queued |= lossy;
         }
         self.repeat()
+    }
+
+    /// Begins anew with a sample that the line cannot explain.
+    fn begin_with(&mut self, sample: &Sample) -> Stamp {
+        self.restart();
+        self.contradicted = Some(sample.arrival.t_read);
+        self.push(sample)
     }
 
     /// What to think of a count before it is used.

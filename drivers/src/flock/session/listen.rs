@@ -41,7 +41,6 @@ impl FlockSession {
             poll: None,
             returned: Vec::new(),
             strangers: 0,
-            reshaped: None,
         }));
     }
 

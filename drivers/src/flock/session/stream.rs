@@ -39,8 +39,6 @@ pub(super) struct Streaming {
     pub(super) returned: Vec<(u16, Timestamp)>,
     /// Records of wanted birds that were not there at set-up.
     pub(super) strangers: u8,
-    /// A wanted bird that has restarted by itself.
-    pub(super) reshaped: Option<u8>,
     /// In point mode: when the next question is due, and whether its reply is still awaited.
     pub(super) poll: Option<Poll>,
 }
@@ -106,7 +104,6 @@ impl FlockSession {
             settled_at: now + SETTLE,
             returned: Vec::new(),
             strangers: 0,
-            reshaped: None,
             poll,
         }));
     }
@@ -137,7 +134,9 @@ impl FlockSession {
         let Self { outputs, settling, wanted, set_up_for, .. } = self;
         let mut received = false;
         let mut published = false;
-        let Streaming { splitter, settled_at, returned, strangers, reshaped, .. } = &mut *streaming;
+        // A wanted bird that has restarted by itself.
+        let mut reshaped = None;
+        let Streaming { splitter, settled_at, returned, strangers, .. } = &mut *streaming;
         let settled = now >= *settled_at;
         returned.retain(|&(_, until)| now < until);
         input(splitter, &mut |event| {
@@ -164,7 +163,7 @@ impl FlockSession {
             }
             Event::Reshaped(address) if wanted.contains(&address) && !set_up_for.contains(&address) => {
                 set_up_for.push(address);
-                *reshaped = Some(address);
+                reshaped = Some(address);
             }
             Event::Reshaped(_) => {}
         }
@@ -177,7 +176,7 @@ impl FlockSession {
             self.counters.records += counted.records;
             self.settling += counted.rejected;
         }
-        let why = match streaming.reshaped.take() {
+        let why = match reshaped {
             Some(address) => {
                 Some(format!("bird {address} has restarted by itself; the flock is set up again"))
             }
