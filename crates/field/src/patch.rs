@@ -9,6 +9,9 @@ const NODES: usize = 5;
 const KNOTS: [f64; NODES] =
     [0.024_471_741_852_423, 0.206_107_373_853_763, 0.5, 0.793_892_626_146_237, 0.975_528_258_147_577];
 
+/// Every other node.
+const FEW: usize = NODES.div_ceil(2);
+
 /// Values at the nodes, x fastest.
 #[derive(Clone, Debug)]
 pub(crate) struct Patch {
@@ -21,6 +24,24 @@ impl Patch {
         let values = std::array::from_fn(|k| {
             let [i, j, l] = [k % NODES, k / NODES % NODES, k / (NODES * NODES)];
             at([KNOTS[i], KNOTS[j], KNOTS[l]]).map(|x| x as f32)
+        });
+        Self { values }
+    }
+
+    /// Asks at every other node only; at the others it has what a polynomial of degree 2 along each axis makes of these.
+    pub(crate) fn sketch(mut at: impl FnMut([f64; 3]) -> [f64; 4]) -> Self {
+        let few: [[f64; 4]; FEW * FEW * FEW] =
+            std::array::from_fn(
+                |k| at([k % FEW, k / FEW % FEW, k / (FEW * FEW)].map(|node| KNOTS[2 * node])),
+            );
+        let values = std::array::from_fn(|k| {
+            let [x, y, z] = [k % NODES, k / NODES % NODES, k / (NODES * NODES)].map(few_weights);
+            let mut sum = [0.0; 4];
+            for (k, value) in few.iter().enumerate() {
+                let w = x[k % FEW] * y[k / FEW % FEW] * z[k / (FEW * FEW)];
+                (0..4).for_each(|c| sum[c] += w * value[c]);
+            }
+            sum.map(|x| x as f32)
         });
         Self { values }
     }
@@ -63,6 +84,14 @@ fn weights(t: f32) -> [f32; NODES] {
     weights
 }
 
+/// Lagrange's polynomials of every other node, at a node.
+fn few_weights(node: usize) -> [f64; FEW] {
+    std::array::from_fn(|k| {
+        let others = (0..FEW).filter(|other| *other != k).map(|other| KNOTS[2 * other]);
+        others.map(|other| (KNOTS[node] - other) / (KNOTS[2 * k] - other)).product()
+    })
+}
+
 /// One over the product of each node's distances from the others.
 const fn scales() -> [f32; NODES] {
     let mut scales = [0.0; NODES];
@@ -91,6 +120,22 @@ mod tests {
         let patch = Patch::new(f);
         for position in [[0.0, 0.0, 0.0], [1.0, 0.0, 0.5], [0.3, 0.9, 0.1], [1.0, 1.0, 1.0]] {
             for (found, expected) in patch.at(position.map(|x| x as f32)).iter().zip(f(position)) {
+                assert!((f64::from(*found) - expected).abs() < 3e-6, "{position:?} {found} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_sketch_is_a_polynomial_of_degree_two_and_asks_a_fifth() {
+        let f = |[x, y, z]: [f64; 3]| [x.powi(2) - y * z.powi(2), x * y, 0.3 - z, 1.0];
+        let mut asked = 0;
+        let sketch = Patch::sketch(|position| {
+            asked += 1;
+            f(position)
+        });
+        assert_eq!(asked, 27);
+        for position in [[0.0, 0.0, 0.0], [1.0, 0.0, 0.5], [0.3, 0.9, 0.1]] {
+            for (found, expected) in sketch.at(position.map(|x| x as f32)).iter().zip(f(position)) {
                 assert!((f64::from(*found) - expected).abs() < 3e-6, "{position:?} {found} {expected}");
             }
         }

@@ -31,6 +31,8 @@ pub struct Source {
 const PRECISION_M: f64 = 1e-8;
 const LONGEST_STEP_M: f64 = 0.1;
 const FARTHEST_M: f64 = 0.5;
+/// Who has gone a step farther does not come back: most of those who look from all around a reading beside metal.
+const LOST_M: f64 = FARTHEST_M + LONGEST_STEP_M;
 /// Steps in which metal is switched on where a place is hard to find.
 const FOLLOWING_STEPS: u32 = 8;
 
@@ -271,6 +273,9 @@ impl Metal {
                 step *= LONGEST_STEP_M / length;
             }
             p += step;
+            if (p - z).norm_squared() > LOST_M * LOST_M {
+                return None;
+            }
             last = (step, missed);
             if length < PRECISION_M {
                 return Some(p);
