@@ -27,7 +27,7 @@ impl Served {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("stage.toml");
         std::fs::write(&path, text()).unwrap();
-        for model in ["demo-moves.safetensors", "demo-field.json"] {
+        for model in ["demo-moves.safetensors", "demo-field.json", "demo-faults.json"] {
             let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
             std::fs::copy(config.join(model), folder.path().join(model)).unwrap();
         }

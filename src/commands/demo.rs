@@ -1,22 +1,22 @@
 //! `posed demo`: a simulated stage, the daemon and the page in one process.
 //!
 //! The devices are virtual, everything else is what `posed run` does: the driver opens a pseudo-terminal and talks to
-//! a unit that does not know it is not one. The fault map is learnt from a rehearsal while the stage already runs.
+//! a unit that does not know it is not one.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use posed_daemon::{Daemon, FusionInbox, StageClock};
+use posed_daemon::{Daemon, FusionInbox};
 use posed_drivers::Timestamp;
 use posed_simulator::host::{Clock, Host, Watcher};
 use posed_simulator::stage::{Event, Output};
 use posed_simulator::truth::{TruthCycle, TruthRow};
 use posed_stage::Stage;
-use posed_stage::input::{Entry, Input, Model, Truth, TruthSensor};
+use posed_stage::input::{Entry, Input, Truth, TruthSensor};
 
 use super::run::{block_on, options};
-use super::{Error, rehearsal, simulation, watch};
+use super::{Error, simulation, watch};
 
 /// The stage that is built in.
 const STAGE: &str = include_str!("../../config/demo.toml");
@@ -26,6 +26,9 @@ const MOVES: &[u8] = include_bytes!("../../config/demo-moves.safetensors");
 
 /// What its floor and the leg of its table do to the field.
 const FIELD: &[u8] = include_bytes!("../../config/demo-field.json");
+
+/// Where its trackers are, and what they look like with faults; `rehearsal` makes it.
+const FAULTS: &[u8] = include_bytes!("../../config/demo-faults.json");
 
 /// What to show.
 #[derive(clap::Args)]
@@ -69,12 +72,14 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
             if let Some(field) = &mut stage.models.field {
                 unpack(field, FIELD)?;
             }
+            if let Some(faults) = &mut stage.models.faults {
+                unpack(faults, FAULTS)?;
+            }
             (stage, STAGE.to_owned(), PathBuf::new())
         }
     };
     let duration_s = simulation::scenario(&stage)?.duration_s;
     let devices = simulation::virtual_stage(&stage, &folder)?;
-    let rehearsed = args.stage.is_none().then(|| stage.clone());
     let recordings = folder.join("recordings");
     let mut options = options(stage, text, folder);
     options.data = args.data.unwrap_or_else(|| {
@@ -97,9 +102,6 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         }
         let daemon = Daemon::start(options).map_err(Error::failed)?;
         let _ = inbox.set(daemon.inbox());
-        if let Some(stage) = rehearsed {
-            rehearse(stage, daemon.inbox(), daemon.clock());
-        }
         watch::announce(daemon.vrpn_address())?;
         let ended = watch::until_end(daemon.url(), daemon.status(), daemon.part_ended(), duration_s).await;
         // The daemon first: to it, devices that end would be unplugged.
@@ -108,22 +110,6 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
             host.stop().await.map_err(|error| Error::Failed(format!("a virtual device failed: {error}")));
         ended.and(stopped)
     })
-}
-
-/// Learns a fault map beside the stage, and swaps it in.
-#[expect(
-    clippy::disallowed_methods,
-    reason = "nobody waits for it: neither the page at the start, nor the end"
-)]
-fn rehearse(stage: Stage, inbox: FusionInbox, clock: StageClock) {
-    std::thread::spawn(move || match rehearsal::learn_faults(&stage, Path::new("")) {
-        Ok(Some(fault_map)) => {
-            let input = Input::Model(Model::Faults { fault_map: Box::new(fault_map) });
-            inbox.enter(Entry { t: clock.now(), input });
-        }
-        Ok(None) => {}
-        Err(error) => tracing::warn!("the fault map was not learnt: {error}"),
-    });
 }
 
 /// Sends the truth to the `truth` topic.

@@ -39,6 +39,7 @@ mod orient;
 mod output;
 mod progress;
 mod recorded;
+#[cfg(test)]
 mod rehearsal;
 mod replay;
 mod replay_pty;

@@ -215,7 +215,7 @@ pub(crate) fn record_start(name: &str) -> Value {
 /// The demo's stage file and what it names, in a folder where a test may write.
 pub(crate) fn copy_demo(folder: &Path) {
     let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
-    for name in ["demo.toml", "demo-moves.safetensors", "demo-field.json"] {
+    for name in ["demo.toml", "demo-moves.safetensors", "demo-field.json", "demo-faults.json"] {
         fs::copy(config.join(name), folder.join(name)).unwrap();
     }
 }
