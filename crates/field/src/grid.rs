@@ -106,19 +106,21 @@ impl Grid {
                 let within = |share: [f64; 3]| low + Vector3::from(share) * step;
                 let middle = within([0.5; 3]);
                 let tolerance = tolerance(&middle)?;
-                let off = |position_m: &Vector3<f64>| far(&this.cubic(position_m), &exact(position_m));
+                let first = far(&this.cubic(&middle), &exact(&middle));
                 // Where the middle is nearly too bad, other places may be.
-                let first = off(&middle);
-                let smooth = first < 0.25 * tolerance
-                    || first <= tolerance && TRIED.into_iter().all(|share| off(&within(share)) <= tolerance);
-                if smooth {
+                if first < 0.25 * tolerance {
                     return None;
                 }
                 let asked = |share: [f64; 3]| exact(&within(share));
+                let truth = TRIED.map(asked);
+                let all = |said: &dyn Fn([f64; 3]) -> [f64; 4], tolerance: f64| {
+                    TRIED.iter().zip(&truth).all(|(share, truth)| far(&said(*share), truth) <= tolerance)
+                };
+                if first <= tolerance && all(&|share| this.cubic(&within(share)), tolerance) {
+                    return None;
+                }
                 let holds = |patch: &Patch, tolerance: f64| {
-                    TRIED.into_iter().all(|share| {
-                        far(&patch.at(share.map(|x| x as f32)).map(f64::from), &asked(share)) <= tolerance
-                    })
+                    all(&|share| patch.at(share.map(|x| x as f32)).map(f64::from), tolerance)
                 };
                 if !holds(&Patch::sketch(asked), TORN_TOLERANCES * tolerance) {
                     return Some(None);

@@ -91,9 +91,10 @@ fn undecided(map: &FieldMap, metal: &Metal, shape: &Shape) -> Vec<f64> {
             return None;
         }
         let z = metal.reading(&position_m);
-        let found = map.model.answer_in(Some(metal), &z, None);
+        let place = metal.find(&z, None);
+        let found = map.model.correct_by(Some(metal), &z, |_| place);
         // A polynomial or bumps beside the metal have no reading of their own: what they add is no doubt.
-        let rest = found - metal.find(&z, None).unwrap_or(z);
+        let rest = found - place.unwrap_or(z);
         Some((z, (found - rest - position_m).norm_squared()))
     };
     let mut sums = vec![Sheets::default(); shape.len()];

@@ -137,7 +137,8 @@ impl Model {
         self.correct_by(metal, z, |metal| metal.find(z, guess))
     }
 
-    fn correct_by(
+    /// The same from the place that somebody has found for the reading among the metal.
+    pub(crate) fn correct_by(
         &self,
         metal: Option<&Metal>,
         z: &Vector3<f64>,
