@@ -12,7 +12,7 @@ use tokio_tungstenite::tungstenite::handshake::server::{ErrorResponse, Request, 
 use tokio_tungstenite::tungstenite::http::HeaderValue;
 use tokio_tungstenite::{WebSocketStream, accept_hdr_async, connect_async};
 
-use super::browser::{Browser, resident_bytes};
+use super::chromium::{Browser, resident_bytes};
 use super::stage::Served;
 use super::{PROBE, VIEWS};
 

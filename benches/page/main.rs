@@ -12,14 +12,14 @@
 #![allow(clippy::print_stdout, clippy::unwrap_used, reason = "a bench tells what it measured, or stops")]
 #![allow(clippy::disallowed_methods, reason = "a bench measures time")]
 
-#[path = "../../tests/browser/mod.rs"]
-mod browser;
+#[path = "../../tests/chromium/mod.rs"]
+mod chromium;
 mod hours;
 mod stage;
 
 use std::time::Duration;
 
-use browser::Browser;
+use chromium::Browser;
 use clap::Parser;
 
 #[derive(Parser)]

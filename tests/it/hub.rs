@@ -10,7 +10,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio_tungstenite::connect_async;
 
-use crate::browser::{self, Browser};
+use crate::chromium::{self, Browser};
 use crate::daemon::process::{PATIENCE, Posed, frames, ok, refused, two_devices, until};
 use crate::server::harness::{Client, get};
 
@@ -464,7 +464,7 @@ async fn who_has_no_password_is_not_let_in() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_hubs_page_leads_to_the_stages_page() {
-    if !browser::is_wanted() {
+    if !chromium::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();

@@ -11,10 +11,11 @@ mod align_live;
 mod architecture;
 mod body;
 mod body_live;
-#[path = "../browser/mod.rs"]
 mod browser;
 mod captures;
 mod chain_live;
+#[path = "../chromium/mod.rs"]
+mod chromium;
 mod cli;
 mod daemon;
 mod exercise;
@@ -33,7 +34,6 @@ mod keyframes;
 mod keyframes_live;
 mod motion_commands;
 mod packaging;
-mod page;
 mod pipeline;
 mod reference;
 mod segments;

@@ -95,7 +95,7 @@ async fn a_stage_without_a_body_has_none_to_calibrate() {
 async fn a_body_is_calibrated_from_a_terminal() {
     let folder = tempfile::tempdir().unwrap();
     // A person who first raises the arms forward.
-    let stage = crate::page::calibration::posing(folder.path());
+    let stage = crate::browser::calibration::posing(folder.path());
     let text = fs::read_to_string(&stage).unwrap();
     let with_mistake = "activity = \"poses\"\nmistake = \"arms-forward\"";
     assert!(text.contains("activity = \"poses\""), "{text}");

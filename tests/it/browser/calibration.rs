@@ -4,7 +4,7 @@ use std::path::Path;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use crate::browser::{self, Browser};
+use crate::chromium::{self, Browser};
 use crate::daemon::process::{Posed, until};
 use posed_rig::leg;
 
@@ -12,7 +12,7 @@ use super::{LIVE, PAINTED, done};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_field_is_calibrated_in_the_browser_and_the_stage_shows_what_the_map_does() {
-    if !browser::is_wanted() {
+    if !chromium::is_wanted() {
         return;
     }
     // Maps are kept beside the stage file.
@@ -128,7 +128,7 @@ async fn calibrating(stage: &Path, how: &str) -> (Posed, Browser) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_body_is_calibrated_in_the_browser_and_then_stands() {
-    if !browser::is_wanted() {
+    if !chromium::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -146,7 +146,7 @@ async fn a_body_is_calibrated_in_the_browser_and_then_stands() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn swapped_sensors_are_found_in_the_browser() {
-    if !browser::is_wanted() {
+    if !chromium::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -221,7 +221,7 @@ boot_ms = 0.0
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_stage_is_aligned_in_the_browser() {
-    if !browser::is_wanted() {
+    if !chromium::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -284,7 +284,7 @@ imu = "mpu"
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_imu_is_calibrated_in_the_browser_and_its_file_kept() {
-    if !browser::is_wanted() {
+    if !chromium::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -350,7 +350,7 @@ boot_ms = 0.0
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_chain_is_calibrated_in_the_browser_and_its_hinge_drawn() {
-    if !browser::is_wanted() {
+    if !chromium::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();

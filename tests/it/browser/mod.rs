@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use serde_json::json;
 
-use crate::browser::{self, Browser};
+use crate::chromium::{self, Browser};
 use crate::daemon::process::{Posed, two_devices};
 
 /// The page has complained about nothing, and the daemon ends as it should.
@@ -34,7 +34,7 @@ const PAINTED: &str = "(() => { const from = document.querySelector('#stage-view
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_token_does_not_stay_in_the_address() {
-    if !browser::is_wanted() {
+    if !chromium::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -54,7 +54,7 @@ async fn a_token_does_not_stay_in_the_address() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_page_lives_says_when_data_are_old_and_lives_again() {
-    if !browser::is_wanted() {
+    if !chromium::is_wanted() {
         return;
     }
     let posed = Posed::start(["demo"]);
@@ -134,7 +134,7 @@ async fn the_page_lives_says_when_data_are_old_and_lives_again() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_browser() {
-    if !browser::is_wanted() {
+    if !chromium::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -209,7 +209,7 @@ async fn every_view_shows_numbers_and_a_recording_is_made_and_replayed_in_the_br
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_map_of_faults_is_learnt_and_a_cell_named_in_the_browser() {
-    if !browser::is_wanted() {
+    if !chromium::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::json;
 
-use crate::browser::{self, Browser};
+use crate::chromium::{self, Browser};
 use crate::daemon::process::{Posed, copy_demo, ok, two_devices, until};
 use crate::sessions::write_curl_of_a_body;
 
@@ -46,7 +46,7 @@ async fn rests(posed: &Posed, sensor: usize) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_device_named() {
-    if !browser::is_wanted() {
+    if !chromium::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -132,7 +132,7 @@ async fn an_exercise_is_taught_and_counted_in_the_browser_and_an_unplugged_devic
 /// Beside the person who trains stands a figure that does what is to be done.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_demonstration_stands_beside_the_person() {
-    if !browser::is_wanted() {
+    if !chromium::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();

@@ -10,7 +10,7 @@ use posed_sessions::{
 };
 use serde_json::json;
 
-use crate::browser::{self, Browser};
+use crate::chromium::{self, Browser};
 
 const TAUGHT_DEG: f64 = 100.0;
 /// How far the patient goes.
@@ -128,7 +128,7 @@ async fn look_at(browser: &mut Browser, path: &Path) -> Vec<[[f64; 2]; 2]> {
 async fn print(browser: &mut Browser) -> (usize, bool) {
     let params = json!({"preferCSSPageSize": true, "printBackground": true});
     let printed = browser.call("Page.printToPDF", params).await;
-    let bytes = browser::base64(printed["data"].as_str().unwrap());
+    let bytes = chromium::base64(printed["data"].as_str().unwrap());
     let text = String::from_utf8_lossy(&bytes);
     let boxes: Vec<&str> =
         text.split("/MediaBox [").skip(1).filter_map(|rest| rest.split(']').next()).collect();
@@ -141,7 +141,7 @@ async fn print(browser: &mut Browser) -> (usize, bool) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_report_shows_what_was_done_below_what_was_taught_and_prints_on_a4() {
-    if !browser::is_wanted() {
+    if !chromium::is_wanted() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
