@@ -227,6 +227,21 @@ fn states(rig: &Rig, sensor: usize, from_s: f64, to_s: f64) -> String {
 }
 
 #[test]
+fn single_records_outside_the_gate_are_suspect_and_no_fault() {
+    let device = DeviceScenario { faults: vec![Fault::DataBitFlips(fifty())], ..flock(0, 100.0) };
+    let mut rig = Rig::new(&stage(&[2]), &Scenario { seed: 1, ..scenario(vec![device]) });
+    rig.run_until(18.0);
+    let is_suspect =
+        |estimate: &&Estimate| estimate.sensors.iter().any(|sensor| sensor.state == SensorState::Suspect);
+    let suspect = rig.estimates().filter(|e| e.t_valid.as_secs_f64() > 5.0).filter(is_suspect).count();
+    let gate = |sensor| OutcomeKind::Fault { sensor, cause: Cause::Gate, active: true };
+    let is_gate =
+        |said: &&Said| matches!(said, Said::Outcome(outcome) if [gate(0), gate(1)].contains(&outcome.what));
+    let faults = rig.emitted.iter().filter(is_gate).count();
+    assert!(suspect > 10 && faults == 0, "{suspect} frames, {faults} faults");
+}
+
+#[test]
 fn a_hemisphere_flip_is_repaired_at_once() {
     let rig = faulty(vec![Fault::HemisphereFlip { address: 2, at_s: 8.0, duration_s: 3.0 }]);
     assert_eq!(states(&rig, 1, 8.05, 10.95), r#"{"Repaired": 290}"#);

@@ -13,8 +13,8 @@ use posed_stage::input::SensorIndex;
 use posed_stage::output::{Estimate, FrameLabel};
 
 /// A fault is published once this many of the last five frames have it.
-const LASTS: u32 = 3;
-const RECENT: u8 = 0b1_1111;
+pub(super) const LASTS: u32 = 3;
+pub(super) const RECENT: u8 = 0b1_1111;
 
 /// What the map reports about a sensor in a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]

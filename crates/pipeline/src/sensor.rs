@@ -5,7 +5,7 @@ use posed_drivers::{Loss, Measurement, Timestamp};
 use posed_state::State;
 
 use super::SensorStatus;
-use super::fault_map::Advice;
+use super::fault_map::{Advice, LASTS, RECENT};
 use super::field::Field;
 use super::inertial::Inertial;
 use super::magnetic::{EstimatedPose, Magnetic};
@@ -39,6 +39,8 @@ pub(super) struct Sensor {
     kind: Kind,
     state: SensorState,
     fault: Option<Cause>,
+    /// One bit for each of the last five records: it was outside the gate.
+    gated: u8,
     /// The cause that has last been published.
     published: Option<Cause>,
     moving: bool,
@@ -75,6 +77,7 @@ impl Sensor {
             kind,
             state: SensorState::Missing,
             fault: None,
+            gated: 0,
             published: None,
             moving: false,
             repairs,
@@ -197,7 +200,11 @@ impl Sensor {
                 // What may not be published must not come in by an attached IMU or a pole either.
                 magnetic.begin_frame();
             }
-            self.fault = found.label.cause;
+            let is_gated = found.label.cause == Some(Cause::Gate);
+            self.gated = (self.gated << 1 | u8::from(is_gated)) & RECENT;
+            // One record in a thousand of a good sensor is outside: that is what the gate was made for, and no fault.
+            let lasts = !is_gated || self.gated.count_ones() >= LASTS;
+            self.fault = found.label.cause.filter(|_| lasts);
             finding = Some(Finding { late: sample.late, ..found });
         }
         let repair = finding.and_then(|found| found.repair);
