@@ -7,14 +7,10 @@ use nalgebra::{Isometry3, Point3};
 use posed_state::{Plain, State};
 
 use crate::frame::Frame;
-use posed_fusion::faults::{Cause, Class, Label};
+use posed_fusion::faults::{Cause, Class, Debounce, Label};
 use posed_motion::fault_map::{FaultMap, FaultMapError, Watch};
 use posed_stage::input::SensorIndex;
 use posed_stage::output::{Estimate, FrameLabel};
-
-/// A fault is published once this many of the last five frames have it.
-pub(super) const LASTS: u32 = 3;
-pub(super) const RECENT: u8 = 0b1_1111;
 
 /// What the map reports about a sensor in a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
@@ -24,17 +20,19 @@ pub(super) struct Advice {
     pub(super) distance_m: Option<f64>,
     /// What has been wrong with it for most of the last frames, as it was first called.
     pub(super) lasting: Option<Cause>,
-    /// One bit for each of the last five frames: it was not clean.
-    recent: u8,
+    /// It was not clean; a fault is published once that lasts.
+    recent: Debounce,
 }
 
 impl Advice {
-    const NONE: Self = Self { label: Label::MISSING, distance_m: None, lasting: None, recent: 0 };
+    fn none() -> Self {
+        Self { label: Label::MISSING, distance_m: None, lasting: None, recent: Debounce::default() }
+    }
 
     fn take(&mut self, label: Label, distance_m: f64) {
         let bad = matches!(label.class, Class::Inverted | Class::Anomalous);
-        self.recent = (self.recent << 1 | u8::from(bad)) & RECENT;
-        let lasts = self.recent.count_ones() >= LASTS;
+        self.recent.push(bad);
+        let lasts = self.recent.lasts();
         // A jump that ends as a wrong distance is one fault, not two. A flip may follow another fault, and says more.
         let first = self.lasting.filter(|_| label != Label::INVERTED);
         self.lasting = first.or(label.cause.filter(|_| bad)).filter(|_| lasts);
@@ -74,7 +72,7 @@ impl FaultMapStage {
             watch: fault_map.watch(),
             order: fault_map.sensors.iter().map(|name| at(name) as SensorIndex).collect(),
             positions_m: vec![f64::NAN; 3 * fault_map.sensors.len()],
-            advice: sensors.iter().map(|sensor| sensor.1.then_some(Advice::NONE)).collect(),
+            advice: sensors.iter().map(|sensor| sensor.1.then(Advice::none)).collect(),
             fault_map: fault_map.clone(),
         })
     }

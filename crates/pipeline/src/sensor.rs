@@ -5,13 +5,13 @@ use posed_drivers::{Loss, Measurement, Timestamp};
 use posed_state::State;
 
 use super::SensorStatus;
-use super::fault_map::{Advice, LASTS, RECENT};
+use super::fault_map::Advice;
 use super::field::Field;
 use super::inertial::Inertial;
 use super::magnetic::{EstimatedPose, Magnetic};
 use crate::frame::{Frame, FrameSensor};
 use posed_field::PoleReading;
-use posed_fusion::faults::{Cause, Class, Finding, Label, Verdict};
+use posed_fusion::faults::{Cause, Class, Debounce, Finding, Label, Verdict};
 use posed_fusion::noise::TrackerNoise;
 use posed_stage::input::{DeviceIndex, SensorIndex};
 use posed_stage::output::{
@@ -39,8 +39,8 @@ pub(super) struct Sensor {
     kind: Kind,
     state: SensorState,
     fault: Option<Cause>,
-    /// One bit for each of the last five records: it was outside the gate.
-    gated: u8,
+    /// A record was outside the gate.
+    gated: Debounce,
     /// The cause that has last been published.
     published: Option<Cause>,
     moving: bool,
@@ -77,7 +77,7 @@ impl Sensor {
             kind,
             state: SensorState::Missing,
             fault: None,
-            gated: 0,
+            gated: Debounce::default(),
             published: None,
             moving: false,
             repairs,
@@ -201,9 +201,9 @@ impl Sensor {
                 magnetic.begin_frame();
             }
             let is_gated = found.label.cause == Some(Cause::Gate);
-            self.gated = (self.gated << 1 | u8::from(is_gated)) & RECENT;
+            self.gated.push(is_gated);
             // One record in a thousand of a good sensor is outside: that is what the gate was made for, and no fault.
-            let lasts = !is_gated || self.gated.count_ones() >= LASTS;
+            let lasts = !is_gated || self.gated.lasts();
             self.fault = found.label.cause.filter(|_| lasts);
             finding = Some(Finding { late: sample.late, ..found });
         }

@@ -5,6 +5,7 @@
 //! back where the tracker chose the wrong side of its transmitter. What it never does: filter, correct, look at the future. This module alone
 //! decides between p and -p and what is stuck; `fusion` only gates what is left.
 
+mod debounce;
 mod gate;
 mod vocabulary;
 mod words;
@@ -12,6 +13,7 @@ mod words;
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_state::Plain;
 
+pub use debounce::Debounce;
 pub(crate) use gate::squared_distance;
 pub use gate::{Gate, Prediction};
 pub use posed_geometry::repetition::{Evidence, Repeats, Repetition, Words};

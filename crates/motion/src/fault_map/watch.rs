@@ -8,10 +8,8 @@ use super::FaultMap;
 use super::habits::{Link, PositionChain, Steps};
 use super::rules::{Labeller, frame_label};
 use super::som::Winner;
-use posed_fusion::faults::{Cause, Class, Label};
+use posed_fusion::faults::{Cause, Class, Debounce, Label};
 
-/// A label of the map counts once so many of the last five frames have it.
-const DEBOUNCE: u32 = 3;
 /// A map that is discontent with more than this share of so many frames has not seen these movements: rules decide.
 const NOVELTY: f64 = 0.015;
 const MEMORY_FRAMES: f64 = 1000.0;
@@ -19,7 +17,6 @@ const MEMORY_FRAMES: f64 = 1000.0;
 const CONTENT: f64 = 0.5;
 /// Least weight of a frame in how unusual a sensor is on average.
 const MEAN_WEIGHT: f64 = 0.002;
-const RECENT: u8 = 0b1_1111;
 
 /// Labels a stream of frames: rules and self-organising map together, one frame at a time, without delay beyond 3 of 5
 /// frames.
@@ -38,10 +35,10 @@ pub struct Watch {
     frames: u32,
     labels: Vec<Label>,
     distances_m: Vec<f64>,
-    /// Per sensor, one bit for each of the last five frames: the map calls it anomalous.
-    recent: Vec<u8>,
+    /// Per sensor: the map calls it anomalous.
+    recent: Vec<Debounce>,
     /// The same of the frame.
-    recent_frame: u8,
+    recent_frame: Debounce,
     guess: usize,
     /// Share of the latest frames with which the rules are content and the map is not.
     alone: f64,
@@ -80,8 +77,8 @@ impl Watch {
             frames: 0,
             labels: nothing,
             distances_m: vec![f64::NAN; sensors],
-            recent: vec![0; sensors],
-            recent_frame: 0,
+            recent: vec![Debounce::default(); sensors],
+            recent_frame: Debounce::default(),
             guess: 0,
             alone: 1.5 * NOVELTY,
         }
@@ -115,17 +112,16 @@ impl Watch {
                 let weight = MEAN_WEIGHT.max(1.0 / f64::from(self.frames + 1));
                 self.mean_ratio[sensor] += weight * (look.ratio - self.mean_ratio[sensor]);
             }
-            let recent = &mut self.recent[sensor];
-            *recent = (*recent << 1 | u8::from(bad)) & RECENT;
-            strange |= lasts(*recent);
+            self.recent[sensor].push(bad);
+            strange |= self.recent[sensor].still_lasts();
         }
         self.frames = self.frames.saturating_add(1);
         let winner = fault_map.map.winner_from(&self.indices, self.guess);
         self.guess = winner.map_or(0, |winner| winner.cell);
         let cell = winner.map_or(Class::Unknown, |winner| fault_map.cells[winner.cell]);
         let far = winner.is_some_and(|winner| winner.distance > fault_map.usual_distance);
-        self.recent_frame = (self.recent_frame << 1 | u8::from(far)) & RECENT;
-        let bad_frame = lasts(self.recent_frame);
+        self.recent_frame.push(far);
+        let bad_frame = self.recent_frame.still_lasts();
         let by_map = match cell {
             Class::Inverted => Class::Inverted,
             _ if strange || bad_frame => Class::Anomalous,
@@ -137,7 +133,7 @@ impl Watch {
         self.alone += (f64::from(u8::from(alone)) - self.alone) / MEMORY_FRAMES;
         let label = if alone && self.alone < NOVELTY {
             for (label, recent) in self.labels.iter_mut().zip(&self.recent) {
-                if label.class == Class::Clean && lasts(*recent) {
+                if label.class == Class::Clean && recent.still_lasts() {
                     *label = Label::anomalous(Cause::Map);
                 }
             }
@@ -159,9 +155,4 @@ impl Watch {
     pub fn size(&self) -> f64 {
         self.labeller.size()
     }
-}
-
-/// Whether the latest frame and enough of those before it are bad.
-fn lasts(recent: u8) -> bool {
-    recent & 1 == 1 && recent.count_ones() >= DEBOUNCE
 }
