@@ -4,7 +4,6 @@ use std::ffi::OsStr;
 use std::fmt::Write;
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
-use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 const DEMO: &str = include_str!("../../config/demo.toml");
@@ -25,12 +24,9 @@ impl Served {
 
     pub(crate) fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
+        posed_rig::copy_demo(folder.path());
         let path = folder.path().join("stage.toml");
         std::fs::write(&path, text()).unwrap();
-        for model in ["demo-moves.safetensors", "demo-field.json", "demo-faults.json"] {
-            let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
-            std::fs::copy(config.join(model), folder.path().join(model)).unwrap();
-        }
         Self::spawn(folder, &["--stage".as_ref(), path.as_os_str()])
     }
 

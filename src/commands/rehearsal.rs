@@ -23,17 +23,11 @@ const LENGTH_S: f64 = 77.0;
 /// Share of the frames that get a fault.
 const BAD_SHARE: f64 = 0.4;
 
-/// Learns the map; `None` where there are too few sensors to tell anything.
-pub(crate) fn learn_faults(stage: &Stage, folder: &Path) -> Result<Option<FaultMap>, Error> {
-    let mut frames = positions(stage, folder)?;
-    let sensors = frames.sensors.len();
-    let span_s = frames.t_s.last().zip(frames.t_s.first()).map_or(0.0, |(last, first)| last - first);
-    if sensors < 2 || span_s <= 0.0 {
-        return Ok(None);
-    }
-    let rate_hz = (frames.len() - 1) as f64 / span_s;
-    inject(&mut frames.positions_m, sensors, rate_hz, 1, BAD_SHARE, &Fault::ALL);
-    Ok(FaultMap::train(&frames, Size::default(), &Training::default()).ok().map(|(fault_map, _)| fault_map))
+/// Learns the map from frames that are all right.
+fn learn_faults(mut frames: Frames) -> FaultMap {
+    let rate_hz = (frames.len() - 1) as f64 / (frames.t_s[frames.len() - 1] - frames.t_s[0]);
+    inject(&mut frames.positions_m, frames.sensors.len(), rate_hz, 1, BAD_SHARE, &Fault::ALL);
+    FaultMap::train(&frames, Size::default(), &Training::default()).unwrap().0
 }
 
 /// The raw positions of the magnetic sensors, as the stage itself will see them: every frame that has them all.
@@ -100,15 +94,15 @@ mod tests {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
         let mut stage = Stage::parse(include_str!("../../config/demo.toml")).unwrap();
         let path = folder.join(stage.models.faults.take().unwrap());
+        let frames = positions(&stage, &folder).unwrap();
         if std::env::var_os("POSED_BLESS").is_some() {
-            let learnt = learn_faults(&stage, &folder).unwrap().unwrap();
+            let learnt = learn_faults(frames.clone());
             std::fs::write(&path, serde_json::to_string(&learnt).unwrap() + "\n").unwrap();
         }
         let fault_map = stage.read_faults(&path).unwrap();
         for class in [Class::Clean, Class::Inverted, Class::Anomalous] {
             assert!(fault_map.cells.contains(&class), "{class:?}");
         }
-        let frames = positions(&stage, &folder).unwrap();
         let mut watch = fault_map.watch();
         let bad = (0..frames.len())
             .filter(|k| watch.push(&fault_map, frames.frame(*k)).label.class != Class::Clean)

@@ -14,6 +14,7 @@ use posed_stage::input::{Entry, Input, Model};
 use posed_stage::output::{Body, Estimate, Output, PositionSource, SensorState};
 use posed_stage::{Pose, Stage};
 
+use posed_rig::wand::STAGE;
 use posed_rig::{Rig, Said, replay};
 
 const OFFSET_M: [f64; 3] = [0.021, -0.013, 0.034];
@@ -32,28 +33,6 @@ fn transmitter() -> Isometry3<f64> {
     let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.7);
     Isometry3::from_parts(Translation3::new(0.4, -0.2, 0.9), yaw * tilt)
 }
-
-const STAGE: &str = r#"
-name = "both"
-[[device]]
-name = "flock"
-driver = "flock-of-birds"
-port = "/dev/none"
-[[device]]
-name = "imus"
-driver = "x-imu3"
-port = "/dev/none2"
-baud = 2000000
-[[sensor]]
-name = "hand"
-device = "flock"
-address = 0
-imu = { sensor = "hand_imu" }
-[[sensor]]
-name = "hand_imu"
-device = "imus"
-address = 1
-"#;
 
 /// The stage as its operator has it at first: nothing is known of the transmitter.
 fn unaligned() -> Stage {

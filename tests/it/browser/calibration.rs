@@ -6,7 +6,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::chromium::{self, Browser};
 use crate::daemon::process::{Posed, until};
-use posed_rig::leg;
+use posed_rig::{leg, wand};
 
 use super::{LIVE, PAINTED, done};
 
@@ -170,30 +170,11 @@ async fn swapped_sensors_are_found_in_the_browser() {
     done(browser, posed).await;
 }
 
-/// A tracker and an IMU on one wand that is turned in somebody's hand; nobody knows how they sit.
-const WAND: &str = r#"
-name = "both"
+/// The wand is turned in somebody's hand.
+const TURNED: &str = r#"
 [transmitter.pose_in_room]
 position_m = [0.4, -0.2, 0.9]
 orientation_wxyz = [0.996195, 0.0, 0.087156, 0.0]
-[[device]]
-name = "flock"
-driver = "flock-of-birds"
-port = "auto"
-[[device]]
-name = "imus"
-driver = "x-imu3"
-port = "auto"
-baud = 2000000
-[[sensor]]
-name = "hand"
-device = "flock"
-address = 0
-imu = { sensor = "hand_imu" }
-[[sensor]]
-name = "hand_imu"
-device = "imus"
-address = 1
 [[simulation.body]]
 name = "wand"
 [simulation.body.motion]
@@ -226,7 +207,8 @@ async fn the_stage_is_aligned_in_the_browser() {
     }
     let folder = tempfile::tempdir().unwrap();
     let stage = folder.path().join("wand.toml");
-    std::fs::write(&stage, WAND).unwrap();
+    let ports = wand::STAGE.replace("/dev/none2", "auto").replace("/dev/none", "auto");
+    std::fs::write(&stage, ports + TURNED).unwrap();
     let posed = Posed::start(["demo", "--stage", stage.to_str().unwrap()]);
     let mut browser = Browser::open(&format!("http://{}/#calibrate-record", posed.address)).await;
     browser.until(LIVE).await;

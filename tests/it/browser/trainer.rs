@@ -5,7 +5,7 @@ use std::path::Path;
 use serde_json::json;
 
 use crate::chromium::{self, Browser};
-use crate::daemon::process::{Posed, copy_demo, ok, two_devices, until};
+use crate::daemon::process::{Posed, ok, two_devices, until};
 use crate::sessions::write_curl_of_a_body;
 
 use super::{LIVE, done};
@@ -136,7 +136,7 @@ async fn the_demonstration_stands_beside_the_person() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    copy_demo(folder.path());
+    posed_rig::copy_demo(folder.path());
     std::fs::create_dir(folder.path().join("exercises")).unwrap();
     write_curl_of_a_body(&folder.path().join("exercises/curl-001.json"));
     let posed = Posed::demo_that_keeps(&folder.path().join("demo.toml"));

@@ -211,11 +211,3 @@ pub(crate) fn all_ok(message: &Value) -> bool {
 pub(crate) fn record_start(name: &str) -> Value {
     json!({"type": "record.start", "name": name})
 }
-
-/// The demo's stage file and what it names, in a folder where a test may write.
-pub(crate) fn copy_demo(folder: &Path) {
-    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
-    for name in ["demo.toml", "demo-moves.safetensors", "demo-field.json", "demo-faults.json"] {
-        fs::copy(config.join(name), folder.join(name)).unwrap();
-    }
-}

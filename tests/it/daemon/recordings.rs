@@ -8,9 +8,7 @@ use posed_stage::RecordingContent;
 use posed_stage::input::Input;
 use serde_json::{Value, json};
 
-use super::process::{
-    Posed, all_ok, copy_demo, frames, ok, record_start, replays, succeed, two_devices, until,
-};
+use super::process::{Posed, all_ok, frames, ok, record_start, replays, succeed, two_devices, until};
 use crate::cli::posed;
 
 /// In a stage file: messages beside the log, to hold the replay against.
@@ -189,7 +187,7 @@ fn repaired(torn: &Path) {
 async fn the_demo_s_log_alone_gives_everything_that_was_recorded() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    copy_demo(folder.path());
+    posed_rig::copy_demo(folder.path());
     let text = std::fs::read_to_string(path("demo.toml")).unwrap() + FULL;
     std::fs::write(path("demo.toml"), text).unwrap();
     let daemon = Posed::start([

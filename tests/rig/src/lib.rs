@@ -9,6 +9,7 @@ mod host;
 pub mod leg;
 mod rig;
 mod said;
+pub mod wand;
 
 use std::path::{Path, PathBuf};
 
@@ -24,6 +25,18 @@ use serde::Deserialize;
 pub use host::{Host, Sleepy};
 pub use rig::{Rig, replay};
 pub use said::Said;
+
+/// Copies the demo's stage file and what it names into a folder where a test may write.
+pub fn copy_demo(folder: &Path) {
+    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config");
+    for file in std::fs::read_dir(config).unwrap() {
+        let path = file.unwrap().path();
+        let name = path.file_name().unwrap();
+        if name.to_str().is_some_and(|name| name.starts_with("demo")) {
+            std::fs::copy(&path, folder.join(name)).unwrap();
+        }
+    }
+}
 
 /// A stage file with Flocks of so many birds each; one bird stands alone.
 pub fn stage(birds: &[u16]) -> Stage {
