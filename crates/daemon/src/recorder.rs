@@ -114,6 +114,10 @@ impl Recorder {
             let front = file.try_clone().map_err(WriteError::from).and_then(|synced| {
                 front(BufWriter::new(file), move || synced.sync_data(), header, &schemas())
             });
+            let front = front.map(|(mut writer, synced)| {
+                path.parent().into_iter().for_each(|folder| writer.keep_index_in(folder));
+                (writer, synced)
+            });
             // So that its name survives a power cut too. Not every file system can do this.
             let _ = sync_folder_of(&path);
             front.inspect_err(|_| {

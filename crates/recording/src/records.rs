@@ -55,8 +55,8 @@ impl<R: Read> Records<R> {
     }
 
     /// The channels seen so far, those without a message too.
-    pub(super) fn channels(&self) -> impl Iterator<Item = &Channel<'static>> {
-        self.channels.values().map(Arc::as_ref)
+    pub(super) fn channels(&self) -> impl Iterator<Item = &Arc<Channel<'static>>> {
+        self.channels.values()
     }
 
     /// Bytes taken from the source.

@@ -7,13 +7,14 @@ use std::fs::{File, TryLockError};
 use std::io::{self, BufReader, Write};
 use std::path::Path;
 
-use mcap::write::NoSeek;
+use mcap::records::MessageHeader;
 
 use super::ending::{Ending, ReadError};
 use super::header::METADATA_END;
+use super::mcap_file::McapFile;
 use super::reader::Reader;
 use super::records::{Record, Records};
-use super::writer::{WriteError, options};
+use super::writer::WriteError;
 use crate::atomic_file::AtomicFile;
 
 /// What a repair has done.
@@ -92,14 +93,20 @@ fn broken_after<R: io::Read>(
 
 /// Copies records until `messages` messages are over.
 fn copy<R: io::Read>(mut records: Records<R>, messages: u64, sink: impl Write) -> Result<(), RepairError> {
-    let mut mcap = options().create(NoSeek::new(sink)).map_err(WriteError::from)?;
+    let mut mcap = McapFile::new(sink).map_err(WriteError::from)?;
     let mut copied_messages = 0;
     loop {
         let copied = match records.next() {
             Ok(Some(Record::Message(_))) if copied_messages == messages => break,
             Ok(Some(Record::Message(message))) => {
                 copied_messages += 1;
-                mcap.write(&message)
+                let header = MessageHeader {
+                    channel_id: message.channel.id,
+                    sequence: message.sequence,
+                    log_time: message.log_time,
+                    publish_time: message.publish_time,
+                };
+                mcap.declare(&message.channel).and_then(|()| mcap.write(&header, &message.data))
             }
             Ok(Some(Record::Attachment(attachment))) => mcap.attach(&attachment),
             // The old end comes back below, behind whatever follows it.
@@ -114,15 +121,13 @@ fn copy<R: io::Read>(mut records: Records<R>, messages: u64, sink: impl Write) -
     }
     // They say what bundles hold, and have no messages that would bring them along.
     for channel in records.channels().filter(|channel| channel.schema.is_none()) {
-        mcap.add_channel(0, &channel.topic, &channel.message_encoding, &channel.metadata)
-            .map_err(WriteError::from)?;
+        mcap.declare(channel).map_err(WriteError::from)?;
     }
     let reason = "broke off; completed by `posed info --repair`".to_owned();
     let metadata = [("reason".to_owned(), reason)].into();
     mcap.write_metadata(&mcap::records::Metadata { name: METADATA_END.to_owned(), metadata })
         .map_err(WriteError::from)?;
     mcap.finish().map_err(WriteError::from)?;
-    mcap.into_inner().into_inner().flush()?;
     Ok(())
 }
 

@@ -8,24 +8,23 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use mcap::records::{MessageHeader, Metadata};
-use mcap::write::NoSeek;
-use mcap::{Attachment, Compression, McapError, WriteOptions};
+use mcap::{Attachment, McapError, Schema};
 use posed_drivers::Timestamp;
 
 use super::bundle::{Bundle, Piece};
 use super::header::{Header, METADATA_END, Part};
 use super::machine::MachineError;
+use super::mcap_file::{CHUNK_BYTES, McapFile};
 use super::{MAX_PIECE_BYTES, MAX_RECORD_BYTES};
 use posed_protocol::foxglove::Channel;
 use posed_stage::RecordingContent;
 use posed_stage::input::{DeviceIndex, Entry, Input};
 
-/// Uncompressed bytes after which a chunk, or a bundle in it, is closed by itself.
-const CHUNK_BYTES: u64 = 1 << 20;
 /// A chunk may go over its size by one message, and is itself one record.
 const _: () = assert!(MAX_PIECE_BYTES + 2 * CHUNK_BYTES as usize <= MAX_RECORD_BYTES);
 
@@ -98,12 +97,12 @@ impl From<McapError> for WriteError {
 /// After an error of the sink, write nothing more: the file is a readable prefix. What is refused for its device or its size is
 /// left out, and the recording goes on without a hole.
 pub struct Writer<W: Write> {
-    mcap: mcap::Writer<NoSeek<Counting<W>>>,
+    mcap: McapFile<W>,
     header: Header,
     /// Channels already declared, by topic.
     channels: BTreeMap<String, OpenChannel>,
-    /// Names and texts of schemas, by topic.
-    schemas: BTreeMap<String, (String, String)>,
+    /// Schemas by topic; those with one name and text are one.
+    schemas: BTreeMap<String, Arc<Schema<'static>>>,
     /// Topics of the devices, made once: input bytes, input line, output bytes.
     device_topics: Vec<[String; 3]>,
     /// Counts entries, over all input topics.
@@ -111,7 +110,6 @@ pub struct Writer<W: Write> {
     /// Pieces that are not yet written, and the number of the first entry among them.
     bundle: Bundle,
     bundle_begins: u32,
-    bytes: Arc<AtomicU64>,
     scratch: Vec<u8>,
 }
 
@@ -141,9 +139,7 @@ impl<W: Write> Writer<W> {
     /// # Errors
     /// The sink refuses, or a part of the header is too large or cannot be packed.
     pub fn new(sink: W, header: Header) -> Result<Self, WriteError> {
-        let bytes = Arc::new(AtomicU64::new(0));
-        let sink = Counting { sink, bytes: Arc::clone(&bytes) };
-        let mut mcap = options().create(NoSeek::new(sink))?;
+        let mut mcap = McapFile::new(sink)?;
         let time = header.log_time(header.begun);
         for Part { name, media_type, data } in header.attachments().map_err(WriteError::Format)? {
             check_size(name, data.len())?;
@@ -174,16 +170,30 @@ impl<W: Write> Writer<W> {
             entries: 0,
             bundle: Bundle::default(),
             bundle_begins: 0,
-            bytes,
             scratch: Vec::new(),
         })
+    }
+
+    /// Lets the index, which a long recording has much of, wait in a file of `folder` that has no name; in the system's folder for
+    /// temporary files without this. Call it before anything is written.
+    pub fn keep_index_in(&mut self, folder: &Path) {
+        self.mcap.keep_index_in(folder);
     }
 
     /// Gives the JSON Schema of a published topic (`sensors`, not `/posed/sensors`); call it before the topic's first message,
     /// for later it has no effect.
     pub fn declare(&mut self, topic: &str, json_schema: &str) {
-        let schema = (format!("posed.{topic}"), json_schema.to_owned());
-        self.schemas.insert(format!("/posed/{topic}"), schema);
+        self.add_schema(format!("/posed/{topic}"), format!("posed.{topic}"), json_schema);
+    }
+
+    fn add_schema(&mut self, topic: String, name: String, text: &str) {
+        let is_it = |known: &&Arc<Schema<'static>>| known.name == name && *known.data == *text.as_bytes();
+        let schema = self.schemas.values().find(is_it).cloned().unwrap_or_else(|| {
+            let last = self.schemas.values().map(|known| known.id).max().unwrap_or_default();
+            let data = text.as_bytes().to_vec().into();
+            Arc::new(Schema { id: last.saturating_add(1), name, encoding: "jsonschema".to_owned(), data })
+        });
+        self.schemas.insert(topic, schema);
     }
 
     /// Appends a message (JSON text, `t` in stage time) of a channel that viewers know: it is for them, and no part of a replay.
@@ -192,8 +202,7 @@ impl<W: Write> Writer<W> {
     /// The sink refuses, or the message is too large.
     pub fn view(&mut self, channel: &Channel, t: Timestamp, json: &[u8]) -> Result<(), WriteError> {
         if !self.schemas.contains_key(&channel.topic) {
-            let schema = (channel.schema_name.clone(), channel.schema.clone());
-            self.schemas.insert(channel.topic.clone(), schema);
+            self.add_schema(channel.topic.clone(), channel.schema_name.clone(), &channel.schema);
         }
         self.write(Destination::View(&channel.topic), t, None, json)
     }
@@ -274,20 +283,17 @@ impl<W: Write> Writer<W> {
         self.close_bundle()?;
         let metadata = BTreeMap::from([("reason".to_owned(), reason.to_owned())]);
         self.mcap.write_metadata(&Metadata { name: METADATA_END.to_owned(), metadata })?;
-        self.mcap.finish()?;
-        let mut sink = self.mcap.into_inner().into_inner().sink;
-        sink.flush()?;
-        Ok(sink)
+        Ok(self.mcap.finish()?)
     }
 
     /// Bytes that the sink has taken so far.
     pub fn bytes_written(&self) -> u64 {
-        self.bytes.load(Ordering::Relaxed)
+        self.mcap.byte_counter().load(Ordering::Relaxed)
     }
 
     /// The counter behind [`Writer::bytes_written`], for whoever shows it elsewhere.
     pub fn byte_counter(&self) -> Arc<AtomicU64> {
-        Arc::clone(&self.bytes)
+        Arc::clone(self.mcap.byte_counter())
     }
 
     fn write(
@@ -316,8 +322,9 @@ impl<W: Write> Writer<W> {
             check_size(topic, data.len())?;
         }
         if !self.channels.contains_key(topic) {
-            let schema = self.schemas.get(topic);
-            let id = add_channel(&mut self.mcap, topic, &place, &self.header.devices, schema)?;
+            let id = u16::try_from(self.channels.len() + 1).map_err(|_| McapError::TooManyChannels)?;
+            let schema = self.schemas.get(topic).cloned();
+            self.mcap.declare(&Arc::new(channel(id, topic, &place, &self.header.devices, schema)))?;
             self.channels.insert(topic.to_owned(), OpenChannel { id, sequence: 0 });
         }
         if self.header.content == RecordingContent::Log
@@ -332,7 +339,7 @@ impl<W: Write> Writer<W> {
         channel.sequence = channel.sequence.wrapping_add(1);
         let time = self.header.log_time(t);
         let header = MessageHeader { channel_id: channel.id, sequence, log_time: time, publish_time: time };
-        Ok(self.mcap.write_to_known_channel(&header, data)?)
+        Ok(self.mcap.write(&header, data)?)
     }
 
     /// Appends to the bundle; one that would become too large is written before.
@@ -387,13 +394,14 @@ impl Destination<'_> {
     }
 }
 
-fn add_channel<W: Write + io::Seek>(
-    mcap: &mut mcap::Writer<W>,
+/// The channel of a topic.
+fn channel(
+    id: u16,
     topic: &str,
     place: &Destination<'_>,
     devices: &[String],
-    schema: Option<&(String, String)>,
-) -> Result<u16, WriteError> {
+    schema: Option<Arc<Schema<'static>>>,
+) -> mcap::Channel<'static> {
     let (kind, encoding) = match *place {
         Destination::Device(_, _, kind @ ("bytes" | "transmitted")) => {
             (Some(kind), "application/octet-stream")
@@ -411,24 +419,8 @@ fn add_channel<W: Write + io::Seek>(
     {
         metadata.insert(DEVICE.to_owned(), name.clone());
     }
-    let schema = match schema {
-        Some((name, text)) => mcap.add_schema(name, "jsonschema", text.as_bytes())?,
-        None => 0,
-    };
-    Ok(mcap.add_channel(schema, topic, encoding, &metadata)?)
-}
-
-/// How every file of ours is written; also by the repair.
-pub(super) fn options() -> WriteOptions {
-    WriteOptions::new()
-        .profile("posed")
-        .library(concat!("posed ", env!("CARGO_PKG_VERSION")))
-        .compression(Some(Compression::Zstd))
-        // In the caller's thread: the others have work of their own.
-        .compression_threads(0)
-        .chunk_size(Some(CHUNK_BYTES))
-        // Nothing behind the end of the file is ever patched: see the module's doc.
-        .disable_seeking(true)
+    let (topic, message_encoding) = (topic.to_owned(), encoding.to_owned());
+    mcap::Channel { id, topic, schema, message_encoding, metadata }
 }
 
 fn check_size(what: &str, bytes: usize) -> Result<(), WriteError> {
@@ -436,22 +428,4 @@ fn check_size(what: &str, bytes: usize) -> Result<(), WriteError> {
         return Err(WriteError::TooLarge { what: what.to_owned(), bytes });
     }
     Ok(())
-}
-
-/// Counts what passes through.
-struct Counting<W> {
-    sink: W,
-    bytes: Arc<AtomicU64>,
-}
-
-impl<W: Write> Write for Counting<W> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let written = self.sink.write(bytes)?;
-        self.bytes.fetch_add(written as u64, Ordering::Relaxed);
-        Ok(written)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.sink.flush()
-    }
 }
