@@ -254,9 +254,10 @@ pub(crate) fn plan(seed: u64, minutes: f64, without: &[usize]) -> Plan {
             Part::Sleep(sleep) => plan.sleep = Some(sleep),
         }
     }
-    for (table, honesty) in tables.iter().zip(&mut plan.devices) {
+    for ((table, device), honesty) in tables.iter().zip(devices).zip(&mut plan.devices) {
         // A pose is kept for half a second.
-        let measured_hz = table.get("measurement_rate_hz").and_then(toml::Value::as_float).unwrap_or(100.0);
+        let set_hz = table.get("measurement_rate_hz").and_then(toml::Value::as_float);
+        let measured_hz = set_hz.unwrap_or(device.behaviour.rate_hz);
         let every = table.get("report_every_cycles").and_then(toml::Value::as_integer).unwrap_or(1);
         honesty.returns &= measured_hz / every as f64 > 4.0;
     }
