@@ -372,9 +372,7 @@ impl Assembler {
         // It has begun anew in another phase: its cycles follow ticks of the old one too closely to get ticks of their own.
         let has_shifted = (0.0..0.5 * period_s).contains(&latest.seconds_since(last));
         let t = if has_shifted { latest } else { last } + Duration::from_secs_f64(period_s);
-        // After a longer silence the next cycle whose period is known has the next tick: see `schedule_cycle`.
-        let silent = latest.seconds_since(last) > COAST_S;
-        let alive = !silent && t.seconds_since(latest) <= COAST_S && device.is_running();
+        let alive = t.seconds_since(latest) <= COAST_S && device.is_running();
         let due = t + Duration::from_secs_f64(device.lag_s() + self.wait_s);
         let device = self.reference.filter(|_| self.scheduled_by == self.reference);
         alive.then_some((Tick { t, device, by_model: true, left_out: 0 }, due))
