@@ -112,11 +112,12 @@ impl Recorder {
             // For the repair, which must not take the name from a file in use. Without locks it has to trust people.
             let _ = file.try_lock();
             let front = file.try_clone().map_err(WriteError::from).and_then(|synced| {
-                front(BufWriter::new(file), move || synced.sync_data(), header, &schemas())
-            });
-            let front = front.map(|(mut writer, synced)| {
-                path.parent().into_iter().for_each(|folder| writer.keep_index_in(folder));
-                (writer, synced)
+                let (mut writer, sync) =
+                    front(BufWriter::new(file), move || synced.sync_data(), header, &schemas())?;
+                if let Some(folder) = path.parent() {
+                    writer.keep_index_in(folder);
+                }
+                Ok((writer, sync))
             });
             // So that its name survives a power cut too. Not every file system can do this.
             let _ = sync_folder_of(&path);

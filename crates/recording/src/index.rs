@@ -1,9 +1,10 @@
 //! The index of an MCAP file: its summary section, gathered while the file is written.
 //!
-//! What is known of each chunk waits as the bytes that it will be, in a file without a name once it is many.
+//! What is known of each chunk waits as the bytes that it will be; in a file without a name once they are many, where a folder for
+//! it is named.
 
 use std::collections::BTreeMap;
-use std::io::{self, Cursor, Read, Seek, SeekFrom, Write};
+use std::io::{self, Cursor, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -12,7 +13,9 @@ use mcap::records::{AttachmentIndex, DataEnd, MetadataIndex, SchemaHeader, Stati
 use mcap::{Channel, McapError, Schema, Summary};
 use tempfile::{SpooledTempFile, spooled_tempfile, spooled_tempfile_in, tempfile_in};
 
-/// Bytes of the chunks' part that stay in memory.
+use super::sink::Sink;
+
+/// Bytes of the chunks' part that stay in memory where it has a folder.
 const IN_MEMORY: usize = 64 << 10;
 
 /// What the end of a file will say of it.
@@ -30,7 +33,7 @@ impl Default for Index {
             statistics: Statistics::default(),
             attachments: Vec::new(),
             metadata: Vec::new(),
-            chunks: spooled_tempfile(IN_MEMORY),
+            chunks: spooled_tempfile(usize::MAX),
         }
     }
 }
@@ -43,6 +46,11 @@ impl Index {
         if tempfile_in(&folder).is_ok() {
             self.chunks = spooled_tempfile_in(IN_MEMORY, folder);
         }
+    }
+
+    #[cfg(test)]
+    pub(super) fn is_in_memory(&self) -> bool {
+        !self.chunks.is_rolled()
     }
 
     /// Adds what a stretch has.
@@ -73,10 +81,9 @@ impl Index {
     }
 
     /// Writes the end of the file, behind the data.
-    pub(super) fn write<W: Write + Seek>(
+    pub(super) fn write<W: Write>(
         &mut self,
-        sink: &mut W,
-        data_section_crc: u32,
+        sink: &mut Sink<W>,
         channels: &BTreeMap<u16, Arc<Channel<'static>>>,
     ) -> Result<(), McapError> {
         let schemas: BTreeMap<u16, &Schema<'static>> = channels
@@ -87,14 +94,11 @@ impl Index {
         self.statistics.schema_count = schemas.len() as u16;
         self.statistics.channel_count = channels.len() as u32;
         let mut bytes = Vec::new();
+        let data_section_crc = sink.take_checksum();
         record(&mut bytes, op::DATA_END, &DataEnd { data_section_crc }, &[])?;
         sink.write_all(&bytes)?;
-        let mut end = End {
-            begins: sink.stream_position()?,
-            sink,
-            checksum: crc32fast::Hasher::new(),
-            groups: Vec::new(),
-        };
+        sink.take_checksum();
+        let mut end = End { begins: sink.position(), sink, groups: Vec::new() };
         end.group(op::SCHEMA, |bytes| {
             schemas.values().try_for_each(|schema| {
                 let Schema { id, name, encoding, data } = schema;
@@ -130,50 +134,40 @@ impl Index {
 /// The summary section as it is written.
 struct End<'a, W> {
     begins: u64,
-    sink: &'a mut W,
-    checksum: crc32fast::Hasher,
+    sink: &'a mut Sink<W>,
     groups: Vec<SummaryOffset>,
 }
 
-impl<W: Write + Seek> End<'_, W> {
+impl<W: Write> End<'_, W> {
     /// Appends records of one kind.
     fn group(&mut self, kind: u8, records: impl FnOnce(&mut Vec<u8>) -> io::Result<()>) -> io::Result<()> {
         let mut bytes = Vec::new();
         records(&mut bytes)?;
-        let begins = self.sink.stream_position()?;
-        self.append(&bytes)?;
-        self.end_group(kind, begins)
+        let begins = self.sink.position();
+        self.sink.write_all(&bytes)?;
+        self.end_group(kind, begins);
+        Ok(())
     }
 
     /// Appends the records of the chunks.
     fn chunks(&mut self, waiting: &mut SpooledTempFile) -> io::Result<()> {
-        let begins = self.sink.stream_position()?;
+        let begins = self.sink.position();
         waiting.seek(SeekFrom::Start(0))?;
-        let mut piece = vec![0; IN_MEMORY];
-        loop {
-            match waiting.read(&mut piece)? {
-                0 => return self.end_group(op::CHUNK_INDEX, begins),
-                read => self.append(&piece[..read])?,
-            }
-        }
-    }
-
-    fn end_group(&mut self, group_opcode: u8, group_start: u64) -> io::Result<()> {
-        let group_length = self.sink.stream_position()? - group_start;
-        if group_length > 0 {
-            self.groups.push(SummaryOffset { group_opcode, group_start, group_length });
-        }
+        io::copy(waiting, self.sink)?;
+        self.end_group(op::CHUNK_INDEX, begins);
         Ok(())
     }
 
-    fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.checksum.update(bytes);
-        self.sink.write_all(bytes)
+    fn end_group(&mut self, group_opcode: u8, group_start: u64) {
+        let group_length = self.sink.position() - group_start;
+        if group_length > 0 {
+            self.groups.push(SummaryOffset { group_opcode, group_start, group_length });
+        }
     }
 
     /// Appends where the groups are, and the end of the file.
-    fn finish(mut self) -> Result<(), McapError> {
-        let offsets_begin = self.sink.stream_position()?;
+    fn finish(self) -> Result<(), McapError> {
+        let offsets_begin = self.sink.position();
         let mut bytes = Vec::new();
         for group in &self.groups {
             record(&mut bytes, op::SUMMARY_OFFSET, group, &[])?;
@@ -182,8 +176,8 @@ impl<W: Write + Seek> End<'_, W> {
         bytes.extend(20_u64.to_le_bytes());
         bytes.extend(self.begins.to_le_bytes());
         bytes.extend(offsets_begin.to_le_bytes());
-        self.append(&bytes)?;
-        let checksum = self.checksum.finalize();
+        self.sink.write_all(&bytes)?;
+        let checksum = self.sink.take_checksum();
         self.sink.write_all(&checksum.to_le_bytes())?;
         self.sink.write_all(mcap::MAGIC)?;
         Ok(())

@@ -58,6 +58,7 @@ mod records;
 mod repair;
 mod replay;
 mod scribe;
+mod sink;
 pub mod table;
 mod take;
 mod writer;

@@ -6,22 +6,23 @@
 //! index goes to [`Index`], and from there to the end of the file.
 
 use std::collections::BTreeMap;
-use std::io::{self, Seek, SeekFrom, Write};
+use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::AtomicU64;
 
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Channel, Compression, McapError, WriteOptions};
 
 use super::index::Index;
+use super::sink::{Gate, Sink};
 
 /// Uncompressed bytes after which a chunk is closed by itself.
 pub(super) const CHUNK_BYTES: u64 = 1 << 20;
 /// Chunks of a stretch: two minutes, two a second.
 const STRETCH_CHUNKS: u32 = 256;
 
-type Stretch<W> = mcap::Writer<Passing<W>>;
+type Stretch<W> = mcap::Writer<Sink<W>>;
 
 /// Writes an MCAP file; after an error, nothing more.
 pub(super) struct McapFile<W: Write> {
@@ -33,8 +34,7 @@ pub(super) struct McapFile<W: Write> {
     open_bytes: u64,
     channels: BTreeMap<u16, Arc<Channel<'static>>>,
     index: Index,
-    bytes: Arc<AtomicU64>,
-    muted: Arc<AtomicBool>,
+    gate: Gate,
 }
 
 impl<W: Write> McapFile<W> {
@@ -43,13 +43,11 @@ impl<W: Write> McapFile<W> {
         Self::with_stretches_of(STRETCH_CHUNKS, sink)
     }
 
-    pub(super) fn with_stretches_of(stretch_chunks: u32, sink: W) -> Result<Self, McapError> {
-        let (bytes, muted) = (Arc::default(), Arc::default());
-        let checksum = crc32fast::Hasher::new();
-        let sink = Passing { sink, checksum, bytes: Arc::clone(&bytes), muted: Arc::clone(&muted) };
+    fn with_stretches_of(stretch_chunks: u32, sink: W) -> Result<Self, McapError> {
+        let gate = Gate::default();
+        let stretch = Some(options().create(Sink::new(sink, gate.clone()))?);
         let (channels, index) = (BTreeMap::new(), Index::default());
-        let stretch = Some(options().create(sink)?);
-        Ok(Self { stretch, stretch_chunks, chunks: 0, open_bytes: 0, channels, index, bytes, muted })
+        Ok(Self { stretch, stretch_chunks, chunks: 0, open_bytes: 0, channels, index, gate })
     }
 
     /// Lets the index wait in a file of `folder` that has no name, where it would take memory.
@@ -95,15 +93,14 @@ impl<W: Write> McapFile<W> {
     /// Ends the file with its index, and gives the sink back, flushed.
     pub(super) fn finish(mut self) -> Result<W, McapError> {
         let mut sink = self.end_stretch()?;
-        let data_checksum = sink.checksum.clone().finalize();
-        self.index.write(&mut sink, data_checksum, &self.channels)?;
+        self.index.write(&mut sink, &self.channels)?;
         sink.flush()?;
-        Ok(sink.sink)
+        Ok(sink.into_inner())
     }
 
     /// Counts the bytes that the sink has taken.
     pub(super) fn byte_counter(&self) -> &Arc<AtomicU64> {
-        &self.bytes
+        &self.gate.bytes
     }
 
     fn stretch(&mut self) -> Result<&mut Stretch<W>, McapError> {
@@ -117,29 +114,22 @@ impl<W: Write> McapFile<W> {
 
     fn begin_stretch(&mut self) -> Result<(), McapError> {
         let sink = self.end_stretch()?;
-        self.mute(true);
-        let mut stretch = options().create(sink)?;
-        self.mute(false);
-        self.channels.values().try_for_each(|channel| declare(&mut stretch, channel))?;
+        self.gate.close(true);
+        let stretch = self.stretch.insert(options().create(sink)?);
+        self.gate.close(false);
         (self.chunks, self.open_bytes) = (0, 0);
-        self.stretch = Some(stretch);
-        Ok(())
+        self.channels.values().try_for_each(|channel| declare(stretch, channel))
     }
 
-    fn end_stretch(&mut self) -> Result<Passing<W>, McapError> {
+    fn end_stretch(&mut self) -> Result<Sink<W>, McapError> {
+        self.stretch()?.flush()?;
+        self.gate.close(true);
         let mut stretch = self.stretch.take().ok_or(McapError::AttemptedWriteAfterFailure)?;
-        stretch.flush()?;
-        self.mute(true);
         let summary = stretch.finish()?;
         let sink = stretch.into_inner();
-        self.mute(false);
+        self.gate.close(false);
         self.index.append(summary)?;
         Ok(sink)
-    }
-
-    /// Lets nothing through to the sink.
-    fn mute(&self, muted: bool) {
-        self.muted.store(muted, Ordering::Relaxed);
     }
 }
 
@@ -149,7 +139,7 @@ impl<W: Write> Drop for McapFile<W> {
         if let Some(stretch) = &mut self.stretch {
             let _ = stretch.flush();
         }
-        self.mute(true);
+        self.gate.close(true);
     }
 }
 
@@ -177,42 +167,10 @@ fn options() -> WriteOptions {
         .calculate_data_section_crc(false)
 }
 
-/// Lets bytes through to the sink unless it is muted, and counts them.
-struct Passing<W> {
-    sink: W,
-    checksum: crc32fast::Hasher,
-    bytes: Arc<AtomicU64>,
-    muted: Arc<AtomicBool>,
-}
-
-impl<W: Write> Write for Passing<W> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if self.muted.load(Ordering::Relaxed) {
-            return Ok(bytes.len());
-        }
-        let written = self.sink.write(bytes)?;
-        self.checksum.update(&bytes[..written]);
-        self.bytes.fetch_add(written as u64, Ordering::Relaxed);
-        Ok(written)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.sink.flush()
-    }
-}
-
-/// The library asks where it is, and never goes anywhere.
-impl<W> Seek for Passing<W> {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        match to {
-            SeekFrom::Current(0) => Ok(self.bytes.load(Ordering::Relaxed)),
-            _ => Err(io::ErrorKind::Unsupported.into()),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::Ordering;
+
     use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
     use mcap::{MessageStream, Schema, Summary};
 
@@ -304,6 +262,28 @@ mod tests {
         for index in &summary.metadata_indexes {
             assert_eq!(mcap::read::metadata(&many, index).unwrap().name, index.name);
         }
+    }
+
+    #[test]
+    fn a_long_index_waits_in_a_file_without_a_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut file = McapFile::new(Vec::new()).unwrap();
+        file.keep_index_in(folder.path());
+        let of = channel(3, None);
+        file.declare(&of).unwrap();
+        for sequence in 0..2000 {
+            let time = u64::from(sequence);
+            let header = MessageHeader { channel_id: 3, sequence, log_time: time, publish_time: time };
+            file.write(&header, b"1").unwrap();
+            file.flush().unwrap();
+        }
+        assert!(!file.index.is_in_memory());
+        let bytes = file.finish().unwrap();
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+        assert!(is_whole(&bytes));
+        let summary = Summary::read(&bytes).unwrap().unwrap();
+        let times = summary.chunk_indexes.iter().map(|chunk| chunk.message_start_time);
+        assert!(times.eq(0..2000));
     }
 
     #[test]

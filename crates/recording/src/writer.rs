@@ -174,8 +174,8 @@ impl<W: Write> Writer<W> {
         })
     }
 
-    /// Lets the index, which a long recording has much of, wait in a file of `folder` that has no name; in the system's folder for
-    /// temporary files without this. Call it before anything is written.
+    /// Lets the index wait in a file of `folder` that has no name, where that can have one; in memory without this, 100 bytes of each
+    /// flush. Call it before anything is written.
     pub fn keep_index_in(&mut self, folder: &Path) {
         self.mcap.keep_index_in(folder);
     }
