@@ -291,3 +291,23 @@ fn a_dead_bird_does_not_hold_up_the_others_and_a_lost_port_costs_what_it_must() 
     assert!(sensors[0].estimated && (200..500).contains(&sensors[0].lost), "{sensors:?}");
     assert_eq!(report(&rig, 5.0, 2e-4).wrong_20_mm, 0);
 }
+
+/// The first records of a stream come before the session knows that it streams; on a line in bursts nothing contradicts the times that
+/// the line of before would give them.
+#[test]
+fn a_unit_that_begins_anew_on_a_line_in_bursts_is_timed_by_its_new_line() {
+    for k in 0..10 {
+        let at_s = 4.5 + 0.0137 * f64::from(k);
+        let bursts = Fault::Bursts { start_s: at_s + 2.2, end_s: 17.0, burst_ms: 56.457 };
+        let faults = vec![Fault::PowerCycle { at_s }, bursts];
+        let device = DeviceScenario { faults, fifo_bytes: 4096, ..flock(0, 50.0) };
+        let mut rig = Rig::new(&stage(&[4]), &scenario(vec![device]));
+        rig.run_until(12.0);
+        let last = rig.estimates().last().unwrap();
+        assert!(last.t_valid.as_secs_f64() > 11.8, "it streams again");
+        for estimate in rig.estimates() {
+            let waited_s = estimate.t_closed.seconds_since(estimate.t_valid);
+            assert!(waited_s < 0.2, "power cycle at {at_s}: {waited_s} s at {:?}", estimate.t_closed);
+        }
+    }
+}

@@ -90,8 +90,6 @@ impl Kind {
             "quaternion_sense" => value.as_str() == Some("vendor"),
             // An answer holds the latest measurement, and nobody can tell for how long it has waited.
             "mode" => value.as_str() != Some("point"),
-            // So seldom that nothing tells for how long the first reads of a line have waited; such a device is hardly ever good.
-            "report_every_cycles" => value.as_integer().is_none_or(|cycles| cycles <= SELDOM_CYCLES),
             _ => true,
         };
         let returns = match key.as_str() {
@@ -108,9 +106,6 @@ impl Kind {
         Honesty { judged, returns, seldom }
     }
 }
-
-/// Measurement cycles between two reports, of some hundred a second, beyond which a device reports less than four times a second.
-const SELDOM_CYCLES: i64 = 25;
 
 pub(crate) fn device(dice: &mut Dice, index: usize) -> Device {
     let kind = *dice.pick(&KINDS);

@@ -242,7 +242,7 @@ impl Assembler {
             self.choose_reference(now);
             if self.grid_s.is_none() && self.reference == Some(index) {
                 self.sigma_t_s = stamp.sigma_s;
-                self.schedule_cycle(index, stamp.t_valid, period_s);
+                self.schedule_cycle(index, stamp.t_valid);
             } else if let Some(grid_s) = self.grid_s {
                 self.sigma_t_s = stamp.sigma_s;
                 self.anchor_grid(stamp.t_valid, grid_s);
@@ -322,9 +322,10 @@ impl Assembler {
         self.reference = best.map(|(index, _)| index).or(self.reference);
     }
 
-    /// A tick at a cycle of the reference device, and those of the cycles lost before it.
-    fn schedule_cycle(&mut self, device: usize, t: Timestamp, period_s: Option<f64>) {
-        let Some(period_s) = period_s else { return };
+    /// A tick at a cycle of the reference device, and those of the cycles lost before it. Where it has begun anew and its new period
+    /// is not known yet, the old one has to do.
+    fn schedule_cycle(&mut self, device: usize, t: Timestamp) {
+        let Some(period_s) = self.devices[device].period_s() else { return };
         let mut left_out = 0;
         if let Some(last) = self.last_scheduled {
             let gap_s = t.seconds_since(last);
@@ -372,7 +373,9 @@ impl Assembler {
         // It has begun anew in another phase: its cycles follow ticks of the old one too closely to get ticks of their own.
         let has_shifted = (0.0..0.5 * period_s).contains(&latest.seconds_since(last));
         let t = if has_shifted { latest } else { last } + Duration::from_secs_f64(period_s);
-        let alive = t.seconds_since(latest) <= COAST_S && device.is_running();
+        // After a longer silence ticks begin again with the next cycle: see `schedule_cycle`.
+        let silent = latest.seconds_since(last) > COAST_S;
+        let alive = !silent && t.seconds_since(latest) <= COAST_S && device.is_running();
         let due = t + Duration::from_secs_f64(device.lag_s() + self.wait_s);
         let device = self.reference.filter(|_| self.scheduled_by == self.reference);
         alive.then_some((Tick { t, device, by_model: true, left_out: 0 }, due))

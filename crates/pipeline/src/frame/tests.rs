@@ -105,6 +105,33 @@ fn a_silent_stage_ticks_on_for_half_a_second_and_counts_the_rest() {
     assert_eq!((frame.t_valid, frame.ticks_left_out), (ms(2000.0), 140));
 }
 
+/// The first records of a unit that begins anew come before the period of its new line is known, and the first guess may be wrong.
+#[test]
+fn no_tick_is_laid_into_a_silence_that_is_over() {
+    let mut bench = Bench::new(&[0], None);
+    for k in 0..10 {
+        let t = f64::from(k) * 10.0;
+        bench.record(0, 0, t, t + 1.0);
+    }
+    let mut now = 91.0;
+    while let Some(due) = bench.frames.poll_timeout(ms(now)) {
+        now = due.as_secs_f64() * 1e3;
+        bench.poll(now);
+    }
+    for period_s in [None, Some(0.03)] {
+        bench.frames.stamp(0, &Stamp { begins_cycle: false, ..stamp(2000.0) }, period_s, ms(2001.0));
+        bench.poll(2001.0);
+        assert_eq!(bench.times_ms().last(), Some(&590.0));
+        assert_eq!(bench.frames.poll_timeout(ms(2001.0)), None);
+    }
+    // Its first cycle is a tick, though nobody has told the period of the new line.
+    bench.frames.stamp(0, &stamp(2010.0), None, ms(2011.0));
+    bench.frames.sample(0, measured(2010.0), false);
+    bench.poll(2011.0);
+    let frame = bench.closed.last().unwrap();
+    assert_eq!((frame.t_valid, frame.ticks_left_out), (ms(2010.0), 46));
+}
+
 /// A unit that begins anew measures in another phase, a little later than the ticks that go on without it.
 #[test]
 fn ticks_follow_a_device_that_has_changed_its_phase() {
