@@ -41,7 +41,8 @@ pub enum Output {
     SetRts(bool),
     /// A measurement of a sensor that the session was asked for, in the order of arrival.
     Sample(Sample),
-    /// The state has changed; read it with [`Session::state`].
+    /// The state has changed; read it with [`Session::state`]. That a device streams which does not count its cycles comes before
+    /// the first sample.
     StateChanged,
     /// Something the operator should know, in one sentence that states what to do.
     Warning(String),

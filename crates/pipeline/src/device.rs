@@ -167,14 +167,9 @@ impl Device {
         }
     }
 
-    /// Whether its session streams by now, though the session may not have said so yet.
-    pub(super) fn is_streaming(&self) -> bool {
-        *self.session.get().state() == State::Streaming
-    }
-
     /// Whether it has just begun or ended to stream.
     pub(super) fn turned(&mut self) -> Option<bool> {
-        let streaming = self.is_streaming();
+        let streaming = *self.session.get().state() == State::Streaming;
         let before = std::mem::replace(&mut self.streaming, streaming);
         (streaming != before).then_some(streaming)
     }

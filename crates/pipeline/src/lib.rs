@@ -366,13 +366,7 @@ impl Pipeline {
                     self.state_changed(device);
                     emit(Output::Device { device, state: self.devices[index].session.get().state() });
                 }
-                SessionOutput::Sample(sample) => {
-                    if self.devices[index].is_streaming() {
-                        // A session may say so only behind the first samples of a stream, which belong to its new line already.
-                        self.state_changed(device);
-                    }
-                    self.sample(device, &sample);
-                }
+                SessionOutput::Sample(sample) => self.sample(device, &sample),
             }
         }
     }

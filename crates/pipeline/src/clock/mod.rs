@@ -56,6 +56,8 @@ const INCONSISTENT_SPAN: u32 = 64;
 const FIFO_BYTES: f64 = 9.0;
 /// Lateness beyond the usual from which on a cycle's time is not to be relied on until it is known what it comes from, s.
 const UNDECIDED_S: f64 = 0.02;
+/// Longest time from a cycle on a line to the read of its first bytes where nothing was kept back, beyond what is usual, s.
+const ALONE_S: f64 = 5e-3;
 /// The same from which on the clock begins anew, unless it is less than half a period, and how many undecided cycles in a row make it
 /// do so, or reads while little is known.
 const LOST_S: f64 = 0.06;
@@ -343,7 +345,7 @@ impl Clock {
         let (late_s, lone) =
             self.fit.filter(|_| !counted).map_or((0.0, false), |fit| self.lateness_s(&fit, &evidence));
         let lateness_s = if lone { late_s } else { 0.0 };
-        let undecided = lateness_s > UNDECIDED_S;
+        let undecided = lateness_s > UNDECIDED_S || !counted && self.waited_alone(&evidence);
         self.undecided = if undecided { self.undecided + u32::from(begins_cycle) } else { 0 };
         // What waited for a reader bends a line of which little is known; but what always does tells that the line is wrong.
         let waited = late_s > UNDECIDED_S && !self.window.is_settled();
@@ -492,6 +494,15 @@ impl Clock {
             self.usual_behind = self.usual_behind.max(evidence.bytes_after);
         }
         (late_s, evidence.bytes_after <= self.usual_behind)
+    }
+
+    /// Whether a line's cycle would have waited until the next one should have been there, too, which is not: the device may have paused.
+    fn waited_alone(&self, evidence: &Evidence) -> bool {
+        let on_line = self.settings.byte_time_s > 0.0 && evidence.alone;
+        self.fit.is_some_and(|fit| {
+            let waited_s = evidence.upper - fit.line(evidence.x) - fit.upper;
+            on_line && waited_s > fit.period_s + ALONE_S
+        })
     }
 
     fn renumber(&mut self, shift: i64) {

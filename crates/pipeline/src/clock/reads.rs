@@ -35,6 +35,8 @@ pub(super) struct Evidence {
     /// Not before this.
     pub(super) lower: Option<f64>,
     pub(super) bytes_after: u32,
+    /// Nothing of a later cycle was read with it.
+    pub(super) alone: bool,
     pub(super) t_read: Timestamp,
 }
 
@@ -56,6 +58,10 @@ pub(super) struct Reads {
     /// cycles come whole.
     most_before: u32,
     least_after: u32,
+    /// Bytes behind the latest cycle's first record, if that was in the latest read.
+    begun_after: Option<u32>,
+    /// Fewest bytes from one cycle to the next in one read; 0 before a read held two.
+    cycle_bytes: u32,
     #[state(skip)]
     scratch: Vec<i64>,
 }
@@ -73,6 +79,8 @@ impl Reads {
             wire: false,
             most_before: 0,
             least_after: u32::MAX,
+            begun_after: None,
+            cycle_bytes: 0,
             scratch: Vec::with_capacity(INTERVALS),
         }
     }
@@ -88,10 +96,19 @@ impl Reads {
             let follows = self.latest.is_some() && arrival.t_previous_read == self.latest;
             self.before_previous = self.previous.filter(|_| follows);
             self.latest = Some(arrival.t_read);
+            self.begun_after = None;
             self.previous = arrival.t_previous_read;
             if let Some(previous) = arrival.t_previous_read {
                 self.interval(arrival.t_read.as_nanos().saturating_sub(previous.as_nanos()));
             }
+        }
+        if arrival.cycle_bytes_before == 0 {
+            if let Some(bytes @ 1..) =
+                self.begun_after.and_then(|begun| begun.checked_sub(arrival.bytes_after))
+            {
+                self.cycle_bytes = if self.cycle_bytes == 0 { bytes } else { self.cycle_bytes.min(bytes) };
+            }
+            self.begun_after = Some(arrival.bytes_after);
         }
         self.most_before = self.most_before.max(arrival.cycle_bytes_before);
         self.least_after = self.least_after.min(arrival.bytes_after);
@@ -139,7 +156,9 @@ impl Reads {
         let lower =
             first_byte.map_or(next_byte, |first| Some(next_byte.map_or(first, |next| next.max(first))));
         let prompt = read_s - (before + 1.0) * byte_s;
-        Evidence { x, upper, paced, prompt, lower, bytes_after: arrival.bytes_after, t_read: arrival.t_read }
+        let alone = before + after < f64::from(self.cycle_bytes);
+        let (bytes_after, t_read) = (arrival.bytes_after, arrival.t_read);
+        Evidence { x, upper, paced, prompt, lower, bytes_after, alone, t_read }
     }
 
     /// When the read after one at `t` was due, ns.

@@ -131,9 +131,8 @@ impl FlockSession {
         mut streaming: Box<Streaming>,
         input: impl FnOnce(&mut Splitter, &mut dyn FnMut(Event)),
     ) {
-        let Self { outputs, settling, wanted, set_up_for, .. } = self;
+        let Self { outputs, state, settling, wanted, set_up_for, .. } = self;
         let mut received = false;
-        let mut published = false;
         // A wanted bird that has restarted by itself.
         let mut reshaped = None;
         let Streaming { splitter, settled_at, returned, strangers, .. } = &mut *streaming;
@@ -147,7 +146,11 @@ impl FlockSession {
                 if !settled || returned.iter().any(|&(address, _)| address == sample.address) {
                     *settling += 1;
                 } else if wanted.iter().any(|&address| u16::from(address) == sample.address) {
-                    published = true;
+                    if *state != State::Streaming {
+                        // Before its first sample: who times the records begins with a new line.
+                        *state = State::Streaming;
+                        outputs.push_back(Output::StateChanged);
+                    }
                     outputs.push_back(Output::Sample(sample));
                 }
             }
@@ -198,9 +201,6 @@ impl FlockSession {
             }
         }
         self.phase = Phase::Streaming(streaming);
-        if published {
-            self.set_state(State::Streaming);
-        }
     }
 
     pub(super) fn stream_timeout(&mut self, now: Timestamp, mut streaming: Box<Streaming>) {
