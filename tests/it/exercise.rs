@@ -312,6 +312,24 @@ fn given_waving_and_drinking_nobody_raises_a_shoulder_or_curls() {
     }
 }
 
+#[test]
+fn given_legs_that_walk_nobody_curls_and_how_they_stand_is_nobodys_affair() {
+    for person in [310, 311, 312] {
+        let taught = lesson(Training::Curl, &set(person, 0, Training::Curl, 5, Variant::Right)).exercise;
+        let with_knee = |bent_deg: &dyn Fn(f64) -> f64| {
+            let mut recording = set(person, 1, Training::Curl, 8, Variant::Right);
+            for (k, row) in recording.angles_deg.chunks_mut(exercises::ANGLES.len()).enumerate() {
+                row[5] += bent_deg(k as f64 / exercises::RATE_HZ);
+            }
+            count(&taught, &recording).0
+        };
+        assert_eq!(with_knee(&|_| 80.0), 8, "{person} sits");
+        assert_eq!(with_knee(&|t_s| 15.0 * (t_s % 2.0).floor()), 8, "{person} shifts the weight");
+        let strides = |t_s: f64| 30.0 + 30.0 * libm::sin(std::f64::consts::TAU * t_s);
+        assert_eq!(with_knee(&strides), 0, "{person} walks");
+    }
+}
+
 /// A set on one day of a simulated person.
 fn set(
     person: u64,

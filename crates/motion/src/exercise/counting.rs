@@ -21,7 +21,7 @@ use super::judge::{Measures, Reason, goes_the_way, judge, measure};
 use super::passage::{Mark, Passage};
 use super::posture::Posture;
 use super::remark::DeviationKind;
-use super::still::{Still, Together, ways};
+use super::still::{Role, Still, Together, role, ways};
 use super::viterbi::ShortTimeViterbi;
 
 /// A set still goes on for so many of the longest taught repetitions after the one that was counted last.
@@ -46,7 +46,9 @@ struct Watched {
     /// Where the joints that keep still are among all, where they are there, and the ring of their values.
     still_channels: Vec<Option<usize>>,
     still_values: Vec<f64>,
-    /// Those of them that belong to one joint.
+    /// Which of them are of the legs that only carry the exercise.
+    stands: Vec<bool>,
+    /// Those of the others that belong to one joint.
     together: Vec<Together>,
     /// How far the movement is in each state.
     ways: Vec<f64>,
@@ -128,6 +130,11 @@ impl Counting {
             .map(|mut exercise| {
                 exercise.take_turns_of_means();
                 let width = exercise.channels.len();
+                let stands: Vec<bool> = exercise
+                    .still
+                    .iter()
+                    .map(|still| role(&still.channel, &exercise.channels) == Some(Role::Stands))
+                    .collect();
                 let place = |channel: &String| all.iter().position(|other| other == channel).unwrap_or(0);
                 Watched {
                     chains: exercise.manners().map(|manner| Chain::new(&exercise, manner)).collect(),
@@ -136,7 +143,8 @@ impl Counting {
                     differentiator: Differentiator::new(rate_hz, width),
                     frozen: Frozen::new(&exercise.channels, rate_hz),
                     posture: Posture::new(&exercise.channels, &exercise.rest, rate_hz),
-                    together: Together::of(&exercise.still),
+                    together: Together::of(&exercise.still, |still| !stands[still]),
+                    stands,
                     observations: vec![f64::NAN; 2 * width * capacity],
                     still_channels: exercise
                         .still
@@ -361,7 +369,12 @@ impl Counting {
         let span = [start + moving.start as u64, start + moving.end as u64 - 1];
         for (number, still) in watched.exercise.still.iter().enumerate() {
             let values = self.still_course(watched, number, start, span, first).map(|(_, value)| value);
-            measures.elsewhere = measures.elsewhere.max(still.elsewhere(values));
+            let elsewhere = if watched.stands[number] {
+                f64::from(u8::from(still.sways(values)))
+            } else {
+                still.elsewhere(values)
+            };
+            measures.elsewhere = measures.elsewhere.max(elsewhere);
         }
         let moved = |number: usize| {
             let still = &watched.exercise.still[number];
@@ -478,9 +491,12 @@ impl Counting {
             Some((number, moved, still.worth(moved)))
         };
         let most = |a: (usize, f64, f64), b: (usize, f64, f64)| if b.2 > a.2 { b } else { a };
-        // Of channels there is more to say than this.
-        let is_silent = |still: &Still| !watched.exercise.channels.contains(&still.channel);
-        let stills = watched.exercise.still.iter().enumerate().filter(|(_, still)| is_silent(still));
+        // Of channels there is more to say than this, and of legs that stand there is nothing.
+        let is_silent = |number: usize, still: &Still| {
+            !watched.stands[number] && !watched.exercise.channels.contains(&still.channel)
+        };
+        let stills = watched.exercise.still.iter().enumerate();
+        let stills = stills.filter(|(number, still)| is_silent(*number, still));
         stills.filter_map(moved).reduce(most)
     }
 

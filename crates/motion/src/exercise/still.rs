@@ -1,10 +1,11 @@
 //! Joints that keep still in an exercise.
 //!
 //! What comes in: the courses of all joints. What goes out: those that hardly move, and belong to the limb
-//! that does or to the trunk, with how they were held; and of a repetition, how long they were held quite otherwise, and by how much
+//! that does, to the trunk, or to the legs, with how they were held; and of a repetition, how long they were held quite otherwise, and by how much
 //! one moved with the movement. What it never does: take part in the likelihood: a joint that says nothing about the movement must
 //! not decide where it begins. It is a gate (who waves with a bent arm raises no straight one), and a word (who
-//! leans back to lift a weight).
+//! leans back to lift a weight). Of a leg
+//! that takes no part it is asked only that it does not go along: who walks curls nothing, and who squats lifts no knee. How it stands is the person's affair.
 
 use posed_state::Plain;
 use serde::{Deserialize, Serialize};
@@ -27,6 +28,9 @@ const MOVES_SDS: f64 = 3.0;
 /// arm by more. A trunk that leans so far still belongs to the same movement, and leaves it later.
 const LIMB_DEG: f64 = 20.0;
 const TRUNK_DEG: f64 = 45.0;
+/// A leg that takes no part may sway by this standard deviation, degrees: as who stands half of the time in each of two postures that are as
+/// far apart as a joint goes that keeps still. A stride has more, a shift of weight less.
+const SWAYS_DEG: f64 = 0.5 * STILL_DEG;
 /// Share of a repetition's frames in which a joint must be seen.
 const SEEN: f64 = 0.9;
 /// Sets begin and end elsewhere than their repetitions: what lies beside this is not looked at.
@@ -64,6 +68,14 @@ impl Still {
         share_far(values.map(|value| (value, value < low - far || value > high + far)))
     }
 
+    /// Whether it went to and fro by more than a leg that stands; its values in a repetition.
+    pub(super) fn sways(&self, values: impl Iterator<Item = f64>) -> bool {
+        let (n, x, xx) = values
+            .filter(|value| value.is_finite())
+            .fold((0.0, 0.0, 0.0), |(n, x, xx), value| (n + 1.0, x + value, xx + value * value));
+        (xx / n - (x / n).powi(2)).max(0.0).sqrt() * self.degrees() > SWAYS_DEG
+    }
+
     /// By how much it moved with the movement more than taught, in its unit. The values come with how far the movement
     /// is, as [`ways`] has it.
     pub(super) fn moved(&self, values: impl Iterator<Item = (f64, f64)> + Clone) -> Option<f64> {
@@ -95,18 +107,20 @@ pub(super) struct Together {
 }
 
 impl Together {
-    /// The joints of these angles.
-    pub(super) fn of(stills: &[Still]) -> Vec<Self> {
+    /// The joints of those of these angles that `belongs` takes.
+    pub(super) fn of(stills: &[Still], belongs: impl Fn(usize) -> bool) -> Vec<Self> {
         let joint = |number: usize| Joint::of(&stills[number].channel);
         let is_of = |one: usize, other: usize| {
             joint(one).zip(joint(other)).map_or(one == other, |(one, other)| one.is_beside(&other))
         };
-        let firsts = (0..stills.len()).filter(|one| !(0..*one).any(|other| is_of(*one, other)));
+        let all = || (0..stills.len()).filter(|number| belongs(*number));
+        let firsts =
+            all().filter(|one| !all().take_while(|other| other < one).any(|other| is_of(*one, other)));
         firsts
             .map(|first| {
                 let is_trunk = joint(first).is_some_and(|joint| joint.part() == Some(Part::Trunk));
                 Self {
-                    members: (first..stills.len()).filter(|other| is_of(first, *other)).collect(),
+                    members: all().filter(|other| is_of(first, *other)).collect(),
                     limit_deg: if is_trunk { TRUNK_DEG } else { LIMB_DEG },
                 }
             })
@@ -153,7 +167,7 @@ pub(super) fn ways(movement: &Movement, channels: &[String]) -> Vec<f64> {
 
 /// The joints that keep still in an exercise while its repetitions, s, are done.
 pub(super) fn stills(stream: &Stream<'_>, exercise: &Exercise, repetitions: &[[f64; 2]]) -> Vec<Still> {
-    let is_meant = |name: &String| concerns(name, &exercise.channels);
+    let is_meant = |name: &String| role(name, &exercise.channels).is_some();
     let names: Vec<String> = all_channels(stream.columns).into_iter().filter(is_meant).take(MOST).collect();
     if names.is_empty() {
         return Vec::new();
@@ -205,16 +219,29 @@ fn still(
     })
 }
 
-/// Whether a joint's angle shows a posture that the exercise depends on: of the trunk, or of the limb that moves.
-fn concerns(name: &str, channels: &[String]) -> bool {
-    let (Some(joint), true) = (Joint::of(name), is_posture(name)) else { return false };
-    let Some(part) = joint.part().filter(|_| joint.movement != "pronation") else { return false };
-    let moves = channels.iter().filter_map(|channel| Joint::of(channel));
+/// What an angle that keeps still has to do with an exercise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
+pub(super) enum Role {
+    /// It is of the limb that moves, or of the trunk: the exercise depends on its posture.
+    Holds,
+    /// It is of a leg that takes no part.
+    Stands,
+}
+
+/// The role of a joint's angle in an exercise of these channels; `None` where it has none.
+pub(super) fn role(name: &str, channels: &[String]) -> Option<Role> {
+    let joint = Joint::of(name).filter(|_| is_posture(name))?;
+    let part = joint.part().filter(|_| joint.movement != "pronation")?;
+    let moves = || channels.iter().filter_map(|channel| Joint::of(channel));
     let beside = |other: &Joint<'_>| {
         let one_side = |a: Option<Side>, b: Option<Side>| a.zip(b).is_none_or(|(a, b)| a == b);
         other.part() == Some(part) && one_side(joint.side, other.side)
     };
-    part == Part::Trunk || moves.clone().any(|other| beside(&other))
+    if part == Part::Trunk || moves().any(|other| beside(&other)) {
+        Some(Role::Holds)
+    } else {
+        (part == Part::Leg && moves().any(|other| other.part().is_some())).then_some(Role::Stands)
+    }
 }
 
 #[cfg(test)]
@@ -230,14 +257,16 @@ mod tests {
             ("elbow_l_flexion_deg", false),
             ("spine_flexion_deg", true),
             ("trunk_flexion_deg", true),
-            ("knee_r_flexion_deg", false),
             ("shoulder_r_plane_deg", false),
             ("elbow_r_pronation_deg", false),
             ("watch_gx", false),
         ] {
-            assert_eq!(concerns(name, &channels), expected, "{name}");
+            assert_eq!(role(name, &channels), expected.then_some(Role::Holds), "{name}");
         }
-        assert!(concerns("shoulder_flexion_deg", &channels), "of one side only");
+        assert_eq!(role("shoulder_flexion_deg", &channels), Some(Role::Holds), "of one side only");
+        assert_eq!(role("knee_l_flexion_deg", &channels), Some(Role::Stands));
+        assert_eq!(role("elbow_l_flexion_deg", &["knee_l_flexion_deg".to_owned()]), None);
+        assert_eq!(role("knee_r_flexion_deg", &["knee_l_flexion_deg".to_owned()]), Some(Role::Stands));
     }
 
     #[test]
@@ -260,6 +289,15 @@ mod tests {
     }
 
     #[test]
+    fn who_walks_sways_and_who_stands_does_not() {
+        let knee = Still { channel: "knee_flexion_deg".into(), range: [4.0, 9.0], moves: 0.0, moves_sd: 1.0 };
+        let strides = |deg: f64| (0..200).map(move |k| 40.0 + deg * libm::sin(0.1 * f64::from(k)));
+        assert!(knee.sways(strides(27.0)) && !knee.sways(strides(15.0)), "a stride, and a shift of weight");
+        assert!(!knee.sways((0..200).map(|_| 80.0)), "who sits");
+        assert!(!knee.sways(std::iter::repeat_n(f64::NAN, 200)), "who was not seen");
+    }
+
+    #[test]
     fn the_angles_of_one_joint_make_another_movement_together() {
         let named =
             |channel: &str| Still { channel: channel.into(), range: [0.0; 2], moves: 0.0, moves_sd: 1.0 };
@@ -269,7 +307,7 @@ mod tests {
             "shoulder_r_adduction_deg",
             "elbow_r_flexion_deg",
         ];
-        let joints = Together::of(&names.map(named));
+        let joints = Together::of(&names.map(named), |_| true);
         let members: Vec<_> = joints.iter().map(|joint| joint.members.clone()).collect();
         assert_eq!(members, [vec![0, 2], vec![1], vec![3]]);
         let is_another =

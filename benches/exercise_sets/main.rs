@@ -3,13 +3,20 @@
 //!
 //! Ten people, five exercises, ten sets of 5 to 15 repetitions each, taught from one set of five on another day, and sets in which one
 //! joint falls short by 20 degrees, or in which the trunk leans back by 20: with the one exercise loaded, with all five of the person, and
-//! with all five of somebody else. An hour of other movement with all five.
+//! with all five of somebody else. An hour of other movement with all five, and captured people: those in `tests/recordings`, and with
+//! `-- SEED FILE... [--rate HZ]` those of tables of joint positions (mm, y up; 30 Hz unless said).
 
+mod captured;
+
+use std::collections::BTreeMap;
 use std::io::Write;
+use std::path::PathBuf;
 
+use captured::Captured;
 use posed_motion::exercise::{
     Counter, DeviationKind, Event, EventKind, Exercise, MovementPhase, Options, Remark, Stream, teach,
 };
+use posed_recording::table::{SequenceOptions, Unit, Up};
 use posed_simulator::exercises::{ANGLES, Day, Exercise as Training, Person, RATE_HZ, Recording, Variant};
 
 const PEOPLE: u64 = 10;
@@ -48,6 +55,8 @@ struct Lessons {
 }
 
 fn main() -> std::io::Result<()> {
+    let captures = captures()?;
+    let mut on_captures = OnCaptures::default();
     let first = std::env::args().find_map(|argument| argument.parse().ok()).unwrap_or(300);
     let (mut alone, mut together, mut strangers) = (Score::default(), Score::default(), Score::default());
     let mut before: Option<Vec<Exercise>> = None;
@@ -66,13 +75,86 @@ fn main() -> std::io::Result<()> {
         let recording = day.finish();
         other_s += (recording.angles_deg.len() / ANGLES.len()) as f64 / RATE_HZ;
         false_counts += events(all(), &recording).iter().filter(|e| e.kind == EventKind::Counted).count();
+        captures.iter().for_each(|captured| on_captures.count(&all(), captured));
     }
     let mut out = std::io::stdout().lock();
     writeln!(out, "{refused} demonstrations refused")?;
     writeln!(out, "{false_counts} false counts in {:.0} minutes of other movement", other_s / 60.0)?;
+    on_captures.write(&mut out)?;
     alone.write("one exercise loaded", &mut out)?;
     together.write("all five loaded", &mut out)?;
     strangers.write("all five of somebody else loaded", &mut out)
+}
+
+/// Both sides of all captured people.
+fn captures() -> std::io::Result<Vec<Captured>> {
+    let mut given = std::env::args().skip(1).filter(|argument| argument.parse::<u64>().is_err());
+    let mut rate_hz = 30.0;
+    let mut files: Vec<(PathBuf, f64)> = ["13_29", "13_30", "14_20"]
+        .map(|name| (posed_rig::recording("cmu-labelled", &format!("{name}.csv.gz")), 120.0))
+        .into();
+    while let Some(argument) = given.next() {
+        match argument.as_str() {
+            "--bench" => {}
+            "--rate" => rate_hz = given.next().and_then(|rate| rate.parse().ok()).unwrap_or(rate_hz),
+            path => files.push((path.into(), f64::NAN)),
+        }
+    }
+    let mut all = Vec::new();
+    for (path, own_hz) in files {
+        let rate_hz = Some(if own_hz.is_nan() { rate_hz } else { own_hz });
+        let read = captured::read(&path, &SequenceOptions { rate_hz, unit: Unit::Mm, up: Up::Y });
+        let sides = read.map_err(std::io::Error::other)?;
+        let missing = || std::io::Error::other(format!("{}: joints are missing", path.display()));
+        for mut side in sides.ok_or_else(missing)? {
+            // Where no frame has a label, the file's name has to do.
+            let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
+            side.labels.iter_mut().for_each(|label| *label = label.take().or_else(|| name.clone()));
+            all.push(side);
+        }
+    }
+    Ok(all)
+}
+
+/// What is counted in captured movement, by what it shows: exercises as they are named.
+#[derive(Default)]
+struct OnCaptures {
+    seconds: BTreeMap<String, f64>,
+    counts: BTreeMap<String, BTreeMap<String, usize>>,
+}
+
+impl OnCaptures {
+    fn count(&mut self, exercises: &[Exercise], captured: &Captured) {
+        let shown = |row: usize| captured.labels[row].clone().unwrap_or_else(|| "without a label".into());
+        let columns = ANGLES.map(str::to_owned);
+        let Ok(mut counter) = Counter::new(exercises.to_vec(), &columns) else { return };
+        let rows = captured.angles_deg.chunks_exact(ANGLES.len());
+        for (row, (t_s, values)) in captured.t_s.iter().zip(rows).enumerate() {
+            let step_s = captured.t_s.get(row + 1).map_or(0.0, |next| (next - t_s).min(0.1));
+            *self.seconds.entry(shown(row)).or_default() += step_s;
+            counter.push(*t_s, values, &mut |event| {
+                if event.kind == EventKind::Counted {
+                    let at = captured.t_s.partition_point(|t_s| *t_s < event.t_s).min(row);
+                    let counts = self.counts.entry(shown(at)).or_default();
+                    *counts.entry(exercises[event.exercise].name.clone()).or_default() += 1;
+                }
+            });
+        }
+    }
+
+    fn write(&self, out: &mut impl Write) -> std::io::Result<()> {
+        let all_s: f64 = self.seconds.values().sum();
+        writeln!(out, "captured movement, {:.0} minutes of both sides:", all_s / 60.0)?;
+        for (shown, seconds) in &self.seconds {
+            write!(out, "  {shown}, {:.1} minutes:", seconds / 60.0)?;
+            match self.counts.get(shown) {
+                Some(counts) => counts.iter().try_for_each(|(name, count)| write!(out, " {count} {name}"))?,
+                None => write!(out, " no count")?,
+            }
+            writeln!(out)?;
+        }
+        Ok(())
+    }
 }
 
 impl Lessons {
