@@ -38,7 +38,7 @@ impl Table {
 fn class(truth: Truth) -> Class {
     match truth {
         Truth::Clean => Class::Clean,
-        Truth::Inverted => Class::Inverted,
+        Truth::Inverted | Truth::InvertedVertically => Class::Inverted,
         Truth::Stuck | Truth::Jump | Truth::Disturbed => Class::Anomalous,
     }
 }
@@ -70,7 +70,7 @@ struct Session {
 struct Tables {
     by_class: [Table; 3],
     /// Faulty frames of each kind, and how many of them each called bad.
-    by_kind: [[usize; 4]; 4],
+    by_kind: [[usize; 4]; 5],
 }
 
 impl Session {
@@ -128,9 +128,10 @@ impl Session {
             }
             let kind = match (truth, kind) {
                 (Class::Anomalous, Truth::Inverted) => 0,
-                (Class::Anomalous, Truth::Stuck) => 1,
-                (Class::Anomalous, Truth::Jump) => 2,
-                (Class::Anomalous, Truth::Disturbed) => 3,
+                (Class::Anomalous, Truth::InvertedVertically) => 1,
+                (Class::Anomalous, Truth::Stuck) => 2,
+                (Class::Anomalous, Truth::Jump) => 3,
+                (Class::Anomalous, Truth::Disturbed) => 4,
                 _ => continue,
             };
             let counts = &mut tables.by_kind[kind];
@@ -143,8 +144,8 @@ impl Session {
 }
 
 fn print(title: &str, tables: &Tables) {
-    println!("\n| {title} | inverted | anomalous | false | one inverted | stuck | jump | pull |");
-    println!("|---|---|---|---|---|---|---|---|");
+    println!("\n| {title} | inverted | anomalous | false | one inverted | one in z | stuck | jump | pull |");
+    println!("|---|---|---|---|---|---|---|---|---|");
     for (who, (table, name)) in tables.by_class.iter().zip(["rules alone", "map alone", "both"]).enumerate() {
         let share = |counts: &[usize; 4]| counts[who + 1] as f64 / counts[0].max(1) as f64;
         let kinds: Vec<String> =

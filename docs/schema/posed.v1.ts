@@ -567,7 +567,7 @@ export type Exercises = {
 };
 
 /** Why a measurement, or a sensor, is not simply good. */
-export type FaultCause = "hemisphere_inversion" | "stuck" | "gate" | "missing" | "not_finite" | "saturated" | "misfit" | "jump" | "bone" | "map" | "distance";
+export type FaultCause = "hemisphere_inversion" | "vertical_inversion" | "stuck" | "gate" | "missing" | "not_finite" | "saturated" | "misfit" | "jump" | "bone" | "map" | "distance";
 
 /** What a measurement, or a frame, is. */
 export type FaultClass = "clean" | "inverted" | "anomalous" | "unknown";

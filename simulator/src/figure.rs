@@ -32,6 +32,8 @@ pub const SENSORS: [&str; 15] = [
 /// The transmitter's height above the floor, and how far before it the figure walks about, m.
 const TRANSMITTER_M: f64 = 1.0;
 const BEFORE_M: f64 = 1.7;
+/// A position that is mirrored by less than this is where it was, m.
+const SHOWS_M: f64 = 0.05;
 
 /// What was done to a sensor's position in a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +42,8 @@ pub enum Truth {
     Clean,
     /// Mirrored through the transmitter.
     Inverted,
+    /// Mirrored in the vertical axis alone.
+    InvertedVertically,
     /// The position of the frame before the fault, again and again.
     Stuck,
     /// Somewhere else, 0.3 to 0.9 m away.
@@ -180,6 +184,10 @@ pub enum Fault {
     InvertAll,
     /// One sensor on the wrong side of the transmitter.
     InvertOne,
+    /// All sensors mirrored in the vertical axis, the one upwards.
+    InvertAllVertically,
+    /// One sensor mirrored in it.
+    InvertOneVertically,
     /// One sensor repeats its position.
     Stick,
     /// One sensor is somewhere else, 0.3 to 0.9 m away, and stays so far off.
@@ -190,7 +198,15 @@ pub enum Fault {
 
 impl Fault {
     /// All kinds, in the order above.
-    pub const ALL: [Self; 5] = [Self::InvertAll, Self::InvertOne, Self::Stick, Self::Jump, Self::Disturb];
+    pub const ALL: [Self; 7] = [
+        Self::InvertAll,
+        Self::InvertOne,
+        Self::InvertAllVertically,
+        Self::InvertOneVertically,
+        Self::Stick,
+        Self::Jump,
+        Self::Disturb,
+    ];
 }
 
 /// Puts faults of 0.5 to 3 s into positions, the kinds in turn, with clean stretches between them so that about
@@ -221,7 +237,7 @@ pub fn inject(
         }
         let mut hit = vec![random.integer(0, sensors as u64 - 1) as usize];
         match kind {
-            Fault::InvertAll => hit = (0..sensors).collect(),
+            Fault::InvertAll | Fault::InvertAllVertically => hit = (0..sensors).collect(),
             Fault::Disturb if random.uniform() < 0.5 => hit.push((hit[0] + 1) % sensors),
             _ => {}
         }
@@ -235,6 +251,12 @@ pub fn inject(
                 let shifted = |by: f64| p + whither * by;
                 let (bad, what) = match kind {
                     Fault::InvertAll | Fault::InvertOne => (-p, Truth::Inverted),
+                    Fault::InvertAllVertically | Fault::InvertOneVertically => {
+                        // Beside the plane nothing happens.
+                        let shows = 2.0 * p.z.abs() > SHOWS_M;
+                        let what = if shows { Truth::InvertedVertically } else { Truth::Clean };
+                        (Vector3::new(p.x, p.y, -p.z), what)
+                    }
                     Fault::Stick => {
                         let last = at - 3 * sensors;
                         let last = &positions_m[last..last + 3];
@@ -298,12 +320,14 @@ mod tests {
         for (k, what) in truth.iter().enumerate() {
             let (a, b) = (&clean[3 * k..3 * k + 3], &bad[3 * k..3 * k + 3]);
             match what {
-                Truth::Clean => assert_eq!(a, b),
+                Truth::Clean => assert!(a[..2] == b[..2] && (a[2] - b[2]).abs() <= SHOWS_M),
+                Truth::InvertedVertically => assert!(a[..2] == b[..2] && a[2] == -b[2]),
                 Truth::Inverted => assert!(a.iter().zip(b).all(|(a, b)| *a == -b)),
                 _ => assert_ne!(a, b),
             }
         }
-        for what in [Truth::Inverted, Truth::Stuck, Truth::Jump, Truth::Disturbed] {
+        for what in [Truth::Inverted, Truth::InvertedVertically, Truth::Stuck, Truth::Jump, Truth::Disturbed]
+        {
             assert!(truth.contains(&what), "{what:?}");
         }
         let share = truth.chunks(SENSORS.len()).filter(|row| row.iter().any(|t| *t != Truth::Clean)).count();

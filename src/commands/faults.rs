@@ -320,12 +320,12 @@ fn write_repaired(path: &Path, frames: &Frames, labels: &Labels) -> Result<(), T
     let sensors = frames.sensors.len();
     for (k, t_s) in frames.t_s.iter().enumerate() {
         for (sensor, p) in frames.frame(k).chunks_exact(3).enumerate() {
-            let sign = match labels.sensors[k * sensors + sensor].class {
-                Class::Clean => 1.0,
-                Class::Inverted => -1.0,
-                Class::Anomalous | Class::Unknown => continue,
-            };
-            let position_m = Some([sign * p[0], sign * p[1], sign * p[2]]);
+            let label = labels.sensors[k * sensors + sensor];
+            if matches!(label.class, Class::Anomalous | Class::Unknown) {
+                continue;
+            }
+            let p = [p[0], p[1], p[2]];
+            let position_m = Some(label.mirror().map_or(p, |mirror| mirror.apply(p)));
             let row = PoseRow { t_s: *t_s, sensor, position_m, orientation_wxyz: None, state: None };
             table.row(&frames.sensors[sensor], &row)?;
         }

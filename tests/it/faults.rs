@@ -12,7 +12,7 @@ const RATE_HZ: f64 = 60.0;
 fn class(truth: Truth) -> Class {
     match truth {
         Truth::Clean => Class::Clean,
-        Truth::Inverted => Class::Inverted,
+        Truth::Inverted | Truth::InvertedVertically => Class::Inverted,
         Truth::Stuck | Truth::Jump | Truth::Disturbed => Class::Anomalous,
     }
 }

@@ -3,14 +3,17 @@
 //! What comes in: closed frames, in device axes. What goes out: a label per frame, and [`Advice`] per sensor. What it never
 //! does: change a record, or look at a prediction. It states what `posed faults detect` reports about the same positions.
 
-use nalgebra::{Isometry3, Point3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use posed_state::{Plain, State};
 
 use crate::frame::Frame;
-use posed_fusion::faults::{Cause, Class, Debounce, Label};
+use posed_fusion::faults::{Cause, Class, Debounce, Label, Mirror};
 use posed_motion::fault_map::{FaultMap, FaultMapError, Watch};
 use posed_stage::input::SensorIndex;
 use posed_stage::output::{Estimate, FrameLabel};
+
+/// Cosine of the angle up to which a transmitter stands upright: 2.5 degrees.
+const LEVEL: f64 = 0.999;
 
 /// What the map reports about a sensor in a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
@@ -34,7 +37,7 @@ impl Advice {
         self.recent.push(bad);
         let lasts = self.recent.lasts();
         // A jump that ends as a wrong distance is one fault, not two. A flip may follow another fault, and says more.
-        let first = self.lasting.filter(|_| label != Label::INVERTED);
+        let first = self.lasting.filter(|_| label.class != Class::Inverted);
         self.lasting = first.or(label.cause.filter(|_| bad)).filter(|_| lasts);
         self.distance_m = Some(distance_m).filter(|distance| distance.is_finite());
         self.label = label;
@@ -94,9 +97,14 @@ impl FaultMapStage {
             p.copy_from_slice(&position_m.map_or([f64::NAN; 3], |p| upright(p, room)));
         }
         let judged = self.watch.push(&self.fault_map, &self.positions_m);
+        // Of a transmitter that does not stand upright the vertical axis is none of its own, in which a record is mirrored back.
+        let is_level = (room.rotation * Vector3::z()).z.abs() > LEVEL;
         for (index, sensor) in self.order.iter().enumerate() {
             if let Some(advice) = &mut self.advice[usize::from(*sensor)] {
-                advice.take(judged.sensors[index], judged.distances_m[index]);
+                let label = judged.sensors[index];
+                let undone = is_level || label.mirror() != Some(Mirror::Vertical);
+                let label = if undone { label } else { Label::anomalous(Cause::Jump) };
+                advice.take(label, judged.distances_m[index]);
             }
         }
         FrameLabel {

@@ -111,7 +111,7 @@ impl Magnetic {
         &mut self,
         measured: &Measured,
         others_move: bool,
-        by_map: Option<Class>,
+        by_map: Option<Label>,
         field: &Field,
     ) -> Finding {
         let t: Timestamp = measured.t_valid;
@@ -132,7 +132,8 @@ impl Magnetic {
         let map_m2 = corrected.sigma_m * corrected.sigma_m + 3.0 * disturbance_m2.unwrap_or(0.0);
         self.tracker.set_doubt(map_m2 / 3.0, disturbance_m2.is_some());
         let verdict = self.tracker.push(t, &Checked { pose: corrected.pose, ..checked });
-        let doubted = by_map == Some(Class::Anomalous) || checked.label.class == Class::Unknown;
+        let doubted = by_map.is_some_and(|label| label.class == Class::Anomalous)
+            || checked.label.class == Class::Unknown;
         if verdict == Verdict::Used && !doubted {
             self.map_sigma_m = map_m2.sqrt();
             let (noise, position_m) = (self.tracker.noise(), checked.pose.position_m.unwrap_or_default());

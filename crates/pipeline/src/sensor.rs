@@ -191,7 +191,7 @@ impl Sensor {
         for sample in &slot.samples {
             let found = match &mut self.kind {
                 Kind::Magnetic(magnetic) => {
-                    let by_map = advice.map(|advice| advice.label.class);
+                    let by_map = advice.map(|advice| advice.label);
                     magnetic.measure(&sample.measured, others_move, by_map, field)
                 }
                 Kind::Inertial(inertial) => inertial.measure(&sample.measured, sample.late),

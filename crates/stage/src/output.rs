@@ -96,7 +96,7 @@ pub enum SensorState {
     Late,
     /// The device repeats its last words.
     Stuck,
-    /// Mirrored through the transmitter and mirrored back.
+    /// Mirrored, through the transmitter or in the vertical axis, and mirrored back.
     Repaired,
     /// Corrected outside the calibrated hull.
     Extrapolated,
@@ -111,7 +111,7 @@ impl SensorState {
             (Verdict::Used, Label::CLEAN) if *extrapolated => Self::Extrapolated,
             (Verdict::Used, Label::CLEAN) if *late => Self::Late,
             (Verdict::Used, Label::CLEAN) => Self::Ok,
-            (Verdict::Used, Label::INVERTED) => Self::Repaired,
+            (Verdict::Used, Label { class: Class::Inverted, .. }) => Self::Repaired,
             (Verdict::Dropped, Label { cause: Some(Cause::Stuck), .. }) => Self::Stuck,
             _ => Self::Suspect,
         }

@@ -17,7 +17,7 @@ pub use debounce::Debounce;
 pub(crate) use gate::squared_distance;
 pub use gate::{Gate, Prediction};
 pub use posed_geometry::repetition::{Evidence, Repeats, Repetition, Words};
-pub use vocabulary::{Cause, Class, Finding, Label, Repair, Verdict};
+pub use vocabulary::{Cause, Class, Finding, Label, Mirror, Repair, Verdict};
 pub use words::ImuWords;
 
 use crate::noise::TrackerNoise;
@@ -56,8 +56,8 @@ impl Checked {
     /// Clean as measured, or mirrored back.
     fn on_side(mirror: Option<Mirror>, measured: &MeasuredPose) -> Self {
         let Some(mirror) = mirror else { return Self::clean(*measured) };
-        let pose = mirror.apply(measured);
-        Self { pose, label: Label::INVERTED, repair: Some(Repair::Mirrored), withheld: false }
+        let pose = measured.mirrored(mirror);
+        Self { pose, label: Label::inverted(mirror), repair: Some(Repair::Mirrored), withheld: false }
     }
 
     fn anomalous(pose: MeasuredPose, cause: Cause, withheld: bool) -> Self {
@@ -65,22 +65,11 @@ impl Checked {
     }
 }
 
-/// The ways in which a tracker mirrors a position; the orientation stays.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
-enum Mirror {
-    /// p to -p: the field of a dipole is the same there.
-    Point,
-    /// z to -z: some set-ups mirror the vertical axis only.
-    Vertical,
-}
-
-impl Mirror {
-    fn apply(self, pose: &MeasuredPose) -> MeasuredPose {
-        let position_m = pose.position_m.map(|p| match self {
-            Self::Point => -p,
-            Self::Vertical => Vector3::new(p.x, p.y, -p.z),
-        });
-        MeasuredPose { position_m, ..*pose }
+impl MeasuredPose {
+    /// Its mirror image.
+    fn mirrored(&self, mirror: Mirror) -> Self {
+        let position_m = self.position_m.map(|p| Vector3::from(mirror.apply(p.into())));
+        Self { position_m, ..*self }
     }
 }
 
@@ -120,18 +109,18 @@ impl Detector {
         prediction: Option<&Prediction>,
         noise: &TrackerNoise,
         others_move: bool,
-        by_map: Option<Class>,
+        by_map: Option<Label>,
     ) -> Checked {
-        let side = match by_map {
-            Some(Class::Inverted) if pose.position_m.is_some() => Some(Some(Mirror::Point)),
-            Some(Class::Clean) => Some(None),
+        let side = by_map.and_then(|label| match label.class {
+            Class::Inverted if pose.position_m.is_some() => Some(label.mirror()),
+            Class::Clean => Some(None),
             _ => None,
-        };
+        });
         if let (Some(side), None) = (side, prediction) {
             self.mirror = side;
         }
         let checked = self.by_prediction(pose, prediction, noise, others_move);
-        if by_map != Some(Class::Anomalous) {
+        if by_map.is_none_or(|label| label.class != Class::Anomalous) {
             self.followed = false;
         } else if checked.repair.is_none() && !checked.withheld {
             self.followed |= prediction.is_none();
@@ -146,10 +135,11 @@ impl Detector {
 
     /// Prediction and map may disagree about the side: nothing is good then, until the map has it.
     fn settle(&mut self, pose: &MeasuredPose, checked: Checked, by_map: Option<Option<Mirror>>) -> Checked {
-        let (Label::CLEAN | Label::INVERTED, Some(by_map)) = (checked.label, by_map) else {
+        let (Class::Clean | Class::Inverted, Some(by_map)) = (checked.label.class, by_map) else {
             return checked;
         };
-        if by_map == self.mirror || self.mirror == Some(Mirror::Vertical) {
+        // Which mirror image, the prediction knows better.
+        if by_map.is_some() == self.mirror.is_some() {
             self.disputed = 0;
             return checked;
         }
@@ -170,7 +160,7 @@ impl Detector {
         others_move: bool,
     ) -> Checked {
         // A mirrored sensor repeats its mirrored words: hold the repetition against the same side.
-        let seen = self.mirror.map_or(*pose, |mirror| mirror.apply(pose));
+        let seen = self.mirror.map_or(*pose, |mirror| pose.mirrored(mirror));
         let evidence = match prediction {
             Some(prediction) if prediction.has_left(&seen, noise) => Evidence::Certain,
             _ if others_move => Evidence::OthersMove,
@@ -191,18 +181,18 @@ impl Detector {
         if prediction.gate(pose, noise) != Gate::Outside {
             // Records that are seldom leave a prediction so wide that it holds both sides. It is a straight line then, where a limb
             // has long turned back: where the sensor was says more.
-            let holds_both = prediction.holds_too(&Mirror::Point.apply(pose), pose, noise);
+            let holds_both = prediction.holds_too(&pose.mirrored(Mirror::Point), pose, noise);
             return self.believe(if holds_both { self.nearer_side(pose) } else { None }, pose);
         }
         let mirrors = [Mirror::Point, Mirror::Vertical].into_iter();
         let is_far = pose.position_m.is_some_and(|position_m| prediction.is_far(&position_m, noise));
         for mirror in mirrors.filter(|_| is_far) {
-            if prediction.gate(&mirror.apply(pose), noise) == Gate::Inside {
+            if prediction.gate(&pose.mirrored(mirror), noise) == Gate::Inside {
                 return self.believe(Some(mirror), pose);
             }
         }
         // A track that such records replace goes on at the nearer side, if they are turned as it is.
-        let mirrored = Mirror::Point.apply(pose);
+        let mirrored = pose.mirrored(Mirror::Point);
         let is_turned = prediction.gate(&MeasuredPose { position_m: None, ..*pose }, noise) == Gate::Outside;
         let is_mirrored = !is_turned && prediction.prefers(&mirrored, pose, noise);
         let nearer = if is_mirrored { mirrored } else { *pose };
@@ -228,7 +218,7 @@ impl Detector {
     fn nearer_side(&self, pose: &MeasuredPose) -> Option<Mirror> {
         let distance_m = |pose: &MeasuredPose| Some((pose.position_m? - self.last_m?).norm());
         let candidates = [None, Some(self.mirror.unwrap_or(Mirror::Point))];
-        let seen = |mirror: Option<Mirror>| mirror.map_or(*pose, |mirror| mirror.apply(pose));
+        let seen = |mirror: Option<Mirror>| mirror.map_or(*pose, |mirror| pose.mirrored(mirror));
         let nearer = candidates.into_iter().filter_map(|mirror| Some((mirror, distance_m(&seen(mirror))?)));
         nearer.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(self.mirror, |(mirror, _)| mirror)
     }

@@ -43,13 +43,13 @@ fn mirrored_positions_are_mirrored_back_each_by_its_own_prediction() {
         let prediction = expected(Vector3::from(position_m));
         for mirror in [Mirror::Point, Mirror::Vertical] {
             let mut detector = Detector::default();
-            let pose = mirror.apply(&measured(&prediction));
+            let pose = measured(&prediction).mirrored(mirror);
             let checked = detector.check(&pose, Some(&prediction), &NOISE, false, None);
-            assert_eq!((checked.label, checked.pose), (Label::INVERTED, measured(&prediction)));
+            assert_eq!((checked.label, checked.pose), (Label::inverted(mirror), measured(&prediction)));
             // Without a prediction it is still there.
             let moved = MeasuredPose { position_m: pose.position_m.map(|p| p * 1.01), ..pose };
             let checked = detector.check(&moved, None, &NOISE, false, None);
-            assert_eq!((checked.label, checked.pose), (Label::INVERTED, mirror.apply(&moved)));
+            assert_eq!((checked.label, checked.pose), (Label::inverted(mirror), moved.mirrored(mirror)));
         }
     }
 }
@@ -60,7 +60,7 @@ fn what_is_far_from_its_prediction_is_offered_to_the_track_on_the_nearer_side() 
     let prediction = expected(Vector3::new(0.6, 0.1, 0.2));
     let position_m = Vector3::new(0.55, 0.1, 0.0);
     let pose = MeasuredPose { position_m: Some(position_m), ..measured(&prediction) };
-    for mirrored in [Mirror::Point.apply(&pose), pose] {
+    for mirrored in [pose.mirrored(Mirror::Point), pose] {
         let checked = Detector::default().check(&mirrored, Some(&prediction), &NOISE, false, None);
         assert_eq!((checked.label, checked.pose), (Label::anomalous(Cause::Gate), pose));
     }
@@ -75,14 +75,14 @@ fn what_was_predicted_a_little_wrongly_beside_the_plane_of_symmetry_is_not_mirro
         orientation: Some(prediction.orientation),
     };
     let check = |pose| Detector::default().check(&pose, Some(&prediction), &NOISE, false, None);
-    assert_eq!(prediction.gate(&Mirror::Vertical.apply(&at(0.003)), &NOISE), Gate::Inside);
+    assert_eq!(prediction.gate(&at(0.003).mirrored(Mirror::Vertical), &NOISE), Gate::Inside);
     assert_eq!(check(at(0.003)).label, Label::anomalous(Cause::Gate));
     // What jumps is.
     let prediction = expected(Vector3::new(0.4, 0.1, -0.01));
-    let jumped = Mirror::Vertical.apply(&measured(&prediction));
+    let jumped = measured(&prediction).mirrored(Mirror::Vertical);
     assert_eq!(
         Detector::default().check(&jumped, Some(&prediction), &NOISE, false, None).label,
-        Label::INVERTED
+        Label::inverted(Mirror::Vertical)
     );
 }
 
@@ -92,7 +92,7 @@ fn with_nothing_to_judge_by_the_side_nearer_to_where_it_was_counts() {
     let pose = measured(&prediction);
     let moved =
         |pose: &MeasuredPose, by: f64| MeasuredPose { position_m: pose.position_m.map(|p| p * by), ..*pose };
-    let mirrored = Mirror::Point.apply(&pose);
+    let mirrored = pose.mirrored(Mirror::Point);
     for (first, then) in [(pose, mirrored), (mirrored, pose), (pose, pose), (mirrored, mirrored)] {
         let mut detector = Detector::default();
         let checked = detector.check(&first, Some(&prediction), &NOISE, false, None);
@@ -115,7 +115,7 @@ fn a_prediction_that_holds_both_sides_leaves_it_to_where_the_sensor_was() {
         let mut detector = Detector::default();
         detector.check(&pose, Some(&narrow), &NOISE, false, None);
         let mut check = |pose: &MeasuredPose| detector.check(pose, Some(&wide), &NOISE, false, None);
-        let checked = check(&Mirror::Point.apply(&pose));
+        let checked = check(&pose.mirrored(Mirror::Point));
         assert_eq!((checked.label, checked.pose), (Label::INVERTED, pose));
         assert_eq!(check(&pose).label, Label::CLEAN);
     }
@@ -201,4 +201,20 @@ fn a_gate_that_is_wide_for_want_of_knowledge_does_not_vouch_for_a_jump() {
     assert_eq!(prediction.gate(&pose, &NOISE), Gate::Loose);
     pose.position_m = Some(Vector3::repeat(f64::NAN));
     assert_eq!(prediction.gate(&pose, &NOISE), Gate::Outside);
+}
+
+#[test]
+fn the_map_alone_says_in_which_mirror_a_sensor_is() {
+    let prediction = expected(Vector3::new(0.4, 0.1, -0.2));
+    for mirror in [Mirror::Point, Mirror::Vertical] {
+        let pose = measured(&prediction).mirrored(mirror);
+        let by_map = Some(Label::inverted(mirror));
+        let checked = Detector::default().check(&pose, None, &NOISE, false, by_map);
+        let expected = (Label::inverted(mirror), measured(&prediction), Some(Repair::Mirrored));
+        assert_eq!((checked.label, checked.pose, checked.repair), expected);
+        // Where something is tracked, which mirror it is shows by itself.
+        let other = Some(Label::inverted(Mirror::Point));
+        let checked = Detector::default().check(&pose, Some(&prediction), &NOISE, false, other);
+        assert_eq!((checked.label, checked.pose, checked.repair), expected);
+    }
 }

@@ -43,6 +43,8 @@ impl Class {
 pub enum Cause {
     /// Hemisphere inversion: the position is mirrored through the transmitter.
     HemisphereInversion,
+    /// The position is mirrored in the vertical axis alone.
+    VerticalInversion,
     /// The same words again and again where they should have changed.
     Stuck,
     /// Outside the innovation gate, or not yet confirmed.
@@ -70,6 +72,7 @@ impl Cause {
     pub fn name(self) -> &'static str {
         match self {
             Self::HemisphereInversion => "hemisphere_inversion",
+            Self::VerticalInversion => "vertical_inversion",
             Self::Stuck => "stuck",
             Self::Gate => "gate",
             Self::Missing => "missing",
@@ -87,6 +90,7 @@ impl Cause {
     pub fn words(self) -> &'static str {
         match self {
             Self::HemisphereInversion => "mirrored through the transmitter, and mirrored back",
+            Self::VerticalInversion => "mirrored in the vertical axis, and mirrored back",
             Self::Stuck => "the device repeats its last words",
             Self::Gate => "the pose is not where it can be",
             Self::Missing => "nothing arrives",
@@ -96,6 +100,32 @@ impl Cause {
             Self::Jump => "it jumped as no motion does",
             Self::Bone => "it is where joints do not allow it",
             Self::Map | Self::Distance => "it is where the fault map has not seen it",
+        }
+    }
+}
+
+/// The ways in which a tracker mirrors a position; the orientation stays. Each undoes itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Plain)]
+pub enum Mirror {
+    /// p to -p: the field of a dipole is the same there.
+    Point,
+    /// z to -z: the figure stands on its head, its left and right as they are (Miller et al. 2006, "inverted in the vertical axis").
+    Vertical,
+}
+
+impl Mirror {
+    /// The image of a position in transmitter axes, z up.
+    pub fn apply(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        match self {
+            Self::Point => [-x, -y, -z],
+            Self::Vertical => [x, y, -z],
+        }
+    }
+
+    const fn cause(self) -> Cause {
+        match self {
+            Self::Point => Cause::HemisphereInversion,
+            Self::Vertical => Cause::VerticalInversion,
         }
     }
 }
@@ -113,11 +143,22 @@ impl Label {
     /// Nothing is known against it.
     pub const CLEAN: Self = Self { class: Class::Clean, cause: None };
     /// On the wrong side of the transmitter.
-    pub const INVERTED: Self = Self { class: Class::Inverted, cause: Some(Cause::HemisphereInversion) };
+    pub const INVERTED: Self = Self::inverted(Mirror::Point);
     /// Not there.
     pub const MISSING: Self = Self { class: Class::Unknown, cause: Some(Cause::Missing) };
 
-    /// Wrong in another way than by a hemisphere inversion.
+    /// Mirrored so.
+    pub const fn inverted(mirror: Mirror) -> Self {
+        Self { class: Class::Inverted, cause: Some(mirror.cause()) }
+    }
+
+    /// How it is mirrored, if it is.
+    pub fn mirror(self) -> Option<Mirror> {
+        let vertical = self.cause == Some(Cause::VerticalInversion);
+        (self.class == Class::Inverted).then_some(if vertical { Mirror::Vertical } else { Mirror::Point })
+    }
+
+    /// Wrong in another way than by an inversion.
     pub const fn anomalous(cause: Cause) -> Self {
         Self { class: Class::Anomalous, cause: Some(cause) }
     }
@@ -128,7 +169,7 @@ impl Label {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Repair {
-    /// Mirrored back through the transmitter.
+    /// Mirrored back, through the transmitter or in the vertical axis.
     Mirrored,
     /// Predicted from the records before, for the record is withheld; the sensor's state is not that of a good one.
     Coasted,

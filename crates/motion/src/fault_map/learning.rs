@@ -7,10 +7,11 @@
 use super::Labels;
 use super::frames::Frames;
 use super::hindsight::{Recording, Step};
-use super::memory::{Habit, Point, distance, turned};
+use super::memory::{Habit, Point, distance};
 use super::pairs::{Pairs, quantile};
-use super::rules::{Rules, frame_label, position};
-use posed_fusion::faults::{Cause, Evidence, Label, Repeats, Repetition};
+use super::rules::{Rules, frame_label, is_together, position};
+use super::side::Side;
+use posed_fusion::faults::{Cause, Evidence, Label, Mirror, Repeats, Repetition};
 
 /// In a recording, a step whose mirror image is so many times shorter is a flip; shorter steps are motion, m.
 const FLIP_RATIO: f64 = 0.3;
@@ -37,14 +38,7 @@ impl Rules {
         let sensors = frames.sensors.len();
         let sides = sides(frames);
         let stuck = stuck(frames);
-        let mut positions: Vec<Option<Point>> = Vec::with_capacity(sides.len());
-        for k in 0..frames.len() {
-            let frame = frames.frame(k);
-            positions.extend(
-                (0..sensors)
-                    .map(|sensor| Some(turned(position(frame, sensor)?, sides[k * sensors + sensor]))),
-            );
-        }
+        let mut positions = undone(frames, &sides);
         let habits: Vec<Habit> =
             (0..sensors).map(|sensor| habit(frames.len(), |k| positions[k * sensors + sensor])).collect();
         positions
@@ -62,12 +56,11 @@ impl Rules {
             };
             Pairs::learn(sensors, frames.len(), outside, position)
         });
-        let label = |at: usize| match (positions[at], stuck[at], away[at], sides[at]) {
-            (_, true, ..) => Label::anomalous(Cause::Stuck),
+        let label = |at: usize| match (positions[at], stuck[at], away[at]) {
+            (_, true, _) => Label::anomalous(Cause::Stuck),
             (None, ..) => Label::MISSING,
-            (_, _, true, _) => Label::anomalous(Cause::Jump),
-            (_, _, _, true) => Label::INVERTED,
-            _ => Label::CLEAN,
+            (_, _, true) => Label::anomalous(Cause::Jump),
+            (Some(here), ..) => sides[at].label(here),
         };
         let sensor_labels: Vec<Label> = (0..positions.len()).map(label).collect();
         let frame_labels = sensor_labels.chunks_exact(sensors.max(1)).map(frame_label).collect();
@@ -185,37 +178,100 @@ fn habit(frames: usize, here: impl Fn(usize) -> Option<Point>) -> Habit {
     }
 }
 
-/// Which positions of a recording are on the wrong side: a sensor's side changes with each flip, and the side on
-/// which it is longer is the clean one. The figure's own upward axis decides where the names tell it.
-fn sides(frames: &Frames) -> Vec<bool> {
+/// On which side each position of a recording is: a sensor's side changes with each flip, and the side on
+/// which it is longest is the clean one. The figure's own upward axis decides where the names tell it.
+fn sides(frames: &Frames) -> Vec<Side> {
     let sensors = frames.sensors.len();
-    let mut sides = vec![false; frames.len() * sensors];
-    for sensor in 0..sensors {
-        let mut last: Option<[f64; 3]> = None;
-        let (mut inverted, mut count, mut total) = (false, 0usize, 0usize);
-        for k in 0..frames.len() {
+    let mut sides = vec![Side::CLEAN; frames.len() * sensors];
+    let (mut last, mut now) = (vec![None::<Point>; sensors], vec![Side::CLEAN; sensors]);
+    let mut flips = vec![None::<Mirror>; sensors];
+    for k in 0..frames.len() {
+        for sensor in 0..sensors {
+            flips[sensor] = position(frames.frame(k), sensor).zip(last[sensor]).and_then(|(p, last)| {
+                let (same, image) = (distance(p, last), distance(Mirror::Point.apply(p), last));
+                is_flip(same, image).then_some(Mirror::Point)
+            });
+        }
+        flip_together(frames.frame(k), &last, &mut flips);
+        for sensor in 0..sensors {
             let Some(p) = position(frames.frame(k), sensor) else { continue };
-            if let Some(last) = last {
-                let (step, mirrored) = (distance(p, last), distance(turned(p, true), last));
-                inverted ^= step > SMALLEST_FLIP_M && mirrored < FLIP_RATIO * step;
-            }
-            last = Some(p);
-            sides[k * sensors + sensor] = inverted;
-            count += usize::from(inverted);
-            total += 1;
-        }
-        if 2 * count > total {
-            (0..frames.len()).for_each(|k| sides[k * sensors + sensor] ^= true);
+            now[sensor] = flips[sensor].map_or(now[sensor], |mirror| now[sensor].through(mirror));
+            last[sensor] = Some(p);
+            sides[k * sensors + sensor] = now[sensor];
         }
     }
-    if upside_down(frames, &sides) {
-        sides.iter_mut().for_each(|side| *side = !*side);
-    }
+    find_clean(frames, &mut sides);
     sides
 }
 
+/// Positions on the clean side.
+fn undone(frames: &Frames, sides: &[Side]) -> Vec<Option<Point>> {
+    let sensors = frames.sensors.len();
+    let position = |at: usize| Some(sides[at].undo(position(frames.frame(at / sensors), at % sensors)?));
+    (0..sides.len()).map(position).collect()
+}
+
+/// Sees all sides from the clean one.
+fn find_clean(frames: &Frames, sides: &mut [Side]) {
+    let sensors = frames.sensors.len();
+    for sensor in 0..sensors {
+        let there = |k: &usize| position(frames.frame(*k), sensor).is_some();
+        let of_sensor = (0..frames.len()).filter(there).map(|k| sides[k * sensors + sensor]);
+        let clean = most(of_sensor, None);
+        (0..frames.len())
+            .for_each(|k| sides[k * sensors + sensor] = sides[k * sensors + sensor].beside(clean));
+    }
+    if upside_down(frames, sides) {
+        // The clean side is the one on which it is otherwise.
+        let clean = most(sides.iter().copied(), Some(Side::CLEAN));
+        sides.iter_mut().for_each(|side| *side = side.beside(clean));
+    }
+}
+
+/// Whether a sensor that went so far, m, has gone through the mirror in which it went so far.
+fn is_flip(same: f64, image: f64) -> bool {
+    same > SMALLEST_FLIP_M && image < FLIP_RATIO * same
+}
+
+/// The vertical mirror is believed of a figure only: most sensors go through it at once, and those that hardly show it, near its plane, with
+/// them. By itself a sensor that jumps there has jumped: it may come back beside the plane, where nobody sees it.
+fn flip_together(frame: &[f64], last: &[Option<Point>], flips: &mut [Option<Mirror>]) {
+    // How far a sensor went, as it is and mirrored, and how far its image is from it.
+    let ways = |sensor: usize| {
+        let (p, last) = (position(frame, sensor)?, last[sensor]?);
+        let image = Mirror::Vertical.apply(p);
+        Some([distance(p, last), distance(image, last), distance(image, p)])
+    };
+    let there = || (0..flips.len()).filter_map(ways);
+    let shown = there().filter(|[.., apart]| *apart > SMALLEST_FLIP_M).count();
+    let flipped = there().filter(|[same, image, _]| is_flip(*same, *image)).count();
+    if is_together(flipped, shown) {
+        for (sensor, flip) in flips.iter_mut().enumerate() {
+            if ways(sensor).is_some_and(|[same, image, _]| image < same + SMALLEST_FLIP_M) {
+                *flip = Some(Mirror::Vertical);
+            }
+        }
+    }
+}
+
+/// The side that is most frequent but for one; the clean one, or the other side of the transmitter, where there is none.
+fn most(sides: impl Iterator<Item = Side> + Clone, but: Option<Side>) -> Side {
+    let candidates = Side::ALL.into_iter().filter(|side| Some(*side) != but);
+    let count = |side: Side| sides.clone().filter(|other| *other == side).count();
+    candidates
+        .map(|side| (side, count(side)))
+        .fold(
+            (None, 0),
+            |(best, most), (side, count)| {
+                if best.is_none() || count > most { (Some(side), count) } else { (best, most) }
+            },
+        )
+        .0
+        .unwrap_or_default()
+}
+
 /// Whether heads are below feet in most frames, where sensors are named after segments.
-fn upside_down(frames: &Frames, sides: &[bool]) -> bool {
+fn upside_down(frames: &Frames, sides: &[Side]) -> bool {
     let named = |words: &[&str]| -> Vec<usize> {
         let is = |name: &String| words.iter().any(|word| name.to_lowercase().contains(word));
         (0..frames.sensors.len()).filter(|sensor| is(&frames.sensors[*sensor])).collect()
@@ -226,7 +282,7 @@ fn upside_down(frames: &Frames, sides: &[bool]) -> bool {
     let mean = |k: usize, group: &[usize]| {
         let z = |sensor: &usize| {
             let p = position(frames.frame(k), *sensor)?;
-            Some(if sides[k * sensors + sensor] { -p[2] } else { p[2] })
+            Some(sides[k * sensors + sensor].undo(p)[2])
         };
         let heights: Vec<f64> = group.iter().filter_map(z).collect();
         (!heights.is_empty()).then(|| heights.iter().sum::<f64>() / heights.len() as f64)

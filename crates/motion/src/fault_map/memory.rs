@@ -3,13 +3,15 @@
 //! What comes in: its position, frame by frame. What goes out: a class and a cause. What it never does: look at other
 //! sensors, but for whether any of them moves.
 //!
-//! A flip is an event: the position jumps, and its mirror image does not. Between flips a sensor keeps its side. A jump
+//! A flip is an event: the position jumps, and one of its mirror images does not. Between flips a sensor keeps its side. A jump
 //! is an event too: from then on the sensor is elsewhere, until another jump takes it back.
 
 use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
-use posed_fusion::faults::{Cause, Evidence, Label, Repeats, Repetition};
+use posed_fusion::faults::{Cause, Evidence, Label, Mirror, Repeats, Repetition};
+
+use super::side::Side;
 
 /// A mirror image must be so many times nearer than the position itself.
 const FLIP_RATIO: f64 = 0.3;
@@ -48,11 +50,26 @@ pub(super) struct Memory {
     here: Point,
     step: Point,
     missing: u32,
-    inverted: bool,
+    side: Side,
+    /// What speaks for the vertical mirror in the latest frame, if it was followed there.
+    through: Option<Through>,
     pub(super) moved: bool,
     away: Option<Away>,
     /// Where it was expected when it jumped in the latest frame.
     left: Option<Point>,
+}
+
+/// How a sensor would have come through the vertical mirror.
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
+struct Through {
+    /// The side on which it was before, and where it is now if it is still there.
+    side: Side,
+    same: Point,
+    /// Where it was expected, and what had happened before.
+    expected: Point,
+    away: Option<Away>,
+    /// It jumped, and its image did not.
+    jumped: bool,
 }
 
 /// A jump that was not taken back.
@@ -75,6 +92,7 @@ impl Memory {
     pub(super) fn miss(&mut self) {
         self.missing = self.missing.saturating_add(1);
         self.moved = false;
+        self.through = None;
     }
 
     pub(super) fn take(&mut self, p: Point, habit: &Habit, others_move: bool) -> Label {
@@ -87,19 +105,22 @@ impl Memory {
         let repeats = self.words.take(p, evidence);
         if first {
             // Nothing to compare with but where it usually is.
-            self.inverted = distance(mirror(p), habit.home_m) < FLIP_RATIO * distance(p, habit.home_m);
-            self.here = turned(p, self.inverted);
-            return self.side();
+            let far_m = distance(p, habit.home_m);
+            let is_nearer = |mirror: Mirror| distance(mirror.apply(p), habit.home_m) < FLIP_RATIO * far_m;
+            let (side, expected) = (Side::CLEAN, habit.home_m);
+            let jumped = is_nearer(Mirror::Vertical);
+            self.through = Some(Through { side, same: p, expected, away: None, jumped });
+            self.side = if is_nearer(Mirror::Point) { side.through(Mirror::Point) } else { side };
+            self.here = self.side.undo(p);
+            return self.label();
         }
         self.moved = repeats == Repeats::Changed;
+        self.through = None;
         if repeats == Repeats::Stuck {
             return Label::anomalous(Cause::Stuck);
         }
         self.follow(p, blind, habit);
-        match self.away {
-            None => self.side(),
-            Some(_) => Label::anomalous(Cause::Jump),
-        }
+        self.label()
     }
 
     /// Where it was expected, if it has just jumped away from there.
@@ -110,7 +131,44 @@ impl Memory {
     /// It is back, or was never away.
     pub(super) fn believe(&mut self) -> Label {
         self.away = None;
-        self.side()
+        self.side.label(self.here)
+    }
+
+    /// Whether it jumped to where its image in the vertical mirror did not.
+    pub(super) fn has_jumped_through(&self) -> bool {
+        self.through.is_some_and(|through| through.jumped)
+    }
+
+    /// Whether it would be seen to go through the vertical mirror: its image is far from where it is.
+    pub(super) fn shows(&self, habit: &Habit) -> bool {
+        self.through.is_some_and(|Through { same, .. }| {
+            distance(Mirror::Vertical.apply(same), same) > 2.0 * habit.jump_m
+        })
+    }
+
+    /// Whether it may have gone through it with the others: its image is not much farther from where it was expected.
+    pub(super) fn may_follow(&self, habit: &Habit) -> bool {
+        self.through.is_some_and(|Through { same, expected, .. }| {
+            let [same, image] = [same, Mirror::Vertical.apply(same)].map(|p| distance(p, expected));
+            image < same + 2.0 * habit.jump_m
+        })
+    }
+
+    /// Has gone through the vertical mirror with the others, and did not jump.
+    pub(super) fn follow_through(&mut self) -> Label {
+        if let Some(Through { side, same, away, .. }) = self.through {
+            self.side = side.through(Mirror::Vertical);
+            self.here = Mirror::Vertical.apply(same);
+            (self.step, self.left, self.away) = ([0.0; 3], None, away);
+        }
+        self.label()
+    }
+
+    fn label(&self) -> Label {
+        match self.away {
+            None => self.side.label(self.here),
+            Some(_) => Label::anomalous(Cause::Jump),
+        }
     }
 
     /// Whether it jumped and was not seen to come back.
@@ -142,12 +200,18 @@ impl Memory {
             _ => self.here,
         };
         let reach = habit.jump_m + habit.step_m * f64::from(blind).min(BLIND_STEPS);
-        let (same, other) = (turned(p, self.inverted), turned(p, !self.inverted));
-        let (stays, flips) = (distance(same, expected), distance(other, expected));
+        let same = self.side.undo(p);
+        let (stays, image) =
+            (distance(same, expected), |mirror: Mirror| distance(mirror.apply(same), expected));
+        let jumps_through = |mirror| stays > reach && image(mirror) < FLIP_RATIO * stays;
         // Near the transmitter both images are near: it stays on its side.
-        let flipped = stays > reach && flips < FLIP_RATIO * stays;
-        self.inverted ^= flipped;
-        let now = if flipped { other } else { same };
+        let flipped = jumps_through(Mirror::Point);
+        let jumped = jumps_through(Mirror::Vertical);
+        self.through = Some(Through { side: self.side, same, expected, away: self.away, jumped });
+        if flipped {
+            self.side = self.side.through(Mirror::Point);
+        }
+        let now = self.side.undo(p);
         let off: Point = std::array::from_fn(|c| now[c] - expected[c]);
         let jumped = blind == 0 && norm(off) > reach;
         self.left = None;
@@ -172,18 +236,6 @@ impl Memory {
         };
         self.here = now;
     }
-
-    fn side(&self) -> Label {
-        if self.inverted { Label::INVERTED } else { Label::CLEAN }
-    }
-}
-
-pub(super) fn turned(p: Point, inverted: bool) -> Point {
-    if inverted { mirror(p) } else { p }
-}
-
-fn mirror(p: Point) -> Point {
-    p.map(|value| -value)
 }
 
 pub(super) fn distance(a: Point, b: Point) -> f64 {

@@ -16,6 +16,7 @@ mod memory;
 mod pairs;
 mod rules;
 mod separation;
+mod side;
 mod som;
 mod watch;
 

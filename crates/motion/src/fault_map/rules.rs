@@ -11,10 +11,13 @@ use std::cell::Cell;
 use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
-use posed_fusion::faults::{Cause, Class, Label};
+use posed_fusion::faults::{Cause, Class, Label, Mirror};
 
 use super::memory::{Habit, Memory, Point};
 use super::pairs::{Pairs, Size};
+
+/// Fewer sensors than this are no figure that goes through a mirror.
+const TOGETHER: usize = 3;
 
 /// What is known of a set of sensors: their usual steps and reach, and the distances of each pair.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Plain)]
@@ -87,6 +90,7 @@ impl Rules {
                 }
             };
         }
+        self.flip_together(&mut labeller.sensors, labels);
         let Labeller { sensors: memories, size } = labeller;
         let labels = Cell::from_mut(labels).as_slice_of_cells();
         for sensor in 0..memories.len() {
@@ -115,6 +119,26 @@ impl Rules {
     }
 }
 
+impl Rules {
+    /// The vertical mirror is believed of a figure only: most sensors go through it at once, and those near its plane with them.
+    fn flip_together(&self, memories: &mut [Memory], labels: &mut [Label]) {
+        let shown = memories.iter().zip(&self.habits).filter(|(memory, habit)| memory.shows(habit)).count();
+        if !is_together(memories.iter().filter(|memory| memory.has_jumped_through()).count(), shown) {
+            return;
+        }
+        for ((memory, habit), label) in memories.iter_mut().zip(&self.habits).zip(labels.iter_mut()) {
+            if memory.may_follow(habit) {
+                *label = memory.follow_through();
+            }
+        }
+    }
+}
+
+/// Whether so many sensors of those that would show it are a figure that goes through a mirror.
+pub(super) fn is_together(flipped: usize, shown: usize) -> bool {
+    flipped >= TOGETHER && 3 * flipped >= 2 * shown
+}
+
 /// Where a sensor is, if nothing is known against it.
 fn believed(memories: &[Memory], labels: &[Cell<Label>], sensor: usize) -> Option<Point> {
     let sound = matches!(labels[sensor].get().class, Class::Clean | Class::Inverted);
@@ -136,7 +160,11 @@ pub fn frame_label(labels: &[Label]) -> Label {
     let worst = labels.iter().find(|label| !matches!(label.class, Class::Clean | Class::Unknown));
     match worst {
         _ if there == 0 => Label::MISSING,
-        _ if 2 * count(Class::Inverted) > there => Label::INVERTED,
+        _ if 2 * count(Class::Inverted) > there => {
+            let through = |mirror| labels.iter().filter(|label| label.mirror() == Some(mirror)).count();
+            let vertical = through(Mirror::Vertical) > through(Mirror::Point);
+            Label::inverted(if vertical { Mirror::Vertical } else { Mirror::Point })
+        }
         Some(worst) => Label { class: Class::Anomalous, ..*worst },
         None => Label::CLEAN,
     }

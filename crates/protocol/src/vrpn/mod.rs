@@ -128,7 +128,10 @@ impl Publisher {
     pub fn outcome(&self, outcome: &Outcome, out: &mut Vec<u8>) {
         let OutcomeKind::Fault { sensor, cause, active } = outcome.what else { return };
         let Some(name) = self.catalogue.names.get(usize::from(sensor)) else { return };
-        let sent = matches!(cause, Cause::HemisphereInversion | Cause::Stuck | Cause::Missing);
+        let sent = matches!(
+            cause,
+            Cause::HemisphereInversion | Cause::VerticalInversion | Cause::Stuck | Cause::Missing
+        );
         let what = format!("{}{}", cause.words(), if sent { "" } else { ", and is not sent" });
         let sentence = if active { what } else { format!("over: {what}") };
         let from =
