@@ -282,7 +282,7 @@ pub fn inject(
 mod tests {
     use super::*;
 
-    const FIGURE: Figure = Figure { seed: 1, height_m: 1.75, rate_hz: 60.0, frames: 1800 };
+    const FIGURE: Figure = Figure { seed: 1, height_m: 1.75, rate_hz: 60.0, frames: 3600 };
 
     #[test]
     fn a_share_of_nothing_changes_nothing() {
