@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use nalgebra::Vector3;
-use posed_recording::table::{SequenceFrame, SequenceOptions, Sequences, TableError};
+use posed_recording::table::{SequenceFrame, SequenceOptions, Sequences, TableError, stem};
 use posed_simulator::exercises::ANGLES;
 
 /// A point that goes further than this from one frame to the next, m, is of another clip.
@@ -28,15 +28,16 @@ pub(crate) struct Captured {
     pub(crate) t_s: Vec<f64>,
     /// Angles, degrees: those of [`ANGLES`], frame by frame.
     pub(crate) angles_deg: Vec<Option<f64>>,
-    /// What each frame shows, where somebody says.
-    pub(crate) labels: Vec<Option<String>>,
+    /// What each frame shows; where nobody says, the name of the file.
+    pub(crate) labels: Vec<String>,
 }
 
 /// Both sides of whom a table shows; `None` where it lacks a joint.
 pub(crate) fn read(path: &Path, options: &SequenceOptions) -> Result<Option<[Captured; 2]>, TableError> {
     let sequences = Sequences::read(path, options)?;
     let [left, right] = [0, 1].map(|side| Side::of(&sequences.joints, side));
-    Ok(left.zip(right).map(|(left, right)| [left.follow(&sequences), right.follow(&sequences)]))
+    let sides = left.zip(right);
+    Ok(sides.map(|(left, right)| [left, right].map(|side| side.follow(&sequences, &stem(path)))))
 }
 
 /// Where the joints of one side are in a frame.
@@ -66,7 +67,7 @@ impl Side {
         })
     }
 
-    fn follow(&self, sequences: &Sequences) -> Captured {
+    fn follow(&self, sequences: &Sequences, name: &str) -> Captured {
         let mut captured = Captured { t_s: Vec::new(), angles_deg: Vec::new(), labels: Vec::new() };
         let (mut before, mut shift_s): (Option<Vector3<f64>>, f64) = (None, 0.0);
         let rows = sequences.positions_m.chunks_exact(sequences.joints.len());
@@ -77,7 +78,7 @@ impl Side {
             }
             before = pelvis.or(before);
             captured.t_s.push(t_s + shift_s);
-            captured.labels.push(label.clone());
+            captured.labels.push(label.as_deref().unwrap_or(name).to_owned());
             let angles = self.angles_deg(row);
             captured.angles_deg.extend(angles.unwrap_or([None; ANGLES.len()]));
         }

@@ -90,28 +90,23 @@ fn main() -> std::io::Result<()> {
 fn captures() -> std::io::Result<Vec<Captured>> {
     let mut given = std::env::args().skip(1).filter(|argument| argument.parse::<u64>().is_err());
     let mut rate_hz = 30.0;
-    let mut files: Vec<(PathBuf, f64)> = ["13_29", "13_30", "14_20"]
-        .map(|name| (posed_rig::recording("cmu-labelled", &format!("{name}.csv.gz")), 120.0))
+    let mut files: Vec<(PathBuf, Option<f64>)> = ["13_29", "13_30", "14_20"]
+        .map(|name| (posed_rig::recording("cmu-labelled", &format!("{name}.csv.gz")), Some(120.0)))
         .into();
     while let Some(argument) = given.next() {
         match argument.as_str() {
             "--bench" => {}
             "--rate" => rate_hz = given.next().and_then(|rate| rate.parse().ok()).unwrap_or(rate_hz),
-            path => files.push((path.into(), f64::NAN)),
+            path => files.push((path.into(), None)),
         }
     }
     let mut all = Vec::new();
     for (path, own_hz) in files {
-        let rate_hz = Some(if own_hz.is_nan() { rate_hz } else { own_hz });
+        let rate_hz = own_hz.or(Some(rate_hz));
         let read = captured::read(&path, &SequenceOptions { rate_hz, unit: Unit::Mm, up: Up::Y });
         let sides = read.map_err(std::io::Error::other)?;
         let missing = || std::io::Error::other(format!("{}: joints are missing", path.display()));
-        for mut side in sides.ok_or_else(missing)? {
-            // Where no frame has a label, the file's name has to do.
-            let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
-            side.labels.iter_mut().for_each(|label| *label = label.take().or_else(|| name.clone()));
-            all.push(side);
-        }
+        all.extend(sides.ok_or_else(missing)?);
     }
     Ok(all)
 }
@@ -125,20 +120,15 @@ struct OnCaptures {
 
 impl OnCaptures {
     fn count(&mut self, exercises: &[Exercise], captured: &Captured) {
-        let shown = |row: usize| captured.labels[row].clone().unwrap_or_else(|| "without a label".into());
+        for (steps, label) in captured.t_s.windows(2).zip(&captured.labels) {
+            *self.seconds.entry(label.clone()).or_default() += (steps[1] - steps[0]).min(0.1);
+        }
         let columns = ANGLES.map(str::to_owned);
-        let Ok(mut counter) = Counter::new(exercises.to_vec(), &columns) else { return };
-        let rows = captured.angles_deg.chunks_exact(ANGLES.len());
-        for (row, (t_s, values)) in captured.t_s.iter().zip(rows).enumerate() {
-            let step_s = captured.t_s.get(row + 1).map_or(0.0, |next| (next - t_s).min(0.1));
-            *self.seconds.entry(shown(row)).or_default() += step_s;
-            counter.push(*t_s, values, &mut |event| {
-                if event.kind == EventKind::Counted {
-                    let at = captured.t_s.partition_point(|t_s| *t_s < event.t_s).min(row);
-                    let counts = self.counts.entry(shown(at)).or_default();
-                    *counts.entry(exercises[event.exercise].name.clone()).or_default() += 1;
-                }
-            });
+        let stream = Stream { columns: &columns, t_s: &captured.t_s, values: &captured.angles_deg };
+        for event in events_of(exercises.to_vec(), &stream).iter().filter(|e| e.kind == EventKind::Counted) {
+            let at = captured.t_s.partition_point(|t_s| *t_s < event.t_s).min(captured.labels.len() - 1);
+            let counts = self.counts.entry(captured.labels[at].clone()).or_default();
+            *counts.entry(exercises[event.exercise].name.clone()).or_default() += 1;
         }
     }
 
@@ -211,13 +201,15 @@ fn with_stream<T>(recording: &Recording, then: impl FnOnce(Stream<'_>) -> T) -> 
 }
 
 fn events(exercises: Vec<Exercise>, recording: &Recording) -> Vec<Event> {
+    with_stream(recording, |stream| events_of(exercises, &stream))
+}
+
+fn events_of(exercises: Vec<Exercise>, stream: &Stream<'_>) -> Vec<Event> {
     let mut events = Vec::new();
-    with_stream(recording, |stream| {
-        let Ok(mut counter) = Counter::new(exercises, stream.columns) else { return };
-        for (row, t_s) in stream.values.chunks(stream.columns.len()).zip(stream.t_s) {
-            counter.push(*t_s, row, &mut |event| events.push(event));
-        }
-    });
+    let Ok(mut counter) = Counter::new(exercises, stream.columns) else { return events };
+    for (row, t_s) in stream.values.chunks(stream.columns.len()).zip(stream.t_s) {
+        counter.push(*t_s, row, &mut |event| events.push(event));
+    }
     events
 }
 

@@ -184,7 +184,7 @@ pub enum Fault {
     InvertAll,
     /// One sensor on the wrong side of the transmitter.
     InvertOne,
-    /// All sensors mirrored in the vertical axis, the one upwards.
+    /// All sensors mirrored in the vertical axis.
     InvertAllVertically,
     /// One sensor mirrored in it.
     InvertOneVertically,

@@ -9,8 +9,8 @@ use super::frames::Frames;
 use super::hindsight::{Recording, Step};
 use super::memory::{Habit, Point, distance};
 use super::pairs::{Pairs, quantile};
-use super::rules::{Rules, frame_label, is_together, position};
-use super::side::Side;
+use super::rules::{Rules, frame_label, position};
+use super::side::{Side, Ways, goes_through};
 use posed_fusion::faults::{Cause, Evidence, Label, Mirror, Repeats, Repetition};
 
 /// In a recording, a step whose mirror image is so many times shorter is a flip; shorter steps are motion, m.
@@ -218,8 +218,7 @@ fn find_clean(frames: &Frames, sides: &mut [Side]) {
         let there = |k: &usize| position(frames.frame(*k), sensor).is_some();
         let of_sensor = (0..frames.len()).filter(there).map(|k| sides[k * sensors + sensor]);
         let clean = most(of_sensor, None);
-        (0..frames.len())
-            .for_each(|k| sides[k * sensors + sensor] = sides[k * sensors + sensor].beside(clean));
+        sides.iter_mut().skip(sensor).step_by(sensors).for_each(|side| *side = side.beside(clean));
     }
     if upside_down(frames, sides) {
         // The clean side is the one on which it is otherwise.
@@ -233,41 +232,27 @@ fn is_flip(same: f64, image: f64) -> bool {
     same > SMALLEST_FLIP_M && image < FLIP_RATIO * same
 }
 
-/// The vertical mirror is believed of a figure only: most sensors go through it at once, and those that hardly show it, near its plane, with
-/// them. By itself a sensor that jumps there has jumped: it may come back beside the plane, where nobody sees it.
+/// When the figure goes through the vertical mirror, its sensors near the plane, which hardly show it, go with the others.
 fn flip_together(frame: &[f64], last: &[Option<Point>], flips: &mut [Option<Mirror>]) {
-    // How far a sensor went, as it is and mirrored, and how far its image is from it.
-    let ways = |sensor: usize| {
-        let (p, last) = (position(frame, sensor)?, last[sensor]?);
-        let image = Mirror::Vertical.apply(p);
-        Some([distance(p, last), distance(image, last), distance(image, p)])
-    };
+    let ways = |sensor: usize| Some(Ways::of(position(frame, sensor)?, last[sensor]?));
     let there = || (0..flips.len()).filter_map(ways);
-    let shown = there().filter(|[.., apart]| *apart > SMALLEST_FLIP_M).count();
-    let flipped = there().filter(|[same, image, _]| is_flip(*same, *image)).count();
-    if is_together(flipped, shown) {
+    let shown = there().filter(|ways| ways.shows(SMALLEST_FLIP_M)).count();
+    let jumped = there().filter(|ways| is_flip(ways.same, ways.image)).count();
+    if goes_through(jumped, shown) {
         for (sensor, flip) in flips.iter_mut().enumerate() {
-            if ways(sensor).is_some_and(|[same, image, _]| image < same + SMALLEST_FLIP_M) {
+            if ways(sensor).is_some_and(|ways| ways.may_follow(SMALLEST_FLIP_M)) {
                 *flip = Some(Mirror::Vertical);
             }
         }
     }
 }
 
-/// The side that is most frequent but for one; the clean one, or the other side of the transmitter, where there is none.
+/// The side that is most frequent but for one, and of several the likeliest.
 fn most(sides: impl Iterator<Item = Side> + Clone, but: Option<Side>) -> Side {
-    let candidates = Side::ALL.into_iter().filter(|side| Some(*side) != but);
-    let count = |side: Side| sides.clone().filter(|other| *other == side).count();
-    candidates
-        .map(|side| (side, count(side)))
-        .fold(
-            (None, 0),
-            |(best, most), (side, count)| {
-                if best.is_none() || count > most { (Some(side), count) } else { (best, most) }
-            },
-        )
-        .0
-        .unwrap_or_default()
+    let count = |side: &Side| sides.clone().filter(|other| other == side).count();
+    // Of equals the last is taken.
+    let candidates = Side::ALL.into_iter().rev().filter(|side| Some(*side) != but);
+    candidates.max_by_key(count).unwrap_or_default()
 }
 
 /// Whether heads are below feet in most frames, where sensors are named after segments.

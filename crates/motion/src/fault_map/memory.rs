@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use posed_fusion::faults::{Cause, Evidence, Label, Mirror, Repeats, Repetition};
 
-use super::side::Side;
+use super::side::{Side, Ways};
 
 /// A mirror image must be so many times nearer than the position itself.
 const FLIP_RATIO: f64 = 0.3;
@@ -65,8 +65,8 @@ struct Through {
     /// The side on which it was before, and where it is now if it is still there.
     side: Side,
     same: Point,
-    /// Where it was expected, and what had happened before.
-    expected: Point,
+    /// How far it went from where it was expected, and what had happened before.
+    ways: Ways,
     away: Option<Away>,
     /// It jumped, and its image did not.
     jumped: bool,
@@ -105,12 +105,12 @@ impl Memory {
         let repeats = self.words.take(p, evidence);
         if first {
             // Nothing to compare with but where it usually is.
-            let far_m = distance(p, habit.home_m);
-            let is_nearer = |mirror: Mirror| distance(mirror.apply(p), habit.home_m) < FLIP_RATIO * far_m;
-            let (side, expected) = (Side::CLEAN, habit.home_m);
-            let jumped = is_nearer(Mirror::Vertical);
-            self.through = Some(Through { side, same: p, expected, away: None, jumped });
-            self.side = if is_nearer(Mirror::Point) { side.through(Mirror::Point) } else { side };
+            let ways = Ways::of(p, habit.home_m);
+            let is_nearer = |image: f64| image < FLIP_RATIO * ways.same;
+            let side = Side::CLEAN;
+            self.through = Some(Through { side, same: p, ways, away: None, jumped: is_nearer(ways.image) });
+            let inverted = is_nearer(distance(Mirror::Point.apply(p), habit.home_m));
+            self.side = if inverted { side.through(Mirror::Point) } else { side };
             self.here = self.side.undo(p);
             return self.label();
         }
@@ -131,7 +131,7 @@ impl Memory {
     /// It is back, or was never away.
     pub(super) fn believe(&mut self) -> Label {
         self.away = None;
-        self.side.label(self.here)
+        self.label()
     }
 
     /// Whether it jumped to where its image in the vertical mirror did not.
@@ -139,29 +139,19 @@ impl Memory {
         self.through.is_some_and(|through| through.jumped)
     }
 
-    /// Whether it would be seen to go through the vertical mirror: its image is far from where it is.
+    /// Whether it would be seen to go through it.
     pub(super) fn shows(&self, habit: &Habit) -> bool {
-        self.through.is_some_and(|Through { same, .. }| {
-            distance(Mirror::Vertical.apply(same), same) > 2.0 * habit.jump_m
-        })
+        self.through.is_some_and(|through| through.ways.shows(2.0 * habit.jump_m))
     }
 
-    /// Whether it may have gone through it with the others: its image is not much farther from where it was expected.
-    pub(super) fn may_follow(&self, habit: &Habit) -> bool {
-        self.through.is_some_and(|Through { same, expected, .. }| {
-            let [same, image] = [same, Mirror::Vertical.apply(same)].map(|p| distance(p, expected));
-            image < same + 2.0 * habit.jump_m
-        })
-    }
-
-    /// Has gone through the vertical mirror with the others, and did not jump.
-    pub(super) fn follow_through(&mut self) -> Label {
-        if let Some(Through { side, same, away, .. }) = self.through {
-            self.side = side.through(Mirror::Vertical);
-            self.here = Mirror::Vertical.apply(same);
-            (self.step, self.left, self.away) = ([0.0; 3], None, away);
-        }
-        self.label()
+    /// Has gone through it with the others if it may have, and did not jump; its label then.
+    pub(super) fn follow_through(&mut self, habit: &Habit) -> Option<Label> {
+        let Through { side, same, away, .. } =
+            self.through.filter(|through| through.ways.may_follow(2.0 * habit.jump_m))?;
+        self.side = side.through(Mirror::Vertical);
+        self.here = Mirror::Vertical.apply(same);
+        (self.step, self.left, self.away) = ([0.0; 3], None, away);
+        Some(self.label())
     }
 
     fn label(&self) -> Label {
@@ -201,13 +191,12 @@ impl Memory {
         };
         let reach = habit.jump_m + habit.step_m * f64::from(blind).min(BLIND_STEPS);
         let same = self.side.undo(p);
-        let (stays, image) =
-            (distance(same, expected), |mirror: Mirror| distance(mirror.apply(same), expected));
-        let jumps_through = |mirror| stays > reach && image(mirror) < FLIP_RATIO * stays;
+        let ways = Ways::of(same, expected);
+        let comes_through = |image: f64| ways.same > reach && image < FLIP_RATIO * ways.same;
+        let jumped = comes_through(ways.image);
+        self.through = Some(Through { side: self.side, same, ways, away: self.away, jumped });
         // Near the transmitter both images are near: it stays on its side.
-        let flipped = jumps_through(Mirror::Point);
-        let jumped = jumps_through(Mirror::Vertical);
-        self.through = Some(Through { side: self.side, same, expected, away: self.away, jumped });
+        let flipped = comes_through(distance(Mirror::Point.apply(same), expected));
         if flipped {
             self.side = self.side.through(Mirror::Point);
         }

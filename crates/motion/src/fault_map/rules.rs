@@ -15,9 +15,7 @@ use posed_fusion::faults::{Cause, Class, Label, Mirror};
 
 use super::memory::{Habit, Memory, Point};
 use super::pairs::{Pairs, Size};
-
-/// Fewer sensors than this are no figure that goes through a mirror.
-const TOGETHER: usize = 3;
+use super::side::goes_through;
 
 /// What is known of a set of sensors: their usual steps and reach, and the distances of each pair.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Plain)]
@@ -120,23 +118,17 @@ impl Rules {
 }
 
 impl Rules {
-    /// The vertical mirror is believed of a figure only: most sensors go through it at once, and those near its plane with them.
+    /// When the figure goes through the vertical mirror, its sensors near the plane, which hardly show it, go with the others.
     fn flip_together(&self, memories: &mut [Memory], labels: &mut [Label]) {
         let shown = memories.iter().zip(&self.habits).filter(|(memory, habit)| memory.shows(habit)).count();
-        if !is_together(memories.iter().filter(|memory| memory.has_jumped_through()).count(), shown) {
-            return;
-        }
-        for ((memory, habit), label) in memories.iter_mut().zip(&self.habits).zip(labels.iter_mut()) {
-            if memory.may_follow(habit) {
-                *label = memory.follow_through();
+        if goes_through(memories.iter().filter(|memory| memory.has_jumped_through()).count(), shown) {
+            for ((memory, habit), label) in memories.iter_mut().zip(&self.habits).zip(labels) {
+                if let Some(followed) = memory.follow_through(habit) {
+                    *label = followed;
+                }
             }
         }
     }
-}
-
-/// Whether so many sensors of those that would show it are a figure that goes through a mirror.
-pub(super) fn is_together(flipped: usize, shown: usize) -> bool {
-    flipped >= TOGETHER && 3 * flipped >= 2 * shown
 }
 
 /// Where a sensor is, if nothing is known against it.

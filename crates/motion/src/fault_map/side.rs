@@ -1,7 +1,8 @@
 //! On which side of the transmitter a sensor is taken to be.
 //!
-//! What comes in: positions, and the mirrors that a sensor went through. What goes out: the position on the clean side, and the label
-//! of one that is not there. What it never does: decide; [`super::memory`] does live, [`super::learning`] with hindsight.
+//! What comes in: positions, and the mirrors that a sensor went through. What goes out: the position on the clean side, the label
+//! of one that is not there, and what speaks for the vertical mirror. What it never does: remember; [`super::memory`] does live,
+//! [`super::learning`] with hindsight.
 //!
 //! Both mirrors turn the vertical axis, and one of them the others, too. Which side of a recording is the clean one is known
 //! only at its end, so that a sensor may be found to have gone through both.
@@ -9,8 +10,10 @@
 use posed_fusion::faults::{Cause, Label, Mirror};
 use posed_state::Plain;
 
-use super::memory::Point;
+use super::memory::{Point, distance};
 
+/// Fewer sensors than this are no figure that goes through a mirror.
+const FIGURE: usize = 3;
 /// Images that are no farther apart are one place, m.
 const SAME_M: f64 = 0.1;
 
@@ -53,15 +56,48 @@ impl Side {
 
     /// What a position is whose place on the clean side this is.
     pub(super) fn label(self, here: Point) -> Label {
-        // Beside the plane both images are the same place.
-        let same = self == Self::CLEAN.through(Mirror::Vertical) && 2.0 * here[2].abs() < SAME_M;
         match (self.horizontal, self.vertical) {
-            _ if same => Label::CLEAN,
             (false, false) => Label::CLEAN,
+            // Beside the plane both images are the same place.
+            (false, true) if 2.0 * here[2].abs() < SAME_M => Label::CLEAN,
             (true, true) => Label::inverted(Mirror::Point),
             (false, true) => Label::inverted(Mirror::Vertical),
             // No tracker does that.
             (true, false) => Label::anomalous(Cause::Jump),
         }
     }
+}
+
+/// How a sensor would have come through the vertical mirror, m.
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
+pub(super) struct Ways {
+    /// How far it went, as it is and mirrored.
+    pub(super) same: f64,
+    pub(super) image: f64,
+    /// How far its image is from it.
+    apart: f64,
+}
+
+impl Ways {
+    /// To here from where it was, or was expected.
+    pub(super) fn of(here: Point, before: Point) -> Self {
+        let image = Mirror::Vertical.apply(here);
+        Self { same: distance(here, before), image: distance(image, before), apart: distance(image, here) }
+    }
+
+    /// Whether the mirror would be seen: its image is elsewhere.
+    pub(super) fn shows(&self, limit_m: f64) -> bool {
+        self.apart > limit_m
+    }
+
+    /// Whether it may have gone through with the others: its image is not much farther from where it was.
+    pub(super) fn may_follow(&self, limit_m: f64) -> bool {
+        self.image < self.same + limit_m
+    }
+}
+
+/// Whether a figure has gone through the vertical mirror: so many sensors jumped there, of those that would show it. By itself a sensor
+/// that jumps there has jumped: it may come back beside the plane, where nobody sees it.
+pub(super) fn goes_through(jumped: usize, shown: usize) -> bool {
+    jumped >= FIGURE && 3 * jumped >= 2 * shown
 }

@@ -33,6 +33,21 @@ impl Bench {
         self.poll(now_ms);
     }
 
+    /// One device that has fallen silent, after all ticks that follow.
+    fn silent_since_90_ms() -> Self {
+        let mut bench = Self::new(&[0], None);
+        for k in 0..10 {
+            let t = f64::from(k) * 10.0;
+            bench.record(0, 0, t, t + 1.0);
+        }
+        let mut now = 91.0;
+        while let Some(due) = bench.frames.poll_timeout(ms(now)) {
+            now = due.as_secs_f64() * 1e3;
+            bench.poll(now);
+        }
+        bench
+    }
+
     fn poll(&mut self, now_ms: f64) {
         while let Some(frame) = self.frames.poll(ms(now_ms)) {
             self.closed.push(frame.clone());
@@ -89,16 +104,7 @@ fn lost_cycles_have_ticks_of_their_own() {
 
 #[test]
 fn a_silent_stage_ticks_on_for_half_a_second_and_counts_the_rest() {
-    let mut bench = Bench::new(&[0], None);
-    for k in 0..10 {
-        let t = f64::from(k) * 10.0;
-        bench.record(0, 0, t, t + 1.0);
-    }
-    let mut now = 91.0;
-    while let Some(due) = bench.frames.poll_timeout(ms(now)) {
-        now = due.as_secs_f64() * 1e3;
-        bench.poll(now);
-    }
+    let mut bench = Bench::silent_since_90_ms();
     assert_eq!(bench.times_ms().last(), Some(&590.0));
     bench.record(0, 0, 2000.0, 2001.0);
     let frame = bench.closed.last().unwrap();
@@ -108,16 +114,7 @@ fn a_silent_stage_ticks_on_for_half_a_second_and_counts_the_rest() {
 /// The first records of a unit that begins anew come before the period of its new line is known, and the first guess may be wrong.
 #[test]
 fn no_tick_is_laid_into_a_silence_that_is_over() {
-    let mut bench = Bench::new(&[0], None);
-    for k in 0..10 {
-        let t = f64::from(k) * 10.0;
-        bench.record(0, 0, t, t + 1.0);
-    }
-    let mut now = 91.0;
-    while let Some(due) = bench.frames.poll_timeout(ms(now)) {
-        now = due.as_secs_f64() * 1e3;
-        bench.poll(now);
-    }
+    let mut bench = Bench::silent_since_90_ms();
     for period_s in [None, Some(0.03)] {
         bench.frames.stamp(0, &Stamp { begins_cycle: false, ..stamp(2000.0) }, period_s, ms(2001.0));
         bench.poll(2001.0);
