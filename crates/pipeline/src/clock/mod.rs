@@ -15,9 +15,11 @@
 //! right from the first second on, and lost cycles cost nothing.
 //!
 //! Cycles that leave no trace on the wire make the driver's count fall behind. The same bounds show it: a
-//! cycle cannot have been read before it was measured, nor have waited through an earlier read. The first is
-//! proof. The second may be a host that stamped the earlier read late, so it is believed on [`Trial`]: times follow at
-//! once, but count and window only when [`CONFIRMED`] reads agree, and none that contradicts has come before.
+//! cycle cannot have been read before it was measured, nor have waited through an earlier read. The first is proof, where
+//! it is by most of a cycle; by less than half of one it may be the line, and the clock begins anew. The second may be a
+//! host that stamped the earlier read late, and a cycle that is late by whole periods the first of a burst, so they are
+//! believed on [`Trial`]: times follow at once, but are not relied on, and count and window only when [`CONFIRMED`] reads
+//! agree, and none that contradicts has come before.
 //!
 //! Where the driver saw that bytes are missing, cycles may be missing with them, and a slow reader or bursts hide it for a while: until
 //! a read shows that none is, or how many, times are not relied on.
@@ -443,9 +445,16 @@ impl Clock {
         let mut inconsistent = may_renumber && fit.prompt && !usual;
         if late < fit.lower - tolerance {
             // Read before it was measured: a shift was wrong, or the line is.
-            self.contradicted = Some(evidence.t_read);
-            let ahead = ((fit.lower - tolerance - late) / period).ceil() as i64;
+            let periods_early = (fit.lower - tolerance - late) / period;
+            let ahead = periods_early.ceil() as i64;
             inconsistent = self.renumbered < ahead;
+            if !inconsistent && periods_early.fract() < 0.5 {
+                // Whole cycles would be much: it may as well be the line.
+                self.begin_anew(false);
+                self.contradicted = Some(evidence.t_read);
+                return;
+            }
+            self.contradicted = Some(evidence.t_read);
             self.renumber(if inconsistent { 0 } else { -ahead });
         } else if early > fit.upper + early_tolerance {
             // It would have waited through an earlier read: the count is behind, if a whole number fits.
@@ -456,7 +465,7 @@ impl Clock {
                 self.suspect(n as i64, evidence.t_read);
             }
         } else if may_renumber && fit.prompt && late > fit.upper + 0.5 * period {
-            // Late by whole periods on a prompt line, with nothing queued behind it: cycles are missing. A
+            // Late by whole periods on a prompt line, with nothing queued behind it: cycles are missing, or bursts begin. A
             // late reader would have found the following cycles in the same chunk.
             let n = ((late - fit.upper) / period).round();
             let rest = late - n * period;
@@ -464,7 +473,7 @@ impl Clock {
             let fits = rest >= fit.upper - LATE_BY_LESS_S && rest <= fit.upper + fit.lateness + tolerance;
             if fits && evidence.bytes_after <= self.usual_bytes_after {
                 inconsistent = false;
-                self.renumber(n as i64);
+                self.suspect(n as i64, evidence.t_read);
             }
         } else if usual {
             self.usual_bytes_after = self.usual_bytes_after.max(evidence.bytes_after);

@@ -245,6 +245,47 @@ fn a_line_that_ceases_to_burst_keeps_its_period() {
     }
 }
 
+/// A host that looks every `grid_ns`, if that is not 0.
+fn seen_on_grid(sample: &mut Sample, grid_ns: i64) {
+    if grid_ns > 0 {
+        let seen = |t: Timestamp| {
+            let steps = (t.as_nanos() as u64).div_ceil(grid_ns as u64);
+            Timestamp::from_nanos(steps as i64 * grid_ns)
+        };
+        sample.arrival.t_read = seen(sample.arrival.t_read);
+        sample.arrival.t_previous_read = sample.arrival.t_previous_read.map(seen);
+    }
+}
+
+/// A cycle is lost under bursts, and found out. Where bursts begin, one that is late by a whole period is none; where they cease, reads
+/// that are a little earlier than the line allows take none back.
+#[test]
+fn a_line_that_begins_and_ceases_to_burst_keeps_its_count() {
+    let lines = [29.7, 30.0, 40.0].into_iter().flat_map(|rate_hz| {
+        [39.883, 42.7, 57.1].into_iter().flat_map(move |burst_ms| {
+            [0, 500_000, 1_000_000].into_iter().flat_map(move |grid_ns| {
+                (300_u64..330).map(move |ceases| (rate_hz, burst_ms, grid_ns, ceases))
+            })
+        })
+    });
+    for (rate_hz, burst_ms, grid_ns, ceases) in lines {
+        let alter = |k, sample: &mut Sample| {
+            sample.t_device = DeviceTime::Cycle(if k < 220 { k } else { k - 1 });
+            sample.arrival.after_loss = k == 220;
+            seen_on_grid(sample, grid_ns);
+        };
+        let check = |_: &Clock, k, truth_s: f64, stamp: Stamp| {
+            let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
+            assert!(
+                k < 16 || stamp.is_late() || off_s < f64::max(0.006, 6.0 * stamp.sigma_s),
+                "{rate_hz} Hz, bursts of {burst_ms} ms up to {ceases}, seen every {grid_ns} ns: cycle {k} is {off_s} s off"
+            );
+        };
+        let cycles = (0..400).filter(|&k| k != 219);
+        read_in_bursts((rate_hz, burst_ms), cycles, |k| (90..ceases).contains(&k), alter, check);
+    }
+}
+
 /// Bytes are lost, cycles with them, and bursts hide for a while that they are missing: no capture time is a cycle early meanwhile.
 #[test]
 fn cycles_lost_with_bytes_are_waited_for() {
