@@ -248,12 +248,11 @@ fn a_line_that_ceases_to_burst_keeps_its_period() {
 /// A host that looks every `grid_ns`, if that is not 0.
 fn seen_on_grid(sample: &mut Sample, grid_ns: i64) {
     if grid_ns > 0 {
-        let seen = |t: Timestamp| {
+        let arrival = &mut sample.arrival;
+        for t in [Some(&mut arrival.t_read), arrival.t_previous_read.as_mut()].into_iter().flatten() {
             let steps = (t.as_nanos() as u64).div_ceil(grid_ns as u64);
-            Timestamp::from_nanos(steps as i64 * grid_ns)
-        };
-        sample.arrival.t_read = seen(sample.arrival.t_read);
-        sample.arrival.t_previous_read = sample.arrival.t_previous_read.map(seen);
+            *t = Timestamp::from_nanos(steps as i64 * grid_ns);
+        }
     }
 }
 
