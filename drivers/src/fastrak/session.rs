@@ -25,7 +25,8 @@ const UNIT_RATE_HZ: f64 = 120.0;
 const STOP: Duration = Duration::from_millis(500);
 /// Time for the status answer.
 const ANSWER: Duration = Duration::from_millis(1000);
-/// A reset unit answers after 10 to 15 s.
+/// A reset unit answers after 10 to 15 s, and is not reset again before. It is asked meanwhile: one that was off has not heard the
+/// reset, and answers as soon as it has power.
 const RESET: Duration = Duration::from_secs(16);
 /// Unanswered questions after which the unit is reset.
 const QUESTIONS: u8 = 3;
@@ -75,7 +76,6 @@ enum Phase {
     Closed,
     Stopping { until: Timestamp },
     Asking { until: Timestamp },
-    Resetting { until: Timestamp },
     Streaming { silent_at: Timestamp },
 }
 
@@ -90,7 +90,10 @@ pub struct FastrakSession {
     #[state(keep)]
     stations: Vec<u8>,
     phase: Phase,
+    /// Questions since an answer, the opening of the line or a reset.
     questions: u8,
+    /// Until then a reset unit starts.
+    resets_until: Timestamp,
     splitter: Splitter,
     arrivals: Arrivals,
     outbox: Outbox,
@@ -137,6 +140,7 @@ impl FastrakSession {
             stations,
             phase: Phase::Closed,
             questions: 0,
+            resets_until: Timestamp::ZERO,
             arrivals: Arrivals::default(),
             outbox: Outbox::new(),
             dropped: 0,
@@ -157,7 +161,7 @@ impl FastrakSession {
 
     fn ask(&mut self, now: Timestamp) {
         self.outbox.transmit(b"S".to_vec());
-        self.questions += 1;
+        self.questions = self.questions.saturating_add(1);
         self.phase = Phase::Asking { until: now + ANSWER };
     }
 
@@ -320,15 +324,15 @@ impl Session for FastrakSession {
         match self.phase {
             Phase::Closed => {}
             Phase::Stopping { .. } => self.ask(now),
-            Phase::Asking { .. } if self.questions < QUESTIONS => self.stop(now),
+            Phase::Asking { .. } if self.questions < QUESTIONS || now < self.resets_until => self.stop(now),
             Phase::Asking { .. } => {
                 self.outbox
                     .silent("the unit does not answer; it is being reset. Check power, cable and baud rate");
                 self.outbox.transmit(vec![0x19]);
                 self.questions = 0;
-                self.phase = Phase::Resetting { until: now + RESET };
+                self.resets_until = now + RESET;
+                self.stop(now);
             }
-            Phase::Resetting { .. } => self.stop(now),
             Phase::Streaming { .. } => {
                 self.outbox
                     .silent("no record any more; check the unit's power, its sensors' plugs and the cable");
@@ -344,7 +348,7 @@ impl Session for FastrakSession {
     fn poll_timeout(&self) -> Option<Timestamp> {
         match self.phase {
             Phase::Closed => None,
-            Phase::Stopping { until } | Phase::Asking { until } | Phase::Resetting { until } => Some(until),
+            Phase::Stopping { until } | Phase::Asking { until } => Some(until),
             Phase::Streaming { silent_at } => Some(silent_at),
         }
     }
