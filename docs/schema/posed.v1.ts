@@ -213,7 +213,7 @@ export type Call = {
   epochs?: number | null;
   /** The reply carries it. */
   id: RequestId;
-  /** Frames of 1/24 s that the network may look ahead: the fewer, the sooner labels are sure; absent: 121. */
+  /** Frames of 1/24 s that the network may look ahead: the fewer, the sooner labels are sure. More than 40, half of what it sees, is 40; absent: 40. */
   look_ahead?: number | null;
   type: "segments.train";
 } | {

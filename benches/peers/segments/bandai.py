@@ -1,26 +1,21 @@
 #!/usr/bin/env python3
-"""Single actions of the Bandai Namco motion data set in styles that were not learned from, four folds.
+"""Labelled sequences of the single actions of the Bandai Namco motion data set, a sequence per style, for `folds.py`.
 
-usage: bandai.py DIR WORK [--posed PATH] [-- OPTIONS OF segments train ...]
+usage: bandai.py DIR FOLDER
 
 DIR holds a CSV per action (`clip` = ACTION_STYLE_NUMBER, `frame`, JOINT_x,JOINT_y,JOINT_z in mm, y up, 30 Hz). The clips of a
-style are put one behind the other in an order of chance, each turned and shifted so that the hips go on where they were; the label is the action. Styles are
-dealt to four folds in alphabetical order; actions seen in fewer than five styles are left out, because no fold could
-both learn and test them. WORK/all holds all sequences, for `forest.py WORK/all --rate-hz 30 --together STYLE ...`.
+style are put one behind the other in an order of chance, each turned and shifted so that the hips go on where they were; the label is the action.
+Actions seen in fewer than five styles are left out, because no fold of four could both learn and test them.
 """
 import argparse
 import collections
 import csv
 import gzip
-import json
 import math
 import pathlib
 import random
-import shutil
-import subprocess
-import sys
 
-FOLDS, LEAST_STYLES, SEED = 4, 5, 1
+LEAST_STYLES, SEED = 5, 1
 
 
 def clips(folder):
@@ -86,43 +81,15 @@ def write(path, joints, labels, rows):
         out.writerows([label, 0, *(f"{value:.1f}" for value in row)] for label, row in zip(labels, rows))
 
 
-def segments(posed, *command):
-    command = [posed, "segments", *command]
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
-
-
 def main():
-    own, options = sys.argv[1:], []
-    if "--" in own:
-        own, options = own[: own.index("--")], own[own.index("--") + 1 :]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dir", type=pathlib.Path)
-    parser.add_argument("work", type=pathlib.Path)
-    parser.add_argument("--posed", default="target/release/posed")
-    args = parser.parse_args(own)
-    styles = clips(args.dir)
+    parser.add_argument("folder", type=pathlib.Path)
+    args = parser.parse_args()
+    args.folder.mkdir(parents=True, exist_ok=True)
     order = random.Random(SEED)
-    every = args.work / "all"
-    every.mkdir(parents=True, exist_ok=True)
-    for style, takes in styles.items():
-        write(every / f"{style}.csv.gz", takes[0][1], *joined(takes, order))
-    form = ["--rate-hz", "30", "--unit", "mm"]
-    print("| fold | tested styles | accuracy | edit | F1@10 | F1@25 | F1@50 |\n|---|---|---|---|---|---|---|", flush=True)
-    figures = []
-    for fold in range(FOLDS):
-        tested = [style for k, style in enumerate(styles) if k % FOLDS == fold]
-        folders = {part: args.work / f"fold{fold}" / part for part in ("train", "test")}
-        for folder in folders.values():
-            shutil.rmtree(folder, ignore_errors=True)
-            folder.mkdir(parents=True)
-        for style in styles:
-            shutil.copy(every / f"{style}.csv.gz", folders["test" if style in tested else "train"])
-        model = args.work / f"fold{fold}" / "model.safetensors"
-        segments(args.posed, "train", str(folders["train"]), *form, "-o", str(model), *options)
-        answer = json.loads(segments(args.posed, "evaluate", str(model), str(folders["test"]), *form, "--json"))
-        figures.append([answer[key] for key in ("accuracy", "edit", "f1_10", "f1_25", "f1_50")])
-        print(f"| {fold + 1} | {', '.join(tested)} |", " | ".join(f"{value:.1f}" for value in figures[-1]), "|", flush=True)
-    print("| all | |", " | ".join(f"{sum(column) / FOLDS:.1f}" for column in zip(*figures)), "|")
+    for style, takes in clips(args.dir).items():
+        write(args.folder / f"{style}.csv.gz", takes[0][1], *joined(takes, order))
 
 
 main()

@@ -1,23 +1,21 @@
-#!/usr/bin/env python3
-"""A random forest on windowed joint features, leave one sequence out: what `posed segments` is measured against.
+"""A random forest on windowed joint features: what `posed segments` is measured against in `folds.py`.
 
-usage: forest.py DIR [--rate-hz 120] [--trees 300] [--together] [TEST ...]      needs numpy and scikit-learn (PyPI)
-
-DIR holds CSV sequences as `posed segments train` reads them (`label`, `transition`, NAME_x,NAME_y,NAME_z; y up).
 Per frame: joints relative to the root, turned to where the body faces (line of the joints l* and r*), and for each
-of these coordinates the mean, standard deviation and speed over windows of 0.25, 0.5 and 1 s; then a median filter of 1 s over the
-predicted classes. Frames whose class does not occur in training are not scored. Prints a row per test sequence; with `--together` none of them is learned from for any.
+of these coordinates the mean, standard deviation and speed over windows of 0.25, 0.5 and 1 s. Its classes are taken as they are, or after a
+filter of 1 s over the votes. Needs numpy and scikit-learn (PyPI).
 """
-import argparse
 import csv
 import gzip
-import pathlib
 
 import numpy as np
 from sklearn.ensemble import RandomForestClassifier
 
 
+STEP = 3  # It learns from every third frame.
+
+
 def read(path):
+    """Joints, their positions (m), labels; an empty label where none is to be learned or scored."""
     opener = gzip.open if path.suffix == ".gz" else open
     with opener(path, "rt") as file:
         rows = csv.reader(line for line in file if not line.startswith("#"))
@@ -73,50 +71,33 @@ def runs(classes):
     return out
 
 
-def f1(truth, named, overlap):
+def hits(truth, named, overlap):
+    """Segments of the truth that are found: each by one named segment of its class that overlaps it by so much."""
     a, b = runs(truth), runs(named)
-    taken, hits = set(), 0
+    taken = set()
     for c, first, end in b:
         best = max(((min(end, e) - max(first, f)) / (max(end, e) - min(first, f)), k)
                    for k, (d, f, e) in enumerate(a) if d == c) if any(d == c for d, _, _ in a) else (0, -1)
-        if best[0] >= overlap and best[1] not in taken:
+        if best[0] >= overlap:
             taken.add(best[1])
-            hits += 1
-    return 200.0 * hits / (len(a) + len(b))
+    return len(taken), len(a), len(b)
 
 
-def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("dir", type=pathlib.Path)
-    parser.add_argument("tests", nargs="*", default=["13_29", "13_30", "14_20"])
-    parser.add_argument("--rate-hz", type=float, default=120.0)
-    parser.add_argument("--trees", type=int, default=300)
-    parser.add_argument("--step", type=int, default=3, help="learn from every step-th frame")
-    parser.add_argument("--together", action="store_true")
-    args = parser.parse_args()
-    data = {}
-    for path in sorted(args.dir.glob("*.csv*")):
-        names, points, labels = read(path)
-        data[path.name.split(".")[0]] = (features(names, points, args.rate_hz), labels)
-    right = frames = 0
-    for held in [args.tests] if args.together else [[test] for test in args.tests]:
-        x = np.concatenate([f[::args.step] for n, (f, _) in data.items() if n not in held])
-        y = np.concatenate([l[::args.step] for n, (_, l) in data.items() if n not in held])
-        x, y = x[y != ""], y[y != ""]
-        forest = RandomForestClassifier(args.trees, min_samples_leaf=3, max_features="sqrt", n_jobs=1, random_state=1)
-        forest.fit(x, y)
-        for test in held:
-            f, truth = data[test]
-            window = int(args.rate_hz) | 1
-            p = forest.predict_proba(f)
-            for kind, named in (("plain", p.argmax(axis=1)), ("1 s filter", median_filter(p, window))):
-                named = forest.classes_[named]
-                scored = np.isin(truth, forest.classes_)
-                hit = (named == truth) & scored
-                print(f"{test} {kind:10} right {100 * hit.sum() / scored.sum():5.1f} %  "
-                      f"F1@50 {f1(truth[scored], named[scored], 0.5):5.1f}", flush=True)
-            right, frames = right + hit.sum(), frames + scored.sum()
-    print(f"all right {100 * right / frames:.1f} %")
+def evaluate(data, tested, rate_hz, trees, seed):
+    """Learns from all sequences but those `tested`; accuracy and F1@50 in % over these, plain and with the filter.
 
-
-main()
+    `data`: by name, features and labels. Frames whose class does not occur in training are not scored."""
+    x = np.concatenate([f[::STEP] for n, (f, _) in data.items() if n not in tested])
+    y = np.concatenate([l[::STEP] for n, (_, l) in data.items() if n not in tested])
+    forest = RandomForestClassifier(trees, min_samples_leaf=3, max_features="sqrt", n_jobs=1, random_state=seed)
+    forest.fit(x[y != ""], y[y != ""])
+    sums = np.zeros((2, 5))
+    for test in tested:
+        f, truth = data[test]
+        votes = forest.predict_proba(f)
+        scored = np.isin(truth, forest.classes_)
+        for k, classes in enumerate((votes.argmax(axis=1), median_filter(votes, int(rate_hz) | 1))):
+            named = forest.classes_[classes]
+            right = (named == truth)[scored].sum()
+            sums[k] += (right, scored.sum(), *hits(truth[scored], named[scored], 0.5))
+    return [(100 * right / frames, 200 * found / (there + named)) for right, frames, found, there, named in sums]

@@ -220,7 +220,8 @@ pub enum Call {
         /// Most epochs; absent: 30.
         #[serde(default)]
         epochs: Option<u32>,
-        /// Frames of 1/24 s that the network may look ahead: the fewer, the sooner labels are sure; absent: 121.
+        /// Frames of 1/24 s that the network may look ahead: the fewer, the sooner labels are sure. More than 40, half
+        /// of what it sees, is 40; absent: 40.
         #[serde(default)]
         look_ahead: Option<usize>,
     },

@@ -36,13 +36,13 @@ pub(crate) struct Args {
     /// Frames per second of the model.
     #[arg(long, value_name = "HZ")]
     model_rate_hz: Option<f64>,
-    /// Taps of each layer; the receptive field is its fifth power.
+    /// Taps of each layer; the receptive field is this to the power of the number of layers.
     #[arg(long, value_parser = ["3", "5", "7"])]
     width: Option<String>,
     /// Filters of each layer; as many layers as numbers.
     #[arg(long, value_delimiter = ',', value_name = "N,N,..")]
     filters: Option<Vec<usize>>,
-    /// Frames the network may look ahead (0, 12, 36, ...), for labels sooner; half its receptive field if absent.
+    /// Frames the network may look ahead (0, 12, ...), for labels sooner; half its receptive field if absent.
     #[arg(long, value_name = "FRAMES")]
     look_ahead: Option<usize>,
     /// Width of the border around each change of label that is not learned from, s.

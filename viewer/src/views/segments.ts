@@ -9,7 +9,7 @@ const SPAN_S = 60;
 /** So many labels are distinguished by colour; all by their names. */
 const COLOURS = 8;
 /** Frames of 1/24 s that a network may see of what comes after: the fewer, the sooner a name is sure. */
-const LOOK_AHEADS: [number, string][] = [[121, "5 s ahead"], [36, "1.5 s ahead"], [12, "0.5 s ahead"], [0, "nothing ahead"]];
+const LOOK_AHEADS: [number, string][] = [[40, "1.7 s ahead"], [12, "0.5 s ahead"], [0, "nothing ahead"]];
 
 export class SegmentsPanel {
   readonly element: HTMLElement;

@@ -89,7 +89,7 @@ impl Default for Augmentation {
             mirror: true,
             stretch: 0.2,
             scale: 0.1,
-            drop_joint: 0.02,
+            drop_joint: 0.1,
             displace: 0.02,
         }
     }

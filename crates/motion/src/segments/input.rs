@@ -61,7 +61,7 @@ pub struct Features {
 
 impl Features {
     /// What the default model sees.
-    pub const BODY: Self = Self { facing: true, velocities: false, speeds: true, rows: None };
+    pub const BODY: Self = Self { facing: true, velocities: true, speeds: true, rows: None };
 }
 
 /// What is remembered from frame to frame; `Memory::default()` at the start of a stream.

@@ -85,7 +85,7 @@ impl Default for Options {
             held_out: 0.0,
             patience: 0,
             features: Features::BODY,
-            filters: vec![64, 64, 128, 256, 512],
+            filters: vec![64, 64, 128, 256],
             width: 3,
             ahead: None,
             norm: Norm::Hidden,

@@ -74,7 +74,8 @@ fn trained(options: Options) -> (Model, Vec<Epoch>) {
 #[test]
 fn it_learns_and_survives_its_file_and_a_missing_joint() {
     let (model, epochs) = trained(options());
-    assert!(epochs[7].loss < 0.5 * epochs[0].loss, "{epochs:?}");
+    // A crop without the hand that waves cannot be named.
+    assert!(epochs[7].loss < 0.6 * epochs[0].loss, "{epochs:?}");
     let model = Model::from_bytes(&model.to_bytes().unwrap()).unwrap();
     let (mut new, ..) = sequence(3, 10);
     let accuracy = |sequence: &Sequence| {
@@ -244,8 +245,8 @@ fn features_are_the_body_s_own() {
     };
     let preparation = learn(Features::BODY);
     assert_eq!(preparation.pairs, [[2, 3]]);
-    assert_eq!(preparation.inputs(), 5 * 6 + 3);
-    assert_eq!(learn(Features { velocities: true, ..Features::BODY }).inputs(), 5 * 9 + 6);
+    assert_eq!(preparation.inputs(), 5 * 9 + 6);
+    assert_eq!(learn(Features { velocities: false, ..Features::BODY }).inputs(), 5 * 6 + 3);
     let (mut memory, mut moved_memory) = (Memory::default(), Memory::default());
     for frame in 0..60 {
         let positions = sequence.positions(frame);
