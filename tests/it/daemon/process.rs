@@ -181,7 +181,8 @@ pub(crate) fn replays(recording: &Path) {
     assert_eq!(verdict.messages, messages);
 }
 
-/// Holds replays of any recording, on two kinds of processor, and its export against one another; the number of messages.
+/// Holds replays of any recording, on two kinds of processor, and its export against one another; the number of messages. So the one by
+/// another build that `POSED_OTHER_BUILD` names (a path): `packaging/build static` names the static binary.
 pub(crate) fn replays_alike(recording: &Path) -> u64 {
     let folder = tempfile::tempdir().unwrap();
     let [first, second, recorded] =
@@ -195,6 +196,15 @@ pub(crate) fn replays_alike(recording: &Path) -> u64 {
         .output()
         .unwrap();
     assert!(plain.status.success(), "{}", String::from_utf8_lossy(&plain.stderr));
+    if let Some(other) = std::env::var_os("POSED_OTHER_BUILD") {
+        let output = Command::new(other)
+            .arg("replay")
+            .arg(recording)
+            .args(["--expect".as_ref(), first.as_os_str()])
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "another build: {}", String::from_utf8_lossy(&output.stderr));
+    }
     succeed(["export".into(), os(recording), "--to".into(), "jsonl".into(), "-o".into(), os(&recorded)]);
     succeed(["replay".into(), os(recording), "--expect".into(), os(&recorded)]);
     let [first, second, recorded] = [first, second, recorded].map(|path| fs::read(path).unwrap());
