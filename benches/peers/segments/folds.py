@@ -5,10 +5,12 @@ usage: folds.py FOLDER --rate-hz HZ (--held A,B ... | --deal N) [--seeds N] [--f
 
 FOLDER holds CSV sequences as `posed segments train` reads them (`label`, `transition`, NAME_x,NAME_y,NAME_z in mm, y up). In each
 fold the sequences of one `--held` are tested and all others learned from; `--deal N` deals the sequences to N folds in alphabetical
-order. Prints accuracy and F1@50 in %, by fold the median over seeds; then their means over the folds: median over seeds, and the worst seed.
+order. Frames of classes that were not learned from are not scored. Prints accuracy and F1@50 in %, by fold the median over seeds; then their means over the folds: median over seeds, and the worst seed.
 Needs numpy and scikit-learn (PyPI).
 """
 import argparse
+import csv
+import gzip
 import json
 import pathlib
 import statistics
@@ -23,6 +25,25 @@ def name(path):
     return path.name.split(".")[0]
 
 
+def labels_of(file):
+    labels = forest.read(file)[2]
+    return set(labels) - {""}
+
+
+def copy_known(file, to, known):
+    """Copies a sequence; frames whose label is not `known` are marked as not to be scored."""
+    opener = gzip.open if file.suffix == ".gz" else open
+    with opener(file, "rt") as rows, opener(to, "wt", newline="") as out:
+        rows = csv.reader(line for line in rows if not line.startswith("#"))
+        header = next(rows)
+        label, transition = header.index("label"), header.index("transition")
+        out = csv.writer(out, lineterminator="\n")
+        out.writerow(header)
+        for row in rows:
+            row[transition] = row[transition] if row[label] in known else "1"
+            out.writerow(row)
+
+
 def posed(args, held, files, seed, options):
     """Accuracy and F1@50 of a network that was trained with this seed."""
     form = ["--rate-hz", str(args.rate_hz), "--unit", "mm"]
@@ -34,8 +55,12 @@ def posed(args, held, files, seed, options):
         folders = {part: pathlib.Path(work) / part for part in ("train", "test")}
         for folder in folders.values():
             folder.mkdir()
+        known = set().union(*(args.labels[name(file)] for file in files if name(file) not in held))
         for file in files:
-            (folders["test" if name(file) in held else "train"] / file.name).symlink_to(file.resolve())
+            if name(file) in held:
+                copy_known(file, folders["test"] / file.name, known)
+            else:
+                (folders["train"] / file.name).symlink_to(file.resolve())
         model = str(pathlib.Path(work) / "model.safetensors")
         segments("train", str(folders["train"]), *form, "--seed", str(seed), "-o", model, *options)
         answer = json.loads(segments("evaluate", model, str(folders["test"]), *form, "--json"))
@@ -66,6 +91,7 @@ def main():
     parser.add_argument("--posed", default="target/release/posed")
     args = parser.parse_args(own)
     files = sorted(args.folder.glob("*.csv*"))
+    args.labels = {name(file): labels_of(file) for file in files}
     if args.deal:
         folds = [[name(file) for file in files[k :: args.deal]] for k in range(args.deal)]
     else:
