@@ -28,6 +28,7 @@ pub mod magnetic;
 pub mod motion;
 mod motionstar;
 mod port;
+pub mod primitives;
 pub mod pty;
 mod random;
 pub mod scenario;

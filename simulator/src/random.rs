@@ -17,6 +17,8 @@ pub(crate) enum Purpose {
     Wearer(usize),
     /// A sequence of actions.
     Actions,
+    /// A sequence of motion primitives.
+    Primitives,
 }
 
 /// A seeded generator of uniform and normal numbers.
@@ -36,6 +38,7 @@ impl Random {
             Purpose::Device(n) => (3, n),
             Purpose::Wearer(n) => (32, n),
             Purpose::Actions => (33, 0),
+            Purpose::Primitives => (34, 0),
         };
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
         generator.set_stream((kind << 32) | index as u64);

@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use posed_recording::table::{SequenceFrame, Sequences};
-use posed_simulator::actions::{self, Actions};
+use posed_simulator::actions::{self, Actions, JOINTS};
 use posed_simulator::body::SEGMENT_NAMES;
 use posed_simulator::body::programme::{self, Programme};
+use posed_simulator::primitives::{self, Primitives};
 
 use super::super::{Error, print};
 
@@ -13,7 +14,8 @@ use super::super::{Error, print};
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  posed segments generate made-up/ --sequences 60 && posed segments train made-up/ -o m.safetensors\n\n\
-    A person walks, turns, picks and places for 13 to 22 s: 19 joints, 72 Hz, ten labels. With --person it is the one of simulated\n\
+    A person walks, turns, picks and places for 13 to 22 s: 19 joints, 72 Hz, ten labels. With --primitives the labels are finer, those\n\
+    of Cheema et al. 2019: steps begun, made and ended by either foot, reach, retrieve, turn. With --person it is the one of simulated\n\
     stages, who walks, reaches, curls and squats: the ten segments of the body, 60 Hz. A seed gives the same files anywhere (up to\n\
     rounding)."
 )]
@@ -29,6 +31,9 @@ pub(crate) struct Args {
     /// Segments of the body as the daemon knows it, so that what learns from them names a worn body live.
     #[arg(long)]
     person: bool,
+    /// The ten motion primitives of Cheema et al. 2019, in their proportions.
+    #[arg(long, conflicts_with = "person")]
+    primitives: bool,
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
@@ -43,9 +48,12 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
                 labels.iter().map(|k| programme::LABELS[*k]),
                 programme::RATE_HZ,
             )
+        } else if args.primitives {
+            let Primitives { frames, labels } = Primitives::generate(seed);
+            sequences(&JOINTS, &frames, labels.iter().map(|k| primitives::LABELS[*k]), primitives::RATE_HZ)
         } else {
             let Actions { frames, labels } = Actions::generate(seed);
-            sequences(&actions::JOINTS, &frames, labels.iter().map(|k| actions::LABELS[*k]), actions::RATE_HZ)
+            sequences(&JOINTS, &frames, labels.iter().map(|k| actions::LABELS[*k]), actions::RATE_HZ)
         };
         sequences.write(&args.folder.join(format!("{seed:05}.csv.gz"))).map_err(Error::failed)?;
     }
