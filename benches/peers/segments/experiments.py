@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
 """The experiments of Cheema et al. 2019 on made-up sequences: label noise, noise and masks at borders, width 5.
 
-usage: experiments.py WORK [--posed PATH] [--only NETWORK ...] [--folds FOLD ...]   runs what is not in WORK/results.jsonl yet
+usage: experiments.py WORK [--posed PATH] [--primitives] [--only NETWORK ...] [--folds FOLD ...]   runs what is not in WORK/results.jsonl yet
        experiments.py WORK --table                                                  prints what is
 
 Several may run at once, on networks or folds of their own.
 
 `posed` trains the paper's network (`segments train --paper`, 19 rows); the others need tensorflow-cpu (PyPI). All learn from the same
-files: 70 sequences of `posed segments generate` in local coordinates, as the paper's images are (origin in the mean of the joints, axes
+files: 70 sequences of `posed segments generate` (with `--primitives` of the paper's ten labels; a WORK of its own) in local coordinates, as the paper's images are (origin in the mean of the joints, axes
 turned to where the body faces, which follows with 0.3 s), fold k tests ten of them; noise replaces labels in the training
 files by any of the ten at random, a mask takes frames out of learning. All stop early: a tenth of the training frames
 is held out (blocks of 2 s in posed, whole sequences in Keras), patience 10, at most 25 epochs, Adam 1e-3, one sequence per step.
@@ -311,6 +311,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=pathlib.Path)
     parser.add_argument("--posed", default="target/release/posed")
+    parser.add_argument("--primitives", action="store_true")
     parser.add_argument("--only", nargs="+", default=["dt-fcn", TWIN, *PEERS])
     parser.add_argument("--folds", nargs="+", type=int, default=list(range(FOLDS)))
     parser.add_argument("--table", action="store_true")
@@ -323,8 +324,9 @@ def main():
     if len(list(local.glob("*.csv.gz"))) < SEQUENCES:
         shutil.rmtree(local, ignore_errors=True)
         local.mkdir(parents=True)
+        kind = ["--primitives"] if args.primitives else []
         with tempfile.TemporaryDirectory(dir=args.work) as made:
-            subprocess.run([args.posed, "segments", "generate", made, "--sequences", str(SEQUENCES)], check=True)
+            subprocess.run([args.posed, "segments", "generate", made, "--sequences", str(SEQUENCES), *kind], check=True)
             for source in sorted(pathlib.Path(made).glob("*.csv.gz")):
                 localise(source, local / source.name)
     known = [{k: r[k] for k in ("network", "width", "noise", "border", "mask", "fold")} for r in results]
