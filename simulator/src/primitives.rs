@@ -60,7 +60,7 @@ const SHANK_M: f64 = 0.43;
 const ANKLE_M: f64 = 0.07;
 /// A leg is never quite straight.
 const STRAIGHTEST: f64 = 0.99;
-/// Share of the way of arms that hang from one foot in front to the other, rad per step length.
+/// How fast the pelvis follows the feet, as a damped spring does, rad/s.
 const FOLLOWING: f64 = 9.0;
 
 /// What a person is like.
@@ -241,7 +241,7 @@ impl Figure {
     ) -> [[f64; 3]; JOINTS.len()] {
         let dt = 1.0 / RATE_HZ;
         let size = person.scale;
-        // The pelvis follows the feet as a damped spring does, and leans a little to the one that stands.
+        // The pelvis follows the feet, and leans a little to the one that stands.
         let [left, right] = self.feet;
         let higher = left.height_m - right.height_m;
         let aside = forward(self.heading + FRAC_PI_2) * (0.3 * higher.clamp(-0.1, 0.1));
@@ -472,8 +472,8 @@ mod tests {
             }
             let person = Person::draw(&mut Random::new(seed, Purpose::Primitives));
             for frame in &frames {
-                for [hip_side, ankle] in [[13, 14], [16, 17]] {
-                    let shank = (Vector3::from(frame[hip_side]) - Vector3::from(frame[ankle])).norm();
+                for [knee, ankle] in [[13, 14], [16, 17]] {
+                    let shank = (Vector3::from(frame[knee]) - Vector3::from(frame[ankle])).norm();
                     assert!((shank - SHANK_M * person.scale).abs() < 0.02, "{seed}: shank {shank}");
                 }
             }
