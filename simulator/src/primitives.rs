@@ -431,7 +431,7 @@ mod tests {
             for (label, next) in labels.iter().zip(&labels[1..]).filter(|(label, next)| label != next) {
                 let feet = |label: usize| (label - 1) % 2;
                 let can_be = match (label, next) {
-                    (1 | 2 | 3 | 4, 3 | 4 | 5 | 6) => feet(*label) != feet(*next),
+                    (1..=4, 3..=6) => feet(*label) != feet(*next),
                     (7, 8) | (5 | 6 | 8 | 9, 0) | (0, 1 | 2 | 7 | 9) => true,
                     _ => false,
                 };
