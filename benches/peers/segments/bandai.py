@@ -9,11 +9,11 @@ Actions seen in fewer than five styles are left out, because no fold of four cou
 """
 import argparse
 import collections
-import csv
-import gzip
 import math
 import pathlib
 import random
+
+import sequences
 
 LEAST_STYLES, SEED = 5, 1
 
@@ -22,13 +22,11 @@ def clips(folder):
     """Per style a list of (action, joints, frames as rows of x, y, z)."""
     styles = collections.defaultdict(list)
     for path in sorted(folder.glob("*.csv.gz")):
-        with gzip.open(path, "rt") as file:
-            rows = csv.reader(file)
-            header = next(rows)
-            joints = [name[:-2] for name in header if name.endswith("_x")]
-            whole = collections.defaultdict(list)
-            for row in rows:
-                whole[row[0]].append([float(cell) for cell in row[2:]])
+        header, rows = sequences.read(path)
+        joints = [name[:-2] for name in header if name.endswith("_x")]
+        whole = collections.defaultdict(list)
+        for row in rows:
+            whole[row[0]].append([float(cell) for cell in row[2:]])
         for name, frames in whole.items():
             action, style, _ = name.rsplit("_", 2)
             styles[style].append((action, joints, frames))
@@ -75,10 +73,7 @@ def side_first(name):
 
 def write(path, joints, labels, rows):
     header = ["label", "transition", *(f"{side_first(joint)}_{axis}" for joint in joints for axis in "xyz")]
-    with gzip.open(path, "wt", compresslevel=1, newline="") as file:
-        out = csv.writer(file, lineterminator="\n")
-        out.writerow(header)
-        out.writerows([label, 0, *(f"{value:.1f}" for value in row)] for label, row in zip(labels, rows))
+    sequences.write(path, header, ([label, 0, *(f"{value:.1f}" for value in row)] for label, row in zip(labels, rows)))
 
 
 def main():

@@ -13,8 +13,6 @@ files by any of the ten at random, a mask takes frames out of learning. All stop
 is held out (blocks of 2 s in posed, whole sequences in Keras), patience 10, at most 25 epochs, Adam 1e-3, one sequence per step.
 """
 import argparse
-import csv
-import gzip
 import json
 import math
 import os
@@ -25,6 +23,8 @@ import subprocess
 import sys
 import tempfile
 import time
+
+from sequences import hits, read, segments, write
 
 SEQUENCES, FOLDS, EPOCHS, PATIENCE = 70, 7, 25, 10
 FACING_S = 0.3
@@ -55,12 +55,6 @@ def grid():
             yield {"network": "dt-fcn", "width": 3, "noise": noise, "border": 0, "mask": 0, "fold": fold}
 
 
-def read(path):
-    with gzip.open(path, "rt") as file:
-        rows = list(csv.reader(line for line in file if not line.startswith("#")))
-    return rows[0], rows[1:]
-
-
 def localise(source, target):
     """Writes a sequence in the body's own axes: x forward, y up, z to the left."""
     header, rows = read(source)
@@ -80,8 +74,7 @@ def localise(source, target):
             x, y, z = x - mean[0], y - mean[1], z - mean[2]
             for axis, value in zip("xyz", (c * x - s * z, y, s * x + c * z)):
                 row[at[f"{joint}_{axis}"]] = f"{value:.4f}"
-    with gzip.open(target, "wt", compresslevel=1, newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([header, *rows])
+    write(target, header, rows)
 
 
 def near_borders(labels, width):
@@ -110,17 +103,7 @@ def spoil(source, target, run, classes, seed):
             row[label] = rng.choice(classes)
         if out:
             row[transition] = "1"
-    with gzip.open(target, "wt", compresslevel=1, newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([header, *rows])
-
-
-def segments(labels):
-    out, first = [], 0
-    for k in range(1, len(labels) + 1):
-        if k == len(labels) or labels[k] != labels[first]:
-            out.append((labels[first], first, k))
-            first = k
-    return out
+    write(target, header, rows)
 
 
 def edit(truth, named):
@@ -132,22 +115,6 @@ def edit(truth, named):
         for j, y in enumerate(b, 1):
             before, row[j] = row[j], min(row[j] + 1, row[j - 1] + 1, before + (x != y))
     return 100 * (1 - row[-1] / max(len(a), len(b), 1))
-
-
-def hits(truth, named, overlap):
-    a, b = segments(truth), segments(named)
-    taken, found = set(), 0
-    for c, first, end in b:
-        best, at = 0.0, None
-        for k, (d, f, e) in enumerate(a):
-            if c == d:
-                share = max(0, min(end, e) - max(first, f)) / (max(end, e) - min(first, f))
-                if share > best:
-                    best, at = share, k
-        if best >= overlap and at not in taken:
-            taken.add(at)
-            found += 1
-    return found, len(a), len(b)
 
 
 def measures(pairs):
@@ -169,9 +136,8 @@ def with_posed(posed, run, folder, tests, work):
         out = work / "labels.csv"
         subprocess.run([posed, "segments", "label", str(model), str(test), "-o", str(out)], check=True, capture_output=True)
         header, rows = read(test)
-        with open(out) as file:
-            named = list(csv.DictReader(line for line in file if not line.startswith("#")))
-        pairs.append(([row[header.index("label")] for row in rows], [row["label"] for row in named]))
+        header_named, named = read(out)
+        pairs.append(([row[header.index("label")] for row in rows], [row[header_named.index("label")] for row in named]))
     return pairs, answer["epochs"], answer["parameters"]
 
 

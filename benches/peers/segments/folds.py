@@ -9,8 +9,6 @@ order. Frames of classes that were not learned from are not scored. Prints accur
 Needs numpy and scikit-learn (PyPI).
 """
 import argparse
-import csv
-import gzip
 import json
 import pathlib
 import statistics
@@ -19,59 +17,68 @@ import sys
 import tempfile
 
 import forest
+import sequences
 
 
 def name(path):
     return path.name.split(".")[0]
 
 
-def labels_of(file):
-    labels = forest.read(file)[2]
-    return set(labels) - {""}
+def known(header, rows):
+    """Labels that are learned from."""
+    label, transition = header.index("label"), header.index("transition")
+    return {row[label] for row in rows if row[transition] != "1"} - {""}
 
 
-def copy_known(file, to, known):
-    """Copies a sequence; frames whose label is not `known` are marked as not to be scored."""
-    opener = gzip.open if file.suffix == ".gz" else open
-    with opener(file, "rt") as rows, opener(to, "wt", newline="") as out:
-        rows = csv.reader(line for line in rows if not line.startswith("#"))
-        header = next(rows)
-        label, transition = header.index("label"), header.index("transition")
-        out = csv.writer(out, lineterminator="\n")
-        out.writerow(header)
-        for row in rows:
-            row[transition] = row[transition] if row[label] in known else "1"
-            out.writerow(row)
+def only(labels, header, rows):
+    """The sequence with frames of other labels marked as not to be scored."""
+    label, transition = header.index("label"), header.index("transition")
+    marked = [list(row) for row in rows]
+    for row in marked:
+        row[transition] = row[transition] if row[label] in labels else "1"
+    return header, marked
 
 
-def posed(args, held, files, seed, options):
-    """Accuracy and F1@50 of a network that was trained with this seed."""
+def posed(args, options, files, data, held):
+    """By seed, accuracy and F1@50 of a network that has learned from all sequences but those `held`."""
     form = ["--rate-hz", str(args.rate_hz), "--unit", "mm"]
 
     def segments(*command):
         return subprocess.run([args.posed, "segments", *command], check=True, capture_output=True, text=True).stdout
 
+    labels = set().union(*(known(*data[name(file)]) for file in files if name(file) not in held))
+    figures = []
     with tempfile.TemporaryDirectory() as work:
-        folders = {part: pathlib.Path(work) / part for part in ("train", "test")}
-        for folder in folders.values():
-            folder.mkdir()
-        known = set().union(*(args.labels[name(file)] for file in files if name(file) not in held))
+        train, test = (pathlib.Path(work) / part for part in ("train", "test"))
+        train.mkdir()
+        test.mkdir()
         for file in files:
             if name(file) in held:
-                copy_known(file, folders["test"] / file.name, known)
+                sequences.write(test / f"{name(file)}.csv.gz", *only(labels, *data[name(file)]))
             else:
-                (folders["train"] / file.name).symlink_to(file.resolve())
+                (train / file.name).symlink_to(file.resolve())
         model = str(pathlib.Path(work) / "model.safetensors")
-        segments("train", str(folders["train"]), *form, "--seed", str(seed), "-o", model, *options)
-        answer = json.loads(segments("evaluate", model, str(folders["test"]), *form, "--json"))
-    return answer["accuracy"], answer["f1_50"]
+        for seed in range(1, args.seeds + 1):
+            segments("train", str(train), *form, "--seed", str(seed), "-o", model, *options)
+            answer = json.loads(segments("evaluate", model, str(test), *form, "--json"))
+            figures.append((answer["accuracy"], answer["f1_50"]))
+    return figures
 
 
-def row(title, figures, folds):
-    """`figures`: by seed and fold, accuracy and F1@50."""
-    cells = [f"{statistics.median(seed[k][0] for seed in figures):.1f}, {statistics.median(seed[k][1] for seed in figures):.1f}"
-             for k in range(folds)]
-    means = [[sum(fold[k] for fold in seed) / folds for seed in figures] for k in (0, 1)]
+def forests(args, data, folds):
+    """By fold and seed, accuracy and F1@50 of the forest, plain and with the filter."""
+    seen = {}
+    for key, sequence in data.items():
+        joints, points, labels = forest.arrays(*sequence)
+        seen[key] = (forest.features(joints, points, args.rate_hz), labels)
+    seeds = range(1, args.forest + 1)
+    return [[forest.evaluate(seen, held, args.rate_hz, args.trees, seed) for seed in seeds] for held in folds]
+
+
+def row(title, figures):
+    """`figures`: by fold and seed, accuracy and F1@50."""
+    cells = [", ".join(f"{statistics.median(column):.1f}" for column in zip(*fold)) for fold in figures]
+    means = [[statistics.fmean(fold[k] for fold in seed) for seed in zip(*figures)] for k in (0, 1)]
     cells += [f"{statistics.median(mean):.1f} ({min(mean):.1f})" for mean in means]
     print(f"| {title} |", " | ".join(cells), "|", flush=True)
 
@@ -91,7 +98,7 @@ def main():
     parser.add_argument("--posed", default="target/release/posed")
     args = parser.parse_args(own)
     files = sorted(args.folder.glob("*.csv*"))
-    args.labels = {name(file): labels_of(file) for file in files}
+    data = {name(file): sequences.read(file) for file in files}
     if args.deal:
         folds = [[name(file) for file in files[k :: args.deal]] for k in range(args.deal)]
     else:
@@ -99,16 +106,11 @@ def main():
     print("| |", " | ".join(", ".join(fold) for fold in folds), "| accuracy, mean | F1@50, mean |")
     print("|---" * (len(folds) + 3) + "|", flush=True)
     if args.forest:
-        data = {}
-        for file in files:
-            joints, points, labels = forest.read(file)
-            data[name(file)] = (forest.features(joints, points, args.rate_hz), labels)
-        both = [[forest.evaluate(data, held, args.rate_hz, args.trees, seed) for held in folds]
-                for seed in range(1, args.forest + 1)]
+        both = forests(args, data, folds)
         for k, title in enumerate(("random forest", "random forest, 1 s filter")):
-            row(title, [[fold[k] for fold in seed] for seed in both], len(folds))
+            row(title, [[seed[k] for seed in fold] for fold in both])
     if args.seeds:
-        row("posed", [[posed(args, held, files, seed, options) for held in folds] for seed in range(1, args.seeds + 1)], len(folds))
+        row("posed", [posed(args, options, files, data, held) for held in folds])
 
 
 main()

@@ -4,28 +4,21 @@ Per frame: joints relative to the root, turned to where the body faces (line of 
 of these coordinates the mean, standard deviation and speed over windows of 0.25, 0.5 and 1 s. Its classes are taken as they are, or after a
 filter of 1 s over the votes. Needs numpy and scikit-learn (PyPI).
 """
-import csv
-import gzip
-
 import numpy as np
 from sklearn.ensemble import RandomForestClassifier
 
+from sequences import hits
 
 STEP = 3  # It learns from every third frame.
 
 
-def read(path):
+def arrays(header, rows):
     """Joints, their positions (m), labels; an empty label where none is to be learned or scored."""
-    opener = gzip.open if path.suffix == ".gz" else open
-    with opener(path, "rt") as file:
-        rows = csv.reader(line for line in file if not line.startswith("#"))
-        header = next(rows)
-        data = list(rows)
     names = [column[:-2] for column in header if column.endswith("_x")]
     columns = [[header.index(f"{name}_{axis}") for axis in "xyz"] for name in names]
-    points = np.array([[[float(row[c]) for c in joint] for joint in columns] for row in data])
+    points = np.array([[[float(row[c]) for c in joint] for joint in columns] for row in rows])
     label, transition = header.index("label"), header.index("transition")
-    labels = np.array([row[label] if row[transition] != "1" else "" for row in data])
+    labels = np.array([row[label] if row[transition] != "1" else "" for row in rows])
     return names, points / 1000.0, labels
 
 
@@ -60,27 +53,6 @@ def median_filter(votes, window):
     half = window // 2
     sums = np.cumsum(np.pad(votes, ((half + 1, half), (0, 0))), axis=0)
     return (sums[window:] - sums[:-window]).argmax(axis=1)
-
-
-def runs(classes):
-    out, first = [], 0
-    for i in range(1, len(classes) + 1):
-        if i == len(classes) or classes[i] != classes[first]:
-            out.append((classes[first], first, i))
-            first = i
-    return out
-
-
-def hits(truth, named, overlap):
-    """Segments of the truth that are found: each by one named segment of its class that overlaps it by so much."""
-    a, b = runs(truth), runs(named)
-    taken = set()
-    for c, first, end in b:
-        best = max(((min(end, e) - max(first, f)) / (max(end, e) - min(first, f)), k)
-                   for k, (d, f, e) in enumerate(a) if d == c) if any(d == c for d, _, _ in a) else (0, -1)
-        if best[0] >= overlap:
-            taken.add(best[1])
-    return len(taken), len(a), len(b)
 
 
 def evaluate(data, tested, rate_hz, trees, seed):
