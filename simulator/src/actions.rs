@@ -9,9 +9,10 @@
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::Vector3;
 
 use crate::random::{Purpose, Random};
+use crate::upper_body::{self, ANGLES, BEND, CROUCH, Carriage, LEAN, RAISE, SIGNS, TWIST, about, around};
 
 /// Frames per second of every sequence.
 pub const RATE_HZ: f64 = 72.0;
@@ -60,15 +61,6 @@ pub struct Actions {
     pub labels: Vec<usize>,
 }
 
-/// Angles that activities set: rad, but for the lift.
-const ANGLES: usize = 9;
-const LEAN: usize = 0;
-const CROUCH: usize = 1;
-const TWIST: usize = 2;
-const RAISE: [usize; 2] = [3, 4];
-const BEND: [usize; 2] = [5, 6];
-const SPREAD: [usize; 2] = [7, 8];
-
 /// What a person is like.
 struct Person {
     scale: f64,
@@ -76,9 +68,8 @@ struct Person {
     stride: f64,
     swing: f64,
     amplitude: f64,
-    rest: [f64; ANGLES],
     stiffness: f64,
-    sway: [[f64; 3]; ANGLES],
+    carriage: Carriage,
 }
 
 /// What is being done, for how long.
@@ -103,7 +94,8 @@ impl Actions {
         let mut script = Script::default();
         let mut sequence = Self { frames: Vec::new(), labels: Vec::new() };
         let dt = 1.0 / RATE_HZ;
-        let mut angles = person.rest;
+        let rest = person.carriage.rest;
+        let mut angles = rest;
         let mut angular_velocities_rad_s = [0.0; ANGLES];
         let (mut position_m, mut heading) =
             ([3.0 * random.uniform(), 3.0 * random.uniform()], TAU * random.uniform());
@@ -121,7 +113,7 @@ impl Actions {
             let done = 1.0 - (left_s / activity.duration_s).clamp(0.0, 1.0);
             let reach = if activity.label >= 5 { libm::pow(libm::sin(PI * done), 0.7) } else { 1.0 };
             for (index, angle) in angles.iter_mut().enumerate() {
-                let target = person.rest[index] + reach * (activity.targets[index] - person.rest[index]);
+                let target = rest[index] + reach * (activity.targets[index] - rest[index]);
                 let pull = person.stiffness * person.stiffness * (target - *angle);
                 angular_velocities_rad_s[index] +=
                     dt * (pull - 2.0 * person.stiffness * angular_velocities_rad_s[index]);
@@ -135,17 +127,14 @@ impl Actions {
             let moving = (speed / (person.stride * person.tempo)).max(turning.abs() / 2.5).min(1.0);
             phase += dt * PI * person.tempo * (0.3 + 0.7 * moving);
             let t_s = frame as f64 * dt;
-            let mut swayed = angles;
-            for (angle, [size, rate, shift]) in swayed.iter_mut().zip(person.sway) {
-                *angle += size * libm::sin(TAU * rate * t_s + shift);
-            }
+            let swayed = person.carriage.swayed(angles, t_s);
             // Arms that carry hardly swing; they come to rest as fast as the rest of the figure.
             let free = if activity.label == 2 { 0.1 } else { person.swing };
             swing += dt * 5.0 * (free - swing);
             sequence.frames.push(person.joints(
                 position_m,
                 heading,
-                &swayed,
+                swayed,
                 phase,
                 moving,
                 swing,
@@ -159,15 +148,8 @@ impl Actions {
 
 impl Person {
     fn draw(random: &mut Random) -> Self {
-        let mut around = |mean: f64, spread: f64| mean + spread * (2.0 * random.uniform() - 1.0);
-        let rest = std::array::from_fn(|index| match index {
-            LEAN => around(0.05, 0.05),
-            CROUCH => around(0.05, 0.04),
-            5 | 6 => around(0.35, 0.2),
-            7 | 8 => around(0.12, 0.06),
-            _ => around(0.0, 0.06),
-        });
-        let sway = std::array::from_fn(|_| [around(0.03, 0.02), around(0.5, 0.3), around(PI, PI)]);
+        let carriage = Carriage::draw(random, 0.05);
+        let mut around = |mean, spread| around(random, mean, spread);
         Self {
             scale: around(1.0, 0.1),
             tempo: around(1.9, 0.4),
@@ -175,8 +157,7 @@ impl Person {
             swing: around(0.45, 0.2),
             amplitude: around(1.0, 0.25),
             stiffness: around(9.0, 3.0),
-            rest,
-            sway,
+            carriage,
         }
     }
 
@@ -186,18 +167,20 @@ impl Person {
         &self,
         position_m: [f64; 2],
         heading: f64,
-        angles: &[f64; ANGLES],
+        mut angles: [f64; ANGLES],
         phase: f64,
         moving: f64,
         swing: f64,
         random: &mut Random,
     ) -> [[f64; 3]; JOINTS.len()] {
-        let about = |axis: Vector3<f64>, angle: f64| Rotation3::new(axis * angle);
         let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
         let size = self.scale;
         let (thigh, shank) = (0.43 * size, 0.43 * size);
         let body = about(z, heading);
-        let torso = body * about(z, angles[TWIST] + 0.1 * moving * libm::sin(phase)) * about(y, angles[LEAN]);
+        angles[TWIST] += 0.1 * moving * libm::sin(phase);
+        for (side, sign) in SIGNS.into_iter().enumerate() {
+            angles[RAISE[side]] += swing * moving * libm::sin(phase + sign * FRAC_PI_2);
+        }
         let crouch = angles[CROUCH].max(0.0);
         let bob = 0.02 * moving * libm::cos(2.0 * phase);
         let hips = Vector3::new(
@@ -206,20 +189,8 @@ impl Person {
             (thigh + shank) * libm::cos(crouch) + 0.07 * size + bob,
         );
         let mut joints = [Vector3::zeros(); JOINTS.len()];
-        joints[0] = hips;
-        for (joint, height) in [(1, 0.15), (2, 0.35), (3, 0.5), (4, 0.68)] {
-            joints[joint] = hips + torso * Vector3::new(0.0, 0.0, height * size);
-        }
-        for side in 0..2 {
-            let sign = if side == 0 { 1.0 } else { -1.0 };
-            let swing = swing * moving * libm::sin(phase + sign * FRAC_PI_2);
-            let arm = torso * about(x, sign * angles[SPREAD[side]]) * about(y, -angles[RAISE[side]] - swing);
-            let fore = arm * about(y, -angles[BEND[side]]);
-            let first = 5 + 4 * side;
-            joints[first] = hips + torso * Vector3::new(0.0, 0.19 * size * sign, 0.46 * size);
-            joints[first + 1] = joints[first] - arm * z * (0.3 * size);
-            joints[first + 2] = joints[first + 1] - fore * z * (0.26 * size);
-            joints[first + 3] = joints[first + 2] - fore * z * (0.09 * size);
+        upper_body::place(&mut joints, hips, body, &angles, size);
+        for (side, sign) in SIGNS.into_iter().enumerate() {
             let step = 0.45 * moving * libm::sin(phase - sign * FRAC_PI_2);
             let lift = 0.6 * moving * libm::cos(phase - sign * FRAC_PI_2).max(0.0);
             let upper = body * about(y, -crouch - step - 0.5 * lift);
@@ -230,8 +201,7 @@ impl Person {
             joints[first + 1] = joints[first] - lower * z * shank;
             joints[first + 2] = joints[first + 1] + body * x * (0.17 * size);
         }
-        // What a marker moves on its skin.
-        joints.map(|joint| [joint.x, joint.y, joint.z].map(|value| value + 0.002 * random.normal()))
+        upper_body::marked(joints, random)
     }
 }
 
@@ -264,8 +234,13 @@ impl Script {
         self.last = label;
         let mut within = |low: f64, high: f64| random.within(low, high);
         let slow = 1.9 / person.tempo;
-        let mut activity =
-            Activity { label, duration_s: 0.0, targets: person.rest, walk: 0.0, angular_velocity_rad_s: 0.0 };
+        let mut activity = Activity {
+            label,
+            duration_s: 0.0,
+            targets: person.carriage.rest,
+            walk: 0.0,
+            angular_velocity_rad_s: 0.0,
+        };
         match label {
             0 => activity.duration_s = within(0.8, 2.2),
             1 | 2 => {
@@ -318,14 +293,7 @@ mod tests {
             assert!((12.9..22.1).contains(&length_s), "{length_s}");
             assert_eq!(sequence.frames.len(), sequence.labels.len());
             sequence.labels.iter().for_each(|label| counts[*label] += 1);
-            for pair in sequence.frames.windows(2) {
-                for (a, b) in pair[0].iter().zip(&pair[1]) {
-                    let step = (Vector3::from(*a) - Vector3::from(*b)).norm();
-                    // No hand moves 8 m/s here, which is 0.11 m a frame.
-                    assert!(step < 0.11, "{seed}: {step}");
-                    assert!(a[2] > -0.3 && a[2] < 2.4, "{seed}: {a:?}");
-                }
-            }
+            upper_body::assert_no_leap(seed, &sequence.frames, -0.3, 2.4);
         }
         let all: usize = counts.iter().sum();
         assert!(counts.iter().all(|count| *count > all / 100), "{counts:?}");

@@ -39,5 +39,6 @@ pub mod stage;
 mod testing;
 pub mod truth;
 pub mod udp_network;
+mod upper_body;
 mod x_imu3;
 mod xbus;

@@ -10,11 +10,14 @@
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use nalgebra::{Rotation3, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 
 use crate::actions::JOINTS;
 pub use crate::actions::RATE_HZ;
 use crate::random::{Purpose, Random};
+use crate::upper_body::{
+    self, ANGLES, BEND, CROUCH, Carriage, LEAN, RAISE, SIGNS, SPREAD, TWIST, about, around,
+};
 
 /// Names of the labels; [`Primitives::labels`] holds indices of this list.
 pub const LABELS: [&str; 10] = [
@@ -41,17 +44,6 @@ pub struct Primitives {
 
 const LEFT: usize = 0;
 const RIGHT: usize = 1;
-/// +1 to the left, -1 to the right.
-const SIGNS: [f64; 2] = [1.0, -1.0];
-
-/// Angles of the trunk and the arms, rad.
-const ANGLES: usize = 9;
-const LEAN: usize = 0;
-const CROUCH: usize = 1;
-const TWIST: usize = 2;
-const RAISE: [usize; 2] = [3, 4];
-const BEND: [usize; 2] = [5, 6];
-const SPREAD: [usize; 2] = [7, 8];
 
 /// Half the distance of the feet, and lengths of the leg, of a person of scale 1, m.
 const HALF_STANCE_M: f64 = 0.09;
@@ -72,8 +64,7 @@ struct Person {
     lift_m: f64,
     swing: f64,
     amplitude: f64,
-    rest: [f64; ANGLES],
-    sway: [[f64; 3]; ANGLES],
+    carriage: Carriage,
 }
 
 /// Where a foot stands: its point of the line between the feet, and the direction of its toes.
@@ -128,15 +119,8 @@ impl Primitives {
 
 impl Person {
     fn draw(random: &mut Random) -> Self {
-        let mut around = |mean: f64, spread: f64| mean + spread * (2.0 * random.uniform() - 1.0);
-        let rest = std::array::from_fn(|index| match index {
-            LEAN => around(0.05, 0.05),
-            CROUCH => around(0.08, 0.04),
-            5 | 6 => around(0.35, 0.2),
-            7 | 8 => around(0.12, 0.06),
-            _ => around(0.0, 0.06),
-        });
-        let sway = std::array::from_fn(|_| [around(0.03, 0.02), around(0.5, 0.3), around(PI, PI)]);
+        let carriage = Carriage::draw(random, 0.08);
+        let mut around = |mean, spread| around(random, mean, spread);
         Self {
             scale: around(1.0, 0.1),
             slowness: around(1.0, 0.2),
@@ -144,14 +128,14 @@ impl Person {
             lift_m: around(0.09, 0.03),
             swing: around(0.35, 0.15),
             amplitude: around(1.0, 0.25),
-            rest,
-            sway,
+            carriage,
         }
     }
 
     /// The angles with a share of the way to others.
     fn towards(&self, targets: [f64; ANGLES], share: f64) -> [f64; ANGLES] {
-        std::array::from_fn(|index| self.rest[index] + share * (targets[index] - self.rest[index]))
+        let rest = self.carriage.rest;
+        std::array::from_fn(|index| rest[index] + share * (targets[index] - rest[index]))
     }
 }
 
@@ -193,7 +177,7 @@ impl Figure {
         }
         match act {
             Act::Stand { arms } => {
-                let mut targets = person.rest;
+                let mut targets = person.carriage.rest;
                 SPREAD.iter().for_each(|&angle| targets[angle] = FRAC_PI_2);
                 BEND.iter().for_each(|&angle| targets[angle] = 0.05);
                 let share = if arms { smooth(4.0 * done) * smooth(4.0 * (1.0 - done)) } else { 0.0 };
@@ -202,7 +186,7 @@ impl Figure {
             Act::Step { foot, to } => {
                 self.carry(person, begun, foot, to, done);
                 self.heading = begun.heading + smooth(done) * (to.heading - begun.heading);
-                person.rest
+                person.carriage.rest
             }
             Act::Turn { first, by } => {
                 self.heading = begun.heading + smooth(done) * by;
@@ -213,7 +197,7 @@ impl Figure {
                     self.feet[first] = to;
                     self.carry(person, begun, 1 - first, to, 2.0 * done - 1.0);
                 }
-                person.rest
+                person.carriage.rest
             }
             Act::Reach { targets } => person.towards(targets, smooth(done)),
             Act::Retrieve { targets } => person.towards(targets, 1.0 - smooth(done)),
@@ -255,13 +239,9 @@ impl Figure {
             angles[RAISE[side]] -= person.swing * SIGNS[side] * ahead;
         }
         angles[TWIST] += 0.08 * ahead;
-        for (angle, [amount, rate, shift]) in angles.iter_mut().zip(person.sway) {
-            *angle += amount * libm::sin(TAU * rate * t_s + shift);
-        }
-        let about = |axis: Vector3<f64>, angle: f64| Rotation3::new(axis * angle);
+        let angles = person.carriage.swayed(angles, t_s);
         let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
         let body = about(z, self.heading);
-        let torso = body * about(z, angles[TWIST]) * about(y, angles[LEAN]);
         let (thigh, shank) = (THIGH_M * size, SHANK_M * size);
         let ankles: [Vector3<f64>; 2] = std::array::from_fn(|side| {
             let Foot { line_m, heading, height_m } = self.feet[side];
@@ -282,19 +262,8 @@ impl Figure {
         self.height_m = wanted.min(self.height_m + dt * FOLLOWING * (wanted - self.height_m));
         let hips = Vector3::new(self.pelvis_m.x, self.pelvis_m.y, self.height_m);
         let mut joints = [Vector3::zeros(); JOINTS.len()];
-        joints[0] = hips;
-        for (joint, height) in [(1, 0.15), (2, 0.35), (3, 0.5), (4, 0.68)] {
-            joints[joint] = hips + torso * Vector3::new(0.0, 0.0, height * size);
-        }
+        upper_body::place(&mut joints, hips, body, &angles, size);
         for side in [LEFT, RIGHT] {
-            let sign = SIGNS[side];
-            let arm = torso * about(x, sign * angles[SPREAD[side]]) * about(y, -angles[RAISE[side]]);
-            let fore = arm * about(y, -angles[BEND[side]]);
-            let first = 5 + 4 * side;
-            joints[first] = hips + torso * Vector3::new(0.0, 0.19 * size * sign, 0.46 * size);
-            joints[first + 1] = joints[first] - arm * z * (0.3 * size);
-            joints[first + 2] = joints[first + 1] - fore * z * (0.26 * size);
-            joints[first + 3] = joints[first + 2] - fore * z * (0.09 * size);
             let foot = self.feet[side];
             let first = 13 + 3 * side;
             joints[first] = knee(hips + side_hip(side), ankles[side], thigh, shank, body * x);
@@ -303,8 +272,7 @@ impl Figure {
             let toes = about(z, foot.heading) * about(y, (4.0 * foot.height_m).min(0.5));
             joints[first + 2] = ankles[side] + toes * Vector3::new(0.17 * size, 0.0, -0.04 * size);
         }
-        // What a marker moves on its skin.
-        joints.map(|joint| [joint.x, joint.y, joint.z].map(|value| value + 0.002 * random.normal()))
+        upper_body::marked(joints, random)
     }
 }
 
@@ -367,9 +335,9 @@ impl Script {
         if chance < 0.81 {
             let hand = if random.uniform() < 0.5 { LEFT } else { RIGHT };
             let low = random.within(0.0, 0.9) * person.amplitude;
-            let mut targets = person.rest;
-            targets[LEAN] = person.rest[LEAN] + 0.8 * low;
-            targets[CROUCH] = person.rest[CROUCH] + 0.5 * low;
+            let mut targets = person.carriage.rest;
+            targets[LEAN] = person.carriage.rest[LEAN] + 0.8 * low;
+            targets[CROUCH] = person.carriage.rest[CROUCH] + 0.5 * low;
             targets[RAISE[hand]] = random.within(0.9, 1.7) * person.amplitude;
             targets[BEND[hand]] = random.within(0.0, 0.3);
             targets[TWIST] = random.within(-0.3, 0.3) - 0.2 * SIGNS[hand];
@@ -393,8 +361,7 @@ impl Script {
     ) -> Stretch {
         if left == 0 {
             self.walk = None;
-            let other = figure.feet[1 - foot];
-            let to = Foot { height_m: 0.0, ..other };
+            let to = figure.feet[1 - foot];
             let duration_s = person.slowness * random.within(0.6, 0.72);
             return Stretch { label: 5 + foot, duration_s, act: Act::Step { foot, to } };
         }
@@ -452,13 +419,8 @@ mod tests {
         let ankles = [14, 17];
         for seed in 0..70 {
             let Primitives { frames, labels } = Primitives::generate(seed);
+            upper_body::assert_no_leap(seed, &frames, -0.05, 2.4);
             for (pair, label) in frames.windows(2).zip(&labels[1..]) {
-                for (joint, (a, b)) in pair[0].iter().zip(&pair[1]).enumerate() {
-                    let step = (Vector3::from(*a) - Vector3::from(*b)).norm();
-                    // No hand or foot moves 8 m/s here, which is 0.11 m a frame.
-                    assert!(step < 0.11, "{seed}: joint {joint} {step} in {}", LABELS[*label]);
-                    assert!(a[2] > -0.05 && a[2] < 2.4, "{seed}: {a:?}");
-                }
                 // Eight standard deviations of the difference of two noisy positions.
                 let stands = |side: usize| match label {
                     0 | 7 | 8 => true,
