@@ -56,6 +56,8 @@ fn options() -> Options {
         batch: 4,
         filters: vec![16, 16, 24],
         learning_rate: 5e-3,
+        // A crop without the hand that waves cannot be named, and there are five joints in all.
+        augmentation: Augmentation { drop_joint: 0.02, ..Augmentation::default() },
         ..Options::default()
     }
 }
@@ -74,8 +76,7 @@ fn trained(options: Options) -> (Model, Vec<Epoch>) {
 #[test]
 fn it_learns_and_survives_its_file_and_a_missing_joint() {
     let (model, epochs) = trained(options());
-    // A crop without the hand that waves cannot be named.
-    assert!(epochs[7].loss < 0.6 * epochs[0].loss, "{epochs:?}");
+    assert!(epochs[7].loss < 0.5 * epochs[0].loss, "{epochs:?}");
     let model = Model::from_bytes(&model.to_bytes().unwrap()).unwrap();
     let (mut new, ..) = sequence(3, 10);
     let accuracy = |sequence: &Sequence| {
