@@ -161,7 +161,7 @@ impl FastrakSession {
 
     fn ask(&mut self, now: Timestamp) {
         self.outbox.transmit(b"S".to_vec());
-        self.questions = self.questions.saturating_add(1);
+        self.questions += 1;
         self.phase = Phase::Asking { until: now + ANSWER };
     }
 
