@@ -31,6 +31,10 @@ const CLEAR_SIGMAS: f64 = 6.0;
 /// blocks is a whole number of them.
 const CLOSE: f64 = 0.2;
 const SLIP: f64 = 0.3;
+/// How far off the middle of a block may be besides half of the room between its bounds, s, and residuals, as a share of all that, up to
+/// which no block is an outlier.
+const MIDDLE_SIGMA_S: f64 = 2e-3;
+const LEAST_RESIDUAL: f64 = 1e-2;
 /// Candidate periods on either side of the first estimate.
 const GRID: usize = 8;
 /// Inflation of the spread between bounds, so that two sigmas hold also for simulated bursts in step with the cycles.
@@ -300,7 +304,7 @@ impl Window {
             Some(Nominal::Counted(period_s)) if !settled => Some(period_s),
             Some(Nominal::Reported(period_s)) if !settled => self.first_slope(Some(period_s)),
             None if !settled => self.first_slope(None),
-            _ => self.slope(before).map(|period_s| Nominal::limit(nominal, period_s)),
+            _ => self.period(nominal, before),
         };
         let period_s = period_s.filter(|period_s| PERIOD_RANGE_S.contains(period_s))?;
         let newest = *self.newest()?;
@@ -404,6 +408,19 @@ impl Window {
         Fit { period_s, upper: upper.max(middle), lower, middle, sigma, crossing, ..first }
     }
 
+    /// Period of a settled window: the slope of its blocks, or the one in use where the bounds allow that and contradict the slope.
+    /// Where bursts begin, the middles of the first such blocks are far off, and few blocks outweigh them.
+    fn period(&mut self, nominal: Option<Nominal>, before: Option<&Fit>) -> Option<f64> {
+        let slope_s = Nominal::limit(nominal, self.slope(before)?);
+        let in_use_s = before.map_or(slope_s, |fit| fit.period_s);
+        let base = self.newest()?.upper;
+        let mut is_allowed = |period_s: f64| {
+            let (upper, bound) = self.bounds(period_s, base);
+            bound <= upper
+        };
+        Some(if !is_allowed(slope_s) && is_allowed(in_use_s) { in_use_s } else { slope_s })
+    }
+
     /// Period from the first cycles, by least squares and the nominal one.
     fn first_slope(&self, nominal_period_s: Option<f64>) -> Option<f64> {
         let [n, x, t, xx, xt, tt] = self.sums;
@@ -433,39 +450,55 @@ impl Window {
         }
     }
 
-    /// Period from the middles of the blocks' bounds, by least squares without the outliers.
+    /// Period from the middles of the blocks' bounds, by least squares without the outliers: a block whose bounds are near says
+    /// much, one that an adapter kept back little.
     fn slope(&self, before: Option<&Fit>) -> Option<f64> {
         let first = self.blocks.first()?.upper;
+        let in_use_s = before.map_or(0.0, |fit| fit.period_s);
         let middle = |block: &Block| {
             let lower = block.lower.unwrap_or(block.upper);
+            let offset = |point: &Point| point.t - in_use_s * point.x;
             // Where reads follow the bytes most lower bounds say nothing and a few say much: their middles would jump by half a
             // period, and so they would where bursts begin or cease. What the block's own reads were late by says more.
             let lower = before.map_or(lower, |fit| {
-                let offset = |point: &Point| point.t - fit.period_s * point.x;
                 let least = Point { t: block.upper.t - block.lateness_s(fit), ..block.upper };
                 if offset(&lower) < offset(&least) { least } else { lower }
             });
+            let room_s = before.map_or(0.0, |_| (offset(&block.upper) - offset(&lower)).max(0.0));
+            let sigma_s = 0.5 * room_s + MIDDLE_SIGMA_S;
             let x = 0.5 * (block.upper.x + lower.x) - first.x;
-            (x, 0.5 * (block.upper.t + lower.t) - first.t)
+            Middle { x, t: 0.5 * (block.upper.t + lower.t) - first.t, sigma_s }
         };
         let bounded = || self.blocks.iter().filter(|block| block.lower.is_some()).map(middle);
         let (mut a, mut b) = least_squares(bounded())?;
         for _ in 0..2 {
-            let residual = |(x, t): (f64, f64)| (t - a - b * x).abs();
-            let (sum, n) = bounded().fold((0.0, 0.0), |(sum, n), point| (sum + residual(point), n + 1.0));
-            let limit = 2.0 * sum / n + 1e-5;
-            (a, b) = least_squares(bounded().filter(|&point| residual(point) <= limit))?;
+            let residual = |point: &Middle| (point.t - a - b * point.x).abs() / point.sigma_s;
+            let (sum, n) = bounded().fold((0.0, 0.0), |(sum, n), point| (sum + residual(&point), n + 1.0));
+            let limit = 2.0 * sum / n + LEAST_RESIDUAL;
+            (a, b) = least_squares(bounded().filter(|point| residual(point) <= limit))?;
         }
         Some(b)
     }
 }
 
+/// The middle between the bounds of a block, and how far off it may be.
+#[derive(Clone, Copy, Debug)]
+struct Middle {
+    x: f64,
+    t: f64,
+    sigma_s: f64,
+}
+
 /// Intercept and slope.
-fn least_squares(points: impl Iterator<Item = (f64, f64)> + Clone) -> Option<(f64, f64)> {
-    let (n, x, t) = points.clone().fold((0.0, 0.0, 0.0), |(n, x, t), p| (n + 1.0, x + p.0, t + p.1));
+fn least_squares(points: impl Iterator<Item = Middle> + Clone) -> Option<(f64, f64)> {
+    let weight = |point: &Middle| (point.sigma_s * point.sigma_s).recip();
+    let (n, x, t) = points
+        .clone()
+        .fold((0.0, 0.0, 0.0), |(n, x, t), p| (n + weight(&p), x + weight(&p) * p.x, t + weight(&p) * p.t));
     let (mean_x, mean_t) = (x / n, t / n);
     let (xx, xt) = points.fold((0.0, 0.0), |(xx, xt), p| {
-        (xx + (p.0 - mean_x) * (p.0 - mean_x), xt + (p.0 - mean_x) * (p.1 - mean_t))
+        let dx = weight(&p) * (p.x - mean_x);
+        (xx + dx * (p.x - mean_x), xt + dx * (p.t - mean_t))
     });
     let slope = xt / xx;
     slope.is_finite().then_some((mean_t - slope * mean_x, slope))

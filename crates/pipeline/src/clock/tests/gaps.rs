@@ -200,6 +200,30 @@ fn a_line_that_begins_to_burst_keeps_its_period() {
     }
 }
 
+/// The same of which few cycles are known: seven blocks of cycles, of which some are of bursts, do not show the period as well as it is
+/// known. Bursts nearly in step with the cycles hide a little of it for a while; before, one capture time in twenty was wrong.
+#[test]
+fn a_line_that_has_just_begun_keeps_its_period_under_bursts() {
+    let (mut wrong, mut all, mut worst_s) = (0, 0, 0.0_f64);
+    for (rate_hz, burst_ms, begins) in [30.0, 59.94, 120.0].into_iter().flat_map(|rate_hz| {
+        [40.0, 50.0, 61.58, 64.0]
+            .into_iter()
+            .flat_map(move |burst_ms| (16_u64..80).map(move |begins| (rate_hz, burst_ms, begins)))
+    }) {
+        let check = |_: &Clock, k, truth_s: f64, stamp: Stamp| {
+            let off_s = (stamp.t_valid.as_secs_f64() - truth_s).abs();
+            if k >= 16 && !stamp.is_late() {
+                all += 1;
+                wrong += usize::from(off_s > f64::max(0.006, 6.0 * stamp.sigma_s));
+                worst_s = worst_s.max(off_s);
+            }
+        };
+        read_in_bursts((rate_hz, burst_ms), 0..300, |k| k >= begins, |_, _| (), check);
+    }
+    assert!(200 * wrong < all, "{wrong} of {all} capture times are wrong, and no one says so");
+    assert!(worst_s < 0.04, "{worst_s} s off");
+}
+
 /// What is claimed, or was learnt from a line that damage had bent, is not believed for ever against all reads.
 #[test]
 fn a_rate_that_is_not_the_devices_is_found_out() {
