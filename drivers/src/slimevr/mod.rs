@@ -6,6 +6,7 @@
 //! Trackers send orientation and acceleration without gravity that they have computed themselves, and no
 //! time: samples are numbered by packet only. Their protocol has no checksum of its own; UDP has one.
 
+mod order;
 pub mod session;
 pub mod wire;
 

@@ -15,6 +15,7 @@ use posed_state::Plain;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::order::Order;
 use super::wire::{self, Handshake, Item, Packet, Refused};
 use crate::arrivals::Arrivals;
 use crate::datagram::{Datagram, datagrams};
@@ -34,8 +35,6 @@ const INTERVAL_S: f64 = 0.01;
 const MOST: usize = 64;
 /// Most sensors of one tracker.
 const MOST_SENSORS: u8 = 16;
-/// Greatest gap of packet numbers that is a loss, and not a new count.
-const MOST_LOST: u64 = 1_000_000;
 /// Protocols before this one have acceleration in other axes.
 const UNTURNED: u32 = 22;
 /// A battery is reported to be low below this share.
@@ -83,7 +82,7 @@ struct Tracker {
     /// `None` until it has come, and when it is gone.
     peer: Option<SocketAddr>,
     protocol: u32,
-    last_number: u64,
+    order: Order,
     received_at: Timestamp,
     timed_out: bool,
     /// Whether it has measured something, and keeps its number.
@@ -156,7 +155,7 @@ impl SlimeVrSession {
                     identity: Identity::Mac(mac),
                     peer: None,
                     protocol: 0,
-                    last_number: 0,
+                    order: Order::default(),
                     received_at: Timestamp::ZERO,
                     timed_out: false,
                     proven: true,
@@ -203,22 +202,18 @@ impl SlimeVrSession {
             let number = tracker.number;
             self.outbox.warn(now, 0x100 + u32::from(number), || format!("tracker {number} is back"));
         }
-        if packet.number > 0 && !self.in_order(k, packet.number) {
+        if packet.number > 0 && !self.in_order(now, k, packet.number) {
             return self.refuse(datagram.data.len());
         }
         let Some(arrival) = self.arrivals.of(offset) else { return };
         self.packet(now, k, &datagram, packet, arrival);
     }
 
-    /// Whether a packet is newer than those before; counts those that it shows to be missing.
-    fn in_order(&mut self, k: usize, number: u64) -> bool {
+    /// Whether a packet is new; counts those that it shows to be missing.
+    fn in_order(&mut self, now: Timestamp, k: usize, number: u64) -> bool {
         let tracker = &mut self.trackers[k];
-        if number <= tracker.last_number {
-            return false;
-        }
-        let missing = number - tracker.last_number - 1;
-        let is_first = std::mem::replace(&mut tracker.last_number, number) == 0;
-        if missing > 0 && missing < MOST_LOST && !is_first {
+        let Some(missing) = tracker.order.push(now, number) else { return false };
+        if missing > 0 {
             let of = tracker.number;
             for loss in self.losses.iter_mut().filter(|loss| loss.address & 0xFF == of) {
                 // Packets are numbered, not samples: one may have held several, or none of this sensor.
@@ -240,7 +235,7 @@ impl SlimeVrSession {
                     identity,
                     peer: None,
                     protocol: 0,
-                    last_number: 0,
+                    order: Order::default(),
                     received_at: now,
                     timed_out: false,
                     proven: false,
@@ -272,7 +267,7 @@ impl SlimeVrSession {
         let tracker = &mut self.trackers[k];
         tracker.peer = Some(peer);
         tracker.protocol = handshake.protocol;
-        tracker.last_number = 0;
+        tracker.order = Order::default();
         tracker.received_at = now;
         tracker.timed_out = false;
         let (number, serial) = (tracker.number, tracker.identity.to_string());
