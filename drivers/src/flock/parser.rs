@@ -434,9 +434,13 @@ impl Splitter {
         let slot = Slot { count: 0, ..self.absent.remove(index) };
         emit(Event::Returned(slot.address));
         let at = self.slots.partition_point(|other| other.address < slot.address);
+        let was_closed = self.next == 0;
+        // Before the bird that spoke last: of the next cycle, and the rest of this one is missing.
+        self.cycle += u64::from(at < self.next);
         self.slots.insert(at, slot);
         self.next = (at + 1) % self.slots.len();
-        self.cycle += u64::from(self.next == 0);
+        // The last running bird has closed the cycle of one that comes after it.
+        self.cycle += u64::from(self.next == 0 && !was_closed);
         self.in_order = true;
     }
 }
