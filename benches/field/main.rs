@@ -2,9 +2,10 @@
 //!
 //! `-- --seeds 5` sets the number of seeds of the table of scenes, `--scene NAME` asks for one of them; `-- --map` compares the map alone instead, and with
 //! `--export DIR` writes the readings and targets that `benches/peers/field` gives to other libraries; `-- --body` solves
-//! sessions of simulated people, `-- --spacing` states a wrong spacing of the pole.
+//! sessions of simulated people, `-- --spacing` states a wrong spacing of the pole, `-- --cascades` compares the forms of the published method.
 
 mod body;
+mod cascades;
 mod cpu;
 mod map;
 mod scenes;
@@ -28,6 +29,8 @@ fn main() {
         let scene = after("--scene");
         if arguments.iter().any(|argument| argument == "--spacing") {
             spacing::run(seeds, scene.as_deref());
+        } else if arguments.iter().any(|argument| argument == "--cascades") {
+            cascades::run(seeds, scene.as_deref());
         } else {
             table::run(seeds, scene.as_deref());
         }

@@ -1,14 +1,14 @@
 //! The table of scenes: the cascade, the joint solver, and the best that its own basis could do.
 
 use nalgebra::{UnitQuaternion, Vector3};
-use posed_baselines::cascade::cascade;
+use posed_baselines::cascade::{Options, cascade};
 use posed_field::{FieldNoise, refit_known, refit_pole, rigid, solve};
 
 use super::cpu;
 use super::scenes::{SPACING_M, Sample, scenes};
 use super::survey::{anchors, pole};
 
-type Pair = (Vector3<f64>, Vector3<f64>);
+pub(crate) type Pair = (Vector3<f64>, Vector3<f64>);
 
 /// Places of which the map reports more than this of itself are flagged as `extrapolated`, m.
 const VOUCHED_M: f64 = 0.05;
@@ -19,7 +19,7 @@ fn absolute_mm(pairs: &[Pair]) -> f64 {
 }
 
 /// Rms distance after rigid alignment, mm.
-fn aligned_mm(pairs: &[Pair]) -> f64 {
+pub(crate) fn aligned_mm(pairs: &[Pair]) -> f64 {
     let motion = rigid(pairs);
     let moved: Vec<Pair> =
         pairs.iter().map(|(a, b)| (motion.rotation * a + motion.translation.vector, *b)).collect();
@@ -78,7 +78,10 @@ pub(crate) fn run(seeds: u64, only: Option<&str>) {
             };
             sum.raw += aligned_mm(&pairs(&|z| *z));
             sum.raw_absolute += absolute_mm(&pairs(&|z| *z));
-            if let (Some(once), Some(eight)) = (cascade(&recording, 1), cascade(&recording, 8)) {
+            if let (Some(once), Some(eight)) = (
+                cascade(&recording, &Options { rounds: 1, ..Options::default() }),
+                cascade(&recording, &Options::default()),
+            ) {
                 sum.cascade_residual += 1e3 * eight.residuals_m.last().copied().unwrap_or(f64::NAN);
                 sum.cascade_once += aligned_mm(&pairs(&|z| once.network.correct(z)));
                 sum.cascade_eight += aligned_mm(&pairs(&|z| eight.network.correct(z)));

@@ -1,5 +1,6 @@
 //! Pictures (SVG) of what commands found.
 
+pub(crate) mod cascade;
 pub(crate) mod exercise;
 pub(crate) mod faults;
 pub(crate) mod keyframes;

@@ -134,12 +134,9 @@ fn given_a_pole_that_is_held_one_way_the_map_is_refused() {
     assert!(solution.report.reasons.iter().any(|reason| reason.code == Code::Excitation));
 }
 
-#[test]
-fn given_the_commands_a_file_is_solved_corrected_and_drawn() {
+/// The first 700 instants of a scene as a table.
+fn table(run: &Run) -> String {
     use std::fmt::Write;
-    let folder = tempfile::tempdir().unwrap();
-    let path = |name: &str| folder.path().join(name).display().to_string();
-    let run = scene("floor, low transmitter").run(1);
     let mut csv = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");
     for (frame, t) in run.frames.iter().zip(&run.t_s).take(700) {
         for (k, s) in frame.iter().enumerate() {
@@ -148,7 +145,14 @@ fn given_the_commands_a_file_is_solved_corrected_and_drawn() {
                 .unwrap();
         }
     }
-    std::fs::write(path("pole.csv"), &csv).unwrap();
+    csv
+}
+
+#[test]
+fn given_the_commands_a_file_is_solved_corrected_and_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    std::fs::write(path("pole.csv"), table(&scene("floor, low transmitter").run(1))).unwrap();
     let args =
         ["field", "solve", &path("pole.csv"), "--spacing-m", "0.3", "-o", &path("field.json"), "--json"];
     let solved = posed(args);
@@ -168,6 +172,60 @@ fn given_the_commands_a_file_is_solved_corrected_and_drawn() {
     // A file of another kind is named, not believed.
     std::fs::write(path("other.json"), "{}").unwrap();
     assert_eq!(posed(["field", "show", &path("other.json"), "-o", &path("x.svg")]).status.code(), Some(1));
+}
+
+#[test]
+fn given_the_published_method_a_file_is_solved_corrected_and_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let run = scene("floor, low transmitter").run(1);
+    std::fs::write(path("pole.csv"), table(&run)).unwrap();
+    let solve = |more: &[&str]| {
+        let (pole, net) = (path("pole.csv"), path("cascade.json"));
+        let first = ["field", "solve", &pole, "--spacing-m", "0.3", "-o", &net, "--json"];
+        posed(first.iter().chain(more))
+    };
+    for filter in ["printed", "repaired", "reduced"] {
+        let (csv, svg, out) = (path("ways.csv"), path("ways.svg"), path("out.csv"));
+        let solved = solve(&[
+            "--method",
+            "cascade",
+            "--filter",
+            filter,
+            "--rounds",
+            "3",
+            "--trajectories",
+            &csv,
+            "--picture",
+            &svg,
+            "--corrected",
+            &out,
+        ]);
+        assert_eq!(solved.status.code(), Some(0), "{}", String::from_utf8_lossy(&solved.stderr));
+        let report = json(&solved);
+        assert_eq!(report["filter"], filter);
+        let residuals: Vec<f64> = serde_json::from_value(report["residuals_m"].clone()).unwrap();
+        // The printed step stretches the pole.
+        let most_m = if filter == "printed" { 0.06 } else { 0.01 };
+        assert!(residuals.len() == 3 && residuals[2] < most_m, "{filter}: {residuals:?}");
+        assert!(std::fs::read_to_string(&svg).unwrap().starts_with("<svg"));
+        let ways = std::fs::read_to_string(&csv).unwrap();
+        assert_eq!(ways.lines().count() as u64, report["readings"].as_u64().unwrap() + 1);
+        // The file corrects other poses as the run corrected its own.
+        let again =
+            posed(["field", "correct", &path("cascade.json"), &path("pole.csv"), "-o", &path("2.csv")]);
+        assert_eq!(again.status.code(), Some(0));
+        assert!(std::fs::read(&out).unwrap() == std::fs::read(path("2.csv")).unwrap());
+    }
+    let gridded = json(&solve(&["--method", "cascade", "--grid-m", "0.1"]));
+    assert!(gridded["pairs"].as_u64().unwrap() < gridded["readings"].as_u64().unwrap() / 2, "{gridded}");
+    assert_eq!(solve(&["--rounds", "3"]).status.code(), Some(2));
+    assert_eq!(solve(&["--method", "cascade", "--rejected", "r.csv"]).status.code(), Some(2));
+    let damaged =
+        std::fs::read_to_string(path("cascade.json")).unwrap().replace("\"scale_m\":", "\"scale_m\":-");
+    std::fs::write(path("bad.json"), damaged).unwrap();
+    let refused = posed(["field", "correct", &path("bad.json"), &path("pole.csv"), "-o", &path("3.csv")]);
+    assert_eq!(refused.status.code(), Some(1));
 }
 
 #[test]

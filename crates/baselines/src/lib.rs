@@ -6,11 +6,12 @@
 //!
 //! | module | paper | beside the live | run by |
 //! |---|---|---|---|
-//! | [`cascade`] | Piperakis, Saito, Nakajima (about 2005) | [`posed_field::solve`] | `cargo bench --bench field` |
+//! | [`cascade`] | Piperakis, Saito, Nakajima (about 2005) | [`posed_field::solve`] | `posed field solve --method cascade` |
 //! | [`change_points`] | Merckel, Nishida (2010) | [`posed_motion::keyframes::Hinge`] | `posed keyframes --method paper` |
 //! | [`fault_map`] | Miller, McGlinchey, Chaperot (2006) | [`posed_motion::fault_map::FaultMap::train`] | `posed faults train --rule paper` |
 //! | [`limbs`] | Weber, Bleser, Hendeby, Reiss, Stricker (2011) | [`posed_fusion::body::BodyFilter`] | `cargo bench --bench body` |
 //! | [`segments`] | Cheema et al. (2019) | [`posed_motion::segments::Options`] | `posed segments train --paper` |
+//! | [`singular_spectrum`] | Moskvina, Zhigljavsky (2003), beside Merckel and Nishida | the same | `posed keyframes study --method sst` |
 //!
 //! Each module states which equations it takes, and what had to be repaired or chosen because the paper errs or is silent. Of
 //! the same paper as [`limbs`] is the counting of exercises, whose way posed goes live; `docs/exercise.md` states where it
@@ -41,3 +42,4 @@ pub mod change_points;
 pub mod fault_map;
 pub mod limbs;
 pub mod segments;
+pub mod singular_spectrum;

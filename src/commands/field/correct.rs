@@ -3,19 +3,21 @@
 use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
+use posed_baselines::cascade::DistortionNetwork;
 use posed_field::Corrector;
 use posed_geometry::{orientation_from_wxyz, orientation_to_wxyz};
 use posed_recording::is_recording;
 use posed_recording::table::{Poses, TableError, TableWriter};
 
-use super::{Error, collect, notify, print_json, read_map};
+use super::{Error, cascade, collect, notify, print_json, read_map};
 
 /// A map, and the poses to correct.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  posed field correct field.json poses.csv -o corrected.csv\n\n\
-    The poses are in the transmitter frame; of a recording it takes what the devices said. Columns added: sigma_m (expected rms 3-D error) and extrapolated (0/1).")]
+    The poses are in the transmitter frame; of a recording it takes what the devices said. Columns added: sigma_m (expected rms 3-D error) and extrapolated (0/1), \
+    both empty with the file of a cascade, which states neither and corrects no orientation.")]
 pub(crate) struct Args {
-    /// The map.
+    /// The map, or what `posed field solve --method cascade` wrote.
     field: PathBuf,
     /// The poses, `.csv`, `.csv.gz` or a recording.
     poses: PathBuf,
@@ -33,9 +35,27 @@ pub(super) struct Summary {
     extrapolated: usize,
 }
 
+/// What corrects poses.
+pub(super) enum Correction {
+    Map(Box<Corrector>),
+    Cascade(DistortionNetwork),
+}
+
+impl Correction {
+    fn read(path: &Path) -> Result<Self, Error> {
+        let text = std::fs::read(path).ok();
+        let file = text.and_then(|text| serde_json::from_slice::<cascade::File>(&text).ok());
+        match file {
+            Some(file) => Ok(Self::Cascade(file.cascade)),
+            // Says what is wrong with a file that is neither.
+            None => Ok(Self::Map(read_map(path)?.corrector().into())),
+        }
+    }
+}
+
 pub(crate) fn run(args: Args) -> Result<(), Error> {
-    let corrector = read_map(&args.field)?.corrector();
-    let summary = write_corrected(&corrector, &args.poses, &args.output)?;
+    let correction = Correction::read(&args.field)?;
+    let summary = write_corrected(&correction, &args.poses, &args.output)?;
     if args.json {
         return print_json(&summary);
     }
@@ -44,16 +64,16 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 }
 
 /// Corrects a file of poses into another.
-pub(super) fn write_corrected(corrector: &Corrector, from: &Path, to: &Path) -> Result<Summary, Error> {
+pub(super) fn write_corrected(correction: &Correction, from: &Path, to: &Path) -> Result<Summary, Error> {
     let poses = if is_recording(from) {
         collect::measured(from)?
     } else {
         Poses::read(from).map_err(Error::failed)?
     };
-    write(corrector, &poses, to).map_err(Error::failed)
+    write(correction, &poses, to).map_err(Error::failed)
 }
 
-fn write(corrector: &Corrector, poses: &Poses, path: &Path) -> Result<Summary, TableError> {
+fn write(correction: &Correction, poses: &Poses, path: &Path) -> Result<Summary, TableError> {
     let named = poses.sensors.iter().any(|name| !name.is_empty());
     let turned = poses.rows.iter().any(|row| row.orientation_wxyz.is_some());
     let mut columns = vec!["t"];
@@ -66,26 +86,34 @@ fn write(corrector: &Corrector, poses: &Poses, path: &Path) -> Result<Summary, T
     for row in &poses.rows {
         summary.rows += 1;
         let measured = row.position_m.map(Vector3::from);
-        let corrected = measured.map(|z| corrector.correct(&z));
+        let corrected = measured.map(|z| match correction {
+            Correction::Map(corrector) => {
+                let corrected = corrector.correct(&z);
+                (corrected.position_m, Some((corrected.sigma_m, corrected.extrapolated)))
+            }
+            Correction::Cascade(network) => (network.correct(&z), None),
+        });
         table.number(row.t_s)?;
         if named {
             table.text(poses.name(row))?;
         }
-        table.vector::<3>(corrected.map(|corrected| corrected.position_m.into()))?;
+        table.vector::<3>(corrected.map(|(position_m, _)| position_m.into()))?;
         if turned {
             let orientation = row.orientation_wxyz.and_then(orientation_from_wxyz);
-            let orientation = match (&measured, orientation) {
-                (Some(z), Some(q)) => Some(orientation_to_wxyz(&corrector.orientation(z, &q))),
+            let orientation = match (correction, &measured, orientation) {
+                (Correction::Map(corrector), Some(z), Some(q)) => {
+                    Some(orientation_to_wxyz(&corrector.orientation(z, &q)))
+                }
                 // Without a place nobody knows what the field does to it.
                 _ => row.orientation_wxyz,
             };
             table.vector(orientation)?;
         }
-        match corrected {
-            Some(corrected) => {
-                table.number(corrected.sigma_m)?;
-                table.text(if corrected.extrapolated { "1" } else { "0" })?;
-                summary.extrapolated += usize::from(corrected.extrapolated);
+        match corrected.and_then(|(_, trust)| trust) {
+            Some((sigma_m, extrapolated)) => {
+                table.number(sigma_m)?;
+                table.text(if extrapolated { "1" } else { "0" })?;
+                summary.extrapolated += usize::from(extrapolated);
             }
             None => {
                 table.text("")?;

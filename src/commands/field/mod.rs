@@ -2,6 +2,7 @@
 //!
 //! Positions are in the transmitter frame: a map is that of one transmitter where it stands.
 
+mod cascade;
 mod collect;
 mod correct;
 mod limbs;
@@ -28,7 +29,7 @@ pub(crate) struct Args {
 #[derive(clap::Subcommand)]
 enum Command {
     /// Solves a recording of the pole for a map, or states why there is none.
-    Solve(solve::Args),
+    Solve(Box<solve::Args>),
     /// Corrects poses by a map.
     Correct(correct::Args),
     /// Draws a map.
@@ -37,7 +38,7 @@ enum Command {
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     match args.command {
-        Command::Solve(args) => solve::run(args),
+        Command::Solve(args) => solve::run(*args),
         Command::Correct(args) => correct::run(args),
         Command::Show(args) => show::run(args),
     }

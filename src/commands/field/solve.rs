@@ -10,13 +10,15 @@ use posed_recording::is_recording;
 use posed_recording::table::{Poses, TableReader, TableWriter};
 use posed_stage::Stage;
 
-use super::{Error, collect, limbs, notify, output, print, print_json};
+use super::correct::Correction;
+use super::{Error, cascade, collect, limbs, notify, output, print, print_json};
 
 /// A recording of the pole, and what is known of it.
 #[derive(clap::Args)]
 #[command(
     after_help = "Examples:\n  posed field solve pole.csv --spacing-m 0.3 --anchors anchors.csv -o field.json\n  \
-    posed field solve session.mcap --body stage.toml -o field.json --corrected session.csv\n\n\
+    posed field solve session.mcap --body stage.toml -o field.json --corrected session.csv\n  \
+    posed field solve pole.csv --spacing-m 0.3 --method cascade -o cascade.json --picture cascade.svg\n\n\
     POLE: poses (t,sensor,x,y,z and, for orientations, qw,qx,qy,qz) in the transmitter frame; the order of first \
     appearance is the order along the pole. Of a recording it takes what the devices said.\n\
     Anchors: name,sensor,t_start,t_end,x,y,z."
@@ -48,12 +50,33 @@ pub(crate) struct Args {
     /// Where to write the readings that were not believed: t,sensor,reason.
     #[arg(long, value_name = "CSV")]
     rejected: Option<PathBuf>,
-    /// Print the report as one JSON object: accepted, reasons, warnings, residual_m, heldout_m, anchors_m and more.
+    /// `joint`: all readings at once; `cascade`: a filter and a network in turn, as Piperakis et al. (about 2005), for comparison.
+    #[arg(long, value_enum, default_value = "joint")]
+    method: Method,
+    /// Print the report as one JSON object: accepted, reasons, warnings, residual_m, heldout_m, anchors_m and more; of the cascade
+    /// filter, residuals_m, steps_m, readings, rejected and pairs.
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    cascade: cascade::Published,
+}
+
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
+enum Method {
+    Joint,
+    Cascade,
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
+    let is_cascade = args.method == Method::Cascade;
+    if is_cascade && (args.body.is_some() || args.anchors.is_some() || args.rejected.is_some()) {
+        return Err(Error::Usage("--method cascade takes a pole, without --anchors and --rejected".into()));
+    }
+    if !is_cascade && args.cascade.is_asked_for() {
+        return Err(Error::Usage(
+            "--filter, --rounds, --grid-m, --trajectories and --picture belong to --method cascade".into(),
+        ));
+    }
     if let Some(spacing_m) = args.spacing_m
         && !(spacing_m.is_finite() && spacing_m > 0.0)
     {
@@ -69,6 +92,13 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let run = read_run(&args.pole, named, args.spacing_m.unwrap_or(1.0))?;
     if body.is_none() {
         run.check_order().map_err(|error| Error::Failed(format!("{}: {error}", args.pole.display())))?;
+    }
+    if is_cascade {
+        let network = cascade::run(&run, &args.cascade, &args.output, args.json)?;
+        if let Some(path) = &args.corrected {
+            super::correct::write_corrected(&Correction::Cascade(network), &args.pole, path)?;
+        }
+        return Ok(());
     }
     let anchors = match &args.anchors {
         Some(path) => read_anchors(path, &run.sensors)?,
@@ -96,7 +126,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         })?;
     }
     if let (true, Some(map), Some(path)) = (report.accepted, &solution.map, &args.corrected) {
-        super::correct::write_corrected(&map.corrector(), &args.pole, path)?;
+        super::correct::write_corrected(&Correction::Map(map.corrector().into()), &args.pole, path)?;
     }
     if args.json {
         print_json(report)?;

@@ -2,18 +2,51 @@
 //! Levenberg-Marquardt.
 
 use nalgebra::{DMatrix, DVector, Vector3};
+use serde::{Deserialize, Serialize};
 
 const INPUTS: usize = 6;
 const HIDDEN: usize = 5;
 const PARAMETERS: usize = HIDDEN * (INPUTS + 1) + 3 * (HIDDEN + 1);
 
 /// A network from measured to corrected positions, both in the transmitter frame, m. Outside the readings that it was trained on
-/// it extrapolates.
-#[derive(Clone, Debug)]
+/// it extrapolates. As a file it is refused where it does not have 53 finite numbers, or its scale is not above 0.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Parts", into = "Parts")]
 pub struct DistortionNetwork {
     center_m: Vector3<f64>,
     scale_m: f64,
     weights: DVector<f64>,
+}
+
+/// A network as a file has it.
+#[derive(Serialize, Deserialize)]
+struct Parts {
+    center_m: [f64; 3],
+    scale_m: f64,
+    /// Of each hidden node six inputs and its bias, of each output five hidden nodes and its bias.
+    weights: Vec<f64>,
+}
+
+impl From<DistortionNetwork> for Parts {
+    fn from(network: DistortionNetwork) -> Self {
+        let weights = network.weights.as_slice().to_vec();
+        Self { center_m: network.center_m.into(), scale_m: network.scale_m, weights }
+    }
+}
+
+impl TryFrom<Parts> for DistortionNetwork {
+    type Error = String;
+
+    fn try_from(parts: Parts) -> Result<Self, String> {
+        let numbers = parts.weights.iter().chain(&parts.center_m);
+        let usable =
+            parts.scale_m.is_finite() && parts.scale_m > 0.0 && numbers.clone().all(|n| n.is_finite());
+        if parts.weights.len() != PARAMETERS || !usable {
+            return Err(format!("a network of {PARAMETERS} finite numbers is expected, and a scale above 0"));
+        }
+        let weights = DVector::from_vec(parts.weights);
+        Ok(Self { center_m: parts.center_m.into(), scale_m: parts.scale_m, weights })
+    }
 }
 
 impl DistortionNetwork {

@@ -1,48 +1,42 @@
-//! The iterated extended Kalman filter of the pole, and its smoother.
+//! The iterated extended Kalman filter of what a pole shows, and its smoother.
 //!
-//! State: middle t, direction u, velocity v, rate of u; ten error numbers. The printed filter carries a quaternion and a
-//! full angular velocity, thirteen numbers of which a pole shows eleven or twelve: its spin about itself is never seen. Its
-//! quaternion step has the factor 2/|w| where 1/|w| is right, and its sensors start one spacing off; both are avoided
-//! here, where the direction is carried with two axes across it and turned by the exponential map.
+//! State: middle t, direction u, velocity v, rate of u; ten error numbers. The direction is carried with two axes across it and turned
+//! by the exponential map. The published filter is [`super::quaternion_filter`].
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
 
 use posed_field::{FieldNoise, PoleRun, fit_line, side_basis};
 
+use super::pole::{LONGEST_GAP_S, Pole, ROUNDS, STEP_M, Steps, Track};
+
 /// White acceleration of the middle, m/s^2 per root Hz, and of the direction, rad/s^2 per root Hz.
 const ACCELERATION: f64 = 0.3;
 const TURNING: f64 = 0.6;
-/// Longest gap that is predicted through, s.
-const LONGEST_GAP_S: f64 = 0.5;
-/// Iterations of an update end below this step, m, or after five.
-const STEP_M: f64 = 1e-6;
-const ROUNDS: usize = 5;
 
 type Error = SVector<f64, 10>;
 type Covariance = SMatrix<f64, 10, 10>;
 
 /// Where the pole is and how it moves, in the frame of the readings: the transmitter's.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PoleState {
+struct PoleState {
     /// Middle of the pole, m.
-    pub middle_m: Vector3<f64>,
+    middle_m: Vector3<f64>,
     /// Direction, and two axes across it, as columns of a rotation.
     axes: Matrix3<f64>,
     /// Velocity of the middle, m/s.
-    pub velocity_m_s: Vector3<f64>,
+    velocity_m_s: Vector3<f64>,
     /// Angular velocity of the direction along the two axes, rad/s.
     angular_velocity_rad_s: [f64; 2],
 }
 
 impl PoleState {
     /// Direction of the pole, unit, towards greater offsets.
-    pub fn direction(&self) -> Vector3<f64> {
+    fn direction(&self) -> Vector3<f64> {
         self.axes.column(0).into_owned()
     }
 
-    /// Where the sensor `offset_m` from the middle is, m; offsets as of [`PoleRun::offset_m`].
-    pub fn position_m(&self, offset_m: f64) -> Vector3<f64> {
-        self.middle_m + self.axes.column(0) * offset_m
+    fn pole(&self) -> Pole {
+        Pole { origin_m: self.middle_m, along: self.direction() }
     }
 
     /// Turns the axes so that the direction moves by `a` and `b` along the two axes across it.
@@ -76,18 +70,18 @@ impl PoleState {
     }
 }
 
-/// The iterated extended Kalman filter, frame by frame. [`smooth`] moves it on between frames.
+/// The iterated extended Kalman filter, frame by frame.
 #[derive(Clone, Debug)]
-pub struct PoleFilter {
+struct PoleFilter {
     /// The present estimate.
-    pub state: PoleState,
+    state: PoleState,
     covariance: Covariance,
 }
 
 impl PoleFilter {
     /// Starts at rest from one frame: positions (transmitter frame, m) and places along the pole (from its middle, m) of at least
     /// three sensors. With fewer the state means nothing.
-    pub fn new(readings: &[(Vector3<f64>, f64)]) -> Self {
+    fn new(readings: &[(Vector3<f64>, f64)]) -> Self {
         let (points, offsets): (Vec<_>, Vec<_>) = readings.iter().copied().unzip();
         let (middle_m, along) = fit_line(&points, &offsets);
         let side = side_basis(&along);
@@ -122,12 +116,12 @@ impl PoleFilter {
 
     /// Takes in the readings of one frame, as for [`PoleFilter::new`], at the time of the state, five iterations at most; `noise`
     /// is that of a reading. A covariance that cannot be inverted leaves the state as it is.
-    pub fn update(&mut self, readings: &[(Vector3<f64>, f64)], noise: &FieldNoise) {
+    fn update(&mut self, readings: &[(Vector3<f64>, f64)], noise: &FieldNoise, steps: &mut Steps) {
         let Some(prior) = self.covariance.try_inverse() else { return };
         let predicted = self.state;
         let mut state = predicted;
         let mut information = prior;
-        for _ in 0..ROUNDS {
+        for round in 0..ROUNDS {
             information = prior;
             let mut gradient = prior * predicted.minus(&state);
             for (z, offset) in readings {
@@ -137,12 +131,13 @@ impl PoleFilter {
                 h.fixed_view_mut::<3, 2>(0, 3)
                     .copy_from(&(whitener * state.axes.fixed_columns::<2>(1) * *offset));
                 information += h.transpose() * h;
-                gradient += h.transpose() * (whitener * (z - state.position_m(*offset)));
+                gradient += h.transpose() * (whitener * (z - state.pole().position_m(*offset)));
             }
             let Some(solver) = information.cholesky() else { return };
             let step = solver.solve(&gradient);
+            let before = state.pole();
             state = state.plus(&step);
-            if step.fixed_rows::<5>(0).norm() < STEP_M {
+            if steps.push(round, &before, &state.pole(), readings) < STEP_M {
                 break;
             }
         }
@@ -163,13 +158,13 @@ struct Step {
 }
 
 /// Filters a recording and smooths it backwards (Rauch, Tung and Striebel); `map` corrects the readings (transmitter frame, m)
-/// first. One state per frame, none where fewer than three sensors were measured. It is not causal; over a gap of 0.5 s or more
-/// the filter starts anew and nothing is handed back.
-pub fn smooth(
+/// first. It is not causal; over a gap of 0.5 s or more the filter starts anew and nothing is handed back.
+pub(super) fn smooth(
     run: &PoleRun,
     noise: &FieldNoise,
     map: impl Fn(&Vector3<f64>) -> Vector3<f64>,
-) -> Vec<Option<PoleState>> {
+) -> Track {
+    let mut converged = Steps::default();
     let mut steps: Vec<Option<Step>> = Vec::with_capacity(run.frames.len());
     let mut filter: Option<(f64, PoleFilter)> = None;
     let mut row = Vec::new();
@@ -189,7 +184,7 @@ pub fn smooth(
             _ => (PoleFilter::new(&row), Covariance::zeros()),
         };
         let (predicted, predicted_covariance) = (next.state, next.covariance);
-        next.update(&row, noise);
+        next.update(&row, noise, &mut converged);
         steps.push(Some(Step {
             predicted,
             predicted_covariance,
@@ -199,7 +194,7 @@ pub fn smooth(
         }));
         filter = Some((frame.t_s, next));
     }
-    let mut smoothed: Vec<Option<PoleState>> = vec![None; steps.len()];
+    let mut poles: Vec<Option<Pole>> = vec![None; steps.len()];
     let mut after: Option<(PoleState, &Step)> = None;
     for (index, step) in steps.iter().enumerate().rev() {
         let Some(step) = step else { continue };
@@ -210,44 +205,16 @@ pub fn smooth(
             let gain = step.filtered_covariance * next.transition.transpose() * inverse;
             state = state.plus(&(gain * later.minus(&next.predicted)));
         }
-        smoothed[index] = Some(state);
+        poles[index] = Some(state.pole());
         after = Some((state, step));
     }
-    smoothed
+    Track { poles, steps: converged }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::testing::truth;
     use super::*;
-    use posed_field::PoleReading;
-
-    fn truth(t: f64) -> (Vector3<f64>, Vector3<f64>) {
-        let middle =
-            Vector3::new(1.2 + 0.3 * libm::sin(0.9 * t), 0.4 * libm::cos(0.7 * t), 0.6 + 0.2 * libm::sin(t));
-        let direction = Vector3::new(libm::cos(1.1 * t), libm::sin(1.1 * t), libm::sin(0.8 * t)).normalize();
-        (middle, direction)
-    }
-
-    fn run(sigma_m: f64) -> PoleRun {
-        // As good as noise, and the same everywhere.
-        let mut count = 0.0_f64;
-        let mut noise = || {
-            count += 1.0;
-            sigma_m * 3.464 * ((libm::sin(count) * 43_758.545_3).rem_euclid(1.0) - 0.5)
-        };
-        let names = ["a", "b", "c", "d"].map(String::from).to_vec();
-        let rows: Vec<_> = (0..300)
-            .flat_map(|frame| (0..4).map(move |sensor| (frame, sensor)))
-            .map(|(frame, sensor)| {
-                let t = f64::from(frame) / 30.0;
-                let (middle, direction) = truth(t);
-                let p = middle + direction * (0.3 * (sensor as f64 - 1.5));
-                let p = p + Vector3::new(noise(), noise(), noise());
-                (t, sensor, PoleReading { position_m: p, orientation: None })
-            })
-            .collect();
-        PoleRun::new(names, 0.3, rows).unwrap()
-    }
 
     #[test]
     fn the_error_algebra_is_consistent() {
@@ -255,24 +222,5 @@ mod tests {
         let filter = PoleFilter::new(&[(middle - direction, -1.0), (middle, 0.0), (middle + direction, 1.0)]);
         let error = Error::from_fn(|k, _| 0.01 * (k as f64 - 4.0));
         assert!((filter.state.plus(&error).minus(&filter.state) - error).norm() < 1e-9);
-    }
-
-    #[test]
-    fn exact_readings_are_followed_and_noise_is_smoothed() {
-        let noise = FieldNoise { sigma_signal: 0.0, floor_m: 2e-3 };
-        let rms = |sigma_m: f64| {
-            let run = run(sigma_m);
-            let states = smooth(&run, &noise, |z| *z);
-            let square: f64 = run
-                .frames
-                .iter()
-                .zip(&states)
-                .map(|(frame, state)| (state.unwrap().middle_m - truth(frame.t_s).0).norm_squared())
-                .sum();
-            (square / states.len() as f64).sqrt()
-        };
-        assert!(rms(0.0) < 3e-4, "{}", rms(0.0));
-        // Four sensors alone would leave sqrt(3) * 2 mm / 2.
-        assert!(rms(2e-3) < 1.4e-3, "{}", rms(2e-3));
     }
 }

@@ -1,11 +1,11 @@
-//! `posed keyframes POSES.csv -o KEYS.csv`: where each sensor's motion changes, and a smooth path between.
+//! `posed keyframes POSES.csv -o KEYS.csv`: changes of each sensor's motion, and a smooth path between.
 
 use std::path::{Path, PathBuf};
 
 use nalgebra::Isometry3;
 use serde::Serialize;
 
-use super::{Error, notify, output, print_json};
+use super::{Error, notify, output, positive, print_json};
 use posed_baselines::change_points::{MeanDifference, MeanDifferenceSettings, ScrewPath};
 use posed_motion::keyframes::{BRIDGED_FRAMES, bridge};
 use posed_motion::keyframes::{Detector, Hinge, HingeSettings, KeyPose, Trace};
@@ -14,12 +14,7 @@ use posed_recording::table::{PoseRow, Poses, TableWriter};
 
 /// Where to look, and how.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example:\n  posed keyframes poses.csv -o keys.csv --resample path.csv --picture keys.svg\n\n\
-    Columns of the answer: frame,t,t_decided,score,sensor,corner. A frame is one time of the file, counted from 0;\n\
-    t_decided is when a live client would have known. Without orientations only positions are looked at."
-)]
-pub(crate) struct Args {
+pub(super) struct Find {
     /// Poses, one per frame and sensor: CSV or a recording.
     poses: PathBuf,
     /// Where to write the changes.
@@ -37,6 +32,12 @@ pub(crate) struct Args {
     /// What turning by one radian counts as against moving, in metres (paper).
     #[arg(long, default_value_t = 0.1, value_parser = positive)]
     metres_per_radian: f64,
+    /// By what share of the mean motion before it a change must exceed it: the paper's x (paper).
+    #[arg(long, value_name = "X", default_value_t = 0.5, value_parser = positive)]
+    acceptance: f64,
+    /// Without the smoothing of motion and statistic, which costs 18 frames of delay (paper).
+    #[arg(long)]
+    unsmoothed: bool,
     /// Where to write the smooth path through the key poses, at the input's times.
     #[arg(long, value_name = "OUT.csv")]
     resample: Option<PathBuf>,
@@ -54,12 +55,7 @@ enum MethodName {
     Paper,
 }
 
-fn positive(text: &str) -> Result<f64, String> {
-    let number: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
-    if number.is_finite() && number > 0.0 { Ok(number) } else { Err(format!("{number} is not above 0")) }
-}
-
-pub(crate) fn run(args: Args) -> Result<(), Error> {
+pub(super) fn run(args: Find) -> Result<(), Error> {
     let poses = Poses::read(&args.poses).map_err(Error::failed)?;
     let ticks =
         Ticks::of(&poses).map_err(|reason| Error::failed(format!("{}: {reason}", args.poses.display())))?;
@@ -99,7 +95,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     Ok(())
 }
 
-impl Args {
+impl Find {
     fn method(&self, rate_hz: f64, orientation: bool) -> Method {
         let window = usize::from(self.window);
         match self.method {
@@ -112,7 +108,8 @@ impl Args {
             MethodName::Paper => Method::Paper(Detector::new(MeanDifference::new(MeanDifferenceSettings {
                 window,
                 metres_per_radian: self.metres_per_radian,
-                ..MeanDifferenceSettings::default()
+                acceptance: self.acceptance,
+                smooth: !self.unsmoothed,
             }))),
         }
     }
