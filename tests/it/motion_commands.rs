@@ -76,3 +76,38 @@ fn faults_are_trained_and_found_and_other_sensors_are_refused() {
     assert!(String::from_utf8_lossy(&output.stderr).contains("expected the sensors a,b, found a,c"));
     assert!(!folder.path().join("none.csv").exists());
 }
+
+#[test]
+fn maps_are_studied_against_the_truth_of_a_generated_session() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = |words: &str| {
+        let output = posed(folder.path(), words);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap_or_default()
+    };
+    json("faults generate -o s.csv --truth truth.csv --seed 3");
+    let sizes = " --neurons 11,21 --sides 11 --json";
+    let study = json(&format!("faults study s.csv --truth truth.csv --repetitions 2{sizes}"));
+    let runs = study["sizes"].as_array().unwrap();
+    assert_eq!(runs.len(), 4);
+    assert!(runs[0]["seed"] == 1 && runs[1]["seed"] == 2 && runs[2]["neurons"] == 21, "{study}");
+    for run in runs {
+        assert!(run["purity"].as_f64().unwrap() > 0.9 && run["seconds"].as_f64().unwrap() > 0.0, "{run}");
+        // Faults of 0.5 to 3 s in half of 13.6 s: their borders, as the truth has them.
+        assert!((4..40).contains(&run["changeovers"].as_u64().unwrap()), "{run}");
+    }
+    for how in ["centre", "sphere"] {
+        let rule = "--rule paper --as-published --epochs 5";
+        let study = json(&format!("faults study s.csv --truth truth.csv --preprocess {how} {rule}{sizes}"));
+        assert_eq!(study["sizes"].as_array().unwrap().len(), 2, "{how}");
+    }
+    std::fs::write(folder.path().join("bad.csv"), "t,class\n0,odd\n").unwrap();
+    let refused = posed(folder.path(), "faults study s.csv --truth bad.csv");
+    let why = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(
+        refused.status.code() == Some(1) && why.contains("clean, inverted, anomalous or unknown"),
+        "{why}"
+    );
+    std::fs::write(folder.path().join("other.csv"), "t,class\n999,clean\n").unwrap();
+    assert_eq!(posed(folder.path(), "faults study s.csv --truth other.csv").status.code(), Some(1));
+}

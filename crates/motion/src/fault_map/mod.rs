@@ -29,7 +29,7 @@ pub use frames::Frames;
 use habits::{Link, Motion, PositionChain, PositionMatch};
 use posed_fusion::faults::{Class, Label};
 pub use rules::{Labeller, Rules, frame_label};
-pub use separation::{Separation, separation, separation_by_size};
+pub use separation::{Separation, separation};
 use som::Batch;
 pub use som::{Kernel, Rule, Som, Training, Width, Winner, neighbourhood};
 pub use watch::{Judged, Watch};

@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 
+use super::FaultMap;
 use super::frames::Frames;
-use super::{FaultMap, FaultMapError, Size};
 use posed_fusion::faults::Class;
 
 /// How well the second layer separates the classes of a recording.
@@ -70,25 +70,4 @@ pub fn separation(fault_map: &FaultMap, frames: &Frames, classes: &[Class]) -> S
         grouping: share(alike, pairs),
         error: error / total.max(1) as f64,
     }
-}
-
-/// Measures the fault maps that `train` makes of all pairs of `neurons` and `sides`, in this order. Each is measured on
-/// all `frames`: whether these were held out is up to `train`.
-///
-/// # Errors
-/// The first one of `train`.
-pub fn separation_by_size(
-    frames: &Frames,
-    classes: &[Class],
-    neurons: &[usize],
-    sides: &[usize],
-    mut train: impl FnMut(Size) -> Result<FaultMap, FaultMapError>,
-) -> Result<Vec<Separation>, FaultMapError> {
-    let mut reports = Vec::new();
-    for &neurons in neurons {
-        for &side in sides {
-            reports.push(separation(&train(Size { neurons, side })?, frames, classes));
-        }
-    }
-    Ok(reports)
 }

@@ -1,8 +1,10 @@
-//! `posed faults train|detect|study`: faulty frames of a set of magnetic sensors.
+//! `posed faults train|detect|study|generate`: faulty frames of a set of magnetic sensors.
+
+mod generate;
+mod study;
 
 use std::path::{Path, PathBuf};
 
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::{Error, notify, output, print, print_json};
@@ -11,14 +13,13 @@ use posed_baselines::fault_map;
 use posed_fusion::faults::{Cause, Class, Label};
 use posed_motion::fault_map::Frames;
 use posed_motion::fault_map::{FaultMap, FaultMapError, Labels, Size};
-use posed_motion::fault_map::{Separation, separation, separation_by_size};
+use posed_motion::fault_map::{Separation, separation};
 use posed_motion::fault_map::{Training, Width};
 use posed_recording::table::{PoseColumns, PoseRow, PoseWriter, Poses, TableError, TableWriter};
 use posed_recording::{is_recording, positions};
 
-/// Layer sizes of the paper's study.
-const STUDIED_NEURONS: [usize; 5] = [11, 21, 31, 41, 51];
-const STUDIED_SIDES: [usize; 5] = [11, 16, 21, 26, 31];
+/// What a row of labels names in place of a sensor where it speaks of the whole frame.
+const WHOLE_FRAME: &str = "*";
 
 /// Learns, finds and studies faulty frames.
 #[derive(clap::Args)]
@@ -38,12 +39,13 @@ enum Command {
     /// Labels the frames of a recording.
     #[command(after_help = "Example:\n  posed faults detect FAULTS.json session.csv -o labels.csv")]
     Detect(DetectArgs),
-    /// Trains maps of 25 sizes and reports how well each separates the classes.
-    #[command(after_help = "Example:\n  posed faults study scripted.csv --rule paper")]
-    Study(StudyArgs),
+    /// Trains maps of 25 sizes and reports how well each separates the classes, and how long it takes.
+    Study(study::Args),
+    /// Writes a person's session with faults whose truth is known.
+    Generate(generate::Args),
 }
 
-#[derive(clap::Args)]
+#[derive(Clone, Copy, clap::Args)]
 struct TrainingArgs {
     /// How weights are moved: the paper's rule, row by row, on positions as they are; or all rows at once, on positions
     /// in the figure's own axes.
@@ -140,22 +142,12 @@ struct DetectArgs {
     json: bool,
 }
 
-#[derive(clap::Args)]
-struct StudyArgs {
-    /// Poses of a recording that shows all kinds of frames.
-    poses: PathBuf,
-    #[command(flatten)]
-    training: TrainingArgs,
-    /// Print the table as one JSON object.
-    #[arg(long)]
-    json: bool,
-}
-
 pub(crate) fn run(args: Args) -> Result<(), Error> {
     match args.command {
         Command::Train(args) => train(&args),
         Command::Detect(args) => detect(&args),
-        Command::Study(args) => study(&args),
+        Command::Study(args) => study::run(&args),
+        Command::Generate(args) => generate::run(&args),
     }
 }
 
@@ -308,7 +300,7 @@ fn write_labels(
             let at = k * sensors + sensor;
             row(name, labels.sensors[at], distances.map_or(f64::NAN, |distances| distances.1[at]))?;
         }
-        row("*", labels.frames[k], distances.map_or(f64::NAN, |distances| distances.0[k]))?;
+        row(WHOLE_FRAME, labels.frames[k], distances.map_or(f64::NAN, |distances| distances.0[k]))?;
     }
     table.finish()
 }
@@ -331,42 +323,4 @@ fn write_repaired(path: &Path, frames: &Frames, labels: &Labels) -> Result<(), T
         }
     }
     table.finish()
-}
-
-#[derive(Serialize)]
-struct Studied {
-    sizes: Vec<Separation>,
-}
-
-fn study(args: &StudyArgs) -> Result<(), Error> {
-    let frames = read(&args.poses)?;
-    let (_, labels) = posed_motion::fault_map::Rules::learn(&frames);
-    let classes: Vec<Class> = labels.frames.iter().map(|label| label.class).collect();
-    let bar = ProgressBar::new((STUDIED_NEURONS.len() * STUDIED_SIDES.len()) as u64);
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} sizes, {eta} left") {
-        bar.set_style(style);
-    }
-    let train = |size| {
-        let (fault_map, _) = args.training.train(&frames, size)?;
-        bar.inc(1);
-        Ok(fault_map)
-    };
-    let sizes = separation_by_size(&frames, &classes, &STUDIED_NEURONS, &STUDIED_SIDES, train)
-        .map_err(|error| Error::failed(format!("{}: {error}", args.poses.display())))?;
-    bar.finish_and_clear();
-    if args.json {
-        return print_json(&Studied { sizes });
-    }
-    print("neurons side used  share overlaps par purity grouping error\n")?;
-    for report in &sizes {
-        let Separation { neurons, side, used, overlaps, changeovers, .. } = report;
-        print(&format!(
-            "{neurons:7} {side:4} {used:4} {:5.1}% {overlaps:8} {changeovers:3} {:6.4} {:8.3} {:.4}\n",
-            100.0 * report.used_share,
-            report.purity,
-            report.grouping,
-            report.error
-        ))?;
-    }
-    Ok(())
 }

@@ -1,0 +1,114 @@
+//! `posed faults generate`.
+
+use std::path::PathBuf;
+
+use posed_fusion::faults::{Class, Label};
+use posed_motion::fault_map::{Frames, frame_label};
+use posed_recording::table::{PoseColumns, PoseRow, PoseWriter, TableError, TableWriter};
+use posed_simulator::figure::{Fault, Figure, SENSORS, Truth, inject};
+
+use super::{Error, WHOLE_FRAME, notify};
+
+/// Which session, and where to write it.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  posed faults generate -o session.csv --truth truth.csv --frames 2823 --seed 4\n\n\
+    A person with sixteen sensors walks about before a transmitter that stands 1 m above the floor. Faults of 0.5 to 3 s, of all kinds in turn:\n\
+    one sensor or all mirrored through the transmitter or in the vertical axis; one stuck, one elsewhere, one or two drawn aside."
+)]
+pub(super) struct Args {
+    /// Where to write the positions: t,sensor,x,y,z.
+    #[arg(short, long, value_name = "POSES.csv")]
+    output: PathBuf,
+    /// Where to write what each sensor and frame is: t,sensor,class; `*` is the frame as a whole.
+    #[arg(long, value_name = "TRUTH.csv")]
+    truth: Option<PathBuf>,
+    /// Which session.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// How tall the person is, m.
+    #[arg(long, default_value_t = 1.75, value_parser = height)]
+    height_m: f64,
+    /// How many frames; the paper's scripted file F1 has 407.
+    #[arg(long, default_value_t = 407, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    frames: u32,
+    /// Frames a second.
+    #[arg(long, default_value_t = 30.0, value_parser = rate)]
+    rate_hz: f64,
+    /// Share of the frames with a faulty sensor, about.
+    #[arg(long, default_value_t = 0.5, value_parser = share)]
+    share: f64,
+}
+
+fn within(text: &str, range: std::ops::Range<f64>) -> Result<f64, String> {
+    let number: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
+    if range.contains(&number) {
+        Ok(number)
+    } else {
+        Err(format!("between {} and {}", range.start, range.end))
+    }
+}
+
+fn height(text: &str) -> Result<f64, String> {
+    within(text, 0.5..2.5)
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    within(text, 1.0..1000.0)
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    within(text, 0.0..0.95)
+}
+
+pub(super) fn run(args: &Args) -> Result<(), Error> {
+    let Args { seed, height_m, rate_hz, .. } = *args;
+    let mut positions_m = Figure { seed, height_m, rate_hz, frames: args.frames as usize }.positions_m();
+    let truth = inject(&mut positions_m, SENSORS.len(), rate_hz, seed, args.share, &Fault::ALL);
+    let t_s = (0..args.frames).map(|frame| f64::from(frame) / rate_hz).collect();
+    let frames = Frames { sensors: SENSORS.map(str::to_owned).into(), t_s, positions_m };
+    write_positions(args, &frames).map_err(Error::failed)?;
+    if let Some(path) = &args.truth {
+        let write = || write_truth(TableWriter::create(path, &["t", "sensor", "class"])?, &frames, &truth);
+        write().map_err(Error::failed)?;
+    }
+    notify(&format!("{} frames to {}", frames.len(), args.output.display()));
+    Ok(())
+}
+
+fn write_positions(args: &Args, frames: &Frames) -> Result<(), TableError> {
+    let columns = PoseColumns { sensor: true, ..PoseColumns::default() };
+    let mut table = PoseWriter::create(&args.output, columns)?;
+    for (k, t_s) in frames.t_s.iter().enumerate() {
+        for (sensor, p) in frames.frame(k).chunks_exact(3).enumerate() {
+            let position_m = Some([p[0], p[1], p[2]]);
+            let row = PoseRow { t_s: *t_s, sensor, position_m, orientation_wxyz: None, state: None };
+            table.row(&frames.sensors[sensor], &row)?;
+        }
+    }
+    table.finish()
+}
+
+fn write_truth(mut table: TableWriter, frames: &Frames, truth: &[Truth]) -> Result<(), TableError> {
+    for (t_s, row) in frames.t_s.iter().zip(truth.chunks_exact(frames.sensors.len())) {
+        let labels: Vec<Label> =
+            row.iter().map(|truth| Label { class: class(*truth), cause: None }).collect();
+        let sensors = frames.sensors.iter().map(String::as_str).zip(&labels);
+        let frame = frame_label(&labels);
+        for (name, label) in sensors.chain([(WHOLE_FRAME, &frame)]) {
+            table.number(*t_s)?;
+            table.text(name)?;
+            table.text(label.class.name())?;
+            table.end_row()?;
+        }
+    }
+    table.finish()
+}
+
+fn class(truth: Truth) -> Class {
+    match truth {
+        Truth::Clean => Class::Clean,
+        Truth::Inverted | Truth::InvertedVertically => Class::Inverted,
+        Truth::Stuck | Truth::Jump | Truth::Disturbed => Class::Anomalous,
+    }
+}
