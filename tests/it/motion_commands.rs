@@ -30,7 +30,7 @@ fn write_poses(path: &Path) {
 fn keyframes_writes_keys_path_and_picture() {
     let folder = tempfile::tempdir().unwrap();
     write_poses(&folder.path().join("poses.csv"));
-    let words = "keyframes poses.csv -o keys.csv --resample path.csv --picture keys.svg --json";
+    let words = "keyframes poses.csv -o keys.csv --resample path.csv --picture keys.svg --animation motion.glb --json";
     let output = posed(folder.path(), words);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -47,6 +47,11 @@ fn keyframes_writes_keys_path_and_picture() {
     let path = std::fs::read_to_string(folder.path().join("path.csv")).unwrap();
     assert_eq!(path.lines().count(), 2001);
     assert!(std::fs::read_to_string(folder.path().join("keys.svg")).unwrap().contains("</svg>"));
+    let animation = std::fs::read(folder.path().join("motion.glb")).unwrap();
+    let text = String::from_utf8_lossy(&animation);
+    for name in ["recorded path", "spline path", "screws path", "axis of frames 0 to 140"] {
+        assert!(text.contains(name), "{name}");
+    }
 }
 
 #[test]

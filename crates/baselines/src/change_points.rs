@@ -214,6 +214,31 @@ impl Sums {
     }
 }
 
+/// Below this angle a segment is a translation: its axis would be anywhere, rad.
+const LEAST_TURN_RAD: f64 = 1e-3;
+
+/// The screw motion of one segment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Screw {
+    /// First and last frame.
+    pub frames: [usize; 2],
+    /// How far it turns, rad.
+    pub angle_rad: f64,
+    /// What it turns about; `None` for a translation.
+    pub axis: Option<Axis>,
+}
+
+/// A screw's axis, frame of reference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Axis {
+    /// The point of it that is nearest to where the sensor begins, m.
+    pub point_m: Vector3<f64>,
+    /// Unit; the rotation is positive about it.
+    pub direction: Vector3<f64>,
+    /// How far the segment goes along it, m.
+    pub advance_m: f64,
+}
+
 /// A path of one screw motion per motion segment, between key poses: constant linear and angular velocity in the sensor's axes.
 #[derive(Clone, Debug)]
 pub struct ScrewPath {
@@ -237,6 +262,28 @@ impl ScrewPath {
         let s = ((frame - from as f64) / (to - from) as f64).clamp(0.0, 1.0);
         let twist = se3::log(&a.inv_mul(&b));
         a * se3::exp(&se3::Twist { angular: twist.angular * s, linear: twist.linear * s })
+    }
+
+    /// The screws of its segments, in order.
+    pub fn screws(&self) -> Vec<Screw> {
+        self.keys
+            .windows(2)
+            .map(|pair| {
+                let ((from, a), (to, b)) = (pair[0], pair[1]);
+                let twist = se3::log(&a.inv_mul(&b));
+                let angle_rad = twist.angular.norm();
+                let axis = (angle_rad > LEAST_TURN_RAD).then(|| {
+                    let direction = twist.angular / angle_rad;
+                    let point_m = twist.angular.cross(&twist.linear) / (angle_rad * angle_rad);
+                    Axis {
+                        point_m: (a * nalgebra::Point3::from(point_m)).coords,
+                        direction: a.rotation * direction,
+                        advance_m: direction.dot(&twist.linear),
+                    }
+                });
+                Screw { frames: [from, to], angle_rad, axis }
+            })
+            .collect()
     }
 
     /// Root mean square distance from the recording, over some of its frames (both ends included; those beyond it are left out):

@@ -10,7 +10,15 @@ use posed_baselines::change_points::{MeanDifference, MeanDifferenceSettings, Scr
 use posed_motion::keyframes::{BRIDGED_FRAMES, bridge};
 use posed_motion::keyframes::{Detector, Hinge, HingeSettings, KeyPose, Trace};
 use posed_motion::keyframes::{Deviation, Spline};
+use posed_recording::animation::{Item, Line, write_items};
 use posed_recording::table::{PoseRow, Poses, TableWriter};
+
+/// How far a screw's axis is drawn beyond what its segment goes along it, m.
+const AXIS_END_M: f64 = 0.05;
+/// Colours of an animation: as it was recorded, smooth, in screws.
+const RECORDED: [f32; 3] = [0.6, 0.6, 0.6];
+const SMOOTH: [f32; 3] = [0.12, 0.47, 0.71];
+const SCREW: [f32; 3] = [0.84, 0.15, 0.16];
 
 /// Where to look, and how.
 #[derive(clap::Args)]
@@ -44,6 +52,10 @@ pub(super) struct Find {
     /// Where to draw the statistic over time and the path of the first sensor.
     #[arg(long, value_name = "PICTURE.svg")]
     picture: Option<PathBuf>,
+    /// Where to write the first sensor as it was recorded, on the smooth path and on one screw for each segment, with the screws' axes:
+    /// an animation for browsers and Blender.
+    #[arg(long, value_name = "MOTION.glb")]
+    animation: Option<PathBuf>,
     /// Print a summary as one JSON object.
     #[arg(long)]
     json: bool,
@@ -77,6 +89,11 @@ pub(super) fn run(args: Find) -> Result<(), Error> {
                 args.picture.as_deref().filter(|_| index == 0 && stretch.start == sensor.longest())
             {
                 draw(path, name, &method, stretch, &trace, &keys, spline.as_ref())?;
+            }
+            if let Some(path) =
+                args.animation.as_deref().filter(|_| index == 0 && stretch.start == sensor.longest())
+            {
+                animate(path, &ticks, stretch, &keys, spline.as_ref())?;
             }
             found.extend(keys.into_iter().map(|key| Found { start: stretch.start, sensor: index, key }));
         }
@@ -284,6 +301,35 @@ fn draw(
         format!("{name} {what}: statistic (root scale) from frame {}, path with its spline", stretch.start);
     let text = crate::pictures::keyframes::draw(title.trim(), &stretch.poses, trace, keys, threshold, spline);
     output::replace(path, |file| file.write_all(text.as_bytes()))
+}
+
+/// The item as it was recorded, on both paths, and the axes of the screws (Figs. 12 to 14 of Merckel and Nishida).
+fn animate(
+    path: &Path,
+    ticks: &Ticks,
+    stretch: &Stretch,
+    keys: &[KeyPose],
+    spline: Option<&Spline>,
+) -> Result<(), Error> {
+    let frames = 0..stretch.poses.len();
+    let item = |name: &str, colour, poses| Item { name: name.to_owned(), colour, poses };
+    let mut items = vec![item("recorded", RECORDED, stretch.poses.clone())];
+    if let Some(spline) = spline {
+        items.push(item("spline", SMOOTH, frames.clone().map(|frame| spline.pose(frame as f64)).collect()));
+    }
+    let mut lines = Vec::new();
+    if let Some(screws) = ScrewPath::new(&stretch.poses, keys) {
+        items.push(item("screws", SCREW, frames.clone().map(|frame| screws.pose(frame as f64)).collect()));
+        for screw in screws.screws() {
+            let Some(axis) = screw.axis else { continue };
+            let half = axis.direction * (0.5 * axis.advance_m.abs() + AXIS_END_M);
+            let middle_m = axis.point_m + axis.direction * (0.5 * axis.advance_m);
+            let name = format!("axis of frames {} to {}", screw.frames[0], screw.frames[1]);
+            lines.push(Line { name, colour: SCREW, points_m: vec![middle_m - half, middle_m + half] });
+        }
+    }
+    let times_s = &ticks.t_s[stretch.start..stretch.end()];
+    write_items(path, times_s, &items, &lines).map_err(Error::failed)
 }
 
 #[derive(Serialize)]

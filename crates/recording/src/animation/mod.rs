@@ -6,6 +6,8 @@
 
 mod bvh;
 mod glb;
+mod gltf;
+mod items;
 #[cfg(test)]
 mod tests;
 mod trc;
@@ -15,6 +17,8 @@ use std::path::Path;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
+
+pub use items::{Item, Line, write_items};
 
 use crate::atomic_file::AtomicFile;
 use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton, upright};

@@ -116,11 +116,8 @@ fn a_trc_file_has_a_row_per_frame_and_three_columns_per_marker() {
     );
 }
 
-#[test]
-fn a_glb_file_is_whole_and_its_accessors_fit() {
-    let animation = moving();
-    let (_, frames) = animation.even().unwrap();
-    let bytes = glb::bytes(&animation.skeleton, &frames);
+/// The document of a glTF file whose lengths and accessors have been held against one another, and its numbers.
+fn read_glb(bytes: &[u8]) -> (serde_json::Value, Vec<u8>) {
     let number = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
     assert_eq!(&bytes[..4], b"glTF");
     assert_eq!((number(4), number(8)), (2, bytes.len()));
@@ -129,7 +126,6 @@ fn a_glb_file_is_whole_and_its_accessors_fit() {
     let binary = number(20 + json);
     assert_eq!(document["buffers"][0]["byteLength"].as_u64().unwrap() as usize, binary);
     assert_eq!(28 + json + binary, bytes.len());
-    assert_eq!(document["nodes"].as_array().unwrap().len(), 2 * SEGMENTS);
     for accessor in document["accessors"].as_array().unwrap() {
         let view = &document["bufferViews"][accessor["bufferView"].as_u64().unwrap() as usize];
         let width = match accessor["type"].as_str().unwrap() {
@@ -143,8 +139,48 @@ fn a_glb_file_is_whole_and_its_accessors_fit() {
         let end = view["byteOffset"].as_u64().unwrap() + view["byteLength"].as_u64().unwrap();
         assert!(end as usize <= binary);
     }
+    (document, bytes[28 + json..].to_vec())
+}
+
+#[test]
+fn a_glb_file_is_whole_and_its_accessors_fit() {
+    let animation = moving();
+    let (_, frames) = animation.even().unwrap();
+    let (document, _) = read_glb(&glb::bytes(&animation.skeleton, &frames));
+    assert_eq!(document["nodes"].as_array().unwrap().len(), 2 * SEGMENTS);
     let channels = document["animations"][0]["channels"].as_array().unwrap();
     assert_eq!(channels.len(), SEGMENTS + 1);
+}
+
+#[test]
+fn items_move_along_their_paths_with_y_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("items.glb");
+    let poses = (0..30).map(|k| nalgebra::Isometry3::translation(0.1 * f64::from(k), 0.0, 1.0)).collect();
+    let item = Item { name: "sensor".into(), colour: [0.1, 0.2, 0.3], poses };
+    let line = |points_m| Line { name: "axis".into(), colour: [1.0; 3], points_m };
+    let lines = [line(vec![Vector3::zeros(), Vector3::z()]), line(vec![Vector3::zeros()])];
+    let times: Vec<f64> = (0..30).map(|k| 5.0 + 0.1 * f64::from(k)).collect();
+    write_items(&path, &times, std::slice::from_ref(&item), &lines).unwrap();
+    let (document, numbers) = read_glb(&std::fs::read(&path).unwrap());
+    // The item, its path, and the line that has a length.
+    let names: Vec<&str> =
+        document["nodes"].as_array().unwrap().iter().map(|node| node["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["sensor", "sensor path", "axis"]);
+    let animation = &document["animations"][0];
+    let target = animation["channels"][1]["target"]["path"].as_str().unwrap();
+    let accessor = &document["accessors"][animation["samplers"][1]["output"].as_u64().unwrap() as usize];
+    let view = &document["bufferViews"][accessor["bufferView"].as_u64().unwrap() as usize];
+    let end = (view["byteOffset"].as_u64().unwrap() + view["byteLength"].as_u64().unwrap()) as usize;
+    let last: Vec<f32> = numbers[end - 12..end]
+        .chunks_exact(4)
+        .map(|bytes| f32::from_le_bytes(bytes.try_into().unwrap()))
+        .collect();
+    assert!(
+        target == "translation" && (last[0] - 2.9).abs() < 1e-6 && (last[1] - 1.0).abs() < 1e-6,
+        "{last:?}"
+    );
+    assert!(matches!(write_items(&path, &[0.0], &[item], &[]), Err(AnimationError::TooShort(1))));
 }
 
 #[test]

@@ -1,0 +1,99 @@
+//! What binary glTF 2.0 files are made of: numbers in one chunk, a solid, a container.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use serde_json::{Value, json};
+
+/// An octahedron of length 1 along -y, its waist at a fifth.
+const CORNERS: [[f32; 3]; 6] = [
+    [0.0, 0.0, 0.0],
+    [0.5, -0.2, 0.0],
+    [0.0, -0.2, 0.5],
+    [-0.5, -0.2, 0.0],
+    [0.0, -0.2, -0.5],
+    [0.0, -1.0, 0.0],
+];
+const FACES: [u16; 24] = [0, 2, 1, 0, 3, 2, 0, 4, 3, 0, 1, 4, 5, 1, 2, 5, 2, 3, 5, 3, 4, 5, 4, 1];
+
+/// The binary chunk as it grows, with its views and accessors.
+#[derive(Default)]
+pub(super) struct Buffer {
+    pub(super) bytes: Vec<u8>,
+    pub(super) views: Vec<Value>,
+    pub(super) accessors: Vec<Value>,
+}
+
+impl Buffer {
+    /// Appends numbers and returns their accessor.
+    pub(super) fn floats(&mut self, kind: &str, width: usize, numbers: &[f32]) -> usize {
+        let bounds = |pick: fn(f32, f32) -> f32| -> Vec<f32> {
+            let column =
+                |i: usize| numbers.iter().skip(i).step_by(width).copied().reduce(pick).unwrap_or(0.0);
+            (0..width).map(column).collect()
+        };
+        let (min, max) = (bounds(f32::min), bounds(f32::max));
+        let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        let accessor = json!({
+            "componentType": 5126, "count": numbers.len() / width, "type": kind, "min": min, "max": max
+        });
+        self.append(&bytes, accessor)
+    }
+
+    /// Appends vectors and returns their accessor.
+    pub(super) fn vectors(&mut self, vectors: impl Iterator<Item = Vector3<f64>>) -> usize {
+        let numbers: Vec<f32> = vectors.flat_map(|v| [v.x, v.y, v.z].map(|part| part as f32)).collect();
+        self.floats("VEC3", 3, &numbers)
+    }
+
+    /// Appends rotations and returns their accessor.
+    pub(super) fn rotations(&mut self, rotations: impl Iterator<Item = UnitQuaternion<f64>>) -> usize {
+        let mut numbers = Vec::new();
+        let mut last: Option<[f64; 4]> = None;
+        for q in rotations {
+            let mut xyzw = [q.i, q.j, q.k, q.w];
+            // Neighbours in one half of the sphere, so that a linear interpolation takes the short way.
+            if last.is_some_and(|last| last.iter().zip(xyzw).map(|(a, b)| a * b).sum::<f64>() < 0.0) {
+                xyzw = xyzw.map(|part| -part);
+            }
+            last = Some(xyzw);
+            numbers.extend(xyzw.map(|part| part as f32));
+        }
+        self.floats("VEC4", 4, &numbers)
+    }
+
+    fn append(&mut self, bytes: &[u8], mut accessor: Value) -> usize {
+        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+        self.views.push(json!({
+            "buffer": 0, "byteOffset": self.bytes.len(), "byteLength": bytes.len()
+        }));
+        self.bytes.extend_from_slice(bytes);
+        accessor["bufferView"] = json!(self.views.len() - 1);
+        self.accessors.push(accessor);
+        self.accessors.len() - 1
+    }
+}
+
+/// An octahedron's primitive: pointed, of length 1 along -y.
+pub(super) fn solid(buffer: &mut Buffer) -> Value {
+    let corners = buffer.floats("VEC3", 3, CORNERS.as_flattened());
+    let faces: Vec<u8> = FACES.iter().flat_map(|index| index.to_le_bytes()).collect();
+    let faces = buffer.append(&faces, json!({"componentType": 5123, "count": FACES.len(), "type": "SCALAR"}));
+    json!({"attributes": {"POSITION": corners}, "indices": faces})
+}
+
+/// Header, JSON chunk, binary chunk, each padded to four bytes.
+pub(super) fn container(mut json: Vec<u8>, mut binary: Vec<u8>) -> Vec<u8> {
+    json.resize(json.len().next_multiple_of(4), b' ');
+    binary.resize(binary.len().next_multiple_of(4), 0);
+    let total = 12 + 8 + json.len() + 8 + binary.len();
+    let mut out = Vec::with_capacity(total);
+    out.extend_from_slice(b"glTF");
+    for number in [2, total as u32, json.len() as u32] {
+        out.extend_from_slice(&number.to_le_bytes());
+    }
+    out.extend_from_slice(b"JSON");
+    out.extend_from_slice(&json);
+    out.extend_from_slice(&(binary.len() as u32).to_le_bytes());
+    out.extend_from_slice(b"BIN\0");
+    out.extend_from_slice(&binary);
+    out
+}
