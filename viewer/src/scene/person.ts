@@ -6,12 +6,14 @@ import type { Link } from "../link";
 import type { Model } from "../model";
 import { BodyFigure } from "./body";
 import { Ghost } from "./ghost";
+import { Room } from "./room";
 import { Scene } from "./scene";
 
 export class Person {
   readonly element: HTMLElement;
   private readonly figure = new BodyFigure();
   private readonly ghost = new Ghost();
+  private readonly room = new Room();
   private scene: Scene | null = null;
   private drawn = -1;
   /** The exercise that is shown, or asked for. */
@@ -57,7 +59,7 @@ export class Person {
     if (changed) this.figure.update(body, height_m);
     if (this.scene === null && !this.element.hasChildNodes()) {
       try {
-        this.scene = new Scene(this.label);
+        this.scene = new Scene(this.label, this.room.group);
         this.scene.scene.add(this.figure.group, this.ghost.group);
         this.element.append(this.scene.canvas);
         this.look();
@@ -65,6 +67,7 @@ export class Person {
         this.element.append(el("p", {}, "This browser has no WebGL, which the picture needs."));
       }
     }
+    if (changed) this.room.under(this.figure.hips);
     const moved = this.ghost.draw(now_ms, this.figure.hips, this.figure.facing, height_m);
     this.scene?.render(changed || moved);
   }
@@ -80,6 +83,7 @@ export class Person {
   private look(): void {
     const { hips, facing } = this.figure;
     const two = this.ghost.group.visible;
+    this.room.place(hips, facing);
     const at = hips.clone().addScaledVector(Ghost.beside(facing), two ? 0.5 : 0);
     const ahead = new Vector3(Math.cos(facing + 0.35), Math.sin(facing + 0.35), 0.12).multiplyScalar(two ? 3.3 : 2.9);
     this.scene?.look(ahead.add(at), at);

@@ -12,8 +12,8 @@ export class Scene {
   private moved = true;
   private fits = false;
 
-  /** `says` is what those hear who do not see it. Throws where the browser has no WebGL. */
-  constructor(says: string) {
+  /** `says` is what those hear who do not see it; `ground` what the others stand on. Throws where the browser has no WebGL. */
+  constructor(says: string, ground: THREE.Object3D = grid()) {
     // The picture is kept between frames, so that it can be copied.
     this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
@@ -24,11 +24,7 @@ export class Scene {
     const sun = new THREE.DirectionalLight(0xffffff, 2);
     sun.position.set(2, -3, 5);
     this.scene.add(new THREE.HemisphereLight(0xffffff, 0x777788, 1.6), sun);
-    const grid = new THREE.GridHelper(6, 24, 0x888888, 0x888888);
-    grid.rotation.x = Math.PI / 2;
-    grid.material.transparent = true;
-    grid.material.opacity = 0.25;
-    this.scene.add(grid);
+    this.scene.add(ground);
     // Asked in every frame, it would lay the page out in every frame.
     new ResizeObserver(() => (this.fits = false)).observe(this.canvas);
     this.canvas.tabIndex = 0;
@@ -68,6 +64,15 @@ export class Scene {
     if (changed || this.moved) this.renderer.render(this.scene, this.camera);
     this.moved = false;
   }
+}
+
+/** A floor to measure by: squares of 25 cm. */
+function grid(): THREE.Object3D {
+  const grid = new THREE.GridHelper(6, 24, 0x888888, 0x888888);
+  grid.rotation.x = Math.PI / 2;
+  grid.material.transparent = true;
+  grid.material.opacity = 0.25;
+  return grid;
 }
 
 export function vector([x, y, z]: Vec3, into = new THREE.Vector3()): THREE.Vector3 {
