@@ -1,5 +1,7 @@
 //! `posed faults study`: Table I and Figs. 8 to 10 of Miller et al. (2006).
 
+#![expect(clippy::disallowed_methods, reason = "how long a training takes is part of the answer")]
+
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
