@@ -35,6 +35,7 @@ mod imus;
 mod info;
 mod keyframes;
 mod man;
+mod number;
 mod orient;
 mod output;
 mod progress;

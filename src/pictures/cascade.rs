@@ -43,12 +43,12 @@ fn curve(svg: &mut Svg, left: f64, title: &str, values_m: &[f64]) {
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), m| (low.min(log(*m)), high.max(log(*m))));
     let (low, high) = (low.floor(), high.ceil().max(low.floor() + 1.0));
-    let x =
-        |k: usize| left + 40.0 + (SIDE - 60.0) * k as f64 / values_m.len().saturating_sub(1).max(1) as f64;
+    let last = values_m.len().saturating_sub(1).max(1);
+    let x = |k: usize| left + 40.0 + (SIDE - 60.0) * k as f64 / last as f64;
     let y = |m: f64| bottom - (bottom - top) * (log(m) - low) / (high - low);
     for power in low as i32..=high as i32 {
         let m = 10f64.powi(power);
-        svg.line([x(0), y(m)], [x(values_m.len().saturating_sub(1).max(1)), y(m)], "#ddd");
+        svg.line([x(0), y(m)], [x(last), y(m)], "#ddd");
         svg.text([left, y(m) + 4.0], &format!("1e{power}"));
     }
     svg.polyline(values_m.iter().enumerate().map(|(k, m)| [x(k), y(*m)]), FILTERED);

@@ -4,10 +4,11 @@ use std::path::PathBuf;
 
 use posed_fusion::faults::{Class, Label};
 use posed_motion::fault_map::{Frames, frame_label};
-use posed_recording::table::{PoseColumns, PoseRow, PoseWriter, TableError, TableWriter};
+use posed_recording::table::{TableError, TableWriter};
 use posed_simulator::figure::{Fault, Figure, SENSORS, Truth, inject};
 
-use super::{Error, WHOLE_FRAME, notify};
+use super::super::number::within;
+use super::{Error, WHOLE_FRAME, notify, write_positions};
 
 /// Which session, and where to write it.
 #[derive(clap::Args)]
@@ -27,38 +28,17 @@ pub(super) struct Args {
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// How tall the person is, m.
-    #[arg(long, default_value_t = 1.75, value_parser = height)]
+    #[arg(long, default_value_t = 1.75, value_parser = within(0.5..2.5, "between 0.5 and 2.5"))]
     height_m: f64,
     /// How many frames; the paper's scripted file F1 has 407.
     #[arg(long, default_value_t = 407, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
     /// Frames a second.
-    #[arg(long, default_value_t = 30.0, value_parser = rate)]
+    #[arg(long, default_value_t = 30.0, value_parser = within(1.0..1000.0, "between 1 and 1000"))]
     rate_hz: f64,
     /// Share of the frames with a faulty sensor, about.
-    #[arg(long, default_value_t = 0.5, value_parser = share)]
+    #[arg(long, default_value_t = 0.5, value_parser = within(0.0..0.95, "between 0 and 0.95"))]
     share: f64,
-}
-
-fn within(text: &str, range: std::ops::Range<f64>) -> Result<f64, String> {
-    let number: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
-    if range.contains(&number) {
-        Ok(number)
-    } else {
-        Err(format!("between {} and {}", range.start, range.end))
-    }
-}
-
-fn height(text: &str) -> Result<f64, String> {
-    within(text, 0.5..2.5)
-}
-
-fn rate(text: &str) -> Result<f64, String> {
-    within(text, 1.0..1000.0)
-}
-
-fn share(text: &str) -> Result<f64, String> {
-    within(text, 0.0..0.95)
 }
 
 pub(super) fn run(args: &Args) -> Result<(), Error> {
@@ -67,26 +47,13 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
     let truth = inject(&mut positions_m, SENSORS.len(), rate_hz, seed, args.share, &Fault::ALL);
     let t_s = (0..args.frames).map(|frame| f64::from(frame) / rate_hz).collect();
     let frames = Frames { sensors: SENSORS.map(str::to_owned).into(), t_s, positions_m };
-    write_positions(args, &frames).map_err(Error::failed)?;
+    write_positions(&args.output, &frames, |_, p| Some(p)).map_err(Error::failed)?;
     if let Some(path) = &args.truth {
         let write = || write_truth(TableWriter::create(path, &["t", "sensor", "class"])?, &frames, &truth);
         write().map_err(Error::failed)?;
     }
     notify(&format!("{} frames to {}", frames.len(), args.output.display()));
     Ok(())
-}
-
-fn write_positions(args: &Args, frames: &Frames) -> Result<(), TableError> {
-    let columns = PoseColumns { sensor: true, ..PoseColumns::default() };
-    let mut table = PoseWriter::create(&args.output, columns)?;
-    for (k, t_s) in frames.t_s.iter().enumerate() {
-        for (sensor, p) in frames.frame(k).chunks_exact(3).enumerate() {
-            let position_m = Some([p[0], p[1], p[2]]);
-            let row = PoseRow { t_s: *t_s, sensor, position_m, orientation_wxyz: None, state: None };
-            table.row(&frames.sensors[sensor], &row)?;
-        }
-    }
-    table.finish()
 }
 
 fn write_truth(mut table: TableWriter, frames: &Frames, truth: &[Truth]) -> Result<(), TableError> {

@@ -307,17 +307,26 @@ fn write_labels(
 
 /// What is left once inverted positions are mirrored back and anomalous ones are gone.
 fn write_repaired(path: &Path, frames: &Frames, labels: &Labels) -> Result<(), TableError> {
+    write_positions(path, frames, |at, p| {
+        let label = labels.sensors[at];
+        let is_left = !matches!(label.class, Class::Anomalous | Class::Unknown);
+        is_left.then(|| label.mirror().map_or(p, |mirror| mirror.apply(p)))
+    })
+}
+
+/// Writes what `keep` leaves of each position, by its place among all, frame by frame.
+fn write_positions(
+    path: &Path,
+    frames: &Frames,
+    keep: impl Fn(usize, [f64; 3]) -> Option<[f64; 3]>,
+) -> Result<(), TableError> {
     let columns = PoseColumns { sensor: true, ..PoseColumns::default() };
     let mut table = PoseWriter::create(path, columns)?;
     let sensors = frames.sensors.len();
     for (k, t_s) in frames.t_s.iter().enumerate() {
         for (sensor, p) in frames.frame(k).chunks_exact(3).enumerate() {
-            let label = labels.sensors[k * sensors + sensor];
-            if matches!(label.class, Class::Anomalous | Class::Unknown) {
-                continue;
-            }
-            let p = [p[0], p[1], p[2]];
-            let position_m = Some(label.mirror().map_or(p, |mirror| mirror.apply(p)));
+            let Some(position_m) = keep(k * sensors + sensor, [p[0], p[1], p[2]]) else { continue };
+            let position_m = Some(position_m);
             let row = PoseRow { t_s: *t_s, sensor, position_m, orientation_wxyz: None, state: None };
             table.row(&frames.sensors[sensor], &row)?;
         }

@@ -8,6 +8,7 @@ use posed_field::PoleRun;
 use posed_recording::table::{TableError, TableWriter};
 use serde::{Deserialize, Serialize};
 
+use super::super::number::within;
 use super::{Error, notify, output, print, print_json};
 use crate::pictures;
 
@@ -26,7 +27,7 @@ pub(super) struct Published {
     #[arg(long, value_name = "N", default_value_t = ROUNDS, value_parser = clap::value_parser!(u8).range(1..=50))]
     rounds: u8,
     /// Spacing of a grid on which the filtered positions are interpolated before the network learns them, m.
-    #[arg(long, value_name = "M", value_parser = spacing)]
+    #[arg(long, value_name = "M", value_parser = within(0.01..=1.0, "between 0.01 and 1 m"))]
     grid_m: Option<f64>,
     /// Where to write each sensor as it was measured, filtered and corrected:
     /// t,sensor,x,y,z,filtered_x,...,corrected_x,...
@@ -53,11 +54,6 @@ impl Published {
             || self.trajectories.is_some()
             || self.picture.is_some()
     }
-}
-
-fn spacing(text: &str) -> Result<f64, String> {
-    let spacing_m: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
-    if (0.01..=1.0).contains(&spacing_m) { Ok(spacing_m) } else { Err("between 0.01 and 1 m".into()) }
 }
 
 /// What the command writes, and `posed field correct` reads.

@@ -85,15 +85,13 @@ pub(super) fn run(args: Find) -> Result<(), Error> {
             if let Some(spline) = &spline {
                 stretch.resample(spline, sensor.orientation, &mut resampled);
             }
-            if let Some(path) =
-                args.picture.as_deref().filter(|_| index == 0 && stretch.start == sensor.longest())
-            {
-                draw(path, name, &method, stretch, &trace, &keys, spline.as_ref())?;
-            }
-            if let Some(path) =
-                args.animation.as_deref().filter(|_| index == 0 && stretch.start == sensor.longest())
-            {
-                animate(path, &ticks, stretch, &keys, spline.as_ref())?;
+            if index == 0 && stretch.start == sensor.longest() {
+                if let Some(path) = &args.picture {
+                    draw(path, name, &method, stretch, &trace, &keys, spline.as_ref())?;
+                }
+                if let Some(path) = &args.animation {
+                    animate(path, &ticks, stretch, &keys, spline.as_ref())?;
+                }
             }
             found.extend(keys.into_iter().map(|key| Found { start: stretch.start, sensor: index, key }));
         }

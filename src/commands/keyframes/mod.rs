@@ -4,6 +4,7 @@ mod find;
 mod generate;
 mod study;
 
+use super::number::positive;
 use super::{Error, notify, output, print, print_json};
 
 /// Where to look, and how; or gestures to try it on.
@@ -38,11 +39,6 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
         (None, Some(args)) => find::run(args),
         (None, None) => Err(Error::Usage("name a file of poses, or `generate` or `study`".into())),
     }
-}
-
-fn positive(text: &str) -> Result<f64, String> {
-    let number: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
-    if number.is_finite() && number > 0.0 { Ok(number) } else { Err(format!("{number} is not above 0")) }
 }
 
 /// How the pieces of a gesture look.

@@ -3,12 +3,13 @@
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
-use super::gltf::{Buffer, container, solid};
+use super::gltf::{Buffer, Channels, Contents, file, solid};
 use super::{Frame, children, end_m, offset_m};
 use posed_fusion::body::{BodySegment, SEGMENTS, Skeleton};
 
 /// Width of a segment's solid, m.
 const WIDTH_M: f64 = 0.05;
+
 pub(super) fn bytes(skeleton: &Skeleton, frames: &[Frame]) -> Vec<u8> {
     let mut buffer = Buffer::default();
     let solid = solid(&mut buffer);
@@ -16,11 +17,7 @@ pub(super) fn bytes(skeleton: &Skeleton, frames: &[Frame]) -> Vec<u8> {
     let times: Vec<f32> = frames.iter().map(|frame| (frame.t_s - begin_s) as f32).collect();
     let times = buffer.floats("SCALAR", 1, &times);
 
-    let (mut samplers, mut channels) = (Vec::new(), Vec::new());
-    let mut channel = |node: usize, path: &str, output: usize| {
-        channels.push(json!({"sampler": samplers.len(), "target": {"node": node, "path": path}}));
-        samplers.push(json!({"input": times, "output": output, "interpolation": "LINEAR"}));
-    };
+    let mut channels = Channels::new(times);
     for segment in BodySegment::ALL {
         let index = segment.index();
         let own = frames.iter().map(|frame| {
@@ -28,23 +25,18 @@ pub(super) fn bytes(skeleton: &Skeleton, frames: &[Frame]) -> Vec<u8> {
             segment.parent().map_or(own, |parent| frame.orientations[parent.index()].inverse() * own)
         });
         let output = buffer.rotations(own);
-        channel(index, "rotation", output);
+        channels.push(index, "rotation", output);
     }
     let output = buffer.vectors(frames.iter().map(|frame| frame.pelvis_m));
-    channel(BodySegment::Pelvis.index(), "translation", output);
-
-    let document = json!({
-        "asset": {"version": "2.0", "generator": concat!("posed ", env!("CARGO_PKG_VERSION"))},
-        "scene": 0,
-        "scenes": [{"nodes": [BodySegment::Pelvis.index()]}],
-        "nodes": nodes(skeleton),
-        "meshes": [{"primitives": [solid]}],
-        "animations": [{"name": "body", "samplers": samplers, "channels": channels}],
-        "buffers": [{"byteLength": buffer.bytes.len()}],
-        "bufferViews": buffer.views,
-        "accessors": buffer.accessors,
-    });
-    container(document.to_string().into_bytes(), buffer.bytes)
+    channels.push(BodySegment::Pelvis.index(), "translation", output);
+    let contents = Contents {
+        name: "body",
+        roots: vec![BodySegment::Pelvis.index()],
+        nodes: nodes(skeleton),
+        meshes: vec![json!({"primitives": [solid]})],
+        materials: Vec::new(),
+    };
+    file(contents, channels, buffer)
 }
 
 /// Segments first, by their index, then a solid for each.

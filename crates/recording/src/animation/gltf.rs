@@ -17,9 +17,9 @@ const FACES: [u16; 24] = [0, 2, 1, 0, 3, 2, 0, 4, 3, 0, 1, 4, 5, 1, 2, 5, 2, 3, 
 /// The binary chunk as it grows, with its views and accessors.
 #[derive(Default)]
 pub(super) struct Buffer {
-    pub(super) bytes: Vec<u8>,
-    pub(super) views: Vec<Value>,
-    pub(super) accessors: Vec<Value>,
+    bytes: Vec<u8>,
+    views: Vec<Value>,
+    accessors: Vec<Value>,
 }
 
 impl Buffer {
@@ -80,8 +80,59 @@ pub(super) fn solid(buffer: &mut Buffer) -> Value {
     json!({"attributes": {"POSITION": corners}, "indices": faces})
 }
 
+/// What moves which nodes, at times that all share.
+pub(super) struct Channels {
+    times: usize,
+    samplers: Vec<Value>,
+    channels: Vec<Value>,
+}
+
+impl Channels {
+    /// Of an animation whose times, s, are that accessor's.
+    pub(super) fn new(times: usize) -> Self {
+        Self { times, samplers: Vec::new(), channels: Vec::new() }
+    }
+
+    /// Moves a node by the numbers of an accessor: its `rotation` or `translation`.
+    pub(super) fn push(&mut self, node: usize, path: &str, output: usize) {
+        self.channels.push(json!({"sampler": self.samplers.len(), "target": {"node": node, "path": path}}));
+        self.samplers.push(json!({"input": self.times, "output": output, "interpolation": "LINEAR"}));
+    }
+}
+
+/// What is in a file beside its numbers and its one animation.
+pub(super) struct Contents<'a> {
+    pub(super) name: &'a str,
+    /// Nodes that hang below no other.
+    pub(super) roots: Vec<usize>,
+    pub(super) nodes: Vec<Value>,
+    pub(super) meshes: Vec<Value>,
+    pub(super) materials: Vec<Value>,
+}
+
+/// The bytes of a file.
+pub(super) fn file(contents: Contents<'_>, channels: Channels, buffer: Buffer) -> Vec<u8> {
+    let Contents { name, roots, nodes, meshes, materials } = contents;
+    let mut document = json!({
+        "asset": {"version": "2.0", "generator": concat!("posed ", env!("CARGO_PKG_VERSION"))},
+        "scene": 0,
+        "scenes": [{"nodes": roots}],
+        "nodes": nodes,
+        "meshes": meshes,
+        "animations": [{"name": name, "samplers": channels.samplers, "channels": channels.channels}],
+        "buffers": [{"byteLength": buffer.bytes.len()}],
+        "bufferViews": buffer.views,
+        "accessors": buffer.accessors,
+    });
+    // An empty list is against the format.
+    if !materials.is_empty() {
+        document["materials"] = json!(materials);
+    }
+    container(document.to_string().into_bytes(), buffer.bytes)
+}
+
 /// Header, JSON chunk, binary chunk, each padded to four bytes.
-pub(super) fn container(mut json: Vec<u8>, mut binary: Vec<u8>) -> Vec<u8> {
+fn container(mut json: Vec<u8>, mut binary: Vec<u8>) -> Vec<u8> {
     json.resize(json.len().next_multiple_of(4), b' ');
     binary.resize(binary.len().next_multiple_of(4), 0);
     let total = 12 + 8 + json.len() + 8 + binary.len();

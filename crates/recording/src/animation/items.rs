@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Vector3};
 use serde_json::{Value, json};
 
 use super::AnimationError;
-use super::gltf::{Buffer, container, solid};
+use super::gltf::{Buffer, Channels, Contents, file, solid};
 use crate::atomic_file::AtomicFile;
 use posed_fusion::body::upright;
 
@@ -70,7 +70,7 @@ fn bytes(times_s: &[f64], items: &[Item], lines: &[Line]) -> Vec<u8> {
     let times = buffer.floats("SCALAR", 1, &times);
     let length_m = length_m(items);
     let (mut nodes, mut meshes, mut materials) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut samplers, mut channels) = (Vec::new(), Vec::new());
+    let mut channels = Channels::new(times);
     for item in items {
         let colour = material(&mut materials, item.colour);
         let mut primitive = solid.clone();
@@ -83,12 +83,10 @@ fn bytes(times_s: &[f64], items: &[Item], lines: &[Line]) -> Vec<u8> {
         }));
         let turned = item.poses.iter().map(|pose| up * pose.rotation);
         let moved = item.poses.iter().map(|pose| up * pose.translation.vector);
-        for (target, output) in
-            [("rotation", buffer.rotations(turned)), ("translation", buffer.vectors(moved.clone()))]
-        {
-            channels.push(json!({"sampler": samplers.len(), "target": {"node": node, "path": target}}));
-            samplers.push(json!({"input": times, "output": output, "interpolation": "LINEAR"}));
-        }
+        let output = buffer.rotations(turned);
+        channels.push(node, "rotation", output);
+        let output = buffer.vectors(moved.clone());
+        channels.push(node, "translation", output);
         let way = format!("{} path", item.name);
         line(&mut buffer, &mut nodes, &mut meshes, &way, colour, moved);
     }
@@ -97,19 +95,8 @@ fn bytes(times_s: &[f64], items: &[Item], lines: &[Line]) -> Vec<u8> {
         let points = each.points_m.iter().map(|p| up * p);
         line(&mut buffer, &mut nodes, &mut meshes, &each.name, colour, points);
     }
-    let document = json!({
-        "asset": {"version": "2.0", "generator": concat!("posed ", env!("CARGO_PKG_VERSION"))},
-        "scene": 0,
-        "scenes": [{"nodes": (0..nodes.len()).collect::<Vec<_>>()}],
-        "nodes": nodes,
-        "meshes": meshes,
-        "materials": materials,
-        "animations": [{"name": "motion", "samplers": samplers, "channels": channels}],
-        "buffers": [{"byteLength": buffer.bytes.len()}],
-        "bufferViews": buffer.views,
-        "accessors": buffer.accessors,
-    });
-    container(document.to_string().into_bytes(), buffer.bytes)
+    let roots = (0..nodes.len()).collect();
+    file(Contents { name: "motion", roots, nodes, meshes, materials }, channels, buffer)
 }
 
 /// Adds a node with a line through points.
