@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::time::Duration;
 
-use tokio::sync::mpsc::error::TrySendError;
+use tokio::time::timeout;
 
 use super::client::{Dialect, Received};
 use super::distributor::{self, ClientId};
@@ -14,6 +15,9 @@ use posed_protocol::{
     encode, parse,
 };
 use posed_stage::Role;
+
+/// How long a request waits for a place among those that are handed on.
+const A_MOMENT: Duration = Duration::from_millis(100);
 
 /// A client's request that the daemon carries out.
 #[derive(Debug)]
@@ -139,7 +143,7 @@ impl Requests {
         self.shared.commands.send(Command::Client(command)).await.map_err(|_| Close::SHUTDOWN)
     }
 
-    fn call(&self, id: RequestId, call: Call) {
+    async fn call(&self, id: RequestId, call: Call) {
         let reply = Reply::new(Arc::clone(&self.outbox), id);
         if !self.shared.operable {
             reply.error("hub", "a hub shows its stages; ask the daemon of the stage itself for this");
@@ -152,13 +156,12 @@ impl Requests {
             );
             return;
         }
-        match self.shared.calls.try_send(PendingCall { call, reply }) {
-            Ok(()) => {}
-            Err(TrySendError::Full(PendingCall { reply, .. })) => {
-                reply.error("busy", "too many requests are waiting; try again in a moment");
-            }
+        // In turn, so that who asks without end takes nobody's place.
+        match timeout(A_MOMENT, self.shared.calls.reserve()).await {
+            Ok(Ok(place)) => place.send(PendingCall { call, reply }),
+            Err(_) => reply.error("busy", "too many requests are waiting; try again in a moment"),
             // Its reply says so as it is dropped.
-            Err(TrySendError::Closed(_)) => {}
+            Ok(Err(_)) => {}
         }
     }
 }
@@ -177,7 +180,7 @@ impl Dialect for Requests {
             Ok((id, Request::Feed(feed))) => {
                 self.report(distributor::Command::Feed { client: self.id, id, feed }).await?;
             }
-            Ok((id, Request::Call(call))) => self.call(id, call),
+            Ok((id, Request::Call(call))) => self.call(id, call).await,
             Err(ParseError { id, code, message }) => {
                 let error = ErrorReply { id, code: code.into(), message };
                 let bytes = encode::whole(self.outbox.encoding(), &ServerMessage::Error(error));
@@ -273,6 +276,25 @@ mod tests {
         assert_eq!(ids(&answered), (0..CALLS).collect::<Vec<_>>());
         ask(&mut other, 7).await;
         assert!(calls.try_recv().is_ok());
+    }
+
+    #[tokio::test]
+    async fn who_asks_while_another_has_taken_all_places_waits_a_moment_and_is_heard() {
+        let StageServices { shared, commands: _commands, mut calls, .. } = stage();
+        let (mut asking, mut other) = (operator(&shared).await, operator(&shared).await);
+        for id in 0..CALLS {
+            ask(&mut asking, id).await;
+        }
+        let outbox = Arc::clone(&other.outbox);
+        let mut one_more = pin!(ask(&mut other, 7));
+        assert!(one_more.as_mut().now_or_never().is_none());
+        calls.try_recv().unwrap().reply.ok(None);
+        one_more.await;
+        while let Ok(PendingCall { reply, .. }) = calls.try_recv() {
+            reply.ok(None);
+        }
+        let answered = received(&outbox).split_off(1);
+        assert_eq!((answered[0]["type"].as_str(), ids(&answered)), (Some("ok"), vec![7]));
     }
 
     #[tokio::test]
