@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The experiments of Cheema et al. 2019 on made-up sequences: label noise, noise and masks at borders, width 5.
 
-usage: experiments.py WORK [--posed PATH] [--primitives] [--only NETWORK ...] [--folds FOLD ...]   runs what is not in WORK/results.jsonl yet
+usage: experiments.py WORK [--posed PATH] [--primitives] [--prepare] [--only NETWORK ...] [--folds FOLD ...]   runs what is not in WORK/results.jsonl yet
        experiments.py WORK --table                                                  prints what is
 
 Several may run at once, on networks or folds of their own.
@@ -278,6 +278,7 @@ def main():
     parser.add_argument("work", type=pathlib.Path)
     parser.add_argument("--posed", default="target/release/posed")
     parser.add_argument("--primitives", action="store_true")
+    parser.add_argument("--prepare", action="store_true", help="write WORK/local and stop")
     parser.add_argument("--only", nargs="+", default=["dt-fcn", TWIN, *PEERS])
     parser.add_argument("--folds", nargs="+", type=int, default=list(range(FOLDS)))
     parser.add_argument("--table", action="store_true")
@@ -295,6 +296,8 @@ def main():
             subprocess.run([args.posed, "segments", "generate", made, "--sequences", str(SEQUENCES), *kind], check=True)
             for source in sorted(pathlib.Path(made).glob("*.csv.gz")):
                 localise(source, local / source.name)
+    if args.prepare:
+        return
     known = [{k: r[k] for k in ("network", "width", "noise", "border", "mask", "fold")} for r in results]
     for run in grid():
         if run in known or run["network"] not in args.only or run["fold"] not in args.folds:
@@ -308,7 +311,7 @@ def main():
         print(answer, flush=True)
 
 
-if len(sys.argv) > 2 and sys.argv[1] == "--run":
+if __name__ == "__main__" and len(sys.argv) > 2 and sys.argv[1] == "--run":
     print(json.dumps(one(pathlib.Path(sys.argv[3]), sys.argv[4], json.loads(sys.argv[2]))))
-else:
+elif __name__ == "__main__":
     main()
