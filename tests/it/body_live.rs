@@ -14,10 +14,10 @@ use posed_simulator::motion::{Motion, Person};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input};
-use posed_stage::output::{Body, OutcomeKind, PositionSource, SegmentState, SensorState};
+use posed_stage::output::{Body, Estimate, OutcomeKind, PositionSource, SegmentState, SensorState};
 use posed_stage::signals::{self, BodyColumns};
 
-use posed_rig::{Rig, Said, demo, replay};
+use posed_rig::{Rig, Said, Sleepy, demo, replay};
 
 const HEIGHT_M: f64 = 1.8;
 
@@ -402,4 +402,20 @@ fn the_demo_begins_without_a_fault_or_a_loss() {
     }
     let last = rig.estimates().last().unwrap();
     assert!(last.sensors.iter().all(|sensor| sensor.state == SensorState::Ok), "{last:?}");
+}
+
+/// A record that a busy host reads too late for its frame is missing there; a fault is what lasts.
+#[test]
+fn a_busy_host_makes_gaps_and_no_sensor_is_missing() {
+    let (_, mut rig) = demo();
+    rig.host.sleepy = Some(Sleepy::new(3, 0.02, 40.0, 5.0));
+    rig.run_until(20.0);
+    let is_gap = |estimate: &&Estimate| estimate.sensors[..3].iter().any(|s| s.state == SensorState::Missing);
+    assert!(rig.estimates().filter(is_gap).count() > 3);
+    let is_missing = |said: &&Said| {
+        let missing = |what: &OutcomeKind| matches!(what, OutcomeKind::Fault { cause: Cause::Missing, .. });
+        matches!(said, Said::Outcome(outcome) if missing(&outcome.what))
+    };
+    let missing: Vec<_> = rig.emitted.iter().filter(is_missing).collect();
+    assert!(missing.is_empty(), "{missing:?}");
 }

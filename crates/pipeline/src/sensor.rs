@@ -18,6 +18,9 @@ use posed_stage::output::{
     Measured, Outcome, OutcomeKind, Output, PoseEstimate, SensorEstimate, SensorLabel, SensorState,
 };
 
+/// A sensor of which nothing came for so long is missing, s.
+const MISSING_S: f64 = 0.1;
+
 /// By what a sensor is estimated.
 #[derive(Clone, Debug, State)]
 enum Kind {
@@ -41,6 +44,10 @@ pub(super) struct Sensor {
     fault: Option<Cause>,
     /// A record was outside the gate.
     gated: Debounce,
+    /// A record was due and did not come; the time over which none did, less that in which they did, s; and the last frame with one due.
+    awaited: Debounce,
+    missing_s: f64,
+    frame_at: Option<Timestamp>,
     /// The cause that has last been published.
     published: Option<Cause>,
     moving: bool,
@@ -78,6 +85,9 @@ impl Sensor {
             state: SensorState::Missing,
             fault: None,
             gated: Debounce::default(),
+            awaited: Debounce::default(),
+            missing_s: 0.0,
+            frame_at: None,
             published: None,
             moving: false,
             repairs,
@@ -183,9 +193,20 @@ impl Sensor {
         if let Kind::Magnetic(magnetic) = &mut self.kind {
             magnetic.begin_frame();
         }
-        // Where nothing was due, nothing is wrong that was not wrong before.
+        // Where nothing was due, nothing is wrong that was not wrong before. Records that a line lost or a busy host read late are counted, and no fault.
         if slot.expected() {
-            self.fault = Some(Cause::Missing);
+            let is_missing = slot.samples.is_empty();
+            let since_s = self.frame_at.map_or(0.0, |at| frame.t_valid.seconds_since(at));
+            self.frame_at = Some(frame.t_valid);
+            self.missing_s = if is_missing {
+                (self.missing_s + since_s).min(2.0 * MISSING_S)
+            } else {
+                (self.missing_s - since_s).max(0.0)
+            };
+            self.awaited.push(is_missing);
+            if self.missing_s >= MISSING_S && self.awaited.lasts() {
+                self.fault = Some(Cause::Missing);
+            }
         }
         let mut finding: Option<Finding> = None;
         for sample in &slot.samples {
