@@ -22,6 +22,7 @@ fn frames(sensors: usize, count: usize) -> Frames {
         positions_m: (0..count)
             .flat_map(|k| (0..sensors).flat_map(move |s| (0..3).map(move |axis| coordinate(k, s, axis))))
             .collect(),
+        ..Frames::default()
     }
 }
 

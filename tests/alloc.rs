@@ -13,7 +13,7 @@ use posed_motion::exercise::{Exercise, Options, Stream, teach};
 use posed_motion::fault_map::Frames;
 use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
-use posed_pipeline::{Pipeline, raw_positions};
+use posed_pipeline::{Pipeline, raw_poses};
 use posed_recording::{Header, Writer};
 use posed_rig::counting::{Counting, allocations, live_bytes};
 use posed_rig::{Rig, demo, demo_stage, field_map, leg, stage};
@@ -83,7 +83,7 @@ fn faults(stage_file: &Stage, scenario: &Scenario) -> FaultMap {
     let mut frames = Frames { sensors, ..Frames::default() };
     for estimate in rig.estimates().filter(|estimate| estimate.t_valid.as_secs_f64() > 4.0) {
         frames.t_s.push(estimate.t_valid.as_secs_f64());
-        raw_positions(estimate, &[0, 1, 2], |p| frames.positions_m.extend(p));
+        raw_poses(estimate, &[0, 1, 2], |pose| pose.append_to(&mut frames));
     }
     let training = Training { epochs: 4, ..Training::default() };
     FaultMap::train(&frames, Size { neurons: 11, side: 5 }, &training).expect("frames").0

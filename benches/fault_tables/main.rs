@@ -14,7 +14,7 @@ use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
 use posed_motion::fault_map::{Rules, frame_label};
 use posed_recording::table::{SequenceOptions, Sequences, Unit, Up};
-use posed_simulator::figure::{Fault, Figure, SENSORS, Truth, inject};
+use posed_simulator::figure::{Fault, Figure, Poses, SENSORS, Truth, inject};
 
 /// Frames by true class and by what was said.
 #[derive(Clone, Copy, Default)]
@@ -39,7 +39,7 @@ fn class(truth: Truth) -> Class {
     match truth {
         Truth::Clean => Class::Clean,
         Truth::Inverted | Truth::InvertedVertically => Class::Inverted,
-        Truth::Stuck | Truth::Jump | Truth::Disturbed => Class::Anomalous,
+        Truth::Stuck | Truth::Jump | Truth::Disturbed | Truth::Drifted => Class::Anomalous,
     }
 }
 
@@ -70,16 +70,20 @@ struct Session {
 struct Tables {
     by_class: [Table; 3],
     /// Faulty frames of each kind, and how many of them each called bad.
-    by_kind: [[usize; 4]; 5],
+    by_kind: [[usize; 4]; 6],
 }
 
 impl Session {
-    fn new(sensors: Vec<String>, mut positions_m: Vec<f64>, rate_hz: f64, seed: u64, share: f64) -> Self {
-        let truth = inject(&mut positions_m, sensors.len(), rate_hz, seed, share, &Fault::ALL);
+    /// Without orientations nothing drifts: nobody sees it there.
+    fn new(sensors: Vec<String>, poses: Poses, rate_hz: f64, seed: u64, share: f64) -> Self {
+        let Poses { mut positions_m, mut orientations_wxyz } = poses;
+        let faults = if orientations_wxyz.is_empty() { &Fault::STEPWISE[..] } else { &Fault::ALL };
+        let truth =
+            inject(&mut positions_m, &mut orientations_wxyz, sensors.len(), rate_hz, seed, share, faults);
         let classes = classes(&truth, sensors.len());
         let kinds = kinds(&truth, sensors.len());
         let t_s = (0..classes.len()).map(|k| k as f64 / rate_hz).collect();
-        Self { frames: Frames { sensors, t_s, positions_m }, classes, kinds }
+        Self { frames: Frames { sensors, t_s, positions_m, orientations_wxyz }, classes, kinds }
     }
 
     /// One recording of several, with a second in which nothing is seen between them.
@@ -96,12 +100,12 @@ impl Session {
             kinds.extend(std::iter::repeat_n(Truth::Clean, gap));
         }
         let t_s = (0..classes.len()).map(|k| k as f64 / rate_hz).collect();
-        Self { frames: Frames { sensors, t_s, positions_m }, classes, kinds }
+        Self { frames: Frames { sensors, t_s, positions_m, ..Frames::default() }, classes, kinds }
     }
 
     fn of_figure(seed: u64, height_m: f64, frames: usize, share: f64) -> Self {
         let figure = Figure { seed, height_m, rate_hz: 60.0, frames };
-        Self::new(SENSORS.map(str::to_owned).into(), figure.positions_m(), 60.0, seed, share)
+        Self::new(SENSORS.map(str::to_owned).into(), figure.poses(), 60.0, seed, share)
     }
 
     fn train(&self) -> Option<FaultMap> {
@@ -132,6 +136,7 @@ impl Session {
                 (Class::Anomalous, Truth::Stuck) => 2,
                 (Class::Anomalous, Truth::Jump) => 3,
                 (Class::Anomalous, Truth::Disturbed) => 4,
+                (Class::Anomalous, Truth::Drifted) => 5,
                 _ => continue,
             };
             let counts = &mut tables.by_kind[kind];
@@ -144,8 +149,10 @@ impl Session {
 }
 
 fn print(title: &str, tables: &Tables) {
-    println!("\n| {title} | inverted | anomalous | false | one inverted | one in z | stuck | jump | pull |");
-    println!("|---|---|---|---|---|---|---|---|---|");
+    println!(
+        "\n| {title} | inverted | anomalous | false | one inverted | one in z | stuck | jump | pull | drift |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|");
     for (who, (table, name)) in tables.by_class.iter().zip(["rules alone", "map alone", "both"]).enumerate() {
         let share = |counts: &[usize; 4]| counts[who + 1] as f64 / counts[0].max(1) as f64;
         let kinds: Vec<String> =
@@ -175,7 +182,7 @@ fn capture(path: &Path, rotation_deg: f64, seed: u64, share: f64) -> Option<Sess
     for (k, value) in positions_m.iter_mut().enumerate() {
         *value += offset[k % 3] + 1e-3 * noise.next();
     }
-    Some(Session::new(sensors, positions_m, 120.0, seed, share))
+    Some(Session::new(sensors, Poses { positions_m, orientations_wxyz: Vec::new() }, 120.0, seed, share))
 }
 
 /// Normal numbers (Irwin and Hall) from a fixed seed.

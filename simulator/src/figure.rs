@@ -1,12 +1,12 @@
 //! A walking figure that wears magnetic sensors, and faults put into any recording of positions, with their truth.
 //!
-//! What comes in: a seed, a body's height, a length of time. What goes out: positions in transmitter axes turned z up,
+//! What comes in: a seed, a body's height, a length of time. What goes out: poses in transmitter axes turned z up,
 //! frame by frame, and what was done to each of them. For measuring detectors of faulty frames: several figures of one
 //! stage are sessions and bodies of that stage.
 
 use std::f64::consts::TAU;
 
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::{Isometry3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::random::{Purpose, Random};
 
@@ -32,8 +32,12 @@ pub const SENSORS: [&str; 15] = [
 /// The transmitter's height above the floor, and how far before it the figure walks about, m.
 const TRANSMITTER_M: f64 = 1.0;
 const BEFORE_M: f64 = 1.7;
-/// A position that is mirrored by less than this is where it was, m.
+/// A position that is mirrored, or drawn aside gradually, by less than this is where it was, m.
 const SHOWS_M: f64 = 0.05;
+/// Skin moves over the bones by so much along and about each axis, rms, m and rad, and so often, Hz.
+const SKIN_M: f64 = 6e-3;
+const SKIN_RAD: f64 = 0.035;
+const SKIN_HZ: f64 = 1.0;
 
 /// What was done to a sensor's position in a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,6 +54,8 @@ pub enum Truth {
     Jump,
     /// Drawn aside by 0.15 to 0.3 m, unsteadily, as by metal.
     Disturbed,
+    /// Drawn aside gradually, by up to 0.15 to 0.3 m and back again.
+    Drifted,
 }
 
 /// A session of one person who walks about before the transmitter; the transmitter is 1 m above the floor.
@@ -69,6 +75,9 @@ pub struct Figure {
 struct Wander([(f64, f64); 3]);
 
 impl Wander {
+    /// Its root mean square.
+    const RMS: f64 = 0.59;
+
     fn new(random: &mut Random, rate_hz: f64) -> Self {
         Self(
             [0.6, 1.0, 1.7].map(|factor| {
@@ -84,14 +93,22 @@ impl Wander {
     }
 }
 
+/// What a figure's sensors report, in the order of [`SENSORS`], frame by frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Poses {
+    /// Three numbers a sensor (x ahead of the transmitter, y left, z up), from the transmitter, m.
+    pub positions_m: Vec<f64>,
+    /// Four numbers a sensor: sensor to the same axes, a unit quaternion, scalar first.
+    pub orientations_wxyz: Vec<f64>,
+}
+
 impl Figure {
-    /// Positions of all sensors of [`SENSORS`], three numbers each (x ahead of the transmitter, y left, z up), frame by frame; m,
-    /// from the transmitter.
+    /// Poses of all sensors of [`SENSORS`].
     ///
-    /// Joints move by slow sines; each sensor sits some centimetres off the middle of its segment, anew for each seed. White
-    /// noise grows with the fourth power of the range: 0.4 mm, and 0.12 mm more at 1 m, per axis. Metal and loss of range are not
-    /// modelled.
-    pub fn positions_m(&self) -> Vec<f64> {
+    /// Joints move by slow sines; each sensor sits some centimetres off the middle of its segment and is turned anyhow, anew for each seed, on skin that moves by
+    /// 6 mm and 2 degrees about each axis. White noise grows with the fourth power of the range: 0.4 mm, and 0.12 mm more at 1 m, per axis. Metal and loss of
+    /// range are not modelled.
+    pub fn poses(&self) -> Poses {
         let mut random = Random::new(self.seed, Purpose::Signals(0));
         // Where: x, y, heading, crouching, lean; and each limb: shoulders' swing and lift, elbows, the stride.
         let place: Vec<Wander> =
@@ -100,77 +117,93 @@ impl Figure {
         let (stride_hz, phase) = (0.7 + 0.3 * random.uniform(), TAU * random.uniform());
         // How each sensor sits on its segment in this session.
         let offsets_m: Vec<Vector3<f64>> = SENSORS.map(|_| vector(&mut random) * 0.015).into();
-        let mut positions = Vec::with_capacity(3 * SENSORS.len() * self.frames);
+        let mounts: Vec<UnitQuaternion<f64>> =
+            SENSORS.map(|_| UnitQuaternion::from_scaled_axis(vector(&mut random) * 2.0)).into();
+        let skin: Vec<[Wander; 6]> =
+            SENSORS.map(|_| std::array::from_fn(|_| Wander::new(&mut random, SKIN_HZ))).into();
+        let mut poses = Poses {
+            positions_m: Vec::with_capacity(3 * SENSORS.len() * self.frames),
+            orientations_wxyz: Vec::with_capacity(4 * SENSORS.len() * self.frames),
+        };
         for k in 0..self.frames {
             let t = k as f64 / self.rate_hz;
             let signal = |k: usize| place[k].at(t);
-            let heading = Rotation3::from_axis_angle(&Vector3::z_axis(), 1.5 * signal(2));
+            let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 1.5 * signal(2));
             let stride = libm::sin(TAU * stride_hz * t + phase);
-            let joints = joints(
+            let segments = segments(
                 self.height_m,
                 [0.25 + 0.25 * signal(3), 0.15 * signal(4)],
                 stride * 0.45,
                 &std::array::from_fn(|k| limbs[k].at(t)),
             );
             let root = Vector3::new(BEFORE_M + 0.35 * signal(0), 0.5 * signal(1), -TRANSMITTER_M);
-            for (joint, offset_m) in joints.iter().zip(&offsets_m) {
-                let p = root + heading * (joint + offset_m);
+            for (sensor, segment) in segments.iter().enumerate() {
+                let moved = |first: usize, by: f64| {
+                    Vector3::from_fn(|axis, _| by / Wander::RMS * skin[sensor][first + axis].at(t))
+                };
+                let offset = offsets_m[sensor] + moved(0, SKIN_M);
+                let p = root + heading * (segment.translation.vector + segment.rotation * offset);
                 // Noise grows with the fourth power of the distance.
                 let sigma = 4e-4 + 1.2e-4 * p.norm().powi(4);
                 let p = p + vector(&mut random) * sigma;
-                positions.extend(p.iter());
+                poses.positions_m.extend(p.iter());
+                let tilt = UnitQuaternion::from_scaled_axis(moved(3, SKIN_RAD));
+                let q = heading * segment.rotation * tilt * mounts[sensor];
+                poses.orientations_wxyz.extend([q.w, q.i, q.j, q.k]);
             }
         }
-        positions
+        poses
     }
 }
 
-/// Middles of the segments above the point on the floor where the figure stands, x forward; the order of [`SENSORS`].
-fn joints(height: f64, [crouch, lean]: [f64; 2], stride: f64, limbs: &[f64; 6]) -> [Vector3<f64>; 15] {
-    let down = |angle: f64| Vector3::new(libm::sin(angle), 0.0, -libm::cos(angle));
+/// Middles and rotations of the segments from the point on the floor where the figure stands, x forward; the order of [`SENSORS`].
+fn segments(height: f64, [crouch, lean]: [f64; 2], stride: f64, limbs: &[f64; 6]) -> [Isometry3<f64>; 15] {
+    // A segment hangs down, and is swung forward.
+    let swung = |angle: f64| Rotation3::from_axis_angle(&Vector3::y_axis(), -angle);
+    let hanging = |rotation: &Rotation3<f64>, by: f64| rotation * Vector3::new(0.0, 0.0, -by);
+    let at = |p: Vector3<f64>, rotation: Rotation3<f64>| Isometry3::from_parts(p.into(), rotation.into());
     let (thigh, shank) = (0.245 * height, 0.246 * height);
     let knee = crouch.clamp(0.0, 0.8);
     let hip_z = 0.04 * height + thigh * libm::cos(knee) + shank * libm::cos(knee);
     let pelvis = Vector3::new(0.0, 0.0, hip_z);
-    let up = Vector3::new(libm::sin(lean), 0.0, libm::cos(lean));
+    let trunk = swung(-lean);
+    let up = trunk * Vector3::z();
     let neck = pelvis + up * 0.288 * height;
     let arm = |side: f64, swing: f64, lift: f64, bend: f64| {
         let shoulder = neck + Vector3::new(0.0, side * 0.129 * height, -0.02 * height);
         let sideways =
             Rotation3::from_axis_angle(&Vector3::x_axis(), side * (0.25 + 0.5 * (1.0 + lift)).min(1.5));
-        let (upper, lower) = (sideways * down(swing), sideways * down(swing + 0.9 + 0.8 * bend));
-        let elbow = shoulder + upper * 0.186 * height;
-        let wrist = elbow + lower * 0.146 * height;
-        [shoulder + upper * 0.1 * height, elbow + lower * 0.08 * height, wrist + lower * 0.05 * height]
+        let (upper, lower) = (sideways * swung(swing), sideways * swung(swing + 0.9 + 0.8 * bend));
+        let elbow = shoulder + hanging(&upper, 0.186 * height);
+        let wrist = elbow + hanging(&lower, 0.146 * height);
+        [
+            at(shoulder + hanging(&upper, 0.1 * height), upper),
+            at(elbow + hanging(&lower, 0.08 * height), lower),
+            at(wrist + hanging(&lower, 0.05 * height), lower),
+        ]
     };
     let leg = |side: f64, swing: f64| {
         let hip = pelvis + Vector3::new(0.0, side * 0.095 * height, 0.0);
-        let forward = swing + knee;
-        let back = swing - knee - 0.6 * (-swing).max(0.0);
-        let knee_p = hip + down(forward) * thigh;
-        let ankle = knee_p + down(back) * shank;
-        [hip + down(forward) * 0.5 * thigh, knee_p + down(back) * 0.5 * shank, ankle + Vector3::x() * 0.08]
+        let upper = swung(swing + knee);
+        let lower = swung(swing - knee - 0.6 * (-swing).max(0.0));
+        let knee_p = hip + hanging(&upper, thigh);
+        let ankle = knee_p + hanging(&lower, shank);
+        [
+            at(hip + hanging(&upper, 0.5 * thigh), upper),
+            at(knee_p + hanging(&lower, 0.5 * shank), lower),
+            at(ankle + Vector3::x() * 0.08, Rotation3::identity()),
+        ]
     };
     let right = arm(-1.0, 0.7 * limbs[0] - 0.5 * stride, limbs[1], limbs[2]);
     let left = arm(1.0, 0.7 * limbs[3] + 0.5 * stride, limbs[4], limbs[5]);
     let (leg_r, leg_l) = (leg(-1.0, stride), leg(1.0, -stride));
-    [
-        pelvis,
-        pelvis + up * 0.2 * height,
-        neck + up * 0.12 * height,
-        right[0],
-        right[1],
-        right[2],
-        left[0],
-        left[1],
-        left[2],
-        leg_r[0],
-        leg_r[1],
-        leg_r[2],
-        leg_l[0],
-        leg_l[1],
-        leg_l[2],
-    ]
+    let [torso, head] = [pelvis + up * 0.2 * height, neck + up * 0.12 * height].map(|p| at(p, trunk));
+    let mut segments = [at(pelvis, Rotation3::identity()); 15];
+    (segments[1], segments[2]) = (torso, head);
+    for (first, limb) in [(3, right), (6, left), (9, leg_r), (12, leg_l)] {
+        segments[first..first + 3].copy_from_slice(&limb);
+    }
+    segments
 }
 
 fn vector(random: &mut Random) -> Vector3<f64> {
@@ -194,11 +227,24 @@ pub enum Fault {
     Jump,
     /// One or two sensors are drawn aside, unsteadily.
     Disturb,
+    /// One sensor is drawn aside gradually, and comes back as it went, over 1 to 6 s.
+    Drift,
 }
 
 impl Fault {
     /// All kinds, in the order above.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
+        Self::InvertAll,
+        Self::InvertOne,
+        Self::InvertAllVertically,
+        Self::InvertOneVertically,
+        Self::Stick,
+        Self::Jump,
+        Self::Disturb,
+        Self::Drift,
+    ];
+    /// Those that show in positions alone: nobody sees a drift there.
+    pub const STEPWISE: [Self; 7] = [
         Self::InvertAll,
         Self::InvertOne,
         Self::InvertAllVertically,
@@ -209,16 +255,18 @@ impl Fault {
     ];
 }
 
-/// Puts faults of 0.5 to 3 s into positions, the kinds in turn, with clean stretches between them so that about
+/// Puts faults of 0.5 to 3 s into poses, the kinds in turn, with clean stretches between them so that about
 /// `share` of the frames (at least 0, below 1) have a faulty sensor. Returns what each sensor of each frame is, frame by frame.
 ///
-/// `positions_m` holds three numbers for each of `sensors` sensors, frame by frame, from the transmitter, m; it is changed in
-/// place. `rate_hz`: frames per second. The same `seed` and input give the same faults; an empty `kinds` gives none.
+/// `positions_m` holds three numbers for each of `sensors` sensors, frame by frame, from the transmitter, m, and `orientations_wxyz` four, or nothing at
+/// all; both are changed in place. Orientations only stick: a mirror leaves them, and a pull is taken to. `rate_hz`: frames per second. The same `seed` and input
+/// give the same faults; an empty `kinds` gives none.
 ///
 /// # Panics
 /// `sensors` is 0.
 pub fn inject(
     positions_m: &mut [f64],
+    orientations_wxyz: &mut [f64],
     sensors: usize,
     rate_hz: f64,
     seed: u64,
@@ -231,7 +279,8 @@ pub fn inject(
     let clean_s = 1.75 * (1.0 - share) / share;
     let mut start = (rate_hz * clean_s * (0.5 + random.uniform())) as usize;
     for kind in kinds.iter().cycle() {
-        let end = start.saturating_add((rate_hz * (0.5 + 2.5 * random.uniform())) as usize);
+        let long = if *kind == Fault::Drift { 2.0 } else { 1.0 };
+        let end = start.saturating_add((rate_hz * long * (0.5 + 2.5 * random.uniform())) as usize);
         if end >= frames || start == 0 {
             break;
         }
@@ -258,6 +307,10 @@ pub fn inject(
                         (Vector3::new(p.x, p.y, -p.z), what)
                     }
                     Fault::Stick => {
+                        if !orientations_wxyz.is_empty() {
+                            let to = 4 * (frame * sensors + sensor);
+                            orientations_wxyz.copy_within(to - 4 * sensors..to - 4 * sensors + 4, to);
+                        }
                         let last = at - 3 * sensors;
                         let last = &positions_m[last..last + 3];
                         (Vector3::new(last[0], last[1], last[2]), Truth::Stuck)
@@ -267,6 +320,11 @@ pub fn inject(
                         let t = frame as f64 / rate_hz;
                         let by = 0.15 + 0.1 * far + 0.05 * pull.at(t);
                         (shifted(by) + vector(&mut random) * 0.01, Truth::Disturbed)
+                    }
+                    Fault::Drift => {
+                        let share = (frame - start) as f64 / (end - start) as f64;
+                        let by = (0.15 + 0.15 * far) * libm::sin(0.5 * TAU * share).powi(2);
+                        (shifted(by), if by > SHOWS_M { Truth::Drifted } else { Truth::Clean })
                     }
                 };
                 positions_m[at..at + 3].copy_from_slice(bad.as_slice());
@@ -287,14 +345,14 @@ mod tests {
     #[test]
     fn a_share_of_nothing_changes_nothing() {
         let mut positions_m = vec![1.0; 3 * 2 * 300];
-        let truth = inject(&mut positions_m, 2, 100.0, 1, 0.0, &Fault::ALL);
+        let truth = inject(&mut positions_m, &mut [], 2, 100.0, 1, 0.0, &Fault::ALL);
         assert!(truth.iter().all(|truth| *truth == Truth::Clean) && positions_m.iter().all(|p| *p == 1.0));
     }
 
     #[test]
     fn it_stands_upright_moves_steadily_and_repeats() {
-        let positions = FIGURE.positions_m();
-        assert_eq!(positions, FIGURE.positions_m());
+        let positions = FIGURE.poses().positions_m;
+        assert_eq!(positions, FIGURE.poses().positions_m);
         let p = |frame: usize, sensor: usize| {
             let at = 3 * (frame * SENSORS.len() + sensor);
             Vector3::from_column_slice(&positions[at..at + 3])
@@ -314,20 +372,27 @@ mod tests {
 
     #[test]
     fn faults_are_where_the_truth_says_and_nowhere_else() {
-        let clean = FIGURE.positions_m();
+        let clean = FIGURE.poses().positions_m;
         let mut bad = clean.clone();
-        let truth = inject(&mut bad, SENSORS.len(), FIGURE.rate_hz, 3, 0.4, &Fault::ALL);
+        let truth = inject(&mut bad, &mut [], SENSORS.len(), FIGURE.rate_hz, 3, 0.4, &Fault::ALL);
         for (k, what) in truth.iter().enumerate() {
             let (a, b) = (&clean[3 * k..3 * k + 3], &bad[3 * k..3 * k + 3]);
             match what {
-                Truth::Clean => assert!(a[..2] == b[..2] && (a[2] - b[2]).abs() <= SHOWS_M),
+                Truth::Clean => assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() <= SHOWS_M)),
                 Truth::InvertedVertically => assert!(a[..2] == b[..2] && a[2] == -b[2]),
                 Truth::Inverted => assert!(a.iter().zip(b).all(|(a, b)| *a == -b)),
                 _ => assert_ne!(a, b),
             }
         }
-        for what in [Truth::Inverted, Truth::InvertedVertically, Truth::Stuck, Truth::Jump, Truth::Disturbed]
-        {
+        let kinds = [
+            Truth::Inverted,
+            Truth::InvertedVertically,
+            Truth::Stuck,
+            Truth::Jump,
+            Truth::Disturbed,
+            Truth::Drifted,
+        ];
+        for what in kinds {
             assert!(truth.contains(&what), "{what:?}");
         }
         let share = truth.chunks(SENSORS.len()).filter(|row| row.iter().any(|t| *t != Truth::Clean)).count();

@@ -9,7 +9,7 @@ use posed_drivers::{LineEvent, Timestamp};
 use posed_motion::fault_map::Frames;
 use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
-use posed_pipeline::{Pipeline, raw_positions, upright};
+use posed_pipeline::{Pipeline, raw_poses};
 use posed_simulator::figure::{Fault, inject};
 use posed_simulator::stage::Output as Virtual;
 use posed_stage::Stage;
@@ -26,12 +26,20 @@ const BAD_SHARE: f64 = 0.4;
 /// Learns the map from frames that are all right.
 fn learn_faults(mut frames: Frames) -> FaultMap {
     let rate_hz = (frames.len() - 1) as f64 / (frames.t_s[frames.len() - 1] - frames.t_s[0]);
-    inject(&mut frames.positions_m, frames.sensors.len(), rate_hz, 1, BAD_SHARE, &Fault::ALL);
+    inject(
+        &mut frames.positions_m,
+        &mut frames.orientations_wxyz,
+        frames.sensors.len(),
+        rate_hz,
+        1,
+        BAD_SHARE,
+        &Fault::ALL,
+    );
     FaultMap::train(&frames, Size::default(), &Training::default()).unwrap().0
 }
 
-/// The raw positions of the magnetic sensors, as the stage itself will see them: every frame that has them all.
-fn positions(stage: &Stage, folder: &Path) -> Result<Frames, Error> {
+/// The raw poses of the magnetic sensors, as the stage itself will see them: every frame that has all their positions.
+fn poses(stage: &Stage, folder: &Path) -> Result<Frames, Error> {
     let indices = stage.magnetic_indices();
     // Only devices that carry such sensors are switched on.
     let is_on = |device: usize| {
@@ -43,16 +51,17 @@ fn positions(stage: &Stage, folder: &Path) -> Result<Frames, Error> {
     let sensors = stage.magnetic_sensors().into_iter().map(str::to_owned).collect();
     let mut frames = Frames { sensors, ..Frames::default() };
     let mut now = Timestamp::ZERO;
-    let mut row = Vec::with_capacity(3 * indices.len());
+    let mut row = Vec::with_capacity(indices.len());
     let mut push = |pipeline: &mut Pipeline, now, input, answers: &mut Vec<(usize, Vec<u8>)>| {
         let room = *pipeline.room_transmitter();
         pipeline.push(&Entry { t: now, input }, &mut |output| match output {
             Output::Transmit { device, bytes } => answers.push((usize::from(device), bytes.to_vec())),
             Output::Estimate(estimate) => {
                 row.clear();
-                raw_positions(estimate, &indices, |p| row.extend(upright(p, &room)));
-                if row.iter().all(|value| value.is_finite()) {
-                    frames.push(estimate.t_valid.as_secs_f64(), &row);
+                raw_poses(estimate, &indices, |pose| row.push(pose.upright(&room)));
+                if row.iter().flat_map(|pose| pose.position_m).all(f64::is_finite) {
+                    frames.t_s.push(estimate.t_valid.as_secs_f64());
+                    row.iter().for_each(|pose| pose.append_to(&mut frames));
                 }
             }
             _ => {}
@@ -94,7 +103,7 @@ mod tests {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
         let mut stage = Stage::parse(include_str!("../../config/demo.toml")).unwrap();
         let path = folder.join(stage.models.faults.take().unwrap());
-        let frames = positions(&stage, &folder).unwrap();
+        let frames = poses(&stage, &folder).unwrap();
         if std::env::var_os("POSED_BLESS").is_some() {
             let learnt = learn_faults(frames.clone());
             std::fs::write(&path, serde_json::to_string(&learnt).unwrap() + "\n").unwrap();

@@ -5,7 +5,7 @@ use posed_motion::fault_map::Frames;
 use posed_motion::fault_map::Training;
 use posed_motion::fault_map::frame_label;
 use posed_motion::fault_map::{FaultMap, Size};
-use posed_simulator::figure::{Fault, Figure, SENSORS, Truth, inject};
+use posed_simulator::figure::{Fault, Figure, Poses, SENSORS, Truth, inject};
 
 const RATE_HZ: f64 = 60.0;
 
@@ -13,20 +13,22 @@ fn class(truth: Truth) -> Class {
     match truth {
         Truth::Clean => Class::Clean,
         Truth::Inverted | Truth::InvertedVertically => Class::Inverted,
-        Truth::Stuck | Truth::Jump | Truth::Disturbed => Class::Anomalous,
+        Truth::Stuck | Truth::Jump | Truth::Disturbed | Truth::Drifted => Class::Anomalous,
     }
 }
 
 fn session(seed: u64, height_m: f64, frames: usize, share: f64) -> (Frames, Vec<Class>) {
-    let mut positions_m = Figure { seed, height_m, rate_hz: RATE_HZ, frames }.positions_m();
-    let truth = inject(&mut positions_m, SENSORS.len(), RATE_HZ, seed, share, &Fault::ALL);
+    let Poses { mut positions_m, mut orientations_wxyz } =
+        Figure { seed, height_m, rate_hz: RATE_HZ, frames }.poses();
+    let sensors = SENSORS.len();
+    let truth = inject(&mut positions_m, &mut orientations_wxyz, sensors, RATE_HZ, seed, share, &Fault::ALL);
     let frame = |row: &[Truth]| {
         let labels: Vec<_> = row.iter().map(|truth| Label { class: class(*truth), cause: None }).collect();
         frame_label(&labels).class
     };
-    let classes = truth.chunks_exact(SENSORS.len()).map(frame).collect();
+    let classes = truth.chunks_exact(sensors).map(frame).collect();
     let t_s = (0..frames).map(|k| k as f64 / RATE_HZ).collect();
-    (Frames { sensors: SENSORS.map(str::to_owned).into(), t_s, positions_m }, classes)
+    (Frames { sensors: SENSORS.map(str::to_owned).into(), t_s, positions_m, orientations_wxyz }, classes)
 }
 
 #[test]

@@ -6,7 +6,7 @@ use posed_fusion::faults::{Cause, Class, Repair};
 use posed_motion::fault_map::Frames;
 use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
-use posed_pipeline::{Pipeline, raw_positions, upright};
+use posed_pipeline::{Pipeline, raw_poses};
 use posed_simulator::faults::Fault;
 use posed_simulator::motion::{Motion, Walk};
 use posed_simulator::scenario::{BodySpec, DeviceScenario, Scenario, SensorScenario};
@@ -59,7 +59,7 @@ fn raw<'a>(rig: &Rig, estimates: impl Iterator<Item = &'a Estimate>) -> Frames {
     let room = rig.pipeline.room_transmitter();
     for estimate in estimates {
         frames.t_s.push(estimate.t_valid.as_secs_f64());
-        raw_positions(estimate, &[0, 1, 2, 3], |p| frames.positions_m.extend(upright(p, room)));
+        raw_poses(estimate, &[0, 1, 2, 3], |pose| pose.upright(room).append_to(&mut frames));
     }
     frames
 }

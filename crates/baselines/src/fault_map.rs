@@ -154,6 +154,7 @@ mod tests {
             positions_m: (0..200)
                 .flat_map(|k| (0..3).flat_map(move |s| (0..3).map(move |axis| coordinate(k, s, axis))))
                 .collect(),
+            ..Frames::default()
         };
         let size = Size { neurons: 11, side: 5 };
         let (ours, labels) = train(&frames, size, &published()).unwrap();

@@ -3,14 +3,14 @@
 //! What comes in: closed frames, in device axes. What goes out: a label per frame, and [`Advice`] per sensor. What it never
 //! does: change a record, or look at a prediction. It states what `posed faults detect` reports about the same positions.
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Quaternion, UnitQuaternion, Vector3};
 use posed_state::{Plain, State};
 
 use crate::frame::Frame;
 use posed_fusion::faults::{Cause, Class, Debounce, Label, Mirror};
-use posed_motion::fault_map::{FaultMap, FaultMapError, Watch};
+use posed_motion::fault_map::{FaultMap, FaultMapError, Frame as PoseFrame, Frames, Watch};
 use posed_stage::input::SensorIndex;
-use posed_stage::output::{Estimate, FrameLabel};
+use posed_stage::output::{Estimate, FrameLabel, Measured};
 
 /// Cosine of the angle up to which a transmitter stands upright: 2.5 degrees.
 const LEVEL: f64 = 0.999;
@@ -54,6 +54,7 @@ pub(super) struct FaultMapStage {
     order: Vec<SensorIndex>,
     /// The frame in transmitter axes turned z up, in the network's order; NaN where missing.
     positions_m: Vec<f64>,
+    orientations_wxyz: Vec<f64>,
     /// By the stage's sensors; absent where the network does not know one.
     advice: Vec<Option<Advice>>,
 }
@@ -75,6 +76,7 @@ impl FaultMapStage {
             watch: fault_map.watch(),
             order: fault_map.sensors.iter().map(|name| at(name) as SensorIndex).collect(),
             positions_m: vec![f64::NAN; 3 * fault_map.sensors.len()],
+            orientations_wxyz: vec![f64::NAN; 4 * fault_map.sensors.len()],
             advice: sensors.iter().map(|sensor| sensor.1.then(Advice::none)).collect(),
             fault_map: fault_map.clone(),
         })
@@ -91,12 +93,15 @@ impl FaultMapStage {
 
     /// Labels a frame; `room` is where the transmitter stands.
     pub(super) fn frame(&mut self, frame: &Frame, room: &Isometry3<f64>) -> FrameLabel {
-        for (sensor, p) in self.order.iter().zip(self.positions_m.chunks_exact_mut(3)) {
+        let rows = self.positions_m.chunks_exact_mut(3).zip(self.orientations_wxyz.chunks_exact_mut(4));
+        for (sensor, (p, q)) in self.order.iter().zip(rows) {
             let newest = frame.sensors.get(usize::from(*sensor)).and_then(|slot| slot.samples.last());
-            let position_m = newest.and_then(|sample| sample.measured.position_m);
-            p.copy_from_slice(&position_m.map_or([f64::NAN; 3], |p| upright(p, room)));
+            let pose = RawPose::of(newest.map(|sample| &sample.measured)).upright(room);
+            p.copy_from_slice(&pose.position_m);
+            q.copy_from_slice(&pose.orientation_wxyz);
         }
-        let judged = self.watch.push(&self.fault_map, &self.positions_m);
+        let poses = PoseFrame { positions_m: &self.positions_m, orientations_wxyz: &self.orientations_wxyz };
+        let judged = self.watch.push(&self.fault_map, poses);
         // Of a transmitter that does not stand upright the vertical axis is none of its own, in which a record is mirrored back.
         let is_level = (room.rotation * Vector3::z()).z.abs() > LEVEL;
         for (index, sensor) in self.order.iter().enumerate() {
@@ -121,17 +126,48 @@ impl FaultMapStage {
     }
 }
 
-/// Gives the raw position of each of these sensors (indices in the stage) in this frame to `take`, in their order: device axes,
-/// m; NaN where there is none, or no such sensor.
-pub fn raw_positions(estimate: &Estimate, sensors: &[usize], mut take: impl FnMut([f64; 3])) {
-    for sensor in sensors {
-        let measured = estimate.sensors.get(*sensor).and_then(|sensor| sensor.measured.as_ref());
-        take(measured.and_then(|measured| measured.position_m).unwrap_or([f64::NAN; 3]));
+/// A pose of a magnetic sensor before any repair; numbers are NaN where there are none.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RawPose {
+    /// In device axes, or in those that it was turned to, m.
+    pub position_m: [f64; 3],
+    /// Sensor to the same axes, unit quaternion, scalar first.
+    pub orientation_wxyz: [f64; 4],
+}
+
+impl RawPose {
+    fn of(measured: Option<&Measured>) -> Self {
+        Self {
+            position_m: measured.and_then(|measured| measured.position_m).unwrap_or([f64::NAN; 3]),
+            orientation_wxyz: measured
+                .and_then(|measured| measured.orientation_wxyz)
+                .unwrap_or([f64::NAN; 4]),
+        }
+    }
+
+    /// The same in transmitter axes turned z up: as fault maps see it. `room_transmitter` is transmitter to room, of which only
+    /// the rotation counts: the origin stays at the transmitter. NaN stays NaN.
+    pub fn upright(self, room_transmitter: &Isometry3<f64>) -> Self {
+        let [w, x, y, z] = self.orientation_wxyz;
+        let q = room_transmitter.rotation * UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z));
+        Self {
+            position_m: (room_transmitter.rotation * Point3::from(self.position_m)).coords.into(),
+            orientation_wxyz: [q.w, q.i, q.j, q.k],
+        }
+    }
+
+    /// Appends it to the last frame of some.
+    pub fn append_to(&self, frames: &mut Frames) {
+        frames.positions_m.extend(self.position_m);
+        frames.orientations_wxyz.extend(self.orientation_wxyz);
     }
 }
 
-/// A position in transmitter axes turned z up, m: as fault maps see it. `room_transmitter` is transmitter to room, of which only
-/// the rotation counts: the origin stays at the transmitter. NaN stays NaN.
-pub fn upright(position_m: [f64; 3], room_transmitter: &Isometry3<f64>) -> [f64; 3] {
-    (room_transmitter.rotation * Point3::from(position_m)).coords.into()
+/// Gives the raw pose of each of these sensors (indices in the stage) in this frame to `take`, in their order: device axes; NaN where
+/// there is none, or no such sensor.
+pub fn raw_poses(estimate: &Estimate, sensors: &[usize], mut take: impl FnMut(RawPose)) {
+    for sensor in sensors {
+        let sensor = estimate.sensors.get(*sensor);
+        take(RawPose::of(sensor.and_then(|sensor| sensor.measured.as_ref())));
+    }
 }

@@ -58,7 +58,7 @@ use device::{Device, owner};
 pub use exercise::DEFAULT_SUBJECT;
 use exercise::ExerciseStage;
 use fault_map::FaultMapStage;
-pub use fault_map::{raw_positions, upright};
+pub use fault_map::{RawPose, raw_poses};
 use field::Field;
 pub use input_error::InputError;
 use keyframes::Keyframes;

@@ -1,6 +1,6 @@
-//! The raw positions of a recording's magnetic sensors, as fault maps see them.
+//! The raw poses of a recording's magnetic sensors, as fault maps see them.
 //!
-//! What comes in: a recording. What goes out: frames of positions, before any repair. They come from the log by way of the
+//! What comes in: a recording. What goes out: frames of poses, before any repair. They come from the log by way of the
 //! pipeline, so that they are the very numbers that a live stage sees.
 
 use std::path::Path;
@@ -9,7 +9,7 @@ use super::ending::ReadError;
 use super::machine::{Machine, MachineError};
 use super::reader::{Item, Reader};
 use posed_motion::fault_map::Frames;
-use posed_pipeline::{raw_positions, upright};
+use posed_pipeline::raw_poses;
 use posed_stage::output::Output;
 
 /// Why a recording gives no positions.
@@ -23,7 +23,7 @@ pub enum PositionsError {
     Machine(#[from] MachineError),
 }
 
-/// Raw positions of all magnetic sensors in transmitter axes turned z up, m, frame by frame; NaN where a sensor sent none. Times
+/// Raw poses of all magnetic sensors in transmitter axes turned z up, frame by frame; NaN where a sensor sent none. Times
 /// are capture times, s. A torn recording gives what it has.
 ///
 /// # Errors
@@ -41,12 +41,12 @@ pub fn read(path: &Path) -> Result<Frames, PositionsError> {
         pipeline.push(&entry, &mut |output| {
             if let Output::Estimate(estimate) = output {
                 times.push(estimate.t_valid.as_secs_f64());
-                raw_positions(estimate, &indices, |p| rows.push(p));
+                raw_poses(estimate, &indices, |pose| rows.push(pose));
             }
         });
         let room = pipeline.room_transmitter();
-        for p in rows.drain(..) {
-            frames.positions_m.extend(upright(p, room));
+        for pose in rows.drain(..) {
+            pose.upright(room).append_to(&mut frames);
         }
         frames.t_s.append(&mut times);
     }

@@ -5,20 +5,20 @@ use std::path::PathBuf;
 use posed_fusion::faults::{Class, Label};
 use posed_motion::fault_map::{Frames, frame_label};
 use posed_recording::table::{TableError, TableWriter};
-use posed_simulator::figure::{Fault, Figure, SENSORS, Truth, inject};
+use posed_simulator::figure::{Fault, Figure, Poses, SENSORS, Truth, inject};
 
 use super::super::number::within;
-use super::{Error, WHOLE_FRAME, notify, write_positions};
+use super::{Error, WHOLE_FRAME, notify, write_poses};
 
 /// Which session, and where to write it.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  posed faults generate -o session.csv --truth truth.csv --frames 2823 --seed 4\n\n\
     A person with sixteen sensors walks about before a transmitter that stands 1 m above the floor. Faults of 0.5 to 3 s, of all kinds in turn:\n\
-    one sensor or all mirrored through the transmitter or in the vertical axis; one stuck, one elsewhere, one or two drawn aside."
+    one sensor or all mirrored through the transmitter or in the vertical axis; one stuck, one elsewhere, one or two drawn aside, one drawn aside gradually."
 )]
 pub(super) struct Args {
-    /// Where to write the positions: t,sensor,x,y,z.
+    /// Where to write the poses: t,sensor,x,y,z,qw,qx,qy,qz.
     #[arg(short, long, value_name = "POSES.csv")]
     output: PathBuf,
     /// Where to write what each sensor and frame is: t,sensor,class; `*` is the frame as a whole.
@@ -43,11 +43,20 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     let Args { seed, height_m, rate_hz, .. } = *args;
-    let mut positions_m = Figure { seed, height_m, rate_hz, frames: args.frames as usize }.positions_m();
-    let truth = inject(&mut positions_m, SENSORS.len(), rate_hz, seed, args.share, &Fault::ALL);
+    let Poses { mut positions_m, mut orientations_wxyz } =
+        Figure { seed, height_m, rate_hz, frames: args.frames as usize }.poses();
+    let truth = inject(
+        &mut positions_m,
+        &mut orientations_wxyz,
+        SENSORS.len(),
+        rate_hz,
+        seed,
+        args.share,
+        &Fault::ALL,
+    );
     let t_s = (0..args.frames).map(|frame| f64::from(frame) / rate_hz).collect();
-    let frames = Frames { sensors: SENSORS.map(str::to_owned).into(), t_s, positions_m };
-    write_positions(&args.output, &frames, |_, p| Some(p)).map_err(Error::failed)?;
+    let frames = Frames { sensors: SENSORS.map(str::to_owned).into(), t_s, positions_m, orientations_wxyz };
+    write_poses(&args.output, &frames, |_, p| Some(p)).map_err(Error::failed)?;
     if let Some(path) = &args.truth {
         let write = || write_truth(TableWriter::create(path, &["t", "sensor", "class"])?, &frames, &truth);
         write().map_err(Error::failed)?;
@@ -76,6 +85,6 @@ fn class(truth: Truth) -> Class {
     match truth {
         Truth::Clean => Class::Clean,
         Truth::Inverted | Truth::InvertedVertically => Class::Inverted,
-        Truth::Stuck | Truth::Jump | Truth::Disturbed => Class::Anomalous,
+        Truth::Stuck | Truth::Jump | Truth::Disturbed | Truth::Drifted => Class::Anomalous,
     }
 }

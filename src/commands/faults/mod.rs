@@ -307,27 +307,31 @@ fn write_labels(
 
 /// What is left once inverted positions are mirrored back and anomalous ones are gone.
 fn write_repaired(path: &Path, frames: &Frames, labels: &Labels) -> Result<(), TableError> {
-    write_positions(path, frames, |at, p| {
+    write_poses(path, frames, |at, p| {
         let label = labels.sensors[at];
         let is_left = !matches!(label.class, Class::Anomalous | Class::Unknown);
         is_left.then(|| label.mirror().map_or(p, |mirror| mirror.apply(p)))
     })
 }
 
-/// Writes what `keep` leaves of each position, by its place among all, frame by frame.
-fn write_positions(
+/// Writes what `keep` leaves of each pose's position, by its place among all, frame by frame.
+fn write_poses(
     path: &Path,
     frames: &Frames,
     keep: impl Fn(usize, [f64; 3]) -> Option<[f64; 3]>,
 ) -> Result<(), TableError> {
-    let columns = PoseColumns { sensor: true, ..PoseColumns::default() };
+    let orientation = !frames.orientations_wxyz.is_empty();
+    let columns = PoseColumns { sensor: true, orientation, ..PoseColumns::default() };
     let mut table = PoseWriter::create(path, columns)?;
     let sensors = frames.sensors.len();
     for (k, t_s) in frames.t_s.iter().enumerate() {
-        for (sensor, p) in frames.frame(k).chunks_exact(3).enumerate() {
-            let Some(position_m) = keep(k * sensors + sensor, [p[0], p[1], p[2]]) else { continue };
-            let position_m = Some(position_m);
-            let row = PoseRow { t_s: *t_s, sensor, position_m, orientation_wxyz: None, state: None };
+        for (sensor, p) in frames.positions(k).chunks_exact(3).enumerate() {
+            let at = k * sensors + sensor;
+            let Some(position_m) = keep(at, [p[0], p[1], p[2]]) else { continue };
+            let q = frames.orientations_wxyz.get(4 * at..4 * at + 4);
+            let orientation_wxyz = q.map(|q| [q[0], q[1], q[2], q[3]]).filter(|q| q[0].is_finite());
+            let row =
+                PoseRow { t_s: *t_s, sensor, position_m: Some(position_m), orientation_wxyz, state: None };
             table.row(&frames.sensors[sensor], &row)?;
         }
     }

@@ -161,10 +161,11 @@ fn read_classes(path: &Path, frames: &Frames) -> Result<Vec<Class>, Error> {
 
 /// Positions as a map is to see them.
 fn preprocess(frames: &Frames, how: Preprocess) -> Frames {
-    let mut seen = frames.clone();
     if how == Preprocess::None {
-        return seen;
+        return frames.clone();
     }
+    // Joints are where positions are.
+    let mut seen = Frames { orientations_wxyz: Vec::new(), ..frames.clone() };
     let present = |p: &[f64]| p.iter().all(|x| x.is_finite());
     for frame in seen.positions_m.chunks_exact_mut(3 * frames.sensors.len().max(1)) {
         let (mut mean, mut n) = (Vector3::zeros(), 0.0);

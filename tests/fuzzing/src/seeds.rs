@@ -159,7 +159,7 @@ fn faults() -> FaultMap {
     let mut frames = Frames { sensors, ..Frames::default() };
     for estimate in rig.estimates().filter(|estimate| estimate.t_valid.as_secs_f64() > 4.0) {
         frames.t_s.push(estimate.t_valid.as_secs_f64());
-        posed_pipeline::raw_positions(estimate, &indices, |p| frames.positions_m.extend(p));
+        posed_pipeline::raw_poses(estimate, &indices, |pose| pose.append_to(&mut frames));
     }
     let training = Training { epochs: 2, ..Training::default() };
     FaultMap::train(&frames, Size { neurons: 5, side: 3 }, &training).expect("frames").0

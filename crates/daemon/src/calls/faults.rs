@@ -97,7 +97,7 @@ impl Workshop {
             }
         };
         let frames = frames.in_order_of(sensors).ok_or("the recording has other magnetic sensors")?;
-        let usable = (0..frames.len()).filter(|k| frames.frame(*k).iter().any(|value| !value.is_nan()));
+        let usable = (0..frames.len()).filter(|k| frames.positions(*k).iter().any(|value| !value.is_nan()));
         let usable = usable.count();
         if usable < FEWEST_FRAMES {
             return Err(

@@ -1,4 +1,4 @@
-//! The last five minutes of raw positions, for learning a fault map from them.
+//! The last five minutes of raw poses, for learning a fault map from them.
 //!
 //! In: estimates, on the fusion thread. Out: a copy of the newest seconds as frames. Its memory is bounded; with very many
 //! sensors it reaches less far back.
@@ -9,23 +9,23 @@ use nalgebra::Isometry3;
 
 use super::{Observer, Times};
 use posed_motion::fault_map::Frames;
-use posed_pipeline::{raw_positions, upright};
+use posed_pipeline::{RawPose, raw_poses};
 use posed_stage::Stage;
 use posed_stage::output::{Estimate, Output};
 
 /// How far it reaches back at most, s.
 const LONGEST_S: f64 = 300.0;
-/// Memory for the positions, bytes.
+/// Memory for the poses, bytes.
 const MOST_BYTES: usize = 32 << 20;
 
-/// The newest frames of raw positions, in device axes.
+/// The newest frames of raw poses, in device axes.
 #[derive(Debug)]
 pub(crate) struct RecentPositions {
     sensors: Vec<String>,
     indices: Vec<usize>,
     t_s: VecDeque<f64>,
-    /// A position per sensor and frame; NaN where there is none.
-    positions_m: VecDeque<[f64; 3]>,
+    /// One per sensor and frame.
+    poses: VecDeque<RawPose>,
 }
 
 impl RecentPositions {
@@ -35,7 +35,7 @@ impl RecentPositions {
             indices: stage.magnetic_indices(),
             sensors: stage.magnetic_sensors().into_iter().map(str::to_owned).collect(),
             t_s: VecDeque::new(),
-            positions_m: VecDeque::new(),
+            poses: VecDeque::new(),
         }
     }
 
@@ -46,13 +46,13 @@ impl RecentPositions {
         }
         let now = estimate.t_valid.as_secs_f64();
         while self.t_s.front().is_some_and(|oldest| *oldest < now - LONGEST_S)
-            || (self.t_s.len() + 1) * width * size_of::<[f64; 3]>() > MOST_BYTES
+            || (self.t_s.len() + 1) * width * size_of::<RawPose>() > MOST_BYTES
         {
             self.t_s.pop_front();
-            self.positions_m.drain(..width);
+            self.poses.drain(..width);
         }
         self.t_s.push_back(now);
-        raw_positions(estimate, &self.indices, |p| self.positions_m.push_back(p));
+        raw_poses(estimate, &self.indices, |pose| self.poses.push_back(pose));
     }
 
     /// The newest seconds, all if absent, turned upright.
@@ -62,12 +62,15 @@ impl RecentPositions {
             _ => f64::NEG_INFINITY,
         };
         let first = self.t_s.partition_point(|t_s| *t_s < from_s);
-        let positions = self.positions_m.range(first * self.sensors.len()..);
-        Frames {
+        let mut frames = Frames {
             sensors: self.sensors.clone(),
             t_s: self.t_s.range(first..).copied().collect(),
-            positions_m: positions.flat_map(|p| upright(*p, room_transmitter)).collect(),
+            ..Frames::default()
+        };
+        for pose in self.poses.range(first * self.sensors.len()..) {
+            pose.upright(room_transmitter).append_to(&mut frames);
         }
+        frames
     }
 }
 
@@ -110,7 +113,7 @@ mod tests {
         assert_eq!(recent.newest(None, &room).len(), 301);
         let frames = recent.newest(Some(1.0), &room);
         assert_eq!((frames.sensors.join(","), frames.t_s.clone()), ("a,b".into(), vec![398.0, 399.0]));
-        let p = frames.frame(1);
+        let p = frames.positions(1);
         assert!((p[0] - 399.0).abs() < 1e-9 && (p[2] + 3.0).abs() < 1e-9, "{p:?}");
         assert!(p[3..].iter().all(|value| value.is_nan()));
     }
@@ -130,9 +133,9 @@ mod tests {
                 ..wide.clone()
             });
         }
-        let taken = recent.positions_m.len() * size_of::<[f64; 3]>();
+        let taken = recent.poses.len() * size_of::<RawPose>();
         assert!(taken <= MOST_BYTES && taken > MOST_BYTES / 2, "{taken} bytes");
-        assert_eq!(recent.positions_m.len(), recent.t_s.len() * 200);
+        assert_eq!(recent.poses.len(), recent.t_s.len() * 200);
         // The newest are there without a gap.
         let first = 10_000 - recent.t_s.len();
         let expected = (first..10_000).map(|tick| Timestamp::from_secs_f64(tick as f64 * 1e-3).as_secs_f64());

@@ -38,13 +38,13 @@ impl Body {
         if sensors < FEWEST {
             return None;
         }
-        let position_m = frames.frame(first).chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+        let position_m = frames.positions(first).chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
         let mut body = Self { position_m, spread_m: vec![1.0; sensors] };
         let (mut known, mut turned) = (vec![f64::NAN; 3 * sensors], vec![f64::NAN; 3 * sensors]);
         for _ in 0..LEARNING_ROUNDS {
             let mut sums = vec![[0.0; 5]; sensors];
             for k in 0..frames.len() {
-                known.copy_from_slice(frames.frame(k));
+                known.copy_from_slice(frames.positions(k));
                 (0..sensors)
                     .filter(|sensor| !clean(k, *sensor))
                     .for_each(|s| known[3 * s..3 * s + 3].fill(f64::NAN));

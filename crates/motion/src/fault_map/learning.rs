@@ -7,6 +7,7 @@
 use super::Labels;
 use super::frames::Frames;
 use super::hindsight::{Recording, Step};
+use super::joints::{self, Hint, Place};
 use super::memory::{Habit, Point, distance};
 use super::pairs::{Pairs, quantile};
 use super::rules::{Rules, frame_label, position};
@@ -56,15 +57,44 @@ impl Rules {
             };
             Pairs::learn(sensors, frames.len(), outside, position)
         });
-        let label = |at: usize| match (positions[at], stuck[at], away[at]) {
-            (_, true, _) => Label::anomalous(Cause::Stuck),
+        let (joints, arms) = joints::learn(frames, |k, sensor| {
+            let at = k * sensors + sensor;
+            positions[at].filter(|_| !away[at])
+        });
+        let places = joints.in_hindsight(&arms, frames, |k, sensor| {
+            let at = k * sensors + sensor;
+            match positions[at] {
+                None => Hint::Missing,
+                Some(_) if away[at] => Hint::Wrong,
+                Some(here) => Hint::Here(here),
+            }
+        });
+        let label = |at: usize| match (positions[at], stuck[at], away[at], places[at]) {
+            (_, true, ..) => Label::anomalous(Cause::Stuck),
             (None, ..) => Label::MISSING,
-            (_, _, true) => Label::anomalous(Cause::Jump),
-            (Some(here), ..) => sides[at].label(here),
+            (_, _, true, None | Some(Place::Elsewhere)) => Label::anomalous(Cause::Jump),
+            (_, _, false, Some(Place::Elsewhere)) => Label::anomalous(Cause::Bone),
+            (Some(_), _, _, Some(Place::Here)) => Label::CLEAN,
+            (Some(_), _, _, Some(Place::Mirrored(mirror))) => {
+                let side = Side::CLEAN.through(mirror);
+                let raw = position(frames.positions(at / sensors), at % sensors).unwrap_or_default();
+                side.label(side.undo(raw))
+            }
+            (Some(here), _, false, None) => sides[at].label(here),
         };
         let sensor_labels: Vec<Label> = (0..positions.len()).map(label).collect();
+        let pairs = if joints.is_empty() {
+            pairs
+        } else {
+            // The joints know of more that is elsewhere than steps and ranges do.
+            Pairs::learn(sensors, frames.len(), RANGES_LEAVE_OUT[RANGES_LEAVE_OUT.len() - 1], |k, sensor| {
+                let at = k * sensors + sensor;
+                positions[at]
+                    .filter(|_| sensor_labels[at] == sides[at].label(positions[at].unwrap_or_default()))
+            })
+        };
         let frame_labels = sensor_labels.chunks_exact(sensors.max(1)).map(frame_label).collect();
-        (Self::new(habits, pairs), Labels { frames: frame_labels, sensors: sensor_labels })
+        (Self::new(habits, pairs, joints), Labels { frames: frame_labels, sensors: sensor_labels })
     }
 }
 
@@ -79,7 +109,8 @@ fn stuck(frames: &Frames) -> Vec<bool> {
     let sensors = frames.sensors.len();
     let mut stuck = vec![false; frames.len() * sensors];
     let moved = |k: usize, sensor: usize| {
-        let (now, before) = (position(frames.frame(k), sensor), position(frames.frame(k - 1), sensor));
+        let (now, before) =
+            (position(frames.positions(k), sensor), position(frames.positions(k - 1), sensor));
         now.zip(before).is_some_and(|(now, before)| now != before)
     };
     let moving: Vec<bool> =
@@ -89,12 +120,12 @@ fn stuck(frames: &Frames) -> Vec<bool> {
         // Hindsight: what is stuck was so from its first repetition.
         let mut since = 0;
         for k in 0..frames.len() {
-            let Some(p) = position(frames.frame(k), sensor) else { continue };
+            let Some(p) = position(frames.positions(k), sensor) else { continue };
             let evidence = if moving[k] { Evidence::OthersMove } else { Evidence::None };
             match words.take(p, evidence) {
                 Repeats::Changed => since = k + 1,
                 Repeats::Stuck => {
-                    let there = |k: &usize| moving[*k] && position(frames.frame(*k), sensor).is_some();
+                    let there = |k: &usize| moving[*k] && position(frames.positions(*k), sensor).is_some();
                     (since..=k).filter(there).for_each(|k| stuck[k * sensors + sensor] = true);
                     since = k + 1;
                 }
@@ -187,14 +218,14 @@ fn sides(frames: &Frames) -> Vec<Side> {
     let mut flips = vec![None::<Mirror>; sensors];
     for k in 0..frames.len() {
         for sensor in 0..sensors {
-            flips[sensor] = position(frames.frame(k), sensor).zip(last[sensor]).and_then(|(p, last)| {
+            flips[sensor] = position(frames.positions(k), sensor).zip(last[sensor]).and_then(|(p, last)| {
                 let (same, image) = (distance(p, last), distance(Mirror::Point.apply(p), last));
                 is_flip(same, image).then_some(Mirror::Point)
             });
         }
-        flip_together(frames.frame(k), &last, &mut flips);
+        flip_together(frames.positions(k), &last, &mut flips);
         for sensor in 0..sensors {
-            let Some(p) = position(frames.frame(k), sensor) else { continue };
+            let Some(p) = position(frames.positions(k), sensor) else { continue };
             now[sensor] = flips[sensor].map_or(now[sensor], |mirror| now[sensor].through(mirror));
             last[sensor] = Some(p);
             sides[k * sensors + sensor] = now[sensor];
@@ -207,7 +238,7 @@ fn sides(frames: &Frames) -> Vec<Side> {
 /// Positions on the clean side.
 fn undone(frames: &Frames, sides: &[Side]) -> Vec<Option<Point>> {
     let sensors = frames.sensors.len();
-    let position = |at: usize| Some(sides[at].undo(position(frames.frame(at / sensors), at % sensors)?));
+    let position = |at: usize| Some(sides[at].undo(position(frames.positions(at / sensors), at % sensors)?));
     (0..sides.len()).map(position).collect()
 }
 
@@ -215,7 +246,7 @@ fn undone(frames: &Frames, sides: &[Side]) -> Vec<Option<Point>> {
 fn find_clean(frames: &Frames, sides: &mut [Side]) {
     let sensors = frames.sensors.len();
     for sensor in 0..sensors {
-        let there = |k: &usize| position(frames.frame(*k), sensor).is_some();
+        let there = |k: &usize| position(frames.positions(*k), sensor).is_some();
         let of_sensor = (0..frames.len()).filter(there).map(|k| sides[k * sensors + sensor]);
         let clean = most(of_sensor, None);
         sides.iter_mut().skip(sensor).step_by(sensors).for_each(|side| *side = side.beside(clean));
@@ -266,7 +297,7 @@ fn upside_down(frames: &Frames, sides: &[Side]) -> bool {
     let sensors = frames.sensors.len();
     let mean = |k: usize, group: &[usize]| {
         let z = |sensor: &usize| {
-            let p = position(frames.frame(k), *sensor)?;
+            let p = position(frames.positions(k), *sensor)?;
             Some(sides[k * sensors + sensor].undo(p)[2])
         };
         let heights: Vec<f64> = group.iter().filter_map(z).collect();
@@ -328,8 +359,8 @@ mod tests {
         assert_eq!(bad, (300..460).collect::<Vec<_>>());
 
         let mut recording = frames(600, |_, p| p);
-        let held = recording.frame(99)[9..12].to_vec();
-        (100..160).for_each(|k| recording.frame_mut(k)[9..12].copy_from_slice(&held));
+        let held = recording.positions(99)[9..12].to_vec();
+        (100..160).for_each(|k| recording.positions_mut(k)[9..12].copy_from_slice(&held));
         let (_, labels) = Rules::learn(&recording);
         let bad: Vec<usize> = (0..600).filter(|k| labels.frames[*k].cause == Some(Cause::Stuck)).collect();
         assert_eq!(bad, (100..160).collect::<Vec<_>>());

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use posed_fusion::faults::{Cause, Evidence, Label, Mirror, Repeats, Repetition};
 
+use super::joints::Place;
 use super::side::{Side, Ways};
 
 /// A mirror image must be so many times nearer than the position itself.
@@ -152,6 +153,23 @@ impl Memory {
         self.here = Mirror::Vertical.apply(same);
         (self.step, self.left, self.away) = ([0.0; 3], None, away);
         Some(self.label())
+    }
+
+    /// Takes what the joints say of a position: more than it can know alone. Its label then.
+    pub(super) fn settle(&mut self, p: Point, place: Place) -> Label {
+        let side = match place {
+            Place::Here => Side::CLEAN,
+            Place::Mirrored(mirror) => Side::CLEAN.through(mirror),
+            // It goes on as it would: it may come back unseen.
+            Place::Elsewhere if self.away.is_some() => return Label::anomalous(Cause::Jump),
+            Place::Elsewhere => return Label::anomalous(Cause::Bone),
+        };
+        self.away = None;
+        self.left = None;
+        if side != self.side {
+            (self.side, self.step, self.here) = (side, [0.0; 3], side.undo(p));
+        }
+        self.label()
     }
 
     fn label(&self) -> Label {

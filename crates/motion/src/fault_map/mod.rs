@@ -11,6 +11,7 @@ mod file;
 mod frames;
 mod habits;
 mod hindsight;
+mod joints;
 mod learning;
 mod memory;
 mod pairs;
@@ -25,7 +26,7 @@ use serde::{Deserialize, Serialize};
 
 use body::Body;
 use file::File;
-pub use frames::Frames;
+pub use frames::{Frame, Frames};
 use habits::{Link, Motion, PositionChain, PositionMatch};
 use posed_fusion::faults::{Class, Label};
 pub use rules::{Labeller, Rules, frame_label};
@@ -178,7 +179,7 @@ impl FaultMap {
         };
         let mut seen = frames.clone();
         for k in 0..frames.len() {
-            fault_map.see(frames.frame(k), 1.0, seen.frame_mut(k));
+            fault_map.see(frames.positions(k), 1.0, seen.positions_mut(k));
         }
         let mut indices = vec![f64::NAN; frames.len() * sensors];
         for sensor in 0..sensors {
@@ -195,7 +196,7 @@ impl FaultMap {
         let mut means = vec![(0.0, 0.0f64); sensors];
         for k in 0..frames.len() {
             for (sensor, mean) in means.iter_mut().enumerate() {
-                let look = fault_map.look(sensor, seen.frame(k), [0.0; 2]);
+                let look = fault_map.look(sensor, seen.positions(k), [0.0; 2]);
                 let at = k * sensors + sensor;
                 (indices[at], ratios[at]) = (look.index, look.ratio);
                 if labels.sensors[at].class == Class::Clean {
@@ -211,7 +212,7 @@ impl FaultMap {
         let mut ratios: Vec<f64> = clean.map(more).collect();
         fault_map.usual_ratio = pairs::quantile(&mut ratios, USUAL_SHARE);
         let strange: Vec<bool> = (0..frames.len())
-            .map(|k| (0..sensors).any(|sensor| fault_map.is_strange(sensor, seen.frame(k))))
+            .map(|k| (0..sensors).any(|sensor| fault_map.is_strange(sensor, seen.positions(k))))
             .collect();
         fault_map.map = Som::along_principal_axes(size.side, size.side, sensors, &indices);
         fault_map.epochs = fault_map.map.train_by(rule, &indices, training);

@@ -13,6 +13,8 @@ use serde::{Deserialize, Serialize};
 
 use posed_fusion::faults::{Cause, Class, Label, Mirror};
 
+use super::frames::Frame;
+use super::joints::{Hint, Joints, Limbs};
 use super::memory::{Habit, Memory, Point};
 use super::pairs::{Pairs, Size};
 use super::side::goes_through;
@@ -22,23 +24,27 @@ use super::side::goes_through;
 pub struct Rules {
     habits: Vec<Habit>,
     pairs: Pairs,
+    /// None where the recording had no orientations.
+    #[serde(default, skip_serializing_if = "Joints::is_empty")]
+    joints: Joints,
 }
 
-/// State of the rules on one stream: hemisphere, jump and repetition of each sensor, size of this body.
+/// State of the rules on one stream: hemisphere, jump and repetition of each sensor, size of this body, and how the sensors are worn.
 #[derive(Clone, Debug, PartialEq, Plain)]
 pub struct Labeller {
     sensors: Vec<Memory>,
     size: Size,
+    limbs: Limbs,
 }
 
 impl Rules {
-    pub(super) fn new(habits: Vec<Habit>, pairs: Pairs) -> Self {
-        Self { habits, pairs }
+    pub(super) fn new(habits: Vec<Habit>, pairs: Pairs, joints: Joints) -> Self {
+        Self { habits, pairs, joints }
     }
 
     /// Whether these are the rules of so many sensors.
     pub(super) fn fits(&self, sensors: usize) -> bool {
-        self.habits.len() == sensors && self.pairs.fit(sensors)
+        self.habits.len() == sensors && self.pairs.fit(sensors) && self.joints.fit(sensors)
     }
 
     /// The sensor from which the distance of this one varies least.
@@ -54,15 +60,19 @@ impl Rules {
     /// A labeller that has seen nothing.
     pub fn labeller(&self) -> Labeller {
         let sensors = self.habits.len();
-        Labeller { sensors: vec![Memory::default(); sensors], size: Size::new(sensors, &self.pairs) }
+        Labeller {
+            sensors: vec![Memory::default(); sensors],
+            size: Size::new(sensors, &self.pairs),
+            limbs: self.joints.limbs(sensors),
+        }
     }
 
-    /// Labels the next frame into `labels`, one per sensor, without delay. `frame`: x, y, z of each sensor, m, NaN
-    /// where missing, in the order of the training. Frames are evenly spaced, at the rate of the training.
+    /// Labels the next frame into `labels`, one per sensor, without delay. The sensors of `frame` are in the order of the training. Frames
+    /// are evenly spaced, at the rate of the training.
     ///
     /// # Panics
-    /// `frame` holds fewer than three numbers a sensor.
-    pub fn label(&self, labeller: &mut Labeller, frame: &[f64], labels: &mut [Label]) {
+    /// `frame` holds fewer than three numbers a sensor for its position.
+    pub fn label(&self, labeller: &mut Labeller, frame: Frame<'_>, labels: &mut [Label]) {
         self.label_beside(labeller, frame, &[], labels);
     }
 
@@ -70,14 +80,14 @@ impl Rules {
     pub(super) fn label_beside(
         &self,
         labeller: &mut Labeller,
-        frame: &[f64],
+        frame: Frame<'_>,
         content: &[bool],
         labels: &mut [Label],
     ) {
         let moving = labeller.sensors.iter().filter(|memory| memory.moved).count();
         let habits = self.habits.iter().zip(labeller.sensors.iter_mut().zip(labels.iter_mut()));
         for (sensor, (habit, (memory, label))) in habits.enumerate() {
-            *label = match position(frame, sensor) {
+            *label = match position(frame.positions_m, sensor) {
                 Some(p) => {
                     let others_move = moving > usize::from(memory.moved);
                     memory.take(p, habit, others_move)
@@ -89,7 +99,7 @@ impl Rules {
             };
         }
         self.flip_together(&mut labeller.sensors, labels);
-        let Labeller { sensors: memories, size } = labeller;
+        let Labeller { sensors: memories, size, limbs } = labeller;
         let labels = Cell::from_mut(labels).as_slice_of_cells();
         for sensor in 0..memories.len() {
             let (Some(now), Some(before)) = (memories[sensor].here(), memories[sensor].left()) else {
@@ -102,11 +112,29 @@ impl Rules {
                 labels[sensor].set(memories[sensor].believe());
             }
         }
+        self.joints.follow(limbs, frame, |sensor| match believed(memories, labels, sensor) {
+            Some(here) => Hint::Here(here),
+            None if labels[sensor].get() == Label::MISSING => Hint::Missing,
+            None => Hint::Wrong,
+        });
+        for (sensor, memory) in memories.iter_mut().enumerate() {
+            if let (Some(place), Some(p)) = (limbs.place(sensor), position(frame.positions_m, sensor))
+                && labels[sensor].get().cause != Some(Cause::Stuck)
+            {
+                labels[sensor].set(memory.settle(p, place));
+            }
+        }
         let position = |sensor: usize| memories[sensor].here();
         let here = |sensor| believed(memories, labels, sensor);
-        self.pairs.check(size, position, here, |sensor| labels[sensor].set(Label::anomalous(Cause::Bone)));
+        self.pairs.check(size, position, here, |sensor| {
+            // A joint that holds says more than a range.
+            if limbs.place(sensor).is_none() {
+                labels[sensor].set(Label::anomalous(Cause::Bone));
+            }
+        });
         for sensor in 0..memories.len() {
             if !self.pairs.is_empty()
+                && limbs.place(sensor).is_none()
                 && memories[sensor].is_away()
                 && let Some(p) = memories[sensor].here()
             {

@@ -5,6 +5,7 @@
 use posed_state::Plain;
 
 use super::FaultMap;
+use super::frames::Frame;
 use super::habits::{Link, PositionChain, Steps};
 use super::rules::{Labeller, frame_label};
 use super::som::Winner;
@@ -84,18 +85,18 @@ impl Watch {
         }
     }
 
-    /// Labels the next frame: x, y, z of each sensor, m, in the fault map's order, NaN where missing. `fault_map` is
-    /// the one that made this watch, or one with other classes of cells (`FaultMap::is_renamed`).
+    /// Labels the next frame, its sensors in the fault map's order. `fault_map` is the one that made this watch, or one with other classes of
+    /// cells (`FaultMap::is_renamed`).
     ///
     /// The rules answer in the same frame; the map is heard once 3 of the latest 5 frames agree, and after some 400
     /// frames in which it found little. Rates of detection: `docs/faults.md`.
     ///
     /// # Panics
-    /// `frame` holds fewer than three numbers a sensor.
-    pub fn push(&mut self, fault_map: &FaultMap, frame: &[f64]) -> Judged<'_> {
+    /// `frame` holds fewer than three numbers a sensor for its position.
+    pub fn push(&mut self, fault_map: &FaultMap, frame: Frame<'_>) -> Judged<'_> {
         fault_map.rules.label_beside(&mut self.labeller, frame, &self.content, &mut self.by_rules);
-        fault_map.motion.follow(&mut self.steps, frame);
-        fault_map.see(frame, self.labeller.size(), &mut self.seen);
+        fault_map.motion.follow(&mut self.steps, frame.positions_m);
+        fault_map.see(frame.positions_m, self.labeller.size(), &mut self.seen);
         let mut strange = false;
         for sensor in 0..fault_map.sensors.len() {
             let look = fault_map.look(sensor, &self.seen, [PositionChain::MOUNTING_M, Link::MOUNTING_M]);

@@ -147,26 +147,34 @@ impl Poses {
         writer.finish()
     }
 
-    /// Sorts positions into frames, m, in the file's own axes: rows of equal time that follow each other, a second row of the
-    /// same sensor beginning a new one. NaN where a sensor has no position.
+    /// Sorts poses into frames, in the file's own axes: rows of equal time that follow each other, a second row of the
+    /// same sensor beginning a new one. NaN where a sensor has no position, or no orientation while others have.
     ///
     /// # Panics
     /// A row names a sensor that is not in `sensors`.
     pub fn frames(&self) -> Frames {
-        let width = 3 * self.sensors.len();
+        let sensors = self.sensors.len();
+        let is_turned = self.rows.iter().any(|row| row.orientation_wxyz.is_some());
         let mut frames = Frames { sensors: self.sensors.clone(), ..Frames::default() };
         let mut seen = vec![false; self.sensors.len()];
         for row in &self.rows {
             let new = frames.t_s.last().is_none_or(|last| *last != row.t_s) || seen[row.sensor];
             if new {
                 frames.t_s.push(row.t_s);
-                frames.positions_m.resize(frames.positions_m.len() + width, f64::NAN);
+                frames.positions_m.resize(frames.positions_m.len() + 3 * sensors, f64::NAN);
+                if is_turned {
+                    frames.orientations_wxyz.resize(frames.orientations_wxyz.len() + 4 * sensors, f64::NAN);
+                }
                 seen.fill(false);
             }
             seen[row.sensor] = true;
             if let Some(position) = row.position_m {
-                let start = frames.positions_m.len() - width + 3 * row.sensor;
+                let start = frames.positions_m.len() - 3 * (sensors - row.sensor);
                 frames.positions_m[start..start + 3].copy_from_slice(&position);
+            }
+            if let Some(orientation) = row.orientation_wxyz {
+                let start = frames.orientations_wxyz.len() - 4 * (sensors - row.sensor);
+                frames.orientations_wxyz[start..start + 4].copy_from_slice(&orientation);
             }
         }
         frames
