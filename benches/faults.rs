@@ -7,6 +7,7 @@ use posed_baselines::fault_map;
 use posed_motion::fault_map::Frames;
 use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
+use posed_simulator::figure::{Figure, Poses, SENSORS};
 
 /// Sensors that sway about places of their own.
 fn frames(sensors: usize, count: usize) -> Frames {
@@ -40,6 +41,24 @@ fn train(criterion: &mut Criterion) {
         let mut watch = fault_map.watch();
         let mut k = 0;
         group.bench_function("a frame of 20 sensors", |bencher| {
+            bencher.iter(|| {
+                k = (k + 1) % frames.len();
+                black_box(watch.push(&fault_map, frames.frame(k)).label.class)
+            });
+        });
+    }
+    let figure = Figure { seed: 1, height_m: 1.75, rate_hz: 60.0, frames: 3600 };
+    let Poses { positions_m, orientations_wxyz } = figure.poses();
+    let frames = Frames {
+        sensors: SENSORS.map(str::to_owned).into(),
+        t_s: (0..figure.frames).map(|k| k as f64 / figure.rate_hz).collect(),
+        positions_m,
+        orientations_wxyz,
+    };
+    if let Ok((fault_map, _)) = FaultMap::train(&frames, Size::default(), &Training::default()) {
+        let mut watch = fault_map.watch();
+        let mut k = 0;
+        group.bench_function("a frame of 15 sensors with joints", |bencher| {
             bencher.iter(|| {
                 k = (k + 1) % frames.len();
                 black_box(watch.push(&fault_map, frames.frame(k)).label.class)

@@ -245,7 +245,9 @@ fn detect(args: &DetectArgs) -> Result<(), Error> {
     let mut labels = Labels::default();
     let mut drawn = Vec::with_capacity(frames.len());
     let mut sensor_distances = Vec::with_capacity(frames.len() * frames.sensors.len());
+    let interval_s = frames.interval_s();
     for k in 0..frames.len() {
+        watch.skip(&fault_map, frames.missing_before(k, interval_s));
         let judged = watch.push(&fault_map, frames.frame(k));
         labels.frames.push(judged.label);
         labels.sensors.extend_from_slice(judged.sensors);

@@ -59,7 +59,7 @@ pub enum Cause {
     Misfit,
     /// A jump that no motion makes.
     Jump,
-    /// A distance to another sensor that joints do not allow.
+    /// A place, or a distance to another sensor, that joints do not allow.
     Bone,
     /// The fault map knows such frames as faulty.
     Map,

@@ -1,5 +1,7 @@
 //! Frames of poses, ordered for maps and rules.
 
+use super::pairs::quantile;
+
 /// One frame: what all sensors report at one time, in the order of their names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame<'a> {
@@ -52,6 +54,20 @@ impl Frames {
     /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.t_s.is_empty()
+    }
+
+    /// The usual time from one frame to the next, s; 0 for fewer than two frames.
+    pub fn interval_s(&self) -> f64 {
+        quantile(&mut self.t_s.windows(2).map(|pair| pair[1] - pair[0]).collect::<Vec<_>>(), 0.5)
+    }
+
+    /// How many frames should be between one and that before it, by their times and the usual interval, s.
+    ///
+    /// # Panics
+    /// There is no such frame.
+    pub fn missing_before(&self, index: usize, interval_s: f64) -> usize {
+        let since_s = index.checked_sub(1).map_or(0.0, |before| self.t_s[index] - self.t_s[before]);
+        if interval_s > 0.0 { ((since_s / interval_s).round() - 1.0).max(0.0) as usize } else { 0 }
     }
 
     /// One frame.

@@ -40,15 +40,17 @@ impl Rules {
         let sides = sides(frames);
         let stuck = stuck(frames);
         let mut positions = undone(frames, &sides);
+        let interval_s = frames.interval_s();
+        let gaps: Vec<bool> = (0..frames.len()).map(|k| frames.missing_before(k, interval_s) > 0).collect();
         let habits: Vec<Habit> =
-            (0..sensors).map(|sensor| habit(frames.len(), |k| positions[k * sensors + sensor])).collect();
+            (0..sensors).map(|sensor| habit(&gaps, |k| positions[k * sensors + sensor])).collect();
         positions
             .iter_mut()
             .zip(&stuck)
             .filter(|(_, stuck)| **stuck)
             .for_each(|(position, _)| *position = None);
-        let steps = steps(&positions, sensors);
-        let recording = Recording { sensors, frame_s: frame_s(frames), positions: &positions, steps: &steps };
+        let steps = steps(&positions, sensors, &gaps);
+        let recording = Recording { sensors, frame_s: interval_s, positions: &positions, steps: &steps };
         let (away, pairs) = recording.away(|round, away| {
             let outside = RANGES_LEAVE_OUT[round.min(RANGES_LEAVE_OUT.len() - 1)];
             let position = |k: usize, sensor: usize| {
@@ -98,12 +100,6 @@ impl Rules {
     }
 }
 
-/// The usual time between two frames, s.
-fn frame_s(frames: &Frames) -> f64 {
-    let mut steps: Vec<f64> = frames.t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    quantile(&mut steps, 0.5)
-}
-
 /// Which positions repeat those before them, often enough, while other sensors move.
 fn stuck(frames: &Frames) -> Vec<bool> {
     let sensors = frames.sensors.len();
@@ -136,15 +132,14 @@ fn stuck(frames: &Frames) -> Vec<bool> {
     stuck
 }
 
-/// What separates each position from the one before.
+/// What separates each position from the one before; `gaps` are the frames that do not follow at once on the one before them.
 ///
 /// A sensor that is pulled trembles, and what trembles for long would make jumps of no step at all: steps are held against
 /// what the sensor trembles around them.
-fn steps(positions: &[Option<Point>], sensors: usize) -> Vec<Step> {
-    let frames = positions.len() / sensors.max(1);
+fn steps(positions: &[Option<Point>], sensors: usize, gaps: &[bool]) -> Vec<Step> {
     let mut steps = vec![Step::Steady; positions.len()];
     for sensor in 0..sensors {
-        let bends = bends(frames, |k| positions[k * sensors + sensor]);
+        let bends = bends(gaps, |k| positions[k * sensors + sensor]);
         let tremble_m = tremble(&bends);
         let beyond = bends.iter().zip(&tremble_m).filter_map(|(bend, tremble)| Some((*bend)? - tremble));
         let jump_m = jump(beyond.collect());
@@ -154,7 +149,7 @@ fn steps(positions: &[Option<Point>], sensors: usize) -> Vec<Step> {
             let Some(p) = positions[at] else { continue };
             let mut step = [0.0; 3];
             match last {
-                Some((before, here, speed)) if before + 1 == k => {
+                Some((before, here, speed)) if before + 1 == k && !gaps[k] => {
                     let expected: Point = std::array::from_fn(|c| here[c] + speed[c]);
                     let off = distance(p, expected) / jump_m.max(tremble_m);
                     if off > 1.0 {
@@ -172,12 +167,15 @@ fn steps(positions: &[Option<Point>], sensors: usize) -> Vec<Step> {
 }
 
 /// How far a track bends in each frame, m: off a steady motion through the two frames before.
-fn bends(frames: usize, here: impl Fn(usize) -> Option<Point>) -> Vec<Option<f64>> {
+fn bends(gaps: &[bool], here: impl Fn(usize) -> Option<Point>) -> Vec<Option<f64>> {
     let bend = |k: usize| {
+        if gaps[k.saturating_sub(1)..=k].contains(&true) {
+            return None;
+        }
         let (a, b, c) = (here(k.checked_sub(2)?)?, here(k - 1)?, here(k)?);
         Some(distance(c, std::array::from_fn(|axis| 2.0 * b[axis] - a[axis])))
     };
-    (0..frames).map(bend).collect()
+    (0..gaps.len()).map(bend).collect()
 }
 
 /// What a track may bend around each frame because it trembles, m.
@@ -198,12 +196,15 @@ fn jump(mut bends: Vec<f64>) -> f64 {
 }
 
 /// How a sensor moves, from a recording of it on its clean side.
-fn habit(frames: usize, here: impl Fn(usize) -> Option<Point>) -> Habit {
-    let mut steps: Vec<f64> = (1..frames).filter_map(|k| Some(distance(here(k)?, here(k - 1)?))).collect();
+fn habit(gaps: &[bool], here: impl Fn(usize) -> Option<Point>) -> Habit {
+    let frames = gaps.len();
+    let follows = |k: &usize| !gaps[*k];
+    let mut steps: Vec<f64> =
+        (1..frames).filter(follows).filter_map(|k| Some(distance(here(k)?, here(k - 1)?))).collect();
     let axis =
         |c: usize| quantile(&mut (0..frames).filter_map(|k| Some(here(k)?[c])).collect::<Vec<_>>(), 0.5);
     Habit {
-        jump_m: jump(bends(frames, &here).into_iter().flatten().collect()),
+        jump_m: jump(bends(gaps, &here).into_iter().flatten().collect()),
         step_m: quantile(&mut steps, 0.95),
         home_m: [axis(0), axis(1), axis(2)],
     }
@@ -364,5 +365,25 @@ mod tests {
         let (_, labels) = Rules::learn(&recording);
         let bad: Vec<usize> = (0..600).filter(|k| labels.frames[*k].cause == Some(Cause::Stuck)).collect();
         assert_eq!(bad, (100..160).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn what_moved_while_no_frames_came_did_not_jump() {
+        // Two seconds are missing, twice, in which everything went on by 40 cm.
+        let whole = frames(1200, |_, p| p);
+        let mut recording = Frames { sensors: whole.sensors.clone(), ..Frames::default() };
+        let is_there = |k: &usize| !(300..420).contains(k) && !(700..820).contains(k);
+        for k in (0..1200).filter(is_there) {
+            let moved: Vec<f64> = whole
+                .positions(k)
+                .iter()
+                .enumerate()
+                .map(|(n, x)| x + [0.0, 0.4 * (k / 400) as f64, 0.0][n % 3])
+                .collect();
+            recording.push(whole.t_s[k], &moved);
+        }
+        let (_, labels) = Rules::learn(&recording);
+        let bad = labels.frames.iter().filter(|label| label.class != Class::Clean).count();
+        assert_eq!(bad, 0);
     }
 }

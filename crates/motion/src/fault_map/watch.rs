@@ -1,6 +1,6 @@
 //! A fault map and its rules over a stream of frames.
 //!
-//! What comes in: frames. What goes out: a [`Judged`] per frame. What it never does: look at the future, allocate.
+//! What comes in: frames. What goes out: a [`Judged`] per frame. What it never does: look at the future, or allocate for a frame.
 
 use posed_state::Plain;
 
@@ -16,6 +16,8 @@ const NOVELTY: f64 = 0.015;
 const MEMORY_FRAMES: f64 = 1000.0;
 /// The map is content with a sensor below this share of what is unusual.
 const CONTENT: f64 = 0.5;
+/// After a gap of so many frames nothing is remembered of where sensors were.
+const LONGEST_GAP: usize = 100;
 /// Least weight of a frame in how unusual a sensor is on average.
 const MEAN_WEIGHT: f64 = 0.002;
 
@@ -82,6 +84,14 @@ impl Watch {
             recent_frame: Debounce::default(),
             guess: 0,
             alone: 1.5 * NOVELTY,
+        }
+    }
+
+    /// Takes it that so many frames before the next one are not there: what moved meanwhile did not jump.
+    pub fn skip(&mut self, fault_map: &FaultMap, frames: usize) {
+        let positions_m = vec![f64::NAN; 3 * fault_map.sensors.len()];
+        for _ in 0..frames.min(LONGEST_GAP) {
+            self.push(fault_map, Frame { positions_m: &positions_m, orientations_wxyz: &[] });
         }
     }
 

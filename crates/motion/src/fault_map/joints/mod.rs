@@ -223,3 +223,6 @@ impl Joints {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
