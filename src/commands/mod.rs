@@ -39,6 +39,7 @@ mod number;
 mod orient;
 mod output;
 mod progress;
+mod reading;
 mod recorded;
 #[cfg(test)]
 mod rehearsal;

@@ -116,3 +116,19 @@ fn maps_are_studied_against_the_truth_of_a_generated_session() {
     std::fs::write(folder.path().join("other.csv"), "t,class\n999,clean\n").unwrap();
     assert_eq!(posed(folder.path(), "faults study s.csv --truth other.csv").status.code(), Some(1));
 }
+
+#[test]
+fn tables_with_columns_for_each_joint_are_frames_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let ok = |words: &str| {
+        let output = posed(folder.path(), words);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    ok("segments generate made-up --sequences 1");
+    ok("faults train made-up/00001.csv.gz -o map.json --neurons 5 --side 3 --epochs 2");
+    let said = ok("faults detect map.json made-up/00001.csv.gz -o labels.csv");
+    assert!(said.contains(" frames: "), "{said}");
+    let labels = std::fs::read_to_string(folder.path().join("labels.csv")).unwrap();
+    assert!(labels.contains(",head,"), "joints are the sensors");
+}

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::reading::Reading;
 use super::{Error, notify, output, print, print_json};
 use crate::pictures::faults as picture;
 use posed_baselines::fault_map;
@@ -15,7 +16,9 @@ use posed_motion::fault_map::Frames;
 use posed_motion::fault_map::{FaultMap, FaultMapError, Labels, Size};
 use posed_motion::fault_map::{Separation, separation};
 use posed_motion::fault_map::{Training, Width};
-use posed_recording::table::{PoseColumns, PoseRow, PoseWriter, Poses, TableError, TableWriter};
+use posed_recording::table::{
+    PoseColumns, PoseRow, PoseWriter, Poses, Sequences, TableError, TableReader, TableWriter,
+};
 use posed_recording::{is_recording, positions};
 
 /// What a row of labels names in place of a sensor where it speaks of the whole frame.
@@ -101,8 +104,10 @@ impl TrainingArgs {
 
 #[derive(clap::Args)]
 struct TrainArgs {
-    /// Poses of a recording that shows all kinds of frames.
+    /// Poses of a recording that shows all kinds of frames: .mcap, or a table with a row for each sensor or columns for each joint.
     poses: PathBuf,
+    #[command(flatten)]
+    reading: Reading,
     /// Where to write the network.
     #[arg(short, long, value_name = "FAULTS.json")]
     output: PathBuf,
@@ -128,6 +133,8 @@ struct DetectArgs {
     fault_map: PathBuf,
     /// Poses of the same sensors.
     poses: PathBuf,
+    #[command(flatten)]
+    reading: Reading,
     /// Where to write the labels.
     #[arg(short, long, value_name = "LABELS.csv")]
     output: PathBuf,
@@ -151,13 +158,30 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     }
 }
 
-/// Positions of a table, or the raw ones of a recording: its poses have been repaired already.
-fn read(path: &Path) -> Result<Frames, Error> {
+/// Poses of a table, a row for each sensor or columns for each joint; or the raw ones of a recording: its poses have been repaired already.
+fn read(path: &Path, reading: &Reading) -> Result<Frames, Error> {
     if is_recording(path) {
         let read = positions::read(path);
         return read.map_err(|error| Error::failed(format!("{}: {error}", path.display())));
     }
-    Ok(Poses::read(path).map_err(Error::failed)?.frames())
+    let read = || {
+        let table = TableReader::open(path)?;
+        if table.columns().iter().any(|column| column.ends_with("_x")) {
+            return Ok(frames_of(Sequences::from_table(table, &reading.options())?));
+        }
+        Ok(Poses::from_table(table)?.frames())
+    };
+    read().map_err(|error: TableError| Error::failed(error))
+}
+
+/// The joints of a sequence as sensors.
+fn frames_of(sequences: Sequences) -> Frames {
+    Frames {
+        t_s: sequences.frames.iter().map(|frame| frame.t_s).collect(),
+        positions_m: sequences.positions_m.iter().flat_map(|p| p.unwrap_or([f64::NAN; 3])).collect(),
+        sensors: sequences.joints,
+        orientations_wxyz: Vec::new(),
+    }
 }
 
 #[derive(Serialize)]
@@ -198,7 +222,7 @@ impl Counts {
 }
 
 fn train(args: &TrainArgs) -> Result<(), Error> {
-    let frames = read(&args.poses)?;
+    let frames = read(&args.poses, &args.reading)?;
     let size = Size { neurons: usize::from(args.neurons), side: usize::from(args.side) };
     let (fault_map, labels) = args
         .training
@@ -239,7 +263,7 @@ fn detect(args: &DetectArgs) -> Result<(), Error> {
     let fault_map: FaultMap = serde_json::from_slice(&text)
         .map_err(|error| Error::failed(format!("{}: {error}", args.fault_map.display())))?;
     let frames = fault_map
-        .adapt(&read(&args.poses)?)
+        .adapt(&read(&args.poses, &args.reading)?)
         .map_err(|error| Error::failed(format!("{}: {error}", args.poses.display())))?;
     let mut watch = fault_map.watch();
     let mut labels = Labels::default();

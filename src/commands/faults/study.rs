@@ -12,7 +12,7 @@ use posed_motion::fault_map::{Frames, Rules, Separation, Size, separation};
 use posed_recording::table::TableReader;
 use serde::Serialize;
 
-use super::{Error, TrainingArgs, WHOLE_FRAME, print, print_json, read};
+use super::{Error, Reading, TrainingArgs, WHOLE_FRAME, print, print_json, read};
 
 /// What to study, and against which classes.
 #[derive(clap::Args)]
@@ -24,6 +24,8 @@ use super::{Error, TrainingArgs, WHOLE_FRAME, print, print_json, read};
 pub(super) struct Args {
     /// Poses of a recording that shows all kinds of frames.
     poses: PathBuf,
+    #[command(flatten)]
+    reading: Reading,
     /// The classes of its frames, in place of those that the rules find: t,class with clean, inverted, anomalous or unknown; of what
     /// `posed faults detect` writes, the rows of whole frames.
     #[arg(long, value_name = "LABELS.csv")]
@@ -71,7 +73,7 @@ struct Studied {
 }
 
 pub(super) fn run(args: &Args) -> Result<(), Error> {
-    let frames = read(&args.poses)?;
+    let frames = read(&args.poses, &args.reading)?;
     let classes = match &args.truth {
         Some(path) => read_classes(path, &frames)?,
         None => Rules::learn(&frames).1.frames.iter().map(|label| label.class).collect(),

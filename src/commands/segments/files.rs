@@ -1,29 +1,9 @@
-//! How the commands read sequences, and whether a model knows what is in them.
+//! Whether a model knows what is in a file of sequences.
 
 use posed_motion::segments::Model;
-use posed_recording::table::{SequenceOptions, Sequences, Unit, Up};
+use posed_recording::table::Sequences;
 
 use super::super::{Error, notify};
-
-/// How to read sequences.
-#[derive(clap::Args)]
-pub(super) struct Reading {
-    /// Rows per second of files without a column `t`.
-    #[arg(long, value_name = "HZ")]
-    rate_hz: Option<f64>,
-    /// Unit of the positions.
-    #[arg(long, value_enum, default_value_t)]
-    unit: Unit,
-    /// The upward axis of the positions.
-    #[arg(long, value_enum, default_value_t)]
-    up: Up,
-}
-
-impl Reading {
-    pub(super) fn options(&self) -> SequenceOptions {
-        SequenceOptions { rate_hz: self.rate_hz, unit: self.unit, up: self.up }
-    }
-}
 
 /// Refuses a file that lacks most of the model's joints or is in another unit; tells of joints that are missing.
 pub(super) fn fits(name: &str, file: &Sequences, model: &Model) -> Result<(), Error> {

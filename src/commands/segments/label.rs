@@ -8,8 +8,9 @@ use crate::pictures::segments as picture;
 use posed_recording::table::{SegmentLabel, SegmentLabels, read_labelled, write_elan};
 use serde::Serialize;
 
+use super::super::reading::Reading;
 use super::super::{Error, output, print, print_json};
-use super::files::{self, Reading};
+use super::files;
 use super::load;
 
 /// What to name.

@@ -9,8 +9,8 @@ use posed_recording::table::TrainingSet;
 use posed_recording::table::read_labelled_folder;
 use serde::Serialize;
 
+use super::super::reading::Reading;
 use super::super::{Error, notify, output, print, print_json};
-use super::files::Reading;
 
 /// What to learn from, and how.
 #[derive(clap::Args)]
