@@ -16,18 +16,17 @@ fn commands() -> String {
     let mut root = super::command();
     root.build();
     fn walk(command: &mut clap::Command, name: &str, text: &mut String) {
-        let has_commands = command.get_subcommands().any(|below| below.get_name() != "help");
-        if has_commands {
-            for below in command.get_subcommands_mut().filter(|below| below.get_name() != "help") {
-                let name = format!("{name} {}", below.get_name());
-                walk(below, &name, text);
-            }
-        } else {
+        // Some do their work by themselves, and have commands beside.
+        if !command.is_subcommand_required_set() {
             // `--log` is everybody's, and said once.
             let command = command.clone().mut_arg("log", |log| log.hide(true)).term_width(100);
             let help = command.bin_name(name.to_owned()).render_long_help().to_string();
             let lines: Vec<&str> = help.lines().map(str::trim_end).collect();
             writeln!(text, "\n## {name}\n\n```text\n{}\n```", lines.join("\n").trim_end()).unwrap();
+        }
+        for below in command.get_subcommands_mut().filter(|below| below.get_name() != "help") {
+            let name = format!("{name} {}", below.get_name());
+            walk(below, &name, text);
         }
     }
     walk(&mut root, "posed", &mut text);
