@@ -10,7 +10,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// The segments that wear sensors, by their place in the simulator's arrays.
-const BODY_SENSORS: [(&str, usize); 6] =
+pub(crate) const BODY_SENSORS: [(&str, usize); 6] =
     [("torso", 0), ("pelvis", 1), ("upper_arm_r", 2), ("forearm_r", 3), ("upper_arm_l", 6), ("forearm_l", 7)];
 /// Joints: the sensors on both sides, child first, and the segment whose origin the joint is; the spine's is the pelvis'.
 const JOINTS: [(usize, usize, usize); 5] = [(0, 1, 1), (2, 0, 2), (3, 2, 3), (4, 0, 6), (5, 4, 7)];
@@ -28,6 +28,7 @@ pub(crate) struct Reading {
 
 /// A person's session.
 pub(crate) struct Session {
+    pub(crate) height_m: f64,
     pub(crate) build: Build,
     /// By instant and sensor.
     pub(crate) frames: Vec<[Reading; BODY_SENSORS.len()]>,
@@ -41,11 +42,13 @@ fn normal(random: &mut ChaCha8Rng) -> f64 {
 }
 
 impl Session {
-    /// The `seed`-th person: height, seats of the sensors, way about the stage and metal are its own.
-    pub(crate) fn new(seed: u64, seconds: f64) -> Self {
+    /// The `seed`-th person, who first stands still for so many seconds, arms hanging: height, seats of the sensors, way about the stage and metal
+    /// are its own.
+    pub(crate) fn new(seed: u64, seconds: f64, standing_s: f64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut draw = |low: f64, high: f64| low + (high - low) * random.random::<f64>();
-        let build = Build::of_height(draw(1.55, 1.95));
+        let height_m = draw(1.55, 1.95);
+        let build = Build::of_height(height_m);
         let side = if draw(0.0, 1.0) < 0.5 { -1.0 } else { 1.0 };
         let environment = Environment {
             spheres: vec![Sphere {
@@ -71,7 +74,7 @@ impl Session {
         let script = Script { activity: Activity::Reaching, calibration: false, facing: 0.0, mistake: None };
         let place = |t_s: f64| {
             let mut posture = script.at(t_s, &build);
-            let wander = |axis: usize, period_s: f64| libm::sin(TAU * t_s / period_s + phases[axis]);
+            let wander = |axis: usize, period_s: f64| libm::sin(TAU * t_s.max(0.0) / period_s + phases[axis]);
             posture.pelvis_m += Vector3::new(1.15 + 0.25 * wander(0, 17.0), 0.35 * wander(1, 23.0), -0.9);
             posture.pelvis[0] += 1.2 * wander(2, 31.0);
             posture.place(&build)
@@ -88,7 +91,7 @@ impl Session {
             })
         });
         let frames = (0..(seconds * RATE_HZ) as usize).map(|frame| {
-            let body = place(frame as f64 / RATE_HZ);
+            let body = place(frame as f64 / RATE_HZ - standing_s);
             std::array::from_fn(|sensor| {
                 let segment = &body[BODY_SENSORS[sensor].1];
                 let skin = Vector3::from_fn(|axis, _| {
@@ -104,7 +107,7 @@ impl Session {
             })
         });
         let frames = frames.collect();
-        Self { build, frames, ways }
+        Self { height_m, build, frames, ways }
     }
 
     /// The first `frames` instants as the solver gets them.
@@ -124,7 +127,8 @@ impl Session {
         let joint = |(child, parent, _): (usize, usize, usize)| Joint {
             name: format!("{} to {}", BODY_SENSORS[parent].0, BODY_SENSORS[child].0),
             sensors: [child, parent],
-            ways_m: [None, None],
+            ways: [None, None],
+            range: None,
         };
         let bone = |sensor: usize, joints: [usize; 2], length_m: Option<f64>| Bone {
             name: BODY_SENSORS[sensor].0.into(),

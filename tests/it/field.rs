@@ -68,6 +68,28 @@ fn given_a_pure_scale_error_a_polynomial_of_degree_one_is_enough() {
 }
 
 #[test]
+fn a_map_whose_gain_noise_hides_is_accepted_and_one_of_noise_alone_is_not() {
+    for (scale, useful) in [(1.005, true), (1.0, false)] {
+        let run = scenes::Scene { scale: Some((scale, 4e-3)), ..scene("scale 1.02") }.run(3);
+        let solution = solve(pole(&run, 900, SPACING_M), &[], &mut |_| {});
+        assert_eq!(solution.report.accepted, useful, "{:?}", solution.report);
+        if useful {
+            let corrector = solution.map.unwrap().corrector();
+            let error = |of: &dyn Fn(&scenes::Sample) -> Vector3<f64>| {
+                let pairs: Vec<_> = run.tests.iter().map(|s| (of(s), s.p)).collect();
+                let motion = rigid(&pairs);
+                pairs
+                    .iter()
+                    .map(|(a, b)| (motion * nalgebra::Point3::from(*a) - b).coords.norm_squared())
+                    .sum::<f64>()
+            };
+            let (raw, mapped) = (error(&|s| s.z), error(&|s| corrector.position(&s.z)));
+            assert!(mapped < 0.25 * raw, "{mapped} {raw}");
+        }
+    }
+}
+
+#[test]
 fn given_anchors_a_spacing_that_is_a_millimetre_off_is_reported_and_a_right_one_is_not() {
     let run = scene("scale 1.02").run(3);
     let anchors: Vec<Anchor> = [30, 300, 600, 850]
@@ -230,7 +252,7 @@ fn given_the_published_method_a_file_is_solved_corrected_and_drawn() {
 
 #[test]
 fn given_a_person_in_place_of_the_pole_bones_keep_their_length() {
-    let session = Session::new(1, 40.0);
+    let session = Session::new(1, 40.0, 0.0);
     let limbs = session.limbs();
     let solution = solve_limbs(session.run(900), &limbs, &mut |_| {});
     assert!(solution.report.accepted, "{:?}", solution.report);
@@ -255,8 +277,8 @@ fn given_the_command_a_session_is_solved_by_its_bones() {
     use std::fmt::Write;
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
-    let session = Session::new(2, 25.0);
-    let run = session.run(750);
+    let session = Session::new(2, 27.0, 2.0);
+    let run = session.run(810);
     let mut csv = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");
     let mut stage = String::from(
         "name = \"Body\"\n[body]\n[[device]]\nname = \"flock\"\ndriver = \"flock-of-birds\"\nport = \"/dev/none\"\n",
@@ -273,15 +295,25 @@ fn given_the_command_a_session_is_solved_by_its_bones() {
         }
     }
     std::fs::write(path("session.csv"), csv).unwrap();
-    std::fs::write(path("stage.toml"), stage).unwrap();
+    std::fs::write(path("stage.toml"), &stage).unwrap();
+    let stage_toml = stage;
     let (session_csv, stage, field, out) =
         (path("session.csv"), path("stage.toml"), path("field.json"), path("out.csv"));
     let solve = ["field", "solve", &session_csv, "--body", &stage, "-o", &field, "--json"];
     let bone = format!("upper_arm_r={}", session.build.upper_arm_m);
-    let solved = posed(solve.iter().copied().chain(["--bone", &bone, "--corrected", &out]));
+    let standing = ["--bone", &bone, "--corrected", &out, "--n-pose", "0,2"];
+    let no_height = posed(solve.iter().copied().chain(standing));
+    assert_eq!(no_height.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&no_height.stderr).contains("height_m"));
+    let sized = stage_toml.replace("[body]\n", &format!("[body]\nheight_m = {}\n", session.height_m));
+    std::fs::write(path("stage.toml"), sized).unwrap();
+    let solved = posed(solve.iter().copied().chain(standing));
     assert_eq!(solved.status.code(), Some(0), "{}", String::from_utf8_lossy(&solved.stderr));
     assert_eq!(json(&solved)["accepted"], true);
-    assert_eq!(std::fs::read_to_string(out).unwrap().lines().count(), 750 * 6 + 1);
+    assert_eq!(std::fs::read_to_string(&out).unwrap().lines().count(), 810 * 6 + 1);
+    let late = posed(solve.iter().copied().chain(["--n-pose", "90,92"]));
+    assert!(String::from_utf8_lossy(&late.stderr).contains("both sides"));
+    std::fs::write(path("stage.toml"), stage_toml).unwrap();
     let refused = posed(solve);
     assert_eq!(refused.status.code(), Some(1));
     assert_eq!(json(&refused)["reasons"][0]["code"], "spacing");

@@ -12,6 +12,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, UnitQuaternion, Vector3};
 use super::coverage;
 use super::fit::fit;
 use super::hull::Hull;
+use super::joint_range::JointRange;
 use super::map::{Aligned, FieldMap, VERSION};
 use super::model::Model;
 use super::model::metal::Metal;
@@ -49,9 +50,29 @@ pub struct Joint {
     pub name: String,
     /// Indices of the two sensors in `PoleRun::sensors`.
     pub sensors: [usize; 2],
-    /// Sensor-to-joint vector of each sensor, sensor axes, m, where it is known (to 5 mm per axis); `None` is
-    /// estimated.
-    pub ways_m: [Option<Vector3<f64>>; 2],
+    /// What is known of each sensor's way to the joint; without it the way is estimated from the readings alone.
+    pub ways: [Option<Way>; 2],
+    /// How far it turns; looks at it beyond that are left out. `None`: anyhow.
+    pub range: Option<JointRange>,
+}
+
+/// Where a joint lies from a sensor, as far as it is known before the readings are looked at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Way {
+    /// From the sensor to the joint, sensor axes, m.
+    pub m: Vector3<f64>,
+    /// Standard deviation per axis, m.
+    pub sigma_m: f64,
+}
+
+impl Way {
+    /// One by a stated mounting: known to 5 mm.
+    pub fn stated(m: Vector3<f64>) -> Self {
+        Self { m, sigma_m: SEAT_M }
+    }
+
+    /// One of which nothing is known.
+    const UNKNOWN: Self = Self { m: Vector3::new(0.0, 0.0, 0.0), sigma_m: 0.3 };
 }
 
 /// A body segment with one sensor and two joints.
@@ -105,7 +126,7 @@ pub fn solve_limbs(run: PoleRun, limbs: &Limbs, progress: &mut dyn FnMut(f64)) -
         report.reasons.push(Reason { code, text: text.to_owned() });
         Solution { map: None, report, polynomials: Vec::new(), rejected: Vec::new() }
     };
-    let looks = looks(&run, limbs);
+    let looks = looks(&run, limbs, &mut report.rejected);
     let Some(hull) = Hull::new(points.iter()).filter(|_| looks.len() >= 200) else {
         return refuse(
             report,
@@ -114,7 +135,7 @@ pub fn solve_limbs(run: PoleRun, limbs: &Limbs, progress: &mut dyn FnMut(f64)) -
         );
     };
     let scaled = limbs.bones.iter().any(|bone| bone.length_m.is_some())
-        || limbs.joints.iter().any(|joint| joint.ways_m.iter().flatten().count() > 0);
+        || limbs.joints.iter().flat_map(|joint| joint.ways).flatten().any(|way| way.sigma_m <= SEAT_M);
     if !scaled {
         let text = "no bone is measured: state the body's height, or a bone's length; a scale is never taken from the readings";
         return refuse(report, Code::Spacing, text);
@@ -137,14 +158,15 @@ pub fn solve_limbs(run: PoleRun, limbs: &Limbs, progress: &mut dyn FnMut(f64)) -
     let raw = raw.with_noise(&weighting(&noise, gap_m));
     let before = fit(&raw, &Model::default(), 0);
     let before = before.and_then(|fitted| fitted.held_out(&raw).map(|held| (fitted, held)));
-    let raw_score = before.as_ref().map_or(f64::NAN, |(_, held)| held.score());
+    let without = before.as_ref().map_or_else(Vec::new, |(_, held)| held.scores.clone());
     report.raw_m = before.map_or(f64::NAN, |(fitted, _)| fitted.rms_m());
     report.tried = tried;
     report.model = model.describe();
     report.residual_m = candidate.fit.rms_m();
     report.heldout_m = candidate.held_out.rms_m;
     report.noise_m = gap_m;
-    report.judge_improvement(candidate.held_out.score(), raw_score, "joints fit");
+    // What skin leaves at a joint is known from the map alone.
+    report.judge_improvement(&candidate.held_out.scores, &without, 0.0, "joints fit");
     let absolute = model.is_metal_alone();
     let uncertainty = uncertainty(&problem, &model, &candidate.held_out, &hull, &noise, absolute);
     report.reasons.extend(unbelievable(&model, &hull, &points));
@@ -238,8 +260,8 @@ fn better(smooth: Option<Followed>, metal: Option<Followed>, noise: &FieldNoise)
     Some(if metal_wins { metal } else { smooth })
 }
 
-/// All looks at joints, thinned out evenly.
-fn looks(run: &PoleRun, limbs: &Limbs) -> Vec<Look> {
+/// All looks at joints, thinned out evenly; counts those in `beyond` that no joint allows.
+fn looks(run: &PoleRun, limbs: &Limbs, beyond: &mut usize) -> Vec<Look> {
     let start_s = run.frames.first().map_or(0.0, |frame| frame.t_s);
     let stride = (run.frames.len() * limbs.joints.len()).div_ceil(ENOUGH).max(1);
     let mut looks = Vec::new();
@@ -248,6 +270,10 @@ fn looks(run: &PoleRun, limbs: &Limbs) -> Vec<Look> {
             let [a, b] = joint.sensors.map(|sensor| frame.readings.get(sensor).copied().flatten());
             let (Some(a), Some(b)) = (a, b) else { continue };
             let (Some(qa), Some(qb)) = (a.orientation, b.orientation) else { continue };
+            if joint.range.is_some_and(|range| !range.allows(&[qa, qb])) {
+                *beyond += 1;
+                continue;
+            }
             let fold = ((frame.t_s - start_s) / BLOCK_S) as usize;
             looks.push(Look { fold, joint: index, z: [a.position_m, b.position_m], q: [qa, qb] });
         }
@@ -323,11 +349,11 @@ fn fit_ways(
         for (index, joint) in limbs.joints.iter().enumerate() {
             for side in 0..2 {
                 // An axis about which a joint does not bend says nothing: then as near to the sensor as can be.
-                let (sigma_m, way) = joint.ways_m[side].map_or((0.3, Vector3::zeros()), |way| (SEAT_M, way));
-                let weight = 1.0 / (sigma_m * sigma_m);
+                let way = joint.ways[side].unwrap_or(Way::UNKNOWN);
+                let weight = 1.0 / (way.sigma_m * way.sigma_m);
                 for axis in 0..3 {
                     matrix[(at(index, side) + axis, at(index, side) + axis)] += weight;
-                    right[at(index, side) + axis] += weight * way[axis];
+                    right[at(index, side) + axis] += weight * way.m[axis];
                 }
             }
         }

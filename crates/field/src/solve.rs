@@ -79,13 +79,15 @@ pub fn solve(mut run: PoleRun, anchors: &[Anchor], progress: &mut dyn FnMut(f64)
         return Solution { map: None, report, polynomials: Vec::new(), rejected };
     };
     report.raw_m = tried.first().map_or(f64::NAN, |tried| tried.heldout_m);
-    let raw_score = tried.first().map_or(f64::NAN, |tried| tried.score);
+    let without = fit(&problem, &Model::default(), 0).and_then(|fitted| fitted.held_out(&problem));
+    let without = without.map_or_else(Vec::new, |held_out| held_out.scores);
     report.tried = tried;
     report.model = candidate.fit.model.describe();
     report.residual_m = candidate.fit.rms_m();
     report.heldout_m = candidate.held_out.rms_m;
     report.noise_m = expected_rms_m(&points, &noise, run.sensors.len());
-    report.judge_improvement(candidate.held_out.score(), raw_score, "readings get");
+    // Losses are in units of the noise, which third differences tell.
+    report.judge_improvement(&candidate.held_out.scores, &without, 1.0, "readings get");
     let model = candidate.fit.model.clone();
     let scale = Polynomial::new(0, &Vector3::from(hull.center_m), half_extent(&hull));
     let rotation = orientation::fit(&run, &model, &scale);

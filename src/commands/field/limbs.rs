@@ -1,13 +1,14 @@
 //! From a stage file's body to joints and bones between its sensors.
 
 use nalgebra::Vector3;
-use posed_field::{Bone, Joint, Limbs};
+use posed_field::{Bone, Joint, Limbs, PoleRun, Way};
 use posed_fusion::body::BodySegment;
 use posed_geometry::orientation_from_wxyz;
 use posed_stage::layout::skeleton_of;
 use posed_stage::{Mounting, Stage};
 
 use super::Error;
+use super::posture::{Worn, add_priors};
 
 /// A bone in proportion to the height is known to this share, a measured one to this, m.
 const PROPORTION: f64 = 0.02;
@@ -39,6 +40,44 @@ struct Wears<'a> {
     /// Index among the sensors that are asked for.
     sensor: usize,
     entry: &'a posed_stage::Sensor,
+}
+
+/// When the person stood in an N-pose, s of the session.
+pub(super) fn span(text: &str) -> Result<[f64; 2], String> {
+    let wrong = || "write FROM,TO in seconds of the session, such as 0,3".to_owned();
+    let (from, to) = text.split_once(',').ok_or_else(wrong)?;
+    match (from.trim().parse::<f64>(), to.trim().parse::<f64>()) {
+        (Ok(from_s), Ok(to_s)) if from_s >= 0.0 && to_s > from_s && to_s.is_finite() => Ok([from_s, to_s]),
+        _ => Err(wrong()),
+    }
+}
+
+/// Adds what the person's first posture tells.
+pub(super) fn add_posture(
+    limbs: &mut Limbs,
+    run: &PoleRun,
+    stage: &Stage,
+    span_s: [f64; 2],
+) -> Result<(), Error> {
+    let body = stage.body.as_ref();
+    let skeleton = body.filter(|body| body.skeleton == posed_stage::Skeleton::Human).and_then(skeleton_of);
+    let skeleton = skeleton
+        .ok_or_else(|| Error::failed("--n-pose needs the human skeleton with `height_m` in [body]"))?;
+    let worn: Option<Vec<Worn>> = run
+        .sensors
+        .iter()
+        .map(|name| {
+            let entry = stage.sensors.iter().find(|sensor| sensor.name == *name)?;
+            let segment = BodySegment::named(entry.segment.as_deref().unwrap_or(&entry.name))?;
+            Some(Worn { segment, offset_m: entry.offset_m.map(Vector3::from) })
+        })
+        .collect();
+    let worn =
+        worn.ok_or_else(|| Error::failed("--n-pose: a sensor sits on no segment of the human skeleton"))?;
+    let room = stage.transmitter.pose_in_room.and_then(|pose| orientation_from_wxyz(pose.orientation_wxyz));
+    let up = room.unwrap_or_default().inverse() * Vector3::z();
+    add_priors(limbs, run, span_s, &worn, &skeleton, &up)
+        .map_err(|error| Error::Failed(format!("--n-pose: {error}")))
 }
 
 /// The names of the sensors that sit on segments, and how they hang together.
@@ -80,12 +119,13 @@ pub(super) fn of_stage(stage: &Stage, measured: &[Measured]) -> Result<(Vec<Stri
         let way = |wears: &Wears<'_>, joint_m: Option<Vector3<f64>>| {
             let rotation = orientation_from_wxyz(wears.entry.mount_quat_wxyz?)?;
             let offset = Vector3::from(wears.entry.offset_m?);
-            given.then_some(rotation.inverse() * (joint_m? - offset))
+            given.then_some(Way::stated(rotation.inverse() * (joint_m? - offset)))
         };
         limbs.joints.push(Joint {
             name: format!("{} to {}", parent.name, child.name),
             sensors: [child.sensor, parent.sensor],
-            ways_m: [way(child, joints_m.map(|p| p[0])), way(parent, joints_m.map(|p| p[1]))],
+            range: None,
+            ways: [way(child, joints_m.map(|p| p[0])), way(parent, joints_m.map(|p| p[1]))],
         });
     }
     for segment in &wearing {

@@ -6,6 +6,7 @@ mod cascade;
 mod collect;
 mod correct;
 mod limbs;
+mod posture;
 mod show;
 mod solve;
 

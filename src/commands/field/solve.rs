@@ -18,6 +18,7 @@ use super::{Error, cascade, collect, limbs, notify, output, print, print_json};
 #[command(
     after_help = "Examples:\n  posed field solve pole.csv --spacing-m 0.3 --anchors anchors.csv -o field.json\n  \
     posed field solve session.mcap --body stage.toml -o field.json --corrected session.csv\n  \
+    posed field solve session.mcap --body stage.toml --n-pose 0,3 -o field.json\n  \
     posed field solve pole.csv --spacing-m 0.3 --method cascade -o cascade.json --picture cascade.svg\n\n\
     POLE: poses (t,sensor,x,y,z and, for orientations, qw,qx,qy,qz) in the transmitter frame; the order of first \
     appearance is the order along the pole. Of a recording it takes what the devices said.\n\
@@ -38,6 +39,10 @@ pub(crate) struct Args {
     /// A measured bone, joint to joint, in place of the body's height; may be repeated.
     #[arg(long, value_name = "SEGMENT=M", value_parser = super::limbs::measured, requires = "body")]
     bone: Vec<super::limbs::Measured>,
+    /// When in the session the person stood in an N-pose, arms hanging, looking ahead, s: begins the search for where joints lie, and leaves out what
+    /// no joint allows. Needs `height_m`, and sensors on both sides.
+    #[arg(long, value_name = "FROM,TO", value_parser = super::limbs::span, requires = "body")]
+    n_pose: Option<[f64; 2]>,
     /// Surveyed points that a sensor stood on: three or more make positions absolute.
     #[arg(long, value_name = "CSV", conflicts_with = "body")]
     anchors: Option<PathBuf>,
@@ -84,12 +89,16 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     }
     let body = args.body.as_deref().map(|path| {
         let stage = Stage::load(path).map_err(Error::failed)?;
-        limbs::of_stage(&stage, &args.bone)
+        let (names, limbs) = limbs::of_stage(&stage, &args.bone)?;
+        Ok((stage, names, limbs))
     });
-    let body = body.transpose()?;
-    let named = body.as_ref().map_or(args.sensors.as_slice(), |(names, _)| names);
+    let mut body = body.transpose()?;
+    let named = body.as_ref().map_or(args.sensors.as_slice(), |(_, names, _)| names);
     // A body has no spacing; nobody looks at this one.
     let run = read_run(&args.pole, named, args.spacing_m.unwrap_or(1.0))?;
+    if let (Some((stage, _, limbs)), Some(span_s)) = (&mut body, args.n_pose) {
+        limbs::add_posture(limbs, &run, stage, span_s)?;
+    }
     if body.is_none() {
         run.check_order().map_err(|error| Error::Failed(format!("{}: {error}", args.pole.display())))?;
     }
@@ -111,7 +120,7 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     let sensors = run.sensors.clone();
     let mut progress = |share| bar.set_position((1000.0 * share) as u64);
     let solution = match &body {
-        Some((_, limbs)) => solve_limbs(run, limbs, &mut progress),
+        Some((_, _, limbs)) => solve_limbs(run, limbs, &mut progress),
         None => solve(run, &anchors, &mut progress),
     };
     bar.finish_and_clear();
