@@ -12,7 +12,8 @@ use posed_simulator::body::{Activity, Build, Disturbance, Script, SensorErrors, 
 
 const HEIGHT_M: f64 = 1.8;
 const RATE_HZ: f64 = 100.0;
-const ACTIVITIES: [Activity; 4] = [Activity::Walking, Activity::Reaching, Activity::Curls, Activity::Squats];
+const ACTIVITIES: [Activity; 5] =
+    [Activity::Walking, Activity::Reaching, Activity::Curls, Activity::Squats, Activity::Rehabilitation];
 const TRUNKS: [BodySegment; 2] = [BodySegment::Torso, BodySegment::Pelvis];
 /// What the filters are given before the figures begin, s.
 const SETTLE_S: f64 = 10.0;

@@ -35,7 +35,12 @@ fn taught(seconds: f64, period_s: f64) -> Exercise {
     let (columns, t_s, values) = recording(seconds, period_s);
     let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
     let repetitions = ((seconds - 4.0) / period_s).round() as usize;
-    let options = Options { name: "bench".to_owned(), repetitions, channels: Some(columns.clone()) };
+    let options = Options {
+        name: "bench".to_owned(),
+        repetitions,
+        channels: Some(columns.clone()),
+        ..Options::default()
+    };
     teach(&stream, &options).expect("the demonstration is a good one").exercise
 }
 

@@ -74,7 +74,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             of_day.sort_by_key(|set| set.repetitions);
             let teacher = of_day[of_day.len() / 2];
             let options =
-                Options { name: activity.clone(), repetitions: teacher.repetitions, channels: None };
+                Options { name: activity.clone(), repetitions: teacher.repetitions, ..Options::default() };
             let lesson = teach(&stream(&teacher.streams), &options);
             match &lesson {
                 Ok(lesson) => writeln!(

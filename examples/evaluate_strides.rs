@@ -76,7 +76,8 @@ fn teach_one(
     out: &mut impl Write,
 ) -> Result<(), Box<dyn Error>> {
     let streams = teacher.only(axes)?;
-    let options = Options { name: "stride".into(), repetitions: teacher.swings_s.len(), channels: None };
+    let options =
+        Options { name: "stride".into(), repetitions: teacher.swings_s.len(), ..Options::default() };
     let lesson = match teach(&stream(&streams), &options) {
         Ok(lesson) => {
             let saw = lesson.report.repetitions.len();
@@ -127,7 +128,7 @@ fn teach_half(
             foot.swings_s.iter().copied().filter(|end_s| (from_s..to_s).contains(end_s)).collect()
         };
         let repetitions = swings(taught).len();
-        let options = Options { name: "stride".into(), repetitions, channels: None };
+        let options = Options { name: "stride".into(), repetitions, ..Options::default() };
         let lesson = teach(&stream(&streams).between(taught[0], taught[1]), &options);
         let ends_s = match &lesson {
             Ok(lesson) => {

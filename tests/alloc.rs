@@ -38,7 +38,8 @@ fn a_warm_pipeline_does_not_allocate() {
         rigid_pairs: vec![["s0-0", "s0-1"].map(named)],
         mains_hz: None,
     });
-    stage_file.keyframes = Some(Keyframes { sensors: None, window_frames: 20, false_alarms_per_min: 60.0 });
+    stage_file.keyframes =
+        Some(Keyframes { window_frames: 20, false_alarms_per_min: 60.0, ..Keyframes::default() });
     let flock =
         |name: &str, burst_ms| DeviceScenario { name: name.into(), burst_ms, ..DeviceScenario::default() };
     let scenario = Scenario { devices: vec![flock("d0", 16.0), flock("d1", 0.0)], ..Scenario::default() };
@@ -116,7 +117,8 @@ fn curl(stage_file: &Stage, scenario: &Scenario) -> Exercise {
     let columns = signals::columns(stage_file.sensors.iter().map(|sensor| sensor.name.as_str()));
     let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
     let channels = ["s0-0_x_m", "s0-0_z_m", "s0-0_up_x"].map(str::to_owned).to_vec();
-    let options = Options { name: "curl".into(), repetitions: 5, channels: Some(channels) };
+    let options =
+        Options { name: "curl".into(), repetitions: 5, channels: Some(channels), ..Options::default() };
     teach(&stream, &options).expect("repetitions that were made").exercise
 }
 

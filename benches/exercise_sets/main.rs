@@ -7,6 +7,7 @@
 //! `-- SEED FILE... [--rate HZ]` those of tables of joint positions (mm, y up; 30 Hz unless said).
 
 mod captured;
+mod lessons;
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -79,6 +80,7 @@ fn main() -> std::io::Result<()> {
     }
     let mut out = std::io::stdout().lock();
     writeln!(out, "{refused} demonstrations refused")?;
+    lessons::compare(first, &mut out)?;
     writeln!(out, "{false_counts} false counts in {:.0} minutes of other movement", other_s / 60.0)?;
     on_captures.write(&mut out)?;
     alone.write("one exercise loaded", &mut out)?;
@@ -153,7 +155,7 @@ impl Lessons {
         let lesson = |(number, training): (u64, Training)| {
             let mut day = Day::new(&person, number);
             day.set(training, 5, Variant::Right);
-            let options = Options { name: training.name().into(), repetitions: 5, channels: None };
+            let options = Options { name: training.name().into(), repetitions: 5, ..Options::default() };
             let lesson = with_stream(&day.finish(), |stream| teach(&stream, &options));
             lesson.ok().map(|lesson| lesson.exercise)
         };

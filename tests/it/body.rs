@@ -110,23 +110,7 @@ fn an_arm_is_calibrated_and_solved_from_file_to_file() {
         "{summary}"
     );
 
-    let mut table = TableReader::open(&angles).expect("it opens");
-    let columns = table.require(["t", "elbow_r_flexion_deg", "forearm_r_qw", "shoulder_r_elevation_deg"]);
-    let columns = columns.expect("these columns");
-    assert_eq!(table.column("knee_r_flexion_deg").expect("no clash"), None);
-    let mut squares = 0.0;
-    let mut rows = 0;
-    for (t, expected) in &recorded.truth {
-        assert!(table.next_row().expect("it reads"));
-        assert_eq!(table.number(columns[0]).expect("a number"), Some(*t));
-        let flexion = table.number(columns[1]).expect("a number").expect("a value");
-        if *t > 10.0 {
-            squares += (flexion - expected).powi(2);
-            rows += 1;
-        }
-    }
-    assert!(!table.next_row().expect("it reads"));
-    let rms = f64::sqrt(squares / f64::from(rows));
+    let rms = elbow_error_deg(&recorded, &angles);
     assert!(rms < 2.0, "{rms} degrees");
 
     let exported = |name: &str| {
@@ -138,6 +122,39 @@ fn an_arm_is_calibrated_and_solved_from_file_to_file() {
     markers_bend_as_the_arm_did(&text("take.trc"), &recorded.truth);
     frames_of_joints(&text("take.bvh"), recorded.truth.len());
     animation_of_every_frame(&exported("take.glb"), &recorded.truth);
+}
+
+#[test]
+fn an_arm_is_solved_by_the_published_limbs_too() {
+    let recorded = Recorded::new(STAGE);
+    let angles = recorded.path("angles.csv");
+    let done = recorded.solve_with(&["--limbs", "euler"], &angles);
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let by_euler = elbow_error_deg(&recorded, &angles);
+    recorded.solve(&angles);
+    let by_joints = elbow_error_deg(&recorded, &angles);
+    assert!(by_euler < 4.0 && by_euler != by_joints, "{by_euler} and {by_joints} degrees");
+}
+
+/// Root mean square error of the elbow's flexion in a table of angles, after the first ten seconds, degrees.
+fn elbow_error_deg(recorded: &Recorded, angles: &Path) -> f64 {
+    let mut table = TableReader::open(angles).expect("it opens");
+    let columns = table.require(["t", "elbow_r_flexion_deg", "forearm_r_qw", "shoulder_r_elevation_deg"]);
+    let columns = columns.expect("these columns");
+    assert_eq!(table.column("knee_r_flexion_deg").expect("no clash"), None);
+    let mut squares = 0.0;
+    let mut rows = 0;
+    for (t, expected) in &recorded.truth {
+        assert!(table.next_row().expect("it reads"));
+        assert_eq!(table.number(columns[0]).expect("a number"), Some(*t));
+        if *t > 10.0 {
+            let flexion = table.number(columns[1]).expect("a number").expect("a value");
+            squares += (flexion - expected).powi(2);
+            rows += 1;
+        }
+    }
+    assert!(!table.next_row().expect("it reads"));
+    f64::sqrt(squares / f64::from(rows))
 }
 
 /// A TRC: every time of the recording, and at the elbow's marker the angle that the true elbow had.

@@ -62,7 +62,7 @@ pub(crate) static CURL: LazyLock<Exercise> = LazyLock::new(|| {
     rig.run_until(22.0);
     let (columns, t_s, values) = rows(rig.estimates());
     let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
-    let options = Options { name: "curl".into(), repetitions: 5, channels: None };
+    let options = Options { name: "curl".into(), repetitions: 5, ..Options::default() };
     teach(&stream, &options).unwrap().exercise
 });
 
@@ -347,7 +347,7 @@ fn set(
 fn lesson(training: Training, demonstration: &exercises::Recording) -> Lesson {
     let (columns, t_s, values) = angles(demonstration);
     let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
-    let options = Options { name: training.name().into(), repetitions: 5, channels: None };
+    let options = Options { name: training.name().into(), repetitions: 5, ..Options::default() };
     teach(&stream, &options).unwrap()
 }
 
@@ -453,7 +453,7 @@ fn the_demos_person_rests_after_a_set_is_taught_by_it_and_counted_in_the_next_on
     assert!((27..=31).all(|half| resting(0.0..0.5 * f64::from(half))), "never rests");
     let (columns, t_s, values) = wearer(&rig, &stage, 0.0..13.5);
     let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
-    let options = Options { name: "curl".into(), repetitions: 5, channels: None };
+    let options = Options { name: "curl".into(), repetitions: 5, ..Options::default() };
     let lesson = teach(&stream, &options).unwrap();
     assert!(lesson.report.quality > 0.8, "{:?}", lesson.report);
     let names = &lesson.exercise.channels;
@@ -483,7 +483,7 @@ fn the_demos_squats_are_counted_beside_its_curls_without_a_complaint() {
     let taught = |name: &str, span_s: Range<f64>| {
         let (columns, t_s, values) = wearer(&rig, &stage, span_s);
         let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
-        let options = Options { name: name.into(), repetitions: 5, channels: None };
+        let options = Options { name: name.into(), repetitions: 5, ..Options::default() };
         teach(&stream, &options).unwrap().exercise
     };
     let exercises = [taught("curl", 0.0..13.5), taught("squat", 58.0..78.0)];

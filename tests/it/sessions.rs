@@ -17,7 +17,7 @@ fn taught() -> (Rig, Exercise) {
     rig.run_until(13.5);
     let (columns, t_s, values) = wearer(&rig, &stage, 0.0..13.5);
     let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
-    let options = Options { name: "curl".into(), repetitions: 5, channels: None };
+    let options = Options { name: "curl".into(), repetitions: 5, ..Options::default() };
     let exercise = teach(&stream, &options).unwrap().exercise;
     (rig, exercise)
 }

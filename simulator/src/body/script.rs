@@ -19,6 +19,8 @@ pub enum Activity {
     Curls,
     /// Squats with the arms held forward.
     Squats,
+    /// Raises and bends arms and legs as a patient does: slowly, half as far, with a tremor of 5 Hz that comes and goes.
+    Rehabilitation,
     /// Holds an N-pose and a T-pose in turn, three seconds each: what a quick guided calibration asks for.
     Poses,
     /// Stands, holds a T-pose, then bends elbows, knees, hips and trunk with rests between, again and again: what a full calibration
@@ -268,6 +270,32 @@ impl Activity {
                 p.pelvis_m.z -= 0.42 * down;
                 let (s, c) = libm::sincos(p.pelvis[0]);
                 p.pelvis_m -= Vector3::new(c, s, 0.0) * (0.15 * down);
+            }
+            Activity::Rehabilitation => {
+                const HZ: f64 = 0.12;
+                // Between 4 and 6 Hz, as that of Parkinson's disease.
+                const TREMOR_HZ: f64 = 5.0;
+                let tremor = |degrees: f64, phase: f64| {
+                    degrees.to_radians() * (0.6 + 0.4 * wave(0.07, phase)) * wave(TREMOR_HZ, phase)
+                };
+                for (side, phase) in [(0, 0.0), (1, 2.1)] {
+                    p.elbow[side] = [
+                        0.3 + 0.9 * rise(HZ, phase) + tremor(1.5, phase),
+                        0.2 - 0.5 * rise(HZ, phase) + tremor(3.0, phase + 1.1),
+                    ]
+                    .map(|a| grow * a);
+                    raise(
+                        p,
+                        side,
+                        grow * (0.6 * rise(0.7 * HZ, phase) + tremor(0.7, phase)),
+                        grow * 0.1,
+                        0.0,
+                    );
+                    p.hip[side][0] = grow * 0.5 * rise(0.8 * HZ, phase + 0.7);
+                    p.knee[side] = grow * (0.6 * rise(0.8 * HZ, phase + 0.5) + tremor(0.5, phase + 0.4));
+                }
+                p.spine = [0.08 * rise(0.05, 0.0), 0.04 * wave(0.06, 0.4), 0.06 * wave(0.04, 1.0)]
+                    .map(|a| grow * a);
             }
             Activity::Poses => hold_t_pose(p, t.rem_euclid(POSES_S), POSE_S),
             Activity::Bends => pose_and_move(p, t, &BENDS),

@@ -1,10 +1,11 @@
-//! `posed body solve` of the human skeleton: calibrates, runs the live filter over the file, writes angles or an animation.
+//! `posed body solve` of the human skeleton: calibrates, runs the live filter or the published one over the file, writes angles or an animation.
 
+use posed_baselines::limbs::EulerBody;
 use posed_fusion::ahrs::ImuSample;
 use posed_fusion::body::assign;
 use posed_fusion::body::{
-    ANGLE_NAMES, BodyEstimate, BodyFilter, BodyParams, BodySegment, Heading, SEGMENTS, SensorMount, Skeleton,
-    of_joint,
+    ANGLE_NAMES, BodyEstimate, BodyFilter, BodyParams, BodySamples, BodySegment, Heading, SEGMENTS,
+    SensorMount, Skeleton, angles, of_joint,
 };
 use posed_fusion::body::{Block, BlockKind, Recorded, calibrate};
 use posed_fusion::faults::Cause;
@@ -14,7 +15,7 @@ use posed_recording::table::{Imu, TableError, TableWriter};
 use posed_stage::layout::{offset_on, skeleton_of};
 use posed_stage::{Body, Mounting, Sensor, Stage};
 
-use super::{Error, Solve, epochs, one_each, places, print, print_json};
+use super::{Error, Limbs, Solve, epochs, one_each, places, print, print_json};
 
 /// The answer.
 #[derive(serde::Serialize)]
@@ -96,7 +97,7 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
         }
     };
 
-    let mut filter = BodyFilter::new(&skeleton, &mounts, &BodyParams::default());
+    let mut filter = Filter::new(args.limbs, &skeleton, &mounts);
     if recording.iter().any(|(_, samples)| samples.iter().flatten().any(|sample| sample.mag.is_some())) {
         filter.await_field();
     }
@@ -109,7 +110,7 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
     for (t_s, samples) in &recording {
         let dt_s = last_s.map_or(nominal_s, |last| t_s - last);
         last_s = Some(*t_s);
-        estimates.push((*t_s, filter.push(samples, dt_s).clone()));
+        estimates.push((*t_s, filter.push(samples, dt_s)));
     }
     write(args, &present, &skeleton, &estimates)?;
 
@@ -130,12 +131,46 @@ pub(super) fn solve(args: &Solve, stage: &Stage, body: &Body, imu: &Imu) -> Resu
             })
             .collect(),
         warnings,
-        heading_held_s: match filter.estimate().heading {
-            Heading::Held(seconds) => seconds,
-            Heading::Field | Heading::Unknown => 0.0,
+        heading_held_s: match estimates.last() {
+            Some((_, BodyEstimate { heading: Heading::Held(seconds), .. })) => *seconds,
+            _ => 0.0,
         },
     };
     notify(args, &summary)
+}
+
+/// The live filter, or the published limbs.
+enum Filter {
+    Joints(Box<BodyFilter>),
+    Euler(Box<EulerBody>),
+}
+
+impl Filter {
+    fn new(limbs: Limbs, skeleton: &Skeleton, mounts: &[Option<SensorMount>; SEGMENTS]) -> Self {
+        let params = BodyParams::default();
+        match limbs {
+            Limbs::Joints => Self::Joints(Box::new(BodyFilter::new(skeleton, mounts, &params))),
+            Limbs::Euler => Self::Euler(Box::new(EulerBody::new(skeleton, mounts, &params))),
+        }
+    }
+
+    /// The sensors have magnetometers.
+    fn await_field(&mut self) {
+        if let Self::Joints(filter) = self {
+            filter.await_field();
+        }
+    }
+
+    /// The published limbs say nothing of uncertainty, faults and heading.
+    fn push(&mut self, samples: &BodySamples, dt_s: f64) -> BodyEstimate {
+        match self {
+            Self::Joints(filter) => filter.push(samples, dt_s).clone(),
+            Self::Euler(body) => {
+                let orientations = *body.push(samples, dt_s);
+                BodyEstimate { orientations, angles_rad: angles(&orientations), ..BodyEstimate::default() }
+            }
+        }
+    }
 }
 
 fn notify(args: &Solve, summary: &Summary) -> Result<(), Error> {

@@ -36,6 +36,7 @@ enum Action {
 #[command(after_help = "Examples:\n  posed body solve imus.csv --stage body.toml -o angles.csv\n  \
     posed body solve imus.csv --stage body.toml -o dance.bvh\n  \
     posed body solve imus.csv --stage body.toml --assign -o angles.csv\n  \
+    posed body solve imus.csv --stage body.toml --limbs euler -o angles.csv\n  \
     posed body solve take.mcap -o angles.csv\n\n\
     The stage's [body] names the segments; each sensor is named like its segment, or says `segment`.\n\
     The human skeleton needs `height_m`, and poses and movements in [[body.calibration]] or a given mounting.\n\
@@ -56,9 +57,20 @@ struct Solve {
     /// which are worn, not by whom; ten sensors need not say.
     #[arg(long)]
     assign: bool,
+    /// `joints`: the filter of the live daemon, rotations; `euler`: the limbs of Weber et al. (2011), chains of single axes, which go astray where an
+    /// arm or a leg points sideways.
+    #[arg(long, value_enum, default_value = "joints")]
+    limbs: Limbs,
     /// Print one JSON object: epochs, and how well axes and mountings show.
     #[arg(long)]
     json: bool,
+}
+
+/// Which filter follows the limbs.
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
+enum Limbs {
+    Joints,
+    Euler,
 }
 
 pub(crate) fn run(args: Args) -> Result<(), Error> {
@@ -77,6 +89,9 @@ fn solve(args: &Solve) -> Result<(), Error> {
     };
     let body = stage.body.as_ref().ok_or_else(|| Error::failed("the stage file has no [body] table"))?;
     match body.skeleton {
+        Skeleton::Custom if args.limbs == Limbs::Euler => {
+            Err(Error::Usage("--limbs euler is of the human skeleton".into()))
+        }
         Skeleton::Custom => chain::solve(args, &stage, body, &imu),
         Skeleton::Human => human::solve(args, &stage, body, &imu),
     }

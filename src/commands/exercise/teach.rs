@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use posed_motion::exercise::{Options, Refusal, Report, Stream, columns_of, teach};
+use posed_motion::exercise::{AsPublished, Options, Refusal, Report, Stream, columns_of, teach};
 use serde::Serialize;
 
 use super::super::{Error, output, print, print_json};
@@ -42,6 +42,12 @@ pub(crate) struct Args {
     /// Use these channels instead of choosing.
     #[arg(long, value_delimiter = ',', value_name = "A,B")]
     columns: Option<Vec<String>>,
+    /// The density of a subsequence is that of its K-th neighbour, as published, not of the one before: with K repetitions it is none of them.
+    #[arg(long)]
+    kth_neighbour: bool,
+    /// Decode each channel by itself, as published, not all with one sequence of states.
+    #[arg(long)]
+    per_channel: bool,
     /// Units of columns whose names lack them: deg, rad or m, of all such columns or of some (NAME=UNIT).
     #[arg(long, value_delimiter = ',', value_name = "UNIT|NAME=UNIT")]
     units: Vec<Unit>,
@@ -87,7 +93,12 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
     if stream.t_s.is_empty() {
         return Err(Error::Failed(args.holds_nothing(all.t_s)));
     }
-    let options = Options { name: name.to_owned(), repetitions: announced, channels: args.columns.clone() };
+    let options = Options {
+        name: name.to_owned(),
+        repetitions: announced,
+        channels: args.columns.clone(),
+        as_published: AsPublished { kth_neighbour: args.kth_neighbour, per_channel: args.per_channel },
+    };
     if args.propose {
         return propose::run(&stream, &options, &args.stream, &args.reading(), args.json);
     }

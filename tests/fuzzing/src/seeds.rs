@@ -146,7 +146,12 @@ fn wave() -> Exercise {
     };
     let values: Vec<Option<f64>> = t_s.iter().map(|&t_s| Some(place(t_s))).collect();
     let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
-    let options = Options { name: "wave".into(), repetitions: 5, channels: Some(columns.clone()) };
+    let options = Options {
+        name: "wave".into(),
+        repetitions: 5,
+        channels: Some(columns.clone()),
+        ..Options::default()
+    };
     teach(&stream, &options).expect("five repetitions").exercise
 }
 

@@ -23,7 +23,7 @@ pub(crate) fn wave(sensor: &str, dice: &mut Dice) -> Exercise {
     let columns = vec![column.clone()];
     let stream = Stream { columns: &columns, t_s: &t_s, values: &values };
     let name = (*dice.pick(&["wave", "wave", "another", "a third"])).to_owned();
-    let options = Options { name, repetitions: 5, channels: Some(columns.clone()) };
+    let options = Options { name, repetitions: 5, channels: Some(columns.clone()), ..Options::default() };
     teach(&stream, &options).expect("five repetitions").exercise
 }
 

@@ -215,6 +215,7 @@ impl Classroom {
             name: self.lesson.name.trim().to_owned(),
             repetitions: self.lesson.repetitions as usize + more,
             channels: self.lesson.channels.clone(),
+            ..Options::default()
         };
         match teach(stream, &options) {
             Ok(lesson) => Ok((lesson.exercise, lesson.report)),

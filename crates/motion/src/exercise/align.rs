@@ -4,7 +4,8 @@
 //! decoder is the live one, without a bound on its delay.
 
 use super::exercise_topology::{ExerciseTopology, PathState};
-use super::hmm::LogRatio;
+use super::hmm::{LogRatio, Movement};
+use super::material::Material;
 use super::viterbi::ShortTimeViterbi;
 
 /// More frames than these in one of the first or last states are waiting: five times as long as at the taught pace.
@@ -118,6 +119,33 @@ pub(super) fn repetitions(observations: &[f64], width: usize, sizes: &[LogRatio]
         found.pop(); // the recording ends within it
     }
     found
+}
+
+/// The same with each channel decoded by itself, as published: repetitions of one channel that half of all channels see, of the
+/// channel that has most of them.
+pub(super) fn repetitions_per_channel(material: &Material, movement: &Movement) -> Vec<Repetition> {
+    let width = material.width();
+    let states = movement.states.mean.first().map_or(0, Vec::len);
+    let by_channel: Vec<Vec<Repetition>> = (0..width)
+        .map(|channel| {
+            let rows = material.observations.chunks_exact(2 * width);
+            let observations: Vec<f64> = rows.flat_map(|row| [row[channel], row[channel + width]]).collect();
+            let name = std::slice::from_ref(&material.channels[channel]);
+            repetitions(&observations, 2, &[LogRatio::new(&movement.of_channel(channel), name)])
+        })
+        .collect();
+    let is_seen = |repetition: &Repetition| {
+        let range = repetition.range(states);
+        let is_same = |other: &Repetition| {
+            let other = other.range(states);
+            let both = range.end.min(other.end).saturating_sub(range.start.max(other.start));
+            2 * both > range.len().max(other.len())
+        };
+        2 * by_channel.iter().filter(|found| found.iter().any(is_same)).count() >= width
+    };
+    let seen = by_channel.iter().map(|found| found.iter().filter(|one| is_seen(one)).cloned().collect());
+    // Of equal ones the first.
+    seen.reduce(|best: Vec<_>, next| if next.len() > best.len() { next } else { best }).unwrap_or_default()
 }
 
 #[cfg(test)]

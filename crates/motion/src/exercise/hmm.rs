@@ -64,6 +64,20 @@ pub struct Movement {
 }
 
 impl Movement {
+    /// What one of the channels does, with its velocity.
+    pub(super) fn of_channel(&self, channel: usize) -> Self {
+        let rows = [channel, channel + self.amplitude.len() / 2];
+        let of = |gaussians: &Gaussians| Gaussians {
+            mean: rows.map(|row| gaussians.mean[row].clone()).into(),
+            sd: rows.map(|row| gaussians.sd[row].clone()).into(),
+        };
+        Self {
+            states: of(&self.states),
+            background: of(&self.background),
+            amplitude: rows.map(|row| self.amplitude[row]).into(),
+        }
+    }
+
     /// The same movement seen by a sensor that may sit somewhat turned against the day it was taught: each axis of a vector
     /// gets a share of the others, state by state. `siblings` are the other axes of each channel's vector.
     pub(super) fn turned(&self, siblings: &[Vec<usize>]) -> Self {

@@ -9,7 +9,7 @@
 
 use std::ops::Range;
 
-use super::align::{Repetition, repetitions};
+use super::align::{Repetition, repetitions, repetitions_per_channel};
 use super::hmm::{LogRatio, Movement, equal_parts, estimate, median, range, states_for};
 use super::judge::{Measures, is_alike, measure};
 use super::kinds::{kinds, largest};
@@ -74,7 +74,7 @@ pub(super) fn see(coarse: &Material, fine: &Material, options: &Options) -> Opti
     let shortest = SHORTEST_S * coarse.rate_hz;
     let mut hypotheses = Vec::new();
     for period in periods(&coarse.values, coarse.width(), coarse.rate_hz, [shortest, longest], PERIODS) {
-        for starts in starts_of(coarse, period, announced) {
+        for starts in starts_of(coarse, period, options) {
             for phase in 0..PHASES {
                 let shift = (phase as f64 / PHASES as f64 - 0.5) * period;
                 let segments: Vec<_> =
@@ -113,14 +113,16 @@ fn best_of(hypotheses: &[Hypothesis]) -> Option<&Hypothesis> {
 }
 
 /// Where the motif finder sees the repetitions of a period.
-fn starts_of(all: &Material, period: f64, announced: usize) -> Vec<Vec<f64>> {
+fn starts_of(all: &Material, period: f64, options: &Options) -> Vec<Vec<f64>> {
     let weights = repeatability(&all.values, all.width(), period, 0..all.frames());
     let highest = weights.iter().copied().fold(0.0, f64::max);
     // What repeats itself half as well as the best channel hardly counts.
     let weights: Vec<f64> = weights.iter().map(|weight| (weight / highest.max(1e-9)).powi(2)).collect();
     let chosen: Vec<usize> = (0..weights.len()).filter(|channel| weights[*channel] > 0.1).collect();
     let scaled = all.only(&chosen).scaled(&chosen.iter().map(|c| weights[*c].sqrt()).collect::<Vec<_>>());
-    motifs(&scaled, chosen.len(), period as usize, announced, MOTIFS)
+    let partners =
+        if options.as_published.kth_neighbour { options.repetitions } else { options.repetitions - 1 };
+    motifs(&scaled, chosen.len(), period as usize, partners, MOTIFS)
         .into_iter()
         .map(|motif| motif.starts.iter().map(|start| *start as f64).collect())
         .collect()
@@ -161,8 +163,11 @@ fn refine(
             &alignments,
             &idle(alignments.iter(), material.frames()),
         );
-        let found =
-            repetitions(&material.observations, width, &[LogRatio::new(&movement, &material.channels)]);
+        let found = if options.as_published.per_channel {
+            repetitions_per_channel(&material, &movement)
+        } else {
+            repetitions(&material.observations, width, &[LogRatio::new(&movement, &material.channels)])
+        };
         let (found, log_ratio) = alike(&material, &movement, found);
         if found.len() < 2 {
             return None;

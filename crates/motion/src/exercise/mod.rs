@@ -72,7 +72,7 @@ pub use report::{Report, TaughtRepetition};
 pub use rest::rests;
 pub use score::Score;
 pub use still::Still;
-pub use teach::{Lesson, Options, Refusal, teach};
+pub use teach::{AsPublished, Lesson, Options, Refusal, teach};
 pub use turns::Turn;
 pub use viterbi::{ShortTimeViterbi, Topology};
 pub use words::{Language, joint_name, sentence};

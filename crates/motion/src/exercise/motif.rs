@@ -25,14 +25,14 @@ pub(super) struct Motif {
     density: f64,
 }
 
-/// Candidates for `repetitions` repetitions of `period` frames, densest first, at most `most`.
+/// Candidates for repetitions of `period` frames, each like so many others, its `partners`; densest first, at most `most`.
 ///
 /// `frames` has `width` values per frame, all finite, already scaled by their importance.
 pub(super) fn motifs(
     frames: &[f64],
     width: usize,
     period: usize,
-    repetitions: usize,
+    partners: usize,
     most: usize,
 ) -> Vec<Motif> {
     let length = frames.len() / width.max(1);
@@ -57,7 +57,7 @@ pub(super) fn motifs(
     let envelopes: Vec<Envelope> =
         subsequences.iter().map(|values| Envelope::new(values, width, band)).collect();
     let mut warping = Warping::new(points, width, band);
-    let partners = repetitions.saturating_sub(1).max(1);
+    let partners = partners.max(1);
     let mut all: Vec<Motif> = Vec::with_capacity(starts.len());
     for (index, start) in starts.iter().enumerate() {
         // By lower bound, so that most distances need not be computed.
@@ -282,7 +282,7 @@ mod tests {
                 frames[place + i] += libm::sin(std::f64::consts::PI * i as f64 / 40.0);
             }
         }
-        let found = motifs(&frames, 1, 40, 5, 3);
+        let found = motifs(&frames, 1, 40, 4, 3);
         let starts = &found[0].starts;
         assert_eq!(starts.len(), 5);
         let shift = starts[0] as f64 - 103.0;

@@ -254,7 +254,7 @@ mod tests {
     }
 
     fn options(repetitions: usize) -> Options {
-        Options { name: "exercise".to_owned(), repetitions, channels: None }
+        Options { name: "exercise".to_owned(), repetitions, ..Options::default() }
     }
 
     #[test]

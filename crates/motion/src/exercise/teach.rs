@@ -41,8 +41,18 @@ const TEMPI: [f64; 3] = [1.0, 1.4, 0.7];
 /// Least size of a repetition that shows how far a movement goes, the taught one being 1.
 const FULL_SIZE: f64 = 0.75;
 
+/// Steps of Weber et al. 2011, section III, as the paper has them, in place of ours. The default: none of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AsPublished {
+    /// The density of a subsequence is that of its k-th neighbour for k repetitions, which is never one of them: ours takes the (k - 1)-th.
+    pub kth_neighbour: bool,
+    /// Each channel is decoded by itself: ours has one state sequence for all. The paper leaves open how the channels come together: here the
+    /// channel decides of whose repetitions most are seen in half of the channels at least.
+    pub per_channel: bool,
+}
+
 /// What to teach, as announced by the person who shows it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Options {
     /// Name of the exercise, as in events.
     pub name: String,
@@ -50,6 +60,8 @@ pub struct Options {
     pub repetitions: usize,
     /// Channels to use, as `all_channels` names them; chosen automatically by how much they move when not named.
     pub channels: Option<Vec<String>>,
+    /// How repetitions are found.
+    pub as_published: AsPublished,
 }
 
 /// A taught exercise and how good the demonstration was.

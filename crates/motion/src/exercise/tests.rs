@@ -65,7 +65,7 @@ impl Person {
 }
 
 fn options(repetitions: usize) -> Options {
-    Options { name: "curl".to_owned(), repetitions, channels: None }
+    Options { name: "curl".to_owned(), repetitions, ..Options::default() }
 }
 
 fn taught(seed: u64) -> Lesson {
@@ -100,6 +100,18 @@ fn given_five_repetitions_teaching_sees_them_where_they_are() {
             assert!((seen.t_start_s - truth[0]).abs() < width, "seed {seed}: {seen:?}, {truth:?}");
             assert!((seen.t_end_s - truth[1]).abs() < width, "seed {seed}: {seen:?}, {truth:?}");
         }
+    }
+}
+
+#[test]
+fn the_published_ways_see_a_clear_demonstration_too() {
+    let ways = [(true, false), (false, true), (true, true)];
+    for (kth_neighbour, per_channel) in ways {
+        let mut person = Person::new(3);
+        person.set(5);
+        let as_published = AsPublished { kth_neighbour, per_channel };
+        let lesson = teach(&person.stream(), &Options { as_published, ..options(5) }).unwrap();
+        assert_eq!(lesson.report.repetitions.len(), 5, "{as_published:?}");
     }
 }
 
