@@ -36,35 +36,29 @@ fn train(criterion: &mut Criterion) {
             bencher.iter(|| fault_map::train(&frames, Size::default(), &fault_map::published()));
         });
     }
-    let frames = frames(20, 1000);
-    if let Ok((fault_map, _)) = FaultMap::train(&frames, Size::default(), &Training::default()) {
+    let mut stream = |name: &str, frames: &Frames| {
+        let Ok((fault_map, _)) = FaultMap::train(frames, Size::default(), &Training::default()) else {
+            return;
+        };
         let mut watch = fault_map.watch();
         let mut k = 0;
-        group.bench_function("a frame of 20 sensors", |bencher| {
+        group.bench_function(name, |bencher| {
             bencher.iter(|| {
                 k = (k + 1) % frames.len();
                 black_box(watch.push(&fault_map, frames.frame(k)).label.class)
             });
         });
-    }
+    };
+    stream("a frame of 20 sensors", &frames(20, 1000));
     let figure = Figure { seed: 1, height_m: 1.75, rate_hz: 60.0, frames: 3600 };
     let Poses { positions_m, orientations_wxyz } = figure.poses();
-    let frames = Frames {
+    let worn = Frames {
         sensors: SENSORS.map(str::to_owned).into(),
         t_s: (0..figure.frames).map(|k| k as f64 / figure.rate_hz).collect(),
         positions_m,
         orientations_wxyz,
     };
-    if let Ok((fault_map, _)) = FaultMap::train(&frames, Size::default(), &Training::default()) {
-        let mut watch = fault_map.watch();
-        let mut k = 0;
-        group.bench_function("a frame of 15 sensors with joints", |bencher| {
-            bencher.iter(|| {
-                k = (k + 1) % frames.len();
-                black_box(watch.push(&fault_map, frames.frame(k)).label.class)
-            });
-        });
-    }
+    stream("a frame of 15 sensors with joints", &worn);
     group.finish();
 }
 

@@ -75,11 +75,11 @@ struct Tables {
 
 impl Session {
     /// Without orientations nothing drifts: nobody sees it there.
-    fn new(sensors: Vec<String>, poses: Poses, rate_hz: f64, seed: u64, share: f64) -> Self {
-        let Poses { mut positions_m, mut orientations_wxyz } = poses;
-        let faults = if orientations_wxyz.is_empty() { &Fault::STEPWISE[..] } else { &Fault::ALL };
-        let truth =
-            inject(&mut positions_m, &mut orientations_wxyz, sensors.len(), rate_hz, seed, share, faults);
+    fn new(sensors: Vec<String>, mut poses: Poses, rate_hz: f64, seed: u64, share: f64) -> Self {
+        let is_seen = |fault: &Fault| fault.shows_in_positions() || !poses.orientations_wxyz.is_empty();
+        let faults: Vec<Fault> = Fault::ALL.into_iter().filter(is_seen).collect();
+        let truth = inject(&mut poses, sensors.len(), rate_hz, seed, share, &faults);
+        let Poses { positions_m, orientations_wxyz } = poses;
         let classes = classes(&truth, sensors.len());
         let kinds = kinds(&truth, sensors.len());
         let t_s = (0..classes.len()).map(|k| k as f64 / rate_hz).collect();
@@ -164,10 +164,7 @@ fn print(title: &str, tables: &Tables) {
 /// A motion capture, turned about the vertical: two metres before the transmitter, which stands one metre above the floor; 1 mm of noise.
 fn capture(path: &Path, rotation_deg: f64, seed: u64, share: f64) -> Option<Session> {
     let options = SequenceOptions { rate_hz: Some(120.0), unit: Unit::Mm, up: Up::Y };
-    let sequences = Sequences::read(path, &options).ok()?;
-    let sensors = sequences.joints.clone();
-    let mut positions_m: Vec<f64> =
-        sequences.positions_m.iter().flat_map(|p| p.unwrap_or([f64::NAN; 3])).collect();
+    let Frames { sensors, mut positions_m, .. } = Sequences::read(path, &options).ok()?.poses();
     let (sin, cos) = libm::sincos(rotation_deg.to_radians());
     for p in positions_m.chunks_exact_mut(3) {
         (p[0], p[1]) = (p[0] * cos - p[1] * sin, p[0] * sin + p[1] * cos);

@@ -93,12 +93,12 @@ impl Wander {
     }
 }
 
-/// What a figure's sensors report, in the order of [`SENSORS`], frame by frame.
+/// What sensors report, frame by frame; a figure's in the order of [`SENSORS`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Poses {
     /// Three numbers a sensor (x ahead of the transmitter, y left, z up), from the transmitter, m.
     pub positions_m: Vec<f64>,
-    /// Four numbers a sensor: sensor to the same axes, a unit quaternion, scalar first.
+    /// Four numbers a sensor: sensor to the same axes, a unit quaternion, scalar first. Empty where nobody knows any.
     pub orientations_wxyz: Vec<f64>,
 }
 
@@ -243,36 +243,30 @@ impl Fault {
         Self::Disturb,
         Self::Drift,
     ];
-    /// Those that show in positions alone: nobody sees a drift there.
-    pub const STEPWISE: [Self; 7] = [
-        Self::InvertAll,
-        Self::InvertOne,
-        Self::InvertAllVertically,
-        Self::InvertOneVertically,
-        Self::Stick,
-        Self::Jump,
-        Self::Disturb,
-    ];
+
+    /// Whether it shows in positions alone: nobody sees a drift there.
+    pub fn shows_in_positions(self) -> bool {
+        self != Self::Drift
+    }
 }
 
 /// Puts faults of 0.5 to 3 s into poses, the kinds in turn, with clean stretches between them so that about
 /// `share` of the frames (at least 0, below 1) have a faulty sensor. Returns what each sensor of each frame is, frame by frame.
 ///
-/// `positions_m` holds three numbers for each of `sensors` sensors, frame by frame, from the transmitter, m, and `orientations_wxyz` four, or nothing at
-/// all; both are changed in place. Orientations only stick: a mirror leaves them, and a pull is taken to. `rate_hz`: frames per second. The same `seed` and input
-/// give the same faults; an empty `kinds` gives none.
+/// `poses` holds those of `sensors` sensors and is changed in place; it may have no orientations. Orientations only stick: a mirror leaves them, and a pull
+/// is taken to. `rate_hz`: frames per second. The same `seed` and input give the same faults; an empty `kinds` gives none.
 ///
 /// # Panics
 /// `sensors` is 0.
 pub fn inject(
-    positions_m: &mut [f64],
-    orientations_wxyz: &mut [f64],
+    poses: &mut Poses,
     sensors: usize,
     rate_hz: f64,
     seed: u64,
     share: f64,
     kinds: &[Fault],
 ) -> Vec<Truth> {
+    let Poses { positions_m, orientations_wxyz } = poses;
     let mut random = Random::new(seed, Purpose::Faults(0));
     let frames = positions_m.len() / (3 * sensors);
     let mut truth = vec![Truth::Clean; frames * sensors];
@@ -344,9 +338,10 @@ mod tests {
 
     #[test]
     fn a_share_of_nothing_changes_nothing() {
-        let mut positions_m = vec![1.0; 3 * 2 * 300];
-        let truth = inject(&mut positions_m, &mut [], 2, 100.0, 1, 0.0, &Fault::ALL);
-        assert!(truth.iter().all(|truth| *truth == Truth::Clean) && positions_m.iter().all(|p| *p == 1.0));
+        let still = Poses { positions_m: vec![1.0; 3 * 2 * 300], orientations_wxyz: Vec::new() };
+        let mut poses = still.clone();
+        let truth = inject(&mut poses, 2, 100.0, 1, 0.0, &Fault::ALL);
+        assert!(truth.iter().all(|truth| *truth == Truth::Clean) && poses == still);
     }
 
     #[test]
@@ -372,30 +367,46 @@ mod tests {
 
     #[test]
     fn faults_are_where_the_truth_says_and_nowhere_else() {
-        let clean = FIGURE.poses().positions_m;
+        let clean = FIGURE.poses();
+        let kinds: Vec<Fault> = Fault::ALL.into_iter().filter(|fault| fault.shows_in_positions()).collect();
         let mut bad = clean.clone();
-        let truth = inject(&mut bad, &mut [], SENSORS.len(), FIGURE.rate_hz, 3, 0.4, &Fault::ALL);
+        let truth = inject(&mut bad, SENSORS.len(), FIGURE.rate_hz, 3, 0.4, &kinds);
         for (k, what) in truth.iter().enumerate() {
-            let (a, b) = (&clean[3 * k..3 * k + 3], &bad[3 * k..3 * k + 3]);
+            let (a, b) = (&clean.positions_m[3 * k..3 * k + 3], &bad.positions_m[3 * k..3 * k + 3]);
             match what {
-                Truth::Clean => assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() <= SHOWS_M)),
+                Truth::Clean => assert!(a[..2] == b[..2] && (a[2] - b[2]).abs() <= SHOWS_M),
                 Truth::InvertedVertically => assert!(a[..2] == b[..2] && a[2] == -b[2]),
                 Truth::Inverted => assert!(a.iter().zip(b).all(|(a, b)| *a == -b)),
                 _ => assert_ne!(a, b),
             }
+            let is_turned =
+                clean.orientations_wxyz[4 * k..4 * k + 4] != bad.orientations_wxyz[4 * k..4 * k + 4];
+            assert_eq!(is_turned, *what == Truth::Stuck, "{k}");
         }
-        let kinds = [
-            Truth::Inverted,
-            Truth::InvertedVertically,
-            Truth::Stuck,
-            Truth::Jump,
-            Truth::Disturbed,
-            Truth::Drifted,
-        ];
-        for what in kinds {
+        for what in [Truth::Inverted, Truth::InvertedVertically, Truth::Stuck, Truth::Jump, Truth::Disturbed]
+        {
             assert!(truth.contains(&what), "{what:?}");
         }
         let share = truth.chunks(SENSORS.len()).filter(|row| row.iter().any(|t| *t != Truth::Clean)).count();
         assert!((0.25..0.55).contains(&(share as f64 / FIGURE.frames as f64)), "{share}");
+    }
+
+    #[test]
+    fn a_drift_comes_and_goes_without_a_step() {
+        let clean = FIGURE.poses();
+        let mut bad = clean.clone();
+        let truth = inject(&mut bad, SENSORS.len(), FIGURE.rate_hz, 3, 0.4, &[Fault::Drift]);
+        assert!(truth.contains(&Truth::Drifted) && bad.orientations_wxyz == clean.orientations_wxyz);
+        let off_m = |k: usize| {
+            let p = |poses: &Poses| Vector3::from_column_slice(&poses.positions_m[3 * k..3 * k + 3]);
+            (p(&bad) - p(&clean)).norm()
+        };
+        for (k, what) in truth.iter().enumerate() {
+            assert_eq!(*what == Truth::Drifted, off_m(k) > SHOWS_M, "{k}");
+            assert!(off_m(k) <= 0.3);
+            if k >= SENSORS.len() {
+                assert!((off_m(k) - off_m(k - SENSORS.len())).abs() < 0.02, "{k}");
+            }
+        }
     }
 }

@@ -3,6 +3,7 @@
 //! What comes in: a stage with a `[simulation]` table. What goes out: a network that knows where its magnetic sensors are,
 //! and what they look like with faults put in; nobody labels anything. What it never does: wait, touch a port, or be part of the program.
 
+use std::mem::take;
 use std::path::Path;
 
 use posed_drivers::{LineEvent, Timestamp};
@@ -10,7 +11,7 @@ use posed_motion::fault_map::Frames;
 use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
 use posed_pipeline::{Pipeline, raw_poses};
-use posed_simulator::figure::{Fault, inject};
+use posed_simulator::figure::{Fault, Poses, inject};
 use posed_simulator::stage::Output as Virtual;
 use posed_stage::Stage;
 use posed_stage::input::{Entry, Input};
@@ -26,15 +27,10 @@ const BAD_SHARE: f64 = 0.4;
 /// Learns the map from frames that are all right.
 fn learn_faults(mut frames: Frames) -> FaultMap {
     let rate_hz = (frames.len() - 1) as f64 / (frames.t_s[frames.len() - 1] - frames.t_s[0]);
-    inject(
-        &mut frames.positions_m,
-        &mut frames.orientations_wxyz,
-        frames.sensors.len(),
-        rate_hz,
-        1,
-        BAD_SHARE,
-        &Fault::ALL,
-    );
+    let Frames { sensors, positions_m, orientations_wxyz, .. } = &mut frames;
+    let mut poses = Poses { positions_m: take(positions_m), orientations_wxyz: take(orientations_wxyz) };
+    inject(&mut poses, sensors.len(), rate_hz, 1, BAD_SHARE, &Fault::ALL);
+    (*positions_m, *orientations_wxyz) = (poses.positions_m, poses.orientations_wxyz);
     FaultMap::train(&frames, Size::default(), &Training::default()).unwrap().0
 }
 

@@ -18,15 +18,14 @@ fn class(truth: Truth) -> Class {
 }
 
 fn session(seed: u64, height_m: f64, frames: usize, share: f64) -> (Frames, Vec<Class>) {
-    let Poses { mut positions_m, mut orientations_wxyz } =
-        Figure { seed, height_m, rate_hz: RATE_HZ, frames }.poses();
-    let sensors = SENSORS.len();
-    let truth = inject(&mut positions_m, &mut orientations_wxyz, sensors, RATE_HZ, seed, share, &Fault::ALL);
+    let mut poses = Figure { seed, height_m, rate_hz: RATE_HZ, frames }.poses();
+    let truth = inject(&mut poses, SENSORS.len(), RATE_HZ, seed, share, &Fault::ALL);
+    let Poses { positions_m, orientations_wxyz } = poses;
     let frame = |row: &[Truth]| {
         let labels: Vec<_> = row.iter().map(|truth| Label { class: class(*truth), cause: None }).collect();
         frame_label(&labels).class
     };
-    let classes = truth.chunks_exact(sensors).map(frame).collect();
+    let classes = truth.chunks_exact(SENSORS.len()).map(frame).collect();
     let t_s = (0..frames).map(|k| k as f64 / RATE_HZ).collect();
     (Frames { sensors: SENSORS.map(str::to_owned).into(), t_s, positions_m, orientations_wxyz }, classes)
 }

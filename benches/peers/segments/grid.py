@@ -15,7 +15,6 @@ A tenth of the training sequences is held out; the weights of the epoch with the
 One sequence per step; Bi-LSTM, whose time is steps one behind the other, four.
 """
 import argparse
-import functools
 import json
 import pathlib
 import random
@@ -274,6 +273,7 @@ def train(network, width, runs, data, epochs, minutes):
     import jax
     import jax.numpy as jnp
 
+    make, forward_of = MADE[network]
     x, y, there, classes = data
     joints = x.shape[2] // 3
     copies = np.repeat(np.bincount(np.arange(ROWS) * joints // ROWS, minlength=joints), 3)
@@ -295,7 +295,7 @@ def train(network, width, runs, data, epochs, minutes):
         labels.append(label.astype(np.int8))
         weights.append(weight.astype(bool))
         layers = Layers(jax.random.key(run["fold"] + 1))
-        MADE[network][0](layers, copies, len(classes), width)
+        make(layers, copies, len(classes), width)
         drawn.append(layers.weights)
         rate = [1e-3 * c for c in layers.copies]
         parameters = sum(int(np.prod(np.shape(w))) for w in layers.weights)
@@ -307,10 +307,10 @@ def train(network, width, runs, data, epochs, minutes):
     params = [jnp.stack([jnp.asarray(one[k]) for one in drawn]) for k in range(len(drawn[0]))]
     orders = np.array(orders)
     orders = orders[:, :, : orders.shape[2] // batch * batch].reshape(len(runs), epochs, -1, batch)
+    steps = orders.shape[2]
     x, there = jnp.asarray(x), jnp.asarray(there)[:, :, None]
     labels, weights = jnp.asarray(np.array(labels)), jnp.asarray(np.array(weights))
     lows, spans, held = (jnp.asarray(np.array(part)) for part in (lows, spans, held))
-    forward_of = functools.partial(MADE[network][1])
 
     def logits(params, k, low, span, key):
         return forward_of(params, (x[k] - low) / span * there[k], there[k], key, width)
@@ -353,10 +353,7 @@ def train(network, width, runs, data, epochs, minutes):
         kept, least, at = best
         better = now < least
         pick = lambda a, b: jnp.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b)
-        return state, ([pick(a, b) for a, b in zip(state[0], kept)], jnp.where(better, now, least), jnp.where(better, step_of(state[3]), at))
-
-    steps = orders.shape[2]
-    step_of = lambda step: step // steps
+        return state, ([pick(a, b) for a, b in zip(state[0], kept)], jnp.where(better, now, least), jnp.where(better, state[3] // steps, at))
 
     @jax.jit
     def name(params, k):

@@ -185,8 +185,8 @@ pub enum Command {
         /// Where the copy goes.
         to: std_mpsc::SyncSender<Excerpt>,
     },
-    /// Copies the raw positions of the newest seconds.
-    Positions {
+    /// Copies the raw poses of the newest seconds.
+    Poses {
         /// So many; absent: all that is remembered.
         last_s: Option<f64>,
         /// Where the copy goes.
@@ -421,8 +421,8 @@ impl Fusion {
                 // A job that has ended meanwhile does not want it any more.
                 let _ = to.send(self.observers.recent.after(from_s, wanted));
             }
-            Command::Positions { last_s, to } => {
-                let _ = to.send(self.observers.positions.newest(last_s, self.pipeline.room_transmitter()));
+            Command::Poses { last_s, to } => {
+                let _ = to.send(self.observers.poses.newest(last_s, self.pipeline.room_transmitter()));
             }
             Command::Faults { to } => {
                 let fault_map = self.pipeline.models().iter().find_map(|model| match model {

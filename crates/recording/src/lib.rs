@@ -52,7 +52,7 @@ mod index;
 mod info;
 mod mcap_file;
 mod outline;
-pub mod positions;
+pub mod raw_poses;
 mod reader;
 mod records;
 mod repair;

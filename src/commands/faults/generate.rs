@@ -43,17 +43,9 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     let Args { seed, height_m, rate_hz, .. } = *args;
-    let Poses { mut positions_m, mut orientations_wxyz } =
-        Figure { seed, height_m, rate_hz, frames: args.frames as usize }.poses();
-    let truth = inject(
-        &mut positions_m,
-        &mut orientations_wxyz,
-        SENSORS.len(),
-        rate_hz,
-        seed,
-        args.share,
-        &Fault::ALL,
-    );
+    let mut poses = Figure { seed, height_m, rate_hz, frames: args.frames as usize }.poses();
+    let truth = inject(&mut poses, SENSORS.len(), rate_hz, seed, args.share, &Fault::ALL);
+    let Poses { positions_m, orientations_wxyz } = poses;
     let t_s = (0..args.frames).map(|frame| f64::from(frame) / rate_hz).collect();
     let frames = Frames { sensors: SENSORS.map(str::to_owned).into(), t_s, positions_m, orientations_wxyz };
     write_poses(&args.output, &frames, |_, p| Some(p)).map_err(Error::failed)?;

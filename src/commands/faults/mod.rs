@@ -19,7 +19,7 @@ use posed_motion::fault_map::{Training, Width};
 use posed_recording::table::{
     PoseColumns, PoseRow, PoseWriter, Poses, Sequences, TableError, TableReader, TableWriter,
 };
-use posed_recording::{is_recording, positions};
+use posed_recording::{is_recording, raw_poses};
 
 /// What a row of labels names in place of a sensor where it speaks of the whole frame.
 const WHOLE_FRAME: &str = "*";
@@ -161,27 +161,17 @@ pub(crate) fn run(args: Args) -> Result<(), Error> {
 /// Poses of a table, a row for each sensor or columns for each joint; or the raw ones of a recording: its poses have been repaired already.
 fn read(path: &Path, reading: &Reading) -> Result<Frames, Error> {
     if is_recording(path) {
-        let read = positions::read(path);
+        let read = raw_poses::read(path);
         return read.map_err(|error| Error::failed(format!("{}: {error}", path.display())));
     }
     let read = || {
         let table = TableReader::open(path)?;
         if table.columns().iter().any(|column| column.ends_with("_x")) {
-            return Ok(frames_of(Sequences::from_table(table, &reading.options())?));
+            return Ok(Sequences::from_table(table, &reading.options())?.poses());
         }
         Ok(Poses::from_table(table)?.frames())
     };
     read().map_err(|error: TableError| Error::failed(error))
-}
-
-/// The joints of a sequence as sensors.
-fn frames_of(sequences: Sequences) -> Frames {
-    Frames {
-        t_s: sequences.frames.iter().map(|frame| frame.t_s).collect(),
-        positions_m: sequences.positions_m.iter().flat_map(|p| p.unwrap_or([f64::NAN; 3])).collect(),
-        sensors: sequences.joints,
-        orientations_wxyz: Vec::new(),
-    }
 }
 
 #[derive(Serialize)]
@@ -265,20 +255,16 @@ fn detect(args: &DetectArgs) -> Result<(), Error> {
     let frames = fault_map
         .adapt(&read(&args.poses, &args.reading)?)
         .map_err(|error| Error::failed(format!("{}: {error}", args.poses.display())))?;
-    let mut watch = fault_map.watch();
     let mut labels = Labels::default();
     let mut drawn = Vec::with_capacity(frames.len());
     let mut sensor_distances = Vec::with_capacity(frames.len() * frames.sensors.len());
-    let interval_s = frames.interval_s();
-    for k in 0..frames.len() {
-        watch.skip(&fault_map, frames.missing_before(k, interval_s));
-        let judged = watch.push(&fault_map, frames.frame(k));
+    fault_map.watch().follow(&fault_map, &frames, |_, judged| {
         labels.frames.push(judged.label);
         labels.sensors.extend_from_slice(judged.sensors);
         sensor_distances.extend_from_slice(judged.distances_m);
         let distance = judged.winner.map_or(f64::NAN, |winner| winner.distance);
         drawn.push((judged.winner.map(|winner| winner.cell), distance, judged.label.class));
-    }
+    });
     let distances: Vec<f64> = drawn.iter().map(|frame| frame.1).collect();
     let distances = Some((&distances[..], &sensor_distances[..]));
     write_labels(&args.output, &frames, &labels, distances).map_err(Error::failed)?;

@@ -19,7 +19,7 @@ use posed_motion::fault_map::Frames;
 use posed_motion::fault_map::Training;
 use posed_motion::fault_map::{FaultMap, Size};
 use posed_protocol::{Answer, KeptFile};
-use posed_recording::positions;
+use posed_recording::raw_poses;
 use posed_stage::input::Model;
 
 /// Fewer frames tell nothing of how a body moves.
@@ -90,10 +90,10 @@ enum Source {
 impl Workshop {
     fn train(&self, job: &Job, source: Source, sensors: &[String]) -> Result<String, Failure> {
         let frames = match source {
-            Source::Live { last_s } => self.inbox.ask(|to| Command::Positions { last_s, to })?,
+            Source::Live { last_s } => self.inbox.ask(|to| Command::Poses { last_s, to })?,
             Source::Recording(path) => {
                 job.progress(None, Some("reading the recording".into()));
-                positions::read(&path)?
+                raw_poses::read(&path)?
             }
         };
         let frames = frames.in_order_of(sensors).ok_or("the recording has other magnetic sensors")?;

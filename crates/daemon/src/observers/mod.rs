@@ -4,7 +4,7 @@
 //! makes of it. Never: a wait, or an allocation for a frame.
 
 mod health;
-mod positions;
+mod poses;
 mod recent;
 mod samples;
 
@@ -13,7 +13,7 @@ use std::fmt;
 use posed_drivers::Timestamp;
 
 pub(super) use self::health::Health;
-pub(super) use self::positions::RecentPositions;
+pub(super) use self::poses::RecentPoses;
 pub(super) use self::recent::{Excerpt, Recent};
 pub(super) use self::samples::{
     AlignmentSample, AlignmentSource, BodySource, ChainSource, GuidedCalibration, ImuSource, Samples, Source,
@@ -61,7 +61,7 @@ pub(super) struct Observers {
     /// What exercises are taught from.
     pub(super) recent: Recent,
     /// What fault maps are learnt from.
-    pub(super) positions: RecentPositions,
+    pub(super) poses: RecentPoses,
     field: Calibration,
     pub(super) training: Follow,
     /// The input log of a link to other machines.
@@ -80,7 +80,7 @@ impl Observers {
         Self {
             health: Health::new(stage),
             recent: Recent::new(stage),
-            positions: RecentPositions::new(stage),
+            poses: RecentPoses::new(stage),
             field,
             training,
             log,
@@ -94,8 +94,8 @@ impl Observers {
     }
 
     fn all(&mut self) -> impl Iterator<Item = &mut dyn Observer> {
-        let Self { health, recent, positions, field, training, log, guided } = self;
-        let own: [&mut dyn Observer; 5] = [health, recent, positions, field, training];
+        let Self { health, recent, poses, field, training, log, guided } = self;
+        let own: [&mut dyn Observer; 5] = [health, recent, poses, field, training];
         let given = log.iter_mut().chain(guided.iter_mut().flatten());
         own.into_iter().chain(given.map(|observer| &mut **observer as &mut dyn Observer))
     }

@@ -18,10 +18,10 @@ struct Layer1 {
     weights: Vec<Vec<[f64; 3]>>,
 }
 
-/// The second layer: a map of winners' indices.
+/// The second layer: a map of winners' indices and of what joints leave over.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Layer2 {
-    /// Row, column, sensor; index over the number of neurons.
+    /// Row, column, sensor (index over the number of neurons) and then joint (share); none of joints in files of before these were inputs.
     weights: Vec<Vec<Vec<f64>>>,
 }
 
@@ -94,9 +94,13 @@ impl TryFrom<File> for FaultMap {
         }
         let (rows, columns) = (file.layer2.weights.len(), file.layer2.weights.first().map_or(0, Vec::len));
         let cells: Vec<&Vec<f64>> = file.layer2.weights.iter().flatten().collect();
-        if cells.is_empty() || cells.len() != rows * columns || cells.iter().any(|cell| cell.len() != sensors)
+        let dimension = cells.first().map_or(0, |cell| cell.len());
+        let inputs = [sensors, sensors + file.rules.joints()];
+        if !inputs.contains(&dimension)
+            || cells.len() != rows * columns
+            || cells.iter().any(|cell| cell.len() != dimension)
         {
-            return wrong("layer2 should be a full grid of one number per sensor");
+            return wrong("layer2 should be a full grid of one number per sensor and joint");
         }
         let classes: Vec<Class> = file.cells.into_iter().flatten().collect();
         if classes.len() != rows * columns {
@@ -142,12 +146,7 @@ impl TryFrom<File> for FaultMap {
             links: file.links,
             motion: file.motion,
             usual_ratio: file.usual_ratio,
-            map: Som {
-                rows,
-                columns,
-                dimension: sensors,
-                weights: cells.into_iter().flatten().copied().collect(),
-            },
+            map: Som { rows, columns, dimension, weights: cells.into_iter().flatten().copied().collect() },
             cells: classes,
             sensors: file.sensors,
             usual_distance: file.usual_distance,

@@ -8,7 +8,7 @@ use super::Labels;
 use super::frames::Frames;
 use super::hindsight::{Recording, Step};
 use super::joints::{self, Hint, Place};
-use super::memory::{Habit, Point, distance};
+use super::memory::{Habit, JUMP_NOISE, Point, distance};
 use super::pairs::{Pairs, quantile};
 use super::rules::{Rules, frame_label, position};
 use super::side::{Side, Ways, goes_through};
@@ -36,6 +36,12 @@ impl Rules {
     /// Learns from a recording without labels, and labels it with hindsight; no labels for no sensors. It is not
     /// causal: a frame is labelled by those after it too. The rules are described in `docs/methods/fault-map.md`.
     pub fn learn(frames: &Frames) -> (Self, Labels) {
+        let (rules, labels, _) = Self::learn_with_shares(frames);
+        (rules, labels)
+    }
+
+    /// As [`Self::learn`], and what the joints leave over, frame by frame.
+    pub(super) fn learn_with_shares(frames: &Frames) -> (Self, Labels, Vec<f64>) {
         let sensors = frames.sensors.len();
         let sides = sides(frames);
         let stuck = stuck(frames);
@@ -63,7 +69,7 @@ impl Rules {
             let at = k * sensors + sensor;
             positions[at].filter(|_| !away[at])
         });
-        let places = joints.in_hindsight(&arms, frames, |k, sensor| {
+        let (places, shares) = joints.in_hindsight(&arms, frames, |k, sensor| {
             let at = k * sensors + sensor;
             match positions[at] {
                 None => Hint::Missing,
@@ -71,17 +77,13 @@ impl Rules {
                 Some(here) => Hint::Here(here),
             }
         });
-        let label = |at: usize| match (positions[at], stuck[at], away[at], places[at]) {
+        let label = |at: usize| match (positions[at], stuck[at], away[at], places[at].map(Place::side)) {
             (_, true, ..) => Label::anomalous(Cause::Stuck),
             (None, ..) => Label::MISSING,
-            (_, _, true, None | Some(Place::Elsewhere)) => Label::anomalous(Cause::Jump),
-            (_, _, false, Some(Place::Elsewhere)) => Label::anomalous(Cause::Bone),
-            (Some(_), _, _, Some(Place::Here)) => Label::CLEAN,
-            (Some(_), _, _, Some(Place::Mirrored(mirror))) => {
-                let side = Side::CLEAN.through(mirror);
-                let raw = position(frames.positions(at / sensors), at % sensors).unwrap_or_default();
-                side.label(side.undo(raw))
-            }
+            // What the joints say of a sensor overrules its steps and ranges.
+            (Some(here), _, _, Some(Some(side))) => side.label(side.undo(sides[at].undo(here))),
+            (_, _, true, _) => Label::anomalous(Cause::Jump),
+            (_, _, false, Some(None)) => Label::anomalous(Cause::Bone),
             (Some(here), _, false, None) => sides[at].label(here),
         };
         let sensor_labels: Vec<Label> = (0..positions.len()).map(label).collect();
@@ -91,12 +93,12 @@ impl Rules {
             // The joints know of more that is elsewhere than steps and ranges do.
             Pairs::learn(sensors, frames.len(), RANGES_LEAVE_OUT[RANGES_LEAVE_OUT.len() - 1], |k, sensor| {
                 let at = k * sensors + sensor;
-                positions[at]
-                    .filter(|_| sensor_labels[at] == sides[at].label(positions[at].unwrap_or_default()))
+                positions[at].filter(|here| sensor_labels[at] == sides[at].label(*here))
             })
         };
         let frame_labels = sensor_labels.chunks_exact(sensors.max(1)).map(frame_label).collect();
-        (Self::new(habits, pairs, joints), Labels { frames: frame_labels, sensors: sensor_labels })
+        let labels = Labels { frames: frame_labels, sensors: sensor_labels };
+        (Self::new(habits, pairs, joints), labels, shares)
     }
 }
 
@@ -195,6 +197,22 @@ fn jump(mut bends: Vec<f64>) -> f64 {
     largest.min(usual).max(SMALLEST_JUMP_M)
 }
 
+/// What noise bends a track by at the median, over the fourth power of the range, m/m⁴: what far bends are more than near ones.
+fn noise(bends: &[(f64, f64)]) -> f64 {
+    let mut ranges: Vec<f64> = bends.iter().map(|(_, range)| *range).collect();
+    let [near, far] = [0.3, 0.8].map(|share| quantile(&mut ranges, share));
+    let of = |which: &dyn Fn(f64) -> bool| {
+        let mut chosen: Vec<f64> =
+            bends.iter().filter(|(_, range)| which(*range)).map(|(bend, _)| *bend).collect();
+        let eighth = |(_, range): &&(f64, f64)| range.powi(8);
+        let sum: f64 = bends.iter().filter(|(_, range)| which(*range)).map(|bend| eighth(&bend)).sum();
+        (quantile(&mut chosen, 0.5).powi(2), sum / chosen.len().max(1) as f64)
+    };
+    let ((low, low_m8), (high, high_m8)) = (of(&|range| range <= near), of(&|range| range >= far));
+    let slope = (high - low) / (high_m8 - low_m8);
+    if slope.is_finite() { slope.max(0.0).sqrt() } else { 0.0 }
+}
+
 /// How a sensor moves, from a recording of it on its clean side.
 fn habit(gaps: &[bool], here: impl Fn(usize) -> Option<Point>) -> Habit {
     let frames = gaps.len();
@@ -203,8 +221,14 @@ fn habit(gaps: &[bool], here: impl Fn(usize) -> Option<Point>) -> Habit {
         (1..frames).filter(follows).filter_map(|k| Some(distance(here(k)?, here(k - 1)?))).collect();
     let axis =
         |c: usize| quantile(&mut (0..frames).filter_map(|k| Some(here(k)?[c])).collect::<Vec<_>>(), 0.5);
+    let range = |k: usize| here(k).map(|p| distance(p, [0.0; 3]));
+    let bends = bends(gaps, &here).into_iter().enumerate();
+    let bends: Vec<(f64, f64)> = bends.filter_map(|(k, bend)| Some((bend?, range(k)?))).collect();
+    let noise_per_m3 = noise(&bends);
+    let beyond = |(bend, range): &(f64, f64)| (bend - JUMP_NOISE * noise_per_m3 * range.powi(4)).max(0.0);
     Habit {
-        jump_m: jump(bends(gaps, &here).into_iter().flatten().collect()),
+        jump_m: jump(bends.iter().map(beyond).collect()),
+        noise_per_m3,
         step_m: quantile(&mut steps, 0.95),
         home_m: [axis(0), axis(1), axis(2)],
     }

@@ -2,8 +2,8 @@
 //!
 //! After I. Miller, S. McGlinchey and B. Chaperot, "Anomaly detection in magnetic motion capture using a 2-layer
 //! SOM network" (2006): a chain of 41 neurons per sensor turns its position into an index, and a map of 21 x 21 cells
-//! turns all indices into one cell. What the paper leaves to an operator, the names of the cells, comes from
-//! physics ([`rules`]). What comes in: frames of positions. What goes out: a label, a cause and a distance per sensor
+//! turns all indices into one cell. Beyond the paper that map also receives what each joint between sensors leaves over ([`joints`]). What the paper leaves to an operator, the names of the cells, comes from
+//! physics ([`rules`]). What comes in: frames of poses. What goes out: a label, a cause and a distance per sensor
 //! and frame. What it never does: change a position, or judge a set of sensors it was not trained on.
 
 mod body;
@@ -157,7 +157,8 @@ impl FaultMap {
             return Err(FaultMapError::Frames { expected: 10, found: frames.len() });
         }
         let sensors = frames.sensors.len();
-        let (rules, labels) = Rules::learn(frames);
+        let (rules, labels, shares) = Rules::learn_with_shares(frames);
+        let joints = rules.joints();
         let mut fault_map = Self {
             sensors: frames.sensors.clone(),
             body: training.body.then(|| Body::learn(frames, &labels.sensors)).flatten(),
@@ -181,7 +182,6 @@ impl FaultMap {
         for k in 0..frames.len() {
             fault_map.see(frames.positions(k), 1.0, seen.positions_mut(k));
         }
-        let mut indices = vec![f64::NAN; frames.len() * sensors];
         for sensor in 0..sensors {
             let classes: Vec<Class> =
                 labels.sensors.iter().skip(sensor).step_by(sensors).map(|label| label.class).collect();
@@ -192,17 +192,20 @@ impl FaultMap {
             fault_map.links.push(fault_map.rules.nearest(sensor).map(link));
         }
         // How unusual each sensor is on average, and then how much more than that the worst one is.
+        let mut inputs = Vec::with_capacity(frames.len() * (sensors + joints));
         let mut ratios = vec![0.0; frames.len() * sensors];
         let mut means = vec![(0.0, 0.0f64); sensors];
         for k in 0..frames.len() {
             for (sensor, mean) in means.iter_mut().enumerate() {
                 let look = fault_map.look(sensor, seen.positions(k), [0.0; 2]);
                 let at = k * sensors + sensor;
-                (indices[at], ratios[at]) = (look.index, look.ratio);
+                inputs.push(look.index);
+                ratios[at] = look.ratio;
                 if labels.sensors[at].class == Class::Clean {
                     *mean = (mean.0 + look.ratio, mean.1 + 1.0);
                 }
             }
+            inputs.extend(&shares[k * joints..(k + 1) * joints]);
         }
         let clean = (0..frames.len()).filter(|k| labels.frames[*k].class == Class::Clean);
         let more = |k: usize| {
@@ -211,12 +214,14 @@ impl FaultMap {
         };
         let mut ratios: Vec<f64> = clean.map(more).collect();
         fault_map.usual_ratio = pairs::quantile(&mut ratios, USUAL_SHARE);
-        let strange: Vec<bool> = (0..frames.len())
-            .map(|k| (0..sensors).any(|sensor| fault_map.is_strange(sensor, seen.positions(k))))
-            .collect();
-        fault_map.map = Som::along_principal_axes(size.side, size.side, sensors, &indices);
-        fault_map.epochs = fault_map.map.train_by(rule, &indices, training);
-        fault_map.name_cells(&indices, &labels.frames, &strange);
+        let is_strange = |k: usize| {
+            (0..sensors).any(|sensor| fault_map.is_strange(sensor, seen.positions(k)))
+                || shares[k * joints..(k + 1) * joints].iter().any(|share| joints::is_strange(*share))
+        };
+        let strange: Vec<bool> = (0..frames.len()).map(is_strange).collect();
+        fault_map.map = Som::along_principal_axes(size.side, size.side, sensors + joints, &inputs);
+        fault_map.epochs = fault_map.map.train_by(rule, &inputs, training);
+        fault_map.name_cells(&inputs, &labels.frames, &strange);
         Ok((fault_map, labels))
     }
 
@@ -256,11 +261,11 @@ impl FaultMap {
 
     /// Each cell takes the class of the clear majority of its frames; an unused one that of the nearest used
     /// one, if that is as near as neighbours are.
-    fn name_cells(&mut self, indices: &[f64], labels: &[Label], strange: &[bool]) {
+    fn name_cells(&mut self, inputs: &[f64], labels: &[Label], strange: &[bool]) {
         let dimension = self.map.dimension;
         let mut counts = vec![[0u32; 4]; self.map.cells()];
         let mut distances = Vec::new();
-        for ((row, label), strange) in indices.chunks_exact(dimension).zip(labels).zip(strange) {
+        for ((row, label), strange) in inputs.chunks_exact(dimension).zip(labels).zip(strange) {
             // A fault that the first layer does not show would name the posture in which it happened.
             if label.class == Class::Anomalous && !strange {
                 continue;

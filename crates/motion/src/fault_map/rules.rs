@@ -47,6 +47,11 @@ impl Rules {
         self.habits.len() == sensors && self.pairs.fit(sensors) && self.joints.fit(sensors)
     }
 
+    /// How many joints are known.
+    pub(super) fn joints(&self) -> usize {
+        self.joints.len()
+    }
+
     /// The sensor from which the distance of this one varies least.
     pub(super) fn nearest(&self, sensor: usize) -> Option<usize> {
         self.pairs.nearest(sensor)
@@ -169,6 +174,11 @@ impl Labeller {
     /// Size of this body over that of the training's, 0.7 to 1.4; 1 until it is known.
     pub fn size(&self) -> f64 {
         self.size.value()
+    }
+
+    /// Per joint, what it leaves over in the latest frame.
+    pub(super) fn shares(&self) -> &[f64] {
+        self.limbs.shares()
     }
 }
 

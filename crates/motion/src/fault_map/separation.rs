@@ -35,16 +35,15 @@ pub fn separation(fault_map: &FaultMap, frames: &Frames, classes: &[Class]) -> S
     let (rows, columns) = fault_map.size();
     let mut counts = vec![[0usize; 4]; rows * columns];
     let (mut error, mut total) = (0.0, 0usize);
-    let mut watch = fault_map.watch();
-    for (k, class) in classes.iter().enumerate() {
-        let Some(winner) = watch.push(fault_map, frames.frame(k)).winner else { continue };
-        if *class == Class::Unknown {
-            continue;
+    fault_map.watch().follow(fault_map, frames, |k, judged| {
+        if let Some(winner) = judged.winner
+            && classes[k] != Class::Unknown
+        {
+            counts[winner.cell][classes[k] as usize] += 1;
+            error += winner.distance;
+            total += 1;
         }
-        counts[winner.cell][*class as usize] += 1;
-        error += winner.distance;
-        total += 1;
-    }
+    });
     let used = |cell: usize| counts[cell].iter().sum::<usize>() > 0;
     let largest = |cell: usize| counts[cell].iter().copied().max().unwrap_or(0);
     let class = |cell: usize| (0..4).max_by_key(|class| counts[cell][*class]);

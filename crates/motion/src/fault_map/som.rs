@@ -128,11 +128,7 @@ impl Som {
         if there == 0 {
             return None;
         }
-        if there < row.len() {
-            let distances = self.weights.chunks_exact(self.dimension).map(|weight| partial(weight, row));
-            let (cell, squared) = distances.enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
-            return Some(Winner { cell, distance: squared.sqrt() });
-        }
+        let bounded = if there < row.len() { bounded::<true> } else { bounded::<false> };
         let guess = if guess < self.cells() { guess } else { 0 };
         let start = guess * self.dimension;
         let mut limit = bounded(&self.weights[start..start + self.dimension], row, f64::INFINITY);
@@ -143,7 +139,8 @@ impl Som {
                 (cell, limit) = (other, squared);
             }
         }
-        Some(Winner { cell, distance: limit.sqrt() })
+        let scale = row.len() as f64 / there as f64;
+        Some(Winner { cell, distance: (limit * scale).sqrt() })
     }
 
     /// Trains the map by the batch rule on rows of `dimension` numbers (NaN where missing); returns the passes that it
@@ -224,29 +221,20 @@ fn settled(changed: usize, rows: usize, errors: &[f64]) -> bool {
     quiet || flat
 }
 
-/// Squared distance, given up where it is beyond `limit`.
-fn bounded(weight: &[f64], row: &[f64], limit: f64) -> f64 {
+/// Squared distance, given up where it is beyond `limit`; of a row with `GAPS`, over the values that are there.
+fn bounded<const GAPS: bool>(weight: &[f64], row: &[f64], limit: f64) -> f64 {
+    let square = |w: f64, r: f64| if GAPS && r.is_nan() { 0.0 } else { (w - r) * (w - r) };
     let mut sum = 0.0;
     let (w4, w_rest) = weight.as_chunks::<4>();
     let (r4, r_rest) = row.as_chunks::<4>();
     for (w, r) in w4.iter().zip(r4) {
-        let d: [f64; 4] = std::array::from_fn(|c| (w[c] - r[c]) * (w[c] - r[c]));
+        let d: [f64; 4] = std::array::from_fn(|c| square(w[c], r[c]));
         sum += (d[0] + d[1]) + (d[2] + d[3]);
         if sum > limit {
             return sum;
         }
     }
-    sum + w_rest.iter().zip(r_rest).map(|(w, r)| (w - r) * (w - r)).sum::<f64>()
-}
-
-/// Squared distance over the values that are there, scaled to all.
-fn partial(weight: &[f64], row: &[f64]) -> f64 {
-    let (mut sum, mut there) = (0.0, 0.0);
-    for (w, r) in weight.iter().zip(row).filter(|(_, r)| !r.is_nan()) {
-        sum += (w - r) * (w - r);
-        there += 1.0;
-    }
-    sum * row.len() as f64 / there
+    sum + w_rest.iter().zip(r_rest).map(|(w, r)| square(*w, *r)).sum::<f64>()
 }
 
 /// The batch rule: each weight becomes the mean of the rows in its neighbourhood.

@@ -5,8 +5,9 @@
 use posed_state::Plain;
 
 use super::FaultMap;
-use super::frames::Frame;
+use super::frames::{Frame, Frames};
 use super::habits::{Link, PositionChain, Steps};
+use super::joints::is_strange;
 use super::rules::{Labeller, frame_label};
 use super::som::Winner;
 use posed_fusion::faults::{Cause, Class, Debounce, Label};
@@ -26,9 +27,9 @@ const MEAN_WEIGHT: f64 = 0.002;
 #[derive(Clone, Debug, PartialEq, Plain)]
 pub struct Watch {
     labeller: Labeller,
-    /// Positions as the map sees them, and the first layer's answer.
+    /// Positions as the map sees them, and what the second layer receives.
     seen: Vec<f64>,
-    indices: Vec<f64>,
+    inputs: Vec<f64>,
     by_rules: Vec<Label>,
     steps: Steps,
     /// Per sensor: the map found nothing unusual in the latest frame.
@@ -40,6 +41,8 @@ pub struct Watch {
     distances_m: Vec<f64>,
     /// Per sensor: the map calls it anomalous.
     recent: Vec<Debounce>,
+    /// Per joint: it leaves over more than it ever does.
+    recent_joints: Vec<Debounce>,
     /// The same of the frame.
     recent_frame: Debounce,
     guess: usize,
@@ -72,7 +75,7 @@ impl Watch {
         Self {
             labeller: fault_map.rules.labeller(),
             seen: vec![f64::NAN; 3 * sensors],
-            indices: vec![f64::NAN; sensors],
+            inputs: vec![f64::NAN; fault_map.map.dimension],
             by_rules: nothing.clone(),
             steps: Steps::new(sensors),
             content: vec![false; sensors],
@@ -81,17 +84,23 @@ impl Watch {
             labels: nothing,
             distances_m: vec![f64::NAN; sensors],
             recent: vec![Debounce::default(); sensors],
+            recent_joints: vec![Debounce::default(); fault_map.map.dimension - sensors],
             recent_frame: Debounce::default(),
             guess: 0,
             alone: 1.5 * NOVELTY,
         }
     }
 
-    /// Takes it that so many frames before the next one are not there: what moved meanwhile did not jump.
-    pub fn skip(&mut self, fault_map: &FaultMap, frames: usize) {
-        let positions_m = vec![f64::NAN; 3 * fault_map.sensors.len()];
-        for _ in 0..frames.min(LONGEST_GAP) {
-            self.push(fault_map, Frame { positions_m: &positions_m, orientations_wxyz: &[] });
+    /// Labels a whole recording, and gives each of its frames to `take` with its number. Frames that are not there, by their times, are
+    /// missing ones: what moved meanwhile did not jump.
+    pub fn follow(&mut self, fault_map: &FaultMap, frames: &Frames, mut take: impl FnMut(usize, Judged<'_>)) {
+        let nothing = vec![f64::NAN; 3 * fault_map.sensors.len()];
+        let interval_s = frames.interval_s();
+        for k in 0..frames.len() {
+            for _ in 0..frames.missing_before(k, interval_s).min(LONGEST_GAP) {
+                self.push(fault_map, Frame { positions_m: &nothing, orientations_wxyz: &[] });
+            }
+            take(k, self.push(fault_map, frames.frame(k)));
         }
     }
 
@@ -110,7 +119,7 @@ impl Watch {
         let mut strange = false;
         for sensor in 0..fault_map.sensors.len() {
             let look = fault_map.look(sensor, &self.seen, [PositionChain::MOUNTING_M, Link::MOUNTING_M]);
-            self.indices[sensor] = look.index;
+            self.inputs[sensor] = look.index;
             self.distances_m[sensor] = look.distance_m;
             let off = self.mean_ratio[sensor];
             // A sensor on a neuron of inverted frames, in a figure that is not, is wrong too.
@@ -126,8 +135,15 @@ impl Watch {
             self.recent[sensor].push(bad);
             strange |= self.recent[sensor].still_lasts();
         }
+        // A map of before it had joints has no inputs of them.
+        let inputs = self.inputs[fault_map.sensors.len()..].iter_mut().zip(self.labeller.shares());
+        for ((input, share), recent) in inputs.zip(&mut self.recent_joints) {
+            *input = *share;
+            recent.push(is_strange(*share));
+            strange |= recent.still_lasts();
+        }
         self.frames = self.frames.saturating_add(1);
-        let winner = fault_map.map.winner_from(&self.indices, self.guess);
+        let winner = fault_map.map.winner_from(&self.inputs, self.guess);
         self.guess = winner.map_or(0, |winner| winner.cell);
         let cell = winner.map_or(Class::Unknown, |winner| fault_map.cells[winner.cell]);
         let far = winner.is_some_and(|winner| winner.distance > fault_map.usual_distance);

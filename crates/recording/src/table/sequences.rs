@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use posed_motion::fault_map::Frames;
+
 use super::{Clock, TableError, TableReader, TableWriter};
 
 /// Positions of joints over time, with what somebody says they show.
@@ -129,6 +131,16 @@ impl Sequences {
     pub fn positions_m(&self, frame: usize) -> &[Option<[f64; 3]>] {
         let width = self.joints.len();
         self.positions_m.get(frame * width..(frame + 1) * width).unwrap_or(&[])
+    }
+
+    /// The joints as sensors of a fault map, NaN where one is missing; in room axes, without orientations.
+    pub fn poses(&self) -> Frames {
+        Frames {
+            sensors: self.joints.clone(),
+            t_s: self.frames.iter().map(|frame| frame.t_s).collect(),
+            positions_m: self.positions_m.iter().flat_map(|p| p.unwrap_or([f64::NAN; 3])).collect(),
+            orientations_wxyz: Vec::new(),
+        }
     }
 
     /// Writes the sequences in metres, y up: as [`SequenceOptions::default`] reads them. Labels are left out unless `labelled`.

@@ -4,9 +4,9 @@
 //! very recording. Least squares in rounds that leave out what does not fit; each fifth of the recording is held against the lever arms of the others, so that a
 //! pair that hardly turns promises nothing.
 
-use nalgebra::{Matrix6, Vector3, Vector6};
+use nalgebra::{Matrix6, Vector6};
 
-use super::lever::turned;
+use super::lever::{FRAMES_PER_WORD, UNKNOWN_M, left_over, turned};
 use super::{Joint, Joints, Pose, far};
 use crate::fault_map::frames::Frames;
 use crate::fault_map::memory::Point;
@@ -20,9 +20,6 @@ const PARTS: usize = 5;
 const ROUNDS: usize = 4;
 /// What is left over is left out beyond so many spreads.
 const TRIM: f64 = 3.0;
-/// What is not known at all, m; it counts as much as so many frames.
-const UNKNOWN_M: f64 = 0.3;
-const PRIOR_FRAMES: f64 = 20.0;
 /// A pair whose point is not shared better than this is no joint, m an axis.
 const LOOSEST_M: f64 = 0.04;
 /// Skin and straps are never better than this, m an axis.
@@ -38,17 +35,19 @@ pub(in crate::fault_map) fn learn(
     here: impl Fn(usize, usize) -> Option<Point>,
 ) -> (Joints, Vec<Vector6<f64>>) {
     let sensors = frames.sensors.len();
+    let stride = frames.len().div_ceil(MOST_FRAMES).max(1);
+    let pose = |k: usize, sensor: usize| {
+        Some(Pose { position: here(k, sensor)?.into(), ..Pose::of(frames.frame(k), sensor)? })
+    };
+    let poses: Vec<Vec<Option<Pose>>> = (0..sensors)
+        .map(|sensor| (0..frames.len()).step_by(stride).map(|k| pose(k, sensor)).collect())
+        .collect();
     let mut found = Vec::new();
     for a in 0..sensors {
         for b in a + 1..sensors {
-            let pose = |k: usize, sensor: usize| {
-                let position: Vector3<f64> = here(k, sensor)?.into();
-                Some(Pose { position, ..Pose::of(frames.frame(k), sensor)? })
-            };
-            let stride = frames.len().div_ceil(MOST_FRAMES).max(1);
-            let rows: Vec<(Pose, Pose)> =
-                (0..frames.len()).step_by(stride).filter_map(|k| pose(k, a).zip(pose(k, b))).collect();
-            if rows.len() >= LEAST_FRAMES.min(MOST_FRAMES) {
+            let both = poses[a].iter().zip(&poses[b]);
+            let rows: Vec<(Pose, Pose)> = both.filter_map(|(a, b)| (*a).zip(*b)).collect();
+            if rows.len() >= LEAST_FRAMES {
                 found.extend(Pair::learn(&rows).and_then(|pair| pair.joint(a, b)));
             }
         }
@@ -113,7 +112,7 @@ impl Pair {
                 sums.product += h.transpose() * (b.position - a.position) / variance;
             }
             let mut all = Sums {
-                square: Matrix6::identity() * (PRIOR_FRAMES / (UNKNOWN_M * UNKNOWN_M)),
+                square: Matrix6::identity() * (FRAMES_PER_WORD / (UNKNOWN_M * UNKNOWN_M)),
                 product: Vector6::zeros(),
             };
             for part in &parts {
@@ -126,9 +125,7 @@ impl Pair {
                 let others = Sums { square: all.square - part.square, product: all.product - part.product };
                 let arms = others.solve()?;
                 let of_part = rows.iter().enumerate().filter(|(k, _)| k * PARTS / rows.len() == number);
-                left.extend(
-                    of_part.map(|(_, (a, b))| (a.position - b.position + turned(a, b) * arms).norm_squared()),
-                );
+                left.extend(of_part.map(|(_, (a, b))| left_over(a, b, &arms).norm_squared()));
             }
             pair.spread(&left, &fars);
             left_m2 = Some(left);

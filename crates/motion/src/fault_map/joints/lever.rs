@@ -9,9 +9,9 @@ use posed_state::Plain;
 use super::{Pose, STUBBORN_FRAMES};
 
 /// Nobody knows anything of a lever arm but that it is about so long, m.
-const UNKNOWN_M: f64 = 0.3;
+pub(super) const UNKNOWN_M: f64 = 0.3;
 /// Skin moves slowly: so many frames say as much as one of them.
-const FRAMES_PER_WORD: f64 = 20.0;
+pub(super) const FRAMES_PER_WORD: f64 = 20.0;
 /// A strap creeps so far in a frame, m.
 const CREEP_M: f64 = 2e-5;
 /// What is left over is not learnt from beyond so many spreads.
@@ -50,7 +50,7 @@ impl Lever {
     /// Takes a frame in which both are where they say.
     pub(super) fn learn(&mut self, a: &Pose, b: &Pose, variance_m2: f64) {
         let h = turned(a, b);
-        let left_over = a.position - b.position + h * self.arms;
+        let left_over = left_over(a, b, &self.arms);
         let gain = self.covariance * h.transpose();
         let spread = h * gain;
         let Some(usual) = (spread + Matrix3::identity() * variance_m2).try_inverse() else { return };
@@ -73,6 +73,11 @@ impl Lever {
             *self = Self::unknown();
         }
     }
+}
+
+/// What these lever arms leave over, m.
+pub(super) fn left_over(a: &Pose, b: &Pose, arms: &Vector6<f64>) -> Vector3<f64> {
+    a.position - b.position + turned(a, b) * arms
 }
 
 /// `[R_a, -R_b]`.

@@ -17,12 +17,15 @@ use serde::{Deserialize, Serialize};
 
 use super::frames::{Frame, Frames};
 use super::memory::Point;
+use super::side::Side;
 pub(super) use learning::learn;
 use lever::Lever;
 use states::Costs;
 
 /// A lever arm is known once what it predicts is known so well, m.
 const KNOWN_M: f64 = 0.02;
+/// What is left over is half of all that it can be for the map where it is so many standard deviations an axis.
+const STRANGE: f64 = 4.0;
 /// Who does not agree for so many frames, while no rule speaks against it, is worn in another way: the lever arms begin anew.
 const STUBBORN_FRAMES: u32 = 600;
 
@@ -56,7 +59,7 @@ fn far(pose: &Pose) -> f64 {
 pub(super) struct Joints(Vec<Joint>);
 
 /// Where a sensor is, and how it is turned.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Plain)]
 struct Pose {
     position: Vector3<f64>,
     rotation: Matrix3<f64>,
@@ -91,13 +94,18 @@ impl Place {
     const ALL: [Self; 4] =
         [Self::Here, Self::Mirrored(Mirror::Point), Self::Mirrored(Mirror::Vertical), Self::Elsewhere];
 
-    /// The place that a position stands for; nothing for one that stands for none.
-    fn undo(self, p: Vector3<f64>) -> Option<Vector3<f64>> {
+    /// On which side a sensor is there; nothing for one that is elsewhere.
+    pub(super) fn side(self) -> Option<Side> {
         match self {
-            Self::Here => Some(p),
-            Self::Mirrored(mirror) => Some(mirror.apply(p.into()).into()),
+            Self::Here => Some(Side::CLEAN),
+            Self::Mirrored(mirror) => Some(Side::CLEAN.through(mirror)),
             Self::Elsewhere => None,
         }
+    }
+
+    /// The place that a position stands for; nothing for one that stands for none.
+    fn undo(self, p: Vector3<f64>) -> Option<Vector3<f64>> {
+        Some(self.side()?.undo(p.into()).into())
     }
 }
 
@@ -107,6 +115,10 @@ pub(super) struct Limbs {
     levers: Vec<Lever>,
     /// Per sensor, where it is; none while no joint speaks of it.
     places: Vec<Option<Place>>,
+    /// Per joint, what its sensors leave over of it, as they are measured; NaN while it does not speak.
+    shares: Vec<f64>,
+    /// Of the latest frame.
+    poses: Vec<Option<Pose>>,
     costs: Costs,
 }
 
@@ -115,6 +127,17 @@ impl Limbs {
     pub(super) fn place(&self, sensor: usize) -> Option<Place> {
         self.places[sensor]
     }
+
+    /// Per joint, what it leaves over in the latest frame with its sensors where they are measured, from 0 to 1: `d² / (d² + 16)` of `d` standard
+    /// deviations an axis (the function of Geman and McClure 1987). NaN where nobody knows.
+    pub(super) fn shares(&self) -> &[f64] {
+        &self.shares
+    }
+}
+
+/// Whether a share says that a sensor is not where it is measured.
+pub(super) fn is_strange(share: f64) -> bool {
+    share > 0.5
 }
 
 /// What the rules think of a sensor before the joints are asked.
@@ -132,6 +155,11 @@ impl Joints {
     /// Whether nothing is known.
     pub(super) fn is_empty(&self) -> bool {
         self.0.is_empty()
+    }
+
+    /// How many there are.
+    pub(super) fn len(&self) -> usize {
+        self.0.len()
     }
 
     /// Whether these are joints of so many sensors, as they are learnt.
@@ -157,6 +185,8 @@ impl Joints {
         Limbs {
             levers: vec![Lever::unknown(); self.0.len()],
             places: vec![None; sensors],
+            shares: vec![f64::NAN; self.0.len()],
+            poses: vec![None; sensors],
             costs: Costs::new(sensors, self.0.len()),
         }
     }
@@ -164,47 +194,54 @@ impl Joints {
     /// Decides where all sensors are in the next frame, and learns from it how they are worn.
     pub(super) fn follow(&self, limbs: &mut Limbs, frame: Frame<'_>, hint: impl Fn(usize) -> Hint) {
         self.decide(limbs, frame, &hint);
-        self.learn(limbs, frame, &hint);
+        self.learn(limbs, &hint);
     }
 
-    /// Where all sensors of a recording are, frame by frame: for one whose own lever arms, joint by joint, these are.
+    /// Where all sensors of a recording are and what its joints leave over ([`Limbs::shares`]), frame by frame: for one whose own lever arms, joint by
+    /// joint, these are.
     pub(super) fn in_hindsight(
         &self,
         arms: &[Vector6<f64>],
         frames: &Frames,
         hint: impl Fn(usize, usize) -> Hint,
-    ) -> Vec<Option<Place>> {
+    ) -> (Vec<Option<Place>>, Vec<f64>) {
         let sensors = frames.sensors.len();
         let mut limbs =
             Limbs { levers: arms.iter().copied().map(Lever::known).collect(), ..self.limbs(sensors) };
         let mut places = Vec::with_capacity(frames.len() * sensors);
+        let mut shares = Vec::with_capacity(frames.len() * self.len());
         for k in 0..frames.len() {
             self.decide(&mut limbs, frames.frame(k), &|sensor| hint(k, sensor));
             places.extend(&limbs.places);
+            shares.extend(&limbs.shares);
         }
-        places
+        (places, shares)
     }
 
     fn decide(&self, limbs: &mut Limbs, frame: Frame<'_>, hint: &impl Fn(usize) -> Hint) {
-        let Limbs { levers, places, costs } = limbs;
+        let Limbs { levers, places, shares, poses, costs } = limbs;
+        for (sensor, pose) in poses.iter_mut().enumerate() {
+            *pose = Pose::of(frame, sensor);
+        }
         costs.begin(places, hint);
+        shares.fill(f64::NAN);
         for (at, (joint, lever)) in self.0.iter().zip(levers.iter()).enumerate() {
-            let Some((a, b)) = Pose::of(frame, joint.a).zip(Pose::of(frame, joint.b)) else { continue };
+            let Some((a, b)) = poses[joint.a].zip(poses[joint.b]) else { continue };
             let spread = lever.spread(&a, &b);
             if spread.trace() < 3.0 * KNOWN_M * KNOWN_M {
                 let scatter = spread + Matrix3::identity() * joint.variance(&a, &b);
-                costs.join(at, (joint.a, &a), (joint.b, &b), &lever.offset(&a, &b), &scatter);
+                let square =
+                    costs.join(at, (joint.a, &a), (joint.b, &b), &lever.offset(&a, &b), &scatter) / 3.0;
+                shares[at] = square / (square + STRANGE * STRANGE);
             }
         }
-        costs.decide(self.0.iter().map(|joint| (joint.a, joint.b)), places);
+        costs.decide(&self.0, places);
     }
 
-    fn learn(&self, limbs: &mut Limbs, frame: Frame<'_>, hint: &impl Fn(usize) -> Hint) {
-        let Limbs { levers, places, .. } = limbs;
+    fn learn(&self, limbs: &mut Limbs, hint: &impl Fn(usize) -> Hint) {
+        let Limbs { levers, places, poses, .. } = limbs;
         for (joint, lever) in self.0.iter().zip(levers.iter_mut()) {
-            let Some((mut a, mut b)) = Pose::of(frame, joint.a).zip(Pose::of(frame, joint.b)) else {
-                continue;
-            };
+            let Some((mut a, mut b)) = poses[joint.a].zip(poses[joint.b]) else { continue };
             let at = |sensor: usize, p| match (places[sensor], hint(sensor)) {
                 (Some(place), _) => place.undo(p),
                 (None, Hint::Here(here)) => Some(here.into()),

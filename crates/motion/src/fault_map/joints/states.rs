@@ -8,7 +8,7 @@ use std::f64::consts::TAU;
 use nalgebra::{Matrix3, Vector3};
 use posed_state::Plain;
 
-use super::{Hint, Place, Pose};
+use super::{Hint, Joint, Place, Pose};
 
 const PLACES: usize = Place::ALL.len();
 /// Costs are negative logarithms of likelihoods; a position elsewhere is anywhere in a cubic metre, which costs nothing.
@@ -58,7 +58,8 @@ impl Costs {
         }
     }
 
-    /// What a joint says: `offset` is to be added to the difference of positions, `scatter` is the covariance of what is left over, m².
+    /// What a joint says: `offset` is to be added to the difference of positions, `scatter` is the covariance of what is left over, m². Returns the
+    /// squared distance of Mahalanobis of the positions as they are measured, NaN where `scatter` is none.
     pub(super) fn join(
         &mut self,
         joint: usize,
@@ -66,33 +67,31 @@ impl Costs {
         (sensor_b, b): (usize, &Pose),
         offset: &Vector3<f64>,
         scatter: &Matrix3<f64>,
-    ) {
-        let Some(inverse) = scatter.try_inverse() else { return };
+    ) -> f64 {
+        let Some(inverse) = scatter.try_inverse() else { return f64::NAN };
+        let squared = |a: Vector3<f64>, b: Vector3<f64>| {
+            let left_over = a - b + offset;
+            left_over.dot(&(inverse * left_over))
+        };
         let density = 0.5 * libm::log(scatter.determinant() * TAU.powi(3));
         for (row, place_a) in self.joints[joint].iter_mut().zip(Place::ALL) {
             for (cost, place_b) in row.iter_mut().zip(Place::ALL) {
                 let positions = place_a.undo(a.position).zip(place_b.undo(b.position));
-                *cost = positions.map_or(0.0, |(a, b)| {
-                    let left_over = a - b + offset;
-                    0.5 * left_over.dot(&(inverse * left_over)) + density
-                });
+                *cost = positions.map_or(0.0, |(a, b)| 0.5 * squared(a, b) + density);
             }
         }
         self.speaks[joint] = true;
         self.is_spoken_of[sensor_a] = true;
         self.is_spoken_of[sensor_b] = true;
+        squared(a.position, b.position)
     }
 
-    /// The places of least cost; `joints` are the pairs, nearer sensor first, each behind that of its nearer sensor.
-    pub(super) fn decide(
-        &mut self,
-        joints: impl DoubleEndedIterator<Item = (usize, usize)> + ExactSizeIterator + Clone,
-        places: &mut [Option<Place>],
-    ) {
-        for (joint, (a, b)) in joints.clone().enumerate().rev() {
-            if self.speaks[joint] {
-                let below = self.sensors[b];
-                for (row, cost) in self.joints[joint].iter().zip(&mut self.sensors[a]) {
+    /// The places of least cost; each joint stands behind that of its nearer sensor.
+    pub(super) fn decide(&mut self, joints: &[Joint], places: &mut [Option<Place>]) {
+        for (at, joint) in joints.iter().enumerate().rev() {
+            if self.speaks[at] {
+                let below = self.sensors[joint.b];
+                for (row, cost) in self.joints[at].iter().zip(&mut self.sensors[joint.a]) {
                     *cost += least(row, &below).1;
                 }
             }
@@ -102,10 +101,10 @@ impl Costs {
             let best = least(&self.sensors[sensor], &nothing).0;
             *place = self.is_spoken_of[sensor].then(|| Place::ALL[best]);
         }
-        for (joint, (a, b)) in joints.enumerate() {
-            if let (true, Some(place)) = (self.speaks[joint], places[a]) {
-                let at = Place::ALL.iter().position(|other| *other == place).unwrap_or_default();
-                places[b] = Some(Place::ALL[least(&self.joints[joint][at], &self.sensors[b]).0]);
+        for (at, joint) in joints.iter().enumerate() {
+            if let (true, Some(place)) = (self.speaks[at], places[joint.a]) {
+                let row = Place::ALL.iter().position(|other| *other == place).unwrap_or_default();
+                places[joint.b] = Some(Place::ALL[least(&self.joints[at][row], &self.sensors[joint.b]).0]);
             }
         }
     }

@@ -20,7 +20,7 @@ const MOST_BYTES: usize = 32 << 20;
 
 /// The newest frames of raw poses, in device axes.
 #[derive(Debug)]
-pub(crate) struct RecentPositions {
+pub(crate) struct RecentPoses {
     sensors: Vec<String>,
     indices: Vec<usize>,
     t_s: VecDeque<f64>,
@@ -28,7 +28,7 @@ pub(crate) struct RecentPositions {
     poses: VecDeque<RawPose>,
 }
 
-impl RecentPositions {
+impl RecentPoses {
     /// For the magnetic sensors of a stage; a stage without any costs nothing.
     pub(crate) fn new(stage: &Stage) -> Self {
         Self {
@@ -74,7 +74,7 @@ impl RecentPositions {
     }
 }
 
-impl Observer for RecentPositions {
+impl Observer for RecentPoses {
     fn on_output(&mut self, output: &Output<'_>, _: &Times) {
         if let Output::Estimate(estimate) = output {
             self.push(estimate);
@@ -94,7 +94,7 @@ mod tests {
         let text = "name = \"t\"\n[[device]]\nname = \"d\"\ndriver = \"flock-of-birds\"\nport = \"none\"\n\
                     [[sensor]]\nname = \"a\"\ndevice = \"d\"\naddress = 1\n\
                     [[sensor]]\nname = \"b\"\ndevice = \"d\"\naddress = 2\n";
-        let mut recent = RecentPositions::new(&toml::from_str(text).unwrap());
+        let mut recent = RecentPoses::new(&toml::from_str(text).unwrap());
         for second in 0..400 {
             let t_valid = Timestamp::from_secs_f64(f64::from(second));
             let measured = Measured {
@@ -125,7 +125,7 @@ mod tests {
             .collect();
         let device = "[[device]]\nname = \"d\"\ndriver = \"flock-of-birds\"\nport = \"none\"\n";
         let mut recent =
-            RecentPositions::new(&toml::from_str(&format!("name = \"t\"\n{device}{sensors}")).unwrap());
+            RecentPoses::new(&toml::from_str(&format!("name = \"t\"\n{device}{sensors}")).unwrap());
         let wide = Estimate { sensors: vec![SensorEstimate::default(); 200], ..Estimate::default() };
         for tick in 0..10_000 {
             recent.push(&Estimate {

@@ -12,9 +12,9 @@ use posed_motion::fault_map::Frames;
 use posed_pipeline::raw_poses;
 use posed_stage::output::Output;
 
-/// Why a recording gives no positions.
+/// Why a recording gives no poses.
 #[derive(Debug, thiserror::Error)]
-pub enum PositionsError {
+pub enum RawPosesError {
     /// It cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
@@ -28,7 +28,7 @@ pub enum PositionsError {
 ///
 /// # Errors
 /// The recording cannot be read, is damaged, or is of another version.
-pub fn read(path: &Path) -> Result<Frames, PositionsError> {
+pub fn read(path: &Path) -> Result<Frames, RawPosesError> {
     let mut reader = Reader::open(path)?;
     let (stage, machine) = Machine::as_recorded(reader.header())?;
     let mut pipeline = machine.pipeline;
