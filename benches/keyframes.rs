@@ -1,8 +1,9 @@
 //! Cost of the key poses: per frame of each statistic, and per series of 1000 frames.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use posed_baselines::change_points::{MeanDifference, MeanDifferenceSettings};
-use posed_motion::keyframes::{Detector, Hinge, HingeSettings, Statistic};
+use posed_motion::keyframes::{
+    Detector, Hinge, HingeSettings, MeanDifference, MeanDifferenceSettings, Statistic,
+};
 use posed_simulator::gesture::{Gesture, NOISE};
 
 fn series(criterion: &mut Criterion) {

@@ -341,11 +341,11 @@ export type ChainCalibration = {
 
 /** The statistic of key poses: it speaks of an earlier frame, since it needs the frames around it. */
 export type Change = {
-  /** How clear a change of motion there would be: without unit, comparable between sensors. */
+  /** How clear a change of motion there would be: without unit, comparable between sensors; with `method = "paper"`, m a frame. */
   score: number;
   /** Capture time of the frame that it speaks of, s. */
   t_s: number;
-  /** What a peak must exceed to be a key pose. */
+  /** What a peak must exceed to be a key pose; with `method = "paper"`, a share of the mean motion before it. */
   threshold: number;
 };
 
@@ -932,8 +932,10 @@ export type KeyPoseMessage = {
   event_id: number;
   /** Whether it is for good. */
   phase: Phase;
-  /** How clear the change is: without unit, comparable between sensors. */
+  /** How clear the change is: without unit, comparable between sensors; with `method = "paper"`, m a frame. */
   score: number;
+  /** Where it is for good: what the sensor did since the key pose before it, as one screw motion; null where nothing moved, or nobody knows where the sensor is. */
+  screw: ScrewMotion | null;
   /** Which sensor. */
   sensor: string;
   /** Counts this topic's messages to this client from 0; a gap is a message that was dropped. */
@@ -1326,6 +1328,22 @@ export type Score = {
   tempo: number;
   /** The parts below, weighted 0.5, 0.2, 0.15 and 0.15; without symmetry the others in the same proportion. */
   total: number;
+};
+
+/** A rotation about an axis and a translation along it. */
+export type ScrewMotion = {
+  /** How far it went along the axis, m. */
+  advance_m: number;
+  /** How far it turned, degrees; 0 for a translation. */
+  angle_deg: number;
+  /** Direction of the axis, room frame: a unit vector; the rotation is positive about it. */
+  axis_direction: [number, number, number];
+  /** The point of the axis that is nearest to where the sensor began, room frame, m. */
+  axis_point_m: [number, number, number];
+  /** Where the sensor was then, room frame, m. */
+  from_m: [number, number, number];
+  /** Capture time at which it began, s: that of the key pose before, or of the first pose. */
+  since_s: number;
 };
 
 /** A segment. */

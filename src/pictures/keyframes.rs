@@ -20,21 +20,21 @@ pub(crate) fn draw(
     poses: &[Isometry3<f64>],
     trace: &[Trace],
     keys: &[KeyPose],
-    threshold: Option<f64>,
     spline: Option<&Spline>,
 ) -> String {
     let mut svg = Svg::new(WIDTH, TOP + SIDE + MARGIN);
     svg.text([MARGIN, 20.0], title);
     let last = poses.len().saturating_sub(1).max(1) as f64;
     let x = |frame: f64| MARGIN + (WIDTH - 2.0 * MARGIN) * frame / last;
-    let highest = trace.iter().map(|trace| trace.score.value).chain(threshold).fold(1e-12, f64::max);
+    let highest =
+        trace.iter().map(|trace| trace.score.value.max(trace.score.threshold)).fold(1e-12, f64::max);
     let y = |value: f64| TOP - MARGIN - (TOP - 2.0 * MARGIN) * (value.max(0.0) / highest).sqrt();
     svg.line([x(0.0), y(0.0)], [x(last), y(0.0)], "#999");
     svg.text([x(last) - 60.0, TOP - MARGIN + 16.0], &format!("frame {last}"));
     svg.text([4.0, y(highest) + 4.0], &format!("{highest:.3}"));
-    if let Some(threshold) = threshold {
-        svg.line([x(0.0), y(threshold)], [x(last), y(threshold)], "#c66");
-        svg.text([4.0, y(threshold)], &format!("{threshold:.1}"));
+    svg.polyline(trace.iter().map(|trace| [x(trace.frame as f64), y(trace.score.threshold)]), "#c66");
+    if let Some(first) = trace.first() {
+        svg.text([4.0, y(first.score.threshold)], &format!("{:.3}", first.score.threshold));
     }
     svg.polyline(trace.iter().map(|trace| [x(trace.frame as f64), y(trace.score.value)]), "#1f77b4");
     for key in keys {

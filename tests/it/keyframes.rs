@@ -1,6 +1,6 @@
 //! Key poses on generated gestures: the published table, the default beside it, the path, and real dwells.
 
-use posed_baselines::change_points::ScrewPath;
+use posed_motion::keyframes::ScrewPath;
 use posed_motion::keyframes::Spline;
 use posed_motion::keyframes::{Detector, Hinge, HingeSettings};
 use posed_simulator::gesture::{Gesture, NOISE, Shape, count_errors};

@@ -13,6 +13,13 @@ fn posed(folder: &Path, words: &str) -> Output {
         .unwrap()
 }
 
+/// The same, which goes well.
+fn done(folder: &Path, words: &str) -> Output {
+    let output = posed(folder, words);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    output
+}
+
 fn write_poses(path: &Path) {
     let mut text = String::from("t,sensor,x,y,z,qw,qx,qy,qz\n");
     for (k, pose) in Gesture::of_the_table(2).noisy((0.001, 0.2)).iter().enumerate() {
@@ -31,8 +38,7 @@ fn keyframes_writes_keys_path_and_picture() {
     let folder = tempfile::tempdir().unwrap();
     write_poses(&folder.path().join("poses.csv"));
     let words = "keyframes poses.csv -o keys.csv --resample path.csv --picture keys.svg --animation motion.glb --json";
-    let output = posed(folder.path(), words);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let output = done(folder.path(), words);
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(summary["frames"], 1000);
     let keys = std::fs::read_to_string(folder.path().join("keys.csv")).unwrap();
@@ -59,12 +65,10 @@ fn faults_are_trained_and_found_and_other_sensors_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     write_poses(&folder.path().join("poses.csv"));
     let train = "faults train poses.csv -o FAULTS.json --labels auto.csv --neurons 11 --side 5 --epochs 5";
-    let output = posed(folder.path(), train);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    done(folder.path(), train);
     let detect =
         "faults detect FAULTS.json poses.csv -o labels.csv --picture map.svg --repaired good.csv --json";
-    let output = posed(folder.path(), detect);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let output = done(folder.path(), detect);
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert!(summary["classes"]["clean"].as_u64().unwrap() >= 990, "{summary}");
     let labels = std::fs::read_to_string(folder.path().join("labels.csv")).unwrap();
@@ -86,9 +90,7 @@ fn faults_are_trained_and_found_and_other_sensors_are_refused() {
 fn maps_are_studied_against_the_truth_of_a_generated_session() {
     let folder = tempfile::tempdir().unwrap();
     let json = |words: &str| {
-        let output = posed(folder.path(), words);
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap_or_default()
+        serde_json::from_slice::<serde_json::Value>(&done(folder.path(), words).stdout).unwrap_or_default()
     };
     json("faults generate -o s.csv --truth truth.csv --seed 3");
     let sizes = " --neurons 11,21 --sides 11 --json";
@@ -120,14 +122,10 @@ fn maps_are_studied_against_the_truth_of_a_generated_session() {
 #[test]
 fn tables_with_columns_for_each_joint_are_frames_too() {
     let folder = tempfile::tempdir().unwrap();
-    let ok = |words: &str| {
-        let output = posed(folder.path(), words);
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8_lossy(&output.stderr).into_owned()
-    };
-    ok("segments generate made-up --sequences 1");
-    ok("faults train made-up/00001.csv.gz -o map.json --neurons 5 --side 3 --epochs 2");
-    let said = ok("faults detect map.json made-up/00001.csv.gz -o labels.csv");
+    done(folder.path(), "segments generate made-up --sequences 1");
+    done(folder.path(), "faults train made-up/00001.csv.gz -o map.json --neurons 5 --side 3 --epochs 2");
+    let output = done(folder.path(), "faults detect map.json made-up/00001.csv.gz -o labels.csv");
+    let said = String::from_utf8_lossy(&output.stderr);
     assert!(said.contains(" frames: "), "{said}");
     let labels = std::fs::read_to_string(folder.path().join("labels.csv")).unwrap();
     assert!(labels.contains(",head,"), "joints are the sensors");

@@ -6,15 +6,14 @@
 
 use nalgebra::Isometry3;
 use posed_drivers::Timestamp;
-use posed_state::State;
+use posed_state::{Plain, State};
 
 use super::PipelineError;
-use posed_motion::keyframes::Track;
-use posed_motion::keyframes::{Detector, Event, Hinge, HingeSettings};
+use posed_motion::keyframes::{Detector, Event, KeyPose, Method, MethodSettings, Track};
 use posed_stage::Stage;
 use posed_stage::input::SensorIndex;
 use posed_stage::output::{
-    Change, Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output, Phase, SensorEstimate,
+    Change, Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output, Phase, ScrewSegment, SensorEstimate,
 };
 
 /// Frames whose mean interval is taken for the stage's, where the file does not say it.
@@ -23,15 +22,26 @@ const MEASURED_FRAMES: u32 = 30;
 /// Room for the events of one frame; more than enough, as a sensor has three at most.
 const EVENTS: usize = 256;
 
+/// The beginning of a segment, which may be longer ago than the latest frames.
+#[derive(Clone, Copy, Debug, Plain)]
+struct Begun {
+    frame: u64,
+    t: Timestamp,
+    /// Whether its poses have positions: a screw of others would be anywhere.
+    has_position: bool,
+}
+
 #[derive(Clone, Debug, State)]
 pub(super) struct Keyframes {
     /// Without the rate, where the stage file does not say it.
     #[state(keep)]
-    settings: HingeSettings,
+    settings: MethodSettings,
     #[state(keep)]
     watched: Vec<SensorIndex>,
     /// Absent where the stage file does not say a rate, until it is measured.
-    tracks: Vec<Track>,
+    tracks: Vec<Track<Method>>,
+    /// By track: where its segment began.
+    begun: Vec<Option<Begun>>,
     first: Option<Timestamp>,
     seen: u32,
     /// Times of the latest frames, the newest at `frames % len`.
@@ -44,31 +54,22 @@ pub(super) struct Keyframes {
 impl Keyframes {
     /// `None` where the stage does not ask for key poses.
     pub(super) fn new(stage: &Stage) -> Result<Option<Self>, PipelineError> {
-        let Some(posed_stage::Keyframes { sensors, window_frames: window, false_alarms_per_min }) =
-            &stage.keyframes
-        else {
-            return Ok(None);
-        };
+        let Some(table) = &stage.keyframes else { return Ok(None) };
         let index = |name: &String| {
             let found = stage.sensors.iter().position(|sensor| sensor.name == *name);
             found
                 .map(|index| index as SensorIndex)
                 .ok_or(PipelineError::Value { key: "keyframes.sensors", expected: "names of sensors" })
         };
-        let watched = match sensors {
+        let watched = match &table.sensors {
             Some(names) => names.iter().map(index).collect::<Result<_, _>>()?,
             None => (0..stage.sensors.len() as SensorIndex).collect(),
         };
-        let settings = HingeSettings {
-            window: usize::from(*window),
-            false_alarms_per_min: *false_alarms_per_min,
-            frame_rate_hz: stage.frame_rate_hz.unwrap_or(0.0),
-            orientation: true,
-        };
         let mut keyframes = Self {
-            settings,
+            settings: table.settings(stage.frame_rate_hz.unwrap_or(0.0)),
             watched,
             tracks: Vec::new(),
+            begun: Vec::new(),
             first: None,
             seen: 0,
             times: Vec::new(),
@@ -83,10 +84,10 @@ impl Keyframes {
 
     /// Makes the tracks, now that the rate is known.
     fn begin(&mut self, frame_rate_hz: f64) {
-        let settings = HingeSettings { frame_rate_hz, ..self.settings };
-        let track = Track::new(Detector::new(Hinge::new(settings)));
+        let track = Track::new(Detector::new(Method::new(self.settings.at(frame_rate_hz))));
         self.times = vec![Timestamp::ZERO; track.reach_frames() + 1];
         self.tracks = vec![track; self.watched.len()];
+        self.begun = vec![None; self.watched.len()];
     }
 
     /// Takes a closed frame, and gives it the statistic of each sensor.
@@ -104,26 +105,40 @@ impl Keyframes {
         let count = self.times.len() as u64;
         self.times[(self.frames % count) as usize] = now;
         self.frames += 1;
-        let Self { watched, tracks, times, events, .. } = self;
+        let Self { watched, tracks, begun, times, events, .. } = self;
         let time = |frame: u64| times[(frame % count) as usize];
-        for (sensor, track) in watched.iter().zip(tracks) {
+        for ((sensor, track), begun) in watched.iter().zip(tracks).zip(begun) {
             let Some(estimate) = estimate.sensors.get_mut(usize::from(*sensor)) else { continue };
             let pose = usable(estimate);
-            let trace = track.push(pose.as_ref(), &mut |event| {
-                let (phase, key) = match event {
+            let has_position = estimate.pose.as_ref().is_some_and(|pose| pose.position_m.is_some());
+            let trace = track.push(pose.as_ref(), &mut |told| {
+                let (phase, key) = match told.event {
                     Event::Provisional(key) => (Phase::Provisional, key),
                     Event::Confirmed(key) => (Phase::Confirmed, key),
                     Event::Withdrawn(key) => (Phase::Withdrawn, key),
                 };
-                let event = KeyPoseEvent { sensor: *sensor, phase, score: key.score, corner: key.corner };
-                events.push((time(key.frame), event));
+                let since = |frame| {
+                    begun.filter(|begun| begun.frame == frame).map_or_else(|| time(frame), |begun| begun.t)
+                };
+                let segment = told.segment.filter(|_| begun.is_some_and(|begun| begun.has_position));
+                let segment = segment.map(|segment| ScrewSegment {
+                    since: since(segment.since),
+                    from_m: segment.from.translation.vector.into(),
+                    screw: segment.screw,
+                });
+                let KeyPose { score, corner, .. } = key;
+                events
+                    .push((time(key.frame), KeyPoseEvent { sensor: *sensor, phase, score, corner, segment }));
             });
-            let change = trace.zip(track.threshold()).map(|(trace, threshold)| Change {
+            let since = track.segment_since();
+            if begun.map(|begun| begun.frame) != since {
+                *begun = since.map(|frame| Begun { frame, t: time(frame), has_position });
+            }
+            estimate.change = trace.map(|trace| Change {
                 t_valid: time(trace.frame),
                 score: trace.score.value,
-                threshold,
+                threshold: trace.score.threshold,
             });
-            estimate.change = change;
         }
     }
 

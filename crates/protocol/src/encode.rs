@@ -7,12 +7,14 @@ use serde::{Deserialize, Serialize};
 
 use super::body::FigureBody;
 use super::message::{
-    ExerciseEvent, Fault, FaultChange, FieldChange, FieldEvent, Jobs, KeyPose, SegmentBody, Sessions, Status,
+    ExerciseEvent, Fault, FaultChange, FieldChange, FieldEvent, Jobs, KeyPose, ScrewMotion, SegmentBody,
+    Sessions, Status,
 };
 use super::sensors::{SensorsBody, TruthBody};
 use super::{Names, Stamp, Topic, View, exercise, round};
+use posed_motion::keyframes::Screw;
 use posed_stage::input::{Model, Truth};
-use posed_stage::output::{Body, Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output};
+use posed_stage::output::{Body, Estimate, KeyPoseEvent, Outcome, OutcomeKind, Output, ScrewSegment};
 
 /// How messages are written; chosen by the websocket sub-protocol.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -128,9 +130,10 @@ pub fn body(payload: &Payload<'_>, stamp: &Stamp, names: &Names, view: &View, ou
                 }
                 OutcomeKind::KeyPose(event) => {
                     let sensor = names.sensor(event.sensor).to_owned();
-                    let KeyPoseEvent { phase, corner, .. } = *event;
-                    let score = round::to(1e3, event.score);
-                    let key = KeyPose { t_s, event_id, t_valid_s, sensor, phase, score, corner };
+                    let KeyPoseEvent { phase, corner, segment, .. } = *event;
+                    let score = round::to(round::score(event.score), event.score);
+                    let screw = segment.as_ref().map(screw);
+                    let key = KeyPose { t_s, event_id, t_valid_s, sensor, phase, score, corner, screw };
                     write(encoding, &key, out);
                 }
                 OutcomeKind::MotionSegment(segment) => {
@@ -241,6 +244,18 @@ fn write<T: Serialize + ?Sized>(encoding: Encoding, value: &T, out: &mut Vec<u8>
         // Our own types are maps with text keys: neither encoding can refuse them.
         debug_assert!(false, "a message could not be written: {error}");
         out.truncate(from);
+    }
+}
+
+fn screw(segment: &ScrewSegment) -> ScrewMotion {
+    let Screw { axis_point_m, axis_direction, angle_rad, advance_m } = segment.screw;
+    ScrewMotion {
+        since_s: round::seconds(super::publisher::microseconds(segment.since)),
+        from_m: round::each(round::POSITION, segment.from_m),
+        axis_point_m: round::each(round::POSITION, axis_point_m),
+        axis_direction: round::each(round::QUATERNION, axis_direction),
+        angle_deg: round::to(round::DEGREES, angle_rad.to_degrees()),
+        advance_m: round::to(round::POSITION, advance_m),
     }
 }
 

@@ -47,9 +47,9 @@ pub use message::{
     HeadingSource, Hello, HelloSensor, Job, JobState, Jobs, JointEntry, Judged, KeptExercise, KeptFile,
     KeyPose, LinkState, ListedSessions, MapVersion, Measured, OkReply, People, PlanProgress, Plans, Problem,
     Quality, RecordingBegun, RecordingStatus, Recordings, RelatedClock, ReplayStatus, Report, Resumed,
-    RunningSession, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors, ServerMessage,
-    SessionBegun, Sessions, Shown, Spoken, StageEntry, StageLatency, StagePresence, Stages, Started, Status,
-    Tracked, TruthEntry, Truths,
+    RunningSession, ScrewMotion, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors,
+    ServerMessage, SessionBegun, Sessions, Shown, Spoken, StageEntry, StageLatency, StagePresence, Stages,
+    Started, Status, Tracked, TruthEntry, Truths,
 };
 pub use names::Names;
 pub use packed::{unpack, unpacker};

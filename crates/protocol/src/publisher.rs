@@ -331,7 +331,8 @@ mod tests {
             let what = OutcomeKind::Exercise(ExerciseOutcome { subject: "a".into(), what });
             Outcome { what, ..fault(true) }
         });
-        let event = KeyPoseEvent { sensor: 0, phase: Phase::Confirmed, score: 31.0, corner: true };
+        let event =
+            KeyPoseEvent { sensor: 0, phase: Phase::Confirmed, score: 31.0, corner: true, segment: None };
         let key = Outcome { what: OutcomeKind::KeyPose(event), ..fault(true) };
         let sensors = vec![TruthSensor {
             sensor: 1,

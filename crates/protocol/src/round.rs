@@ -23,6 +23,12 @@ pub(crate) fn to(steps: f64, value: f64) -> f64 {
     (value * steps).round() / steps + 0.0
 }
 
+/// Steps per unit of the statistic of key poses, by what is a large value of it: by one method some tens without unit, by the other
+/// centimetres a frame.
+pub(crate) fn score(large: f64) -> f64 {
+    if large < 1.0 { 1e6 } else { 1e3 }
+}
+
 /// Each component to the nearest `1 / steps`.
 pub(crate) fn each<const N: usize>(steps: f64, values: [f64; N]) -> [f64; N] {
     values.map(|value| to(steps, value))

@@ -242,10 +242,11 @@ impl Serialize for Entry<'_> {
 }
 
 fn change(change: &output::Change) -> Change {
+    let steps = round::score(change.threshold);
     Change {
         t_s: round::seconds(super::publisher::microseconds(change.t_valid)),
-        score: round::to(1e3, change.score),
-        threshold: round::to(1e3, change.threshold),
+        score: round::to(steps, change.score),
+        threshold: round::to(steps, change.threshold),
     }
 }
 

@@ -42,7 +42,7 @@ pub use check::{Report, check, check_in, check_table};
 pub use driver::{Driver, TimeBase};
 pub use field::FieldWatch;
 pub use files::{read_field_map, read_intrinsics};
-pub use keyframes::Keyframes;
+pub use keyframes::{Keyframes, KeyframesMethod};
 pub use limits::Limits;
 pub use models::LoadedModels;
 pub use port::{PortAddress, PortAddressError};

@@ -15,6 +15,7 @@ use crate::input::{DeviceIndex, Model, SensorIndex, Truth};
 use posed_field::{PoleRun, Progress, Warning};
 use posed_fusion::ahrs::ImuSample;
 use posed_fusion::faults::{Cause, Class, Finding, ImuWords, Label, Repair, Verdict};
+use posed_motion::keyframes::Screw;
 
 /// One output of `Pipeline::push`; borrowed, valid during the call. The order of outputs is part of the answer: the same entries
 /// give the same outputs in the same order.
@@ -164,9 +165,10 @@ impl SensorEstimate {
 pub struct Change {
     /// Capture time of the frame that it speaks of.
     pub t_valid: Timestamp,
-    /// How clear a change of motion there would be, at least 0: without unit, comparable between sensors.
+    /// How clear a change of motion there would be, at least 0: without unit, comparable between sensors; by the paper's method, m a frame.
     pub score: f64,
-    /// What the score of a peak must exceed to be a key pose; it follows from `[keyframes]` of the stage file.
+    /// What the score of a peak must exceed to be a key pose; it follows from `[keyframes]` of the stage file, and by the paper's method from the
+    /// motion before.
     pub threshold: f64,
 }
 
@@ -335,10 +337,23 @@ pub struct KeyPoseEvent {
     pub sensor: SensorIndex,
     /// Whether it is for good.
     pub phase: Phase,
-    /// The statistic there, without unit ([`Change::score`]).
+    /// The statistic there ([`Change::score`]).
     pub score: f64,
     /// Whether the velocity changes at once, within a frame or two.
     pub corner: bool,
+    /// Of a confirmed one, the segment that it ends; `None` where nothing moved or nobody knows where the sensor is.
+    pub segment: Option<ScrewSegment>,
+}
+
+/// What a sensor did between two key poses, as one screw motion.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Plain)]
+pub struct ScrewSegment {
+    /// Capture time of the key pose before, or of the beginning of the motion.
+    pub since: Timestamp,
+    /// Where the sensor was then, room frame, m.
+    pub from_m: [f64; 3],
+    /// From the pose there to that of the key pose, room frame.
+    pub screw: Screw,
 }
 
 /// How final an event is that can be taken back.

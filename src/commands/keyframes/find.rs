@@ -2,14 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 use serde::Serialize;
 
 use super::{Error, notify, output, positive, print_json};
-use posed_baselines::change_points::{MeanDifference, MeanDifferenceSettings, ScrewPath};
 use posed_motion::keyframes::{BRIDGED_FRAMES, bridge};
-use posed_motion::keyframes::{Detector, Hinge, HingeSettings, KeyPose, Trace};
-use posed_motion::keyframes::{Deviation, Spline};
+use posed_motion::keyframes::{Detector, HingeSettings, KeyPose, MeanDifferenceSettings, Trace};
+use posed_motion::keyframes::{Deviation, ScrewPath, Spline};
+use posed_motion::keyframes::{Method, MethodSettings};
 use posed_recording::animation::{Item, Line, write_items};
 use posed_recording::table::{PoseRow, Poses, TableWriter};
 
@@ -37,6 +37,9 @@ pub(super) struct Find {
     /// False alarms per minute and sensor that noise may cause (hinge).
     #[arg(long, default_value_t = 1.0, value_parser = positive)]
     false_alarms_per_min: f64,
+    /// On either side a change exceeds all others within so many frames: the paper's n (paper) [default: the window].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=500))]
+    neighbourhood: Option<u16>,
     /// What turning by one radian counts as against moving, in metres (paper).
     #[arg(long, default_value_t = 0.1, value_parser = positive)]
     metres_per_radian: f64,
@@ -76,10 +79,10 @@ pub(super) fn run(args: Find) -> Result<(), Error> {
     let mut sensors = Vec::new();
     for (index, name) in poses.sensors.iter().enumerate() {
         let sensor = Sensor::of(&poses, &ticks, index);
-        let method = args.method(ticks.rate_hz, sensor.orientation);
+        let detector = Detector::new(Method::new(args.settings(ticks.rate_hz, sensor.orientation)));
         let mut summary = SensorSummary { name: name.clone(), ..SensorSummary::default() };
         for stretch in &sensor.stretches {
-            let (keys, trace) = method.run(&stretch.poses);
+            let (keys, trace) = detector.clone().run(&stretch.poses);
             let spline = Spline::fit(&stretch.poses, &keys);
             summary.add(stretch, &keys, spline.as_ref());
             if let Some(spline) = &spline {
@@ -87,7 +90,7 @@ pub(super) fn run(args: Find) -> Result<(), Error> {
             }
             if index == 0 && stretch.start == sensor.longest() {
                 if let Some(path) = &args.picture {
-                    draw(path, name, &method, stretch, &trace, &keys, spline.as_ref())?;
+                    draw(path, name, args.method, stretch, &trace, &keys, spline.as_ref())?;
                 }
                 if let Some(path) = &args.animation {
                     animate(path, &ticks, stretch, &keys, spline.as_ref())?;
@@ -111,45 +114,22 @@ pub(super) fn run(args: Find) -> Result<(), Error> {
 }
 
 impl Find {
-    fn method(&self, rate_hz: f64, orientation: bool) -> Method {
+    fn settings(&self, frame_rate_hz: f64, orientation: bool) -> MethodSettings {
         let window = usize::from(self.window);
         match self.method {
-            MethodName::Hinge => Method::Hinge(Detector::new(Hinge::new(HingeSettings {
+            MethodName::Hinge => MethodSettings::Hinge(HingeSettings {
                 window,
                 false_alarms_per_min: self.false_alarms_per_min,
-                frame_rate_hz: rate_hz,
+                frame_rate_hz,
                 orientation,
-            }))),
-            MethodName::Paper => Method::Paper(Detector::new(MeanDifference::new(MeanDifferenceSettings {
+            }),
+            MethodName::Paper => MethodSettings::MeanDifference(MeanDifferenceSettings {
                 window,
+                neighbourhood: self.neighbourhood.map_or(window, usize::from),
                 metres_per_radian: self.metres_per_radian,
                 acceptance: self.acceptance,
                 smooth: !self.unsmoothed,
-            }))),
-        }
-    }
-}
-
-/// A detector that has seen nothing, by the method that was asked for.
-enum Method {
-    Hinge(Detector<Hinge>),
-    Paper(Detector<MeanDifference>),
-}
-
-impl Method {
-    /// Key poses of a whole motion, and the statistic over time.
-    fn run(&self, poses: &[Isometry3<f64>]) -> (Vec<KeyPose>, Vec<Trace>) {
-        match self {
-            Self::Hinge(detector) => detector.clone().run(poses),
-            Self::Paper(detector) => detector.clone().run(poses),
-        }
-    }
-
-    /// What it is called in a picture, and what a peak exceeds there.
-    fn legend(&self) -> (&'static str, Option<f64>) {
-        match self {
-            Self::Hinge(detector) => ("hinge fit", detector.threshold()),
-            Self::Paper(detector) => ("weighted means in se(3)", detector.threshold()),
+            }),
         }
     }
 }
@@ -288,16 +268,19 @@ fn write(
 fn draw(
     path: &Path,
     name: &str,
-    method: &Method,
+    method: MethodName,
     stretch: &Stretch,
     trace: &[Trace],
     keys: &[KeyPose],
     spline: Option<&Spline>,
 ) -> Result<(), Error> {
-    let (what, threshold) = method.legend();
+    let what = match method {
+        MethodName::Hinge => "hinge fit",
+        MethodName::Paper => "weighted means in se(3)",
+    };
     let title =
         format!("{name} {what}: statistic (root scale) from frame {}, path with its spline", stretch.start);
-    let text = crate::pictures::keyframes::draw(title.trim(), &stretch.poses, trace, keys, threshold, spline);
+    let text = crate::pictures::keyframes::draw(title.trim(), &stretch.poses, trace, keys, spline);
     output::replace(path, |file| file.write_all(text.as_bytes()))
 }
 
@@ -318,11 +301,11 @@ fn animate(
     let mut lines = Vec::new();
     if let Some(screws) = ScrewPath::new(&stretch.poses, keys) {
         items.push(item("screws", SCREW, frames.clone().map(|frame| screws.pose(frame as f64)).collect()));
-        for screw in screws.screws() {
-            let Some(axis) = screw.axis else { continue };
-            let half = axis.direction * (0.5 * axis.advance_m.abs() + AXIS_END_M);
-            let middle_m = axis.point_m + axis.direction * (0.5 * axis.advance_m);
-            let name = format!("axis of frames {} to {}", screw.frames[0], screw.frames[1]);
+        for ([first, last], screw) in screws.screws() {
+            let direction = Vector3::from(screw.axis_direction);
+            let half = direction * (0.5 * screw.advance_m.abs() + AXIS_END_M);
+            let middle_m = Vector3::from(screw.axis_point_m) + direction * (0.5 * screw.advance_m);
+            let name = format!("axis of frames {first} to {last}");
             lines.push(Line { name, colour: SCREW, points_m: vec![middle_m - half, middle_m + half] });
         }
     }

@@ -1,9 +1,10 @@
 //! `posed keyframes study`: Table 2 of Merckel and Nishida (2010), for any method.
 
 use nalgebra::Isometry3;
-use posed_baselines::change_points::{MeanDifference, MeanDifferenceSettings};
 use posed_baselines::singular_spectrum::SingularSpectrum;
-use posed_motion::keyframes::{Detector, Hinge, HingeSettings, Statistic};
+use posed_motion::keyframes::{
+    Detector, Hinge, HingeSettings, MeanDifference, MeanDifferenceSettings, Statistic,
+};
 use posed_simulator::gesture::{CHANGES, Gesture, NOISE, count_errors};
 use serde::Serialize;
 
@@ -51,6 +52,12 @@ pub(super) struct Args {
     /// By what share of the mean motion before it a change must exceed it: the paper's x (paper).
     #[arg(long, value_name = "X", default_value_t = 0.5, value_parser = positive)]
     acceptance: f64,
+    /// On either side a change exceeds all others within so many frames: the paper's n (paper) [default: N].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=500))]
+    neighbourhood: Option<u16>,
+    /// Without the smoothing of motion and statistic (paper).
+    #[arg(long)]
+    unsmoothed: bool,
     /// False alarms per minute that noise may cause (hinge).
     #[arg(long, default_value_t = 1.0, value_parser = positive)]
     false_alarms_per_min: f64,
@@ -110,9 +117,10 @@ pub(super) fn run(args: &Args) -> Result<(), Error> {
         Method::Paper => of_detectors(args, |window| {
             MeanDifference::new(MeanDifferenceSettings {
                 window,
+                neighbourhood: args.neighbourhood.map_or(window, usize::from),
                 metres_per_radian: args.metres_per_radian,
                 acceptance: args.acceptance,
-                smooth: true,
+                smooth: !args.unsmoothed,
             })
         }),
         Method::Sst => of_sst(args),

@@ -5,6 +5,7 @@ import { el, setText } from "../dom";
 import { BODY_LOOKS, BodyFigure } from "../scene/body";
 import { FieldScene } from "../scene/field";
 import { Scene, quaternion, vector } from "../scene/scene";
+import { Screws } from "../scene/screws";
 import { transmitter } from "../scene/transmitter";
 import { LOOKS, Sensors } from "../scene/sensors";
 import type { Axis } from "../scene/slice";
@@ -25,6 +26,7 @@ export class StageView implements View {
   private readonly sensors = new Sensors();
   private readonly body = new BodyFigure();
   private readonly truth = new Truth();
+  private readonly screws = new Screws();
   private readonly transmitter: Group = transmitter();
   private readonly field = new FieldScene();
   private readonly arrowsLabel = el("span", { id: "field-arrows" });
@@ -45,14 +47,17 @@ export class StageView implements View {
     this.transmitter.add(this.field.group);
     // So that the switch hides what a message would show.
     const figure = new Group().add(this.body.group);
-    this.scene.scene.add(this.transmitter, this.sensors.group, figure, this.truth.group);
+    this.scene.scene.add(this.transmitter, this.sensors.group, figure, this.truth.group, this.screws.group);
     context.model.listen((message) => {
       if (message.type === "hello") {
         this.placeTransmitter(message.transmitter);
         this.field.forget();
+        this.screws.forget();
         this.cut();
       } else if (message.type === "sensors") {
         this.sensors.trails.extend(message);
+      } else if (message.type === "keyframes") {
+        if (message.screw) this.screws.take(message.sensor, message.screw);
       } else if (message.type === "field") {
         if (message.event === "model_swapped" && message.model.kind === "transmitter") this.placeTransmitter(message.model);
         this.field.take(message);
@@ -84,6 +89,7 @@ export class StageView implements View {
         layer("trails", this.sensors.trails.group, true),
         layer("uncertainty, two sigma", this.sensors.sigma, true),
         layer("truth of the simulation", this.truth.group, true),
+        layer("screws between key poses", this.screws.group, true),
         layer("corrections, from where the tracker said", this.field.corrections, true),
         layer("what the map of the field does", this.field.arrows, true), this.arrowsLabel,
         layer("a slice through it", this.field.slice.group, false, () => this.cut()), this.sliceAxis, this.slicePlace, this.sliceSays,

@@ -163,7 +163,7 @@ impl Statistic for Hinge {
         // A change is sharp or eased, whichever fits better; the two shapes are so alike that noise hardly gains.
         let value = f64::max(sharp, gentle);
         let accepted = value > self.threshold && f64::max(hinge, eased) >= quartic;
-        Some(Score { value, accepted, corner: hinge >= eased })
+        Some(Score { value, threshold: self.threshold, accepted, corner: hinge >= eased })
     }
 
     fn lag_frames(&self) -> usize {
@@ -172,10 +172,6 @@ impl Statistic for Hinge {
 
     fn reach_frames(&self) -> usize {
         self.settings.window
-    }
-
-    fn threshold(&self) -> Option<f64> {
-        Some(self.threshold)
     }
 }
 

@@ -2,20 +2,43 @@
 //!
 //! What comes in: one pose per frame, evenly spaced. What goes out: [`Event`]s: a change is *provisional* once
 //! the statistic has turned, and *confirmed* when none of the following frames exceeds it, or else
-//! *withdrawn*; offline also a [`path`] through the key poses. What it never does: depend on how the poses
+//! *withdrawn*; with each
+//! confirmed one a [`Screw`] from the one before it; offline also a [`path`] through the key poses. What it never does: depend on how the poses
 //! arrive, allocate per frame once warm.
 //!
-//! A [`Detector`] looks for peaks of a [`Statistic`]: of [`Hinge`] unless another one is given. It decides after the
-//! statistic's own lag and the reach of a peak, with the hinge `2 N` frames late; nothing is decided within the lag of
+//! A [`Detector`] looks for peaks of a [`Statistic`]: of [`Hinge`] unless another one is given, as the published [`MeanDifference`]. It decides
+//! after the statistic's own lag and the reach of a peak, with the hinge `2 N` frames late; nothing is decided within the lag of
 //! either end.
+//!
+//! A sensor that moves along one axis and then along another, by the published statistic and by the default:
+//!
+//! ```
+//! use nalgebra::Isometry3;
+//! use posed_motion::keyframes::{Detector, Hinge, HingeSettings, MeanDifference, MeanDifferenceSettings};
+//!
+//! // 200 poses, 1 cm a frame; it turns the corner at frame 100.
+//! let poses: Vec<_> = (0..200)
+//!     .map(|k| Isometry3::translation(0.01 * f64::from(k.min(100)), 0.01 * f64::from(k.max(100) - 100), 0.0))
+//!     .collect();
+//! let published = Detector::new(MeanDifference::new(MeanDifferenceSettings::default()));
+//! let by_hinge = Detector::new(Hinge::new(HingeSettings::default()));
+//! assert_eq!((published.delay_frames(), by_hinge.delay_frames()), (78, 60));
+//! let (keys, _) = published.run(&poses);
+//! assert_eq!(keys.iter().map(|key| key.frame).collect::<Vec<_>>(), [100]);
+//! let (keys, _) = by_hinge.run(&poses);
+//! assert!(keys[0].corner && keys[0].frame == 100);
+//! ```
 
 mod basis;
 mod hinge;
 mod law;
+mod mean_difference;
+mod method;
 mod path;
 mod peaks;
-#[cfg(any(test, feature = "testing"))]
-pub mod testing;
+mod screw;
+#[cfg(test)]
+mod testing;
 mod track;
 mod window;
 
@@ -24,10 +47,13 @@ use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 pub use hinge::{Hinge, HingeSettings};
+pub use mean_difference::{MeanDifference, MeanDifferenceSettings};
+pub use method::{Method, MethodSettings};
 pub use path::{Deviation, Spline, Velocity, segment_ends};
 pub use peaks::Score;
 use peaks::{Peak, Peaks};
-pub use track::{BRIDGED_FRAMES, Track, bridge};
+pub use screw::{Screw, ScrewPath};
+pub use track::{BRIDGED_FRAMES, Segment, Track, TrackEvent, bridge};
 pub use window::Window;
 
 /// A value per frame whose peaks are the key poses; each value belongs to an earlier frame.
@@ -39,8 +65,6 @@ pub trait Statistic {
     fn lag_frames(&self) -> usize;
     /// Within so many frames on either side a peak exceeds all other values; at least 1.
     fn reach_frames(&self) -> usize;
-    /// What an accepted value exceeds, in the unit of the value; `None` where it depends on the motion.
-    fn threshold(&self) -> Option<f64>;
 }
 
 /// A frame at which the velocity of a motion changes.
@@ -96,11 +120,6 @@ impl<S: Statistic> Detector<S> {
     /// A detector that has seen nothing.
     pub fn new(statistic: S) -> Self {
         Self { peaks: Peaks::new(statistic.reach_frames()), statistic, frames: 0, first: 0 }
-    }
-
-    /// Value that a score must exceed; `None` where it depends on the motion.
-    pub fn threshold(&self) -> Option<f64> {
-        self.statistic.threshold()
     }
 
     /// Frames from a change to its confirmation: lag of the statistic and reach of a peak.

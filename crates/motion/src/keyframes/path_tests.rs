@@ -1,6 +1,7 @@
 //! The path passes through its key poses, smoothly.
 
 use super::*;
+use crate::keyframes::ScrewPath;
 
 fn key(frame: u64, corner: bool) -> KeyPose {
     KeyPose { frame, score: 1.0, corner, decided: frame }
@@ -78,4 +79,14 @@ fn a_cubic_motion_is_met_exactly_by_one_piece() {
     let spline = Spline::fit(&poses, &[]).unwrap();
     assert_eq!(spline.knots().count(), 2);
     assert!(spline.deviation(&poses, 0..=50).position_m < 1e-9);
+}
+
+#[test]
+fn it_is_nearer_to_a_curved_recording_than_screws() {
+    let poses = motion(200);
+    let keys = [key(60, true), key(130, true)];
+    let spline = Spline::fit(&poses, &keys).unwrap().deviation(&poses, 0..=199);
+    let screw = ScrewPath::new(&poses, &keys).unwrap().deviation(&poses, 0..=199);
+    assert!(spline.position_m < 0.1 * screw.position_m, "{spline:?} {screw:?}");
+    assert!(spline.rotation_rad < 0.1 * screw.rotation_rad, "{spline:?} {screw:?}");
 }

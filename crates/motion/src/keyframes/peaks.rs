@@ -12,6 +12,8 @@ const TURNED: f64 = 0.7;
 pub struct Score {
     /// The statistic itself, in its own unit; not negative.
     pub value: f64,
+    /// What an accepted value exceeds, in the unit of the value.
+    pub threshold: f64,
     /// Whether the method takes a peak here for a change.
     pub accepted: bool,
     /// Whether the velocity changes at once, within a frame or two.
@@ -102,7 +104,7 @@ mod tests {
         let mut events = Vec::new();
         let mut peaks = Peaks::new(reach);
         for value in values {
-            let score = Score { value: *value, accepted: true, corner: false };
+            let score = Score { value: *value, threshold: 0.0, accepted: true, corner: false };
             peaks.push(score, &mut |event| events.push(event));
         }
         peaks.finish(&mut |event| events.push(event));

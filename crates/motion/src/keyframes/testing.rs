@@ -1,4 +1,4 @@
-//! What a detector promises whatever its statistic: for the tests of this crate and of those with statistics of their own.
+//! What a detector promises whatever its statistic.
 
 use nalgebra::Isometry3;
 
@@ -9,7 +9,7 @@ use super::{Detector, Event, Statistic};
 ///
 /// # Panics
 /// The detector does not do so.
-pub fn confirms_as_stated<S: Statistic>(mut detector: Detector<S>, poses: &[Isometry3<f64>]) -> usize {
+pub(super) fn confirms_as_stated<S: Statistic>(mut detector: Detector<S>, poses: &[Isometry3<f64>]) -> usize {
     let delay = detector.delay_frames() as u64;
     let (mut open, mut confirmed) = (None, 0);
     for pose in poses {
@@ -30,7 +30,7 @@ pub fn confirms_as_stated<S: Statistic>(mut detector: Detector<S>, poses: &[Isom
 ///
 /// # Panics
 /// It is not.
-pub fn does_not_look_ahead<S: Statistic>(
+pub(super) fn does_not_look_ahead<S: Statistic>(
     detector: impl Fn() -> Detector<S>,
     poses: &[Isometry3<f64>],
     ends: &[usize],

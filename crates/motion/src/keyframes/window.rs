@@ -25,6 +25,11 @@ impl<T: Copy> Window<T> {
         self.values.push(value);
     }
 
+    /// Forgets all values.
+    pub fn clear(&mut self) {
+        self.values.clear();
+    }
+
     /// All `len` values, oldest first; `None` until there are so many.
     pub fn full(&self) -> Option<&[T]> {
         self.values.len().checked_sub(self.len).map(|start| &self.values[start..])

@@ -33,7 +33,7 @@ pub use self::faults::{Fault, FaultChange};
 pub use self::field::{FieldChange, FieldEvent};
 pub use self::hello::{Hello, HelloSensor};
 pub use self::jobs::{Job, JobState, Jobs};
-pub use self::keyframes::KeyPose;
+pub use self::keyframes::{KeyPose, ScrewMotion};
 pub use self::reply::{ErrorReply, OkReply};
 pub use self::segments::SegmentBody;
 pub use self::sensors::{Change, Measured, Quality, SensorEntry, Sensors};

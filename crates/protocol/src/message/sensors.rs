@@ -71,9 +71,9 @@ pub struct SensorEntry {
 pub struct Change {
     /// Capture time of the frame that it speaks of, s.
     pub t_s: f64,
-    /// How clear a change of motion there would be: without unit, comparable between sensors.
+    /// How clear a change of motion there would be: without unit, comparable between sensors; with `method = "paper"`, m a frame.
     pub score: f64,
-    /// What a peak must exceed to be a key pose.
+    /// What a peak must exceed to be a key pose; with `method = "paper"`, a share of the mean motion before it.
     pub threshold: f64,
 }
 

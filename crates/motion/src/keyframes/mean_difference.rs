@@ -1,11 +1,10 @@
-//! Change points as a difference of means in se(3), and the screw motion between key poses.
+//! Change points as a difference of means in se(3).
 //!
 //! L. Merckel and T. Nishida, "Change-point detection on the Lie group SE(3) for segmenting gesture-defined spatial rigid
 //! motion" (2010, SciTePress; no DOI found).
 //!
 //! What comes in: poses `M_0, M_1, ...`, one per frame, evenly spaced. What goes out: [`MeanDifference`], a
-//! [`Statistic`] of whose peaks a [`Detector`](posed_motion::keyframes::Detector) makes key poses, and [`ScrewPath`]
-//! through these.
+//! [`Statistic`] of whose peaks a [`Detector`](super::Detector) makes key poses.
 //!
 //! With the twists `phi_j = Log(M_j^-1 M_(j+1))` and the half width `N` of the mask, the weighted means after and before
 //! a frame are
@@ -15,9 +14,9 @@
 //! zeta_L(i) = sum over k = 0 .. N-1 of (k + 1) / (2 N + 1) phi_(i - N + k)
 //! eta(i)    = | zeta_R(i) - zeta_L(i) |,  the Frobenius norm of the 4 x 4 matrix: sqrt(2 |w|^2 + |v|^2)
 //! ```
-//! A frame changes where `eta` exceeds all others within `N` frames, and `x | zeta_L |`. It does not depend on the frame of
+//! A frame changes where `eta` exceeds all others within `n` frames (eq. 23), and `x | zeta_L |`. It does not depend on the frame of
 //! reference, but on where the sensor sits on the body and, through [`MeanDifferenceSettings::metres_per_radian`],
-//! on the unit of length. A change is decided `2 N` frames late, with both smoothers `2 N + 18`.
+//! on the unit of length. A change is decided `N + n` frames late, with both smoothers 18 later.
 //!
 //! Repaired or chosen here, where the paper errs or is silent:
 //! - The logarithm of eq. (10) cancels for the small rotations between consecutive poses (3e-3 at 1e-6 rad); it is the closed
@@ -28,9 +27,8 @@
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
+use super::{Score, Statistic, Window};
 use posed_geometry::se3;
-use posed_motion::keyframes::{Deviation, segment_ends};
-use posed_motion::keyframes::{KeyPose, Score, Statistic, Window};
 use posed_state::Plain;
 
 /// Half width of the Gaussian that smooths the motion, frames, and its standard deviation.
@@ -41,11 +39,13 @@ const SCORE_HALF: usize = 10;
 /// The running sums are formed anew after so many frames, so that rounding cannot pile up.
 const RENEW_FRAMES: u32 = 1000;
 
-/// Settings of [`MeanDifference`]. The default: `N` = 30 frames, 0.1 m per radian, `x` = 0.5, smoothed.
+/// Settings of [`MeanDifference`]. The default: `N = n` = 30 frames, 0.1 m per radian, `x` = 0.5, smoothed.
 #[derive(Clone, Copy, Debug, PartialEq, Plain)]
 pub struct MeanDifferenceSettings {
-    /// `N`: half width of the mask, and the reach within which a peak must exceed all others, frames; 0 counts as 1.
+    /// `N`: half width of the mask, frames; 0 counts as 1.
     pub window: usize,
+    /// `n`: on either side a peak must exceed all others within so many frames; 0 counts as 1. The paper proposes `N`.
+    pub neighbourhood: usize,
     /// What a rotation by 1 rad counts as against a displacement, m. The paper adds rad and cm: 0.01.
     pub metres_per_radian: f64,
     /// `x`: a peak must exceed this share of the mean twist before it.
@@ -56,7 +56,7 @@ pub struct MeanDifferenceSettings {
 
 impl Default for MeanDifferenceSettings {
     fn default() -> Self {
-        Self { window: 30, metres_per_radian: 0.1, acceptance: 0.5, smooth: true }
+        Self { window: 30, neighbourhood: 30, metres_per_radian: 0.1, acceptance: 0.5, smooth: true }
     }
 }
 
@@ -182,7 +182,8 @@ impl Statistic for MeanDifference {
         self.means.push(scale * left.iter().map(|l| l * l).sum::<f64>().sqrt());
         let value = dot(self.scores.full()?, &self.score_weights);
         let mean = self.means.full()?[self.score_weights.len() / 2];
-        Some(Score { value, accepted: value > self.settings.acceptance * mean, corner: true })
+        let threshold = self.settings.acceptance * mean;
+        Some(Score { value, threshold, accepted: value > threshold, corner: true })
     }
 
     fn lag_frames(&self) -> usize {
@@ -190,11 +191,7 @@ impl Statistic for MeanDifference {
     }
 
     fn reach_frames(&self) -> usize {
-        self.settings.window
-    }
-
-    fn threshold(&self) -> Option<f64> {
-        None
+        self.settings.neighbourhood.max(1)
     }
 }
 
@@ -211,85 +208,6 @@ impl Sums {
             }
         }
         sums
-    }
-}
-
-/// Below this angle a segment is a translation: its axis would be anywhere, rad.
-const LEAST_TURN_RAD: f64 = 1e-3;
-
-/// The screw motion of one segment.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Screw {
-    /// First and last frame.
-    pub frames: [usize; 2],
-    /// How far it turns, rad.
-    pub angle_rad: f64,
-    /// What it turns about; `None` for a translation.
-    pub axis: Option<Axis>,
-}
-
-/// A screw's axis, frame of reference.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Axis {
-    /// The point of it that is nearest to where the sensor begins, m.
-    pub point_m: Vector3<f64>,
-    /// Unit; the rotation is positive about it.
-    pub direction: Vector3<f64>,
-    /// How far the segment goes along it, m.
-    pub advance_m: f64,
-}
-
-/// A path of one screw motion per motion segment, between key poses: constant linear and angular velocity in the sensor's axes.
-#[derive(Clone, Debug)]
-pub struct ScrewPath {
-    keys: Vec<(usize, Isometry3<f64>)>,
-}
-
-impl ScrewPath {
-    /// The path through the recorded key poses and both ends of a recording (m; sensor to the frame of reference), evenly spaced
-    /// frames; `None` for fewer than two poses. Key poses outside the recording or out of order are left out.
-    pub fn new(poses: &[Isometry3<f64>], keys: &[KeyPose]) -> Option<Self> {
-        let ends = segment_ends(poses.len(), keys)?;
-        Some(Self { keys: ends.into_iter().map(|(frame, _)| (frame, poses[frame])).collect() })
-    }
-
-    /// Pose at a frame, which may lie between two: sensor to the frame of reference, m; the first and the last pose beyond the
-    /// ends.
-    pub fn pose(&self, frame: f64) -> Isometry3<f64> {
-        let after = self.keys.partition_point(|(key, _)| (*key as f64) <= frame);
-        let last = after.clamp(1, self.keys.len() - 1);
-        let ((from, a), (to, b)) = (self.keys[last - 1], self.keys[last]);
-        let s = ((frame - from as f64) / (to - from) as f64).clamp(0.0, 1.0);
-        let twist = se3::log(&a.inv_mul(&b));
-        a * se3::exp(&se3::Twist { angular: twist.angular * s, linear: twist.linear * s })
-    }
-
-    /// The screws of its segments, in order.
-    pub fn screws(&self) -> Vec<Screw> {
-        self.keys
-            .windows(2)
-            .map(|pair| {
-                let ((from, a), (to, b)) = (pair[0], pair[1]);
-                let twist = se3::log(&a.inv_mul(&b));
-                let angle_rad = twist.angular.norm();
-                let axis = (angle_rad > LEAST_TURN_RAD).then(|| {
-                    let direction = twist.angular / angle_rad;
-                    let point_m = twist.angular.cross(&twist.linear) / (angle_rad * angle_rad);
-                    Axis {
-                        point_m: (a * nalgebra::Point3::from(point_m)).coords,
-                        direction: a.rotation * direction,
-                        advance_m: direction.dot(&twist.linear),
-                    }
-                });
-                Screw { frames: [from, to], angle_rad, axis }
-            })
-            .collect()
-    }
-
-    /// Root mean square distance from the recording, over some of its frames (both ends included; those beyond it are left out):
-    /// m, rad.
-    pub fn deviation(&self, poses: &[Isometry3<f64>], frames: std::ops::RangeInclusive<usize>) -> Deviation {
-        Deviation::of(|frame| self.pose(frame as f64), poses, frames)
     }
 }
 
@@ -323,5 +241,5 @@ fn savitzky_golay(half: usize) -> Vec<f64> {
 }
 
 #[cfg(test)]
-#[path = "change_points_tests.rs"]
+#[path = "mean_difference_tests.rs"]
 mod tests;

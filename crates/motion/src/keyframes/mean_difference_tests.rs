@@ -3,13 +3,14 @@
 use nalgebra::Vector3;
 
 use super::*;
-use posed_motion::keyframes::{Detector, Spline, testing};
+use crate::keyframes::{Detector, testing};
 
 const N: usize = 12;
 
 fn raw(window: usize) -> MeanDifference {
     MeanDifference::new(MeanDifferenceSettings {
         window,
+        neighbourhood: window,
         metres_per_radian: 0.3,
         acceptance: 0.5,
         smooth: false,
@@ -200,25 +201,4 @@ fn a_detector_that_was_stored_and_restored_goes_on_as_if_nothing_had_been() {
         assert_eq!(traces.0, traces.1);
         assert_eq!(a, b);
     }
-}
-
-#[test]
-fn a_spline_is_nearer_to_a_curved_recording_than_screws() {
-    let mut pose = Isometry3::identity();
-    let mut poses = Vec::new();
-    for k in 0..200 {
-        poses.push(pose);
-        let t = f64::from(k) / 100.0;
-        pose *= se3::exp(&match k {
-            0..60 => twist([0.02, 0.01 * t, 0.0], [0.01, 0.0, 0.01 * t]),
-            60..130 => twist([0.0, -0.03, 0.01], [0.0, 0.02 * t, 0.0]),
-            _ => twist([-0.01, 0.0, 0.02], [-0.02, 0.0, 0.01]),
-        });
-    }
-    let key = |frame| KeyPose { frame, score: 1.0, corner: true, decided: frame };
-    let keys = [key(60), key(130)];
-    let spline = Spline::fit(&poses, &keys).unwrap().deviation(&poses, 0..=199);
-    let screw = ScrewPath::new(&poses, &keys).unwrap().deviation(&poses, 0..=199);
-    assert!(spline.position_m < 0.1 * screw.position_m, "{spline:?} {screw:?}");
-    assert!(spline.rotation_rad < 0.1 * screw.rotation_rad, "{spline:?} {screw:?}");
 }
