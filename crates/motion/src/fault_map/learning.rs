@@ -8,7 +8,7 @@ use super::Labels;
 use super::frames::Frames;
 use super::hindsight::{Recording, Step};
 use super::joints::{self, Hint, Place};
-use super::memory::{Habit, JUMP_NOISE, Point, distance};
+use super::memory::{Habit, Point, distance};
 use super::pairs::{Pairs, quantile};
 use super::rules::{Rules, frame_label, position};
 use super::side::{Side, Ways, goes_through};
@@ -197,22 +197,6 @@ fn jump(mut bends: Vec<f64>) -> f64 {
     largest.min(usual).max(SMALLEST_JUMP_M)
 }
 
-/// What noise bends a track by at the median, over the fourth power of the range, m/m⁴: what far bends are more than near ones.
-fn noise(bends: &[(f64, f64)]) -> f64 {
-    let mut ranges: Vec<f64> = bends.iter().map(|(_, range)| *range).collect();
-    let [near, far] = [0.3, 0.8].map(|share| quantile(&mut ranges, share));
-    let of = |which: &dyn Fn(f64) -> bool| {
-        let mut chosen: Vec<f64> =
-            bends.iter().filter(|(_, range)| which(*range)).map(|(bend, _)| *bend).collect();
-        let eighth = |(_, range): &&(f64, f64)| range.powi(8);
-        let sum: f64 = bends.iter().filter(|(_, range)| which(*range)).map(|bend| eighth(&bend)).sum();
-        (quantile(&mut chosen, 0.5).powi(2), sum / chosen.len().max(1) as f64)
-    };
-    let ((low, low_m8), (high, high_m8)) = (of(&|range| range <= near), of(&|range| range >= far));
-    let slope = (high - low) / (high_m8 - low_m8);
-    if slope.is_finite() { slope.max(0.0).sqrt() } else { 0.0 }
-}
-
 /// How a sensor moves, from a recording of it on its clean side.
 fn habit(gaps: &[bool], here: impl Fn(usize) -> Option<Point>) -> Habit {
     let frames = gaps.len();
@@ -221,14 +205,8 @@ fn habit(gaps: &[bool], here: impl Fn(usize) -> Option<Point>) -> Habit {
         (1..frames).filter(follows).filter_map(|k| Some(distance(here(k)?, here(k - 1)?))).collect();
     let axis =
         |c: usize| quantile(&mut (0..frames).filter_map(|k| Some(here(k)?[c])).collect::<Vec<_>>(), 0.5);
-    let range = |k: usize| here(k).map(|p| distance(p, [0.0; 3]));
-    let bends = bends(gaps, &here).into_iter().enumerate();
-    let bends: Vec<(f64, f64)> = bends.filter_map(|(k, bend)| Some((bend?, range(k)?))).collect();
-    let noise_per_m3 = noise(&bends);
-    let beyond = |(bend, range): &(f64, f64)| (bend - JUMP_NOISE * noise_per_m3 * range.powi(4)).max(0.0);
     Habit {
-        jump_m: jump(bends.iter().map(beyond).collect()),
-        noise_per_m3,
+        jump_m: jump(bends(gaps, &here).into_iter().flatten().collect()),
         step_m: quantile(&mut steps, 0.95),
         home_m: [axis(0), axis(1), axis(2)],
     }

@@ -28,8 +28,6 @@ const BELIEVED_SOON_FRAMES: u32 = 15;
 const BELIEVED_BY_BOTH_FRAMES: u32 = 10;
 /// For so many frames after a jump, smaller steps may take it back too.
 const YOUNG_FRAMES: u32 = 3;
-/// Noise is a jump beyond so many times its median: one frame in thirty million, were it normal.
-pub(super) const JUMP_NOISE: f64 = 4.0;
 /// It is back where this share of the jump, or less, is left.
 const BACK_SHARE: f64 = 0.5;
 
@@ -38,22 +36,12 @@ pub(super) type Point = [f64; 3];
 /// What is known of a sensor before a stream begins.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Plain)]
 pub(super) struct Habit {
-    /// What its position deviates from a steady motion at most where there is no noise, m a frame.
+    /// What its position deviates from a steady motion at most, m a frame.
     pub(super) jump_m: f64,
-    /// What noise makes of that at the median, over the fourth power of the range, m/m⁴. 0 of before it was learnt.
-    #[serde(default)]
-    pub(super) noise_per_m3: f64,
     /// Longest usual step, m a frame.
     pub(super) step_m: f64,
     /// Where it is when it is clean, on average, m.
     pub(super) home_m: Point,
-}
-
-impl Habit {
-    /// The smallest deviation that is a jump at a place, m.
-    fn jump_at_m(&self, p: Point) -> f64 {
-        libm::hypot(self.jump_m, JUMP_NOISE * self.noise_per_m3 * norm(p).powi(4))
-    }
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Plain)]
@@ -154,13 +142,13 @@ impl Memory {
 
     /// Whether it would be seen to go through it.
     pub(super) fn shows(&self, habit: &Habit) -> bool {
-        self.through.is_some_and(|through| through.ways.shows(2.0 * habit.jump_at_m(through.same)))
+        self.through.is_some_and(|through| through.ways.shows(2.0 * habit.jump_m))
     }
 
     /// Has gone through it with the others if it may have, and did not jump; its label then.
     pub(super) fn follow_through(&mut self, habit: &Habit) -> Option<Label> {
         let Through { side, same, away, .. } =
-            self.through.filter(|through| through.ways.may_follow(2.0 * habit.jump_at_m(through.same)))?;
+            self.through.filter(|through| through.ways.may_follow(2.0 * habit.jump_m))?;
         self.side = side.through(Mirror::Vertical);
         self.here = Mirror::Vertical.apply(same);
         (self.step, self.left, self.away) = ([0.0; 3], None, away);
@@ -216,7 +204,7 @@ impl Memory {
             0 => std::array::from_fn(|c| self.here[c] + self.step[c]),
             _ => self.here,
         };
-        let reach = habit.jump_at_m(p) + habit.step_m * f64::from(blind).min(BLIND_STEPS);
+        let reach = habit.jump_m + habit.step_m * f64::from(blind).min(BLIND_STEPS);
         let same = self.side.undo(p);
         let ways = Ways::of(same, expected);
         let comes_through = |image: f64| ways.same > reach && image < FLIP_RATIO * ways.same;
