@@ -99,6 +99,17 @@ pub struct Limbs {
     pub bones: Vec<Bone>,
 }
 
+impl Limbs {
+    /// The same with nothing but what is stated of the ways.
+    fn without_guesses(&self) -> Self {
+        let mut limbs = self.clone();
+        for way in limbs.joints.iter_mut().flat_map(|joint| &mut joint.ways) {
+            *way = way.filter(|way| way.sigma_m <= SEAT_M);
+        }
+        limbs
+    }
+}
+
 /// One look at a joint.
 struct Look {
     fold: usize,
@@ -147,10 +158,16 @@ pub fn solve_limbs(run: PoleRun, limbs: &Limbs, progress: &mut dyn FnMut(f64)) -
             format!("only {:.0} % of the volume was visited; move about in it", 100.0 * report.covered);
         report.reasons.push(Reason { code: Code::Coverage, text });
     }
-    // Where the joints lie makes up for part of what a model lacks, and a model is chosen for them: metal must find its own.
-    let smooth = follow(&looks, limbs, &noise, false, &mut |share| progress(0.45 * share));
-    let metal = follow(&looks, limbs, &noise, true, &mut |share| progress(0.45 + 0.45 * share));
-    let Some(followed) = better(smooth, metal, &noise) else {
+    // What is thought of the joints before may lead astray as well as ahead: both ways are gone, and held-out joints decide.
+    let unguided = limbs.without_guesses();
+    let is_guided = unguided != *limbs;
+    let share_of = if is_guided { 0.45 } else { 0.9 };
+    let guided = is_guided
+        .then(|| follow_both(&looks, limbs, &noise, &mut |share| progress(share_of * share)))
+        .flatten();
+    let begun = 0.9 - share_of;
+    let plain = follow_both(&looks, &unguided, &noise, &mut |share| progress(begun + share_of * share));
+    let Some(followed) = better(guided, plain, &noise) else {
         return refuse(report, Code::Improvement, "the readings fit no body at all");
     };
     let Followed { chosen: Chosen { candidate, tried, polynomials }, problem, raw, gap_m } = followed;
@@ -205,6 +222,19 @@ fn weighting(noise: &FieldNoise, gap_m: f64) -> FieldNoise {
     FieldNoise { floor_m: libm::hypot(noise.floor_m, gap_m), ..*noise }
 }
 
+/// Fits joints and map in turns twice: where the joints lie makes up for part of what a model lacks, and a model is chosen for them, so that metal must
+/// find its own.
+fn follow_both(
+    looks: &[Look],
+    limbs: &Limbs,
+    noise: &FieldNoise,
+    progress: &mut dyn FnMut(f64),
+) -> Option<Followed> {
+    let smooth = follow(looks, limbs, noise, false, &mut |share| progress(0.5 * share));
+    let metal = follow(looks, limbs, noise, true, &mut |share| progress(0.5 + 0.5 * share));
+    better(smooth, metal, noise)
+}
+
 /// Fits joints and map in turns; the map of any kind, or of metal alone.
 fn follow(
     looks: &[Look],
@@ -240,24 +270,24 @@ fn follow(
     None
 }
 
-/// The one of two whose held-out joints fit better, each with its own joints, all gaps worth the same.
-fn better(smooth: Option<Followed>, metal: Option<Followed>, noise: &FieldNoise) -> Option<Followed> {
-    let (smooth, metal) = match (smooth, metal) {
-        (Some(smooth), Some(metal)) => (smooth, metal),
-        (smooth, metal) => return smooth.or(metal),
+/// The one of two whose held-out joints fit better, each with its own joints, all gaps worth the same; the second unless the first is surely better.
+fn better(first: Option<Followed>, second: Option<Followed>, noise: &FieldNoise) -> Option<Followed> {
+    let (first, second) = match (first, second) {
+        (Some(first), Some(second)) => (first, second),
+        (first, second) => return first.or(second),
     };
-    let weighting = weighting(noise, smooth.gap_m.min(metal.gap_m));
+    let weighting = weighting(noise, first.gap_m.min(second.gap_m));
     let judge = |followed: &Followed| {
         let problem = followed.problem.with_noise(&weighting);
         let fit = fit(&problem, &followed.chosen.candidate.fit.model, 2)?;
         let held_out = fit.held_out(&problem)?;
         Some(Candidate { fit, held_out })
     };
-    let metal_wins = match (judge(&smooth), judge(&metal)) {
-        (Some(smooth), Some(metal)) => !beats(&smooth, &metal),
-        (smooth, _) => smooth.is_none(),
+    let second_wins = match (judge(&first), judge(&second)) {
+        (Some(first), Some(second)) => !beats(&first, &second),
+        (first, _) => first.is_none(),
     };
-    Some(if metal_wins { metal } else { smooth })
+    Some(if second_wins { second } else { first })
 }
 
 /// All looks at joints, thinned out evenly; counts those in `beyond` that no joint allows.

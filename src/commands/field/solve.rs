@@ -39,7 +39,7 @@ pub(crate) struct Args {
     /// A measured bone, joint to joint, in place of the body's height; may be repeated.
     #[arg(long, value_name = "SEGMENT=M", value_parser = super::limbs::measured, requires = "body")]
     bone: Vec<super::limbs::Measured>,
-    /// When in the session the person stood in an N-pose, arms hanging, looking ahead, s: begins the search for where joints lie, and leaves out what
+    /// When in the session the person stood in an N-pose, arms hanging, looking ahead, s: looks for joints where that puts them, too, and leaves out what
     /// no joint allows. Needs `height_m`, and sensors on both sides.
     #[arg(long, value_name = "FROM,TO", value_parser = super::limbs::span, requires = "body")]
     n_pose: Option<[f64; 2]>,
