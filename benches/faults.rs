@@ -52,13 +52,19 @@ fn train(criterion: &mut Criterion) {
     stream("a frame of 20 sensors", &frames(20, 1000));
     let figure = Figure { seed: 1, height_m: 1.75, rate_hz: 60.0, frames: 3600 };
     let Poses { positions_m, orientations_wxyz } = figure.poses();
-    let worn = Frames {
-        sensors: SENSORS.map(str::to_owned).into(),
-        t_s: (0..figure.frames).map(|k| k as f64 / figure.rate_hz).collect(),
-        positions_m,
-        orientations_wxyz,
-    };
-    stream("a frame of 15 sensors with joints", &worn);
+    for count in [10, SENSORS.len()] {
+        let first = |values: &[f64], numbers: usize| {
+            let rows = values.chunks_exact(numbers * SENSORS.len());
+            rows.flat_map(|row| row[..numbers * count].to_vec()).collect()
+        };
+        let worn = Frames {
+            sensors: SENSORS[..count].iter().map(|name| (*name).to_owned()).collect(),
+            t_s: (0..figure.frames).map(|k| k as f64 / figure.rate_hz).collect(),
+            positions_m: first(&positions_m, 3),
+            orientations_wxyz: first(&orientations_wxyz, 4),
+        };
+        stream(&format!("a frame of {count} sensors with joints"), &worn);
+    }
     group.finish();
 }
 
