@@ -21,7 +21,7 @@ struct Layer1 {
 /// The second layer: a map of winners' indices and of what joints leave over.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Layer2 {
-    /// Row, column, sensor (index over the number of neurons) and then joint (share); none of joints in files of before these were inputs.
+    /// Row, column, sensor (index over the number of neurons) and then joint (share); none of joints in maps as published and in files of before these were inputs.
     weights: Vec<Vec<Vec<f64>>>,
 }
 

@@ -158,7 +158,9 @@ impl FaultMap {
         }
         let sensors = frames.sensors.len();
         let (rules, labels, shares) = Rules::learn_with_shares(frames);
-        let joints = rules.joints();
+        // The published map sees positions alone.
+        let shares = if training.body { shares } else { Vec::new() };
+        let joints = shares.len() / frames.len();
         let mut fault_map = Self {
             sensors: frames.sensors.clone(),
             body: training.body.then(|| Body::learn(frames, &labels.sensors)).flatten(),

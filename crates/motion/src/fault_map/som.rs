@@ -56,7 +56,7 @@ pub struct Training {
     pub stop: bool,
     /// Seed of the order of the rows, and of the subset.
     pub seed: u64,
-    /// Look at positions in the figure's own axes rather than in those of the transmitter.
+    /// Look at positions in the figure's own axes rather than in those of the transmitter, and at what joints leave over.
     pub body: bool,
 }
 

@@ -135,7 +135,7 @@ impl Watch {
             self.recent[sensor].push(bad);
             strange |= self.recent[sensor].still_lasts();
         }
-        // A map of before it had joints has no inputs of them.
+        // A map as published, or of before there were joints, has no inputs of them.
         let inputs = self.inputs[fault_map.sensors.len()..].iter_mut().zip(self.labeller.shares());
         for ((input, share), recent) in inputs.zip(&mut self.recent_joints) {
             *input = *share;

@@ -2,6 +2,8 @@
 
 use super::*;
 use crate::fault_map::frames::Frames;
+use crate::fault_map::{FaultMap, Size, Training};
+use posed_fusion::faults::Class;
 
 const RATE_HZ: f64 = 60.0;
 
@@ -128,5 +130,30 @@ fn what_is_no_forest_does_not_fit() {
         vec![Joint { variance_m2: f64::NAN, ..joint(0, 1) }],
     ] {
         assert!(!Joints(wrong.clone()).fit(3), "{wrong:?}");
+    }
+}
+
+#[test]
+fn a_map_receives_what_they_leave_over_unless_it_is_the_published_one() {
+    let recording = chain(1500, |_, _, p| p);
+    let train = |body| {
+        let training = Training { body, epochs: 5, ..Training::default() };
+        FaultMap::train(&recording, Size { neurons: 5, side: 4 }, &training).unwrap().0
+    };
+    let (ours, published) = (train(true), train(false));
+    assert_eq!((ours.map.dimension, published.map.dimension), (5, 3));
+    // Two sensors are where they were, the last is pulled: the cells of ours are far from that.
+    let pulled = chain(1500, |k, sensor, p| if k > 900 && sensor == 2 { p + Vector3::x() * 0.15 } else { p });
+    for fault_map in [ours, published] {
+        let text = serde_json::to_string(&fault_map).unwrap();
+        assert_eq!(serde_json::from_str::<FaultMap>(&text).unwrap(), fault_map);
+        let mut shares = Vec::new();
+        fault_map.watch().follow(&fault_map, &pulled, |k, judged| {
+            if k > 910 {
+                shares.push(judged.by_map == Class::Anomalous);
+            }
+        });
+        let found = shares.iter().filter(|found| **found).count();
+        assert!(fault_map.map.dimension == 3 || 10 * found > 9 * shares.len(), "{found} of {}", shares.len());
     }
 }
