@@ -2,10 +2,10 @@
 
 use std::io::Write;
 
-use posed_motion::exercise::{AsPublished, Options, teach};
-use posed_simulator::exercises::{Day, Exercise as Training, Person, Variant};
+use posed_motion::exercise::AsPublished;
+use posed_simulator::exercises::Person;
 
-use super::{PEOPLE, with_stream};
+use super::{PEOPLE, demonstrated};
 
 const OURS: AsPublished = AsPublished { kth_neighbour: false, per_channel: false };
 const WAYS: [(&str, AsPublished); 4] = [
@@ -20,19 +20,9 @@ pub(super) fn compare(first: u64, out: &mut impl Write) -> std::io::Result<()> {
     for (name, as_published) in WAYS {
         let (mut demonstrations, mut refused, mut off) = (0, 0, Vec::new());
         for seed in first..first + PEOPLE {
-            let person = Person::new(seed);
-            for (number, training) in (0..).step_by(100).zip(Training::ALL) {
-                let mut day = Day::new(&person, number);
-                day.set(training, 5, Variant::Right);
-                let recording = day.finish();
-                let options = Options {
-                    name: training.name().into(),
-                    repetitions: 5,
-                    as_published,
-                    ..Options::default()
-                };
+            for (recording, lesson) in demonstrated(&Person::new(seed), as_published) {
                 demonstrations += 1;
-                let Ok(lesson) = with_stream(&recording, |stream| teach(&stream, &options)) else {
+                let Some(lesson) = lesson else {
                     refused += 1;
                     continue;
                 };

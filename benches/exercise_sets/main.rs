@@ -15,7 +15,8 @@ use std::path::PathBuf;
 
 use captured::Captured;
 use posed_motion::exercise::{
-    Counter, DeviationKind, Event, EventKind, Exercise, MovementPhase, Options, Remark, Stream, teach,
+    AsPublished, Counter, DeviationKind, Event, EventKind, Exercise, Lesson, MovementPhase, Options, Remark,
+    Stream, teach,
 };
 use posed_recording::table::{SequenceOptions, Unit, Up};
 use posed_simulator::exercises::{ANGLES, Day, Exercise as Training, Person, RATE_HZ, Recording, Variant};
@@ -152,14 +153,8 @@ impl OnCaptures {
 impl Lessons {
     fn new(seed: u64) -> Self {
         let person = Person::new(seed);
-        let lesson = |(number, training): (u64, Training)| {
-            let mut day = Day::new(&person, number);
-            day.set(training, 5, Variant::Right);
-            let options = Options { name: training.name().into(), repetitions: 5, ..Options::default() };
-            let lesson = with_stream(&day.finish(), |stream| teach(&stream, &options));
-            lesson.ok().map(|lesson| lesson.exercise)
-        };
-        let exercises = (0..).step_by(100).zip(Training::ALL).map(lesson).collect();
+        let taught = |(_, lesson): (Recording, Option<Lesson>)| lesson.map(|lesson| lesson.exercise);
+        let exercises = demonstrated(&person, AsPublished::default()).map(taught).collect();
         Self { person, seed, exercises }
     }
 
@@ -192,6 +187,22 @@ impl Lessons {
             score.lean(&exercises, training.name(), &day.finish());
         }
     }
+}
+
+/// Five repetitions of each exercise, and what is taught from them; nothing where they are refused.
+fn demonstrated(
+    person: &Person,
+    as_published: AsPublished,
+) -> impl Iterator<Item = (Recording, Option<Lesson>)> {
+    (0..).step_by(100).zip(Training::ALL).map(move |(number, training)| {
+        let mut day = Day::new(person, number);
+        day.set(training, 5, Variant::Right);
+        let recording = day.finish();
+        let name = training.name().into();
+        let options = Options { name, repetitions: 5, as_published, ..Options::default() };
+        let lesson = with_stream(&recording, |stream| teach(&stream, &options)).ok();
+        (recording, lesson)
+    })
 }
 
 fn with_stream<T>(recording: &Recording, then: impl FnOnce(Stream<'_>) -> T) -> T {

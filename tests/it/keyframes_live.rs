@@ -66,7 +66,7 @@ fn agrees_with_offline(method: KeyframesMethod) {
     // The stage's rate is measured over its first frames.
     let first = 30;
     let span_s = estimates[first].t_valid.seconds_since(estimates[0].t_valid);
-    let settings = stage_file.keyframes.unwrap().settings(first as f64 / span_s);
+    let settings = stage_file.keyframes.unwrap().settings(first as f64 / span_s, true);
     let detector = Detector::new(Method::new(settings));
     let delay = detector.delay_frames();
     let begin = (first..).find(|k| estimates[*k].sensors[0].state == SensorState::Ok).unwrap();

@@ -85,6 +85,13 @@ impl HeldOut {
     }
 }
 
+/// What is left without a map, and on each held-out block.
+pub(crate) fn uncorrected(problem: &Problem) -> Option<(Fit, HeldOut)> {
+    let fitted = fit(problem, &Model::default(), 0)?;
+    let held_out = fitted.held_out(problem)?;
+    Some((fitted, held_out))
+}
+
 impl Fit {
     /// Leaves out one fold after the other, by one Gauss-Newton step from the solution; `None` if a model fitted
     /// without a fold has no answer in it.

@@ -1,6 +1,7 @@
 //! How far two segments can turn against each other: what no joint allows was measured wrongly.
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
+use posed_geometry::wrapped_rad;
 
 /// Rotations that a joint allows, from how its two sensors are turned in a known posture.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,8 +22,7 @@ impl JointRange {
         let turned = self.neutral.inverse() * (second.inverse() * first);
         // Swing and twist: first about the axis, then beside it.
         let along = turned.imag().dot(&self.axis);
-        let about_rad = 2.0 * libm::atan2(along, turned.w);
-        let about_rad = about_rad - std::f64::consts::TAU * (about_rad / std::f64::consts::TAU).round();
+        let about_rad = wrapped_rad(2.0 * libm::atan2(along, turned.w));
         let beside = (turned.w * turned.w + along * along).sqrt().min(1.0);
         let [least, largest] = self.about_rad;
         (least..=largest).contains(&about_rad) && 2.0 * libm::acos(beside) <= self.beside_rad

@@ -10,7 +10,7 @@
 use nalgebra::{DMatrix, DVector, Matrix3, UnitQuaternion, Vector3};
 
 use super::coverage;
-use super::fit::fit;
+use super::fit::{fit, uncorrected};
 use super::hull::Hull;
 use super::joint_range::JointRange;
 use super::map::{Aligned, FieldMap, VERSION};
@@ -71,6 +71,11 @@ impl Way {
         Self { m, sigma_m: SEAT_M }
     }
 
+    /// Whether it is as well known as a stated one: such ones tell a scale.
+    fn is_stated(&self) -> bool {
+        self.sigma_m <= SEAT_M
+    }
+
     /// One of which nothing is known.
     const UNKNOWN: Self = Self { m: Vector3::new(0.0, 0.0, 0.0), sigma_m: 0.3 };
 }
@@ -104,7 +109,7 @@ impl Limbs {
     fn without_guesses(&self) -> Self {
         let mut limbs = self.clone();
         for way in limbs.joints.iter_mut().flat_map(|joint| &mut joint.ways) {
-            *way = way.filter(|way| way.sigma_m <= SEAT_M);
+            *way = way.filter(Way::is_stated);
         }
         limbs
     }
@@ -146,7 +151,7 @@ pub fn solve_limbs(run: PoleRun, limbs: &Limbs, progress: &mut dyn FnMut(f64)) -
         );
     };
     let scaled = limbs.bones.iter().any(|bone| bone.length_m.is_some())
-        || limbs.joints.iter().flat_map(|joint| joint.ways).flatten().any(|way| way.sigma_m <= SEAT_M);
+        || limbs.joints.iter().flat_map(|joint| joint.ways).flatten().any(|way| way.is_stated());
     if !scaled {
         let text = "no bone is measured: state the body's height, or a bone's length; a scale is never taken from the readings";
         return refuse(report, Code::Spacing, text);
@@ -173,10 +178,9 @@ pub fn solve_limbs(run: PoleRun, limbs: &Limbs, progress: &mut dyn FnMut(f64)) -
     let Followed { chosen: Chosen { candidate, tried, polynomials }, problem, raw, gap_m } = followed;
     let model = candidate.fit.model.clone();
     let raw = raw.with_noise(&weighting(&noise, gap_m));
-    let before = fit(&raw, &Model::default(), 0);
-    let before = before.and_then(|fitted| fitted.held_out(&raw).map(|held| (fitted, held)));
-    let without = before.as_ref().map_or_else(Vec::new, |(_, held)| held.scores.clone());
-    report.raw_m = before.map_or(f64::NAN, |(fitted, _)| fitted.rms_m());
+    let before = uncorrected(&raw);
+    report.raw_m = before.as_ref().map_or(f64::NAN, |(fitted, _)| fitted.rms_m());
+    let without = before.map_or_else(Vec::new, |(_, held_out)| held_out.scores);
     report.tried = tried;
     report.model = model.describe();
     report.residual_m = candidate.fit.rms_m();

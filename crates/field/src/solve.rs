@@ -9,7 +9,7 @@ use posed_geometry::parallel::*;
 use super::anchors::{Anchor, LEAST_ANCHORS, dwells, judge, rigid};
 use super::coverage;
 use super::estimate;
-use super::fit::{HeldOut, fit};
+use super::fit::{HeldOut, fit, uncorrected};
 use super::hull::Hull;
 use super::map::{Aligned, FieldMap, Uncertainty, VERSION, coarse};
 use super::model::{Model, Polynomial};
@@ -79,8 +79,7 @@ pub fn solve(mut run: PoleRun, anchors: &[Anchor], progress: &mut dyn FnMut(f64)
         return Solution { map: None, report, polynomials: Vec::new(), rejected };
     };
     report.raw_m = tried.first().map_or(f64::NAN, |tried| tried.heldout_m);
-    let without = fit(&problem, &Model::default(), 0).and_then(|fitted| fitted.held_out(&problem));
-    let without = without.map_or_else(Vec::new, |held_out| held_out.scores);
+    let without = uncorrected(&problem).map_or_else(Vec::new, |(_, held_out)| held_out.scores);
     report.tried = tried;
     report.model = candidate.fit.model.describe();
     report.residual_m = candidate.fit.rms_m();

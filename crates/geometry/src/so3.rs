@@ -39,6 +39,13 @@ pub fn log(q: &UnitQuaternion<f64>) -> Vector3<f64> {
     v * scale
 }
 
+/// Mean of orientations that are near each other: of their rotation vectors from the first; the identity of none.
+pub fn mean(orientations: &[UnitQuaternion<f64>]) -> UnitQuaternion<f64> {
+    let first = orientations.first().copied().unwrap_or_else(UnitQuaternion::identity);
+    let sum: Vector3<f64> = orientations.iter().map(|q| log(&(first.inverse() * q))).sum();
+    first * exp(&(sum / orientations.len().max(1) as f64))
+}
+
 /// `(1 - cos t) / t^2` and `(t - sin t) / t^3`, the coefficients that SO(3) and SE(3) share.
 pub(super) fn coefficients(angle_rad: f64) -> (f64, f64) {
     let t2 = angle_rad * angle_rad;

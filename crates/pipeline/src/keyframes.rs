@@ -66,7 +66,7 @@ impl Keyframes {
             None => (0..stage.sensors.len() as SensorIndex).collect(),
         };
         let mut keyframes = Self {
-            settings: table.settings(stage.frame_rate_hz.unwrap_or(0.0)),
+            settings: table.settings(stage.frame_rate_hz.unwrap_or(0.0), true),
             watched,
             tracks: Vec::new(),
             begun: Vec::new(),

@@ -4,9 +4,10 @@
 //! What comes in: a session, and when in it the person stood in an N-pose. What goes out: priors in [`Limbs`]. What it never does: take the place
 //! of the readings; a way is known to some centimetres by it.
 
-use nalgebra::{Matrix3, Quaternion, Rotation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Rotation3, Unit, UnitQuaternion, Vector3};
 use posed_field::{JointRange, Limbs, PoleRun, Way};
 use posed_fusion::body::{BodySegment, Skeleton};
+use posed_geometry::so3;
 
 /// How well a way is known from the posture and the proportions, per axis, m: sensors sit anywhere on a segment.
 const WAY_SIGMA_M: f64 = 0.05;
@@ -83,16 +84,10 @@ struct Mean {
 
 impl Mean {
     fn of(readings: impl Iterator<Item = (Vector3<f64>, UnitQuaternion<f64>)>) -> Option<Self> {
-        let (mut position_m, mut sum, mut count) = (Vector3::zeros(), Quaternion::from_real(0.0), 0);
-        for (p, q) in readings {
-            position_m += p;
-            let sign = if sum.coords.dot(&q.coords) < 0.0 { -1.0 } else { 1.0 };
-            sum.coords += q.coords * sign;
-            count += 1;
-        }
-        (count >= LEAST_FRAMES).then(|| Self {
-            position_m: position_m / count as f64,
-            orientation: UnitQuaternion::from_quaternion(sum),
+        let (positions_m, orientations): (Vec<_>, Vec<_>) = readings.unzip();
+        (positions_m.len() >= LEAST_FRAMES).then(|| Self {
+            position_m: positions_m.iter().sum::<Vector3<f64>>() / positions_m.len() as f64,
+            orientation: so3::mean(&orientations),
         })
     }
 }

@@ -7,11 +7,11 @@ use serde::Serialize;
 
 use super::{Error, notify, output, positive, print_json};
 use posed_motion::keyframes::{BRIDGED_FRAMES, bridge};
-use posed_motion::keyframes::{Detector, HingeSettings, KeyPose, MeanDifferenceSettings, Trace};
+use posed_motion::keyframes::{Detector, KeyPose, Method, Trace};
 use posed_motion::keyframes::{Deviation, ScrewPath, Spline};
-use posed_motion::keyframes::{Method, MethodSettings};
 use posed_recording::animation::{Item, Line, write_items};
 use posed_recording::table::{PoseRow, Poses, TableWriter};
+use posed_stage::{Keyframes, KeyframesMethod};
 
 /// How far a screw's axis is drawn beyond what its segment goes along it, m.
 const AXIS_END_M: f64 = 0.05;
@@ -70,6 +70,15 @@ enum MethodName {
     Paper,
 }
 
+impl From<MethodName> for KeyframesMethod {
+    fn from(name: MethodName) -> Self {
+        match name {
+            MethodName::Hinge => Self::Hinge,
+            MethodName::Paper => Self::Paper,
+        }
+    }
+}
+
 pub(super) fn run(args: Find) -> Result<(), Error> {
     let poses = Poses::read(&args.poses).map_err(Error::failed)?;
     let ticks =
@@ -77,9 +86,10 @@ pub(super) fn run(args: Find) -> Result<(), Error> {
     let mut found = Vec::new();
     let mut resampled = poses.clone();
     let mut sensors = Vec::new();
+    let table = args.table();
     for (index, name) in poses.sensors.iter().enumerate() {
         let sensor = Sensor::of(&poses, &ticks, index);
-        let detector = Detector::new(Method::new(args.settings(ticks.rate_hz, sensor.orientation)));
+        let detector = Detector::new(Method::new(table.settings(ticks.rate_hz, sensor.orientation)));
         let mut summary = SensorSummary { name: name.clone(), ..SensorSummary::default() };
         for stretch in &sensor.stretches {
             let (keys, trace) = detector.clone().run(&stretch.poses);
@@ -114,22 +124,17 @@ pub(super) fn run(args: Find) -> Result<(), Error> {
 }
 
 impl Find {
-    fn settings(&self, frame_rate_hz: f64, orientation: bool) -> MethodSettings {
-        let window = usize::from(self.window);
-        match self.method {
-            MethodName::Hinge => MethodSettings::Hinge(HingeSettings {
-                window,
-                false_alarms_per_min: self.false_alarms_per_min,
-                frame_rate_hz,
-                orientation,
-            }),
-            MethodName::Paper => MethodSettings::MeanDifference(MeanDifferenceSettings {
-                window,
-                neighbourhood: self.neighbourhood.map_or(window, usize::from),
-                metres_per_radian: self.metres_per_radian,
-                acceptance: self.acceptance,
-                smooth: !self.unsmoothed,
-            }),
+    /// As a stage file would have it.
+    fn table(&self) -> Keyframes {
+        Keyframes {
+            sensors: None,
+            method: self.method.into(),
+            window_frames: self.window,
+            false_alarms_per_min: self.false_alarms_per_min,
+            neighbourhood_frames: self.neighbourhood,
+            metres_per_radian: self.metres_per_radian,
+            acceptance: self.acceptance,
+            smooth: !self.unsmoothed,
         }
     }
 }

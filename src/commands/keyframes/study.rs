@@ -2,10 +2,9 @@
 
 use nalgebra::Isometry3;
 use posed_baselines::singular_spectrum::SingularSpectrum;
-use posed_motion::keyframes::{
-    Detector, Hinge, HingeSettings, MeanDifference, MeanDifferenceSettings, Statistic,
-};
+use posed_motion::keyframes::{Detector, HingeSettings, Method};
 use posed_simulator::gesture::{CHANGES, Gesture, NOISE, count_errors};
+use posed_stage::{Keyframes, KeyframesMethod};
 use serde::Serialize;
 
 use super::{Error, Shape, positive, print, print_json};
@@ -39,7 +38,7 @@ pub(super) struct Args {
     /// `hinge`: the default; `paper`: Merckel and Nishida; `sst`: singular spectrum analysis (Moskvina and Zhigljavsky, 2003)
     /// over the whole series at N = 30, its threshold for each level chosen on other gestures.
     #[arg(long, value_enum, default_value = "hinge")]
-    method: Method,
+    method: MethodName,
     /// Gestures in each cell.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..))]
     seeds: u16,
@@ -67,7 +66,7 @@ pub(super) struct Args {
 }
 
 #[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
-enum Method {
+enum MethodName {
     Hinge,
     Paper,
     Sst,
@@ -107,23 +106,9 @@ struct Table {
 
 pub(super) fn run(args: &Args) -> Result<(), Error> {
     let table = match args.method {
-        Method::Hinge => of_detectors(args, |window| {
-            Hinge::new(HingeSettings {
-                window,
-                false_alarms_per_min: args.false_alarms_per_min,
-                ..HingeSettings::default()
-            })
-        }),
-        Method::Paper => of_detectors(args, |window| {
-            MeanDifference::new(MeanDifferenceSettings {
-                window,
-                neighbourhood: args.neighbourhood.map_or(window, usize::from),
-                metres_per_radian: args.metres_per_radian,
-                acceptance: args.acceptance,
-                smooth: !args.unsmoothed,
-            })
-        }),
-        Method::Sst => of_sst(args),
+        MethodName::Hinge => of_detectors(args, KeyframesMethod::Hinge),
+        MethodName::Paper => of_detectors(args, KeyframesMethod::Paper),
+        MethodName::Sst => of_sst(args),
     };
     if args.json { print_json(&table) } else { print(&sentences(&table)) }
 }
@@ -132,11 +117,24 @@ fn gesture(args: &Args, seed: u64, level: usize) -> Vec<Isometry3<f64>> {
     Gesture { shape: args.shape.into(), ..Gesture::of_the_table(seed) }.noisy(NOISE[level])
 }
 
-fn of_detectors<S: Statistic + Clone>(args: &Args, statistic: impl Fn(usize) -> S) -> Table {
+fn of_detectors(args: &Args, method: KeyframesMethod) -> Table {
+    let detector = |window: usize| {
+        let keyframes = Keyframes {
+            sensors: None,
+            method,
+            window_frames: window as u16,
+            false_alarms_per_min: args.false_alarms_per_min,
+            neighbourhood_frames: args.neighbourhood,
+            metres_per_radian: args.metres_per_radian,
+            acceptance: args.acceptance,
+            smooth: !args.unsmoothed,
+        };
+        Detector::new(Method::new(keyframes.settings(HingeSettings::default().frame_rate_hz, true)))
+    };
     // A threshold is computed once.
-    let detectors = WINDOWS.map(|window| Detector::new(statistic(window)));
+    let detectors = WINDOWS.map(detector);
     table(args, &WINDOWS, |_, poses| {
-        let found = |detector: &Detector<S>| {
+        let found = |detector: &Detector<Method>| {
             let (keys, _) = detector.clone().run(poses);
             keys.iter().map(|key| key.frame as usize).collect()
         };

@@ -14,6 +14,7 @@ use posed_state::Plain;
 use serde::{Deserialize, Serialize};
 
 use super::basis::{Basis, Correlation, MODEL, dot};
+use super::smooth::mean_rotation;
 use super::{Score, Statistic, Window};
 use posed_geometry::so3;
 
@@ -114,7 +115,8 @@ impl Hinge {
             channel.iter_mut().zip(positions).for_each(|(value, position)| *value = position[c] - middle);
         }
         if self.settings.orientation {
-            let from_mean = mean_rotation(orientations).inverse();
+            let turned = orientations.iter().map(|q| (&q[..], 1.0));
+            let from_mean = mean_rotation(turned, &orientations[half]).inverse();
             for (k, q) in orientations.iter().enumerate() {
                 let q = UnitQuaternion::new_unchecked(Quaternion::new(q[0], q[1], q[2], q[3]));
                 let w = so3::log(&(from_mean * q));
@@ -179,19 +181,6 @@ impl Statistic for Hinge {
 fn smallest_step<const N: usize>(known: f64, last: &[f64; N], next: &[f64; N]) -> f64 {
     let steps = last.iter().zip(next).map(|(a, b)| (a - b).abs());
     steps.filter(|step| *step > 1e-12).fold(known, f64::min)
-}
-
-/// Normalised sum of quaternions, signs as the middle one's: the chordal mean to first order.
-fn mean_rotation(orientations: &[[f64; 4]]) -> UnitQuaternion<f64> {
-    let middle = &orientations[orientations.len() / 2];
-    let mut sum = [0.0; 4];
-    for q in orientations {
-        let cosine: f64 = q.iter().zip(middle).map(|(a, b)| a * b).sum();
-        let sign = if cosine < 0.0 { -1.0 } else { 1.0 };
-        sum.iter_mut().zip(q).for_each(|(sum, q)| *sum += sign * q);
-    }
-    // All are within a right angle of the middle one, so the sum is not zero.
-    UnitQuaternion::from_quaternion(Quaternion::new(sum[0], sum[1], sum[2], sum[3]))
 }
 
 /// What one channel holds.

@@ -25,8 +25,10 @@
 //! - The sizes of the smoothers are not printed: a Gaussian over 17 poses, and a parabola over 21 values of `eta`.
 //! - Turning counts as 0.1 m per radian by default. The paper adds radians and centimetres, which is 0.01.
 
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Vector3};
 
+use super::basis::dot;
+use super::smooth::{mean_rotation, parabola_weights};
 use super::{Score, Statistic, Window};
 use posed_geometry::se3;
 use posed_state::Plain;
@@ -106,7 +108,7 @@ impl MeanDifference {
             until_renewal: 0,
             scores: Window::new(2 * score_half + 1),
             means: Window::new(2 * score_half + 1),
-            score_weights: savitzky_golay(score_half),
+            score_weights: parabola_weights(score_half),
         }
     }
 
@@ -119,21 +121,13 @@ impl MeanDifference {
         let (p, q) = (&pose.translation.vector, &pose.rotation);
         self.poses.push([p.x, p.y, p.z, q.w, q.i, q.j, q.k]);
         let poses = self.poses.full()?;
-        let centre = &poses[MOTION_HALF];
-        let mut sum = [0.0; 7];
+        let mut position = Vector3::zeros();
         for (pose, weight) in poses.iter().zip(&self.motion_weights) {
-            let cosine: f64 = (3..7).map(|c| pose[c] * centre[c]).sum();
-            let turned = if cosine < 0.0 { -weight } else { *weight };
-            for c in 0..3 {
-                sum[c] += weight * pose[c];
-            }
-            for c in 3..7 {
-                sum[c] += turned * pose[c];
-            }
+            position += Vector3::new(pose[0], pose[1], pose[2]) * *weight;
         }
-        // All quaternions are within a right angle of the centre's, so the sum is not zero.
-        let rotation = UnitQuaternion::from_quaternion(Quaternion::new(sum[3], sum[4], sum[5], sum[6]));
-        Some(Isometry3::from_parts(Translation3::new(sum[0], sum[1], sum[2]), rotation))
+        let turned = poses.iter().zip(&self.motion_weights).map(|(pose, weight)| (&pose[3..], *weight));
+        let rotation = mean_rotation(turned, &poses[MOTION_HALF][3..]);
+        Some(Isometry3::from_parts(position.into(), rotation))
     }
 
     fn scaled(&self, twist: &se3::Twist) -> Scaled {
@@ -211,10 +205,6 @@ impl Sums {
     }
 }
 
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
 /// Gaussian weights that sum to one.
 fn gaussian(half: usize) -> Vec<f64> {
     let weight = |k: usize| {
@@ -224,20 +214,6 @@ fn gaussian(half: usize) -> Vec<f64> {
     let weights: Vec<f64> = (0..2 * half + 1).map(weight).collect();
     let sum: f64 = weights.iter().sum();
     weights.into_iter().map(|weight| weight / sum).collect()
-}
-
-/// Weights of the value at the centre of a least-squares parabola (Savitzky and Golay, 1964).
-fn savitzky_golay(half: usize) -> Vec<f64> {
-    if half == 0 {
-        return vec![1.0];
-    }
-    let m = half as f64;
-    let norm = (2.0 * m + 3.0) * (2.0 * m + 1.0) * (2.0 * m - 1.0);
-    let weight = |k: usize| {
-        let k = k as f64 - m;
-        3.0 * (3.0 * m * m + 3.0 * m - 1.0 - 5.0 * k * k) / norm
-    };
-    (0..2 * half + 1).map(weight).collect()
 }
 
 #[cfg(test)]

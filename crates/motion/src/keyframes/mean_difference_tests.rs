@@ -137,13 +137,6 @@ fn smoothing_leaves_a_constant_screw_a_screw_and_keeps_a_step_where_it_is() {
     assert_eq!(step.iter().max_by(|x, y| x.1.total_cmp(&y.1)).unwrap().0, 90);
 }
 
-#[test]
-fn a_savitzky_golay_filter_keeps_a_parabola() {
-    let weights = savitzky_golay(10);
-    let parabola: Vec<f64> = (-10..=10).map(|k| 3.0 - 0.5 * f64::from(k) + 0.1 * f64::from(k * k)).collect();
-    assert!((dot(&weights, &parabola) - 3.0).abs() < 1e-12);
-}
-
 /// A motion with changes at frames 100 and 190, that trembles by a millimetre and some milliradians.
 fn motion(frames: usize) -> Vec<Isometry3<f64>> {
     let mut pose = Isometry3::identity();
@@ -188,17 +181,5 @@ fn the_future_does_not_change_what_was_confirmed() {
 
 #[test]
 fn a_detector_that_was_stored_and_restored_goes_on_as_if_nothing_had_been() {
-    let (mut straight, mut broken) = (detector(), detector());
-    for (k, pose) in motion(400).iter().enumerate() {
-        if k % 37 == 0 {
-            let bytes = posed_state::snapshot(&broken);
-            broken = detector();
-            posed_state::restore(&mut broken, &bytes).unwrap();
-        }
-        let (mut a, mut b) = (Vec::new(), Vec::new());
-        let traces =
-            (straight.push(pose, &mut |event| a.push(event)), broken.push(pose, &mut |event| b.push(event)));
-        assert_eq!(traces.0, traces.1);
-        assert_eq!(a, b);
-    }
+    testing::goes_on_when_restored(detector, &motion(400));
 }

@@ -2,9 +2,8 @@
 //!
 //! What comes in: one pose per frame, evenly spaced. What goes out: [`Event`]s: a change is *provisional* once
 //! the statistic has turned, and *confirmed* when none of the following frames exceeds it, or else
-//! *withdrawn*; with each
-//! confirmed one a [`Screw`] from the one before it; offline also a [`path`] through the key poses. What it never does: depend on how the poses
-//! arrive, allocate per frame once warm.
+//! *withdrawn*; of a [`Track`] with each confirmed one the [`Screw`] from the one before it; offline also a [`path`] through the key poses. What it never
+//! does: depend on how the poses arrive, allocate per frame once warm.
 //!
 //! A [`Detector`] looks for peaks of a [`Statistic`]: of [`Hinge`] unless another one is given, as the published [`MeanDifference`]. It decides
 //! after the statistic's own lag and the reach of a peak, with the hinge `2 N` frames late; nothing is decided within the lag of
@@ -37,6 +36,7 @@ mod method;
 mod path;
 mod peaks;
 mod screw;
+mod smooth;
 #[cfg(test)]
 mod testing;
 mod track;

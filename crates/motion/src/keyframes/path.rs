@@ -13,6 +13,7 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use super::KeyPose;
+use super::smooth::parabola_weights;
 use posed_geometry::so3;
 
 /// A segment is split until its residuals are at most so many times the noise.
@@ -264,14 +265,10 @@ fn local_fit(poses: &[Isometry3<f64>]) -> Isometry3<f64> {
     if half < 2 {
         return poses[half];
     }
-    let m = half as f64;
-    let norm = (2.0 * m + 3.0) * (2.0 * m + 1.0) * (2.0 * m - 1.0);
     let middle = &poses[half];
     let mut position = Vector3::zeros();
     let mut rotation_vector_rad = Vector3::zeros();
-    for (k, pose) in poses.iter().enumerate() {
-        let k = k as f64 - m;
-        let weight = 3.0 * (3.0 * m * m + 3.0 * m - 1.0 - 5.0 * k * k) / norm;
+    for (pose, weight) in poses.iter().zip(parabola_weights(half)) {
         position += (pose.translation.vector - middle.translation.vector) * weight;
         rotation_vector_rad += so3::log(&(middle.rotation.inverse() * pose.rotation)) * weight;
     }

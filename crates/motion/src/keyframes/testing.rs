@@ -1,6 +1,7 @@
 //! What a detector promises whatever its statistic.
 
 use nalgebra::Isometry3;
+use posed_state::Plain;
 
 use super::{Detector, Event, Statistic};
 
@@ -24,6 +25,31 @@ pub(super) fn confirms_as_stated<S: Statistic>(mut detector: Detector<S>, poses:
         });
     }
     confirmed
+}
+
+/// Holds that a detector which is stored and restored every 37 poses goes on as one that never was.
+///
+/// # Panics
+/// It does not.
+pub(super) fn goes_on_when_restored<S: Statistic>(
+    detector: impl Fn() -> Detector<S>,
+    poses: &[Isometry3<f64>],
+) where
+    Detector<S>: Plain,
+{
+    let (mut straight, mut broken) = (detector(), detector());
+    for (k, pose) in poses.iter().enumerate() {
+        if k % 37 == 0 {
+            let bytes = posed_state::snapshot(&broken);
+            broken = detector();
+            posed_state::restore(&mut broken, &bytes).unwrap();
+        }
+        let (mut a, mut b) = (Vec::new(), Vec::new());
+        let traces =
+            (straight.push(pose, &mut |event| a.push(event)), broken.push(pose, &mut |event| b.push(event)));
+        assert_eq!(traces.0, traces.1);
+        assert_eq!(a, b);
+    }
 }
 
 /// Holds that what is confirmed within the first `end` poses, for each of `ends`, is the same without the others.

@@ -63,21 +63,7 @@ fn what_is_confirmed_was_said_before_and_is_late_by_the_stated_delay() {
 
 #[test]
 fn a_detector_that_was_stored_and_restored_goes_on_as_if_nothing_had_been() {
-    let poses = motion(400, &mut Noise(5));
-    let mut straight = detector();
-    let mut broken = detector();
-    for (k, pose) in poses.iter().enumerate() {
-        if k % 37 == 0 {
-            let bytes = posed_state::snapshot(&broken);
-            broken = detector();
-            posed_state::restore(&mut broken, &bytes).unwrap();
-        }
-        let (mut a, mut b) = (Vec::new(), Vec::new());
-        let traces =
-            (straight.push(pose, &mut |event| a.push(event)), broken.push(pose, &mut |event| b.push(event)));
-        assert_eq!(traces.0, traces.1);
-        assert_eq!(a, b);
-    }
+    testing::goes_on_when_restored(detector, &motion(400, &mut Noise(5)));
 }
 
 #[test]

@@ -168,7 +168,7 @@ impl<'a> Session<'a> {
                 return Err(wrong("moved: stand still and repeat it"));
             }
             let track = &self.tracks[index][range.clone()];
-            held[index] = Some(mean_orientation(track));
+            held[index] = Some(so3::mean(track));
         }
         Ok(held)
     }
@@ -332,10 +332,4 @@ fn relative_axis(
     }
     let axis = axis * axis.dot(&mean).signum();
     Ok([start * axis, axis])
-}
-
-fn mean_orientation(track: &[UnitQuaternion<f64>]) -> UnitQuaternion<f64> {
-    let first = track.first().copied().unwrap_or_else(UnitQuaternion::identity);
-    let sum: Vector3<f64> = track.iter().map(|q| so3::log(&(first.inverse() * q))).sum();
-    first * so3::exp(&(sum / track.len().max(1) as f64))
 }
