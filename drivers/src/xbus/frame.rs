@@ -6,7 +6,8 @@
 //! The preamble also occurs inside data, and the sum is one byte, so a false start may look right.
 //! Therefore a rejected candidate gives up only its first byte; after a loss of sync a message must also
 //! have a known name and a length that fits it; and while a candidate waits for its end, a message of
-//! that stricter kind inside it goes first, so that a false preamble with a great length stalls nothing.
+//! that stricter kind inside it goes first, so that a false preamble with a great length stalls nothing. Not so where the candidate follows on a
+//! message like it: of records that are all alike one in a million holds the picture of a message, and is no less a record.
 
 use posed_state::Plain;
 
@@ -141,6 +142,8 @@ pub struct Framer {
     /// Place in the stream of `buffer[0]`.
     origin: u64,
     in_sync: bool,
+    /// Bus identifier, name and length of the last message.
+    last: Option<(u8, u8, usize)>,
     /// Place up to which a rejected candidate reached: candidates inside it are not counted again.
     rejected_to: u64,
     bytes_skipped: u64,
@@ -192,7 +195,9 @@ impl Framer {
                     continue;
                 }
             };
-            if let Some(inner) = first_inside(pending, header.total()) {
+            let kind = (header.bid, header.mid, header.len);
+            let expected = self.in_sync && self.last == Some(kind);
+            if let Some(inner) = first_inside(pending, header.total()).filter(|_| !expected) {
                 self.note_rejected(inner);
                 self.skip(inner);
                 continue;
@@ -217,6 +222,7 @@ impl Framer {
             };
             self.start += header.total();
             self.in_sync = true;
+            self.last = Some(kind);
             return Some(found);
         }
     }

@@ -187,3 +187,22 @@ fn a_matrix_travels_column_by_column_in_mtdata2() {
         Some(Orientation::Matrix(_))
     ));
 }
+
+/// A record of two trackers whose data hold a whole message with a right sum (as seen in a simulated walk).
+#[test]
+fn a_record_that_holds_the_picture_of_a_message_is_a_record() {
+    let record = hex(
+        "FA FF 32 6A 03 B9 BC 3E 57 8E 41 07 33 62 3F B2 FA 12 C0 10 AD 5D 3D 64 E2 E3 BE C5 1C C4 BE F7 CA 9E BF 60 0F 61 BD
+         53 B7 20 BE E8 8C FC BE BA D7 70 3F 00 39 13 3F 23 DA 1C 40 72 BD 9C BF F5 63 C3 C1 18 77 85 BD FC AD B7 BE DD DA 5E
+         3C 1A 56 81 3C EE 80 5F 3E F8 5D 48 3F 5F 37 88 BE BA A5 CF 3F 25 B0 F3 3F 2B 62 7D BB 19 3A 77 11",
+    );
+    let plain = Frame { bid: 0xFF, mid: 0x32, data: &[0; 106] }.encode();
+    let mut framer = Framer::default();
+    let mut offsets = Vec::new();
+    for byte in [&plain[..], &record, &plain, &plain[..60], &plain, &plain].concat() {
+        framer.push(&[byte]);
+        offsets.extend(std::iter::from_fn(|| framer.find()).map(|found| found.offset));
+    }
+    // Of one that is cut off nothing is left, and it costs no other.
+    assert_eq!(offsets, [0, 111, 222, 333 + 60, 333 + 60 + 111]);
+}
