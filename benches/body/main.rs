@@ -1,5 +1,7 @@
 //! How well a simulated body is solved, and what it costs: the tables of `docs/body.md`. `cargo bench --bench body`, with a case or an activity for its rows
 
+mod travel;
+
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_baselines::limbs::EulerBody;
 use posed_fusion::ahrs::ImuSample;
@@ -75,6 +77,8 @@ struct Figures {
 struct Run {
     recording: Vec<Recorded>,
     truth: Vec<[UnitQuaternion<f64>; SEGMENTS]>,
+    /// Origins of all segments, m.
+    origins_m: Vec<[Vector3<f64>; SEGMENTS]>,
     wearer: Wearer,
     script: Script,
     blocks: Vec<Block>,
@@ -93,7 +97,7 @@ fn record(case: &Case) -> Run {
         seed: case.seed,
     };
     let mut wearer = Wearer::new(spec);
-    let (mut recording, mut truth) = (Vec::new(), Vec::new());
+    let (mut recording, mut truth, mut origins_m) = (Vec::new(), Vec::new(), Vec::new());
     let frames = ((script.activity_s() + case.activity_s) * RATE_HZ) as usize;
     for _ in 0..frames {
         let (samples, at) = wearer.step();
@@ -108,6 +112,7 @@ fn record(case: &Case) -> Run {
         // Without magnetometers the body's own facing is the room's x.
         let rotation_rad = if case.magnetometer { 0.0 } else { -script.facing };
         let room = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), rotation_rad);
+        origins_m.push(at.body.map(|placement| room * placement.origin_m));
         truth.push(at.body.map(|placement| room * UnitQuaternion::from_matrix(&placement.axes)));
     }
     let blocks = script
@@ -115,7 +120,7 @@ fn record(case: &Case) -> Run {
         .into_iter()
         .filter_map(|b| Some(Block { kind: BlockKind::named(b.kind)?, start_s: b.start_s, end_s: b.end_s }))
         .collect();
-    Run { recording, truth, wearer, script, blocks }
+    Run { recording, truth, origins_m, wearer, script, blocks }
 }
 
 fn mounts(case: &Case, run: &Run, skeleton: &Skeleton) -> Result<[Option<SensorMount>; SEGMENTS], String> {
@@ -297,6 +302,9 @@ fn main() {
     }
     if only.as_ref().is_some_and(|only| "nees".contains(only.as_str())) {
         consistency();
+    }
+    if only.as_ref().is_none_or(|only| "travel".contains(only.as_str())) {
+        travel::table();
     }
     if only.as_ref().is_none_or(|only| "speed".contains(only.as_str())) {
         speed();

@@ -352,6 +352,14 @@ export type Change = {
 /** Everything a client can send. */
 export type ClientMessage = Feed | Call;
 
+/** How likely each foot stands on the floor, 0 to 1. */
+export type Contacts = {
+  /** The left foot. */
+  foot_l: number;
+  /** The right foot. */
+  foot_r: number;
+};
+
 /** How an exercise was taught, as a figure that moves. */
 export type Demonstration = {
   /** The angles that are shown, by their channels; all other joints hang straight. */
@@ -696,6 +704,8 @@ export type FieldEventMessage = ({
 
 /** What every data message starts with, and its body. */
 export type FigureMessage = {
+  /** How likely each foot stands; null unless sensors show the pelvis and both legs now. */
+  contacts: Contacts | null;
   /** Data messages of all topics that were dropped for this client so far. */
   dropped: number;
   /** Where the heading comes from. */
@@ -1171,7 +1181,7 @@ export type Pose = {
 };
 
 /** Where a body's position comes from. */
-export type PositionSource = "origin" | "trackers" | "held";
+export type PositionSource = "origin" | "trackers" | "held" | "feet";
 
 /** Something that is wrong now. */
 export type Problem = {

@@ -161,6 +161,35 @@ fn errors(simulated: &SimulatedBody, rig: &Rig, from_s: f64) -> (f64, f64) {
 }
 
 #[test]
+fn who_strolls_gets_as_far_as_the_feet_bring_him() {
+    let strolling = Person { activity: Activity::Strolling, ..squatting() };
+    let simulated = simulated(XBUS, &BodySegment::ALL, |n| n, strolling);
+    let rig = simulated.run(16.0);
+    let pelvis = BodySegment::Pelvis.index();
+    let all: Vec<&Body> = bodies(&rig).into_iter().filter(|body| body.contacts.is_some()).collect();
+    let places_m = |body: &Body| {
+        let truth = simulated.truth(&rig, body.t_valid.as_secs_f64())[pelvis].unwrap().translation.vector;
+        (Vector3::from(body.segments[pelvis].position_m.unwrap()), truth)
+    };
+    let (begun_m, begun_truth_m) = places_m(all[0]);
+    let mut way_m = 0.0;
+    let mut last_m = begun_truth_m;
+    for body in all.iter().step_by(20) {
+        assert_eq!(body.position_source, PositionSource::Feet);
+        let (found_m, truth_m) = places_m(body);
+        way_m += (truth_m - last_m).norm();
+        last_m = truth_m;
+        let off_m = (found_m - begun_m) - (truth_m - begun_truth_m);
+        assert!(off_m.norm() < 0.25, "{off_m} of {way_m} m");
+    }
+    assert!(way_m > 8.0, "{way_m}");
+    for foot in 0..2 {
+        let contacts = || all.iter().filter_map(|body| Some(body.contacts?[foot]));
+        assert!(contacts().any(|stands| stands > 0.9) && contacts().any(|stands| stands < 0.1));
+    }
+}
+
+#[test]
 fn ten_trackers_of_a_chain_show_a_person_who_squats() {
     let simulated = simulated(XBUS, &BodySegment::ALL, |n| n, squatting());
     let rig = simulated.run(9.0);
@@ -174,7 +203,7 @@ fn ten_trackers_of_a_chain_show_a_person_who_squats() {
     );
     let last = all.last().unwrap();
     assert!(last.segments.iter().all(|segment| segment.state == SegmentState::Ok), "{last:?}");
-    assert_eq!((last.heading, last.position_source), (Heading::Field, PositionSource::Origin));
+    assert_eq!((last.heading, last.position_source), (Heading::Field, PositionSource::Feet));
     // Feet on the floor, below the origin; the head end up.
     let z = |segment: BodySegment| last.segments[segment.index()].position_m.unwrap()[2];
     assert!(

@@ -54,6 +54,7 @@ impl ChainStage {
                 t_valid: Default::default(),
                 heading: Heading::Unknown,
                 position_source: PositionSource::Origin,
+                contacts: None,
                 segments: vec![SegmentEstimate::default(); imus.len()],
                 angles_rad: [None; ANGLES],
                 spread: AngleSpread::default(),

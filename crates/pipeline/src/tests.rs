@@ -239,6 +239,7 @@ fn where_a_body_is_put_is_no_movement() {
             t_valid: Timestamp::from_secs_f64(t_s),
             heading: Heading::Field,
             position_source,
+            contacts: None,
             segments: skeleton.origins_m(&standing, pelvis_m).iter().map(segment).collect(),
             angles_rad: [None; ANGLES],
             spread: AngleSpread::default(),

@@ -42,12 +42,12 @@ pub mod vrpn;
 
 pub use encode::{Encoding, Payload};
 pub use message::{
-    Answer, Begun, Change, Data, Demonstration, Deviation, DeviceStatus, ErrorReply, ExerciseChange,
-    ExerciseEvent, Exercises, Fault, FaultChange, FieldChange, FieldEvent, Figure, FigureSegment,
-    HeadingSource, Hello, HelloSensor, Job, JobState, Jobs, JointEntry, Judged, KeptExercise, KeptFile,
-    KeyPose, LinkState, ListedSessions, MapVersion, Measured, OkReply, People, PlanProgress, Plans, Problem,
-    Quality, RecordingBegun, RecordingStatus, Recordings, RelatedClock, ReplayStatus, Report, Resumed,
-    RunningSession, ScrewMotion, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors,
+    Answer, Begun, Change, Contacts, Data, Demonstration, Deviation, DeviceStatus, ErrorReply,
+    ExerciseChange, ExerciseEvent, Exercises, Fault, FaultChange, FieldChange, FieldEvent, Figure,
+    FigureSegment, HeadingSource, Hello, HelloSensor, Job, JobState, Jobs, JointEntry, Judged, KeptExercise,
+    KeptFile, KeyPose, LinkState, ListedSessions, MapVersion, Measured, OkReply, People, PlanProgress, Plans,
+    Problem, Quality, RecordingBegun, RecordingStatus, Recordings, RelatedClock, ReplayStatus, Report,
+    Resumed, RunningSession, ScrewMotion, SegmentBody, SegmentEntry, SensorEntry, SensorStatus, Sensors,
     ServerMessage, SessionBegun, Sessions, Shown, Spoken, StageEntry, StageLatency, StagePresence, Stages,
     Started, Status, Tracked, TruthEntry, Truths,
 };

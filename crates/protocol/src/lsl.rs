@@ -187,6 +187,7 @@ mod tests {
             t_valid: Timestamp::ZERO,
             heading,
             position_source,
+            contacts: None,
             segments: Vec::new(),
             angles_rad,
             spread: Default::default(),

@@ -249,6 +249,7 @@ mod tests {
             t_valid: Timestamp::from_nanos(2_000_000),
             heading: Heading::Held(1.25),
             position_source: PositionSource::Trackers,
+            contacts: None,
             segments: vec![SegmentEstimate::default(); SEGMENTS],
             angles_rad: [None; ANGLES],
             spread: Default::default(),

@@ -18,6 +18,9 @@ pub(crate) const AGE: f64 = 1e3;
 /// Steps per second of a capture time's uncertainty.
 pub(crate) const CLOCK: f64 = 1e6;
 
+/// Steps per unit of a probability.
+pub(crate) const PROBABILITY: f64 = 1e3;
+
 /// `value` to the nearest `1 / steps`; never a negative zero.
 pub(crate) fn to(steps: f64, value: f64) -> f64 {
     (value * steps).round() / steps + 0.0

@@ -23,7 +23,7 @@ pub const SEGMENT_NAMES: [&str; 10] = [
 pub struct Build {
     /// Between the shoulders.
     pub shoulder_width_m: f64,
-    /// Between the hips.
+    /// Between the centres of the hips' joints.
     pub hip_width_m: f64,
     /// From hips to shoulders.
     pub trunk_m: f64,
@@ -42,7 +42,7 @@ impl Build {
     pub fn of_height(height_m: f64) -> Self {
         Self {
             shoulder_width_m: 0.258 * height_m,
-            hip_width_m: 0.191 * height_m,
+            hip_width_m: 0.1 * height_m,
             trunk_m: 0.288 * height_m,
             upper_arm_m: 0.186 * height_m,
             forearm_m: 0.146 * height_m,
@@ -87,28 +87,33 @@ pub struct Placement {
 /// All segments, in the order of [`SEGMENT_NAMES`].
 pub type TrueBody = [Placement; 10];
 
-fn about_x(angle: f64) -> Matrix3<f64> {
+pub(super) fn about_x(angle: f64) -> Matrix3<f64> {
     let (s, c) = libm::sincos(angle);
     Matrix3::new(1.0, 0.0, 0.0, 0.0, c, -s, 0.0, s, c)
 }
 
-fn about_y(angle: f64) -> Matrix3<f64> {
+pub(super) fn about_y(angle: f64) -> Matrix3<f64> {
     let (s, c) = libm::sincos(angle);
     Matrix3::new(c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c)
 }
 
-fn about_z(angle: f64) -> Matrix3<f64> {
+pub(super) fn about_z(angle: f64) -> Matrix3<f64> {
     let (s, c) = libm::sincos(angle);
     Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
 }
 
 impl Posture {
-    /// Where every segment of a body of these lengths is in the room: rigid segments, joints without translation.
-    pub fn place(&self, build: &Build) -> TrueBody {
+    /// Pelvis to room.
+    pub(super) fn pelvis_axes(&self) -> Matrix3<f64> {
         // Segment axes (forward, up, right) of a body that looks along the room's x (z up).
         let upright = Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0);
         let [rotation, tilt, list] = self.pelvis;
-        let pelvis = about_z(rotation) * upright * about_z(-tilt) * about_x(list);
+        about_z(rotation) * upright * about_z(-tilt) * about_x(list)
+    }
+
+    /// Where every segment of a body of these lengths is in the room: rigid segments, joints without translation.
+    pub fn place(&self, build: &Build) -> TrueBody {
+        let pelvis = self.pelvis_axes();
         let [flexion, lateral, rotation] = self.spine;
         let torso = pelvis * about_z(-flexion) * about_x(lateral) * about_y(rotation);
         let hips_m = self.pelvis_m;

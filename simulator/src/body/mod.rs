@@ -6,6 +6,7 @@
 //! In: a seed, a script, errors. Out: samples and the truth. It follows the table of `docs/body.md` with kinematics of
 //! its own and never uses `posed`'s.
 
+mod gait;
 mod kinematics;
 pub mod programme;
 mod script;

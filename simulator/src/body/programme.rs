@@ -49,7 +49,7 @@ impl Programme {
                 };
                 let grow = if t > 0.0 { Activity::swell(t, duration_s) } else { 0.0 };
                 if t > 0.0 {
-                    ACTIVITIES[which].act(&mut posture, tempo * t, size * grow);
+                    ACTIVITIES[which].act(&mut posture, tempo * t, size * grow, &build);
                 }
                 posture.spine[0] += stoop[0];
                 posture.pelvis[1] += stoop[1];

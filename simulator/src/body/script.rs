@@ -5,6 +5,7 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use super::gait::{Path, STEPS_HZ, lower};
 use super::kinematics::{Build, Posture};
 
 /// What is done after the calibration.
@@ -21,6 +22,10 @@ pub enum Activity {
     Squats,
     /// Raises and bends arms and legs as a patient does: slowly, half as far, with a tremor of 5 Hz that comes and goes.
     Rehabilitation,
+    /// Walks about the room in laps of two metres' radius, a step of half a leg 1.7 times a second; feet that stand do not slide.
+    Strolling,
+    /// Climbs stairs without end, each 17 cm high.
+    Climbing,
     /// Holds an N-pose and a T-pose in turn, three seconds each: what a quick guided calibration asks for.
     Poses,
     /// Stands, holds a T-pose, then bends elbows, knees, hips and trunk with rests between, again and again: what a full calibration
@@ -154,9 +159,16 @@ impl Script {
         if self.calibration { movement_s(MOVEMENTS.len()) } else { 0.0 }
     }
 
+    /// Whether any part of the right and of the left foot is on the floor at that time; `None` in what has no floor.
+    pub fn contacts(&self, t_s: f64) -> Option<[bool; 2]> {
+        let t = t_s - self.activity_s();
+        self.activity.path().map(|_| Path::contacts(steps_after(t.max(0.0))))
+    }
+
     /// The posture at `t_s` seconds of the script, any time; before 0 the person stands in an N-pose.
     ///
-    /// The hips begin above the room's origin, 0.07 m higher than the legs are long. There is no floor: feet may slide.
+    /// The hips begin above the room's origin, 0.07 m higher than the legs are long. Feet stay where they stand while somebody strolls or climbs, and
+    /// where nobody leaves the place; else there is no floor, and they may slide.
     pub fn at(&self, t_s: f64, build: &Build) -> Posture {
         let mut posture = Posture {
             pelvis: [self.facing, 0.0, 0.0],
@@ -174,7 +186,7 @@ impl Script {
         }
         let t = t_s - self.activity_s();
         if t > 0.0 {
-            self.activity.act(&mut posture, t, step(t / RAMP_S));
+            self.activity.act(&mut posture, t, step(t / RAMP_S), build);
         }
         if let (Some(mistake), Some(round_s)) = (self.mistake, self.activity.round_s()) {
             mistake.spoil(&mut posture, step((round_s - t) / CHANGE_S));
@@ -184,6 +196,15 @@ impl Script {
 }
 
 impl Activity {
+    /// Where somebody walks whose feet stay where they stand.
+    fn path(self) -> Option<Path> {
+        match self {
+            Activity::Strolling => Some(Path { step: 0.55, curvature_per_m: 0.5, rise_m: 0.0 }),
+            Activity::Climbing => Some(Path { step: 0.32, curvature_per_m: 0.0, rise_m: 0.17 }),
+            _ => None,
+        }
+    }
+
     /// After how long a calibration's poses and movements come again, s; `None` of what is no calibration.
     fn round_s(self) -> Option<f64> {
         match self {
@@ -204,7 +225,7 @@ impl Activity {
     }
 
     /// Adds what is done after a time `t` in s, in size `grow`.
-    pub(super) fn act(self, p: &mut Posture, t: f64, grow: f64) {
+    pub(super) fn act(self, p: &mut Posture, t: f64, grow: f64, build: &Build) {
         let wave = |hz: f64, phase: f64| libm::sin(std::f64::consts::TAU * hz * t + phase);
         let rise = |hz: f64, phase: f64| 0.5 - 0.5 * libm::cos(std::f64::consts::TAU * hz * t + phase);
         match self {
@@ -260,16 +281,12 @@ impl Activity {
             Activity::Squats => {
                 let down = grow * rise(SQUATS_HZ, 0.0);
                 for side in 0..2 {
-                    p.hip[side] = [1.45 * down, -0.2 * down, -0.15 * down];
-                    p.knee[side] = 1.7 * down;
                     raise(p, side, grow * (0.4 + 0.9 * rise(SQUATS_HZ, 0.0)), grow * 0.1, 0.0);
                     p.elbow[side] = [grow * 0.2, grow * 0.3];
                 }
                 p.pelvis[1] = 0.35 * down;
                 p.spine[0] = 0.3 * down;
-                p.pelvis_m.z -= 0.42 * down;
-                let (s, c) = libm::sincos(p.pelvis[0]);
-                p.pelvis_m -= Vector3::new(c, s, 0.0) * (0.15 * down);
+                lower(p, 1.7 * down, 0.15 * down, 0.15 * down, build);
             }
             Activity::Rehabilitation => {
                 const HZ: f64 = 0.12;
@@ -297,6 +314,9 @@ impl Activity {
                 p.spine = [0.08 * rise(0.05, 0.0), 0.04 * wave(0.06, 0.4), 0.06 * wave(0.04, 1.0)]
                     .map(|a| grow * a);
             }
+            Activity::Strolling | Activity::Climbing => {
+                self.path().into_iter().for_each(|path| path.walk(p, steps_after(t), build));
+            }
             Activity::Poses => hold_t_pose(p, t.rem_euclid(POSES_S), POSE_S),
             Activity::Bends => pose_and_move(p, t, &BENDS),
             Activity::Movements => pose_and_move(p, t, &EACH_LIMB),
@@ -305,7 +325,7 @@ impl Activity {
                 let mut at = (t - LEAD_S).rem_euclid(round_s);
                 for Part { activity, duration_s, ramp_s, rest_s } in WORKOUT {
                     if (0.0..duration_s).contains(&at) {
-                        activity.act(p, at, Self::swell_within(ramp_s, at, duration_s));
+                        activity.act(p, at, Self::swell_within(ramp_s, at, duration_s), build);
                     }
                     at -= duration_s + rest_s;
                 }
@@ -366,6 +386,14 @@ fn hold_t_pose(p: &mut Posture, t: f64, from_s: f64) {
     }
 }
 
+/// Steps along a [`Path`] after so long, s: nobody walks off at full speed.
+fn steps_after(t: f64) -> f64 {
+    // The integral of `step`.
+    let x = (t / RAMP_S).clamp(0.0, 1.0);
+    let begun = x.powi(6) * (21.0 - 60.0 * x + 67.5 * x * x - 35.0 * x.powi(3) + 7.0 * x.powi(4));
+    Path::BEGIN + STEPS_HZ * (RAMP_S * begun + (t - RAMP_S).max(0.0))
+}
+
 fn movement_s(index: usize) -> f64 {
     2.0 * (POSE_S + CHANGE_S) + 0.5 + (MOVE_S + 1.0) * index as f64
 }
@@ -376,13 +404,13 @@ fn there_and_back(phase: f64) -> f64 {
 }
 
 /// From 0 to 1 with four continuous derivatives.
-fn step(x: f64) -> f64 {
+pub(super) fn step(x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0);
     x.powi(5) * (126.0 - 420.0 * x + 540.0 * x * x - 315.0 * x.powi(3) + 70.0 * x.powi(4))
 }
 
 /// Raises an arm: so far forward, sideways and turned inwards, rad.
-fn raise(p: &mut Posture, side: usize, forward: f64, sideways: f64, inwards: f64) {
+pub(super) fn raise(p: &mut Posture, side: usize, forward: f64, sideways: f64, inwards: f64) {
     // Smooth through the hanging arm: plane and elevation of the direction, and no rotation against the shortest way there.
     let elevation = libm::hypot(forward, sideways);
     let plane = libm::atan2(forward, sideways);

@@ -276,15 +276,14 @@ fn write(
         Some(format) => {
             let mut animation = Animation::new(*skeleton);
             for (t_s, estimate) in estimates {
-                let orientations = estimate.completed();
-                animation.push(*t_s, orientations, skeleton.standing_m(&orientations));
+                animation.push(*t_s, estimate.completed(), estimate.pelvis_m(skeleton));
             }
             animation.write(&args.output, format).map_err(Error::failed)
         }
     }
 }
 
-/// The table of angles: segments that a sensor shows, joints between two of them.
+/// The table of angles: segments that a sensor shows, joints between two of them, and where the feet have brought the hips if that is ever known.
 fn table(
     args: &Solve,
     present: &[bool; SEGMENTS],
@@ -301,6 +300,11 @@ fn table(
         columns.extend(["qw", "qx", "qy", "qz"].map(|part| format!("{}_{part}", segment.name())));
     }
     columns.extend(angles.iter().map(|angle| format!("{}_deg", ANGLE_NAMES[*angle])));
+    let travels = estimates.iter().any(|(_, estimate)| estimate.travel.is_some());
+    if travels {
+        columns.extend(["x", "y", "z"].map(|axis| format!("pelvis_{axis}_m")));
+        columns.extend(["r", "l"].map(|side| format!("foot_{side}_contact")));
+    }
     let mut table = TableWriter::create(&args.output, &columns)?;
     for (t_s, estimate) in estimates {
         table.number(*t_s)?;
@@ -309,6 +313,10 @@ fn table(
         }
         for angle in &angles {
             table.vector(estimate.angles_rad[*angle].map(|angle| [angle.to_degrees()]))?;
+        }
+        if travels {
+            table.vector(estimate.travel.map(|travel| <[f64; 3]>::from(travel.pelvis_m)))?;
+            table.vector(estimate.travel.and_then(|travel| travel.contacts))?;
         }
         table.end_row()?;
     }

@@ -27,6 +27,7 @@ fn body(t_ms: i64) -> Body {
         t_valid,
         heading,
         position_source,
+        contacts: None,
         segments: vec![segment; SEGMENTS],
         angles_rad: [None; ANGLES],
         spread: Default::default(),

@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import { mergeGeometries } from "three/examples/jsm/utils/BufferGeometryUtils.js";
-import type { SegmentEntry, SegmentState } from "../protocol";
+import type { Contacts, SegmentEntry, SegmentState } from "../protocol";
 import { Labels } from "./labels";
 import { quaternion, vector } from "./scene";
 import { spoken } from "../dom";
@@ -10,11 +10,12 @@ import { spoken } from "../dom";
 /** Lengths in parts of the height, as the daemon has them (docs/body.md). */
 const TRUNK = 0.288;
 const SHOULDER = 0.129;
-const HIP = 0.0955;
+const HIP = 0.05;
 const UPPER_ARM = 0.186;
 const FOREARM = 0.146;
 const THIGH = 0.245;
 const SHANK = 0.246;
+const ANKLE = 0.039;
 const USUAL_HEIGHT_M = 1.75;
 
 /** How a segment looks by its state: colour, opacity and whether it is a net all say the same. */
@@ -24,6 +25,8 @@ export const BODY_LOOKS: Record<SegmentState, { words: string; sign: string; col
   suspect: { words: "segment, its sensor is faulty", sign: "◆", colour: 0xd98e04, opacity: 0.9, net: false },
   missing: { words: "segment, not shown by anything", sign: "▒", colour: 0x888888, opacity: 0.35, net: true },
 };
+/** The mark under a foot that stands. */
+export const STANDS_LOOK = { words: "foot that stands", sign: "●", colour: 0x3a9d5d };
 const ILL = 0xb3261e;
 const GHOST = new THREE.MeshStandardMaterial({ color: 0x2a9d8f, roughness: 0.8, transparent: true, opacity: 0.4 });
 
@@ -95,6 +98,7 @@ export class BodyFigure {
   private readonly materials: Record<SegmentState, THREE.Material>;
   private readonly parts = new Map<string, Part>();
   private readonly marks: THREE.Mesh[] = [];
+  private readonly soles: { shank: string; foot: keyof Contacts; mesh: THREE.Mesh }[] = [];
   private readonly reasons = new Labels();
   private said: string[] = [];
   private readonly offset = new THREE.Vector3();
@@ -115,11 +119,18 @@ export class BodyFigure {
       this.group.add(group);
       this.parts.set(name, { group, mesh, state: null });
     }
+    const green = new THREE.MeshBasicMaterial({ color: STANDS_LOOK.colour, transparent: true, opacity: 0.7 });
+    for (const [shank, foot] of [["shank_r", "foot_r"], ["shank_l", "foot_l"]] as const) {
+      const mesh = new THREE.Mesh(new THREE.CircleGeometry(0.055, 24), green);
+      mesh.visible = false;
+      this.soles.push({ shank, foot, mesh });
+      this.group.add(mesh);
+    }
     this.group.add(this.reasons.group);
     this.group.visible = false;
   }
 
-  update({ segments }: { segments: readonly Drawn[] }, height_m: number | null): void {
+  update({ segments, contacts }: { segments: readonly Drawn[]; contacts?: Contacts | null }, height_m: number | null): void {
     const scale = height_m ?? USUAL_HEIGHT_M;
     this.group.visible = true;
     const byName = new Map(segments.map((segment) => [segment.name, segment]));
@@ -142,6 +153,15 @@ export class BodyFigure {
         part.group.position.sub(this.offset.set(...inOwn).multiplyScalar(scale).applyQuaternion(part.group.quaternion));
       } else this.below(part.group, byName.get("torso"), scale);
       part.group.scale.setScalar(scale);
+    }
+    for (const { shank, foot, mesh } of this.soles) {
+      mesh.visible = contacts != null && contacts[foot] > 0.5;
+      if (!mesh.visible) continue;
+      const { group } = this.parts.get(shank)!;
+      mesh.position.copy(group.position).add(this.offset.set(0, -SHANK * scale, 0).applyQuaternion(group.quaternion));
+      // On the floor, and no deeper than to be seen.
+      mesh.position.z += 0.005 - ANKLE * scale;
+      mesh.scale.setScalar(scale);
     }
     this.markIll(segments.filter(({ name, state }) => state === "suspect" && this.parts.has(name)));
     const pelvis = this.parts.get("pelvis")!.group;

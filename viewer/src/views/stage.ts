@@ -2,7 +2,7 @@
 
 import { Group, Matrix4 } from "three";
 import { el, setText } from "../dom";
-import { BODY_LOOKS, BodyFigure } from "../scene/body";
+import { BODY_LOOKS, BodyFigure, STANDS_LOOK } from "../scene/body";
 import { FieldScene } from "../scene/field";
 import { Scene, quaternion, vector } from "../scene/scene";
 import { Screws } from "../scene/screws";
@@ -66,7 +66,7 @@ export class StageView implements View {
     });
     this.sliceAxis.addEventListener("change", () => this.cut());
     this.slicePlace.addEventListener("input", () => this.cut());
-    const legend = [...LOOKS, ...Object.values(BODY_LOOKS)].map(({ sign, words, colour }) => {
+    const legend = [...LOOKS, ...Object.values(BODY_LOOKS), STANDS_LOOK].map(({ sign, words, colour }) => {
       const mark = el("span", {}, `${sign} `);
       mark.style.color = `#${colour.toString(16).padStart(6, "0")}`;
       return el("li", {}, mark, words);
@@ -102,7 +102,7 @@ export class StageView implements View {
     this.body.update(body, this.context.model.hello?.height_m ?? null);
     const good = body.segments.filter(({ state }) => state === "ok").length;
     const heading = body.heading === "held" ? `, heading held for ${body.heading_held_s.toFixed(0)} s` : "";
-    const place = body.position_source === "trackers" ? "" : body.position_source === "held" ? ", place as last seen" : ", place not known";
+    const place = { trackers: "", feet: ", place by its feet", held: ", place as last seen", origin: ", place not known" }[body.position_source];
     setText(this.bodySummary, `body: ${good} of ${body.segments.length} segments measured${heading}${place}`);
   }
 

@@ -58,9 +58,16 @@ impl Recent {
 
     /// The body, which comes before the estimate of its frame.
     fn body(&mut self, body: &Body) {
-        let Body { t_valid, heading, position_source, angles_rad, spread, .. } = *body;
-        self.body =
-            Some(Body { t_valid, heading, position_source, segments: Vec::new(), angles_rad, spread });
+        let Body { t_valid, heading, position_source, contacts, angles_rad, spread, .. } = *body;
+        self.body = Some(Body {
+            t_valid,
+            heading,
+            position_source,
+            contacts,
+            segments: Vec::new(),
+            angles_rad,
+            spread,
+        });
     }
 
     fn push(&mut self, estimate: &Estimate) {

@@ -30,6 +30,9 @@ mod skeleton;
 mod spread;
 #[cfg(test)]
 mod tests;
+mod travel;
+#[cfg(test)]
+mod travel_tests;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use posed_state::Plain;
@@ -46,6 +49,7 @@ pub use places::{Misplaced, Places, Trackers};
 pub use posture::orientations;
 pub use skeleton::{BodySegment, Limb, SEGMENTS, Skeleton, upright};
 pub use spread::{AngleSpread, independent};
+pub use travel::Travel;
 
 use super::ahrs::{Ahrs, CALIBRATED_HEADING_RAD, CALIBRATED_TILT_RAD, ImuSample, Params};
 use super::faults::Cause;
@@ -53,6 +57,7 @@ use super::limb::{Base, LimbNoise};
 use health::Watch;
 use limbs::LimbFilter;
 use posed_geometry::GRAVITY_M_S2;
+use travel::{Legs, TravelFilter, carried};
 
 /// Samples of the whole body at one time, sensor axes, by [`BodySegment::index`]; `None` where no sensor is worn or none
 /// came.
@@ -70,6 +75,14 @@ const FIRST_S: f64 = 0.01;
 /// So long after its first sample, or after a gap that the last angular velocity did not bridge, a sensor's orientation is
 /// worth comparing, s: its specific forces have levelled it.
 const SETTLED_S: f64 = 3.0;
+
+/// For so long a sensor that is switched on waits for a specific force within this share of gravity, s: which way is up it learns from the first, and limbs that
+/// begin askew find no way back.
+const CALM_S: f64 = 1.0;
+const CALM: f64 = 0.5;
+
+/// And so long after it a leg's posture does not leap any more, s.
+const LEGS_S: f64 = 1.0;
 
 /// For so long a heading that is to come from the field is waited for, s.
 const FIELD_S: f64 = 1.0;
@@ -123,6 +136,8 @@ pub struct BodyEstimate {
     pub faults: [Option<Cause>; SEGMENTS],
     /// Where the heading comes from.
     pub heading: Heading,
+    /// Where the hips are by the feet; `None` unless sensors have shown the pelvis and both legs.
+    pub travel: Option<Travel>,
 }
 
 impl Default for BodyEstimate {
@@ -134,17 +149,16 @@ impl Default for BodyEstimate {
             spread: AngleSpread::default(),
             faults: [None; SEGMENTS],
             heading: Heading::Unknown,
+            travel: None,
         }
     }
 }
 
 impl BodyEstimate {
-    /// Joint centres: origins of all segments in the room, m, by [`BodySegment::index`], with the hips' mid-point above the
-    /// room's origin and the lower ankle at its height over the floor: IMUs show no position. A segment that is not known
-    /// stands as its parent does.
-    pub fn origins_m(&self, skeleton: &Skeleton) -> [Vector3<f64>; SEGMENTS] {
-        let all = self.completed();
-        skeleton.origins_m(&all, skeleton.standing_m(&all))
+    /// The hips' mid-point in the room, m: where the feet have brought it, else above the room's origin with the lower ankle at its height over
+    /// the floor.
+    pub fn pelvis_m(&self, skeleton: &Skeleton) -> Vector3<f64> {
+        self.travel.map_or_else(|| skeleton.standing_m(&self.completed()), |travel| travel.pelvis_m)
     }
 
     /// Orientations, segment to room, with the missing ones as straight continuations of their parents (the pelvis of the
@@ -198,6 +212,10 @@ pub struct BodyFilter {
     /// Last motion of torso and pelvis, for their angular acceleration and for a lost sample.
     last_motions: [Option<Motion>; 2],
     held_s: f64,
+    skeleton: Skeleton,
+    travel: TravelFilter,
+    /// Angular velocities of the right and the left shank's sensor a sample ago, rad/s, sensor axes.
+    shanks_rad_s: [Option<Vector3<f64>>; 2],
     estimate: BodyEstimate,
 }
 
@@ -221,6 +239,9 @@ impl BodyFilter {
             limbs: Limb::ALL.map(|limb| LimbFilter::new(limb, skeleton, mounts, params)),
             last_motions: [None; 2],
             held_s: 0.0,
+            skeleton: *skeleton,
+            travel: TravelFilter::new(skeleton.foot_m),
+            shanks_rad_s: [None; 2],
             estimate: BodyEstimate::default(),
         }
     }
@@ -273,7 +294,63 @@ impl BodyFilter {
             }
         }
         self.publish(&orientations, &bases, dt_s);
+        self.estimate.travel = match self.legs(samples) {
+            Some(legs) => Some(self.travel.push(&legs, dt_s)),
+            None => self.travel.pause(),
+        };
         &self.estimate
+    }
+
+    /// Something else says where the hips' mid-point is, room, m: feet go on from there.
+    pub fn place_at(&mut self, pelvis_m: Vector3<f64>) {
+        if let (Some(pelvis), Some(q_room_pelvis)) = (
+            &self.sensors[BodySegment::Pelvis.index()],
+            self.estimate.orientations[BodySegment::Pelvis.index()],
+        ) {
+            self.travel.place_at(pelvis_m, q_room_pelvis * pelvis.mount.offset_m);
+        }
+    }
+
+    /// What the feet say of one time; `None` unless the sensors on pelvis and both legs show it.
+    fn legs(&mut self, samples: &BodySamples) -> Option<Legs> {
+        let orientations = &self.estimate.orientations;
+        let seen = |segment: BodySegment| {
+            let sensor = self.sensors[segment.index()].as_ref()?;
+            if sensor.behind_s > HOLD_S || sensor.settled_s < LEGS_S {
+                return None;
+            }
+            Some((sensor, orientations[segment.index()]?))
+        };
+        let measured = |segment: BodySegment| samples[segment.index()].filter(health::usable);
+        let (pelvis, q_room_pelvis) = seen(BodySegment::Pelvis)?;
+        let mut ankles_m = [Vector3::zeros(); 2];
+        let mut accels_m_s2 = [None; 2];
+        let mut shanks_rad_s = [None; 2];
+        for (side, limb) in [Limb::LegR, Limb::LegL].into_iter().enumerate() {
+            let [_, thigh, shank] = limb.segments();
+            let ((_, q_room_thigh), (sensor, q_room_shank)) = (seen(thigh)?, seen(shank)?);
+            let ankle_m = self.skeleton.end_in_segment_m(shank);
+            ankles_m[side] = q_room_pelvis * self.skeleton.joint_in_parent_m(thigh)
+                + q_room_thigh * self.skeleton.joint_in_parent_m(shank)
+                + q_room_shank * ankle_m;
+            if let Some(sample) = measured(shank) {
+                let mount = &sensor.mount;
+                let turns = sample.gyro_rad_s - sensor.ahrs.bias_rad_s();
+                shanks_rad_s[side] = Some(turns);
+                if let Some(before) = &self.shanks_rad_s[side] {
+                    let point_m = mount.q_segment_sensor.inverse() * (ankle_m - mount.offset_m);
+                    let q_room_sensor = q_room_shank * mount.q_segment_sensor;
+                    let turns = [&turns, before];
+                    accels_m_s2[side] =
+                        Some(carried(&q_room_sensor, &sample.accel_m_s2, turns, sensor.step_s, &point_m));
+                }
+            }
+        }
+        let specific_force_m_s2 = measured(BodySegment::Pelvis)
+            .map(|sample| q_room_pelvis * (pelvis.mount.q_segment_sensor * sample.accel_m_s2));
+        let sensor_m = q_room_pelvis * pelvis.mount.offset_m;
+        self.shanks_rad_s = shanks_rad_s;
+        Some(Legs { sensor_m, specific_force_m_s2, ankles_m, accels_m_s2 })
     }
 
     /// The latest estimate; nothing known before the first [`Self::push`].
@@ -387,6 +464,9 @@ impl Sensor {
         self.behind_s += dt_s;
         self.settled_s = if self.started && self.behind_s <= HOLD_S { self.settled_s + dt_s } else { 0.0 };
         let Some(sample) = sample.filter(|sample| health::usable(sample)) else { return };
+        if !self.started && self.behind_s < CALM_S && !is_calm(sample) {
+            return;
+        }
         let since_s = (self.behind_s - age_s).max(1e-4);
         self.behind_s = age_s;
         self.step_s = since_s;
@@ -427,6 +507,11 @@ impl Sensor {
     fn north(&self) -> Option<Vector3<f64>> {
         (self.started && self.magnetometer).then(|| self.ahrs.orientation().inverse() * Vector3::y())
     }
+}
+
+/// Whether its specific force may be gravity's, more or less.
+fn is_calm(sample: &ImuSample) -> bool {
+    (sample.accel_m_s2.norm() / GRAVITY_M_S2 - 1.0).abs() < CALM
 }
 
 /// By how far a segment is turned about the vertical from a body that looks along the room's x, rad: the twist of its rotation

@@ -1,7 +1,7 @@
 //! The body, live: from worn IMUs, from magnetic trackers, or from both.
 //!
 //! What comes in: closed frames and their estimates. What goes out: segments, joint angles and their health at the time of
-//! the newest sample. IMUs alone stand above the room's origin; trackers on the same body say where it is, and trackers alone
+//! the newest sample. IMUs alone go from above the room's origin to where their feet bring them; trackers on the same body say where it is, and trackers alone
 //! show the whole figure. What it never does: publish a body before it knows how its sensors sit.
 
 mod epochs;
@@ -111,6 +111,7 @@ impl BodyStage {
                 t_valid: Default::default(),
                 heading: Heading::Unknown,
                 position_source: PositionSource::Origin,
+                contacts: None,
                 segments: vec![SegmentEstimate::default(); SEGMENTS],
                 angles_rad: Default::default(),
                 spread: AngleSpread::default(),
@@ -245,7 +246,6 @@ impl BodyStage {
     fn place(&mut self, found: &BodyEstimate, estimate: &Estimate) {
         let all = found.completed();
         let from_hips = self.skeleton.origins_m(&all, Vector3::zeros());
-        let standing_m = self.skeleton.standing_m(&all);
         let (mut sum, mut count) = (Vector3::zeros(), 0.0);
         for tracker in &self.trackers {
             let index = tracker.segment.index();
@@ -259,14 +259,21 @@ impl BodyStage {
             }
         }
         if count > 0.0 {
-            self.pelvis_m = Some(sum / count);
+            let pelvis_m = sum / count;
+            self.pelvis_m = Some(pelvis_m);
+            if let Solver::Imus(filter) = &mut self.solver {
+                filter.place_at(pelvis_m);
+            }
         }
-        let (pelvis_m, position_source) = match self.pelvis_m {
-            Some(pelvis_m) if count > 0.0 => (pelvis_m, PositionSource::Trackers),
-            Some(pelvis_m) => (pelvis_m, PositionSource::Held),
-            None => (standing_m, PositionSource::Origin),
+        let (pelvis_m, position_source) = match (self.pelvis_m, found.travel) {
+            (Some(pelvis_m), _) if count > 0.0 => (pelvis_m, PositionSource::Trackers),
+            (_, Some(travel)) if travel.contacts.is_some() => (travel.pelvis_m, PositionSource::Feet),
+            (_, Some(travel)) => (travel.pelvis_m, PositionSource::Held),
+            (Some(pelvis_m), None) => (pelvis_m, PositionSource::Held),
+            (None, None) => (found.pelvis_m(&self.skeleton), PositionSource::Origin),
         };
         self.out.position_source = position_source;
+        self.out.contacts = found.travel.and_then(|travel| travel.contacts);
         self.out.heading = found.heading;
         self.out.angles_rad = found.angles_rad;
         self.out.spread = found.spread;
@@ -294,6 +301,7 @@ impl BodyStage {
     fn follow(&mut self, figure: &Figure) {
         let origins = self.skeleton.origins_m(&figure.orientations, figure.pelvis_m);
         self.out.position_source = PositionSource::Trackers;
+        self.out.contacts = None;
         self.out.heading = Heading::Field;
         self.out.angles_rad = angles(&figure.orientations.map(Some));
         for segment in BodySegment::ALL {

@@ -77,6 +77,7 @@ fn figure() -> Body {
         t_valid: Timestamp::from_nanos(1_250_000_000),
         heading: Heading::Field,
         position_source: PositionSource::Trackers,
+        contacts: None,
         segments: BodySegment::ALL.map(segment).into(),
         angles_rad: [Some(0.5); ANGLES],
         spread: Default::default(),

@@ -19,10 +19,22 @@ pub struct Figure {
     pub heading_held_s: f64,
     /// Where the position comes from.
     pub position_source: PositionSource,
+    /// How likely each foot stands; null unless sensors show the pelvis and both legs now.
+    #[serde(default)]
+    pub contacts: Option<Contacts>,
     /// The segments, parents and children by the skeleton of the stage.
     pub segments: Vec<SegmentEntry>,
     /// The joints between them.
     pub joints: Vec<JointEntry>,
+}
+
+/// How likely each foot stands on the floor, 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Contacts {
+    /// The right foot.
+    pub foot_r: f64,
+    /// The left foot.
+    pub foot_l: f64,
 }
 
 /// Where a body's heading comes from.

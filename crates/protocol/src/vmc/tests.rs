@@ -42,6 +42,7 @@ fn body(orientations: &[UnitQuaternion<f64>; SEGMENTS]) -> Body {
         t_valid,
         heading: Heading::Field,
         position_source: PositionSource::Trackers,
+        contacts: None,
         segments,
         angles_rad: [None; ANGLES],
         spread: Default::default(),

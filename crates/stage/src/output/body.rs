@@ -18,6 +18,8 @@ pub struct Body {
     pub heading: Heading,
     /// Where its position comes from.
     pub position_source: PositionSource,
+    /// How likely the right and the left foot stand, 0 to 1; absent unless sensors show the pelvis and both legs now.
+    pub contacts: Option<[f64; 2]>,
     /// One per segment.
     pub segments: Vec<SegmentEstimate>,
     /// Joint angles, rad, in the order of [`posed_fusion::body::ANGLE_NAMES`], of a chain the flexions by segment; `None` where a
@@ -91,6 +93,8 @@ pub enum PositionSource {
     Origin,
     /// From magnetic trackers on the body.
     Trackers,
-    /// From trackers that are silent now: it stands where they last were.
+    /// From trackers that are silent now, or feet that are not seen: it stands where they last were.
     Held,
+    /// From the feet that stand, since it began above the room's origin or trackers last said where it is.
+    Feet,
 }
