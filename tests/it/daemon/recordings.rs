@@ -200,7 +200,7 @@ async fn the_demo_s_log_alone_gives_everything_that_was_recorded() {
     let mut client = daemon.subscriber(&["body"]).await;
     let trackers = |message: &Value| message["position_source"] == "trackers";
     until(&mut client, "a body with a place", trackers).await;
-    for _ in 0..300 {
+    for _ in 0..150 {
         until(&mut client, "a body", |message| message["type"] == "body").await;
     }
     assert_eq!(daemon.end("INT").await.code(), Some(0));

@@ -4,6 +4,9 @@ import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import type { Quat, Vec3 } from "../protocol";
 
+/** Between two pictures where the processor draws them, ms: what tracks beside the page needs it more. */
+const SOFTWARE_MS = 66;
+
 export class Scene {
   readonly scene = new THREE.Scene();
   readonly camera = new THREE.PerspectiveCamera(45, 1, 0.05, 60);
@@ -11,11 +14,14 @@ export class Scene {
   private readonly controls: OrbitControls;
   private moved = true;
   private fits = false;
+  private readonly leastMs: number;
+  private drawnMs = 0;
 
   /** `says` is what those hear who do not see it; `ground` what the others stand on. Throws where the browser has no WebGL. */
   constructor(says: string, ground: THREE.Object3D = grid()) {
     // The picture is kept between frames, so that it can be copied.
     this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
+    this.leastMs = drawsInSoftware(this.renderer.getContext()) ? SOFTWARE_MS : 0;
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     this.camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.camera, this.renderer.domElement);
@@ -55,15 +61,28 @@ export class Scene {
     this.renderer.setSize(clientWidth, clientHeight, false);
     this.camera.aspect = clientWidth / clientHeight;
     this.camera.updateProjectionMatrix();
+    // The canvas is empty now.
     this.moved = true;
+    this.drawnMs = -Infinity;
   }
 
   /** Draws, if something changed. */
   render(changed: boolean): void {
     if (!this.fits) this.fit();
-    if (changed || this.moved) this.renderer.render(this.scene, this.camera);
+    this.moved ||= changed;
+    const nowMs = performance.now();
+    if (!this.moved || nowMs - this.drawnMs < this.leastMs) return;
+    this.renderer.render(this.scene, this.camera);
+    this.drawnMs = nowMs;
     this.moved = false;
   }
+}
+
+/** Whether there is no graphics hardware, as the browser tells it. */
+function drawsInSoftware(context: WebGLRenderingContext | WebGL2RenderingContext): boolean {
+  const info = context.getExtension("WEBGL_debug_renderer_info");
+  const name: unknown = info && context.getParameter(info.UNMASKED_RENDERER_WEBGL);
+  return typeof name === "string" && /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 }
 
 /** A floor to measure by: squares of 25 cm. */
