@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The experiments of Cheema et al. 2019 on made-up sequences: label noise, noise and masks at borders, width 5.
 
-usage: experiments.py WORK [--posed PATH] [--primitives] [--prepare] [--only NETWORK ...] [--folds FOLD ...]   runs what is not in WORK/results.jsonl yet
+usage: experiments.py WORK [--posed PATH] [--primitives] [--prepare] [--only NETWORK ...] [--folds FOLD ...] [--width 3|5]   runs what is not in WORK/results.jsonl yet
        experiments.py WORK --table                                                  prints what is
 
 Several may run at once, on networks or folds of their own.
@@ -281,6 +281,7 @@ def main():
     parser.add_argument("--prepare", action="store_true", help="write WORK/local and stop")
     parser.add_argument("--only", nargs="+", default=["dt-fcn", TWIN, *PEERS])
     parser.add_argument("--folds", nargs="+", type=int, default=list(range(FOLDS)))
+    parser.add_argument("--width", type=int, choices=(3, 5))
     parser.add_argument("--table", action="store_true")
     args = parser.parse_args()
     kept = args.work / "results.jsonl"
@@ -300,7 +301,7 @@ def main():
         return
     known = [{k: r[k] for k in ("network", "width", "noise", "border", "mask", "fold")} for r in results]
     for run in grid():
-        if run in known or run["network"] not in args.only or run["fold"] not in args.folds:
+        if run in known or run["network"] not in args.only or run["fold"] not in args.folds or args.width not in (None, run["width"]):
             continue
         known.append(run)
         # A process of its own: Keras gives memory back only at its end.

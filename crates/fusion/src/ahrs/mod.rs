@@ -48,6 +48,10 @@ pub const CALIBRATED_HEADING_RAD: f64 = 0.025;
 const GAP_S: f64 = 0.05;
 /// Without a sample the last rate goes on for so long, s.
 const COAST_S: f64 = 0.1;
+/// Who is switched on in the middle of a movement does not know which way is up, and learns it within this time, s; tilts by more than this in it begin the
+/// heading anew, rad.
+const LEVELS_S: f64 = 5.0;
+const LEVELLED_RAD: f64 = 0.1;
 /// After so long without a sample the sensor may have been turned anyhow, s.
 const AWAY_S: f64 = 0.5;
 /// What an angular velocity that changed by 1 rad/s in a gap of 1 s turned besides its mean, rad: a swing whose phase goes on
@@ -117,6 +121,10 @@ pub struct Ahrs {
     window: Window,
     inclination: inclination::Inclination,
     heading: heading::Heading,
+    /// Since the first sample, or since it was levelled anew, s.
+    levelled_s: f64,
+    /// By how much the tilt has been corrected since the heading began, in that time, rad.
+    levelled_rad: Vector2<f64>,
     rest: rest::Rest,
     /// Whether a rest has shown the bias.
     rested: bool,
@@ -160,6 +168,8 @@ impl Ahrs {
             window: Window::default(),
             inclination: inclination::Inclination::new(&params.inclination),
             heading: heading::Heading::new(&params.heading),
+            levelled_s: 0.0,
+            levelled_rad: Vector2::zeros(),
             rest: rest::Rest::default(),
             rested: false,
             offset_rad_s: Vector3::zeros(),
@@ -349,6 +359,7 @@ impl Ahrs {
 
     fn start(&mut self, accel: Vector3<f64>, mag: Option<Vector3<f64>>) {
         self.started = true;
+        (self.levelled_s, self.levelled_rad) = (0.0, Vector2::zeros());
         // What was known of the heading before a silence stays.
         let up = self.q_level_sensor * accel;
         let leveling =
@@ -394,6 +405,11 @@ impl Ahrs {
             bridged_rad2: w.bridged_rad2,
             rest_gyro_rad_s,
         };
+        if w.mag_samples > 0 && self.levelled_rad.norm() > LEVELLED_RAD {
+            // What it knows of the field was seen with another tilt, and would be taken for a disturbance for good.
+            self.levelled_rad = Vector2::zeros();
+            self.heading.resume(&self.params.heading);
+        }
         if w.mag_samples > 0 {
             self.heading.update(
                 &self.params.heading,
@@ -412,6 +428,10 @@ impl Ahrs {
             self.heading.hold(&self.params.heading, &specific_force, bias_sigma_rad_s);
         }
         let tilt = self.inclination.update(&self.params.inclination, &specific_force);
+        self.levelled_s += w.duration_s;
+        if self.levelled_s < LEVELS_S {
+            self.levelled_rad += tilt;
+        }
         let correction = UnitQuaternion::from_scaled_axis(Vector3::new(tilt[0], tilt[1], 0.0));
         self.q_level_sensor = UnitQuaternion::new_normalize((correction * self.q_level_sensor).into_inner());
         (specific_force, tilt)

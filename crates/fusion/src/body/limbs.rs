@@ -18,6 +18,10 @@ const START_SIGMA_RAD: f64 = 0.2;
 /// North, as [`Sensor::north`] gives it.
 const NORTH: FieldReference =
     FieldReference { azimuth_rad: std::f64::consts::FRAC_PI_2, norm: 1.0, dip_rad: 0.0 };
+/// A limb that differs by so much from what both of its sensors say, rad, for so long, s, began with orientations of chance: they were switched on in the
+/// middle of a movement. It finds no way back, and begins anew.
+const ASTRAY_RAD: f64 = 0.5;
+const ASTRAY_S: f64 = 1.0;
 /// Elbow: flexion, pronation; knee: flexion; degrees. Some degrees beyond the anatomy of algorithms as written, because the
 /// zero of a calibration is only as good as the pose that was held.
 const ELBOW_DEG: [[f64; 2]; 2] = [[-8.0, -95.0], [158.0, 95.0]];
@@ -94,6 +98,8 @@ pub(super) struct LimbFilter {
     mounted: [bool; 2],
     /// Bias of both gyros that a rest has proven, rad/s: more than the filter takes for possible.
     offsets_rad_s: [Vector3<f64>; 2],
+    /// For so long its heading has been another than its sensors', s.
+    astray_s: f64,
     filter: Filter,
 }
 
@@ -111,6 +117,7 @@ impl LimbFilter {
             noise: params.limb,
             mounted: [upper, lower].map(|segment| mounts[segment.index()].is_some()),
             offsets_rad_s: [Vector3::zeros(); 2],
+            astray_s: 0.0,
             filter: Filter::Waiting,
         }
     }
@@ -129,6 +136,11 @@ impl LimbFilter {
             sensors.map(|sensor| sensor.as_ref().map_or_else(Vector3::zeros, |s| s.ahrs.offset_rad_s()));
         if offsets_rad_s != self.offsets_rad_s {
             self.offsets_rad_s = offsets_rad_s;
+            self.filter = Filter::Waiting;
+        }
+        self.astray_s = if self.is_astray(base, sensors, own) { self.astray_s + dt_s } else { 0.0 };
+        if self.astray_s > ASTRAY_S {
+            self.astray_s = 0.0;
             self.filter = Filter::Waiting;
         }
         if matches!(self.filter, Filter::Waiting) {
@@ -152,6 +164,23 @@ impl LimbFilter {
                 limb.observe_rest();
             }
             reports
+        })
+    }
+
+    /// Whether both sensors, by a field that is believed, say otherwise than the limb.
+    fn is_astray(
+        &self,
+        base: &Base,
+        sensors: [&Option<Sensor>; 2],
+        own: [Option<UnitQuaternion<f64>>; 2],
+    ) -> bool {
+        let limb = self.orientations();
+        (0..2).all(|which| {
+            let (Some(sensor), Some(own), Some(relative)) = (sensors[which], own[which], limb[which]) else {
+                return false;
+            };
+            let found = base.q_room_base * relative;
+            sensor.magnetometer && !sensor.ahrs.magnetic_disturbance() && own.angle_to(&found) > ASTRAY_RAD
         })
     }
 

@@ -335,6 +335,31 @@ fn a_blow_as_sensors_are_switched_on_tilts_nothing() {
     assert!(worst_deg < 12.0, "{worst_deg}");
 }
 
+/// Switched on while somebody walks or curls: no sensor keeps a heading of chance, and nobody hears of a strap.
+#[test]
+fn who_is_switched_on_in_the_middle_of_a_movement_finds_back() {
+    for (activity, seeds) in [(Activity::Strolling, 0..6), (Activity::Walking, 0..6), (Activity::Curls, 0..4)]
+    {
+        for seed in seeds {
+            let (mut filter, mut wearer) = mounted(activity, seed);
+            filter.await_field();
+            record(&mut wearer, 5.0 + 0.07 * seed as f64);
+            for _ in 0..800 {
+                filter.push(&worn(wearer.step().0), 0.01);
+            }
+            for _ in 0..300 {
+                let (samples, truth) = wearer.step();
+                let estimate = filter.push(&worn(samples), 0.01);
+                assert_eq!(estimate.faults, [None; SEGMENTS], "{activity:?} {seed}");
+                for (found, truth) in estimate.orientations.iter().zip(&truth.body) {
+                    let off_rad = found.unwrap().angle_to(&UnitQuaternion::from_matrix(&truth.axes));
+                    assert!(off_rad.to_degrees() < 12.0, "{activity:?} {seed}: {off_rad}");
+                }
+            }
+        }
+    }
+}
+
 #[test]
 fn a_body_goes_on_from_its_serialised_state() {
     let (filter, mut wearer) = running(2);
