@@ -154,7 +154,10 @@ impl TravelFilter {
             if let Some(accel_m_s2) = legs.accels_m_s2[side] {
                 evidence += likelier(accel_m_s2.norm_squared(), ACCEL_M_S2, 0.0);
             }
-            let evidence = evidence.clamp(-MOST, MOST) * (dt_s / CORRELATED_S).min(1.0);
+            let evidence = evidence.clamp(-MOST, MOST);
+            // As far as this time alone tells: a foot that has just left its place still counts as standing.
+            let now = 1.0 / (1.0 + libm::exp(-evidence));
+            let evidence = evidence * (dt_s / CORRELATED_S).min(1.0);
             let before = self.contacts[side];
             let stood =
                 before + (dt_s / SWINGS_S).min(0.5) * (1.0 - before) - (dt_s / STANDS_S).min(0.5) * before;
@@ -172,7 +175,7 @@ impl TravelFilter {
                     self.level(side);
                 }
                 let loose_m = LOOSE_S * ankle_m_s.map_or(0.0, |speed| speed.norm());
-                let noise_m2 = (ANKLE_M * ANKLE_M + loose_m * loose_m) / self.contacts[side];
+                let noise_m2 = (ANKLE_M * ANKLE_M + loose_m * loose_m) / (self.contacts[side] * now);
                 for (k, axis) in self.axes.iter_mut().enumerate() {
                     axis.hold(FEET[side], ankles_m[side][k], noise_m2);
                 }
