@@ -7,6 +7,8 @@ use posed_simulator::body::{Activity, SensorErrors};
 use super::{Case, HEIGHT_M, Mounting, RATE_HZ, emit, mounts, record};
 
 const SHANKS: [BodySegment; 2] = [BodySegment::ShankR, BodySegment::ShankL];
+/// A way goes straight on for so long: shorter, and what a step shakes counts as way.
+const WAY_EPOCHS: usize = 50;
 /// People in a row of the table.
 const PEOPLE: u64 = 5;
 
@@ -47,7 +49,8 @@ fn solve(case: &Case) -> Result<Figures, String> {
     let mut counts = [[0.0; 2]; 2];
     let mut began_m = None;
     let begin_s = run.script.activity_s();
-    for (((t_s, samples), truth), origins_m) in run.recording.iter().zip(&run.truth).zip(&run.origins_m) {
+    let epochs = run.recording.iter().zip(&run.truth).zip(&run.origins_m);
+    for (epoch, (((t_s, samples), truth), origins_m)) in epochs.enumerate() {
         let estimate = filter.push(samples, 1.0 / RATE_HZ);
         if *t_s < begin_s {
             continue;
@@ -55,12 +58,13 @@ fn solve(case: &Case) -> Result<Figures, String> {
         let travel = estimate.travel.ok_or("the feet say nothing")?;
         let said = travel.contacts.ok_or("the feet are not seen")?;
         let hips_m = [origins_m[BodySegment::Pelvis.index()], travel.pelvis_m];
-        if let Some(last) = last {
+        if epoch % WAY_EPOCHS == 0
+            && let Some(last) = last.replace(hips_m)
+        {
             for (way, (now, before)) in ways.iter_mut().zip(hips_m.iter().zip(&last)) {
                 *way += (now - before).xy().norm();
             }
         }
-        last = Some(hips_m);
         let offset_m = hips_m[1] - hips_m[0];
         let offset_m = offset_m - *began_m.get_or_insert(offset_m);
         (figures.end_m, figures.end_height_m) = (offset_m.xy().norm(), offset_m.z);
