@@ -6,8 +6,9 @@
 //! The preamble also occurs inside data, and the sum is one byte, so a false start may look right.
 //! Therefore a rejected candidate gives up only its first byte; after a loss of sync a message must also
 //! have a known name and a length that fits it; and while a candidate waits for its end, a message of
-//! that stricter kind inside it goes first, so that a false preamble with a great length stalls nothing. Not so where the candidate follows on a
-//! message like it: of records that are all alike one in a million holds the picture of a message, and is no less a record.
+//! that stricter kind inside it goes first, so that a false preamble with a great length stalls nothing. Where the candidate follows on a message
+//! like it, only one of the same sender does (it has restarted): of records that are all alike one in a million holds the picture of another's message, and is no
+//! less a record.
 
 use posed_state::Plain;
 
@@ -196,8 +197,8 @@ impl Framer {
                 }
             };
             let kind = (header.bid, header.mid, header.len);
-            let expected = self.in_sync && self.last == Some(kind);
-            if let Some(inner) = first_inside(pending, header.total()).filter(|_| !expected) {
+            let sender = (self.in_sync && self.last == Some(kind)).then_some(header.bid);
+            if let Some(inner) = first_inside(pending, header.total(), sender) {
                 self.note_rejected(inner);
                 self.skip(inner);
                 continue;
@@ -264,13 +265,16 @@ impl Framer {
 }
 
 /// Where the message of a known name begins that ends first inside the candidate of `len` bytes at the
-/// front of `bytes`, if there is one.
-fn first_inside(bytes: &[u8], len: usize) -> Option<usize> {
+/// front of `bytes`, if there is one; where a sender is given, of that one alone.
+fn first_inside(bytes: &[u8], len: usize, sender: Option<u8>) -> Option<usize> {
     let inside = &bytes[..bytes.len().min(len.saturating_sub(1))];
     let mut first: Option<(usize, usize)> = None;
     for at in (1..inside.len()).filter(|&at| inside[at] == PREAMBLE) {
         let Parsed::Header(header) = Header::parse(&inside[at..]) else { continue };
         let end = at + header.total();
+        if sender.is_some_and(|bid| bid != header.bid) {
+            continue;
+        }
         if end > inside.len() || !header.is_known() || (header.bid, header.mid) == (0, 0) {
             continue;
         }
