@@ -68,13 +68,12 @@ fn solve(case: &Case) -> Result<Figures, String> {
         let offset_m = hips_m[1] - hips_m[0];
         let offset_m = offset_m - *began_m.get_or_insert(offset_m);
         (figures.end_m, figures.end_height_m) = (offset_m.xy().norm(), offset_m.z);
-        let found_m = skeleton.origins_m(&estimate.completed(), travel.pelvis_m);
+        let ankles_m = skeleton.ankles_m(&estimate.completed(), travel.pelvis_m);
         let contacts = run.script.contacts(*t_s);
         for (side, shank) in SHANKS.into_iter().enumerate() {
             let index = shank.index();
-            let end_m = skeleton.end_in_segment_m(shank);
-            let truth_m = origins_m[index] + truth[index] * end_m;
-            let found_m = found_m[index] + estimate.completed()[index] * end_m;
+            let truth_m = origins_m[index] + truth[index] * skeleton.end_in_segment_m(shank);
+            let found_m = ankles_m[side];
             let flat = footholds[side].is_some_and(|foothold| (truth_m - foothold.truth_m).norm() < 1e-3);
             let stands = said[side] > 0.5;
             let on_floor = contacts.is_none_or(|contacts| contacts[side]);

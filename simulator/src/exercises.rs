@@ -9,6 +9,7 @@
 
 use std::f64::consts::TAU;
 
+use crate::ease::minimum_jerk;
 use crate::random::{Purpose, Random};
 
 /// Samples per second of every recording.
@@ -228,12 +229,11 @@ impl Day {
         self.now_deg = angles;
     }
 
-    /// Smoothly to other angles (minimum jerk: Flash & Hogan 1985).
+    /// Smoothly to other angles.
     fn go(&mut self, to: [f64; WIDTH], seconds: f64) {
         let (from, samples) = (self.now_deg, (seconds * RATE_HZ).round().max(1.0) as usize);
         for sample in 1..=samples {
-            let s = sample as f64 / samples as f64;
-            let way = s.powi(3) * (10.0 - 15.0 * s + 6.0 * s * s);
+            let way = minimum_jerk(sample as f64 / samples as f64);
             self.sample(std::array::from_fn(|angle| from[angle] + (to[angle] - from[angle]) * way));
         }
     }

@@ -15,6 +15,7 @@ pub mod actions;
 pub mod body;
 mod chassis;
 pub mod device;
+mod ease;
 pub mod exercises;
 mod fastrak;
 pub mod faults;

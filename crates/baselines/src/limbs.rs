@@ -261,7 +261,7 @@ impl EulerLimb {
 mod tests {
     use super::*;
     use posed_fusion::body::{BodyFilter, angles};
-    use posed_simulator::body::{Activity, Build, Script, SensorErrors, Wearer, WearerSpec};
+    use posed_simulator::body::{Activity, Build, Sample, Script, SensorErrors, Wearer, WearerSpec};
 
     const HEIGHT_M: f64 = 1.8;
 
@@ -278,6 +278,11 @@ mod tests {
         })
     }
 
+    /// What all sensors measure, for the filters.
+    fn worn(samples: [Sample; SEGMENTS]) -> BodySamples {
+        samples.map(|s| Some(ImuSample { gyro_rad_s: s.gyro_rad_s, accel_m_s2: s.accel_m_s2, mag: s.mag_ut }))
+    }
+
     #[test]
     fn a_walk_is_followed_nearly_as_well_as_by_the_live_filter() {
         let mut wearer = wearer(Activity::Walking);
@@ -292,13 +297,7 @@ mod tests {
         let (mut squares, mut count) = ([0.0; 2], 0.0);
         for k in 0..1200 {
             let (samples, at) = wearer.step();
-            let samples: BodySamples = samples.map(|sample| {
-                Some(ImuSample {
-                    gyro_rad_s: sample.gyro_rad_s,
-                    accel_m_s2: sample.accel_m_s2,
-                    mag: sample.mag_ut,
-                })
-            });
+            let samples = worn(samples);
             let found = [*euler.push(&samples, 0.01), live.push(&samples, 0.01).orientations];
             if k < 500 {
                 continue;
@@ -322,13 +321,7 @@ mod tests {
         });
         let mut body = EulerBody::new(&Skeleton::from_height(HEIGHT_M), &mounts, &BodyParams::default());
         let (samples, _) = wearer(Activity::Curls).step();
-        let mut samples: BodySamples = samples.map(|sample| {
-            Some(ImuSample {
-                gyro_rad_s: sample.gyro_rad_s,
-                accel_m_s2: sample.accel_m_s2,
-                mag: sample.mag_ut,
-            })
-        });
+        let mut samples = worn(samples);
         samples[BodySegment::Pelvis.index()] = None;
         samples[BodySegment::ForearmL.index()] = None;
         for _ in 0..3 {

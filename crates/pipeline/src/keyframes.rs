@@ -111,8 +111,8 @@ impl Keyframes {
             let Some(estimate) = estimate.sensors.get_mut(usize::from(*sensor)) else { continue };
             let pose = usable(estimate);
             let has_position = estimate.pose.as_ref().is_some_and(|pose| pose.position_m.is_some());
-            let trace = track.push(pose.as_ref(), &mut |told| {
-                let (phase, key) = match told.event {
+            let trace = track.push(pose.as_ref(), &mut |report| {
+                let (phase, key) = match report.event {
                     Event::Provisional(key) => (Phase::Provisional, key),
                     Event::Confirmed(key) => (Phase::Confirmed, key),
                     Event::Withdrawn(key) => (Phase::Withdrawn, key),
@@ -120,7 +120,7 @@ impl Keyframes {
                 let since = |frame| {
                     begun.filter(|begun| begun.frame == frame).map_or_else(|| time(frame), |begun| begun.t)
                 };
-                let segment = told.segment.filter(|_| begun.is_some_and(|begun| begun.has_position));
+                let segment = report.segment.filter(|_| begun.is_some_and(|begun| begun.has_position));
                 let segment = segment.map(|segment| ScrewSegment {
                     since: since(segment.since),
                     from_m: segment.from.translation.vector.into(),

@@ -1,6 +1,6 @@
 //! Which packets of one tracker are new.
 //!
-//! A network keeps packets back, turns them round and doubles them, for seconds. Those that are older than the latest are told by
+//! A network keeps packets back, turns them round and doubles them, for seconds. Those that are older than the latest are identified by
 //! their number; but a tracker that was switched off counts from the beginning, and what it had sent before is on its way still,
 //! under greater numbers. It cannot have sent so many in so short a time: such a packet is of its life before, and believing it would
 //! refuse all that come until the new count has passed it.

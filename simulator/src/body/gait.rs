@@ -7,7 +7,8 @@
 use nalgebra::Vector3;
 
 use super::kinematics::{Build, Posture, about_x, about_y, about_z};
-use super::script::{raise, step};
+use super::script::raise;
+use crate::ease::{minimum_jerk, step};
 
 /// Where somebody walks, and how.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -125,15 +126,16 @@ impl Path {
         // The first step is half a step.
         let size = if next <= 1 { 0.5 } else { 1.0 };
         let turned = DOUBLE_SUPPORT + PUSH_OFF;
-        let leaves =
-            smooth((since + HEEL_OFF) / (HEEL_OFF + turned)) - smooth((since - turned) / (0.95 - turned));
-        let falls = |landed: i64| smooth((steps - landed as f64 + LOADING[0]) / (LOADING[0] + LOADING[1]));
+        let leaves = minimum_jerk((since + HEEL_OFF) / (HEEL_OFF + turned))
+            - minimum_jerk((since - turned) / (0.95 - turned));
+        let falls =
+            |landed: i64| minimum_jerk((steps - landed as f64 + LOADING[0]) / (LOADING[0] + LOADING[1]));
         let mut pitch =
-            TOE_UP_RAD * (smooth((since - 0.5) / 0.42) - falls(next)) - size * TOE_DOWN_RAD * leaves;
+            TOE_UP_RAD * (minimum_jerk((since - 0.5) / 0.42) - falls(next)) - size * TOE_DOWN_RAD * leaves;
         if last > 0 {
             pitch += TOE_UP_RAD * (1.0 - falls(last));
         }
-        let share = smooth(flight(steps, next));
+        let share = minimum_jerk(flight(steps, next));
         // A foot that has lain down since it landed leaves the floor by its ball.
         let landing = if since > -HEEL_OFF { share } else { 1.0 };
         let ahead = stands(next);
@@ -169,12 +171,6 @@ fn swung(side: usize, steps: f64) -> (i64, i64) {
 /// How far a swing has come: 0 where the toe leaves, 1 where the heel lands.
 fn flight(steps: f64, step: i64) -> f64 {
     (steps - (step - 1) as f64 - DOUBLE_SUPPORT) / (1.0 - DOUBLE_SUPPORT)
-}
-
-/// From 0 to 1 with two continuous derivatives and the least jerk.
-fn smooth(x: f64) -> f64 {
-    let x = x.clamp(0.0, 1.0);
-    x.powi(3) * (10.0 - 15.0 * x + 6.0 * x * x)
 }
 
 /// Uniform cubic B-spline over these control points: two continuous derivatives, straight where they are.
@@ -261,9 +257,8 @@ mod tests {
         }
     }
 
-    fn ankles_m(path: &Path, steps: f64, build: &Build) -> [Vector3<f64>; 2] {
-        let mut posture = standing(build);
-        path.walk(&mut posture, steps, build);
+    /// The right and the left ankle in the room, m.
+    fn ankles_m(posture: &Posture, build: &Build) -> [Vector3<f64>; 2] {
         let body = posture.place(build);
         [5, 9].map(|shank| body[shank].origin_m - body[shank].axes * Vector3::new(0.0, build.shank_m, 0.0))
     }
@@ -277,7 +272,9 @@ mod tests {
             let mut still = [0; 2];
             for tick in -100..2000 {
                 let steps = f64::from(tick) * 0.01;
-                let ankles = ankles_m(&path, steps, &build);
+                let mut posture = standing(&build);
+                path.walk(&mut posture, steps, &build);
+                let ankles = ankles_m(&posture, &build);
                 for side in 0..2 {
                     let asked = path.foot(side, steps, &build);
                     let asked_m = Vector3::new(0.3, -0.2, 0.07) + about_z(0.7) * asked.at_m;
@@ -316,13 +313,9 @@ mod tests {
             let mut posture = standing(&build);
             posture.pelvis[1] = 0.35 * down;
             lower(&mut posture, 1.7 * down, 0.15 * down, 0.15 * down, &build);
-            let body = posture.place(&build);
-            for (shank, sign) in [(5, 1.0), (9, -1.0)] {
-                let ankle_m = body[shank].origin_m - body[shank].axes * Vector3::new(0.0, build.shank_m, 0.0);
-                let stood_m = standing(&build).pelvis_m.xy().push(0.07)
-                    + about_z(0.7) * Vector3::new(0.0, -sign * 0.5 * build.hip_width_m, 0.0);
-                // The hips tilt; a leg beside them reaches a little less far down.
-                assert!((ankle_m - stood_m).norm() < 1e-3, "{down} {}", ankle_m - stood_m);
+            let (found, stood) = (ankles_m(&posture, &build), ankles_m(&standing(&build), &build));
+            for (found_m, stood_m) in found.iter().zip(&stood) {
+                assert!((found_m - stood_m).norm() < 1e-3, "{down} {}", found_m - stood_m);
             }
         }
     }

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::gait::{Path, STEPS_HZ, lower};
 use super::kinematics::{Build, Posture};
+use crate::ease::step;
 
 /// What is done after the calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -401,12 +402,6 @@ fn movement_s(index: usize) -> f64 {
 /// Twice from 0 to 1 and back with smooth ends, while `phase` goes from 0 to 1.
 fn there_and_back(phase: f64) -> f64 {
     0.5 - 0.5 * libm::cos(2.0 * std::f64::consts::TAU * step(phase))
-}
-
-/// From 0 to 1 with four continuous derivatives.
-pub(super) fn step(x: f64) -> f64 {
-    let x = x.clamp(0.0, 1.0);
-    x.powi(5) * (126.0 - 420.0 * x + 540.0 * x * x - 315.0 * x.powi(3) + 70.0 * x.powi(4))
 }
 
 /// Raises an arm: so far forward, sideways and turned inwards, rad.

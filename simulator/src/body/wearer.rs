@@ -195,6 +195,11 @@ impl Wearer {
         Self { spec, units, frame: 0 }
     }
 
+    /// Samples per second of every sensor.
+    pub fn rate_hz(&self) -> f64 {
+        self.spec.rate_hz
+    }
+
     /// True mounting of the sensor on a segment (index in [`SEGMENT_NAMES`]): sensor to segment, and its place in segment axes,
     /// m.
     ///

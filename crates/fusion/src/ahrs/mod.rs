@@ -405,12 +405,12 @@ impl Ahrs {
             bridged_rad2: w.bridged_rad2,
             rest_gyro_rad_s,
         };
-        if w.mag_samples > 0 && self.levelled_rad.norm() > LEVELLED_RAD {
-            // What it knows of the field was seen with another tilt, and would be taken for a disturbance for good.
-            self.levelled_rad = Vector2::zeros();
-            self.heading.resume(&self.params.heading);
-        }
         if w.mag_samples > 0 {
+            if self.levelled_rad.norm() > LEVELLED_RAD {
+                // What it knows of the field was seen with another tilt, and would be taken for a disturbance for good.
+                self.levelled_rad = Vector2::zeros();
+                self.heading.resume(&self.params.heading);
+            }
             self.heading.update(
                 &self.params.heading,
                 &heading::FieldWindow {

@@ -3,7 +3,7 @@
 use nalgebra::UnitQuaternion;
 use posed_simulator::body::{Activity, Build, Mistake, Script, SensorErrors, Wearer, WearerSpec};
 
-use super::tests::{record, worn};
+use super::tests::record;
 use super::*;
 
 struct Case {
@@ -18,9 +18,6 @@ struct Case {
     seed: u64,
 }
 
-/// As slow as a guide may be fed: these are minutes of many people.
-const RATE_HZ: f64 = 50.0;
-
 /// What was objected to, in the end too, and the worst mounting, degrees.
 fn guided(case: &Case) -> (Vec<String>, Option<f64>) {
     let mut wearer = Wearer::new(WearerSpec {
@@ -29,22 +26,16 @@ fn guided(case: &Case) -> (Vec<String>, Option<f64>) {
         errors: SensorErrors::calibrated(),
         magnetometer: case.magnetometer,
         disturbances: Vec::new(),
-        rate_hz: RATE_HZ,
+        // As slow as a guide may be fed: these are minutes of many people.
+        rate_hz: 50.0,
         clumsiness_rad: case.clumsiness_rad,
         seed: case.seed,
     });
-    let mut seconds = |seconds: f64| -> Vec<Recorded> {
-        let step = || {
-            let (samples, truth) = wearer.step();
-            (truth.t_s, worn(samples))
-        };
-        std::iter::repeat_with(step).take((seconds * RATE_HZ) as usize).collect()
-    };
-    seconds(case.begin_s);
+    record(&mut wearer, case.begin_s);
     let mut guide = Guide::new([true; SEGMENTS], case.magnetometer, case.how);
     let mut objections = Vec::new();
     for _ in 0..240 {
-        for (t_s, samples) in seconds(1.0) {
+        for (t_s, samples) in record(&mut wearer, 1.0).0 {
             guide.push(t_s, &samples);
             let (count, objection) = guide.objection();
             if count > objections.len() {

@@ -98,7 +98,7 @@ pub(super) struct LimbFilter {
     mounted: [bool; 2],
     /// Bias of both gyros that a rest has proven, rad/s: more than the filter takes for possible.
     offsets_rad_s: [Vector3<f64>; 2],
-    /// For so long its heading has been another than its sensors', s.
+    /// For so long both of its sensors have said otherwise, s.
     astray_s: f64,
     filter: Filter,
 }

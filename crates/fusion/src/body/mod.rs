@@ -313,42 +313,37 @@ impl BodyFilter {
 
     /// What the feet say of one time; `None` unless the sensors on pelvis and both legs show it.
     fn legs(&mut self, samples: &BodySamples) -> Option<Legs> {
-        let orientations = &self.estimate.orientations;
-        let seen = |segment: BodySegment| {
+        let shows = |segment: BodySegment| {
             let sensor = self.sensors[segment.index()].as_ref()?;
-            if sensor.behind_s > HOLD_S || sensor.settled_s < LEGS_S {
-                return None;
-            }
-            Some((sensor, orientations[segment.index()]?))
+            let current = sensor.behind_s <= HOLD_S && sensor.settled_s >= LEGS_S;
+            (current && self.estimate.orientations[segment.index()].is_some()).then_some(sensor)
         };
         let measured = |segment: BodySegment| samples[segment.index()].filter(health::usable);
-        let (pelvis, q_room_pelvis) = seen(BodySegment::Pelvis)?;
-        let mut ankles_m = [Vector3::zeros(); 2];
+        let pelvis = shows(BodySegment::Pelvis)?;
+        let all = self.estimate.completed();
         let mut accels_m_s2 = [None; 2];
         let mut shanks_rad_s = [None; 2];
         for (side, limb) in [Limb::LegR, Limb::LegL].into_iter().enumerate() {
             let [_, thigh, shank] = limb.segments();
-            let ((_, q_room_thigh), (sensor, q_room_shank)) = (seen(thigh)?, seen(shank)?);
-            let ankle_m = self.skeleton.end_in_segment_m(shank);
-            ankles_m[side] = q_room_pelvis * self.skeleton.joint_in_parent_m(thigh)
-                + q_room_thigh * self.skeleton.joint_in_parent_m(shank)
-                + q_room_shank * ankle_m;
-            if let Some(sample) = measured(shank) {
+            let (_, sensor) = (shows(thigh)?, shows(shank)?);
+            let Some(sample) = measured(shank) else { continue };
+            let turns = sample.gyro_rad_s - sensor.ahrs.bias_rad_s();
+            shanks_rad_s[side] = Some(turns);
+            if let Some(before) = &self.shanks_rad_s[side] {
                 let mount = &sensor.mount;
-                let turns = sample.gyro_rad_s - sensor.ahrs.bias_rad_s();
-                shanks_rad_s[side] = Some(turns);
-                if let Some(before) = &self.shanks_rad_s[side] {
-                    let point_m = mount.q_segment_sensor.inverse() * (ankle_m - mount.offset_m);
-                    let q_room_sensor = q_room_shank * mount.q_segment_sensor;
-                    let turns = [&turns, before];
-                    accels_m_s2[side] =
-                        Some(carried(&q_room_sensor, &sample.accel_m_s2, turns, sensor.step_s, &point_m));
-                }
+                let ankle_m = self.skeleton.end_in_segment_m(shank);
+                let point_m = mount.q_segment_sensor.inverse() * (ankle_m - mount.offset_m);
+                let q_room_sensor = all[shank.index()] * mount.q_segment_sensor;
+                let turns = [&turns, before];
+                accels_m_s2[side] =
+                    Some(carried(&q_room_sensor, &sample.accel_m_s2, turns, sensor.step_s, &point_m));
             }
         }
+        let q_room_pelvis = all[BodySegment::Pelvis.index()];
         let specific_force_m_s2 = measured(BodySegment::Pelvis)
             .map(|sample| q_room_pelvis * (pelvis.mount.q_segment_sensor * sample.accel_m_s2));
         let sensor_m = q_room_pelvis * pelvis.mount.offset_m;
+        let ankles_m = self.skeleton.ankles_m(&all, Vector3::zeros());
         self.shanks_rad_s = shanks_rad_s;
         Some(Legs { sensor_m, specific_force_m_s2, ankles_m, accels_m_s2 })
     }

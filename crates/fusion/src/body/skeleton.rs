@@ -228,18 +228,22 @@ impl Skeleton {
         origins
     }
 
+    /// The right and the left ankle in the room, m, as [`Self::origins_m`].
+    pub fn ankles_m(
+        &self,
+        orientations: &[UnitQuaternion<f64>; SEGMENTS],
+        pelvis_m: Vector3<f64>,
+    ) -> [Vector3<f64>; 2] {
+        let origins = self.origins_m(orientations, pelvis_m);
+        [BodySegment::ShankR, BodySegment::ShankL]
+            .map(|shank| origins[shank.index()] + orientations[shank.index()] * self.end_in_segment_m(shank))
+    }
+
     /// The hips' mid-point, room, m, if the body stands on its lower ankle above the origin: x and y are zero, z is the
     /// height.
     pub fn standing_m(&self, orientations: &[UnitQuaternion<f64>; SEGMENTS]) -> Vector3<f64> {
-        let origins = self.origins_m(orientations, Vector3::zeros());
-        let lowest = [BodySegment::ShankR, BodySegment::ShankL]
-            .map(|shank| {
-                let index = shank.index();
-                (origins[index] + orientations[index] * self.end_in_segment_m(shank)).z
-            })
-            .into_iter()
-            .fold(f64::INFINITY, f64::min);
-        Vector3::new(0.0, 0.0, self.foot_m - lowest)
+        let [right, left] = self.ankles_m(orientations, Vector3::zeros());
+        Vector3::new(0.0, 0.0, self.foot_m - right.z.min(left.z))
     }
 
     /// All segments, each after its parent.

@@ -105,7 +105,7 @@ fn script(activity: Activity) -> Script {
 pub(super) type Orientations = [UnitQuaternion<f64>; SEGMENTS];
 
 pub(super) fn record(wearer: &mut Wearer, seconds: f64) -> (Vec<Recorded>, Vec<Orientations>) {
-    (0..(seconds * 100.0) as usize)
+    (0..(seconds * wearer.rate_hz()) as usize)
         .map(|_| {
             let (samples, truth) = wearer.step();
             ((truth.t_s, worn(samples)), truth.body.map(|p| UnitQuaternion::from_matrix(&p.axes)))

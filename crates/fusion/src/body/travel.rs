@@ -29,6 +29,8 @@ const ACCEL_M_S2: [f64; 2] = [0.8, 8.0];
 /// For so long evidence says the same again, s; and no more than this at a time, natural logarithm.
 const CORRELATED_S: f64 = 0.03;
 const MOST: f64 = 4.0;
+/// A foot stands that is likelier to stand than this.
+const STANDS: f64 = 0.5;
 /// For so long a foot stands, and is off the floor, s: the means.
 const STANDS_S: f64 = 0.6;
 const SWINGS_S: f64 = 0.4;
@@ -95,13 +97,12 @@ pub(super) struct TravelFilter {
     foot_m: f64,
     axes: [Axis; 3],
     begun: bool,
-    /// Of the last time, m.
+    /// From the hips' mid-point to the pelvis's sensor, as last seen, m.
     sensor_from_hips_m: Vector3<f64>,
     /// Both ankles as they were seen last, from the pelvis's sensor, m.
     ankles_m: Option<[Vector3<f64>; 2]>,
     contacts: [f64; 2],
-    stands: [bool; 2],
-    /// For how long each has, s.
+    /// For how long each foot that stands has, s.
     stood_s: [f64; 2],
     /// Height of the floor that was stood on last, m.
     floor_m: f64,
@@ -121,7 +122,6 @@ impl TravelFilter {
             sensor_from_hips_m: Vector3::zeros(),
             ankles_m: None,
             contacts: [0.5; 2],
-            stands: [false; 2],
             stood_s: [0.0; 2],
             floor_m: 0.0,
             risen_m: 0.0,
@@ -132,8 +132,8 @@ impl TravelFilter {
     /// Takes the legs of one time, `dt_s` after the last, s.
     pub(super) fn push(&mut self, legs: &Legs, dt_s: f64) -> Travel {
         if !self.begun {
-            let lowest_m = legs.ankles_m[0].z.min(legs.ankles_m[1].z);
-            self.place_at(Vector3::new(0.0, 0.0, self.foot_m - lowest_m), legs.sensor_m);
+            let height_m = self.foot_m - lower_m(&legs.ankles_m);
+            self.place_at(Vector3::new(0.0, 0.0, height_m), legs.sensor_m);
         }
         self.sensor_from_hips_m = legs.sensor_m;
         let ankles_m = legs.ankles_m.map(|ankle_m| ankle_m - legs.sensor_m);
@@ -155,7 +155,7 @@ impl TravelFilter {
                 evidence += likelier(accel_m_s2.norm_squared(), ACCEL_M_S2, 0.0);
             }
             let evidence = evidence.clamp(-MOST, MOST);
-            // As far as this time alone tells: a foot that has just left its place still counts as standing.
+            // As far as this time alone shows: a foot that has just left its place still counts as standing.
             let now = 1.0 / (1.0 + libm::exp(-evidence));
             let evidence = evidence * (dt_s / CORRELATED_S).min(1.0);
             let before = self.contacts[side];
@@ -163,12 +163,10 @@ impl TravelFilter {
                 before + (dt_s / SWINGS_S).min(0.5) * (1.0 - before) - (dt_s / STANDS_S).min(0.5) * before;
             let odds = stood / (1.0 - stood) * libm::exp(evidence);
             self.contacts[side] = odds / (1.0 + odds);
-            let stands = self.contacts[side] > 0.5;
-            if stands && !self.stands[side] {
-                self.step_down(side, &ankles_m[side]);
-            }
-            self.stands[side] = stands;
-            if stands {
+            if self.contacts[side] > STANDS {
+                if before <= STANDS {
+                    self.step_down(side, &ankles_m[side]);
+                }
                 let before_s = self.stood_s[side];
                 self.stood_s[side] += dt_s;
                 if before_s < LANDED_S && self.stood_s[side] >= LANDED_S {
@@ -181,7 +179,8 @@ impl TravelFilter {
                 }
             }
         }
-        self.aloft_s = if self.stands == [false; 2] { self.aloft_s + dt_s } else { 0.0 };
+        let aloft = self.contacts.iter().all(|contact| *contact <= STANDS);
+        self.aloft_s = if aloft { self.aloft_s + dt_s } else { 0.0 };
         if self.aloft_s > JUMP_S {
             self.land(&ankles_m);
         }
@@ -192,16 +191,13 @@ impl TravelFilter {
     pub(super) fn place_at(&mut self, pelvis_m: Vector3<f64>, sensor_m: Vector3<f64>) {
         let moved_m = pelvis_m + sensor_m - self.sensor_m();
         for (k, axis) in self.axes.iter_mut().enumerate() {
-            if self.begun {
-                [POSITION, FEET[0], FEET[1]].into_iter().for_each(|state| axis.state[state] += moved_m[k]);
-            } else {
-                *axis = Axis::new(moved_m[k]);
-            }
+            [POSITION, FEET[0], FEET[1]].into_iter().for_each(|state| axis.state[state] += moved_m[k]);
         }
         if self.begun {
             self.floor_m += moved_m.z;
         }
         self.begun = true;
+        self.sensor_from_hips_m = sensor_m;
     }
 
     /// A segment of the legs is not known at this time: the body stays where it is, and begins anew from there. `None` before it has begun.
@@ -209,7 +205,7 @@ impl TravelFilter {
         if self.ankles_m.take().is_some() {
             let at_m = self.sensor_m();
             self.axes = [0, 1, 2].map(|k| Axis::new(at_m[k]));
-            (self.contacts, self.stands) = ([0.5; 2], [false; 2]);
+            self.contacts = [0.5; 2];
         }
         self.begun.then(|| Travel { pelvis_m: self.sensor_m() - self.sensor_from_hips_m, contacts: None })
     }
@@ -231,8 +227,8 @@ impl TravelFilter {
         for axis in &mut self.axes {
             axis.observe(VELOCITY, 0.0, ROLLS_M_S * ROLLS_M_S);
         }
-        let lowest_m = ankles_m[0].z.min(ankles_m[1].z);
-        self.axes[2].observe(POSITION, self.floor_m + self.foot_m - lowest_m, FLOOR_M * FLOOR_M);
+        let height_m = self.floor_m + self.foot_m - lower_m(ankles_m);
+        self.axes[2].observe(POSITION, height_m, FLOOR_M * FLOOR_M);
     }
 
     /// A foot has stood for a while: its foothold is as high as the one before, unless it clearly is not.
@@ -250,6 +246,11 @@ impl TravelFilter {
             self.risen_m = risen_m;
         }
     }
+}
+
+/// Height of the lower ankle, m.
+fn lower_m([right, left]: &[Vector3<f64>; 2]) -> f64 {
+    right.z.min(left.z)
 }
 
 /// By how much likelier a vector of this squared length is in what stands than in what does not, natural logarithm; `known` is the variance of

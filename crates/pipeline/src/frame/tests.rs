@@ -121,7 +121,7 @@ fn no_tick_is_laid_into_a_silence_that_is_over() {
         assert_eq!(bench.times_ms().last(), Some(&590.0));
         assert_eq!(bench.frames.poll_timeout(ms(2001.0)), None);
     }
-    // Its first cycle is a tick, though nobody has told the period of the new line.
+    // Its first cycle is a tick, though nobody has stated the period of the new line.
     bench.frames.stamp(0, &stamp(2010.0), None, ms(2011.0));
     bench.frames.sample(0, measured(2010.0), false);
     bench.poll(2011.0);

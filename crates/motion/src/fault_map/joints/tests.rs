@@ -1,4 +1,4 @@
-//! Three sensors in a row on segments that turn, with lever arms that nobody is told.
+//! Three sensors in a row on segments that turn, with lever arms that are to be found.
 
 use super::*;
 use crate::fault_map::frames::Frames;
